@@ -1,0 +1,1 @@
+//! Reader for e57 files.

@@ -1,0 +1,98 @@
+//! The receipt that comes with every frame.
+
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use crate::plan::Settings;
+
+/// What was understood, what was done, and what it cost. Times and counts that the adapter cannot
+/// give are `null`, never invented.
+#[derive(Clone, Debug, Default, Serialize, ToSchema)]
+pub struct Receipt {
+    pub scene: String,
+    pub revision: u64,
+    pub adapter: String,
+    /// Frames that shared this one's submission, this one included.
+    pub batch_size: u32,
+    pub camera: CameraReceipt,
+    pub settings: Settings,
+    /// Error accepted by the request and estimated for the frame, in pixels.
+    pub max_error_px: Option<f32>,
+    pub estimated_error_px: Option<f32>,
+    pub passes: Vec<PassReceipt>,
+    /// From the first pass's begin to the last one's end.
+    pub gpu_ns: Option<u64>,
+    pub queue_ns: u64,
+    /// CPU time from a job leaving the queue to its submission, shared by the batch.
+    pub record_ns: u64,
+    /// From submission to the pixels being in host memory, less `gpu_ns` where that is known.
+    pub readback_ns: u64,
+    pub encode_ns: u64,
+    pub total_ns: u64,
+    pub samples: SampleCounts,
+    pub splats: SplatCounts,
+    /// Triangles that reached the visibility passes, `null` when none were tested.
+    pub triangles: TriangleCounts,
+    pub instances: InstanceCounts,
+    pub holes_filled: u64,
+    /// Bytes this scene holds on the GPU.
+    pub gpu_bytes: u64,
+    /// Size of the encoded image.
+    pub bytes: u64,
+    /// True when an identical request already in flight supplied the frame.
+    pub coalesced: bool,
+}
+
+/// The pose as understood.
+#[derive(Clone, Debug, Default, Serialize, ToSchema)]
+pub struct CameraReceipt {
+    pub eye: [f64; 3],
+    pub target: [f64; 3],
+    pub up: [f64; 3],
+    /// Vertical field of view.
+    pub fov_deg: f64,
+    pub width: u32,
+    pub height: u32,
+}
+
+/// A pass that ran, or why it did not.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub struct PassReceipt {
+    pub name: &'static str,
+    pub ran: bool,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gpu_ns: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub why: Option<String>,
+}
+
+#[derive(Clone, Copy, Debug, Default, Serialize, ToSchema)]
+pub struct SampleCounts {
+    /// In the scene, instances counted.
+    pub stored: u64,
+    /// In chunks that met the frustum; each was projected.
+    pub tested: Option<u64>,
+    /// Pixels that show a sample.
+    pub drawn: Option<u64>,
+}
+
+#[derive(Clone, Copy, Debug, Default, Serialize, ToSchema)]
+pub struct SplatCounts {
+    pub clipped: u64,
+    pub rasterised: u64,
+    pub scattered: u64,
+}
+
+#[derive(Clone, Copy, Debug, Default, Serialize, ToSchema)]
+pub struct TriangleCounts {
+    pub stored: u64,
+    pub tested: Option<u64>,
+    /// Sent to the rasteriser for their size or because they meet the camera plane.
+    pub rasterised: Option<u64>,
+}
+
+#[derive(Clone, Copy, Debug, Default, Serialize, ToSchema)]
+pub struct InstanceCounts {
+    pub stored: u64,
+    pub drawn: Option<u64>,
+}

@@ -1,0 +1,35 @@
+//! What a caller asks for.
+
+use std::time::Instant;
+
+use crate::encode::ImageFormat;
+use crate::math::{Camera, View};
+use crate::plan::{Output, Settings};
+
+/// One frame of one scene.
+#[derive(Clone, Debug)]
+pub struct FrameRequest {
+    pub scene: String,
+    pub pose: Pose,
+    pub width: u32,
+    pub height: u32,
+    pub settings: Settings,
+    pub output: Output,
+    pub format: ImageFormat,
+    /// 1..=100, for the lossy formats.
+    pub quality: u8,
+    /// Work not begun by then is dropped with [`super::EngineError::DeadlineExceeded`].
+    pub deadline: Option<Instant>,
+}
+
+/// Where a frame is seen from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Pose {
+    /// A camera that the scene names.
+    Named(String),
+    Camera(Camera),
+    /// Already resolved, from explicit matrices.
+    View(View),
+    /// The whole scene, from its front and slightly above.
+    Fit,
+}

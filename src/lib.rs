@@ -1,0 +1,33 @@
+//! Pointillist: a headless render server for scenes of points, lines and triangles.
+//!
+//! One request's journey, top to bottom; a module imports only from the floors below it:
+//!
+//! 1. [`cli`] parses a command line, [`http`] translates a request into a job;
+//! 2. [`engine`] admits, coalesces and batches jobs, and alone owns the device;
+//! 3. [`encode`] turns pixels into PNG, JPEG, WebP, QOI, EXR, PFM or raw bytes;
+//! 4. [`passes`] records the passes that [`plan`] found necessary;
+//! 5. [`residency`] holds what [`bake`] made of the [`assets`] that a [`scene`] names in GPU memory;
+//! 6. [`gpu`] submits, times and reads back;
+//! 7. [`oracle`] renders the same scene in f64 on the CPU, [`accuracy`] compares the two.
+//!
+//! The answer carries a receipt ([`engine::receipt`]): what was understood, which passes ran, which
+//! were skipped and why, and what each of them cost.
+
+pub mod accuracy;
+pub mod assets;
+pub mod bake;
+pub mod cli;
+pub mod encode;
+pub mod engine;
+pub mod generate;
+pub mod gpu;
+pub mod http;
+pub mod math;
+pub mod oracle;
+pub mod passes;
+pub mod plan;
+pub mod residency;
+pub mod scene;
+
+/// The version that receipts, entity tags and `--version` report.
+pub const VERSION: &str = env!("CARGO_PKG_VERSION");

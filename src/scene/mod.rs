@@ -1,0 +1,173 @@
+//! The scene description: what a scene file says, validated (floor 1).
+//!
+//! [`Scene`] mirrors the JSON after validation: names are resolved to indices, angles to matrices,
+//! colours to linear RGB. [`Scene::instances`] walks the nodes, prototypes and repeats in order and
+//! yields every instance of an asset with its f64 transform.
+
+use std::path::PathBuf;
+
+use glam::{DAffine3, DVec3};
+
+use crate::math::Camera;
+
+/// A validated scene.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Scene {
+    pub name: String,
+    pub assets: Vec<AssetRef>,
+    pub materials: Vec<MaterialSpec>,
+    pub prototypes: Vec<Prototype>,
+    pub nodes: Vec<Node>,
+    pub lights: Vec<Light>,
+    /// Linear RGB and alpha of pixels that nothing covers.
+    pub background: [f32; 4],
+    pub cameras: Vec<(String, Camera)>,
+    pub paths: Vec<(String, CameraPath)>,
+    /// World up, used where a request names none. `+y` unless the scene says otherwise.
+    pub up: DVec3,
+}
+
+/// A file that the scene draws.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AssetRef {
+    pub name: String,
+    /// Absolute, inside the scene root.
+    pub file: PathBuf,
+}
+
+/// A subtree with a name, drawn wherever a node or another prototype asks for it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Prototype {
+    pub name: String,
+    pub children: Vec<Node>,
+}
+
+/// A node: a transform, what it draws, its children, how often.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Node {
+    pub name: Option<String>,
+    pub parent_from_node: DAffine3,
+    pub draws: Draws,
+    pub children: Vec<Node>,
+    pub repeat: Repeat,
+    /// Index into [`Scene::materials`]; overrides the asset's own, also in everything below.
+    pub material: Option<usize>,
+    pub visible: bool,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Draws {
+    #[default]
+    Nothing,
+    /// Index into [`Scene::assets`].
+    Asset(usize),
+    /// Index into [`Scene::prototypes`].
+    Prototype(usize),
+}
+
+/// Copies of a node, without listing them. Transforms apply as `parent · copy · node`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Repeat {
+    #[default]
+    Once,
+    /// `grid[0] · grid[1] · grid[2]` copies, `step` apart, the whole centred on the node.
+    Grid { counts: [u32; 3], step: DVec3 },
+    /// `count` copies, seeded and reproducible, uniform in a box around the node.
+    Scatter {
+        count: u32,
+        half_extent: DVec3,
+        /// Uniform scale is drawn from this range.
+        scale: [f64; 2],
+        /// Turn about world up at random.
+        turn: bool,
+        seed: u64,
+    },
+}
+
+/// Appearance that a node lays over its asset's own.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MaterialSpec {
+    pub name: String,
+    /// Linear RGB and alpha; `None` keeps the asset's.
+    pub base_color: Option<[f32; 4]>,
+    pub specular: Option<[f32; 3]>,
+    pub shininess: Option<f32>,
+    pub unlit: Option<bool>,
+    pub double_sided: Option<bool>,
+}
+
+/// A light, colours linear and already multiplied by intensity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Light {
+    Ambient {
+        color: [f32; 3],
+    },
+    /// Shines from the eye along the view direction.
+    Headlight {
+        color: [f32; 3],
+    },
+    /// Parallel light travelling along `direction` (unit length).
+    Sun {
+        direction: DVec3,
+        color: [f32; 3],
+        shadows: bool,
+    },
+    /// Falls off as `1 / (1 + (d / range)²)`; at `range` half is left.
+    Point {
+        position: DVec3,
+        color: [f32; 3],
+        range: f64,
+    },
+}
+
+/// Keyframes with times in seconds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraPath {
+    pub fps: f64,
+    pub keys: Vec<PathKey>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PathKey {
+    pub t: f64,
+    pub camera: Camera,
+}
+
+/// One drawn copy of an asset.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Instance {
+    /// Index into [`Scene::assets`].
+    pub asset: usize,
+    pub world_from_asset: DAffine3,
+    /// Index into [`Scene::materials`].
+    pub material: Option<usize>,
+    /// Index of the top-level node that it came from.
+    pub node: usize,
+}
+
+/// Why a scene was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    #[error("{file}: {source}")]
+    Io { file: String, source: std::io::Error },
+    /// `path` is the place in the file: `nodes[3].repeat.grid`.
+    #[error("{file}: {path}: {reason}")]
+    Invalid { file: String, path: String, reason: String },
+    #[error("{file}: {what} ({found}) is over the limit of {limit}")]
+    TooLarge { file: String, what: &'static str, found: u64, limit: u64 },
+}
+
+/// Bounds on what a scene may ask for.
+#[derive(Clone, Debug)]
+pub struct SceneLimits {
+    pub max_nodes: u64,
+    pub max_depth: u32,
+    pub max_instances: u64,
+    pub max_json_bytes: u64,
+}
+
+impl Default for SceneLimits {
+    fn default() -> Self {
+        Self { max_nodes: 100_000, max_depth: 64, max_instances: 1 << 20, max_json_bytes: 64 << 20 }
+    }
+}
