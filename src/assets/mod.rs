@@ -14,6 +14,7 @@ pub mod obj;
 pub mod off;
 pub mod pcd;
 pub mod ply;
+mod points;
 pub mod ptx;
 pub mod stl;
 pub mod xyz;
