@@ -1,7 +1,7 @@
 //! PNG (ISO/IEC 15948).
 //!
 //! The encoder limits the server long before projection does, so speed goes before size: `fdeflate`'s
-//! one-pass Huffman coding after a fixed row filter. Colour without translucency is written without alpha: a
+//! one-pass coding after one fixed row filter. Colour without translucency is written without alpha: a
 //! quarter less to filter, sum and send.
 //!
 //! Depth is 16-bit grey, see [`DepthRange`]; ids are explained in the [parent module](super).
@@ -120,7 +120,10 @@ fn write(mut encoder: Encoder<'_, &mut Vec<u8>>, data: &[u8]) -> Result<(), Enco
     writer.finish().map_err(failed)
 }
 
-const FILTER: Filter = Filter::Up;
+/// The left neighbour predicts. On frames of a noisy, a smooth and a sparsely covered ball at 1024², `Sub` needs 3.2,
+/// 3.3 and 4.8 ms on one core (`Up` 3.2, 3.1, 5.4; `Paeth` 3.5, 3.5, 5.6; adaptive 11.6, 10.4, 12.3) for the smallest sum of
+/// sizes but the adaptive one's, which is 5 % less. zlib's level 1 takes two to five times as long for 10–20 % less.
+const FILTER: Filter = Filter::Sub;
 
 fn failed(error: png::EncodingError) -> EncodeError {
     EncodeError::Failed(error.to_string())
