@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::Path;
 
 use super::input::Input;
-use super::{Asset, AssetError, ReadOptions, gltf, obj, off, ply, stl};
+use super::{Asset, AssetError, ReadOptions, e57, gltf, las, obj, off, pcd, ply, ptx, stl, xyz};
 
 /// Extensions of the formats that are read, in lower case; each may be followed by `.gz`.
 pub const FORMATS: &[&str] = &[
@@ -88,8 +88,13 @@ fn read_samples(
     name: &str,
     options: &ReadOptions,
 ) -> Result<Asset, AssetError> {
-    let _ = (path, options);
-    Err(AssetError::unsupported(name, format!("{format:?} files are not read yet; {}", accepted())))
+    match format {
+        Format::Las => las::read(path, name, options),
+        Format::E57 => e57::read(path, name, options),
+        Format::Pcd => pcd::read(path, name, options),
+        Format::Ptx => ptx::read(path, name, options),
+        _ => xyz::read(path, name, options),
+    }
 }
 
 fn accepted() -> String {

@@ -1,7 +1,14 @@
 //! Jobs in, encoded frames with receipts out (floor 5). One thread owns the device.
 
+mod job;
+mod library;
+pub mod queue;
 pub mod receipt;
+mod renderer;
 mod request;
+mod resolve;
+mod shared;
+mod worker;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -11,11 +18,14 @@ use bytes::Bytes;
 use serde::Serialize;
 
 pub use receipt::Receipt;
+pub use renderer::Renderer;
 pub use request::{FrameRequest, Pose};
 
 use crate::assets::{AssetError, ReadOptions};
 use crate::math::Camera;
 use crate::scene::{SceneError, SceneLimits};
+
+use self::shared::Shared;
 
 /// How the engine is set up.
 #[derive(Clone)]
@@ -68,6 +78,9 @@ pub enum EngineError {
     Asset(#[source] Arc<AssetError>),
     #[error("{0}")]
     Scene(#[source] Arc<SceneError>),
+    /// No adapter that could draw; the text says what to install.
+    #[error("{0}")]
+    NoGpu(String),
     #[error("internal error: {0}")]
     Internal(String),
 }
@@ -191,15 +204,38 @@ pub struct EngineStats {
     pub encode_ns: u64,
 }
 
-/// A handle on the running engine; clones share it. The last one dropped stops the render thread
-/// after the jobs it has accepted.
+/// A handle on the running engine; clones share it. When the last one is dropped the render thread finishes the jobs it has
+/// accepted and ends.
 #[derive(Clone)]
-pub struct Engine {}
+pub struct Engine {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    shared: Arc<Shared>,
+    thread: parking_lot::Mutex<Option<std::thread::JoinHandle<()>>>,
+}
+
+impl Drop for Inner {
+    fn drop(&mut self) {
+        self.shared.stop();
+        if let Some(thread) = self.thread.lock().take() {
+            let _ = thread.join();
+        }
+    }
+}
 
 /// A frame that has been promised. Await it; dropping it cancels the job unless somebody else waits
 /// for the same frame or it has been submitted already.
 pub struct FrameTicket {
     receiver: tokio::sync::oneshot::Receiver<Result<Arc<EncodedFrame>, EngineError>>,
+}
+
+impl FrameTicket {
+    /// Waits on a thread that runs no async tasks.
+    pub fn wait(self) -> Result<Arc<EncodedFrame>, EngineError> {
+        self.receiver.blocking_recv().unwrap_or(Err(EngineError::ShuttingDown))
+    }
 }
 
 impl std::future::Future for FrameTicket {
@@ -215,48 +251,116 @@ impl std::future::Future for FrameTicket {
     }
 }
 
+impl EngineConfig {
+    /// Defaults for scenes below `root`.
+    pub fn new(root: impl Into<PathBuf>) -> Self {
+        let cores = std::thread::available_parallelism().map_or(2, usize::from);
+        Self {
+            root: root.into(),
+            gpu_budget_bytes: None,
+            queue_capacity: 256,
+            max_batch: 32,
+            encoder_threads: cores.clamp(1, 8),
+            max_pixels: 1 << 24,
+            max_side: 16384,
+            force_32_bit: false,
+            read: ReadOptions::default(),
+            scene: SceneLimits::default(),
+        }
+    }
+}
+
 impl Engine {
     /// Finds an adapter and starts the render thread and the encoders.
     ///
     /// # Errors
     /// No adapter, or one that lacks what the passes need; the message says what to install.
     pub fn start(config: EngineConfig) -> Result<Engine, EngineError> {
-        let _ = config;
-        Err(EngineError::Internal("not built yet".into()))
+        let shared = Arc::new(Shared::new(config));
+        let (sender, receiver) = std::sync::mpsc::sync_channel(1);
+        let for_thread = shared.clone();
+        let thread = std::thread::Builder::new()
+            .name("render".into())
+            .spawn(move || {
+                worker::run(&for_thread, |opened| {
+                    let _ = sender.send(opened);
+                });
+            })
+            .map_err(|error| EngineError::Internal(error.to_string()))?;
+        match receiver.recv() {
+            Ok(Ok(())) => {
+                Ok(Engine { inner: Arc::new(Inner { shared, thread: parking_lot::Mutex::new(Some(thread)) }) })
+            }
+            Ok(Err(error)) => Err(EngineError::NoGpu(error.to_string())),
+            Err(_) => Err(EngineError::Internal("the render thread ended while it opened the GPU".into())),
+        }
     }
 
-    /// Loads a scene file or a single asset file (absolute path below the root) under `id`. Blocks: reads, bakes, checks the
+    fn shared(&self) -> &Shared {
+        &self.inner.shared
+    }
+
+    /// Loads a scene file or a single asset file (below the root) under `id`. Blocks: reads, bakes, checks the
     /// budget; call from a blocking thread. Fails without side effects.
     pub fn load(&self, id: &str, path: &std::path::Path) -> Result<SceneInfo, EngineError> {
-        let _ = (id, path);
-        unreachable!()
+        let shared = self.shared();
+        if shared.library.read().get(id).is_some() || !shared.loading.lock().insert(id.to_owned()) {
+            return Err(EngineError::SceneExists { id: id.to_owned() });
+        }
+        let result = self.load_reserved(id, path);
+        shared.loading.lock().remove(id);
+        result
+    }
+
+    fn load_reserved(&self, id: &str, path: &std::path::Path) -> Result<SceneInfo, EngineError> {
+        let shared = self.shared();
+        let path = library::check_path(path, &shared.config.root)?;
+        let loaded = library::load(id, &path, &shared.config, &shared.cache)?;
+        let adapter = shared.adapter();
+        crate::residency::check_fits(adapter.max_binding_bytes, adapter.budget, &loaded.model)
+            .map_err(renderer::engine_error)?;
+        let info = loaded.info.clone();
+        shared.library.write().insert(loaded);
+        Ok(info)
     }
 
     /// Forgets a scene and frees its GPU memory.
     pub fn remove(&self, id: &str) -> Result<(), EngineError> {
-        let _ = id;
-        unreachable!()
+        let shared = self.shared();
+        let removed = shared.library.write().remove(id);
+        removed.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
+        shared.remove_from_gpu(id);
+        Ok(())
     }
 
     /// Moves, shows or hides a top-level node: a new revision, nothing uploaded but transforms.
     pub fn patch(&self, id: &str, node: &str, patch: &NodePatch) -> Result<SceneInfo, EngineError> {
-        let _ = (id, node, patch);
-        unreachable!()
+        let shared = self.shared();
+        // Two patches must not start from the same revision: the lock is held while the instances are listed anew.
+        let mut library = shared.library.write();
+        let loaded = library.get(id).ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
+        let patched = loaded.patched(node, patch, &shared.config)?;
+        let info = patched.info.clone();
+        library.insert(patched);
+        Ok(info)
     }
 
     pub fn scenes(&self) -> Vec<SceneInfo> {
-        unreachable!()
+        self.shared().library.read().all().iter().map(|loaded| self.info(loaded)).collect()
     }
 
     pub fn scene(&self, id: &str) -> Result<SceneInfo, EngineError> {
-        let _ = id;
-        unreachable!()
+        let loaded = self.shared().library.read().get(id);
+        loaded.map(|loaded| self.info(&loaded)).ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })
+    }
+
+    fn info(&self, loaded: &library::Loaded) -> SceneInfo {
+        SceneInfo { resident: self.shared().is_resident(&loaded.info.id), ..loaded.info.clone() }
     }
 
     /// The strong entity tag (quoted) of the frame that `request` would give. Validates the request; costs no GPU work.
     pub fn etag(&self, request: &FrameRequest) -> Result<String, EngineError> {
-        let _ = request;
-        unreachable!()
+        Ok(resolve::resolve(self.shared(), request)?.key)
     }
 
     /// Queues a frame.
@@ -264,27 +368,60 @@ impl Engine {
     /// # Errors
     /// Whatever is wrong with the request, or [`EngineError::Busy`]; nothing is queued then.
     pub fn submit(&self, request: FrameRequest) -> Result<FrameTicket, EngineError> {
-        let _ = request;
-        unreachable!()
+        let resolved = resolve::resolve(self.shared(), &request)?;
+        Ok(FrameTicket { receiver: self.shared().enqueue(resolved, request)? })
+    }
+
+    /// The plan that a request would follow, and what it was planned from.
+    pub fn plan(&self, request: &FrameRequest) -> Result<crate::plan::FramePlan, EngineError> {
+        Ok(resolve::resolve(self.shared(), request)?.plan)
     }
 
     pub fn readiness(&self) -> Readiness {
-        unreachable!()
+        self.shared().readiness()
     }
 
     pub fn stats(&self) -> EngineStats {
-        unreachable!()
+        self.shared().snapshot()
     }
 
     pub fn limits(&self) -> Limits {
-        unreachable!()
+        let config = &self.shared().config;
+        let adapter = self.shared().adapter();
+        let (max_pixels, max_side) = resolve::frame_limits(self.shared());
+        Limits {
+            max_pixels,
+            max_side,
+            queue_capacity: config.queue_capacity,
+            max_batch: config.max_batch,
+            gpu_budget_bytes: adapter.budget,
+            max_vertices: config.read.max_vertices,
+            max_triangles: config.read.max_triangles,
+            max_texels: config.read.max_texels,
+            max_decompressed_bytes: config.read.max_decompressed_bytes,
+            max_nodes: config.scene.max_nodes,
+            max_depth: config.scene.max_depth,
+            max_instances: config.scene.max_instances,
+            max_json_bytes: config.scene.max_json_bytes,
+        }
     }
 
     /// Name of the adapter, as receipts give it.
     pub fn adapter(&self) -> String {
-        unreachable!()
+        self.shared().adapter().name
     }
 
     /// Refuses new jobs, finishes the accepted ones. Blocks.
-    pub fn drain(&self) {}
+    pub fn drain(&self) {
+        self.shared().stop();
+        while self.shared().has_unanswered() {
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+    }
+
+    /// Loses the device on purpose, to see that it comes back.
+    #[doc(hidden)]
+    pub fn lose_device(&self) {
+        self.shared().lose_device();
+    }
 }

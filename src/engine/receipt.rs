@@ -27,6 +27,8 @@ pub struct Receipt {
     pub record_ns: u64,
     /// From submission to the pixels being in host memory, less `gpu_ns` where that is known.
     pub readback_ns: u64,
+    /// From the pixels being in host memory to an encoder taking them up.
+    pub encode_wait_ns: u64,
     pub encode_ns: u64,
     pub total_ns: u64,
     pub samples: SampleCounts,

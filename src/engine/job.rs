@@ -1,0 +1,114 @@
+//! One frame on its way: who waits for it, and until when.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Instant;
+
+use parking_lot::Mutex;
+use tokio::sync::oneshot;
+
+use super::queue::Waiting;
+use super::receipt::CameraReceipt;
+use super::{EncodedFrame, EngineError, FrameRequest};
+use crate::math::View;
+use crate::plan::FramePlan;
+use crate::residency::model::SceneModel;
+
+pub type Reply = Result<Arc<EncodedFrame>, EngineError>;
+
+/// A request, resolved: everything that can be wrong with it has been looked at.
+#[derive(Clone)]
+pub struct Resolved {
+    pub model: Arc<SceneModel>,
+    pub view: View,
+    pub camera: CameraReceipt,
+    pub plan: FramePlan,
+    /// Equal for requests whose frames are equal to the byte.
+    pub key: String,
+}
+
+/// A frame that somebody waits for.
+pub struct Job {
+    pub resolved: Resolved,
+    pub request: FrameRequest,
+    pub enqueued: Instant,
+    waiters: Mutex<Waiters>,
+    attempts: AtomicU32,
+}
+
+struct Waiters {
+    senders: Vec<oneshot::Sender<Reply>>,
+    /// The latest that anybody would still take it; `None`: any time.
+    deadline: Option<Instant>,
+    answered: bool,
+}
+
+impl Job {
+    pub fn new(resolved: Resolved, request: FrameRequest) -> (Arc<Job>, oneshot::Receiver<Reply>) {
+        let (sender, receiver) = oneshot::channel();
+        let waiters = Waiters { senders: vec![sender], deadline: request.deadline, answered: false };
+        let job = Job {
+            resolved,
+            request,
+            enqueued: Instant::now(),
+            waiters: Mutex::new(waiters),
+            attempts: AtomicU32::new(0),
+        };
+        (Arc::new(job), receiver)
+    }
+
+    /// One more waits for the same frame; `None` when it has been answered already.
+    pub fn join(&self, deadline: Option<Instant>) -> Option<oneshot::Receiver<Reply>> {
+        let mut waiters = self.waiters.lock();
+        if waiters.answered {
+            return None;
+        }
+        let (sender, receiver) = oneshot::channel();
+        waiters.senders.push(sender);
+        waiters.deadline = waiters.deadline.zip(deadline).map(|(a, b)| a.max(b));
+        Some(receiver)
+    }
+
+    /// Answers everybody. The first to have asked gets the frame as it is; the others' receipts say that they shared it.
+    pub fn answer(&self, reply: Reply) {
+        let senders = {
+            let mut waiters = self.waiters.lock();
+            waiters.answered = true;
+            std::mem::take(&mut waiters.senders)
+        };
+        let shared = (senders.len() > 1).then(|| {
+            reply.as_ref().map_err(Clone::clone).map(|frame| {
+                let mut frame = EncodedFrame::clone(frame);
+                frame.receipt.coalesced = true;
+                Arc::new(frame)
+            })
+        });
+        let mut first = Some(reply);
+        for sender in senders {
+            let reply = first.take().or_else(|| shared.clone());
+            if let Some(reply) = reply {
+                // A receiver that is gone has cancelled.
+                let _ = sender.send(reply);
+            }
+        }
+    }
+
+    /// Counts a try; false when there have been too many.
+    pub fn try_again(&self) -> bool {
+        self.attempts.fetch_add(1, Ordering::Relaxed) < 3
+    }
+}
+
+impl Waiting for Arc<Job> {
+    fn is_abandoned(&self) -> bool {
+        self.waiters.lock().senders.iter().all(oneshot::Sender::is_closed)
+    }
+
+    fn deadline(&self) -> Option<Instant> {
+        self.waiters.lock().deadline
+    }
+
+    fn pixels(&self) -> u64 {
+        u64::from(self.request.width) * u64::from(self.request.height)
+    }
+}

@@ -1,0 +1,410 @@
+//! Loaded scenes in host memory: reading, baking, packing, and the changes made to them later.
+
+use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Weak};
+
+use glam::DVec3;
+use sha2::{Digest, Sha256};
+
+use super::{AssetInfo, EngineConfig, EngineError, NamedCamera, NodePatch, SceneInfo};
+use crate::assets::{self, Asset, AssetError, Geometry, Placement};
+use crate::bake;
+use crate::bake::pack::{PackedAsset, PackedGeometry, pack_mesh, pack_samples, pack_texture};
+use crate::math::{Bounds, Camera};
+use crate::plan::SceneFacts;
+use crate::residency::model::{AssetModel, ModelInstance, SceneModel};
+use crate::scene::{self, Light, Node, Scene};
+
+static NEXT_UID: AtomicU64 = AtomicU64::new(1);
+
+/// Angle between faces, in degrees, above which a mesh without normals keeps its edge.
+const CREASE_DEG: f64 = 35.0;
+
+/// A scene and what was derived from it.
+pub struct Loaded {
+    pub model: Arc<SceneModel>,
+    pub facts: SceneFacts,
+    pub bounds: Bounds,
+    pub info: SceneInfo,
+    /// Hash of the description and of every file's content.
+    pub digest: [u8; 32],
+    description: Scene,
+    /// For each asset: where its geometries stand.
+    placements: Vec<Arc<Vec<Placement>>>,
+}
+
+struct CachedAsset {
+    model: Weak<AssetModel>,
+    placements: Arc<Vec<Placement>>,
+    cameras: Vec<(String, Camera)>,
+    warnings: Vec<String>,
+    digest: [u8; 32],
+}
+
+/// A read asset, shared.
+struct ReadAsset {
+    model: Arc<AssetModel>,
+    placements: Arc<Vec<Placement>>,
+    cameras: Vec<(String, Camera)>,
+    warnings: Vec<String>,
+    digest: [u8; 32],
+}
+
+/// All loaded scenes, and the assets that they share.
+#[derive(Default)]
+pub struct Library {
+    scenes: BTreeMap<String, Arc<Loaded>>,
+}
+
+/// Assets by content, so that scenes that draw the same file share it.
+#[derive(Default)]
+pub struct AssetCache {
+    assets: parking_lot::Mutex<HashMap<[u8; 32], CachedAsset>>,
+}
+
+impl Library {
+    pub fn get(&self, id: &str) -> Option<Arc<Loaded>> {
+        self.scenes.get(id).cloned()
+    }
+
+    pub fn all(&self) -> Vec<Arc<Loaded>> {
+        self.scenes.values().cloned().collect()
+    }
+
+    pub fn insert(&mut self, loaded: Loaded) {
+        self.scenes.insert(loaded.model.id.clone(), Arc::new(loaded));
+    }
+
+    pub fn remove(&mut self, id: &str) -> Option<Arc<Loaded>> {
+        self.scenes.remove(id)
+    }
+}
+
+fn asset_error(error: AssetError) -> EngineError {
+    EngineError::Asset(Arc::new(error))
+}
+
+/// Reads a scene file or a bare asset and packs all that it draws.
+pub fn load(id: &str, path: &Path, config: &EngineConfig, cache: &AssetCache) -> Result<Loaded, EngineError> {
+    let is_scene = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
+    let mut hasher = Sha256::new();
+    let mut description = if is_scene {
+        hasher.update(std::fs::read(path).unwrap_or_default());
+        scene::load(path, &config.root, &config.scene).map_err(|error| EngineError::Scene(Arc::new(error)))?
+    } else {
+        let stem = path.file_stem().map_or_else(|| id.to_owned(), |stem| stem.to_string_lossy().into_owned());
+        Scene::from_asset(&stem, path.to_path_buf())
+    };
+    let mut assets = Vec::new();
+    let mut placements = Vec::new();
+    let mut warnings = Vec::new();
+    for reference in &description.assets {
+        let asset = read_asset(&reference.name, &reference.file, config, cache)?;
+        hasher.update(asset.digest);
+        warnings.extend(asset.warnings.iter().map(|text| format!("{}: {text}", reference.name)));
+        if description.cameras.is_empty() {
+            description.cameras.extend(asset.cameras.iter().cloned());
+        }
+        assets.push(asset.model);
+        placements.push(asset.placements);
+    }
+    if !is_scene {
+        adapt_bare_asset(&mut description, &assets);
+    }
+    if description.lights.iter().any(|light| matches!(light, Light::Sun { shadows: true, .. })) {
+        warnings.push("lights ask for shadows, which this version does not draw".to_owned());
+    }
+    build(id, 1, description, assets, placements, warnings, hasher.finalize().into(), config)
+}
+
+/// A scan's own colours are shown unlit, and survey formats have z up.
+fn adapt_bare_asset(description: &mut Scene, assets: &[Arc<AssetModel>]) {
+    let scan = |asset: &Arc<AssetModel>| {
+        asset.has_colors
+            && !asset.has_normals
+            && asset.packed.geometries.iter().all(|geometry| matches!(geometry, PackedGeometry::Samples(_)))
+    };
+    if assets.iter().all(scan) {
+        description.lights.clear();
+    }
+    let survey = ["las", "laz", "copc", "e57", "pts", "ptx", "xyz", "csv"];
+    if assets.iter().all(|asset| survey.contains(&asset.format)) {
+        description.up = DVec3::Z;
+    }
+}
+
+fn read_asset(name: &str, file: &Path, config: &EngineConfig, cache: &AssetCache) -> Result<ReadAsset, EngineError> {
+    let display = file.file_name().map_or_else(|| name.to_owned(), |name| name.to_string_lossy().into_owned());
+    let digest = digest_file(file)
+        .map_err(|source| asset_error(AssetError::Io { file: display.clone(), source }))?;
+    if let Some(found) = cache.assets.lock().get(&digest)
+        && let Some(model) = found.model.upgrade()
+    {
+        return Ok(ReadAsset {
+            model,
+            placements: found.placements.clone(),
+            cameras: found.cameras.clone(),
+            warnings: found.warnings.clone(),
+            digest,
+        });
+    }
+    let mut options = config.read.clone();
+    if options.root.is_none() {
+        options.root = Some(config.root.clone());
+    }
+    let asset = assets::read(file, &options).map_err(asset_error)?;
+    let read = pack_asset(name, &display, asset, digest)?;
+    let mut cached = cache.assets.lock();
+    cached.retain(|_, asset| asset.model.strong_count() > 0);
+    cached.insert(
+        digest,
+        CachedAsset {
+            model: Arc::downgrade(&read.model),
+            placements: read.placements.clone(),
+            cameras: read.cameras.clone(),
+            warnings: read.warnings.clone(),
+            digest,
+        },
+    );
+    Ok(read)
+}
+
+fn pack_asset(name: &str, display: &str, mut asset: Asset, digest: [u8; 32]) -> Result<ReadAsset, EngineError> {
+    let (mut has_colors, mut has_normals, mut estimated) = (false, false, false);
+    let mut geometries = Vec::with_capacity(asset.geometries.len());
+    for geometry in &mut asset.geometries {
+        let packed = match geometry {
+            Geometry::Points(cloud) => {
+                has_colors |= cloud.colors.is_some();
+                has_normals |= cloud.normals.is_some();
+                estimated |= cloud.normals.is_none();
+                bake::fill_colors(cloud);
+                bake::estimate_point_attributes(cloud);
+                pack_samples(cloud).map(PackedGeometry::Samples)
+            }
+            Geometry::Mesh(mesh) => {
+                has_colors |= mesh.colors.is_some();
+                has_normals |= mesh.normals.is_some();
+                estimated |= mesh.normals.is_none();
+                // A glTF mesh without normals is to be drawn flat (glTF 2.0, 3.7.2.1).
+                bake::smooth_normals(mesh, if asset.format.starts_with("gl") { 0.0 } else { CREASE_DEG });
+                pack_mesh(mesh).map(PackedGeometry::Mesh)
+            }
+        };
+        let packed = packed.map_err(|error| {
+            asset_error(AssetError::Malformed {
+                file: display.to_owned(),
+                place: "positions".to_owned(),
+                reason: error.to_string(),
+            })
+        })?;
+        *geometry = Geometry::Points(Default::default());
+        geometries.push(packed);
+    }
+    let textures = asset.textures.iter().map(pack_texture).collect();
+    let model = AssetModel {
+        uid: NEXT_UID.fetch_add(1, Ordering::Relaxed),
+        name: name.to_owned(),
+        format: asset.format,
+        packed: PackedAsset { geometries, materials: asset.materials, textures },
+        has_colors,
+        has_normals,
+        normals_estimated: estimated,
+    };
+    Ok(ReadAsset {
+        model: Arc::new(model),
+        placements: Arc::new(asset.placements),
+        cameras: asset.cameras,
+        warnings: asset.warnings,
+        digest,
+    })
+}
+
+fn digest_file(file: &Path) -> std::io::Result<[u8; 32]> {
+    let mut hasher = Sha256::new();
+    let mut reader = File::open(file)?;
+    let mut buffer = vec![0; 1 << 20];
+    loop {
+        let read = reader.read(&mut buffer)?;
+        if read == 0 {
+            return Ok(hasher.finalize().into());
+        }
+        hasher.update(&buffer[..read]);
+    }
+}
+
+#[expect(clippy::too_many_arguments, reason = "the parts of a loaded scene, each used once")]
+fn build(
+    id: &str,
+    revision: u64,
+    description: Scene,
+    assets: Vec<Arc<AssetModel>>,
+    placements: Vec<Arc<Vec<Placement>>>,
+    warnings: Vec<String>,
+    digest: [u8; 32],
+    config: &EngineConfig,
+) -> Result<Loaded, EngineError> {
+    let mut instances = Vec::new();
+    for instance in description.instances() {
+        for placement in placements[instance.asset].iter() {
+            let number = instances.len() as u64 + 1;
+            if number > config.scene.max_instances {
+                return Err(EngineError::OverLimit {
+                    what: "instances",
+                    found: number,
+                    limit: config.scene.max_instances,
+                });
+            }
+            instances.push(ModelInstance {
+                asset: instance.asset,
+                geometry: placement.geometry,
+                world_from_geometry: instance.world_from_asset * placement.asset_from_geometry,
+                material: instance.material,
+                id: number as u32,
+            });
+        }
+    }
+    let model = SceneModel {
+        id: id.to_owned(),
+        name: description.name.clone(),
+        revision,
+        assets,
+        instances,
+        materials: description.materials.clone(),
+        lights: description.lights.clone(),
+        background: description.background,
+        cameras: description.cameras.clone(),
+        up: description.up,
+    };
+    let bounds = model.bounds();
+    let info = describe(&model, &description, &bounds, warnings);
+    Ok(Loaded { facts: facts(&model), model: Arc::new(model), bounds, info, digest, description, placements })
+}
+
+fn facts(model: &SceneModel) -> SceneFacts {
+    let drawn = |wanted: fn(&PackedGeometry) -> bool| {
+        model.instances.iter().any(|instance| {
+            let geometry = model.geometry(instance);
+            wanted(geometry) && !geometry.chunks().is_empty()
+        })
+    };
+    SceneFacts {
+        has_samples: drawn(|geometry| matches!(geometry, PackedGeometry::Samples(_))),
+        has_triangles: drawn(|geometry| matches!(geometry, PackedGeometry::Mesh(_))),
+        lights: model.lights.len() as u32,
+        casts_shadows: model.lights.iter().any(|light| matches!(light, Light::Sun { shadows: true, .. })),
+        alpha_cut: model
+            .assets
+            .iter()
+            .any(|asset| asset.packed.materials.iter().any(|material| material.alpha_cutoff.is_some())),
+    }
+}
+
+fn node_name(node: &Node, index: usize) -> String {
+    node.name.clone().unwrap_or_else(|| index.to_string())
+}
+
+fn describe(model: &SceneModel, description: &Scene, bounds: &Bounds, warnings: Vec<String>) -> SceneInfo {
+    let counts = model.counts();
+    SceneInfo {
+        id: model.id.clone(),
+        name: model.name.clone(),
+        revision: model.revision,
+        bounds: (!bounds.is_empty()).then(|| [bounds.min.into(), bounds.max.into()]),
+        samples: counts.samples,
+        triangles: counts.triangles,
+        instances: counts.instances,
+        assets: model
+            .assets
+            .iter()
+            .map(|asset| {
+                let (samples, triangles) = asset.counts();
+                AssetInfo {
+                    name: asset.name.clone(),
+                    format: asset.format,
+                    samples,
+                    triangles,
+                    has_colors: asset.has_colors,
+                    has_normals: asset.has_normals,
+                    normals_estimated: asset.normals_estimated,
+                }
+            })
+            .collect(),
+        gpu_bytes: model.gpu_bytes(),
+        resident: false,
+        cameras: model.cameras.iter().map(|(name, camera)| NamedCamera::new(name, camera)).collect(),
+        paths: description.paths.iter().map(|(name, _)| name.clone()).collect(),
+        nodes: description.nodes.iter().enumerate().map(|(index, node)| node_name(node, index)).collect(),
+        lights: model.lights.len(),
+        warnings,
+    }
+}
+
+impl Loaded {
+    /// The scene with one top-level node changed, at the next revision.
+    pub fn patched(&self, node: &str, patch: &NodePatch, config: &EngineConfig) -> Result<Loaded, EngineError> {
+        let mut description = self.description.clone();
+        let index = description
+            .nodes
+            .iter()
+            .enumerate()
+            .position(|(index, candidate)| node_name(candidate, index) == node)
+            .ok_or_else(|| EngineError::UnknownNode { scene: self.model.id.clone(), node: node.to_owned() })?;
+        if let Some(transform) = patch.world_from_node {
+            description.nodes[index].parent_from_node = transform;
+        }
+        if let Some(visible) = patch.visible {
+            description.nodes[index].visible = visible;
+        }
+        let mut hasher = Sha256::new();
+        hasher.update(self.digest);
+        hasher.update(format!("{node}{patch:?}"));
+        build(
+            &self.model.id,
+            self.model.revision + 1,
+            description,
+            self.model.assets.clone(),
+            self.placements.clone(),
+            self.info.warnings.clone(),
+            hasher.finalize().into(),
+            config,
+        )
+    }
+
+    /// A camera that sees the whole scene from its front, a little from the right and above.
+    pub fn fit(&self, aspect: f64) -> Camera {
+        const FOV_DEG: f64 = 40.0;
+        let up = if self.model.up == DVec3::ZERO { DVec3::Y } else { self.model.up };
+        // The front of a y-up scene is +z, of a z-up scene −y.
+        let front = if up.z.abs() > up.y.abs() { -DVec3::Y } else { DVec3::Z };
+        let right = up.cross(front);
+        let direction = front * 0.82 + right * 0.42 + up * 0.38;
+        let direction = direction / direction.length();
+        let radius = (0.5 * self.bounds.extent().length()).max(1e-9 * self.bounds.centre().length()).max(1e-9);
+        let half = (0.5 * FOV_DEG).to_radians();
+        // The narrower of the two fields of view must hold the sphere.
+        let narrow = if aspect < 1.0 { (half.tan() * aspect).atan() } else { half };
+        let centre = self.bounds.centre();
+        Camera { eye: centre + direction * (radius / narrow.sin()), target: centre, up, fov_deg: FOV_DEG }
+    }
+}
+
+/// Absolute and inside the root, or why not.
+pub fn check_path(path: &Path, root: &Path) -> Result<PathBuf, EngineError> {
+    let display = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
+    let io = |source| asset_error(AssetError::Io { file: display.clone(), source });
+    let path = path.canonicalize().map_err(io)?;
+    let root = root.canonicalize().map_err(io)?;
+    if !path.starts_with(&root) {
+        return Err(asset_error(AssetError::Unsupported {
+            file: display,
+            reason: "lies outside the scene root".to_owned(),
+        }));
+    }
+    Ok(path)
+}
+

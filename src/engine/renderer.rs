@@ -1,0 +1,348 @@
+//! The device and everything on it: batches go in, host memory with pixels comes out.
+
+use std::cell::RefCell;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use parking_lot::Mutex;
+
+use super::EngineError;
+use super::job::Job;
+use crate::encode::FrameImage;
+use crate::gpu::bind::BindCache;
+use crate::gpu::readback::{Landing, Ring};
+use crate::gpu::timing::Timer;
+use crate::gpu::{Gpu, GpuError, GpuOptions};
+use crate::passes::{self, Context, FrameTask, PassSpan, Pipelines, SMALL_TRIANGLE_PX, Scratch, Uniforms};
+use crate::plan::{Output, Pass};
+use crate::residency::layout::GpuStats;
+use crate::residency::model::SceneModel;
+use crate::residency::{Residency, ResidencyError};
+
+/// One adapter with its scenes.
+pub struct Renderer {
+    pub gpu: Gpu,
+    pub residency: Residency,
+    pipelines: Pipelines,
+    binds: RefCell<BindCache>,
+    scratch: Scratch,
+    ring: Ring,
+    timers: Vec<Timer>,
+    fault: Arc<Mutex<Option<String>>>,
+    small_triangle_px: u32,
+}
+
+/// A submission on its way.
+pub struct InFlight {
+    frames: Vec<FlyingFrame>,
+    timer: Timer,
+    stamps: Option<(Landing, u64)>,
+    index: wgpu::SubmissionIndex,
+    pub began: Instant,
+    record: Duration,
+    submitted: Instant,
+}
+
+struct FlyingFrame {
+    job: Arc<Job>,
+    landing: Landing,
+    pixel_bytes: u64,
+    spans: Vec<PassSpan>,
+    large_capacity: u32,
+    gpu_bytes: u64,
+}
+
+/// A frame in host memory.
+pub struct Drawn {
+    pub job: Arc<Job>,
+    pub image: FrameImage,
+    pub stats: GpuStats,
+    /// Time of every pass that ran, in order; `None` where the adapter cannot say.
+    pub pass_ns: Vec<(Pass, Option<u64>)>,
+    pub gpu_ns: Option<u64>,
+    pub batch_size: u32,
+    pub queue: Duration,
+    pub record: Duration,
+    pub readback: Duration,
+    pub gpu_bytes: u64,
+    pub landed: Instant,
+}
+
+/// What became of a submission.
+pub struct Landed {
+    pub drawn: Vec<Drawn>,
+    /// To be drawn again: the list of large triangles was too short.
+    pub again: Vec<Arc<Job>>,
+    pub failed: Vec<(Arc<Job>, EngineError)>,
+    pub lost: bool,
+}
+
+const STATS_BYTES: u64 = size_of::<GpuStats>() as u64;
+
+impl Renderer {
+    /// Opens an adapter; `budget` is asked once its limits are known.
+    ///
+    /// # Errors
+    /// See [`GpuError`].
+    pub fn open(options: &GpuOptions, budget: impl FnOnce(&Gpu) -> u64) -> Result<Renderer, GpuError> {
+        let gpu = Gpu::open(options)?;
+        let fault = Arc::new(Mutex::new(None));
+        let sink = fault.clone();
+        gpu.device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            let text = error.to_string();
+            tracing::error!(error = %text, "the GPU refused a command");
+            sink.lock().get_or_insert(text);
+        }));
+        let residency = Residency::new(&gpu, budget(&gpu));
+        let scratch = Scratch::new(&gpu);
+        Ok(Renderer {
+            gpu,
+            residency,
+            pipelines: Pipelines::default(),
+            binds: RefCell::default(),
+            scratch,
+            ring: Ring::default(),
+            timers: Vec::new(),
+            fault,
+            small_triangle_px: SMALL_TRIANGLE_PX,
+        })
+    }
+
+    /// For measurements: boxes of triangles with a longer side than this go to the rasteriser.
+    pub fn set_small_triangle_px(&mut self, pixels: u32) {
+        self.small_triangle_px = pixels;
+    }
+
+    /// What the driver complained about since the last call.
+    pub fn take_fault(&self) -> Option<String> {
+        self.fault.lock().take()
+    }
+
+    /// Makes a scene resident.
+    ///
+    /// # Errors
+    /// A scene that cannot fit.
+    pub fn ensure(&mut self, model: &Arc<SceneModel>) -> Result<(), EngineError> {
+        self.residency.ensure(&self.gpu, model).map_err(engine_error)
+    }
+
+    /// Frees a scene.
+    pub fn remove(&mut self, id: &str) {
+        self.residency.remove(id);
+        self.binds.borrow_mut().clear();
+    }
+
+    /// Records and submits frames of resident scenes.
+    ///
+    /// # Errors
+    /// The whole batch, with the reason.
+    pub fn submit(&mut self, jobs: Vec<Arc<Job>>) -> Result<InFlight, (Vec<Arc<Job>>, EngineError)> {
+        let began = Instant::now();
+        let mut timer = self.timers.pop().unwrap_or_else(|| Timer::new(&self.gpu));
+        timer.reset();
+        let mut encoder =
+            self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("batch") });
+        let tasks: Vec<FrameTask> = jobs.iter().map(|job| self.task(job)).collect();
+        let mut uniforms = Uniforms::default();
+        let mut offsets = Vec::with_capacity(jobs.len());
+        for task in &tasks {
+            let Some(scene) = self.residency.scene(&task.model.id) else {
+                return Err((jobs, EngineError::Internal("a scene left the GPU before its frame".into())));
+            };
+            self.scratch.reserve(&self.gpu, scene, task.view.width, task.view.height);
+            if task.plan.runs(Pass::Shade) {
+                self.scratch.reserve_normals(&self.gpu, task.view.width, task.view.height);
+            }
+            offsets.push(uniforms.frame(task, scene));
+        }
+        uniforms.write(&self.gpu, &mut self.scratch);
+        let mut recorded = Vec::with_capacity(jobs.len());
+        for (task, offset) in tasks.iter().zip(&offsets) {
+            match self.record_frame(&mut encoder, &mut timer, task, offset) {
+                Ok(frame) => recorded.push(frame),
+                Err(error) => return Err((jobs, error)),
+            }
+        }
+        let stamps = timer.resolve(&mut encoder).map(|(buffer, bytes)| {
+            let landing = self.ring.take(&self.gpu, bytes);
+            encoder.copy_buffer_to_buffer(buffer, 0, landing.buffer(), 0, bytes);
+            (landing, bytes)
+        });
+        let index = self.gpu.queue.submit([encoder.finish()]);
+        let frames: Vec<FlyingFrame> = jobs
+            .into_iter()
+            .zip(recorded)
+            .map(|(job, (landing, pixel_bytes, spans))| {
+                landing.map();
+                let gpu_bytes = job.resolved.model.gpu_bytes();
+                let large_capacity = self.scratch.large_capacity();
+                FlyingFrame { job, landing, pixel_bytes, spans, large_capacity, gpu_bytes }
+            })
+            .collect();
+        if let Some((landing, _)) = &stamps {
+            landing.map();
+        }
+        let submitted = Instant::now();
+        Ok(InFlight { frames, timer, stamps, index, began, record: submitted - began, submitted })
+    }
+
+    fn task(&self, job: &Job) -> FrameTask {
+        FrameTask {
+            model: job.resolved.model.clone(),
+            view: job.resolved.view,
+            output: job.request.output,
+            plan: job.resolved.plan.clone(),
+            small_triangle_px: self.small_triangle_px,
+        }
+    }
+
+    fn record_frame(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        timer: &mut Timer,
+        task: &FrameTask,
+        offset: &passes::FrameUniforms,
+    ) -> Result<(Landing, u64, Vec<PassSpan>), EngineError> {
+        let internal = |text: String| EngineError::Internal(text);
+        let scene = self
+            .residency
+            .scene(&task.model.id)
+            .ok_or_else(|| internal("a scene left the GPU before its frame".into()))?;
+        let mut context = Context {
+            gpu: &self.gpu,
+            pipelines: &mut self.pipelines,
+            binds: &self.binds,
+            scratch: &mut self.scratch,
+            residency: &self.residency,
+            timer,
+        };
+        let recorded = passes::record(&mut context, encoder, task, scene, offset)
+            .map_err(|error| internal(error.to_string()))?;
+        let pixel_bytes = u64::from(task.view.width) * u64::from(task.view.height) * 4;
+        let landing = self.ring.take(&self.gpu, pixel_bytes + STATS_BYTES);
+        encoder.copy_buffer_to_buffer(self.scratch.pixels.buffer().raw(), 0, landing.buffer(), 0, pixel_bytes);
+        encoder.copy_buffer_to_buffer(self.scratch.stats.buffer().raw(), 0, landing.buffer(), pixel_bytes, STATS_BYTES);
+        Ok((landing, pixel_bytes, recorded.spans))
+    }
+
+    /// Waits for a submission and brings its frames to host memory.
+    pub fn land(&mut self, flight: InFlight) -> Landed {
+        let waited = self.gpu.device.poll(wgpu::PollType::Wait {
+            submission_index: Some(flight.index),
+            timeout: Some(Duration::from_secs(60)),
+        });
+        // The callbacks of mappings run within polls.
+        let pending = |flight: &[FlyingFrame]| flight.iter().any(|frame| frame.landing.is_pending());
+        let mut tries = 0;
+        while waited.is_ok() && pending(&flight.frames) && tries < 1000 {
+            if self.gpu.device.poll(wgpu::PollType::Poll).is_err() {
+                break;
+            }
+            tries += 1;
+        }
+        let mut landed = Landed { drawn: Vec::new(), again: Vec::new(), failed: Vec::new(), lost: false };
+        let fault = self.take_fault();
+        let stamps = flight.stamps.as_ref().and_then(|(landing, bytes)| {
+            landing.read(*bytes, |bytes| bytemuck::pod_collect_to_vec::<u8, u64>(bytes))
+        });
+        let batch_size = flight.frames.len() as u32;
+        for frame in flight.frames {
+            let total = frame.pixel_bytes + STATS_BYTES;
+            let split = frame.pixel_bytes as usize;
+            let read = frame.landing.read(total, |bytes| {
+                let stats: GpuStats = bytemuck::pod_read_unaligned(&bytes[split..]);
+                (image(&frame.job, &bytes[..split]), stats)
+            });
+            let Some((image, stats)) = read else {
+                landed.lost = true;
+                landed.again.push(frame.job);
+                continue;
+            };
+            self.ring.give_back(frame.landing);
+            if let Some(text) = &fault {
+                landed.failed.push((frame.job, EngineError::Internal(text.clone())));
+                continue;
+            }
+            if stats.triangles_rasterised > frame.large_capacity {
+                self.scratch.grow_large(&self.gpu, stats.triangles_rasterised);
+                if self.scratch.large_capacity() < stats.triangles_rasterised {
+                    landed.failed.push((
+                        frame.job,
+                        EngineError::OverLimit {
+                            what: "large triangles in view",
+                            found: u64::from(stats.triangles_rasterised),
+                            limit: u64::from(self.scratch.large_capacity()),
+                        },
+                    ));
+                } else {
+                    landed.again.push(frame.job);
+                }
+                continue;
+            }
+            let now = Instant::now();
+            let (pass_ns, gpu_ns) = self.durations(&frame.spans, stamps.as_deref());
+            let since = now - flight.submitted;
+            landed.drawn.push(Drawn {
+                queue: flight.began.saturating_duration_since(frame.job.enqueued),
+                record: flight.record,
+                readback: since.saturating_sub(Duration::from_nanos(gpu_ns.unwrap_or(0))),
+                job: frame.job,
+                image,
+                stats,
+                pass_ns,
+                gpu_ns,
+                batch_size,
+                gpu_bytes: frame.gpu_bytes,
+                landed: now,
+            });
+        }
+        if let Some((landing, _)) = flight.stamps {
+            self.ring.give_back(landing);
+        }
+        self.timers.push(flight.timer);
+        landed.lost |= self.gpu.is_lost();
+        landed
+    }
+
+    /// Time of each pass, parts of one pass added up, and from the first begin to the last end.
+    fn durations(&self, spans: &[PassSpan], stamps: Option<&[u64]>) -> (Vec<(Pass, Option<u64>)>, Option<u64>) {
+        let period = self.gpu.timestamp_period_ns;
+        let ns = |ticks: u64| period.map(|period| (ticks as f64 * f64::from(period)) as u64);
+        let mut passes: Vec<(Pass, Option<u64>)> = Vec::new();
+        let (mut first, mut last) = (u64::MAX, 0);
+        for span in spans {
+            let ticks = span.span.zip(stamps).and_then(|(span, stamps)| {
+                let begin = *stamps.get(span.begin as usize)?;
+                let end = *stamps.get(span.begin as usize + 1)?;
+                first = first.min(begin);
+                last = last.max(end);
+                Some(end.saturating_sub(begin))
+            });
+            let time = ticks.and_then(ns);
+            match passes.iter_mut().find(|(pass, _)| *pass == span.pass) {
+                Some((_, sum)) => *sum = sum.zip(time).map(|(a, b)| a + b),
+                None => passes.push((span.pass, time)),
+            }
+        }
+        (passes, (last >= first).then(|| ns(last - first)).flatten())
+    }
+}
+
+fn image(job: &Job, bytes: &[u8]) -> FrameImage {
+    let (width, height) = (job.request.width, job.request.height);
+    match job.request.output {
+        Output::Color => FrameImage::Color { width, height, rgba: bytemuck::pod_collect_to_vec(bytes) },
+        Output::Depth => FrameImage::Depth { width, height, depth: bytemuck::pod_collect_to_vec(bytes) },
+        Output::Normal => FrameImage::Normal { width, height, rgba: bytemuck::pod_collect_to_vec(bytes) },
+        Output::Id => FrameImage::Id { width, height, id: bytemuck::pod_collect_to_vec(bytes) },
+    }
+}
+
+pub fn engine_error(error: ResidencyError) -> EngineError {
+    match error {
+        ResidencyError::OverBudget { what, needed, budget } => EngineError::OutOfGpuMemory { what, needed, budget },
+        ResidencyError::OverBinding { what, needed, limit } => {
+            EngineError::OutOfGpuMemory { what: what.to_owned(), needed, budget: limit }
+        }
+    }
+}

@@ -1,0 +1,159 @@
+//! Requests → what they mean for the scene as it is now. Everything that can be wrong with a request is found here, before any
+//! work on the GPU.
+
+use glam::DVec3;
+use sha2::{Digest, Sha256};
+
+use super::job::Resolved;
+use super::library::Loaded;
+use super::receipt::CameraReceipt;
+use super::shared::Shared;
+use super::{EngineError, FrameRequest, Pose};
+use crate::encode;
+use crate::math::{Camera, CameraError, View};
+use crate::plan::{AdapterFacts, plan};
+
+/// Most pixels and longest side of a frame on this adapter.
+pub fn frame_limits(shared: &Shared) -> (u64, u32) {
+    let adapter = shared.adapter();
+    // The visibility buffer has eight bytes a pixel and is bound whole.
+    (shared.config.max_pixels.min(adapter.max_binding_bytes / 8), shared.config.max_side.min(adapter.max_side))
+}
+
+fn bad_camera(error: CameraError) -> EngineError {
+    let accepted = match error.parameter {
+        "fov" => "degrees between 0 and 180, both excluded",
+        "view" => "16 numbers, column-major: rotation and translation",
+        "proj" => "16 numbers, column-major: a perspective that looks along −z",
+        _ => "three finite numbers",
+    };
+    EngineError::BadParameter { parameter: error.parameter, reason: error.reason, accepted: accepted.to_owned() }
+}
+
+fn check_size(shared: &Shared, request: &FrameRequest) -> Result<(), EngineError> {
+    let (max_pixels, max_side) = frame_limits(shared);
+    for (parameter, value) in [("w", request.width), ("h", request.height)] {
+        if value == 0 {
+            return Err(EngineError::BadParameter {
+                parameter,
+                reason: "a frame has at least one pixel".to_owned(),
+                accepted: format!("1 to {max_side}"),
+            });
+        }
+        if value > max_side {
+            return Err(EngineError::OverLimit {
+                what: "pixels along one side",
+                found: u64::from(value),
+                limit: u64::from(max_side),
+            });
+        }
+    }
+    let found = u64::from(request.width) * u64::from(request.height);
+    if found > max_pixels {
+        return Err(EngineError::OverLimit { what: "pixels", found, limit: max_pixels });
+    }
+    Ok(())
+}
+
+/// Validates a request against the scene as it is now.
+pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, EngineError> {
+    let loaded = shared.library.read().get(&request.scene);
+    let loaded = loaded.ok_or_else(|| EngineError::UnknownScene { id: request.scene.clone() })?;
+    check_size(shared, request)?;
+    if !(1..=100).contains(&request.quality) {
+        return Err(EngineError::BadParameter {
+            parameter: "quality",
+            reason: format!("{} is out of range", request.quality),
+            accepted: "1 to 100".to_owned(),
+        });
+    }
+    encode::accepts(request.format, request.output).map_err(|error| EngineError::BadParameter {
+        parameter: "format",
+        reason: error.to_string(),
+        accepted: "a format that can hold this output".to_owned(),
+    })?;
+    let (view, camera) = pose(&loaded, request)?;
+    let adapter = shared.adapter();
+    let plan = plan(&loaded.facts, request.output, &AdapterFacts { atomics_64: adapter.atomics_64 });
+    let key = entity_tag(&loaded, request, &view, &adapter.name, adapter.atomics_64);
+    Ok(Resolved { model: loaded.model.clone(), view, camera, plan, key })
+}
+
+fn pose(loaded: &Loaded, request: &FrameRequest) -> Result<(View, CameraReceipt), EngineError> {
+    let (width, height) = (request.width, request.height);
+    let camera = match &request.pose {
+        Pose::View(view) => return Ok((*view, receipt_of_view(view))),
+        Pose::Camera(camera) => *camera,
+        Pose::Fit => loaded.fit(f64::from(width) / f64::from(height)),
+        Pose::Named(name) => {
+            let cameras = &loaded.model.cameras;
+            let found = cameras.iter().find(|(known, _)| known == name);
+            found.map(|(_, camera)| *camera).ok_or_else(|| {
+                let known: Vec<&str> = cameras.iter().map(|(name, _)| name.as_str()).collect();
+                EngineError::BadParameter {
+                    parameter: "camera",
+                    reason: format!("the scene has no camera `{name}`"),
+                    accepted: if known.is_empty() {
+                        "eye, target, up and fov: this scene names no cameras".to_owned()
+                    } else {
+                        known.join(", ")
+                    },
+                }
+            })?
+        }
+    };
+    let view = camera.view(width, height).map_err(bad_camera)?;
+    Ok((view, receipt_of_camera(&camera, width, height)))
+}
+
+fn receipt_of_camera(camera: &Camera, width: u32, height: u32) -> CameraReceipt {
+    CameraReceipt {
+        eye: camera.eye.into(),
+        target: camera.target.into(),
+        up: camera.up.into(),
+        fov_deg: camera.fov_deg,
+        width,
+        height,
+    }
+}
+
+fn receipt_of_view(view: &View) -> CameraReceipt {
+    let axes = view.view_from_world.transpose();
+    let forward: DVec3 = -axes.z_axis;
+    CameraReceipt {
+        eye: view.eye.into(),
+        target: (view.eye + forward).into(),
+        up: axes.y_axis.into(),
+        fov_deg: 2.0 * (0.5 * f64::from(view.height) / view.focal_px.y).atan().to_degrees(),
+        width: view.width,
+        height: view.height,
+    }
+}
+
+/// Hash of all that decides a frame's bytes, quoted as HTTP wants it.
+fn entity_tag(loaded: &Loaded, request: &FrameRequest, view: &View, adapter: &str, atomics_64: bool) -> String {
+    let mut hasher = Sha256::new();
+    hasher.update(crate::VERSION);
+    hasher.update(adapter);
+    hasher.update([u8::from(atomics_64), request.quality, request.format as u8, request.output as u8]);
+    hasher.update([request.settings.lod as u8, request.settings.reconstruct as u8]);
+    hasher.update(loaded.digest);
+    hasher.update(loaded.model.revision.to_le_bytes());
+    hasher.update(loaded.model.id.as_bytes());
+    let mut number = |v: f64| hasher.update((v + 0.0).to_bits().to_le_bytes());
+    view.eye.to_array().into_iter().for_each(&mut number);
+    view.view_from_world.to_cols_array().into_iter().for_each(&mut number);
+    view.focal_px.to_array().into_iter().for_each(&mut number);
+    view.principal_px.to_array().into_iter().for_each(&mut number);
+    hasher.update(view.width.to_le_bytes());
+    hasher.update(view.height.to_le_bytes());
+    let digest = hasher.finalize();
+    let mut tag = String::with_capacity(34);
+    tag.push('"');
+    for byte in &digest[..16] {
+        tag.push(char::from(b"0123456789abcdef"[usize::from(byte >> 4)]));
+        tag.push(char::from(b"0123456789abcdef"[usize::from(byte & 15)]));
+    }
+    tag.push('"');
+    tag
+}

@@ -1,0 +1,305 @@
+//! What the render thread, the encoders and the callers share.
+
+use std::collections::{HashMap, HashSet};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use parking_lot::{Condvar, Mutex, RwLock};
+use tokio::sync::oneshot;
+
+use super::job::{Job, Reply, Resolved};
+use super::library::{AssetCache, Library};
+use super::queue::{Queue, Taken, expected_wait};
+use super::{EngineConfig, EngineError, EngineStats, FrameRequest, Readiness};
+
+/// The adapter in use.
+#[derive(Clone, Debug, Default)]
+pub struct Adapter {
+    pub name: String,
+    pub atomics_64: bool,
+    pub max_binding_bytes: u64,
+    pub max_side: u32,
+    pub budget: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Phase {
+    Starting,
+    Ready,
+    Lost,
+}
+
+#[derive(Default)]
+pub struct Stats {
+    pub frames: AtomicU64,
+    pub batches: AtomicU64,
+    pub coalesced: AtomicU64,
+    pub cancelled: AtomicU64,
+    pub expired: AtomicU64,
+    pub refused: AtomicU64,
+    pub failed: AtomicU64,
+    pub device_losses: AtomicU64,
+    pub evictions: AtomicU64,
+    pub uploads: AtomicU64,
+    pub gpu_bytes_resident: AtomicU64,
+    pub gpu_ns: AtomicU64,
+    pub encode_ns: AtomicU64,
+}
+
+struct State {
+    queue: Queue<Arc<Job>>,
+    /// Every job that has not been answered, by its key.
+    by_key: HashMap<String, Arc<Job>>,
+    removed: Vec<String>,
+    stopping: bool,
+    phase: Phase,
+    /// Since when the render thread has been at one batch.
+    busy_since: Option<Instant>,
+}
+
+pub struct Shared {
+    pub config: EngineConfig,
+    pub library: RwLock<Library>,
+    /// Identifiers being loaded.
+    pub loading: Mutex<HashSet<String>>,
+    pub cache: AssetCache,
+    pub stats: Stats,
+    state: Mutex<State>,
+    wake: Condvar,
+    adapter: RwLock<Adapter>,
+    resident: RwLock<HashSet<String>>,
+    /// Measured time of a frame, averaged.
+    frame_ns: AtomicU64,
+    lose: AtomicBool,
+}
+
+/// Longer than this at one batch and the loop is said to stall.
+const STALL: Duration = Duration::from_secs(20);
+
+impl Shared {
+    pub fn new(config: EngineConfig) -> Self {
+        let queue = Queue::new(config.queue_capacity);
+        Self {
+            config,
+            library: RwLock::default(),
+            loading: Mutex::default(),
+            cache: AssetCache::default(),
+            stats: Stats::default(),
+            state: Mutex::new(State {
+                queue,
+                by_key: HashMap::new(),
+                removed: Vec::new(),
+                stopping: false,
+                phase: Phase::Starting,
+                busy_since: None,
+            }),
+            wake: Condvar::new(),
+            adapter: RwLock::default(),
+            resident: RwLock::default(),
+            frame_ns: AtomicU64::new(20_000_000),
+            lose: AtomicBool::new(false),
+        }
+    }
+
+    /// Queues a resolved request, or joins it to an equal one that has not been answered.
+    pub fn enqueue(
+        &self,
+        resolved: Resolved,
+        request: FrameRequest,
+    ) -> Result<oneshot::Receiver<Reply>, EngineError> {
+        let mut state = self.state.lock();
+        if state.stopping {
+            return Err(EngineError::ShuttingDown);
+        }
+        if state.phase == Phase::Lost {
+            return Err(EngineError::DeviceLost { retry_after: Duration::from_secs(1) });
+        }
+        if let Some(receiver) = state.by_key.get(&resolved.key).and_then(|job| job.join(request.deadline)) {
+            self.stats.coalesced.fetch_add(1, Ordering::Relaxed);
+            return Ok(receiver);
+        }
+        let key = resolved.key.clone();
+        let (job, receiver) = Job::new(resolved, request);
+        let (admitted, dropped) = state.queue.admit(job.clone());
+        for gone in dropped {
+            self.forget(&mut state, &gone);
+            self.stats.cancelled.fetch_add(1, Ordering::Relaxed);
+        }
+        if admitted.is_err() {
+            self.stats.refused.fetch_add(1, Ordering::Relaxed);
+            let per_frame = Duration::from_nanos(self.frame_ns.load(Ordering::Relaxed));
+            return Err(EngineError::Busy { retry_after: expected_wait(state.queue.len(), per_frame) });
+        }
+        state.by_key.insert(key, job);
+        drop(state);
+        self.wake.notify_one();
+        Ok(receiver)
+    }
+
+    /// Takes `job` out of the register, unless a later one of the same key is there.
+    fn forget(&self, state: &mut State, job: &Arc<Job>) {
+        if state.by_key.get(&job.resolved.key).is_some_and(|found| Arc::ptr_eq(found, job)) {
+            state.by_key.remove(&job.resolved.key);
+        }
+    }
+
+    /// Answers a job for good.
+    pub fn answer(&self, job: &Arc<Job>, reply: Reply) {
+        if let Err(error) = &reply {
+            self.stats.failed.fetch_add(1, Ordering::Relaxed);
+            if let EngineError::Internal(text) = error {
+                tracing::error!(scene = job.resolved.model.id, error = text, "a frame failed");
+            }
+        }
+        self.forget(&mut self.state.lock(), job);
+        job.answer(reply);
+    }
+
+    /// The next jobs to draw. Waits up to `patience` for some when `may_wait`.
+    pub fn next_batch(&self, may_wait: bool, patience: Duration) -> Batch {
+        let mut state = self.state.lock();
+        if may_wait && state.queue.is_empty() && !state.stopping && state.removed.is_empty() {
+            state.busy_since = None;
+            self.wake.wait_for(&mut state, patience);
+        }
+        let Taken { batch, expired, abandoned } = state.queue.take(self.config.max_batch, Instant::now());
+        for job in expired.iter().chain(&abandoned) {
+            self.forget(&mut state, job);
+        }
+        let stopping = state.stopping && state.queue.is_empty() && batch.is_empty();
+        drop(state);
+        self.stats.cancelled.fetch_add(abandoned.len() as u64, Ordering::Relaxed);
+        self.stats.expired.fetch_add(expired.len() as u64, Ordering::Relaxed);
+        for job in expired {
+            job.answer(Err(EngineError::DeadlineExceeded));
+        }
+        Batch { batch, stopping }
+    }
+
+    pub fn put_back(&self, jobs: Vec<Arc<Job>>) {
+        if !jobs.is_empty() {
+            self.state.lock().queue.put_back(jobs);
+        }
+    }
+
+    pub fn take_all(&self) -> Vec<Arc<Job>> {
+        self.state.lock().queue.drain()
+    }
+
+    pub fn is_queue_empty(&self) -> bool {
+        self.state.lock().queue.is_empty()
+    }
+
+    pub fn is_stopping(&self) -> bool {
+        self.state.lock().stopping
+    }
+
+    /// No new jobs from now on.
+    pub fn stop(&self) {
+        self.state.lock().stopping = true;
+        self.wake.notify_all();
+    }
+
+    /// Whether jobs that were accepted are still unanswered.
+    pub fn has_unanswered(&self) -> bool {
+        !self.state.lock().by_key.is_empty()
+    }
+
+    /// Has the render thread free a scene.
+    pub fn remove_from_gpu(&self, id: &str) {
+        self.state.lock().removed.push(id.to_owned());
+        self.wake.notify_one();
+    }
+
+    pub fn take_removed(&self) -> Vec<String> {
+        std::mem::take(&mut self.state.lock().removed)
+    }
+
+    pub fn lose_device(&self) {
+        self.lose.store(true, Ordering::SeqCst);
+        self.wake.notify_one();
+    }
+
+    pub fn take_lose_request(&self) -> bool {
+        self.lose.swap(false, Ordering::SeqCst)
+    }
+
+    pub fn set_phase(&self, phase: Phase) {
+        self.state.lock().phase = phase;
+    }
+
+    pub fn beat(&self, busy: bool) {
+        self.state.lock().busy_since = busy.then(Instant::now);
+    }
+
+    pub fn readiness(&self) -> Readiness {
+        let state = self.state.lock();
+        if state.stopping {
+            return Readiness::Draining;
+        }
+        match state.phase {
+            Phase::Starting => Readiness::Starting,
+            Phase::Lost => Readiness::DeviceLost,
+            Phase::Ready => match state.busy_since.map(|since| since.elapsed()) {
+                Some(busy) if busy > STALL => Readiness::Stalled { for_ms: busy.as_millis() as u64 },
+                _ => Readiness::Ready,
+            },
+        }
+    }
+
+    pub fn set_adapter(&self, adapter: Adapter) {
+        *self.adapter.write() = adapter;
+    }
+
+    pub fn adapter(&self) -> Adapter {
+        self.adapter.read().clone()
+    }
+
+    /// Publishes which scenes are on the GPU.
+    pub fn set_resident(&self, is_resident: impl Fn(&str) -> bool) {
+        let now: HashSet<String> =
+            self.library.read().all().iter().map(|scene| scene.model.id.clone()).filter(|id| is_resident(id)).collect();
+        if *self.resident.read() != now {
+            *self.resident.write() = now;
+        }
+    }
+
+    pub fn is_resident(&self, id: &str) -> bool {
+        self.resident.read().contains(id)
+    }
+
+    /// Folds a measured frame time into the average.
+    pub fn measured(&self, frame: Duration) {
+        let old = self.frame_ns.load(Ordering::Relaxed);
+        let new = frame.as_nanos() as u64;
+        self.frame_ns.store(old - old / 8 + new / 8, Ordering::Relaxed);
+    }
+
+    pub fn snapshot(&self) -> EngineStats {
+        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        EngineStats {
+            frames: read(&self.stats.frames),
+            batches: read(&self.stats.batches),
+            coalesced: read(&self.stats.coalesced),
+            cancelled: read(&self.stats.cancelled),
+            expired: read(&self.stats.expired),
+            refused: read(&self.stats.refused),
+            failed: read(&self.stats.failed),
+            queued: self.state.lock().queue.len() as u64,
+            device_losses: read(&self.stats.device_losses),
+            evictions: read(&self.stats.evictions),
+            uploads: read(&self.stats.uploads),
+            gpu_bytes_resident: read(&self.stats.gpu_bytes_resident),
+            gpu_ns: read(&self.stats.gpu_ns),
+            encode_ns: read(&self.stats.encode_ns),
+        }
+    }
+}
+
+/// What [`Shared::next_batch`] found.
+pub struct Batch {
+    pub batch: Vec<Arc<Job>>,
+    /// Told to stop, and nothing is left to do.
+    pub stopping: bool,
+}

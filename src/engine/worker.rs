@@ -1,0 +1,292 @@
+//! The render thread, the only owner of the device, and the encoders beside it.
+//!
+//! ```text
+//! queue ──take batch──▶ ensure resident ──record, submit──▶ in flight (2 at most) ──land──▶ encoders ──▶ waiters
+//!   ▲                                                            │ lost
+//!   └────────────────── put back, device opened again ◀──────────┘
+//! ```
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use super::job::Job;
+use super::receipt::{
+    InstanceCounts, PassReceipt, Receipt, SampleCounts, SplatCounts, TriangleCounts,
+};
+use super::renderer::{Drawn, InFlight, Renderer};
+use super::shared::{Adapter, Phase, Shared};
+use super::{EncodedFrame, EngineError};
+use crate::gpu::{GpuError, GpuOptions};
+use crate::plan::Pass;
+
+/// Submissions in flight while more jobs wait: one is drawn while the next is recorded.
+const DEPTH: usize = 2;
+/// How often an idle thread lets the device free what was dropped.
+const IDLE: Duration = Duration::from_millis(250);
+
+/// Opens the device and runs until told to stop. `opened` hears once whether that worked.
+pub fn run(shared: &Arc<Shared>, opened: impl FnOnce(Result<(), GpuError>)) {
+    let options = GpuOptions { force_32_bit: shared.config.force_32_bit, adapter: None };
+    let mut renderer = match open(shared, &options) {
+        Ok(renderer) => renderer,
+        Err(error) => return opened(Err(error)),
+    };
+    let (sender, receiver) = flume::bounded::<Drawn>(2 * shared.config.encoder_threads.max(1));
+    let encoders: Vec<_> = (0..shared.config.encoder_threads.max(1))
+        .map(|number| {
+            let (shared, receiver) = (shared.clone(), receiver.clone());
+            std::thread::Builder::new().name(format!("encode-{number}")).spawn(move || {
+                for drawn in receiver.iter() {
+                    finish(&shared, drawn);
+                }
+            })
+        })
+        .collect();
+    drop(receiver);
+    opened(Ok(()));
+    loop {
+        match serve(shared, &mut renderer, &sender) {
+            Stop::Done => break,
+            Stop::Lost => match reopen(shared, &options) {
+                Some(fresh) => renderer = fresh,
+                None => break,
+            },
+        }
+    }
+    drop(sender);
+    for encoder in encoders.into_iter().flatten() {
+        let _ = encoder.join();
+    }
+}
+
+enum Stop {
+    Done,
+    Lost,
+}
+
+fn open(shared: &Shared, options: &GpuOptions) -> Result<Renderer, GpuError> {
+    let renderer = Renderer::open(options, |gpu| {
+        shared.config.gpu_budget_bytes.unwrap_or_else(|| (gpu.max_binding_bytes() * 24).min(4 << 30))
+    })?;
+    shared.set_adapter(Adapter {
+        name: renderer.gpu.name.clone(),
+        atomics_64: renderer.gpu.atomics_64,
+        max_binding_bytes: renderer.gpu.max_binding_bytes(),
+        max_side: renderer.gpu.limits.max_texture_dimension_2d,
+        budget: renderer.residency.budget(),
+    });
+    shared.set_phase(Phase::Ready);
+    Ok(renderer)
+}
+
+/// Tries until an adapter answers again or the engine stops.
+fn reopen(shared: &Shared, options: &GpuOptions) -> Option<Renderer> {
+    shared.set_phase(Phase::Lost);
+    shared.stats.device_losses.fetch_add(1, Ordering::Relaxed);
+    let mut pause = Duration::from_millis(50);
+    loop {
+        match open(shared, options) {
+            Ok(renderer) => return Some(renderer),
+            Err(error) => tracing::error!(%error, "the GPU cannot be opened again yet"),
+        }
+        if shared.is_stopping() {
+            for job in shared.take_all() {
+                shared.answer(&job, Err(EngineError::ShuttingDown));
+            }
+            return None;
+        }
+        std::thread::sleep(pause);
+        pause = (pause * 2).min(Duration::from_secs(5));
+    }
+}
+
+fn serve(shared: &Arc<Shared>, renderer: &mut Renderer, encoders: &flume::Sender<Drawn>) -> Stop {
+    let mut flights: VecDeque<InFlight> = VecDeque::new();
+    loop {
+        for id in shared.take_removed() {
+            renderer.remove(&id);
+        }
+        if shared.take_lose_request() {
+            renderer.gpu.device.destroy();
+        }
+        let work = shared.next_batch(flights.is_empty(), IDLE);
+        shared.beat(!work.batch.is_empty() || !flights.is_empty());
+        let idle = work.batch.is_empty();
+        if !idle {
+            let batch = make_resident(shared, renderer, work.batch);
+            if !batch.is_empty() {
+                match renderer.submit(batch) {
+                    Ok(flight) => flights.push_back(flight),
+                    Err((jobs, error)) => {
+                        for job in jobs {
+                            shared.answer(&job, Err(error.clone()));
+                        }
+                    }
+                }
+            }
+        }
+        while flights.len() >= DEPTH || (idle && !flights.is_empty()) || (!flights.is_empty() && shared.is_queue_empty()) {
+            let Some(flight) = flights.pop_front() else { break };
+            if land(shared, renderer, flight, encoders) {
+                let rest: Vec<Arc<Job>> = flights.drain(..).flat_map(|flight| renderer.land(flight).again).collect();
+                retry(shared, rest);
+                return Stop::Lost;
+            }
+        }
+        publish(shared, renderer);
+        if idle && flights.is_empty() {
+            if work.stopping {
+                return Stop::Done;
+            }
+            if renderer.gpu.device.poll(wgpu::PollType::Poll).is_err() || renderer.gpu.is_lost() {
+                return Stop::Lost;
+            }
+        }
+    }
+}
+
+/// Brings the scenes of a batch to the GPU. Jobs of other scenes than the first wait for the next batch when bringing theirs
+/// might push the first one out.
+fn make_resident(shared: &Shared, renderer: &mut Renderer, batch: Vec<Arc<Job>>) -> Vec<Arc<Job>> {
+    let mut ready: Vec<Arc<Job>> = Vec::with_capacity(batch.len());
+    let mut later = Vec::new();
+    for job in batch {
+        let model = &job.resolved.model;
+        let there = renderer.residency.scene(&model.id).is_some_and(|scene| scene.revision == model.revision);
+        if !there && !ready.is_empty() {
+            later.push(job);
+            continue;
+        }
+        match renderer.ensure(model) {
+            Ok(()) => ready.push(job),
+            Err(error) => shared.answer(&job, Err(error)),
+        }
+    }
+    shared.put_back(later);
+    ready
+}
+
+/// Lands one submission; true when the device was lost.
+fn land(
+    shared: &Shared,
+    renderer: &mut Renderer,
+    flight: InFlight,
+    encoders: &flume::Sender<Drawn>,
+) -> bool {
+    let began = flight.began;
+    let landed = renderer.land(flight);
+    let frames = landed.drawn.len() as u32;
+    shared.stats.batches.fetch_add(1, Ordering::Relaxed);
+    if frames > 0 {
+        shared.measured(began.elapsed() / frames);
+    }
+    for drawn in landed.drawn {
+        if let Err(flume::SendError(drawn)) = encoders.send(drawn) {
+            shared.answer(&drawn.job, Err(EngineError::ShuttingDown));
+        }
+    }
+    for (job, error) in landed.failed {
+        shared.answer(&job, Err(error));
+    }
+    retry(shared, landed.again);
+    landed.lost
+}
+
+fn retry(shared: &Shared, jobs: Vec<Arc<Job>>) {
+    let (again, hopeless): (Vec<_>, Vec<_>) = jobs.into_iter().partition(|job| job.try_again());
+    for job in hopeless {
+        shared.answer(&job, Err(EngineError::DeviceLost { retry_after: Duration::from_secs(1) }));
+    }
+    shared.put_back(again);
+}
+
+fn publish(shared: &Shared, renderer: &Renderer) {
+    let stats = &shared.stats;
+    stats.gpu_bytes_resident.store(renderer.residency.used(), Ordering::Relaxed);
+    stats.evictions.store(renderer.residency.evictions(), Ordering::Relaxed);
+    stats.uploads.store(renderer.residency.uploads(), Ordering::Relaxed);
+    shared.set_resident(|id| renderer.residency.is_resident(id));
+}
+
+/// Encodes a frame, writes its receipt and answers whoever waits.
+fn finish(shared: &Shared, drawn: Drawn) {
+    let began = Instant::now();
+    let request = &drawn.job.request;
+    let encoded = crate::encode::encode(&drawn.image, request.format, request.quality);
+    let encode = began.elapsed();
+    let reply = match encoded {
+        Ok(encoded) => {
+            let mut receipt = receipt(shared, &drawn);
+            receipt.encode_wait_ns = began.saturating_duration_since(drawn.landed).as_nanos() as u64;
+            receipt.encode_ns = encode.as_nanos() as u64;
+            receipt.bytes = encoded.bytes.len() as u64;
+            receipt.total_ns = drawn.job.enqueued.elapsed().as_nanos() as u64;
+            shared.stats.frames.fetch_add(1, Ordering::Relaxed);
+            shared.stats.encode_ns.fetch_add(receipt.encode_ns, Ordering::Relaxed);
+            shared.stats.gpu_ns.fetch_add(receipt.gpu_ns.unwrap_or(0), Ordering::Relaxed);
+            Ok(Arc::new(EncodedFrame {
+                bytes: encoded.bytes.into(),
+                content_type: encoded.content_type,
+                receipt,
+            }))
+        }
+        Err(error) => Err(EngineError::Internal(error.to_string())),
+    };
+    shared.answer(&drawn.job, reply);
+}
+
+fn wide(words: [u32; 2]) -> u64 {
+    u64::from(words[0]) | u64::from(words[1]) << 32
+}
+
+fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
+    let job = &drawn.job;
+    let resolved = &job.resolved;
+    let counts = resolved.model.counts();
+    let runs = |pass| resolved.plan.runs(pass);
+    let passes = resolved
+        .plan
+        .passes
+        .iter()
+        .map(|planned| PassReceipt {
+            name: planned.pass.name(),
+            ran: planned.skipped.is_none(),
+            gpu_ns: drawn.pass_ns.iter().find(|(pass, _)| *pass == planned.pass).and_then(|(_, time)| *time),
+            why: planned.skipped.map(str::to_owned),
+        })
+        .collect();
+    Receipt {
+        scene: resolved.model.id.clone(),
+        revision: resolved.model.revision,
+        adapter: shared.adapter().name,
+        batch_size: drawn.batch_size,
+        camera: resolved.camera.clone(),
+        settings: job.request.settings,
+        max_error_px: None,
+        estimated_error_px: None,
+        passes,
+        gpu_ns: drawn.gpu_ns,
+        queue_ns: drawn.queue.as_nanos() as u64,
+        record_ns: drawn.record.as_nanos() as u64,
+        readback_ns: drawn.readback.as_nanos() as u64,
+        samples: SampleCounts {
+            stored: counts.samples,
+            tested: runs(Pass::ProjectSamples).then(|| wide(drawn.stats.samples_tested)),
+            drawn: runs(Pass::ProjectSamples).then_some(u64::from(drawn.stats.pixels_of_samples)),
+        },
+        splats: SplatCounts::default(),
+        triangles: TriangleCounts {
+            stored: counts.triangles,
+            tested: runs(Pass::ProjectTriangles).then(|| wide(drawn.stats.triangles_tested)),
+            rasterised: runs(Pass::ProjectTriangles).then_some(u64::from(drawn.stats.triangles_rasterised)),
+        },
+        instances: InstanceCounts {
+            stored: counts.instances,
+            drawn: Some(u64::from(drawn.stats.instances_drawn)),
+        },
+        gpu_bytes: drawn.gpu_bytes,
+        ..Receipt::default()
+    }
+}
