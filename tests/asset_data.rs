@@ -21,25 +21,105 @@ fn data() -> Option<PathBuf> {
 type Expected = (&'static str, usize, usize, [f64; 6]);
 
 const CLEAN: &[Expected] = &[
-    ("scans/bun_zipper.ply", 35947, 69451, [-0.09469, 0.032987, -0.061874, 0.061009, 0.18732, 0.0588]),
-    ("scans/bun_zipper_res4.ply", 453, 948, [-0.093147, 0.03362, -0.056644, 0.058159, 0.1819, 0.057801]),
-    ("scans/bunny_range/bun000.ply", 40256, 0, [-0.09475, 0.035736, -0.058698, 0.061, 0.18794, 0.058723]),
-    ("scans/bunny_range/bun045.ply", 40097, 0, [-0.06325, 0.034209, -0.045165, 0.084, 0.18764, 0.093523]),
-    ("scans/bunny_range/bun090.ply", 30379, 0, [-0.05925, 0.035003, -0.074846, 0.062, 0.18793, 0.060868]),
-    ("scans/bunny_range/bun180.ply", 40251, 0, [-0.0615, 0.034092, -0.033928, 0.09475, 0.1876, 0.061187]),
-    ("scans/bunny_range/bun270.ply", 31701, 0, [-0.06225, 0.034715, -0.011259, 0.059, 0.18762, 0.094291]),
-    ("scans/bunny_range/bun315.ply", 35336, 0, [-0.0735, 0.034122, -0.019493, 0.0735, 0.18693, 0.10063]),
-    ("scans/bunny_range/chin.ply", 37738, 0, [-0.07125, 0.034043, -0.015159, 0.1035, 0.16643, 0.14482]),
-    ("scans/bunny_range/ear_back.ply", 32193, 0, [-0.084, 0.02579, 0.0037326, 0.1065, 0.18751, 0.11512]),
-    ("scans/bunny_range/top2.ply", 38298, 0, [-0.0675, 0.038349, -0.013399, 0.105, 0.1662, 0.12895]),
-    ("scans/bunny_range/top3.ply", 36023, 0, [-0.104, 0.035403, -0.018245, 0.089, 0.14725, 0.12377]),
+    (
+        "scans/bun_zipper.ply",
+        35947,
+        69451,
+        [-0.09469, 0.032987, -0.061874, 0.061009, 0.18732, 0.0588],
+    ),
+    (
+        "scans/bun_zipper_res4.ply",
+        453,
+        948,
+        [-0.093147, 0.03362, -0.056644, 0.058159, 0.1819, 0.057801],
+    ),
+    (
+        "scans/bunny_range/bun000.ply",
+        40256,
+        0,
+        [-0.09475, 0.035736, -0.058698, 0.061, 0.18794, 0.058723],
+    ),
+    (
+        "scans/bunny_range/bun045.ply",
+        40097,
+        0,
+        [-0.06325, 0.034209, -0.045165, 0.084, 0.18764, 0.093523],
+    ),
+    (
+        "scans/bunny_range/bun090.ply",
+        30379,
+        0,
+        [-0.05925, 0.035003, -0.074846, 0.062, 0.18793, 0.060868],
+    ),
+    (
+        "scans/bunny_range/bun180.ply",
+        40251,
+        0,
+        [-0.0615, 0.034092, -0.033928, 0.09475, 0.1876, 0.061187],
+    ),
+    (
+        "scans/bunny_range/bun270.ply",
+        31701,
+        0,
+        [-0.06225, 0.034715, -0.011259, 0.059, 0.18762, 0.094291],
+    ),
+    (
+        "scans/bunny_range/bun315.ply",
+        35336,
+        0,
+        [-0.0735, 0.034122, -0.019493, 0.0735, 0.18693, 0.10063],
+    ),
+    (
+        "scans/bunny_range/chin.ply",
+        37738,
+        0,
+        [-0.07125, 0.034043, -0.015159, 0.1035, 0.16643, 0.14482],
+    ),
+    (
+        "scans/bunny_range/ear_back.ply",
+        32193,
+        0,
+        [-0.084, 0.02579, 0.0037326, 0.1065, 0.18751, 0.11512],
+    ),
+    (
+        "scans/bunny_range/top2.ply",
+        38298,
+        0,
+        [-0.0675, 0.038349, -0.013399, 0.105, 0.1662, 0.12895],
+    ),
+    (
+        "scans/bunny_range/top3.ply",
+        36023,
+        0,
+        [-0.104, 0.035403, -0.018245, 0.089, 0.14725, 0.12377],
+    ),
     ("scans/armadillo.obj", 43243, 86482, [-0.43528, -0.5734, -0.37948, 0.40334, 0.42655, 0.38333]),
-    ("scans/dragon_vrip.ply.gz", 437645, 871414, [-0.10832, 0.052729, -0.050414, 0.096566, 0.19717, 0.041208]),
-    ("scans/dragon_vrip_res4.ply.gz", 5205, 11102, [-0.10759, 0.052844, -0.049836, 0.095236, 0.19634, 0.040826]),
+    (
+        "scans/dragon_vrip.ply.gz",
+        437645,
+        871414,
+        [-0.10832, 0.052729, -0.050414, 0.096566, 0.19717, 0.041208],
+    ),
+    (
+        "scans/dragon_vrip_res4.ply.gz",
+        5205,
+        11102,
+        [-0.10759, 0.052844, -0.049836, 0.095236, 0.19634, 0.040826],
+    ),
     ("scans/laurana.ply", 25160, 50000, [-225.84, -241.81, -123.56, 241.8, 254.35, 136.5]),
-    ("pointclouds/b9_training.ply", 22300, 0, [596650.0, 243620.0, 73.502, 596740.0, 243730.0, 97.186]),
+    (
+        "pointclouds/b9_training.ply",
+        22300,
+        0,
+        [596650.0, 243620.0, 73.502, 596740.0, 243730.0, 97.186],
+    ),
     ("lines/722817260.ply", 17875, 36127, [3424.1, 11584.0, 10288.0, 22185.0, 37470.0, 28079.0]),
-    ("textured/bunny_attribute_color.ply", 6056, 12000, [-0.094758, 0.032987, -0.061868, 0.061038, 0.18734, 0.058831]),
+    (
+        "textured/bunny_attribute_color.ply",
+        6056,
+        12000,
+        [-0.094758, 0.032987, -0.061868, 0.061038, 0.18734, 0.058831],
+    ),
     ("textured/BoxTextured.glb", 24, 12, [-0.5, -0.5, -0.5, 0.5, 0.5, 0.5]),
     ("cad/cycloidal.ply", 21384, 43368, [0.23955, -0.33863, 0.81065, 2.1145, 1.536, 1.9176]),
     ("cad/fandisk.obj", 6475, 12946, [0.0, 12.605, -2.6803, 4.8279, 17.85, 0.0]),
@@ -135,8 +215,7 @@ fn scans_carry_their_attributes() {
         panic!("b9_training is a cloud")
     };
     assert!(street.colors.is_some() && street.classification.is_some());
-    let Geometry::Mesh(bunny) =
-        &load(&folder, "textured/bunny_attribute_color.ply").geometries[0]
+    let Geometry::Mesh(bunny) = &load(&folder, "textured/bunny_attribute_color.ply").geometries[0]
     else {
         panic!("the bunny is a mesh")
     };
@@ -179,7 +258,8 @@ fn odd_meshes_load() {
     assert_eq!(almond.materials.len(), 2);
     let coloured = load(&folder, "pointclouds/same_cloud_many_formats/1.2-with-color.obj");
     assert_eq!(counts(&coloured).1, 1672);
-    assert_eq!(coloured.materials.len(), 1640);
+    // 1640 statements name 1272 different materials.
+    assert_eq!(coloured.materials.len(), 1272);
     let part = load(&folder, "cad/featuretype.STL");
     assert_eq!(counts(&part).1, 3476);
     assert_eq!(counts(&load(&folder, "cad/ADIS16480.STL")).1, 7436);
@@ -197,6 +277,7 @@ fn unusual_files_load_with_warnings() {
         ("corrupt/nancolor.obj", 8, 12, true),
         ("corrupt/notenoughindices.obj", 3, 1, true),
         ("corrupt/degenerate_mesh.obj", 3, 1, false),
+        ("corrupt/fuzz.glb", 24, 12, false),
     ] {
         let asset = load(&folder, name);
         assert_eq!(counts(&asset), (vertices, triangles), "{name}");
@@ -213,7 +294,7 @@ fn broken_files_are_refused_in_words() {
         ("corrupt/crash-30d6d0f7c529b3b66b4131700b7a4580cd7082df.ply", "header line 7"),
         ("corrupt/empty.ply", "is empty"),
         ("corrupt/no_vertex.ply", "no vertex element"),
-        ("corrupt/malformed.obj", "vertex 12 does not exist"),
+        ("corrupt/malformed.obj", "face 5 (line 28)"),
         ("corrupt/corrupted_invalid_facet_vertex.obj", "does not exist, the file has 6"),
         ("corrupt/corrupted_invalid_double.obj", "vertex 5 (line 6): property x"),
         ("corrupt/truncated.off", "vertex 3 (line 6): has 1 of 3 values"),
@@ -230,7 +311,6 @@ fn broken_files_are_refused_in_words() {
         let file = name.rsplit('/').next().unwrap_or(name);
         assert!(error.starts_with(&format!("{file}: ")) && error.contains(words), "{error}");
     }
-    println!("{:?}", assets::read(&folder.join("corrupt/fuzz.glb"), &ReadOptions::default()).map(|a| a.warnings));
 }
 
 #[test]

@@ -5,7 +5,7 @@
 //! and are not kept. Many binary files begin with `solid` like ascii ones: what follows decides.
 
 use std::collections::HashMap;
-use std::io::{BufRead, Read};
+use std::io::BufRead;
 use std::path::Path;
 
 use glam::DVec3;
@@ -38,11 +38,7 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
     } else {
         binary(reader, &origin, options, &mut warnings)?
     };
-    let mesh = Mesh {
-        positions: welded.positions,
-        triangles: welded.triangles,
-        ..Mesh::default()
-    };
+    let mesh = Mesh { positions: welded.positions, triangles: welded.triangles, ..Mesh::default() };
     let mesh = tidy::finish_mesh(mesh, &origin.name, &mut warnings)?;
     let mut asset = Asset::single("stl", &origin.name, Geometry::Mesh(mesh));
     asset.warnings = warnings;
@@ -148,7 +144,7 @@ fn binary(
 }
 
 fn ascii(
-    reader: impl Read + BufRead,
+    reader: impl BufRead,
     origin: &Origin,
     options: &ReadOptions,
     warnings: &mut Vec<String>,

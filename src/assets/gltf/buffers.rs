@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::cell::Cell;
+use std::collections::HashMap;
 
 use ::gltf::json::accessor::{ComponentType, Type};
 use ::gltf::json::validation::Checked;
@@ -11,16 +12,23 @@ use super::super::input::{Folder, read_bounded};
 use super::super::{AssetError, ReadOptions};
 use super::container::{data_uri, percent_decoded};
 
-/// Numbers that may be read from buffers: this, and [`READS_PER_BYTE`] of what they hold. A document
-/// reads its data about once; one that reads it over and over is an attack.
-const FREE_READS: u64 = 4 << 20;
-const READS_PER_BYTE: u64 = 16;
+/// Work and memory that a document may cause, as multiples of what its buffers hold. An honest one
+/// reads its data about once and keeps less than it read; one whose accessors and primitives
+/// repeat the same bytes over and over is an attack.
+const READS_PER_BYTE: u64 = 64;
+const KEPT_PER_BYTE: u64 = 4;
+/// On top of that, so that small documents may be odd.
+const FREE: u64 = 4 << 20;
 
 pub(super) struct Buffers<'a> {
     root: &'a Root,
-    buffers: Vec<Cow<'a, [u8]>>,
+    /// What the document's buffers hold; those of one file share an entry.
+    contents: Vec<Cow<'a, [u8]>>,
+    /// By buffer, its entry in `contents`.
+    content_of: Vec<usize>,
     file: &'a str,
     reads_left: Cell<u64>,
+    kept_left: Cell<u64>,
 }
 
 /// Items in a buffer, a stride apart.
@@ -38,45 +46,64 @@ impl<'a> Buffers<'a> {
         file: &'a str,
         options: &ReadOptions,
     ) -> Result<Self, AssetError> {
-        let mut buffers = Vec::with_capacity(root.buffers.len());
+        let mut contents: Vec<Cow<[u8]>> = Vec::new();
+        let mut content_of = Vec::with_capacity(root.buffers.len());
+        let mut content_of_uri: HashMap<&str, usize> = HashMap::new();
         let mut left = options.max_decompressed_bytes;
         for (number, buffer) in root.buffers.iter().enumerate() {
-            let fail = |reason: String| {
-                AssetError::malformed(file, format!("buffers[{number}]"), reason)
+            let fail =
+                |reason: String| AssetError::malformed(file, format!("buffers[{number}]"), reason);
+            let uri = buffer.uri.as_deref();
+            let known = uri.and_then(|uri| content_of_uri.get(uri).copied());
+            let content = match (known, uri, binary) {
+                (Some(known), _, _) => known,
+                (None, Some(uri), _) => {
+                    let bytes = external(uri, folder, left).map_err(fail)?;
+                    left = left.saturating_sub(bytes.len() as u64);
+                    content_of_uri.insert(uri, contents.len());
+                    contents.push(Cow::Owned(bytes));
+                    contents.len() - 1
+                }
+                (None, None, Some(binary)) if number == 0 => {
+                    contents.push(Cow::Borrowed(binary));
+                    0
+                }
+                _ => return Err(fail("has neither a uri nor the binary chunk".to_owned())),
             };
-            let bytes = match (&buffer.uri, binary) {
-                (None, Some(binary)) if number == 0 => Cow::Borrowed(binary),
-                (None, _) => return Err(fail("has neither a uri nor the binary chunk".to_owned())),
-                (Some(uri), _) => Cow::Owned(external(uri, folder, left).map_err(fail)?),
-            };
-            if (bytes.len() as u64) < buffer.byte_length.0 {
-                return Err(fail(format!(
-                    "byteLength is {}, but there are {} bytes",
-                    buffer.byte_length.0,
-                    bytes.len()
-                )));
+            let (declared, found) = (buffer.byte_length.0, contents[content].len());
+            if (found as u64) < declared {
+                let reason = format!("byteLength is {declared}, but there are {found} bytes");
+                return Err(fail(reason));
             }
-            left = left.saturating_sub(bytes.len() as u64);
-            buffers.push(bytes);
+            content_of.push(content);
         }
-        let total: u64 = buffers.iter().map(|bytes| bytes.len() as u64).sum();
-        let reads = total.saturating_mul(READS_PER_BYTE).saturating_add(FREE_READS);
-        Ok(Self { root, buffers, file, reads_left: Cell::new(reads) })
+        let total: u64 = contents.iter().map(|bytes| bytes.len() as u64).sum();
+        let allowed = |per_byte| Cell::new(total.saturating_mul(per_byte).saturating_add(FREE));
+        Ok(Self {
+            root,
+            contents,
+            content_of,
+            file,
+            reads_left: allowed(READS_PER_BYTE),
+            kept_left: allowed(KEPT_PER_BYTE),
+        })
     }
 
-    /// Counts numbers (or placements) that are about to be made out of the buffers.
+    /// Counts numbers that are about to be read.
     pub fn spend(&self, place: &str, reads: u64) -> Result<(), AssetError> {
-        match self.reads_left.get().checked_sub(reads) {
-            Some(left) => {
-                self.reads_left.set(left);
-                Ok(())
-            }
-            None => Err(AssetError::malformed(
-                self.file,
-                place,
-                "the document multiplies its buffers' data beyond all measure",
-            )),
-        }
+        self.count_down(&self.reads_left, place, reads)
+    }
+
+    /// Counts vertices, triangles or placements that are about to be kept.
+    pub fn keep(&self, place: &str, items: u64) -> Result<(), AssetError> {
+        self.count_down(&self.kept_left, place, items)
+    }
+
+    fn count_down(&self, left: &Cell<u64>, place: &str, by: u64) -> Result<(), AssetError> {
+        let reason = "the document multiplies its buffers' data beyond all measure";
+        let rest = left.get().checked_sub(by);
+        left.set(rest.ok_or_else(|| AssetError::malformed(self.file, place, reason))?);
+        Ok(())
     }
 
     fn fail(&self, place: String, reason: impl Into<String>) -> AssetError {
@@ -87,7 +114,8 @@ impl<'a> Buffers<'a> {
     pub fn view(&self, index: Index<buffer::View>) -> Result<&[u8], AssetError> {
         let place = || format!("bufferViews[{}]", index.value());
         let view = self.root.get(index).ok_or_else(|| self.fail(place(), "does not exist"))?;
-        let buffer = self.buffers.get(view.buffer.value()).ok_or_else(|| {
+        let content = self.content_of.get(view.buffer.value()).copied();
+        let buffer = content.and_then(|content| self.contents.get(content)).ok_or_else(|| {
             self.fail(place(), format!("buffers[{}] does not exist", view.buffer.value()))
         })?;
         let offset = view.byte_offset.map_or(0, |offset| offset.0);
@@ -174,6 +202,8 @@ impl<'a> Buffers<'a> {
                 }
             }
             None if accessor.sparse.is_some() => {
+                // Zeros out of nothing: no bytes of the file stand behind them.
+                self.keep(&place(), (count as u64).saturating_mul(components as u64))?;
                 values.resize(count * components, T::default());
             }
             None => return Err(self.fail(place(), "has neither a bufferView nor sparse values")),

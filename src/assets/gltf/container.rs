@@ -18,9 +18,8 @@ pub(super) fn split<'a>(
         return Ok((bytes, None));
     }
     let fail = |reason: String| AssetError::malformed(file, "GLB header", reason);
-    let word = |at: usize| -> Option<u32> {
-        Some(u32::from_le_bytes(*bytes.get(at..)?.first_chunk()?))
-    };
+    let word =
+        |at: usize| -> Option<u32> { Some(u32::from_le_bytes(*bytes.get(at..)?.first_chunk()?)) };
     let (Some(version), Some(length)) = (word(4), word(8)) else {
         return Err(fail("the file ends inside the header".to_owned()));
     };
@@ -54,6 +53,8 @@ pub(super) fn split<'a>(
 
 /// The document. Structure only; indices are checked where they are followed.
 pub(super) fn parse(json: &[u8], file: &str) -> Result<Root, AssetError> {
+    // Some editors put a byte order mark before text.
+    let json = json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(json);
     #[derive(Deserialize)]
     struct Probe {
         asset: Version,
@@ -81,11 +82,7 @@ pub(super) fn parse(json: &[u8], file: &str) -> Result<Root, AssetError> {
 /// The bytes of a `data:` URI; `None` when `uri` is something else.
 pub(super) fn data_uri(uri: &str) -> Option<Result<Vec<u8>, String>> {
     let (head, body) = uri.strip_prefix("data:")?.split_once(',')?;
-    Some(if head.ends_with(";base64") {
-        base64(body)
-    } else {
-        Ok(percent_decoded(body))
-    })
+    Some(if head.ends_with(";base64") { base64(body) } else { Ok(percent_decoded(body)) })
 }
 
 /// Base 64 (RFC 4648), padded or not.

@@ -91,8 +91,7 @@ impl<'a> Materials<'a> {
             return Some(*known);
         }
         let source = self.root.get(index)?;
-        let name =
-            source.name.clone().unwrap_or_else(|| format!("material {}", index.value()));
+        let name = source.name.clone().unwrap_or_else(|| format!("material {}", index.value()));
         let surface = specular_glossiness(source).unwrap_or_else(|| metallic_roughness(source));
         let placement = surface.texture.as_ref().map_or_else(Default::default, |t| t.placement);
         let texture = surface.texture.and_then(|reference| self.texture(reference.texture));
@@ -163,9 +162,10 @@ impl<'a> Materials<'a> {
             return Err(format!("texture {place} is left out: it does not exist"));
         };
         let fail = |reason: String| format!("texture {place} is left out: {reason}");
-        let name = source.name.clone().or_else(|| {
-            source.uri.clone().filter(|uri| !uri.starts_with("data:"))
-        });
+        let name = source
+            .name
+            .clone()
+            .or_else(|| source.uri.clone().filter(|uri| !uri.starts_with("data:")));
         let name = name.unwrap_or_else(|| place.clone());
         let owned;
         let bytes = match (source.buffer_view, &source.uri) {
@@ -215,10 +215,10 @@ fn metallic_roughness(source: &material::Material) -> Surface {
     }
     Surface {
         base,
-        texture: model.base_color_texture.as_ref().map(|info| Reference {
-            texture: info.index.value(),
-            placement: placement(info),
-        }),
+        texture: model
+            .base_color_texture
+            .as_ref()
+            .map(|info| Reference { texture: info.index.value(), placement: placement(info) }),
         specular,
         roughness: model.roughness_factor.0,
     }

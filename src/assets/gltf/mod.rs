@@ -93,11 +93,7 @@ pub fn read_from(mut input: Input, options: &ReadOptions) -> Result<Asset, Asset
     })
 }
 
-fn check_extensions(
-    root: &Root,
-    file: &str,
-    warnings: &mut Vec<String>,
-) -> Result<(), AssetError> {
+fn check_extensions(root: &Root, file: &str, warnings: &mut Vec<String>) -> Result<(), AssetError> {
     for name in &root.extensions_required {
         let appearance = name.starts_with("KHR_materials_") || name == "KHR_texture_basisu";
         if SUPPORTED.contains(&name.as_str()) {

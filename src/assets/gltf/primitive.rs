@@ -1,6 +1,7 @@
 //! Primitives to geometries.
 
 use std::collections::HashMap;
+use std::rc::Rc;
 
 use ::gltf::json::accessor::Type;
 use ::gltf::json::mesh::{Mode, Primitive, Semantic};
@@ -20,6 +21,8 @@ pub(super) struct Primitives<'a> {
     file: &'a str,
     vertices_left: u64,
     triangles_left: u64,
+    /// Attributes that the next primitive shares with the one read last.
+    shared: Option<([Option<usize>; 4], TexturePlacement, Rc<Attributes>)>,
     /// By mesh, the geometries that its primitives became.
     known: HashMap<usize, Vec<usize>>,
     pub geometries: Vec<Geometry>,
@@ -27,6 +30,7 @@ pub(super) struct Primitives<'a> {
 }
 
 /// A vertex's attributes, in parallel.
+#[derive(Clone)]
 struct Attributes {
     positions: Vec<DVec3>,
     normals: Option<Vec<Vec3>>,
@@ -47,6 +51,7 @@ impl<'a> Primitives<'a> {
             file,
             vertices_left: options.max_vertices.min(u64::from(u32::MAX)),
             triangles_left: options.max_triangles,
+            shared: None,
             known: HashMap::new(),
             geometries: Vec::new(),
             warnings: Vec::new(),
@@ -69,7 +74,9 @@ impl<'a> Primitives<'a> {
         let mut geometries = Vec::new();
         for (number, primitive) in mesh.primitives.iter().enumerate() {
             let place = format!("{mesh_place}.primitives[{number}]");
-            if let Some(geometry) = self.primitive(primitive, &place, materials)? {
+            let next = mesh.primitives.get(number + 1);
+            let share = next.is_some_and(|next| next.attributes == primitive.attributes);
+            if let Some(geometry) = self.primitive(primitive, share, &place, materials)? {
                 geometries.push(self.geometries.len());
                 self.geometries.push(geometry);
             }
@@ -81,6 +88,7 @@ impl<'a> Primitives<'a> {
     fn primitive(
         &mut self,
         primitive: &Primitive,
+        share: bool,
         place: &str,
         materials: &mut Materials,
     ) -> Result<Option<Geometry>, AssetError> {
@@ -99,9 +107,11 @@ impl<'a> Primitives<'a> {
         };
         self.refuse_compressed(primitive, position, place)?;
         let material = match primitive.material {
-            Some(index) => Some(materials.get(index).ok_or_else(|| {
-                fail(format!("materials[{}] does not exist", index.value()))
-            })?),
+            Some(index) => Some(
+                materials
+                    .get(index)
+                    .ok_or_else(|| fail(format!("materials[{}] does not exist", index.value())))?,
+            ),
             None => None,
         };
         if primitive.targets.as_ref().is_some_and(|targets| !targets.is_empty()) {
@@ -110,9 +120,10 @@ impl<'a> Primitives<'a> {
         let count = self.buffers.count(position)?;
         AssetError::check_limit(self.file, "vertices", count, self.vertices_left)?;
         let placement = material.map_or_else(TexturePlacement::default, |(_, p)| p);
-        let attributes = self.attributes(primitive, position, placement, place)?;
+        let attributes = self.attributes_shared(primitive, position, placement, share, place)?;
         let count = attributes.positions.len();
-        self.vertices_left -= count as u64;
+        // Finding out which vertices are used looks at each of them.
+        self.buffers.spend(place, count as u64 / 8)?;
         let indices = match primitive.indices {
             Some(index) => self.buffers.indices(index)?,
             None => (0..count as u32).collect(),
@@ -154,6 +165,40 @@ impl<'a> Primitives<'a> {
             ));
         }
         Ok(())
+    }
+
+    /// [`Self::attributes`], read once for neighbours that share them.
+    fn attributes_shared(
+        &mut self,
+        primitive: &Primitive,
+        position: Index<accessor::Accessor>,
+        placement: TexturePlacement,
+        share: bool,
+        place: &str,
+    ) -> Result<Rc<Attributes>, AssetError> {
+        let key = [
+            Semantic::Positions,
+            Semantic::Normals,
+            Semantic::TexCoords(placement.set),
+            Semantic::Colors(0),
+        ]
+        .map(|semantic| attribute(primitive, semantic).map(|index| index.value()));
+        let attributes = match self.shared.take() {
+            Some((known, placed, attributes)) if known == key && placed == placement => attributes,
+            _ => Rc::new(self.attributes(primitive, position, placement, place)?),
+        };
+        if share {
+            self.shared = Some((key, placement, attributes.clone()));
+        }
+        Ok(attributes)
+    }
+
+    /// Counts vertices and triangles that stay in memory.
+    fn keep(&mut self, vertices: usize, triangles: usize, place: &str) -> Result<(), AssetError> {
+        let (vertices, triangles) = (vertices as u64, triangles as u64);
+        AssetError::check_limit(self.file, "vertices", vertices, self.vertices_left)?;
+        self.vertices_left -= vertices;
+        self.buffers.keep(place, vertices.saturating_add(triangles))
     }
 
     fn attributes(
@@ -205,12 +250,14 @@ impl<'a> Primitives<'a> {
 
     fn points(
         &mut self,
-        attributes: Attributes,
+        attributes: Rc<Attributes>,
         indexed: bool,
         indices: Vec<u32>,
         place: &str,
     ) -> Result<Option<Geometry>, AssetError> {
-        let attributes = if indexed { attributes.picked(&indices) } else { attributes };
+        self.keep(indices.len(), 0, place)?;
+        let attributes =
+            if indexed { attributes.picked(&indices) } else { Rc::unwrap_or_clone(attributes) };
         let cloud = PointCloud {
             positions: attributes.positions,
             colors: attributes.colors,
@@ -254,12 +301,13 @@ impl<'a> Primitives<'a> {
 
     fn mesh(
         &mut self,
-        attributes: Attributes,
+        attributes: Rc<Attributes>,
         triangles: Vec<[u32; 3]>,
         material: Option<u32>,
         place: &str,
     ) -> Result<Option<Geometry>, AssetError> {
-        let (attributes, triangles) = attributes.compacted(triangles);
+        let (attributes, triangles) = compacted(attributes, triangles);
+        self.keep(attributes.positions.len(), triangles.len(), place)?;
         let part = MeshPart { triangles: triangles.len() as u32, material };
         let mesh = Mesh {
             positions: attributes.positions,
@@ -293,26 +341,29 @@ impl Attributes {
             colors: self.colors.as_ref().map(|values| pick(values, indices)),
         }
     }
+}
 
-    /// Without the vertices that no triangle uses: primitives like to share one large accessor.
-    fn compacted(self, mut triangles: Vec<[u32; 3]>) -> (Attributes, Vec<[u32; 3]>) {
-        let mut number = vec![u32::MAX; self.positions.len()];
-        for index in triangles.iter().flatten() {
-            number[*index as usize] = 0;
-        }
-        if number.iter().all(|number| *number == 0) {
-            return (self, triangles);
-        }
-        let mut used = Vec::new();
-        for (at, number) in number.iter_mut().enumerate().filter(|(_, number)| **number == 0) {
-            *number = used.len() as u32;
-            used.push(at as u32);
-        }
-        for index in triangles.iter_mut().flatten() {
-            *index = number[*index as usize];
-        }
-        (self.picked(&used), triangles)
+/// Without the vertices that no triangle uses: primitives like to share one large accessor.
+fn compacted(
+    attributes: Rc<Attributes>,
+    mut triangles: Vec<[u32; 3]>,
+) -> (Attributes, Vec<[u32; 3]>) {
+    let mut number = vec![u32::MAX; attributes.positions.len()];
+    for index in triangles.iter().flatten() {
+        number[*index as usize] = 0;
     }
+    if number.iter().all(|number| *number == 0) {
+        return (Rc::unwrap_or_clone(attributes), triangles);
+    }
+    let mut used = Vec::new();
+    for (at, number) in number.iter_mut().enumerate().filter(|(_, number)| **number == 0) {
+        *number = used.len() as u32;
+        used.push(at as u32);
+    }
+    for index in triangles.iter_mut().flatten() {
+        *index = number[*index as usize];
+    }
+    (attributes.picked(&used), triangles)
 }
 
 fn attribute(primitive: &Primitive, semantic: Semantic) -> Option<Index<accessor::Accessor>> {

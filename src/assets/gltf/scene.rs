@@ -11,8 +11,8 @@ use super::material::Materials;
 use super::primitive::Primitives;
 use crate::math::Camera;
 
-/// Reads that a placement counts for.
-const PLACEMENT_COST: u64 = 16;
+/// Vertices that a placement counts for.
+const PLACEMENT_COST: u64 = 4;
 
 #[derive(Default)]
 pub(super) struct Drawn {
@@ -53,7 +53,7 @@ pub(super) fn walk(
             let mesh_name = root.get(mesh).and_then(|mesh| mesh.name.clone());
             let name = node.name.clone().or(mesh_name).unwrap_or_else(|| format!("node {index}"));
             for local in instances(node, index, buffers, file)? {
-                buffers.spend(
+                buffers.keep(
                     &format!("nodes[{index}]"),
                     PLACEMENT_COST.saturating_mul(geometries.len() as u64),
                 )?;
@@ -76,9 +76,8 @@ fn roots(root: &Root, file: &str) -> Result<Vec<usize>, AssetError> {
         root.scene.or((!root.scenes.is_empty()).then(|| Index::new(0)));
     if let Some(index) = chosen {
         let place = format!("scenes[{}]", index.value());
-        let scene = root
-            .get(index)
-            .ok_or_else(|| AssetError::malformed(file, place, "does not exist"))?;
+        let scene =
+            root.get(index).ok_or_else(|| AssetError::malformed(file, place, "does not exist"))?;
         return Ok(scene.nodes.iter().map(Index::value).collect());
     }
     let mut is_child = vec![false; root.nodes.len()];
@@ -158,13 +157,7 @@ fn instances(
 
 impl Drawn {
     /// Cameras and lights of a node.
-    fn node(
-        &mut self,
-        root: &Root,
-        node: &Node,
-        index: usize,
-        asset_from_node: DAffine3,
-    ) {
+    fn node(&mut self, root: &Root, node: &Node, index: usize, asset_from_node: DAffine3) {
         if node.extensions.as_ref().is_some_and(|ext| ext.khr_lights_punctual.is_some()) {
             self.lights += 1;
         }

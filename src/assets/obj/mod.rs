@@ -233,8 +233,8 @@ impl<'a> Statements<'a> {
                 0 => return Err(format!("{}: indices begin at 1", shown(token))),
                 _ => u32::try_from(counts[at] as i64 + index).ok(),
             };
-            *slot = resolved
-                .ok_or_else(|| format!("{} leads to nothing before it", shown(token)))?;
+            *slot =
+                resolved.ok_or_else(|| format!("{} leads to nothing before it", shown(token)))?;
         }
         Ok(corner)
     }

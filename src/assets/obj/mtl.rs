@@ -110,9 +110,8 @@ fn definitions(
 /// The text of one `mtllib` statement: one file whose name may have blanks, or several files.
 fn library_text(statement: &str, folder: Option<&Folder>) -> Result<Vec<Vec<u8>>, String> {
     let folder = folder.ok_or("the asset lies in no folder")?;
-    let load = |name: &str| {
-        folder.find(name).and_then(|path| read_bounded(&path, MAX_LIBRARY_BYTES))
-    };
+    let load =
+        |name: &str| folder.find(name).and_then(|path| read_bounded(&path, MAX_LIBRARY_BYTES));
     load(statement).map(|text| vec![text]).or_else(|reason| {
         let names: Vec<&str> = statement.split_whitespace().take(16).collect();
         if names.len() < 2 {
@@ -177,7 +176,8 @@ impl Definition {
             diffuse = [1.0; 3];
         }
         // Meshlab writes `Tr 1` for opaque; nobody stores what cannot be seen.
-        let alpha = self.alpha.or(self.transparency.map(|tr| if tr >= 1.0 { 1.0 } else { 1.0 - tr }));
+        let alpha =
+            self.alpha.or(self.transparency.map(|tr| if tr >= 1.0 { 1.0 } else { 1.0 - tr }));
         let alpha = alpha.unwrap_or(1.0).clamp(0.0, 1.0);
         let lets_through = texture
             .and_then(|texture| textures.textures.get(texture as usize))

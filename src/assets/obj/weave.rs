@@ -14,6 +14,9 @@ impl Statements<'_> {
         &self,
         warnings: &mut Vec<String>,
     ) -> Result<(Mesh, Vec<String>), AssetError> {
+        // Every corner may become a vertex, and vertices have 32-bit numbers.
+        let corners = self.corners.len() as u64;
+        AssetError::check_limit(self.file, "face corners", corners, u64::from(NONE))?;
         self.check_corners()?;
         let mut loom = Loom::new(self, warnings);
         let mut triangulator = Triangulator::default();
