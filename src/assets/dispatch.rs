@@ -8,8 +8,8 @@ use super::{Asset, AssetError, ReadOptions, e57, gltf, las, obj, off, pcd, ply, 
 
 /// Extensions of the formats that are read, in lower case; each may be followed by `.gz`.
 pub const FORMATS: &[&str] = &[
-    "ply", "las", "laz", "obj", "stl", "gltf", "glb", "xyz", "pts", "csv", "txt", "ptx", "pcd", "off",
-    "e57",
+    "ply", "las", "laz", "obj", "stl", "gltf", "glb", "xyz", "pts", "csv", "txt", "ptx", "pcd",
+    "off", "e57",
 ];
 
 /// Whether a file of this name is worth offering to [`read`].
@@ -30,7 +30,6 @@ enum Format {
     Obj,
     Stl,
     Off,
-    Glb,
     Gltf,
     Las,
     E57,
@@ -47,17 +46,16 @@ enum Format {
 /// # Errors
 /// See [`AssetError`]; nothing is returned in part.
 pub fn read(path: &Path, options: &ReadOptions) -> Result<Asset, AssetError> {
-    let name = path.file_name().map_or_else(
-        || path.display().to_string(),
-        |name| name.to_string_lossy().into_owned(),
-    );
+    let name = path
+        .file_name()
+        .map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned());
     let input = Input::open(path, &name, options)?;
     let asset = match recognise(&input.origin.head, &name) {
         Format::Ply => ply::read_from(input, options),
         Format::Obj => obj::read_from(input, options),
         Format::Stl => stl::read_from(input, options),
         Format::Off => off::read_from(input, options),
-        Format::Glb | Format::Gltf => gltf::read_from(input, options),
+        Format::Gltf => gltf::read_from(input, options),
         format @ (Format::Las | Format::E57 | Format::Pcd | Format::Ptx | Format::Xyz) => {
             if input.origin.exact {
                 read_samples(format, path, &name, options)
@@ -74,7 +72,10 @@ pub fn read(path: &Path, options: &ReadOptions) -> Result<Asset, AssetError> {
         }
         Format::Unknown => Err(AssetError::unsupported(
             &name,
-            format!("neither content nor extension belong to a known format; {}", accepted()),
+            format!(
+                "neither its content nor its extension belongs to a known format; {}",
+                accepted()
+            ),
         )),
     }?;
     options.progress.report(1.0);
@@ -111,45 +112,48 @@ fn unpack(mut input: Input) -> Result<tempfile::NamedTempFile, AssetError> {
 }
 
 fn recognise(head: &[u8], name: &str) -> Format {
-    let extension = extension(name);
     if head.is_empty() {
         return Format::Unknown;
     }
-    if let Some(format) = by_signature(head) {
-        return format;
-    }
-    if let Some(format) = by_extension(&extension, head) {
-        return format;
-    }
-    by_text(head).unwrap_or(Format::Unknown)
+    by_signature(head)
+        .or_else(|| by_extension(&extension(name), head))
+        .or_else(|| by_text(head))
+        .unwrap_or(Format::Unknown)
 }
 
-/// Formats whose first bytes settle it.
+/// First bytes that settle it.
+const SIGNATURES: [(&[u8], Format); 13] = [
+    (b"glTF", Format::Gltf),
+    (b"LASF", Format::Las),
+    (b"ASTM-E57", Format::E57),
+    (b"# .PCD", Format::Pcd),
+    (b"NGSP", Format::Refused("an SPZ file holds Gaussian splats, which are not offered yet")),
+    (b"DRACO", Format::Refused("Draco compression is not offered")),
+    (b"TRACK\0", Format::Refused("a TrackVis file holds streamlines; lines are not offered yet")),
+    (
+        b"mrtrix tracks",
+        Format::Refused("an MRtrix file holds streamlines; lines are not offered yet"),
+    ),
+    (b"# vtk DataFile", Format::Refused("legacy VTK files are not offered")),
+    (b"ISO-10303-21", Format::Refused("a STEP file holds CAD solids, which are not offered")),
+    (b"PK\x03\x04", Format::Refused("a ZIP archive (3MF, USDZ, KMZ) is not offered: unpack it")),
+    (b"\x89PNG", Format::Refused("is an image, not a scene of points or meshes")),
+    (b"\xff\xd8\xff", Format::Refused("is an image, not a scene of points or meshes")),
+];
+
 fn by_signature(head: &[u8]) -> Option<Format> {
-    const SPLATS: &str = "Gaussian splats (SPZ) are not offered yet";
-    const LINES: &str = "lines are not offered yet";
-    let starts = |signature: &[u8]| head.starts_with(signature);
-    let first_word = head.split(|byte| byte.is_ascii_whitespace()).next().unwrap_or_default();
-    Some(match head {
-        _ if first_word == b"ply" => Format::Ply,
-        _ if starts(b"glTF") => Format::Glb,
-        _ if starts(b"LASF") => Format::Las,
-        _ if starts(b"ASTM-E57") => Format::E57,
-        _ if starts(b"# .PCD") => Format::Pcd,
-        _ if starts(b"NGSP") => Format::Refused(SPLATS),
-        _ if starts(b"DRACO") => Format::Refused("Draco compression is not offered"),
-        _ if starts(b"TRACK\0") => Format::Refused("a TrackVis file holds streamlines; lines are not offered yet"),
-        _ if starts(b"mrtrix tracks") => Format::Refused("an MRtrix file holds streamlines; lines are not offered yet"),
-        _ if starts(b"# vtk DataFile") => Format::Refused("legacy VTK files are not offered"),
-        _ if contains(head, b"<VTKFile") => Format::Refused("VTK's XML files are not offered"),
-        _ if starts(b"ISO-10303-21") => Format::Refused("STEP files hold CAD solids, which are not offered"),
-        _ if starts(b"Kaydara FBX") => Format::Refused("FBX files are not offered"),
-        _ if starts(b"PK\x03\x04") => Format::Refused("a ZIP archive (3MF, USDZ, KMZ …) is not offered: unpack it"),
-        _ if starts(b"\x89PNG") || starts(b"\xff\xd8\xff") => Format::Refused("this is an image, not a scene of points or meshes"),
-        _ if is_off(first_word) => Format::Off,
-        _ if is_swc(head) => Format::Refused(LINES),
-        _ => return None,
-    })
+    let signed = SIGNATURES.iter().find(|(signature, _)| head.starts_with(signature));
+    if let Some((_, format)) = signed {
+        return Some(*format);
+    }
+    let word = head.split(|byte| byte.is_ascii_whitespace()).next().unwrap_or_default();
+    if word == b"ply" {
+        return Some(Format::Ply);
+    }
+    if is_off(word) {
+        return Some(Format::Off);
+    }
+    contains(head, b"<VTKFile").then_some(Format::Refused("VTK's XML files are not offered"))
 }
 
 fn contains(head: &[u8], needle: &[u8]) -> bool {
@@ -161,10 +165,6 @@ fn is_off(word: &[u8]) -> bool {
         && word.strip_suffix(b"OFF").is_some_and(|prefix| {
             prefix.iter().all(|byte| matches!(byte, b'S' | b'T' | b'C' | b'N' | b'4' | b'n'))
         })
-}
-
-fn is_swc(_head: &[u8]) -> bool {
-    false
 }
 
 fn by_extension(extension: &str, head: &[u8]) -> Option<Format> {
@@ -208,4 +208,87 @@ fn by_text(head: &[u8]) -> Option<Format> {
     let mut columns = line.split([' ', '\t', ',', ';']).filter(|column| !column.is_empty());
     let numbers = columns.by_ref().take(3).filter(|column| column.parse::<f64>().is_ok()).count();
     (numbers == 3).then_some(Format::Xyz)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::assets::Geometry;
+
+    #[test]
+    fn extensions_look_through_gzip_and_case() {
+        for name in ["a.PLY", "b.obj.gz", "c.copc.laz", "d.e.STL", "e.xyz.GZ"] {
+            assert!(is_supported_extension(name), "{name}");
+        }
+        for name in ["ply", "a.gz", "b.swc", "c.ply.bak", "", "d.splat"] {
+            assert!(!is_supported_extension(name), "{name}");
+        }
+    }
+
+    #[test]
+    fn content_goes_before_extension() {
+        assert_eq!(recognise(b"ply\nformat", "a.obj"), Format::Ply);
+        assert_eq!(recognise(b"COFF\n1", "a"), Format::Off);
+        assert_eq!(recognise(b"glTF\x02", "a.txt"), Format::Gltf);
+        assert_eq!(recognise(b"solid but binary", "a.StL"), Format::Stl);
+        assert_eq!(recognise(b"1 2 3\n", "a.xyz.gz"), Format::Xyz);
+        assert_eq!(recognise(b"# x\n1.5, 2,3\n", "a"), Format::Xyz);
+        assert_eq!(recognise(b"v 1 2 3\n", "noext"), Format::Obj);
+        assert_eq!(recognise(b" {\"asset\": {}}", "noext"), Format::Gltf);
+        assert_eq!(recognise(b"hello", "noext"), Format::Unknown);
+        assert!(matches!(recognise(b"; Neurolucida", "a.asc"), Format::Refused(_)));
+        assert_eq!(recognise(b"1 2 3", "a.asc"), Format::Xyz);
+    }
+
+    fn read_file(name: &str, bytes: &[u8]) -> Result<Asset, AssetError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        read(&path, &ReadOptions::default())
+    }
+
+    fn gz(bytes: &[u8]) -> Vec<u8> {
+        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        encoder.write_all(bytes).unwrap();
+        encoder.finish().unwrap()
+    }
+
+    #[test]
+    fn gzipped_files_read_like_plain_ones() {
+        let off = b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
+        for (name, bytes) in [("a.off", off.to_vec()), ("a.off.gz", gz(off)), ("b", gz(off))] {
+            let asset = read_file(name, &bytes).unwrap();
+            assert!(matches!(&asset.geometries[0], Geometry::Mesh(m) if m.triangles.len() == 1));
+            assert_eq!(asset.placements.len(), 1);
+        }
+    }
+
+    #[test]
+    fn refusals_say_what_would_be_accepted() {
+        for (name, bytes) in [("a.ply", &b""[..]), ("a.splat", b"xxxx"), ("a", b"\0\0\0\0")] {
+            let error = read_file(name, bytes).unwrap_err();
+            assert!(matches!(error, AssetError::Unsupported { .. }));
+            let text = error.to_string();
+            assert!(text.starts_with(&format!("{name}: ")) && text.contains("glb"), "{text}");
+        }
+        let folder = tempfile::tempdir().unwrap();
+        assert!(read(folder.path(), &ReadOptions::default()).is_err());
+        let missing = read(&folder.path().join("no.ply"), &ReadOptions::default());
+        assert!(matches!(missing, Err(AssetError::Io { .. })));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn random_bytes_never_panic(
+            bytes in prop::collection::vec(any::<u8>(), 0..300),
+            extension in prop::sample::select(vec!["ply", "obj", "stl", "off", "gltf", "glb", "x"]),
+        ) {
+            let _ = read_file(&format!("a.{extension}"), &bytes);
+        }
+    }
 }

@@ -41,12 +41,8 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
     let colors = vertices.colors(&mut warnings);
     let normals = vertices.normals.and_then(|normals| tidy::unit_normals(normals, &mut warnings));
     let geometry = if header.faces == 0 {
-        let cloud = PointCloud {
-            positions: vertices.positions,
-            colors,
-            normals,
-            ..PointCloud::default()
-        };
+        let cloud =
+            PointCloud { positions: vertices.positions, colors, normals, ..PointCloud::default() };
         Geometry::Points(tidy::finish_cloud(cloud, file, &mut warnings)?)
     } else {
         let triangles =
@@ -86,9 +82,8 @@ fn header<R: BufRead>(
         return Err(ended());
     }
     let word = lines.tokens().next().unwrap_or_default().to_owned();
-    let prefix = word
-        .strip_suffix(b"OFF")
-        .ok_or_else(|| fail(format!("{} is not OFF", shown(&word))))?;
+    let prefix =
+        word.strip_suffix(b"OFF").ok_or_else(|| fail(format!("{} is not OFF", shown(&word))))?;
     let (has_uvs, prefix) = match prefix.strip_prefix(b"ST") {
         Some(rest) => (true, rest),
         None => (false, prefix),

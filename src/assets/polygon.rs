@@ -39,7 +39,8 @@ impl Triangulator {
                 self.corners.push(at as u32);
             }
         }
-        while self.corners.len() > 1 && ring[last(&self.corners)] == ring[self.corners[0] as usize] {
+        while self.corners.len() > 1 && ring[last(&self.corners)] == ring[self.corners[0] as usize]
+        {
             self.corners.pop();
         }
         if self.corners.len() < 3 {

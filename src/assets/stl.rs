@@ -5,7 +5,7 @@
 //! and are not kept. Many binary files begin with `solid` like ascii ones: what follows decides.
 
 use std::collections::HashMap;
-use std::io::{BufRead, Read};
+use std::io::BufRead;
 use std::path::Path;
 
 use glam::DVec3;
@@ -38,11 +38,7 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
     } else {
         binary(reader, &origin, options, &mut warnings)?
     };
-    let mesh = Mesh {
-        positions: welded.positions,
-        triangles: welded.triangles,
-        ..Mesh::default()
-    };
+    let mesh = Mesh { positions: welded.positions, triangles: welded.triangles, ..Mesh::default() };
     let mesh = tidy::finish_mesh(mesh, &origin.name, &mut warnings)?;
     let mut asset = Asset::single("stl", &origin.name, Geometry::Mesh(mesh));
     asset.warnings = warnings;
@@ -148,7 +144,7 @@ fn binary(
 }
 
 fn ascii(
-    reader: impl Read + BufRead,
+    reader: impl BufRead,
     origin: &Origin,
     options: &ReadOptions,
     warnings: &mut Vec<String>,
@@ -162,7 +158,7 @@ fn ascii(
     let (mut in_loop, mut in_solid) = (false, false);
     while lines.advance()? {
         let line_number = lines.number;
-        let fail = |reason: String| {
+        let fail = |facets: u64, reason: String| {
             let place = format!("facet {} (line {line_number})", facets.saturating_sub(1));
             AssetError::malformed(file, place, reason)
         };
@@ -170,7 +166,7 @@ fn ascii(
         while let Some(word) = tokens.next() {
             match word.to_ascii_lowercase().as_slice() {
                 b"vertex" if in_loop => {
-                    let position = corner(&mut tokens).map_err(fail)?;
+                    let position = corner(&mut tokens).map_err(|reason| fail(facets, reason))?;
                     ring.push(welded.vertex(position, file, options)?);
                 }
                 b"facet" => facets += 1,
@@ -182,7 +178,8 @@ fn ascii(
                 }
                 b"endloop" => {
                     if ring.len() < 3 {
-                        return Err(fail(format!("the loop has {} corners", ring.len())));
+                        let reason = format!("the loop has {} corners", ring.len());
+                        return Err(fail(facets, reason));
                     }
                     in_loop = false;
                     let Welded { positions, triangles, .. } = &mut welded;
@@ -203,7 +200,9 @@ fn ascii(
                     break;
                 }
                 b"color" => break,
-                _ => return Err(fail(format!("{} is not expected here", shown(word)))),
+                _ => {
+                    return Err(fail(facets, format!("{} is not expected here", shown(word))));
+                }
             }
         }
     }

@@ -64,10 +64,8 @@ pub(crate) fn decode(
         }
         Ok(reader)
     };
-    let (width, height) = reader()
-        .map_err(fail)?
-        .into_dimensions()
-        .map_err(|error| fail(error.to_string()))?;
+    let (width, height) =
+        reader().map_err(fail)?.into_dimensions().map_err(|error| fail(error.to_string()))?;
     let texels = u64::from(width) * u64::from(height);
     if texels == 0 {
         return Err(fail("it has no texels".to_owned()));

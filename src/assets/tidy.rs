@@ -204,11 +204,8 @@ pub(crate) fn linear_from_srgb(value: f32) -> f32 {
 /// sRGB byte from a linear channel.
 pub(crate) fn srgb_byte_from_linear(value: f32) -> u8 {
     let value = value.clamp(0.0, 1.0);
-    let encoded = if value <= 0.003_130_8 {
-        value * 12.92
-    } else {
-        1.055 * value.powf(1.0 / 2.4) - 0.055
-    };
+    let encoded =
+        if value <= 0.003_130_8 { value * 12.92 } else { 1.055 * value.powf(1.0 / 2.4) - 0.055 };
     (encoded * 255.0).round() as u8
 }
 

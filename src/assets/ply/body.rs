@@ -44,11 +44,9 @@ impl<'a, R: BufRead> Body<'a, R> {
     pub fn new(lines: Lines<'a, R>, encoding: Encoding, file: &'a str) -> Self {
         match encoding {
             Encoding::Ascii => Body::Ascii(lines),
-            Encoding::Little | Encoding::Big => Body::Binary {
-                reader: lines.into_reader(),
-                big: encoding == Encoding::Big,
-                file,
-            },
+            Encoding::Little | Encoding::Big => {
+                Body::Binary { reader: lines.into_reader(), big: encoding == Encoding::Big, file }
+            }
         }
     }
 
@@ -284,8 +282,7 @@ impl<R: BufRead> Scan<'_, R> {
     }
 
     fn take(&mut self, into: &mut [u8], index: u64, property: usize) -> Result<(), AssetError> {
-        let got =
-            fill(self.reader, into).map_err(|source| AssetError::io(self.file, source))?;
+        let got = fill(self.reader, into).map_err(|source| AssetError::io(self.file, source))?;
         if got < into.len() {
             return Err(truncated(self.file, self.element, index, property));
         }

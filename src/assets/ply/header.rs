@@ -190,11 +190,7 @@ pub(super) fn read<R: BufRead>(lines: &mut Lines<R>, file: &str) -> Result<Heade
                 let digits = tokens.next().unwrap_or_default();
                 let count = std::str::from_utf8(digits).ok().and_then(|text| text.parse().ok());
                 let Some(count) = count else {
-                    return fail(format!(
-                        "element {}: {} is no count",
-                        shown(name),
-                        shown(digits)
-                    ));
+                    return fail(format!("element {}: {} is no count", shown(name), shown(digits)));
                 };
                 let name = String::from_utf8_lossy(name).into_owned();
                 elements.push(Element { name, count, properties: Vec::new() });
@@ -219,7 +215,7 @@ pub(super) fn read<R: BufRead>(lines: &mut Lines<R>, file: &str) -> Result<Heade
 }
 
 fn property<'a>(mut tokens: impl Iterator<Item = &'a [u8]>) -> Result<Property, String> {
-    let mut scalar = |token: Option<&'a [u8]>| {
+    let scalar = |token: Option<&'a [u8]>| {
         let token = token.unwrap_or_default();
         Scalar::parse(token).ok_or_else(|| format!("unknown property type {}", shown(token)))
     };

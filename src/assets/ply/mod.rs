@@ -25,7 +25,7 @@ use super::input::{Input, Origin};
 use super::polygon::Triangulator;
 use super::texture::{self, TextureBudget};
 use super::tokens::Lines;
-use super::{Asset, AssetError, Geometry, Material, Mesh, MeshPart, PointCloud, ReadOptions, tidy};
+use super::{Asset, AssetError, Geometry, Material, Mesh, MeshPart, ReadOptions, tidy};
 
 const INDEX_LISTS: [&str; 2] = ["vertex_indices", "vertex_index"];
 
@@ -246,12 +246,7 @@ impl Parts<'_> {
         }
     }
 
-    fn face(
-        &mut self,
-        element: &Element,
-        index: u64,
-        list: &[i64],
-    ) -> Result<(), AssetError> {
+    fn face(&mut self, element: &Element, index: u64, list: &[i64]) -> Result<(), AssetError> {
         if let [a, b, c] = *list {
             let triangle = [
                 self.vertex(element, index, a)?,
@@ -310,8 +305,7 @@ impl Parts<'_> {
         let mut from = 0;
         for &length in &self.ring_lengths {
             let ring = &self.rings[from..from + length as usize];
-            let place =
-                |vertex: u32| positions.get(vertex as usize).copied().unwrap_or(DVec3::NAN);
+            let place = |vertex: u32| positions.get(vertex as usize).copied().unwrap_or(DVec3::NAN);
             let triangles = &mut self.triangles;
             self.triangulator.cut(ring, place, |corners| {
                 triangles.push(corners.map(|corner| ring[corner as usize]));

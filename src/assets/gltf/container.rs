@@ -1,0 +1,147 @@
+//! The outer shell: GLB chunks, JSON, data URIs.
+
+use ::gltf::json::Root;
+use serde::Deserialize;
+
+use super::super::AssetError;
+
+pub(super) const MAGIC: &[u8] = b"glTF";
+const JSON_CHUNK: u32 = 0x4e4f_534a;
+const BINARY_CHUNK: u32 = 0x004e_4942;
+
+/// The JSON text and, of a GLB, the binary chunk.
+pub(super) fn split<'a>(
+    bytes: &'a [u8],
+    file: &str,
+) -> Result<(&'a [u8], Option<&'a [u8]>), AssetError> {
+    if !bytes.starts_with(MAGIC) {
+        return Ok((bytes, None));
+    }
+    let fail = |reason: String| AssetError::malformed(file, "GLB header", reason);
+    let word =
+        |at: usize| -> Option<u32> { Some(u32::from_le_bytes(*bytes.get(at..)?.first_chunk()?)) };
+    let (Some(version), Some(length)) = (word(4), word(8)) else {
+        return Err(fail("the file ends inside the header".to_owned()));
+    };
+    if version != 2 {
+        let reason = format!("is glTF version {version}; only 2 is offered");
+        return Err(AssetError::unsupported(file, reason));
+    }
+    if u64::from(length) > bytes.len() as u64 {
+        return Err(fail(format!("declares {length} bytes, but the file has {}", bytes.len())));
+    }
+    let (mut json, mut binary) = (None, None);
+    let mut at = 12usize;
+    while at < length as usize {
+        let (Some(size), Some(kind)) = (word(at), word(at + 4)) else {
+            return Err(fail(format!("the chunk at byte {at} has no header")));
+        };
+        let body = bytes.get(at + 8..).and_then(|rest| rest.get(..size as usize));
+        let Some(body) = body else {
+            return Err(fail(format!("the chunk at byte {at} declares {size} bytes, too many")));
+        };
+        match kind {
+            JSON_CHUNK => json = json.or(Some(body)),
+            BINARY_CHUNK => binary = binary.or(Some(body)),
+            _ => {}
+        }
+        at += 8 + size as usize;
+    }
+    let json = json.ok_or_else(|| fail("there is no JSON chunk".to_owned()))?;
+    Ok((json, binary))
+}
+
+/// The document. Structure only; indices are checked where they are followed.
+pub(super) fn parse(json: &[u8], file: &str) -> Result<Root, AssetError> {
+    // Some editors put a byte order mark before text.
+    let json = json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(json);
+    #[derive(Deserialize)]
+    struct Probe {
+        asset: Version,
+    }
+    #[derive(Deserialize)]
+    struct Version {
+        version: String,
+    }
+    if let Ok(probe) = serde_json::from_slice::<Probe>(json)
+        && !probe.asset.version.starts_with("2.")
+    {
+        let reason = format!("is glTF version {}; only 2 is offered", probe.asset.version);
+        return Err(AssetError::unsupported(file, reason));
+    }
+    let mut deserializer = serde_json::Deserializer::from_slice(json);
+    serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
+        let place = match error.path().to_string() {
+            path if path == "." => "JSON".to_owned(),
+            path => path,
+        };
+        AssetError::malformed(file, place, error.inner().to_string())
+    })
+}
+
+/// The bytes of a `data:` URI; `None` when `uri` is something else.
+pub(super) fn data_uri(uri: &str) -> Option<Result<Vec<u8>, String>> {
+    let (head, body) = uri.strip_prefix("data:")?.split_once(',')?;
+    Some(if head.ends_with(";base64") { base64(body) } else { Ok(percent_decoded(body)) })
+}
+
+/// Base 64 (RFC 4648), padded or not.
+fn base64(text: &str) -> Result<Vec<u8>, String> {
+    let text = text.trim_end_matches('=');
+    let mut bytes = Vec::with_capacity(text.len() / 4 * 3 + 2);
+    let (mut bits, mut held) = (0u32, 0);
+    for byte in text.bytes() {
+        let value = match byte {
+            b'A'..=b'Z' => byte - b'A',
+            b'a'..=b'z' => byte - b'a' + 26,
+            b'0'..=b'9' => byte - b'0' + 52,
+            b'+' | b'-' => 62,
+            b'/' | b'_' => 63,
+            b'\r' | b'\n' | b' ' => continue,
+            _ => return Err("its data URI is no base 64".to_owned()),
+        };
+        bits = bits << 6 | u32::from(value);
+        held += 6;
+        if held >= 8 {
+            held -= 8;
+            bytes.push((bits >> held) as u8);
+        }
+    }
+    Ok(bytes)
+}
+
+/// `%20` and its kind undone.
+pub(super) fn percent_decoded(text: &str) -> Vec<u8> {
+    let bytes = text.as_bytes();
+    let mut decoded = Vec::with_capacity(bytes.len());
+    let mut at = 0;
+    while let Some(&byte) = bytes.get(at) {
+        let hex = text.get(at + 1..at + 3).filter(|_| byte == b'%');
+        match hex.and_then(|hex| u8::from_str_radix(hex, 16).ok()) {
+            Some(value) => {
+                decoded.push(value);
+                at += 3;
+            }
+            None => {
+                decoded.push(byte);
+                at += 1;
+            }
+        }
+    }
+    decoded
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn data_uris() {
+        assert_eq!(data_uri("data:a/b;base64,SGFsbG8=").unwrap().unwrap(), b"Hallo");
+        assert_eq!(data_uri("data:;base64,SGFsbG8h").unwrap().unwrap(), b"Hallo!");
+        assert_eq!(data_uri("data:,a%20b%").unwrap().unwrap(), b"a b%");
+        assert!(data_uri("data:;base64,*").unwrap().is_err());
+        assert!(data_uri("x.bin").is_none());
+        assert_eq!(percent_decoded("%C3%A4%zz%"), "ä%zz%".as_bytes());
+    }
+}

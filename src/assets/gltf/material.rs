@@ -1,0 +1,286 @@
+//! Materials and their base textures, made when a primitive first asks for them.
+//!
+//! Metallic–roughness becomes Phong as
+//! `specular = mix(0.04, base, metallic)` and `shininess = 2 / roughness⁴ − 2`, clamped to 1..=512:
+//! the reflectance at normal incidence, and the exponent whose lobe is as wide as a Beckmann
+//! distribution of slope `roughness²` (Walter et al., "Microfacet Models for Refraction", 2007).
+//! Specular–glossiness uses its specular colour and `roughness = 1 − glossiness`. Blending is
+//! drawn as a cut-out.
+
+use std::collections::HashMap;
+
+use ::gltf::json::material::AlphaMode;
+use ::gltf::json::texture::{self as json_texture, MagFilter, WrappingMode};
+use ::gltf::json::validation::Checked;
+use ::gltf::json::{Index, Root, Value, material};
+
+use super::super::input::{Folder, read_bounded};
+use super::super::texture::{self, TextureBudget};
+use super::super::{Filter, Material, ReadOptions, Texture, Wrap};
+use super::buffers::Buffers;
+use super::container::{data_uri, percent_decoded};
+
+/// How a primitive's texture coordinates are to be read for its material.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct TexturePlacement {
+    /// Which `TEXCOORD_n`.
+    pub set: u32,
+    pub offset: [f32; 2],
+    pub rotation: f32,
+    pub scale: [f32; 2],
+}
+
+impl Default for TexturePlacement {
+    fn default() -> Self {
+        Self { set: 0, offset: [0.0; 2], rotation: 0.0, scale: [1.0; 2] }
+    }
+}
+
+pub(super) struct Materials<'a> {
+    root: &'a Root,
+    buffers: &'a Buffers<'a>,
+    folder: Option<&'a Folder>,
+    budget: TextureBudget,
+    known: HashMap<usize, (u32, TexturePlacement)>,
+    /// By image, wrapping and filter; `None` for one that cannot be had.
+    known_textures: HashMap<(usize, [Wrap; 2], Filter), Option<u32>>,
+    pub materials: Vec<Material>,
+    pub textures: Vec<Texture>,
+    pub warnings: Vec<String>,
+}
+
+/// A reference to a texture, from either material model.
+struct Reference {
+    texture: usize,
+    placement: TexturePlacement,
+}
+
+/// What both material models come to.
+struct Surface {
+    base: [f32; 4],
+    texture: Option<Reference>,
+    /// At normal incidence.
+    specular: [f32; 3],
+    roughness: f32,
+}
+
+impl<'a> Materials<'a> {
+    pub fn new(
+        root: &'a Root,
+        buffers: &'a Buffers<'a>,
+        folder: Option<&'a Folder>,
+        options: &ReadOptions,
+    ) -> Self {
+        Self {
+            root,
+            buffers,
+            folder,
+            budget: TextureBudget::new(options.max_texels),
+            known: HashMap::new(),
+            known_textures: HashMap::new(),
+            materials: Vec::new(),
+            textures: Vec::new(),
+            warnings: Vec::new(),
+        }
+    }
+
+    /// The number of a material in the asset and how it places its texture; `None` if the document
+    /// has no such material.
+    pub fn get(&mut self, index: Index<material::Material>) -> Option<(u32, TexturePlacement)> {
+        if let Some(known) = self.known.get(&index.value()) {
+            return Some(*known);
+        }
+        let source = self.root.get(index)?;
+        let name = source.name.clone().unwrap_or_else(|| format!("material {}", index.value()));
+        let surface = specular_glossiness(source).unwrap_or_else(|| metallic_roughness(source));
+        let placement = surface.texture.as_ref().map_or_else(Default::default, |t| t.placement);
+        let texture = surface.texture.and_then(|reference| self.texture(reference.texture));
+        let [r, g, b, a] = surface.base.map(unit);
+        let alpha_cutoff = match source.alpha_mode {
+            Checked::Valid(AlphaMode::Mask) => {
+                Some(source.alpha_cutoff.map_or(0.5, |cutoff| cutoff.0).max(0.0))
+            }
+            Checked::Valid(AlphaMode::Blend) if texture.is_some() => Some(0.5 * a),
+            _ => None,
+        };
+        if matches!(source.alpha_mode, Checked::Valid(AlphaMode::Blend)) {
+            self.warnings.push(format!("material {name}: blending is drawn as a cut-out"));
+        }
+        let unlit = source.extensions.as_ref().is_some_and(|ext| ext.unlit.is_some());
+        self.materials.push(Material {
+            name,
+            base_color: [r, g, b, a],
+            base_texture: texture,
+            specular: surface.specular.map(unit),
+            shininess: shininess(surface.roughness),
+            double_sided: source.double_sided,
+            unlit,
+            alpha_cutoff,
+        });
+        let known = (self.materials.len() as u32 - 1, placement);
+        self.known.insert(index.value(), known);
+        Some(known)
+    }
+
+    /// Decodes a texture, or says why not and returns `None`.
+    fn texture(&mut self, index: usize) -> Option<u32> {
+        let Some(source) = self.root.textures.get(index) else {
+            self.warnings.push(format!("texture {index} does not exist"));
+            return None;
+        };
+        let webp = source
+            .extensions
+            .as_ref()
+            .and_then(|ext| ext.others.get("EXT_texture_webp")?.get("source")?.as_u64());
+        let image = webp.and_then(|image| usize::try_from(image).ok());
+        let image = image.unwrap_or(source.source.value());
+        let sampler = source.sampler.and_then(|sampler| self.root.get(sampler));
+        let (wrap, filter) = sampler.map_or_else(Default::default, sampling);
+        let key = (image, wrap, filter);
+        if let Some(known) = self.known_textures.get(&key) {
+            return *known;
+        }
+        let number = match self.decode(image) {
+            Ok(mut texture) => {
+                texture.wrap = wrap;
+                texture.filter = filter;
+                self.textures.push(texture);
+                Some(self.textures.len() as u32 - 1)
+            }
+            Err(reason) => {
+                self.warnings.push(reason);
+                None
+            }
+        };
+        self.known_textures.insert(key, number);
+        number
+    }
+
+    fn decode(&mut self, index: usize) -> Result<Texture, String> {
+        let place = format!("image {index}");
+        let Some(source) = self.root.images.get(index) else {
+            return Err(format!("texture {place} is left out: it does not exist"));
+        };
+        let fail = |reason: String| format!("texture {place} is left out: {reason}");
+        let name = source
+            .name
+            .clone()
+            .or_else(|| source.uri.clone().filter(|uri| !uri.starts_with("data:")));
+        let name = name.unwrap_or_else(|| place.clone());
+        let owned;
+        let bytes = match (source.buffer_view, &source.uri) {
+            (Some(view), _) => self.buffers.view(view).map_err(|error| fail(error.to_string()))?,
+            (None, Some(uri)) => {
+                owned = self.external(uri).map_err(fail)?;
+                owned.as_slice()
+            }
+            (None, None) => return Err(fail("it has neither bufferView nor uri".to_owned())),
+        };
+        texture::decode(bytes, &name, &mut self.budget)
+    }
+
+    fn external(&self, uri: &str) -> Result<Vec<u8>, String> {
+        if let Some(bytes) = data_uri(uri) {
+            return bytes;
+        }
+        let name = String::from_utf8(percent_decoded(uri)).map_err(|_| "its uri is no text")?;
+        let folder = self.folder.ok_or("the asset lies in no folder")?;
+        let path = folder.resolve(&name).map_err(|reason| format!("{name} {reason}"))?;
+        read_bounded(&path, self.budget.max_encoded_bytes())
+    }
+}
+
+fn unit(value: f32) -> f32 {
+    if value.is_finite() { value.clamp(0.0, 1.0) } else { 1.0 }
+}
+
+/// The Phong exponent for a roughness.
+pub(super) fn shininess(roughness: f32) -> f32 {
+    let squared = f64::from(unit(roughness)).powi(2).max(1e-6);
+    (2.0 / (squared * squared) - 2.0).clamp(1.0, 512.0) as f32
+}
+
+fn metallic_roughness(source: &material::Material) -> Surface {
+    let model = &source.pbr_metallic_roughness;
+    let base = model.base_color_factor.0;
+    let metallic = unit(model.metallic_factor.0);
+    // KHR_materials_specular scales what a dielectric reflects.
+    let extension = source.extensions.as_ref().and_then(|ext| ext.specular.as_ref());
+    let (strength, tint) = extension
+        .map_or((1.0, [1.0; 3]), |s| (unit(s.specular_factor.0), s.specular_color_factor.0));
+    let mut specular = [0.0; 3];
+    for channel in 0..3 {
+        let dielectric = (0.04 * tint[channel]).min(1.0) * strength;
+        specular[channel] = dielectric + (unit(base[channel]) - dielectric) * metallic;
+    }
+    Surface {
+        base,
+        texture: model
+            .base_color_texture
+            .as_ref()
+            .map(|info| Reference { texture: info.index.value(), placement: placement(info) }),
+        specular,
+        roughness: model.roughness_factor.0,
+    }
+}
+
+fn placement(info: &json_texture::Info) -> TexturePlacement {
+    let mut placement = TexturePlacement { set: info.tex_coord, ..TexturePlacement::default() };
+    let transform = info.extensions.as_ref().and_then(|ext| ext.texture_transform.as_ref());
+    if let Some(transform) = transform {
+        placement.set = transform.tex_coord.unwrap_or(placement.set);
+        placement.offset = transform.offset.0;
+        placement.rotation = transform.rotation.0;
+        placement.scale = transform.scale.0;
+    }
+    placement
+}
+
+/// KHR_materials_pbrSpecularGlossiness, which the `gltf` crate leaves as JSON.
+fn specular_glossiness(source: &material::Material) -> Option<Surface> {
+    let extensions = source.extensions.as_ref()?;
+    let model = extensions.others.get("KHR_materials_pbrSpecularGlossiness")?;
+    let number = |value: &Value| value.as_f64().map(|value| value as f32);
+    let numbers = |value: Option<&Value>| -> Option<Vec<f32>> {
+        value?.as_array()?.iter().map(number).collect()
+    };
+    let base = numbers(model.get("diffuseFactor")).and_then(|base| base.try_into().ok());
+    let specular = numbers(model.get("specularFactor")).and_then(|s| s.try_into().ok());
+    let glossiness = model.get("glossinessFactor").and_then(number).unwrap_or(1.0);
+    let texture = model.get("diffuseTexture").and_then(|info| {
+        let info = serde_json::from_value::<json_texture::Info>(info.clone()).ok()?;
+        Some(Reference { texture: info.index.value(), placement: placement(&info) })
+    });
+    Some(Surface {
+        base: base.unwrap_or([1.0; 4]),
+        texture,
+        specular: specular.unwrap_or([1.0; 3]),
+        roughness: 1.0 - unit(glossiness),
+    })
+}
+
+fn sampling(sampler: &json_texture::Sampler) -> ([Wrap; 2], Filter) {
+    let wrap = |mode: Checked<WrappingMode>| match mode {
+        Checked::Valid(WrappingMode::ClampToEdge) => Wrap::Clamp,
+        Checked::Valid(WrappingMode::MirroredRepeat) => Wrap::Mirror,
+        _ => Wrap::Repeat,
+    };
+    let filter = match sampler.mag_filter {
+        Some(Checked::Valid(MagFilter::Nearest)) => Filter::Nearest,
+        _ => Filter::Linear,
+    };
+    ([wrap(sampler.wrap_s), wrap(sampler.wrap_t)], filter)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exponents_follow_roughness() {
+        assert_eq!(shininess(1.0), 1.0);
+        assert_eq!(shininess(0.0), 512.0);
+        assert!((shininess(0.5) - 30.0).abs() < 1e-3);
+        assert!(shininess(f32::NAN) == 1.0);
+    }
+}

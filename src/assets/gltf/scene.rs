@@ -1,0 +1,189 @@
+//! The node hierarchy to placements and cameras.
+
+use ::gltf::json::accessor::Type;
+use ::gltf::json::validation::Checked;
+use ::gltf::json::{Index, Node, Root, camera, scene};
+use glam::{DAffine3, DMat4, DQuat, DVec3, Vec3};
+
+use super::super::{AssetError, Placement};
+use super::buffers::Buffers;
+use super::material::Materials;
+use super::primitive::Primitives;
+use crate::math::Camera;
+
+/// Vertices that a placement counts for.
+const PLACEMENT_COST: u64 = 4;
+
+#[derive(Default)]
+pub(super) struct Drawn {
+    pub placements: Vec<Placement>,
+    pub cameras: Vec<(String, Camera)>,
+    pub lights: usize,
+    pub orthographic: usize,
+}
+
+/// Walks the default scene; without one the first; without any, from all roots.
+pub(super) fn walk(
+    root: &Root,
+    buffers: &Buffers,
+    file: &str,
+    primitives: &mut Primitives,
+    materials: &mut Materials,
+) -> Result<Drawn, AssetError> {
+    let fail =
+        |node: usize, reason: &str| AssetError::malformed(file, format!("nodes[{node}]"), reason);
+    let mut drawn = Drawn::default();
+    let mut visited = vec![false; root.nodes.len()];
+    let mut stack: Vec<(usize, DAffine3)> =
+        roots(root, file)?.into_iter().rev().map(|node| (node, DAffine3::IDENTITY)).collect();
+    while let Some((index, asset_from_parent)) = stack.pop() {
+        let Some(node) = root.nodes.get(index) else {
+            return Err(fail(index, "does not exist"));
+        };
+        if std::mem::replace(&mut visited[index], true) {
+            return Err(fail(index, "has two parents or is its own ancestor"));
+        }
+        let asset_from_node = asset_from_parent * parent_from_node(node);
+        if !asset_from_node.is_finite() {
+            return Err(fail(index, "its transform is not finite"));
+        }
+        drawn.node(root, node, index, asset_from_node);
+        if let Some(mesh) = node.mesh {
+            let geometries = primitives.get(mesh, materials)?;
+            let mesh_name = root.get(mesh).and_then(|mesh| mesh.name.clone());
+            let name = node.name.clone().or(mesh_name).unwrap_or_else(|| format!("node {index}"));
+            for local in instances(node, index, buffers, file)? {
+                buffers.keep(
+                    &format!("nodes[{index}]"),
+                    PLACEMENT_COST.saturating_mul(geometries.len() as u64),
+                )?;
+                drawn.placements.extend(geometries.iter().map(|&geometry| Placement {
+                    name: name.clone(),
+                    geometry,
+                    asset_from_geometry: asset_from_node * local,
+                }));
+            }
+        }
+        for child in node.children.iter().flatten().rev() {
+            stack.push((child.value(), asset_from_node));
+        }
+    }
+    Ok(drawn)
+}
+
+fn roots(root: &Root, file: &str) -> Result<Vec<usize>, AssetError> {
+    let chosen: Option<Index<scene::Scene>> =
+        root.scene.or((!root.scenes.is_empty()).then(|| Index::new(0)));
+    if let Some(index) = chosen {
+        let place = format!("scenes[{}]", index.value());
+        let scene =
+            root.get(index).ok_or_else(|| AssetError::malformed(file, place, "does not exist"))?;
+        return Ok(scene.nodes.iter().map(Index::value).collect());
+    }
+    let mut is_child = vec![false; root.nodes.len()];
+    for child in root.nodes.iter().flat_map(|node| node.children.iter().flatten()) {
+        if let Some(flag) = is_child.get_mut(child.value()) {
+            *flag = true;
+        }
+    }
+    Ok((0..root.nodes.len()).filter(|node| !is_child[*node]).collect())
+}
+
+fn parent_from_node(node: &Node) -> DAffine3 {
+    if let Some(matrix) = node.matrix {
+        return DAffine3::from_mat4(DMat4::from_cols_array(&matrix.map(f64::from)));
+    }
+    let translation = node.translation.map_or(DVec3::ZERO, |t| Vec3::from_array(t).as_dvec3());
+    let scale = node.scale.map_or(DVec3::ONE, |s| Vec3::from_array(s).as_dvec3());
+    let rotation = node.rotation.map_or(DQuat::IDENTITY, |q| quaternion(q.0));
+    DAffine3::from_scale_rotation_translation(scale, rotation, translation)
+}
+
+fn quaternion(xyzw: [f32; 4]) -> DQuat {
+    let rotation = DQuat::from_array(xyzw.map(f64::from));
+    let length = rotation.length();
+    if length > 0.0 && length.is_finite() { rotation / length } else { DQuat::IDENTITY }
+}
+
+/// The node's own copies: one, or those that EXT_mesh_gpu_instancing lists.
+fn instances(
+    node: &Node,
+    index: usize,
+    buffers: &Buffers,
+    file: &str,
+) -> Result<Vec<DAffine3>, AssetError> {
+    let place = || format!("nodes[{index}].extensions.EXT_mesh_gpu_instancing");
+    let fail = |reason: String| AssetError::malformed(file, place(), reason);
+    let attributes = node
+        .extensions
+        .as_ref()
+        .and_then(|ext| ext.others.get("EXT_mesh_gpu_instancing")?.get("attributes"));
+    let Some(attributes) = attributes else { return Ok(vec![DAffine3::IDENTITY]) };
+    let mut count = None;
+    let mut read = |name: &str, kind: Type| -> Result<Option<Vec<f32>>, AssetError> {
+        let Some(value) = attributes.get(name) else { return Ok(None) };
+        let accessor = value.as_u64().and_then(|value| u32::try_from(value).ok());
+        let accessor = accessor.ok_or_else(|| fail(format!("{name} is no index")))?;
+        let (values, components) = buffers.floats(Index::new(accessor), &[kind])?;
+        let items = values.len() / components;
+        if *count.get_or_insert(items) != items {
+            return Err(fail(format!("{name} has another number of items")));
+        }
+        Ok(Some(values))
+    };
+    let translations = read("TRANSLATION", Type::Vec3)?;
+    let rotations = read("ROTATION", Type::Vec4)?;
+    let scales = read("SCALE", Type::Vec3)?;
+    let vector = |values: &Option<Vec<f32>>, at: usize, default: DVec3| {
+        let chunk = values.as_ref().and_then(|values| values.as_chunks::<3>().0.get(at));
+        chunk.map_or(default, |v| Vec3::from_array(*v).as_dvec3())
+    };
+    (0..count.unwrap_or(1))
+        .map(|at| {
+            let turn = rotations.as_ref().and_then(|values| values.as_chunks::<4>().0.get(at));
+            let local = DAffine3::from_scale_rotation_translation(
+                vector(&scales, at, DVec3::ONE),
+                turn.map_or(DQuat::IDENTITY, |q| quaternion(*q)),
+                vector(&translations, at, DVec3::ZERO),
+            );
+            if local.is_finite() {
+                Ok(local)
+            } else {
+                Err(fail(format!("instance {at} is not finite")))
+            }
+        })
+        .collect()
+}
+
+impl Drawn {
+    /// Cameras and lights of a node.
+    fn node(&mut self, root: &Root, node: &Node, index: usize, asset_from_node: DAffine3) {
+        if node.extensions.as_ref().is_some_and(|ext| ext.khr_lights_punctual.is_some()) {
+            self.lights += 1;
+        }
+        let Some(source) = node.camera.and_then(|camera| root.get(camera)) else { return };
+        let perspective = match (&source.type_, &source.perspective) {
+            (Checked::Valid(camera::Type::Perspective), Some(perspective)) => perspective,
+            _ => {
+                self.orthographic += 1;
+                return;
+            }
+        };
+        let name = source.name.clone().or_else(|| node.name.clone());
+        let name = name.unwrap_or_else(|| format!("camera {index}"));
+        let taken = |name: &str| self.cameras.iter().any(|(known, _)| known == name);
+        let name = if taken(&name) { format!("{name} ({index})") } else { name };
+        let forward = asset_from_node.transform_vector3(DVec3::NEG_Z).normalize_or(DVec3::NEG_Z);
+        let camera = Camera {
+            eye: asset_from_node.translation,
+            target: asset_from_node.translation + forward,
+            up: asset_from_node.transform_vector3(DVec3::Y).normalize_or(DVec3::Y),
+            fov_deg: f64::from(perspective.yfov).to_degrees(),
+        };
+        if camera.fov_deg > 0.0 && camera.fov_deg < 180.0 {
+            self.cameras.push((name, camera));
+        } else {
+            self.orthographic += 1;
+        }
+    }
+}

@@ -1,0 +1,489 @@
+use glam::{DVec3, Vec2, Vec3};
+use proptest::prelude::*;
+use serde_json::{Value, json};
+
+use super::super::{Filter, Geometry, Mesh, PointCloud, Wrap, texture};
+use super::*;
+
+/// A document under construction: JSON and one buffer.
+struct Document {
+    json: Value,
+    buffer: Vec<u8>,
+}
+
+impl Document {
+    fn new() -> Self {
+        let json = json!({ "asset": { "version": "2.0" }, "accessors": [], "bufferViews": [],
+            "meshes": [], "nodes": [], "materials": [] });
+        Self { json, buffer: Vec::new() }
+    }
+
+    fn push(&mut self, list: &str, value: Value) -> usize {
+        let entry = &mut self.json[list];
+        if entry.is_null() {
+            *entry = json!([]);
+        }
+        let list = entry.as_array_mut().unwrap();
+        list.push(value);
+        list.len() - 1
+    }
+
+    fn view(&mut self, bytes: &[u8]) -> usize {
+        while !self.buffer.len().is_multiple_of(4) {
+            self.buffer.push(0);
+        }
+        let offset = self.buffer.len();
+        self.buffer.extend(bytes);
+        self.push(
+            "bufferViews",
+            json!({ "buffer": 0, "byteOffset": offset, "byteLength": bytes.len() }),
+        )
+    }
+
+    fn accessor(&mut self, bytes: &[u8], kind: &str, component: u32, count: usize) -> usize {
+        let view = self.view(bytes);
+        self.push(
+            "accessors",
+            json!({ "bufferView": view, "componentType": component, "type": kind, "count": count }),
+        )
+    }
+
+    fn floats(&mut self, values: &[f32], kind: &str) -> usize {
+        let components = match kind {
+            "VEC2" => 2,
+            "VEC4" => 4,
+            _ => 3,
+        };
+        let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        self.accessor(&bytes, kind, 5126, values.len() / components)
+    }
+
+    /// A square's corners.
+    fn square(&mut self) -> usize {
+        self.floats(&[0., 0., 0., 1., 0., 0., 1., 1., 0., 0., 1., 0.], "VEC3")
+    }
+
+    fn mesh(&mut self, primitive: Value) -> usize {
+        self.push("meshes", json!({ "primitives": [primitive] }))
+    }
+
+    fn node(&mut self, node: Value) -> usize {
+        self.push("nodes", node)
+    }
+
+    fn glb(&self) -> Vec<u8> {
+        let mut root = self.json.clone();
+        root["buffers"] = json!([{ "byteLength": self.buffer.len() }]);
+        let mut text = serde_json::to_vec(&root).unwrap();
+        text.resize(text.len().next_multiple_of(4), b' ');
+        let mut binary = self.buffer.clone();
+        binary.resize(binary.len().next_multiple_of(4), 0);
+        let total = 12 + 8 + text.len() + 8 + binary.len();
+        let mut bytes = b"glTF".to_vec();
+        for word in [2, total as u32, text.len() as u32, 0x4e4f_534a] {
+            bytes.extend(word.to_le_bytes());
+        }
+        bytes.extend(text);
+        bytes.extend((binary.len() as u32).to_le_bytes());
+        bytes.extend(b"BIN\0");
+        bytes.extend(binary);
+        bytes
+    }
+
+    fn read(&self) -> Result<Asset, AssetError> {
+        read_bytes(self.glb())
+    }
+}
+
+fn read_bytes(bytes: Vec<u8>) -> Result<Asset, AssetError> {
+    read_from(Input::from_bytes(bytes, "a.glb"), &ReadOptions::default())
+}
+
+fn mesh(asset: &Asset, at: usize) -> &Mesh {
+    match &asset.geometries[at] {
+        Geometry::Mesh(mesh) => mesh,
+        Geometry::Points(_) => panic!("points"),
+    }
+}
+
+/// A square drawn once by a root node.
+fn square() -> Document {
+    let mut document = Document::new();
+    let position = document.square();
+    let indices = document.accessor(&[0, 1, 2, 0, 2, 3], "SCALAR", 5121, 6);
+    document.mesh(json!({ "attributes": { "POSITION": position }, "indices": indices }));
+    document.node(json!({ "mesh": 0, "name": "thing" }));
+    document
+}
+
+fn close(found: DVec3, expected: [f64; 3]) -> bool {
+    (found - DVec3::from_array(expected)).length() < 1e-6
+}
+
+#[test]
+fn transforms_chain_in_f64() {
+    let mut document = square();
+    let half = std::f32::consts::FRAC_1_SQRT_2;
+    document.node(json!({ "translation": [10, 0, 0], "children": [2] }));
+    document.node(json!({ "rotation": [0, 0, half, half], "scale": [2, 2, 2], "mesh": 0 }));
+    let asset = document.read().unwrap();
+    assert_eq!((asset.geometries.len(), asset.placements.len()), (1, 2));
+    assert_eq!(asset.placements[0].name, "thing");
+    let turned = asset.placements[1].asset_from_geometry;
+    assert!(close(turned.transform_point3(DVec3::X), [10.0, 2.0, 0.0]));
+    assert_eq!(asset.format, "glb");
+    assert!(asset.warnings.is_empty(), "{:?}", asset.warnings);
+}
+
+#[test]
+fn only_the_default_scene_is_drawn() {
+    let mut document = square();
+    let node = document.node(json!({ "mesh": 0, "matrix": [1,0,0,0, 0,1,0,0, 0,0,1,0, 5,6,7,1] }));
+    document.json["scenes"] = json!([{ "nodes": [0] }, { "nodes": [node] }]);
+    document.json["scene"] = json!(1);
+    let asset = document.read().unwrap();
+    assert_eq!(asset.placements.len(), 1);
+    assert!(close(asset.placements[0].asset_from_geometry.translation, [5.0, 6.0, 7.0]));
+}
+
+#[test]
+fn cycles_and_double_parents_are_refused() {
+    let mut document = square();
+    document.json["nodes"] = json!([{ "children": [1] }, { "children": [0], "mesh": 0 }]);
+    document.json["scenes"] = json!([{ "nodes": [0] }]);
+    let error = document.read().unwrap_err().to_string();
+    assert!(error.starts_with("a.glb: nodes[0]: has two parents"), "{error}");
+    document.json["nodes"] = json!([{ "children": [1, 1] }, { "mesh": 0 }]);
+    assert!(document.read().is_err());
+}
+
+#[test]
+fn strips_fans_points_and_lines() {
+    let mut document = Document::new();
+    let position = document.square();
+    let primitive = |mode: u32| json!({ "attributes": { "POSITION": position }, "mode": mode });
+    let primitives = json!([primitive(5), primitive(6), primitive(0), primitive(1)]);
+    document.push("meshes", json!({ "primitives": primitives }));
+    document.node(json!({ "mesh": 0 }));
+    let asset = document.read().unwrap();
+    assert_eq!(mesh(&asset, 0).triangles, [[0, 1, 2], [2, 1, 3]]);
+    assert_eq!(mesh(&asset, 1).triangles, [[0, 1, 2], [0, 2, 3]]);
+    assert!(matches!(&asset.geometries[2], Geometry::Points(PointCloud { positions, .. })
+        if positions.len() == 4));
+    assert_eq!((asset.geometries.len(), asset.warnings.len()), (3, 1));
+}
+
+#[test]
+fn sparse_and_normalised_accessors() {
+    let mut document = square();
+    let at = document.view(&2u16.to_le_bytes());
+    let new: Vec<u8> = [9f32, 8., 7.].iter().flat_map(|v| v.to_le_bytes()).collect();
+    let new = document.view(&new);
+    document.json["accessors"][0]["sparse"] = json!({ "count": 1,
+        "indices": { "bufferView": at, "componentType": 5123 }, "values": { "bufferView": new } });
+    let color = document.accessor(&[255, 0, 128, 0, 64, 255], "VEC3", 5121, 2);
+    document.json["accessors"][color]["normalized"] = json!(true);
+    document.json["accessors"][color]["count"] = json!(4);
+    document.json["accessors"][color]["bufferView"] = json!(null);
+    document.json["accessors"][color]["sparse"] = json!({ "count": 2,
+        "indices": { "bufferView": document.view(&[0, 3]), "componentType": 5121 },
+        "values": { "bufferView": color + 2 } });
+    document.json["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = json!(color);
+    let asset = document.read().unwrap();
+    assert_eq!(mesh(&asset, 0).positions[2], DVec3::new(9.0, 8.0, 7.0));
+    let colors = mesh(&asset, 0).colors.as_ref().unwrap();
+    // Linear 128 and 64 are sRGB 188 and 137.
+    assert_eq!(*colors, [[255, 0, 188, 255], [0, 0, 0, 255], [0, 0, 0, 255], [0, 137, 255, 255]]);
+}
+
+#[test]
+fn strides_and_shared_accessors() {
+    let mut document = Document::new();
+    let mut bytes = Vec::new();
+    for at in 0..5u32 {
+        for value in [at as f32, (at * at) as f32, 0.0, 99.0] {
+            bytes.extend(f32::to_le_bytes(value));
+        }
+    }
+    let position = document.accessor(&bytes, "VEC3", 5126, 5);
+    document.json["bufferViews"][0]["byteStride"] = json!(16);
+    let indices = document.accessor(&[4, 2, 3], "SCALAR", 5121, 3);
+    document.mesh(json!({ "attributes": { "POSITION": position }, "indices": indices }));
+    document.node(json!({ "mesh": 0 }));
+    let asset = document.read().unwrap();
+    assert_eq!(mesh(&asset, 0).positions.len(), 3);
+    assert_eq!(mesh(&asset, 0).triangles, [[2, 0, 1]]);
+    assert_eq!(mesh(&asset, 0).positions[2], DVec3::new(4.0, 16.0, 0.0));
+}
+
+#[test]
+fn neighbours_share_what_they_read() {
+    let mut document = Document::new();
+    let position = document.square();
+    let primitives: Vec<Value> = [[0, 1, 2], [0, 2, 3], [3, 1, 0]]
+        .iter()
+        .map(|corners| {
+            let indices = document.accessor(corners, "SCALAR", 5121, 3);
+            json!({ "attributes": { "POSITION": position }, "indices": indices })
+        })
+        .collect();
+    document.push("meshes", json!({ "primitives": primitives }));
+    document.node(json!({ "mesh": 0 }));
+    let asset = document.read().unwrap();
+    assert_eq!(mesh(&asset, 1).positions, [DVec3::ZERO, DVec3::new(1.0, 1.0, 0.0), DVec3::Y]);
+    assert_eq!(mesh(&asset, 2).triangles, [[2, 1, 0]]);
+    assert_eq!(mesh(&asset, 2).positions, [DVec3::ZERO, DVec3::X, DVec3::Y]);
+}
+
+#[test]
+fn repetition_is_bounded() {
+    let mut document = square();
+    let primitive = document.json["meshes"][0]["primitives"][0].clone();
+    let indices = document.accessor(&[0; 3 << 16], "SCALAR", 5121, 3 << 16);
+    let mut repeated = primitive.clone();
+    repeated["indices"] = json!(indices);
+    document.json["meshes"][0]["primitives"] = json!(vec![repeated; 1000]);
+    let error = document.read().unwrap_err().to_string();
+    assert!(error.contains("multiplies its buffers' data"), "{error}");
+}
+
+#[test]
+fn normals_are_scaled_and_zero_ones_unknown() {
+    let mut document = square();
+    let normal = document.floats(&[0., 0., 2., 0., 0., 0., 0., 3., 4., 1., 0., 0.], "VEC3");
+    document.json["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = json!(normal);
+    let asset = document.read().unwrap();
+    let normals = mesh(&asset, 0).normals.as_ref().unwrap();
+    assert_eq!(*normals, [Vec3::Z, Vec3::ZERO, Vec3::new(0.0, 0.6, 0.8), Vec3::X]);
+    document.json["accessors"][normal]["count"] = json!(3);
+    let asset = document.read().unwrap();
+    assert!(mesh(&asset, 0).normals.is_none() && asset.warnings.len() == 1);
+}
+
+/// A square with a texture of two by two texels and two sets of coordinates.
+fn textured() -> Document {
+    let mut document = square();
+    let first = document.floats(&[0.5; 8], "VEC2");
+    let second = document.floats(&[0., 0., 1., 0., 1., 1., 0., 1.], "VEC2");
+    let attributes = &mut document.json["meshes"][0]["primitives"][0]["attributes"];
+    attributes["TEXCOORD_0"] = json!(first);
+    attributes["TEXCOORD_1"] = json!(second);
+    document.json["meshes"][0]["primitives"][0]["material"] = json!(0);
+    let view = document.view(&texture::tests::png(2, &[[1, 2, 3, 255]; 4]));
+    document.json["images"] = json!([{ "bufferView": view, "mimeType": "image/png" }]);
+    document.json["samplers"] = json!([{ "wrapS": 33071, "wrapT": 33648, "magFilter": 9728 }]);
+    document.json["textures"] = json!([{ "source": 0, "sampler": 0 }]);
+    document.push(
+        "materials",
+        json!({ "name": "paint", "alphaMode": "MASK", "alphaCutoff": 0.25, "doubleSided": true,
+            "extensions": { "KHR_materials_unlit": {} },
+            "pbrMetallicRoughness": { "baseColorFactor": [1, 0.5, 0, 1], "metallicFactor": 0.5,
+                "roughnessFactor": 0.5, "baseColorTexture": { "index": 0, "texCoord": 1,
+                    "extensions": { "KHR_texture_transform": { "offset": [0.25, 0.5],
+                        "rotation": std::f32::consts::FRAC_PI_2, "scale": [2, 3] } } } } }),
+    );
+    document
+}
+
+#[test]
+fn materials_textures_samplers_and_transforms() {
+    let asset = textured().read().unwrap();
+    let material = &asset.materials[0];
+    assert_eq!((material.name.as_str(), material.base_texture), ("paint", Some(0)));
+    assert_eq!(material.base_color, [1.0, 0.5, 0.0, 1.0]);
+    assert!(material.unlit && material.double_sided && material.alpha_cutoff == Some(0.25));
+    assert!((material.shininess - 30.0).abs() < 1e-3);
+    for (found, expected) in material.specular.iter().zip([0.52, 0.27, 0.02]) {
+        assert!((found - expected).abs() < 1e-6);
+    }
+    let texture = &asset.textures[0];
+    assert_eq!((texture.wrap, texture.filter), ([Wrap::Clamp, Wrap::Mirror], Filter::Nearest));
+    assert_eq!(texture.rgba, [[1, 2, 3, 255]; 4]);
+    // A quarter turn, counter-clockwise with v downwards: u goes to −v, v to u.
+    let uvs = mesh(&asset, 0).uvs.as_ref().unwrap();
+    for (found, expected) in uvs.iter().zip([[0.25, 0.5], [0.25, -1.5], [3.25, -1.5], [3.25, 0.5]])
+    {
+        assert!((*found - Vec2::from_array(expected)).length() < 1e-5, "{found}");
+    }
+    assert_eq!(mesh(&asset, 0).parts[0].material, Some(0));
+}
+
+#[test]
+fn specular_glossiness_is_understood() {
+    let mut document = textured();
+    document.json["materials"] = json!([{ "alphaMode": "BLEND", "extensions": {
+        "KHR_materials_pbrSpecularGlossiness": { "diffuseFactor": [0, 1, 0, 0.5],
+            "specularFactor": [0.1, 0.2, 0.3], "glossinessFactor": 0.5,
+            "diffuseTexture": { "index": 0 } } } }]);
+    document.json["extensionsRequired"] = json!(["KHR_materials_pbrSpecularGlossiness"]);
+    let asset = document.read().unwrap();
+    let material = &asset.materials[0];
+    assert_eq!(material.base_color, [0.0, 1.0, 0.0, 0.5]);
+    assert_eq!((material.specular, material.base_texture), ([0.1, 0.2, 0.3], Some(0)));
+    assert!((material.shininess - 30.0).abs() < 1e-3);
+    assert_eq!(material.alpha_cutoff, Some(0.25));
+    assert_eq!(mesh(&asset, 0).uvs.as_ref().unwrap()[0], Vec2::splat(0.5));
+}
+
+#[test]
+fn webp_and_broken_textures() {
+    let mut document = textured();
+    let mut webp = Vec::new();
+    image_webp::WebPEncoder::new(&mut webp)
+        .encode(&[9, 8, 7], 1, 1, image_webp::ColorType::Rgb8)
+        .unwrap();
+    let view = document.view(&webp);
+    document.push("images", json!({ "bufferView": view, "mimeType": "image/webp" }));
+    document.json["textures"] = json!([{ "extensions": { "EXT_texture_webp": { "source": 1 } } }]);
+    assert_eq!(document.read().unwrap().textures[0].rgba, [[9, 8, 7, 255]]);
+    for image in [
+        json!({ "uri": "../x.png" }),
+        json!({ "uri": "data:image/png;base64,AAAA" }),
+        json!({ "bufferView": 99 }),
+        json!({}),
+    ] {
+        document.json["images"][1] = image;
+        let asset = document.read().unwrap();
+        assert!(asset.textures.is_empty() && asset.materials[0].base_texture.is_none());
+        assert_eq!(asset.warnings.len(), 1);
+    }
+}
+
+#[test]
+fn gpu_instances_become_placements() {
+    let mut document = square();
+    let translation = document.floats(&[1., 0., 0., 2., 0., 0., 3., 0., 0.], "VEC3");
+    let scale = document.floats(&[1., 1., 1., 2., 2., 2., 3., 3., 3.], "VEC3");
+    document.json["nodes"][0]["translation"] = json!([0, 5, 0]);
+    document.json["nodes"][0]["extensions"] = json!({ "EXT_mesh_gpu_instancing":
+        { "attributes": { "TRANSLATION": translation, "SCALE": scale } } });
+    document.json["extensionsRequired"] = json!(["EXT_mesh_gpu_instancing"]);
+    let asset = document.read().unwrap();
+    assert_eq!((asset.geometries.len(), asset.placements.len()), (1, 3));
+    let last = asset.placements[2].asset_from_geometry;
+    assert!(close(last.transform_point3(DVec3::X), [6.0, 5.0, 0.0]));
+    document.json["accessors"][scale]["count"] = json!(2);
+    assert!(document.read().is_err());
+}
+
+#[test]
+fn cameras_and_lights() {
+    let mut document = square();
+    document.json["cameras"] = json!([
+        { "type": "perspective", "name": "front", "perspective": { "yfov": 1.0, "znear": 0.1 } },
+        { "type": "orthographic",
+          "orthographic": { "xmag": 1, "ymag": 1, "zfar": 2, "znear": 1 } }
+    ]);
+    let half = std::f32::consts::FRAC_1_SQRT_2;
+    document.node(json!({ "camera": 0, "translation": [0, 0, 9], "rotation": [0, half, 0, half] }));
+    document.node(json!({ "camera": 1 }));
+    document.node(json!({ "extensions": { "KHR_lights_punctual": { "light": 0 } } }));
+    let asset = document.read().unwrap();
+    let [(name, camera)] = &asset.cameras[..] else { panic!("{:?}", asset.cameras) };
+    assert_eq!(name, "front");
+    assert!(close(camera.eye, [0.0, 0.0, 9.0]) && close(camera.target, [-1.0, 0.0, 9.0]));
+    assert!((camera.fov_deg - 57.29578).abs() < 1e-4);
+    assert_eq!(asset.warnings.len(), 2);
+}
+
+#[test]
+fn required_extensions_are_refused_by_name() {
+    let mut document = square();
+    for name in ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "ACME_teapot"] {
+        document.json["extensionsRequired"] = json!([name]);
+        let error = document.read().unwrap_err();
+        assert!(matches!(error, AssetError::Unsupported { .. }));
+        assert!(error.to_string().contains(name), "{error}");
+    }
+}
+
+#[test]
+fn every_index_and_range_is_checked() {
+    let base = textured();
+    for (pointer, value, words) in [
+        ("/nodes/0/mesh", json!(7), "meshes[7]: does not exist"),
+        ("/meshes/0/primitives/0/material", json!(7), "materials[7] does not exist"),
+        ("/meshes/0/primitives/0/indices", json!(70), "accessors[70]: does not exist"),
+        ("/meshes/0/primitives/0/attributes/POSITION", json!(70), "accessors[70]"),
+        ("/meshes/0/primitives/0/mode", json!(9), "mode is unknown"),
+        ("/accessors/0/count", json!(5), "accessors[0]: 5 items at 0 lie outside"),
+        ("/accessors/0/count", json!(u64::MAX), "18446744073709551615"),
+        ("/accessors/0/count", json!(1_000_000_000), "multiplies its buffers' data"),
+        ("/accessors/0/type", json!("VEC2"), "accessors[0]: type must be one of"),
+        ("/accessors/1/componentType", json!(5126), "accessors[1]: indices must be unsigned"),
+        ("/accessors/0/bufferView", json!(99), "bufferViews[99]: does not exist"),
+        ("/bufferViews/0/byteOffset", json!(u64::MAX), "bufferViews[0]"),
+        ("/bufferViews/0/buffer", json!(3), "buffers[3] does not exist"),
+        ("/accessors/1/count", json!("x"), "accessors[1].count"),
+        ("/nodes/0/translation", json!([1e39, 0, 0]), "nodes[0]"),
+    ] {
+        let mut document = Document { json: base.json.clone(), buffer: base.buffer.clone() };
+        let parent = pointer.rsplit_once('/').unwrap();
+        document.json.pointer_mut(parent.0).unwrap()[parent.1] = value;
+        let error = document.read().map(|_| ()).unwrap_err().to_string();
+        assert!(error.starts_with("a.glb: ") && error.contains(words), "{error} / {words}");
+    }
+    let mut document = square();
+    document.buffer[48] = 200;
+    let error = document.read().unwrap_err().to_string();
+    assert!(error.contains("indices, item 0: vertex 200 does not exist"), "{error}");
+}
+
+#[test]
+fn containers_are_checked() {
+    let good = square().glb();
+    for length in [4, 11, 15, 30, good.len() - 1] {
+        assert!(read_bytes(good[..length].to_vec()).is_err(), "{length}");
+    }
+    let mut old = good.clone();
+    old[4] = 1;
+    assert!(matches!(read_bytes(old), Err(AssetError::Unsupported { .. })));
+    let old = br#"{"asset":{"version":"1.0"},"scenes":{}}"#.to_vec();
+    assert!(matches!(read_bytes(old), Err(AssetError::Unsupported { .. })));
+    let empty = br#"{"asset":{"version":"2.0"}}"#.to_vec();
+    assert!(read_bytes(empty).unwrap_err().to_string().contains("draws nothing"));
+}
+
+#[test]
+fn buffers_come_from_files_and_data_uris() {
+    let folder = tempfile::tempdir().unwrap();
+    let inner = folder.path().join("inner");
+    std::fs::create_dir(&inner).unwrap();
+    let mut document = square();
+    let length = document.buffer.len();
+    std::fs::write(inner.join("a b.bin"), &document.buffer).unwrap();
+    std::fs::write(folder.path().join("out.bin"), &document.buffer).unwrap();
+    let path = inner.join("m.gltf");
+    let options = ReadOptions::default();
+    let mut read = |uri: &str, length: usize, options: &ReadOptions| {
+        document.json["buffers"] = json!([{ "uri": uri, "byteLength": length }]);
+        std::fs::write(&path, serde_json::to_vec(&document.json).unwrap()).unwrap();
+        super::read(&path, "m.gltf", options)
+    };
+    assert_eq!(read("a%20b.bin", length, &options).unwrap().format, "gltf");
+    for uri in ["../out.bin", "http://x/a.bin", "gone.bin", "/etc/passwd"] {
+        let error = read(uri, length, &options).unwrap_err().to_string();
+        assert!(error.starts_with("m.gltf: buffers[0]: "), "{error}");
+    }
+    assert!(read("a%20b.bin", length + 1, &options).is_err());
+    let wide = ReadOptions { root: Some(folder.path().to_owned()), ..ReadOptions::default() };
+    assert!(read("../out.bin", length, &wide).is_ok());
+    let plain: String =
+        std::fs::read(inner.join("a b.bin")).unwrap().iter().map(|b| format!("%{b:02x}")).collect();
+    let uri = format!("data:application/octet-stream,{plain}");
+    assert!(read(&uri, length, &options).is_ok());
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(512))]
+    #[test]
+    fn damage_never_panics(at in 0usize..4000, value: u8, cut in 0usize..4000) {
+        let mut bytes = textured().glb();
+        let length = bytes.len();
+        bytes[at % length] = value;
+        if cut % 3 == 0 {
+            bytes.truncate(length - cut % length);
+        }
+        let _ = read_bytes(bytes);
+    }
+}

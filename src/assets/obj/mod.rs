@@ -1,0 +1,292 @@
+//! Reader for Wavefront OBJ with its MTL materials and textures.
+//!
+//! Positions, texture coordinates and normals have indices of their own in OBJ; every combination
+//! that a face uses becomes one vertex. Positions are read in f64, colours behind them (`v x y z r g
+//! b`) are sRGB. Polygons are cut into triangles, which are sorted by material into runs. A file
+//! without faces is a point cloud.
+//!
+//! MTL's `Kd` and `Ks` are what most viewers put on the screen unchanged, so they are taken as sRGB.
+
+mod mtl;
+mod weave;
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use glam::{DVec3, Vec2, Vec3};
+
+use super::input::{Input, Origin};
+use super::tokens::{Lines, Tokens, number, shown};
+use super::{Asset, AssetError, Geometry, PointCloud, ReadOptions, tidy};
+
+/// In a corner: this vertex has no such attribute. In a face: it has no material.
+const NONE: u32 = u32::MAX;
+
+/// Reads the file at `path`, gzipped or not; `name` begins every error.
+///
+/// # Errors
+/// Malformed content (naming line, element and property), indices that lead nowhere, counts over the
+/// limits. Materials and textures that cannot be read are warnings.
+pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, AssetError> {
+    read_from(Input::open(path, name, options)?, options)
+}
+
+/// Reads OBJ from `input`.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetError> {
+    let Input { reader, origin } = input;
+    let mut statements = Statements::new(&origin.name, options);
+    let mut lines = Lines::new(reader, &origin.name);
+    while lines.advance()? {
+        lines.join_continuations()?;
+        statements.line(lines.tokens(), lines.number)?;
+    }
+    statements.finish(&origin, options)
+}
+
+#[derive(Clone, Copy)]
+struct Face {
+    corners: u32,
+    /// Index into [`Statements::material_names`] or [`NONE`].
+    material: u32,
+    line: u32,
+}
+
+/// The file's statements, as they stand.
+struct Statements<'a> {
+    file: &'a str,
+    max_vertices: u64,
+    max_triangles: u64,
+    positions: Vec<DVec3>,
+    /// Empty, or as long as `positions`; white where a vertex has none.
+    colors: Vec<[f32; 4]>,
+    uvs: Vec<Vec2>,
+    normals: Vec<Vec3>,
+    faces: Vec<Face>,
+    /// Position, texture coordinate and normal of every face's corners.
+    corners: Vec<[u32; 3]>,
+    triangles: u64,
+    material_names: Vec<String>,
+    material_numbers: HashMap<String, u32>,
+    material: u32,
+    libraries: Vec<String>,
+    short_faces: u64,
+    lines: u64,
+    unknown: u64,
+}
+
+impl<'a> Statements<'a> {
+    fn new(file: &'a str, options: &ReadOptions) -> Self {
+        Self {
+            file,
+            max_vertices: options.max_vertices.min(u64::from(u32::MAX - 1)),
+            max_triangles: options.max_triangles,
+            positions: Vec::new(),
+            colors: Vec::new(),
+            uvs: Vec::new(),
+            normals: Vec::new(),
+            faces: Vec::new(),
+            corners: Vec::new(),
+            triangles: 0,
+            material_names: Vec::new(),
+            material_numbers: HashMap::new(),
+            material: NONE,
+            libraries: Vec::new(),
+            short_faces: 0,
+            lines: 0,
+            unknown: 0,
+        }
+    }
+
+    fn line(&mut self, mut tokens: Tokens, line: u64) -> Result<(), AssetError> {
+        let Some(keyword) = tokens.next() else { return Ok(()) };
+        let fault = |element: String| {
+            let file = self.file;
+            move |reason: String| {
+                AssetError::malformed(file, format!("{element} (line {line})"), reason)
+            }
+        };
+        match keyword {
+            b"v" => {
+                let fault = fault(format!("vertex {}", self.positions.len()));
+                self.vertex(tokens).map_err(fault)?;
+                let count = self.positions.len() as u64;
+                AssetError::check_limit(self.file, "vertices", count, self.max_vertices)?;
+            }
+            b"vt" => {
+                let fault = fault(format!("texture coordinate {}", self.uvs.len()));
+                let u = coordinate(&mut tokens, "u").map_err(fault)?;
+                // One-dimensional textures have no v.
+                let v = tokens.next().and_then(number).unwrap_or(0.0);
+                self.uvs.push(Vec2::new(u as f32, (1.0 - v) as f32));
+                let count = self.uvs.len() as u64;
+                AssetError::check_limit(self.file, "vertices", count, self.max_vertices)?;
+            }
+            b"vn" => {
+                let fault = fault(format!("normal {}", self.normals.len()));
+                let normal = vector(&mut tokens, ["nx", "ny", "nz"]).map_err(fault)?;
+                self.normals.push(normal.as_vec3());
+                let count = self.normals.len() as u64;
+                AssetError::check_limit(self.file, "vertices", count, self.max_vertices)?;
+            }
+            b"f" | b"fo" => {
+                let fault = fault(format!("face {}", self.faces.len() as u64 + self.short_faces));
+                self.face(tokens, line).map_err(fault)?;
+                AssetError::check_limit(
+                    self.file,
+                    "triangles",
+                    self.triangles,
+                    self.max_triangles,
+                )?;
+            }
+            b"usemtl" => self.material = self.material_number(&tokens.rest()),
+            b"mtllib" => self.libraries.push(tokens.rest()),
+            b"l" => self.lines += 1,
+            b"g" | b"o" | b"s" | b"p" | b"vp" | b"usemap" | b"maplib" | b"lod" | b"end" => {}
+            _ if keyword.starts_with(b"#") => {}
+            _ => self.unknown += 1,
+        }
+        Ok(())
+    }
+
+    fn material_number(&mut self, name: &str) -> u32 {
+        if let Some(&number) = self.material_numbers.get(name) {
+            return number;
+        }
+        let number = self.material_names.len() as u32;
+        self.material_names.push(name.to_owned());
+        self.material_numbers.insert(name.to_owned(), number);
+        number
+    }
+
+    fn vertex(&mut self, mut tokens: Tokens) -> Result<(), String> {
+        let position = vector(&mut tokens, ["x", "y", "z"])?;
+        let mut rest = [0.0f32; 4];
+        let mut count = 0;
+        for token in tokens.by_ref().take(4) {
+            if token.starts_with(b"#") {
+                break;
+            }
+            let value = number(token)
+                .ok_or_else(|| format!("property colour: {} is not a number", shown(token)))?;
+            rest[count] = value as f32;
+            count += 1;
+        }
+        // One value more is a weight, three a colour, four a colour with alpha.
+        if count >= 3 {
+            if self.colors.is_empty() {
+                self.colors.resize(self.positions.len(), [1.0, 1.0, 1.0, f32::NAN]);
+            }
+            let alpha = if count == 4 { rest[3] } else { f32::NAN };
+            self.colors.push([rest[0], rest[1], rest[2], alpha]);
+        } else if !self.colors.is_empty() {
+            self.colors.push([1.0, 1.0, 1.0, f32::NAN]);
+        }
+        self.positions.push(position);
+        Ok(())
+    }
+
+    fn face(&mut self, tokens: Tokens, line: u64) -> Result<(), String> {
+        let from = self.corners.len();
+        for token in tokens {
+            if token.starts_with(b"#") {
+                break;
+            }
+            let corner = self.corner(token)?;
+            self.corners.push(corner);
+        }
+        let count = self.corners.len() - from;
+        if count < 3 {
+            self.corners.truncate(from);
+            self.short_faces += 1;
+            return Ok(());
+        }
+        self.triangles += count as u64 - 2;
+        self.faces.push(Face {
+            corners: count as u32,
+            material: self.material,
+            line: u32::try_from(line).unwrap_or(u32::MAX),
+        });
+        Ok(())
+    }
+
+    /// `v`, `v/t`, `v//n` or `v/t/n`; indices from 1, or from −1 backwards. What is beyond the end
+    /// may still come and is judged at the end.
+    fn corner(&self, token: &[u8]) -> Result<[u32; 3], String> {
+        let counts = [self.positions.len(), self.uvs.len(), self.normals.len()];
+        let mut corner = [NONE; 3];
+        for (at, part) in token.split(|byte| *byte == b'/').enumerate() {
+            if part.is_empty() && at > 0 {
+                continue;
+            }
+            let index = std::str::from_utf8(part).ok().and_then(|text| text.parse::<i64>().ok());
+            let (Some(index), Some(slot)) = (index, corner.get_mut(at)) else {
+                return Err(format!("{} is no corner", shown(token)));
+            };
+            let resolved = match index {
+                1.. => u32::try_from(index - 1).ok().filter(|index| *index != NONE),
+                0 => return Err(format!("{}: indices begin at 1", shown(token))),
+                _ => u32::try_from(counts[at] as i64 + index).ok(),
+            };
+            *slot =
+                resolved.ok_or_else(|| format!("{} leads to nothing before it", shown(token)))?;
+        }
+        Ok(corner)
+    }
+
+    fn finish(self, origin: &Origin, options: &ReadOptions) -> Result<Asset, AssetError> {
+        let mut warnings = Vec::new();
+        for (count, what) in [
+            (self.short_faces, "faces with fewer than three corners are left out"),
+            (self.lines, "line elements are ignored: lines are not offered yet"),
+            (self.unknown, "statements are unknown and ignored"),
+        ] {
+            if count > 0 {
+                warnings.push(format!("{count} {what}"));
+            }
+        }
+        let mut asset = if self.faces.is_empty() {
+            let cloud = self.into_cloud(&mut warnings);
+            let cloud = tidy::finish_cloud(cloud, &origin.name, &mut warnings)?;
+            Asset::single("obj", &origin.name, Geometry::Points(cloud))
+        } else {
+            let (mesh, used) = self.weave(&mut warnings)?;
+            let mesh = tidy::finish_mesh(mesh, &origin.name, &mut warnings)?;
+            let mut asset = Asset::single("obj", &origin.name, Geometry::Mesh(mesh));
+            let library =
+                mtl::read(&self.libraries, &used, origin.folder.as_ref(), options, &mut warnings);
+            asset.materials = library.materials;
+            asset.textures = library.textures;
+            asset
+        };
+        asset.warnings = warnings;
+        Ok(asset)
+    }
+
+    fn into_cloud(self, warnings: &mut Vec<String>) -> PointCloud {
+        let count = self.positions.len();
+        let normals = (self.normals.len() == count).then_some(self.normals);
+        PointCloud {
+            positions: self.positions,
+            colors: (!self.colors.is_empty())
+                .then(|| tidy::colors_from_floats(&self.colors, warnings)),
+            normals: normals.and_then(|normals| tidy::unit_normals(normals, warnings)),
+            ..PointCloud::default()
+        }
+    }
+}
+
+fn coordinate(tokens: &mut Tokens, property: &str) -> Result<f64, String> {
+    let token = tokens.next().ok_or_else(|| format!("property {property} is missing"))?;
+    number(token).ok_or_else(|| format!("property {property}: {} is not a number", shown(token)))
+}
+
+fn vector(tokens: &mut Tokens, properties: [&str; 3]) -> Result<DVec3, String> {
+    let [x, y, z] = properties;
+    Ok(DVec3::new(coordinate(tokens, x)?, coordinate(tokens, y)?, coordinate(tokens, z)?))
+}

@@ -1,0 +1,338 @@
+//! MTL libraries: the materials that faces ask for, and their textures.
+//!
+//! Nothing here refuses an asset: what is missing or broken becomes a warning and a plain material.
+
+use std::collections::HashMap;
+
+use super::super::input::{Folder, read_bounded};
+use super::super::texture::{self, TextureBudget};
+use super::super::tidy::linear_from_srgb;
+use super::super::tokens::{Tokens, number};
+use super::super::{Material, ReadOptions, Texture, Wrap};
+
+const MAX_LIBRARY_BYTES: u64 = 64 << 20;
+/// More libraries than this are no sensible file.
+const MAX_LIBRARIES: usize = 256;
+
+/// What the used materials came to.
+#[derive(Default)]
+pub(super) struct Library {
+    pub materials: Vec<Material>,
+    pub textures: Vec<Texture>,
+}
+
+/// A `newmtl` block.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Definition {
+    diffuse: Option<[f32; 3]>,
+    specular: [f32; 3],
+    exponent: f32,
+    /// `d`.
+    alpha: Option<f32>,
+    /// `Tr`, the opposite.
+    transparency: Option<f32>,
+    /// Illumination model; 0 is unlit, 1 has no highlight.
+    model: Option<u32>,
+    map: Option<Map>,
+    has_alpha_map: bool,
+}
+
+/// `map_Kd` and its options.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Map {
+    file: String,
+    clamp: bool,
+    /// Whether options were given that move or change the image.
+    altered: bool,
+}
+
+/// The materials called `used`, in that order.
+pub(super) fn read(
+    libraries: &[String],
+    used: &[String],
+    folder: Option<&Folder>,
+    options: &ReadOptions,
+    warnings: &mut Vec<String>,
+) -> Library {
+    let definitions = definitions(libraries, folder, warnings);
+    let mut textures = Textures {
+        budget: TextureBudget::new(options.max_texels),
+        known: HashMap::new(),
+        textures: Vec::new(),
+        folder,
+    };
+    let mut library = Library::default();
+    let mut undefined = Vec::new();
+    for name in used {
+        let material = match definitions.get(name) {
+            Some(definition) => definition.material(name, &mut textures, warnings),
+            None => {
+                undefined.push(name.as_str());
+                Material { name: name.clone(), ..Material::default() }
+            }
+        };
+        library.materials.push(material);
+    }
+    if let [first, rest @ ..] = undefined.as_slice() {
+        let more = if rest.is_empty() { String::new() } else { format!(" and {}", rest.len()) };
+        warnings.push(format!("material {first}{more} is not defined and is drawn plain"));
+    }
+    library.textures = textures.textures;
+    library
+}
+
+fn definitions(
+    libraries: &[String],
+    folder: Option<&Folder>,
+    warnings: &mut Vec<String>,
+) -> HashMap<String, Definition> {
+    let mut definitions = HashMap::new();
+    let mut seen = Vec::new();
+    for library in libraries {
+        if seen.contains(&library) {
+            continue;
+        }
+        if seen.len() == MAX_LIBRARIES {
+            warnings.push(format!("material libraries after {MAX_LIBRARIES} are ignored"));
+            break;
+        }
+        seen.push(library);
+        match library_text(library, folder) {
+            Ok(texts) => texts.iter().for_each(|text| parse(text, &mut definitions)),
+            Err(reason) => {
+                warnings.push(format!("material library {library} is left out: {reason}"));
+            }
+        }
+    }
+    definitions
+}
+
+/// The text of one `mtllib` statement: one file whose name may have blanks, or several files.
+fn library_text(statement: &str, folder: Option<&Folder>) -> Result<Vec<Vec<u8>>, String> {
+    let folder = folder.ok_or("the asset lies in no folder")?;
+    let load =
+        |name: &str| folder.find(name).and_then(|path| read_bounded(&path, MAX_LIBRARY_BYTES));
+    load(statement).map(|text| vec![text]).or_else(|reason| {
+        let names: Vec<&str> = statement.split_whitespace().take(16).collect();
+        if names.len() < 2 {
+            return Err(reason);
+        }
+        names.into_iter().map(load).collect()
+    })
+}
+
+/// Adds a library's definitions; the first of a name counts.
+fn parse(text: &[u8], definitions: &mut HashMap<String, Definition>) {
+    let mut current: Option<(String, Definition)> = None;
+    let mut finish = |done: Option<(String, Definition)>| {
+        if let Some((name, definition)) = done {
+            definitions.entry(name).or_insert(definition);
+        }
+    };
+    for line in text.split(|byte| matches!(byte, b'\n' | b'\r')) {
+        let mut tokens = Tokens(line);
+        let keyword = tokens.next().unwrap_or_default();
+        if keyword == b"newmtl" {
+            finish(current.take());
+            current = Some((tokens.rest(), Definition::default()));
+        } else if let Some((_, definition)) = &mut current {
+            definition.statement(keyword, tokens);
+        }
+    }
+    finish(current);
+}
+
+impl Definition {
+    fn statement(&mut self, keyword: &[u8], mut tokens: Tokens) {
+        let first = |mut tokens: Tokens| {
+            tokens.find_map(number).filter(|value| value.is_finite()).map(|value| value as f32)
+        };
+        match keyword.to_ascii_lowercase().as_slice() {
+            b"kd" => self.diffuse = color(tokens),
+            b"ks" => self.specular = color(tokens).unwrap_or_default(),
+            b"ns" => self.exponent = first(tokens).unwrap_or(0.0),
+            b"d" => self.alpha = first(tokens),
+            b"tr" => self.transparency = first(tokens),
+            b"illum" => self.model = first(tokens).map(|model| model as u32),
+            b"map_kd" => self.map = Some(map(&mut tokens)),
+            b"map_d" | b"map_opacity" => self.has_alpha_map = true,
+            _ => {}
+        }
+    }
+
+    fn material(
+        &self,
+        name: &str,
+        textures: &mut Textures,
+        warnings: &mut Vec<String>,
+    ) -> Material {
+        let texture = self.map.as_ref().and_then(|map| textures.load(map, warnings));
+        if self.has_alpha_map {
+            warnings.push(format!("material {name}: its separate alpha map is ignored"));
+        }
+        let mut diffuse = self.diffuse.unwrap_or([1.0; 3]);
+        // Exporters write black under a texture and mean the texture.
+        if texture.is_some() && diffuse == [0.0; 3] {
+            diffuse = [1.0; 3];
+        }
+        // Meshlab writes `Tr 1` for opaque; nobody stores what cannot be seen.
+        let alpha =
+            self.alpha.or(self.transparency.map(|tr| if tr >= 1.0 { 1.0 } else { 1.0 - tr }));
+        let alpha = alpha.unwrap_or(1.0).clamp(0.0, 1.0);
+        let lets_through = texture
+            .and_then(|texture| textures.textures.get(texture as usize))
+            .is_some_and(texture::has_alpha);
+        let [r, g, b] = diffuse.map(linear_from_srgb);
+        // An exponent below 1 is how exporters say that there is no highlight.
+        let shines = self.model.unwrap_or(2) >= 2 && self.exponent >= 1.0;
+        Material {
+            name: name.to_owned(),
+            base_color: [r, g, b, alpha],
+            base_texture: texture,
+            specular: if shines { self.specular.map(linear_from_srgb) } else { [0.0; 3] },
+            shininess: if shines { self.exponent.min(1000.0) } else { 1.0 },
+            unlit: self.model == Some(0),
+            alpha_cutoff: lets_through.then_some(0.5 * alpha),
+            ..Material::default()
+        }
+    }
+}
+
+fn color(tokens: Tokens) -> Option<[f32; 3]> {
+    let values: Vec<f32> = tokens.take(3).map_while(number).map(|value| value as f32).collect();
+    match values.as_slice() {
+        [r, g, b] if values.iter().all(|value| value.is_finite()) => Some([*r, *g, *b]),
+        [grey] if grey.is_finite() => Some([*grey; 3]),
+        _ => None,
+    }
+}
+
+/// Options, then a file name that may have blanks.
+fn map(tokens: &mut Tokens) -> Map {
+    let mut map = Map::default();
+    loop {
+        let mut ahead = tokens.clone();
+        let Some(option) = ahead.next().filter(|token| token.starts_with(b"-")) else { break };
+        let (numbers, words) = match option {
+            b"-o" | b"-s" | b"-t" => (3, 0),
+            b"-mm" => (2, 0),
+            b"-bm" | b"-boost" | b"-texres" => (1, 0),
+            b"-clamp" | b"-blendu" | b"-blendv" | b"-cc" | b"-imfchan" | b"-type" => (0, 1),
+            _ => break,
+        };
+        map.altered |= matches!(option, b"-o" | b"-s" | b"-t" | b"-mm");
+        for _ in 0..numbers {
+            let mut next = ahead.clone();
+            if next.next().and_then(number).is_some() {
+                ahead = next;
+            }
+        }
+        for _ in 0..words {
+            let word = ahead.next().unwrap_or_default();
+            map.clamp |= option == b"-clamp" && word == b"on";
+        }
+        *tokens = ahead;
+    }
+    map.file = tokens.rest();
+    map
+}
+
+/// Textures that were asked for so far, each decoded once.
+struct Textures<'a> {
+    budget: TextureBudget,
+    /// By file and clamping; `None` for one that cannot be had.
+    known: HashMap<(String, bool), Option<u32>>,
+    textures: Vec<Texture>,
+    folder: Option<&'a Folder>,
+}
+
+impl Textures<'_> {
+    fn load(&mut self, map: &Map, warnings: &mut Vec<String>) -> Option<u32> {
+        let key = (map.file.clone(), map.clamp);
+        if let Some(known) = self.known.get(&key) {
+            return *known;
+        }
+        if map.altered {
+            warnings.push(format!("texture {}: its placement options are ignored", map.file));
+        }
+        let number = match texture::load(&map.file, self.folder, &mut self.budget) {
+            Ok(mut texture) => {
+                if map.clamp {
+                    texture.wrap = [Wrap::Clamp; 2];
+                }
+                self.textures.push(texture);
+                Some(self.textures.len() as u32 - 1)
+            }
+            Err(reason) => {
+                warnings.push(reason);
+                None
+            }
+        };
+        self.known.insert(key, number);
+        number
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn one(text: &str) -> Definition {
+        let mut definitions = HashMap::new();
+        parse(format!("newmtl a b\n{text}").as_bytes(), &mut definitions);
+        definitions.remove("a b").unwrap()
+    }
+
+    #[test]
+    fn map_options_end_where_the_name_begins() {
+        for (text, file, clamp, altered) in [
+            ("map_Kd a b.png", "a b.png", false, false),
+            ("map_Kd -s 1 1 1 -o 0.5 2 name.png", "name.png", false, true),
+            ("map_Kd -clamp on -bm 0.3 1.png", "1.png", true, false),
+            ("map_Kd -blendu off -mm 0 1 x y.jpg ", "x y.jpg", false, true),
+            ("map_kd -unknown.png", "-unknown.png", false, false),
+            ("map_Kd", "", false, false),
+        ] {
+            let map = one(text).map.unwrap();
+            assert_eq!((map.file.as_str(), map.clamp, map.altered), (file, clamp, altered));
+        }
+    }
+
+    fn material(text: &str) -> Material {
+        let mut textures = Textures {
+            budget: TextureBudget::new(0),
+            known: HashMap::new(),
+            textures: Vec::new(),
+            folder: None,
+        };
+        one(text).material("m", &mut textures, &mut Vec::new())
+    }
+
+    #[test]
+    fn highlights_need_an_exponent_and_a_model() {
+        let shiny = material("Ks 1 1 1\nNs 40\nillum 2\nKd 1 0 0");
+        assert_eq!((shiny.specular, shiny.shininess), ([1.0; 3], 40.0));
+        assert_eq!(shiny.base_color, [1.0, 0.0, 0.0, 1.0]);
+        for dull in ["Ks 1 1 1\nNs 0\nillum 2", "Ks 1 1 1\nNs 40\nillum 1", "Ks 1 1 1"] {
+            assert_eq!(material(dull).specular, [0.0; 3], "{dull}");
+        }
+        assert!(material("illum 0").unlit);
+    }
+
+    #[test]
+    fn alpha_has_two_spellings() {
+        assert_eq!(material("d 0.25\nTr 0.1").base_color[3], 0.25);
+        assert_eq!(material("Tr 0.25").base_color[3], 0.75);
+        assert_eq!(material("Tr 1.0").base_color[3], 1.0);
+        assert_eq!(material("d -halo 0.5").base_color[3], 0.5);
+        assert_eq!(material("d nan").base_color[3], 1.0);
+    }
+
+    #[test]
+    fn the_first_definition_counts() {
+        let mut definitions = HashMap::new();
+        parse(b"Kd 9 9 9\nnewmtl a\nKd 1 0 0\r\nnewmtl a\nKd 0 1 0", &mut definitions);
+        assert_eq!(definitions["a"].diffuse, Some([1.0, 0.0, 0.0]));
+        assert_eq!(definitions.len(), 1);
+    }
+}
