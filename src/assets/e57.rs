@@ -282,9 +282,8 @@ impl Scan {
             _ => value as f32,
         };
         if let (Some(column), Some(rgb)) = (&mut self.rgb, &fields.rgb) {
-            let channel = |field: &Field| {
-                unless(&fields.rgb_state, field.get(record) / fields.rgb_divisor)
-            };
+            let channel =
+                |field: &Field| unless(&fields.rgb_state, field.get(record) / fields.rgb_divisor);
             let [r, g, b] = rgb;
             column.push([channel(r), channel(g), channel(b)]);
         }
