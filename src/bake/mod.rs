@@ -1,1 +1,15 @@
-//! bake.
+//! Preprocessing: what makes an asset drawable that its file does not say (floor 2).
+//!
+//! - [`estimate_point_attributes`] gives points the normals and radii that they lack, from their
+//!   nearest neighbours;
+//! - [`fill_colors`] gives them colours, from intensity or class;
+//! - [`smooth_normals`] gives meshes vertex normals, splitting vertices at creases.
+
+mod colors;
+mod crease;
+mod neighbors;
+mod normals;
+
+pub use colors::fill_colors;
+pub use crease::smooth_normals;
+pub use normals::estimate_point_attributes;
