@@ -300,7 +300,8 @@ fn pose(transform: Option<&e57::Transform>) -> Result<DAffine3, String> {
     let rotation = DQuat::from_xyzw(q.x, q.y, q.z, q.w);
     let translation = DVec3::new(t.x, t.y, t.z);
     let length = rotation.length();
-    if !translation.is_finite() || !(length > 0.0 && length.is_finite()) {
+    let is_rigid = translation.is_finite() && length > 0.0 && length.is_finite();
+    if !is_rigid {
         return Err("is not a rotation and a finite translation".to_owned());
     }
     Ok(DAffine3::from_rotation_translation(rotation * (1.0 / length), translation))

@@ -87,7 +87,8 @@ fn face(mesh: &Mesh, triangle: &[u32; 3]) -> Option<(Vec3, [f32; 3])> {
         .into_iter()
         .fold(DVec3::ZERO, |a, b| if b.length_squared() > a.length_squared() { b } else { a });
     // Thinner than this, the direction is rounding.
-    if !(normal.length_squared() > 1e-24) {
+    let has_area = normal.length_squared() > 1e-24;
+    if !has_area {
         return None;
     }
     let angle = |u: DVec3, v: DVec3| u.cross(v).length().atan2(u.dot(v)) as f32;

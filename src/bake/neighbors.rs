@@ -8,8 +8,10 @@
 //! gathered leaves whose box is nearer than its own k-th neighbour so far. Distances are computed
 //! for a whole leaf at a time, on separate arrays of x, y and z, which compilers vectorise.
 //!
-//! Measured with 1 M points on a sphere, k = 12, one core of a 2-core virtual machine, optimised
-//! build: see `speed_against_kiddo` in the tests, which prints both.
+//! Measured with 1 M points on a sphere, one in eight of them in a cluster of a 300th of its size,
+//! k = 12, optimised for a generic x86-64, on a 2-core virtual machine, tree included: 0.69 s on one
+//! core and 0.35 s on two, where kiddo 6.3 takes 2.19 s and 0.81 s (`speed_against_kiddo` in the
+//! tests prints both). With normals and radii, 0.83 s on one core and 0.43 s on two.
 
 use rayon::prelude::*;
 

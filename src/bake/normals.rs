@@ -211,7 +211,7 @@ fn least_direction(offsets: impl Iterator<Item = [f32; 3]>, count: usize) -> DVe
     let diagonal = squares - sum * sum * inverse;
     let others = products - DVec3::new(sum.y * sum.z, sum.z * sum.x, sum.x * sum.y) * inverse;
     let scale = diagonal.max_element();
-    if !(scale > 0.0) || count < 2 {
+    if count < 2 || scale <= 0.0 || !scale.is_finite() {
         return DVec3::ZERO;
     }
     smallest_eigenvector(diagonal / scale, others / scale)
