@@ -282,9 +282,8 @@ impl Scan {
             _ => value as f32,
         };
         if let (Some(column), Some(rgb)) = (&mut self.rgb, &fields.rgb) {
-            let channel = |field: &Field| {
-                unless(&fields.rgb_state, field.get(record) / fields.rgb_divisor)
-            };
+            let channel =
+                |field: &Field| unless(&fields.rgb_state, field.get(record) / fields.rgb_divisor);
             let [r, g, b] = rgb;
             column.push([channel(r), channel(g), channel(b)]);
         }
@@ -301,7 +300,8 @@ fn pose(transform: Option<&e57::Transform>) -> Result<DAffine3, String> {
     let rotation = DQuat::from_xyzw(q.x, q.y, q.z, q.w);
     let translation = DVec3::new(t.x, t.y, t.z);
     let length = rotation.length();
-    if !translation.is_finite() || !(length > 0.0 && length.is_finite()) {
+    let is_rigid = translation.is_finite() && length > 0.0 && length.is_finite();
+    if !is_rigid {
         return Err("is not a rotation and a finite translation".to_owned());
     }
     Ok(DAffine3::from_rotation_translation(rotation * (1.0 / length), translation))

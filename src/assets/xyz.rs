@@ -217,7 +217,9 @@ impl Table {
             return Err(malformed(name, place, format!("{} is not a number", quote(token))));
         }
         if column != targets.len() {
-            if column == 1 && let Ok(count) = line.parse::<u64>() {
+            if column == 1
+                && let Ok(count) = line.parse::<u64>()
+            {
                 self.announced = Some(self.announced.unwrap_or(0).saturating_add(count));
                 return Ok(());
             }

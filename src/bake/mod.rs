@@ -1,7 +1,18 @@
-//! Assets → what the GPU holds (floor 2).
+//! Preprocessing: assets → what the GPU holds (floor 2).
+//!
+//! - [`estimate_point_attributes`] gives points the normals and radii that they lack, from their
+//!   nearest neighbours;
+//! - [`pack`] puts geometry into the records of the GPU;
+//! - [`fill_colors`] gives them colours, from intensity or class;
+//! - [`smooth_normals`] gives meshes vertex normals, splitting vertices at creases.
 
 pub mod pack;
 
-pub fn fill_colors(_: &mut crate::assets::PointCloud) {}
-pub fn estimate_point_attributes(_: &mut crate::assets::PointCloud) {}
-pub fn smooth_normals(_: &mut crate::assets::Mesh, _: f64) {}
+mod colors;
+mod crease;
+mod neighbors;
+mod normals;
+
+pub use colors::fill_colors;
+pub use crease::smooth_normals;
+pub use normals::estimate_point_attributes;

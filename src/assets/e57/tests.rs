@@ -112,10 +112,8 @@ fn scans_without_bits_are_refused() {
     let names = [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ];
     let scan = |kind: RecordDataType| {
         let mut scan = e57::PointCloud::default();
-        scan.prototype = names
-            .iter()
-            .map(|name| Record { name: name.clone(), data_type: constant() })
-            .collect();
+        scan.prototype =
+            names.iter().map(|name| Record { name: name.clone(), data_type: constant() }).collect();
         scan.prototype[2].data_type = kind;
         scan
     };

@@ -308,12 +308,8 @@ fn check_layers(bytes: &[u8], items: &[LazItem], record_bytes: usize) -> Result<
     let ends = || format!("{} bytes are too few for the sizes of {count} layers", bytes.len());
     let (sizes, layers) =
         bytes.get(sizes_at..).and_then(|rest| rest.split_at_checked(4 * count)).ok_or_else(ends)?;
-    let total: u64 = sizes
-        .as_chunks::<4>()
-        .0
-        .iter()
-        .map(|&size| u64::from(u32::from_le_bytes(size)))
-        .sum();
+    let total: u64 =
+        sizes.as_chunks::<4>().0.iter().map(|&size| u64::from(u32::from_le_bytes(size))).sum();
     if total > layers.len() as u64 {
         return Err(format!("layers of {total} bytes in a chunk with {}", layers.len()));
     }

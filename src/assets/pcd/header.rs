@@ -216,7 +216,8 @@ impl Field {
             ("2", Kind::Signed | Kind::Unsigned) => 2,
             (other, _) => return Err(("SIZE", format!("{} of field {name}", quote(other)))),
         };
-        let Some(count) = count.parse().ok().filter(|&n: &usize| (1..=MAX_STRIDE_BYTES).contains(&n))
+        let Some(count) =
+            count.parse().ok().filter(|&n: &usize| (1..=MAX_STRIDE_BYTES).contains(&n))
         else {
             return Err(("COUNT", format!("{} of field {name}", quote(count))));
         };

@@ -72,10 +72,7 @@ mod tests {
     #[test]
     fn literals_and_overlapping_matches() {
         // "abc", then 10 bytes from 3 back; 300 bytes from 1 back with the long form in two runs.
-        assert_eq!(
-            decompress(&[2, b'a', b'b', b'c', 0xe0, 1, 2], 13).unwrap(),
-            b"abcabcabcabca"
-        );
+        assert_eq!(decompress(&[2, b'a', b'b', b'c', 0xe0, 1, 2], 13).unwrap(), b"abcabcabcabca");
         assert_eq!(decompress(&[0, b'x', 0xe0, 255, 0, 0xe0, 25, 0], 299).unwrap(), [b'x'; 299]);
     }
 

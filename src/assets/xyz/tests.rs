@@ -81,10 +81,7 @@ fn headers_name_columns() {
 #[test]
 fn errors_name_line_and_column() {
     let error = |text: &str| read_text(text).unwrap_err().to_string();
-    assert_eq!(
-        error("0 0 0\n1 2 rose\n"),
-        "t.xyz: line 2, column 3: \"rose\" is not a number"
-    );
+    assert_eq!(error("0 0 0\n1 2 rose\n"), "t.xyz: line 2, column 3: \"rose\" is not a number");
     assert!(error("0 0 0\n1 2\n").contains("line 2: has 2 columns"));
     assert!(error("0 0\n").contains("line 1: has 2 columns"));
     assert!(error("0 0 0\n1 2 3 4\n").contains("line 2: has 4 columns"));

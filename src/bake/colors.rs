@@ -1,0 +1,158 @@
+//! Colours for points without any.
+
+use crate::assets::PointCloud;
+
+/// What neither intensity nor class tells apart.
+const NEUTRAL: [u8; 4] = [204, 204, 204, 255];
+/// Intensities below and above these fractions of all points become black and white.
+const STRETCH: [f64; 2] = [0.01, 0.99];
+
+/// Colours of the ASPRS standard classes 0 to 22 (LAS 1.4 R15, table 17): vegetation in greens,
+/// buildings in red, water in blue, transport in greys, noise in magenta.
+const CLASS_COLORS: [[u8; 3]; 23] = [
+    [170, 170, 170], // 0 created, never classified
+    [204, 204, 204], // 1 unclassified
+    [160, 120, 80],  // 2 ground
+    [170, 210, 120], // 3 low vegetation
+    [100, 180, 80],  // 4 medium vegetation
+    [40, 130, 50],   // 5 high vegetation
+    [210, 80, 60],   // 6 building
+    [255, 0, 255],   // 7 low point (noise)
+    [240, 220, 90],  // 8 model key point
+    [60, 130, 220],  // 9 water
+    [150, 110, 160], // 10 rail
+    [110, 110, 120], // 11 road surface
+    [150, 190, 200], // 12 overlap
+    [240, 190, 70],  // 13 wire, guard
+    [255, 220, 60],  // 14 wire, conductor
+    [120, 80, 180],  // 15 transmission tower
+    [200, 150, 60],  // 16 wire connector
+    [140, 150, 160], // 17 bridge deck
+    [200, 0, 200],   // 18 high noise
+    [190, 140, 110], // 19 overhead structure
+    [130, 100, 60],  // 20 ignored ground
+    [235, 245, 255], // 21 snow
+    [220, 200, 180], // 22 temporal exclusion
+];
+
+/// Gives a cloud colours if it has none: grey from its intensity, stretched between the 1st and the
+/// 99th percentile; else, when it has several classes, a colour for each; else one light grey.
+///
+/// Classes 0 to 22 have the ASPRS colours above, the others one of 20 hues each.
+pub fn fill_colors(cloud: &mut PointCloud) {
+    let count = cloud.positions.len();
+    if cloud.colors.as_ref().is_some_and(|colors| colors.len() == count) {
+        return;
+    }
+    let intensity = cloud.intensity.as_deref().filter(|values| values.len() == count);
+    let classes = cloud.classification.as_deref().filter(|classes| classes.len() == count);
+    let colors = intensity
+        .and_then(greys)
+        .or_else(|| classes.and_then(class_colors))
+        .unwrap_or_else(|| vec![NEUTRAL; count]);
+    cloud.colors = Some(colors);
+}
+
+/// Greys between two percentiles of the intensity, or `None` if all points have the same.
+fn greys(intensity: &[u16]) -> Option<Vec<[u8; 4]>> {
+    let mut histogram = vec![0u64; 1 << 16];
+    intensity.iter().for_each(|&value| histogram[usize::from(value)] += 1);
+    let percentile = |fraction: f64| {
+        let rank = ((intensity.len() as f64 - 1.0) * fraction).round() as u64;
+        let mut below = 0;
+        histogram.iter().position(|&count| {
+            below += count;
+            below > rank
+        })
+    };
+    let [mut low, mut high] = [percentile(STRETCH[0])?, percentile(STRETCH[1])?];
+    if low == high {
+        // Nearly all points agree: the few others still differ.
+        low = histogram.iter().position(|&count| count > 0)?;
+        high = histogram.iter().rposition(|&count| count > 0)?;
+    }
+    if low == high {
+        return None;
+    }
+    let extent = (high - low) as f64;
+    let grey = |&value: &u16| {
+        let level = (f64::from(value) - low as f64) / extent * 255.0;
+        let level = level.clamp(0.0, 255.0).round() as u8;
+        [level, level, level, 255]
+    };
+    Some(intensity.iter().map(grey).collect())
+}
+
+/// A colour for each class, or `None` if there is only one.
+fn class_colors(classes: &[u8]) -> Option<Vec<[u8; 4]>> {
+    let first = classes.first()?;
+    if classes.iter().all(|class| class == first) {
+        return None;
+    }
+    Some(classes.iter().map(|&class| class_color(class)).collect())
+}
+
+fn class_color(class: u8) -> [u8; 4] {
+    if let Some(&[r, g, b]) = CLASS_COLORS.get(usize::from(class)) {
+        return [r, g, b, 255];
+    }
+    // Steps of 7 on a wheel of 20 hues keep neighbouring classes apart.
+    let hue = f32::from(class) * 7.0 % 20.0 / 20.0 * 6.0;
+    let channel = |offset: f32| {
+        let distance = ((hue + offset) % 6.0 - 3.0).abs();
+        ((0.3 + 0.6 * (distance - 1.0).clamp(0.0, 1.0)) * 255.0).round() as u8
+    };
+    [channel(0.0), channel(4.0), channel(2.0), 255]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    fn cloud(count: usize) -> PointCloud {
+        PointCloud { positions: vec![DVec3::ZERO; count], ..PointCloud::default() }
+    }
+
+    #[test]
+    fn intensity_is_stretched_between_percentiles() {
+        let mut cloud = cloud(1001);
+        let mut values: Vec<u16> = (0..1001).map(|i| 1000 + i).collect();
+        (values[0], values[1000]) = (0, 65535);
+        cloud.intensity = Some(values);
+        cloud.classification = Some((0..1001).map(|i| (i % 2) as u8).collect());
+        fill_colors(&mut cloud);
+        let colors = cloud.colors.unwrap();
+        assert_eq!(
+            [colors[0], colors[10], colors[1000]],
+            [[0, 0, 0, 255], [0, 0, 0, 255], [255; 4]]
+        );
+        assert_eq!(colors[500], [128, 128, 128, 255]);
+    }
+
+    #[test]
+    fn classes_have_colours_of_their_own() {
+        let mut cloud = cloud(256);
+        cloud.intensity = Some(vec![7; 256]);
+        cloud.classification = Some((0..=255).collect());
+        fill_colors(&mut cloud);
+        let colors = cloud.colors.unwrap();
+        assert_eq!(colors[6], [210, 80, 60, 255]);
+        assert!(colors[23..].windows(2).all(|pair| pair[0] != pair[1]));
+    }
+
+    #[test]
+    fn without_anything_points_are_grey_and_colours_are_kept() {
+        let mut plain = cloud(3);
+        plain.classification = Some(vec![2; 3]);
+        fill_colors(&mut plain);
+        assert_eq!(plain.colors, Some(vec![NEUTRAL; 3]));
+        plain.colors = Some(vec![[1, 2, 3, 4]; 3]);
+        fill_colors(&mut plain);
+        assert_eq!(plain.colors, Some(vec![[1, 2, 3, 4]; 3]));
+        let mut empty = cloud(0);
+        empty.intensity = Some(Vec::new());
+        fill_colors(&mut empty);
+        assert_eq!(empty.colors, Some(Vec::new()));
+    }
+}

@@ -1,0 +1,389 @@
+//! The k nearest neighbours of every point of a cloud, exactly.
+//!
+//! Points are ordered by a balanced k-d tree: each node halves its points at the median of its
+//! longest extent, down to leaves of 16 to 32 points, so that a node's range follows from its number
+//! alone and nothing is stored but a tight box for each node. Queries run leaf by leaf. The points
+//! of a leaf first look at each other; the farthest k-th distance bounds which other leaves matter,
+//! and one walk from the root gathers those for all points of the leaf; each point then scans the
+//! gathered leaves whose box is nearer than its own k-th neighbour so far. Distances are computed
+//! for a whole leaf at a time, on separate arrays of x, y and z, which compilers vectorise.
+//!
+//! Measured with 1 M points on a sphere, one in eight of them in a cluster of a 300th of its size,
+//! k = 12, optimised for a generic x86-64, on a 2-core virtual machine, tree included: 0.69 s on one
+//! core and 0.35 s on two, where kiddo 6.3 takes 2.19 s and 0.81 s (`speed_against_kiddo` in the
+//! tests prints both). With normals and radii, 0.83 s on one core and 0.43 s on two.
+
+use rayon::prelude::*;
+
+/// Leaves hold at most this many points, and more than half as many unless there is only one.
+const LEAF_POINTS: usize = 32;
+/// Most neighbours that can be asked for: a leaf has at least 15 others for each of its points.
+pub(super) const MAX_NEIGHBORS: usize = 15;
+/// Subtrees with fewer points are built, and ranges with fewer leaves searched, on one thread.
+const SERIAL_POINTS: usize = 8192;
+const SERIAL_LEAVES: usize = 64;
+
+/// A box in tree coordinates.
+#[derive(Clone, Copy, Debug)]
+struct Aabb {
+    min: [f32; 3],
+    max: [f32; 3],
+}
+
+impl Aabb {
+    const EMPTY: Aabb = Aabb { min: [f32::INFINITY; 3], max: [f32::NEG_INFINITY; 3] };
+
+    fn of(items: &[Item]) -> Self {
+        items.iter().fold(Self::EMPTY, |bounds, item| Self {
+            min: std::array::from_fn(|axis| bounds.min[axis].min(item.position[axis])),
+            max: std::array::from_fn(|axis| bounds.max[axis].max(item.position[axis])),
+        })
+    }
+
+    fn union(&self, other: &Self) -> Self {
+        Self {
+            min: std::array::from_fn(|axis| self.min[axis].min(other.min[axis])),
+            max: std::array::from_fn(|axis| self.max[axis].max(other.max[axis])),
+        }
+    }
+
+    fn longest_axis(&self) -> usize {
+        let extent: [f32; 3] = std::array::from_fn(|axis| self.max[axis] - self.min[axis]);
+        let longer = if extent[1] > extent[0] { 1 } else { 0 };
+        if extent[2] > extent[longer] { 2 } else { longer }
+    }
+
+    /// Squared distance between two boxes.
+    fn distance_squared(&self, other: &Self) -> f32 {
+        (0..3).fold(0.0, |sum, axis| {
+            let gap = (other.min[axis] - self.max[axis]).max(self.min[axis] - other.max[axis]);
+            sum + gap.max(0.0) * gap.max(0.0)
+        })
+    }
+
+    fn point(position: [f32; 3]) -> Self {
+        Self { min: position, max: position }
+    }
+
+    fn centre(&self) -> [f32; 3] {
+        std::array::from_fn(|axis| 0.5 * (self.min[axis] + self.max[axis]))
+    }
+}
+
+/// A point while the tree is built.
+#[derive(Clone, Copy, Debug)]
+struct Item {
+    position: [f32; 3],
+    index: u32,
+}
+
+/// Points in tree order.
+pub(super) struct PointTree {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    z: Vec<f32>,
+    /// For each place in tree order the point's own index.
+    order: Vec<u32>,
+    /// Boxes of all nodes: the root is 1, the children of `i` are `2 i` and `2 i + 1`.
+    boxes: Vec<Aabb>,
+    /// Halvings between root and leaves.
+    levels: u32,
+}
+
+/// The neighbours of one point, nearest first.
+pub(super) struct Neighbors<'a> {
+    tree: &'a PointTree,
+    /// Place of the point itself in tree order.
+    pub place: usize,
+    keys: &'a [u64],
+}
+
+impl Neighbors<'_> {
+    pub(super) fn len(&self) -> usize {
+        self.keys.len()
+    }
+
+    /// The squared distances, ascending.
+    pub(super) fn distances_squared(&self) -> impl Iterator<Item = f32> {
+        self.keys.iter().map(|&key| distance_of(key))
+    }
+
+    /// The neighbours' coordinates relative to the point.
+    pub(super) fn offsets(&self) -> impl Iterator<Item = [f32; 3]> {
+        let [x, y, z] = self.position();
+        self.keys.iter().map(move |&key| {
+            let [nx, ny, nz] = self.tree.position(place_of(key));
+            [nx - x, ny - y, nz - z]
+        })
+    }
+
+    pub(super) fn position(&self) -> [f32; 3] {
+        self.tree.position(self.place)
+    }
+
+    #[cfg(test)]
+    fn indices(&self) -> Vec<u32> {
+        self.keys.iter().map(|&key| self.tree.order[place_of(key)]).collect()
+    }
+}
+
+/// A neighbour as one number that sorts by distance: a non-negative float's bits are ordered.
+fn key_of(distance_squared: f32, place: usize) -> u64 {
+    u64::from(distance_squared.to_bits()) << 32 | place as u64
+}
+
+fn distance_of(key: u64) -> f32 {
+    f32::from_bits((key >> 32) as u32)
+}
+
+fn place_of(key: u64) -> usize {
+    (key & 0xffff_ffff) as usize
+}
+
+/// What a leaf's queries reuse.
+struct Scratch {
+    best: [[u64; MAX_NEIGHBORS]; LEAF_POINTS],
+    distances: [f32; LEAF_POINTS],
+    /// Leaves that matter: distance from the middle of this leaf, and which.
+    candidates: Vec<(f32, usize)>,
+    stack: Vec<usize>,
+}
+
+impl PointTree {
+    /// Orders up to 2³² − 1 points with finite coordinates whose squared distances are finite, too.
+    pub(super) fn new(positions: impl IntoIterator<Item = [f32; 3]>) -> Self {
+        let mut items: Vec<Item> = positions
+            .into_iter()
+            .zip(0..u32::MAX)
+            .map(|(position, index)| Item { position, index })
+            .collect();
+        let count = items.len();
+        let levels = count.div_ceil(LEAF_POINTS).next_power_of_two().trailing_zeros();
+        let mut boxes = vec![Aabb::EMPTY; 2 << levels];
+        let shape = Shape { count, levels };
+        shape.split(&mut items, 0, 0);
+        let leaves = 1 << levels;
+        boxes[leaves..].par_iter_mut().enumerate().for_each(|(leaf, bounds)| {
+            *bounds = Aabb::of(&items[shape.range(levels, leaf)]);
+        });
+        for node in (1..leaves).rev() {
+            boxes[node] = boxes[2 * node].union(&boxes[2 * node + 1]);
+        }
+        let axis = |axis: usize| items.iter().map(|item| item.position[axis]).collect();
+        Self {
+            x: axis(0),
+            y: axis(1),
+            z: axis(2),
+            order: items.iter().map(|item| item.index).collect(),
+            boxes,
+            levels,
+        }
+    }
+
+    /// For each place in tree order the point's own index.
+    pub(super) fn order(&self) -> &[u32] {
+        &self.order
+    }
+
+    fn position(&self, place: usize) -> [f32; 3] {
+        [self.x[place], self.y[place], self.z[place]]
+    }
+
+    fn shape(&self) -> Shape {
+        Shape { count: self.order.len(), levels: self.levels }
+    }
+
+    /// Calls `visit` with the `k` nearest others of every point (fewer if there are fewer), and
+    /// returns the results **in tree order**.
+    pub(super) fn map_neighbors<T: Clone + Default + Send>(
+        &self,
+        k: usize,
+        visit: impl Fn(Neighbors) -> T + Sync,
+    ) -> Vec<T> {
+        let mut results = vec![T::default(); self.order.len()];
+        let k = k.min(MAX_NEIGHBORS);
+        if k > 0 {
+            self.map_leaves(0..1 << self.levels, k, &mut results, &visit);
+        }
+        results
+    }
+
+    /// Handles a range of leaves, whose places `results` covers.
+    fn map_leaves<T: Send>(
+        &self,
+        leaves: std::ops::Range<usize>,
+        k: usize,
+        results: &mut [T],
+        visit: &(impl Fn(Neighbors) -> T + Sync),
+    ) {
+        let shape = self.shape();
+        let start = shape.range(self.levels, leaves.start).start;
+        if leaves.len() > SERIAL_LEAVES {
+            let middle = leaves.start + leaves.len() / 2;
+            let cut = shape.range(self.levels, middle).start - start;
+            let (left, right) = results.split_at_mut(cut);
+            rayon::join(
+                || self.map_leaves(leaves.start..middle, k, left, visit),
+                || self.map_leaves(middle..leaves.end, k, right, visit),
+            );
+            return;
+        }
+        let mut scratch = Scratch {
+            best: [[u64::MAX; MAX_NEIGHBORS]; LEAF_POINTS],
+            distances: [0.0; LEAF_POINTS],
+            candidates: Vec::new(),
+            stack: Vec::new(),
+        };
+        for leaf in leaves {
+            self.search_leaf(leaf, k, &mut scratch);
+            for (place, best) in shape.range(self.levels, leaf).zip(&scratch.best) {
+                let found = best[..k].iter().take_while(|&&key| key != u64::MAX).count();
+                let keys = &best[..found];
+                results[place - start] = visit(Neighbors { tree: self, place, keys });
+            }
+        }
+    }
+
+    /// Finds the `k` nearest neighbours of every point of a leaf.
+    fn search_leaf(&self, leaf: usize, k: usize, scratch: &mut Scratch) {
+        let range = self.shape().range(self.levels, leaf);
+        let Scratch { best, distances, candidates, stack } = scratch;
+        let mut reach = 0.0f32;
+        for (place, best) in range.clone().zip(best.iter_mut()) {
+            *best = [u64::MAX; MAX_NEIGHBORS];
+            let best = &mut best[..k];
+            self.scan(range.clone(), self.position(place), Some(place), distances, best);
+            reach = reach.max(bound(best));
+        }
+        self.gather(leaf, reach, candidates, stack);
+        for (place, best) in range.zip(best.iter_mut()) {
+            let best = &mut best[..k];
+            let position = self.position(place);
+            let point = Aabb::point(position);
+            for &(_, other) in candidates.iter() {
+                if self.boxes[(1 << self.levels) + other].distance_squared(&point) < bound(best) {
+                    let range = self.shape().range(self.levels, other);
+                    self.scan(range, position, None, distances, best);
+                }
+            }
+        }
+    }
+
+    /// Collects the other leaves within a squared distance of a leaf's box, likely ones first.
+    fn gather(
+        &self,
+        leaf: usize,
+        reach: f32,
+        candidates: &mut Vec<(f32, usize)>,
+        stack: &mut Vec<usize>,
+    ) {
+        let leaves = 1 << self.levels;
+        let bounds = self.boxes[leaves + leaf];
+        let centre = Aabb::point(bounds.centre());
+        candidates.clear();
+        stack.clear();
+        stack.push(1);
+        while let Some(node) = stack.pop() {
+            // A leaf at exactly the bound has nothing nearer.
+            if self.boxes[node].distance_squared(&bounds) >= reach {
+                continue;
+            }
+            if node < leaves {
+                stack.extend([2 * node, 2 * node + 1]);
+            } else if node != leaves + leaf {
+                candidates.push((self.boxes[node].distance_squared(&centre), node - leaves));
+            }
+        }
+        candidates.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+    }
+
+    /// Enters the points of a range that are nearer than the last of `best`.
+    #[inline]
+    fn scan(
+        &self,
+        range: std::ops::Range<usize>,
+        [x, y, z]: [f32; 3],
+        except: Option<usize>,
+        distances: &mut [f32; LEAF_POINTS],
+        best: &mut [u64],
+    ) {
+        let start = range.start;
+        let axes = self.x[range.clone()].iter().zip(&self.y[range.clone()]).zip(&self.z[range]);
+        let count = axes.len();
+        for (distance, ((px, py), pz)) in distances.iter_mut().zip(axes) {
+            let (dx, dy, dz) = (px - x, py - y, pz - z);
+            *distance = dx * dx + dy * dy + dz * dz;
+        }
+        if let Some(own) = except.and_then(|place| distances.get_mut(place - start)) {
+            *own = f32::INFINITY;
+        }
+        let mut worst = bound(best);
+        for (at, &distance) in distances[..count].iter().enumerate() {
+            if distance < worst {
+                insert(best, key_of(distance, start + at));
+                worst = bound(best);
+            }
+        }
+    }
+}
+
+/// The squared distance that a point must undercut, infinite while there is room.
+#[inline]
+fn bound(best: &[u64]) -> f32 {
+    match best.last() {
+        Some(&key) if key != u64::MAX => distance_of(key),
+        _ => f32::INFINITY,
+    }
+}
+
+/// Enters a key into an ascending list, dropping the last.
+#[inline]
+fn insert(best: &mut [u64], key: u64) {
+    let mut at = best.len() - 1;
+    while at > 0 && best[at - 1] > key {
+        best[at] = best[at - 1];
+        at -= 1;
+    }
+    best[at] = key;
+}
+
+/// How a number of points is halved.
+#[derive(Clone, Copy)]
+struct Shape {
+    count: usize,
+    levels: u32,
+}
+
+impl Shape {
+    /// The places of the `index`-th node of a level.
+    #[inline]
+    fn range(self, level: u32, index: usize) -> std::ops::Range<usize> {
+        // The count is below 2³² and so is the number of nodes.
+        let at = |index: usize| ((index as u64 * self.count as u64) >> level) as usize;
+        at(index)..at(index + 1)
+    }
+
+    /// Orders the points of a node and everything below it.
+    fn split(self, items: &mut [Item], level: u32, index: usize) {
+        if level == self.levels {
+            return;
+        }
+        let axis = Aabb::of(items).longest_axis();
+        let middle = self.range(level + 1, 2 * index).len();
+        items.select_nth_unstable_by(middle, |a, b| a.position[axis].total_cmp(&b.position[axis]));
+        let is_large = items.len() > SERIAL_POINTS;
+        let (left, right) = items.split_at_mut(middle);
+        if is_large {
+            rayon::join(
+                || self.split(left, level + 1, 2 * index),
+                || self.split(right, level + 1, 2 * index + 1),
+            );
+        } else {
+            self.split(left, level + 1, 2 * index);
+            self.split(right, level + 1, 2 * index + 1);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

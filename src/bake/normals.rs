@@ -1,0 +1,255 @@
+//! Normals and radii of points, from their nearest neighbours.
+//!
+//! The normal is the direction in which a point and its 12 nearest neighbours vary least: the
+//! eigenvector of their covariance with the smallest eigenvalue (principal component analysis).
+//! Its sign is chosen from the cloud's overall shape: clouds much flatter than wide (terrain) look
+//! up along their flat axis, all others away from the middle of their box. That is right for what
+//! is roughly convex and consistent everywhere; a scanner's position would tell more, but the
+//! formats seldom keep it. The radius is half the mean distance to the 6 nearest neighbours, so
+//! that discs just overlap on an evenly sampled surface.
+
+use std::f64::consts::TAU;
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::neighbors::{Neighbors, PointTree};
+use crate::assets::PointCloud;
+
+const NORMAL_NEIGHBORS: usize = 12;
+const RADIUS_NEIGHBORS: usize = 6;
+/// A cloud whose shortest extent is below this fraction of the next is flat.
+const FLAT_RATIO: f64 = 1.0 / 3.0;
+/// Neighbourhoods narrower than this fraction of their length (squared) are lines.
+const LINE_RATIO: f64 = 1e-6;
+/// Radii below this fraction of the median are raised to it (points at the same place).
+const RADIUS_FLOOR: f32 = 0.05;
+/// The radius where nothing tells a size: a single point, or all at one place.
+const LONE_RADIUS: f32 = 0.5;
+/// Points that tell place and size of the cloud.
+const SAMPLES: usize = 4096;
+/// Coordinates in the tree stay below this, so that squared distances are finite.
+const MAX_COORDINATE: f64 = 1e18;
+
+/// Gives a cloud the normals and radii that it lacks; what it has is kept, apart from normals of
+/// length zero, radii that are not positive, and vectors of a wrong length.
+///
+/// Afterwards both are present. Normals are unit vectors, or zero where the neighbours lie on a
+/// line, on one place, or are fewer than two. Radii are positive, in the units of the positions.
+/// Positions that are not finite get a zero normal and the smallest radius.
+pub fn estimate_point_attributes(cloud: &mut PointCloud) {
+    let count = cloud.positions.len();
+    cloud.normals = cloud.normals.take().filter(|normals| normals.len() == count);
+    cloud.radii = cloud.radii.take().filter(|radii| radii.len() == count);
+    let lacks_normals = cloud.normals.as_ref().is_none_or(|n| n.contains(&Vec3::ZERO));
+    let lacks_radii = cloud.radii.as_ref().is_none_or(|radii| !radii.iter().all(is_radius));
+    if !lacks_normals && !lacks_radii {
+        return;
+    }
+    let k = if lacks_normals { NORMAL_NEIGHBORS } else { RADIUS_NEIGHBORS };
+    let (normals, mut radii) = estimate(&cloud.positions, k, lacks_normals);
+    if lacks_normals {
+        let keep = |(old, new): (&Vec3, &Vec3)| if *old == Vec3::ZERO { *new } else { *old };
+        cloud.normals = Some(match cloud.normals.take() {
+            Some(old) => old.iter().zip(&normals).map(keep).collect(),
+            None => normals,
+        });
+    }
+    if lacks_radii {
+        raise_radii(&mut radii);
+        let keep = |(old, new): (&f32, &f32)| if is_radius(old) { *old } else { *new };
+        cloud.radii = Some(match cloud.radii.take() {
+            Some(old) => old.iter().zip(&radii).map(keep).collect(),
+            None => radii,
+        });
+    }
+}
+
+fn is_radius(radius: &f32) -> bool {
+    *radius > 0.0 && radius.is_finite()
+}
+
+/// Normals and raw radii (zero where unknown) of all points.
+fn estimate(positions: &[DVec3], k: usize, wants_normals: bool) -> (Vec<Vec3>, Vec<f32>) {
+    let mut normals = if wants_normals { vec![Vec3::ZERO; positions.len()] } else { Vec::new() };
+    let mut radii = vec![0.0; positions.len()];
+    // The tree counts in 32 bits.
+    let finite: Vec<u32> = (0..u32::MAX)
+        .zip(positions)
+        .filter_map(|(index, position)| position.is_finite().then_some(index))
+        .collect();
+    let Some(frame) = Frame::of(positions, &finite) else { return (normals, radii) };
+    let local: Vec<[f32; 3]> =
+        finite.par_iter().map(|&index| frame.to_local(positions[index as usize])).collect();
+    let tree = PointTree::new(local);
+    let estimates = tree.map_neighbors(k, |neighbors| {
+        let normal = if wants_normals { frame.normal(&neighbors) } else { Vec3::ZERO };
+        (normal, (f64::from(radius(&neighbors)) * frame.size) as f32)
+    });
+    for (&place, (normal, radius)) in tree.order().iter().zip(estimates) {
+        let index = finite[place as usize] as usize;
+        if let Some(slot) = normals.get_mut(index) {
+            *slot = normal;
+        }
+        radii[index] = radius;
+    }
+    (normals, radii)
+}
+
+/// Half the mean distance to the nearest few; zero without any.
+fn radius(neighbors: &Neighbors) -> f32 {
+    let used = neighbors.len().min(RADIUS_NEIGHBORS);
+    let sum: f32 = neighbors.distances_squared().take(used).map(f32::sqrt).sum();
+    0.5 * sum / used.max(1) as f32
+}
+
+/// Raises radii that are zero or all but zero beside the others.
+fn raise_radii(radii: &mut [f32]) {
+    let mut sample: Vec<f32> = evenly(radii).copied().filter(is_radius).collect();
+    if sample.is_empty() {
+        sample = radii.iter().copied().filter(is_radius).collect();
+    }
+    let middle = sample.len() / 2;
+    let floor = match sample.is_empty() {
+        true => LONE_RADIUS,
+        false => {
+            let (_, &mut median, _) = sample.select_nth_unstable_by(middle, f32::total_cmp);
+            (median * RADIUS_FLOOR).max(f32::MIN_POSITIVE)
+        }
+    };
+    radii.iter_mut().for_each(|radius| *radius = radius.max(floor).min(f32::MAX));
+}
+
+/// Up to about [`SAMPLES`] elements, evenly spread.
+fn evenly<T>(all: &[T]) -> impl Iterator<Item = &T> {
+    all.iter().step_by(all.len().div_ceil(SAMPLES).max(1))
+}
+
+/// Which way normals look.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Outward {
+    /// Away from the middle, in local coordinates.
+    From(Vec3),
+    /// Along an axis.
+    Along(Vec3),
+}
+
+/// The coordinates of the tree: f32 about the cloud's median, where most points are, so that
+/// neither a place far from the origin nor a few stray points cost precision.
+#[derive(Clone, Copy, Debug)]
+struct Frame {
+    origin: DVec3,
+    /// Length of a local unit.
+    size: f64,
+    outward: Outward,
+}
+
+impl Frame {
+    /// The frame of the points of `finite`, `None` without any.
+    fn of(positions: &[DVec3], finite: &[u32]) -> Option<Self> {
+        let quantiles = |axis: usize| {
+            let mut values: Vec<f64> =
+                evenly(finite).map(|&index| positions[index as usize][axis]).collect();
+            values.sort_unstable_by(f64::total_cmp);
+            let at = |fraction: f64| {
+                values.get(((values.len() as f64 - 1.0) * fraction).round() as usize).copied()
+            };
+            Some([at(0.01)?, at(0.5)?, at(0.99)?])
+        };
+        let axes = [quantiles(0)?, quantiles(1)?, quantiles(2)?];
+        let [low, origin, high] = std::array::from_fn(|i| DVec3::from(axes.map(|axis| axis[i])));
+        let extent = high * 0.5 - low * 0.5;
+        let size = extent.max_element();
+        let mut frame = Self {
+            origin,
+            size: if size > 0.0 { size } else { 1.0 },
+            outward: Outward::Along(Vec3::Z),
+        };
+        let centre = Vec3::from(frame.to_local(low * 0.5 + high * 0.5));
+        frame.outward = match flat_axis(extent) {
+            Some(axis) => Outward::Along(axis),
+            None => Outward::From(centre),
+        };
+        Some(frame)
+    }
+
+    fn to_local(self, position: DVec3) -> [f32; 3] {
+        // Halves keep differences of huge coordinates finite.
+        let local = (position * 0.5 - self.origin * 0.5) / (self.size * 0.5);
+        local.clamp(DVec3::splat(-MAX_COORDINATE), DVec3::splat(MAX_COORDINATE)).as_vec3().into()
+    }
+
+    /// The direction of least variance, looking outward.
+    fn normal(&self, neighbors: &Neighbors) -> Vec3 {
+        let normal = least_direction(neighbors.offsets(), neighbors.len()).as_vec3();
+        let outward = match self.outward {
+            Outward::Along(axis) => axis,
+            Outward::From(centre) => Vec3::from(neighbors.position()) - centre,
+        };
+        if normal.dot(outward) < 0.0 { -normal } else { normal }
+    }
+}
+
+/// The axis of a box that is much shorter than the other two.
+fn flat_axis(extent: DVec3) -> Option<Vec3> {
+    let mut axes = [(extent.x, Vec3::X), (extent.y, Vec3::Y), (extent.z, Vec3::Z)];
+    axes.sort_by(|a, b| a.0.total_cmp(&b.0));
+    (axes[0].0 < FLAT_RATIO * axes[1].0).then_some(axes[0].1)
+}
+
+/// The unit vector along which the point (at the origin) and `count` offsets vary least, zero if
+/// they lie on a line or a place, or vary alike in all directions.
+fn least_direction(offsets: impl Iterator<Item = [f32; 3]>, count: usize) -> DVec3 {
+    let (mut sum, mut squares, mut products) = (DVec3::ZERO, DVec3::ZERO, DVec3::ZERO);
+    for offset in offsets {
+        let d = DVec3::from(offset.map(f64::from));
+        sum += d;
+        squares += d * d;
+        products += DVec3::new(d.y * d.z, d.z * d.x, d.x * d.y);
+    }
+    let inverse = 1.0 / (count as f64 + 1.0);
+    let diagonal = squares - sum * sum * inverse;
+    let others = products - DVec3::new(sum.y * sum.z, sum.z * sum.x, sum.x * sum.y) * inverse;
+    let scale = diagonal.max_element();
+    if count < 2 || scale <= 0.0 || !scale.is_finite() {
+        return DVec3::ZERO;
+    }
+    smallest_eigenvector(diagonal / scale, others / scale)
+}
+
+/// The eigenvector of a symmetric matrix (diagonal xx yy zz; others yz zx xy) with the smallest
+/// eigenvalue, by the trigonometric solution of the cubic; zero where it is not unique.
+fn smallest_eigenvector(diagonal: DVec3, others: DVec3) -> DVec3 {
+    let mean = diagonal.element_sum() / 3.0;
+    let d = diagonal - mean;
+    let spread = ((d.length_squared() + 2.0 * others.length_squared()) / 6.0).sqrt();
+    if spread <= 1e-9 {
+        return DVec3::ZERO;
+    }
+    let determinant = d.x * d.y * d.z + 2.0 * others.x * others.y * others.z
+        - d.x * others.x * others.x
+        - d.y * others.y * others.y
+        - d.z * others.z * others.z;
+    let angle = (determinant / (2.0 * spread * spread * spread)).clamp(-1.0, 1.0).acos() / 3.0;
+    let largest = mean + 2.0 * spread * angle.cos();
+    let smallest = mean + 2.0 * spread * (angle + TAU / 3.0).cos();
+    let middle = 3.0 * mean - largest - smallest;
+    if middle <= LINE_RATIO * largest {
+        return DVec3::ZERO;
+    }
+    // The rows of A − λI span the plane across the eigenvector.
+    let shifted = diagonal - smallest;
+    let rows = [
+        DVec3::new(shifted.x, others.z, others.y),
+        DVec3::new(others.z, shifted.y, others.x),
+        DVec3::new(others.y, others.x, shifted.z),
+    ];
+    let crosses = [rows[0].cross(rows[1]), rows[1].cross(rows[2]), rows[2].cross(rows[0])];
+    let best = crosses
+        .into_iter()
+        .fold(DVec3::ZERO, |a, b| if b.length_squared() > a.length_squared() { b } else { a });
+    best.try_normalize().unwrap_or(DVec3::ZERO)
+}
+
+#[cfg(test)]
+mod tests;
