@@ -7,7 +7,7 @@ use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::assets::Progress;
-use crate::generate::{Generated, Kind, Parameters, generate, write};
+use crate::generate::{Generated, Kind, Parameters, generate, generate_scene, write};
 
 /// Deterministic procedural assets and scenes, for demos, tests and benches.
 ///
@@ -29,7 +29,7 @@ pub struct GenerateArgs {
     /// Number of triangles to aim at, for meshes
     #[arg(long, value_name = "N")]
     pub triangles: Option<u64>,
-    /// Edge or height in scene units (metres), for kinds that have one
+    /// Edge or height in scene units (metres); for a plaza, assemblies along each edge
     #[arg(long, value_name = "LENGTH")]
     pub size: Option<f64>,
 }
@@ -55,7 +55,13 @@ pub fn run(args: GenerateArgs) -> anyhow::Result<()> {
         triangles: args.triangles,
         size: args.size,
     };
-    let generated = generate(args.kind, &parameters, &progress)?;
+    let is_scene = args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
+    let generated = if is_scene {
+        let name = args.output.file_stem().map(|s| s.to_string_lossy()).unwrap_or_default();
+        Generated::Scene(generate_scene(args.kind, &name, &parameters, &progress)?)
+    } else {
+        generate(args.kind, &parameters, &progress)?
+    };
     bar.finish_and_clear();
     let contents = describe(&generated);
     let files = write(&generated, &args.output)?;

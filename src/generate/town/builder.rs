@@ -154,7 +154,9 @@ mod tests {
         let (low, high) = (DVec3::new(0.0, 0.0, 1.0), DVec3::new(4.0, 3.0, 5.0));
         builder.slab(&level, low, high, 0.1, [skin; 2]);
         let bounds = builder.solids[1].bounds;
-        assert!((bounds.max - high).length() < 1e-9 && bounds.min.z < 1.0, "{bounds:?}");
+        // Its ends are square to the slope: the underside reaches out by a fifth of 0.4.
+        assert!((bounds.max - DVec3::new(4.0, 3.08, 5.0)).length() < 1e-9, "{bounds:?}");
+        assert!((bounds.min - DVec3::new(0.0, 0.0, 0.94)).length() < 1e-9, "{bounds:?}");
         builder.taper(&level, DVec3::ZERO, DVec3::splat(2.0), DVec2::splat(1.0), skin);
         let bounds = builder.solids[2].bounds;
         assert!(bounds.min.length() < 1e-9 && (bounds.max - DVec3::splat(2.0)).length() < 1e-9);

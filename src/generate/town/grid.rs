@@ -3,7 +3,7 @@
 //! Solids stand on the ground, so the grid has two dimensions; each column knows how high it is built,
 //! and rays that pass above skip it (Amanatides and Woo 1987 for the stepping).
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 
 use super::solid::{Hit, Ray, Solid};
 
@@ -84,6 +84,18 @@ impl Grid {
         blocked
     }
 
+    /// Whether `p` lies inside a solid by more than `depth`.
+    pub fn is_inside(&self, p: DVec3, depth: f64) -> bool {
+        let cell = (DVec2::new(p.x, p.y) - self.min) / CELL;
+        let (x, y) = (cell.x.floor(), cell.y.floor());
+        if x < 0.0 || y < 0.0 || x >= self.size[0] as f64 || y >= self.size[1] as f64 {
+            return false;
+        }
+        let column = y as usize * self.size[0] + x as usize;
+        let run = self.starts[column] as usize..self.starts[column + 1] as usize;
+        self.items[run].iter().any(|&index| self.solids[index as usize].contains(p, depth))
+    }
+
     /// Calls `visit` with each column along the ray that it does not pass above, and the distance at
     /// which the ray leaves it, until `visit` says stop.
     fn walk(&self, ray: &Ray, far: f64, mut visit: impl FnMut(&[u32], f64) -> bool) {
@@ -150,8 +162,6 @@ impl Grid {
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
-
     use super::super::skin::SkinId;
     use super::super::solid::Shape;
     use super::*;

@@ -79,7 +79,7 @@ impl Plan {
         let mut blocks = Vec::new();
         for (j, &(y0, y1)) in rows.iter().enumerate() {
             for (i, &(x0, x1)) in columns.iter().enumerate() {
-                let usage = if (i, j) == middle && count > 1 {
+                let usage = if (i, j) == middle {
                     Use::Square
                 } else {
                     match random.unit() {

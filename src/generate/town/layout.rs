@@ -189,7 +189,7 @@ fn park(builder: &mut Builder, block: &Block, random: &mut SplitMix64) {
     let middle = (block.min + block.max) * 0.5;
     builder.fountain(middle.extend(KERB_M));
     for i in 0..8 {
-        let (s, c) = sin_cos(f64::from(i) * 0.785_398_16 + 0.39);
+        let (s, c) = sin_cos(f64::from(i) * std::f64::consts::FRAC_PI_4 + 0.39);
         let at = middle + DVec2::new(c, s) * 10.8;
         builder.bench(&Frame::new(at.extend(KERB_M), DVec2::new(s, -c)).turned(2));
     }

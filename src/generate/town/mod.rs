@@ -104,18 +104,4 @@ mod tests {
         assert_eq!(first.colors, again.colors);
         assert_ne!(first.positions, small(6).positions);
     }
-
-    /// A wall hides what stands behind it: no point lies inside a house's lower storeys.
-    #[test]
-    fn nothing_is_seen_through_walls() {
-        let town = Town::new(70.0, 3);
-        let cloud = scan::scan(&town, 5_000, 3, &Progress::none());
-        let roofed = cloud
-            .positions
-            .iter()
-            .zip(cloud.classification.as_ref().unwrap())
-            .filter(|(p, class)| **class == 2 && p.z > ORIGIN_M.z + 12.0)
-            .count();
-        assert_eq!(roofed, 0, "ground above the roofs");
-    }
 }

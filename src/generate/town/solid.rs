@@ -113,6 +113,28 @@ impl Solid {
     }
 }
 
+impl Solid {
+    /// Whether `p` lies inside by more than `depth`; nothing lies inside leaves.
+    pub fn contains(&self, p: DVec3, depth: f64) -> bool {
+        match &self.shape {
+            Shape::Convex(faces) => faces.iter().all(|f| f.normal.dot(p) < f.offset - depth),
+            Shape::Cylinder { base, radius, height, .. } => {
+                let d = p - *base;
+                let inner = radius - depth;
+                inner > 0.0
+                    && d.x * d.x + d.y * d.y < inner * inner
+                    && d.z > depth
+                    && d.z < height - depth
+            }
+            Shape::Ellipsoid { centre, radii, .. } => {
+                let inner = *radii - depth;
+                inner.min_element() > 0.0 && ((p - *centre) / inner).length_squared() < 1.0
+            }
+            Shape::Leaves { .. } => false,
+        }
+    }
+}
+
 /// Corners are where three faces meet inside all others.
 fn convex_bounds(faces: &[Face]) -> Bounds {
     let mut bounds = Bounds::EMPTY;
