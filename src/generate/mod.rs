@@ -1,1 +1,183 @@
-//! generate.
+//! Deterministic procedural assets and scenes (floor 2).
+//!
+//! [`generate`] makes one of the [`Kind`]s from [`Parameters`]; [`write`] puts it on disk in the
+//! format that the file's extension asks for. Equal parameters give equal bytes on every machine:
+//! randomness comes from [`crate::scene::random`], trigonometry from [`numeric`], and parallel work is
+//! split and merged by index.
+
+mod error;
+mod isosurface;
+pub mod numeric;
+pub mod plain;
+pub mod relief;
+pub mod scenes;
+#[cfg(test)]
+mod tests;
+pub mod textured;
+pub mod town;
+mod write;
+
+pub use error::GenerateError;
+pub use write::write;
+
+use crate::assets::{Material, Mesh, PointCloud, Progress, Texture};
+
+/// What can be generated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, clap::ValueEnum)]
+pub enum Kind {
+    /// Laser scan of a procedural town at UTM coordinates: points with colour, intensity, class
+    Town,
+    /// Sculpted solid with fine relief: a watertight mesh with normals and colours
+    Relief,
+    /// The same solid as a dense point cloud with normals and colours
+    Statue,
+    /// Painted amphora: a mesh with a 512² texture
+    Textured,
+    /// Level ground with a fine checker: a textured mesh, or points
+    Checkerboard,
+    /// Scene of 40 × 40 assemblies through nested prototypes
+    Plaza,
+    /// Tree of forking tubes and single leaves, with vertex colours
+    Tree,
+    /// Cube about the origin
+    Cube,
+    /// Sphere about the origin
+    Sphere,
+}
+
+/// What generators may be told; `None` is the kind's own default.
+#[derive(Clone, Debug, Default)]
+pub struct Parameters {
+    pub seed: u64,
+    /// Number of points, for point clouds.
+    pub points: Option<u64>,
+    /// Number of triangles to aim at, for meshes.
+    pub triangles: Option<u64>,
+    /// Edge or height in scene units; for a plaza, assemblies along each edge.
+    pub size: Option<f64>,
+}
+
+/// What a generator made.
+#[derive(Clone, Debug)]
+pub enum Generated {
+    Points(PointCloud),
+    Mesh(GeneratedMesh),
+    Scene(GeneratedScene),
+}
+
+/// A mesh and how it looks.
+#[derive(Clone, Debug, Default)]
+pub struct GeneratedMesh {
+    pub mesh: Mesh,
+    pub material: Option<Material>,
+    pub texture: Option<Texture>,
+}
+
+/// A scene file and the assets that it names, by file name.
+#[derive(Clone, Debug)]
+pub struct GeneratedScene {
+    pub json: String,
+    pub assets: Vec<(String, Generated)>,
+}
+
+/// A parameter's value, or the default, refused outside `low..=high`.
+fn within<T: PartialOrd + Copy + std::fmt::Display>(
+    parameter: &'static str,
+    value: Option<T>,
+    default: T,
+    low: T,
+    high: T,
+) -> Result<T, GenerateError> {
+    let value = value.unwrap_or(default);
+    if value >= low && value <= high {
+        Ok(value)
+    } else {
+        let reason = format!("{value} lies outside {low}..={high}");
+        Err(GenerateError::Parameter { parameter, reason })
+    }
+}
+
+/// Makes an asset: points or a mesh, or the scene that `plaza` is.
+///
+/// # Errors
+/// A parameter outside its range.
+pub fn generate(
+    kind: Kind,
+    parameters: &Parameters,
+    progress: &Progress,
+) -> Result<Generated, GenerateError> {
+    let Parameters { seed, points, triangles, size } = *parameters;
+    let length = |default: f64| within("size", size, default, 1e-3, 1e6);
+    let corners = |default: u64| within("triangles", triangles, default, 100, 20_000_000);
+    let samples = |default: u64| within("points", points, default, 1, 1_000_000_000);
+    Ok(match kind {
+        Kind::Town => {
+            let size_m = town_size(size)?;
+            let points = samples(8_000_000)? as usize;
+            let parameters = town::TownParameters { size_m, points, seed };
+            Generated::Points(town::town(&parameters, progress))
+        }
+        Kind::Relief => {
+            let count = within("triangles", triangles, 400_000, 2_000, 20_000_000)? as usize;
+            let parameters = relief::ReliefParameters { height: length(2.0)?, count, seed };
+            Generated::Mesh(relief::relief(&parameters, progress))
+        }
+        Kind::Statue => {
+            let count = samples(5_000_000)? as usize;
+            let parameters = relief::ReliefParameters { height: length(2.0)?, count, seed };
+            Generated::Points(relief::statue(&parameters, progress))
+        }
+        Kind::Textured => {
+            Generated::Mesh(textured::amphora(length(AMPHORA_HEIGHT)?, corners(12_000)?, seed))
+        }
+        Kind::Checkerboard if points.is_some() => {
+            Generated::Points(textured::checker_points(length(10.0)?, samples(1_000_000)? as usize))
+        }
+        Kind::Checkerboard => Generated::Mesh(textured::checker_mesh(length(10.0)?)),
+        Kind::Plaza => Generated::Scene(scenes::plaza("plaza", plaza_count(size)?, seed, progress)),
+        Kind::Tree => Generated::Mesh(plain::tree(length(6.0)?, corners(8_000)?, seed)),
+        Kind::Cube => Generated::Mesh(plain::cube(length(1.0)?)),
+        Kind::Sphere => Generated::Mesh(plain::sphere(length(1.0)?, corners(4_000)?)),
+    })
+}
+
+/// Makes a kind as a scene called `name`: the JSON and the assets beside it.
+///
+/// # Errors
+/// A parameter outside its range.
+pub fn generate_scene(
+    kind: Kind,
+    name: &str,
+    parameters: &Parameters,
+    progress: &Progress,
+) -> Result<GeneratedScene, GenerateError> {
+    let usable = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+    if name.is_empty() || !name.chars().all(usable) {
+        return Err(GenerateError::Parameter {
+            parameter: "output",
+            reason: format!("`{name}` names assets, too: use letters, digits, `-`, `_` and `.`"),
+        });
+    }
+    if kind == Kind::Plaza {
+        let count = plaza_count(parameters.size)?;
+        return Ok(scenes::plaza(name, count, parameters.seed, progress));
+    }
+    let asset = generate(kind, parameters, progress)?;
+    Ok(match kind {
+        Kind::Town => scenes::town(name, asset, town_size(parameters.size)?),
+        Kind::Textured => scenes::amphora(name, asset, parameters.size.unwrap_or(AMPHORA_HEIGHT)),
+        _ => scenes::solid(name, asset),
+    })
+}
+
+/// Metres.
+const AMPHORA_HEIGHT: f64 = 0.6;
+
+fn town_size(size: Option<f64>) -> Result<f64, GenerateError> {
+    within("size", size, 180.0, 40.0, 2_000.0)
+}
+
+/// Assemblies along each edge of the plaza.
+fn plaza_count(size: Option<f64>) -> Result<u64, GenerateError> {
+    Ok(within("size", size, 40.0, 1.0, 1_000.0)?.round() as u64)
+}

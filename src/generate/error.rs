@@ -1,0 +1,29 @@
+//! Why nothing was generated.
+
+use std::path::Path;
+
+/// Why nothing was generated or written.
+#[derive(Debug, thiserror::Error)]
+pub enum GenerateError {
+    #[error("{parameter}: {reason}")]
+    Parameter { parameter: &'static str, reason: String },
+    /// The file's extension and what was made do not go together.
+    #[error("{file}: cannot hold {what}; accepted are {accepted}")]
+    Format { file: String, what: &'static str, accepted: &'static str },
+    #[error("{file}: {source}")]
+    Io { file: String, source: std::io::Error },
+    /// A writer of a library failed.
+    #[error("{file}: {reason}")]
+    Write { file: String, reason: String },
+}
+
+impl GenerateError {
+    pub(super) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> GenerateError {
+        let file = path.display().to_string();
+        move |source| GenerateError::Io { file, source }
+    }
+
+    pub(super) fn write(path: &Path, reason: impl std::fmt::Display) -> GenerateError {
+        GenerateError::Write { file: path.display().to_string(), reason: reason.to_string() }
+    }
+}

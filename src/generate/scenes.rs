@@ -1,0 +1,253 @@
+//! Whole scenes: a JSON file with lights, cameras and a path, and the assets that it names.
+//!
+//! `generate KIND -o NAME.json` puts any kind into a scene of its own; `plaza` is one by nature: forty by
+//! forty assemblies of a statue, trees, benches and a lamp, instanced through four levels of
+//! prototypes, so that a file of two kilobytes draws twenty thousand instances.
+
+use glam::DVec3;
+
+use super::{Generated, GeneratedMesh, GeneratedScene, plain, relief, textured};
+use crate::assets::Progress;
+use crate::math::Bounds;
+
+/// A pose in a scene file.
+struct Pose {
+    name: &'static str,
+    eye: DVec3,
+    target: DVec3,
+    fov: f64,
+}
+
+/// Coordinates in a file, to the millimetre.
+fn vector(v: DVec3) -> String {
+    let round = |c: f64| (c * 1000.0).round() / 1000.0 + 0.0;
+    format!("[{}, {}, {}]", round(v.x), round(v.y), round(v.z))
+}
+
+fn cameras(poses: &[Pose]) -> String {
+    let lines: Vec<String> = poses
+        .iter()
+        .map(|pose| {
+            let (eye, target) = (vector(pose.eye), vector(pose.target));
+            format!(
+                "    \"{}\": {{ \"eye\": {eye}, \"target\": {target}, \"fov\": {} }}",
+                pose.name, pose.fov
+            )
+        })
+        .collect();
+    format!("  \"cameras\": {{\n{}\n  }}", lines.join(",\n"))
+}
+
+/// A path through `keys` (seconds, eye, target).
+fn path(name: &str, keys: &[(f64, DVec3, DVec3)]) -> String {
+    let lines: Vec<String> = keys
+        .iter()
+        .map(|(t, eye, target)| {
+            let (eye, target) = (vector(*eye), vector(*target));
+            format!("      {{ \"t\": {t}, \"eye\": {eye}, \"target\": {target} }}")
+        })
+        .collect();
+    format!(
+        "  \"paths\": {{ \"{name}\": {{ \"fps\": 30, \"keys\": [\n{}\n  ] }} }}",
+        lines.join(",\n")
+    )
+}
+
+const DAYLIGHT: &str = r##"  "lights": [
+    { "kind": "sun", "direction": [-0.5, -1, -0.7], "color": "#fff2dd", "intensity": 0.85, "shadows": true },
+    { "kind": "headlight", "intensity": 0.15 },
+    { "kind": "ambient", "color": "#dce6f5", "intensity": 0.25 }
+  ]"##;
+
+/// The scan of a town: unlit points in their own colours.
+pub fn town(name: &str, scan: Generated, size_m: f64) -> GeneratedScene {
+    let asset = format!("{name}-scan.laz");
+    let middle = super::town::ORIGIN_M;
+    let s = size_m;
+    let pose = |name, eye: [f64; 3], target: [f64; 3], fov| Pose {
+        name,
+        eye: middle + DVec3::from_array(eye) * s,
+        target: middle + DVec3::from_array(target) * s,
+        fov,
+    };
+    let poses = [
+        pose("overview", [-0.78, -1.0, 0.62], [0.0, 0.0, 0.1], 42.0),
+        pose("square", [-0.3, -0.42, 0.14], [0.03, 0.05, 0.06], 50.0),
+        pose("street", [-0.5, -0.32, 0.06], [0.1, -0.2, 0.03], 55.0),
+        pose("above", [0.0, -0.05, 1.2], [0.0, 0.0, 0.0], 50.0),
+    ];
+    let around = |t: f64, x: f64, y: f64| {
+        (t, middle + DVec3::new(x, y, 0.45) * s, middle + DVec3::new(0.0, 0.0, 0.05) * s)
+    };
+    let keys = [
+        around(0.0, -0.62, -0.8),
+        around(2.0, 0.62, -0.8),
+        around(4.0, 0.8, 0.6),
+        around(6.0, -0.6, 0.8),
+    ];
+    let json = format!(
+        "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"up\": \"z\",\n  \"assets\": {{ \"scan\": {{ \"file\": \"{asset}\" }} }},\n  \"nodes\": [ {{ \"name\": \"scan\", \"asset\": \"scan\" }} ],\n  \"lights\": [],\n  \"background\": \"#c9d8e6\",\n{},\n{}\n}}\n",
+        cameras(&poses),
+        path("orbit", &keys)
+    );
+    GeneratedScene { json, assets: vec![(asset, scan)] }
+}
+
+/// One solid, lit, with cameras around it.
+pub fn solid(name: &str, asset: Generated) -> GeneratedScene {
+    let bounds = match &asset {
+        Generated::Points(cloud) => Bounds::of(cloud.positions.iter().copied()),
+        Generated::Mesh(mesh) => Bounds::of(mesh.mesh.positions.iter().copied()),
+        Generated::Scene(_) => Bounds::EMPTY,
+    };
+    let textured = matches!(&asset, Generated::Mesh(GeneratedMesh { texture: Some(_), .. }));
+    let file = format!("{name}-{}", if textured { "mesh.obj" } else { "asset.ply" });
+    let (middle, reach) = (bounds.centre(), bounds.extent().max_element().max(1e-6));
+    let pose = |name, eye: [f64; 3], target: [f64; 3], fov| Pose {
+        name,
+        eye: middle + DVec3::from_array(eye) * reach,
+        target: middle + DVec3::from_array(target) * reach,
+        fov,
+    };
+    let poses = [
+        pose("front", [0.25, 0.25, 1.75], [0.0, 0.0, 0.0], 38.0),
+        pose("detail", [0.35, 0.35, 0.65], [0.02, 0.12, 0.05], 40.0),
+        pose("above", [0.5, 1.5, 0.7], [0.0, 0.0, 0.0], 38.0),
+    ];
+    let around = |t: f64, x: f64, z: f64| (t, middle + DVec3::new(x, 0.3, z) * reach, middle);
+    let keys = [
+        around(0.0, 0.0, 1.75),
+        around(1.5, 1.75, 0.0),
+        around(3.0, 0.0, -1.75),
+        around(4.5, -1.75, 0.0),
+        around(6.0, 0.0, 1.75),
+    ];
+    let json = format!(
+        "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"assets\": {{ \"{name}\": {{ \"file\": \"{file}\" }} }},\n  \"nodes\": [ {{ \"name\": \"{name}\", \"asset\": \"{name}\" }} ],\n{DAYLIGHT},\n  \"background\": \"#3a4149\",\n{},\n{}\n}}\n",
+        cameras(&poses),
+        path("turn", &keys)
+    );
+    GeneratedScene { json, assets: vec![(file, asset)] }
+}
+
+/// An amphora on a checkered floor.
+pub fn amphora(name: &str, amphora: Generated, height: f64) -> GeneratedScene {
+    let (mesh, floor) = (format!("{name}-amphora.obj"), format!("{name}-floor.obj"));
+    let h = height;
+    let pose = |name, eye: [f64; 3], target: [f64; 3], fov| Pose {
+        name,
+        eye: DVec3::from_array(eye) * h,
+        target: DVec3::from_array(target) * h,
+        fov,
+    };
+    let poses = [
+        pose("front", [0.5, 0.9, 2.1], [0.0, 0.47, 0.0], 38.0),
+        pose("detail", [0.3, 0.75, 0.75], [0.0, 0.58, 0.0], 40.0),
+        pose("grazing", [1.5, 0.18, 3.2], [0.0, 0.35, 0.0], 45.0),
+    ];
+    let middle = DVec3::new(0.0, 0.5, 0.0) * h;
+    let around = |t: f64, x: f64, z: f64| (t, DVec3::new(x, 0.9, z) * h, middle);
+    let keys = [
+        around(0.0, 0.0, 2.1),
+        around(1.5, 2.1, 0.0),
+        around(3.0, 0.0, -2.1),
+        around(4.5, -2.1, 0.0),
+        around(6.0, 0.0, 2.1),
+    ];
+    let json = format!(
+        "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"assets\": {{\n    \"amphora\": {{ \"file\": \"{mesh}\" }},\n    \"floor\": {{ \"file\": \"{floor}\" }}\n  }},\n  \"nodes\": [\n    {{ \"name\": \"amphora\", \"asset\": \"amphora\" }},\n    {{ \"name\": \"floor\", \"asset\": \"floor\" }}\n  ],\n{DAYLIGHT},\n  \"background\": \"#aebccb\",\n{},\n{}\n}}\n",
+        cameras(&poses),
+        path("turn", &keys)
+    );
+    let floor_mesh = Generated::Mesh(textured::checker_mesh(6.4 * h));
+    GeneratedScene { json, assets: vec![(mesh, amphora), (floor, floor_mesh)] }
+}
+
+/// Distance between assemblies in metres.
+const PITCH_M: f64 = 8.0;
+
+/// Forty by forty assemblies.
+pub fn plaza(name: &str, count: u64, seed: u64, progress: &Progress) -> GeneratedScene {
+    let statue = relief::ReliefParameters { height: 2.0, count: 5_000, seed };
+    let statue = relief::relief(&statue, progress);
+    let assets: Vec<(&str, GeneratedMesh)> = vec![
+        ("statue", statue),
+        ("tree", plain::tree(4.2, 900, seed)),
+        ("bench", plain::bench()),
+        ("lamp", plain::lamp()),
+        ("tile", plain::tile(PITCH_M)),
+    ];
+    let half = 0.5 * PITCH_M * count as f64;
+    let poses = [
+        Pose {
+            name: "overview",
+            eye: DVec3::new(0.55, 0.42, 1.25) * half,
+            target: DVec3::ZERO,
+            fov: 40.0,
+        },
+        Pose {
+            name: "walk",
+            eye: DVec3::new(0.0, 1.7, 0.35 * half),
+            target: DVec3::new(0.4, 1.6, -0.2 * half),
+            fov: 50.0,
+        },
+        Pose {
+            name: "assembly",
+            eye: DVec3::new(5.2, 1.9, 9.4),
+            target: DVec3::new(3.9, 1.3, 4.0),
+            fov: 38.0,
+        },
+    ];
+    let keys = [
+        (0.0, DVec3::new(0.55, 0.42, 1.25) * half, DVec3::ZERO),
+        (3.0, DVec3::new(8.0, 6.0, 0.5 * half), DVec3::new(0.0, 1.0, 0.0)),
+        (6.0, DVec3::new(0.0, 1.8, -0.3 * half), DVec3::new(0.0, 1.6, -0.6 * half)),
+    ];
+    let listed: Vec<String> = assets
+        .iter()
+        .map(|(asset, _)| format!("    \"{asset}\": {{ \"file\": \"{name}-{asset}.ply\" }}"))
+        .collect();
+    let json = format!(
+        r##"{{
+  "pointillist": 1,
+  "name": "{name}",
+  "assets": {{
+{}
+  }},
+  "prototypes": {{
+    "corner": {{ "children": [
+      {{ "asset": "tree", "translate": [2.7, 0, 2.7] }},
+      {{ "asset": "bench", "translate": [0, 0, 2.9], "rotate": [0, 180, 0] }}
+    ] }},
+    "assembly": {{ "children": [
+      {{ "asset": "tile" }},
+      {{ "asset": "statue", "translate": [0, 0.3, 0] }},
+      {{ "prototype": "corner" }},
+      {{ "prototype": "corner", "rotate": [0, 90, 0] }},
+      {{ "prototype": "corner", "rotate": [0, 180, 0] }},
+      {{ "prototype": "corner", "rotate": [0, 270, 0] }},
+      {{ "asset": "lamp", "translate": [-1.4, 0, 3.2] }}
+    ] }},
+    "row": {{ "children": [
+      {{ "prototype": "assembly", "repeat": {{ "grid": [{count}, 1, 1], "step": [{PITCH_M}, 0, 0] }} }}
+    ] }}
+  }},
+  "nodes": [
+    {{ "name": "square", "prototype": "row", "repeat": {{ "grid": [1, 1, {count}], "step": [0, 0, {PITCH_M}] }} }}
+  ],
+{DAYLIGHT},
+  "background": "#b9cbdd",
+{},
+{}
+}}
+"##,
+        listed.join(",\n"),
+        cameras(&poses),
+        path("approach", &keys)
+    );
+    let assets = assets
+        .into_iter()
+        .map(|(asset, mesh)| (format!("{name}-{asset}.ply"), Generated::Mesh(mesh)))
+        .collect();
+    GeneratedScene { json, assets }
+}

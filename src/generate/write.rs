@@ -1,0 +1,275 @@
+//! Writers for what generators make: binary PLY, LAS and LAZ, OBJ with MTL and PNG, scene files.
+//!
+//! Nothing in the files depends on the time or the machine: no dates, no identifiers, little-endian
+//! throughout. Points are written with coordinates in f64, meshes in f32.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use super::{GenerateError, Generated, GeneratedMesh};
+use crate::assets::{Material, Mesh, PointCloud, Texture};
+use crate::math::Bounds;
+
+/// Writes `generated` to `path` (and beside it, where a format has several files); returns all files
+/// written.
+///
+/// # Errors
+/// An extension that cannot hold it, or an I/O error; files begun may be left behind.
+pub fn write(generated: &Generated, path: &Path) -> Result<Vec<PathBuf>, GenerateError> {
+    let extension =
+        path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let refuse =
+        |what, accepted| GenerateError::Format { file: path.display().to_string(), what, accepted };
+    match (generated, extension.as_str()) {
+        (Generated::Points(cloud), "ply") => ply_points(cloud, path),
+        (Generated::Points(cloud), "las" | "laz") => las_points(cloud, path, extension == "laz"),
+        (Generated::Points(_), _) => Err(refuse("points", ".ply, .las, .laz and .json")),
+        (Generated::Mesh(mesh), "ply") if mesh.texture.is_none() => ply_mesh(&mesh.mesh, path),
+        (Generated::Mesh(mesh), "obj") => return obj(mesh, path),
+        (Generated::Mesh(mesh), _) if mesh.texture.is_some() => {
+            return Err(refuse("a textured mesh", ".obj and .json"));
+        }
+        (Generated::Mesh(_), _) => return Err(refuse("a mesh", ".ply, .obj and .json")),
+        (Generated::Scene(scene), "json") => {
+            let mut files = vec![path.to_owned()];
+            std::fs::write(path, &scene.json).map_err(GenerateError::io(path))?;
+            let folder = path.parent().unwrap_or(Path::new(""));
+            for (name, asset) in &scene.assets {
+                files.extend(write(asset, &folder.join(name))?);
+            }
+            return Ok(files);
+        }
+        (Generated::Scene(_), _) => return Err(refuse("a scene", ".json")),
+    }?;
+    Ok(vec![path.to_owned()])
+}
+
+fn create(path: &Path) -> Result<BufWriter<File>, GenerateError> {
+    Ok(BufWriter::with_capacity(1 << 18, File::create(path).map_err(GenerateError::io(path))?))
+}
+
+/// Attributes of a vertex as PLY properties, in the order of [`ply_vertex`].
+fn ply_header(
+    out: &mut impl Write,
+    (count, coordinates): (usize, &str),
+    (normals, colors): (bool, bool),
+    (intensity, classes): (bool, bool),
+    triangles: Option<usize>,
+) -> std::io::Result<()> {
+    writeln!(out, "ply\nformat binary_little_endian 1.0\ncomment made by pointillist generate")?;
+    writeln!(out, "element vertex {count}")?;
+    for axis in ["x", "y", "z"] {
+        writeln!(out, "property {coordinates} {axis}")?;
+    }
+    if normals {
+        writeln!(out, "property float nx\nproperty float ny\nproperty float nz")?;
+    }
+    if colors {
+        writeln!(out, "property uchar red\nproperty uchar green\nproperty uchar blue")?;
+    }
+    if intensity {
+        writeln!(out, "property ushort intensity")?;
+    }
+    if classes {
+        writeln!(out, "property uchar classification")?;
+    }
+    if let Some(triangles) = triangles {
+        writeln!(out, "element face {triangles}\nproperty list uchar uint vertex_indices")?;
+    }
+    writeln!(out, "end_header")
+}
+
+fn ply_points(cloud: &PointCloud, path: &Path) -> Result<(), GenerateError> {
+    let mut out = create(path)?;
+    let mut body = || -> std::io::Result<()> {
+        ply_header(
+            &mut out,
+            (cloud.positions.len(), "double"),
+            (cloud.normals.is_some(), cloud.colors.is_some()),
+            (cloud.intensity.is_some(), cloud.classification.is_some()),
+            None,
+        )?;
+        for (i, p) in cloud.positions.iter().enumerate() {
+            for axis in p.to_array() {
+                out.write_all(&axis.to_le_bytes())?;
+            }
+            if let Some(n) = cloud.normals.as_ref().and_then(|list| list.get(i)) {
+                out.write_all(bytemuck::cast_slice(&n.to_array().map(f32::to_le_bytes)))?;
+            }
+            if let Some(color) = cloud.colors.as_ref().and_then(|list| list.get(i)) {
+                out.write_all(&color[..3])?;
+            }
+            if let Some(intensity) = cloud.intensity.as_ref().and_then(|list| list.get(i)) {
+                out.write_all(&intensity.to_le_bytes())?;
+            }
+            if let Some(class) = cloud.classification.as_ref().and_then(|list| list.get(i)) {
+                out.write_all(&[*class])?;
+            }
+        }
+        out.flush()
+    };
+    body().map_err(GenerateError::io(path))
+}
+
+fn ply_mesh(mesh: &Mesh, path: &Path) -> Result<(), GenerateError> {
+    let mut out = create(path)?;
+    let mut body = || -> std::io::Result<()> {
+        ply_header(
+            &mut out,
+            (mesh.positions.len(), "float"),
+            (mesh.normals.is_some(), mesh.colors.is_some()),
+            (false, false),
+            Some(mesh.triangles.len()),
+        )?;
+        for (i, p) in mesh.positions.iter().enumerate() {
+            for axis in p.to_array() {
+                out.write_all(&(axis as f32).to_le_bytes())?;
+            }
+            if let Some(n) = mesh.normals.as_ref().and_then(|list| list.get(i)) {
+                out.write_all(bytemuck::cast_slice(&n.to_array().map(f32::to_le_bytes)))?;
+            }
+            if let Some(color) = mesh.colors.as_ref().and_then(|list| list.get(i)) {
+                out.write_all(&color[..3])?;
+            }
+        }
+        for triangle in &mesh.triangles {
+            out.write_all(&[3])?;
+            out.write_all(bytemuck::cast_slice(&triangle.map(u32::to_le_bytes)))?;
+        }
+        out.flush()
+    };
+    body().map_err(GenerateError::io(path))
+}
+
+/// LAS 1.2, point format 2 (colour), in whole millimetres.
+fn las_points(cloud: &PointCloud, path: &Path, compress: bool) -> Result<(), GenerateError> {
+    let fail = |error: las::Error| GenerateError::write(path, error);
+    let header = las_header(cloud, compress).map_err(fail)?;
+    let mut writer = las::Writer::new(create(path)?, header).map_err(fail)?;
+    let mut body = || -> las::Result<()> {
+        for index in 0..cloud.positions.len() {
+            writer.write_point(las_point(cloud, index)?)?;
+        }
+        writer.close()
+    };
+    let result = body();
+    if result.is_err() {
+        // Its destructor would try to finish the file once more, and panic.
+        std::mem::forget(writer);
+    }
+    result.map_err(fail)
+}
+
+fn las_header(cloud: &PointCloud, compress: bool) -> las::Result<las::Header> {
+    let middle = Bounds::of(cloud.positions.iter().copied()).centre();
+    // Offsets in whole kilometres keep millimetres within 32 bits wherever the cloud lies.
+    let transform =
+        |axis: usize| las::Transform { scale: 0.001, offset: (middle[axis] / 1e3).floor() * 1e3 };
+    let mut builder = las::Builder::from((1, 2));
+    builder.generating_software = "pointillist generate".to_owned();
+    builder.system_identifier = "SIMULATED".to_owned();
+    builder.point_format = las::point::Format::new(2)?;
+    builder.point_format.is_compressed = compress;
+    builder.transforms = las::Vector { x: transform(0), y: transform(1), z: transform(2) };
+    builder.into_header()
+}
+
+fn las_point(cloud: &PointCloud, index: usize) -> las::Result<las::Point> {
+    let p = cloud.positions[index];
+    let class = cloud.classification.as_ref().map_or(1, |list| list[index]);
+    // Eight bits become sixteen so that 255 becomes 65535.
+    let [r, g, b, _] = cloud.colors.as_ref().map_or([255; 4], |list| list[index]);
+    let [r, g, b] = [r, g, b].map(|c| u16::from(c) * 257);
+    Ok(las::Point {
+        x: p.x,
+        y: p.y,
+        z: p.z,
+        intensity: cloud.intensity.as_ref().map_or(0, |list| list[index]),
+        return_number: 1,
+        number_of_returns: 1,
+        classification: las::point::Classification::new(class)?,
+        color: Some(las::Color::new(r, g, b)),
+        ..las::Point::default()
+    })
+}
+
+/// OBJ, with the material in an MTL and the texture in a PNG of the same stem.
+fn obj(generated: &GeneratedMesh, path: &Path) -> Result<Vec<PathBuf>, GenerateError> {
+    let stem = path.file_stem().and_then(|s| s.to_str()).unwrap_or("mesh");
+    let (mtl, image) = (path.with_extension("mtl"), path.with_extension("png"));
+    let mut files = vec![path.to_owned()];
+    let mut out = create(path)?;
+    let has_material = generated.material.is_some() || generated.texture.is_some();
+    obj_body(&mut out, &generated.mesh, has_material.then_some(stem))
+        .map_err(GenerateError::io(path))?;
+    if has_material {
+        let material = generated.material.clone().unwrap_or_default();
+        let texture = generated.texture.as_ref().map(|_| format!("{stem}.png"));
+        std::fs::write(&mtl, mtl_text(stem, &material, texture.as_deref()))
+            .map_err(GenerateError::io(&mtl))?;
+        files.push(mtl);
+    }
+    if let Some(texture) = &generated.texture {
+        png(texture, &image)?;
+        files.push(image);
+    }
+    Ok(files)
+}
+
+fn obj_body(out: &mut impl Write, mesh: &Mesh, material: Option<&str>) -> std::io::Result<()> {
+    writeln!(out, "# made by pointillist generate")?;
+    if let Some(name) = material {
+        writeln!(out, "mtllib {name}.mtl\nusemtl {name}")?;
+    }
+    for p in &mesh.positions {
+        writeln!(out, "v {:.5} {:.5} {:.5}", p.x, p.y, p.z)?;
+    }
+    for uv in mesh.uvs.iter().flatten() {
+        // OBJ counts v from the bottom.
+        writeln!(out, "vt {:.5} {:.5}", uv.x, 1.0 - uv.y)?;
+    }
+    for n in mesh.normals.iter().flatten() {
+        writeln!(out, "vn {:.4} {:.4} {:.4}", n.x, n.y, n.z)?;
+    }
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|index| {
+            let i = u64::from(index) + 1;
+            match (mesh.uvs.is_some(), mesh.normals.is_some()) {
+                (true, true) => format!("{i}/{i}/{i}"),
+                (true, false) => format!("{i}/{i}"),
+                (false, true) => format!("{i}//{i}"),
+                (false, false) => format!("{i}"),
+            }
+        });
+        writeln!(out, "f {a} {b} {c}")?;
+    }
+    out.flush()
+}
+
+fn mtl_text(name: &str, material: &Material, texture: Option<&str>) -> String {
+    let [r, g, b, _] = material.base_color;
+    let [sr, sg, sb] = material.specular;
+    let mut text = format!(
+        "# made by pointillist generate\nnewmtl {name}\nKd {r:.4} {g:.4} {b:.4}\n\
+         Ks {sr:.4} {sg:.4} {sb:.4}\nNs {:.1}\nd 1.0\nillum 2\n",
+        material.shininess
+    );
+    if let Some(texture) = texture {
+        text.push_str(&format!("map_Kd {texture}\n"));
+    }
+    text
+}
+
+/// 8-bit RGB.
+fn png(texture: &Texture, path: &Path) -> Result<(), GenerateError> {
+    let fail = |error: png::EncodingError| GenerateError::write(path, error);
+    let mut encoder = png::Encoder::new(create(path)?, texture.width, texture.height);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_compression(png::Compression::High);
+    let mut writer = encoder.write_header().map_err(fail)?;
+    let rgb: Vec<u8> = texture.rgba.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect();
+    writer.write_image_data(&rgb).map_err(fail)?;
+    writer.finish().map_err(fail)
+}
