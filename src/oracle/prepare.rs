@@ -28,7 +28,8 @@ pub struct PreparedItem<'a> {
     view_from_world: DMat3,
     /// The transform turns left into right.
     pub mirrored: bool,
-    /// Turns normals, up to a positive factor; defined for singular transforms too.
+    /// Turns normals, up to a factor, whose sign does not matter as they are turned towards the eye afterwards.
+    /// Defined for singular transforms too.
     pub normal_world_from_geometry: DMat3,
     /// For a mesh, the number of its first triangle after each part.
     part_ends: Vec<usize>,
@@ -62,7 +63,6 @@ fn address(texture: &Texture) -> usize {
 impl<'a> PreparedItem<'a> {
     fn new(item: &OracleItem<'a>, view: &View) -> Self {
         let linear = item.world_from_geometry.matrix3;
-        let mirrored = linear.determinant() < 0.0;
         // The cofactors are the inverse transpose times the determinant.
         let (x, y, z) = (linear.x_axis, linear.y_axis, linear.z_axis);
         let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
@@ -81,8 +81,8 @@ impl<'a> PreparedItem<'a> {
             linear,
             origin_from_eye: item.world_from_geometry.translation - view.eye,
             view_from_world: view.view_from_world,
-            mirrored,
-            normal_world_from_geometry: if mirrored { -cofactors } else { cofactors },
+            mirrored: linear.determinant() < 0.0,
+            normal_world_from_geometry: cofactors,
             part_ends,
         }
     }
