@@ -160,7 +160,7 @@ fn add_samples(
         let inside =
             (0.0..width as f64).contains(&pixel.x) && (0.0..height as f64).contains(&pixel.y);
         let hit = Hit { depth: -position_view.z, item: number, index: index as u32 };
-        (inside && hit.depth.is_finite()).then(|| (pixel.x as usize, pixel.y as usize, hit))
+        (inside && hit.depth.is_finite()).then_some((pixel.x as usize, pixel.y as usize, hit))
     };
     let projected: Vec<(usize, usize, Hit)> =
         cloud.positions.par_iter().enumerate().filter_map(project).collect();
