@@ -77,7 +77,7 @@ fn holes_and_leaks_know_silhouettes() {
     image[2 * 10 + 4] = false; // on the edge
     image[5 * 10 + 5] = false; // in the middle
     image[4 * 10 + 8] = true; // beside the edge
-    image[1 * 10 + 1] = true; // touches a corner
+    image[10 + 1] = true; // touches a corner
     image[0] = true; // in the image's corner, on its own
     let found = coverage(&reference, &image, 10, 10).unwrap();
     assert_eq!((found.holes, found.holes_inside), (2, 1));

@@ -21,6 +21,8 @@ mod surface;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
+mod tests_hard;
+#[cfg(test)]
 mod tests_shading;
 mod texture;
 mod visibility;

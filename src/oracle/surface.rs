@@ -57,7 +57,9 @@ fn sample(view: &View, item: &PreparedItem<'_>, cloud: &PointCloud, index: u32) 
     let color = cloud.colors.as_ref().and_then(|colors| colors.get(index)).unwrap_or(&grey);
     let normal = cloud.normals.as_ref().and_then(|normals| normals.get(index));
     let material = overridden(item, &Material::default());
-    let position_view = cloud.positions.get(index).map_or(DVec3::ZERO, |&p| item.to_view(p));
+    // A hit comes from a sample that can be drawn, so that none is missing here.
+    let position = cloud.positions.get(index).and_then(|&position| item.to_view(position));
+    let position_view = position.unwrap_or(DVec3::ZERO);
     surface(
         times(linear_from_srgba8(*color), material.base_color.map(f64::from)),
         view.view_from_world.transpose() * position_view,
