@@ -3,12 +3,12 @@
 //! Written for clarity, never for speed, and sharing nothing with the GPU's passes but the scene
 //! types, or it would share their mistakes. An image's error is its distance from this one's.
 //!
-//! 1. [`visibility`]: which sample or triangle each pixel shows. A sample covers the one pixel that it projects
+//! 1. `visibility`: which sample or triangle each pixel shows. A sample covers the one pixel that it projects
 //!    into. A triangle covers a pixel when the ray through the pixel's centre meets it, decided by exact predicates
-//!    ([`predicates`]), so that neighbours neither overlap nor leave a gap and a triangle through
+//!    (`predicates`), so that neighbours neither overlap nor leave a gap and a triangle through
 //!    the camera plane needs no clipping. The nearest wins; at equal depth the lower instance, then the lower index.
-//! 2. [`surface`]: colour ([`texture`] included), normal and material where the ray meets the winner.
-//! 3. [`shade`]: Phong, or the colour as it is.
+//! 2. `surface`: colour (`texture` included), normal and material where the ray meets the winner.
+//! 3. `shade`: Phong, or the colour as it is.
 //!
 //! Work is split by rows of the image; the order of primitives does not matter to the result, so that it
 //! is the same on any number of threads.
@@ -20,6 +20,8 @@ mod shade;
 mod surface;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tests_hard;
 #[cfg(test)]
 mod tests_shading;
 mod texture;

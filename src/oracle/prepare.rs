@@ -11,6 +11,10 @@ use super::texture::{self, Pyramid};
 use super::visibility::Hit;
 use super::{OracleItem, OracleScene};
 
+/// Nothing beyond this distance from the eye is drawn: products of three coordinates stay finite.
+const FARTHEST: f64 = 1e100;
+
+/// A scene as one view sees it.
 pub struct Prepared<'a> {
     pub scene: &'a OracleScene<'a>,
     pub items: Vec<PreparedItem<'a>>,
@@ -28,7 +32,8 @@ pub struct PreparedItem<'a> {
     view_from_world: DMat3,
     /// The transform turns left into right.
     pub mirrored: bool,
-    /// Turns normals, up to a positive factor; defined for singular transforms too.
+    /// Turns normals, up to a factor, whose sign does not matter as they are turned towards the eye afterwards.
+    /// Defined for singular transforms too.
     pub normal_world_from_geometry: DMat3,
     /// For a mesh, the number of its first triangle after each part.
     part_ends: Vec<usize>,
@@ -62,7 +67,6 @@ fn address(texture: &Texture) -> usize {
 impl<'a> PreparedItem<'a> {
     fn new(item: &OracleItem<'a>, view: &View) -> Self {
         let linear = item.world_from_geometry.matrix3;
-        let mirrored = linear.determinant() < 0.0;
         // The cofactors are the inverse transpose times the determinant.
         let (x, y, z) = (linear.x_axis, linear.y_axis, linear.z_axis);
         let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
@@ -81,23 +85,23 @@ impl<'a> PreparedItem<'a> {
             linear,
             origin_from_eye: item.world_from_geometry.translation - view.eye,
             view_from_world: view.view_from_world,
-            mirrored,
-            normal_world_from_geometry: if mirrored { -cofactors } else { cofactors },
+            mirrored: linear.determinant() < 0.0,
+            normal_world_from_geometry: cofactors,
             part_ends,
         }
     }
 
-    /// A point of the geometry in view space.
-    pub fn to_view(&self, geometry: DVec3) -> DVec3 {
-        self.view_from_world * (self.linear * geometry + self.origin_from_eye)
+    /// A point of the geometry in view space; `None` where a coordinate is not a number or beyond [`FARTHEST`].
+    pub fn to_view(&self, geometry: DVec3) -> Option<DVec3> {
+        let view = self.view_from_world * (self.linear * geometry + self.origin_from_eye);
+        (view.abs().max_element() <= FARTHEST && !view.is_nan()).then_some(view)
     }
 
-    /// A mesh's triangle in view space; `None` where an index leads nowhere or a coordinate is not finite.
+    /// A mesh's triangle in view space; `None` where an index leads nowhere or a corner cannot be drawn.
     pub fn triangle_view(&self, mesh: &Mesh, triangle: u32) -> Option<[DVec3; 3]> {
         let [a, b, c] = *mesh.triangles.get(triangle as usize)?;
-        let vertex = |i: u32| Some(self.to_view(*mesh.positions.get(i as usize)?));
-        let corners = [vertex(a)?, vertex(b)?, vertex(c)?];
-        corners.iter().all(|corner| corner.is_finite()).then_some(corners)
+        let vertex = |i: u32| self.to_view(*mesh.positions.get(i as usize)?);
+        Some([vertex(a)?, vertex(b)?, vertex(c)?])
     }
 
     /// The asset's own material of a triangle, before any override.

@@ -57,7 +57,9 @@ fn sample(view: &View, item: &PreparedItem<'_>, cloud: &PointCloud, index: u32) 
     let color = cloud.colors.as_ref().and_then(|colors| colors.get(index)).unwrap_or(&grey);
     let normal = cloud.normals.as_ref().and_then(|normals| normals.get(index));
     let material = overridden(item, &Material::default());
-    let position_view = cloud.positions.get(index).map_or(DVec3::ZERO, |&p| item.to_view(p));
+    // A hit comes from a sample that can be drawn, so that none is missing here.
+    let position = cloud.positions.get(index).and_then(|&position| item.to_view(position));
+    let position_view = position.unwrap_or(DVec3::ZERO);
     surface(
         times(linear_from_srgba8(*color), material.base_color.map(f64::from)),
         view.view_from_world.transpose() * position_view,
@@ -171,5 +173,40 @@ fn uv_footprint(
         uv: (0..3).map(|i| uvs[i] * weights[i]).sum(),
         along_x: derivative(DVec3::new(1.0 / view.focal_px.x, 0.0, 0.0)),
         along_y: derivative(DVec3::new(0.0, -1.0 / view.focal_px.y, 0.0)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::Camera;
+
+    #[test]
+    fn uv_derivatives_are_those_of_the_projection() {
+        let (eye, target) = (DVec3::new(1.0, 2.0, 4.0), DVec3::ZERO);
+        let view = Camera { eye, target, up: DVec3::Y, fov_deg: 50.0 }.view(64, 48).unwrap();
+        let corners = [[-3.0, 0.0, -6.0], [2.0, -0.5, 2.0], [0.0, 3.0, -1.0]];
+        let seen = SeenTriangle::new(corners.map(|c| view.to_view(c.into()))).unwrap();
+        let uvs = [(0.1, 0.9), (2.5, 0.3), (-0.4, -1.5)].map(DVec2::from);
+        let uv = |pixel: DVec2| -> DVec2 {
+            let weights = seen.weights(view.ray(pixel));
+            (0..3).map(|i| uvs[i] * weights[i]).sum()
+        };
+        let step = 1e-4;
+        let mut checked = 0;
+        for pixel in (0..64 * 48).map(|i| DVec2::new(f64::from(i % 64), f64::from(i / 64)) + 0.5) {
+            let around = [DVec2::ZERO, DVec2::X, -DVec2::X, DVec2::Y, -DVec2::Y].map(|d| pixel + d);
+            if !around.iter().all(|&p| seen.covers(view.ray(p))) {
+                continue;
+            }
+            let footprint = uv_footprint(&seen, &view, view.ray(pixel), uvs);
+            for (found, axis) in [(footprint.along_x, DVec2::X), (footprint.along_y, DVec2::Y)] {
+                let expected = (uv(pixel + axis * step) - uv(pixel - axis * step)) / (2.0 * step);
+                assert!((found - expected).length() < 1e-6 * (1.0 + expected.length()), "{pixel}");
+            }
+            assert!((footprint.uv - uv(pixel)).length() < 1e-12);
+            checked += 1;
+        }
+        assert!(checked > 100, "{checked}");
     }
 }

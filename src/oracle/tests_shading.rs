@@ -58,8 +58,9 @@ fn a_checker_seen_at_an_angle_shows_the_right_squares() {
     let mut tilted = quad(DVec3::ZERO, DVec3::X * 2.0, DVec3::new(0.0, 1.0, -4.0));
     tilted.uvs = Some(square_uvs(1.0));
     tilted.parts = vec![MeshPart { triangles: 2, material: Some(1) }];
-    let texel =
-        |x: u32, y: u32| if (x + y) % 2 == 0 { [250, 10, 0, 255] } else { [0, 20, 240, 255] };
+    let texel = |x: u32, y: u32| {
+        if (x + y).is_multiple_of(2) { [250, 10, 0, 255] } else { [0, 20, 240, 255] }
+    };
     let texture = Texture {
         name: String::new(),
         width: 8,

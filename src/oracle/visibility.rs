@@ -155,12 +155,12 @@ fn add_samples(
 ) {
     let (width, height) = (view.width as usize, view.height as usize);
     let project = |(index, &position): (usize, _)| {
-        let position_view = item.to_view(position);
+        let position_view = item.to_view(position)?;
         let pixel = view.project(position_view)?.floor();
         let inside =
             (0.0..width as f64).contains(&pixel.x) && (0.0..height as f64).contains(&pixel.y);
         let hit = Hit { depth: -position_view.z, item: number, index: index as u32 };
-        (inside && hit.depth.is_finite()).then(|| (pixel.x as usize, pixel.y as usize, hit))
+        inside.then_some((pixel.x as usize, pixel.y as usize, hit))
     };
     let projected: Vec<(usize, usize, Hit)> =
         cloud.positions.par_iter().enumerate().filter_map(project).collect();
@@ -203,7 +203,8 @@ fn add_triangles(
                         continue;
                     }
                     let hit = Hit { depth: triangle.depth(ray), item: number, index: *index };
-                    if !surface::is_cut_out(prepared, view, &hit, x, y) {
+                    // Depth 0 means that the eye touches the triangle.
+                    if hit.depth > 0.0 && !surface::is_cut_out(prepared, view, &hit, x, y) {
                         keep_nearer(prepared, &mut pixels[(y - y_begin) * width + x], hit);
                     }
                 }

@@ -1,0 +1,274 @@
+//! Distances between two images of one pose.
+//!
+//! All slices hold `width · height` pixels row by row; the first argument is the reference (the
+//! [oracle](crate::oracle), as a rule), the second the image under test.
+
+use std::fmt;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Slices that are not of one size.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a reference of {reference} pixels cannot be compared with an image of {image}{expected}")]
+pub struct SizeMismatch {
+    pub reference: usize,
+    pub image: usize,
+    pub expected: ExpectedSize,
+}
+
+/// The size that both should have had, where it is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ExpectedSize(pub Option<(u32, u32)>);
+
+impl fmt::Display for ExpectedSize {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            Some((width, height)) => write!(f, ", {width} × {height} are expected"),
+            None => Ok(()),
+        }
+    }
+}
+
+fn check<A, B>(reference: &[A], image: &[B], size: Option<(u32, u32)>) -> Result<(), SizeMismatch> {
+    let pixels = size.map_or(reference.len(), |(w, h)| w as usize * h as usize);
+    if reference.len() == pixels && image.len() == pixels {
+        return Ok(());
+    }
+    let expected = ExpectedSize(size);
+    Err(SizeMismatch { reference: reference.len(), image: image.len(), expected })
+}
+
+/// Peak signal-to-noise ratio in dB over the bytes of red, green and blue; infinite for equal images.
+///
+/// # Errors
+/// Images of different size.
+pub fn psnr(reference: &[[u8; 4]], image: &[[u8; 4]]) -> Result<f64, SizeMismatch> {
+    check(reference, image, None)?;
+    let squares: u64 = rgb_differences(reference, image).map(|d| u64::from(d).pow(2)).sum();
+    if squares == 0 {
+        return Ok(f64::INFINITY);
+    }
+    let mean = squares as f64 / (3 * reference.len()) as f64;
+    Ok(10.0 * (255.0 * 255.0 / mean).log10())
+}
+
+/// The largest difference of any red, green or blue byte.
+///
+/// # Errors
+/// Images of different size.
+pub fn max_error(reference: &[[u8; 4]], image: &[[u8; 4]]) -> Result<u8, SizeMismatch> {
+    check(reference, image, None)?;
+    Ok(rgb_differences(reference, image).max().unwrap_or(0))
+}
+
+fn rgb_differences<'a>(a: &'a [[u8; 4]], b: &'a [[u8; 4]]) -> impl Iterator<Item = u8> + 'a {
+    a.iter().zip(b).flat_map(|(a, b)| (0..3).map(move |channel| a[channel].abs_diff(b[channel])))
+}
+
+/// Mean structural similarity of the luma (Rec. 601, from sRGB bytes), 1 for equal images.
+///
+/// Wang, Bovik, Sheikh and Simoncelli, *Image Quality Assessment: From Error Visibility to Structural Similarity* (2004): a
+/// Gaussian window of 11 × 11 pixels with σ = 1.5, K₁ = 0.01, K₂ = 0.03, averaged over the windows that lie
+/// inside the image. Along a side shorter than 11 pixels, where none does, windows are cut off at the border instead.
+///
+/// # Errors
+/// Slices that are not `width · height` long.
+pub fn ssim(
+    reference: &[[u8; 4]],
+    image: &[[u8; 4]],
+    width: u32,
+    height: u32,
+) -> Result<f64, SizeMismatch> {
+    check(reference, image, Some((width, height)))?;
+    let (width, height) = (width as usize, height as usize);
+    if reference.is_empty() {
+        return Ok(1.0);
+    }
+    let (x, y) = (luma(reference), luma(image));
+    let mean_of = |plane: Vec<f64>| blur(&plane, width, height);
+    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).collect();
+    let (xx, yy, xy) =
+        (mean_of(product(&x, &x)), mean_of(product(&y, &y)), mean_of(product(&x, &y)));
+    let (x, y) = (mean_of(x), mean_of(y));
+    let (c1, c2) = ((0.01f64 * 255.0).powi(2), (0.03f64 * 255.0).powi(2));
+    let similarity = |i: usize| {
+        let (variance_x, variance_y) = (xx[i] - x[i] * x[i], yy[i] - y[i] * y[i]);
+        let covariance = xy[i] - x[i] * y[i];
+        (2.0 * x[i] * y[i] + c1) * (2.0 * covariance + c2)
+            / ((x[i] * x[i] + y[i] * y[i] + c1) * (variance_x + variance_y + c2))
+    };
+    let centres = |size: usize| if size > 2 * REACH { REACH..size - REACH } else { 0..size };
+    let (columns, rows) = (centres(width), centres(height));
+    let count = columns.len() * rows.len();
+    let sum: f64 =
+        rows.flat_map(|y| columns.clone().map(move |x| y * width + x)).map(similarity).sum();
+    Ok(sum / count as f64)
+}
+
+/// Pixels from a window's centre to its edge.
+const REACH: usize = 5;
+
+fn luma(image: &[[u8; 4]]) -> Vec<f64> {
+    let luma = |&[r, g, b, _]: &[u8; 4]| {
+        0.299 * f64::from(r) + 0.587 * f64::from(g) + 0.114 * f64::from(b)
+    };
+    image.iter().map(luma).collect()
+}
+
+/// The Gaussian mean around every pixel; weights outside the image are left out and the rest normalised.
+fn blur(plane: &[f64], width: usize, height: usize) -> Vec<f64> {
+    let weight = |distance: usize| (-(distance as f64).powi(2) / (2.0 * 1.5 * 1.5)).exp();
+    let weights: [f64; REACH + 1] = std::array::from_fn(weight);
+    let mean = |at: usize, size: usize, value: &dyn Fn(usize) -> f64| {
+        let (mut sum, mut total) = (0.0, 0.0);
+        for i in at.saturating_sub(REACH)..(at + REACH + 1).min(size) {
+            sum += weights[i.abs_diff(at)] * value(i);
+            total += weights[i.abs_diff(at)];
+        }
+        sum / total
+    };
+    let pixels = || (0..width * height).into_par_iter();
+    let across: Vec<f64> =
+        pixels().map(|i| mean(i % width, width, &|x| plane[i / width * width + x])).collect();
+    pixels().map(|i| mean(i / width, height, &|y| across[y * width + i % width])).collect()
+}
+
+/// Where one image has something and the other has not.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Coverage {
+    pub covered_reference: u64,
+    pub covered_image: u64,
+    /// Covered in the reference, background in the image.
+    pub holes: u64,
+    /// Background in the reference, covered in the image.
+    pub leaks: u64,
+    /// Holes away from every silhouette: the reference covers the whole 3 × 3 neighbourhood (as far as it lies in the image).
+    pub holes_inside: u64,
+    /// Leaks away from every silhouette: the reference shows background in the whole 3 × 3 neighbourhood.
+    pub leaks_outside: u64,
+    /// Pixels covered in both over pixels covered in either; 1 when neither covers any.
+    pub silhouette_iou: f64,
+}
+
+/// Compares which pixels are covered, from ids (0 is background) or depths (see [`covered_by_depth`]).
+///
+/// # Errors
+/// Slices that are not `width · height` long.
+pub fn coverage(
+    reference: &[bool],
+    image: &[bool],
+    width: u32,
+    height: u32,
+) -> Result<Coverage, SizeMismatch> {
+    check(reference, image, Some((width, height)))?;
+    let (width, height) = (width as usize, height as usize);
+    let neighbourhood_is = |i: usize, covered: bool| {
+        let near = |at: usize, size: usize| at.saturating_sub(1)..(at + 2).min(size);
+        near(i / width, height)
+            .all(|y| near(i % width, width).all(|x| reference[y * width + x] == covered))
+    };
+    let mut found = Coverage::default();
+    let mut both = 0u64;
+    for (i, (&expected, &is)) in reference.iter().zip(image).enumerate() {
+        found.covered_reference += u64::from(expected);
+        found.covered_image += u64::from(is);
+        match (expected, is) {
+            (true, true) => both += 1,
+            (true, false) => {
+                found.holes += 1;
+                found.holes_inside += u64::from(neighbourhood_is(i, true));
+            }
+            (false, true) => {
+                found.leaks += 1;
+                found.leaks_outside += u64::from(neighbourhood_is(i, false));
+            }
+            (false, false) => {}
+        }
+    }
+    let either = both + found.holes + found.leaks;
+    found.silhouette_iou = if either == 0 { 1.0 } else { both as f64 / either as f64 };
+    Ok(found)
+}
+
+/// Covered pixels of an id image.
+pub fn covered_by_id(id: &[u32]) -> Vec<bool> {
+    id.iter().map(|&id| id != 0).collect()
+}
+
+/// Covered pixels of a depth image: those with a finite depth.
+pub fn covered_by_depth<T: Copy + Into<f64>>(depth: &[T]) -> Vec<bool> {
+    depth.iter().map(|&depth| depth.into().is_finite()).collect()
+}
+
+/// How an error spreads over the pixels that could be compared.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spread {
+    pub pixels: u64,
+    pub max: f64,
+    pub mean: f64,
+    /// 99 % of the pixels have this error or less (nearest rank).
+    pub p99: f64,
+}
+
+impl Spread {
+    /// `None` for no errors at all.
+    fn of(mut errors: Vec<f64>) -> Option<Spread> {
+        errors.sort_unstable_by(f64::total_cmp);
+        let rank = (errors.len() * 99).div_ceil(100);
+        Some(Spread {
+            pixels: errors.len() as u64,
+            max: *errors.last()?,
+            mean: errors.iter().sum::<f64>() / errors.len() as f64,
+            p99: *errors.get(rank.checked_sub(1)?)?,
+        })
+    }
+}
+
+/// `|image − reference| / reference` over the pixels where both depths are finite; `None` where there are none.
+///
+/// # Errors
+/// Images of different size.
+pub fn depth_error<A, B>(reference: &[A], image: &[B]) -> Result<Option<Spread>, SizeMismatch>
+where
+    A: Copy + Into<f64>,
+    B: Copy + Into<f64>,
+{
+    check(reference, image, None)?;
+    let pairs = reference.iter().zip(image).map(|(&a, &b)| (a.into(), b.into()));
+    let errors =
+        pairs.filter(|(a, b): &(f64, f64)| a.is_finite() && b.is_finite()).map(|(a, b)| {
+            // Equal depths agree even at 0, where a ratio says nothing.
+            if a == b { 0.0 } else { ((b - a) / a).abs() }
+        });
+    Ok(Spread::of(errors.collect()))
+}
+
+/// The angle in degrees over the pixels where both have a normal (not zero); `None` where there are none.
+///
+/// # Errors
+/// Images of different size.
+pub fn normal_error_deg(
+    reference: &[DVec3],
+    image: &[DVec3],
+) -> Result<Option<Spread>, SizeMismatch> {
+    check(reference, image, None)?;
+    let known = |(a, b): &(&DVec3, &DVec3)| **a != DVec3::ZERO && **b != DVec3::ZERO;
+    // The arc cosine alone would lose small angles.
+    let angle = |(a, b): (&DVec3, &DVec3)| a.cross(*b).length().atan2(a.dot(*b)).to_degrees();
+    Ok(Spread::of(reference.iter().zip(image).filter(known).map(angle).collect()))
+}
+
+/// The normals of a normal image: `n · 127 + 128` a byte, zero where alpha is.
+pub fn normals_from_rgba8(rgba: &[[u8; 4]]) -> Vec<DVec3> {
+    let component = |byte: u8| (f64::from(byte) - 128.0) / 127.0;
+    let normal = |&[x, y, z, known]: &[u8; 4]| match known {
+        0 => DVec3::ZERO,
+        _ => DVec3::new(component(x), component(y), component(z)),
+    };
+    rgba.iter().map(normal).collect()
+}
+
+#[cfg(test)]
+#[path = "metrics_tests.rs"]
+mod tests;

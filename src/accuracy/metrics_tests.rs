@@ -1,0 +1,135 @@
+use super::*;
+
+fn grey(values: impl IntoIterator<Item = u8>) -> Vec<[u8; 4]> {
+    values.into_iter().map(|v| [v, v, v, 255]).collect()
+}
+
+/// A busy picture and, for `k` > 0, variants of it.
+fn picture(width: u32, height: u32, k: u32) -> Vec<[u8; 4]> {
+    let pixel = |i: u32| {
+        let (x, y) = (i % width, i / width);
+        let r = x * 7 + y * 3 + k * ((x * x + y * 5) % 23);
+        let g = x * y + k * (x % 5) * 9;
+        let b = x * 2 + y * 11 + k * ((x + y) % 7) * 4;
+        [r as u8, g as u8, b as u8, 255]
+    };
+    (0..width * height).map(pixel).collect()
+}
+
+#[test]
+fn psnr_and_maximum() {
+    let a = grey([10, 20, 30, 40]);
+    let mut b = a.clone();
+    assert_eq!(psnr(&a, &b), Ok(f64::INFINITY));
+    assert_eq!(max_error(&a, &b), Ok(0));
+    b[1][2] = 14;
+    b[3][3] = 0;
+    // One difference of 6 in twelve bytes: a mean square of 3; alpha does not count.
+    let expected = 10.0 * (65025.0f64 / 3.0).log10();
+    assert!((psnr(&a, &b).unwrap() - expected).abs() < 1e-12);
+    assert_eq!(max_error(&a, &b), Ok(6));
+    let black_white = psnr(&grey([0; 9]), &grey([255; 9])).unwrap();
+    assert!(black_white.abs() < 1e-12, "{black_white}");
+}
+
+#[test]
+fn psnr_and_ssim_agree_with_scikit_image() {
+    // structural_similarity(luma, gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=255) and
+    // peak_signal_noise_ratio of scikit-image on the same pictures.
+    for (width, height, k, expected_ssim, expected_psnr) in [
+        (37, 29, 1, 0.625_421_089_802_803_6, 13.981_285_999_875_2),
+        (64, 48, 2, 0.314_681_454_959_591_7, 10.757_083_043_985_574),
+        (40, 40, 3, 0.127_139_158_074_543_35, 9.729_696_902_349_772),
+    ] {
+        let (a, b) = (picture(width, height, 0), picture(width, height, k));
+        let found = ssim(&a, &b, width, height).unwrap();
+        assert!((found - expected_ssim).abs() < 1e-10, "{found}");
+        assert!((psnr(&a, &b).unwrap() - expected_psnr).abs() < 1e-10);
+        assert_eq!(ssim(&b, &a, width, height).unwrap(), found);
+    }
+}
+
+#[test]
+fn ssim_of_flat_and_inverted_images() {
+    let (a, b) = (grey([100; 400]), grey([150; 400]));
+    // Without variance only the means are compared.
+    let c1 = 2.55f64.powi(2);
+    let expected = (2.0 * 100.0 * 150.0 + c1) / (100.0 * 100.0 + 150.0 * 150.0 + c1);
+    assert!((ssim(&a, &b, 20, 20).unwrap() - expected).abs() < 1e-9);
+    let checker = |flip: u32| grey((0..400u32).map(move |i| 255 * ((i + i / 20 + flip) % 2) as u8));
+    assert!((ssim(&checker(0), &checker(0), 20, 20).unwrap() - 1.0).abs() < 1e-12);
+    assert!(ssim(&checker(0), &checker(1), 20, 20).unwrap() < -0.9);
+    // Smaller than the window.
+    assert_eq!(ssim(&grey([9]), &grey([9]), 1, 1), Ok(1.0));
+    let small = ssim(&picture(7, 30, 0), &picture(7, 30, 1), 7, 30).unwrap();
+    assert!(small > 0.1 && small < 0.9, "{small}");
+}
+
+#[test]
+fn holes_and_leaks_know_silhouettes() {
+    // A block of 6 × 6 in 10 × 10.
+    let block = |x: usize, y: usize| (2..8).contains(&x) && (2..8).contains(&y);
+    let reference: Vec<bool> = (0..100).map(|i| block(i % 10, i / 10)).collect();
+    let mut image = reference.clone();
+    let same = coverage(&reference, &image, 10, 10).unwrap();
+    assert_eq!((same.covered_reference, same.covered_image), (36, 36));
+    assert_eq!((same.holes, same.leaks, same.silhouette_iou), (0, 0, 1.0));
+    image[2 * 10 + 4] = false; // on the edge
+    image[5 * 10 + 5] = false; // in the middle
+    image[4 * 10 + 8] = true; // beside the edge
+    image[10 + 1] = true; // touches a corner
+    image[0] = true; // in the image's corner, on its own
+    let found = coverage(&reference, &image, 10, 10).unwrap();
+    assert_eq!((found.holes, found.holes_inside), (2, 1));
+    assert_eq!((found.leaks, found.leaks_outside), (3, 1));
+    assert!((found.silhouette_iou - 34.0 / 39.0).abs() < 1e-15);
+    let nothing = coverage(&[false; 4], &[false; 4], 2, 2).unwrap();
+    assert_eq!(nothing.silhouette_iou, 1.0);
+    // A hole in the image's corner has neighbours on three sides only.
+    let corner = coverage(&[true; 4], &[false, true, true, true], 2, 2).unwrap();
+    assert_eq!((corner.holes, corner.holes_inside), (1, 1));
+    assert_eq!(covered_by_id(&[0, 3]), [false, true]);
+    assert_eq!(covered_by_depth(&[f32::INFINITY, 2.0]), [false, true]);
+}
+
+#[test]
+fn depth_errors_are_relative_and_where_both_are_covered() {
+    let mut reference = vec![10.0f64; 200];
+    let mut image = vec![10.0f32; 200];
+    reference[0] = f64::INFINITY;
+    image[1] = f32::INFINITY;
+    image[2] = 15.0;
+    image[3] = 9.0;
+    let found = depth_error(&reference, &image).unwrap().unwrap();
+    assert_eq!((found.pixels, found.max), (198, 0.5));
+    assert!((found.mean - 0.6 / 198.0).abs() < 1e-15);
+    // Rank ⌈0.99 · 198⌉ = 197 of 198: the second largest.
+    assert!((found.p99 - 0.1).abs() < 1e-15);
+    assert_eq!(depth_error(&[f64::INFINITY], &[1.0]).unwrap(), None);
+}
+
+#[test]
+fn normal_errors_are_angles() {
+    let turned =
+        |degrees: f64| DVec3::new(0.0, degrees.to_radians().sin(), degrees.to_radians().cos());
+    let reference = vec![DVec3::Z; 4];
+    let image = [turned(1e-5), turned(90.0), DVec3::ZERO, turned(180.0)];
+    let found = normal_error_deg(&reference, &image).unwrap().unwrap();
+    assert_eq!(found.pixels, 3);
+    assert!((found.max - 180.0).abs() < 1e-9 && (found.mean - 270.00001 / 3.0).abs() < 1e-9);
+    let small = normal_error_deg(&[DVec3::Z], &[turned(1e-5)]).unwrap().unwrap();
+    assert!((small.max - 1e-5).abs() < 1e-15);
+    let bytes = normals_from_rgba8(&[[128, 1, 255, 255], [0, 0, 0, 0]]);
+    assert_eq!(bytes, [DVec3::new(0.0, -1.0, 1.0), DVec3::ZERO]);
+}
+
+#[test]
+fn sizes_must_agree() {
+    let (a, b) = (grey([0; 4]), grey([0; 5]));
+    assert!(psnr(&a, &b).is_err() && max_error(&a, &b).is_err());
+    let message = ssim(&a, &a, 3, 2).unwrap_err().to_string();
+    assert!(message.contains("3 × 2") && message.contains('4'), "{message}");
+    assert!(coverage(&[true], &[true], 1, 2).is_err());
+    assert!(depth_error(&[1.0], &[1.0, 2.0]).is_err());
+    assert!(normal_error_deg(&[], &[DVec3::Z]).is_err());
+}
