@@ -21,7 +21,7 @@ build: setup ## the release binary, target/release/pointillist
 
 run: build ## the daemon on 127.0.0.1:8080 with the scenes in scenes/ (PORT=, HOST=, ROOT=, ARGS=)
 	@scripts/demo-scenes.sh target/release/pointillist
-	target/release/pointillist serve --listen $(HOST):$(PORT) --root $(ROOT) $(ARGS)
+	@scripts/run.sh target/release/pointillist $(ROOT) --listen $(HOST):$(PORT) $(ARGS)
 
 test: setup ## formatting, lints, every test, the browser, deploy files
 	@scripts/test.sh

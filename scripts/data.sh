@@ -53,7 +53,7 @@ cat >"$folder/dragon.json" <<'JSON'
   "pointillist": 1,
   "name": "Stanford dragon",
   "assets": { "dragon": { "file": "dragon.ply" } },
-  "materials": { "jade": { "base_color": "#8fb59a", "specular": "#404040", "shininess": 40 } },
+  "materials": { "jade": { "color": "#8fb59a", "specular": "#404040", "shininess": 40 } },
   "nodes": [ { "name": "dragon", "asset": "dragon", "material": "jade" } ],
   "lights": [
     { "kind": "ambient", "color": "#ffffff", "intensity": 0.25 },

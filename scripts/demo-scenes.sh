@@ -26,3 +26,32 @@ generate() { # FILE KIND [OPTIONS…]
 
 generate town-4m.ply town --points 4000000 --seed 1
 generate relief-400k.ply relief --triangles 400000 --seed 1
+
+# Scene files name cameras; the town is a survey, so z is up and coordinates are UTM's.
+cat >"$folder/town.json" <<'JSON'
+{
+  "pointillist": 1,
+  "name": "Town, 4 M points",
+  "up": "z",
+  "assets": { "scan": { "file": "town-4m.ply" } },
+  "nodes": [ { "name": "scan", "asset": "scan" } ],
+  "lights": [],
+  "background": "#a9bccb",
+  "cameras": {
+    "above": { "eye": [412000, 5652840, 230], "target": [412000, 5653000, 110], "fov": 45 },
+    "street": { "eye": [411945, 5652930, 122], "target": [412010, 5653010, 114], "fov": 55 }
+  }
+}
+JSON
+cat >"$folder/relief.json" <<'JSON'
+{
+  "pointillist": 1,
+  "name": "Relief, 400 K triangles",
+  "assets": { "solid": { "file": "relief-400k.ply" } },
+  "nodes": [ { "name": "solid", "asset": "solid" } ],
+  "lights": [
+    { "kind": "ambient", "color": "#ffffff", "intensity": 0.2 },
+    { "kind": "sun", "direction": [-1, -1.2, -0.8], "color": "#fff3e0" }
+  ]
+}
+JSON
