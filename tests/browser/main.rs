@@ -88,7 +88,9 @@ fn orbit_with_the_mouse() {
     let states = browser.script("return states.join('\\n')");
     let states = states.as_str().unwrap_or_default();
     assert!(states.contains("moving") && states.contains("JPEG, quality 75"), "{states}");
-    assert!(text(&browser, "return document.getElementById('status').textContent").starts_with("still"));
+    assert!(
+        text(&browser, "return document.getElementById('status').textContent").starts_with("still")
+    );
     browser.screenshot(&screenshot_path("wide-orbited.png"));
 
     browser.drag("mouse", 2, &[(400, 400), (440, 400), (480, 440)]);
@@ -156,8 +158,15 @@ fn fits_a_phone_and_follows_fingers() {
 
     let first = still_picture(&browser);
     let overflow = browser.script("return document.documentElement.scrollWidth - innerWidth");
-    assert!(overflow.as_f64().unwrap_or(1.0) <= 0.0, "nothing is wider than the screen: {overflow}");
-    assert_eq!(browser.script("return canvas.width"), 780, "as wide as the screen, in its own pixels");
+    assert!(
+        overflow.as_f64().unwrap_or(1.0) <= 0.0,
+        "nothing is wider than the screen: {overflow}"
+    );
+    assert_eq!(
+        browser.script("return canvas.width"),
+        780,
+        "as wide as the screen, in its own pixels"
+    );
     browser.screenshot(&screenshot_path("phone.png"));
 
     browser.drag("touch", 0, &[(150, 300), (190, 310), (260, 330)]);

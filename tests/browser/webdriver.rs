@@ -121,9 +121,7 @@ impl Browser {
     /// Two fingers from and to a distance of `from` and `to` CSS pixels from a centre.
     pub fn pinch(&self, centre: (i64, i64), from: i64, to: i64) {
         let finger = |name: &str, side: i64| {
-            let at = |distance: i64, duration_ms: u32| {
-                json!({ "type": "pointerMove", "duration": duration_ms, "x": centre.0 + side * distance, "y": centre.1, "origin": "viewport" })
-            };
+            let at = |distance: i64, duration_ms: u32| json!({ "type": "pointerMove", "duration": duration_ms, "x": centre.0 + side * distance, "y": centre.1, "origin": "viewport" });
             json!({ "type": "pointer", "id": name, "parameters": { "pointerType": "touch" }, "actions": [
                 at(from, 0), { "type": "pointerDown", "button": 0 }, at((from + to) / 2, 60), at(to, 60),
                 { "type": "pointerUp", "button": 0 },
@@ -168,7 +166,11 @@ impl Browser {
     pub fn console_errors(&self) -> Vec<String> {
         let log = self.post("se/log", json!({ "type": "browser" }));
         let entries = log.as_array().expect("a list of log entries");
-        entries.iter().filter(|e| e["level"] == "SEVERE").map(|e| e["message"].to_string()).collect()
+        entries
+            .iter()
+            .filter(|e| e["level"] == "SEVERE")
+            .map(|e| e["message"].to_string())
+            .collect()
     }
 
     /// Saves what the window shows as a PNG.
@@ -232,7 +234,8 @@ fn decode_base64(text: &str) -> Vec<u8> {
     let digits: Vec<u32> = text.bytes().filter_map(digit).collect();
     let mut bytes = Vec::with_capacity(digits.len() * 3 / 4);
     for group in digits.chunks(4) {
-        let word = group.iter().enumerate().fold(0, |word, (i, digit)| word | digit << (18 - 6 * i));
+        let word =
+            group.iter().enumerate().fold(0, |word, (i, digit)| word | digit << (18 - 6 * i));
         bytes.extend_from_slice(&word.to_be_bytes()[1..group.len()]);
     }
     bytes
