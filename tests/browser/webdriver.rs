@@ -1,0 +1,242 @@
+//! Just enough of the W3C WebDriver protocol to drive a page, over plain HTTP to `chromedriver`.
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+
+/// A browser with one page; closed on drop.
+pub struct Browser {
+    agent: ureq::Agent,
+    session: String,
+    driver: Child,
+    _profile: tempfile::TempDir,
+}
+
+/// Whether a `chromedriver` can be started; where.
+pub fn find_driver() -> Option<String> {
+    let candidates = [std::env::var("CHROMEDRIVER").unwrap_or_default(), "chromedriver".into()];
+    candidates.into_iter().filter(|name| !name.is_empty()).find(|name| {
+        let probe = Command::new(name).arg("--version").stdout(Stdio::null()).status();
+        probe.is_ok_and(|status| status.success())
+    })
+}
+
+impl Browser {
+    /// Starts chromedriver on a port of its choice and a headless Chromium with a fresh profile.
+    pub fn start(driver: &str, width: u32, height: u32) -> Browser {
+        let mut driver = Command::new(driver)
+            .arg("--port=0")
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("chromedriver starts");
+        let port = announced_port(&mut driver);
+        let profile = tempfile::tempdir().expect("a folder for the profile");
+        let agent: ureq::Agent = ureq::Agent::config_builder()
+            .timeout_global(Some(Duration::from_secs(60)))
+            .http_status_as_error(false)
+            .build()
+            .into();
+        let base = format!("http://127.0.0.1:{port}");
+        let mut options = json!({
+            "args": [
+                "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+                "--disable-background-networking", "--disable-component-update", "--disable-sync",
+                "--disable-dev-shm-usage",
+                format!("--window-size={width},{height}"),
+                format!("--user-data-dir={}", profile.path().display()),
+            ],
+        });
+        if let Ok(binary) = std::env::var("CHROMIUM") {
+            options["binary"] = json!(binary);
+        }
+        let answer = call(
+            &agent,
+            "POST",
+            &format!("{base}/session"),
+            json!({ "capabilities": { "alwaysMatch": {
+                "browserName": "chrome",
+                "goog:chromeOptions": options,
+                "goog:loggingPrefs": { "browser": "ALL" },
+            } } }),
+        );
+        let id = answer["sessionId"].as_str().expect("a session id").to_owned();
+        Browser { agent, session: format!("{base}/session/{id}"), driver, _profile: profile }
+    }
+
+    fn post(&self, path: &str, body: Value) -> Value {
+        call(&self.agent, "POST", &format!("{}/{path}", self.session), body)
+    }
+
+    pub fn open(&self, url: &str) {
+        self.post("url", json!({ "url": url }));
+    }
+
+    /// Runs a function body in the page and returns what it returns.
+    pub fn script(&self, body: &str) -> Value {
+        self.post("execute/sync", json!({ "script": body, "args": [] }))
+    }
+
+    /// Waits until a function body returns something truthy, and returns that.
+    pub fn wait_for(&self, what: &str, limit: Duration, body: &str) -> Value {
+        let until = Instant::now() + limit;
+        loop {
+            let found = self.script(body);
+            let truthy = match &found {
+                Value::Null | Value::Bool(false) => false,
+                Value::String(text) => !text.is_empty(),
+                Value::Number(number) => number.as_f64() != Some(0.0),
+                _ => true,
+            };
+            if truthy {
+                return found;
+            }
+            assert!(
+                Instant::now() < until,
+                "{what}: not within {limit:?}; the page says: {}",
+                self.script("return document.body.innerText")
+            );
+            std::thread::sleep(Duration::from_millis(30));
+        }
+    }
+
+    /// Acts with a pointer: each point is (x, y) in CSS pixels; pressed at the first, released at the last.
+    pub fn drag(&self, pointer: &str, button: u32, points: &[(i64, i64)]) {
+        let mut actions = Vec::new();
+        for (index, (x, y)) in points.iter().enumerate() {
+            let duration_ms = if index == 0 { 0 } else { 60 };
+            actions.push(json!({ "type": "pointerMove", "duration": duration_ms, "x": x, "y": y, "origin": "viewport" }));
+            if index == 0 {
+                actions.push(json!({ "type": "pointerDown", "button": button }));
+            }
+        }
+        actions.push(json!({ "type": "pointerUp", "button": button }));
+        let source = json!({ "type": "pointer", "id": format!("{pointer}-1"), "parameters": { "pointerType": pointer }, "actions": actions });
+        self.post("actions", json!({ "actions": [source] }));
+    }
+
+    /// Two fingers from and to a distance of `from` and `to` CSS pixels from a centre.
+    pub fn pinch(&self, centre: (i64, i64), from: i64, to: i64) {
+        let finger = |name: &str, side: i64| {
+            let at = |distance: i64, duration_ms: u32| json!({ "type": "pointerMove", "duration": duration_ms, "x": centre.0 + side * distance, "y": centre.1, "origin": "viewport" });
+            json!({ "type": "pointer", "id": name, "parameters": { "pointerType": "touch" }, "actions": [
+                at(from, 0), { "type": "pointerDown", "button": 0 }, at((from + to) / 2, 60), at(to, 60),
+                { "type": "pointerUp", "button": 0 },
+            ] })
+        };
+        self.post("actions", json!({ "actions": [finger("left", -1), finger("right", 1)] }));
+    }
+
+    pub fn wheel(&self, at: (i64, i64), delta_y: i64) {
+        self.post(
+            "actions",
+            json!({ "actions": [{ "type": "wheel", "id": "wheel", "actions": [
+                { "type": "scroll", "x": at.0, "y": at.1, "deltaX": 0, "deltaY": delta_y, "duration": 0, "origin": "viewport" },
+            ] }] }),
+        );
+    }
+
+    /// Presses and releases a key; special keys by their code point in the WebDriver standard.
+    pub fn key(&self, key: char) {
+        self.post(
+            "actions",
+            json!({ "actions": [{ "type": "key", "id": "keys", "actions": [
+                { "type": "keyDown", "value": key }, { "type": "keyUp", "value": key },
+            ] }] }),
+        );
+    }
+
+    /// A screen of another size and density, as a phone has it.
+    pub fn emulate(&self, width: u32, height: u32, density: f64) {
+        let metrics = json!({ "width": width, "height": height, "deviceScaleFactor": density, "mobile": true });
+        self.post(
+            "goog/cdp/execute",
+            json!({ "cmd": "Emulation.setDeviceMetricsOverride", "params": metrics }),
+        );
+        self.post(
+            "goog/cdp/execute",
+            json!({ "cmd": "Emulation.setTouchEmulationEnabled", "params": { "enabled": true } }),
+        );
+    }
+
+    /// Errors in the console since the last call.
+    pub fn console_errors(&self) -> Vec<String> {
+        let log = self.post("se/log", json!({ "type": "browser" }));
+        let entries = log.as_array().expect("a list of log entries");
+        entries
+            .iter()
+            .filter(|e| e["level"] == "SEVERE")
+            .map(|e| e["message"].to_string())
+            .collect()
+    }
+
+    /// Saves what the window shows as a PNG.
+    pub fn screenshot(&self, file: &Path) {
+        let answer = call(&self.agent, "GET", &format!("{}/screenshot", self.session), Value::Null);
+        let png = decode_base64(answer.as_str().expect("a picture in base64"));
+        std::fs::create_dir_all(file.parent().expect("a folder")).expect("the folder can be made");
+        std::fs::write(file, png).expect("the screenshot can be written");
+    }
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        // Ends Chromium; chromedriver itself has to be ended after it. A failing test must not fail twice.
+        let _ = self.agent.delete(&self.session).call();
+        let _ = self.driver.kill();
+        let _ = self.driver.wait();
+    }
+}
+
+/// The port in "… started successfully on port N."; what follows is read and dropped.
+fn announced_port(driver: &mut Child) -> u16 {
+    let stdout = driver.stdout.take().expect("chromedriver's output");
+    let mut lines = BufReader::new(stdout).lines().map_while(Result::ok);
+    let port = lines.by_ref().find_map(|line| {
+        let (_, rest) = line.split_once("successfully on port ")?;
+        rest.trim_end_matches('.').parse().ok()
+    });
+    std::thread::spawn(move || lines.for_each(drop));
+    port.expect("chromedriver says on which port it listens")
+}
+
+/// One WebDriver command; its `value`.
+fn call(agent: &ureq::Agent, method: &str, url: &str, body: Value) -> Value {
+    let mut response = match method {
+        "GET" => agent.get(url).call(),
+        _ => agent.post(url).send_json(&body),
+    }
+    .unwrap_or_else(|error| panic!("{method} {url}: {error}"));
+    let text = response
+        .body_mut()
+        .with_config()
+        .limit(64 << 20)
+        .read_to_string()
+        .expect("chromedriver answers in text");
+    let answer: Value = serde_json::from_str(&text).expect("chromedriver answers in JSON");
+    let value = answer["value"].clone();
+    assert!(value.get("error").is_none(), "{method} {url} with {body}: {value}");
+    value
+}
+
+fn decode_base64(text: &str) -> Vec<u8> {
+    let digit = |byte: u8| match byte {
+        b'A'..=b'Z' => Some(u32::from(byte - b'A')),
+        b'a'..=b'z' => Some(u32::from(byte - b'a') + 26),
+        b'0'..=b'9' => Some(u32::from(byte - b'0') + 52),
+        b'+' => Some(62),
+        b'/' => Some(63),
+        _ => None,
+    };
+    let digits: Vec<u32> = text.bytes().filter_map(digit).collect();
+    let mut bytes = Vec::with_capacity(digits.len() * 3 / 4);
+    for group in digits.chunks(4) {
+        let word =
+            group.iter().enumerate().fold(0, |word, (i, digit)| word | digit << (18 - 6 * i));
+        bytes.extend_from_slice(&word.to_be_bytes()[1..group.len()]);
+    }
+    bytes
+}
