@@ -7,21 +7,30 @@
 //! No reader allocates more than the file's length can justify, whatever its header says, and every
 //! error names the file, the element and the property at fault.
 
+mod dispatch;
 pub mod e57;
+mod fault;
 pub mod gltf;
+pub mod input;
 pub mod las;
 pub mod obj;
 pub mod off;
 pub mod pcd;
 pub mod ply;
+mod points;
+mod polygon;
 pub mod ptx;
 pub mod stl;
+mod texture;
+mod tidy;
+mod tokens;
 pub mod xyz;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use glam::{DAffine3, DVec3, Vec2, Vec3};
 
+pub use self::dispatch::{FORMATS, is_supported_extension, read};
 use crate::math::{Bounds, Camera};
 
 /// Everything that one file holds.
@@ -258,16 +267,4 @@ impl Geometry {
             Geometry::Mesh(mesh) => &mesh.positions,
         }
     }
-}
-
-/// Reads any supported file.
-///
-/// # Errors
-/// See [`AssetError`]; nothing is returned in part.
-pub fn read(path: &Path, options: &ReadOptions) -> Result<Asset, AssetError> {
-    let _ = options;
-    Err(AssetError::Unsupported {
-        file: path.display().to_string(),
-        reason: "no reader yet".to_owned(),
-    })
 }

@@ -1,1 +1,370 @@
-//! Reader for off files.
+//! Reader for the Object File Format of Geomview: `OFF` with the prefixes `ST`, `C` and `N`, ascii.
+//!
+//! A vertex is a line `x y z [nx ny nz] [r g b [a]] [s t]`, a face `n i₁ … iₙ [colour]`; `#` begins a
+//! comment. Colours are integers to 255 or floats to 1. A file without faces is a point cloud.
+
+use std::io::BufRead;
+use std::path::Path;
+
+use glam::{DVec3, Vec2, Vec3};
+
+use super::input::{Input, Origin};
+use super::polygon::Triangulator;
+use super::tokens::{Lines, number, shown};
+use super::{Asset, AssetError, Geometry, Mesh, PointCloud, ReadOptions, tidy};
+
+/// A vertex takes no less: three digits, two blanks, a line end.
+const VERTEX_BYTES: u64 = 6;
+/// As does a face: its length, three indices, what separates them.
+const FACE_BYTES: u64 = 2;
+
+/// Reads the file at `path`, gzipped or not; `name` begins every error.
+///
+/// # Errors
+/// Malformed or truncated content (naming vertex or face), counts that the file cannot hold or that
+/// are over the limits, variants with another number of dimensions.
+pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, AssetError> {
+    read_from(Input::open(path, name, options)?, options)
+}
+
+/// Reads OFF from `input`.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetError> {
+    let Input { reader, origin } = input;
+    let file = origin.name.as_str();
+    let mut lines = Lines::new(reader, file);
+    let header = header(&mut lines, &origin, options)?;
+    let mut warnings = Vec::new();
+    let vertices = vertices(&mut lines, &header, &origin)?;
+    let colors = vertices.colors(&mut warnings);
+    let normals = vertices.normals.and_then(|normals| tidy::unit_normals(normals, &mut warnings));
+    let geometry = if header.faces == 0 {
+        let cloud = PointCloud {
+            positions: vertices.positions,
+            colors,
+            normals,
+            ..PointCloud::default()
+        };
+        Geometry::Points(tidy::finish_cloud(cloud, file, &mut warnings)?)
+    } else {
+        let triangles =
+            faces(&mut lines, &header, &vertices.positions, &origin, options, &mut warnings)?;
+        let mesh = Mesh {
+            positions: vertices.positions,
+            triangles,
+            colors,
+            normals,
+            uvs: vertices.uvs,
+            parts: Vec::new(),
+        };
+        Geometry::Mesh(tidy::finish_mesh(mesh, file, &mut warnings)?)
+    };
+    let mut asset = Asset::single("off", file, geometry);
+    asset.warnings = warnings;
+    Ok(asset)
+}
+
+struct Header {
+    vertices: u64,
+    faces: u64,
+    has_normals: bool,
+    has_colors: bool,
+    has_uvs: bool,
+}
+
+fn header<R: BufRead>(
+    lines: &mut Lines<R>,
+    origin: &Origin,
+    options: &ReadOptions,
+) -> Result<Header, AssetError> {
+    let file = origin.name.as_str();
+    let fail = |reason: String| AssetError::malformed(file, "header", reason);
+    let ended = || fail("the file ends inside the header".to_owned());
+    if !lines.advance_to_content(b'#')? {
+        return Err(ended());
+    }
+    let word = lines.tokens().next().unwrap_or_default().to_owned();
+    let prefix = word
+        .strip_suffix(b"OFF")
+        .ok_or_else(|| fail(format!("{} is not OFF", shown(&word))))?;
+    let (has_uvs, prefix) = match prefix.strip_prefix(b"ST") {
+        Some(rest) => (true, rest),
+        None => (false, prefix),
+    };
+    if prefix.iter().any(|letter| !matches!(letter, b'C' | b'N')) {
+        let reason = format!("{} has another number of dimensions than three", shown(&word));
+        return Err(AssetError::unsupported(file, reason));
+    }
+    let mut counts = Vec::new();
+    let mut skip = 1;
+    while counts.len() < 3 {
+        for token in lines.tokens().skip(skip) {
+            if token == b"BINARY" {
+                return Err(AssetError::unsupported(file, "binary OFF files are not offered"));
+            }
+            let count = std::str::from_utf8(token).ok().and_then(|text| text.parse::<u64>().ok());
+            counts.push(count.ok_or_else(|| fail(format!("{} is no count", shown(token))))?);
+        }
+        // The number of edges, which means nothing, is missing in some files.
+        if counts.len() == 2 && skip == 0 {
+            break;
+        }
+        skip = 0;
+        if counts.len() < 3 && !lines.advance_to_content(b'#')? {
+            return Err(ended());
+        }
+    }
+    let header = Header {
+        vertices: counts[0],
+        faces: counts[1],
+        has_normals: prefix.contains(&b'N'),
+        has_colors: prefix.contains(&b'C'),
+        has_uvs,
+    };
+    // The last line may lack its end.
+    origin.check_count("vertices", header.vertices, VERTEX_BYTES)?;
+    origin.check_count("faces", header.faces, FACE_BYTES)?;
+    let most = options.max_vertices.min(u64::from(u32::MAX));
+    AssetError::check_limit(file, "vertices", header.vertices, most)?;
+    AssetError::check_limit(file, "faces", header.faces, options.max_triangles)?;
+    Ok(header)
+}
+
+#[derive(Default)]
+struct Vertices {
+    positions: Vec<DVec3>,
+    normals: Option<Vec<Vec3>>,
+    uvs: Option<Vec<Vec2>>,
+    raw_colors: Vec<[f32; 4]>,
+    /// Whether any channel is written as a float.
+    float_colors: bool,
+}
+
+impl Vertices {
+    fn colors(&self, warnings: &mut Vec<String>) -> Option<Vec<[u8; 4]>> {
+        if self.raw_colors.len() != self.positions.len() || self.positions.is_empty() {
+            return None;
+        }
+        if self.float_colors {
+            return Some(tidy::colors_from_floats(&self.raw_colors, warnings));
+        }
+        let byte = |color: &[f32; 4]| {
+            let [r, g, b, a] = *color;
+            [r as u8, g as u8, b as u8, if a.is_nan() { 255 } else { a as u8 }]
+        };
+        Some(self.raw_colors.iter().map(byte).collect())
+    }
+}
+
+fn vertices<R: BufRead>(
+    lines: &mut Lines<R>,
+    header: &Header,
+    origin: &Origin,
+) -> Result<Vertices, AssetError> {
+    let file = origin.name.as_str();
+    let mut vertices = Vertices {
+        normals: header.has_normals.then(Vec::new),
+        uvs: header.has_uvs.then(Vec::new),
+        ..Vertices::default()
+    };
+    vertices.positions.reserve(origin.reserve(header.vertices));
+    let mut values = Vec::new();
+    let fixed = 3 + 3 * usize::from(header.has_normals);
+    for index in 0..header.vertices {
+        if !lines.advance_to_content(b'#')? {
+            let reason = format!("the file ends here, after {index} of {}", header.vertices);
+            return Err(AssetError::malformed(file, format!("vertex {index}"), reason));
+        }
+        let place = || format!("vertex {index} (line {})", lines.number);
+        values.clear();
+        for token in lines.tokens() {
+            let Some(value) = number(token) else {
+                let property = ["x", "y", "z"].get(values.len()).copied().unwrap_or("attribute");
+                let reason = format!("property {property}: {} is not a number", shown(token));
+                return Err(AssetError::malformed(file, place(), reason));
+            };
+            let colour = values.len() >= fixed;
+            vertices.float_colors |= colour && token.contains(&b'.');
+            values.push(value);
+        }
+        let uv_values = 2 * usize::from(header.has_uvs);
+        if values.len() < fixed + uv_values {
+            let reason = format!("has {} of {} values", values.len(), fixed + uv_values);
+            return Err(AssetError::malformed(file, place(), reason));
+        }
+        vertices.positions.push(DVec3::new(values[0], values[1], values[2]));
+        if let Some(normals) = &mut vertices.normals {
+            normals.push(DVec3::new(values[3], values[4], values[5]).as_vec3());
+        }
+        let (rest, uv) = values[fixed..].split_at(values.len() - fixed - uv_values);
+        if let (Some(uvs), [s, t]) = (&mut vertices.uvs, uv) {
+            uvs.push(Vec2::new(*s as f32, (1.0 - t) as f32));
+        }
+        // Plain OFF with colours behind the coordinates is common.
+        if let [r, g, b, alpha @ ..] = rest {
+            let alpha = alpha.first().map_or(f32::NAN, |alpha| *alpha as f32);
+            vertices.raw_colors.push([*r as f32, *g as f32, *b as f32, alpha]);
+        } else if header.has_colors {
+            return Err(AssetError::malformed(file, place(), "has no colour"));
+        }
+    }
+    Ok(vertices)
+}
+
+fn faces<R: BufRead>(
+    lines: &mut Lines<R>,
+    header: &Header,
+    positions: &[DVec3],
+    origin: &Origin,
+    options: &ReadOptions,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<[u32; 3]>, AssetError> {
+    let file = origin.name.as_str();
+    let mut triangles = Vec::with_capacity(origin.reserve(header.faces));
+    let mut triangulator = Triangulator::default();
+    let mut ring = Vec::new();
+    let mut short = 0u64;
+    for index in 0..header.faces {
+        if !lines.advance_to_content(b'#')? {
+            let reason = format!("the file ends here, after {index} of {}", header.faces);
+            return Err(AssetError::malformed(file, format!("face {index}"), reason));
+        }
+        let fail = |reason: String| {
+            let place = format!("face {index} (line {})", lines.number);
+            AssetError::malformed(file, place, reason)
+        };
+        let mut tokens = lines.tokens();
+        let first = tokens.next().unwrap_or_default();
+        let integer = |token: &[u8]| -> Option<u64> {
+            std::str::from_utf8(token).ok().and_then(|text| text.parse().ok())
+        };
+        let corners =
+            integer(first).ok_or_else(|| fail(format!("{} is no corner count", shown(first))))?;
+        ring.clear();
+        for corner in 0..corners {
+            let token = tokens.next().ok_or_else(|| {
+                fail(format!("the line ends after {corner} of {corners} corners"))
+            })?;
+            match integer(token) {
+                Some(vertex) if vertex < header.vertices => ring.push(vertex as u32),
+                _ => {
+                    let reason = format!(
+                        "vertex {} does not exist, the file has {}",
+                        shown(token),
+                        header.vertices
+                    );
+                    return Err(fail(reason));
+                }
+            }
+        }
+        if ring.len() < 3 {
+            short += 1;
+            continue;
+        }
+        triangulator.cut(
+            &ring,
+            |vertex| positions[vertex as usize],
+            |cut| triangles.push(cut.map(|at| ring[at as usize])),
+        );
+        let count = triangles.len() as u64;
+        AssetError::check_limit(file, "triangles", count, options.max_triangles)?;
+    }
+    for (count, what) in [
+        (short, "faces with fewer than three corners are left out"),
+        (triangulator.forced, "polygons cross themselves and are drawn as fans"),
+    ] {
+        if count > 0 {
+            warnings.push(format!("{count} {what}"));
+        }
+    }
+    Ok(triangles)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn read(text: &str) -> Result<Asset, AssetError> {
+        let input = Input::from_bytes(text.as_bytes().to_vec(), "a.off");
+        read_from(input, &ReadOptions::default())
+    }
+
+    fn mesh(asset: &Asset) -> &Mesh {
+        match &asset.geometries[0] {
+            Geometry::Mesh(mesh) => mesh,
+            Geometry::Points(_) => panic!("points"),
+        }
+    }
+
+    const PLAIN: &str =
+        "OFF # a square\n\n4 1 4\n0 0 0\n1 0 0 # corner\n1 1 0\n0 1 0\n4 0 1 2 3 255 0 0\n";
+
+    #[test]
+    fn comments_polygons_and_counts_on_one_line() {
+        for text in [PLAIN.to_owned(), PLAIN.replacen(" # a square\n\n", " ", 1)] {
+            let asset = read(&text).unwrap();
+            assert_eq!(mesh(&asset).positions.len(), 4);
+            assert_eq!(mesh(&asset).triangles.len(), 2);
+            assert!(asset.warnings.is_empty() && mesh(&asset).colors.is_none());
+        }
+    }
+
+    #[test]
+    fn prefixes() {
+        let asset = read("COFF\n3 1\n0 0 0 255 0 1 128\n1 0 0 1 1 1 1\n0 1 0 0 0 0 0\n3 0 1 2\n");
+        let colors = mesh(&asset.unwrap()).colors.clone().unwrap();
+        assert_eq!(colors, [[255, 0, 1, 128], [1, 1, 1, 1], [0, 0, 0, 0]]);
+        let floats = read("COFF\n3 1 0\n0 0 0 1 0 0.5\n1 0 0 1 1 1\n0 1 0 0 0 0\n3 0 1 2\n");
+        let colors = mesh(&floats.unwrap()).colors.clone().unwrap();
+        assert_eq!(colors[0], [255, 0, 128, 255]);
+        let all = "STCNOFF\n3 1 0\n\
+            0 0 0 0 0 2 9 8 7 255 0.25 1\n1 0 0 0 0 1 1 1 1 255 0 0\n0 1 0 0 0 1 0 0 0 255 1 1\n3 0 1 2\n";
+        let asset = read(all).unwrap();
+        let mesh = mesh(&asset);
+        assert_eq!(mesh.normals.as_ref().unwrap()[0], Vec3::Z);
+        assert_eq!(mesh.uvs.as_ref().unwrap()[0], Vec2::new(0.25, 0.0));
+        assert_eq!(mesh.colors.as_ref().unwrap()[0], [9, 8, 7, 255]);
+    }
+
+    #[test]
+    fn without_faces_it_is_a_cloud() {
+        let asset = read("OFF\n2 0 0\n0 0 0\n1 2 3\n").unwrap();
+        assert!(matches!(&asset.geometries[0], Geometry::Points(c) if c.positions.len() == 2));
+    }
+
+    #[test]
+    fn faults_are_named() {
+        for (text, expected) in [
+            ("OFF\n353535235358 6 0\n0 0 0\n", "a.off: vertices: declares 353535235358"),
+            ("OFF\n1 99 0\n0 0 0\n", "a.off: faces: declares 99"),
+            ("OFF\n2 0 0\n0 0 0\n0 0", "a.off: vertex 1 (line 4): has 2 of 3 values"),
+            ("OFF\n2 0 0\n0 0 0       \n", "a.off: vertex 1: the file ends here"),
+            ("OFF\n1 0 0\n0 X 0\n", "a.off: vertex 0 (line 3): property y: \"X\" is not a number"),
+            ("OFF\n1 1 0\n0 0 0\n3 0 0 1\n", "a.off: face 0 (line 4): vertex \"1\" does not exist"),
+            ("OFF\n1 1 0\n0 0 0\n3 0 0\n", "a.off: face 0 (line 4): the line ends after 2 of 3"),
+            ("OFF\n1 2 0\n0 0 0\n2 0 0\n", "a.off: face 1: the file ends here"),
+            ("OFF\n-1 2 0\n", "a.off: header: \"-1\" is no count"),
+            ("OFF", "a.off: header: the file ends"),
+            ("4OFF\n1 0 0\n0 0 0 0\n", "a.off: \"4OFF\" has another number"),
+            ("OFF BINARY\n", "a.off: binary OFF"),
+        ] {
+            let error = read(text).unwrap_err().to_string();
+            assert!(error.starts_with(expected), "{error} / {expected}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn damage_never_panics(at in 0usize..80, value: u8, cut in 0usize..80) {
+            let mut bytes = PLAIN.as_bytes().to_vec();
+            let length = bytes.len();
+            bytes[at % length] = value;
+            bytes.truncate(length - cut % length);
+            let _ = read_from(Input::from_bytes(bytes, "a"), &ReadOptions::default());
+        }
+    }
+}

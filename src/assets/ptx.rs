@@ -1,1 +1,323 @@
-//! Reader for ptx files.
+//! Reader for PTX: gridded laser scans as text, several in a file.
+//!
+//! Each scan has a header — columns, rows, scanner position, its three axes, and a 4 × 4 matrix that
+//! takes scanner coordinates to the common frame, one **row vector** a line (translation in the last
+//! line) — and then columns · rows lines `x y z intensity [r g b]` in scanner coordinates. `0 0 0`
+//! marks a pulse without return. Every scan becomes a geometry, placed by its matrix.
+
+use std::io::BufRead;
+use std::path::Path;
+
+use glam::{DAffine3, DMat3, DVec3};
+
+use super::points::{
+    self, Lines, colors, malformed, quote, scale_to_word, skipped_warning, value_range,
+};
+use super::{Asset, AssetError, Geometry, Placement, PointCloud, ReadOptions};
+
+/// Reads the scans of a PTX file.
+///
+/// # Errors
+/// I/O, a header or row that is not as the format demands (with line and column), fewer rows than
+/// the header announces, no point at all, or more than the options allow.
+pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, AssetError> {
+    read_from(points::open(path, name, &options.progress)?, name, options)
+}
+
+/// Like [`read`], from a stream. At most [`ReadOptions::max_decompressed_bytes`] are read.
+///
+/// # Errors
+/// See [`read`].
+pub fn read_from(
+    reader: impl BufRead,
+    name: &str,
+    options: &ReadOptions,
+) -> Result<Asset, AssetError> {
+    let mut rows = Rows { lines: Lines::new(reader, name, options), name };
+    let mut scans = Vec::new();
+    let mut declared = 0u64;
+    while let Some(header) = Header::read(&mut rows, scans.len())? {
+        declared = declared.saturating_add(header.points);
+        points::check_count(name, declared, options)?;
+        scans.push(Scan::read(&mut rows, header, scans.len())?);
+    }
+    options.progress.report(1.0);
+    finish(scans, name)
+}
+
+/// Lines of numbers.
+struct Rows<'a, R> {
+    lines: Lines<'a, R>,
+    name: &'a str,
+}
+
+impl<R: BufRead> Rows<'_, R> {
+    /// The numbers of the next line that is not empty, `None` at the end of the file.
+    fn next(&mut self) -> Result<Option<([f64; 7], usize)>, AssetError> {
+        let mut values = [0.0; 7];
+        loop {
+            let number = self.lines.number() + 1;
+            let Some(line) = self.lines.next_line()? else { return Ok(None) };
+            let mut count = 0;
+            for token in line.split_ascii_whitespace() {
+                let Some(value) = values.get_mut(count) else {
+                    let reason = "has more than 7 columns";
+                    return Err(malformed(self.name, format!("line {number}"), reason));
+                };
+                *value = token.parse().map_err(|_| {
+                    let place = format!("line {number}, column {}", count + 1);
+                    malformed(self.name, place, format!("{} is not a number", quote(token)))
+                })?;
+                count += 1;
+            }
+            if count > 0 {
+                return Ok(Some((values, count)));
+            }
+        }
+    }
+
+    /// A header line with exactly `count` finite numbers.
+    fn header(&mut self, count: usize, scan: usize, what: &str) -> Result<[f64; 7], AssetError> {
+        let found = self.next()?;
+        let place = format!("scan {scan}, {what} (line {})", self.lines.number());
+        match found {
+            Some((values, n)) if n == count && values.iter().all(|v| v.is_finite()) => Ok(values),
+            Some((_, n)) => {
+                let reason = format!("expected {count} finite numbers, found {n} numbers");
+                Err(malformed(self.name, place, reason))
+            }
+            None => Err(malformed(self.name, place, "the file ends within the header")),
+        }
+    }
+}
+
+struct Header {
+    /// Columns · rows.
+    points: u64,
+    file_from_scan: DAffine3,
+}
+
+impl Header {
+    /// The next scan's header, `None` at the end of the file.
+    fn read<R: BufRead>(rows: &mut Rows<R>, scan: usize) -> Result<Option<Self>, AssetError> {
+        let Some((columns, count)) = rows.next()? else { return Ok(None) };
+        let first_line = rows.lines.number();
+        let name = rows.name;
+        let whole = |value: f64, count: usize, what: &str, line: u64| {
+            if count == 1 && value.fract() == 0.0 && (0.0..=4e9).contains(&value) {
+                return Ok(value as u64);
+            }
+            let place = format!("scan {scan}, {what} (line {line})");
+            Err(malformed(name, place, "expected one whole number"))
+        };
+        let columns = whole(columns[0], count, "number of columns", first_line)?;
+        let [height, ..] = rows.header(1, scan, "number of rows")?;
+        let height = whole(height, 1, "number of rows", rows.lines.number())?;
+        rows.header(3, scan, "scanner position")?;
+        for _ in 0..3 {
+            rows.header(3, scan, "scanner axes")?;
+        }
+        let mut matrix = [[0.0; 4]; 4];
+        for line in &mut matrix {
+            let [a, b, c, d, ..] = rows.header(4, scan, "transformation")?;
+            *line = [a, b, c, d];
+        }
+        let file_from_scan = affine(matrix);
+        if file_from_scan.matrix3.determinant() == 0.0 {
+            let place = format!("scan {scan}, transformation (line {})", rows.lines.number());
+            return Err(malformed(rows.name, place, "the matrix is singular"));
+        }
+        Ok(Some(Self { points: columns.saturating_mul(height), file_from_scan }))
+    }
+}
+
+/// The map of a matrix whose lines are row vectors; one with the translation in the last column,
+/// as some programs write it, is recognised by its last line `0 0 0 1`.
+fn affine(m: [[f64; 4]; 4]) -> DAffine3 {
+    let column = |i: usize| DVec3::new(m[0][i], m[1][i], m[2][i]);
+    let row = |i: usize| DVec3::new(m[i][0], m[i][1], m[i][2]);
+    if m[3] == [0.0, 0.0, 0.0, 1.0] && column(3) != DVec3::ZERO {
+        let matrix = DMat3::from_cols(column(0), column(1), column(2));
+        return DAffine3::from_mat3_translation(matrix, column(3));
+    }
+    DAffine3::from_mat3_translation(DMat3::from_cols(row(0), row(1), row(2)), row(3))
+}
+
+struct Scan {
+    file_from_scan: DAffine3,
+    positions: Vec<DVec3>,
+    intensities: Vec<f32>,
+    rgb: Vec<[f32; 3]>,
+    no_return: u64,
+    not_finite: u64,
+}
+
+impl Scan {
+    fn read<R: BufRead>(
+        rows: &mut Rows<R>,
+        header: Header,
+        index: usize,
+    ) -> Result<Self, AssetError> {
+        let mut scan = Self {
+            file_from_scan: header.file_from_scan,
+            positions: Vec::new(),
+            intensities: Vec::new(),
+            rgb: Vec::new(),
+            no_return: 0,
+            not_finite: 0,
+        };
+        let mut columns = None;
+        for point in 0..header.points {
+            let Some((values, count)) = rows.next()? else {
+                let reason = format!("the header announces {} points", header.points);
+                let place = format!("scan {index}, point {point}: the file ends");
+                return Err(malformed(rows.name, place, reason));
+            };
+            let expected = *columns.get_or_insert(count);
+            if count != expected || !matches!(count, 3 | 4 | 6 | 7) {
+                let place = format!("scan {index}, point {point} (line {})", rows.lines.number());
+                let reason = format!("has {count} columns, expected 4 or 7 and the same in a scan");
+                return Err(malformed(rows.name, place, reason));
+            }
+            scan.push(&values[..count]);
+        }
+        Ok(scan)
+    }
+
+    /// Takes a row of 3 (x y z), 4 (and intensity), 6 (and colour) or 7 numbers.
+    fn push(&mut self, values: &[f64]) {
+        let &[x, y, z, ref rest @ ..] = values else { return };
+        let position = DVec3::new(x, y, z);
+        if position == DVec3::ZERO {
+            self.no_return += 1;
+            return;
+        }
+        if !self.file_from_scan.transform_point3(position).is_finite() {
+            self.not_finite += 1;
+            return;
+        }
+        self.positions.push(position);
+        if let &[intensity] | &[intensity, _, _, _] = rest {
+            self.intensities.push(intensity as f32);
+        }
+        if let &[r, g, b] | &[_, r, g, b] = rest {
+            self.rgb.push([r, g, b].map(|channel| channel as f32));
+        }
+    }
+}
+
+fn finish(scans: Vec<Scan>, name: &str) -> Result<Asset, AssetError> {
+    let sum = |count: fn(&Scan) -> u64| scans.iter().map(count).sum();
+    let mut asset = Asset { format: "ptx", ..Asset::default() };
+    asset.warnings.extend(skipped_warning(sum(|scan| scan.not_finite), "no finite position"));
+    let no_return: u64 = sum(|scan| scan.no_return);
+    let range = value_range(scans.iter().flat_map(|scan| scan.intensities.iter().copied()))
+        .filter(|[min, max]| min < max);
+    let scan_count = scans.len();
+    for (index, scan) in scans.into_iter().enumerate() {
+        if scan.positions.is_empty() {
+            asset.warnings.push(format!("scan {index} holds no points"));
+            continue;
+        }
+        asset.placements.push(Placement {
+            name: if scan_count == 1 { name.to_owned() } else { format!("{name} scan {index}") },
+            geometry: asset.geometries.len(),
+            asset_from_geometry: scan.file_from_scan,
+        });
+        let count = scan.positions.len();
+        let intensity = range.filter(|_| scan.intensities.len() == count);
+        asset.geometries.push(Geometry::Points(PointCloud {
+            colors: (scan.rgb.len() == count).then(|| colors(count, |point| scan.rgb[point])),
+            intensity: intensity.map(|range| {
+                scan.intensities.iter().map(|&value| scale_to_word(value, range)).collect()
+            }),
+            positions: scan.positions,
+            ..PointCloud::default()
+        }));
+    }
+    if asset.geometries.is_empty() {
+        let reason = match (scan_count, no_return) {
+            (0, _) => "holds no scan".to_owned(),
+            (_, 0) => "holds no points".to_owned(),
+            (_, pulses) => format!("none of its {pulses} pulses has a return"),
+        };
+        return Err(malformed(name, "file", reason));
+    }
+    Ok(asset)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn read_text(text: &str) -> Result<Asset, AssetError> {
+        read_from(text.as_bytes(), "t.ptx", &ReadOptions::default())
+    }
+
+    /// A scan of one row, turned a quarter about z and moved.
+    fn scan(points: &str, count: usize) -> String {
+        format!(
+            "{count}\n1\n10 20 30\n0 1 0\n-1 0 0\n0 0 1\n\
+             0 1 0 0\n-1 0 0 0\n0 0 1 0\n10 20 30 1\n{points}\n"
+        )
+    }
+
+    fn points(asset: &Asset, index: usize) -> &PointCloud {
+        let Geometry::Points(cloud) = &asset.geometries[index] else { panic!("not points") };
+        cloud
+    }
+
+    #[test]
+    fn scans_are_placed_by_their_matrix() {
+        let text = scan("1 0 0 0.25 255 0 9\n0 0 0 0.5 0 0 0\n0 2 0 0.75 0 1 2", 3)
+            + &scan("0 0 3 1.25", 1);
+        let asset = read_text(&text).unwrap();
+        assert_eq!(asset.geometries.len(), 2);
+        let first = points(&asset, 0);
+        let placed: Vec<DVec3> = first
+            .positions
+            .iter()
+            .map(|&p| asset.placements[0].asset_from_geometry.transform_point3(p))
+            .collect();
+        assert_eq!(placed, [DVec3::new(10.0, 21.0, 30.0), DVec3::new(8.0, 20.0, 30.0)]);
+        assert_eq!(first.colors, Some(vec![[255, 0, 9, 255], [0, 1, 2, 255]]));
+        assert_eq!(first.intensity, Some(vec![0, 32768]));
+        let second = points(&asset, 1);
+        assert_eq!((second.intensity.clone(), &second.colors), (Some(vec![65535]), &None));
+        assert_eq!(asset.bounds().max, DVec3::new(10.0, 21.0, 33.0));
+    }
+
+    #[test]
+    fn a_translation_in_the_last_column_is_recognised() {
+        let m = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 6.0], [0.0, 0.0, 1.0, 7.0]];
+        let map = affine([m[0], m[1], m[2], [0.0, 0.0, 0.0, 1.0]]);
+        assert_eq!(map.translation, DVec3::new(5.0, 6.0, 7.0));
+    }
+
+    #[test]
+    fn errors_name_scan_point_and_line() {
+        let error = |text: &str| read_text(text).unwrap_err().to_string();
+        assert!(error("").contains("holds no scan"));
+        assert!(error("2.5\n").contains("scan 0, number of columns (line 1)"));
+        assert!(error("2\n1\n0 0\n").contains("scan 0, scanner position (line 3)"));
+        assert!(error(&scan("1 0 0 1", 2)).contains("scan 0, point 1: the file ends"));
+        assert!(error(&scan("1 0 0 x", 1)).contains("line 11, column 4"));
+        assert!(error(&scan("1 0 0 1\n1 0 0 1 2 3 4", 2)).contains("point 1 (line 12)"));
+        assert!(error(&scan("0 0 0 0", 1)).contains("none of its 1 pulses"));
+        let huge = scan("1 0 0 1", 1).replacen("1\n1\n", "4000000000\n4000000000\n", 1);
+        assert!(matches!(read_text(&huge), Err(AssetError::TooLarge { .. })));
+    }
+
+    proptest! {
+        #[test]
+        fn truncations_and_noise_are_answered(cut in 0usize..200, at in 0usize..200, byte: u8) {
+            let text = scan("1 0 0 0.25 255 0 9\n0 0 0 0.5 0 0 0", 2);
+            let mut bytes = text.into_bytes();
+            let at = at % bytes.len();
+            bytes[at] = byte;
+            bytes.truncate(cut.max(1));
+            let _ = read_from(&bytes[..], "t.ptx", &ReadOptions::default());
+        }
+    }
+}

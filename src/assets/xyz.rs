@@ -1,1 +1,268 @@
-//! Reader for xyz files.
+//! Reader for text point clouds: XYZ, PTS, CSV, TXT.
+//!
+//! Rows are streamed once. Columns beyond x, y, z are kept as they are until the end, because their
+//! meaning follows from a header line that names them, or else from their number and from what all
+//! their rows hold ([`layout`]):
+//!
+//! | columns | meaning |
+//! |---|---|
+//! | 3 | x y z |
+//! | 4 | x y z intensity |
+//! | 6 | x y z and colour (whole numbers 0..=255) or normal (anything else) |
+//! | 7 | x y z intensity r g b (PTS), or x y z r g b intensity where that alone fits |
+//! | 9 | x y z, colour and normal in either order |
+//!
+//! Other numbers of columns are read group by group in the same way. Blanks, tabs, commas and
+//! semicolons separate columns; where semicolons do, a comma may be the decimal sign. Lines that
+//! begin with `#` or `//` are comments (a first one that names x, y and z is a header), a line with
+//! one whole number is a count of points, as PTS has it.
+
+mod layout;
+
+use std::io::BufRead;
+use std::path::Path;
+
+use glam::DVec3;
+
+use super::points::{self, Lines, malformed, quote, skipped_warning};
+use super::{Asset, AssetError, Geometry, PointCloud, ReadOptions};
+use layout::Role;
+
+/// More columns than this are no point cloud.
+const MAX_COLUMNS: usize = 64;
+
+/// Reads a text point cloud.
+///
+/// # Errors
+/// I/O, a token that is no number where one belongs (with line and column), rows of different
+/// lengths, no point at all, or more than the options allow.
+pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, AssetError> {
+    read_from(points::open(path, name, &options.progress)?, name, options)
+}
+
+/// Like [`read`], from a stream. At most [`ReadOptions::max_decompressed_bytes`] are read.
+///
+/// # Errors
+/// See [`read`].
+pub fn read_from(
+    reader: impl BufRead,
+    name: &str,
+    options: &ReadOptions,
+) -> Result<Asset, AssetError> {
+    let mut lines = Lines::new(reader, name, options);
+    let mut table = Table::default();
+    loop {
+        let number = lines.number() + 1;
+        let Some(line) = lines.next_line()? else { break };
+        table.line(line, number, name)?;
+        points::check_count(name, table.positions.len() as u64, options)?;
+    }
+    options.progress.report(1.0);
+    table.finish(name)
+}
+
+/// What separates columns, seen in the first line that is no comment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Delimiter {
+    Blank,
+    Comma,
+    Semicolon,
+}
+
+impl Delimiter {
+    fn of(line: &str) -> Self {
+        if line.contains(';') {
+            Self::Semicolon
+        } else if line.contains(',') {
+            Self::Comma
+        } else {
+            Self::Blank
+        }
+    }
+
+    /// Calls `take` with every column's text, blanks trimmed; a separator at the end adds none.
+    fn split<'l>(self, line: &'l str, take: &mut impl FnMut(&'l str)) {
+        let separator = match self {
+            Self::Blank => return line.split_ascii_whitespace().for_each(take),
+            Self::Comma => ',',
+            Self::Semicolon => ';',
+        };
+        let line = line.strip_suffix(separator).unwrap_or(line);
+        for piece in line.split(separator) {
+            let mut words = piece.split_ascii_whitespace();
+            take(words.next().unwrap_or(""));
+            words.for_each(&mut *take);
+        }
+    }
+
+    /// A column as a number; one that is empty is missing, which is not a number but no error.
+    fn number(self, token: &str) -> Option<f64> {
+        let token = token.trim_matches('"');
+        if token.is_empty() {
+            return Some(f64::NAN);
+        }
+        match token.parse() {
+            Ok(value) => Some(value),
+            Err(_) if self == Self::Semicolon => token.replacen(',', ".", 1).parse().ok(),
+            Err(_) => None,
+        }
+    }
+}
+
+/// The rows so far.
+#[derive(Default)]
+struct Table {
+    positions: Vec<DVec3>,
+    /// Kept columns, each as long as `positions`.
+    extras: Vec<Vec<f32>>,
+    /// Role of each kept column, when a header names them.
+    named: Option<Vec<Role>>,
+    /// For each column of the file where it goes: 0, 1, 2 for x, y, z, then `extras`.
+    targets: Vec<Option<usize>>,
+    delimiter: Option<Delimiter>,
+    /// Sum of the counts that PTS announces.
+    announced: Option<u64>,
+    rows: u64,
+    not_finite: u64,
+    /// One row by target.
+    row: Vec<f64>,
+}
+
+impl Table {
+    fn line(&mut self, line: &str, number: u64, name: &str) -> Result<(), AssetError> {
+        if line.is_empty() {
+            return Ok(());
+        }
+        if let Some(comment) = line.strip_prefix("//").or_else(|| line.strip_prefix('#')) {
+            if self.targets.is_empty() {
+                self.header(comment.trim_start_matches(['/', '#', ' ']));
+            }
+            return Ok(());
+        }
+        if self.delimiter.is_none() {
+            if self.targets.is_empty() && self.header(line) {
+                return Ok(());
+            }
+            if let Ok(count) = line.parse::<u64>() {
+                self.announced = Some(self.announced.unwrap_or(0).saturating_add(count));
+                return Ok(());
+            }
+            self.start(line, number, name)?;
+        }
+        self.data(line, number, name)
+    }
+
+    /// Takes a line as the header if it names x, y and z.
+    fn header(&mut self, line: &str) -> bool {
+        let mut roles = Vec::new();
+        Delimiter::of(line).split(line, &mut |token| roles.push(Role::named(token)));
+        let Some(position) = layout::position(&roles).filter(|_| roles.len() <= MAX_COLUMNS) else {
+            return false;
+        };
+        let mut named = Vec::new();
+        self.targets = roles
+            .iter()
+            .enumerate()
+            .map(|(column, role)| match position.iter().position(|&axis| axis == column) {
+                Some(axis) => Some(axis),
+                // A role that appears twice is taken from its first column.
+                None if role.is_kept() && !named.contains(role) => {
+                    named.push(*role);
+                    Some(2 + named.len())
+                }
+                None => None,
+            })
+            .collect();
+        self.extras = vec![Vec::new(); named.len()];
+        self.named = Some(named);
+        true
+    }
+
+    /// Fixes separator and number of columns at the first row.
+    fn start(&mut self, line: &str, number: u64, name: &str) -> Result<(), AssetError> {
+        let delimiter = Delimiter::of(line);
+        self.delimiter = Some(delimiter);
+        if self.targets.is_empty() {
+            let mut columns = 0;
+            delimiter.split(line, &mut |_| columns += 1);
+            if !(3..=MAX_COLUMNS).contains(&columns) {
+                return Err(malformed(
+                    name,
+                    format!("line {number}"),
+                    format!("has {columns} columns; a point needs at least x, y and z"),
+                ));
+            }
+            self.targets = (0..columns).map(Some).collect();
+            self.extras = vec![Vec::new(); columns - 3];
+        }
+        self.row = vec![0.0; 3 + self.extras.len()];
+        Ok(())
+    }
+
+    fn data(&mut self, line: &str, number: u64, name: &str) -> Result<(), AssetError> {
+        let delimiter = self.delimiter.unwrap_or(Delimiter::Blank);
+        let (mut column, mut bad) = (0, None);
+        let (targets, row) = (&self.targets, &mut self.row);
+        delimiter.split(line, &mut |token| {
+            if let Some(&Some(target)) = targets.get(column) {
+                match delimiter.number(token) {
+                    Some(value) => row[target] = value,
+                    None => bad = bad.or(Some((column, token))),
+                }
+            }
+            column += 1;
+        });
+        if let Some((column, token)) = bad {
+            let place = format!("line {number}, column {}", column + 1);
+            return Err(malformed(name, place, format!("{} is not a number", quote(token))));
+        }
+        if column != targets.len() {
+            if column == 1 && let Ok(count) = line.parse::<u64>() {
+                self.announced = Some(self.announced.unwrap_or(0).saturating_add(count));
+                return Ok(());
+            }
+            let reason = format!("has {column} columns, the rows before have {}", targets.len());
+            return Err(malformed(name, format!("line {number}"), reason));
+        }
+        self.rows += 1;
+        let position = DVec3::new(self.row[0], self.row[1], self.row[2]);
+        if !position.is_finite() {
+            self.not_finite += 1;
+            return Ok(());
+        }
+        self.positions.push(position);
+        for (column, &value) in self.extras.iter_mut().zip(&self.row[3..]) {
+            column.push(value as f32);
+        }
+        Ok(())
+    }
+
+    fn finish(self, name: &str) -> Result<Asset, AssetError> {
+        if self.positions.is_empty() {
+            return Err(malformed(
+                name,
+                "file",
+                match self.rows {
+                    0 => "holds no points".to_owned(),
+                    rows => format!("none of its {rows} points is finite"),
+                },
+            ));
+        }
+        let mut warnings = Vec::new();
+        if let Some(count) = self.announced.filter(|&count| count != self.rows) {
+            warnings.push(format!("announces {count} points and holds {}", self.rows));
+        }
+        warnings.extend(skipped_warning(self.not_finite, "no finite position"));
+        let roles = match self.named {
+            Some(named) => named,
+            None => layout::by_content(&self.extras),
+        };
+        let cloud = layout::cloud(self.positions, &self.extras, &roles);
+        let mut asset = Asset::single("xyz", name, Geometry::Points(cloud));
+        asset.warnings = warnings;
+        Ok(asset)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,1 +1,3 @@
-//! bake.
+//! Assets → what the GPU holds (floor 2).
+
+pub mod pack;

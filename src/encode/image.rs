@@ -1,5 +1,7 @@
 //! Pixels before they are encoded.
 
+use crate::plan::Output;
+
 /// The pixels of a frame, top row first.
 #[derive(Clone, Debug, PartialEq)]
 pub enum FrameImage {
@@ -22,6 +24,25 @@ impl FrameImage {
             | FrameImage::Depth { width, height, .. }
             | FrameImage::Normal { width, height, .. }
             | FrameImage::Id { width, height, .. } => (width, height),
+        }
+    }
+
+    /// Which of a frame's images this is.
+    pub fn output(&self) -> Output {
+        match self {
+            FrameImage::Color { .. } => Output::Color,
+            FrameImage::Depth { .. } => Output::Depth,
+            FrameImage::Normal { .. } => Output::Normal,
+            FrameImage::Id { .. } => Output::Id,
+        }
+    }
+
+    /// How many pixels are stored; `width · height` in a sound image.
+    pub fn pixels(&self) -> usize {
+        match self {
+            FrameImage::Color { rgba, .. } | FrameImage::Normal { rgba, .. } => rgba.len(),
+            FrameImage::Depth { depth, .. } => depth.len(),
+            FrameImage::Id { id, .. } => id.len(),
         }
     }
 }

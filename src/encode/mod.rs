@@ -1,6 +1,32 @@
-//! Pixels → bytes (floor 5).
+//! Pixels → bytes (floor 5): one file per format, and here the table of what each can hold.
+//!
+//! | format | colour | depth | normal | id |
+//! |---|---|---|---|---|
+//! | [`png`] | RGB8, or RGBA8 where it is translucent | 16-bit grey, linear, see [`png::DepthRange`] | RGBA8 | RGB8 or RGBA8, see below |
+//! | [`jpeg`] | 8-bit YCbCr, alpha dropped | – | alpha dropped | – |
+//! | [`webp`] (lossless) | RGB8 or RGBA8 | – | RGBA8 | as PNG |
+//! | [`qoi`] | RGB8 or RGBA8 | – | RGBA8 | as PNG |
+//! | [`raw`] | RGBA8 | f32 | RGBA8 | u32 |
+//! | [`exr`] | linear half `R G B A`, premultiplied | f32 `Z` | half `N.X N.Y N.Z` in −1..1 | u32 `id` |
+//! | [`pfm`] | – | f32 | – | – |
+//!
+//! **Ids in 8-bit channels**: `id = R + 2⁸·G + 2¹⁶·B`. While every id is below 2²⁴ there is no alpha
+//! channel, so that browsers, which multiply by alpha on decoding, keep the numbers intact; an image
+//! with larger ones has an alpha channel that adds `2²⁴·A`.
+//!
+//! Rows run from the top down in all formats but PFM, which demands the opposite.
+//! Every encoder runs on the calling thread alone: the engine's pool encodes frames side by side.
+
+pub mod exr;
 mod format;
 mod image;
+pub mod jpeg;
+mod pack;
+pub mod pfm;
+pub mod png;
+pub mod qoi;
+pub mod raw;
+pub mod webp;
 
 pub use format::ImageFormat;
 pub use image::FrameImage;
@@ -8,33 +34,158 @@ pub use image::FrameImage;
 use crate::plan::Output;
 
 /// An encoded image.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Encoded {
     pub bytes: Vec<u8>,
     pub content_type: &'static str,
+    /// Nearest and farthest depth, in scene units, that a client needs to turn 16-bit depth back into
+    /// distances (see [`png::DepthRange`]). `None` for every other image, and where nothing is seen.
+    pub depth_range: Option<[f32; 2]>,
+}
+
+impl Encoded {
+    fn new(bytes: Vec<u8>, content_type: &'static str) -> Self {
+        Self { bytes, content_type, depth_range: None }
+    }
 }
 
 /// A combination of image and format that cannot be.
 #[derive(Debug, thiserror::Error)]
 pub enum EncodeError {
-    #[error("{format:?} cannot hold {output:?}: {accepted}")]
+    #[error("format: {format:?} cannot hold {output:?}: {accepted}")]
     Unsupported { format: ImageFormat, output: Output, accepted: &'static str },
+    /// A frame larger than the format allows.
+    #[error(
+        "format: {format:?} holds at most {limit} pixels a side, the frame has {width} × {height}"
+    )]
+    TooLarge { format: ImageFormat, limit: u32, width: u32, height: u32 },
     #[error("encoding failed: {0}")]
     Failed(String),
 }
 
-/// Whether `format` can hold `output`; the error says which formats can.
+/// Whether `format` can hold `output`.
+///
+/// # Errors
+/// [`EncodeError::Unsupported`], which says which formats can.
 pub fn accepts(format: ImageFormat, output: Output) -> Result<(), EncodeError> {
-    let _ = (format, output);
-    Ok(())
+    use ImageFormat::{Exr, Pfm, Png, Qoi, Raw, Webp};
+    let (possible, accepted) = match output {
+        Output::Color => (format != Pfm, "colour comes as png, jpeg, webp, qoi, raw or exr"),
+        Output::Depth => {
+            (matches!(format, Png | Raw | Exr | Pfm), "depth comes as png, raw, exr or pfm")
+        }
+        Output::Normal => (format != Pfm, "normals come as png, jpeg, webp, qoi, raw or exr"),
+        Output::Id => (
+            matches!(format, Png | Webp | Qoi | Raw | Exr),
+            "ids come as png, webp, qoi, raw or exr",
+        ),
+    };
+    if possible { Ok(()) } else { Err(EncodeError::Unsupported { format, output, accepted }) }
 }
 
-/// Encodes a frame. `quality` is 1..=100 and matters to JPEG alone.
+/// Encodes a frame. `quality` is 1..=100 (values outside are refused) and matters to JPEG alone.
+///
+/// # Errors
+/// A format that cannot hold the image or its size, a pixel count that disagrees with the size, an
+/// empty frame, or whatever the encoder reports.
 pub fn encode(
     image: &FrameImage,
     format: ImageFormat,
     quality: u8,
 ) -> Result<Encoded, EncodeError> {
-    let _ = (image, format, quality);
-    Err(EncodeError::Failed("no encoder yet".into()))
+    accepts(format, image.output())?;
+    let (width, height) = image.size();
+    let expected = u64::from(width) * u64::from(height);
+    if expected == 0 {
+        return Err(EncodeError::Failed(format!("an empty frame ({width} × {height})")));
+    }
+    if image.pixels() as u64 != expected {
+        return Err(EncodeError::Failed(format!(
+            "{} pixels do not make a frame of {width} × {height}",
+            image.pixels()
+        )));
+    }
+    if !(1..=100).contains(&quality) {
+        return Err(EncodeError::Failed(format!("quality {quality} is not in 1..=100")));
+    }
+    match format {
+        ImageFormat::Png => png::encode(image),
+        ImageFormat::Jpeg => jpeg::encode(image, quality),
+        ImageFormat::Webp => webp::encode(image),
+        ImageFormat::Qoi => qoi::encode(image),
+        ImageFormat::Raw => Ok(raw::encode(image)),
+        ImageFormat::Exr => exr::encode(image),
+        ImageFormat::Pfm => pfm::encode(image),
+    }
+}
+
+/// The error of an encoder that was called for an image it does not hold. [`encode`] asks
+/// [`accepts`] first; the formats' own functions answer with this when called directly.
+fn unsupported(format: ImageFormat, image: &FrameImage) -> EncodeError {
+    match accepts(format, image.output()) {
+        Err(error) => error,
+        Ok(()) => EncodeError::Failed(format!("{format:?} lacks an encoder for this image")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FORMATS: [ImageFormat; 7] = [
+        ImageFormat::Png,
+        ImageFormat::Jpeg,
+        ImageFormat::Webp,
+        ImageFormat::Qoi,
+        ImageFormat::Raw,
+        ImageFormat::Exr,
+        ImageFormat::Pfm,
+    ];
+
+    fn samples() -> Vec<FrameImage> {
+        let (width, height) = (5, 3);
+        vec![
+            FrameImage::Color { width, height, rgba: vec![[1, 2, 3, 255]; 15] },
+            FrameImage::Depth { width, height, depth: vec![2.5; 15] },
+            FrameImage::Normal { width, height, rgba: vec![[128, 128, 255, 255]; 15] },
+            FrameImage::Id { width, height, id: vec![7; 15] },
+        ]
+    }
+
+    #[test]
+    fn what_is_accepted_encodes_and_what_is_not_says_why() {
+        for image in samples() {
+            for format in FORMATS {
+                let result = encode(&image, format, 85);
+                match accepts(format, image.output()) {
+                    Ok(()) => {
+                        let encoded = result.unwrap();
+                        assert!(!encoded.bytes.is_empty());
+                        assert!(encoded.content_type.contains('/'));
+                    }
+                    Err(reason) => {
+                        assert_eq!(result.unwrap_err().to_string(), reason.to_string());
+                        assert!(reason.to_string().contains("png"), "{reason}");
+                    }
+                }
+            }
+        }
+        assert!(accepts(ImageFormat::Jpeg, Output::Depth).is_err());
+        assert!(accepts(ImageFormat::Jpeg, Output::Id).is_err());
+        assert!(accepts(ImageFormat::Pfm, Output::Color).is_err());
+        assert!(accepts(ImageFormat::Qoi, Output::Depth).is_err());
+    }
+
+    #[test]
+    fn sizes_that_lie_are_refused_by_every_format() {
+        for format in FORMATS {
+            let short = FrameImage::Depth { width: 4, height: 4, depth: vec![1.0; 15] };
+            let empty = FrameImage::Color { width: 0, height: 4, rgba: vec![] };
+            assert!(encode(&short, format, 85).is_err());
+            assert!(encode(&empty, format, 85).is_err());
+        }
+        let image = &samples()[0];
+        assert!(encode(image, ImageFormat::Jpeg, 0).is_err());
+        assert!(encode(image, ImageFormat::Jpeg, 101).is_err());
+    }
 }

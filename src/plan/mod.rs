@@ -1,4 +1,191 @@
-//! Which passes a frame needs and why, as pure functions of scene, view and limits (floor 3).
+//! Which passes a frame needs and why, as pure functions of scene, request and adapter (floor 3).
+//!
+//! The plan is a value: it lists every pass that this program has, in the order in which they run, each with the reason
+//! where it is skipped. Recording follows it; the receipt repeats it.
+
 mod settings;
 
+use serde::Serialize;
+
 pub use settings::{Lod, Output, Reconstruct, Settings};
+
+/// What a plan depends on in a scene.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SceneFacts {
+    pub has_samples: bool,
+    pub has_triangles: bool,
+    pub lights: u32,
+    /// Some light asks for shadows.
+    pub casts_shadows: bool,
+    /// Some material cuts holes by alpha.
+    pub alpha_cut: bool,
+}
+
+/// What a plan depends on in the adapter.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct AdapterFacts {
+    pub atomics_64: bool,
+}
+
+/// Every pass, by the one name that it has everywhere.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Pass {
+    Clear,
+    Place,
+    Cull,
+    Scan,
+    Compact,
+    ProjectSamples,
+    /// Second half of [`Pass::ProjectSamples`] without 64-bit atomics.
+    ProjectSamplesId,
+    ProjectTriangles,
+    RasteriseTriangles,
+    ProjectTrianglesId,
+    RasteriseTrianglesId,
+    ResolveSamples,
+    ResolveTriangles,
+    Shade,
+    ShadowMap,
+}
+
+impl Pass {
+    /// All passes in the order in which they run.
+    pub const ALL: [Pass; 15] = [
+        Pass::Clear,
+        Pass::Place,
+        Pass::Cull,
+        Pass::Scan,
+        Pass::Compact,
+        Pass::ShadowMap,
+        Pass::ProjectSamples,
+        Pass::ProjectTriangles,
+        Pass::RasteriseTriangles,
+        Pass::ProjectSamplesId,
+        Pass::ProjectTrianglesId,
+        Pass::RasteriseTrianglesId,
+        Pass::ResolveSamples,
+        Pass::ResolveTriangles,
+        Pass::Shade,
+    ];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Pass::Clear => "clear",
+            Pass::Place => "place",
+            Pass::Cull => "cull",
+            Pass::Scan => "scan",
+            Pass::Compact => "compact",
+            Pass::ProjectSamples => "project_samples",
+            Pass::ProjectSamplesId => "project_samples_id",
+            Pass::ProjectTriangles => "project_triangles",
+            Pass::RasteriseTriangles => "rasterise_triangles",
+            Pass::ProjectTrianglesId => "project_triangles_id",
+            Pass::RasteriseTrianglesId => "rasterise_triangles_id",
+            Pass::ResolveSamples => "resolve_samples",
+            Pass::ResolveTriangles => "resolve_triangles",
+            Pass::Shade => "shade",
+            Pass::ShadowMap => "shadow_map",
+        }
+    }
+}
+
+/// One line of a plan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct PlannedPass {
+    pub pass: Pass,
+    /// Why it is skipped; `None` when it runs.
+    pub skipped: Option<&'static str>,
+}
+
+/// The passes of one frame.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct FramePlan {
+    pub passes: Vec<PlannedPass>,
+}
+
+impl FramePlan {
+    pub fn runs(&self, pass: Pass) -> bool {
+        self.passes.iter().any(|planned| planned.pass == pass && planned.skipped.is_none())
+    }
+}
+
+/// Plans a frame.
+pub fn plan(scene: &SceneFacts, output: Output, adapter: &AdapterFacts) -> FramePlan {
+    let shaded = output == Output::Color && scene.lights > 0;
+    let reason = |pass: Pass| -> Option<&'static str> {
+        let samples = (!scene.has_samples).then_some("the scene has no samples");
+        let triangles = (!scene.has_triangles).then_some("the scene has no triangles");
+        let wide = adapter.atomics_64.then_some("the adapter has 64-bit atomics");
+        match pass {
+            Pass::Clear | Pass::Place | Pass::Cull | Pass::Scan | Pass::Compact => None,
+            Pass::ProjectSamples => samples,
+            Pass::ProjectTriangles | Pass::RasteriseTriangles => triangles,
+            Pass::ProjectSamplesId => samples.or(wide),
+            Pass::ProjectTrianglesId | Pass::RasteriseTrianglesId => triangles.or(wide),
+            // It also writes the background of a scene that has nothing at all.
+            Pass::ResolveSamples => samples.filter(|_| scene.has_triangles),
+            Pass::ResolveTriangles => triangles,
+            Pass::Shade if output != Output::Color => Some("the output is not color"),
+            Pass::Shade => (!shaded).then_some("the scene has no lights"),
+            Pass::ShadowMap if scene.casts_shadows => Some("this version draws no shadows"),
+            Pass::ShadowMap => Some("no light casts shadows"),
+        }
+    };
+    FramePlan {
+        passes: Pass::ALL.iter().map(|&pass| PlannedPass { pass, skipped: reason(pass) }).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WIDE: AdapterFacts = AdapterFacts { atomics_64: true };
+
+    #[test]
+    fn a_scan_without_lights_runs_no_triangle_or_shade_pass() {
+        let facts = SceneFacts { has_samples: true, ..Default::default() };
+        let plan = plan(&facts, Output::Color, &WIDE);
+        assert!(plan.runs(Pass::ProjectSamples) && plan.runs(Pass::ResolveSamples));
+        for pass in
+            [Pass::ProjectTriangles, Pass::RasteriseTriangles, Pass::ResolveTriangles, Pass::Shade]
+        {
+            assert!(!plan.runs(pass), "{pass:?}");
+        }
+        assert!(!plan.runs(Pass::ProjectSamplesId));
+    }
+
+    #[test]
+    fn without_wide_atomics_every_projection_runs_twice() {
+        let facts =
+            SceneFacts { has_samples: true, has_triangles: true, lights: 1, ..Default::default() };
+        let plan = plan(&facts, Output::Color, &AdapterFacts::default());
+        for pass in Pass::ALL {
+            assert_eq!(plan.runs(pass), pass != Pass::ShadowMap, "{pass:?}");
+        }
+    }
+
+    #[test]
+    fn only_color_is_shaded() {
+        let facts = SceneFacts { has_samples: true, lights: 2, ..Default::default() };
+        assert!(plan(&facts, Output::Color, &WIDE).runs(Pass::Shade));
+        for output in [Output::Depth, Output::Normal, Output::Id] {
+            assert!(!plan(&facts, output, &WIDE).runs(Pass::Shade));
+        }
+    }
+
+    #[test]
+    fn an_empty_scene_still_has_a_background() {
+        assert!(plan(&SceneFacts::default(), Output::Color, &WIDE).runs(Pass::ResolveSamples));
+    }
+
+    #[test]
+    fn every_skipped_pass_says_why_and_all_are_listed_once() {
+        let plan = plan(&SceneFacts::default(), Output::Color, &WIDE);
+        assert_eq!(plan.passes.len(), Pass::ALL.len());
+        for planned in &plan.passes {
+            assert!(planned.skipped.is_none_or(|why| !why.is_empty()));
+        }
+    }
+}

@@ -1,1 +1,364 @@
-//! residency.
+//! Scenes in GPU memory (floor 3): pages, budget, eviction, revisions.
+//!
+//! ```text
+//! SceneModel (host) ──upload once──▶ pages: samples │ vertices + triangles │ texels     shared by all scenes
+//!                                    tables: chunks │ materials │ textures
+//!                                    per scene: instances │ entries │ segments │ lights
+//! ```
+//! An *entry* is a chunk of an instance; entries are grouped into *segments*, one for each page and kind, padded so that a
+//! segment begins at a group boundary of the cull pass. A frame writes none of this: it only reads. When the budget is
+//! exceeded the assets that were used the longest ago are freed ([`Residency::ensure`]); the next frame that needs
+//! them brings them back from the host copy.
+
+pub mod arena;
+pub mod layout;
+pub mod model;
+mod upload;
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use self::arena::Arena;
+use self::layout::{GpuChunk, GpuEntry, GpuMaterial, GpuSegment, GpuTexture};
+use self::model::SceneModel;
+use crate::gpu::Gpu;
+use crate::gpu::buffer::Buffer;
+
+/// Entries that one thread of the cull pass tests.
+pub const GROUP: usize = 32;
+
+/// What a page holds, and so which passes draw its segments.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum PageKind {
+    Samples,
+    Triangles,
+}
+
+/// A page: its kind and its number among those.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Page {
+    pub kind: PageKind,
+    pub index: usize,
+}
+
+/// A scene that cannot be made resident.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ResidencyError {
+    #[error("{what} needs {needed} bytes on the GPU, the budget is {budget}")]
+    OverBudget { what: String, needed: u64, budget: u64 },
+    /// More than a single binding can hold.
+    #[error("{what}: {needed} bytes in one binding, this adapter allows {limit}")]
+    OverBinding { what: &'static str, needed: u64, limit: u64 },
+}
+
+/// A run of chunks in one page.
+struct Piece {
+    page: Page,
+    /// In the chunk table.
+    first_chunk: u32,
+    chunk_count: u32,
+    /// Elements in the page: samples, or triangles.
+    start: u32,
+    length: u32,
+    /// Vertices in the page.
+    vertex_start: u32,
+    vertex_length: u32,
+}
+
+struct ResidentGeometry {
+    pieces: Vec<Piece>,
+    chunk_start: u32,
+    chunk_length: u32,
+}
+
+struct ResidentAsset {
+    geometries: Vec<ResidentGeometry>,
+    material_start: u32,
+    material_length: u32,
+    texture_start: u32,
+    texture_length: u32,
+    /// Texel page, start and length of every texture.
+    texels: Vec<(usize, u32, u32)>,
+    bytes: u64,
+    last_used: u64,
+}
+
+/// What the passes bind for one scene.
+pub struct ResidentScene {
+    pub revision: u64,
+    pub instances: Buffer,
+    pub entries: Buffer,
+    pub segments: Buffer,
+    pub sizes: Buffer,
+    pub lights: Buffer,
+    /// The page of each segment, in order.
+    pub pages: Vec<Page>,
+    /// Entries, padding included; a multiple of [`GROUP`].
+    pub entry_count: u32,
+    pub instance_count: u32,
+    /// Entries that are no padding.
+    pub chunk_count: u32,
+    pub light_count: u32,
+    /// Some material cuts holes by alpha.
+    pub alpha_cut: bool,
+    asset_uids: Vec<u64>,
+    material_start: u32,
+    material_length: u32,
+}
+
+/// GPU memory and what lies in it.
+pub struct Residency {
+    samples: Vec<Arena>,
+    meshes: Vec<(Arena, Arena)>,
+    texels: Vec<Arena>,
+    chunks: Arena,
+    materials: Arena,
+    textures: Arena,
+    assets: HashMap<u64, ResidentAsset>,
+    scenes: HashMap<String, ResidentScene>,
+    budget: u64,
+    used: u64,
+    clock: u64,
+    evictions: u64,
+    uploads: u64,
+}
+
+/// Pages of texels that a shader binds.
+pub const TEXEL_PAGES: usize = 2;
+
+impl Residency {
+    /// Empty; at most `budget` bytes of assets stay at a time.
+    pub fn new(gpu: &Gpu, budget: u64) -> Self {
+        let mut materials = Arena::new(gpu, "materials", &[size_of::<GpuMaterial>() as u64]);
+        // Number 0: what has no material of its own.
+        materials.allocate(gpu, 1);
+        materials.write(gpu, 0, 0, &[upload::gpu_material(&Default::default(), 0)]);
+        Self {
+            samples: vec![upload::sample_page(gpu)],
+            meshes: vec![upload::mesh_page(gpu)],
+            texels: (0..TEXEL_PAGES).map(|_| Arena::new(gpu, "texels", &[4])).collect(),
+            chunks: Arena::new(gpu, "chunks", &[size_of::<GpuChunk>() as u64]),
+            materials,
+            textures: Arena::new(gpu, "textures", &[size_of::<GpuTexture>() as u64]),
+            assets: HashMap::new(),
+            scenes: HashMap::new(),
+            budget,
+            used: 0,
+            clock: 0,
+            evictions: 0,
+            uploads: 0,
+        }
+    }
+
+    pub fn budget(&self) -> u64 {
+        self.budget
+    }
+
+    /// Bytes of resident assets.
+    pub fn used(&self) -> u64 {
+        self.used
+    }
+
+    pub fn evictions(&self) -> u64 {
+        self.evictions
+    }
+
+    pub fn uploads(&self) -> u64 {
+        self.uploads
+    }
+
+    pub fn is_resident(&self, id: &str) -> bool {
+        self.scenes.contains_key(id)
+    }
+
+    /// Positions (stream 0) and attributes (stream 1) of a page of samples.
+    pub fn sample_page(&self, index: usize) -> (&Buffer, &Buffer) {
+        (self.samples[index].buffer(0), self.samples[index].buffer(1))
+    }
+
+    /// Vertices and triangles of a page of meshes.
+    pub fn mesh_page(&self, index: usize) -> (&Buffer, &Buffer) {
+        (self.meshes[index].0.buffer(0), self.meshes[index].1.buffer(0))
+    }
+
+    pub fn chunk_table(&self) -> &Buffer {
+        self.chunks.buffer(0)
+    }
+
+    pub fn material_table(&self) -> &Buffer {
+        self.materials.buffer(0)
+    }
+
+    pub fn texture_table(&self) -> &Buffer {
+        self.textures.buffer(0)
+    }
+
+    pub fn texel_page(&self, index: usize) -> &Buffer {
+        self.texels[index].buffer(0)
+    }
+
+    pub fn scene(&self, id: &str) -> Option<&ResidentScene> {
+        self.scenes.get(id)
+    }
+
+    /// Makes `model` resident at its revision, evicting others if need be. Uploads nothing when it is there already.
+    ///
+    /// # Errors
+    /// [`ResidencyError`]; what was resident before stays.
+    pub fn ensure(&mut self, gpu: &Gpu, model: &Arc<SceneModel>) -> Result<(), ResidencyError> {
+        self.clock += 1;
+        let current =
+            self.scenes.get(&model.id).is_some_and(|scene| scene.revision == model.revision);
+        if !current {
+            self.check(gpu, model)?;
+            self.forget_scene(&model.id);
+            for asset in &model.assets {
+                if !self.assets.contains_key(&asset.uid) {
+                    self.make_room(model, asset.gpu_bytes());
+                    self.upload_asset(gpu, asset)?;
+                }
+                self.touch(asset.uid);
+            }
+            let scene = self.build_scene(gpu, model)?;
+            self.scenes.insert(model.id.clone(), scene);
+        }
+        if let Some(scene) = self.scenes.get(&model.id) {
+            for uid in scene.asset_uids.clone() {
+                self.touch(uid);
+            }
+        }
+        Ok(())
+    }
+
+    fn touch(&mut self, uid: u64) {
+        if let Some(asset) = self.assets.get_mut(&uid) {
+            asset.last_used = self.clock;
+        }
+    }
+
+    /// Whether `model` could ever be resident here.
+    ///
+    /// # Errors
+    /// What is too large, by how much.
+    pub fn check(&self, gpu: &Gpu, model: &SceneModel) -> Result<(), ResidencyError> {
+        check_fits(gpu.max_binding_bytes(), self.budget, model)
+    }
+
+    /// Frees a scene and the assets that no other resident scene draws.
+    pub fn remove(&mut self, id: &str) {
+        self.forget_scene(id);
+        let kept: Vec<u64> =
+            self.scenes.values().flat_map(|scene| scene.asset_uids.iter().copied()).collect();
+        let dropped: Vec<u64> =
+            self.assets.keys().copied().filter(|uid| !kept.contains(uid)).collect();
+        for uid in dropped {
+            self.free_asset(uid);
+        }
+    }
+
+    fn forget_scene(&mut self, id: &str) {
+        if let Some(scene) = self.scenes.remove(id) {
+            self.materials.release(scene.material_start, scene.material_length);
+        }
+    }
+
+    /// Evicts the assets used the longest ago, never those of `model`, until `bytes` more fit the budget.
+    fn make_room(&mut self, model: &SceneModel, bytes: u64) {
+        while self.used + bytes > self.budget {
+            let victim = self
+                .assets
+                .iter()
+                .filter(|(uid, _)| model.assets.iter().all(|asset| asset.uid != **uid))
+                .min_by_key(|(uid, asset)| (asset.last_used, **uid))
+                .map(|(uid, _)| *uid);
+            let Some(victim) = victim else { return };
+            self.free_asset(victim);
+            self.evictions += 1;
+            let broken: Vec<String> = self
+                .scenes
+                .iter()
+                .filter(|(_, scene)| scene.asset_uids.contains(&victim))
+                .map(|(id, _)| id.clone())
+                .collect();
+            for id in broken {
+                self.forget_scene(&id);
+            }
+        }
+    }
+}
+
+/// Whether a scene fits a budget and an adapter's largest binding.
+///
+/// # Errors
+/// What is too large, by how much.
+pub fn check_fits(max_binding: u64, budget: u64, model: &SceneModel) -> Result<(), ResidencyError> {
+    let needed = model.gpu_bytes();
+    if needed > budget {
+        return Err(ResidencyError::OverBudget {
+            what: format!("scene `{}`", model.id),
+            needed,
+            budget,
+        });
+    }
+    let counts = model.counts();
+    let slots = counts.chunks * size_of::<layout::GpuSlot>() as u64;
+    let instances = counts.instances * size_of::<layout::GpuInstance>() as u64;
+    for (what, needed) in [("visible chunks of all instances", slots), ("instances", instances)] {
+        if needed > max_binding {
+            return Err(ResidencyError::OverBinding { what, needed, limit: max_binding });
+        }
+    }
+    if counts.chunks >= 1 << 22 {
+        return Err(ResidencyError::OverBinding {
+            what: "chunks of all instances",
+            needed: counts.chunks,
+            limit: 1 << 22,
+        });
+    }
+    Ok(())
+}
+
+/// Entries grouped by page and padded to [`GROUP`]: the lists that the cull pass walks.
+fn group_entries(mut listed: Vec<(Page, GpuEntry)>) -> (Vec<GpuEntry>, Vec<GpuSegment>, Vec<Page>) {
+    const PADDING: GpuEntry = GpuEntry { instance: u32::MAX, chunk: 0 };
+    listed.sort_by_key(|(page, _)| *page);
+    let mut entries: Vec<GpuEntry> = Vec::with_capacity(listed.len() + GROUP);
+    let (mut segments, mut pages) = (Vec::new(), Vec::new());
+    for run in listed.chunk_by(|a, b| a.0 == b.0) {
+        let first_group = (entries.len() / GROUP) as u32;
+        entries.extend(run.iter().map(|(_, entry)| *entry));
+        entries.resize(entries.len().next_multiple_of(GROUP), PADDING);
+        segments.push(GpuSegment { first_group, end_group: (entries.len() / GROUP) as u32 });
+        pages.push(run[0].0);
+    }
+    (entries, segments, pages)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn segments_begin_at_group_boundaries() {
+        let page = |kind, index| Page { kind, index };
+        let entry = |chunk| GpuEntry { instance: 0, chunk };
+        let mut listed = Vec::new();
+        for chunk in 0..40 {
+            listed.push((page(PageKind::Triangles, 0), entry(chunk)));
+            listed.push((page(PageKind::Samples, 1), entry(100 + chunk)));
+        }
+        listed.push((page(PageKind::Samples, 0), entry(7)));
+        let (entries, segments, pages) = group_entries(listed);
+        assert_eq!(
+            pages,
+            [page(PageKind::Samples, 0), page(PageKind::Samples, 1), page(PageKind::Triangles, 0)]
+        );
+        assert_eq!(
+            segments.iter().map(|s| (s.first_group, s.end_group)).collect::<Vec<_>>(),
+            [(0, 1), (1, 3), (3, 5)]
+        );
+        assert_eq!(entries.len(), 5 * GROUP);
+        assert_eq!(entries.iter().filter(|e| e.instance != u32::MAX).count(), 81);
+        assert_eq!(entries[GROUP].chunk, 100);
+    }
+}

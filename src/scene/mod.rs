@@ -3,6 +3,24 @@
 //! [`Scene`] mirrors the JSON after validation: names are resolved to indices, angles to matrices,
 //! colours to linear RGB. [`Scene::instances`] walks the nodes, prototypes and repeats in order and
 //! yields every instance of an asset with its f64 transform.
+//!
+//! How a file becomes a scene: [`load`] reads it into the wire structures (unknown and repeated
+//! keys are refused there), validation resolves and checks them place by place, and the graph of
+//! prototypes is tested for cycles, depth and the number of instances before anything is unfolded.
+//! [`json_schema`] describes the files for editors.
+
+pub mod color;
+mod graph;
+mod instances;
+mod load;
+pub mod random;
+#[cfg(test)]
+mod tests;
+mod validate;
+mod wire;
+
+pub use load::{load, parse};
+pub use wire::json_schema;
 
 use std::path::PathBuf;
 
@@ -55,6 +73,20 @@ pub struct Node {
     pub visible: bool,
 }
 
+impl Default for Node {
+    fn default() -> Self {
+        Self {
+            name: None,
+            parent_from_node: DAffine3::IDENTITY,
+            draws: Draws::Nothing,
+            children: Vec::new(),
+            repeat: Repeat::Once,
+            material: None,
+            visible: true,
+        }
+    }
+}
+
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Draws {
     #[default]
@@ -65,14 +97,16 @@ pub enum Draws {
     Prototype(usize),
 }
 
-/// Copies of a node, without listing them. Transforms apply as `parent · copy · node`.
+/// Copies of a node, without listing them. Transforms apply as `parent · copy · node`, where a copy
+/// moves, turns and scales about the node's own origin along the parent's axes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Repeat {
     #[default]
     Once,
     /// `grid[0] · grid[1] · grid[2]` copies, `step` apart, the whole centred on the node.
     Grid { counts: [u32; 3], step: DVec3 },
-    /// `count` copies, seeded and reproducible, uniform in a box around the node.
+    /// `count` copies, seeded and reproducible ([`random::SplitMix64`]), uniform in a box around the
+    /// node. Each copy draws, in this order: offset x, y, z in units of `half_extent`, scale, angle.
     Scatter {
         count: u32,
         half_extent: DVec3,
@@ -118,6 +152,13 @@ pub enum Light {
         color: [f32; 3],
         range: f64,
     },
+}
+
+impl Light {
+    /// What lights a scene that names no lights: a headlight (0.85) and ambient light (0.15).
+    pub fn default_pair() -> [Light; 2] {
+        [Light::Headlight { color: [0.85; 3] }, Light::Ambient { color: [0.15; 3] }]
+    }
 }
 
 /// Keyframes with times in seconds.

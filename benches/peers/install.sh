@@ -1,0 +1,36 @@
+#!/usr/bin/env bash
+# Installs the peers that `make bench` compares with into a virtual environment of their own
+# (target/peers/venv, or the folder given as the first argument). Nothing outside it is touched.
+set -euo pipefail
+
+here=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
+venv=${1:-$here/target/peers/venv}
+
+if [ -x "$venv/bin/python" ] && "$venv/bin/python" -c 'import numpy, vtk' 2>/dev/null; then
+    echo "peers: already installed in $venv"
+    exit 0
+fi
+
+python=
+for candidate in python3 python; do
+    if command -v "$candidate" >/dev/null 2>&1 && "$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 9))'; then
+        python=$candidate
+        break
+    fi
+done
+if [ -z "$python" ]; then
+    echo "peers: Python 3.9 or newer is needed (Debian: apt-get install python3 python3-venv)" >&2
+    exit 1
+fi
+
+mkdir -p "$(dirname "$venv")"
+if ! "$python" -m venv "$venv"; then
+    echo "peers: $python cannot make virtual environments (Debian: apt-get install python3-venv)" >&2
+    exit 1
+fi
+# VTK from 9.4 on chooses an off-screen window (EGL, else OSMesa) by itself when there is no X server.
+"$venv/bin/pip" install --quiet --disable-pip-version-check 'numpy>=1.26' 'vtk>=9.4'
+"$venv/bin/python" - <<'PY'
+import numpy, vtk
+print(f"peers: vtk {vtk.vtkVersion().GetVTKVersion()}, numpy {numpy.__version__}")
+PY

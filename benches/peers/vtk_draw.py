@@ -1,0 +1,309 @@
+#!/usr/bin/env python3
+"""Draws one PLY with VTK, off screen, at a given pose, and prints what a frame costs as JSON.
+
+    vtk_draw.py cloud.ply --eye 0,0,4 --target 0,0,0 --size 1024x1024 --png frame.png
+
+Four ways to draw (`--mode`), each VTK's own:
+  points     one hardware point a sample (vtkPolyDataMapper, point size 1, no lighting)
+  point-gaussian   vtkPointGaussianMapper with scale factor 0: its fastest path for large clouds
+  splats     vtkPointGaussianMapper, an unlit disc of --radius scene units a sample
+  surface    the file's triangles, smooth shaded
+
+What is timed is `Render()` with the camera turned a little before each frame, then a wait until the
+driver has drawn (without it the call may return early). Loading, the first frame (upload, shader
+compilation) and `--warmup` more are outside; `first_ms` gives the first frame apart. With `--jpeg Q`
+or `--encode-png` the whole image is read back and encoded into memory within the timed part, as a
+server would have to.
+"""
+import argparse
+import json
+import math
+import statistics
+import sys
+import time
+
+import numpy as np
+
+try:
+    import vtk
+    from vtk.util.numpy_support import numpy_to_vtk, vtk_to_numpy
+except ImportError:
+    sys.exit("vtk_draw.py: no vtk here; run benches/peers/install.sh and use its python")
+
+PLY_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
+    "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}
+
+
+def vector(text):
+    parts = [float(part) for part in text.split(",")]
+    if len(parts) != 3:
+        raise argparse.ArgumentTypeError(f"expected x,y,z, found {text!r}")
+    return parts
+
+
+def size(text):
+    width, _, height = text.lower().partition("x")
+    return int(width), int(height)
+
+
+def read_vertices(path):
+    """The vertex element of a binary PLY as a numpy record array, or None where VTK's reader must do."""
+    with open(path, "rb") as file:
+        if file.readline().strip() != b"ply":
+            sys.exit(f"{path}: not a PLY file")
+        order, count, fields, element = None, 0, [], None
+        first = None
+        while True:
+            line = file.readline()
+            if not line:
+                sys.exit(f"{path}: the header has no end_header")
+            words = line.decode("ascii", "replace").split()
+            if not words or words[0] in ("comment", "obj_info"):
+                continue
+            if words[0] == "end_header":
+                break
+            if words[0] == "format":
+                order = {"binary_little_endian": "<", "binary_big_endian": ">"}.get(words[1])
+            elif words[0] == "element":
+                element = words[1]
+                first = first or element
+                if element == "vertex":
+                    count = int(words[2])
+            elif words[0] == "property" and element == "vertex":
+                if words[1] == "list":
+                    return None
+                fields.append((words[2], words[1]))
+        if order is None or first != "vertex":
+            return None
+        dtype = np.dtype([(name, order + PLY_TYPES[kind]) for name, kind in fields])
+        vertices = np.fromfile(file, dtype=dtype, count=count)
+        if len(vertices) != count:
+            sys.exit(f"{path}: {count} vertices promised, {len(vertices)} found")
+        return vertices
+
+
+def load(path, mode):
+    """PLY → vtkPolyData, and whether it has colours."""
+    vertices = None if mode == "surface" else read_vertices(path)
+    data = vtk.vtkPolyData()
+    if vertices is None:
+        reader = vtk.vtkPLYReader()
+        reader.SetFileName(path)
+        reader.Update()
+        data.ShallowCopy(reader.GetOutput())
+        colors = data.GetPointData().GetArray("RGB") or data.GetPointData().GetArray("RGBA")
+        if colors is not None:
+            data.GetPointData().SetScalars(colors)
+    else:
+        positions = np.stack([vertices[axis].astype("f4") for axis in "xyz"], axis=1)
+        points = vtk.vtkPoints()
+        points.SetData(numpy_to_vtk(positions, deep=True))
+        data.SetPoints(points)
+        colors = None
+        if {"red", "green", "blue"} <= set(vertices.dtype.names):
+            rgb = np.stack([vertices[name] for name in ("red", "green", "blue")], axis=1)
+            colors = numpy_to_vtk(np.ascontiguousarray(rgb), deep=True)
+            data.GetPointData().SetScalars(colors)
+    if mode == "surface":
+        if data.GetNumberOfPolys() == 0:
+            sys.exit(f"{path}: no faces to draw as a surface")
+        if data.GetPointData().GetNormals() is None:
+            normals = vtk.vtkPolyDataNormals()
+            normals.SetInputData(data)
+            normals.SplittingOff()
+            normals.Update()
+            data = normals.GetOutput()
+        return data, colors is not None
+    count = data.GetNumberOfPoints()
+    if mode == "points":
+        cells = vtk.vtkCellArray()
+        offsets = numpy_to_vtk(np.arange(count + 1, dtype=np.int32), deep=True, array_type=vtk.VTK_INT)
+        indices = numpy_to_vtk(np.arange(count, dtype=np.int32), deep=True, array_type=vtk.VTK_INT)
+        cells.SetData(offsets, indices)
+        data.SetVerts(cells)
+        data.SetPolys(vtk.vtkCellArray())
+    return data, colors is not None
+
+
+def make_actor(data, has_colors, mode, radius):
+    if mode in ("points", "surface"):
+        mapper = vtk.vtkPolyDataMapper()
+    else:
+        mapper = vtk.vtkPointGaussianMapper()
+        mapper.EmissiveOff()
+        mapper.SetScaleFactor(radius if mode == "splats" else 0.0)
+        if mode == "splats":
+            mapper.SetSplatShaderCode(
+                "//VTK::Color::Impl\n"
+                "float dist2 = dot(offsetVCVSOutput.xy, offsetVCVSOutput.xy);\n"
+                "if (dist2 > 1.0) { discard; }\n"
+            )
+    mapper.SetInputData(data)
+    mapper.SetScalarVisibility(has_colors)
+    actor = vtk.vtkActor()
+    actor.SetMapper(mapper)
+    if mode == "surface":
+        actor.GetProperty().SetInterpolationToPhong()
+    else:
+        actor.GetProperty().SetPointSize(1)
+        actor.GetProperty().LightingOff()
+    return actor
+
+
+def set_camera(camera, eye, target, up, degrees):
+    """Turns the eye about the target's up axis by `degrees`."""
+    eye, target, up = (np.asarray(v, dtype=float) for v in (eye, target, up))
+    axis = up / np.linalg.norm(up)
+    angle = math.radians(degrees)
+    offset = eye - target
+    turned = (
+        offset * math.cos(angle)
+        + np.cross(axis, offset) * math.sin(angle)
+        + axis * np.dot(axis, offset) * (1 - math.cos(angle))
+    )
+    camera.SetPosition(*(target + turned))
+    camera.SetFocalPoint(*target)
+    camera.SetViewUp(*up)
+
+
+def encoder(window, jpeg_quality, encode_png):
+    """A function that reads the frame back and returns the encoded length, or None when neither is wanted."""
+    if jpeg_quality is None and not encode_png:
+        return None
+    grab = vtk.vtkWindowToImageFilter()
+    grab.SetInput(window)
+    grab.ReadFrontBufferOff()
+    grab.ShouldRerenderOff()
+    if jpeg_quality is not None:
+        writer = vtk.vtkJPEGWriter()
+        writer.SetQuality(jpeg_quality)
+    else:
+        writer = vtk.vtkPNGWriter()
+    writer.WriteToMemoryOn()
+    writer.SetInputConnection(grab.GetOutputPort())
+
+    def encode():
+        grab.Modified()
+        writer.Write()
+        return writer.GetResult().GetNumberOfTuples()
+
+    return encode
+
+
+def write_png(window, path):
+    grab = vtk.vtkWindowToImageFilter()
+    grab.SetInput(window)
+    grab.ReadFrontBufferOff()
+    grab.ShouldRerenderOff()
+    grab.Update()
+    writer = vtk.vtkPNGWriter()
+    writer.SetFileName(path)
+    writer.SetInputConnection(grab.GetOutputPort())
+    writer.Write()
+    return vtk_to_numpy(grab.GetOutput().GetPointData().GetScalars())
+
+
+def parse_arguments():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("ply")
+    parser.add_argument(
+        "--mode", default="points", choices=["points", "point-gaussian", "splats", "surface"]
+    )
+    parser.add_argument("--eye", type=vector, help="x,y,z (default: the whole scene in view)")
+    parser.add_argument("--target", type=vector)
+    parser.add_argument("--up", type=vector, default=[0.0, 1.0, 0.0])
+    parser.add_argument("--fov", type=float, default=45.0, help="vertical, degrees")
+    parser.add_argument("--size", type=size, default=(1024, 1024), help="WxH")
+    parser.add_argument("--frames", type=int, default=9, help="timed frames")
+    parser.add_argument("--warmup", type=int, default=2, help="frames between the first and the timed ones")
+    parser.add_argument("--step", type=float, default=0.5, help="degrees the camera turns a frame")
+    parser.add_argument("--radius", type=float, default=0.01, help="of a splat, scene units")
+    parser.add_argument("--jpeg", type=int, metavar="Q", help="time readback and JPEG encoding too")
+    parser.add_argument("--encode-png", action="store_true", help="time readback and PNG encoding too")
+    parser.add_argument("--png", help="write the unturned frame here")
+    return parser.parse_args()
+
+
+def main():
+    args = parse_arguments()
+    began = time.perf_counter()
+    data, has_colors = load(args.ply, args.mode)
+    load_ms = (time.perf_counter() - began) * 1e3
+
+    low_high = np.array(data.GetBounds()).reshape(3, 2)
+    target = args.target or list(low_high.mean(axis=1))
+    if args.eye:
+        eye = args.eye
+    else:
+        radius = 0.5 * np.linalg.norm(low_high[:, 1] - low_high[:, 0])
+        eye = [target[0], target[1], target[2] + radius / math.sin(math.radians(args.fov) / 2)]
+
+    renderer = vtk.vtkRenderer()
+    renderer.SetBackground(0, 0, 0)
+    renderer.AddActor(make_actor(data, has_colors, args.mode, args.radius))
+    vtk.vtkObject.GlobalWarningDisplayOff()  # no "bad X server" line: having none is the point
+    window = vtk.vtkRenderWindow()
+    window.SetOffScreenRendering(1)
+    window.SetMultiSamples(0)
+    window.SetSize(*args.size)
+    window.AddRenderer(renderer)
+    camera = renderer.GetActiveCamera()
+    camera.SetViewAngle(args.fov)
+    encode = encoder(window, args.jpeg, args.encode_png)
+
+    def frame(degrees):
+        started = time.perf_counter()
+        set_camera(camera, eye, target, args.up, degrees)
+        renderer.ResetCameraClippingRange()
+        window.Render()
+        if encode:
+            encode()
+        else:
+            window.WaitForCompletion()
+        return (time.perf_counter() - started) * 1e3
+
+    first_ms = frame(0.0)
+    covered = None
+    if args.png:
+        image = write_png(window, args.png)
+        covered = int((image[:, :3].max(axis=1) > 0).sum())
+    for index in range(args.warmup):
+        frame((index + 1) * args.step)
+    times = [frame((args.warmup + 1 + index) * args.step) for index in range(args.frames)]
+
+    median = statistics.median(times)
+    points = data.GetNumberOfPoints()
+    triangles = data.GetNumberOfPolys()
+    gl = {}
+    for line in window.ReportCapabilities().splitlines():
+        key, _, value = line.partition(":")
+        gl[key.strip()] = value.strip()
+    print(json.dumps({
+        "peer": "vtk",
+        "version": vtk.vtkVersion().GetVTKVersion(),
+        "window": window.GetClassName(),
+        "renderer": gl.get("OpenGL renderer string"),
+        "file": args.ply,
+        "mode": args.mode,
+        "encode": "jpeg" if args.jpeg is not None else "png" if args.encode_png else None,
+        "width": args.size[0],
+        "height": args.size[1],
+        "points": points,
+        "triangles": triangles,
+        "frames": args.frames,
+        "median_ms": round(median, 3),
+        "min_ms": round(min(times), 3),
+        "max_ms": round(max(times), 3),
+        "points_per_s": round(points / median * 1e3),
+        "triangles_per_s": round(triangles / median * 1e3),
+        "load_ms": round(load_ms, 1),
+        "first_ms": round(first_ms, 1),
+        "covered_pixels": covered,
+    }))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,44 @@
+// One pixel a sample: a workgroup takes a slot's chunk, a thread every 64th sample of it.
+//!include shared/frame
+//!include shared/scene
+//!include VISIBILITY
+
+struct SegmentUse {
+    index: u32,
+}
+
+@group(1) @binding(0) var<storage, read> positions: array<vec2<u32>>;
+@group(2) @binding(0) var<storage, read> slots: array<Slot>;
+@group(2) @binding(1) var<storage, read> dispatches: array<Dispatch>;
+@group(2) @binding(2) var<uniform> segment: SegmentUse;
+
+@compute @workgroup_size(64)
+fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let index = group.y * DISPATCH_ROW + group.x;
+    if index >= dispatches[segment.index].count {
+        return;
+    }
+    let slot_index = dispatches[segment.index].first_slot + index;
+    let row_x = slots[slot_index].row_x;
+    let row_y = slots[slot_index].row_y;
+    let row_z = slots[slot_index].row_z;
+    let first = slots[slot_index].first;
+    let count = slots[slot_index].count;
+    let size = vec2<f32>(frame.size_px);
+    let width = frame.size_px.x;
+    for (var i = lane; i < count; i += 64u) {
+        let word = positions[first + i];
+        let q = vec3<f32>(
+            f32(word.x & 0x1fffffu),
+            f32(((word.x >> 21u) | (word.y << 11u)) & 0x1fffffu),
+            f32((word.y >> 10u) & 0x1fffffu),
+        );
+        let z = fma(row_z.x, q.x, fma(row_z.y, q.y, fma(row_z.z, q.z, row_z.w)));
+        let inverse = 1.0 / z;
+        let x = fma(row_x.x, q.x, fma(row_x.y, q.y, fma(row_x.z, q.z, row_x.w))) * inverse;
+        let y = fma(row_y.x, q.x, fma(row_y.y, q.y, fma(row_y.z, q.z, row_y.w))) * inverse;
+        if z > NEAREST && x >= 0.0 && y >= 0.0 && x < size.x && y < size.y {
+            visibility_write(u32(y) * width + u32(x), inverse, (slot_index << SLOT_SHIFT) | i);
+        }
+    }
+}

@@ -1,0 +1,72 @@
+// Triangles that are large or meet the camera plane, through the adapter's rasteriser and clipper, into the same
+// visibility buffer. Depth is not interpolated but taken from the triangle's plane, as in the compute walk.
+//!include shared/frame
+//!include shared/scene
+//!include VISIBILITY
+//!include shared/mesh
+//!include shared/triangle
+//!include ALPHA
+
+@group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
+@group(1) @binding(4) var<storage, read> materials: array<Material>;
+@group(2) @binding(0) var<storage, read> slots: array<Slot>;
+@group(2) @binding(3) var<storage, read> placed: array<Placed>;
+@group(2) @binding(4) var<storage, read> large: array<u32>;
+
+// Words of the indirect draw that stands before the ids.
+const LIST_HEAD: u32 = 4u;
+
+struct Corner {
+    @builtin(position) position: vec4<f32>,
+    @location(0) @interpolate(flat) id: u32,
+}
+
+fn corner_positions(id: u32) -> array<vec3<f32>, 3> {
+    let slot = id >> SLOT_SHIFT;
+    let chunk = chunks[slots[slot].chunk];
+    let at = placed[slots[slot].instance];
+    let corners = triangle_corners(chunk, id & SLOT_MASK);
+    return array<vec3<f32>, 3>(
+        vertex_camera(at, corners.x), vertex_camera(at, corners.y), vertex_camera(at, corners.z));
+}
+
+@vertex
+fn vertex(@builtin(vertex_index) index: u32) -> Corner {
+    let id = large[LIST_HEAD + index / 3u];
+    let p = corner_positions(id);
+    let camera = p[index % 3u];
+    let size = vec2<f32>(frame.size_px);
+    var out: Corner;
+    out.id = id;
+    let near = min(p[0].z, min(p[1].z, p[2].z));
+    var clip = vec4<f32>(
+        (2.0 * (frame.focal_px * camera.xy + frame.principal_px * camera.z) - size * camera.z) / size * vec2<f32>(1.0, -1.0),
+        0.5 * camera.z,
+        camera.z,
+    );
+    if near > NEAREST {
+        let pixel = image_position(camera);
+        if all(abs(pixel) < vec2<f32>(GUARD_PX)) {
+            // Already snapped: the rasteriser finds the same corner as the compute walk.
+            let snapped = round(pixel * 256.0) / 256.0;
+            clip = vec4<f32>((2.0 * snapped / size - vec2<f32>(1.0)) * vec2<f32>(1.0, -1.0), 0.5, 1.0);
+        }
+    }
+    out.position = clip;
+    return out;
+}
+
+@fragment
+fn fragment(in: Corner) {
+    let x = u32(in.position.x);
+    let y = u32(in.position.y);
+    let ray = ray_through(vec2<f32>(f32(x), f32(y)) + vec2<f32>(0.5));
+    let p = corner_positions(in.id);
+    let slot = in.id >> SLOT_SHIFT;
+    let chunk = chunks[slots[slot].chunk];
+    let corners = triangle_corners(chunk, in.id & SLOT_MASK);
+    if x < frame.size_px.x && y < frame.size_px.y && alpha_passes(alpha_test(chunk, corners, p[0], p[1], p[2]), ray) {
+        let inverse = plane_inverse_depth(triangle_plane(p[0], p[1], p[2]), ray);
+        visibility_write(y * frame.size_px.x + x, inverse, in.id);
+    }
+}

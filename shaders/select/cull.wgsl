@@ -1,0 +1,65 @@
+// Which entries (chunk × instance) meet the view frustum. The rank of a visible entry within its workgroup and each
+// workgroup's count are kept for the scan, so that the list of slots has the same order in every run.
+//!include shared/frame
+//!include shared/scene
+
+@group(1) @binding(0) var<storage, read> entries: array<Entry>;
+@group(1) @binding(1) var<storage, read> chunks: array<Chunk>;
+@group(2) @binding(0) var<storage, read> placed: array<Placed>;
+@group(2) @binding(1) var<storage, read_write> ranks: array<u32>;
+@group(2) @binding(2) var<storage, read_write> group_counts: array<u32>;
+
+const NOT_VISIBLE: u32 = 0xffffffffu;
+const NO_INSTANCE: u32 = 0xffffffffu;
+// Of the terms' magnitude: what f32 may lose while they are summed.
+const SLACK: f32 = 4e-6;
+
+// False when the box lies wholly on the negative side of a plane through the eye.
+fn reaches(normal: vec3<f32>, centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>) -> bool {
+    let reach = abs(dot(normal, x)) + abs(dot(normal, y)) + abs(dot(normal, z));
+    let scale = dot(abs(normal), abs(centre)) + reach;
+    return dot(normal, centre) + reach >= -SLACK * scale;
+}
+
+fn in_frustum(entry: Entry) -> bool {
+    let chunk = chunks[entry.chunk];
+    let at = placed[entry.instance];
+    let half = chunk.extent * 0.5;
+    let x = at.axis_x.xyz * half.x;
+    let y = at.axis_y.xyz * half.y;
+    let z = at.axis_z.xyz * half.z;
+    let centre = grid_to_camera(at, chunk.origin) + x + y + z;
+    let f = frame.focal_px;
+    let c = frame.principal_px;
+    let s = vec2<f32>(frame.size_px);
+    return reaches(vec3<f32>(0.0, 0.0, 1.0), centre, x, y, z)
+        && reaches(vec3<f32>(f.x, 0.0, c.x), centre, x, y, z)
+        && reaches(vec3<f32>(-f.x, 0.0, s.x - c.x), centre, x, y, z)
+        && reaches(vec3<f32>(0.0, f.y, c.y), centre, x, y, z)
+        && reaches(vec3<f32>(0.0, -f.y, s.y - c.y), centre, x, y, z);
+}
+
+// One thread a group of entries: no barrier, which costs more than the work on a CPU adapter.
+const GROUP: u32 = 32u;
+
+@compute @workgroup_size(32)
+fn cull(@builtin(global_invocation_id) invocation: vec3<u32>) {
+    let group = invocation.x + invocation.y * DISPATCH_ROW * 32u;
+    let first = group * GROUP;
+    if first >= frame.entry_count {
+        return;
+    }
+    var rank = 0u;
+    for (var k = 0u; k < GROUP; k++) {
+        let entry = entries[first + k];
+        var mine = NOT_VISIBLE;
+        if entry.instance != NO_INSTANCE {
+            if in_frustum(entry) {
+                mine = rank;
+                rank++;
+            }
+        }
+        ranks[first + k] = mine;
+    }
+    group_counts[group] = rank;
+}

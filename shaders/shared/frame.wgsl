@@ -1,0 +1,37 @@
+// What is the same for every invocation of one frame. Camera space: x right, y down, z forward, the eye at the origin.
+struct Frame {
+    // Rows of camera_from_world; w is unused.
+    right: vec4<f32>,
+    down: vec4<f32>,
+    forward: vec4<f32>,
+    // The eye in world space as the sum of two floats an axis.
+    eye_hi: vec4<f32>,
+    eye_lo: vec4<f32>,
+    focal_px: vec2<f32>,
+    principal_px: vec2<f32>,
+    size_px: vec2<u32>,
+    entry_count: u32,
+    instance_count: u32,
+    // sRGB8 of pixels that nothing covers.
+    background: u32,
+    // 0 color, 1 depth, 2 normal, 3 id.
+    output: u32,
+    light_count: u32,
+    // Longest side in pixels of a triangle's box that compute still walks itself.
+    small_triangle_px: i32,
+}
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+
+fn camera_from_world(v: vec3<f32>) -> vec3<f32> {
+    return vec3<f32>(dot(frame.right.xyz, v), dot(frame.down.xyz, v), dot(frame.forward.xyz, v));
+}
+
+fn world_from_camera(v: vec3<f32>) -> vec3<f32> {
+    return frame.right.xyz * v.x + frame.down.xyz * v.y + frame.forward.xyz * v.z;
+}
+
+// The camera-space direction through an image position, with z = 1.
+fn ray_through(pixel: vec2<f32>) -> vec3<f32> {
+    return vec3<f32>((pixel - frame.principal_px) / frame.focal_px, 1.0);
+}

@@ -1,0 +1,47 @@
+// Surface appearance. An instance may lay a second material over the asset's own; `overrides` says which properties of
+// the second one count.
+struct Material {
+    // Linear RGB and alpha.
+    base_color: vec4<f32>,
+    specular: vec3<f32>,
+    shininess: f32,
+    // Texture plus one, or 0.
+    texture: u32,
+    flags: u32,
+    alpha_cutoff: f32,
+    overrides: u32,
+}
+
+const MATERIAL_DOUBLE_SIDED: u32 = 1u;
+const MATERIAL_UNLIT: u32 = 2u;
+const MATERIAL_ALPHA_TEST: u32 = 4u;
+
+const OVERRIDE_BASE_COLOR: u32 = 1u;
+const OVERRIDE_SPECULAR: u32 = 2u;
+const OVERRIDE_SHININESS: u32 = 4u;
+const OVERRIDE_UNLIT: u32 = 8u;
+const OVERRIDE_DOUBLE_SIDED: u32 = 16u;
+
+fn effective_material(own: Material, over_plus_one: u32) -> Material {
+    if over_plus_one == 0u {
+        return own;
+    }
+    let over = materials[over_plus_one - 1u];
+    var m = own;
+    if (over.overrides & OVERRIDE_BASE_COLOR) != 0u {
+        m.base_color = over.base_color;
+    }
+    if (over.overrides & OVERRIDE_SPECULAR) != 0u {
+        m.specular = over.specular;
+    }
+    if (over.overrides & OVERRIDE_SHININESS) != 0u {
+        m.shininess = over.shininess;
+    }
+    if (over.overrides & OVERRIDE_UNLIT) != 0u {
+        m.flags = (m.flags & ~MATERIAL_UNLIT) | (over.flags & MATERIAL_UNLIT);
+    }
+    if (over.overrides & OVERRIDE_DOUBLE_SIDED) != 0u {
+        m.flags = (m.flags & ~MATERIAL_DOUBLE_SIDED) | (over.flags & MATERIAL_DOUBLE_SIDED);
+    }
+    return m;
+}

@@ -1,0 +1,28 @@
+// Unit vectors in two signed 16-bit numbers (octahedral map); NO_NORMAL stands for none.
+const NO_NORMAL: u32 = 0x80008000u;
+
+fn octahedral_decode(packed: u32) -> vec3<f32> {
+    if packed == NO_NORMAL {
+        return vec3<f32>(0.0);
+    }
+    let f = unpack2x16snorm(packed);
+    var n = vec3<f32>(f, 1.0 - abs(f.x) - abs(f.y));
+    let t = max(-n.z, 0.0);
+    n.x += select(t, -t, n.x >= 0.0);
+    n.y += select(t, -t, n.y >= 0.0);
+    return n / length(n);
+}
+
+fn octahedral_encode(v: vec3<f32>) -> u32 {
+    let sum = abs(v.x) + abs(v.y) + abs(v.z);
+    if !(sum > 0.0) {
+        return NO_NORMAL;
+    }
+    let n = v / sum;
+    var f = n.xy;
+    if n.z < 0.0 {
+        let s = vec2<f32>(select(-1.0, 1.0, n.x >= 0.0), select(-1.0, 1.0, n.y >= 0.0));
+        f = (vec2<f32>(1.0) - abs(n.yx)) * s;
+    }
+    return pack2x16snorm(f);
+}

@@ -1,0 +1,111 @@
+// Scene records. Positions are integers on a grid of the asset: local = origin + step · grid.
+
+// Written once when a scene becomes resident or an instance moves.
+struct Instance {
+    // Columns of world_from_grid (linear part, the grid step included).
+    axis_x: vec4<f32>,
+    axis_y: vec4<f32>,
+    axis_z: vec4<f32>,
+    // Rows of grid_from_world (linear part), zero where the transform is singular.
+    inverse_x: vec4<f32>,
+    inverse_y: vec4<f32>,
+    inverse_z: vec4<f32>,
+    // World position of the grid's origin as the sum of two floats an axis.
+    origin_hi: vec4<f32>,
+    origin_lo: vec4<f32>,
+    // Overriding material plus one, or 0.
+    material: u32,
+    // What the id output shows.
+    id: u32,
+    // 1: the transform mirrors.
+    mirrored: u32,
+    // Half the asset's size in grid cells; the anchor stays within.
+    reach: f32,
+}
+
+// An instance seen from this frame's eye: camera = axes · (grid − anchor) + position.
+struct Placed {
+    axis_x: vec4<f32>,
+    axis_y: vec4<f32>,
+    axis_z: vec4<f32>,
+    position: vec4<f32>,
+    anchor: vec4<i32>,
+}
+
+// Up to 1024 neighbouring samples or triangles.
+struct Chunk {
+    // Grid position of the box's minimum corner.
+    origin: vec3<i32>,
+    // First sample, or first triangle, in its page.
+    first: u32,
+    // Size of the box in grid cells.
+    extent: vec3<f32>,
+    count: u32,
+    // Samples: their 21-bit coordinates count in steps of 2^shift cells.
+    shift: u32,
+    // Triangles: first vertex in the page.
+    vertex_first: u32,
+    material: u32,
+    // Pads to 48 bytes.
+    unused: u32,
+}
+
+// One chunk of one instance, whether visible or not.
+struct Entry {
+    instance: u32,
+    chunk: u32,
+}
+
+// An entry that met the frustum. For samples the rows take 21-bit coordinates to (x·z px, y·z px, z).
+struct Slot {
+    row_x: vec4<f32>,
+    row_y: vec4<f32>,
+    row_z: vec4<f32>,
+    instance: u32,
+    chunk: u32,
+    first: u32,
+    count: u32,
+}
+
+// Entries of one page and one kind: workgroups [first_group, end_group) of the entry list.
+struct Segment {
+    first_group: u32,
+    end_group: u32,
+}
+
+// Where a segment's visible slots lie, in the form that an indirect dispatch reads.
+struct Dispatch {
+    groups_x: u32,
+    groups_y: u32,
+    groups_z: u32,
+    first_slot: u32,
+    count: u32,
+    pad_0: u32,
+    pad_1: u32,
+    pad_2: u32,
+}
+
+struct Stats {
+    samples_tested_lo: atomic<u32>,
+    samples_tested_hi: atomic<u32>,
+    triangles_tested_lo: atomic<u32>,
+    triangles_tested_hi: atomic<u32>,
+    instances_drawn: atomic<u32>,
+    triangles_rasterised: atomic<u32>,
+    pixels_of_samples: atomic<u32>,
+    pixels_of_triangles: atomic<u32>,
+}
+
+const SLOT_SHIFT: u32 = 10u;
+const SLOT_MASK: u32 = 1023u;
+// Workgroups of an indirect dispatch in x before a second row begins.
+const DISPATCH_ROW: u32 = 32768u;
+// Nearer than this is at the eye and not drawn; it also keeps 1/z finite.
+const NEAREST: f32 = 1e-30;
+
+fn grid_to_camera(placed: Placed, grid: vec3<i32>) -> vec3<f32> {
+    let d = vec3<f32>(grid - placed.anchor.xyz);
+    return fma(placed.axis_x.xyz, vec3<f32>(d.x),
+        fma(placed.axis_y.xyz, vec3<f32>(d.y),
+            fma(placed.axis_z.xyz, vec3<f32>(d.z), placed.position.xyz)));
+}

@@ -1,0 +1,82 @@
+// Textures as sRGB8 words in storage pages, levels one behind the other. Trilinear filtering in linear light.
+struct Texture {
+    first: u32,
+    page: u32,
+    width: u32,
+    height: u32,
+    levels: u32,
+    // Two bits an axis: 0 repeat, 1 mirror, 2 clamp.
+    wrap: u32,
+    nearest: u32,
+    unused: u32,
+}
+
+fn texel_word(page: u32, index: u32) -> u32 {
+    if page == 0u {
+        return texels_0[index];
+    }
+    return texels_1[index];
+}
+
+fn wrap_index(mode: u32, i: i32, size: i32) -> i32 {
+    if mode == 2u {
+        return clamp(i, 0, size - 1);
+    }
+    let period = select(size, 2 * size, mode == 1u);
+    var k = i % period;
+    if k < 0 {
+        k += period;
+    }
+    if k >= size {
+        k = period - 1 - k;
+    }
+    return k;
+}
+
+fn texel(t: Texture, first: u32, size: vec2<i32>, at: vec2<i32>) -> vec4<f32> {
+    let x = wrap_index(t.wrap & 3u, at.x, size.x);
+    let y = wrap_index((t.wrap >> 2u) & 3u, at.y, size.y);
+    let c = unpack4x8unorm(texel_word(t.page, first + u32(y * size.x + x)));
+    return vec4<f32>(linear_from_srgb(c.rgb), c.a);
+}
+
+// Texture coordinates far outside keep their fraction: the integer part cannot be seen and would cost precision.
+fn reduce(mode: u32, u: f32) -> f32 {
+    if mode == 2u {
+        return clamp(u, -1.0, 2.0);
+    }
+    return u - 2.0 * floor(u * 0.5);
+}
+
+fn sample_level(t: Texture, level: u32, uv: vec2<f32>) -> vec4<f32> {
+    var first = t.first;
+    var size = vec2<u32>(t.width, t.height);
+    for (var k = 0u; k < level; k++) {
+        first += size.x * size.y;
+        size = max(size >> vec2<u32>(1u), vec2<u32>(1u));
+    }
+    let s = vec2<i32>(size);
+    let p = uv * vec2<f32>(size) - vec2<f32>(0.5);
+    let base = floor(p);
+    let f = p - base;
+    let i = vec2<i32>(base);
+    let top = mix(texel(t, first, s, i), texel(t, first, s, i + vec2<i32>(1, 0)), f.x);
+    let bottom = mix(texel(t, first, s, i + vec2<i32>(0, 1)), texel(t, first, s, i + vec2<i32>(1, 1)), f.x);
+    return mix(top, bottom, f.y);
+}
+
+fn sample_texture(t: Texture, uv_in: vec2<f32>, dx: vec2<f32>, dy: vec2<f32>) -> vec4<f32> {
+    let uv = vec2<f32>(reduce(t.wrap & 3u, uv_in.x), reduce((t.wrap >> 2u) & 3u, uv_in.y));
+    let size = vec2<f32>(f32(t.width), f32(t.height));
+    if t.nearest != 0u {
+        return texel(t, t.first, vec2<i32>(size), vec2<i32>(floor(uv * size)));
+    }
+    let footprint = max(length(dx * size), length(dy * size));
+    let level = clamp(log2(max(footprint, 1e-20)), 0.0, f32(t.levels - 1u));
+    let low = floor(level);
+    let fine = sample_level(t, u32(low), uv);
+    if level == low {
+        return fine;
+    }
+    return mix(fine, sample_level(t, u32(low) + 1u, uv), level - low);
+}

@@ -1,0 +1,6 @@
+// First of two passes where 64-bit atomics are absent: the greatest 1/z of each pixel.
+@group(0) @binding(1) var<storage, read_write> visibility: array<atomic<u32>>;
+
+fn visibility_write(pixel: u32, inverse_depth: f32, id: u32) {
+    atomicMax(&visibility[2u * pixel + 1u], bitcast<u32>(inverse_depth));
+}

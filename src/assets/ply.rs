@@ -1,1 +1,0 @@
-//! Reader for ply files.

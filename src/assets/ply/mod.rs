@@ -1,0 +1,325 @@
+//! Reader for the polygon file format (Greg Turk, "The PLY Polygon File Format", 1994): ascii and both
+//! binaries, elements and properties in any order, unknown ones stepped over.
+//!
+//! `vertex` rows go straight into columns ([`vertices`]), `face` and `tristrips` lists straight into
+//! triangles. A file without faces is a point cloud; `range_grid`, the raster of a raw range scan,
+//! adds nothing to its points. Colours are taken as sRGB whatever their type, texture coordinates
+//! with their origin at the bottom left. Gaussian splats in PLY's clothing are refused.
+
+mod body;
+mod header;
+mod vertices;
+
+#[cfg(test)]
+mod tests;
+
+use std::io::BufRead;
+use std::path::Path;
+
+use glam::DVec3;
+
+use self::body::{Body, Wanted};
+use self::header::{Element, Header, Kind};
+use self::vertices::{Finished, Vertices};
+use super::input::{Input, Origin};
+use super::polygon::Triangulator;
+use super::texture::{self, TextureBudget};
+use super::tokens::Lines;
+use super::{Asset, AssetError, Geometry, Material, Mesh, MeshPart, PointCloud, ReadOptions, tidy};
+
+const INDEX_LISTS: [&str; 2] = ["vertex_indices", "vertex_index"];
+
+/// Reads the file at `path`, gzipped or not; `name` begins every error.
+///
+/// # Errors
+/// Malformed or truncated content (naming element, index and property), counts over the limits,
+/// Gaussian splats.
+pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, AssetError> {
+    read_from(Input::open(path, name, options)?, options)
+}
+
+/// Reads PLY from `input`.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetError> {
+    let Input { reader, origin } = input;
+    let file = origin.name.as_str();
+    let mut lines = Lines::new(reader, file);
+    let header = header::read(&mut lines, file)?;
+    refuse_splats(&header, file)?;
+    let Some(vertex) = header.element("vertex") else {
+        return Err(AssetError::malformed(file, "header", "declares no vertex element"));
+    };
+    let max_vertices = options.max_vertices.min(u64::from(u32::MAX));
+    AssetError::check_limit(file, "vertices", vertex.count, max_vertices)?;
+    for element in &header.elements {
+        let place = format!("element {}", element.name);
+        origin.check_count(&place, element.count, element.min_bytes(header.encoding))?;
+    }
+    let vertices = Vertices::new(vertex, origin.reserve(vertex.count)).map_err(|missing| {
+        let reason = format!("the vertex element has no scalar property {missing}");
+        AssetError::malformed(file, "header", reason)
+    })?;
+    let mut parts = Parts {
+        file,
+        vertices,
+        vertex_count: vertex.count,
+        have_vertices: false,
+        have_faces: false,
+        triangles: Vec::new(),
+        triangulator: Triangulator::default(),
+        rings: Vec::new(),
+        ring_lengths: Vec::new(),
+        max_triangles: options.max_triangles,
+        short_faces: 0,
+        warnings: Vec::new(),
+    };
+    let mut body = Body::new(lines, header.encoding, file);
+    for element in &header.elements {
+        parts.element(element, &mut body, &origin)?;
+    }
+    parts.cut_rings()?;
+    parts.finish(&header, &origin, options)
+}
+
+fn mesh_asset(
+    vertices: Finished,
+    triangles: Vec<[u32; 3]>,
+    header: &Header,
+    origin: &Origin,
+    options: &ReadOptions,
+    warnings: &mut Vec<String>,
+) -> Result<Asset, AssetError> {
+    let mut mesh = Mesh {
+        positions: vertices.positions,
+        triangles,
+        colors: vertices.colors,
+        normals: vertices.normals,
+        uvs: vertices.uvs,
+        parts: Vec::new(),
+    };
+    let mut materials = Vec::new();
+    let mut textures = Vec::new();
+    if let (Some(reference), true) = (&header.texture_file, mesh.uvs.is_some()) {
+        let mut budget = TextureBudget::new(options.max_texels);
+        match texture::load(reference, origin.folder.as_ref(), &mut budget) {
+            Ok(image) => {
+                textures.push(image);
+                materials.push(Material {
+                    name: reference.clone(),
+                    base_texture: Some(0),
+                    ..Material::default()
+                });
+                let count = mesh.triangles.len() as u32;
+                mesh.parts = vec![MeshPart { triangles: count, material: Some(0) }];
+            }
+            Err(reason) => warnings.push(reason),
+        }
+    }
+    let mesh = tidy::finish_mesh(mesh, &origin.name, warnings)?;
+    let mut asset = Asset::single("ply", &origin.name, Geometry::Mesh(mesh));
+    asset.materials = materials;
+    asset.textures = textures;
+    Ok(asset)
+}
+
+fn refuse_splats(header: &Header, file: &str) -> Result<(), AssetError> {
+    let has = |name: &str| header.elements.iter().any(|e| e.scalar(&[name]).is_some());
+    if has("f_dc_0") || has("packed_position") || (has("scale_0") && has("rot_0")) {
+        return Err(AssetError::unsupported(
+            file,
+            "is a PLY file of 3D Gaussian splats; splats are not offered yet, only points and meshes",
+        ));
+    }
+    Ok(())
+}
+
+fn index_list(element: &Element, file: &str) -> Result<Wanted, AssetError> {
+    let place = format!("element {}", element.name);
+    let list = element.list(&INDEX_LISTS).ok_or_else(|| {
+        AssetError::malformed(file, &place, "has no list property vertex_indices")
+    })?;
+    if let Kind::List { item, .. } = element.properties[list].kind
+        && item.is_float()
+    {
+        return Err(AssetError::malformed(file, &place, "vertex indices must be integers"));
+    }
+    Ok(Wanted { list: Some(list), ..Wanted::nothing(element) })
+}
+
+/// The geometry under construction.
+struct Parts<'a> {
+    file: &'a str,
+    vertices: Vertices,
+    vertex_count: u64,
+    have_vertices: bool,
+    have_faces: bool,
+    triangles: Vec<[u32; 3]>,
+    triangulator: Triangulator,
+    /// Polygons that came before the vertices they need for being cut.
+    rings: Vec<u32>,
+    ring_lengths: Vec<u32>,
+    max_triangles: u64,
+    short_faces: u64,
+    warnings: Vec<String>,
+}
+
+impl Parts<'_> {
+    fn element<R: BufRead>(
+        &mut self,
+        element: &Element,
+        body: &mut Body<'_, R>,
+        origin: &Origin,
+    ) -> Result<(), AssetError> {
+        match element.name.to_ascii_lowercase().as_str() {
+            "vertex" if !self.have_vertices => {
+                let wanted = self.vertices.wanted();
+                body.each(element, &wanted, |_, row| {
+                    self.vertices.push(row);
+                    Ok(())
+                })?;
+                self.have_vertices = true;
+            }
+            "face" if element.count > 0 => {
+                let wanted = self.begin_faces(element)?;
+                self.triangles.reserve(origin.reserve(element.count));
+                body.each(element, &wanted, |index, row| self.face(element, index, &row.list))?;
+            }
+            "tristrips" if element.count > 0 => {
+                let wanted = self.begin_faces(element)?;
+                body.each(element, &wanted, |index, row| self.strip(element, index, &row.list))?;
+            }
+            name => {
+                body.each(element, &Wanted::nothing(element), |_, _| Ok(()))?;
+                if element.count > 0 && name != "range_grid" {
+                    self.warnings.push(format!("{} {name} elements are ignored", element.count));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn begin_faces(&mut self, element: &Element) -> Result<Wanted, AssetError> {
+        AssetError::check_limit(self.file, "faces", element.count, self.max_triangles)?;
+        self.have_faces = true;
+        if element.scalar(&["red", "diffuse_red", "color_0"]).is_some() {
+            self.warnings.push("colours of faces are ignored".to_owned());
+        }
+        index_list(element, self.file)
+    }
+
+    fn finish(
+        mut self,
+        header: &Header,
+        origin: &Origin,
+        options: &ReadOptions,
+    ) -> Result<Asset, AssetError> {
+        let mut warnings = std::mem::take(&mut self.warnings);
+        for (count, what) in [
+            (self.short_faces, "faces with fewer than three corners are left out"),
+            (self.triangulator.forced, "polygons cross themselves and are drawn as fans"),
+        ] {
+            if count > 0 {
+                warnings.push(format!("{count} {what}"));
+            }
+        }
+        let vertices = self.vertices.finish(&mut warnings);
+        let mut asset = if self.have_faces {
+            mesh_asset(vertices, self.triangles, header, origin, options, &mut warnings)?
+        } else {
+            let cloud = tidy::finish_cloud(vertices.into_cloud(), self.file, &mut warnings)?;
+            Asset::single("ply", self.file, Geometry::Points(cloud))
+        };
+        asset.warnings = warnings;
+        Ok(asset)
+    }
+
+    fn vertex(&self, element: &Element, index: u64, vertex: i64) -> Result<u32, AssetError> {
+        match u64::try_from(vertex) {
+            Ok(found) if found < self.vertex_count => Ok(found as u32),
+            _ => Err(AssetError::malformed(
+                self.file,
+                format!("{} {index}, property vertex_indices", element.name),
+                format!("vertex {vertex} does not exist, the file has {}", self.vertex_count),
+            )),
+        }
+    }
+
+    fn face(
+        &mut self,
+        element: &Element,
+        index: u64,
+        list: &[i64],
+    ) -> Result<(), AssetError> {
+        if let [a, b, c] = *list {
+            let triangle = [
+                self.vertex(element, index, a)?,
+                self.vertex(element, index, b)?,
+                self.vertex(element, index, c)?,
+            ];
+            self.triangles.push(triangle);
+            return Ok(());
+        }
+        let from = self.rings.len();
+        for &vertex in list {
+            let vertex = self.vertex(element, index, vertex)?;
+            self.rings.push(vertex);
+        }
+        if list.len() < 3 {
+            self.short_faces += 1;
+            self.rings.truncate(from);
+        } else {
+            self.ring_lengths.push(list.len() as u32);
+            if self.have_vertices {
+                self.cut_rings()?;
+            }
+        }
+        self.check_triangles()
+    }
+
+    fn check_triangles(&self) -> Result<(), AssetError> {
+        let count = self.triangles.len() as u64;
+        AssetError::check_limit(self.file, "triangles", count, self.max_triangles)
+    }
+
+    fn strip(&mut self, element: &Element, index: u64, list: &[i64]) -> Result<(), AssetError> {
+        let mut window: Vec<u32> = Vec::with_capacity(3);
+        let mut flip = false;
+        for &vertex in list {
+            if vertex == -1 {
+                window.clear();
+                flip = false;
+                continue;
+            }
+            window.push(self.vertex(element, index, vertex)?);
+            if let [a, b, c] = window[..] {
+                // A repeated corner is how strips turn; it covers nothing.
+                if a != b && b != c && c != a {
+                    self.triangles.push(if flip { [b, a, c] } else { [a, b, c] });
+                }
+                flip = !flip;
+                window.remove(0);
+            }
+        }
+        self.check_triangles()
+    }
+
+    fn cut_rings(&mut self) -> Result<(), AssetError> {
+        let positions = &self.vertices.positions;
+        let mut from = 0;
+        for &length in &self.ring_lengths {
+            let ring = &self.rings[from..from + length as usize];
+            let place =
+                |vertex: u32| positions.get(vertex as usize).copied().unwrap_or(DVec3::NAN);
+            let triangles = &mut self.triangles;
+            self.triangulator.cut(ring, place, |corners| {
+                triangles.push(corners.map(|corner| ring[corner as usize]));
+            });
+            from += length as usize;
+        }
+        self.rings.clear();
+        self.ring_lengths.clear();
+        self.check_triangles()
+    }
+}

@@ -1,0 +1,197 @@
+//! The vertex element's columns.
+
+use glam::{DVec3, Vec2, Vec3};
+
+use super::super::{PointCloud, tidy};
+use super::body::{Row, Wanted};
+use super::header::{Element, Kind, Scalar};
+
+const X: usize = 0;
+const NORMAL: usize = 3;
+const COLOR: usize = 6;
+const UV: usize = 10;
+const INTENSITY: usize = 12;
+const CLASS: usize = 13;
+const RADIUS: usize = 14;
+const SLOTS: usize = 15;
+
+/// Names of each slot's property, the best first.
+const NAMES: [&[&str]; SLOTS] = [
+    &["x"],
+    &["y"],
+    &["z"],
+    &["nx", "normal_x"],
+    &["ny", "normal_y"],
+    &["nz", "normal_z"],
+    &["red", "diffuse_red", "color_0", "r"],
+    &["green", "diffuse_green", "color_1", "g"],
+    &["blue", "diffuse_blue", "color_2", "b"],
+    &["alpha", "diffuse_alpha", "color_3", "a"],
+    &["s", "u", "texture_u", "texture_s"],
+    &["t", "v", "texture_v", "texture_t"],
+    &["intensity", "scalar_intensity", "reflectance", "scalar_reflectance", "confidence"],
+    &["classification", "scalar_classification", "class", "scalar_class", "label", "scalar_label"],
+    &["radius", "scalar_radius", "radii", "scalar_radii"],
+];
+
+enum Colors {
+    None,
+    /// Integers, and what one is divided by to give a byte.
+    Bytes(Vec<[u8; 4]>, f64),
+    Floats(Vec<[f32; 4]>),
+}
+
+/// Vertices as they come in.
+pub(super) struct Vertices {
+    pub positions: Vec<DVec3>,
+    slots: Vec<Option<usize>>,
+    normals: Option<Vec<Vec3>>,
+    colors: Colors,
+    has_alpha: bool,
+    uvs: Option<Vec<Vec2>>,
+    intensity: Option<Vec<f32>>,
+    classes: Option<Vec<u8>>,
+    odd_classes: u64,
+    radii: Option<Vec<f32>>,
+}
+
+/// Vertices once they are all there.
+pub(super) struct Finished {
+    pub positions: Vec<DVec3>,
+    pub normals: Option<Vec<Vec3>>,
+    pub colors: Option<Vec<[u8; 4]>>,
+    pub uvs: Option<Vec<Vec2>>,
+    pub intensity: Option<Vec<u16>>,
+    pub classification: Option<Vec<u8>>,
+    pub radii: Option<Vec<f32>>,
+}
+
+impl Vertices {
+    /// Columns for the properties that `element` has; `Err` names a coordinate that it lacks.
+    pub fn new(element: &Element, reserve: usize) -> Result<Vertices, &'static str> {
+        let mut found = NAMES.map(|names| element.scalar(names));
+        for (slot, names) in NAMES.iter().enumerate().take(3) {
+            if found[slot].is_none() {
+                return Err(names[0]);
+            }
+        }
+        // A vector counts only when it is complete.
+        for group in [NORMAL..NORMAL + 3, COLOR..COLOR + 3, UV..UV + 2] {
+            if group.clone().any(|slot| found[slot].is_none()) {
+                group.for_each(|slot| found[slot] = None);
+            }
+        }
+        if found[COLOR].is_none() {
+            found[COLOR + 3] = None;
+        }
+        let mut slots = vec![None; element.properties.len()];
+        for (slot, property) in found.iter().enumerate() {
+            if let Some(property) = property {
+                slots[*property] = Some(slot);
+            }
+        }
+        let has = |slot: usize| found[slot].is_some();
+        let colors = match found[COLOR].map(|property| element.properties[property].kind) {
+            None | Some(Kind::List { .. }) => Colors::None,
+            Some(Kind::Scalar(scalar)) if scalar.is_float() => {
+                Colors::Floats(Vec::with_capacity(reserve))
+            }
+            Some(Kind::Scalar(scalar)) => {
+                let short = matches!(scalar, Scalar::U16 | Scalar::I16);
+                Colors::Bytes(Vec::with_capacity(reserve), if short { 257.0 } else { 1.0 })
+            }
+        };
+        Ok(Vertices {
+            positions: Vec::with_capacity(reserve),
+            slots,
+            normals: has(NORMAL).then(|| Vec::with_capacity(reserve)),
+            colors,
+            has_alpha: has(COLOR + 3),
+            uvs: has(UV).then(|| Vec::with_capacity(reserve)),
+            intensity: has(INTENSITY).then(|| Vec::with_capacity(reserve)),
+            classes: has(CLASS).then(|| Vec::with_capacity(reserve)),
+            odd_classes: 0,
+            radii: has(RADIUS).then(|| Vec::with_capacity(reserve)),
+        })
+    }
+
+    /// Which properties [`Vertices::push`] needs.
+    pub fn wanted(&self) -> Wanted {
+        Wanted { slots: self.slots.clone(), values: SLOTS, list: None }
+    }
+
+    pub fn push(&mut self, row: &Row) {
+        let v = row.values.as_slice();
+        let vector = |at: usize| DVec3::new(v[at], v[at + 1], v[at + 2]);
+        self.positions.push(vector(X));
+        if let Some(normals) = &mut self.normals {
+            normals.push(vector(NORMAL).as_vec3());
+        }
+        match &mut self.colors {
+            Colors::None => {}
+            Colors::Bytes(colors, scale) => {
+                let byte = |slot: usize| (v[slot] / *scale).round() as u8;
+                let alpha = if self.has_alpha { byte(COLOR + 3) } else { 255 };
+                colors.push([byte(COLOR), byte(COLOR + 1), byte(COLOR + 2), alpha]);
+            }
+            Colors::Floats(colors) => {
+                let alpha = if self.has_alpha { v[COLOR + 3] as f32 } else { f32::NAN };
+                let [r, g, b] = vector(COLOR).as_vec3().to_array();
+                colors.push([r, g, b, alpha]);
+            }
+        }
+        if let Some(uvs) = &mut self.uvs {
+            uvs.push(Vec2::new(v[UV] as f32, (1.0 - v[UV + 1]) as f32));
+        }
+        if let Some(intensity) = &mut self.intensity {
+            intensity.push(v[INTENSITY] as f32);
+        }
+        if let Some(classes) = &mut self.classes {
+            let fits = (0.0..=255.0).contains(&v[CLASS]);
+            self.odd_classes += u64::from(!fits);
+            classes.push(if fits { v[CLASS] as u8 } else { 0 });
+        }
+        if let Some(radii) = &mut self.radii {
+            radii.push(v[RADIUS] as f32);
+        }
+    }
+
+    pub fn finish(self, warnings: &mut Vec<String>) -> Finished {
+        if self.odd_classes > 0 {
+            warnings.push(format!("{} classes outside 0 to 255 count as 0", self.odd_classes));
+        }
+        let radii = self.radii.filter(|radii| {
+            let usable = radii.iter().all(|radius| *radius > 0.0 && radius.is_finite());
+            if !usable {
+                warnings.push("some radii are not positive, so none is used".to_owned());
+            }
+            usable
+        });
+        Finished {
+            positions: self.positions,
+            normals: self.normals.and_then(|normals| tidy::unit_normals(normals, warnings)),
+            colors: match self.colors {
+                Colors::None => None,
+                Colors::Bytes(colors, _) => Some(colors),
+                Colors::Floats(colors) => Some(tidy::colors_from_floats(&colors, warnings)),
+            },
+            uvs: self.uvs,
+            intensity: self.intensity.map(|values| tidy::spread_intensity(&values)),
+            classification: self.classes,
+            radii,
+        }
+    }
+}
+
+impl Finished {
+    pub fn into_cloud(self) -> PointCloud {
+        PointCloud {
+            positions: self.positions,
+            colors: self.colors,
+            normals: self.normals,
+            intensity: self.intensity,
+            classification: self.classification,
+            radii: self.radii,
+        }
+    }
+}

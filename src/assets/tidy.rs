@@ -1,0 +1,299 @@
+//! What every reader does once the file is read: colours to bytes, normals to unit length, vertices
+//! that are nowhere (not-a-number, infinite) and triangles that cover nothing taken out, and said so.
+
+use glam::{DVec3, Vec3};
+
+use super::{AssetError, Mesh, PointCloud};
+
+/// Colours as bytes from floats. A file with any channel above 1 counts from 0 to 255, others from 0
+/// to 1; not-a-number becomes white.
+pub(crate) fn colors_from_floats(values: &[[f32; 4]], warnings: &mut Vec<String>) -> Vec<[u8; 4]> {
+    let bytes = values.iter().flatten().any(|channel| channel.is_finite() && *channel > 1.0);
+    let scale = if bytes { 1.0 } else { 255.0 };
+    let mut bad = 0u64;
+    let colors = values
+        .iter()
+        .map(|color| {
+            let [r, g, b, a] = *color;
+            if !(r.is_finite() && g.is_finite() && b.is_finite()) {
+                bad += 1;
+                return [255; 4];
+            }
+            let byte = |channel: f32| (channel * scale).round() as u8;
+            // Alpha that the file does not give is 1 whatever the scale.
+            let alpha = if a.is_nan() { 255 } else { byte(a) };
+            [byte(r), byte(g), byte(b), alpha]
+        })
+        .collect();
+    if bad > 0 {
+        warnings.push(format!("{bad} colours are not numbers and are drawn white"));
+    }
+    colors
+}
+
+/// Scales normals to unit length in place; zero stays zero, not-a-number becomes zero. `None` when
+/// none of them says anything.
+pub(crate) fn unit_normals(
+    mut normals: Vec<Vec3>,
+    warnings: &mut Vec<String>,
+) -> Option<Vec<Vec3>> {
+    let mut bad = 0u64;
+    let mut any = false;
+    for normal in &mut normals {
+        if !normal.is_finite() {
+            bad += 1;
+            *normal = Vec3::ZERO;
+        } else {
+            let wide = normal.as_dvec3();
+            *normal = (wide / wide.length().max(f64::MIN_POSITIVE)).as_vec3();
+            any |= *normal != Vec3::ZERO;
+        }
+    }
+    if bad > 0 {
+        warnings.push(format!("{bad} normals are not numbers and count as unknown"));
+    }
+    any.then_some(normals)
+}
+
+/// Intensities over 0..=65535: the file's smallest value becomes 0, its largest 65535.
+pub(crate) fn spread_intensity(values: &[f32]) -> Vec<u16> {
+    let finite = values.iter().copied().filter(|value| value.is_finite());
+    let (low, high) =
+        finite.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+    let range = f64::from(high) - f64::from(low);
+    let place = |value: f32| {
+        if !value.is_finite() || range <= 0.0 {
+            return 0;
+        }
+        ((f64::from(value) - f64::from(low)) / range * 65535.0).round() as u16
+    };
+    values.iter().map(|value| place(*value)).collect()
+}
+
+fn keep<T>(values: &mut Option<Vec<T>>, kept: &[bool]) {
+    if let Some(values) = values {
+        retain(values, kept);
+    }
+}
+
+fn retain<T>(values: &mut Vec<T>, kept: &[bool]) {
+    let mut flags = kept.iter();
+    values.retain(|_| flags.next().copied().unwrap_or(false));
+}
+
+/// Takes points without a place out of a cloud.
+///
+/// # Errors
+/// No point is left.
+pub(crate) fn finish_cloud(
+    mut cloud: PointCloud,
+    file: &str,
+    warnings: &mut Vec<String>,
+) -> Result<PointCloud, AssetError> {
+    if cloud.positions.is_empty() {
+        return Err(AssetError::malformed(file, "vertex", "the file holds no vertices"));
+    }
+    let kept: Vec<bool> = cloud.positions.iter().map(|p| p.is_finite()).collect();
+    let lost = kept.iter().filter(|kept| !**kept).count();
+    if lost == 0 {
+        return Ok(cloud);
+    }
+    if lost == kept.len() {
+        return Err(AssetError::malformed(file, "vertex", "no vertex has finite coordinates"));
+    }
+    retain(&mut cloud.positions, &kept);
+    keep(&mut cloud.colors, &kept);
+    keep(&mut cloud.normals, &kept);
+    keep(&mut cloud.intensity, &kept);
+    keep(&mut cloud.classification, &kept);
+    keep(&mut cloud.radii, &kept);
+    warnings.push(format!("{lost} points with non-finite coordinates are left out"));
+    Ok(cloud)
+}
+
+/// Takes out triangles that use a vertex without a place or one vertex twice, then the vertices
+/// without a place. Every index must be in range; `parts` shrink with their triangles.
+///
+/// # Errors
+/// No triangle is left.
+pub(crate) fn finish_mesh(
+    mut mesh: Mesh,
+    file: &str,
+    warnings: &mut Vec<String>,
+) -> Result<Mesh, AssetError> {
+    let placed: Vec<bool> = mesh.positions.iter().map(|p| p.is_finite()).collect();
+    let all_placed = placed.iter().all(|placed| *placed);
+    let is_placed =
+        |t: &[u32; 3]| t.iter().all(|&i| placed.get(i as usize).copied().unwrap_or(false));
+    let (mut adrift, mut flat) = (0u64, 0u64);
+    let mut usable = |t: &[u32; 3]| {
+        if !all_placed && !is_placed(t) {
+            adrift += 1;
+            return false;
+        }
+        let [a, b, c] = *t;
+        let twice = a == b || b == c || c == a;
+        flat += u64::from(twice);
+        !twice
+    };
+    let mut kept_parts = Vec::with_capacity(mesh.parts.len());
+    let mut write = 0;
+    let mut read = 0;
+    let count = mesh.triangles.len();
+    let mut lengths = mesh.parts.iter().map(|part| part.triangles as usize);
+    while read < count {
+        let end = lengths.next().map_or(count, |length| count.min(read + length));
+        let begin = write;
+        for at in read..end {
+            let triangle = mesh.triangles[at];
+            if usable(&triangle) {
+                mesh.triangles[write] = triangle;
+                write += 1;
+            }
+        }
+        kept_parts.push((write - begin) as u32);
+        read = end;
+    }
+    mesh.triangles.truncate(write);
+    for (part, length) in mesh.parts.iter_mut().zip(kept_parts) {
+        part.triangles = length;
+    }
+    mesh.parts.retain(|part| part.triangles > 0);
+    if mesh.triangles.is_empty() {
+        let reason = "every triangle is degenerate or has non-finite corners";
+        let reason = if count == 0 { "no face has three corners" } else { reason };
+        return Err(AssetError::malformed(file, "face", reason));
+    }
+    if adrift > 0 {
+        warnings.push(format!("{adrift} triangles with non-finite corners are left out"));
+    }
+    if flat > 0 {
+        warnings.push(format!("{flat} triangles that use one vertex twice are left out"));
+    }
+    if !all_placed {
+        drop_vertices(&mut mesh, &placed);
+    }
+    Ok(mesh)
+}
+
+fn drop_vertices(mesh: &mut Mesh, kept: &[bool]) {
+    let mut next = 0u32;
+    let renumbered: Vec<u32> = kept
+        .iter()
+        .map(|kept| {
+            let number = next;
+            next += u32::from(*kept);
+            number
+        })
+        .collect();
+    retain(&mut mesh.positions, kept);
+    keep(&mut mesh.colors, kept);
+    keep(&mut mesh.normals, kept);
+    keep(&mut mesh.uvs, kept);
+    for index in mesh.triangles.iter_mut().flatten() {
+        *index = renumbered[*index as usize];
+    }
+}
+
+/// Linear channel in 0..=1 from an sRGB one (IEC 61966-2-1).
+pub(crate) fn linear_from_srgb(value: f32) -> f32 {
+    let value = value.clamp(0.0, 1.0);
+    if value <= 0.040_45 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
+}
+
+/// sRGB byte from a linear channel.
+pub(crate) fn srgb_byte_from_linear(value: f32) -> u8 {
+    let value = value.clamp(0.0, 1.0);
+    let encoded = if value <= 0.003_130_8 {
+        value * 12.92
+    } else {
+        1.055 * value.powf(1.0 / 2.4) - 0.055
+    };
+    (encoded * 255.0).round() as u8
+}
+
+/// Position bits with one zero, for welding by exact place.
+pub(crate) fn weld_key(position: DVec3) -> [u64; 3] {
+    position.to_array().map(|c| (c + 0.0).to_bits())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::assets::MeshPart;
+
+    #[test]
+    fn float_colours_find_their_scale() {
+        let mut warnings = Vec::new();
+        let unit = colors_from_floats(&[[0.5, 0.0, 1.0, f32::NAN]], &mut warnings);
+        assert_eq!(unit, [[128, 0, 255, 255]]);
+        let byte = colors_from_floats(&[[200.0, 1.0, 300.0, 7.0]], &mut warnings);
+        assert_eq!(byte, [[200, 1, 255, 7]]);
+        assert!(warnings.is_empty());
+        let odd = colors_from_floats(&[[f32::NAN, 0.0, 0.0, 1.0]], &mut warnings);
+        assert_eq!(odd, [[255; 4]]);
+        assert_eq!(warnings.len(), 1);
+    }
+
+    #[test]
+    fn normals_are_scaled() {
+        let mut warnings = Vec::new();
+        let given = vec![Vec3::new(0.0, 3.0, 4.0), Vec3::ZERO, Vec3::NAN, Vec3::splat(1e-30)];
+        let unit = unit_normals(given, &mut warnings).unwrap();
+        assert_eq!(unit[0], Vec3::new(0.0, 0.6, 0.8));
+        assert_eq!((unit[1], unit[2]), (Vec3::ZERO, Vec3::ZERO));
+        assert!((unit[3].length() - 1.0).abs() < 1e-6);
+        assert_eq!(warnings.len(), 1);
+        assert!(unit_normals(vec![Vec3::ZERO; 3], &mut warnings).is_none());
+    }
+
+    #[test]
+    fn intensities_spread() {
+        assert_eq!(spread_intensity(&[1.0, 3.0, 2.0, f32::NAN]), [0, 65535, 32768, 0]);
+        assert_eq!(spread_intensity(&[5.0, 5.0]), [0, 0]);
+        assert!(spread_intensity(&[]).is_empty());
+    }
+
+    #[test]
+    fn lost_vertices_take_their_triangles_along() {
+        let mesh = Mesh {
+            positions: vec![DVec3::ZERO, DVec3::NAN, DVec3::X, DVec3::Y, DVec3::Z],
+            triangles: vec![[0, 1, 2], [0, 2, 3], [2, 3, 4], [2, 2, 3]],
+            parts: vec![
+                MeshPart { triangles: 1, material: Some(0) },
+                MeshPart { triangles: 2, material: Some(1) },
+                MeshPart { triangles: 1, material: None },
+            ],
+            ..Mesh::default()
+        };
+        let mut warnings = Vec::new();
+        let mesh = finish_mesh(mesh, "f", &mut warnings).unwrap();
+        assert_eq!(mesh.positions, [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z]);
+        assert_eq!(mesh.triangles, [[0, 1, 2], [1, 2, 3]]);
+        assert_eq!(mesh.parts, [MeshPart { triangles: 2, material: Some(1) }]);
+        assert_eq!(warnings.len(), 2);
+    }
+
+    #[test]
+    fn lost_points_take_their_attributes_along() {
+        let cloud = PointCloud {
+            positions: vec![DVec3::NAN, DVec3::X],
+            colors: Some(vec![[1; 4], [2; 4]]),
+            ..PointCloud::default()
+        };
+        let mut warnings = Vec::new();
+        let cloud = finish_cloud(cloud, "f", &mut warnings).unwrap();
+        assert_eq!((cloud.positions, cloud.colors), (vec![DVec3::X], Some(vec![[2; 4]])));
+        let lost = PointCloud { positions: vec![DVec3::INFINITY], ..PointCloud::default() };
+        assert!(finish_cloud(lost, "f", &mut warnings).is_err());
+        assert!(finish_cloud(PointCloud::default(), "f", &mut warnings).is_err());
+    }
+
+    #[test]
+    fn srgb_round_trips() {
+        for byte in 0..=255u8 {
+            let linear = linear_from_srgb(f32::from(byte) / 255.0);
+            assert_eq!(srgb_byte_from_linear(linear), byte);
+        }
+    }
+}

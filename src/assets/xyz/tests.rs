@@ -1,0 +1,126 @@
+use proptest::prelude::*;
+
+use super::*;
+
+fn read_text(text: &str) -> Result<Asset, AssetError> {
+    read_from(text.as_bytes(), "t.xyz", &ReadOptions::default())
+}
+
+fn cloud_of(text: &str) -> PointCloud {
+    match read_text(text).unwrap().geometries.remove(0) {
+        Geometry::Points(cloud) => cloud,
+        Geometry::Mesh(_) => panic!("a text file holds points"),
+    }
+}
+
+#[test]
+fn three_columns_in_every_separator() {
+    for text in [
+        "1 2 3\n4 5 6\n",
+        "1\t2\t3 \r\n4\t5\t6",
+        "1,2,3,\n4, 5, 6\n",
+        "1;2;3\n4;5;6\n",
+        "# made by hand\n\n1 2 3\n// more\n4 5 6",
+        "2\n1 2 3\n4 5 6\n",
+    ] {
+        let cloud = cloud_of(text);
+        let expected = [DVec3::new(1.0, 2.0, 3.0), DVec3::new(4.0, 5.0, 6.0)];
+        assert_eq!(cloud.positions, expected, "{text:?}");
+        assert!(cloud.colors.is_none() && cloud.normals.is_none() && cloud.intensity.is_none());
+    }
+    assert_eq!(cloud_of("1,5;2,5;3\n").positions, [DVec3::new(1.5, 2.5, 3.0)]);
+}
+
+#[test]
+fn columns_are_told_by_content() {
+    let cloud = cloud_of("0 0 0 0\n0 0 0 10\n");
+    assert_eq!(cloud.intensity, Some(vec![0, 65535]));
+
+    let cloud = cloud_of("0 0 0 255 0 17\n0 0 1 0 0 0\n");
+    assert_eq!(cloud.colors, Some(vec![[255, 0, 17, 255], [0, 0, 0, 255]]));
+
+    let cloud = cloud_of("0 0 0 0 0 1\n0 0 1 0.6 0 0.8\n");
+    assert!(cloud.colors.is_none());
+    assert!((cloud.normals.unwrap()[1] - glam::Vec3::new(0.6, 0.0, 0.8)).length() < 1e-6);
+
+    let cloud = cloud_of("0 0 0 0 -2 0\n0 0 1 0.5 0 3\n");
+    assert_eq!(cloud.normals.unwrap()[0], -glam::Vec3::Y);
+
+    // PTS, also with an intensity that would pass for a colour.
+    let cloud = cloud_of("2\n0 0 0 -1613 52 70 64\n0 0 1 602 120 127 103\n");
+    assert_eq!(cloud.colors.unwrap()[0], [52, 70, 64, 255]);
+    assert_eq!(cloud.intensity, Some(vec![0, 65535]));
+    let cloud = cloud_of("0 0 0 9 52 70 64\n0 0 1 8 120 127 103\n");
+    assert_eq!(cloud.colors.unwrap()[0], [52, 70, 64, 255]);
+    let cloud = cloud_of("0 0 0 52 70 64 0.25\n0 0 1 120 127 103 0.5\n");
+    assert_eq!(cloud.colors.unwrap()[0], [52, 70, 64, 255]);
+    assert_eq!(cloud.intensity, Some(vec![0, 65535]));
+
+    for text in ["0 0 0 0 1 0 7 8 9\n", "0 0 0 7 8 9 0 1 0\n"] {
+        let cloud = cloud_of(text);
+        assert_eq!(cloud.colors, Some(vec![[7, 8, 9, 255]]), "{text}");
+        assert_eq!(cloud.normals, Some(vec![glam::Vec3::Y]), "{text}");
+    }
+}
+
+#[test]
+fn headers_name_columns() {
+    let text = "\"Name\",Z,X,Y,Label,Nx,Ny,Nz,red,green,blue,intensity\n\
+                tree,3,1,2,5,0,0,2,255,0,0,0\nroof,6,4,5,6,0,3,0,0,255,0,7\n";
+    let cloud = cloud_of(text);
+    assert_eq!(cloud.positions[0], DVec3::new(1.0, 2.0, 3.0));
+    assert_eq!(cloud.classification, Some(vec![5, 6]));
+    assert_eq!(cloud.normals, Some(vec![glam::Vec3::Z, glam::Vec3::Y]));
+    assert_eq!(cloud.colors, Some(vec![[255, 0, 0, 255], [0, 255, 0, 255]]));
+    assert_eq!(cloud.intensity, Some(vec![0, 65535]));
+    // A header in a comment, with the count below it.
+    let cloud = cloud_of("//X Y Z R G B\n1\n1 2 3 0.5 1 0\n");
+    assert_eq!(cloud.colors, Some(vec![[128, 255, 0, 255]]));
+}
+
+#[test]
+fn errors_name_line_and_column() {
+    let error = |text: &str| read_text(text).unwrap_err().to_string();
+    assert_eq!(
+        error("0 0 0\n1 2 rose\n"),
+        "t.xyz: line 2, column 3: \"rose\" is not a number"
+    );
+    assert!(error("0 0 0\n1 2\n").contains("line 2: has 2 columns"));
+    assert!(error("0 0\n").contains("line 1: has 2 columns"));
+    assert!(error("0 0 0\n1 2 3 4\n").contains("line 2: has 4 columns"));
+    assert!(error("x,y,z\n1,2,rose\n").contains("line 2, column 3"));
+    assert!(error("nan 0 0\n0 inf 0\n").contains("none of its 2 points is finite"));
+    assert!(error("").contains("holds no points"));
+    assert!(error("\u{1}\0\0").contains("line 1"));
+}
+
+#[test]
+fn oddities_are_counted() {
+    let asset = read_text("9\n0 0 0\nnan 0 0\n0 1e999 0\n").unwrap();
+    assert_eq!(asset.geometries[0].positions().len(), 1);
+    assert_eq!(asset.warnings.len(), 2, "{:?}", asset.warnings);
+    assert!(asset.warnings[0].contains("announces 9 points and holds 3"));
+    assert!(asset.warnings[1].contains("2 points"));
+    let few = ReadOptions { max_vertices: 1, ..ReadOptions::default() };
+    let error = read_from("0 0 0\n0 0 1\n".as_bytes(), "t.xyz", &few).unwrap_err();
+    assert!(matches!(error, AssetError::TooLarge { .. }), "{error}");
+}
+
+proptest! {
+    #[test]
+    fn anything_is_answered(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
+        let _ = read_from(&bytes[..], "t.xyz", &ReadOptions::default());
+    }
+
+    #[test]
+    fn anything_numeric_is_answered(text in "[0-9 ,;.\\-e\"xyzrgb#/\n]{0,200}") {
+        if let Ok(asset) = read_text(&text) {
+            let Geometry::Points(cloud) = &asset.geometries[0] else { panic!("points") };
+            let count = cloud.positions.len();
+            prop_assert!(cloud.positions.iter().all(|p| p.is_finite()));
+            prop_assert!(cloud.colors.as_ref().is_none_or(|c| c.len() == count));
+            prop_assert!(cloud.normals.as_ref().is_none_or(|n| n.len() == count));
+            prop_assert!(cloud.normals.iter().flatten().all(|n| n.is_finite()));
+        }
+    }
+}

@@ -1,0 +1,469 @@
+//! Geometries → the chunks that the GPU holds.
+//!
+//! Positions become integers on a grid of the asset whose step is a power of two, about 2⁻²⁹ of the asset's size: finer than
+//! f32 could say at the asset's edge, and exact to subtract, so that what is near the eye keeps all its digits however far
+//! it is from the asset's origin. Samples and triangles are sorted along a Morton curve and cut into chunks of at most
+//! 1024, the unit of culling and of a workgroup. A sample's position is stored in 64 bits (3 × 21, relative to its chunk);
+//! a sample takes 16 bytes with colour and normal. A triangle takes 4 bytes and its vertices 28 each.
+
+use glam::{DVec3, I64Vec3, IVec3, Vec3};
+use rayon::prelude::*;
+
+use crate::assets::{Filter, Material, Mesh, PointCloud, Texture, Wrap};
+use crate::math::Bounds;
+
+/// Samples, or triangles, or vertices in a chunk at most.
+pub const CHUNK: usize = 1024;
+/// `shift` of a chunk of triangles.
+pub const TRIANGLES: u32 = u32::MAX;
+/// Normal words that stand for none.
+pub const NO_NORMAL: u32 = 0x8000_8000;
+/// Words of a mesh vertex: grid position, colour, normal, texture coordinates.
+pub const VERTEX_WORDS: usize = 7;
+
+/// A grid that positions are counted on: `local = origin + step · grid`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Grid {
+    pub origin: DVec3,
+    pub step: f64,
+    /// Largest absolute coordinate in use.
+    pub reach: i32,
+}
+
+/// Up to [`CHUNK`] neighbouring samples or triangles.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PackedChunk {
+    /// Minimum corner of the box, in grid cells.
+    pub origin: IVec3,
+    /// Size of the box in grid cells.
+    pub extent: IVec3,
+    /// First sample or triangle.
+    pub first: u32,
+    pub count: u32,
+    /// Samples: coordinates count in steps of 2^shift cells; [`TRIANGLES`] for triangles.
+    pub shift: u32,
+    /// Triangles: first vertex and number of vertices.
+    pub vertex_first: u32,
+    pub vertex_count: u32,
+    /// Index into the asset's materials plus one, 0 for the default.
+    pub material: u32,
+}
+
+/// A point cloud as the GPU holds it.
+#[derive(Clone, Debug)]
+pub struct PackedSamples {
+    pub grid: Grid,
+    pub chunks: Vec<PackedChunk>,
+    /// 21 bits a coordinate, relative to the chunk, x lowest.
+    pub positions: Vec<[u32; 2]>,
+    /// sRGB8 colour and octahedral normal.
+    pub attributes: Vec<[u32; 2]>,
+}
+
+/// A mesh as the GPU holds it.
+#[derive(Clone, Debug)]
+pub struct PackedMesh {
+    pub grid: Grid,
+    pub chunks: Vec<PackedChunk>,
+    pub vertices: Vec<[u32; VERTEX_WORDS]>,
+    /// Three 10-bit indices into the chunk's vertices.
+    pub triangles: Vec<u32>,
+}
+
+/// A texture with all its levels, largest first, as sRGB8 words.
+#[derive(Clone, Debug)]
+pub struct PackedTexture {
+    pub width: u32,
+    pub height: u32,
+    pub levels: u32,
+    /// Two bits an axis: 0 repeat, 1 mirror, 2 clamp.
+    pub wrap: u32,
+    pub nearest: bool,
+    pub texels: Vec<u32>,
+}
+
+/// A geometry that cannot be packed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PackError {
+    #[error("coordinates span {extent:e} units; up to 1e30 can be drawn")]
+    TooFar { extent: f64 },
+    #[error("position {index} is not finite")]
+    NotFinite { index: usize },
+}
+
+impl Grid {
+    /// The grid of a box: 2²⁹ cells or fewer across its longest side.
+    ///
+    /// # Errors
+    /// A box that is not finite or longer than 1e30.
+    pub fn of(bounds: &Bounds) -> Result<Grid, PackError> {
+        let extent = bounds.extent().max_element();
+        if !(extent.is_finite() && extent < 1e30 && bounds.centre().abs().max_element() < 1e30) {
+            return Err(PackError::TooFar { extent });
+        }
+        let origin = bounds.centre();
+        // Below this the coordinates themselves have no more digits.
+        let least = (origin.abs().max_element() * f64::EPSILON).max(1e-30);
+        let step = (extent / f64::from(1 << 29)).max(least).log2().ceil().exp2();
+        let reach = (0.5 * extent / step).ceil() as i32 + 1;
+        Ok(Grid { origin, step, reach })
+    }
+
+    /// The nearest grid point.
+    pub fn quantise(&self, position: DVec3) -> IVec3 {
+        let cells = ((position - self.origin) / self.step).round();
+        IVec3::new(cells.x as i32, cells.y as i32, cells.z as i32)
+    }
+
+    /// The position of a grid point.
+    pub fn position(&self, cell: IVec3) -> DVec3 {
+        self.origin + cell.as_dvec3() * self.step
+    }
+}
+
+/// Spreads the lower 21 bits of `v`, two zeros after each.
+fn spread(v: u64) -> u64 {
+    let mut x = v & 0x1f_ffff;
+    x = (x | x << 32) & 0x001f_0000_0000_ffff;
+    x = (x | x << 16) & 0x001f_0000_ff00_00ff;
+    x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
+    x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
+    (x | x << 2) & 0x1249_2492_4924_9249
+}
+
+/// Place along a Morton curve, from the upper 21 of 30 bits a coordinate.
+fn morton(cell: IVec3) -> u64 {
+    let part = |v: i32| spread((i64::from(v) + (1 << 29)).clamp(0, (1 << 30) - 1) as u64 >> 9);
+    part(cell.x) | part(cell.y) << 1 | part(cell.z) << 2
+}
+
+/// Unit vector → two signed 16-bit numbers (octahedral map); [`NO_NORMAL`] for zero or non-finite vectors.
+pub fn octahedral(normal: Vec3) -> u32 {
+    let sum = normal.abs().element_sum();
+    if !(sum > 0.0 && sum.is_finite()) {
+        return NO_NORMAL;
+    }
+    let n = normal / sum;
+    let sign = |v: f32| if v >= 0.0 { 1.0 } else { -1.0 };
+    let (x, y) = if n.z < 0.0 {
+        ((1.0 - n.y.abs()) * sign(n.x), (1.0 - n.x.abs()) * sign(n.y))
+    } else {
+        (n.x, n.y)
+    };
+    let snorm = |v: f32| (v.clamp(-1.0, 1.0) * 32767.0).round() as i16 as u16;
+    u32::from(snorm(x)) | u32::from(snorm(y)) << 16
+}
+
+fn rgba_word(color: [u8; 4]) -> u32 {
+    u32::from_le_bytes(color)
+}
+
+fn finite(positions: &[DVec3]) -> Result<(), PackError> {
+    match positions.iter().position(|p| !p.is_finite()) {
+        Some(index) => Err(PackError::NotFinite { index }),
+        None => Ok(()),
+    }
+}
+
+/// Packs a cloud. Missing colours are a light grey.
+///
+/// # Errors
+/// See [`PackError`].
+pub fn pack_samples(cloud: &PointCloud) -> Result<PackedSamples, PackError> {
+    finite(&cloud.positions)?;
+    let grid = Grid::of(&Bounds::of(cloud.positions.iter().copied()))?;
+    let mut order: Vec<(u64, u32)> = cloud
+        .positions
+        .par_iter()
+        .enumerate()
+        .map(|(index, &position)| (morton(grid.quantise(position)), index as u32))
+        .collect();
+    order.par_sort_unstable();
+    let packed: Vec<(PackedChunk, Vec<[u32; 2]>, Vec<[u32; 2]>)> = order
+        .par_chunks(CHUNK)
+        .enumerate()
+        .map(|(index, run)| pack_run(cloud, &grid, index * CHUNK, run))
+        .collect();
+    let mut out = PackedSamples {
+        grid,
+        chunks: Vec::with_capacity(packed.len()),
+        positions: Vec::with_capacity(order.len()),
+        attributes: Vec::with_capacity(order.len()),
+    };
+    for (chunk, positions, attributes) in packed {
+        out.chunks.push(chunk);
+        out.positions.extend(positions);
+        out.attributes.extend(attributes);
+    }
+    Ok(out)
+}
+
+fn pack_run(
+    cloud: &PointCloud,
+    grid: &Grid,
+    first: usize,
+    run: &[(u64, u32)],
+) -> (PackedChunk, Vec<[u32; 2]>, Vec<[u32; 2]>) {
+    let cells: Vec<IVec3> =
+        run.iter().map(|&(_, i)| grid.quantise(cloud.positions[i as usize])).collect();
+    let low = cells.iter().copied().fold(IVec3::MAX, IVec3::min);
+    let high = cells.iter().copied().fold(IVec3::MIN, IVec3::max);
+    let longest = (high - low).max_element() as u32;
+    // The greatest coordinate must stay below 2^21 after rounding to the nearest step.
+    let mut shift = (32 - longest.leading_zeros()).saturating_sub(21);
+    if round_shift(longest as i32, shift) >= 1 << 21 {
+        shift += 1;
+    }
+    let positions = cells
+        .iter()
+        .map(|&cell| {
+            let q = (cell - low).to_array().map(|v| u64::from(round_shift(v, shift)));
+            let word = q[0] | q[1] << 21 | q[2] << 42;
+            [word as u32, (word >> 32) as u32]
+        })
+        .collect();
+    let attributes = run
+        .iter()
+        .map(|&(_, i)| {
+            let i = i as usize;
+            let color = cloud.colors.as_ref().map_or([204, 204, 204, 255], |colors| colors[i]);
+            let normal = cloud.normals.as_ref().map_or(NO_NORMAL, |normals| octahedral(normals[i]));
+            [rgba_word(color), normal]
+        })
+        .collect();
+    let chunk = PackedChunk {
+        origin: low,
+        extent: high - low + IVec3::splat(1 << shift >> 1),
+        first: first as u32,
+        count: run.len() as u32,
+        shift,
+        vertex_first: 0,
+        vertex_count: 0,
+        material: 0,
+    };
+    (chunk, positions, attributes)
+}
+
+fn round_shift(v: i32, shift: u32) -> u32 {
+    if shift == 0 { v as u32 } else { (v as u32 + (1 << (shift - 1))) >> shift }
+}
+
+/// Packs a mesh; vertices shared between chunks are stored in each.
+///
+/// # Errors
+/// See [`PackError`].
+pub fn pack_mesh(mesh: &Mesh) -> Result<PackedMesh, PackError> {
+    finite(&mesh.positions)?;
+    let grid = Grid::of(&Bounds::of(mesh.positions.iter().copied()))?;
+    let cells: Vec<IVec3> = mesh.positions.par_iter().map(|&p| grid.quantise(p)).collect();
+    let mut materials = vec![0u32; mesh.triangles.len()];
+    let mut at = 0;
+    for part in &mesh.parts {
+        let end = (at + part.triangles as usize).min(materials.len());
+        materials[at..end].fill(part.material.map_or(0, |m| m + 1));
+        at = end;
+    }
+    let mut order: Vec<(u32, u64, u32)> = mesh
+        .triangles
+        .par_iter()
+        .enumerate()
+        .map(|(index, corners)| {
+            let sum: I64Vec3 = corners.iter().map(|&v| cells[v as usize].as_i64vec3()).sum();
+            (materials[index], morton((sum / 3).as_ivec3()), index as u32)
+        })
+        .collect();
+    order.par_sort_unstable();
+    let mut packer = MeshPacker {
+        mesh,
+        cells: &cells,
+        stamp: vec![(u32::MAX, 0); mesh.positions.len()],
+        out: PackedMesh {
+            grid,
+            chunks: Vec::new(),
+            vertices: Vec::with_capacity(mesh.positions.len()),
+            triangles: Vec::with_capacity(order.len()),
+        },
+    };
+    for (material, _, index) in order {
+        packer.add(material, mesh.triangles[index as usize]);
+    }
+    packer.finish_boxes();
+    Ok(packer.out)
+}
+
+struct MeshPacker<'a> {
+    mesh: &'a Mesh,
+    cells: &'a [IVec3],
+    /// For every vertex of the mesh: the last chunk that took it, and its index there.
+    stamp: Vec<(u32, u32)>,
+    out: PackedMesh,
+}
+
+impl MeshPacker<'_> {
+    fn add(&mut self, material: u32, corners: [u32; 3]) {
+        let current = self.out.chunks.len() as u32;
+        let fits = self.out.chunks.last().is_some_and(|chunk| {
+            let fresh =
+                corners.iter().filter(|&&v| self.stamp[v as usize].0 != current - 1).count();
+            chunk.material == material
+                && (chunk.count as usize) < CHUNK
+                && chunk.vertex_count as usize + fresh <= CHUNK
+        });
+        if !fits {
+            self.out.chunks.push(PackedChunk {
+                origin: IVec3::ZERO,
+                extent: IVec3::ZERO,
+                first: self.out.triangles.len() as u32,
+                count: 0,
+                shift: TRIANGLES,
+                vertex_first: self.out.vertices.len() as u32,
+                vertex_count: 0,
+                material,
+            });
+        }
+        let number = self.out.chunks.len() as u32 - 1;
+        let mut word = 0;
+        for (place, &v) in corners.iter().enumerate() {
+            let (owner, local) = self.stamp[v as usize];
+            let local = if owner == number {
+                local
+            } else {
+                let vertex = self.vertex(v as usize);
+                self.out.vertices.push(vertex);
+                let chunk = &mut self.out.chunks[number as usize];
+                let local = chunk.vertex_count;
+                chunk.vertex_count += 1;
+                self.stamp[v as usize] = (number, local);
+                local
+            };
+            word |= local << (10 * place);
+        }
+        self.out.triangles.push(word);
+        self.out.chunks[number as usize].count += 1;
+    }
+
+    fn vertex(&self, v: usize) -> [u32; VERTEX_WORDS] {
+        let cell = self.cells[v];
+        let color = self.mesh.colors.as_ref().map_or(u32::MAX, |colors| rgba_word(colors[v]));
+        let normal = self.mesh.normals.as_ref().map_or(NO_NORMAL, |normals| octahedral(normals[v]));
+        let uv = self.mesh.uvs.as_ref().map_or([0.0; 2], |uvs| {
+            let uv = uvs[v];
+            if uv.is_finite() { uv.to_array() } else { [0.0; 2] }
+        });
+        [
+            cell.x as u32,
+            cell.y as u32,
+            cell.z as u32,
+            color,
+            normal,
+            uv[0].to_bits(),
+            uv[1].to_bits(),
+        ]
+    }
+
+    fn finish_boxes(&mut self) {
+        for chunk in &mut self.out.chunks {
+            let first = chunk.vertex_first as usize;
+            let run = &self.out.vertices[first..first + chunk.vertex_count as usize];
+            let cell = |v: &[u32; VERTEX_WORDS]| IVec3::new(v[0] as i32, v[1] as i32, v[2] as i32);
+            let low = run.iter().map(cell).fold(IVec3::MAX, IVec3::min);
+            let high = run.iter().map(cell).fold(IVec3::MIN, IVec3::max);
+            chunk.origin = low;
+            chunk.extent = high - low;
+        }
+    }
+}
+
+/// Builds every level of a texture: each texel the average, in linear light, of the 2×2 above it.
+pub fn pack_texture(texture: &Texture) -> PackedTexture {
+    let (mut width, mut height) = (texture.width as usize, texture.height as usize);
+    let mut level: Vec<[u8; 4]> = texture.rgba.clone();
+    let decode: Vec<f32> = (0..256).map(|v| linear_from_srgb(v as f32 / 255.0)).collect();
+    let mut texels: Vec<u32> = level.iter().map(|&texel| rgba_word(texel)).collect();
+    let mut levels = 1;
+    while width > 1 || height > 1 {
+        let (w, h) = ((width / 2).max(1), (height / 2).max(1));
+        let next: Vec<[u8; 4]> = (0..w * h)
+            .into_par_iter()
+            .map(|i| {
+                let (x, y) = (i % w, i / w);
+                let mut sum = [0.0f32; 4];
+                for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+                    let texel =
+                        level[(2 * y + dy).min(height - 1) * width + (2 * x + dx).min(width - 1)];
+                    for c in 0..3 {
+                        sum[c] += decode[texel[c] as usize];
+                    }
+                    sum[3] += f32::from(texel[3]);
+                }
+                let byte = |v: f32| (srgb_from_linear(v * 0.25) * 255.0).round() as u8;
+                [byte(sum[0]), byte(sum[1]), byte(sum[2]), (sum[3] * 0.25).round() as u8]
+            })
+            .collect();
+        texels.extend(next.iter().map(|&texel| rgba_word(texel)));
+        (level, width, height) = (next, w, h);
+        levels += 1;
+    }
+    let wrap = |mode| match mode {
+        Wrap::Repeat => 0,
+        Wrap::Mirror => 1,
+        Wrap::Clamp => 2,
+    };
+    PackedTexture {
+        width: texture.width,
+        height: texture.height,
+        levels,
+        wrap: wrap(texture.wrap[0]) | wrap(texture.wrap[1]) << 2,
+        nearest: texture.filter == Filter::Nearest,
+        texels,
+    }
+}
+
+fn linear_from_srgb(c: f32) -> f32 {
+    if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
+}
+
+fn srgb_from_linear(c: f32) -> f32 {
+    if c <= 0.003_130_8 { c * 12.92 } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 }
+}
+
+/// An asset, packed: what the CPU keeps so that the GPU can be filled again at any time.
+#[derive(Clone, Debug, Default)]
+pub struct PackedAsset {
+    pub geometries: Vec<PackedGeometry>,
+    pub materials: Vec<Material>,
+    pub textures: Vec<PackedTexture>,
+}
+
+#[derive(Clone, Debug)]
+pub enum PackedGeometry {
+    Samples(PackedSamples),
+    Mesh(PackedMesh),
+}
+
+impl PackedGeometry {
+    pub fn grid(&self) -> &Grid {
+        match self {
+            PackedGeometry::Samples(samples) => &samples.grid,
+            PackedGeometry::Mesh(mesh) => &mesh.grid,
+        }
+    }
+
+    pub fn chunks(&self) -> &[PackedChunk] {
+        match self {
+            PackedGeometry::Samples(samples) => &samples.chunks,
+            PackedGeometry::Mesh(mesh) => &mesh.chunks,
+        }
+    }
+
+    /// Bytes in the pages of the GPU.
+    pub fn gpu_bytes(&self) -> u64 {
+        match self {
+            PackedGeometry::Samples(samples) => samples.positions.len() as u64 * 16,
+            PackedGeometry::Mesh(mesh) => {
+                mesh.vertices.len() as u64 * 4 * VERTEX_WORDS as u64
+                    + mesh.triangles.len() as u64 * 4
+            }
+        }
+    }
+}

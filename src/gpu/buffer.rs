@@ -1,0 +1,183 @@
+//! Buffers with an identity, buffers that grow, and the allocator of ranges within one.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::Gpu;
+
+static NEXT_ID: AtomicU64 = AtomicU64::new(1);
+
+/// A GPU buffer with a number that no other buffer of this process ever has.
+pub struct Buffer {
+    raw: wgpu::Buffer,
+    id: u64,
+}
+
+impl Buffer {
+    /// `bytes` is rounded up to a multiple of 16 and at least 16.
+    pub fn new(gpu: &Gpu, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> Self {
+        let raw = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size: bytes.max(16).next_multiple_of(16),
+            usage,
+            mapped_at_creation: false,
+        });
+        Self { raw, id: NEXT_ID.fetch_add(1, Ordering::Relaxed) }
+    }
+
+    /// A storage buffer that copies may write.
+    pub fn storage(gpu: &Gpu, label: &str, bytes: u64) -> Self {
+        Self::new(
+            gpu,
+            label,
+            bytes,
+            wgpu::BufferUsages::STORAGE
+                | wgpu::BufferUsages::COPY_DST
+                | wgpu::BufferUsages::COPY_SRC,
+        )
+    }
+
+    /// A storage buffer with contents.
+    pub fn with_data<T: bytemuck::NoUninit>(gpu: &Gpu, label: &str, data: &[T]) -> Self {
+        let bytes: &[u8] = bytemuck::cast_slice(data);
+        let buffer = Self::storage(gpu, label, bytes.len() as u64);
+        if !bytes.is_empty() {
+            gpu.queue.write_buffer(&buffer.raw, 0, bytes);
+        }
+        buffer
+    }
+
+    pub fn raw(&self) -> &wgpu::Buffer {
+        &self.raw
+    }
+
+    pub fn id(&self) -> u64 {
+        self.id
+    }
+
+    /// Size in bytes.
+    pub fn size(&self) -> u64 {
+        self.raw.size()
+    }
+}
+
+/// Scratch that is remade larger when a frame needs more; its contents are lost then.
+pub struct Scratch {
+    buffer: Buffer,
+    label: &'static str,
+    usage: wgpu::BufferUsages,
+}
+
+impl Scratch {
+    pub fn new(gpu: &Gpu, label: &'static str, usage: wgpu::BufferUsages) -> Self {
+        Self { buffer: Buffer::new(gpu, label, 16, usage), label, usage }
+    }
+
+    /// At least `bytes` large.
+    pub fn reserve(&mut self, gpu: &Gpu, bytes: u64) {
+        if bytes > self.buffer.size() {
+            // A quarter more than asked spares the next few sizes, within what can be bound.
+            let roomy = (bytes + bytes / 4).min(gpu.max_binding_bytes()).max(bytes);
+            self.buffer = Buffer::new(gpu, self.label, roomy, self.usage);
+        }
+    }
+
+    pub fn buffer(&self) -> &Buffer {
+        &self.buffer
+    }
+}
+
+/// First-fit allocation of element ranges, with neighbours merged when freed.
+#[derive(Clone, Debug)]
+pub struct Ranges {
+    /// Free ranges: start → length.
+    free: BTreeMap<u32, u32>,
+    capacity: u32,
+}
+
+impl Ranges {
+    pub fn new(capacity: u32) -> Self {
+        let mut free = BTreeMap::new();
+        if capacity > 0 {
+            free.insert(0, capacity);
+        }
+        Self { free, capacity }
+    }
+
+    /// The start of `length` free elements, or `None`.
+    pub fn allocate(&mut self, length: u32) -> Option<u32> {
+        if length == 0 {
+            return Some(0);
+        }
+        let (&start, &size) = self.free.iter().find(|(_, size)| **size >= length)?;
+        self.free.remove(&start);
+        if size > length {
+            self.free.insert(start + length, size - length);
+        }
+        Some(start)
+    }
+
+    /// Returns what [`Ranges::allocate`] gave.
+    pub fn release(&mut self, start: u32, length: u32) {
+        if length == 0 {
+            return;
+        }
+        let (mut start, mut length) = (start, length);
+        if let Some((&before, &size)) = self.free.range(..start).next_back()
+            && before + size == start
+        {
+            self.free.remove(&before);
+            start = before;
+            length += size;
+        }
+        if let Some(size) = self.free.remove(&(start + length)) {
+            length += size;
+        }
+        self.free.insert(start, length);
+    }
+
+    /// Counts `growth` more elements as belonging here; release them to make them free.
+    pub fn grow(&mut self, growth: u32) {
+        self.capacity += growth;
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.capacity == 0 || self.free.get(&0) == Some(&self.capacity)
+    }
+
+    /// The longest free run.
+    pub fn largest(&self) -> u32 {
+        self.free.values().copied().max().unwrap_or(0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn ranges_never_overlap_and_all_come_back(steps in prop::collection::vec((1u32..40, any::<bool>()), 1..200)) {
+            let mut ranges = Ranges::new(256);
+            let mut held: Vec<(u32, u32)> = Vec::new();
+            for (length, release) in steps {
+                if release && !held.is_empty() {
+                    let (start, size) = held.swap_remove(length as usize % held.len());
+                    ranges.release(start, size);
+                } else if let Some(start) = ranges.allocate(length) {
+                    prop_assert!(start + length <= 256);
+                    for &(other, size) in &held {
+                        prop_assert!(start + length <= other || other + size <= start);
+                    }
+                    held.push((start, length));
+                }
+            }
+            for (start, size) in held {
+                ranges.release(start, size);
+            }
+            prop_assert!(ranges.is_empty());
+            prop_assert_eq!(ranges.largest(), 256);
+        }
+    }
+}

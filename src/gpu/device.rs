@@ -1,0 +1,147 @@
+//! Finding and opening an adapter.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// How the adapter is chosen.
+#[derive(Clone, Debug, Default)]
+pub struct GpuOptions {
+    /// Use the two-pass 32-bit visibility buffer even where 64-bit atomics exist.
+    pub force_32_bit: bool,
+    /// A part of the adapter's name, in any case; also read from `POINTILLIST_ADAPTER`.
+    pub adapter: Option<String>,
+}
+
+#[derive(Debug, Clone, thiserror::Error)]
+pub enum GpuError {
+    #[error(
+        "no Vulkan adapter was found{wanted}; on Debian or Ubuntu `apt-get install libvulkan1 mesa-vulkan-drivers` \
+         brings one that runs on the CPU"
+    )]
+    NoAdapter { wanted: String },
+    #[error("adapter {adapter} cannot be used: {reason}")]
+    Unfit { adapter: String, reason: String },
+}
+
+/// One adapter, opened.
+pub struct Gpu {
+    pub device: wgpu::Device,
+    pub queue: wgpu::Queue,
+    /// Name and driver, as receipts give it.
+    pub name: String,
+    /// 64-bit `atomicMax` on storage buffers may be used.
+    pub atomics_64: bool,
+    /// Nanoseconds per timestamp tick, `None` where the adapter has no timestamps.
+    pub timestamp_period_ns: Option<f32>,
+    pub limits: wgpu::Limits,
+    /// A software adapter, whose "GPU memory" is the host's.
+    pub is_cpu: bool,
+    lost: Arc<AtomicBool>,
+}
+
+impl Gpu {
+    /// Opens the most capable adapter: a discrete GPU before an integrated one before a software one.
+    ///
+    /// # Errors
+    /// No adapter, none of the wanted name, or one that lacks storage bindings enough for the passes.
+    pub fn open(options: &GpuOptions) -> Result<Gpu, GpuError> {
+        let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+        descriptor.backends = wgpu::Backends::PRIMARY;
+        // Indirect arguments are written by our own scan pass: their validation would cost a pass for each.
+        descriptor.flags = wgpu::InstanceFlags::empty();
+        let instance = wgpu::Instance::new(descriptor);
+        let wanted = options
+            .adapter
+            .clone()
+            .or_else(|| std::env::var("POINTILLIST_ADAPTER").ok())
+            .map(|name| name.to_lowercase());
+        let mut adapters: Vec<_> =
+            pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY))
+                .into_iter()
+                .filter(|adapter| {
+                    wanted.as_ref().is_none_or(|part| {
+                        describe(&adapter.get_info()).to_lowercase().contains(part)
+                    })
+                })
+                .collect();
+        adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
+            wgpu::DeviceType::DiscreteGpu => 0,
+            wgpu::DeviceType::IntegratedGpu => 1,
+            wgpu::DeviceType::VirtualGpu => 2,
+            wgpu::DeviceType::Other => 3,
+            wgpu::DeviceType::Cpu => 4,
+        });
+        let Some(adapter) = adapters.into_iter().next() else {
+            let wanted =
+                wanted.map(|part| format!(" with `{part}` in its name")).unwrap_or_default();
+            return Err(GpuError::NoAdapter { wanted });
+        };
+        Self::open_adapter(&adapter, options)
+    }
+
+    fn open_adapter(adapter: &wgpu::Adapter, options: &GpuOptions) -> Result<Gpu, GpuError> {
+        let info = adapter.get_info();
+        let name = describe(&info);
+        let unfit = |reason: String| GpuError::Unfit { adapter: name.clone(), reason };
+        let offered = adapter.features();
+        let limits = adapter.limits();
+        if limits.max_storage_buffers_per_shader_stage < 16 {
+            return Err(unfit(format!(
+                "{} storage buffers a shader stage, 16 are needed",
+                limits.max_storage_buffers_per_shader_stage
+            )));
+        }
+        let wide = wgpu::Features::SHADER_INT64 | wgpu::Features::SHADER_INT64_ATOMIC_MIN_MAX;
+        let atomics_64 = offered.contains(wide) && !options.force_32_bit;
+        let mut features = offered & wgpu::Features::TIMESTAMP_QUERY;
+        if atomics_64 {
+            features |= wide;
+        }
+        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("pointillist"),
+            required_features: features,
+            required_limits: limits.clone(),
+            memory_hints: wgpu::MemoryHints::Performance,
+            ..Default::default()
+        }))
+        .map_err(|error| unfit(error.to_string()))?;
+        let lost = Arc::new(AtomicBool::new(false));
+        let flag = lost.clone();
+        device.set_device_lost_callback(move |reason, message| {
+            if !matches!(reason, wgpu::DeviceLostReason::Destroyed) {
+                tracing::error!(?reason, message, "the GPU was lost");
+            }
+            flag.store(true, Ordering::SeqCst);
+        });
+        let timestamp_period_ns = features
+            .contains(wgpu::Features::TIMESTAMP_QUERY)
+            .then(|| queue.get_timestamp_period());
+        Ok(Gpu {
+            device,
+            queue,
+            name,
+            atomics_64,
+            timestamp_period_ns,
+            limits,
+            is_cpu: info.device_type == wgpu::DeviceType::Cpu,
+            lost,
+        })
+    }
+
+    pub fn is_lost(&self) -> bool {
+        self.lost.load(Ordering::SeqCst)
+    }
+
+    /// The largest buffer that a shader can bind whole, in bytes.
+    pub fn max_binding_bytes(&self) -> u64 {
+        self.limits.max_storage_buffer_binding_size.min(self.limits.max_buffer_size)
+    }
+}
+
+fn describe(info: &wgpu::AdapterInfo) -> String {
+    if info.driver_info.is_empty() {
+        info.name.clone()
+    } else {
+        format!("{} [{}]", info.name, info.driver_info)
+    }
+}

@@ -1,0 +1,172 @@
+//! Pipelines whose bind group layouts come from the shader itself, so that nothing has to be kept in step by hand.
+//!
+//! Uniform buffers of group 0 and group 2 are bound with a dynamic offset: one buffer holds the uniforms of a whole
+//! batch.
+
+use naga::{AddressSpace, StorageAccess};
+
+use super::Gpu;
+use super::shader::{self, Composed, ShaderError};
+
+/// Groups by rate of change: 0 frame, 1 scene, 2 pass.
+pub const GROUPS: usize = 3;
+
+/// A compute pipeline and its reflected layouts.
+pub struct ComputePipeline {
+    pub name: &'static str,
+    pub pipeline: wgpu::ComputePipeline,
+    pub layouts: [wgpu::BindGroupLayout; GROUPS],
+    /// What each group binds, by ascending number.
+    pub bindings: [Vec<BindingSlot>; GROUPS],
+}
+
+/// A binding as the shader declares it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BindingSlot {
+    pub number: u32,
+    /// The variable's name, by which its buffer is found.
+    pub name: String,
+    /// Bound with a dynamic offset.
+    pub dynamic: bool,
+}
+
+/// A render pipeline without a colour target that matters: its fragments write storage.
+pub struct RasterPipeline {
+    pub name: &'static str,
+    pub pipeline: wgpu::RenderPipeline,
+    pub layouts: [wgpu::BindGroupLayout; GROUPS],
+    pub bindings: [Vec<BindingSlot>; GROUPS],
+}
+
+struct Reflected {
+    module: wgpu::ShaderModule,
+    layouts: [wgpu::BindGroupLayout; GROUPS],
+    bindings: [Vec<BindingSlot>; GROUPS],
+    layout: wgpu::PipelineLayout,
+}
+
+fn reflect(
+    gpu: &Gpu,
+    name: &'static str,
+    composed: &Composed,
+    visibility: wgpu::ShaderStages,
+) -> Result<Reflected, ShaderError> {
+    let parsed = shader::parse(name, composed)?;
+    let mut entries: [Vec<wgpu::BindGroupLayoutEntry>; GROUPS] = Default::default();
+    let mut bindings: [Vec<BindingSlot>; GROUPS] = Default::default();
+    for (_, variable) in parsed.global_variables.iter() {
+        let Some(binding) = &variable.binding else { continue };
+        let group = binding.group as usize;
+        let ty = match variable.space {
+            AddressSpace::Uniform => wgpu::BufferBindingType::Uniform,
+            AddressSpace::Storage { access } => wgpu::BufferBindingType::Storage {
+                read_only: !access.contains(StorageAccess::STORE),
+            },
+            _ => continue,
+        };
+        let Some(list) = entries.get_mut(group) else {
+            return Err(ShaderError::Invalid {
+                name: name.to_owned(),
+                message: format!("bind group {group} is over {}", GROUPS - 1),
+            });
+        };
+        let dynamic = ty == wgpu::BufferBindingType::Uniform && group != 1;
+        // Vertex stages may not write storage; nor do ours.
+        let written = ty == wgpu::BufferBindingType::Storage { read_only: false };
+        list.push(wgpu::BindGroupLayoutEntry {
+            binding: binding.binding,
+            visibility: if written { visibility - wgpu::ShaderStages::VERTEX } else { visibility },
+            ty: wgpu::BindingType::Buffer {
+                ty,
+                has_dynamic_offset: dynamic,
+                min_binding_size: None,
+            },
+            count: None,
+        });
+        bindings[group].push(BindingSlot {
+            number: binding.binding,
+            name: variable.name.clone().unwrap_or_default(),
+            dynamic,
+        });
+    }
+    for list in &mut entries {
+        list.sort_by_key(|entry| entry.binding);
+    }
+    for list in &mut bindings {
+        list.sort_by_key(|slot| slot.number);
+    }
+    let layouts: [wgpu::BindGroupLayout; GROUPS] = std::array::from_fn(|group| {
+        gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some(name),
+            entries: &entries[group],
+        })
+    });
+    let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some(name),
+        bind_group_layouts: &[Some(&layouts[0]), Some(&layouts[1]), Some(&layouts[2])],
+        immediate_size: 0,
+    });
+    let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some(name),
+        source: wgpu::ShaderSource::Wgsl(composed.source.as_str().into()),
+    });
+    Ok(Reflected { module, layouts, bindings, layout })
+}
+
+impl ComputePipeline {
+    /// Builds the pipeline of the entry point `name`.
+    ///
+    /// # Errors
+    /// WGSL that does not parse or a group number over 2.
+    pub fn new(gpu: &Gpu, name: &'static str, composed: &Composed) -> Result<Self, ShaderError> {
+        let reflected = reflect(gpu, name, composed, wgpu::ShaderStages::COMPUTE)?;
+        let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(name),
+            layout: Some(&reflected.layout),
+            module: &reflected.module,
+            entry_point: Some(name),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                zero_initialize_workgroup_memory: false,
+                ..Default::default()
+            },
+            cache: None,
+        });
+        Ok(Self { name, pipeline, layouts: reflected.layouts, bindings: reflected.bindings })
+    }
+}
+
+impl RasterPipeline {
+    /// Builds a pipeline of the entry points `vertex` and `fragment` over triangles, nothing culled.
+    ///
+    /// # Errors
+    /// As [`ComputePipeline::new`].
+    pub fn new(gpu: &Gpu, name: &'static str, composed: &Composed) -> Result<Self, ShaderError> {
+        let reflected = reflect(gpu, name, composed, wgpu::ShaderStages::VERTEX_FRAGMENT)?;
+        let pipeline = gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            label: Some(name),
+            layout: Some(&reflected.layout),
+            vertex: wgpu::VertexState {
+                module: &reflected.module,
+                entry_point: Some("vertex"),
+                compilation_options: Default::default(),
+                buffers: &[],
+            },
+            primitive: wgpu::PrimitiveState::default(),
+            depth_stencil: None,
+            multisample: wgpu::MultisampleState::default(),
+            fragment: Some(wgpu::FragmentState {
+                module: &reflected.module,
+                entry_point: Some("fragment"),
+                compilation_options: Default::default(),
+                targets: &[Some(wgpu::ColorTargetState {
+                    format: wgpu::TextureFormat::R8Unorm,
+                    blend: None,
+                    write_mask: wgpu::ColorWrites::empty(),
+                })],
+            }),
+            multiview_mask: None,
+            cache: None,
+        });
+        Ok(Self { name, pipeline, layouts: reflected.layouts, bindings: reflected.bindings })
+    }
+}

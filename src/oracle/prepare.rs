@@ -1,0 +1,114 @@
+//! What is worked out once a frame: transforms relative to the eye, and texture pyramids.
+
+use std::collections::HashMap;
+
+use glam::{DMat3, DVec3};
+
+use crate::assets::{Filter, Geometry, Material, Mesh, Texture};
+use crate::math::View;
+
+use super::texture::{self, Pyramid};
+use super::visibility::Hit;
+use super::{OracleItem, OracleScene};
+
+pub struct Prepared<'a> {
+    pub scene: &'a OracleScene<'a>,
+    pub items: Vec<PreparedItem<'a>>,
+    /// By the texture's address, as items share an asset's textures.
+    pyramids: HashMap<usize, Pyramid>,
+}
+
+/// An item with its transform taken apart.
+pub struct PreparedItem<'a> {
+    pub item: OracleItem<'a>,
+    linear: DMat3,
+    /// The geometry's origin less the eye, in world axes: subtracted before anything is added to it, so that scenes
+    /// far from the world's origin lose nothing.
+    origin_from_eye: DVec3,
+    view_from_world: DMat3,
+    /// The transform turns left into right.
+    pub mirrored: bool,
+    /// Turns normals, up to a positive factor; defined for singular transforms too.
+    pub normal_world_from_geometry: DMat3,
+    /// For a mesh, the number of its first triangle after each part.
+    part_ends: Vec<usize>,
+}
+
+impl<'a> Prepared<'a> {
+    pub fn new(scene: &'a OracleScene<'a>, view: &View) -> Self {
+        let mut pyramids = HashMap::new();
+        for texture in scene.items.iter().flat_map(|item| item.textures) {
+            if texture.filter == Filter::Linear && texture::is_sound(texture) {
+                pyramids.entry(address(texture)).or_insert_with(|| Pyramid::of(texture));
+            }
+        }
+        let items = scene.items.iter().map(|item| PreparedItem::new(item, view)).collect();
+        Self { scene, items, pyramids }
+    }
+
+    pub fn pyramid(&self, texture: &Texture) -> Option<&Pyramid> {
+        self.pyramids.get(&address(texture))
+    }
+
+    pub fn instance(&self, hit: &Hit) -> u32 {
+        self.items[hit.item as usize].item.instance
+    }
+}
+
+fn address(texture: &Texture) -> usize {
+    std::ptr::from_ref(texture).addr()
+}
+
+impl<'a> PreparedItem<'a> {
+    fn new(item: &OracleItem<'a>, view: &View) -> Self {
+        let linear = item.world_from_geometry.matrix3;
+        let mirrored = linear.determinant() < 0.0;
+        // The cofactors are the inverse transpose times the determinant.
+        let (x, y, z) = (linear.x_axis, linear.y_axis, linear.z_axis);
+        let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
+        let part_ends = match item.geometry {
+            Geometry::Points(_) => vec![],
+            Geometry::Mesh(mesh) => {
+                let ends = mesh.parts.iter().scan(0usize, |end, part| {
+                    *end += part.triangles as usize;
+                    Some(*end)
+                });
+                ends.collect()
+            }
+        };
+        Self {
+            item: *item,
+            linear,
+            origin_from_eye: item.world_from_geometry.translation - view.eye,
+            view_from_world: view.view_from_world,
+            mirrored,
+            normal_world_from_geometry: if mirrored { -cofactors } else { cofactors },
+            part_ends,
+        }
+    }
+
+    /// A point of the geometry in view space.
+    pub fn to_view(&self, geometry: DVec3) -> DVec3 {
+        self.view_from_world * (self.linear * geometry + self.origin_from_eye)
+    }
+
+    /// A mesh's triangle in view space; `None` where an index leads nowhere or a coordinate is not finite.
+    pub fn triangle_view(&self, mesh: &Mesh, triangle: u32) -> Option<[DVec3; 3]> {
+        let [a, b, c] = *mesh.triangles.get(triangle as usize)?;
+        let vertex = |i: u32| Some(self.to_view(*mesh.positions.get(i as usize)?));
+        let corners = [vertex(a)?, vertex(b)?, vertex(c)?];
+        corners.iter().all(|corner| corner.is_finite()).then_some(corners)
+    }
+
+    /// The asset's own material of a triangle, before any override.
+    pub fn material(&self, mesh: &Mesh, triangle: u32) -> Option<&'a Material> {
+        let part = self.part_ends.partition_point(|&end| end <= triangle as usize);
+        self.item.materials.get(mesh.parts.get(part)?.material? as usize)
+    }
+
+    /// Whether a triangle is drawn when seen from behind.
+    pub fn double_sided(&self, mesh: &Mesh, triangle: u32) -> bool {
+        let own = || self.material(mesh, triangle).is_none_or(|material| material.double_sided);
+        self.item.override_material.and_then(|material| material.double_sided).unwrap_or_else(own)
+    }
+}

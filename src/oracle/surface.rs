@@ -1,0 +1,175 @@
+//! What a ray meets: colour, normal and material where a hit is.
+
+use glam::{DVec2, DVec3};
+
+use crate::assets::{Geometry, Material, Mesh, PointCloud};
+use crate::math::View;
+
+use super::color::linear_from_srgba8;
+use super::prepare::{Prepared, PreparedItem};
+use super::texture;
+use super::visibility::{Hit, SeenTriangle, pixel_ray};
+
+/// sRGB grey of samples without colour.
+const SAMPLE_GREY: u8 = 204;
+
+/// What shading needs to know.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Surface {
+    /// Linear RGB.
+    pub albedo: [f64; 3],
+    pub alpha: f64,
+    /// Relative to the eye, in world axes.
+    pub position_from_eye: DVec3,
+    /// Unit length, turned towards the eye; zero where none is known.
+    pub normal_world: DVec3,
+    pub specular: [f64; 3],
+    pub shininess: f64,
+    pub unlit: bool,
+}
+
+/// The surface that pixel `(x, y)` of `view` shows.
+pub fn at(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -> Surface {
+    let item = &prepared.items[hit.item as usize];
+    let mut surface = match item.item.geometry {
+        Geometry::Points(cloud) => sample(view, item, cloud, hit.index),
+        Geometry::Mesh(mesh) => triangle(prepared, view, item, mesh, (hit, x, y)),
+    };
+    if surface.normal_world.dot(surface.position_from_eye) > 0.0 {
+        surface.normal_world = -surface.normal_world;
+    }
+    surface
+}
+
+/// Whether the material's alpha says that nothing is here.
+pub fn is_cut_out(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -> bool {
+    let item = &prepared.items[hit.item as usize];
+    let Geometry::Mesh(mesh) = item.item.geometry else { return false };
+    match item.material(mesh, hit.index).and_then(|material| material.alpha_cutoff) {
+        Some(cutoff) => at(prepared, view, hit, x, y).alpha < f64::from(cutoff),
+        None => false,
+    }
+}
+
+fn sample(view: &View, item: &PreparedItem<'_>, cloud: &PointCloud, index: u32) -> Surface {
+    let index = index as usize;
+    let grey = [SAMPLE_GREY, SAMPLE_GREY, SAMPLE_GREY, 255];
+    let color = cloud.colors.as_ref().and_then(|colors| colors.get(index)).unwrap_or(&grey);
+    let normal = cloud.normals.as_ref().and_then(|normals| normals.get(index));
+    let material = overridden(item, &Material::default());
+    let position_view = cloud.positions.get(index).map_or(DVec3::ZERO, |&p| item.to_view(p));
+    surface(
+        times(linear_from_srgba8(*color), material.base_color.map(f64::from)),
+        view.view_from_world.transpose() * position_view,
+        normal.map_or(DVec3::ZERO, |n| item.normal_world_from_geometry * n.as_dvec3()),
+        &material,
+    )
+}
+
+fn triangle(
+    prepared: &Prepared<'_>,
+    view: &View,
+    item: &PreparedItem<'_>,
+    mesh: &Mesh,
+    (hit, x, y): (&Hit, usize, usize),
+) -> Surface {
+    let own = item.material(mesh, hit.index).cloned().unwrap_or_default();
+    let material = overridden(item, &own);
+    let ray = pixel_ray(view, x, y);
+    let world_from_view = view.view_from_world.transpose();
+    let position_from_eye = world_from_view * (ray * hit.depth);
+    let seen = item.triangle_view(mesh, hit.index).and_then(SeenTriangle::new);
+    let (Some(seen), Some(&corners)) = (seen, mesh.triangles.get(hit.index as usize)) else {
+        // No hit comes from such a triangle.
+        return surface([0.0; 4], position_from_eye, DVec3::ZERO, &material);
+    };
+    let weights = seen.weights(ray);
+    let mut color = vertex_color(mesh, corners, weights);
+    color = times(color, material.base_color.map(f64::from));
+    let texture = own.base_texture.and_then(|index| item.item.textures.get(index as usize));
+    if let (Some(texture), Some(uvs)) = (texture, corner_values(&mesh.uvs, corners)) {
+        let footprint = uv_footprint(&seen, view, ray, uvs.map(|uv| uv.as_dvec2()));
+        color = times(color, texture::sample(texture, prepared.pyramid(texture), &footprint));
+    }
+    let normal = match corner_values(&mesh.normals, corners) {
+        Some(normals) => {
+            let sum: DVec3 = (0..3).map(|i| normals[i].as_dvec3() * weights[i]).sum();
+            item.normal_world_from_geometry * sum
+        }
+        None => {
+            let [a, b, c] = seen.corners;
+            world_from_view * (b - a).cross(c - a)
+        }
+    };
+    surface(color, position_from_eye, normal, &material)
+}
+
+/// The material with the node's own laid over it.
+fn overridden(item: &PreparedItem<'_>, own: &Material) -> Material {
+    let mut material = own.clone();
+    if let Some(over) = item.item.override_material {
+        material.base_color = over.base_color.unwrap_or(material.base_color);
+        material.specular = over.specular.unwrap_or(material.specular);
+        material.shininess = over.shininess.unwrap_or(material.shininess);
+        material.unlit = over.unlit.unwrap_or(material.unlit);
+    }
+    material
+}
+
+fn surface(
+    [r, g, b, alpha]: [f64; 4],
+    position_from_eye: DVec3,
+    normal: DVec3,
+    material: &Material,
+) -> Surface {
+    Surface {
+        albedo: [r, g, b],
+        alpha,
+        position_from_eye,
+        normal_world: normal.try_normalize().unwrap_or(DVec3::ZERO),
+        specular: material.specular.map(f64::from),
+        shininess: f64::from(material.shininess),
+        unlit: material.unlit,
+    }
+}
+
+/// Decoded, then interpolated; white without colours.
+fn vertex_color(mesh: &Mesh, corners: [u32; 3], weights: [f64; 3]) -> [f64; 4] {
+    let Some(colors) = corner_values(&mesh.colors, corners) else { return [1.0; 4] };
+    let colors = colors.map(linear_from_srgba8);
+    std::array::from_fn(|channel| (0..3).map(|i| colors[i][channel] * weights[i]).sum())
+}
+
+fn corner_values<T: Copy>(values: &Option<Vec<T>>, corners: [u32; 3]) -> Option<[T; 3]> {
+    let values = values.as_ref()?;
+    let [a, b, c] = corners.map(|corner| values.get(corner as usize).copied());
+    Some([a?, b?, c?])
+}
+
+fn times(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
+    std::array::from_fn(|channel| a[channel] * b[channel])
+}
+
+/// Texture coordinates and their derivatives along the image's axes, a pixel each, exact.
+///
+/// With weights `wᵢ = eᵢ / Σe`, where `eᵢ = ray · planeᵢ` is linear in the pixel's position: `dwᵢ = (deᵢ − wᵢ Σde) / Σe`.
+fn uv_footprint(
+    seen: &SeenTriangle,
+    view: &View,
+    ray: DVec3,
+    uvs: [DVec2; 3],
+) -> texture::Footprint {
+    let planes = seen.weight_planes();
+    let weights = seen.weights(ray);
+    let sum: f64 = planes.iter().map(|plane| ray.dot(*plane)).sum();
+    let derivative = |ray_step: DVec3| -> DVec2 {
+        let steps = planes.map(|plane| plane.dot(ray_step));
+        let total: f64 = steps.iter().sum();
+        (0..3).map(|i| uvs[i] * ((steps[i] - weights[i] * total) / sum)).sum()
+    };
+    texture::Footprint {
+        uv: (0..3).map(|i| uvs[i] * weights[i]).sum(),
+        along_x: derivative(DVec3::new(1.0 / view.focal_px.x, 0.0, 0.0)),
+        along_y: derivative(DVec3::new(0.0, -1.0 / view.focal_px.y, 0.0)),
+    }
+}

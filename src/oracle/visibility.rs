@@ -1,0 +1,213 @@
+//! Which sample or triangle each pixel shows.
+
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+use crate::assets::{Geometry, Mesh, PointCloud};
+use crate::math::View;
+
+use super::predicates::{edge_sign, volume_sign};
+use super::prepare::{Prepared, PreparedItem};
+use super::surface;
+
+/// What covers a pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    /// Distance along the viewing axis, positive.
+    pub depth: f64,
+    /// Number of the item in the scene.
+    pub item: u32,
+    /// Number of the sample or triangle in its geometry.
+    pub index: u32,
+}
+
+/// A triangle in view space, seen from the eye at the origin.
+#[derive(Clone, Copy, Debug)]
+pub struct SeenTriangle {
+    pub corners: [DVec3; 3],
+    /// The sign of the corners' volume: −1 when they run counter-clockwise for the viewer, 1 clockwise.
+    facing: i8,
+}
+
+impl SeenTriangle {
+    /// `None` for triangles seen edge-on, which cover nothing.
+    pub fn new(corners: [DVec3; 3]) -> Option<Self> {
+        let facing = volume_sign(corners[0], corners[1], corners[2]);
+        (facing != 0).then_some(Self { corners, facing })
+    }
+
+    /// Whether `ray` meets the triangle in front of the eye. Of triangles that share an edge, one has its points.
+    pub fn covers(&self, ray: DVec3) -> bool {
+        let [a, b, c] = self.corners;
+        // A positive combination of the corners along the ray has these three volumes of the sign of the triangle's own; a
+        // combination along the opposite ray has them of the other sign.
+        edge_sign(ray, a, b) == self.facing
+            && edge_sign(ray, b, c) == self.facing
+            && edge_sign(ray, c, a) == self.facing
+    }
+
+    /// The planes through the eye and each corner's opposite edge: `ray · plane` is the corner's weight, unnormalised.
+    pub fn weight_planes(&self) -> [DVec3; 3] {
+        let [a, b, c] = self.corners;
+        let sign = f64::from(self.facing);
+        // b × c = b × (c − b), with less cancellation for a small triangle far away.
+        [b.cross(c - b) * sign, c.cross(a - c) * sign, a.cross(b - a) * sign]
+    }
+
+    /// The barycentric weights where a covering `ray` meets the plane: perspective-correct, never negative, sum 1.
+    pub fn weights(&self, ray: DVec3) -> [f64; 3] {
+        let weights = self.weight_planes().map(|plane| ray.dot(plane).max(0.0));
+        let sum: f64 = weights.iter().sum();
+        if sum > 0.0 { weights.map(|weight| weight / sum) } else { [1.0 / 3.0; 3] }
+    }
+
+    /// Depth where a covering `ray` meets the triangle.
+    pub fn depth(&self, ray: DVec3) -> f64 {
+        let weights = self.weights(ray);
+        (0..3).map(|i| weights[i] * -self.corners[i].z).sum()
+    }
+
+    /// Pixels `[x0, x1) × [y0, y1)` that hold every covered one; `None` when it lies behind the eye.
+    fn pixel_box(&self, view: &View) -> Option<[usize; 4]> {
+        let (width, height) = (f64::from(view.width), f64::from(view.height));
+        if self.corners.iter().all(|corner| corner.z >= 0.0) {
+            return None;
+        }
+        let projected = self.corners.map(|corner| view.project(corner));
+        let [Some(a), Some(b), Some(c)] = projected else {
+            return Some([0, view.width as usize, 0, view.height as usize]);
+        };
+        // One pixel more on every side than the rounded projection asks for. NaN (from an overflow) clamps to the frame.
+        let low = a.min(b).min(c) - 1.0;
+        let high = a.max(b).max(c) + 1.0;
+        let range = |low: f64, high: f64, size: f64| {
+            let low = if low > 0.0 { low.min(size) } else { 0.0 };
+            let high = if high < size { high.max(0.0) } else { size };
+            (low.floor() as usize, high.ceil() as usize)
+        };
+        let ((x0, x1), (y0, y1)) = (range(low.x, high.x, width), range(low.y, high.y, height));
+        Some([x0, x1, y0, y1])
+    }
+}
+
+/// The ray through a pixel's centre in view space, with z = −1.
+pub fn pixel_ray(view: &View, x: usize, y: usize) -> DVec3 {
+    view.ray(DVec2::new(x as f64 + 0.5, y as f64 + 0.5))
+}
+
+/// The hit of every pixel of a frame, or of its `fineness` × `fineness` sub-pixels: samples cover
+/// whole pixels, triangles the fine ones.
+pub fn resolve(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Option<Hit>> {
+    let (width, height) = (view.width as usize, view.height as usize);
+    let mut coarse = vec![None; width * height];
+    for (number, item) in prepared.items.iter().enumerate() {
+        if let Geometry::Points(cloud) = item.item.geometry {
+            add_samples(prepared, view, &mut coarse, (number as u32, item, cloud));
+        }
+    }
+    let n = fineness as usize;
+    let sub_pixels = (0..width * n * height * n).into_par_iter();
+    let mut fine: Vec<Option<Hit>> =
+        sub_pixels.map(|i| coarse[i / (width * n) / n * width + i % (width * n) / n]).collect();
+    let fine_view = finer(view, fineness);
+    for (number, item) in prepared.items.iter().enumerate() {
+        if let Geometry::Mesh(mesh) = item.item.geometry {
+            add_triangles(prepared, &fine_view, &mut fine, (number as u32, item, mesh));
+        }
+    }
+    fine
+}
+
+/// The same view with `n` times the pixels each way.
+pub fn finer(view: &View, n: u32) -> View {
+    View {
+        focal_px: view.focal_px * f64::from(n),
+        principal_px: view.principal_px * f64::from(n),
+        width: view.width * n,
+        height: view.height * n,
+        ..*view
+    }
+}
+
+/// Keeps the nearer of two hits.
+fn keep_nearer(prepared: &Prepared<'_>, kept: &mut Option<Hit>, hit: Hit) {
+    let order = |hit: &Hit| (prepared.instance(hit), hit.index, hit.item);
+    let nearer = match kept {
+        None => true,
+        Some(old) if hit.depth == old.depth => order(&hit) < order(old),
+        Some(old) => hit.depth < old.depth,
+    };
+    if nearer {
+        *kept = Some(hit);
+    }
+}
+
+/// Rows a task works on.
+fn band_rows(height: usize) -> usize {
+    height.div_ceil(4 * rayon::current_num_threads()).max(1)
+}
+
+fn add_samples(
+    prepared: &Prepared<'_>,
+    view: &View,
+    frame: &mut [Option<Hit>],
+    (number, item, cloud): (u32, &PreparedItem<'_>, &PointCloud),
+) {
+    let (width, height) = (view.width as usize, view.height as usize);
+    let project = |(index, &position): (usize, _)| {
+        let position_view = item.to_view(position);
+        let pixel = view.project(position_view)?.floor();
+        let inside =
+            (0.0..width as f64).contains(&pixel.x) && (0.0..height as f64).contains(&pixel.y);
+        let hit = Hit { depth: -position_view.z, item: number, index: index as u32 };
+        (inside && hit.depth.is_finite()).then(|| (pixel.x as usize, pixel.y as usize, hit))
+    };
+    let projected: Vec<(usize, usize, Hit)> =
+        cloud.positions.par_iter().enumerate().filter_map(project).collect();
+    let rows = band_rows(height);
+    frame.par_chunks_mut((width * rows).max(1)).enumerate().for_each(|(band, pixels)| {
+        let y0 = band * rows;
+        for &(x, y, hit) in &projected {
+            if let Some(row) = y.checked_sub(y0)
+                && let Some(pixel) = pixels.get_mut(row * width + x)
+            {
+                keep_nearer(prepared, pixel, hit);
+            }
+        }
+    });
+}
+
+fn add_triangles(
+    prepared: &Prepared<'_>,
+    view: &View,
+    frame: &mut [Option<Hit>],
+    (number, item, mesh): (u32, &PreparedItem<'_>, &Mesh),
+) {
+    let seen = |index: u32| {
+        let triangle = SeenTriangle::new(item.triangle_view(mesh, index)?)?;
+        let counter_clockwise = (triangle.facing < 0) != item.mirrored;
+        let drawn = counter_clockwise || item.double_sided(mesh, index);
+        drawn.then_some((index, triangle, triangle.pixel_box(view)?))
+    };
+    let triangles: Vec<(u32, SeenTriangle, [usize; 4])> =
+        (0..mesh.triangles.len() as u32).into_par_iter().filter_map(seen).collect();
+    let width = view.width as usize;
+    let rows = band_rows(view.height as usize);
+    frame.par_chunks_mut((width * rows).max(1)).enumerate().for_each(|(band, pixels)| {
+        let (y_begin, y_end) = (band * rows, band * rows + pixels.len() / width);
+        for (index, triangle, [x0, x1, y0, y1]) in &triangles {
+            for y in (*y0).max(y_begin)..(*y1).min(y_end) {
+                for x in *x0..*x1 {
+                    let ray = pixel_ray(view, x, y);
+                    if !triangle.covers(ray) {
+                        continue;
+                    }
+                    let hit = Hit { depth: triangle.depth(ray), item: number, index: *index };
+                    if !surface::is_cut_out(prepared, view, &hit, x, y) {
+                        keep_nearer(prepared, &mut pixels[(y - y_begin) * width + x], hit);
+                    }
+                }
+            }
+        }
+    });
+}

@@ -1,0 +1,64 @@
+//! What one frame is, and its uniform record.
+
+use std::sync::Arc;
+
+use crate::math::View;
+use crate::plan::{FramePlan, Output};
+use crate::residency::ResidentScene;
+use crate::residency::layout::{GpuFrame, two_floats};
+use crate::residency::model::SceneModel;
+
+/// One frame to record: the model (resident already), where it is seen from, what is wanted.
+#[derive(Clone)]
+pub struct FrameTask {
+    pub model: Arc<SceneModel>,
+    pub view: View,
+    pub output: Output,
+    pub plan: FramePlan,
+    /// Boxes of triangles with a longer side than this go to the rasteriser.
+    pub small_triangle_px: u32,
+}
+
+/// Linear RGB and straight alpha → sRGB8 word.
+fn srgb8(color: [f32; 4]) -> u32 {
+    let encode = |c: f32| {
+        let c = c.clamp(0.0, 1.0);
+        let s = if c <= 0.003_130_8 { 12.92 * c } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 };
+        (s * 255.0).round() as u8
+    };
+    u32::from_le_bytes([
+        encode(color[0]),
+        encode(color[1]),
+        encode(color[2]),
+        (color[3].clamp(0.0, 1.0) * 255.0).round() as u8,
+    ])
+}
+
+/// The uniform record of a frame.
+pub fn frame_record(task: &FrameTask, scene: &ResidentScene) -> GpuFrame {
+    let view = &task.view;
+    let axes = view.view_from_world.transpose();
+    let row = |v: glam::DVec3| [v.x as f32, v.y as f32, v.z as f32, 0.0];
+    let eye = view.eye.to_array().map(two_floats);
+    GpuFrame {
+        right: row(axes.x_axis),
+        down: row(-axes.y_axis),
+        forward: row(-axes.z_axis),
+        eye_hi: [eye[0].0, eye[1].0, eye[2].0, 0.0],
+        eye_lo: [eye[0].1, eye[1].1, eye[2].1, 0.0],
+        focal_px: view.focal_px.as_vec2().to_array(),
+        principal_px: view.principal_px.as_vec2().to_array(),
+        size_px: [view.width, view.height],
+        entry_count: scene.entry_count,
+        instance_count: scene.instance_count,
+        background: srgb8(task.model.background),
+        output: match task.output {
+            Output::Color => 0,
+            Output::Depth => 1,
+            Output::Normal => 2,
+            Output::Id => 3,
+        },
+        light_count: scene.light_count,
+        small_triangle_px: task.small_triangle_px.min(64) as i32,
+    }
+}

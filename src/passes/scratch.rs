@@ -1,0 +1,113 @@
+//! Buffers that every frame uses and none keeps.
+
+use crate::gpu::Gpu;
+use crate::gpu::buffer;
+use crate::residency::layout::{GpuDispatch, GpuPlaced, GpuSlot, GpuStats};
+use crate::residency::{GROUP, ResidentScene};
+
+/// Scratch of the device: frames of a batch run one behind the other and share it.
+pub struct Scratch {
+    pub visibility: buffer::Scratch,
+    pub pixels: buffer::Scratch,
+    pub normals: buffer::Scratch,
+    pub stats: buffer::Scratch,
+    pub placed: buffer::Scratch,
+    pub seen: buffer::Scratch,
+    pub ranks: buffer::Scratch,
+    pub group_counts: buffer::Scratch,
+    pub slots: buffer::Scratch,
+    pub dispatches: buffer::Scratch,
+    pub large: buffer::Scratch,
+    pub uniforms: buffer::Scratch,
+    attachment: Option<(u32, u32, wgpu::TextureView)>,
+    /// Ids that the list of large triangles holds.
+    large_capacity: u32,
+}
+
+/// Large triangles that there is room for at first; a frame with more is drawn again with room enough.
+const LARGE_INITIAL: u32 = 1 << 18;
+
+impl Scratch {
+    pub fn new(gpu: &Gpu) -> Self {
+        let storage = wgpu::BufferUsages::STORAGE
+            | wgpu::BufferUsages::COPY_SRC
+            | wgpu::BufferUsages::COPY_DST;
+        let make = |label| buffer::Scratch::new(gpu, label, storage);
+        let indirect =
+            |label| buffer::Scratch::new(gpu, label, storage | wgpu::BufferUsages::INDIRECT);
+        Self {
+            visibility: make("visibility"),
+            pixels: make("pixels"),
+            normals: make("normals"),
+            stats: make("stats"),
+            placed: make("placed"),
+            seen: make("seen"),
+            ranks: make("ranks"),
+            group_counts: make("group_counts"),
+            slots: make("slots"),
+            dispatches: indirect("dispatches"),
+            large: indirect("large"),
+            uniforms: buffer::Scratch::new(
+                gpu,
+                "uniforms",
+                wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            ),
+            attachment: None,
+            large_capacity: LARGE_INITIAL,
+        }
+    }
+
+    /// Makes room for a frame of `scene` with `width` · `height` pixels.
+    pub fn reserve(&mut self, gpu: &Gpu, scene: &ResidentScene, width: u32, height: u32) {
+        let pixels = u64::from(width) * u64::from(height);
+        // A pair of pixels is cleared at a time.
+        self.visibility.reserve(gpu, pixels.next_multiple_of(2) * 8);
+        self.pixels.reserve(gpu, pixels * 4);
+        self.stats.reserve(gpu, size_of::<GpuStats>() as u64);
+        let instances = u64::from(scene.instance_count);
+        self.placed.reserve(gpu, instances * size_of::<GpuPlaced>() as u64);
+        self.seen.reserve(gpu, instances * 4);
+        self.ranks.reserve(gpu, u64::from(scene.entry_count) * 4);
+        self.group_counts.reserve(gpu, (u64::from(scene.entry_count) / GROUP as u64 + 1) * 4);
+        self.slots.reserve(gpu, u64::from(scene.chunk_count) * size_of::<GpuSlot>() as u64);
+        self.dispatches.reserve(gpu, scene.pages.len() as u64 * size_of::<GpuDispatch>() as u64);
+        self.large.reserve(gpu, 16 + u64::from(self.large_capacity) * 4);
+    }
+
+    /// Room for the normals that a shade pass reads.
+    pub fn reserve_normals(&mut self, gpu: &Gpu, width: u32, height: u32) {
+        self.normals.reserve(gpu, u64::from(width) * u64::from(height) * 4);
+    }
+
+    pub fn large_capacity(&self) -> u32 {
+        self.large_capacity
+    }
+
+    /// Makes room for `count` large triangles from the next frame on, as far as a binding goes.
+    pub fn grow_large(&mut self, gpu: &Gpu, count: u32) {
+        let most = ((gpu.max_binding_bytes() - 16) / 4).min(u64::from(u32::MAX / 3)) as u32;
+        self.large_capacity = count.max(self.large_capacity).min(most);
+    }
+
+    /// An attachment of the frame's size that render passes need and nobody reads.
+    pub fn attachment(&mut self, gpu: &Gpu, width: u32, height: u32) -> wgpu::TextureView {
+        if let Some((w, h, view)) = &self.attachment
+            && (*w, *h) == (width, height)
+        {
+            return view.clone();
+        }
+        let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some("attachment"),
+            size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: wgpu::TextureFormat::R8Unorm,
+            usage: wgpu::TextureUsages::RENDER_ATTACHMENT,
+            view_formats: &[],
+        });
+        let view = texture.create_view(&Default::default());
+        self.attachment = Some((width, height, view.clone()));
+        view
+    }
+}

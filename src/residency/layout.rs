@@ -1,0 +1,336 @@
+//! Records shared with the shaders, byte for byte. A test compares every size and offset with naga's.
+
+use bytemuck::{Pod, Zeroable};
+
+/// `Instance` of `shared/scene.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct GpuInstance {
+    pub axis_x: [f32; 4],
+    pub axis_y: [f32; 4],
+    pub axis_z: [f32; 4],
+    pub inverse_x: [f32; 4],
+    pub inverse_y: [f32; 4],
+    pub inverse_z: [f32; 4],
+    pub origin_hi: [f32; 4],
+    pub origin_lo: [f32; 4],
+    pub material: u32,
+    pub id: u32,
+    pub mirrored: u32,
+    pub reach: f32,
+}
+
+/// `Placed` of `shared/scene.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct GpuPlaced {
+    pub axis_x: [f32; 4],
+    pub axis_y: [f32; 4],
+    pub axis_z: [f32; 4],
+    pub position: [f32; 4],
+    pub anchor: [i32; 4],
+}
+
+/// `Chunk` of `shared/scene.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct GpuChunk {
+    pub origin: [i32; 3],
+    pub first: u32,
+    pub extent: [f32; 3],
+    pub count: u32,
+    pub shift: u32,
+    pub vertex_first: u32,
+    pub material: u32,
+    pub unused: u32,
+}
+
+/// `Entry` of `shared/scene.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct GpuEntry {
+    pub instance: u32,
+    pub chunk: u32,
+}
+
+/// `Slot` of `shared/scene.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct GpuSlot {
+    pub row_x: [f32; 4],
+    pub row_y: [f32; 4],
+    pub row_z: [f32; 4],
+    pub instance: u32,
+    pub chunk: u32,
+    pub first: u32,
+    pub count: u32,
+}
+
+/// `Segment` of `shared/scene.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct GpuSegment {
+    pub first_group: u32,
+    pub end_group: u32,
+}
+
+/// `Dispatch` of `shared/scene.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct GpuDispatch {
+    pub groups: [u32; 3],
+    pub first_slot: u32,
+    pub count: u32,
+    pub pad: [u32; 3],
+}
+
+/// `Stats` of `shared/scene.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct GpuStats {
+    pub samples_tested: [u32; 2],
+    pub triangles_tested: [u32; 2],
+    pub instances_drawn: u32,
+    pub triangles_rasterised: u32,
+    pub pixels_of_samples: u32,
+    pub pixels_of_triangles: u32,
+}
+
+/// `Material` of `shared/material.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct GpuMaterial {
+    pub base_color: [f32; 4],
+    pub specular: [f32; 3],
+    pub shininess: f32,
+    pub texture: u32,
+    pub flags: u32,
+    pub alpha_cutoff: f32,
+    pub overrides: u32,
+}
+
+pub const MATERIAL_DOUBLE_SIDED: u32 = 1;
+pub const MATERIAL_UNLIT: u32 = 2;
+pub const MATERIAL_ALPHA_TEST: u32 = 4;
+
+pub const OVERRIDE_BASE_COLOR: u32 = 1;
+pub const OVERRIDE_SPECULAR: u32 = 2;
+pub const OVERRIDE_SHININESS: u32 = 4;
+pub const OVERRIDE_UNLIT: u32 = 8;
+pub const OVERRIDE_DOUBLE_SIDED: u32 = 16;
+
+/// `Texture` of `shared/texture.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct GpuTexture {
+    pub first: u32,
+    pub page: u32,
+    pub width: u32,
+    pub height: u32,
+    pub levels: u32,
+    pub wrap: u32,
+    pub nearest: u32,
+    pub unused: u32,
+}
+
+/// `Light` of `shade/shade.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct GpuLight {
+    pub kind: u32,
+    pub range: f32,
+    pub unused: [u32; 2],
+    pub color: [f32; 4],
+    pub place_hi: [f32; 4],
+    pub place_lo: [f32; 4],
+}
+
+/// `Frame` of `shared/frame.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct GpuFrame {
+    pub right: [f32; 4],
+    pub down: [f32; 4],
+    pub forward: [f32; 4],
+    pub eye_hi: [f32; 4],
+    pub eye_lo: [f32; 4],
+    pub focal_px: [f32; 2],
+    pub principal_px: [f32; 2],
+    pub size_px: [u32; 2],
+    pub entry_count: u32,
+    pub instance_count: u32,
+    pub background: u32,
+    pub output: u32,
+    pub light_count: u32,
+    pub small_triangle_px: i32,
+}
+
+/// An f64 as the sum of two f32: 48 bits of mantissa.
+pub fn two_floats(v: f64) -> (f32, f32) {
+    let hi = v as f32;
+    (hi, (v - f64::from(hi)) as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Name of a WGSL struct, its size here, and the offsets of its members in order.
+    type Mirror = (&'static str, usize, Vec<usize>);
+
+    macro_rules! mirror {
+        ($name:literal, $type:ty, $($field:ident),+) => {
+            ($name, size_of::<$type>(), vec![$(std::mem::offset_of!($type, $field)),+])
+        };
+    }
+
+    fn check(source: &str, mirrors: &[Mirror]) {
+        let module = naga::front::wgsl::parse_str(source).unwrap();
+        for (name, size, offsets) in mirrors {
+            let (_, ty) =
+                module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).unwrap();
+            let naga::TypeInner::Struct { members, span } = &ty.inner else {
+                panic!("{name} is no struct")
+            };
+            assert_eq!(*span as usize, *size, "size of {name}");
+            let theirs: Vec<usize> = members.iter().map(|member| member.offset as usize).collect();
+            assert_eq!(&theirs, offsets, "offsets of {name}");
+        }
+    }
+
+    #[test]
+    fn records_match_the_shaders() {
+        check(
+            include_str!("../../shaders/shared/scene.wgsl"),
+            &[
+                mirror!(
+                    "Instance",
+                    GpuInstance,
+                    axis_x,
+                    axis_y,
+                    axis_z,
+                    inverse_x,
+                    inverse_y,
+                    inverse_z,
+                    origin_hi,
+                    origin_lo,
+                    material,
+                    id,
+                    mirrored,
+                    reach
+                ),
+                mirror!("Placed", GpuPlaced, axis_x, axis_y, axis_z, position, anchor),
+                mirror!(
+                    "Chunk",
+                    GpuChunk,
+                    origin,
+                    first,
+                    extent,
+                    count,
+                    shift,
+                    vertex_first,
+                    material,
+                    unused
+                ),
+                mirror!("Entry", GpuEntry, instance, chunk),
+                mirror!("Slot", GpuSlot, row_x, row_y, row_z, instance, chunk, first, count),
+                mirror!("Segment", GpuSegment, first_group, end_group),
+            ],
+        );
+        check(
+            include_str!("../../shaders/shared/frame.wgsl"),
+            &[mirror!(
+                "Frame",
+                GpuFrame,
+                right,
+                down,
+                forward,
+                eye_hi,
+                eye_lo,
+                focal_px,
+                principal_px,
+                size_px,
+                entry_count,
+                instance_count,
+                background,
+                output,
+                light_count,
+                small_triangle_px
+            )],
+        );
+        let with_materials = concat!(
+            include_str!("../../shaders/shared/material.wgsl"),
+            "@group(1) @binding(4) var<storage, read> materials: array<Material>;"
+        );
+        check(
+            with_materials,
+            &[mirror!(
+                "Material",
+                GpuMaterial,
+                base_color,
+                specular,
+                shininess,
+                texture,
+                flags,
+                alpha_cutoff,
+                overrides
+            )],
+        );
+    }
+
+    #[test]
+    fn counters_match_word_by_word() {
+        // Arrays here are runs of scalars there: sizes and the first member of each run.
+        let module =
+            naga::front::wgsl::parse_str(include_str!("../../shaders/shared/scene.wgsl")).unwrap();
+        let span = |name: &str| {
+            let (_, ty) =
+                module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).unwrap();
+            let naga::TypeInner::Struct { members, span } = &ty.inner else {
+                panic!("{name} is no struct")
+            };
+            let offset = |member: &str| {
+                members.iter().find(|m| m.name.as_deref() == Some(member)).unwrap().offset as usize
+            };
+            match name {
+                "Stats" => {
+                    assert_eq!(
+                        offset("triangles_tested_lo"),
+                        std::mem::offset_of!(GpuStats, triangles_tested)
+                    );
+                    assert_eq!(
+                        offset("instances_drawn"),
+                        std::mem::offset_of!(GpuStats, instances_drawn)
+                    );
+                    assert_eq!(
+                        offset("triangles_rasterised"),
+                        std::mem::offset_of!(GpuStats, triangles_rasterised)
+                    );
+                    assert_eq!(
+                        offset("pixels_of_samples"),
+                        std::mem::offset_of!(GpuStats, pixels_of_samples)
+                    );
+                    assert_eq!(
+                        offset("pixels_of_triangles"),
+                        std::mem::offset_of!(GpuStats, pixels_of_triangles)
+                    );
+                }
+                _ => {
+                    assert_eq!(offset("first_slot"), std::mem::offset_of!(GpuDispatch, first_slot));
+                    assert_eq!(offset("count"), std::mem::offset_of!(GpuDispatch, count));
+                }
+            }
+            *span as usize
+        };
+        assert_eq!(span("Stats"), size_of::<GpuStats>());
+        assert_eq!(span("Dispatch"), size_of::<GpuDispatch>());
+    }
+
+    #[test]
+    fn two_floats_hold_a_utm_coordinate() {
+        for v in [5_653_123.456_789_f64, -412_000.000_1, 1e-9, 0.0] {
+            let (hi, lo) = two_floats(v);
+            assert!((f64::from(hi) + f64::from(lo) - v).abs() <= v.abs() * 2f64.powi(-47));
+        }
+    }
+}

@@ -1,0 +1,165 @@
+//! A scene as it is drawn: packed assets and the flat list of their instances, in host memory. From this the GPU can be
+//! filled at any time, after an eviction as after a lost device.
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DMat3, DVec3};
+
+use super::layout::{GpuInstance, two_floats};
+use crate::bake::pack::{Grid, PackedAsset, PackedGeometry};
+use crate::math::{Bounds, Camera};
+use crate::scene::{Light, MaterialSpec};
+
+/// One file's packed contents, shared by the scenes that draw it.
+#[derive(Debug)]
+pub struct AssetModel {
+    /// Differs for every asset of this process.
+    pub uid: u64,
+    pub name: String,
+    pub format: &'static str,
+    pub packed: PackedAsset,
+    pub has_colors: bool,
+    pub has_normals: bool,
+    pub normals_estimated: bool,
+}
+
+/// One drawn copy of one geometry.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ModelInstance {
+    pub asset: usize,
+    pub geometry: usize,
+    pub world_from_geometry: DAffine3,
+    /// Index into [`SceneModel::materials`].
+    pub material: Option<usize>,
+    /// Number that the id output shows.
+    pub id: u32,
+}
+
+/// Everything that drawing a scene needs.
+#[derive(Clone, Debug)]
+pub struct SceneModel {
+    pub id: String,
+    pub name: String,
+    pub revision: u64,
+    pub assets: Vec<Arc<AssetModel>>,
+    pub instances: Vec<ModelInstance>,
+    pub materials: Vec<MaterialSpec>,
+    pub lights: Vec<Light>,
+    /// Linear RGB, straight alpha.
+    pub background: [f32; 4],
+    pub cameras: Vec<(String, Camera)>,
+    pub up: DVec3,
+}
+
+/// Totals over all instances.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ModelCounts {
+    pub samples: u64,
+    pub triangles: u64,
+    pub instances: u64,
+    pub chunks: u64,
+}
+
+impl AssetModel {
+    /// Samples and triangles of the whole file, instances not counted.
+    pub fn counts(&self) -> (u64, u64) {
+        self.packed.geometries.iter().fold(
+            (0, 0),
+            |(samples, triangles), geometry| match geometry {
+                PackedGeometry::Samples(cloud) => {
+                    (samples + cloud.positions.len() as u64, triangles)
+                }
+                PackedGeometry::Mesh(mesh) => (samples, triangles + mesh.triangles.len() as u64),
+            },
+        )
+    }
+
+    /// Bytes of its pages on the GPU.
+    pub fn gpu_bytes(&self) -> u64 {
+        let geometries: u64 = self.packed.geometries.iter().map(PackedGeometry::gpu_bytes).sum();
+        let textures: u64 =
+            self.packed.textures.iter().map(|texture| texture.texels.len() as u64 * 4).sum();
+        geometries + textures
+    }
+}
+
+impl SceneModel {
+    pub fn geometry(&self, instance: &ModelInstance) -> &PackedGeometry {
+        &self.assets[instance.asset].packed.geometries[instance.geometry]
+    }
+
+    pub fn counts(&self) -> ModelCounts {
+        let mut counts =
+            ModelCounts { instances: self.instances.len() as u64, ..Default::default() };
+        for instance in &self.instances {
+            let geometry = self.geometry(instance);
+            counts.chunks += geometry.chunks().len() as u64;
+            match geometry {
+                PackedGeometry::Samples(samples) => {
+                    counts.samples += samples.positions.len() as u64
+                }
+                PackedGeometry::Mesh(mesh) => counts.triangles += mesh.triangles.len() as u64,
+            }
+        }
+        counts
+    }
+
+    /// World-space box around every instance.
+    pub fn bounds(&self) -> Bounds {
+        self.instances.iter().fold(Bounds::EMPTY, |all, instance| {
+            let geometry = self.geometry(instance);
+            let grid = geometry.grid();
+            let local = geometry.chunks().iter().fold(Bounds::EMPTY, |b, chunk| {
+                b.union(Bounds {
+                    min: grid.position(chunk.origin),
+                    max: grid.position(chunk.origin + chunk.extent),
+                })
+            });
+            all.union(local.transformed(&instance.world_from_geometry))
+        })
+    }
+
+    /// Bytes of everything that the scene needs on the GPU, shared assets counted once.
+    pub fn gpu_bytes(&self) -> u64 {
+        let mut seen = std::collections::BTreeSet::new();
+        let assets: u64 = self
+            .assets
+            .iter()
+            .filter(|asset| seen.insert(asset.uid))
+            .map(|asset| asset.gpu_bytes())
+            .sum();
+        let counts = self.counts();
+        assets + counts.instances * size_of::<GpuInstance>() as u64 + counts.chunks * 8
+    }
+}
+
+/// The record of an instance, computed in f64.
+pub fn gpu_instance(
+    grid: &Grid,
+    world_from_geometry: &DAffine3,
+    material: u32,
+    id: u32,
+) -> GpuInstance {
+    let linear = world_from_geometry.matrix3 * grid.step;
+    let origin = world_from_geometry.transform_point3(grid.origin);
+    let inverse = linear.inverse();
+    let usable = inverse.to_cols_array().iter().all(|v| v.is_finite() && v.abs() < 1e36);
+    let inverse = if usable { inverse } else { DMat3::ZERO };
+    let row = |v: DVec3| [v.x as f32, v.y as f32, v.z as f32, 0.0];
+    let rows = inverse.transpose();
+    let split = origin.to_array().map(two_floats);
+    GpuInstance {
+        axis_x: row(linear.x_axis),
+        axis_y: row(linear.y_axis),
+        axis_z: row(linear.z_axis),
+        inverse_x: row(rows.x_axis),
+        inverse_y: row(rows.y_axis),
+        inverse_z: row(rows.z_axis),
+        origin_hi: [split[0].0, split[1].0, split[2].0, 0.0],
+        origin_lo: [split[0].1, split[1].1, split[2].1, 0.0],
+        material,
+        id,
+        mirrored: u32::from(world_from_geometry.matrix3.determinant() < 0.0),
+        reach: grid.reach as f32,
+    }
+}

@@ -1,0 +1,423 @@
+//! Host copies → pages and tables.
+
+use std::sync::Arc;
+
+use super::arena::Arena;
+use super::layout::*;
+use super::model::{AssetModel, SceneModel, gpu_instance};
+use super::{
+    GROUP, Page, PageKind, Piece, Residency, ResidencyError, ResidentAsset, ResidentGeometry,
+    ResidentScene, TEXEL_PAGES, group_entries,
+};
+use crate::assets::Material;
+use crate::bake::pack::{
+    Grid, PackedChunk, PackedGeometry, PackedMesh, PackedSamples, VERTEX_WORDS,
+};
+use crate::gpu::Gpu;
+use crate::gpu::buffer::Buffer;
+use crate::scene::{Light, MaterialSpec};
+
+pub(super) fn sample_page(gpu: &Gpu) -> Arena {
+    Arena::new(gpu, "samples", &[8, 8])
+}
+
+pub(super) fn mesh_page(gpu: &Gpu) -> (Arena, Arena) {
+    (Arena::new(gpu, "vertices", &[4 * VERTEX_WORDS as u64]), Arena::new(gpu, "triangles", &[4]))
+}
+
+/// A material of an asset whose textures begin at `texture_start`.
+pub(super) fn gpu_material(material: &Material, texture_start: u32) -> GpuMaterial {
+    let mut flags = 0;
+    if material.double_sided {
+        flags |= MATERIAL_DOUBLE_SIDED;
+    }
+    if material.unlit {
+        flags |= MATERIAL_UNLIT;
+    }
+    if material.alpha_cutoff.is_some() {
+        flags |= MATERIAL_ALPHA_TEST;
+    }
+    GpuMaterial {
+        base_color: material.base_color,
+        specular: material.specular,
+        shininess: material.shininess.max(1.0),
+        texture: material.base_texture.map_or(0, |texture| texture_start + texture + 1),
+        flags,
+        alpha_cutoff: material.alpha_cutoff.unwrap_or(0.0),
+        overrides: 0,
+    }
+}
+
+fn gpu_override(spec: &MaterialSpec) -> GpuMaterial {
+    let mut out = GpuMaterial { shininess: 1.0, ..Default::default() };
+    if let Some(color) = spec.base_color {
+        out.base_color = color;
+        out.overrides |= OVERRIDE_BASE_COLOR;
+    }
+    if let Some(specular) = spec.specular {
+        out.specular = specular;
+        out.overrides |= OVERRIDE_SPECULAR;
+    }
+    if let Some(shininess) = spec.shininess {
+        out.shininess = shininess.max(1.0);
+        out.overrides |= OVERRIDE_SHININESS;
+    }
+    if let Some(unlit) = spec.unlit {
+        out.flags |= if unlit { MATERIAL_UNLIT } else { 0 };
+        out.overrides |= OVERRIDE_UNLIT;
+    }
+    if let Some(double_sided) = spec.double_sided {
+        out.flags |= if double_sided { MATERIAL_DOUBLE_SIDED } else { 0 };
+        out.overrides |= OVERRIDE_DOUBLE_SIDED;
+    }
+    out
+}
+
+fn gpu_light(light: &Light) -> GpuLight {
+    let rgb = |c: [f32; 3]| [c[0], c[1], c[2], 0.0];
+    match *light {
+        Light::Ambient { color } => GpuLight { kind: 0, color: rgb(color), ..Default::default() },
+        Light::Headlight { color } => GpuLight { kind: 1, color: rgb(color), ..Default::default() },
+        Light::Sun { direction, color, .. } => {
+            let d = direction.as_vec3();
+            GpuLight {
+                kind: 2,
+                color: rgb(color),
+                place_hi: [d.x, d.y, d.z, 0.0],
+                ..Default::default()
+            }
+        }
+        Light::Point { position, color, range } => {
+            let split = position.to_array().map(two_floats);
+            GpuLight {
+                kind: 3,
+                range: range as f32,
+                color: rgb(color),
+                place_hi: [split[0].0, split[1].0, split[2].0, 0.0],
+                place_lo: [split[0].1, split[1].1, split[2].1, 0.0],
+                ..Default::default()
+            }
+        }
+    }
+}
+
+fn gpu_chunk(
+    chunk: &PackedChunk,
+    start: u32,
+    vertex_start: u32,
+    material_start: u32,
+    origin: &PackedChunk,
+) -> GpuChunk {
+    GpuChunk {
+        origin: chunk.origin.to_array(),
+        first: start + (chunk.first - origin.first),
+        extent: chunk.extent.as_vec3().to_array(),
+        count: chunk.count,
+        shift: chunk.shift,
+        vertex_first: vertex_start + (chunk.vertex_first - origin.vertex_first),
+        material: if chunk.material == 0 { 0 } else { material_start + chunk.material - 1 },
+        unused: 0,
+    }
+}
+
+/// The longest run of chunks from `from` on whose elements and vertices fit the given room; at least one chunk.
+fn fitting_run(chunks: &[PackedChunk], from: usize, elements: u32, vertices: u32) -> usize {
+    let (mut used, mut used_vertices) = (0u32, 0u32);
+    let mut end = from;
+    while let Some(chunk) = chunks.get(end) {
+        used = used.saturating_add(chunk.count);
+        used_vertices = used_vertices.saturating_add(chunk.vertex_count);
+        if used > elements || used_vertices > vertices {
+            break;
+        }
+        end += 1;
+    }
+    end
+}
+
+impl Residency {
+    pub(super) fn upload_asset(
+        &mut self,
+        gpu: &Gpu,
+        asset: &Arc<AssetModel>,
+    ) -> Result<(), ResidencyError> {
+        let over = |needed| ResidencyError::OverBudget {
+            what: format!("asset `{}`", asset.name),
+            needed,
+            budget: self.budget,
+        };
+        let packed = &asset.packed;
+        let mut texels = Vec::new();
+        let texture_length = packed.textures.len() as u32;
+        let texture_start = self
+            .textures
+            .allocate(gpu, texture_length)
+            .ok_or_else(|| over(u64::from(texture_length) * 32))?;
+        for (index, texture) in packed.textures.iter().enumerate() {
+            let length = texture.texels.len() as u32;
+            let found = (0..TEXEL_PAGES)
+                .find_map(|page| Some((page, self.texels[page].allocate(gpu, length)?)));
+            let Some((page, first)) = found else {
+                for &(page, start, length) in &texels {
+                    self.texels[page as usize].release(start, length);
+                }
+                self.textures.release(texture_start, texture_length);
+                return Err(ResidencyError::OverBudget {
+                    what: format!("textures of asset `{}`", asset.name),
+                    needed: packed.textures.iter().map(|t| t.texels.len() as u64 * 4).sum(),
+                    budget: TEXEL_PAGES as u64 * gpu.max_binding_bytes(),
+                });
+            };
+            self.texels[page].write(gpu, 0, first, &texture.texels);
+            texels.push((page as u32 as usize, first, length));
+            let record = GpuTexture {
+                first,
+                page: page as u32,
+                width: texture.width,
+                height: texture.height,
+                levels: texture.levels,
+                wrap: texture.wrap,
+                nearest: u32::from(texture.nearest),
+                unused: 0,
+            };
+            self.textures.write(gpu, 0, texture_start + index as u32, &[record]);
+        }
+        let material_length = packed.materials.len() as u32;
+        let material_start = self
+            .materials
+            .allocate(gpu, material_length)
+            .ok_or_else(|| over(u64::from(material_length) * 48))?;
+        let records: Vec<GpuMaterial> =
+            packed.materials.iter().map(|material| gpu_material(material, texture_start)).collect();
+        self.materials.write(gpu, 0, material_start, &records);
+        let mut resident = ResidentAsset {
+            geometries: Vec::new(),
+            material_start,
+            material_length,
+            texture_start,
+            texture_length,
+            texels,
+            bytes: asset.gpu_bytes(),
+            last_used: self.clock,
+        };
+        for geometry in &packed.geometries {
+            resident.geometries.push(self.upload_geometry(gpu, geometry, material_start)?);
+        }
+        self.used += resident.bytes;
+        self.uploads += 1;
+        self.assets.insert(asset.uid, resident);
+        Ok(())
+    }
+
+    fn upload_geometry(
+        &mut self,
+        gpu: &Gpu,
+        geometry: &PackedGeometry,
+        material_start: u32,
+    ) -> Result<ResidentGeometry, ResidencyError> {
+        let chunks = geometry.chunks();
+        let chunk_length = chunks.len() as u32;
+        let bytes = u64::from(chunk_length) * size_of::<GpuChunk>() as u64;
+        let chunk_start =
+            self.chunks.allocate(gpu, chunk_length).ok_or(ResidencyError::OverBinding {
+                what: "chunks of all resident assets",
+                needed: bytes,
+                limit: gpu.max_binding_bytes(),
+            })?;
+        let mut out = ResidentGeometry { pieces: Vec::new(), chunk_start, chunk_length };
+        let mut from = 0;
+        while from < chunks.len() {
+            let piece = match geometry {
+                PackedGeometry::Samples(samples) => self.place_samples(gpu, samples, from),
+                PackedGeometry::Mesh(mesh) => self.place_triangles(gpu, mesh, from),
+            };
+            let end = from + piece.chunk_count as usize;
+            let records: Vec<GpuChunk> = chunks[from..end]
+                .iter()
+                .map(|chunk| {
+                    gpu_chunk(chunk, piece.start, piece.vertex_start, material_start, &chunks[from])
+                })
+                .collect();
+            let first_chunk = chunk_start + from as u32;
+            self.chunks.write(gpu, 0, first_chunk, &records);
+            out.pieces.push(Piece { first_chunk, ..piece });
+            from = end;
+        }
+        Ok(out)
+    }
+
+    /// Puts samples of chunks from `from` on into a page, as many as fit there.
+    fn place_samples(&mut self, gpu: &Gpu, samples: &PackedSamples, from: usize) -> Piece {
+        let first = samples.chunks[from].first;
+        let wanted = samples.positions.len() as u32 - first;
+        let mut index = 0;
+        loop {
+            if index == self.samples.len() {
+                self.samples.push(sample_page(gpu));
+            }
+            let room = self.samples[index].room(wanted);
+            let end = fitting_run(&samples.chunks, from, room, u32::MAX);
+            let worth = end == samples.chunks.len() || end >= from + 64;
+            if worth {
+                let last = &samples.chunks[end - 1];
+                let length = last.first + last.count - first;
+                if let Some(start) = self.samples[index].allocate(gpu, length) {
+                    let range = first as usize..(first + length) as usize;
+                    self.samples[index].write(gpu, 0, start, &samples.positions[range.clone()]);
+                    self.samples[index].write(gpu, 1, start, &samples.attributes[range]);
+                    return Piece {
+                        page: Page { kind: PageKind::Samples, index },
+                        first_chunk: 0,
+                        chunk_count: (end - from) as u32,
+                        start,
+                        length,
+                        vertex_start: 0,
+                        vertex_length: 0,
+                    };
+                }
+            }
+            index += 1;
+        }
+    }
+
+    /// Puts triangles and vertices of chunks from `from` on into a page, as many as fit there.
+    fn place_triangles(&mut self, gpu: &Gpu, mesh: &PackedMesh, from: usize) -> Piece {
+        let origin = mesh.chunks[from];
+        let wanted = mesh.triangles.len() as u32 - origin.first;
+        let wanted_vertices = mesh.vertices.len() as u32 - origin.vertex_first;
+        let mut index = 0;
+        loop {
+            if index == self.meshes.len() {
+                self.meshes.push(mesh_page(gpu));
+            }
+            let (vertices, triangles) = &mut self.meshes[index];
+            let end = fitting_run(
+                &mesh.chunks,
+                from,
+                triangles.room(wanted),
+                vertices.room(wanted_vertices),
+            );
+            let worth = end == mesh.chunks.len() || end >= from + 64;
+            if worth {
+                let last = &mesh.chunks[end - 1];
+                let length = last.first + last.count - origin.first;
+                let vertex_length = last.vertex_first + last.vertex_count - origin.vertex_first;
+                if let Some(start) = triangles.allocate(gpu, length) {
+                    if let Some(vertex_start) = vertices.allocate(gpu, vertex_length) {
+                        let at = origin.first as usize;
+                        triangles.write(gpu, 0, start, &mesh.triangles[at..at + length as usize]);
+                        let at = origin.vertex_first as usize;
+                        vertices.write(
+                            gpu,
+                            0,
+                            vertex_start,
+                            &mesh.vertices[at..at + vertex_length as usize],
+                        );
+                        return Piece {
+                            page: Page { kind: PageKind::Triangles, index },
+                            first_chunk: 0,
+                            chunk_count: (end - from) as u32,
+                            start,
+                            length,
+                            vertex_start,
+                            vertex_length,
+                        };
+                    }
+                    triangles.release(start, length);
+                }
+            }
+            index += 1;
+        }
+    }
+
+    pub(super) fn free_asset(&mut self, uid: u64) {
+        let Some(asset) = self.assets.remove(&uid) else { return };
+        self.used -= asset.bytes;
+        for geometry in &asset.geometries {
+            self.chunks.release(geometry.chunk_start, geometry.chunk_length);
+            for piece in &geometry.pieces {
+                match piece.page.kind {
+                    PageKind::Samples => {
+                        self.samples[piece.page.index].release(piece.start, piece.length)
+                    }
+                    PageKind::Triangles => {
+                        let (vertices, triangles) = &mut self.meshes[piece.page.index];
+                        triangles.release(piece.start, piece.length);
+                        vertices.release(piece.vertex_start, piece.vertex_length);
+                    }
+                }
+            }
+        }
+        for (page, start, length) in asset.texels {
+            self.texels[page].release(start, length);
+        }
+        self.textures.release(asset.texture_start, asset.texture_length);
+        self.materials.release(asset.material_start, asset.material_length);
+    }
+
+    /// The scene's own buffers; its assets are resident already.
+    pub(super) fn build_scene(
+        &mut self,
+        gpu: &Gpu,
+        model: &SceneModel,
+    ) -> Result<ResidentScene, ResidencyError> {
+        let overrides: Vec<GpuMaterial> = model.materials.iter().map(gpu_override).collect();
+        let material_length = overrides.len() as u32;
+        let material_start =
+            self.materials.allocate(gpu, material_length).ok_or(ResidencyError::OverBinding {
+                what: "materials of all resident scenes",
+                needed: u64::from(material_length) * 48,
+                limit: gpu.max_binding_bytes(),
+            })?;
+        self.materials.write(gpu, 0, material_start, &overrides);
+        let mut instances = Vec::with_capacity(model.instances.len());
+        let mut listed = Vec::new();
+        for (number, instance) in model.instances.iter().enumerate() {
+            let grid: &Grid = model.geometry(instance).grid();
+            let material =
+                instance.material.map_or(0, |material| material_start + material as u32 + 1);
+            instances.push(gpu_instance(
+                grid,
+                &instance.world_from_geometry,
+                material,
+                instance.id,
+            ));
+            let Some(asset) = self.assets.get(&model.assets[instance.asset].uid) else { continue };
+            for piece in &asset.geometries[instance.geometry].pieces {
+                for chunk in piece.first_chunk..piece.first_chunk + piece.chunk_count {
+                    listed.push((piece.page, GpuEntry { instance: number as u32, chunk }));
+                }
+            }
+        }
+        let chunk_count = listed.len() as u32;
+        let (entries, segments, pages) = group_entries(listed);
+        let lights: Vec<GpuLight> = model.lights.iter().map(gpu_light).collect();
+        let sizes = [(entries.len() / GROUP) as u32, segments.len() as u32, 0, 0];
+        let sizes_buffer = Buffer::new(
+            gpu,
+            "sizes",
+            16,
+            wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+        );
+        gpu.queue.write_buffer(sizes_buffer.raw(), 0, bytemuck::cast_slice(&sizes));
+        Ok(ResidentScene {
+            revision: model.revision,
+            instances: Buffer::with_data(gpu, "instances", &instances),
+            entries: Buffer::with_data(gpu, "entries", &entries),
+            segments: Buffer::with_data(gpu, "segments", &segments),
+            sizes: sizes_buffer,
+            lights: Buffer::with_data(gpu, "lights", &lights),
+            pages,
+            entry_count: entries.len() as u32,
+            instance_count: instances.len() as u32,
+            chunk_count,
+            light_count: lights.len() as u32,
+            alpha_cut: model.assets.iter().any(|asset| {
+                asset.packed.materials.iter().any(|material| material.alpha_cutoff.is_some())
+            }),
+            asset_uids: model.assets.iter().map(|asset| asset.uid).collect(),
+            material_start,
+            material_length,
+        })
+    }
+}

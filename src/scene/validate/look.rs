@@ -1,0 +1,184 @@
+//! How things look and are looked at: materials, lights, colours, cameras, paths.
+
+use glam::DVec3;
+
+use super::super::color::{parse_hex, to_linear};
+use super::super::load::DEFAULT_BACKGROUND;
+use super::super::wire::{
+    CameraWire, ColorWire, LightKind, LightWire, MaterialWire, Object, PathWire, UpWire,
+};
+use super::super::{CameraPath, Light, MaterialSpec, PathKey};
+use super::{
+    DEFAULT_FOV_DEG, LARGEST_COORDINATE, LARGEST_INTENSITY, Place, Valid, coordinates, unit, within,
+};
+use crate::math::Camera;
+
+pub(super) fn material(name: &str, wire: &MaterialWire, place: Place<'_>) -> Valid<MaterialSpec> {
+    let base_color = match &wire.color {
+        Some(wire) => Some(to_linear(color(wire, place.key("color"))?)),
+        None => None,
+    };
+    let specular = match &wire.specular {
+        Some(wire) => Some(rgb(to_linear(color(wire, place.key("specular"))?))),
+        None => None,
+    };
+    let shininess = match wire.shininess {
+        Some(exponent) => Some(within(exponent, 1.0, 1e6, place.key("shininess"))? as f32),
+        None => None,
+    };
+    Ok(MaterialSpec {
+        name: name.to_owned(),
+        base_color,
+        specular,
+        shininess,
+        unlit: wire.unlit,
+        double_sided: wire.double_sided,
+    })
+}
+
+pub(super) fn lights(wires: Option<&[Object<LightWire>]>) -> Valid<Vec<Light>> {
+    let Some(wires) = wires else { return Ok(Light::default_pair().to_vec()) };
+    let root = Place::Root;
+    let place = root.key("lights");
+    wires.iter().enumerate().map(|(i, wire)| light(wire, place.index(i))).collect()
+}
+
+fn light(wire: &LightWire, place: Place<'_>) -> Valid<Light> {
+    let only = |key: &str, present: bool, kinds: &[LightKind], owner: &str| {
+        if present && !kinds.contains(&wire.kind) {
+            return place.key(key).refuse(format!("only {owner} has one"));
+        }
+        Ok(())
+    };
+    only("direction", wire.direction.is_some(), &[LightKind::Sun], "a sun")?;
+    only("position", wire.position.is_some(), &[LightKind::Point], "a point light")?;
+    only("range", wire.range.is_some(), &[LightKind::Point], "a point light")?;
+    if wire.shadows == Some(true) && wire.kind != LightKind::Sun {
+        return place.key("shadows").refuse("only a sun casts shadows");
+    }
+    let intensity =
+        within(wire.intensity.unwrap_or(1.0), 0.0, LARGEST_INTENSITY, place.key("intensity"))?;
+    let tint = match &wire.color {
+        Some(wire) => rgb(to_linear(color(wire, place.key("color"))?)),
+        None => [1.0; 3],
+    };
+    let color = tint.map(|channel| (f64::from(channel) * intensity) as f32);
+    match wire.kind {
+        LightKind::Ambient => Ok(Light::Ambient { color }),
+        LightKind::Headlight => Ok(Light::Headlight { color }),
+        LightKind::Sun => {
+            let Some(direction) = wire.direction else {
+                return place.refuse("a sun needs `direction`, where its light travels to");
+            };
+            let direction = unit(direction, place.key("direction"))?;
+            Ok(Light::Sun { direction, color, shadows: wire.shadows.unwrap_or(false) })
+        }
+        LightKind::Point => {
+            let Some(position) = wire.position else {
+                return place.refuse("a point light needs `position`");
+            };
+            let Some(range) = wire.range else {
+                return place.refuse("a point light needs `range`, where half of it is left");
+            };
+            let range = within(range, 1e-9, LARGEST_COORDINATE, place.key("range"))?;
+            Ok(Light::Point {
+                position: coordinates(position, place.key("position"))?,
+                color,
+                range,
+            })
+        }
+    }
+}
+
+pub(super) fn background(wire: Option<&ColorWire>) -> Valid<[f32; 4]> {
+    let root = Place::Root;
+    let default = ColorWire::Hex(DEFAULT_BACKGROUND.to_owned());
+    Ok(to_linear(color(wire.unwrap_or(&default), root.key("background"))?))
+}
+
+/// sRGB with alpha.
+fn color(wire: &ColorWire, place: Place<'_>) -> Valid<[f64; 4]> {
+    match wire {
+        ColorWire::Hex(text) => match parse_hex(text) {
+            Some(channels) => Ok(channels),
+            None => place.refuse(format!(
+                "`{text}` is no colour; accepted are #rgb, #rrggbb, #rrggbbaa and [r, g, b] in 0..=1"
+            )),
+        },
+        &ColorWire::Rgb([r, g, b]) => {
+            for (index, channel) in [r, g, b].into_iter().enumerate() {
+                within(channel, 0.0, 1.0, place.index(index))?;
+            }
+            Ok([r, g, b, 1.0])
+        }
+    }
+}
+
+fn rgb([r, g, b, _]: [f32; 4]) -> [f32; 3] {
+    [r, g, b]
+}
+
+pub(super) fn camera(wire: &CameraWire, up: DVec3, place: Place<'_>) -> Valid<Camera> {
+    pose(wire.eye, wire.target, wire.up, wire.fov, up, place)
+}
+
+fn pose(
+    eye: [f64; 3],
+    target: [f64; 3],
+    own_up: Option<[f64; 3]>,
+    fov: Option<f64>,
+    scene_up: DVec3,
+    place: Place<'_>,
+) -> Valid<Camera> {
+    let camera = Camera {
+        eye: coordinates(eye, place.key("eye"))?,
+        target: coordinates(target, place.key("target"))?,
+        up: own_up.map_or(scene_up, DVec3::from_array),
+        fov_deg: fov.unwrap_or(DEFAULT_FOV_DEG),
+    };
+    match camera.view(1, 1) {
+        Ok(_) => Ok(camera),
+        Err(error) => place.key(error.parameter).refuse(error.reason),
+    }
+}
+
+pub(super) fn path(wire: &PathWire, up: DVec3, place: Place<'_>) -> Valid<CameraPath> {
+    let fps = within(wire.fps.unwrap_or(30.0), 0.001, 1000.0, place.key("fps"))?;
+    let list = place.key("keys");
+    if wire.keys.is_empty() {
+        return list.refuse("needs at least one key");
+    }
+    let mut keys: Vec<PathKey> = Vec::with_capacity(wire.keys.len());
+    for (index, key) in wire.keys.iter().enumerate() {
+        let place = list.index(index);
+        within(key.t, -1e6, 1e6, place.key("t"))?;
+        if let Some(last) = keys.last()
+            && key.t <= last.t
+        {
+            let (t, before) = (key.t, last.t);
+            return place
+                .key("t")
+                .refuse(format!("{t} s must be later than the key before ({before} s)"));
+        }
+        keys.push(PathKey {
+            t: key.t,
+            camera: pose(key.eye, key.target, key.up, key.fov, up, place)?,
+        });
+    }
+    Ok(CameraPath { fps, keys })
+}
+
+pub(super) fn world_up(wire: Option<&UpWire>, place: Place<'_>) -> Valid<DVec3> {
+    match wire {
+        None => Ok(DVec3::Y),
+        Some(UpWire::Vector(v)) => unit(*v, place),
+        Some(UpWire::Axis(name)) => match name.as_str() {
+            "x" => Ok(DVec3::X),
+            "y" => Ok(DVec3::Y),
+            "z" => Ok(DVec3::Z),
+            _ => {
+                place.refuse(format!("`{name}` is no axis; accepted are `x`, `y`, `z` or a vector"))
+            }
+        },
+    }
+}

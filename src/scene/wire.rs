@@ -1,0 +1,384 @@
+//! Scene files as written: the serde structures, one field for every key that a file may hold.
+//!
+//! These say what is *well-formed*; [`super::validate`] says what is *meant*. Every structure
+//! denies unknown keys, and serde's derive refuses a key that is given twice; maps from a name to
+//! something are [`Named`], which keeps the file's order and refuses repeated names. The JSON
+//! Schema is derived from the same structures ([`json_schema`]).
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::marker::PhantomData;
+
+use schemars::JsonSchema;
+use serde::de::{self, Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
+
+/// The JSON Schema of scene files, draft 2020-12.
+pub fn json_schema() -> serde_json::Value {
+    schemars::schema_for!(SceneFile).to_value()
+}
+
+/// A scene: files, where they stand, how they are lit and seen. Angles are in degrees, lengths in
+/// the scene's own unit, colours sRGB. Only `assets` and `nodes` are required.
+#[derive(Debug, serde::Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(title = "Pointillist scene")]
+pub(super) struct SceneFile {
+    /// Where this schema lies, for editors; not read.
+    #[serde(rename = "$schema", default)]
+    pub _schema: Option<String>,
+    /// Version of the format: 1.
+    #[serde(default)]
+    pub pointillist: Option<u32>,
+    /// Shown to users; the file's name when absent.
+    #[serde(default)]
+    pub name: Option<String>,
+    /// Files by name.
+    #[schemars(with = "BTreeMap<String, AssetWire>")]
+    pub assets: Named<AssetWire>,
+    /// Subtrees by name. They may use one another, but not themselves.
+    #[serde(default)]
+    #[schemars(with = "BTreeMap<String, PrototypeWire>")]
+    pub prototypes: Named<PrototypeWire>,
+    pub nodes: Vec<Object<NodeWire>>,
+    /// Appearances by name, for nodes to lay over their assets' own.
+    #[serde(default)]
+    #[schemars(with = "BTreeMap<String, MaterialWire>")]
+    pub materials: Named<MaterialWire>,
+    /// When absent: a headlight (0.85) and ambient light (0.15). An empty list means unlit.
+    #[serde(default)]
+    pub lights: Option<Vec<Object<LightWire>>>,
+    /// Colour of pixels that nothing covers, `#202428` when absent.
+    #[serde(default)]
+    pub background: Option<ColorWire>,
+    /// Poses by name.
+    #[serde(default)]
+    #[schemars(with = "BTreeMap<String, CameraWire>")]
+    pub cameras: Named<CameraWire>,
+    /// Camera paths by name.
+    #[serde(default)]
+    #[schemars(with = "BTreeMap<String, PathWire>")]
+    pub paths: Named<PathWire>,
+    /// World up: `"x"`, `"y"` (when absent), `"z"`, or a vector.
+    #[serde(default)]
+    pub up: Option<UpWire>,
+}
+
+#[derive(Debug, serde::Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct AssetWire {
+    /// Relative to the scene file, inside the scene root.
+    pub file: String,
+}
+
+#[derive(Debug, serde::Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PrototypeWire {
+    pub children: Vec<Object<NodeWire>>,
+}
+
+/// A transform (translate · rotate · scale, or one matrix), what it draws, its children.
+#[derive(Debug, serde::Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct NodeWire {
+    #[serde(default)]
+    pub name: Option<String>,
+    /// Name of the asset drawn here.
+    #[serde(default)]
+    pub asset: Option<String>,
+    /// Name of the prototype drawn here.
+    #[serde(default)]
+    pub prototype: Option<String>,
+    #[serde(default)]
+    pub translate: Option<[f64; 3]>,
+    /// Degrees about x, then y, then z, all about the parent's axes.
+    #[serde(default)]
+    pub rotate: Option<[f64; 3]>,
+    /// `[x, y, z, w]`, normalised on reading.
+    #[serde(default)]
+    pub quaternion: Option<[f64; 4]>,
+    #[serde(default)]
+    pub scale: Option<ScaleWire>,
+    /// Column by column, the last row 0 0 0 1; instead of the others.
+    #[serde(default)]
+    pub matrix: Option<[f64; 16]>,
+    /// Name of a material for this node and all below.
+    #[serde(default)]
+    pub material: Option<String>,
+    /// True when absent; false hides everything below, too.
+    #[serde(default)]
+    pub visible: Option<bool>,
+    #[serde(default)]
+    pub repeat: Option<Object<RepeatWire>>,
+    #[serde(default)]
+    pub children: Vec<Object<NodeWire>>,
+}
+
+/// Copies: `grid` with `step`, or `scatter` with `half_extent`.
+#[derive(Debug, serde::Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RepeatWire {
+    /// Number of copies along x, y and z of the parent.
+    #[serde(default)]
+    pub grid: Option<[u32; 3]>,
+    /// Distance between the grid's neighbours.
+    #[serde(default)]
+    pub step: Option<[f64; 3]>,
+    /// Number of copies strewn at random.
+    #[serde(default)]
+    pub scatter: Option<u32>,
+    /// Half the edges of the box in which they are strewn, centred on the node.
+    #[serde(default)]
+    pub half_extent: Option<[f64; 3]>,
+    /// Smallest and largest uniform scale of a strewn copy, `[1, 1]` when absent.
+    #[serde(default)]
+    pub scale: Option<[f64; 2]>,
+    /// Whether each strewn copy is turned about the scene's up, false when absent.
+    #[serde(default)]
+    pub turn: Option<bool>,
+    /// 0 when absent.
+    #[serde(default)]
+    pub seed: Option<u64>,
+}
+
+#[derive(Debug, serde::Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MaterialWire {
+    #[serde(default)]
+    pub color: Option<ColorWire>,
+    #[serde(default)]
+    pub specular: Option<ColorWire>,
+    /// Phong exponent, at least 1.
+    #[serde(default)]
+    pub shininess: Option<f64>,
+    #[serde(default)]
+    pub unlit: Option<bool>,
+    #[serde(default)]
+    pub double_sided: Option<bool>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum LightKind {
+    Ambient,
+    Headlight,
+    Sun,
+    Point,
+}
+
+#[derive(Debug, serde::Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LightWire {
+    pub kind: LightKind,
+    /// White when absent.
+    #[serde(default)]
+    pub color: Option<ColorWire>,
+    /// Multiplies the colour in linear light, 1 when absent.
+    #[serde(default)]
+    pub intensity: Option<f64>,
+    /// Where a sun's light travels to.
+    #[serde(default)]
+    pub direction: Option<[f64; 3]>,
+    /// Where a point light stands.
+    #[serde(default)]
+    pub position: Option<[f64; 3]>,
+    /// Distance at which half of a point light is left.
+    #[serde(default)]
+    pub range: Option<f64>,
+    /// Whether a sun casts shadows, false when absent.
+    #[serde(default)]
+    pub shadows: Option<bool>,
+}
+
+#[derive(Debug, serde::Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CameraWire {
+    pub eye: [f64; 3],
+    pub target: [f64; 3],
+    /// The scene's up when absent.
+    #[serde(default)]
+    pub up: Option<[f64; 3]>,
+    /// Vertical field of view, 40 when absent.
+    #[serde(default)]
+    pub fov: Option<f64>,
+}
+
+#[derive(Debug, serde::Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PathWire {
+    /// Frames a second, 30 when absent.
+    #[serde(default)]
+    pub fps: Option<f64>,
+    pub keys: Vec<Object<KeyWire>>,
+}
+
+#[derive(Debug, serde::Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct KeyWire {
+    /// Seconds, later than the key before.
+    pub t: f64,
+    pub eye: [f64; 3],
+    pub target: [f64; 3],
+    #[serde(default)]
+    pub up: Option<[f64; 3]>,
+    #[serde(default)]
+    pub fov: Option<f64>,
+}
+
+/// `#rgb`, `#rrggbb`, `#rrggbbaa` or three channels in 0..=1, sRGB.
+#[derive(Clone, Debug, PartialEq, JsonSchema)]
+#[schemars(untagged)]
+pub(super) enum ColorWire {
+    Hex(String),
+    Rgb([f64; 3]),
+}
+
+/// One factor, or one for each axis.
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema)]
+#[schemars(untagged)]
+pub(super) enum ScaleWire {
+    Uniform(f64),
+    Axes([f64; 3]),
+}
+
+/// An axis by name, or a vector.
+#[derive(Clone, Debug, PartialEq, JsonSchema)]
+#[schemars(untagged)]
+pub(super) enum UpWire {
+    Axis(String),
+    Vector([f64; 3]),
+}
+
+/// Three numbers from a sequence, no more and no fewer.
+fn three<'de, A: SeqAccess<'de>>(
+    mut seq: A,
+    expected: &dyn de::Expected,
+) -> Result<[f64; 3], A::Error> {
+    let mut values = [0.0; 3];
+    for (index, value) in values.iter_mut().enumerate() {
+        *value = seq.next_element()?.ok_or_else(|| de::Error::invalid_length(index, expected))?;
+    }
+    match seq.next_element::<de::IgnoredAny>()? {
+        None => Ok(values),
+        Some(_) => Err(de::Error::invalid_length(4, expected)),
+    }
+}
+
+/// `Deserialize` for a value that is a string or a number on one hand, three numbers on the other.
+macro_rules! either_form {
+    ($name:ident, $expecting:literal, { $($scalar:tt)* }) => {
+        impl<'de> Deserialize<'de> for $name {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                struct Form;
+                impl<'de> Visitor<'de> for Form {
+                    type Value = $name;
+                    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                        f.write_str($expecting)
+                    }
+                    $($scalar)*
+                }
+                deserializer.deserialize_any(Form)
+            }
+        }
+    };
+}
+
+either_form! {
+    ColorWire, "a colour, `#rrggbb` or [r, g, b] in 0..=1", {
+        fn visit_str<E: de::Error>(self, text: &str) -> Result<ColorWire, E> {
+            Ok(ColorWire::Hex(text.to_owned()))
+        }
+        fn visit_seq<A: SeqAccess<'de>>(self, seq: A) -> Result<ColorWire, A::Error> {
+            three(seq, &self).map(ColorWire::Rgb)
+        }
+    }
+}
+
+either_form! {
+    UpWire, "`x`, `y`, `z` or a vector of three numbers", {
+        fn visit_str<E: de::Error>(self, text: &str) -> Result<UpWire, E> {
+            Ok(UpWire::Axis(text.to_owned()))
+        }
+        fn visit_seq<A: SeqAccess<'de>>(self, seq: A) -> Result<UpWire, A::Error> {
+            three(seq, &self).map(UpWire::Vector)
+        }
+    }
+}
+
+either_form! {
+    ScaleWire, "a number or three of them", {
+        fn visit_f64<E: de::Error>(self, factor: f64) -> Result<ScaleWire, E> {
+            Ok(ScaleWire::Uniform(factor))
+        }
+        fn visit_u64<E: de::Error>(self, factor: u64) -> Result<ScaleWire, E> {
+            Ok(ScaleWire::Uniform(factor as f64))
+        }
+        fn visit_i64<E: de::Error>(self, factor: i64) -> Result<ScaleWire, E> {
+            Ok(ScaleWire::Uniform(factor as f64))
+        }
+        fn visit_seq<A: SeqAccess<'de>>(self, seq: A) -> Result<ScaleWire, A::Error> {
+            three(seq, &self).map(ScaleWire::Axes)
+        }
+    }
+}
+
+/// A structure written as an object. serde's derive would take an array of the fields' values, too.
+#[derive(Debug, JsonSchema)]
+#[schemars(transparent)]
+pub(super) struct Object<T>(pub T);
+
+impl<T> std::ops::Deref for Object<T> {
+    type Target = T;
+    fn deref(&self) -> &T {
+        &self.0
+    }
+}
+
+impl<'de, T: Deserialize<'de>> Deserialize<'de> for Object<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Fields<T>(PhantomData<T>);
+        impl<'de, T: Deserialize<'de>> Visitor<'de> for Fields<T> {
+            type Value = Object<T>;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an object")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Object<T>, A::Error> {
+                T::deserialize(de::value::MapAccessDeserializer::new(map)).map(Object)
+            }
+        }
+        deserializer.deserialize_map(Fields(PhantomData))
+    }
+}
+
+/// A map from names, in the file's order, in which every name occurs once.
+#[derive(Debug)]
+pub(super) struct Named<T>(pub Vec<(String, T)>);
+
+impl<T> Default for Named<T> {
+    fn default() -> Self {
+        Named(Vec::new())
+    }
+}
+
+impl<'de, T: Deserialize<'de>> Deserialize<'de> for Named<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Entries<T>(PhantomData<T>);
+        impl<'de, T: Deserialize<'de>> Visitor<'de> for Entries<T> {
+            type Value = Named<T>;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an object")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Named<T>, A::Error> {
+                let mut entries = Vec::new();
+                let mut seen = std::collections::HashSet::new();
+                while let Some(name) = map.next_key::<String>()? {
+                    if !seen.insert(name.clone()) {
+                        return Err(de::Error::custom(format_args!("duplicate key `{name}`")));
+                    }
+                    entries.push((name, map.next_value::<Object<T>>()?.0));
+                }
+                Ok(Named(entries))
+            }
+        }
+        deserializer.deserialize_map(Entries(PhantomData))
+    }
+}
