@@ -45,7 +45,7 @@ use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::cors::{AllowOrigin, CorsLayer};
 
 pub use names::slug;
-pub use openapi::openapi_yaml;
+pub use openapi::{openapi_json, openapi_yaml};
 pub use params::{DEFAULT_FOV_DEG, DEFAULT_QUALITY, DEFAULT_SIDE};
 pub use problem::{Problem, nearest};
 
@@ -116,13 +116,14 @@ impl App {
 }
 
 /// Every route, as the counters and the access rules name them.
-const ROUTES: [&str; 12] = [
+const ROUTES: [&str; 13] = [
     "/",
     "/healthz",
     "/readyz",
     "/metrics",
     "/openapi.yaml",
     "/v1/limits",
+    "/v1/scene-schema.json",
     "/v1/scenes",
     "/v1/scenes/{id}",
     "/v1/scenes/{id}/nodes/{node}",
@@ -143,6 +144,7 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/metrics", get(service::metrics))
         .route("/openapi.yaml", get(service::openapi))
         .route("/v1/limits", get(service::limits))
+        .route("/v1/scene-schema.json", get(service::scene_schema))
         .route("/v1/scenes", get(scenes::list).post(upload::create))
         .route("/v1/scenes/{id}", get(scenes::show).delete(scenes::remove))
         .route("/v1/scenes/{id}/nodes/{node}", patch(scenes::patch_node))

@@ -34,6 +34,7 @@ use crate::engine::Receipt;
         scenes::remove,
         scenes::patch_node,
         service::limits,
+        service::scene_schema,
         service::healthz,
         service::readyz,
         service::metrics,
@@ -64,6 +65,14 @@ pub fn openapi_yaml() -> anyhow::Result<String> {
     Ok(format!(
         "# Generated from the code by `pointillist openapi`; a test holds it equal.\n{yaml}"
     ))
+}
+
+/// The contract as JSON.
+///
+/// # Errors
+/// None that the types allow; the serialiser's, if any.
+pub fn openapi_json() -> anyhow::Result<serde_json::Value> {
+    Ok(serde_json::to_value(document())?)
 }
 
 /// What each operation may answer beside its successes; access and internal errors are added to all.

@@ -94,6 +94,19 @@ pub async fn openapi() -> Response {
     ([(header::CONTENT_TYPE, YAML)], OPENAPI).into_response()
 }
 
+/// The JSON Schema of scene files, for editors.
+#[utoipa::path(
+    get,
+    path = "/v1/scene-schema.json",
+    tag = "service",
+    responses((status = 200, description = "JSON Schema", body = Object, content_type = "application/schema+json")),
+)]
+pub async fn scene_schema() -> Response {
+    const SCHEMA: HeaderValue = HeaderValue::from_static("application/schema+json");
+    let text = crate::scene::json_schema().to_string();
+    ([(header::CONTENT_TYPE, SCHEMA)], text).into_response()
+}
+
 /// What the server takes on at most.
 #[derive(Serialize, ToSchema)]
 pub struct ServerLimits {
