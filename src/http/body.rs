@@ -1,11 +1,14 @@
 //! Request bodies, bounded in size and in patience while they are read.
 
+use std::sync::Arc;
+use std::task::{Context, Poll};
 use std::time::Duration;
 
-use axum::body::Body;
+use axum::body::{Body, BodyDataStream};
 use axum::http::{HeaderMap, header};
 use bytes::Bytes;
 use futures::{Stream, StreamExt};
+use parking_lot::Mutex;
 use serde::de::DeserializeOwned;
 
 use super::problem::{Kind, Problem};
@@ -107,21 +110,52 @@ pub fn is_json(media_type: &str) -> bool {
         || (media_type.starts_with("application/") && media_type.ends_with("+json"))
 }
 
-/// Reads on after a refusal, for a moment: a connection that is closed while its client still
-/// sends is reset, and the client never sees why.
-pub async fn linger<E>(stream: &mut (impl Stream<Item = Result<Bytes, E>> + Unpin)) {
-    const MAX_BYTES: usize = 16 << 20;
-    const MAX_TIME: Duration = Duration::from_secs(2);
-    let drain = async {
-        let mut left = MAX_BYTES;
-        while let Some(Ok(chunk)) = stream.next().await {
-            match left.checked_sub(chunk.len()) {
-                Some(rest) => left = rest,
-                None => break,
+/// What a handler has not read of its request.
+pub struct Rest(Arc<Mutex<Option<BodyDataStream>>>);
+
+/// Splits `body` into one for the handler and what will be left of it.
+pub fn share(body: Body) -> (Body, Rest) {
+    let shared = Arc::new(Mutex::new(Some(body.into_data_stream())));
+    let rest = Rest(shared.clone());
+    (
+        Body::from_stream(futures::stream::poll_fn(move |context| poll_shared(&shared, context))),
+        rest,
+    )
+}
+
+fn poll_shared(
+    shared: &Mutex<Option<BodyDataStream>>,
+    context: &mut Context<'_>,
+) -> Poll<Option<Result<Bytes, axum::Error>>> {
+    let mut slot = shared.lock();
+    let Some(stream) = slot.as_mut() else { return Poll::Ready(None) };
+    let next = stream.poll_next_unpin(context);
+    if !matches!(next, Poll::Pending | Poll::Ready(Some(Ok(_)))) {
+        *slot = None;
+    }
+    next
+}
+
+impl Rest {
+    /// Reads on after a refusal, for a moment: a connection that is closed while its client still
+    /// sends is reset, and the client never sees why.
+    pub async fn linger(self) {
+        const MAX_BYTES: usize = 16 << 20;
+        const MAX_TIME: Duration = Duration::from_secs(2);
+        let drain = async {
+            let mut left = MAX_BYTES;
+            while let Some(Ok(chunk)) =
+                std::future::poll_fn(|context| poll_shared(&self.0, context)).await
+            {
+                match left.checked_sub(chunk.len()) {
+                    Some(rest) => left = rest,
+                    None => break,
+                }
             }
-        }
-    };
-    let _ = tokio::time::timeout(MAX_TIME, drain).await;
+        };
+        // Whatever has not come by then is not waited for.
+        let _ = tokio::time::timeout(MAX_TIME, drain).await;
+    }
 }
 
 #[cfg(test)]
@@ -150,6 +184,17 @@ mod tests {
         let wrong = read("application/json", "[1, \"x\"]").unwrap_err();
         assert_eq!((wrong.status(), wrong.parameter.as_deref()), (422, Some("[1]")));
         assert_eq!(read("application/json", "[1,         2       ]").unwrap_err().status(), 413);
+    }
+
+    #[test]
+    fn what_is_left_is_read_to_its_end() {
+        let chunks = ["a", "b", "c"].map(|chunk| Ok::<_, std::io::Error>(Bytes::from(chunk)));
+        let (body, rest) = share(Body::from_stream(futures::stream::iter(chunks)));
+        let mut stream = body.into_data_stream();
+        let second = Duration::from_secs(1);
+        assert_eq!(run(next_chunk(&mut stream, second)).unwrap().unwrap(), "a");
+        run(rest.linger());
+        assert!(run(next_chunk(&mut stream, second)).unwrap().is_none());
     }
 
     #[test]

@@ -36,7 +36,9 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::Duration;
 
 use axum::Router;
+use axum::body::HttpBody;
 use axum::extract::{DefaultBodyLimit, FromRequestParts, MatchedPath, Path, Request, State};
+use axum::http::header;
 use axum::http::request::Parts;
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
@@ -171,10 +173,22 @@ async fn gate(State(app): State<Arc<App>>, request: Request, next: Next) -> Resp
         .copied()
         .unwrap_or(UNMATCHED);
     let method = request.method().clone();
+    // A client that waits for `100 Continue` sends nothing that would have to be read after a refusal.
+    let expects = request.headers().contains_key(header::EXPECT);
+    let (request, rest) = if request.body().is_end_stream() || expects {
+        (request, None)
+    } else {
+        let (parts, whole) = request.into_parts();
+        let (body, rest) = body::share(whole);
+        (Request::from_parts(parts, body), Some(rest))
+    };
     let response = match app.settings.access.check(&method, route, request.headers()) {
         Ok(()) => next.run(request).await,
         Err(problem) => problem.into_response(),
     };
+    if let (Some(rest), true) = (rest, response.status().as_u16() >= 400) {
+        rest.linger().await;
+    }
     app.metrics.answered(route, &method, response.status().as_u16());
     response
 }
@@ -189,7 +203,7 @@ fn panicked(cause: Box<dyn std::any::Any + Send + 'static>) -> Response {
 }
 
 fn cors(origins: &[String]) -> Option<CorsLayer> {
-    use axum::http::{HeaderName, HeaderValue, Method, header};
+    use axum::http::{HeaderName, HeaderValue, Method};
     if origins.is_empty() {
         return None;
     }

@@ -74,13 +74,8 @@ pub async fn create(State(app): State<Arc<App>>, request: Request) -> Result<Res
     // A given id is taken before the body is received, so that a clash is answered at once.
     let reservation = target.id.as_deref().map(|id| reserve(&app, id)).transpose()?;
     let limit = app.settings.max_upload_bytes;
-    let received = match body::check_length(&headers, limit) {
-        Err(problem) => {
-            body::linger(&mut body.into_data_stream()).await;
-            return Err(problem);
-        }
-        Ok(()) => receive(&app, &headers, &target, Request::from_parts(parts, body)).await?,
-    };
+    body::check_length(&headers, limit)?;
+    let received = receive(&app, &headers, &target, Request::from_parts(parts, body)).await?;
     let reservation = match reservation {
         Some(reservation) => reservation,
         None => reserve_derived(&app, &received.main)?,
@@ -234,17 +229,11 @@ async fn receive(
         None => Err(unnamed(&media_type)),
     };
     app.metrics.uploaded(budget.limit - budget.left);
-    match result {
-        Ok(name) if is_json_name(&name) => {
-            let main = rename_scene(&folder, &name).await?;
-            Ok(Received { folder, main })
-        }
-        Ok(main) => Ok(Received { folder, main }),
-        Err(problem) => {
-            body::linger(&mut stream).await;
-            Err(problem)
-        }
+    let mut main = result?;
+    if is_json_name(&main) {
+        main = rename_scene(&folder, &main).await?;
     }
+    Ok(Received { folder, main })
 }
 
 /// A scene keeps the name that it came with, as its id and its own name come from it.

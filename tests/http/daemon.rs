@@ -17,21 +17,23 @@ pub struct Daemon {
     pub greeting: Vec<String>,
 }
 
-/// Side of the square grid of points that [`grid_ply`] makes.
-pub const GRID: usize = 64;
-
-/// A wall of coloured points in the plane z = 0, two units wide.
+/// A wall of 64 × 64 coloured points.
 pub fn grid_ply() -> String {
+    wall_ply(64)
+}
+
+/// A wall of `side` × `side` coloured points in the plane z = 0, two units wide.
+pub fn wall_ply(side: usize) -> String {
     let mut text = format!(
         "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
          property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n",
-        GRID * GRID
+        side * side
     );
-    for row in 0..GRID {
-        for column in 0..GRID {
-            let at = |i: usize| i as f64 / (GRID - 1) as f64 * 2.0 - 1.0;
+    for row in 0..side {
+        for column in 0..side {
+            let at = |i: usize| i as f64 / (side - 1) as f64 * 2.0 - 1.0;
             let (x, y) = (at(column), at(row));
-            text += &format!("{x} {y} 0 {} {} 90\n", 4 * column, 4 * row);
+            text += &format!("{x} {y} 0 {} {} 90\n", 255 * column / side, 255 * row / side);
         }
     }
     text

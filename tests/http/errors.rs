@@ -34,7 +34,8 @@ fn refusals_of_frames() {
         ("width=3", "unknown-parameter", "width"),
         ("recontruct=points", "unknown-parameter", "recontruct"),
     ] {
-        let reply = client.get(&format!("/v1/scenes/grid/frame?{query}"));
+        let size = if query.contains("w=") { "" } else { "&w=8&h=8" };
+        let reply = client.get(&format!("/v1/scenes/grid/frame?{query}{size}"));
         let problem = reply.problem();
         assert_eq!(reply.status, 422, "{query}");
         assert_eq!(

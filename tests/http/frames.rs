@@ -136,7 +136,6 @@ fn poses_in_three_notations_agree() {
     let differing = get(&matrices).iter().zip(&named).filter(|(a, b)| a != b).count();
     assert!(differing < 64, "{differing} bytes differ");
     get("fov=45&eye=1,0,3&target=0,0,0");
-    get("w=64&h=64".trim_start_matches("w=64&h=64"));
 }
 
 /// Content type, pose index, receipt and content of each part.
@@ -199,7 +198,8 @@ fn many_poses_in_one_answer() {
         let receipt = receipt.as_ref().expect("a receipt");
         assert_eq!(receipt["camera"]["width"], size.0);
         if i != 7 {
-            assert_eq!(receipt["camera"]["eye"][0], json!(0.1 * i as f64));
+            let x = receipt["camera"]["eye"][0].as_f64().unwrap();
+            assert!((x - 0.1 * i as f64).abs() < 1e-9, "{x}");
         }
     }
     let single = client.get("/v1/scenes/grid/frame?eye=0,0,3&target=0,0,0&w=48&h=40");

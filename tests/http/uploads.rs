@@ -6,7 +6,7 @@ use std::net::Shutdown;
 use serde_json::json;
 
 use super::client::{form, raw};
-use super::daemon::{Daemon, eventually, grid_ply, grid_scene};
+use super::daemon::{Daemon, eventually, grid_ply, grid_scene, wall_ply};
 
 #[test]
 fn an_asset_becomes_a_scene_until_it_is_deleted() {
@@ -110,7 +110,9 @@ fn refused_uploads_leave_nothing() {
     // Contents that no reader takes.
     let broken = ply.replace("0 0 0 90", "zero 0 0 90");
     assert_ne!(broken, ply);
-    for (name, body) in [("cut.ply", &ply[..ply.len() / 2]), ("none.xyzzy", "what is this")] {
+    for (name, body) in
+        [("cut.ply", &ply[..ply.len() / 2]), ("word.ply", &broken), ("none.xyzzy", "what is this")]
+    {
         let path = format!("/v1/scenes?name={name}");
         let reply = client.send("POST", &path, &[], Some(body.as_bytes()));
         assert!([415, 422].contains(&reply.status), "{name}: {} {}", reply.status, reply.text());
@@ -161,15 +163,19 @@ fn a_slow_load_is_answered_before_it_ends() {
     let daemon = Daemon::start(&[]);
     let client = daemon.client();
     let wait = [("prefer", "wait=0")];
+    let large = wall_ply(400);
     let path = "/v1/scenes?id=slow&name=a.ply";
-    let reply = client.send("POST", path, &wait, Some(grid_ply().as_bytes()));
+    let reply = client.send("POST", path, &wait, Some(large.as_bytes()));
     assert_eq!((reply.status, reply.header("location")), (202, Some("/v1/scenes/slow")));
     assert_eq!(reply.json()["state"], "loading");
     assert_eq!(reply.header("preference-applied"), Some("wait=0"));
     eventually("the load", || client.get("/v1/scenes/slow").json()["state"] == "ready");
     // A failure that nobody waited for is told to whoever asks, until it is deleted.
     let path = "/v1/scenes?id=bad&name=a.ply";
-    assert_eq!(client.send("POST", path, &wait, Some(b"ply\nnonsense\n")).status, 202);
+    assert_eq!(
+        client.send("POST", path, &wait, Some(&large.as_bytes()[..large.len() - 9])).status,
+        202
+    );
     eventually("the failure", || client.get("/v1/scenes/bad").json()["state"] == "failed");
     let problem = &client.get("/v1/scenes/bad").json()["problem"];
     assert!(problem["detail"].as_str().unwrap().contains("a.ply"), "{problem}");
