@@ -268,8 +268,6 @@ fn number<T: PartialOrd + std::fmt::Display>(
     Ok(value)
 }
 
-const DEFAULT_MAX_BATCH: usize = 8;
-
 fn settings(args: &ServeArgs, root: PathBuf, access: Access) -> anyhow::Result<Settings> {
     for origin in &args.cors_origin {
         let fine = origin == "*" || (origin.contains("://") && !origin.ends_with('/'));
@@ -287,7 +285,6 @@ fn settings(args: &ServeArgs, root: PathBuf, access: Access) -> anyhow::Result<S
         frame_timeout: seconds("frame-timeout-seconds", args.frame_timeout_seconds, 120, 1)?,
         read_timeout: seconds("read-timeout-seconds", args.read_timeout_seconds, 30, 1)?,
         drain: seconds("drain-seconds", args.drain_seconds, 20, 0)?,
-        max_batch: number("max-batch", args.max_batch, DEFAULT_MAX_BATCH, 1)?,
     })
 }
 
@@ -299,7 +296,7 @@ fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig
         root,
         gpu_budget_bytes: budget_mib.transpose()?.map(|mib| mib.saturating_mul(1 << 20)),
         queue_capacity: number("queue", args.queue, 256, 1)?,
-        max_batch: number("max-batch", args.max_batch, DEFAULT_MAX_BATCH, 1)?,
+        max_batch: number("max-batch", args.max_batch, 8, 1)?,
         encoder_threads: number("encoder-threads", args.encoder_threads, cores, 1)?,
         max_pixels: number("max-pixels", args.max_pixels, 1 << 25, 1)?,
         max_side: number("max-side", args.max_side, 8192, 1)?,

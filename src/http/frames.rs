@@ -159,7 +159,7 @@ fn parts(
     boundary: String,
 ) -> impl Stream<Item = Result<Bytes, std::convert::Infallible>> {
     async_stream::stream! {
-        let window = (2 * batch.app.settings.max_batch).max(1);
+        let window = (2 * batch.app.engine.limits().max_batch).max(1);
         let mut pending: VecDeque<Result<FrameTicket, Problem>> = VecDeque::new();
         let mut held: Option<(FrameParams, ImageFormat)> = None;
         let mut next = 0;

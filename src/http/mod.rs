@@ -70,8 +70,6 @@ pub struct Settings {
     pub read_timeout: Duration,
     /// How long answers in flight may take when the server stops.
     pub drain: Duration,
-    /// Frames in one submission, as the engine has it: how far `frames` looks ahead.
-    pub max_batch: usize,
 }
 
 /// What every handler shares.
@@ -244,5 +242,29 @@ where
             .map_err(|_| {
                 Problem::new(problem::Kind::UnknownRoute, "the address is not valid UTF-8")
             })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tower::ServiceExt;
+
+    #[test]
+    fn a_panic_is_a_problem_and_keeps_its_words() {
+        let router = Router::new()
+            .route("/", get(|| async { panic!("a secret") as &'static str }))
+            .layer(CatchPanicLayer::custom(panicked));
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        let (status, body) = runtime.block_on(async {
+            let request = Request::new(axum::body::Body::empty());
+            let response = router.oneshot(request).await.unwrap();
+            let status = response.status();
+            (status, axum::body::to_bytes(response.into_body(), 4096).await.unwrap())
+        });
+        assert_eq!(status, 500);
+        let body = String::from_utf8_lossy(&body);
+        assert!(body.contains("urn:pointillist:problem:internal"), "{body}");
+        assert!(!body.contains("secret"), "{body}");
     }
 }
