@@ -28,8 +28,7 @@ fn it_says_where_it_is_and_how_to_use_it() {
 
 #[test]
 fn sigterm_finishes_what_is_in_flight() {
-    let mut daemon = Daemon::start(&[]);
-    let client = daemon.client();
+    let mut daemon = Daemon::start(&["--max-batch", "1"]);
     let mut busy: Vec<_> = (0..4)
         .map(|i| {
             let request = format!(
@@ -39,10 +38,14 @@ fn sigterm_finishes_what_is_in_flight() {
         })
         .collect();
     let idle = raw(daemon.address, b"");
+    // What the server has not read by the time of the signal it need not answer. Of four requests one
+    // may be between queue and finish; connections are accepted in order, so a later one that is
+    // answered means that these were.
     eventually("work", || {
+        let client = daemon.client();
         let queued = client.metric("pointillist_engine_queued");
         let frames = client.metric("pointillist_engine_frames_total");
-        queued + frames > 1.0
+        queued + frames >= 3.0
     });
     let asked = Instant::now();
     daemon.signal();
