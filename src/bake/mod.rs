@@ -2,9 +2,9 @@
 //!
 //! - [`estimate_point_attributes`] gives points the normals and radii that they lack, from their
 //!   nearest neighbours;
-//! - [`pack`] puts geometry into the records of the GPU;
 //! - [`fill_colors`] gives them colours, from intensity or class;
-//! - [`smooth_normals`] gives meshes vertex normals, splitting vertices at creases.
+//! - [`smooth_normals`] gives meshes vertex normals, splitting vertices at creases;
+//! - [`pack`] puts geometry into the records that the GPU reads.
 
 pub mod pack;
 

@@ -1,2 +1,40 @@
-//! cli.
+//! The command line (floor 8): one file a command.
+
 pub mod generate;
+pub mod serve;
+
+use clap::{Parser, Subcommand};
+
+/// A headless render server for scenes of points, lines and triangles.
+#[derive(Parser)]
+#[command(name = "pointillist", version, about)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Run the daemon
+    Serve(Box<serve::ServeArgs>),
+    /// Write a procedural asset or scene
+    Generate(generate::GenerateArgs),
+    /// Print the HTTP contract
+    #[command(hide = true)]
+    Openapi,
+}
+
+/// Parses the command line and runs what it says.
+///
+/// # Errors
+/// Whatever the command met.
+pub fn run() -> anyhow::Result<()> {
+    match Cli::parse().command {
+        Command::Serve(args) => serve::run(*args),
+        Command::Generate(args) => generate::run(args),
+        Command::Openapi => {
+            print!("{}", crate::http::openapi_yaml()?);
+            Ok(())
+        }
+    }
+}

@@ -1,0 +1,450 @@
+//! `pointillist serve`: the daemon.
+//!
+//! A setting may come from a flag, from the environment (`POINTILLIST_` and the flag's name in
+//! capitals), or from the TOML file given with `--config` (the flag's name without dashes in front);
+//! the first of these that has it wins, and a default stands behind them. [`ServeArgs`] is all
+//! three: clap reads flags and environment into it, serde the file.
+
+use std::io::{IsTerminal, Write};
+use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Context, bail, ensure};
+use clap::{Args, ValueEnum};
+use serde::Deserialize;
+
+use crate::assets::ReadOptions;
+use crate::engine::{Engine, EngineConfig};
+use crate::http::access::{Access, parse_keys};
+use crate::http::server::{StartScenes, serve};
+use crate::http::{App, Settings, nearest};
+use crate::scene::SceneLimits;
+
+/// Settings of the daemon; what is `None` was not given.
+#[derive(Args, Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct ServeArgs {
+    /// TOML file with any of these settings
+    #[arg(long, env = "POINTILLIST_CONFIG", value_name = "FILE")]
+    #[serde(skip)]
+    pub config: Option<PathBuf>,
+    /// Address and port; port 0 picks a free one [default: 127.0.0.1:8080]
+    #[arg(long, env = "POINTILLIST_LISTEN", value_name = "HOST:PORT")]
+    pub listen: Option<String>,
+    /// Folder that scenes and their files are read from; uploads go below it [default: scenes]
+    #[arg(long, env = "POINTILLIST_ROOT", value_name = "FOLDER")]
+    pub root: Option<PathBuf>,
+    /// Scene or asset file to load at the start, relative to the root; may be repeated [default: every *.json directly in the root]
+    #[arg(long, env = "POINTILLIST_SCENE", value_name = "FILE", value_delimiter = ',')]
+    pub scene: Vec<PathBuf>,
+    /// Scene data that may stay on the GPU, in MiB [default: three quarters of what the adapter offers, at most 4096]
+    #[arg(long, env = "POINTILLIST_GPU_BUDGET_MIB", value_name = "MIB")]
+    pub gpu_budget_mib: Option<u64>,
+    /// Frames that may wait; more are refused with 503 [default: 256]
+    #[arg(long, env = "POINTILLIST_QUEUE", value_name = "N")]
+    pub queue: Option<usize>,
+    /// Frames in one submission to the GPU [default: 8]
+    #[arg(long, env = "POINTILLIST_MAX_BATCH", value_name = "N")]
+    pub max_batch: Option<usize>,
+    /// Threads that encode images [default: one a core]
+    #[arg(long, env = "POINTILLIST_ENCODER_THREADS", value_name = "N")]
+    pub encoder_threads: Option<usize>,
+    /// Width times height of the largest frame [default: 33554432]
+    #[arg(long, env = "POINTILLIST_MAX_PIXELS", value_name = "N")]
+    pub max_pixels: Option<u64>,
+    /// Longest side of a frame [default: 8192]
+    #[arg(long, env = "POINTILLIST_MAX_SIDE", value_name = "PX")]
+    pub max_side: Option<u32>,
+    /// Largest upload, in MiB [default: 4096]
+    #[arg(long, env = "POINTILLIST_MAX_UPLOAD_MIB", value_name = "MIB")]
+    pub max_upload_mib: Option<u64>,
+    /// Connections at the same time [default: 1024]
+    #[arg(long, env = "POINTILLIST_MAX_CONNECTIONS", value_name = "N")]
+    pub max_connections: Option<usize>,
+    /// Longest wait for a frame, in seconds [default: 120]
+    #[arg(long, env = "POINTILLIST_FRAME_TIMEOUT_SECONDS", value_name = "S")]
+    pub frame_timeout_seconds: Option<u64>,
+    /// Longest wait for the head of a request or the next piece of its body, in seconds [default: 30]
+    #[arg(long, env = "POINTILLIST_READ_TIMEOUT_SECONDS", value_name = "S")]
+    pub read_timeout_seconds: Option<u64>,
+    /// File of API keys, `name scope sha256hex` a line; scopes are read, write, admin
+    #[arg(long, env = "POINTILLIST_API_KEYS", value_name = "FILE")]
+    pub api_keys: Option<PathBuf>,
+    /// Allow an address other than loopback without API keys
+    #[arg(long, env = "POINTILLIST_INSECURE", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
+    pub insecure: Option<bool>,
+    /// Origin whose pages may read answers (`https://app.example`, or `*`); may be repeated
+    #[arg(long, env = "POINTILLIST_CORS_ORIGIN", value_name = "ORIGIN", value_delimiter = ',')]
+    pub cors_origin: Vec<String>,
+    /// How long answers in flight may take after SIGTERM, in seconds [default: 20]
+    #[arg(long, env = "POINTILLIST_DRAIN_SECONDS", value_name = "S")]
+    pub drain_seconds: Option<u64>,
+    /// Format of the log on standard error [default: text]
+    #[arg(long, env = "POINTILLIST_LOG_FORMAT", value_name = "FORMAT")]
+    pub log_format: Option<LogFormat>,
+    /// Never use 64-bit atomics, even where the adapter has them
+    #[arg(long, env = "POINTILLIST_FORCE_32_BIT", hide = true, num_args = 0..=1, default_missing_value = "true", require_equals = true)]
+    pub force_32_bit: Option<bool>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LogFormat {
+    Text,
+    Json,
+}
+
+/// Runs the daemon until it is told to stop.
+///
+/// # Errors
+/// A setting that cannot be used, an address in use, no GPU adapter, or none of the scenes given
+/// with `--scene` loading.
+pub fn run(args: ServeArgs) -> anyhow::Result<()> {
+    let args = with_file(args)?;
+    init_log(args.log_format.unwrap_or(LogFormat::Text));
+    let root = root(&args)?;
+    let address = listen_address(args.listen.as_deref().unwrap_or("127.0.0.1:8080"))?;
+    let access = access(&args, address)?;
+    let has_keys = matches!(access, Access::Keys(_));
+    let settings = settings(&args, root.clone(), access)?;
+    let start = start_scenes(&args, &root)?;
+    let listener =
+        TcpListener::bind(address).with_context(|| format!("cannot listen on {address}"))?;
+    let engine = Engine::start(engine_config(&args, root)?)?;
+    tracing::info!(adapter = engine.adapter(), "engine started");
+
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let app = App::new(engine, settings);
+    let result = runtime.block_on(serve(app, listener, start, |engine, address| {
+        announce(engine, address, has_keys);
+    }));
+    // A scene that is still being read is not waited for.
+    runtime.shutdown_timeout(Duration::from_millis(100));
+    result
+}
+
+/// Tells where the server is, and how to see a first frame.
+fn announce(engine: &Engine, address: SocketAddr, has_keys: bool) {
+    let mut text = format!("listening on http://{address}\n");
+    let mut reachable = address;
+    if address.ip().is_unspecified() {
+        reachable.set_ip(std::net::Ipv4Addr::LOCALHOST.into());
+    }
+    text += &format!("viewer: http://{reachable}/\n");
+    if let Some(scene) = engine.scenes().first() {
+        let key = if has_keys { "-H 'Authorization: Bearer KEY' " } else { "" };
+        text += &format!(
+            "curl {key}-o frame.png 'http://{reachable}/v1/scenes/{}/frame?w=1024&h=768'\n",
+            scene.id
+        );
+    }
+    // Whoever started the daemon may have closed its output; it runs on.
+    let mut out = std::io::stdout().lock();
+    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+}
+
+fn init_log(format: LogFormat) {
+    use tracing_subscriber::EnvFilter;
+    let filter = EnvFilter::try_from_env("POINTILLIST_LOG")
+        .unwrap_or_else(|_| EnvFilter::new("info,wgpu_core=warn,wgpu_hal=warn,naga=warn"));
+    let log = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_writer(std::io::stderr);
+    let result = match format {
+        LogFormat::Text => log.with_target(false).try_init(),
+        LogFormat::Json => log.json().try_init(),
+    };
+    if let Err(error) = result {
+        eprintln!("the log cannot be set up: {error}");
+    }
+}
+
+/// Completes `args` from the file that it names.
+fn with_file(args: ServeArgs) -> anyhow::Result<ServeArgs> {
+    let Some(path) = args.config.clone() else { return Ok(args) };
+    let text = std::fs::read_to_string(&path)
+        .with_context(|| format!("cannot read {}", path.display()))?;
+    let file = parse_file(&text).with_context(|| path.display().to_string())?;
+    Ok(args.or(file))
+}
+
+fn parse_file(text: &str) -> anyhow::Result<ServeArgs> {
+    let table: toml::Table = text.parse()?;
+    let known = setting_names();
+    if let Some(key) = table.keys().find(|key| !known.contains(key)) {
+        match nearest(key, known.iter().map(String::as_str)) {
+            Some(near) => bail!("there is no setting `{key}`; did you mean `{near}`?"),
+            None => bail!("there is no setting `{key}`; there are: {}", known.join(", ")),
+        }
+    }
+    // From the text again, so that errors show the line.
+    Ok(toml::from_str(text)?)
+}
+
+/// Names of the settings that a file may have, as the flags have them.
+fn setting_names() -> Vec<String> {
+    ServeArgs::augment_args(clap::Command::new("serve"))
+        .get_arguments()
+        .filter_map(|argument| argument.get_long())
+        .filter(|name| *name != "config")
+        .map(str::to_owned)
+        .collect()
+}
+
+impl ServeArgs {
+    /// What is missing here is taken from `lower`.
+    fn or(self, lower: ServeArgs) -> ServeArgs {
+        fn list<T>(upper: Vec<T>, lower: Vec<T>) -> Vec<T> {
+            if upper.is_empty() { lower } else { upper }
+        }
+        ServeArgs {
+            config: self.config.or(lower.config),
+            listen: self.listen.or(lower.listen),
+            root: self.root.or(lower.root),
+            scene: list(self.scene, lower.scene),
+            gpu_budget_mib: self.gpu_budget_mib.or(lower.gpu_budget_mib),
+            queue: self.queue.or(lower.queue),
+            max_batch: self.max_batch.or(lower.max_batch),
+            encoder_threads: self.encoder_threads.or(lower.encoder_threads),
+            max_pixels: self.max_pixels.or(lower.max_pixels),
+            max_side: self.max_side.or(lower.max_side),
+            max_upload_mib: self.max_upload_mib.or(lower.max_upload_mib),
+            max_connections: self.max_connections.or(lower.max_connections),
+            frame_timeout_seconds: self.frame_timeout_seconds.or(lower.frame_timeout_seconds),
+            read_timeout_seconds: self.read_timeout_seconds.or(lower.read_timeout_seconds),
+            api_keys: self.api_keys.or(lower.api_keys),
+            insecure: self.insecure.or(lower.insecure),
+            cors_origin: list(self.cors_origin, lower.cors_origin),
+            drain_seconds: self.drain_seconds.or(lower.drain_seconds),
+            log_format: self.log_format.or(lower.log_format),
+            force_32_bit: self.force_32_bit.or(lower.force_32_bit),
+        }
+    }
+}
+
+fn root(args: &ServeArgs) -> anyhow::Result<PathBuf> {
+    let root = args.root.as_deref().unwrap_or(Path::new("scenes"));
+    let canonical = root.canonicalize().with_context(|| {
+        format!("the scene root {} cannot be opened; give another with --root", root.display())
+    })?;
+    ensure!(canonical.is_dir(), "the scene root {} is not a folder", root.display());
+    Ok(canonical)
+}
+
+fn listen_address(text: &str) -> anyhow::Result<SocketAddr> {
+    text.to_socket_addrs()
+        .with_context(|| format!("--listen {text}: expected HOST:PORT, as in 127.0.0.1:8080"))?
+        .next()
+        .with_context(|| format!("--listen {text}: the name has no address"))
+}
+
+/// Who may do what: keys where there is a file, nobody but loopback without one.
+fn access(args: &ServeArgs, address: SocketAddr) -> anyhow::Result<Access> {
+    if let Some(path) = &args.api_keys {
+        let text = std::fs::read_to_string(path)
+            .with_context(|| format!("--api-keys: cannot read {}", path.display()))?;
+        let keys = parse_keys(&text)
+            .map_err(|reason| anyhow::anyhow!("--api-keys: {}: {reason}", path.display()))?;
+        return Ok(Access::Keys(keys));
+    }
+    ensure!(
+        address.ip().is_loopback() || args.insecure == Some(true),
+        "{address} can be reached from other machines: give --api-keys FILE, or --insecure to let everybody in"
+    );
+    Ok(Access::Open { cors_origins: args.cors_origin.clone() })
+}
+
+/// `value`, or the default; at least `least`.
+fn number<T: PartialOrd + std::fmt::Display>(
+    name: &str,
+    value: Option<T>,
+    default: T,
+    least: T,
+) -> anyhow::Result<T> {
+    let value = value.unwrap_or(default);
+    ensure!(value >= least, "--{name} {value}: must be at least {least}");
+    Ok(value)
+}
+
+fn settings(args: &ServeArgs, root: PathBuf, access: Access) -> anyhow::Result<Settings> {
+    for origin in &args.cors_origin {
+        let fine = origin == "*" || (origin.contains("://") && !origin.ends_with('/'));
+        ensure!(fine, "--cors-origin {origin}: expected an origin such as https://app.example");
+    }
+    let seconds =
+        |name, value, default, least| number(name, value, default, least).map(Duration::from_secs);
+    let upload_mib = number("max-upload-mib", args.max_upload_mib, 4096, 1)?;
+    Ok(Settings {
+        root,
+        access,
+        cors_origins: args.cors_origin.clone(),
+        max_upload_bytes: upload_mib.saturating_mul(1 << 20),
+        max_connections: number("max-connections", args.max_connections, 1024, 1)?,
+        frame_timeout: seconds("frame-timeout-seconds", args.frame_timeout_seconds, 120, 1)?,
+        read_timeout: seconds("read-timeout-seconds", args.read_timeout_seconds, 30, 1)?,
+        drain: seconds("drain-seconds", args.drain_seconds, 20, 0)?,
+    })
+}
+
+fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let budget_mib = args.gpu_budget_mib.map(|mib| number("gpu-budget-mib", Some(mib), 1, 1));
+    Ok(EngineConfig {
+        read: ReadOptions { root: Some(root.clone()), ..ReadOptions::default() },
+        root,
+        gpu_budget_bytes: budget_mib.transpose()?.map(|mib| mib.saturating_mul(1 << 20)),
+        queue_capacity: number("queue", args.queue, 256, 1)?,
+        max_batch: number("max-batch", args.max_batch, 8, 1)?,
+        encoder_threads: number("encoder-threads", args.encoder_threads, cores, 1)?,
+        max_pixels: number("max-pixels", args.max_pixels, 1 << 25, 1)?,
+        max_side: number("max-side", args.max_side, 8192, 1)?,
+        force_32_bit: args.force_32_bit == Some(true),
+        scene: SceneLimits::default(),
+    })
+}
+
+/// The scenes asked for, or every scene file directly in the root.
+fn start_scenes(args: &ServeArgs, root: &Path) -> anyhow::Result<StartScenes> {
+    if args.scene.is_empty() {
+        let entries = std::fs::read_dir(root).context("the scene root cannot be listed")?;
+        let mut files: Vec<PathBuf> = entries
+            .filter_map(Result::ok)
+            .map(|entry| entry.path())
+            .filter(|path| path.extension().is_some_and(|extension| extension == "json"))
+            .filter(|path| path.is_file())
+            .filter(|path| !path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.')))
+            .collect();
+        files.sort();
+        return Ok(StartScenes { scenes: with_ids(files), required: false });
+    }
+    let mut files = Vec::new();
+    for scene in &args.scene {
+        // Relative to the root; a path that only works from here is taken as well.
+        let in_root = root.join(scene);
+        let path = if in_root.exists() { in_root } else { scene.clone() };
+        let path = path.canonicalize().with_context(|| {
+            format!("--scene {}: no such file in {}", scene.display(), root.display())
+        })?;
+        ensure!(
+            path.starts_with(root),
+            "--scene {}: lies outside the scene root {}",
+            scene.display(),
+            root.display()
+        );
+        files.push(path);
+    }
+    Ok(StartScenes { scenes: with_ids(files), required: true })
+}
+
+fn with_ids(files: Vec<PathBuf>) -> Vec<(String, PathBuf)> {
+    files
+        .into_iter()
+        .map(|file| {
+            let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            (crate::http::slug(&name), file)
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: ServeArgs,
+    }
+
+    fn flags(line: &[&str]) -> ServeArgs {
+        Line::parse_from(std::iter::once(&"serve").chain(line)).args
+    }
+
+    #[test]
+    fn flags_win_over_the_file() {
+        let file = parse_file(
+            "queue = 7\nmax-batch = 3\nscene = [\"a.json\"]\ninsecure = true\nlog-format = \"json\"",
+        );
+        let args =
+            flags(&["--queue", "9", "--scene", "b.ply", "--scene", "c.ply"]).or(file.unwrap());
+        assert_eq!((args.queue, args.max_batch, args.insecure), (Some(9), Some(3), Some(true)));
+        assert_eq!(args.scene, [PathBuf::from("b.ply"), PathBuf::from("c.ply")]);
+        assert_eq!(args.log_format, Some(LogFormat::Json));
+        assert_eq!(flags(&["--insecure"]).insecure, Some(true));
+    }
+
+    /// Every setting in one file: a flag that serde does not know under its own name fails here.
+    #[test]
+    fn every_flag_is_a_key_of_the_file() {
+        for name in setting_names() {
+            let values = ["1", "\"1\"", "[\"1\"]", "true", "\"json\""];
+            let taken = values.iter().any(|value| parse_file(&format!("{name} = {value}")).is_ok());
+            assert!(taken, "{name}");
+        }
+    }
+
+    #[test]
+    fn unknown_keys_are_suggested() {
+        let error = parse_file("max-bach = 3").unwrap_err().to_string();
+        assert!(error.contains("`max-batch`"), "{error}");
+        assert!(parse_file("queue = \"many\"").unwrap_err().to_string().contains("queue"));
+        assert!(parse_file("config = \"x\"").is_err());
+    }
+
+    #[test]
+    fn other_addresses_need_keys() {
+        let open: SocketAddr = "0.0.0.0:80".parse().unwrap();
+        let local: SocketAddr = "[::1]:80".parse().unwrap();
+        assert!(access(&ServeArgs::default(), local).is_ok());
+        assert!(
+            access(&ServeArgs::default(), open).unwrap_err().to_string().contains("--api-keys")
+        );
+        assert!(access(&flags(&["--insecure"]), open).is_ok());
+        let folder = tempfile::tempdir().unwrap();
+        let keys = folder.path().join("keys");
+        std::fs::write(&keys, format!("a read {}\n", "0".repeat(64))).unwrap();
+        let args = ServeArgs { api_keys: Some(keys.clone()), ..ServeArgs::default() };
+        assert!(matches!(access(&args, open), Ok(Access::Keys(_))));
+        std::fs::write(&keys, "a read 12\n").unwrap();
+        assert!(access(&args, open).unwrap_err().to_string().contains("line 1"));
+    }
+
+    #[test]
+    fn scenes_at_the_start() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path().canonicalize().unwrap();
+        for name in ["b.json", "A One.json", ".hidden.json", "c.ply"] {
+            std::fs::write(root.join(name), "{}").unwrap();
+        }
+        let found = start_scenes(&ServeArgs::default(), &root).unwrap();
+        let ids: Vec<&str> = found.scenes.iter().map(|(id, _)| id.as_str()).collect();
+        assert_eq!((ids, found.required), (vec!["a-one", "b"], false));
+        let found = start_scenes(&flags(&["--scene", "c.ply"]), &root).unwrap();
+        assert_eq!((found.scenes[0].0.as_str(), found.required), ("c", true));
+        assert!(start_scenes(&flags(&["--scene", "none.ply"]), &root).is_err());
+        assert!(start_scenes(&flags(&["--scene", "/dev/null"]), &root).is_err());
+    }
+
+    #[test]
+    fn numbers_below_their_least_are_refused() {
+        let refused = |line: &[&str]| {
+            let args = flags(line);
+            let root = PathBuf::from("/");
+            let access = Access::Open { cors_origins: Vec::new() };
+            engine_config(&args, root.clone()).is_err() || settings(&args, root, access).is_err()
+        };
+        assert!(!refused(&[]));
+        for flag in [
+            "--queue=0",
+            "--max-batch=0",
+            "--gpu-budget-mib=0",
+            "--max-upload-mib=0",
+            "--cors-origin=x",
+        ] {
+            assert!(refused(&[flag]), "{flag}");
+        }
+    }
+}

@@ -1,0 +1,231 @@
+//! Who may do what: API keys with scopes, and the guard against foreign web pages.
+//!
+//! A key file holds one key a line, `name scope sha256hex`; only hashes are stored. The key of a
+//! request is hashed once and compared with every stored hash in constant time, so that neither the
+//! time nor the order tells how near a guess was. Without keys (loopback, or `--insecure`) anybody
+//! may do everything, except that a web page from another origin may not change anything: browsers
+//! send such requests to a local server without asking.
+
+use axum::http::{HeaderMap, Method, header};
+use sha2::{Digest, Sha256};
+use subtle::ConstantTimeEq;
+
+use super::problem::{Kind, Problem};
+
+/// What a key allows; each includes those before it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Scope {
+    /// Frames, scenes, limits, metrics.
+    Read,
+    /// Adding, changing and removing scenes too.
+    Write,
+    /// Everything.
+    Admin,
+}
+
+/// One line of the key file.
+#[derive(Clone, Debug)]
+pub struct ApiKey {
+    pub name: String,
+    pub scope: Scope,
+    hash: [u8; 32],
+}
+
+/// The rule for every request.
+#[derive(Clone, Debug)]
+pub enum Access {
+    /// No keys; changes only from the same origin or from `cors_origins`.
+    Open {
+        cors_origins: Vec<String>,
+    },
+    Keys(Vec<ApiKey>),
+}
+
+/// Reads a key file: `name scope sha256hex` a line, `#` begins a comment.
+///
+/// # Errors
+/// The first bad line by its number, or a file without keys.
+pub fn parse_keys(text: &str) -> Result<Vec<ApiKey>, String> {
+    let mut keys: Vec<ApiKey> = Vec::new();
+    for (index, line) in text.lines().enumerate() {
+        let line = line.split('#').next().unwrap_or_default().trim();
+        if line.is_empty() {
+            continue;
+        }
+        let fail = |what: &str| Err(format!("line {}: {what}", index + 1));
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let [name, scope, hex] = words[..] else {
+            return fail("expected `name scope sha256hex`");
+        };
+        let scope = match scope {
+            "read" => Scope::Read,
+            "write" => Scope::Write,
+            "admin" => Scope::Admin,
+            _ => return fail("the scope must be read, write or admin"),
+        };
+        let Some(hash) = parse_hash(hex) else {
+            return fail("the hash must be 64 hexadecimal digits (sha256sum of the key)");
+        };
+        if keys.iter().any(|key| key.name == name) {
+            return fail("the name was used before");
+        }
+        keys.push(ApiKey { name: name.to_owned(), scope, hash });
+    }
+    if keys.is_empty() { Err("no key in it".to_owned()) } else { Ok(keys) }
+}
+
+fn parse_hash(hex: &str) -> Option<[u8; 32]> {
+    if hex.len() != 64 || !hex.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+        return None;
+    }
+    let mut hash = [0; 32];
+    for (byte, digits) in hash.iter_mut().zip(hex.as_bytes().chunks_exact(2)) {
+        *byte = u8::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok()?;
+    }
+    Some(hash)
+}
+
+/// The scope that a request needs; `None` for what anybody may see.
+pub fn needed(method: &Method, route: &str) -> Option<Scope> {
+    match route {
+        "/" | "/healthz" | "/readyz" | "/openapi.yaml" => None,
+        // Renders, and changes nothing.
+        "/v1/scenes/{id}/frames" => Some(Scope::Read),
+        _ if method == Method::GET || method == Method::HEAD => Some(Scope::Read),
+        _ => Some(Scope::Write),
+    }
+}
+
+impl Access {
+    /// Whether a request may pass.
+    pub fn check(&self, method: &Method, route: &str, headers: &HeaderMap) -> Result<(), Problem> {
+        let Some(scope) = needed(method, route) else { return Ok(()) };
+        match self {
+            Access::Open { cors_origins } => {
+                if scope > Scope::Read && is_foreign(headers, cors_origins) {
+                    return Err(Problem::new(
+                        Kind::Forbidden,
+                        "a page of another origin may not change scenes",
+                    )
+                    .at("Origin")
+                    .accepted("an origin given with --cors-origin"));
+                }
+                Ok(())
+            }
+            Access::Keys(keys) => check_key(keys, scope, headers),
+        }
+    }
+}
+
+fn check_key(keys: &[ApiKey], scope: Scope, headers: &HeaderMap) -> Result<(), Problem> {
+    const HOW: &str = "Authorization: Bearer KEY";
+    let unauthorized =
+        |detail| Problem::new(Kind::Unauthorized, detail).at("Authorization").accepted(HOW);
+    let Some(value) = headers.get(header::AUTHORIZATION) else {
+        return Err(unauthorized("no key was sent"));
+    };
+    let bytes = value.as_bytes();
+    let token = match bytes.split_at_checked(7) {
+        Some((scheme, token)) if scheme.eq_ignore_ascii_case(b"Bearer ") => token.trim_ascii(),
+        _ => return Err(unauthorized("not a bearer key")),
+    };
+    let hash: [u8; 32] = Sha256::digest(token).into();
+    let mut granted: Option<Scope> = None;
+    for key in keys {
+        // Every key is compared, also after a hit.
+        if bool::from(key.hash.ct_eq(&hash)) {
+            granted = granted.max(Some(key.scope));
+        }
+    }
+    match granted {
+        None => Err(unauthorized("the key is not known")),
+        Some(granted) if granted < scope => Err(Problem::new(
+            Kind::Forbidden,
+            format!("the key's scope is {granted:?}, this needs {scope:?}").to_lowercase(),
+        )),
+        Some(_) => Ok(()),
+    }
+}
+
+/// Whether a browser sent this for a page of another origin.
+fn is_foreign(headers: &HeaderMap, cors_origins: &[String]) -> bool {
+    let Some(origin) = headers.get(header::ORIGIN) else { return false };
+    let Ok(origin) = origin.to_str() else { return true };
+    if cors_origins.iter().any(|allowed| allowed == origin) {
+        return false;
+    }
+    let host = headers.get(header::HOST).and_then(|host| host.to_str().ok());
+    match (origin.split_once("://"), host) {
+        (Some((_, authority)), Some(host)) => !authority.eq_ignore_ascii_case(host),
+        _ => true,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use axum::http::HeaderValue;
+
+    fn line(name: &str, scope: &str, key: &str) -> String {
+        let hex: String =
+            Sha256::digest(key.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect();
+        format!("{name} {scope} {hex}\n")
+    }
+
+    fn bearer(key: &str) -> HeaderMap {
+        let mut headers = HeaderMap::new();
+        headers.insert(
+            header::AUTHORIZATION,
+            HeaderValue::from_str(&format!("Bearer {key}")).unwrap(),
+        );
+        headers
+    }
+
+    #[test]
+    fn scopes_are_enforced() {
+        let text = format!("# keys\n{}{}", line("eye", "read", "r"), line("hand", "write", "w"));
+        let access = Access::Keys(parse_keys(&text).unwrap());
+        let status = |method: &Method, route, headers: &HeaderMap| {
+            access.check(method, route, headers).err().map(|p| p.status())
+        };
+        let frame = "/v1/scenes/{id}/frame";
+        assert_eq!(status(&Method::GET, frame, &bearer("r")), None);
+        assert_eq!(status(&Method::POST, "/v1/scenes/{id}/frames", &bearer("r")), None);
+        assert_eq!(status(&Method::POST, "/v1/scenes", &bearer("r")), Some(403));
+        assert_eq!(status(&Method::POST, "/v1/scenes", &bearer("w")), None);
+        assert_eq!(status(&Method::DELETE, "/v1/scenes/{id}", &bearer("r")), Some(403));
+        assert_eq!(status(&Method::GET, frame, &bearer("x")), Some(401));
+        assert_eq!(status(&Method::GET, frame, &HeaderMap::new()), Some(401));
+        assert_eq!(status(&Method::GET, "/metrics", &HeaderMap::new()), Some(401));
+        assert_eq!(status(&Method::GET, "/healthz", &HeaderMap::new()), None);
+        let mut basic = HeaderMap::new();
+        basic.insert(header::AUTHORIZATION, HeaderValue::from_static("Basic r"));
+        assert_eq!(status(&Method::GET, frame, &basic), Some(401));
+    }
+
+    #[test]
+    fn key_files_are_checked() {
+        let good = line("a", "admin", "k");
+        assert_eq!(parse_keys(&good).unwrap()[0].scope, Scope::Admin);
+        for bad in ["", "# only\n", "a read\n", "a root 00\n", "a read 00\n"] {
+            assert!(parse_keys(bad).is_err(), "{bad:?}");
+        }
+        assert!(parse_keys(&format!("{good}{good}")).unwrap_err().starts_with("line 2"));
+    }
+
+    #[test]
+    fn foreign_pages_cannot_change_scenes() {
+        let access = Access::Open { cors_origins: vec!["https://app.example".into()] };
+        let from = |origin: &str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::HOST, HeaderValue::from_static("127.0.0.1:8080"));
+            headers.insert(header::ORIGIN, HeaderValue::from_str(origin).unwrap());
+            access.check(&Method::POST, "/v1/scenes", &headers).is_ok()
+        };
+        assert!(from("http://127.0.0.1:8080"));
+        assert!(from("https://app.example"));
+        assert!(!from("https://evil.example"));
+        assert!(!from("null"));
+        assert!(access.check(&Method::POST, "/v1/scenes", &HeaderMap::new()).is_ok());
+    }
+}

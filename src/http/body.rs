@@ -1,0 +1,206 @@
+//! Request bodies, bounded in size and in patience while they are read.
+
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use axum::body::{Body, BodyDataStream};
+use axum::http::{HeaderMap, header};
+use bytes::Bytes;
+use futures::{Stream, StreamExt};
+use parking_lot::Mutex;
+use serde::de::DeserializeOwned;
+
+use super::problem::{Kind, Problem};
+
+/// The next piece of a body, or `None` at its end.
+///
+/// # Errors
+/// 408 when nothing comes for `patience`; 422 when the client broke off.
+pub async fn next_chunk<E: std::fmt::Display>(
+    stream: &mut (impl Stream<Item = Result<Bytes, E>> + Unpin),
+    patience: Duration,
+) -> Result<Option<Bytes>, Problem> {
+    match tokio::time::timeout(patience, stream.next()).await {
+        Err(_) => Err(stalled(patience)),
+        Ok(None) => Ok(None),
+        Ok(Some(Ok(chunk))) => Ok(Some(chunk)),
+        Ok(Some(Err(error))) => {
+            Err(Problem::new(Kind::BadBody, format!("the body broke off: {error}")))
+        }
+    }
+}
+
+pub fn stalled(patience: Duration) -> Problem {
+    Problem::new(
+        Kind::RequestTimeout,
+        format!("nothing was received for {} seconds", patience.as_secs()),
+    )
+}
+
+pub fn too_large(limit: u64) -> Problem {
+    Problem::new(Kind::BodyTooLarge, format!("the body is over the limit of {limit} bytes"))
+        .accepted(format!("at most {limit} bytes"))
+}
+
+/// Refuses a body whose announced length is over `limit`.
+pub fn check_length(headers: &HeaderMap, limit: u64) -> Result<(), Problem> {
+    let announced = headers
+        .get(header::CONTENT_LENGTH)
+        .and_then(|value| value.to_str().ok())
+        .and_then(|value| value.parse::<u64>().ok());
+    match announced {
+        Some(length) if length > limit => Err(too_large(limit)),
+        _ => Ok(()),
+    }
+}
+
+/// Reads a JSON body of at most `limit` bytes.
+///
+/// # Errors
+/// 415 for another content type, 413, 408, and 422 with the place in the document.
+pub async fn json<T: DeserializeOwned>(
+    headers: &HeaderMap,
+    body: Body,
+    limit: u64,
+    patience: Duration,
+) -> Result<T, Problem> {
+    if !is_json(&media_type(headers)) {
+        return Err(Problem::new(Kind::UnsupportedMediaType, "the body must be JSON")
+            .at("Content-Type")
+            .accepted("application/json"));
+    }
+    check_length(headers, limit)?;
+    let mut bytes = Vec::new();
+    let mut stream = body.into_data_stream();
+    while let Some(chunk) = next_chunk(&mut stream, patience).await? {
+        if (bytes.len() + chunk.len()) as u64 > limit {
+            return Err(too_large(limit));
+        }
+        bytes.extend_from_slice(&chunk);
+    }
+    parse_json(&bytes)
+}
+
+/// Parses JSON; the error names the place.
+pub fn parse_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
+    let mut deserializer = serde_json::Deserializer::from_slice(bytes);
+    let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
+        let path = error.path().to_string();
+        let problem = Problem::new(Kind::BadBody, error.to_string());
+        if path == "." { problem } else { problem.at(path) }
+    })?;
+    deserializer.end().map_err(|error| Problem::new(Kind::BadBody, error.to_string()))?;
+    Ok(value)
+}
+
+/// The media type without parameters, in lower case; empty when there is none.
+pub fn media_type(headers: &HeaderMap) -> String {
+    headers
+        .get(header::CONTENT_TYPE)
+        .and_then(|value| value.to_str().ok())
+        .and_then(|value| value.split(';').next())
+        .map(|value| value.trim().to_ascii_lowercase())
+        .unwrap_or_default()
+}
+
+/// `application/json` and its `+json` kin.
+pub fn is_json(media_type: &str) -> bool {
+    media_type == "application/json"
+        || (media_type.starts_with("application/") && media_type.ends_with("+json"))
+}
+
+/// What a handler has not read of its request.
+pub struct Rest(Arc<Mutex<Option<BodyDataStream>>>);
+
+/// Splits `body` into one for the handler and what will be left of it.
+pub fn share(body: Body) -> (Body, Rest) {
+    let shared = Arc::new(Mutex::new(Some(body.into_data_stream())));
+    let rest = Rest(shared.clone());
+    (
+        Body::from_stream(futures::stream::poll_fn(move |context| poll_shared(&shared, context))),
+        rest,
+    )
+}
+
+fn poll_shared(
+    shared: &Mutex<Option<BodyDataStream>>,
+    context: &mut Context<'_>,
+) -> Poll<Option<Result<Bytes, axum::Error>>> {
+    let mut slot = shared.lock();
+    let Some(stream) = slot.as_mut() else { return Poll::Ready(None) };
+    let next = stream.poll_next_unpin(context);
+    if !matches!(next, Poll::Pending | Poll::Ready(Some(Ok(_)))) {
+        *slot = None;
+    }
+    next
+}
+
+impl Rest {
+    /// Reads on after a refusal, for a moment: a connection that is closed while its client still
+    /// sends is reset, and the client never sees why.
+    pub async fn linger(self) {
+        const MAX_BYTES: usize = 16 << 20;
+        const MAX_TIME: Duration = Duration::from_secs(2);
+        let drain = async {
+            let mut left = MAX_BYTES;
+            while let Some(Ok(chunk)) =
+                std::future::poll_fn(|context| poll_shared(&self.0, context)).await
+            {
+                match left.checked_sub(chunk.len()) {
+                    Some(rest) => left = rest,
+                    None => break,
+                }
+            }
+        };
+        // Whatever has not come by then is not waited for.
+        let _ = tokio::time::timeout(MAX_TIME, drain).await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use axum::http::HeaderValue;
+
+    fn run<T>(future: impl Future<Output = T>) -> T {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+        runtime.block_on(future)
+    }
+
+    fn read(content_type: &'static str, body: &'static str) -> Result<[u32; 2], Problem> {
+        let mut headers = HeaderMap::new();
+        headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(content_type));
+        run(json(&headers, Body::from(body), 16, Duration::from_secs(1)))
+    }
+
+    #[test]
+    fn json_bodies() {
+        assert_eq!(read("application/json; charset=utf-8", "[1, 2]").unwrap(), [1, 2]);
+        assert_eq!(read("application/merge-patch+json", "[1, 2]").unwrap(), [1, 2]);
+        assert_eq!(read("text/plain", "[1, 2]").unwrap_err().status(), 415);
+        assert_eq!(read("application/json", "[1, 2").unwrap_err().status(), 422);
+        assert_eq!(read("application/json", "[1, 2] 3").unwrap_err().status(), 422);
+        let wrong = read("application/json", "[1, \"x\"]").unwrap_err();
+        assert_eq!((wrong.status(), wrong.parameter.as_deref()), (422, Some("[1]")));
+        assert_eq!(read("application/json", "[1,         2       ]").unwrap_err().status(), 413);
+    }
+
+    #[test]
+    fn what_is_left_is_read_to_its_end() {
+        let chunks = ["a", "b", "c"].map(|chunk| Ok::<_, std::io::Error>(Bytes::from(chunk)));
+        let (body, rest) = share(Body::from_stream(futures::stream::iter(chunks)));
+        let mut stream = body.into_data_stream();
+        let second = Duration::from_secs(1);
+        assert_eq!(run(next_chunk(&mut stream, second)).unwrap().unwrap(), "a");
+        run(rest.linger());
+        assert!(run(next_chunk(&mut stream, second)).unwrap().is_none());
+    }
+
+    #[test]
+    fn a_stalled_body_is_given_up() {
+        let mut stream = futures::stream::pending::<Result<Bytes, String>>();
+        let problem = run(next_chunk(&mut stream, Duration::from_millis(5))).unwrap_err();
+        assert_eq!(problem.status(), 408);
+    }
+}

@@ -1,0 +1,171 @@
+//! `GET /v1/scenes/{id}/frame`.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
+
+use super::problem::{Kind, Problem};
+use super::{App, Segments, conditional, headers};
+use crate::encode::ImageFormat;
+use crate::engine::{EncodedFrame, FrameRequest, FrameTicket};
+
+use super::params::FrameParams;
+
+pub const RECEIPT_HEADER: HeaderName = HeaderName::from_static("pointillist-receipt");
+pub const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
+const REVALIDATE: HeaderValue = HeaderValue::from_static("no-cache");
+
+/// A frame.
+///
+/// The entity tag is a hash of everything that the image depends on and is known before rendering:
+/// `If-None-Match` costs no GPU work, and neither does `HEAD`. `Pointillist-Receipt` says what was
+/// understood and done, `Server-Timing` what it cost.
+#[utoipa::path(
+    get,
+    path = "/v1/scenes/{id}/frame",
+    tag = "frames",
+    params(
+        ("id" = String, Path, description = "A scene that `GET /v1/scenes` lists"),
+        FrameParams,
+        ("If-None-Match" = Option<String>, Header, description = "Entity tags that the client has"),
+        ("Accept" = Option<String>, Header, description = "Formats, where `format` is not given"),
+        ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`, where `deadline_ms` is not given"),
+    ),
+    responses(
+        (
+            status = 200,
+            description = "The image",
+            content(
+                (Vec<u8> = "image/png"),
+                (Vec<u8> = "image/jpeg"),
+                (Vec<u8> = "image/webp"),
+                (Vec<u8> = "image/qoi"),
+                (Vec<u8> = "image/x-exr"),
+                (Vec<u8> = "image/x-portable-floatmap"),
+                (Vec<u8> = "application/octet-stream"),
+            ),
+            headers(
+                ("ETag" = String, description = "Strong, known before rendering"),
+                ("Server-Timing" = String, description = "Milliseconds of queue, batch, each pass, readback, encode, total"),
+                ("Pointillist-Receipt" = String, description = "A `Receipt` as one line of JSON, ASCII only"),
+            ),
+        ),
+        (status = 304, description = "The client has this frame already"),
+    ),
+)]
+pub async fn frame(
+    State(app): State<Arc<App>>,
+    Segments(id): Segments<String>,
+    method: Method,
+    uri: Uri,
+    request_headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let params = FrameParams::from_query(uri.query())?;
+    let (format, negotiated) = choose_format(&params, &request_headers)?;
+    let now = Instant::now();
+    let mut request = params.request(&id, format, now)?;
+    if request.deadline.is_none() {
+        request.deadline = conditional::prefer_wait(&request_headers)
+            .and_then(|seconds| now.checked_add(Duration::from_secs(seconds)));
+    }
+
+    let etag = app.engine.etag(&request).map_err(|error| missing(&app, &id, error.into()))?;
+    let tag = HeaderValue::from_str(&etag)
+        .map_err(|_| Problem::internal(format!("the tag {etag:?} is no header")))?;
+    if conditional::none_match_hits(&request_headers, &etag) {
+        app.metrics.not_modified.inc();
+        let mut response = StatusCode::NOT_MODIFIED.into_response();
+        validators(response.headers_mut(), tag, negotiated);
+        return Ok(response);
+    }
+    if method == Method::HEAD {
+        // A body of unknown length, so that no Content-Length is made up.
+        let body =
+            Body::from_stream(futures::stream::empty::<Result<bytes::Bytes, std::io::Error>>());
+        let mut response = Response::new(body);
+        let media_type = HeaderValue::from_static(conditional::media_type(format));
+        response.headers_mut().insert(header::CONTENT_TYPE, media_type);
+        validators(response.headers_mut(), tag, negotiated);
+        return Ok(response);
+    }
+
+    let ticket = app.engine.submit(request.clone())?;
+    let frame = wait(&app, ticket).await?;
+    app.metrics.frame(&frame);
+    let mut response = Response::new(Body::from(frame.bytes.clone()));
+    let headers = response.headers_mut();
+    for (name, value) in receipt_headers(&frame) {
+        headers.insert(name, value);
+    }
+    headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    // A scene that changed meanwhile leaves open which revision the image shows.
+    if still(&app, &request, &etag) {
+        validators(headers, tag, negotiated);
+    } else {
+        headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    }
+    Ok(response)
+}
+
+/// The format, and whether `Accept` had a say in it.
+pub fn choose_format(
+    params: &FrameParams,
+    headers: &HeaderMap,
+) -> Result<(ImageFormat, bool), Problem> {
+    match params.format()? {
+        Some(format) => Ok((format, false)),
+        None => Ok((conditional::negotiate(headers, params.output()?)?, true)),
+    }
+}
+
+/// A scene that the engine does not know may be on its way.
+pub fn missing(app: &App, id: &str, problem: Problem) -> Problem {
+    if problem.status() != 404 {
+        return problem;
+    }
+    match app.registry.get(id) {
+        Some(super::registry::Entry::Loading { .. }) => {
+            Problem::new(Kind::SceneLoading, format!("scene `{id}` is still loading"))
+                .retry_after(Duration::from_secs(1))
+        }
+        Some(super::registry::Entry::Failed { problem, .. }) => problem,
+        None => problem,
+    }
+}
+
+/// Awaits a frame, but not for ever. Dropping the future drops the ticket.
+pub async fn wait(app: &App, ticket: FrameTicket) -> Result<Arc<EncodedFrame>, Problem> {
+    let limit = app.settings.frame_timeout;
+    match tokio::time::timeout(limit, ticket).await {
+        Ok(result) => Ok(result?),
+        Err(_) => Err(Problem::new(
+            Kind::FrameTimeout,
+            format!("no frame within {} seconds", limit.as_secs()),
+        )
+        .retry_after(limit)),
+    }
+}
+
+/// Content type, receipt and timing of a frame, for an answer or a part of one.
+pub fn receipt_headers(frame: &EncodedFrame) -> Vec<(HeaderName, HeaderValue)> {
+    let mut found = vec![(header::CONTENT_TYPE, HeaderValue::from_static(frame.content_type))];
+    found.extend(headers::receipt(&frame.receipt).map(|value| (RECEIPT_HEADER, value)));
+    found.extend(headers::server_timing(&frame.receipt).map(|value| (SERVER_TIMING, value)));
+    found
+}
+
+fn validators(headers: &mut HeaderMap, etag: HeaderValue, negotiated: bool) {
+    headers.insert(header::ETAG, etag);
+    headers.insert(header::CACHE_CONTROL, REVALIDATE);
+    if negotiated {
+        headers.insert(header::VARY, HeaderValue::from_static("accept"));
+    }
+}
+
+fn still(app: &App, request: &FrameRequest, etag: &str) -> bool {
+    app.engine.etag(request).is_ok_and(|now| now == etag)
+}

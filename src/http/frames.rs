@@ -1,0 +1,259 @@
+//! `POST /v1/scenes/{id}/frames`: many poses, one streamed `multipart/mixed` answer.
+//!
+//! Poses are submitted a window ahead of the part that is being written, so that the engine can
+//! batch them, and no further, so that one client does not fill the queue. When the queue is full
+//! the stream waits; other clients' refusals are not its problem, and its own come as parts.
+
+use std::collections::VecDeque;
+use std::fmt::Write;
+use std::hash::{BuildHasher, Hasher, RandomState};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::{HeaderMap, HeaderValue, header};
+use axum::response::Response;
+use bytes::Bytes;
+use futures::Stream;
+use serde::Deserialize;
+use utoipa::ToSchema;
+
+use super::frame::{choose_format, missing, receipt_headers, wait};
+use super::params::FrameParams;
+use super::problem::{Kind, PROBLEM_JSON, Problem};
+use super::{App, Segments, body};
+use crate::encode::ImageFormat;
+use crate::engine::{EncodedFrame, EngineError, FrameTicket};
+
+/// Bytes of the request.
+const MAX_BODY_BYTES: u64 = 16 << 20;
+/// Poses of one request.
+const MAX_POSES: usize = 10_000;
+/// How long a pose waits for a place in the queue before its part says that there is none.
+const MAX_QUEUEING: Duration = Duration::from_secs(30);
+
+/// Poses, and what they have in common.
+#[derive(Deserialize, ToSchema)]
+pub struct FramesRequest {
+    /// Each may set anything that a frame's query may; what it leaves out comes from beside `poses`.
+    #[schema(value_type = Vec<FrameParams>, min_items = 1, max_items = 10_000)]
+    poses: Vec<serde_json::Value>,
+    #[serde(flatten)]
+    #[schema(value_type = FrameParams)]
+    defaults: serde_json::Map<String, serde_json::Value>,
+}
+
+/// Frames for many poses, streamed in order.
+///
+/// Each part has its own `Content-Type`, `Content-Length`, `Pointillist-Receipt` and
+/// `Server-Timing`. A pose that cannot be drawn becomes a part of type `application/problem+json`;
+/// the others are drawn all the same. `deadline_ms` runs from the moment a pose's turn comes.
+#[utoipa::path(
+    post,
+    path = "/v1/scenes/{id}/frames",
+    tag = "frames",
+    params(
+        ("id" = String, Path, description = "A scene that `GET /v1/scenes` lists"),
+        ("Accept" = Option<String>, Header, description = "Formats, where `format` is not given; `multipart/mixed` is ignored"),
+    ),
+    request_body(content = FramesRequest, content_type = "application/json"),
+    responses((status = 200, description = "A part a pose, in order", body = Vec<u8>, content_type = "multipart/mixed")),
+)]
+pub async fn frames(
+    State(app): State<Arc<App>>,
+    Segments(id): Segments<String>,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<Response, Problem> {
+    let request: FramesRequest =
+        body::json(&headers, body, MAX_BODY_BYTES, app.settings.read_timeout).await?;
+    let defaults = FrameParams::from_json(serde_json::Value::Object(request.defaults), "")?;
+    if request.poses.is_empty() || request.poses.len() > MAX_POSES {
+        return Err(Problem::new(Kind::BadBody, format!("poses: {} of them", request.poses.len()))
+            .at("poses")
+            .accepted(format!("1 to {MAX_POSES} poses")));
+    }
+    app.engine.scene(&id).map_err(|error| missing(&app, &id, error.into()))?;
+    let boundary = boundary();
+    let content_type = format!("multipart/mixed; boundary={boundary}");
+    let batch = Batch { app, id, defaults, headers: image_ranges(&headers), poses: request.poses };
+    let mut response = Response::new(Body::from_stream(parts(batch, boundary)));
+    let content_type = HeaderValue::from_str(&content_type).map_err(Problem::internal)?;
+    response.headers_mut().insert(header::CONTENT_TYPE, content_type);
+    response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    Ok(response)
+}
+
+/// `Accept` without what it says of the container.
+fn image_ranges(headers: &HeaderMap) -> HeaderMap {
+    let mut kept = HeaderMap::new();
+    for value in headers.get_all(header::ACCEPT) {
+        let ranges: Vec<&str> = value
+            .to_str()
+            .unwrap_or_default()
+            .split(',')
+            .filter(|range| !range.trim_start().starts_with("multipart/"))
+            .collect();
+        if let Ok(value) = HeaderValue::from_str(&ranges.join(",")) {
+            kept.append(header::ACCEPT, value);
+        }
+    }
+    kept
+}
+
+/// A boundary that no client can know beforehand, and so cannot have drawn into an image.
+fn boundary() -> String {
+    let random = || RandomState::new().build_hasher().finish();
+    format!("pointillist-{:016x}{:016x}", random(), random())
+}
+
+struct Batch {
+    app: Arc<App>,
+    id: String,
+    defaults: FrameParams,
+    headers: HeaderMap,
+    poses: Vec<serde_json::Value>,
+}
+
+impl Batch {
+    /// The parameters of pose `index`, taken out of the request.
+    fn pose(&mut self, index: usize) -> Result<(FrameParams, ImageFormat), Problem> {
+        let place = format!("poses[{index}]");
+        let value = self.poses.get_mut(index).map(serde_json::Value::take).unwrap_or_default();
+        let params = FrameParams::from_json(value, &place)?.or(&self.defaults);
+        let (format, _) = choose_format(&params, &self.headers)?;
+        Ok((params, format))
+    }
+
+    /// Queues a pose; `None` when there is no place now and `wait_for_place` is false.
+    async fn submit(
+        &self,
+        (params, format): &(FrameParams, ImageFormat),
+        wait_for_place: bool,
+    ) -> Option<Result<FrameTicket, Problem>> {
+        let turn = Instant::now();
+        loop {
+            let request = match params.request(&self.id, *format, turn) {
+                Ok(request) => request,
+                Err(problem) => return Some(Err(problem)),
+            };
+            match self.app.engine.submit(request) {
+                Ok(ticket) => return Some(Ok(ticket)),
+                Err(EngineError::Busy { retry_after }) if turn.elapsed() < MAX_QUEUEING => {
+                    if !wait_for_place {
+                        return None;
+                    }
+                    let pause = retry_after.clamp(Duration::from_millis(2), Duration::from_secs(1));
+                    tokio::time::sleep(pause).await;
+                }
+                Err(error) => return Some(Err(error.into())),
+            }
+        }
+    }
+}
+
+/// The answer's body.
+fn parts(
+    mut batch: Batch,
+    boundary: String,
+) -> impl Stream<Item = Result<Bytes, std::convert::Infallible>> {
+    async_stream::stream! {
+        let window = (2 * batch.app.engine.limits().max_batch).max(1);
+        let mut pending: VecDeque<Result<FrameTicket, Problem>> = VecDeque::new();
+        let mut held: Option<(FrameParams, ImageFormat)> = None;
+        let mut next = 0;
+        for index in 0..batch.poses.len() {
+            while pending.len() < window && next < batch.poses.len() {
+                let pose = match held.take().map_or_else(|| batch.pose(next), Ok) {
+                    Ok(pose) => pose,
+                    Err(problem) => {
+                        pending.push_back(Err(problem));
+                        next += 1;
+                        continue;
+                    }
+                };
+                match batch.submit(&pose, pending.is_empty()).await {
+                    Some(queued) => {
+                        pending.push_back(queued);
+                        next += 1;
+                    }
+                    None => {
+                        held = Some(pose);
+                        break;
+                    }
+                }
+            }
+            let Some(front) = pending.pop_front() else { break };
+            let result = match front {
+                Ok(ticket) => wait(&batch.app, ticket).await,
+                Err(problem) => Err(problem),
+            };
+            if let Ok(frame) = &result {
+                batch.app.metrics.frame(frame);
+            }
+            let (head, content) = part(&boundary, index, result);
+            yield Ok(head);
+            yield Ok(content);
+        }
+        yield Ok(Bytes::from(format!("\r\n--{boundary}--\r\n")));
+    }
+}
+
+/// A part's delimiter and header, and its content.
+fn part(
+    boundary: &str,
+    index: usize,
+    result: Result<Arc<EncodedFrame>, Problem>,
+) -> (Bytes, Bytes) {
+    let mut head = format!("\r\n--{boundary}\r\nPointillist-Pose: {index}\r\n");
+    // Writing to a string cannot fail.
+    let content = match result {
+        Ok(frame) => {
+            for (name, value) in receipt_headers(&frame) {
+                let _ = write!(head, "{name}: {}\r\n", value.to_str().unwrap_or_default());
+            }
+            frame.bytes.clone()
+        }
+        Err(problem) => {
+            let _ = write!(head, "{}: {PROBLEM_JSON}\r\n", header::CONTENT_TYPE);
+            Bytes::from(problem.to_json())
+        }
+    };
+    let _ = write!(head, "{}: {}\r\n\r\n", header::CONTENT_LENGTH, content.len());
+    (Bytes::from(head), content)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn boundaries_differ_and_are_tokens() {
+        let (a, b) = (boundary(), boundary());
+        assert_ne!(a, b);
+        assert!(a.len() <= 70 && a.bytes().all(|c| c.is_ascii_alphanumeric() || c == b'-'));
+    }
+
+    #[test]
+    fn a_failed_pose_is_a_problem_part() {
+        let problem = Problem::parameter("poses[2].eye", "bad", "three numbers");
+        let (head, content) = part("b", 2, Err(problem));
+        let head = std::str::from_utf8(&head).unwrap();
+        assert!(head.starts_with("\r\n--b\r\nPointillist-Pose: 2\r\n"), "{head}");
+        assert!(head.contains("content-type: application/problem+json\r\n"));
+        assert!(head.ends_with(&format!("content-length: {}\r\n\r\n", content.len())));
+    }
+
+    #[test]
+    fn the_container_does_not_choose_the_format() {
+        let mut headers = HeaderMap::new();
+        headers.insert(header::ACCEPT, HeaderValue::from_static("multipart/mixed, image/jpeg"));
+        let ranges = image_ranges(&headers);
+        let (format, _) = choose_format(&FrameParams::default(), &ranges).unwrap();
+        assert_eq!(format, ImageFormat::Jpeg);
+        headers.insert(header::ACCEPT, HeaderValue::from_static("multipart/mixed"));
+        let (format, _) = choose_format(&FrameParams::default(), &image_ranges(&headers)).unwrap();
+        assert_eq!(format, ImageFormat::Png);
+    }
+}

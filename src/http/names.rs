@@ -1,0 +1,180 @@
+//! Names in uploads: which are taken, and what follows from them.
+//!
+//! Names are refused, not repaired: a repaired one would no longer be the one that a scene mentions.
+
+use axum::http::{HeaderMap, header};
+
+use super::problem::{Kind, Problem};
+
+/// An id as a client may choose it.
+pub fn valid_id(id: String) -> Result<String, Problem> {
+    let good = |c: u8| c.is_ascii_lowercase() || c.is_ascii_digit() || c == b'-' || c == b'_';
+    if (1..=64).contains(&id.len()) && id.bytes().all(good) {
+        return Ok(id);
+    }
+    Err(Problem::parameter("id", "not a valid id", "1 to 64 of a-z, 0-9, - and _"))
+}
+
+/// A file's name as it may stand in an upload's folder. Refused, not repaired: a repaired name would
+/// no longer be the one that the scene mentions.
+pub fn valid_file_name(name: &str) -> Result<String, Problem> {
+    let fail = |reason: &str| {
+        let shown: String = name.chars().take(64).collect();
+        Err(Problem::parameter(
+            "name",
+            format!("`{}` {reason}", shown.escape_debug()),
+            "a plain file name of at most 128 bytes without folders, not beginning with a dot",
+        ))
+    };
+    if name.is_empty() || name.len() > 128 {
+        return fail("has no usable length");
+    }
+    if name.starts_with('.') {
+        return fail("begins with a dot");
+    }
+    if name.ends_with(['.', ' ']) {
+        return fail("ends with a dot or a space");
+    }
+    if name.chars().any(|c| c.is_control() || "/\\:*?\"<>|".contains(c)) {
+        return fail("holds a character that file names cannot have");
+    }
+    Ok(name.to_owned())
+}
+
+/// An id from a file's name.
+pub fn slug(name: &str) -> String {
+    let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+    let mut slug = String::new();
+    for c in stem.chars() {
+        let c = c.to_ascii_lowercase();
+        if c.is_ascii_alphanumeric() || c == '_' {
+            slug.push(c);
+        } else if !slug.ends_with('-') && !slug.is_empty() {
+            slug.push('-');
+        }
+    }
+    slug.truncate(56);
+    let slug = slug.trim_end_matches('-');
+    if slug.is_empty() { "scene".to_owned() } else { slug.to_owned() }
+}
+
+/// Whether a file of this name is a scene.
+pub fn is_json_name(name: &str) -> bool {
+    name.to_ascii_lowercase().ends_with(".json")
+}
+
+/// The file name in `Content-Disposition`, if any.
+pub fn disposition_name(headers: &HeaderMap) -> Result<Option<String>, Problem> {
+    let Some(value) = headers.get(header::CONTENT_DISPOSITION) else { return Ok(None) };
+    let value = String::from_utf8_lossy(value.as_bytes());
+    let Some((_, rest)) = value.split_once("filename=") else { return Ok(None) };
+    let name = match rest.strip_prefix('"') {
+        Some(quoted) => quoted.split('"').next().unwrap_or_default(),
+        None => rest.split(';').next().unwrap_or_default().trim(),
+    };
+    valid_file_name(name).map(Some)
+}
+
+/// Extensions of files that other files name, and that are no scene of their own.
+const COMPANIONS: [&str; 11] =
+    ["mtl", "png", "jpg", "jpeg", "webp", "bmp", "tga", "bin", "gif", "hdr", "txt"];
+
+/// Which of several files to load: the one named, else the scene, else the only one that is not
+/// there for another's sake.
+pub fn main_file(names: &[String], named: Option<&str>) -> Result<String, Problem> {
+    const ACCEPTED: &str =
+        "?name= of the file to load, or one scene, or one asset with its companions";
+    if let Some(named) = named {
+        return match names.iter().find(|name| *name == named) {
+            Some(name) => Ok(name.clone()),
+            None => Err(Problem::parameter(
+                "name",
+                format!("there is no file `{named}` in the form"),
+                names.join(", "),
+            )),
+        };
+    }
+    let is_companion = |name: &str| {
+        name.rsplit_once('.').is_some_and(|(_, extension)| {
+            COMPANIONS.contains(&extension.to_ascii_lowercase().as_str())
+        })
+    };
+    let scenes: Vec<&String> = names.iter().filter(|name| is_json_name(name)).collect();
+    let assets: Vec<&String> = names.iter().filter(|name| !is_companion(name)).collect();
+    match (&scenes[..], &assets[..], names) {
+        ([only], _, _) | ([], [only], _) => Ok((*only).clone()),
+        ([], [], [only]) => Ok(only.clone()),
+        ([], [], []) => {
+            Err(Problem::new(Kind::BadBody, "the form holds no file").accepted(ACCEPTED))
+        }
+        _ => Err(Problem::parameter("name", "which file to load is not clear", ACCEPTED)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use axum::http::HeaderValue;
+
+    #[test]
+    fn ids() {
+        for good in ["a", "plaza-2_b", &"x".repeat(64)] {
+            assert!(valid_id(good.to_owned()).is_ok(), "{good}");
+        }
+        for bad in ["", "A", "a/b", "..", "a b", &"x".repeat(65)] {
+            assert!(valid_id(bad.to_owned()).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn file_names_lead_nowhere() {
+        for good in ["a.ply", "Stanford bunny (1).ply", "größe.obj"] {
+            assert_eq!(valid_file_name(good).unwrap(), good);
+        }
+        for bad in [
+            "", ".", "..", ".hidden", "../a.ply", "a/b.ply", "a\\b.ply", "C:a.ply", "a\0.ply",
+            "a.", "a\n",
+        ] {
+            assert_eq!(valid_file_name(bad).unwrap_err().status(), 422, "{bad:?}");
+        }
+        assert!(valid_file_name(&"x".repeat(129)).is_err());
+    }
+
+    #[test]
+    fn slugs_are_valid_ids() {
+        assert_eq!(slug("Stanford Bunny (1).ply"), "stanford-bunny-1");
+        assert_eq!(slug("größe.obj"), "gr-e");
+        assert_eq!(slug("日本.ply"), "scene");
+        for name in ["a.b.ply", "---", &"long name ".repeat(20)] {
+            assert!(valid_id(slug(name)).is_ok(), "{name}");
+        }
+    }
+
+    #[test]
+    fn names_in_content_disposition() {
+        let name = |value: &str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::CONTENT_DISPOSITION, HeaderValue::from_str(value).unwrap());
+            disposition_name(&headers).map_err(|problem| problem.status())
+        };
+        assert_eq!(name("attachment; filename=\"a b.ply\"; x=1"), Ok(Some("a b.ply".into())));
+        assert_eq!(name("attachment; filename=a.ply"), Ok(Some("a.ply".into())));
+        assert_eq!(name("attachment"), Ok(None));
+        assert_eq!(name("attachment; filename=\"../a.ply\""), Err(422));
+    }
+
+    #[test]
+    fn the_file_to_load() {
+        let pick = |names: &[&str], named| {
+            let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
+            main_file(&names, named).map_err(|problem| problem.status())
+        };
+        assert_eq!(pick(&["a.obj", "a.mtl", "wood.PNG"], None), Ok("a.obj".into()));
+        assert_eq!(pick(&["a.ply", "s.json", "b.ply"], None), Ok("s.json".into()));
+        assert_eq!(pick(&["points.txt"], None), Ok("points.txt".into()));
+        assert_eq!(pick(&["a.ply", "b.ply"], Some("b.ply")), Ok("b.ply".into()));
+        assert_eq!(pick(&["a.ply", "b.ply"], None), Err(422));
+        assert_eq!(pick(&["a.ply"], Some("c.ply")), Err(422));
+        assert_eq!(pick(&[], None), Err(422));
+    }
+}

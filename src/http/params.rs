@@ -1,0 +1,563 @@
+//! Frame parameters, from a query string or from JSON, turned into a [`FrameRequest`].
+//!
+//! Both notations share one struct and one list of names. A name that is unknown, given twice, or
+//! known but not available in this version is refused with what would be accepted; values are
+//! checked, never clamped. Limits on sizes are the engine's to enforce.
+
+use std::time::{Duration, Instant};
+
+use glam::{DMat4, DVec3};
+use serde::Deserialize;
+use serde::de::{DeserializeOwned, IntoDeserializer, value::StrDeserializer};
+use utoipa::{IntoParams, ToSchema};
+
+use super::problem::{Kind, Problem, nearest};
+use crate::encode::ImageFormat;
+use crate::engine::{FrameRequest, Pose};
+use crate::math::{Camera, View};
+use crate::plan::{Lod, Output, Reconstruct, Settings};
+
+/// Width and height of a frame that names none.
+pub const DEFAULT_SIDE: u32 = 1024;
+/// Quality of lossy formats where none is given.
+pub const DEFAULT_QUALITY: u8 = 85;
+/// Vertical field of view in degrees where none is given.
+pub const DEFAULT_FOV_DEG: f64 = 40.0;
+/// Longest deadline, in milliseconds.
+const MAX_DEADLINE_MS: f64 = 3_600_000.0;
+
+/// What to draw and how. The pose is `camera`, or `eye` and `target` (with `up` and `fov`), or
+/// `view` and `proj`; without any, the whole scene is shown.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, ToSchema, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct FrameParams {
+    /// A camera that the scene names.
+    pub camera: Option<String>,
+    /// Where the eye is, in world space: `x,y,z`.
+    #[param(style = Form, explode = false)]
+    pub eye: Option<[f64; 3]>,
+    /// What the eye looks at, in world space: `x,y,z`.
+    #[param(style = Form, explode = false)]
+    pub target: Option<[f64; 3]>,
+    /// Which way is up; `0,1,0` where none is given.
+    #[param(style = Form, explode = false)]
+    pub up: Option<[f64; 3]>,
+    /// Vertical field of view in degrees, 40 where none is given.
+    #[param(exclusive_minimum = 0.0, exclusive_maximum = 180.0)]
+    #[schema(exclusive_minimum = 0.0, exclusive_maximum = 180.0)]
+    pub fov: Option<f64>,
+    /// World → view, 16 numbers, column-major; rotation and translation only. Needs `proj`.
+    #[param(style = Form, explode = false)]
+    pub view: Option<[f64; 16]>,
+    /// View → clip, 16 numbers, column-major; a perspective with last row `0 0 -1 0`. Needs `view`.
+    #[param(style = Form, explode = false)]
+    pub proj: Option<[f64; 16]>,
+    /// Width in pixels, 1024 where none is given.
+    #[param(minimum = 1)]
+    #[schema(minimum = 1)]
+    pub w: Option<u32>,
+    /// Height in pixels, 1024 where none is given.
+    #[param(minimum = 1)]
+    #[schema(minimum = 1)]
+    pub h: Option<u32>,
+    /// Encoding; without it the `Accept` header decides, and PNG where that leaves the choice.
+    #[param(value_type = Option<ImageFormat>)]
+    #[schema(value_type = Option<ImageFormat>)]
+    pub format: Option<String>,
+    /// 1 to 100 for lossy formats, 85 where none is given.
+    #[param(minimum = 1, maximum = 100)]
+    #[schema(minimum = 1, maximum = 100)]
+    pub quality: Option<u8>,
+    /// Which image of the frame.
+    #[param(value_type = Option<Output>)]
+    #[schema(value_type = Option<Output>)]
+    pub output: Option<String>,
+    /// Level of detail.
+    #[param(value_type = Option<Lod>)]
+    #[schema(value_type = Option<Lod>)]
+    pub lod: Option<String>,
+    /// How a surface is made of projected samples.
+    #[param(value_type = Option<Reconstruct>)]
+    #[schema(value_type = Option<Reconstruct>)]
+    pub reconstruct: Option<String>,
+    /// Milliseconds until the frame is worthless; work not begun by then is dropped.
+    #[param(exclusive_minimum = 0.0)]
+    #[schema(exclusive_minimum = 0.0)]
+    pub deadline_ms: Option<f64>,
+}
+
+/// Every parameter of this version.
+const NAMES: [&str; 15] = [
+    "camera",
+    "eye",
+    "target",
+    "up",
+    "fov",
+    "view",
+    "proj",
+    "w",
+    "h",
+    "format",
+    "quality",
+    "output",
+    "lod",
+    "reconstruct",
+    "deadline_ms",
+];
+
+/// Parameters of the contract that this version does not have, and what it does instead.
+const UNAVAILABLE: [(&str, &str); 4] = [
+    ("filter", "leave it out: samples are drawn unfiltered"),
+    ("max_error_px", "leave it out: every sample and triangle is drawn"),
+    ("budget_ms", "leave it out, or give `deadline_ms`"),
+    ("effects", "leave it out: there are none"),
+];
+
+/// Other words for the same thing.
+const SYNONYMS: [(&str, &str); 9] = [
+    ("width", "w"),
+    ("height", "h"),
+    ("size", "w"),
+    ("q", "quality"),
+    ("position", "eye"),
+    ("center", "target"),
+    ("fovy", "fov"),
+    ("projection", "proj"),
+    ("timeout", "deadline_ms"),
+];
+
+/// Refuses a name that is not a parameter of this version.
+pub fn check_name(name: &str) -> Result<(), Problem> {
+    if NAMES.contains(&name) {
+        return Ok(());
+    }
+    if let Some((name, accepted)) = UNAVAILABLE.iter().find(|(known, _)| *known == name) {
+        return Err(Problem::new(
+            Kind::Unavailable,
+            format!("{name}: not available in this version"),
+        )
+        .at(*name)
+        .accepted(*accepted));
+    }
+    Err(unknown_name(name, &NAMES, &SYNONYMS))
+}
+
+/// The problem for a name that is not in `known`.
+pub fn unknown_name(
+    name: &str,
+    known: &[&'static str],
+    synonyms: &[(&str, &'static str)],
+) -> Problem {
+    let meant = synonyms
+        .iter()
+        .find(|(word, _)| word.eq_ignore_ascii_case(name))
+        .map(|(_, meant)| *meant)
+        .or_else(|| nearest(name, known.iter().copied()));
+    let shown: String = name.chars().take(64).collect();
+    let detail = match meant {
+        Some(meant) => format!("there is no parameter `{shown}`; did you mean `{meant}`?"),
+        None => format!("there is no parameter `{shown}`"),
+    };
+    Problem::new(Kind::UnknownParameter, detail).at(shown).accepted(known.join(", "))
+}
+
+/// Splits a query string into decoded names and values.
+pub fn pairs(query: Option<&str>) -> Result<Vec<(String, String)>, Problem> {
+    let Some(query) = query.filter(|q| !q.is_empty()) else { return Ok(Vec::new()) };
+    let uri = axum::http::Uri::builder()
+        .path_and_query(format!("/?{query}"))
+        .build()
+        .map_err(|_| Problem::new(Kind::BadParameter, "the query string is not a valid one"))?;
+    axum::extract::Query::<Vec<(String, String)>>::try_from_uri(&uri)
+        .map(|axum::extract::Query(pairs)| pairs)
+        .map_err(|_| Problem::new(Kind::BadParameter, "the query string is not a valid one"))
+}
+
+impl FrameParams {
+    /// Reads a query string.
+    pub fn from_query(query: Option<&str>) -> Result<Self, Problem> {
+        let mut params = FrameParams::default();
+        for (name, value) in pairs(query)? {
+            check_name(&name)?;
+            params.set(&name, &value)?;
+        }
+        Ok(params)
+    }
+
+    fn set(&mut self, name: &str, value: &str) -> Result<(), Problem> {
+        const SIDE: &str = "a whole number of pixels, at least 1";
+        const DEGREES: &str = "degrees between 0 and 180";
+        match name {
+            "camera" => once(&mut self.camera, name, value.to_owned()),
+            "eye" => once(&mut self.eye, name, numbers(name, value)?),
+            "target" => once(&mut self.target, name, numbers(name, value)?),
+            "up" => once(&mut self.up, name, numbers(name, value)?),
+            "fov" => once(&mut self.fov, name, number(name, value, DEGREES)?),
+            "view" => once(&mut self.view, name, numbers(name, value)?),
+            "proj" => once(&mut self.proj, name, numbers(name, value)?),
+            "w" => once(&mut self.w, name, number(name, value, SIDE)?),
+            "h" => once(&mut self.h, name, number(name, value, SIDE)?),
+            "format" => once(&mut self.format, name, value.to_owned()),
+            "quality" => once(&mut self.quality, name, number(name, value, "1 to 100")?),
+            "output" => once(&mut self.output, name, value.to_owned()),
+            "lod" => once(&mut self.lod, name, value.to_owned()),
+            "reconstruct" => once(&mut self.reconstruct, name, value.to_owned()),
+            "deadline_ms" => {
+                once(&mut self.deadline_ms, name, number(name, value, "milliseconds above 0")?)
+            }
+            _ => Err(unknown_name(name, &NAMES, &SYNONYMS)),
+        }
+    }
+
+    /// Reads a JSON object; `place` is where it stands in the body (`poses[3]`, or empty).
+    pub fn from_json(value: serde_json::Value, place: &str) -> Result<Self, Problem> {
+        let locate = |name: &str| match place {
+            "" => name.to_owned(),
+            place => format!("{place}.{name}"),
+        };
+        if let Some(object) = value.as_object() {
+            for name in object.keys() {
+                check_name(name).map_err(|problem| problem.at(locate(name)))?;
+            }
+        }
+        serde_path_to_error::deserialize(value).map_err(|error| {
+            let path = error.path().to_string();
+            let at = if path == "." { place.to_owned() } else { locate(&path) };
+            Problem::new(Kind::BadBody, format!("{at}: {}", error.inner())).at(at)
+        })
+    }
+
+    /// Fills what is missing from `defaults`. A pose is taken whole: one that is given another way
+    /// replaces that of the defaults, only `up`, `fov` and `proj` are inherited by their own kind.
+    pub fn or(self, defaults: &FrameParams) -> FrameParams {
+        let posed = self.camera.is_some()
+            || self.eye.is_some()
+            || self.target.is_some()
+            || self.up.is_some()
+            || self.fov.is_some()
+            || self.view.is_some()
+            || self.proj.is_some();
+        let empty = FrameParams::default();
+        let by_eye =
+            self.eye.is_some() || self.target.is_some() || self.up.is_some() || self.fov.is_some();
+        let by_matrix = self.view.is_some() || self.proj.is_some();
+        let of = |yes: bool| if yes || !posed { defaults } else { &empty };
+        let (camera, eye, matrix) = (of(false), of(by_eye), of(by_matrix));
+        FrameParams {
+            camera: self.camera.or_else(|| camera.camera.clone()),
+            eye: self.eye.or(eye.eye),
+            target: self.target.or(eye.target),
+            up: self.up.or(eye.up),
+            fov: self.fov.or(eye.fov),
+            view: self.view.or(matrix.view),
+            proj: self.proj.or(matrix.proj),
+            w: self.w.or(defaults.w),
+            h: self.h.or(defaults.h),
+            format: self.format.or_else(|| defaults.format.clone()),
+            quality: self.quality.or(defaults.quality),
+            output: self.output.or_else(|| defaults.output.clone()),
+            lod: self.lod.or_else(|| defaults.lod.clone()),
+            reconstruct: self.reconstruct.or_else(|| defaults.reconstruct.clone()),
+            deadline_ms: self.deadline_ms.or(defaults.deadline_ms),
+        }
+    }
+
+    /// The output asked for.
+    pub fn output(&self) -> Result<Output, Problem> {
+        choice("output", self.output.as_deref())
+    }
+
+    /// The format asked for by name, if any.
+    pub fn format(&self) -> Result<Option<ImageFormat>, Problem> {
+        self.format.as_deref().map(|name| choice("format", Some(name))).transpose()
+    }
+
+    /// The job that these parameters describe; `now` is when its deadline starts to run.
+    pub fn request(
+        &self,
+        scene: &str,
+        format: ImageFormat,
+        now: Instant,
+    ) -> Result<FrameRequest, Problem> {
+        let side = |name: &str, side: Option<u32>| match side {
+            Some(0) => Err(Problem::parameter(
+                name,
+                "must not be 0",
+                "a whole number of pixels, at least 1",
+            )),
+            side => Ok(side.unwrap_or(DEFAULT_SIDE)),
+        };
+        let (width, height) = (side("w", self.w)?, side("h", self.h)?);
+        let quality = self.quality.unwrap_or(DEFAULT_QUALITY);
+        if !(1..=100).contains(&quality) {
+            return Err(Problem::parameter(
+                "quality",
+                format!("{quality} is out of range"),
+                "1 to 100",
+            ));
+        }
+        let lod: Lod = choice("lod", self.lod.as_deref())?;
+        let reconstruct: Reconstruct = choice("reconstruct", self.reconstruct.as_deref())?;
+        Ok(FrameRequest {
+            scene: scene.to_owned(),
+            pose: self.pose(width, height)?,
+            width,
+            height,
+            settings: Settings { lod, reconstruct },
+            output: self.output()?,
+            format,
+            quality,
+            deadline: self.deadline(now)?,
+        })
+    }
+
+    fn deadline(&self, now: Instant) -> Result<Option<Instant>, Problem> {
+        let Some(ms) = self.deadline_ms else { return Ok(None) };
+        if !(ms > 0.0 && ms <= MAX_DEADLINE_MS) {
+            return Err(Problem::parameter(
+                "deadline_ms",
+                format!("{ms} is out of range"),
+                format!("milliseconds above 0, at most {MAX_DEADLINE_MS}"),
+            ));
+        }
+        Ok(now.checked_add(Duration::from_secs_f64(ms / 1000.0)))
+    }
+
+    fn pose(&self, width: u32, height: u32) -> Result<Pose, Problem> {
+        const WAYS: &str = "`camera`, or `eye` and `target` (with `up`, `fov`), or `view` and `proj`, or none of them";
+        let by_eye = [
+            ("eye", self.eye.is_some()),
+            ("target", self.target.is_some()),
+            ("up", self.up.is_some()),
+            ("fov", self.fov.is_some()),
+        ];
+        let by_eye = by_eye.iter().find(|(_, given)| *given).map(|(name, _)| *name);
+        let by_matrix = match (self.view, self.proj) {
+            (Some(_), _) => Some("view"),
+            (None, Some(_)) => Some("proj"),
+            (None, None) => None,
+        };
+        let camera = self.camera.as_ref().map(|_| "camera");
+        let ways: Vec<&str> = [camera, by_eye, by_matrix].into_iter().flatten().collect();
+        if let [first, second, ..] = ways[..] {
+            return Err(Problem::parameter(
+                second,
+                format!("cannot be given together with `{first}`"),
+                WAYS,
+            ));
+        }
+        if let Some(name) = &self.camera {
+            return Ok(Pose::Named(name.clone()));
+        }
+        let missing = |name| Problem::parameter(name, "missing", WAYS);
+        if by_eye.is_some() {
+            return Ok(Pose::Camera(Camera {
+                eye: DVec3::from(self.eye.ok_or_else(|| missing("eye"))?),
+                target: DVec3::from(self.target.ok_or_else(|| missing("target"))?),
+                up: self.up.map_or(DVec3::Y, DVec3::from),
+                fov_deg: self.fov.unwrap_or(DEFAULT_FOV_DEG),
+            }));
+        }
+        if by_matrix.is_some() {
+            let view = self.view.ok_or_else(|| missing("view"))?;
+            let proj = self.proj.ok_or_else(|| missing("proj"))?;
+            let (view, proj) = (DMat4::from_cols_array(&view), DMat4::from_cols_array(&proj));
+            return Ok(Pose::View(View::from_matrices(view, proj, width, height)?));
+        }
+        Ok(Pose::Fit)
+    }
+}
+
+fn once<T>(slot: &mut Option<T>, name: &str, value: T) -> Result<(), Problem> {
+    match slot.replace(value) {
+        None => Ok(()),
+        Some(_) => Err(Problem::parameter(name, "given twice", "once")),
+    }
+}
+
+fn number<T: std::str::FromStr>(name: &str, value: &str, accepted: &str) -> Result<T, Problem> {
+    value.parse().map_err(|_| {
+        Problem::parameter(name, format!("`{}` cannot be used", shown(value)), accepted)
+    })
+}
+
+fn numbers<const N: usize>(name: &str, value: &str) -> Result<[f64; N], Problem> {
+    let fail = |reason: String| {
+        Problem::parameter(name, reason, format!("{N} finite numbers separated by commas"))
+    };
+    let mut found = [0.0; N];
+    let mut count = 0;
+    for text in value.split(',') {
+        let number: f64 =
+            text.trim().parse().map_err(|_| fail(format!("`{}` is not a number", shown(text))))?;
+        if !number.is_finite() {
+            return Err(fail(format!("`{}` is not finite", shown(text))));
+        }
+        if let Some(slot) = found.get_mut(count) {
+            *slot = number;
+        }
+        count += 1;
+    }
+    if count != N {
+        return Err(fail(format!("{count} numbers given")));
+    }
+    Ok(found)
+}
+
+/// A word of a closed list. The accepted ones are what the type itself deserialises, so that a new
+/// setting needs no second list here.
+fn choice<T: DeserializeOwned + Default>(name: &str, word: Option<&str>) -> Result<T, Problem> {
+    let Some(word) = word else { return Ok(T::default()) };
+    let deserializer: StrDeserializer<'_, serde::de::value::Error> = word.into_deserializer();
+    T::deserialize(deserializer).map_err(|error| {
+        let text = error.to_string();
+        let accepted = text.split_once("expected ").map_or("", |(_, list)| list).replace('`', "");
+        let accepted = accepted.trim_start_matches("one of ").to_owned();
+        Problem::parameter(name, format!("`{}` is not available", shown(word)), accepted)
+    })
+}
+
+fn shown(text: &str) -> String {
+    text.chars().take(64).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn request(query: &str) -> Result<FrameRequest, Problem> {
+        FrameParams::from_query(Some(query))?.request("s", ImageFormat::Png, Instant::now())
+    }
+
+    fn fault(query: &str) -> (String, String, String) {
+        let p = request(query).unwrap_err();
+        assert_eq!(p.status(), 422, "{query}");
+        (p.parameter.unwrap_or_default(), p.detail, p.accepted.unwrap_or_default())
+    }
+
+    #[test]
+    fn a_full_query() {
+        let r =
+            request("eye=0,1,3&target=0,0,0&up=0,0,1&fov=40&w=640&h=480&quality=90&output=depth")
+                .unwrap();
+        let Pose::Camera(camera) = r.pose else { panic!("{:?}", r.pose) };
+        assert_eq!(camera.eye, DVec3::new(0.0, 1.0, 3.0));
+        assert_eq!((camera.up, camera.fov_deg), (DVec3::Z, 40.0));
+        assert_eq!((r.width, r.height, r.quality, r.output), (640, 480, 90, Output::Depth));
+        assert!(r.deadline.is_none());
+    }
+
+    #[test]
+    fn nothing_given_shows_everything() {
+        let r = FrameParams::from_query(None)
+            .unwrap()
+            .request("s", ImageFormat::Png, Instant::now())
+            .unwrap();
+        assert_eq!((r.pose, r.width, r.height), (Pose::Fit, 1024, 1024));
+    }
+
+    #[test]
+    fn escapes_are_decoded() {
+        let r = request("camera=front%20door&eye=").unwrap_err();
+        assert_eq!(r.parameter.as_deref(), Some("eye"));
+        let r = request("camera=front+door").unwrap();
+        assert_eq!(r.pose, Pose::Named("front door".into()));
+    }
+
+    #[test]
+    fn unknown_names_are_suggested() {
+        assert!(fault("reconstuct=points").1.contains("`reconstruct`"));
+        assert!(fault("width=3").1.contains("`w`"));
+        assert!(fault("zzzz=3").2.contains("deadline_ms"));
+    }
+
+    #[test]
+    fn values_are_checked() {
+        for (query, parameter) in [
+            ("w=0", "w"),
+            ("w=-1", "w"),
+            ("h=1e3", "h"),
+            ("w=5&w=5", "w"),
+            ("quality=0", "quality"),
+            ("quality=101", "quality"),
+            ("eye=1,2&target=0,0,0", "eye"),
+            ("eye=1,2,nan&target=0,0,0", "eye"),
+            ("eye=1,2,inf&target=0,0,0", "eye"),
+            ("eye=1,2,3,4&target=0,0,0", "eye"),
+            ("eye=1,2,3", "target"),
+            ("target=1,2,3", "eye"),
+            ("fov=30", "eye"),
+            ("camera=a&fov=30", "fov"),
+            ("eye=1,2,3&target=0,0,0&view=1", "view"),
+            ("view=1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1", "proj"),
+            ("deadline_ms=0", "deadline_ms"),
+            ("deadline_ms=nan", "deadline_ms"),
+            ("output=colour", "output"),
+            ("lod=spt", "lod"),
+            ("reconstruct=splats", "reconstruct"),
+            ("format=gif", "format"),
+            ("filter=box", "filter"),
+            ("max_error_px=1", "max_error_px"),
+            ("budget_ms=1", "budget_ms"),
+            ("effects=ao", "effects"),
+        ] {
+            let params = FrameParams::from_query(Some(query));
+            let found = params.and_then(|p| {
+                p.format()?;
+                p.request("s", ImageFormat::Png, Instant::now())
+            });
+            let problem = found.err().unwrap_or_else(|| panic!("{query} was taken"));
+            assert_eq!(
+                problem.parameter.as_deref(),
+                Some(parameter),
+                "{query}: {}",
+                problem.detail
+            );
+            assert_eq!(problem.status(), 422);
+        }
+    }
+
+    #[test]
+    fn what_is_accepted_comes_from_the_type() {
+        assert_eq!(fault("reconstruct=splats").2, "points");
+        assert_eq!(fault("output=x").2, "color, depth, normal, id");
+    }
+
+    #[test]
+    fn matrices_become_a_view() {
+        let f = 1.0 / 20f64.to_radians().tan();
+        let query = format!(
+            "w=64&h=64&view=1,0,0,0,0,1,0,0,0,0,1,0,0,0,-5,1&proj={f},0,0,0,0,{f},0,0,0,0,-1,-1,0,0,-0.1,0"
+        );
+        let Pose::View(view) = request(&query).unwrap().pose else { panic!() };
+        assert_eq!(view.eye, DVec3::new(0.0, 0.0, 5.0));
+        assert_eq!(fault(&query.replace("view=1,", "view=2,")).0, "view");
+    }
+
+    #[test]
+    fn json_names_the_place() {
+        let fail = |json: serde_json::Value| {
+            let p = FrameParams::from_json(json, "poses[3]").unwrap_err();
+            (p.parameter.clone().unwrap(), p.status())
+        };
+        assert_eq!(fail(serde_json::json!({"eye": [1, 2]})), ("poses[3].eye".into(), 422));
+        assert_eq!(fail(serde_json::json!({"eyes": 1})), ("poses[3].eyes".into(), 422));
+        assert_eq!(fail(serde_json::json!({"filter": 1})), ("poses[3].filter".into(), 422));
+        assert_eq!(fail(serde_json::json!([1])).1, 422);
+        assert!(FrameParams::from_json(serde_json::json!({"w": 3}), "").is_ok());
+    }
+
+    #[test]
+    fn defaults_fill_but_do_not_mix_poses() {
+        let json = |v| FrameParams::from_json(v, "").unwrap();
+        let defaults =
+            json(serde_json::json!({"eye": [1,2,3], "target": [0,0,0], "fov": 30, "w": 7}));
+        let moved = json(serde_json::json!({"eye": [4,5,6]})).or(&defaults);
+        assert_eq!((moved.target, moved.fov, moved.w), (Some([0.0; 3]), Some(30.0), Some(7)));
+        let named = json(serde_json::json!({"camera": "front", "h": 9})).or(&defaults);
+        assert_eq!((named.eye, named.fov, named.w, named.h), (None, None, Some(7), Some(9)));
+        assert!(named.request("s", ImageFormat::Png, Instant::now()).is_ok());
+        assert_eq!(json(serde_json::json!({})).or(&defaults), defaults);
+    }
+}

@@ -1,0 +1,462 @@
+//! Errors as `application/problem+json` (RFC 9457).
+//!
+//! Everything that can go wrong below this floor knows no HTTP; the one `match` in
+//! `From<EngineError>` gives each case its [`Kind`], and [`Kind::facts`] gives each kind its status,
+//! its stable `type` and its title. Internal errors are logged there, once, and never sent.
+
+use std::time::Duration;
+
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use crate::assets::AssetError;
+use crate::engine::EngineError;
+use crate::math::CameraError;
+use crate::scene::SceneError;
+
+/// What kinds of problem there are. Each has one status and one `type` for good.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Kind {
+    UnknownRoute,
+    UnknownScene,
+    UnknownNode,
+    MethodNotAllowed,
+    NotAcceptable,
+    RequestTimeout,
+    SceneExists,
+    SceneLoading,
+    BodyTooLarge,
+    SceneTooLarge,
+    UnsupportedMediaType,
+    UnsupportedAsset,
+    BadParameter,
+    UnknownParameter,
+    Unavailable,
+    BadBody,
+    OverLimit,
+    AssetRefused,
+    SceneRefused,
+    Unauthorized,
+    Forbidden,
+    Busy,
+    DeadlineExceeded,
+    FrameTimeout,
+    DeviceLost,
+    ShuttingDown,
+    NotReady,
+    OutOfGpuMemory,
+    OutOfDisk,
+    Internal,
+}
+
+impl Kind {
+    /// Every kind, in the order of the documentation.
+    pub const ALL: [Kind; 30] = [
+        Kind::UnknownRoute,
+        Kind::UnknownScene,
+        Kind::UnknownNode,
+        Kind::MethodNotAllowed,
+        Kind::NotAcceptable,
+        Kind::RequestTimeout,
+        Kind::SceneExists,
+        Kind::SceneLoading,
+        Kind::BodyTooLarge,
+        Kind::SceneTooLarge,
+        Kind::UnsupportedMediaType,
+        Kind::UnsupportedAsset,
+        Kind::BadParameter,
+        Kind::UnknownParameter,
+        Kind::Unavailable,
+        Kind::BadBody,
+        Kind::OverLimit,
+        Kind::AssetRefused,
+        Kind::SceneRefused,
+        Kind::Unauthorized,
+        Kind::Forbidden,
+        Kind::Busy,
+        Kind::DeadlineExceeded,
+        Kind::FrameTimeout,
+        Kind::DeviceLost,
+        Kind::ShuttingDown,
+        Kind::NotReady,
+        Kind::OutOfGpuMemory,
+        Kind::OutOfDisk,
+        Kind::Internal,
+    ];
+
+    /// Status, `type` and title.
+    pub fn facts(self) -> (u16, &'static str, &'static str) {
+        use Kind::*;
+        match self {
+            UnknownRoute => (404, "urn:pointillist:problem:unknown-route", "no such resource"),
+            UnknownScene => (404, "urn:pointillist:problem:unknown-scene", "no such scene"),
+            UnknownNode => (404, "urn:pointillist:problem:unknown-node", "no such node"),
+            MethodNotAllowed => {
+                (405, "urn:pointillist:problem:method-not-allowed", "method not allowed")
+            }
+            NotAcceptable => {
+                (406, "urn:pointillist:problem:not-acceptable", "no acceptable image format")
+            }
+            RequestTimeout => {
+                (408, "urn:pointillist:problem:request-timeout", "the request body stalled")
+            }
+            SceneExists => (409, "urn:pointillist:problem:scene-exists", "the scene exists"),
+            SceneLoading => {
+                (409, "urn:pointillist:problem:scene-loading", "the scene is still loading")
+            }
+            BodyTooLarge => {
+                (413, "urn:pointillist:problem:body-too-large", "the request body is too large")
+            }
+            SceneTooLarge => {
+                (413, "urn:pointillist:problem:scene-too-large", "the scene is too large")
+            }
+            UnsupportedMediaType => {
+                (415, "urn:pointillist:problem:unsupported-media-type", "unsupported media type")
+            }
+            UnsupportedAsset => {
+                (415, "urn:pointillist:problem:unsupported-asset", "unsupported asset format")
+            }
+            BadParameter => {
+                (422, "urn:pointillist:problem:bad-parameter", "a parameter cannot be used")
+            }
+            UnknownParameter => {
+                (422, "urn:pointillist:problem:unknown-parameter", "unknown parameter")
+            }
+            Unavailable => (
+                422,
+                "urn:pointillist:problem:unavailable-parameter",
+                "not available in this version",
+            ),
+            BadBody => (422, "urn:pointillist:problem:bad-body", "the request body cannot be used"),
+            OverLimit => (422, "urn:pointillist:problem:over-limit", "over a limit"),
+            AssetRefused => {
+                (422, "urn:pointillist:problem:asset-refused", "an asset cannot be read")
+            }
+            SceneRefused => {
+                (422, "urn:pointillist:problem:scene-refused", "the scene is not valid")
+            }
+            Unauthorized => (401, "urn:pointillist:problem:unauthorized", "an API key is needed"),
+            Forbidden => (403, "urn:pointillist:problem:forbidden", "not allowed"),
+            Busy => (503, "urn:pointillist:problem:busy", "the server is busy"),
+            DeadlineExceeded => {
+                (503, "urn:pointillist:problem:deadline-exceeded", "the deadline passed")
+            }
+            FrameTimeout => {
+                (503, "urn:pointillist:problem:frame-timeout", "the frame took too long")
+            }
+            DeviceLost => (503, "urn:pointillist:problem:device-lost", "the GPU was lost"),
+            ShuttingDown => {
+                (503, "urn:pointillist:problem:shutting-down", "the server is shutting down")
+            }
+            NotReady => (503, "urn:pointillist:problem:not-ready", "the server is not ready"),
+            OutOfGpuMemory => {
+                (507, "urn:pointillist:problem:out-of-gpu-memory", "not enough GPU memory")
+            }
+            OutOfDisk => (507, "urn:pointillist:problem:storage", "the upload cannot be stored"),
+            Internal => (500, "urn:pointillist:problem:internal", "internal error"),
+        }
+    }
+
+    pub fn status(self) -> StatusCode {
+        StatusCode::from_u16(self.facts().0).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR)
+    }
+}
+
+/// An error on its way to a client.
+#[derive(Clone, Debug, Serialize)]
+#[serde(into = "ProblemDocument")]
+pub struct Problem {
+    pub kind: Kind,
+    /// What happened this time.
+    pub detail: String,
+    /// The parameter, header, or place in the body at fault.
+    pub parameter: Option<String>,
+    /// What would have been accepted.
+    pub accepted: Option<String>,
+    /// When trying again is worthwhile.
+    pub retry_after_ms: Option<u64>,
+}
+
+/// An error as the client sees it (RFC 9457).
+#[derive(Serialize, ToSchema)]
+#[schema(as = Problem)]
+pub struct ProblemDocument {
+    /// Stable; programs may match on it.
+    #[schema(example = "urn:pointillist:problem:bad-parameter")]
+    r#type: &'static str,
+    /// What the type means, always the same words.
+    title: &'static str,
+    status: u16,
+    /// What happened this time.
+    detail: String,
+    /// The parameter, header, or place in the body at fault.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    parameter: Option<String>,
+    /// What would have been accepted.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    accepted: Option<String>,
+    /// When trying again is worthwhile, by the measured cost of what is queued.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    retry_after_ms: Option<u64>,
+}
+
+impl From<Problem> for ProblemDocument {
+    fn from(problem: Problem) -> Self {
+        let (status, r#type, title) = problem.kind.facts();
+        let Problem { detail, parameter, accepted, retry_after_ms, .. } = problem;
+        Self { r#type, title, status, detail, parameter, accepted, retry_after_ms }
+    }
+}
+
+impl Problem {
+    pub fn new(kind: Kind, detail: impl Into<String>) -> Self {
+        Self { kind, detail: detail.into(), parameter: None, accepted: None, retry_after_ms: None }
+    }
+
+    /// A parameter that cannot be used as given.
+    pub fn parameter(
+        name: impl Into<String>,
+        reason: impl std::fmt::Display,
+        accepted: impl Into<String>,
+    ) -> Self {
+        let name = name.into();
+        let mut problem = Self::new(Kind::BadParameter, format!("{name}: {reason}"));
+        problem.parameter = Some(name);
+        problem.accepted = Some(accepted.into());
+        problem
+    }
+
+    /// Logs `inner` and keeps it from the client.
+    pub fn internal(inner: impl std::fmt::Display) -> Self {
+        tracing::error!(error = %inner, "internal error");
+        Self::new(Kind::Internal, "the server failed; its log says how")
+    }
+
+    pub fn at(mut self, parameter: impl Into<String>) -> Self {
+        self.parameter = Some(parameter.into());
+        self
+    }
+
+    pub fn accepted(mut self, accepted: impl Into<String>) -> Self {
+        self.accepted = Some(accepted.into());
+        self
+    }
+
+    pub fn retry_after(mut self, after: Duration) -> Self {
+        self.retry_after_ms = Some(u64::try_from(after.as_millis()).unwrap_or(u64::MAX));
+        self
+    }
+
+    /// Makes paths below `root` relative to it: where the server keeps its files is its own affair.
+    pub fn hide_root(mut self, root: &std::path::Path) -> Self {
+        let prefix = format!("{}{}", root.display(), std::path::MAIN_SEPARATOR);
+        if prefix.len() > 1 {
+            self.detail = self.detail.replace(&prefix, "");
+        }
+        self
+    }
+
+    pub fn status(&self) -> u16 {
+        self.kind.facts().0
+    }
+
+    /// The body, also used for parts of a multipart answer.
+    pub fn to_json(&self) -> String {
+        // Strings and numbers only: cannot fail.
+        serde_json::to_string(self).unwrap_or_default()
+    }
+}
+
+/// Whole seconds for `Retry-After`, rounded up, at least one.
+fn retry_after_seconds(after_ms: u64) -> u64 {
+    after_ms.div_ceil(1000).max(1)
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let mut response = (self.kind.status(), self.to_json()).into_response();
+        let headers = response.headers_mut();
+        headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(PROBLEM_JSON));
+        headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+        if let Some(after_ms) = self.retry_after_ms {
+            headers.insert(header::RETRY_AFTER, retry_after_seconds(after_ms).into());
+        }
+        if self.status() == 401 {
+            headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+        }
+        response
+    }
+}
+
+pub const PROBLEM_JSON: &str = "application/problem+json";
+
+impl From<EngineError> for Problem {
+    fn from(error: EngineError) -> Self {
+        let text = error.to_string();
+        match error {
+            EngineError::UnknownScene { .. } => {
+                Problem::new(Kind::UnknownScene, text).accepted("an id that GET /v1/scenes lists")
+            }
+            EngineError::UnknownNode { .. } => Problem::new(Kind::UnknownNode, text)
+                .accepted("a name in `nodes` of GET /v1/scenes/{id}"),
+            EngineError::BadParameter { parameter, reason, accepted } => {
+                Problem::parameter(parameter, reason, accepted)
+            }
+            EngineError::SceneExists { .. } => Problem::new(Kind::SceneExists, text)
+                .at("id")
+                .accepted("an id that is free, or DELETE the scene first"),
+            EngineError::Busy { retry_after } => {
+                Problem::new(Kind::Busy, text).retry_after(retry_after)
+            }
+            EngineError::DeadlineExceeded => Problem::new(Kind::DeadlineExceeded, text)
+                .at("deadline_ms")
+                .retry_after(Duration::from_secs(1)),
+            EngineError::DeviceLost { retry_after } => {
+                Problem::new(Kind::DeviceLost, text).retry_after(retry_after)
+            }
+            EngineError::ShuttingDown => {
+                Problem::new(Kind::ShuttingDown, text).retry_after(Duration::from_secs(5))
+            }
+            EngineError::OutOfGpuMemory { .. } => Problem::new(Kind::OutOfGpuMemory, text),
+            EngineError::OverLimit { what, limit, .. } => Problem::new(Kind::OverLimit, text)
+                .accepted(format!("at most {limit} {what}; GET /v1/limits lists all")),
+            EngineError::Asset(inner) => match &*inner {
+                AssetError::Io { source, .. } if !is_users_fault(source) => Problem::internal(text),
+                AssetError::Io { .. } | AssetError::Malformed { .. } => {
+                    Problem::new(Kind::AssetRefused, text)
+                }
+                AssetError::Unsupported { .. } => Problem::new(Kind::UnsupportedAsset, text),
+                AssetError::TooLarge { .. } => Problem::new(Kind::SceneTooLarge, text),
+            },
+            EngineError::Scene(inner) => match &*inner {
+                SceneError::Io { source, .. } if !is_users_fault(source) => Problem::internal(text),
+                SceneError::Io { .. } => Problem::new(Kind::SceneRefused, text),
+                SceneError::Invalid { path, .. } => {
+                    let path = path.clone();
+                    Problem::new(Kind::SceneRefused, text).at(path)
+                }
+                SceneError::TooLarge { .. } => Problem::new(Kind::SceneTooLarge, text),
+            },
+            EngineError::Internal(inner) => Problem::internal(inner),
+        }
+    }
+}
+
+/// Whether a failed read is about which file was named, or what is in it, rather than the machine.
+fn is_users_fault(error: &std::io::Error) -> bool {
+    use std::io::ErrorKind::*;
+    matches!(
+        error.kind(),
+        NotFound
+            | PermissionDenied
+            | InvalidData
+            | InvalidInput
+            | InvalidFilename
+            | UnexpectedEof
+            | IsADirectory
+            | NotADirectory
+    )
+}
+
+impl From<CameraError> for Problem {
+    fn from(error: CameraError) -> Self {
+        let mut problem = Problem::new(Kind::BadParameter, error.to_string());
+        problem.parameter = Some(error.parameter.to_owned());
+        problem
+    }
+}
+
+/// A file of an upload that could not be written.
+pub fn storage(error: &std::io::Error) -> Problem {
+    tracing::error!(%error, "an upload cannot be stored");
+    let detail = match error.kind() {
+        std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => {
+            "the disk of the scene root is full"
+        }
+        std::io::ErrorKind::ReadOnlyFilesystem | std::io::ErrorKind::PermissionDenied => {
+            "the scene root is not writable"
+        }
+        _ => "the upload could not be written",
+    };
+    Problem::new(Kind::OutOfDisk, detail)
+}
+
+/// The known name nearest to `name`, when one is near enough to be meant.
+pub fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let lower = name.to_lowercase();
+    known
+        .into_iter()
+        .map(|candidate| (strsim::jaro_winkler(&lower, candidate), candidate))
+        .filter(|(likeness, _)| *likeness >= 0.7)
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, candidate)| candidate)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::HashSet;
+    use std::sync::Arc;
+
+    #[test]
+    fn every_kind_has_its_own_type_and_a_real_status() {
+        let mut types = HashSet::new();
+        for kind in Kind::ALL {
+            let (status, urn, title) = kind.facts();
+            assert!(urn.starts_with("urn:pointillist:problem:"), "{urn}");
+            assert!(types.insert(urn), "{urn} twice");
+            assert!((400..600).contains(&status) && !title.is_empty());
+        }
+    }
+
+    #[test]
+    fn retry_after_is_rounded_up() {
+        let response =
+            Problem::from(EngineError::Busy { retry_after: Duration::from_millis(1001) })
+                .into_response();
+        assert_eq!(response.status(), 503);
+        assert_eq!(response.headers()[header::RETRY_AFTER], "2");
+        assert_eq!(response.headers()[header::CONTENT_TYPE], PROBLEM_JSON);
+        let response =
+            Problem::from(EngineError::Busy { retry_after: Duration::ZERO }).into_response();
+        assert_eq!(response.headers()[header::RETRY_AFTER], "1");
+    }
+
+    #[test]
+    fn internal_errors_keep_their_secret() {
+        let problem = Problem::from(EngineError::Internal("pool 0xdeadbeef".into()));
+        assert_eq!(problem.status(), 500);
+        assert!(!problem.to_json().contains("deadbeef"));
+    }
+
+    #[test]
+    fn asset_errors_by_cause() {
+        let asset = |error| Problem::from(EngineError::Asset(Arc::new(error)));
+        let file = || "/srv/scenes/a.ply".to_owned();
+        let unsupported = asset(AssetError::Unsupported { file: file(), reason: "?".into() });
+        assert_eq!(unsupported.status(), 415);
+        let missing = asset(AssetError::Io {
+            file: file(),
+            source: std::io::Error::from(std::io::ErrorKind::NotFound),
+        });
+        assert_eq!(missing.status(), 422);
+        let broken =
+            asset(AssetError::Io { file: file(), source: std::io::Error::other("disk on fire") });
+        assert_eq!(broken.status(), 500);
+        let large =
+            asset(AssetError::TooLarge { file: file(), what: "vertices", found: 2, limit: 1 });
+        assert_eq!(large.status(), 413);
+        let hidden = unsupported.hide_root(std::path::Path::new("/srv/scenes"));
+        assert_eq!(hidden.detail, "a.ply: ?");
+    }
+
+    #[test]
+    fn suggestions_need_likeness() {
+        let known = ["reconstruct", "camera", "format"];
+        assert_eq!(nearest("reconstuct", known), Some("reconstruct"));
+        assert_eq!(nearest("Camera", known), Some("camera"));
+        assert_eq!(nearest("zzz", known), None);
+    }
+}

@@ -1,0 +1,305 @@
+//! What is loaded: list, one, move a node, remove.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
+use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3, EulerRot};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::params::unknown_name;
+use super::problem::{Kind, Problem, ProblemDocument};
+use super::registry::Entry;
+use super::{App, Segments, body, frame, upload};
+use crate::engine::{NodePatch, SceneInfo};
+
+/// A scene, or what became of it.
+#[derive(Serialize, ToSchema)]
+#[serde(tag = "state", rename_all = "snake_case")]
+pub enum SceneState {
+    /// Frames can be had.
+    Ready(Box<SceneInfo>),
+    Loading {
+        id: String,
+        loading_ms: u64,
+    },
+    Failed {
+        id: String,
+        #[schema(value_type = ProblemDocument)]
+        problem: Problem,
+    },
+}
+
+impl SceneState {
+    fn of(id: String, entry: Entry) -> Self {
+        match entry {
+            Entry::Loading { since } => {
+                let loading_ms = u64::try_from(since.elapsed().as_millis()).unwrap_or(u64::MAX);
+                SceneState::Loading { id, loading_ms }
+            }
+            Entry::Failed { problem, .. } => SceneState::Failed { id, problem },
+        }
+    }
+}
+
+#[derive(Serialize, ToSchema)]
+pub struct SceneList {
+    scenes: Vec<SceneState>,
+}
+
+/// Every scene, those on their way included.
+#[utoipa::path(
+    get,
+    path = "/v1/scenes",
+    tag = "scenes",
+    responses((status = 200, description = "The scenes", body = SceneList)),
+)]
+pub async fn list(State(app): State<Arc<App>>) -> Json<SceneList> {
+    let entries = app.registry.list();
+    let mut scenes: Vec<SceneState> =
+        app.engine.scenes().into_iter().map(|info| SceneState::Ready(Box::new(info))).collect();
+    scenes.extend(entries.into_iter().map(|(id, entry)| SceneState::of(id, entry)));
+    Json(SceneList { scenes })
+}
+
+/// A scene: revision, bounds, counts, GPU bytes, cameras and paths that it names.
+#[utoipa::path(
+    get,
+    path = "/v1/scenes/{id}",
+    tag = "scenes",
+    params(("id" = String, Path, description = "The scene")),
+    responses((status = 200, description = "The scene, loading and failed ones included", body = SceneState)),
+)]
+pub async fn show(
+    State(app): State<Arc<App>>,
+    Segments(id): Segments<String>,
+) -> Result<Json<SceneState>, Problem> {
+    // Looked up first: a scene is in the engine before it leaves the registry.
+    let entry = app.registry.get(&id);
+    match app.engine.scene(&id) {
+        Ok(info) => Ok(Json(SceneState::Ready(Box::new(info)))),
+        Err(error) => match entry {
+            Some(entry) => Ok(Json(SceneState::of(id, entry))),
+            None => Err(error.into()),
+        },
+    }
+}
+
+/// Removes a scene: its GPU memory is freed, and its files too if it was uploaded.
+#[utoipa::path(
+    delete,
+    path = "/v1/scenes/{id}",
+    tag = "scenes",
+    params(("id" = String, Path, description = "The scene")),
+    responses((status = 204, description = "It is gone")),
+)]
+pub async fn remove(
+    State(app): State<Arc<App>>,
+    Segments(id): Segments<String>,
+) -> Result<StatusCode, Problem> {
+    if app.registry.forget(&id) {
+        return Ok(StatusCode::NO_CONTENT);
+    }
+    let worker = app.clone();
+    let name = id.clone();
+    tokio::task::spawn_blocking(move || {
+        worker.engine.remove(&name)?;
+        upload::remove_files(&worker.settings.root, &name);
+        Ok(StatusCode::NO_CONTENT)
+    })
+    .await
+    .map_err(Problem::internal)?
+    .map_err(|error: crate::engine::EngineError| frame::missing(&app, &id, error.into()))
+}
+
+/// A new place for a node, or its visibility. The transform is given whole, as in a scene file:
+/// what is left out of `translate`, `rotate`, `scale` is the identity. Without any of them the node
+/// stays where it is.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NodeChange {
+    translate: Option<[f64; 3]>,
+    /// XYZ Euler angles in degrees.
+    rotate: Option<[f64; 3]>,
+    /// x, y, z, w; normalised.
+    quaternion: Option<[f64; 4]>,
+    scale: Option<Scale>,
+    /// Column-major 4×4 with last row `0 0 0 1`, instead of the others.
+    matrix: Option<[f64; 16]>,
+    visible: Option<bool>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, ToSchema)]
+#[serde(untagged)]
+pub enum Scale {
+    Uniform(f64),
+    PerAxis([f64; 3]),
+}
+
+const CHANGE_KEYS: [&str; 6] = ["translate", "rotate", "quaternion", "scale", "matrix", "visible"];
+const CHANGE_SYNONYMS: [(&str, &str); 3] =
+    [("position", "translate"), ("transform", "matrix"), ("hidden", "visible")];
+const MAX_CHANGE_BYTES: u64 = 64 << 10;
+
+/// Moves, shows or hides a top-level node: a new revision, nothing is uploaded again.
+#[utoipa::path(
+    patch,
+    path = "/v1/scenes/{id}/nodes/{node}",
+    tag = "scenes",
+    params(
+        ("id" = String, Path, description = "The scene"),
+        ("node" = String, Path, description = "A name that the scene lists under `nodes`"),
+    ),
+    request_body(content = NodeChange, content_type = "application/json"),
+    responses((status = 200, description = "The scene with its new revision", body = SceneState)),
+)]
+pub async fn patch_node(
+    State(app): State<Arc<App>>,
+    Segments((id, node)): Segments<(String, String)>,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<Response, Problem> {
+    let patience = app.settings.read_timeout;
+    let value: serde_json::Value = body::json(&headers, body, MAX_CHANGE_BYTES, patience).await?;
+    let patch = node_change(value)?.patch()?;
+    let worker = app.clone();
+    let scene = id.clone();
+    let info = tokio::task::spawn_blocking(move || worker.engine.patch(&scene, &node, &patch))
+        .await
+        .map_err(Problem::internal)?
+        .map_err(|error| frame::missing(&app, &id, error.into()))?;
+    Ok(Json(SceneState::Ready(Box::new(info))).into_response())
+}
+
+fn node_change(value: serde_json::Value) -> Result<NodeChange, Problem> {
+    let keys = value.as_object().into_iter().flat_map(|object| object.keys());
+    if let Some(name) = keys.into_iter().find(|name| !CHANGE_KEYS.contains(&name.as_str())) {
+        return Err(unknown_name(name, &CHANGE_KEYS, &CHANGE_SYNONYMS));
+    }
+    serde_path_to_error::deserialize(value).map_err(|error| {
+        let path = error.path().to_string();
+        Problem::new(Kind::BadBody, format!("{path}: {}", error.inner())).at(path)
+    })
+}
+
+impl NodeChange {
+    fn patch(&self) -> Result<NodePatch, Problem> {
+        if *self == NodeChange::default() {
+            return Err(
+                Problem::new(Kind::BadBody, "nothing to change").accepted(CHANGE_KEYS.join(", "))
+            );
+        }
+        Ok(NodePatch { world_from_node: self.transform()?, visible: self.visible })
+    }
+
+    fn transform(&self) -> Result<Option<DAffine3>, Problem> {
+        let parts = self.translate.is_some()
+            || self.rotate.is_some()
+            || self.quaternion.is_some()
+            || self.scale.is_some();
+        if let Some(matrix) = self.matrix {
+            if parts {
+                return Err(Problem::parameter(
+                    "matrix",
+                    "cannot be given together with translate, rotate, quaternion or scale",
+                    "either of the two",
+                ));
+            }
+            return affine(DMat4::from_cols_array(&matrix)).map(Some);
+        }
+        if !parts {
+            return Ok(None);
+        }
+        let scale = match self.scale {
+            None => DVec3::ONE,
+            Some(Scale::Uniform(scale)) => DVec3::splat(scale),
+            Some(Scale::PerAxis(scale)) => DVec3::from(scale),
+        };
+        if scale.min_element() == 0.0 || scale.x * scale.y * scale.z == 0.0 {
+            return Err(Problem::parameter("scale", "must not be 0", "numbers other than 0"));
+        }
+        let translate = self.translate.map_or(DVec3::ZERO, DVec3::from);
+        Ok(Some(DAffine3::from_scale_rotation_translation(scale, self.rotation()?, translate)))
+    }
+
+    fn rotation(&self) -> Result<DQuat, Problem> {
+        match (self.rotate, self.quaternion) {
+            (Some(_), Some(_)) => Err(Problem::parameter(
+                "quaternion",
+                "cannot be given together with `rotate`",
+                "either of the two",
+            )),
+            (Some([x, y, z]), None) => {
+                Ok(DQuat::from_euler(EulerRot::XYZ, x.to_radians(), y.to_radians(), z.to_radians()))
+            }
+            (None, Some(quaternion)) => {
+                let quaternion = DQuat::from_array(quaternion);
+                let length = quaternion.length();
+                if !(length > 1e-9 && length.is_finite()) {
+                    return Err(Problem::parameter(
+                        "quaternion",
+                        "has no direction",
+                        "x, y, z, w, not all 0",
+                    ));
+                }
+                Ok(quaternion / length)
+            }
+            (None, None) => Ok(DQuat::IDENTITY),
+        }
+    }
+}
+
+fn affine(matrix: DMat4) -> Result<DAffine3, Problem> {
+    const ACCEPTED: &str = "16 finite numbers, column-major, last row 0 0 0 1, invertible";
+    let fail = |reason: &str| Err(Problem::parameter("matrix", reason, ACCEPTED));
+    if !matrix.is_finite() || matrix.row(3) != glam::DVec4::W {
+        return fail("is not an affine transform");
+    }
+    if DMat3::from_mat4(matrix).determinant() == 0.0 {
+        return fail("cannot be inverted");
+    }
+    Ok(DAffine3::from_mat4(matrix))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn patch(value: serde_json::Value) -> Result<NodePatch, Problem> {
+        node_change(value)?.patch()
+    }
+
+    #[test]
+    fn transforms_are_given_whole() {
+        let p = patch(json!({"translate": [1, 2, 3], "rotate": [0, 90, 0], "scale": 2})).unwrap();
+        let moved = p.world_from_node.unwrap().transform_point3(DVec3::X);
+        assert!((moved - DVec3::new(1.0, 2.0, 1.0)).length() < 1e-12, "{moved}");
+        let p = patch(json!({"visible": false})).unwrap();
+        assert_eq!(p, NodePatch { world_from_node: None, visible: Some(false) });
+        let q = patch(json!({"quaternion": [0, 2, 0, 2]})).unwrap().world_from_node.unwrap();
+        assert!((q.transform_vector3(DVec3::X) - DVec3::NEG_Z).length() < 1e-12);
+    }
+
+    #[test]
+    fn bad_changes_name_the_key() {
+        let at = |value| {
+            let problem = patch(value).unwrap_err();
+            assert_eq!(problem.status(), 422);
+            problem.parameter.unwrap_or_default()
+        };
+        assert_eq!(at(json!({"scale": 0})), "scale");
+        assert_eq!(at(json!({"scale": [1, 0, 1]})), "scale");
+        assert_eq!(at(json!({"translate": [1, 2]})), "translate");
+        assert_eq!(at(json!({"quaternion": [0, 0, 0, 0]})), "quaternion");
+        assert_eq!(at(json!({"rotate": [0,0,0], "quaternion": [0,0,0,1]})), "quaternion");
+        assert_eq!(at(json!({"matrix": vec![0.0; 16]})), "matrix");
+        assert_eq!(at(json!({"matrix": vec![1.0; 16], "scale": 1})), "matrix");
+        assert_eq!(at(json!({"tranlate": [1, 2, 3]})), "tranlate");
+        assert_eq!(at(json!({})), "");
+    }
+}

@@ -1,0 +1,349 @@
+//! Listening, limits on connections, start and stop.
+//!
+//! ```text
+//! listen ─► Starting ──scenes loaded──► Serving ──SIGTERM, SIGINT──► Draining ─► exit
+//!           /healthz 200                /readyz 200                  no new connections; answers in
+//!           /readyz  503                                             flight end within `drain`
+//! ```
+//!
+//! A connection has to produce the head of a request within `read_timeout`, an idle one is closed
+//! after the same time, and one that takes no bytes of its answer for [`STALLED_WRITE`] is dropped.
+//! Beyond `max_connections` a connection is told so and closed, at the cost of one small write.
+
+use std::future::Future;
+use std::net::{SocketAddr, TcpListener};
+use std::path::PathBuf;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use axum_server::Handle;
+use axum_server::accept::Accept;
+use hyper_util::rt::TokioTimer;
+use tokio::io::{AsyncRead, AsyncWrite, AsyncWriteExt, ReadBuf};
+use tokio::net::TcpStream;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::time::{Instant, Sleep};
+
+use super::{App, Phase, router, upload};
+use crate::engine::{Engine, Readiness};
+
+/// A client that reads nothing of its answer for this long is given up.
+const STALLED_WRITE: Duration = Duration::from_secs(60);
+/// Bytes of the longest request head.
+const MAX_HEAD_BYTES: usize = 32 << 10;
+const MAX_HEADERS: usize = 64;
+/// Requests in flight on one HTTP/2 connection.
+const MAX_STREAMS: u32 = 128;
+/// An HTTP/2 preface has this length, and so has, nearly, the shortest HTTP/1 request.
+const PREFACE_BYTES: u64 = 24;
+
+/// Scenes to load at the start.
+#[derive(Clone, Debug, Default)]
+pub struct StartScenes {
+    /// Id and file.
+    pub scenes: Vec<(String, PathBuf)>,
+    /// Whether somebody asked for them by name, so that none of them loading is a failure.
+    pub required: bool,
+}
+
+/// Serves until told to stop. `listening` is called once scenes are loaded.
+///
+/// # Errors
+/// The listener, or every scene that was asked for by name.
+pub async fn serve(
+    app: Arc<App>,
+    listener: TcpListener,
+    start: StartScenes,
+    listening: impl FnOnce(&Engine, SocketAddr),
+) -> anyhow::Result<()> {
+    let address = listener.local_addr()?;
+    listener.set_nonblocking(true)?;
+    let handle = Handle::new();
+    let mut stop = Box::pin(stop_signal()?);
+    let mut server = tokio::spawn(run(app.clone(), listener, handle.clone()));
+
+    let loading = load_scenes(&app, start);
+    tokio::select! {
+        loaded = loading => {
+            loaded?;
+            app.set_phase(Phase::Serving);
+            listening(&app.engine, address);
+            notify(&[sd_notify::NotifyState::Ready]);
+            let watchdog = tokio::spawn(watchdog(app.clone()));
+            tokio::select! {
+                signal = &mut stop => tracing::info!(signal, "draining"),
+                ended = &mut server => return Ok(ended??),
+            }
+            watchdog.abort();
+        }
+        signal = &mut stop => tracing::info!(signal, "stopped while loading"),
+        ended = &mut server => return Ok(ended??),
+    }
+
+    app.set_phase(Phase::Draining);
+    notify(&[sd_notify::NotifyState::Stopping]);
+    handle.graceful_shutdown(Some(app.settings.drain));
+    let drained = async {
+        let _ = (&mut server).await;
+        let engine = app.engine.clone();
+        let _ = tokio::task::spawn_blocking(move || engine.drain()).await;
+    };
+    // The grace of connections, and as much again for the engine's last jobs.
+    let patience = app.settings.drain * 2 + Duration::from_secs(1);
+    tokio::select! {
+        done = tokio::time::timeout(patience, drained) => match done {
+            Ok(()) => tracing::info!("drained"),
+            Err(_) => tracing::warn!("stopping with work in flight"),
+        },
+        second = stop_signal()? => tracing::warn!(signal = second, "stopping at once"),
+    }
+    Ok(())
+}
+
+async fn run(
+    app: Arc<App>,
+    listener: TcpListener,
+    handle: Handle<SocketAddr>,
+) -> std::io::Result<()> {
+    let settings = &app.settings;
+    let read_timeout = settings.read_timeout;
+    let acceptor =
+        Doorkeeper { places: Arc::new(Semaphore::new(settings.max_connections)), read_timeout };
+    let mut server = axum_server::from_tcp(listener)?.handle(handle).acceptor(acceptor);
+    let builder = server.http_builder();
+    builder
+        .http1()
+        .timer(TokioTimer::new())
+        .header_read_timeout(read_timeout)
+        .max_buf_size(MAX_HEAD_BYTES)
+        .max_headers(MAX_HEADERS)
+        .keep_alive(true);
+    builder
+        .http2()
+        .timer(TokioTimer::new())
+        .max_concurrent_streams(MAX_STREAMS)
+        .keep_alive_interval(read_timeout)
+        .keep_alive_timeout(read_timeout);
+    server.serve(router(app).into_make_service()).await
+}
+
+/// Loads one after the other: each may need most of the memory.
+async fn load_scenes(app: &Arc<App>, start: StartScenes) -> anyhow::Result<()> {
+    let asked = start.scenes.len();
+    let root = app.settings.root.clone();
+    let earlier = tokio::task::spawn_blocking(move || upload::earlier_uploads(&root)).await?;
+    let mut failed = 0;
+    for (index, (id, file)) in start.scenes.into_iter().chain(earlier).enumerate() {
+        let shown = file.display().to_string();
+        let began = Instant::now();
+        let result = match app.registry.reserve(&id, |id| app.engine.scene(id).is_ok()) {
+            Ok(reservation) => upload::load(app, reservation, file, |problem| problem).await,
+            Err(problem) => Err(problem),
+        };
+        let elapsed_ms = began.elapsed().as_millis();
+        match result {
+            Ok(info) => {
+                let (samples, triangles) = (info.samples, info.triangles);
+                tracing::info!(id, samples, triangles, elapsed_ms, "scene loaded");
+            }
+            Err(problem) => {
+                failed += usize::from(index < asked);
+                tracing::error!(id, file = shown, problem = problem.detail, "scene not loaded");
+            }
+        }
+    }
+    anyhow::ensure!(
+        !(start.required && asked > 0 && failed == asked),
+        "none of the scenes asked for could be loaded; the log says why"
+    );
+    Ok(())
+}
+
+/// The name of the first signal to stop.
+fn stop_signal() -> std::io::Result<impl Future<Output = &'static str>> {
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        let mut terminate = signal(SignalKind::terminate())?;
+        let mut interrupt = signal(SignalKind::interrupt())?;
+        Ok(async move {
+            tokio::select! {
+                _ = terminate.recv() => "SIGTERM",
+                _ = interrupt.recv() => "SIGINT",
+            }
+        })
+    }
+    #[cfg(not(unix))]
+    Ok(async {
+        let _ = tokio::signal::ctrl_c().await;
+        "interrupt"
+    })
+}
+
+/// Tells the service manager, where there is one.
+fn notify(state: &[sd_notify::NotifyState]) {
+    if let Err(error) = sd_notify::notify(state) {
+        tracing::warn!(%error, "the service manager cannot be told");
+    }
+}
+
+/// Pats the service manager's watchdog while the render loop moves, at twice its pace.
+async fn watchdog(app: Arc<App>) {
+    let Some(period) = sd_notify::watchdog_enabled() else { return };
+    loop {
+        if !matches!(app.engine.readiness(), Readiness::Stalled { .. }) {
+            notify(&[sd_notify::NotifyState::Watchdog]);
+        }
+        tokio::time::sleep(period / 2).await;
+    }
+}
+
+/// Lets connections in, as many as there are places.
+#[derive(Clone)]
+struct Doorkeeper {
+    places: Arc<Semaphore>,
+    read_timeout: Duration,
+}
+
+impl<S: Send + 'static> Accept<TcpStream, S> for Doorkeeper {
+    type Stream = Guarded;
+    type Service = S;
+    type Future = Pin<Box<dyn Future<Output = std::io::Result<(Guarded, S)>> + Send>>;
+
+    fn accept(&self, mut stream: TcpStream, service: S) -> Self::Future {
+        let place = self.places.clone().try_acquire_owned();
+        let read_timeout = self.read_timeout;
+        Box::pin(async move {
+            let Ok(place) = place else {
+                let _ = tokio::time::timeout(Duration::from_secs(1), turn_away(&mut stream)).await;
+                return Err(std::io::Error::other("no place left"));
+            };
+            stream.set_nodelay(true)?;
+            Ok((Guarded::new(stream, place, read_timeout), service))
+        })
+    }
+}
+
+async fn turn_away(stream: &mut TcpStream) -> std::io::Result<()> {
+    use super::problem::{Kind, PROBLEM_JSON, Problem};
+    use axum::response::IntoResponse;
+    let problem =
+        Problem::new(Kind::Busy, "too many connections").retry_after(Duration::from_secs(1));
+    let body = problem.to_json();
+    debug_assert_eq!(problem.into_response().status(), 503);
+    let answer = format!(
+        "HTTP/1.1 503 Service Unavailable\r\nContent-Type: {PROBLEM_JSON}\r\nRetry-After: 1\r\n\
+         Content-Length: {}\r\nConnection: close\r\n\r\n{body}",
+        body.len()
+    );
+    stream.write_all(answer.as_bytes()).await?;
+    stream.shutdown().await
+}
+
+/// A connection that holds its place, with the two limits that the HTTP library does not have: time
+/// for the first bytes, which it reads before it knows which protocol they are, and time for writes.
+struct Guarded {
+    stream: TcpStream,
+    _place: OwnedSemaphorePermit,
+    read_bytes: u64,
+    preface_until: Pin<Box<Sleep>>,
+    write_until: Pin<Box<Sleep>>,
+    is_write_pending: bool,
+}
+
+impl Guarded {
+    fn new(stream: TcpStream, place: OwnedSemaphorePermit, read_timeout: Duration) -> Self {
+        Self {
+            stream,
+            _place: place,
+            read_bytes: 0,
+            preface_until: Box::pin(tokio::time::sleep(read_timeout)),
+            write_until: Box::pin(tokio::time::sleep(STALLED_WRITE)),
+            is_write_pending: false,
+        }
+    }
+
+    /// Turns a write that waits too long into an error.
+    fn bounded<T>(
+        &mut self,
+        context: &mut Context<'_>,
+        result: Poll<std::io::Result<T>>,
+    ) -> Poll<std::io::Result<T>> {
+        if result.is_ready() {
+            self.is_write_pending = false;
+            return result;
+        }
+        if !self.is_write_pending {
+            self.is_write_pending = true;
+            self.write_until.as_mut().reset(Instant::now() + STALLED_WRITE);
+        }
+        match self.write_until.as_mut().poll(context) {
+            Poll::Ready(()) => Poll::Ready(Err(std::io::ErrorKind::TimedOut.into())),
+            Poll::Pending => Poll::Pending,
+        }
+    }
+}
+
+impl AsyncRead for Guarded {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<std::io::Result<()>> {
+        let before = buffer.filled().len();
+        match Pin::new(&mut self.stream).poll_read(context, buffer) {
+            Poll::Ready(result) => {
+                self.read_bytes += (buffer.filled().len() - before) as u64;
+                Poll::Ready(result)
+            }
+            Poll::Pending if self.read_bytes < PREFACE_BYTES => {
+                match self.preface_until.as_mut().poll(context) {
+                    Poll::Ready(()) => Poll::Ready(Err(std::io::ErrorKind::TimedOut.into())),
+                    Poll::Pending => Poll::Pending,
+                }
+            }
+            Poll::Pending => Poll::Pending,
+        }
+    }
+}
+
+impl AsyncWrite for Guarded {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<std::io::Result<usize>> {
+        let result = Pin::new(&mut self.stream).poll_write(context, bytes);
+        self.bounded(context, result)
+    }
+
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        slices: &[std::io::IoSlice<'_>],
+    ) -> Poll<std::io::Result<usize>> {
+        let result = Pin::new(&mut self.stream).poll_write_vectored(context, slices);
+        self.bounded(context, result)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.stream.is_write_vectored()
+    }
+
+    fn poll_flush(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<std::io::Result<()>> {
+        let result = Pin::new(&mut self.stream).poll_flush(context);
+        self.bounded(context, result)
+    }
+
+    fn poll_shutdown(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<std::io::Result<()>> {
+        Pin::new(&mut self.stream).poll_shutdown(context)
+    }
+}

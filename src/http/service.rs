@@ -1,0 +1,153 @@
+//! What a server offers beside frames: health, readiness, metrics, limits, its contract, the viewer.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::{HeaderName, HeaderValue, Method, Uri, header};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::problem::{Kind, Problem, nearest};
+use super::{App, Phase, ROUTES, metrics as exposition};
+use crate::engine::{Limits, Readiness};
+
+/// The viewer, one page without further files.
+const VIEWER: &str = include_str!("../viewer/index.html");
+const OPENAPI: &str = include_str!("../../openapi.yaml");
+
+/// The viewer page.
+#[utoipa::path(
+    get,
+    path = "/",
+    tag = "service",
+    responses((status = 200, description = "The viewer", body = String, content_type = "text/html")),
+)]
+pub async fn viewer() -> Response {
+    const HTML: HeaderValue = HeaderValue::from_static("text/html; charset=utf-8");
+    ([(header::CONTENT_TYPE, HTML), (header::CACHE_CONTROL, NO_CACHE)], VIEWER).into_response()
+}
+
+const NO_CACHE: HeaderValue = HeaderValue::from_static("no-cache");
+const PLAIN: [(HeaderName, HeaderValue); 2] = [
+    (header::CONTENT_TYPE, HeaderValue::from_static("text/plain; charset=utf-8")),
+    (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
+];
+
+/// Liveness: the process answers.
+#[utoipa::path(
+    get,
+    path = "/healthz",
+    tag = "service",
+    responses((status = 200, description = "Alive", body = String, content_type = "text/plain")),
+)]
+pub async fn healthz() -> Response {
+    (PLAIN, "ok\n").into_response()
+}
+
+/// Readiness: frames can be had now. 503 while scenes load at the start, when the render loop
+/// stalls, when the GPU is lost, and while the server drains.
+#[utoipa::path(
+    get,
+    path = "/readyz",
+    tag = "service",
+    responses((status = 200, description = "Ready", body = String, content_type = "text/plain")),
+)]
+pub async fn readyz(State(app): State<Arc<App>>) -> Result<Response, Problem> {
+    let reason = match (app.phase(), app.engine.readiness()) {
+        (Phase::Draining, _) | (_, Readiness::Draining) => "draining".to_owned(),
+        (_, Readiness::Stalled { for_ms }) => {
+            format!("the render loop has stalled for {for_ms} ms")
+        }
+        (_, Readiness::DeviceLost) => "the GPU was lost; scenes are being rebuilt".to_owned(),
+        (Phase::Starting, _) => "loading scenes".to_owned(),
+        (_, Readiness::Starting) => "starting".to_owned(),
+        (Phase::Serving, Readiness::Ready) => return Ok((PLAIN, "ready\n").into_response()),
+    };
+    Err(Problem::new(Kind::NotReady, reason).retry_after(Duration::from_secs(1)))
+}
+
+/// Prometheus metrics.
+#[utoipa::path(
+    get,
+    path = "/metrics",
+    tag = "service",
+    responses((status = 200, description = "OpenMetrics text", body = String, content_type = "application/openmetrics-text")),
+)]
+pub async fn metrics(State(app): State<Arc<App>>) -> Result<Response, Problem> {
+    let text = app.metrics.exposition().map_err(Problem::internal)?;
+    let content_type = HeaderValue::from_static(exposition::OPENMETRICS);
+    Ok(([(header::CONTENT_TYPE, content_type)], text).into_response())
+}
+
+/// This contract.
+#[utoipa::path(
+    get,
+    path = "/openapi.yaml",
+    tag = "service",
+    responses((status = 200, description = "OpenAPI", body = String, content_type = "application/yaml")),
+)]
+pub async fn openapi() -> Response {
+    const YAML: HeaderValue = HeaderValue::from_static("application/yaml");
+    ([(header::CONTENT_TYPE, YAML)], OPENAPI).into_response()
+}
+
+/// The JSON Schema of scene files, for editors.
+#[utoipa::path(
+    get,
+    path = "/v1/scene-schema.json",
+    tag = "service",
+    responses((status = 200, description = "JSON Schema", body = Object, content_type = "application/schema+json")),
+)]
+pub async fn scene_schema() -> Response {
+    const SCHEMA: HeaderValue = HeaderValue::from_static("application/schema+json");
+    let text = crate::scene::json_schema().to_string();
+    ([(header::CONTENT_TYPE, SCHEMA)], text).into_response()
+}
+
+/// What the server takes on at most.
+#[derive(Serialize, ToSchema)]
+pub struct ServerLimits {
+    #[serde(flatten)]
+    engine: Limits,
+    /// Bytes of one upload, all its files together.
+    max_upload_bytes: u64,
+    max_connections: usize,
+    /// Longest wait for a frame, in milliseconds.
+    frame_timeout_ms: u64,
+}
+
+/// The limits in force; what is beyond them is refused with 413, 422 or 507.
+#[utoipa::path(
+    get,
+    path = "/v1/limits",
+    tag = "service",
+    responses((status = 200, description = "The limits", body = ServerLimits)),
+)]
+pub async fn limits(State(app): State<Arc<App>>) -> Json<ServerLimits> {
+    let settings = &app.settings;
+    Json(ServerLimits {
+        engine: app.engine.limits(),
+        max_upload_bytes: settings.max_upload_bytes,
+        max_connections: settings.max_connections,
+        frame_timeout_ms: u64::try_from(settings.frame_timeout.as_millis()).unwrap_or(u64::MAX),
+    })
+}
+
+pub async fn unknown_route(uri: Uri) -> Problem {
+    let path: String = uri.path().chars().take(128).collect();
+    let known = ROUTES.iter().copied().filter(|route| route.starts_with('/'));
+    let problem = Problem::new(Kind::UnknownRoute, format!("there is nothing at {path}"));
+    match nearest(&path, known) {
+        Some(route) => problem.accepted(format!("{route}; all routes are in /openapi.yaml")),
+        None => problem.accepted("the routes in /openapi.yaml"),
+    }
+}
+
+pub async fn method_not_allowed(method: Method, uri: Uri) -> Problem {
+    let path: String = uri.path().chars().take(128).collect();
+    Problem::new(Kind::MethodNotAllowed, format!("{path} does not take {method}"))
+        .accepted("the methods in the Allow header")
+}

@@ -1,0 +1,180 @@
+//! Starts the daemon on a free port with a small scene, and stops it.
+
+use std::io::{BufRead, BufReader};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::mpsc::sync_channel;
+use std::time::{Duration, Instant};
+
+use super::client::Client;
+
+pub struct Daemon {
+    child: Child,
+    pub address: SocketAddr,
+    folder: tempfile::TempDir,
+    /// What it printed until it listened.
+    pub greeting: Vec<String>,
+}
+
+/// A wall of 64 × 64 coloured points.
+pub fn grid_ply() -> String {
+    wall_ply(64)
+}
+
+/// A wall of `side` × `side` coloured points in the plane z = 0, two units wide.
+pub fn wall_ply(side: usize) -> String {
+    let mut text = format!(
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
+         property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n",
+        side * side
+    );
+    for row in 0..side {
+        for column in 0..side {
+            let at = |i: usize| i as f64 / (side - 1) as f64 * 2.0 - 1.0;
+            let (x, y) = (at(column), at(row));
+            text += &format!("{x} {y} 0 {} {} 90\n", 255 * column / side, 255 * row / side);
+        }
+    }
+    text
+}
+
+/// A scene of `file` with a node `wall` and a camera `front`.
+pub fn grid_scene(file: &str) -> serde_json::Value {
+    serde_json::json!({
+        "pointillist": 1,
+        "name": "grid",
+        "assets": { "g": { "file": file } },
+        "nodes": [{ "name": "wall", "asset": "g" }],
+        "cameras": { "front": { "eye": [0, 0, 3], "target": [0, 0, 0], "fov": 45 } },
+    })
+}
+
+impl Daemon {
+    /// A daemon with the scene `grid`.
+    pub fn start(args: &[&str]) -> Daemon {
+        Daemon::start_in(|_| {}, args)
+    }
+
+    /// The same, after `prepare` has seen its root.
+    pub fn start_in(prepare: impl FnOnce(&Path), args: &[&str]) -> Daemon {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path().join("root");
+        std::fs::create_dir(&root).unwrap();
+        std::fs::write(root.join("grid.ply"), grid_ply()).unwrap();
+        std::fs::write(root.join("grid.json"), grid_scene("grid.ply").to_string()).unwrap();
+        prepare(&root);
+        Daemon::spawn(folder, args)
+    }
+
+    /// Starts again on the same root.
+    pub fn restart(mut self, args: &[&str]) -> Daemon {
+        assert!(self.terminate().success());
+        let folder = std::mem::replace(&mut self.folder, tempfile::tempdir().unwrap());
+        Daemon::spawn(folder, args)
+    }
+
+    fn spawn(folder: tempfile::TempDir, args: &[&str]) -> Daemon {
+        let log = std::fs::File::create(folder.path().join("log")).unwrap();
+        let mut child = Command::new(env!("CARGO_BIN_EXE_pointillist"))
+            .args(["serve", "--listen", "127.0.0.1:0", "--root"])
+            .arg(folder.path().join("root"))
+            .args(args)
+            .env_remove("POINTILLIST_CONFIG")
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(log)
+            .spawn()
+            .unwrap();
+        let stdout = child.stdout.take().unwrap();
+        let (sender, receiver) = sync_channel(64);
+        std::thread::spawn(move || {
+            for line in BufReader::new(stdout).lines().map_while(Result::ok) {
+                let _ = sender.try_send(line);
+            }
+        });
+        let mut greeting = Vec::new();
+        let mut address = None;
+        while let Ok(line) = receiver.recv_timeout(Duration::from_secs(120)) {
+            greeting.push(line);
+            let last = &greeting[greeting.len() - 1];
+            if let Some(found) = last.strip_prefix("listening on http://") {
+                address = Some(found.parse().unwrap());
+            }
+            if last.starts_with("curl ") {
+                break;
+            }
+        }
+        let Some(address) = address else {
+            let _ = child.kill();
+            let log = std::fs::read_to_string(folder.path().join("log")).unwrap_or_default();
+            panic!("the daemon did not start: {greeting:?}\n{log}");
+        };
+        Daemon { child, address, folder, greeting }
+    }
+
+    pub fn client(&self) -> Client {
+        Client::new(self.address)
+    }
+
+    pub fn root(&self) -> PathBuf {
+        self.folder.path().join("root")
+    }
+
+    pub fn log(&self) -> String {
+        std::fs::read_to_string(self.folder.path().join("log")).unwrap_or_default()
+    }
+
+    /// Names in the uploads folder.
+    pub fn uploads(&self) -> Vec<String> {
+        let Ok(entries) = std::fs::read_dir(self.root().join("uploads")) else {
+            return Vec::new();
+        };
+        entries.map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned()).collect()
+    }
+
+    /// Sends SIGTERM without waiting.
+    pub fn signal(&self) {
+        let status =
+            Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status().unwrap();
+        assert!(status.success());
+    }
+
+    /// Waits for the end.
+    pub fn wait(&mut self) -> ExitStatus {
+        let until = Instant::now() + Duration::from_secs(60);
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return status;
+            }
+            assert!(Instant::now() < until, "the daemon does not end:\n{}", self.log());
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+
+    pub fn terminate(&mut self) -> ExitStatus {
+        self.signal();
+        self.wait()
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        if let Ok(None) = self.child.try_wait() {
+            let _ = self.child.kill();
+            let _ = self.child.wait();
+        }
+        if std::thread::panicking() {
+            eprintln!("log of the daemon:\n{}", self.log());
+        }
+    }
+}
+
+/// Waits until `done`, for something that the server does on its own time.
+pub fn eventually(what: &str, mut done: impl FnMut() -> bool) {
+    let until = Instant::now() + Duration::from_secs(30);
+    while !done() {
+        assert!(Instant::now() < until, "{what} did not happen");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}

@@ -1,0 +1,181 @@
+//! Every refusal: status, stable type, parameter at fault.
+
+use serde_json::json;
+
+use super::daemon::Daemon;
+
+#[test]
+fn refusals_of_frames() {
+    let daemon = Daemon::start(&["--max-side", "256", "--max-pixels", "40000"]);
+    let client = daemon.client();
+    for (query, kind, parameter) in [
+        ("w=0", "bad-parameter", "w"),
+        ("w=x", "bad-parameter", "w"),
+        ("w=10&w=10", "bad-parameter", "w"),
+        ("eye=1,2,3", "bad-parameter", "target"),
+        ("eye=1,2&target=0,0,0", "bad-parameter", "eye"),
+        ("eye=1,2,3&target=1,2,3", "bad-parameter", "target"),
+        ("eye=0,0,1&target=0,0,0&up=0,0,0", "bad-parameter", "up"),
+        ("eye=0,0,1&target=0,0,0&fov=180", "bad-parameter", "fov"),
+        ("camera=front&fov=20", "bad-parameter", "fov"),
+        ("camera=nobody", "bad-parameter", "camera"),
+        ("view=1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1", "bad-parameter", "proj"),
+        ("format=gif", "bad-parameter", "format"),
+        ("format=jpeg&output=depth", "bad-parameter", "format"),
+        ("quality=0", "bad-parameter", "quality"),
+        ("output=colour", "bad-parameter", "output"),
+        ("lod=spt", "bad-parameter", "lod"),
+        ("reconstruct=splats", "bad-parameter", "reconstruct"),
+        ("deadline_ms=-1", "bad-parameter", "deadline_ms"),
+        ("filter=box", "unavailable-parameter", "filter"),
+        ("max_error_px=1", "unavailable-parameter", "max_error_px"),
+        ("budget_ms=8", "unavailable-parameter", "budget_ms"),
+        ("effects=shadows", "unavailable-parameter", "effects"),
+        ("width=3", "unknown-parameter", "width"),
+        ("recontruct=points", "unknown-parameter", "recontruct"),
+    ] {
+        let size = if query.contains("w=") { "" } else { "&w=8&h=8" };
+        let reply = client.get(&format!("/v1/scenes/grid/frame?{query}{size}"));
+        let problem = reply.problem();
+        assert_eq!(reply.status, 422, "{query}");
+        assert_eq!(
+            problem["type"],
+            format!("urn:pointillist:problem:{kind}"),
+            "{query}: {problem}"
+        );
+        assert_eq!(problem["parameter"], parameter, "{query}: {problem}");
+    }
+    for query in ["w=257&h=8", "w=8&h=257", "w=250&h=250"] {
+        let reply = client.get(&format!("/v1/scenes/grid/frame?{query}"));
+        assert_eq!(reply.status, 422, "{query}: {}", reply.text());
+        reply.problem();
+    }
+    assert_eq!(client.get("/v1/scenes/grid/frame?w=200&h=200").status, 200);
+    let reply = client.send("GET", "/v1/scenes/grid/frame", &[("accept", "text/html")], None);
+    assert_eq!((reply.status, &reply.problem()["parameter"]), (406, &json!("Accept")));
+    let limits = client.get("/v1/limits").json();
+    assert_eq!((&limits["max_side"], &limits["max_pixels"]), (&json!(256), &json!(40000)));
+}
+
+#[test]
+fn refusals_of_routes_and_bodies() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    for path in
+        ["/v1/scenes/none", "/v1/scenes/none/frame", "/v1/scene", "/x", "/v1/scenes/grid/%ff"]
+    {
+        let reply = client.get(path);
+        assert_eq!(reply.status, 404, "{path}");
+        reply.problem();
+    }
+    for (method, path) in [
+        ("DELETE", "/v1/scenes"),
+        ("POST", "/v1/scenes/grid/frame"),
+        ("GET", "/v1/scenes/grid/frames"),
+        ("GET", "/v1/scenes/grid/nodes/wall"),
+        ("POST", "/healthz"),
+    ] {
+        let reply = client.send(method, path, &[], None);
+        assert_eq!(reply.status, 405, "{method} {path}");
+        reply.problem();
+        assert!(reply.header("allow").is_some_and(|allow| !allow.is_empty()), "{method} {path}");
+    }
+    let json = [("content-type", "application/json")];
+    let frames = "/v1/scenes/grid/frames";
+    let node = "/v1/scenes/grid/nodes/wall";
+    for (method, path, body, status) in [
+        ("POST", frames, "{\"poses\": [", 422),
+        ("POST", frames, "{\"poses\": []}", 422),
+        ("POST", frames, "{}", 422),
+        ("POST", frames, "[]", 422),
+        ("POST", frames, "{\"poses\": [{}], \"width\": 3}", 422),
+        ("POST", "/v1/scenes/none/frames", "{\"poses\": [{}]}", 404),
+        ("PATCH", node, "{}", 422),
+        ("PATCH", node, "{\"scale\": 0}", 422),
+        ("PATCH", node, "{\"translated\": 0}", 422),
+        ("PATCH", "/v1/scenes/grid/nodes/none", "{\"visible\": true}", 404),
+        ("PATCH", "/v1/scenes/none/nodes/wall", "{\"visible\": true}", 404),
+        ("POST", "/v1/scenes", "{\"assets\": 3", 422),
+        ("POST", "/v1/scenes", "{\"assets\": {}, \"nods\": []}", 422),
+        (
+            "POST",
+            "/v1/scenes",
+            "{\"assets\": {\"a\": {\"file\": \"none.ply\"}}, \"nodes\": []}",
+            422,
+        ),
+        (
+            "POST",
+            "/v1/scenes",
+            "{\"assets\": {\"a\": {\"file\": \"/etc/passwd\"}}, \"nodes\": []}",
+            422,
+        ),
+        ("POST", "/v1/scenes", "{\"assets\": {\"a\": {\"file\": \"../log\"}}, \"nodes\": []}", 422),
+        ("POST", "/v1/scenes?id=No", "{}", 422),
+        ("POST", "/v1/scenes?ids=no", "{}", 422),
+        ("POST", "/v1/scenes?id=grid", "{}", 409),
+    ] {
+        let reply = client.send(method, path, &json, Some(body.as_bytes()));
+        assert_eq!(reply.status, status, "{method} {path} {body}: {}", reply.text());
+        let problem = reply.problem();
+        let root = daemon.root().canonicalize().unwrap().display().to_string();
+        assert!(!problem.to_string().contains(&root), "{problem} tells where the root is");
+    }
+    for (path, content_type) in [(frames, "text/plain"), (node, "text/plain"), ("/v1/scenes", "")] {
+        let method = if path == node { "PATCH" } else { "POST" };
+        let headers = [("content-type", content_type)];
+        let headers = if content_type.is_empty() { &[][..] } else { &headers[..] };
+        let reply = client.send(method, path, headers, Some(b"{}"));
+        assert_eq!(reply.status, 415, "{path}: {}", reply.text());
+        reply.problem();
+    }
+    let large = format!("{{\"visible\": true, \"x\": \"{}\"}}", "x".repeat(100_000));
+    let reply = client.send("PATCH", node, &json, Some(large.as_bytes()));
+    assert_eq!(reply.status, 413, "{}", reply.text());
+    assert_eq!(client.send("DELETE", "/v1/scenes/none", &[], None).status, 404);
+    assert!(daemon.uploads().is_empty(), "{:?}", daemon.uploads());
+}
+
+#[test]
+fn keys_open_what_their_scope_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("keys");
+    // sha256 of `reader` and of `writer`.
+    let keys = "eye read 3d0941964aa3ebdcb00ccef58b1bb399f9f898465e9886d5aec7f31090a0fb30\n\
+                hand write b93006774cbdd4b299389a03ac3d88c3a76b460d538795bc12718011a909fba5\n";
+    std::fs::write(&file, keys).unwrap();
+    let daemon = Daemon::start(&["--api-keys", file.to_str().unwrap()]);
+    assert!(daemon.greeting.iter().any(|line| line.contains("Authorization: Bearer")));
+    let client = daemon.client();
+    let status = |method: &str, path: &str, key: &str| {
+        let bearer = format!("Bearer {key}");
+        let headers = [("authorization", bearer.as_str())];
+        let headers = if key.is_empty() { &[][..] } else { &headers[..] };
+        client.send(method, path, headers, None).status
+    };
+    let frame = "/v1/scenes/grid/frame?w=8&h=8";
+    assert_eq!(status("GET", frame, ""), 401);
+    assert_eq!(status("GET", frame, "wrong"), 401);
+    assert_eq!(status("GET", frame, "reader"), 200);
+    assert_eq!(status("DELETE", "/v1/scenes/grid", "reader"), 403);
+    assert_eq!(status("GET", "/metrics", ""), 401);
+    assert_eq!(status("GET", "/healthz", ""), 200);
+    assert_eq!(status("GET", "/readyz", ""), 200);
+    let refused = client.get(frame);
+    assert_eq!(refused.header("www-authenticate"), Some("Bearer"));
+    refused.problem();
+    assert_eq!(status("DELETE", "/v1/scenes/grid", "writer"), 204);
+}
+
+#[test]
+fn other_origins_cannot_change_scenes() {
+    let daemon = Daemon::start(&["--cors-origin", "https://app.example"]);
+    let client = daemon.client();
+    let from =
+        |origin: &str| client.send("DELETE", "/v1/scenes/none", &[("origin", origin)], None).status;
+    assert_eq!(from("https://evil.example"), 403);
+    assert_eq!(from("https://app.example"), 404);
+    let reply = client.send("GET", "/v1/limits", &[("origin", "https://app.example")], None);
+    assert_eq!(reply.header("access-control-allow-origin"), Some("https://app.example"));
+    let reply = client.send("GET", "/v1/limits", &[("origin", "https://evil.example")], None);
+    assert_eq!(reply.header("access-control-allow-origin"), None);
+}

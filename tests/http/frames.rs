@@ -1,0 +1,233 @@
+//! Frames: pixels, receipts, entity tags, formats, many poses at once, moved nodes.
+
+use serde_json::{Value, json};
+
+use super::client::Reply;
+use super::daemon::Daemon;
+
+const FRAME: &str = "/v1/scenes/grid/frame?camera=front&w=96&h=64";
+
+/// Decoded 8-bit pixels and the image's size.
+fn decode(reply: &Reply) -> (image::RgbaImage, (u32, u32)) {
+    assert_eq!(reply.status, 200, "{}", reply.text());
+    let image = image::load_from_memory(&reply.body).unwrap().to_rgba8();
+    let size = image.dimensions();
+    (image, size)
+}
+
+#[test]
+fn a_frame_and_its_receipt() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let reply = client.get(FRAME);
+    let (image, size) = decode(&reply);
+    assert_eq!(size, (96, 64));
+    let background = *image.get_pixel(0, 0);
+    let covered = image.pixels().filter(|pixel| **pixel != background).count();
+    assert!(covered > 500, "only {covered} pixels show the wall");
+
+    assert_eq!(reply.header("content-type"), Some("image/png"));
+    assert_eq!(reply.header("cache-control"), Some("no-cache"));
+    assert_eq!(reply.header("vary"), Some("accept"));
+    let receipt = reply.receipt();
+    assert_eq!(receipt["scene"], "grid");
+    assert_eq!(
+        (&receipt["camera"]["width"], &receipt["camera"]["height"]),
+        (&json!(96), &json!(64))
+    );
+    assert_eq!(receipt["camera"]["eye"], json!([0.0, 0.0, 3.0]));
+    assert_eq!(receipt["bytes"], reply.body.len());
+    let passes = receipt["passes"].as_array().unwrap();
+    assert!(passes.iter().any(|pass| pass["ran"] == true));
+    assert!(passes.iter().all(|pass| pass["ran"] == true || pass["why"].is_string()), "{passes:?}");
+
+    let timing = reply.header("server-timing").unwrap();
+    for name in ["queue", "batch", "readback", "encode", "total"] {
+        assert!(timing.split(", ").any(|e| e.starts_with(&format!("{name};dur="))), "{timing}");
+    }
+    for pass in passes.iter().filter(|pass| pass["gpu_ns"].is_u64()) {
+        let name = pass["name"].as_str().unwrap();
+        assert!(timing.contains(&format!("{name};dur=")), "{name} is not in {timing}");
+    }
+    let again = client.get(FRAME);
+    assert_eq!(again.body, reply.body, "the same request twice gives the same bytes");
+    assert_eq!(again.header("etag"), reply.header("etag"));
+}
+
+#[test]
+fn entity_tags_cost_no_rendering() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let head = client.send("HEAD", FRAME, &[], None);
+    assert_eq!((head.status, head.body.len()), (200, 0));
+    assert_eq!(head.header("content-type"), Some("image/png"));
+    assert_ne!(head.header("content-length"), Some("0"));
+    let etag = head.header("etag").expect("an entity tag").to_owned();
+    assert!(etag.starts_with('"') && etag.ends_with('"'));
+    for tags in [etag.clone(), format!("W/{etag}"), format!("\"x\", {etag}"), "*".to_owned()] {
+        let reply = client.send("GET", FRAME, &[("if-none-match", &tags)], None);
+        assert_eq!((reply.status, reply.body.len()), (304, 0), "{tags}");
+        assert_eq!(reply.header("etag"), Some(etag.as_str()));
+    }
+    assert_eq!(client.metric("pointillist_engine_frames_total"), 0.0, "nothing was rendered");
+    assert_eq!(client.metric("pointillist_not_modified_total"), 4.0);
+
+    let reply = client.send("GET", FRAME, &[("if-none-match", "\"x\"")], None);
+    assert_eq!((reply.status, reply.header("etag")), (200, Some(etag.as_str())));
+    for other in ["w=97&h=64&camera=front", "w=96&h=64&camera=front&format=webp", "w=96&h=64"] {
+        let path = format!("/v1/scenes/grid/frame?{other}");
+        let reply = client.send("HEAD", &path, &[], None);
+        assert_ne!(reply.header("etag"), Some(etag.as_str()), "{other}");
+    }
+    // When the client wants it does not change what it gets.
+    let reply = client.send("HEAD", &format!("{FRAME}&deadline_ms=5000"), &[], None);
+    assert_eq!(reply.header("etag"), Some(etag.as_str()));
+}
+
+#[test]
+fn formats_and_outputs() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let accepted = |accept: &str| client.send("GET", FRAME, &[("accept", accept)], None);
+    assert_eq!(accepted("image/jpeg").header("content-type"), Some("image/jpeg"));
+    assert_eq!(accepted("image/webp,*/*;q=0.1").header("content-type"), Some("image/webp"));
+    assert_eq!(accepted("*/*").header("content-type"), Some("image/png"));
+    for (format, media_type) in [
+        ("png", "image/png"),
+        ("jpeg", "image/jpeg"),
+        ("webp", "image/webp"),
+        ("qoi", "image/qoi"),
+        ("exr", "image/x-exr"),
+        ("raw", "application/octet-stream"),
+    ] {
+        let path = format!("{FRAME}&format={format}");
+        let reply = client.get(&path);
+        assert_eq!((reply.status, reply.header("content-type")), (200, Some(media_type)));
+        assert_eq!(reply.header("vary"), None, "{format} was asked for by name");
+        let head = client.send("HEAD", &path, &[], None);
+        assert_eq!(head.header("content-type"), Some(media_type));
+    }
+    let depth = client.get(&format!("{FRAME}&output=depth&format=raw"));
+    assert_eq!(depth.body.len(), 96 * 64 * 4);
+    let depths: Vec<f32> =
+        depth.body.chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect();
+    let near = depths.iter().copied().fold(f32::INFINITY, f32::min);
+    assert!((near - 3.0).abs() < 1e-3, "the wall is 3 away, not {near}");
+    let id = client.get(&format!("{FRAME}&output=id&format=raw"));
+    assert!(id.body.chunks_exact(4).any(|b| b == [1, 0, 0, 0]));
+    assert_eq!(client.get(&format!("{FRAME}&output=normal")).status, 200);
+}
+
+#[test]
+fn poses_in_three_notations_agree() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let f = 1.0 / 22.5f64.to_radians().tan();
+    let get = |pose: &str| {
+        let reply = client.get(&format!("/v1/scenes/grid/frame?{pose}&w=64&h=64&format=raw"));
+        assert_eq!(reply.status, 200, "{pose}: {}", reply.text());
+        reply.body
+    };
+    let named = get("camera=front");
+    assert_eq!(get("eye=0,0,3&target=0,0,0&up=0,1,0&fov=45"), named);
+    let matrices = format!(
+        "view=1,0,0,0,0,1,0,0,0,0,1,0,0,0,-3,1&proj={f},0,0,0,0,{f},0,0,0,0,-1,-1,0,0,-0.2,0"
+    );
+    let differing = get(&matrices).iter().zip(&named).filter(|(a, b)| a != b).count();
+    assert!(differing < 64, "{differing} bytes differ");
+    get("fov=45&eye=1,0,3&target=0,0,0");
+}
+
+/// Content type, pose index, receipt and content of each part.
+pub fn parts(reply: &Reply) -> Vec<(String, u64, Option<Value>, Vec<u8>)> {
+    let content_type = reply.header("content-type").unwrap();
+    let boundary = content_type.strip_prefix("multipart/mixed; boundary=").unwrap();
+    let mut rest = &reply.body[..];
+    let mut found = Vec::new();
+    let delimiter = format!("\r\n--{boundary}");
+    loop {
+        rest = rest.strip_prefix(delimiter.as_bytes()).expect("a delimiter");
+        if rest == b"--\r\n" {
+            return found;
+        }
+        let end = rest.windows(4).position(|w| w == b"\r\n\r\n").unwrap();
+        let head = std::str::from_utf8(&rest[2..end]).unwrap();
+        let header = |name: &str| {
+            head.lines().filter_map(|line| line.split_once(": ")).find_map(|(known, value)| {
+                known.eq_ignore_ascii_case(name).then(|| value.to_owned())
+            })
+        };
+        let length: usize = header("content-length").unwrap().parse().unwrap();
+        let content = rest[end + 4..end + 4 + length].to_vec();
+        rest = &rest[end + 4 + length..];
+        let receipt =
+            header("pointillist-receipt").map(|text| serde_json::from_str(&text).unwrap());
+        let index = header("pointillist-pose").unwrap().parse().unwrap();
+        found.push((header("content-type").unwrap(), index, receipt, content));
+    }
+}
+
+#[test]
+fn many_poses_in_one_answer() {
+    let daemon = Daemon::start(&["--queue", "4", "--max-batch", "2"]);
+    let client = daemon.client();
+    let mut poses: Vec<Value> =
+        (0..20).map(|i| json!({"eye": [0.1 * f64::from(i), 0, 3], "target": [0, 0, 0]})).collect();
+    poses[3] = json!({"eye": [0, 0], "target": [0, 0, 0]});
+    poses[5] = json!({"camera": "nobody"});
+    poses[7] = json!({"camera": "front", "format": "jpeg", "w": 32});
+    poses[9] = json!({"filter": "box"});
+    let request = json!({"poses": poses, "w": 48, "h": 40, "format": "png"});
+    let reply = client.post_json("/v1/scenes/grid/frames", &request);
+    assert_eq!(reply.status, 200, "{}", reply.text());
+    let parts = parts(&reply);
+    assert_eq!(parts.len(), 20);
+    for (i, (content_type, index, receipt, content)) in parts.iter().enumerate() {
+        assert_eq!(*index, i as u64);
+        if [3, 5, 9].contains(&i) {
+            assert_eq!(content_type, "application/problem+json", "{i}");
+            let problem: Value = serde_json::from_slice(content).unwrap();
+            assert_eq!(problem["status"], 422, "{problem}");
+            continue;
+        }
+        let size = if i == 7 { (32, 40) } else { (48, 40) };
+        let expected = if i == 7 { "image/jpeg" } else { "image/png" };
+        assert_eq!(content_type, expected, "{i}: {}", String::from_utf8_lossy(content));
+        let image = image::load_from_memory(content).unwrap();
+        assert_eq!((image.width(), image.height()), size);
+        let receipt = receipt.as_ref().expect("a receipt");
+        assert_eq!(receipt["camera"]["width"], size.0);
+        if i != 7 {
+            let x = receipt["camera"]["eye"][0].as_f64().unwrap();
+            assert!((x - 0.1 * i as f64).abs() < 1e-9, "{x}");
+        }
+    }
+    let single = client.get("/v1/scenes/grid/frame?eye=0,0,3&target=0,0,0&w=48&h=40");
+    assert_eq!(parts[0].3, single.body, "alone or in a series, a pose gives the same image");
+}
+
+#[test]
+fn a_node_is_moved_and_hidden() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let before = client.get(FRAME);
+    let patch = |body: Value| {
+        let json = [("content-type", "application/json")];
+        client.send("PATCH", "/v1/scenes/grid/nodes/wall", &json, Some(body.to_string().as_bytes()))
+    };
+    let revision = client.get("/v1/scenes/grid").json()["revision"].as_u64().unwrap();
+    let reply = patch(json!({"visible": false}));
+    assert_eq!(reply.status, 200, "{}", reply.text());
+    assert!(reply.json()["revision"].as_u64().unwrap() > revision);
+    let hidden = client.get(FRAME);
+    assert_ne!(hidden.header("etag"), before.header("etag"));
+    let (image, _) = decode(&hidden);
+    let background = *image.get_pixel(0, 0);
+    assert!(image.pixels().all(|pixel| *pixel == background));
+
+    assert_eq!(patch(json!({"visible": true, "translate": [0.5, 0, 0]})).status, 200);
+    let moved = client.get(FRAME);
+    assert_ne!((&moved.body, moved.header("etag")), (&before.body, before.header("etag")));
+    assert_eq!(patch(json!({"translate": [0, 0, 0]})).status, 200);
+    assert_eq!(client.get(FRAME).body, before.body);
+}

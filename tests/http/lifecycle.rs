@@ -1,0 +1,130 @@
+//! Start, configuration, health, stop.
+
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use super::client::{raw, read_to_close};
+use super::daemon::{Daemon, eventually};
+
+#[test]
+fn it_says_where_it_is_and_how_to_use_it() {
+    let daemon = Daemon::start(&[]);
+    assert_eq!(daemon.greeting[0], format!("listening on http://{}", daemon.address));
+    let curl = daemon.greeting.iter().find(|line| line.starts_with("curl ")).unwrap();
+    let url = curl.split('\'').nth(1).unwrap();
+    let path = url.strip_prefix(&format!("http://{}", daemon.address)).unwrap();
+    let client = daemon.client();
+    assert_eq!(client.get(path).status, 200);
+    assert_eq!(client.get("/healthz").text(), "ok\n");
+    assert_eq!(client.get("/readyz").text(), "ready\n");
+    let viewer = client.get("/");
+    assert!(viewer.header("content-type").unwrap().starts_with("text/html"));
+    assert_eq!(client.get("/v1/scene-schema.json").json()["type"], "object");
+    assert_eq!(client.get("/openapi.yaml").text(), include_str!("../../openapi.yaml"));
+    let metrics = client.get("/metrics").text();
+    assert!(metrics.contains("route=\"/healthz\",method=\"GET\",status=\"200\"} 1"), "{metrics}");
+    assert!(metrics.ends_with("# EOF\n"));
+}
+
+#[test]
+fn sigterm_finishes_what_is_in_flight() {
+    let mut daemon = Daemon::start(&["--max-batch", "1"]);
+    let mut busy: Vec<_> = (0..4)
+        .map(|i| {
+            let request = format!(
+                "GET /v1/scenes/grid/frame?eye={i},1,3&target=0,0,0&w=2048&h=2048 HTTP/1.1\r\nHost: x\r\n\r\n"
+            );
+            raw(daemon.address, request.as_bytes())
+        })
+        .collect();
+    let idle = raw(daemon.address, b"");
+    // What the server has not read by the time of the signal it need not answer. Of four requests one
+    // may be between queue and finish; connections are accepted in order, so a later one that is
+    // answered means that these were.
+    eventually("work", || {
+        let client = daemon.client();
+        let queued = client.metric("pointillist_engine_queued");
+        let frames = client.metric("pointillist_engine_frames_total");
+        queued + frames >= 3.0
+    });
+    let asked = Instant::now();
+    daemon.signal();
+    for stream in &mut busy {
+        let answer = read_to_close(stream);
+        assert!(answer.starts_with("HTTP/1.1 200 "), "{:.200}", answer);
+    }
+    assert_eq!(daemon.wait().code(), Some(0), "{}", daemon.log());
+    assert!(asked.elapsed() < Duration::from_secs(30));
+    drop(idle);
+    assert!(std::net::TcpStream::connect(daemon.address).is_err());
+}
+
+#[test]
+fn a_scene_that_fails_does_not_stop_the_others() {
+    let daemon = Daemon::start_in(
+        |root| {
+            std::fs::write(root.join("broken.json"), "{\"assets\": 3}").unwrap();
+            std::fs::create_dir_all(root.join("uploads/.partial-1-0")).unwrap();
+        },
+        &[],
+    );
+    let client = daemon.client();
+    assert!(daemon.log().contains("broken.json"), "{}", daemon.log());
+    assert_eq!(client.get("/v1/scenes/broken").json()["state"], "failed");
+    assert_eq!(client.get("/v1/scenes/grid").json()["state"], "ready");
+    assert!(daemon.uploads().is_empty(), "remains of an earlier run");
+}
+
+/// Runs `serve` with arguments that it refuses, and gives its complaint.
+fn complaint(folder: &std::path::Path, args: &[&str]) -> String {
+    let output = Command::new(env!("CARGO_BIN_EXE_pointillist"))
+        .args(["serve", "--listen", "127.0.0.1:0", "--root"])
+        .arg(folder)
+        .args(args)
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    assert!(!output.status.success());
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+#[test]
+fn what_cannot_work_is_refused_at_the_start() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("c.toml");
+    std::fs::write(&config, "quue = 3\n").unwrap();
+    std::fs::write(folder.path().join("bad.ply"), "ply\nnonsense").unwrap();
+    let config = config.to_str().unwrap();
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let taken = taken.local_addr().unwrap().to_string();
+    for (args, expected) in [
+        (&["--config", config][..], "`queue`"),
+        (&["--listen", "0.0.0.0:0"], "--api-keys"),
+        (&["--listen", "nowhere"], "HOST:PORT"),
+        (&["--listen", &taken], "cannot listen"),
+        (&["--root", "/nonexistent"], "--root"),
+        (&["--queue", "0"], "--queue"),
+        (&["--scene", "none.ply"], "none.ply"),
+        (&["--scene", "bad.ply"], "none of the scenes"),
+    ] {
+        let args: Vec<&str> = args.to_vec();
+        let text = if args[0] == "--listen" || args[0] == "--root" {
+            overriding(folder.path(), &args)
+        } else {
+            complaint(folder.path(), &args)
+        };
+        assert!(text.contains(expected), "{args:?}: {text}");
+    }
+}
+
+/// The same for flags that [`complaint`] gives itself.
+fn overriding(folder: &std::path::Path, args: &[&str]) -> String {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_pointillist"));
+    command.arg("serve").args(args).stdin(Stdio::null());
+    if args[0] != "--root" {
+        command.arg("--root").arg(folder);
+    }
+    let output = command.output().unwrap();
+    assert!(!output.status.success());
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}

@@ -1,0 +1,16 @@
+//! The real daemon over real sockets: frames, errors, uploads, load, start and stop.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that unwraps says where it failed"
+)]
+
+mod client;
+mod contract;
+mod daemon;
+mod errors;
+mod frames;
+mod lifecycle;
+mod load;
+mod uploads;

@@ -1,0 +1,187 @@
+//! Uploads: one file, forms, limits, names, what is left on disk.
+
+use std::io::Write;
+use std::net::Shutdown;
+
+use serde_json::json;
+
+use super::client::{form, raw};
+use super::daemon::{Daemon, eventually, grid_ply, grid_scene, wall_ply};
+
+#[test]
+fn an_asset_becomes_a_scene_until_it_is_deleted() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let ply = grid_ply();
+    let reply = client.send("POST", "/v1/scenes?name=My%20Wall.ply", &[], Some(ply.as_bytes()));
+    assert_eq!(reply.status, 201, "{}", reply.text());
+    assert_eq!(reply.header("location"), Some("/v1/scenes/my-wall"));
+    let scene = reply.json();
+    assert_eq!((&scene["state"], &scene["samples"]), (&json!("ready"), &json!(4096)));
+    assert_eq!(daemon.uploads(), ["my-wall"]);
+    let frame = client.get("/v1/scenes/my-wall/frame?w=32&h=32");
+    assert_eq!((frame.status, &frame.receipt()["scene"]), (200, &json!("my-wall")));
+    let list = client.get("/v1/scenes").json();
+    let ids: Vec<&str> =
+        list["scenes"].as_array().unwrap().iter().filter_map(|s| s["id"].as_str()).collect();
+    assert!(ids.contains(&"grid") && ids.contains(&"my-wall"), "{ids:?}");
+    assert_eq!(client.metric("pointillist_uploads_bytes_total"), ply.len() as f64);
+
+    // The same name again gets an id of its own; a given id is taken once.
+    let disposition = [("content-disposition", "attachment; filename=\"My Wall.ply\"")];
+    let again = client.send("POST", "/v1/scenes", &disposition, Some(ply.as_bytes()));
+    assert_eq!(again.header("location"), Some("/v1/scenes/my-wall-2"), "{}", again.text());
+    let path = "/v1/scenes?id=my-wall&name=a.ply";
+    let clash = client.send("POST", path, &[], Some(ply.as_bytes()));
+    assert_eq!((clash.status, &clash.problem()["parameter"]), (409, &json!("id")));
+
+    let resident = client.metric("pointillist_engine_resident_bytes");
+    assert_eq!(client.send("DELETE", "/v1/scenes/my-wall", &[], None).status, 204);
+    assert!(client.metric("pointillist_engine_resident_bytes") <= resident);
+    assert_eq!(daemon.uploads(), ["my-wall-2"]);
+    assert_eq!(client.get("/v1/scenes/my-wall").status, 404);
+    assert_eq!(client.get("/v1/scenes/my-wall/frame").status, 404);
+    assert_eq!(client.send("DELETE", "/v1/scenes/my-wall", &[], None).status, 404);
+    // A scene of the root is forgotten; its files are not the server's.
+    assert_eq!(client.send("DELETE", "/v1/scenes/grid", &[], None).status, 204);
+    assert!(daemon.root().join("grid.json").exists());
+}
+
+#[test]
+fn scenes_with_their_files() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    // A bare scene names files of the root.
+    let reply = client.post_json("/v1/scenes?id=bare", &grid_scene("grid.ply"));
+    assert_eq!(reply.status, 201, "{}", reply.text());
+    assert_eq!(client.get("/v1/scenes/bare/frame?camera=front&w=16&h=16").status, 200);
+    // One in a form names the files beside it.
+    let scene = grid_scene("mine.ply").to_string();
+    let ply = grid_ply();
+    let (content_type, body) =
+        form(&[("town.json", scene.as_bytes()), ("mine.ply", ply.as_bytes())]);
+    let headers = [("content-type", content_type.as_str())];
+    let reply = client.send("POST", "/v1/scenes", &headers, Some(&body));
+    assert_eq!(reply.status, 201, "{}", reply.text());
+    assert_eq!(reply.header("location"), Some("/v1/scenes/town"));
+    let obj = "mtllib m.mtl\nusemtl red\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+    let (content_type, body) =
+        form(&[("t.obj", obj.as_bytes()), ("m.mtl", b"newmtl red\nKd 1 0 0\n")]);
+    let headers = [("content-type", content_type.as_str())];
+    let reply = client.send("POST", "/v1/scenes?id=tri", &headers, Some(&body));
+    assert_eq!((reply.status, &reply.json()["triangles"]), (201, &json!(1)), "{}", reply.text());
+
+    // Uploads survive a restart; the bare scene too, with the files of the root.
+    let daemon = daemon.restart(&[]);
+    let client = daemon.client();
+    for id in ["bare", "town", "tri", "grid"] {
+        let reply = client.get(&format!("/v1/scenes/{id}/frame?w=16&h=16"));
+        assert_eq!(reply.status, 200, "{id}: {}", reply.text());
+    }
+}
+
+#[test]
+fn refused_uploads_leave_nothing() {
+    let daemon = Daemon::start(&["--max-upload-mib", "1"]);
+    let client = daemon.client();
+    let ply = grid_ply();
+    for name in ["..%2Fx.ply", "%2Fetc%2Fx.ply", ".x.ply", "a%5Cb.ply", "a%00.ply", "..", ""] {
+        let path = format!("/v1/scenes?name={name}");
+        let reply = client.send("POST", &path, &[], Some(ply.as_bytes()));
+        assert_eq!((reply.status, &reply.problem()["parameter"]), (422, &json!("name")), "{name}");
+    }
+    for name in ["../x.ply", "/x.ply", ".x.ply", "a\\b.ply"] {
+        let (content_type, body) = form(&[(name, ply.as_bytes())]);
+        let headers = [("content-type", content_type.as_str())];
+        let reply = client.send("POST", "/v1/scenes", &headers, Some(&body));
+        assert_eq!(reply.status, 422, "{name}: {}", reply.text());
+    }
+    let twice = form(&[("a.ply", ply.as_bytes()), ("a.ply", ply.as_bytes())]);
+    let two = form(&[("a.ply", ply.as_bytes()), ("b.ply", ply.as_bytes())]);
+    for (content_type, body) in [twice, two, form(&[]), form(&[("x.mtl", b""), ("y.png", b"")])] {
+        let headers = [("content-type", content_type.as_str())];
+        let reply = client.send("POST", "/v1/scenes", &headers, Some(&body));
+        assert_eq!(reply.status, 422, "{}", reply.text());
+        reply.problem();
+    }
+    let headers = [("content-type", "application/octet-stream")];
+    assert_eq!(client.send("POST", "/v1/scenes", &headers, Some(b"x")).status, 422);
+
+    // Contents that no reader takes.
+    let broken = ply.replace("0 0 0 90", "zero 0 0 90");
+    assert_ne!(broken, ply);
+    for (name, body) in
+        [("cut.ply", &ply[..ply.len() / 2]), ("word.ply", &broken), ("none.xyzzy", "what is this")]
+    {
+        let path = format!("/v1/scenes?name={name}");
+        let reply = client.send("POST", &path, &[], Some(body.as_bytes()));
+        assert!([415, 422].contains(&reply.status), "{name}: {} {}", reply.status, reply.text());
+        let detail = reply.problem()["detail"].as_str().unwrap().to_owned();
+        assert!(detail.starts_with(name), "{detail}");
+    }
+
+    // Too large: by the announced length, and in chunks that announce nothing.
+    let large = vec![b'x'; 3 << 20];
+    let reply = client.send("POST", "/v1/scenes?name=a.ply", &[], Some(&large));
+    assert_eq!(reply.status, 413, "{}", reply.text());
+    let mut stream = raw(
+        daemon.address,
+        b"POST /v1/scenes?name=a.ply HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\nConnection: close\r\n\r\n",
+    );
+    for _ in 0..30 {
+        stream.write_all(b"10000\r\n").unwrap();
+        stream.write_all(&large[..0x10000]).unwrap();
+        stream.write_all(b"\r\n").unwrap();
+    }
+    stream.write_all(b"0\r\n\r\n").unwrap();
+    let answer = super::client::read_to_close(&mut stream);
+    assert!(answer.starts_with("HTTP/1.1 413 "), "{answer}");
+    assert!(daemon.uploads().is_empty(), "{:?}", daemon.uploads());
+    assert_eq!(client.get("/v1/scenes").json()["scenes"].as_array().unwrap().len(), 1);
+}
+
+#[test]
+fn a_broken_off_upload_is_removed() {
+    let daemon = Daemon::start(&["--read-timeout-seconds", "1"]);
+    let head = "POST /v1/scenes?id=half&name=a.ply HTTP/1.1\r\nHost: x\r\nContent-Length: 100000\r\n\r\nply\n";
+    let stream = raw(daemon.address, head.as_bytes());
+    eventually("the upload", || !daemon.uploads().is_empty());
+    stream.shutdown(Shutdown::Both).unwrap();
+    eventually("the removal", || daemon.uploads().is_empty());
+    // One that only goes silent is given up as well, and its id is free again.
+    let mut stream = raw(daemon.address, head.as_bytes());
+    let answer = super::client::read_to_close(&mut stream);
+    assert!(answer.starts_with("HTTP/1.1 408 "), "{answer}");
+    eventually("the removal", || daemon.uploads().is_empty());
+    let client = daemon.client();
+    let path = "/v1/scenes?id=half&name=a.ply";
+    assert_eq!(client.send("POST", path, &[], Some(grid_ply().as_bytes())).status, 201);
+}
+
+#[test]
+fn a_slow_load_is_answered_before_it_ends() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let wait = [("prefer", "wait=0")];
+    let large = wall_ply(400);
+    let path = "/v1/scenes?id=slow&name=a.ply";
+    let reply = client.send("POST", path, &wait, Some(large.as_bytes()));
+    assert_eq!((reply.status, reply.header("location")), (202, Some("/v1/scenes/slow")));
+    assert_eq!(reply.json()["state"], "loading");
+    assert_eq!(reply.header("preference-applied"), Some("wait=0"));
+    eventually("the load", || client.get("/v1/scenes/slow").json()["state"] == "ready");
+    // A failure that nobody waited for is told to whoever asks, until it is deleted.
+    let path = "/v1/scenes?id=bad&name=a.ply";
+    assert_eq!(
+        client.send("POST", path, &wait, Some(&large.as_bytes()[..large.len() - 9])).status,
+        202
+    );
+    eventually("the failure", || client.get("/v1/scenes/bad").json()["state"] == "failed");
+    let problem = &client.get("/v1/scenes/bad").json()["problem"];
+    assert!(problem["detail"].as_str().unwrap().contains("a.ply"), "{problem}");
+    let frame = client.get("/v1/scenes/bad/frame");
+    assert_eq!(frame.status, problem["status"].as_u64().unwrap() as u16);
+    assert_eq!(client.send("DELETE", "/v1/scenes/bad", &[], None).status, 204);
+    assert_eq!(client.get("/v1/scenes/bad").status, 404);
+    assert_eq!(daemon.uploads(), ["slow"]);
+}
