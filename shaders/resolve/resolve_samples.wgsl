@@ -56,17 +56,17 @@ fn resolve_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
             pixels[pixel] = instances[instance].id;
             continue;
         }
-        let attribute = attributes[slots[slot].first + (id & SLOT_MASK)];
+        let packed = attributes[slots[slot].first + (id & SLOT_MASK)];
         if frame.output == OUTPUT_NORMAL || segment.shaded != 0u {
             let at = vec2<f32>(f32(pixel % frame.size_px.x), f32(pixel / frame.size_px.x)) + vec2<f32>(0.5);
-            let n = world_normal(instance, octahedral_decode(attribute.y), world_from_camera(ray_through(at)));
+            let n = world_normal(instance, octahedral_decode(packed.y), world_from_camera(ray_through(at)));
             if frame.output == OUTPUT_NORMAL {
                 pixels[pixel] = normal_word(n);
                 continue;
             }
             normals[pixel] = octahedral_encode(n);
         }
-        pixels[pixel] = sample_color(attribute.x, instances[instance].material);
+        pixels[pixel] = sample_color(packed.x, instances[instance].material);
     }
     if shown != 0u {
         atomicAdd(&stats.pixels_of_samples, shown);

@@ -49,7 +49,9 @@ fn place(@builtin(global_invocation_id) invocation: vec3<u32>) {
         dot(instance.inverse_z.xyz, from_eye),
     );
     let cell = max(instance.reach / 2048.0, 1.0);
-    let inside = clamp(eye_grid, vec3<f32>(-instance.reach), vec3<f32>(instance.reach));
+    // Not a number where products overflowed: any anchor is right for what is that far away.
+    let known = select(vec3<f32>(0.0), eye_grid, eye_grid == eye_grid);
+    let inside = clamp(known, vec3<f32>(-instance.reach), vec3<f32>(instance.reach));
     let anchor = vec3<i32>(upper(round(inside / cell) * cell));
     let a = vec3<f32>(anchor);
 

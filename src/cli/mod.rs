@@ -1,6 +1,9 @@
 //! The command line (floor 8): one file a command.
 
 pub mod generate;
+pub mod inspect;
+mod local;
+pub mod render;
 pub mod serve;
 
 use clap::{Parser, Subcommand};
@@ -17,6 +20,10 @@ pub struct Cli {
 enum Command {
     /// Run the daemon
     Serve(Box<serve::ServeArgs>),
+    /// Draw one frame of a scene or of a single asset file, without a server
+    Render(Box<render::RenderArgs>),
+    /// Tell what a scene or asset holds, what it needs on the GPU, and which passes would draw it
+    Inspect(inspect::InspectArgs),
     /// Write a procedural asset or scene
     Generate(generate::GenerateArgs),
     /// Print the HTTP contract
@@ -31,6 +38,8 @@ enum Command {
 pub fn run() -> anyhow::Result<()> {
     match Cli::parse().command {
         Command::Serve(args) => serve::run(*args),
+        Command::Render(args) => render::run(*args),
+        Command::Inspect(args) => inspect::run(&args),
         Command::Generate(args) => generate::run(args),
         Command::Openapi => {
             print!("{}", crate::http::openapi_yaml()?);

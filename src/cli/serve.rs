@@ -19,7 +19,6 @@ use crate::engine::{Engine, EngineConfig};
 use crate::http::access::{Access, parse_keys};
 use crate::http::server::{StartScenes, serve};
 use crate::http::{App, Settings, nearest};
-use crate::scene::SceneLimits;
 
 /// Settings of the daemon; what is `None` was not given.
 #[derive(Args, Clone, Debug, Default, PartialEq, Deserialize)]
@@ -44,13 +43,13 @@ pub struct ServeArgs {
     /// Frames that may wait; more are refused with 503 [default: 256]
     #[arg(long, env = "POINTILLIST_QUEUE", value_name = "N")]
     pub queue: Option<usize>,
-    /// Frames in one submission to the GPU [default: 8]
+    /// Frames in one submission to the GPU [default: 16]
     #[arg(long, env = "POINTILLIST_MAX_BATCH", value_name = "N")]
     pub max_batch: Option<usize>,
     /// Threads that encode images [default: one a core]
     #[arg(long, env = "POINTILLIST_ENCODER_THREADS", value_name = "N")]
     pub encoder_threads: Option<usize>,
-    /// Width times height of the largest frame [default: 33554432]
+    /// Width times height of the largest frame [default: 16777216]
     #[arg(long, env = "POINTILLIST_MAX_PIXELS", value_name = "N")]
     pub max_pixels: Option<u64>,
     /// Longest side of a frame [default: 8192]
@@ -289,19 +288,23 @@ fn settings(args: &ServeArgs, root: PathBuf, access: Access) -> anyhow::Result<S
 }
 
 fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig> {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let default = EngineConfig::new(root.clone());
     let budget_mib = args.gpu_budget_mib.map(|mib| number("gpu-budget-mib", Some(mib), 1, 1));
     Ok(EngineConfig {
-        read: ReadOptions { root: Some(root.clone()), ..ReadOptions::default() },
-        root,
+        read: ReadOptions { root: Some(root), ..ReadOptions::default() },
         gpu_budget_bytes: budget_mib.transpose()?.map(|mib| mib.saturating_mul(1 << 20)),
-        queue_capacity: number("queue", args.queue, 256, 1)?,
-        max_batch: number("max-batch", args.max_batch, 8, 1)?,
-        encoder_threads: number("encoder-threads", args.encoder_threads, cores, 1)?,
-        max_pixels: number("max-pixels", args.max_pixels, 1 << 25, 1)?,
-        max_side: number("max-side", args.max_side, 8192, 1)?,
+        queue_capacity: number("queue", args.queue, default.queue_capacity, 1)?,
+        max_batch: number("max-batch", args.max_batch, default.max_batch, 1)?,
+        encoder_threads: number(
+            "encoder-threads",
+            args.encoder_threads,
+            default.encoder_threads,
+            1,
+        )?,
+        max_pixels: number("max-pixels", args.max_pixels, default.max_pixels, 1)?,
+        max_side: number("max-side", args.max_side, default.max_side, 1)?,
         force_32_bit: args.force_32_bit == Some(true),
-        scene: SceneLimits::default(),
+        ..default
     })
 }
 

@@ -46,7 +46,8 @@ struct Waiters {
 impl Job {
     pub fn new(resolved: Resolved, request: FrameRequest) -> (Arc<Job>, oneshot::Receiver<Reply>) {
         let (sender, receiver) = oneshot::channel();
-        let waiters = Waiters { senders: vec![sender], deadline: request.deadline, answered: false };
+        let waiters =
+            Waiters { senders: vec![sender], deadline: request.deadline, answered: false };
         let job = Job {
             resolved,
             request,

@@ -42,7 +42,6 @@ struct CachedAsset {
     placements: Arc<Vec<Placement>>,
     cameras: Vec<(String, Camera)>,
     warnings: Vec<String>,
-    digest: [u8; 32],
 }
 
 /// A read asset, shared.
@@ -89,14 +88,22 @@ fn asset_error(error: AssetError) -> EngineError {
 }
 
 /// Reads a scene file or a bare asset and packs all that it draws.
-pub fn load(id: &str, path: &Path, config: &EngineConfig, cache: &AssetCache) -> Result<Loaded, EngineError> {
+pub fn load(
+    id: &str,
+    path: &Path,
+    config: &EngineConfig,
+    cache: &AssetCache,
+) -> Result<Loaded, EngineError> {
     let is_scene = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
     let mut hasher = Sha256::new();
     let mut description = if is_scene {
         hasher.update(std::fs::read(path).unwrap_or_default());
-        scene::load(path, &config.root, &config.scene).map_err(|error| EngineError::Scene(Arc::new(error)))?
+        scene::load(path, &config.root, &config.scene)
+            .map_err(|error| EngineError::Scene(Arc::new(error)))?
     } else {
-        let stem = path.file_stem().map_or_else(|| id.to_owned(), |stem| stem.to_string_lossy().into_owned());
+        let stem = path
+            .file_stem()
+            .map_or_else(|| id.to_owned(), |stem| stem.to_string_lossy().into_owned());
         Scene::from_asset(&stem, path.to_path_buf())
     };
     let mut assets = Vec::new();
@@ -126,7 +133,11 @@ fn adapt_bare_asset(description: &mut Scene, assets: &[Arc<AssetModel>]) {
     let scan = |asset: &Arc<AssetModel>| {
         asset.has_colors
             && !asset.has_normals
-            && asset.packed.geometries.iter().all(|geometry| matches!(geometry, PackedGeometry::Samples(_)))
+            && asset
+                .packed
+                .geometries
+                .iter()
+                .all(|geometry| matches!(geometry, PackedGeometry::Samples(_)))
     };
     if assets.iter().all(scan) {
         description.lights.clear();
@@ -137,11 +148,20 @@ fn adapt_bare_asset(description: &mut Scene, assets: &[Arc<AssetModel>]) {
     }
 }
 
-fn read_asset(name: &str, file: &Path, config: &EngineConfig, cache: &AssetCache) -> Result<ReadAsset, EngineError> {
-    let display = file.file_name().map_or_else(|| name.to_owned(), |name| name.to_string_lossy().into_owned());
+fn read_asset(
+    name: &str,
+    file: &Path,
+    config: &EngineConfig,
+    cache: &AssetCache,
+) -> Result<ReadAsset, EngineError> {
+    let display = file
+        .file_name()
+        .map_or_else(|| name.to_owned(), |name| name.to_string_lossy().into_owned());
     let digest = digest_file(file)
         .map_err(|source| asset_error(AssetError::Io { file: display.clone(), source }))?;
-    if let Some(found) = cache.assets.lock().get(&digest)
+    let alone = stands_alone(file);
+    if alone
+        && let Some(found) = cache.assets.lock().get(&digest)
         && let Some(model) = found.model.upgrade()
     {
         return Ok(ReadAsset {
@@ -157,7 +177,11 @@ fn read_asset(name: &str, file: &Path, config: &EngineConfig, cache: &AssetCache
         options.root = Some(config.root.clone());
     }
     let asset = assets::read(file, &options).map_err(asset_error)?;
-    let read = pack_asset(name, &display, asset, digest)?;
+    let mut read = pack_asset(name, &display, asset, digest)?;
+    if !alone {
+        read.digest = digest_contents(digest, &read.model.packed);
+        return Ok(read);
+    }
     let mut cached = cache.assets.lock();
     cached.retain(|_, asset| asset.model.strong_count() > 0);
     cached.insert(
@@ -167,13 +191,17 @@ fn read_asset(name: &str, file: &Path, config: &EngineConfig, cache: &AssetCache
             placements: read.placements.clone(),
             cameras: read.cameras.clone(),
             warnings: read.warnings.clone(),
-            digest,
         },
     );
     Ok(read)
 }
 
-fn pack_asset(name: &str, display: &str, mut asset: Asset, digest: [u8; 32]) -> Result<ReadAsset, EngineError> {
+fn pack_asset(
+    name: &str,
+    display: &str,
+    mut asset: Asset,
+    digest: [u8; 32],
+) -> Result<ReadAsset, EngineError> {
     let (mut has_colors, mut has_normals, mut estimated) = (false, false, false);
     let mut geometries = Vec::with_capacity(asset.geometries.len());
     for geometry in &mut asset.geometries {
@@ -191,7 +219,10 @@ fn pack_asset(name: &str, display: &str, mut asset: Asset, digest: [u8; 32]) -> 
                 has_normals |= mesh.normals.is_some();
                 estimated |= mesh.normals.is_none();
                 // A glTF mesh without normals is to be drawn flat (glTF 2.0, 3.7.2.1).
-                bake::smooth_normals(mesh, if asset.format.starts_with("gl") { 0.0 } else { CREASE_DEG });
+                bake::smooth_normals(
+                    mesh,
+                    if asset.format.starts_with("gl") { 0.0 } else { CREASE_DEG },
+                );
                 pack_mesh(mesh).map(PackedGeometry::Mesh)
             }
         };
@@ -222,6 +253,35 @@ fn pack_asset(name: &str, display: &str, mut asset: Asset, digest: [u8; 32]) -> 
         warnings: asset.warnings,
         digest,
     })
+}
+
+/// Whether a file's own bytes decide what is read. A glTF or OBJ may name buffers, materials and images beside it.
+fn stands_alone(file: &Path) -> bool {
+    let name = file.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    !["obj", "obj.gz", "gltf", "gltf.gz"].iter().any(|end| name.ends_with(end))
+}
+
+/// Hash of a file and of all that was read through it.
+fn digest_contents(file: [u8; 32], packed: &PackedAsset) -> [u8; 32] {
+    let mut hasher = Sha256::new();
+    hasher.update(file);
+    for geometry in &packed.geometries {
+        match geometry {
+            PackedGeometry::Samples(samples) => {
+                hasher.update(bytemuck::cast_slice(&samples.positions));
+                hasher.update(bytemuck::cast_slice(&samples.attributes));
+            }
+            PackedGeometry::Mesh(mesh) => {
+                hasher.update(bytemuck::cast_slice(&mesh.vertices));
+                hasher.update(bytemuck::cast_slice(&mesh.triangles));
+            }
+        }
+    }
+    for texture in &packed.textures {
+        hasher.update(bytemuck::cast_slice(&texture.texels));
+    }
+    hasher.update(format!("{:?}", packed.materials));
+    hasher.finalize().into()
 }
 
 fn digest_file(file: &Path) -> std::io::Result<[u8; 32]> {
@@ -282,7 +342,15 @@ fn build(
     };
     let bounds = model.bounds();
     let info = describe(&model, &description, &bounds, warnings);
-    Ok(Loaded { facts: facts(&model), model: Arc::new(model), bounds, info, digest, description, placements })
+    Ok(Loaded {
+        facts: facts(&model),
+        model: Arc::new(model),
+        bounds,
+        info,
+        digest,
+        description,
+        placements,
+    })
 }
 
 fn facts(model: &SceneModel) -> SceneFacts {
@@ -296,11 +364,13 @@ fn facts(model: &SceneModel) -> SceneFacts {
         has_samples: drawn(|geometry| matches!(geometry, PackedGeometry::Samples(_))),
         has_triangles: drawn(|geometry| matches!(geometry, PackedGeometry::Mesh(_))),
         lights: model.lights.len() as u32,
-        casts_shadows: model.lights.iter().any(|light| matches!(light, Light::Sun { shadows: true, .. })),
-        alpha_cut: model
-            .assets
+        casts_shadows: model
+            .lights
             .iter()
-            .any(|asset| asset.packed.materials.iter().any(|material| material.alpha_cutoff.is_some())),
+            .any(|light| matches!(light, Light::Sun { shadows: true, .. })),
+        alpha_cut: model.assets.iter().any(|asset| {
+            asset.packed.materials.iter().any(|material| material.alpha_cutoff.is_some())
+        }),
     }
 }
 
@@ -308,7 +378,12 @@ fn node_name(node: &Node, index: usize) -> String {
     node.name.clone().unwrap_or_else(|| index.to_string())
 }
 
-fn describe(model: &SceneModel, description: &Scene, bounds: &Bounds, warnings: Vec<String>) -> SceneInfo {
+fn describe(
+    model: &SceneModel,
+    description: &Scene,
+    bounds: &Bounds,
+    warnings: Vec<String>,
+) -> SceneInfo {
     let counts = model.counts();
     SceneInfo {
         id: model.id.clone(),
@@ -336,24 +411,42 @@ fn describe(model: &SceneModel, description: &Scene, bounds: &Bounds, warnings: 
             .collect(),
         gpu_bytes: model.gpu_bytes(),
         resident: false,
-        cameras: model.cameras.iter().map(|(name, camera)| NamedCamera::new(name, camera)).collect(),
+        cameras: model
+            .cameras
+            .iter()
+            .map(|(name, camera)| NamedCamera::new(name, camera))
+            .collect(),
         paths: description.paths.iter().map(|(name, _)| name.clone()).collect(),
-        nodes: description.nodes.iter().enumerate().map(|(index, node)| node_name(node, index)).collect(),
+        nodes: description
+            .nodes
+            .iter()
+            .enumerate()
+            .map(|(index, node)| node_name(node, index))
+            .collect(),
         lights: model.lights.len(),
+        up: if model.up == DVec3::ZERO { DVec3::Y } else { model.up }.into(),
         warnings,
     }
 }
 
 impl Loaded {
     /// The scene with one top-level node changed, at the next revision.
-    pub fn patched(&self, node: &str, patch: &NodePatch, config: &EngineConfig) -> Result<Loaded, EngineError> {
+    pub fn patched(
+        &self,
+        node: &str,
+        patch: &NodePatch,
+        config: &EngineConfig,
+    ) -> Result<Loaded, EngineError> {
         let mut description = self.description.clone();
         let index = description
             .nodes
             .iter()
             .enumerate()
             .position(|(index, candidate)| node_name(candidate, index) == node)
-            .ok_or_else(|| EngineError::UnknownNode { scene: self.model.id.clone(), node: node.to_owned() })?;
+            .ok_or_else(|| EngineError::UnknownNode {
+                scene: self.model.id.clone(),
+                node: node.to_owned(),
+            })?;
         if let Some(transform) = patch.world_from_node {
             description.nodes[index].parent_from_node = transform;
         }
@@ -375,27 +468,41 @@ impl Loaded {
         )
     }
 
+    /// Which way is up.
+    pub fn up(&self) -> DVec3 {
+        if self.model.up == DVec3::ZERO { DVec3::Y } else { self.model.up }
+    }
+
     /// A camera that sees the whole scene from its front, a little from the right and above.
     pub fn fit(&self, aspect: f64) -> Camera {
         const FOV_DEG: f64 = 40.0;
-        let up = if self.model.up == DVec3::ZERO { DVec3::Y } else { self.model.up };
+        let up = self.up();
         // The front of a y-up scene is +z, of a z-up scene −y.
         let front = if up.z.abs() > up.y.abs() { -DVec3::Y } else { DVec3::Z };
         let right = up.cross(front);
         let direction = front * 0.82 + right * 0.42 + up * 0.38;
         let direction = direction / direction.length();
-        let radius = (0.5 * self.bounds.extent().length()).max(1e-9 * self.bounds.centre().length()).max(1e-9);
+        let radius = (0.5 * self.bounds.extent().length())
+            .max(1e-9 * self.bounds.centre().length())
+            .max(1e-9);
         let half = (0.5 * FOV_DEG).to_radians();
         // The narrower of the two fields of view must hold the sphere.
         let narrow = if aspect < 1.0 { (half.tan() * aspect).atan() } else { half };
         let centre = self.bounds.centre();
-        Camera { eye: centre + direction * (radius / narrow.sin()), target: centre, up, fov_deg: FOV_DEG }
+        Camera {
+            eye: centre + direction * (radius / narrow.sin()),
+            target: centre,
+            up,
+            fov_deg: FOV_DEG,
+        }
     }
 }
 
 /// Absolute and inside the root, or why not.
 pub fn check_path(path: &Path, root: &Path) -> Result<PathBuf, EngineError> {
-    let display = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
+    let display = path
+        .file_name()
+        .map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
     let io = |source| asset_error(AssetError::Io { file: display.clone(), source });
     let path = path.canonicalize().map_err(io)?;
     let root = root.canonicalize().map_err(io)?;
@@ -407,4 +514,3 @@ pub fn check_path(path: &Path, root: &Path) -> Result<PathBuf, EngineError> {
     }
     Ok(path)
 }
-

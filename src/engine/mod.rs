@@ -124,6 +124,8 @@ pub struct SceneInfo {
     /// Names of top-level nodes, as `PATCH` takes them.
     pub nodes: Vec<String>,
     pub lights: usize,
+    /// Which way is up: what a pose without `up` uses.
+    pub up: [f64; 3],
     pub warnings: Vec<String>,
 }
 
@@ -259,10 +261,10 @@ impl EngineConfig {
             root: root.into(),
             gpu_budget_bytes: None,
             queue_capacity: 256,
-            max_batch: 32,
+            max_batch: 16,
             encoder_threads: cores.clamp(1, 8),
             max_pixels: 1 << 24,
-            max_side: 16384,
+            max_side: 8192,
             force_32_bit: false,
             read: ReadOptions::default(),
             scene: SceneLimits::default(),
@@ -288,11 +290,13 @@ impl Engine {
             })
             .map_err(|error| EngineError::Internal(error.to_string()))?;
         match receiver.recv() {
-            Ok(Ok(())) => {
-                Ok(Engine { inner: Arc::new(Inner { shared, thread: parking_lot::Mutex::new(Some(thread)) }) })
-            }
+            Ok(Ok(())) => Ok(Engine {
+                inner: Arc::new(Inner { shared, thread: parking_lot::Mutex::new(Some(thread)) }),
+            }),
             Ok(Err(error)) => Err(EngineError::NoGpu(error.to_string())),
-            Err(_) => Err(EngineError::Internal("the render thread ended while it opened the GPU".into())),
+            Err(_) => {
+                Err(EngineError::Internal("the render thread ended while it opened the GPU".into()))
+            }
         }
     }
 
@@ -338,7 +342,8 @@ impl Engine {
         let shared = self.shared();
         // Two patches must not start from the same revision: the lock is held while the instances are listed anew.
         let mut library = shared.library.write();
-        let loaded = library.get(id).ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
+        let loaded =
+            library.get(id).ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
         let patched = loaded.patched(node, patch, &shared.config)?;
         let info = patched.info.clone();
         library.insert(patched);
@@ -351,7 +356,9 @@ impl Engine {
 
     pub fn scene(&self, id: &str) -> Result<SceneInfo, EngineError> {
         let loaded = self.shared().library.read().get(id);
-        loaded.map(|loaded| self.info(&loaded)).ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })
+        loaded
+            .map(|loaded| self.info(&loaded))
+            .ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })
     }
 
     fn info(&self, loaded: &library::Loaded) -> SceneInfo {

@@ -39,6 +39,8 @@ pub struct Receipt {
     pub holes_filled: u64,
     /// Bytes this scene holds on the GPU.
     pub gpu_bytes: u64,
+    /// Nearest and farthest distance in a 16-bit depth image, in scene units: what its values 65535 and 1 stand for.
+    pub depth_range: Option<[f32; 2]>,
     /// Size of the encoded image.
     pub bytes: u64,
     /// True when an identical request already in flight supplied the frame.

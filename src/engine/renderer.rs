@@ -13,7 +13,9 @@ use crate::gpu::bind::BindCache;
 use crate::gpu::readback::{Landing, Ring};
 use crate::gpu::timing::Timer;
 use crate::gpu::{Gpu, GpuError, GpuOptions};
-use crate::passes::{self, Context, FrameTask, PassSpan, Pipelines, SMALL_TRIANGLE_PX, Scratch, Uniforms};
+use crate::passes::{
+    self, Context, FrameTask, PassSpan, Pipelines, SMALL_TRIANGLE_PX, Scratch, Uniforms,
+};
 use crate::plan::{Output, Pass};
 use crate::residency::layout::GpuStats;
 use crate::residency::model::SceneModel;
@@ -84,7 +86,10 @@ impl Renderer {
     ///
     /// # Errors
     /// See [`GpuError`].
-    pub fn open(options: &GpuOptions, budget: impl FnOnce(&Gpu) -> u64) -> Result<Renderer, GpuError> {
+    pub fn open(
+        options: &GpuOptions,
+        budget: impl FnOnce(&Gpu) -> u64,
+    ) -> Result<Renderer, GpuError> {
         let gpu = Gpu::open(options)?;
         let fault = Arc::new(Mutex::new(None));
         let sink = fault.clone();
@@ -136,18 +141,26 @@ impl Renderer {
     ///
     /// # Errors
     /// The whole batch, with the reason.
-    pub fn submit(&mut self, jobs: Vec<Arc<Job>>) -> Result<InFlight, (Vec<Arc<Job>>, EngineError)> {
+    pub fn submit(
+        &mut self,
+        jobs: Vec<Arc<Job>>,
+    ) -> Result<InFlight, (Vec<Arc<Job>>, EngineError)> {
         let began = Instant::now();
         let mut timer = self.timers.pop().unwrap_or_else(|| Timer::new(&self.gpu));
         timer.reset();
-        let mut encoder =
-            self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("batch") });
+        let mut encoder = self
+            .gpu
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("batch") });
         let tasks: Vec<FrameTask> = jobs.iter().map(|job| self.task(job)).collect();
         let mut uniforms = Uniforms::default();
         let mut offsets = Vec::with_capacity(jobs.len());
         for task in &tasks {
             let Some(scene) = self.residency.scene(&task.model.id) else {
-                return Err((jobs, EngineError::Internal("a scene left the GPU before its frame".into())));
+                return Err((
+                    jobs,
+                    EngineError::Internal("a scene left the GPU before its frame".into()),
+                ));
             };
             self.scratch.reserve(&self.gpu, scene, task.view.width, task.view.height);
             if task.plan.runs(Pass::Shade) {
@@ -220,8 +233,20 @@ impl Renderer {
             .map_err(|error| internal(error.to_string()))?;
         let pixel_bytes = u64::from(task.view.width) * u64::from(task.view.height) * 4;
         let landing = self.ring.take(&self.gpu, pixel_bytes + STATS_BYTES);
-        encoder.copy_buffer_to_buffer(self.scratch.pixels.buffer().raw(), 0, landing.buffer(), 0, pixel_bytes);
-        encoder.copy_buffer_to_buffer(self.scratch.stats.buffer().raw(), 0, landing.buffer(), pixel_bytes, STATS_BYTES);
+        encoder.copy_buffer_to_buffer(
+            self.scratch.pixels.buffer().raw(),
+            0,
+            landing.buffer(),
+            0,
+            pixel_bytes,
+        );
+        encoder.copy_buffer_to_buffer(
+            self.scratch.stats.buffer().raw(),
+            0,
+            landing.buffer(),
+            pixel_bytes,
+            STATS_BYTES,
+        );
         Ok((landing, pixel_bytes, recorded.spans))
     }
 
@@ -232,7 +257,8 @@ impl Renderer {
             timeout: Some(Duration::from_secs(60)),
         });
         // The callbacks of mappings run within polls.
-        let pending = |flight: &[FlyingFrame]| flight.iter().any(|frame| frame.landing.is_pending());
+        let pending =
+            |flight: &[FlyingFrame]| flight.iter().any(|frame| frame.landing.is_pending());
         let mut tries = 0;
         while waited.is_ok() && pending(&flight.frames) && tries < 1000 {
             if self.gpu.device.poll(wgpu::PollType::Poll).is_err() {
@@ -240,7 +266,8 @@ impl Renderer {
             }
             tries += 1;
         }
-        let mut landed = Landed { drawn: Vec::new(), again: Vec::new(), failed: Vec::new(), lost: false };
+        let mut landed =
+            Landed { drawn: Vec::new(), again: Vec::new(), failed: Vec::new(), lost: false };
         let fault = self.take_fault();
         let stamps = flight.stamps.as_ref().and_then(|(landing, bytes)| {
             landing.read(*bytes, |bytes| bytemuck::pod_collect_to_vec::<u8, u64>(bytes))
@@ -305,7 +332,11 @@ impl Renderer {
     }
 
     /// Time of each pass, parts of one pass added up, and from the first begin to the last end.
-    fn durations(&self, spans: &[PassSpan], stamps: Option<&[u64]>) -> (Vec<(Pass, Option<u64>)>, Option<u64>) {
+    fn durations(
+        &self,
+        spans: &[PassSpan],
+        stamps: Option<&[u64]>,
+    ) -> (Vec<(Pass, Option<u64>)>, Option<u64>) {
         let period = self.gpu.timestamp_period_ns;
         let ns = |ticks: u64| period.map(|period| (ticks as f64 * f64::from(period)) as u64);
         let mut passes: Vec<(Pass, Option<u64>)> = Vec::new();
@@ -331,16 +362,24 @@ impl Renderer {
 fn image(job: &Job, bytes: &[u8]) -> FrameImage {
     let (width, height) = (job.request.width, job.request.height);
     match job.request.output {
-        Output::Color => FrameImage::Color { width, height, rgba: bytemuck::pod_collect_to_vec(bytes) },
-        Output::Depth => FrameImage::Depth { width, height, depth: bytemuck::pod_collect_to_vec(bytes) },
-        Output::Normal => FrameImage::Normal { width, height, rgba: bytemuck::pod_collect_to_vec(bytes) },
+        Output::Color => {
+            FrameImage::Color { width, height, rgba: bytemuck::pod_collect_to_vec(bytes) }
+        }
+        Output::Depth => {
+            FrameImage::Depth { width, height, depth: bytemuck::pod_collect_to_vec(bytes) }
+        }
+        Output::Normal => {
+            FrameImage::Normal { width, height, rgba: bytemuck::pod_collect_to_vec(bytes) }
+        }
         Output::Id => FrameImage::Id { width, height, id: bytemuck::pod_collect_to_vec(bytes) },
     }
 }
 
 pub fn engine_error(error: ResidencyError) -> EngineError {
     match error {
-        ResidencyError::OverBudget { what, needed, budget } => EngineError::OutOfGpuMemory { what, needed, budget },
+        ResidencyError::OverBudget { what, needed, budget } => {
+            EngineError::OutOfGpuMemory { what, needed, budget }
+        }
         ResidencyError::OverBinding { what, needed, limit } => {
             EngineError::OutOfGpuMemory { what: what.to_owned(), needed, budget: limit }
         }

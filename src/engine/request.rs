@@ -2,6 +2,8 @@
 
 use std::time::Instant;
 
+use glam::DVec3;
+
 use crate::encode::ImageFormat;
 use crate::math::{Camera, View};
 use crate::plan::{Output, Settings};
@@ -28,6 +30,12 @@ pub enum Pose {
     /// A camera that the scene names.
     Named(String),
     Camera(Camera),
+    /// As [`Pose::Camera`], upright as the scene is.
+    Upright {
+        eye: DVec3,
+        target: DVec3,
+        fov_deg: f64,
+    },
     /// Already resolved, from explicit matrices.
     View(View),
     /// The whole scene, from its front and slightly above.

@@ -17,7 +17,10 @@ use crate::plan::{AdapterFacts, plan};
 pub fn frame_limits(shared: &Shared) -> (u64, u32) {
     let adapter = shared.adapter();
     // The visibility buffer has eight bytes a pixel and is bound whole.
-    (shared.config.max_pixels.min(adapter.max_binding_bytes / 8), shared.config.max_side.min(adapter.max_side))
+    (
+        shared.config.max_pixels.min(adapter.max_binding_bytes / 8),
+        shared.config.max_side.min(adapter.max_side),
+    )
 }
 
 fn bad_camera(error: CameraError) -> EngineError {
@@ -27,7 +30,11 @@ fn bad_camera(error: CameraError) -> EngineError {
         "proj" => "16 numbers, column-major: a perspective that looks along −z",
         _ => "three finite numbers",
     };
-    EngineError::BadParameter { parameter: error.parameter, reason: error.reason, accepted: accepted.to_owned() }
+    EngineError::BadParameter {
+        parameter: error.parameter,
+        reason: error.reason,
+        accepted: accepted.to_owned(),
+    }
 }
 
 fn check_size(shared: &Shared, request: &FrameRequest) -> Result<(), EngineError> {
@@ -74,7 +81,8 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     })?;
     let (view, camera) = pose(&loaded, request)?;
     let adapter = shared.adapter();
-    let plan = plan(&loaded.facts, request.output, &AdapterFacts { atomics_64: adapter.atomics_64 });
+    let plan =
+        plan(&loaded.facts, request.output, &AdapterFacts { atomics_64: adapter.atomics_64 });
     let key = entity_tag(&loaded, request, &view, &adapter.name, adapter.atomics_64);
     Ok(Resolved { model: loaded.model.clone(), view, camera, plan, key })
 }
@@ -84,6 +92,7 @@ fn pose(loaded: &Loaded, request: &FrameRequest) -> Result<(View, CameraReceipt)
     let camera = match &request.pose {
         Pose::View(view) => return Ok((*view, receipt_of_view(view))),
         Pose::Camera(camera) => *camera,
+        &Pose::Upright { eye, target, fov_deg } => Camera { eye, target, up: loaded.up(), fov_deg },
         Pose::Fit => loaded.fit(f64::from(width) / f64::from(height)),
         Pose::Named(name) => {
             let cameras = &loaded.model.cameras;
@@ -131,11 +140,22 @@ fn receipt_of_view(view: &View) -> CameraReceipt {
 }
 
 /// Hash of all that decides a frame's bytes, quoted as HTTP wants it.
-fn entity_tag(loaded: &Loaded, request: &FrameRequest, view: &View, adapter: &str, atomics_64: bool) -> String {
+fn entity_tag(
+    loaded: &Loaded,
+    request: &FrameRequest,
+    view: &View,
+    adapter: &str,
+    atomics_64: bool,
+) -> String {
     let mut hasher = Sha256::new();
     hasher.update(crate::VERSION);
     hasher.update(adapter);
-    hasher.update([u8::from(atomics_64), request.quality, request.format as u8, request.output as u8]);
+    hasher.update([
+        u8::from(atomics_64),
+        request.quality,
+        request.format as u8,
+        request.output as u8,
+    ]);
     hasher.update([request.settings.lod as u8, request.settings.reconstruct as u8]);
     hasher.update(loaded.digest);
     hasher.update(loaded.model.revision.to_le_bytes());

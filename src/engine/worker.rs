@@ -68,7 +68,10 @@ enum Stop {
 
 fn open(shared: &Shared, options: &GpuOptions) -> Result<Renderer, GpuError> {
     let renderer = Renderer::open(options, |gpu| {
-        shared.config.gpu_budget_bytes.unwrap_or_else(|| (gpu.max_binding_bytes() * 24).min(4 << 30))
+        shared
+            .config
+            .gpu_budget_bytes
+            .unwrap_or_else(|| (gpu.max_binding_bytes() * 24).min(4 << 30))
     })?;
     shared.set_adapter(Adapter {
         name: renderer.gpu.name.clone(),
@@ -127,10 +130,14 @@ fn serve(shared: &Arc<Shared>, renderer: &mut Renderer, encoders: &flume::Sender
                 }
             }
         }
-        while flights.len() >= DEPTH || (idle && !flights.is_empty()) || (!flights.is_empty() && shared.is_queue_empty()) {
+        while flights.len() >= DEPTH
+            || (idle && !flights.is_empty())
+            || (!flights.is_empty() && shared.is_queue_empty())
+        {
             let Some(flight) = flights.pop_front() else { break };
             if land(shared, renderer, flight, encoders) {
-                let rest: Vec<Arc<Job>> = flights.drain(..).flat_map(|flight| renderer.land(flight).again).collect();
+                let rest: Vec<Arc<Job>> =
+                    flights.drain(..).flat_map(|flight| renderer.land(flight).again).collect();
                 retry(shared, rest);
                 return Stop::Lost;
             }
@@ -154,7 +161,10 @@ fn make_resident(shared: &Shared, renderer: &mut Renderer, batch: Vec<Arc<Job>>)
     let mut later = Vec::new();
     for job in batch {
         let model = &job.resolved.model;
-        let there = renderer.residency.scene(&model.id).is_some_and(|scene| scene.revision == model.revision);
+        let there = renderer
+            .residency
+            .scene(&model.id)
+            .is_some_and(|scene| scene.revision == model.revision);
         if !there && !ready.is_empty() {
             later.push(job);
             continue;
@@ -219,8 +229,10 @@ fn finish(shared: &Shared, drawn: Drawn) {
     let reply = match encoded {
         Ok(encoded) => {
             let mut receipt = receipt(shared, &drawn);
-            receipt.encode_wait_ns = began.saturating_duration_since(drawn.landed).as_nanos() as u64;
+            receipt.encode_wait_ns =
+                began.saturating_duration_since(drawn.landed).as_nanos() as u64;
             receipt.encode_ns = encode.as_nanos() as u64;
+            receipt.depth_range = encoded.depth_range;
             receipt.bytes = encoded.bytes.len() as u64;
             receipt.total_ns = drawn.job.enqueued.elapsed().as_nanos() as u64;
             shared.stats.frames.fetch_add(1, Ordering::Relaxed);
@@ -253,7 +265,11 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         .map(|planned| PassReceipt {
             name: planned.pass.name(),
             ran: planned.skipped.is_none(),
-            gpu_ns: drawn.pass_ns.iter().find(|(pass, _)| *pass == planned.pass).and_then(|(_, time)| *time),
+            gpu_ns: drawn
+                .pass_ns
+                .iter()
+                .find(|(pass, _)| *pass == planned.pass)
+                .and_then(|(_, time)| *time),
             why: planned.skipped.map(str::to_owned),
         })
         .collect();
@@ -280,7 +296,8 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         triangles: TriangleCounts {
             stored: counts.triangles,
             tested: runs(Pass::ProjectTriangles).then(|| wide(drawn.stats.triangles_tested)),
-            rasterised: runs(Pass::ProjectTriangles).then_some(u64::from(drawn.stats.triangles_rasterised)),
+            rasterised: runs(Pass::ProjectTriangles)
+                .then_some(u64::from(drawn.stats.triangles_rasterised)),
         },
         instances: InstanceCounts {
             stored: counts.instances,

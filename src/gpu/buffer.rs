@@ -5,6 +5,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::Gpu;
 
+/// A binding must hold at least one element, whatever its type; no record of ours is larger.
+pub const LEAST: u64 = 256;
+
 static NEXT_ID: AtomicU64 = AtomicU64::new(1);
 
 /// A GPU buffer with a number that no other buffer of this process ever has.
@@ -14,11 +17,11 @@ pub struct Buffer {
 }
 
 impl Buffer {
-    /// `bytes` is rounded up to a multiple of 16 and at least 16.
+    /// `bytes` is rounded up to a multiple of 16 and at least [`LEAST`].
     pub fn new(gpu: &Gpu, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> Self {
         let raw = gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
-            size: bytes.max(16).next_multiple_of(16),
+            size: bytes.max(LEAST).next_multiple_of(16),
             usage,
             mapped_at_creation: false,
         });

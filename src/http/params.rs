@@ -40,7 +40,7 @@ pub struct FrameParams {
     /// What the eye looks at, in world space: `x,y,z`.
     #[param(style = Form, explode = false)]
     pub target: Option<[f64; 3]>,
-    /// Which way is up; `0,1,0` where none is given.
+    /// Which way is up; where none is given, as the scene has it (`up` of `GET /v1/scenes/{id}`).
     #[param(style = Form, explode = false)]
     pub up: Option<[f64; 3]>,
     /// Vertical field of view in degrees, 40 where none is given.
@@ -352,12 +352,13 @@ impl FrameParams {
         }
         let missing = |name| Problem::parameter(name, "missing", WAYS);
         if by_eye.is_some() {
-            return Ok(Pose::Camera(Camera {
-                eye: DVec3::from(self.eye.ok_or_else(|| missing("eye"))?),
-                target: DVec3::from(self.target.ok_or_else(|| missing("target"))?),
-                up: self.up.map_or(DVec3::Y, DVec3::from),
-                fov_deg: self.fov.unwrap_or(DEFAULT_FOV_DEG),
-            }));
+            let eye = DVec3::from(self.eye.ok_or_else(|| missing("eye"))?);
+            let target = DVec3::from(self.target.ok_or_else(|| missing("target"))?);
+            let fov_deg = self.fov.unwrap_or(DEFAULT_FOV_DEG);
+            return Ok(match self.up {
+                Some(up) => Pose::Camera(Camera { eye, target, up: up.into(), fov_deg }),
+                None => Pose::Upright { eye, target, fov_deg },
+            });
         }
         if by_matrix.is_some() {
             let view = self.view.ok_or_else(|| missing("view"))?;

@@ -339,7 +339,7 @@ impl From<EngineError> for Problem {
                 }
                 SceneError::TooLarge { .. } => Problem::new(Kind::SceneTooLarge, text),
             },
-            EngineError::Internal(inner) => Problem::internal(inner),
+            EngineError::Internal(inner) | EngineError::NoGpu(inner) => Problem::internal(inner),
         }
     }
 }

@@ -390,7 +390,12 @@ impl Residency {
             }
         }
         let chunk_count = listed.len() as u32;
-        let (entries, segments, pages) = group_entries(listed);
+        let (entries, mut segments, mut pages) = group_entries(listed);
+        if pages.is_empty() {
+            // Nothing to draw: one empty segment, for which the resolve pass still writes the background.
+            segments.push(GpuSegment { first_group: 0, end_group: 0 });
+            pages.push(Page { kind: PageKind::Samples, index: 0 });
+        }
         let lights: Vec<GpuLight> = model.lights.iter().map(gpu_light).collect();
         let sizes = [(entries.len() / GROUP) as u32, segments.len() as u32, 0, 0];
         let sizes_buffer = Buffer::new(

@@ -1,0 +1,132 @@
+//! `pointillist inspect`: what a scene holds and what it would cost.
+
+use anyhow::Result;
+use clap::Args;
+use comfy_table::{Table, presets};
+use serde::Serialize;
+
+use super::local::{ID, SceneArgs};
+use super::render::contents;
+use crate::encode::ImageFormat;
+use crate::engine::{FrameRequest, Pose, SceneInfo};
+use crate::plan::{FramePlan, Output, Settings};
+
+/// Which scene, and how to tell.
+#[derive(Args, Clone, Debug)]
+pub struct InspectArgs {
+    #[command(flatten)]
+    scene: SceneArgs,
+    /// JSON on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+/// Everything that is told.
+#[derive(Serialize)]
+struct Inspection {
+    #[serde(flatten)]
+    scene: SceneInfo,
+    adapter: String,
+    gpu_budget_bytes: u64,
+    /// The passes of a color frame, each with the reason where it is skipped.
+    plan: FramePlan,
+}
+
+/// Loads the scene and tells.
+///
+/// # Errors
+/// A scene that is refused; no GPU adapter, on which the plan depends.
+pub fn run(args: &InspectArgs) -> Result<()> {
+    super::local::init_log();
+    let (engine, mut scene) = args.scene.load(|_| ())?;
+    scene.id.clone_from(&scene.name);
+    let plan = engine.plan(&FrameRequest {
+        scene: ID.to_owned(),
+        pose: Pose::Fit,
+        width: 1024,
+        height: 1024,
+        settings: Settings::default(),
+        output: Output::Color,
+        format: ImageFormat::Png,
+        quality: 90,
+        deadline: None,
+    })?;
+    let told = Inspection {
+        scene,
+        adapter: engine.adapter(),
+        gpu_budget_bytes: engine.limits().gpu_budget_bytes,
+        plan,
+    };
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&told)?);
+    } else {
+        print!("{}", text(&told));
+    }
+    Ok(())
+}
+
+fn table() -> Table {
+    let mut table = Table::new();
+    table.load_style(presets::NOTHING);
+    table
+}
+
+fn megabytes(bytes: u64) -> String {
+    format!("{:.1} MB", bytes as f64 / 1e6)
+}
+
+fn text(told: &Inspection) -> String {
+    let scene = &told.scene;
+    let mut facts = table();
+    facts.add_row(["scene", &scene.name]);
+    facts.add_row(["contents", &contents(scene.samples, scene.triangles, scene.instances)]);
+    if let Some([low, high]) = scene.bounds {
+        facts.add_row(["bounds", &format!("{low:?} to {high:?}")]);
+    }
+    facts.add_row([
+        "GPU memory",
+        &format!(
+            "{} of {} on {}",
+            megabytes(scene.gpu_bytes),
+            megabytes(told.gpu_budget_bytes),
+            told.adapter
+        ),
+    ]);
+    facts.add_row(["lights", &scene.lights.to_string()]);
+    if !scene.cameras.is_empty() {
+        let names: Vec<&str> = scene.cameras.iter().map(|camera| camera.name.as_str()).collect();
+        facts.add_row(["cameras", &names.join(", ")]);
+    }
+    if !scene.paths.is_empty() {
+        facts.add_row(["paths", &scene.paths.join(", ")]);
+    }
+    for warning in &scene.warnings {
+        facts.add_row(["warning", warning]);
+    }
+    let mut assets = table();
+    assets.set_header(["asset", "format", "samples", "triangles", "colours", "normals"]);
+    for asset in &scene.assets {
+        let normals = match (asset.has_normals, asset.normals_estimated) {
+            (true, true) => "file, rest estimated",
+            (true, false) => "file",
+            (false, _) => "estimated",
+        };
+        assets.add_row([
+            asset.name.clone(),
+            asset.format.to_owned(),
+            asset.samples.to_string(),
+            asset.triangles.to_string(),
+            if asset.has_colors { "file" } else { "none" }.to_owned(),
+            normals.to_owned(),
+        ]);
+    }
+    let mut passes = table();
+    passes.set_header(["pass", "runs"]);
+    for planned in &told.plan.passes {
+        passes.add_row([
+            planned.pass.name().to_owned(),
+            planned.skipped.map_or("yes".to_owned(), |why| format!("no: {why}")),
+        ]);
+    }
+    format!("{facts}\n\n{assets}\n\n{passes}\n")
+}

@@ -1,0 +1,85 @@
+//! An engine for one scene, as `render` and `inspect` need it.
+
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+use crate::assets::Progress;
+use crate::engine::{Engine, EngineConfig, SceneInfo};
+
+/// Which scene, and where its files may lie.
+#[derive(clap::Args, Clone, Debug)]
+pub struct SceneArgs {
+    /// Scene file (.json), or one file of points or triangles
+    #[arg(value_name = "SCENE_OR_ASSET")]
+    pub scene: PathBuf,
+    /// Folder that the scene's files must lie in [default: the scene's own]
+    #[arg(long, value_name = "FOLDER")]
+    pub root: Option<PathBuf>,
+    /// Scene data that may lie on the GPU, in MiB
+    #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
+    pub gpu_budget_mib: Option<u64>,
+    /// Never use 64-bit atomics, even where the adapter has them
+    #[arg(long, hide = true)]
+    pub force_32_bit: bool,
+}
+
+/// Identifier of the only scene.
+pub const ID: &str = "scene";
+
+impl SceneArgs {
+    /// Starts an engine and loads the scene into it, with a progress bar on a terminal.
+    ///
+    /// # Errors
+    /// No GPU adapter; a scene that is refused.
+    pub fn load(
+        &self,
+        adjust: impl FnOnce(&mut EngineConfig),
+    ) -> anyhow::Result<(Engine, SceneInfo)> {
+        let path = self
+            .scene
+            .canonicalize()
+            .with_context(|| format!("{} cannot be opened", self.scene.display()))?;
+        let folder = path.parent().unwrap_or(Path::new("/")).to_path_buf();
+        let mut config = EngineConfig::new(self.root.clone().unwrap_or(folder));
+        config.gpu_budget_bytes = self.gpu_budget_mib.map(|mib| mib.saturating_mul(1 << 20));
+        config.force_32_bit = self.force_32_bit;
+        let bar = ProgressBar::new(1000);
+        if !std::io::stderr().is_terminal() {
+            bar.set_draw_target(ProgressDrawTarget::hidden());
+        }
+        if let Ok(style) = ProgressStyle::with_template("{msg} {wide_bar} {percent} % · {eta} left")
+        {
+            bar.set_style(style);
+        }
+        bar.set_message("reading");
+        let shown = bar.clone();
+        config.read.progress = Progress::new(move |fraction| {
+            shown.set_position((fraction * 1000.0) as u64);
+            if fraction >= 1.0 {
+                shown.set_message("preparing");
+            }
+        });
+        adjust(&mut config);
+        let engine = Engine::start(config)?;
+        let loaded = engine.load(ID, &path);
+        bar.finish_and_clear();
+        Ok((engine, loaded?))
+    }
+}
+
+/// Errors of the library on standard error, and what `POINTILLIST_LOG` asks for.
+pub fn init_log() {
+    use tracing_subscriber::EnvFilter;
+    let filter = EnvFilter::try_from_env("POINTILLIST_LOG")
+        .unwrap_or_else(|_| EnvFilter::new("warn,wgpu_core=error,wgpu_hal=error,naga=error"));
+    // Somebody else's subscriber is as good.
+    let _ = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_writer(std::io::stderr)
+        .with_target(false)
+        .try_init();
+}
