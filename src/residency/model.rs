@@ -7,6 +7,7 @@ use glam::{DAffine3, DMat3, DVec3};
 
 use super::layout::{GpuInstance, two_floats};
 use crate::bake::pack::{Grid, PackedAsset, PackedGeometry};
+use crate::bake::prepare::AssetTraits;
 use crate::math::{Bounds, Camera};
 use crate::scene::{Light, MaterialSpec};
 
@@ -61,6 +62,18 @@ pub struct ModelCounts {
 }
 
 impl AssetModel {
+    /// What its file held.
+    pub fn traits(&self) -> AssetTraits {
+        let is_mesh = |geometry: &PackedGeometry| matches!(geometry, PackedGeometry::Mesh(_));
+        AssetTraits {
+            format: self.format,
+            has_colors: self.has_colors,
+            has_normals: self.has_normals,
+            normals_estimated: self.normals_estimated,
+            has_triangles: self.packed.geometries.iter().any(is_mesh),
+        }
+    }
+
     /// Samples and triangles of the whole file, instances not counted.
     pub fn counts(&self) -> (u64, u64) {
         self.packed.geometries.iter().fold(
