@@ -20,8 +20,7 @@ fn check(name: &str, lights: Value) {
     });
     scene["lights"] = lights;
     let case = Case::new(name, &files, &scene);
-    let tolerance = Tolerance { unexplained: 8, ..Tolerance::default() };
-    case.check(&look([0.4, 1.0, 4.6], [0.0; 3], 45.0), &tolerance);
+    case.check(&look([0.4, 1.0, 4.6], [0.0; 3], 45.0), &Tolerance::samples());
 }
 
 #[test]

@@ -197,6 +197,5 @@ fn overrides() {
     let scene = json!({ "assets": { "ball": { "file": "ball.ply" }, "cloud": { "file": "cloud.ply" } },
         "materials": materials, "nodes": nodes, "lights": lights });
     let case = Case::new("overrides", &files, &scene);
-    let tolerance = Tolerance { unexplained: 10, ..Tolerance::default() };
-    case.check(&look([0.0, 0.3, 6.0], [0.0; 3], 40.0), &tolerance);
+    case.check(&look([0.0, 0.3, 6.0], [0.0; 3], 40.0), &Tolerance::samples());
 }

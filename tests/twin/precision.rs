@@ -47,7 +47,7 @@ fn utm_coordinates() {
     let here = case("origin", DVec3::ZERO, DVec3::ZERO);
     let views =
         [look([1.0, 1.5, 4.0], [0.0; 3], 45.0), look([0.0, -0.9, 2.25], [0.25, -1.0, 0.0], 60.0)];
-    let tolerance = Tolerance { unexplained: 4, ..Tolerance::default() };
+    let tolerance = Tolerance::samples();
     for (name, in_asset, in_node) in
         [("utm-asset", UTM, DVec3::ZERO), ("utm-node", DVec3::ZERO, UTM), ("utm-back", UTM, -UTM)]
     {
@@ -69,10 +69,7 @@ fn small_steps_far_out() {
     let there = case("steps", UTM, DVec3::ZERO);
     let view = moved(&look([0.0, -0.9, 2.25], [0.25, -1.0, 0.0], 60.0), UTM);
     for step in [1.0 / 131_072.0, 3.0 / 131_072.0] {
-        there.check(
-            &moved(&view, DVec3::new(step, -step, step)),
-            &Tolerance { unexplained: 4, ..Tolerance::default() },
-        );
+        there.check(&moved(&view, DVec3::new(step, -step, step)), &Tolerance::samples());
     }
 }
 

@@ -16,7 +16,7 @@ fn case(name: &str, cloud: &Shape) -> Case {
 #[test]
 fn dense_samples() {
     let case = case("dense", &Shape::cloud(60_000, [-1.0; 3], [1.0; 3], 1));
-    let frames = case.check(&look([1.0, 1.5, 4.0], [0.0; 3], 40.0), &Tolerance::default());
+    let frames = case.check(&look([1.0, 1.5, 4.0], [0.0; 3], 40.0), &Tolerance::samples());
     let covered = frames.covered();
     assert!(covered > 6_000, "{covered}");
     assert_eq!(frames.receipt.samples.stored, 60_000);
@@ -27,7 +27,7 @@ fn dense_samples() {
 fn sparse_samples_without_normals() {
     let case = case("sparse", &Shape::cloud(400, [-1.0; 3], [1.0; 3], 2).without_normals());
     for eye in [[3.0, 1.0, 2.0], [-0.3, 4.0, 0.2], [0.0, -2.0, -3.0]] {
-        case.check(&look(eye, [0.0; 3], 50.0), &Tolerance::default());
+        case.check(&look(eye, [0.0; 3], 50.0), &Tolerance::samples());
     }
 }
 
@@ -40,7 +40,7 @@ fn samples_on_a_sphere_turn_towards_the_eye() {
         *normal = position.as_vec3() * if normal.x > 0.0 { 1.0 } else { -1.0 };
     }
     let case = case("sphere-samples", &cloud);
-    case.check(&look([0.0, 1.0, 3.0], [0.0; 3], 45.0), &Tolerance::default());
+    case.check(&look([0.0, 1.0, 3.0], [0.0; 3], 45.0), &Tolerance::samples());
 }
 
 /// The eye is inside the cloud: samples beside, behind and in front of it.
@@ -55,7 +55,7 @@ fn samples_around_the_eye() {
     }
     let case = case("around", &cloud);
     for target in [[1.0, 0.0, 0.0], [-1.0, 2.0, 0.5], [0.0, -3.0, 1.0]] {
-        case.check(&look(eye.into(), target, 75.0), &Tolerance::default());
+        case.check(&look(eye.into(), target, 75.0), &Tolerance::samples());
     }
 }
 
@@ -87,7 +87,7 @@ fn samples_at_the_frames_edges() {
             place(x + dx, y + dy);
         }
     }
-    let frames = case("edges", &cloud).check(&view, &Tolerance::default());
+    let frames = case("edges", &cloud).check(&view, &Tolerance::samples());
     let covered = frames.covered();
     // Of the four around each corner one is inside; the ends of the rows share its pixel.
     assert!(covered <= inside + 4 && covered >= inside - 12, "{covered} of {inside}");
@@ -110,16 +110,16 @@ fn the_nearest_of_a_column_wins() {
         cloud.normals.push(Vec3::Z);
     }
     let case = case("column", &cloud);
-    let frames = case.check(&look([0.0, 0.0, 2.0], [0.0; 3], 40.0), &Tolerance::default());
+    let frames = case.check(&look([0.0, 0.0, 2.0], [0.0; 3], 40.0), &Tolerance::samples());
     assert_eq!(frames.covered(), 1);
 }
 
 #[test]
 fn a_lone_sample_and_a_view_that_sees_nothing() {
     let case = case("lone", &Shape::cloud(1, [-0.1; 3], [0.1; 3], 5));
-    let seen = case.check(&look([0.0, 0.0, 2.0], [0.0; 3], 40.0), &Tolerance::default());
+    let seen = case.check(&look([0.0, 0.0, 2.0], [0.0; 3], 40.0), &Tolerance::samples());
     assert_eq!(seen.covered(), 1);
-    let unseen = case.check(&look([0.0, 0.0, 2.0], [0.0, 0.0, 4.0], 40.0), &Tolerance::default());
+    let unseen = case.check(&look([0.0, 0.0, 2.0], [0.0, 0.0, 4.0], 40.0), &Tolerance::samples());
     assert!(unseen.id.iter().all(|&id| id == 0));
 }
 
@@ -132,5 +132,5 @@ fn an_off_centre_view() {
     let mut view = camera.view(161, 97).unwrap();
     view.focal_px.x *= 1.3;
     view.principal_px += DVec2::new(23.3, -11.7);
-    case.check(&view, &Tolerance::default());
+    case.check(&view, &Tolerance::samples());
 }

@@ -5,6 +5,10 @@
 //! itself shows the frame's value there when the image is shifted by 1/256 pixel. Everything else must agree in every
 //! pixel, whatever the signal-to-noise ratio says.
 //!
+//! A few pixels at edges cannot be explained so: tips of slivers, which no shift happens to hit, and silhouettes of closed
+//! surfaces, where the centre lies outside by less than the grid and the far side, extended to it, comes out in front of
+//! the near one. They are counted apart: [`Tolerance::at_edges`].
+//!
 //! One thing is a matter of definition: a sample's normal is turned towards the eye along the ray to the sample by the
 //! oracle, along the ray to its pixel's centre by the engine. A normal may point the other way where these disagree.
 
@@ -23,21 +27,46 @@ use super::stage::{Frames, folder};
 pub struct Tolerance {
     /// Least PSNR of the colours in dB.
     pub psnr: f64,
-    /// Pixels that differ and are not explained.
+    /// Less than `psnr` will do where the oracle's own picture changes more when it is shifted by 1/512 pixel each way, the
+    /// most that the grid moves a corner: triangles far smaller than a pixel make noise of any rounding.
+    pub unless_noise: bool,
+    /// Pixels that differ and are not explained, away from edges.
     pub unexplained: usize,
+    /// As `unexplained`, where the oracle's neighbouring pixels show several surfaces.
+    pub at_edges: usize,
+    /// Holes inside and leaks outside of silhouettes.
+    pub stray: u64,
     /// Largest difference of a colour byte in an agreeing pixel.
     pub color: u8,
     /// Largest difference of a normal's byte in an agreeing pixel.
     pub normal: u8,
     /// Largest relative depth error in an agreeing pixel.
     pub depth: f64,
-    /// Shift in pixels that explains.
+    /// Shift in pixels that explains; 0 spares the eight frames that it takes.
     pub shift_px: f64,
 }
 
 impl Default for Tolerance {
     fn default() -> Self {
-        Self { psnr: 45.0, unexplained: 0, color: 3, normal: 2, depth: 1e-5, shift_px: 1.0 / 256.0 }
+        Self {
+            psnr: 45.0,
+            unless_noise: false,
+            unexplained: 0,
+            at_edges: 4,
+            stray: 0,
+            color: 3,
+            normal: 2,
+            depth: 1e-5,
+            shift_px: 1.0 / 256.0,
+        }
+    }
+}
+
+impl Tolerance {
+    /// For frames of samples: of two that are less than f32's rounding apart in depth either may show, and one seen
+    /// edge-on is lit by a hair's breadth of angle.
+    pub fn samples() -> Self {
+        Self { unexplained: 4, at_edges: 12, ..Self::default() }
     }
 }
 
@@ -134,7 +163,7 @@ fn unexplained(
     let mut open: Vec<usize> = (0..twin.id.len()).filter(|i| !agrees(i)).collect();
     let mut ranges: Vec<Range> = open.iter().map(|&i| Range::at(twin, i)).collect();
     for eighth in 0..8 {
-        if open.is_empty() {
+        if open.is_empty() || tolerance.shift_px == 0.0 {
             break;
         }
         let (sin, cos) = (f64::from(eighth) * std::f64::consts::FRAC_PI_4).sin_cos();
@@ -157,6 +186,20 @@ fn unexplained(
     open
 }
 
+/// Whether the 3 × 3 pixels around one show more than one smooth surface.
+fn is_edge(twin: &Twin, view: &View, i: usize) -> bool {
+    let (width, height) = (view.width as usize, view.height as usize);
+    let near = |at: usize, size: usize| at.saturating_sub(1)..(at + 2).min(size);
+    near(i / width, height).flat_map(|y| near(i % width, width).map(move |x| y * width + x)).any(
+        |k| {
+            let ratio = twin.depth[k] / twin.depth[i];
+            let turned =
+                (0..3).any(|axis| twin.normal[k][axis].abs_diff(twin.normal[i][axis]) > 16);
+            twin.id[k] != twin.id[i] || !(0.98..1.02).contains(&ratio) || turned
+        },
+    )
+}
+
 /// Compares a frame with the oracle's and panics when they are not the same picture.
 pub fn judge(
     name: &str,
@@ -172,9 +215,12 @@ pub fn judge(
     let depth = metrics::depth_error(&twin.depth, &frames.depth).unwrap();
     let differs = (0..twin.id.len()).filter(|&i| twin.id[i] != frames.id[i]).count();
     let unexplained = unexplained(reference, view, frames, &twin, tolerance);
+    let (edges, inside): (Vec<usize>, Vec<usize>) =
+        unexplained.iter().partition(|&&i| is_edge(&twin, view, i));
     let report = format!(
         "{name}: PSNR {psnr:.1} dB, {} covered, {} holes ({} inside), {} leaks ({} outside), \
-         {differs} ids differ, depth p99 {:.1e} max {:.1e}, {} unexplained",
+         {differs} ids differ, depth p99 {:.1e} max {:.1e}, {} unexplained \
+         and {} at edges",
         coverage.covered_reference,
         coverage.holes,
         coverage.holes_inside,
@@ -182,17 +228,24 @@ pub fn judge(
         coverage.leaks_outside,
         depth.map_or(0.0, |spread| spread.p99),
         depth.map_or(0.0, |spread| spread.max),
-        unexplained.len(),
+        inside.len(),
+        edges.len(),
     );
     println!("{report}");
-    let sound = psnr >= tolerance.psnr
-        && unexplained.len() <= tolerance.unexplained
-        && coverage.holes_inside == 0
-        && coverage.leaks_outside == 0
+    let noise = || {
+        let shift = DVec2::splat(1.0 / 512.0);
+        let shifted = View { principal_px: view.principal_px + shift, ..*view };
+        let shifted = reference.frame(&shifted, 1).to_rgba8();
+        metrics::psnr(&twin.color, &shifted).unwrap()
+    };
+    let sound = (psnr >= tolerance.psnr || tolerance.unless_noise && psnr >= noise())
+        && inside.len() <= tolerance.unexplained
+        && edges.len() <= tolerance.at_edges
+        && coverage.holes_inside + coverage.leaks_outside <= tolerance.stray
         && covers_agree(&frames.id, &frames.depth);
     if !sound {
         let places: Vec<String> =
-            unexplained.iter().take(8).map(|&i| describe(&twin, frames, i)).collect();
+            inside.iter().chain(&edges).take(8).map(|&i| describe(&twin, frames, i)).collect();
         let files = picture_failure(name, frames, &twin, &unexplained);
         panic!("{report}\n{}\nsee {files}", places.join("\n"));
     }
