@@ -109,8 +109,9 @@ proptest! {
         let case = Case::new(&format!("random-{number}"), &files, &scene);
         let (eye, target) = (offset + DVec3::from(eye), offset + DVec3::from(target));
         let view = Camera { eye, target, up: DVec3::Y, fov_deg }.view(96, 72).unwrap();
-        // In a small frame one pixel of random colours weighs 35 dB; that it is explained is what counts.
-        let tolerance = Tolerance { psnr: 32.0, unexplained: 1, at_edges: 4, ..Tolerance::default() };
+        // In a small frame one pixel of random colours weighs 35 dB, and a lone sample a hair's breadth aside is a hole and a
+        // leak; that they are explained is what counts.
+        let tolerance = Tolerance { psnr: 32.0, stray: 4, unexplained: 1, at_edges: 4, ..Tolerance::default() };
         case.check(&view, &tolerance);
     }
 }
