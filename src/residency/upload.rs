@@ -161,7 +161,7 @@ impl Residency {
             budget: self.budget,
         };
         let packed = &asset.packed;
-        let mut texels = Vec::new();
+        let mut texels: Vec<(usize, u32, u32)> = Vec::new();
         let texture_length = packed.textures.len() as u32;
         let texture_start = self
             .textures
@@ -173,7 +173,7 @@ impl Residency {
                 .find_map(|page| Some((page, self.texels[page].allocate(gpu, length)?)));
             let Some((page, first)) = found else {
                 for &(page, start, length) in &texels {
-                    self.texels[page as usize].release(start, length);
+                    self.texels[page].release(start, length);
                 }
                 self.textures.release(texture_start, texture_length);
                 return Err(ResidencyError::OverBudget {
@@ -183,7 +183,7 @@ impl Residency {
                 });
             };
             self.texels[page].write(gpu, 0, first, &texture.texels);
-            texels.push((page as u32 as usize, first, length));
+            texels.push((page, first, length));
             let record = GpuTexture {
                 first,
                 page: page as u32,
