@@ -70,6 +70,10 @@ impl Library {
         self.scenes.get(id).cloned()
     }
 
+    pub fn holds(&self, id: &str) -> bool {
+        self.scenes.contains_key(id)
+    }
+
     pub fn all(&self) -> Vec<Arc<Loaded>> {
         self.scenes.values().cloned().collect()
     }
@@ -97,7 +101,10 @@ pub fn load(
     let is_scene = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
     let mut hasher = Sha256::new();
     let mut description = if is_scene {
-        hasher.update(std::fs::read(path).unwrap_or_default());
+        let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        hasher.update(
+            digest_file(path).map_err(|source| asset_error(AssetError::Io { file, source }))?,
+        );
         scene::load(path, &config.root, &config.scene)
             .map_err(|error| EngineError::Scene(Arc::new(error)))?
     } else {
@@ -157,8 +164,12 @@ fn read_asset(
     let display = file
         .file_name()
         .map_or_else(|| name.to_owned(), |name| name.to_string_lossy().into_owned());
-    let digest = digest_file(file)
+    let mut digest = digest_file(file)
         .map_err(|source| asset_error(AssetError::Io { file: display.clone(), source }))?;
+    // The name has a say in how the bytes are read.
+    let kind = display.to_ascii_lowercase();
+    let kind = kind.split_once('.').map_or("", |(_, extensions)| extensions);
+    digest = Sha256::new().chain_update(digest).chain_update(kind).finalize().into();
     let alone = stands_alone(file);
     if alone
         && let Some(found) = cache.assets.lock().get(&digest)
@@ -266,6 +277,12 @@ fn digest_contents(file: [u8; 32], packed: &PackedAsset) -> [u8; 32] {
     let mut hasher = Sha256::new();
     hasher.update(file);
     for geometry in &packed.geometries {
+        hasher.update(format!("{:?}", geometry.grid()));
+        for chunk in geometry.chunks() {
+            hasher.update(bytemuck::bytes_of(&chunk.origin));
+            hasher
+                .update([chunk.count, chunk.shift, chunk.material].map(u32::to_le_bytes).concat());
+        }
         match geometry {
             PackedGeometry::Samples(samples) => {
                 hasher.update(bytemuck::cast_slice(&samples.positions));
@@ -278,6 +295,7 @@ fn digest_contents(file: [u8; 32], packed: &PackedAsset) -> [u8; 32] {
         }
     }
     for texture in &packed.textures {
+        hasher.update([texture.width, texture.height, texture.wrap].map(u32::to_le_bytes).concat());
         hasher.update(bytemuck::cast_slice(&texture.texels));
     }
     hasher.update(format!("{:?}", packed.materials));
@@ -329,6 +347,7 @@ fn build(
         }
     }
     let model = SceneModel {
+        uid: NEXT_UID.fetch_add(1, Ordering::Relaxed),
         id: id.to_owned(),
         name: description.name.clone(),
         revision,
@@ -396,10 +415,12 @@ fn describe(
         assets: model
             .assets
             .iter()
-            .map(|asset| {
+            .zip(&description.assets)
+            .map(|(asset, reference)| {
                 let (samples, triangles) = asset.counts();
                 AssetInfo {
-                    name: asset.name.clone(),
+                    // Another scene may have read the same file under another name.
+                    name: reference.name.clone(),
                     format: asset.format,
                     samples,
                     triangles,
@@ -483,8 +504,8 @@ impl Loaded {
         let direction = front * 0.82 + right * 0.42 + up * 0.38;
         let direction = direction / direction.length();
         let radius = (0.5 * self.bounds.extent().length())
-            .max(1e-9 * self.bounds.centre().length())
-            .max(1e-9);
+            .max(1e-12 * self.bounds.centre().length())
+            .max(1e-30);
         let half = (0.5 * FOV_DEG).to_radians();
         // The narrower of the two fields of view must hold the sphere.
         let narrow = if aspect < 1.0 { (half.tan() * aspect).atan() } else { half };

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DMat3, DVec3};
 
-use super::layout::{GpuInstance, two_floats};
+use super::layout::{GpuEntry, GpuInstance, two_floats};
 use crate::bake::pack::{Grid, PackedAsset, PackedGeometry};
 use crate::math::{Bounds, Camera};
 use crate::scene::{Light, MaterialSpec};
@@ -38,6 +38,8 @@ pub struct ModelInstance {
 /// Everything that drawing a scene needs.
 #[derive(Clone, Debug)]
 pub struct SceneModel {
+    /// Differs for every scene and every revision of it in this process.
+    pub uid: u64,
     pub id: String,
     pub name: String,
     pub revision: u64,
@@ -128,8 +130,14 @@ impl SceneModel {
             .filter(|asset| seen.insert(asset.uid))
             .map(|asset| asset.gpu_bytes())
             .sum();
+        assets + self.list_bytes()
+    }
+
+    /// Bytes of its own lists of instances and chunks, assets left aside.
+    pub fn list_bytes(&self) -> u64 {
         let counts = self.counts();
-        assets + counts.instances * size_of::<GpuInstance>() as u64 + counts.chunks * 8
+        counts.instances * size_of::<GpuInstance>() as u64
+            + counts.chunks * size_of::<GpuEntry>() as u64
     }
 }
 
