@@ -135,7 +135,7 @@ pub fn load(
     build(id, 1, description, assets, placements, warnings, hasher.finalize().into(), config)
 }
 
-/// A scan's own colours are shown unlit, and survey formats have z up.
+/// A scan's own colours are shown unlit; survey formats and what lies on a survey's grid have z up.
 fn adapt_bare_asset(description: &mut Scene, assets: &[Arc<AssetModel>]) {
     let scan = |asset: &Arc<AssetModel>| {
         asset.has_colors
@@ -150,9 +150,20 @@ fn adapt_bare_asset(description: &mut Scene, assets: &[Arc<AssetModel>]) {
         description.lights.clear();
     }
     let survey = ["las", "laz", "copc", "e57", "pts", "ptx", "xyz", "csv"];
-    if assets.iter().all(|asset| survey.contains(&asset.format)) {
+    if assets.iter().all(|asset| survey.contains(&asset.format) || is_georeferenced(asset)) {
         description.up = DVec3::Z;
     }
+}
+
+/// Coordinates of a national or world-wide grid: x and y count from far away, and the land is flatter than it is wide.
+fn is_georeferenced(asset: &AssetModel) -> bool {
+    let all = asset.bounds.iter().fold(Bounds::EMPTY, |all, bounds| all.union(*bounds));
+    let (centre, extent) = (all.centre(), all.extent());
+    // glTF says that y is up.
+    !asset.format.starts_with("gl")
+        && centre.truncate().abs().min_element() > 50_000.0
+        && extent.truncate().max_element() > extent.z
+        && extent.max_element() < centre.truncate().abs().max_element()
 }
 
 fn read_asset(
@@ -215,6 +226,7 @@ fn pack_asset(
 ) -> Result<ReadAsset, EngineError> {
     let (mut has_colors, mut has_normals, mut estimated) = (false, false, false);
     let mut geometries = Vec::with_capacity(asset.geometries.len());
+    let bounds = asset.geometries.iter().map(drawn_bounds).collect();
     for geometry in &mut asset.geometries {
         let packed = match geometry {
             Geometry::Points(cloud) => {
@@ -253,6 +265,7 @@ fn pack_asset(
         name: name.to_owned(),
         format: asset.format,
         packed: PackedAsset { geometries, materials: asset.materials, textures },
+        bounds,
         has_colors,
         has_normals,
         normals_estimated: estimated,
@@ -264,6 +277,17 @@ fn pack_asset(
         warnings: asset.warnings,
         digest,
     })
+}
+
+/// The box around what can be seen: vertices that no triangle uses are left out.
+fn drawn_bounds(geometry: &Geometry) -> Bounds {
+    match geometry {
+        Geometry::Points(cloud) => Bounds::of(cloud.positions.iter().copied()),
+        Geometry::Mesh(mesh) => {
+            let used = mesh.triangles.iter().flatten();
+            Bounds::of(used.filter_map(|&v| mesh.positions.get(v as usize).copied()))
+        }
+    }
 }
 
 /// Whether a file's own bytes decide what is read. A glTF or OBJ may name buffers, materials and images beside it.

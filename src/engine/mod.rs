@@ -78,9 +78,9 @@ pub enum EngineError {
     #[error("{what} ({found}) is over the limit of {limit}")]
     OverLimit { what: &'static str, found: u64, limit: u64 },
     #[error("{0}")]
-    Asset(#[source] Arc<AssetError>),
+    Asset(Arc<AssetError>),
     #[error("{0}")]
-    Scene(#[source] Arc<SceneError>),
+    Scene(Arc<SceneError>),
     /// No adapter that could draw; the text says what to install.
     #[error("{0}")]
     NoGpu(String),

@@ -18,6 +18,8 @@ pub struct AssetModel {
     pub name: String,
     pub format: &'static str,
     pub packed: PackedAsset,
+    /// Box of each geometry as the file has it; chunks lie on a grid and may reach a little farther.
+    pub bounds: Vec<Bounds>,
     pub has_colors: bool,
     pub has_normals: bool,
     pub normals_estimated: bool,
@@ -109,14 +111,7 @@ impl SceneModel {
     /// World-space box around every instance.
     pub fn bounds(&self) -> Bounds {
         self.instances.iter().fold(Bounds::EMPTY, |all, instance| {
-            let geometry = self.geometry(instance);
-            let grid = geometry.grid();
-            let local = geometry.chunks().iter().fold(Bounds::EMPTY, |b, chunk| {
-                b.union(Bounds {
-                    min: grid.position(chunk.origin),
-                    max: grid.position(chunk.origin + chunk.extent),
-                })
-            });
+            let local = &self.assets[instance.asset].bounds[instance.geometry];
             all.union(local.transformed(&instance.world_from_geometry))
         })
     }

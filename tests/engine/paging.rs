@@ -65,6 +65,7 @@ fn textured(uid: u64, texels: &[u32], materials: usize) -> Arc<SceneModel> {
             materials: vec![Material::default(); materials],
             textures,
         },
+        bounds: Vec::new(),
         has_colors: false,
         has_normals: false,
         normals_estimated: false,
