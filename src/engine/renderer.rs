@@ -288,7 +288,7 @@ impl Renderer {
             Landed { drawn: Vec::new(), again: Vec::new(), failed: Vec::new(), lost: false };
         let fault = self.take_fault();
         let stamps = flight.stamps.as_ref().and_then(|(landing, bytes)| {
-            landing.read(*bytes, |bytes| bytemuck::pod_collect_to_vec::<u8, u64>(bytes))
+            landing.read(*bytes, bytemuck::pod_collect_to_vec::<u8, u64>)
         });
         let batch_size = flight.frames.len() as u32;
         for frame in flight.frames {
