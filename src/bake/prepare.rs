@@ -12,6 +12,7 @@ use glam::{DAffine3, DVec3};
 
 use super::{estimate_point_attributes, fill_colors, smooth_normals};
 use crate::assets::{Geometry, Placement};
+use crate::math::Bounds;
 use crate::scene::{self, Scene, SceneError, SceneLimits};
 
 /// Angle between faces, in degrees, above which a mesh without normals keeps its edge.
@@ -20,7 +21,7 @@ const CREASE_DEG: f64 = 35.0;
 const SURVEY_FORMATS: [&str; 8] = ["las", "laz", "copc", "e57", "pts", "ptx", "xyz", "csv"];
 
 /// What an asset's file itself held.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AssetTraits {
     /// As [`crate::assets::Asset::format`].
     pub format: &'static str,
@@ -32,6 +33,8 @@ pub struct AssetTraits {
     pub normals_estimated: bool,
     /// Some geometry is a mesh.
     pub has_triangles: bool,
+    /// Of everything that is drawn, before it is placed.
+    pub bounds: Bounds,
 }
 
 /// One drawn copy of one geometry. Its number is its place in the list that [`placed`] gives.
@@ -66,6 +69,7 @@ pub fn describe(path: &Path, root: &Path, limits: &SceneLimits) -> Result<Scene,
 /// Gives a geometry the colours, normals and radii that it lacks, and notes in `traits`, whose format is known
 /// already, what it had.
 pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
+    traits.bounds = traits.bounds.union(drawn_bounds(geometry));
     let (has_colors, has_normals) = match geometry {
         Geometry::Points(cloud) => {
             let had = (cloud.colors.is_some(), cloud.normals.is_some());
@@ -86,14 +90,37 @@ pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
     traits.normals_estimated |= !has_normals;
 }
 
-/// Adapts the description of a bare asset file: a scan's own colours are shown unlit, and survey formats have z up.
+/// Adapts the description of a bare asset file: a scan's own colours are shown unlit; survey formats, and what lies on a
+/// survey's grid, have z up.
 pub fn adapt_bare_asset(description: &mut Scene, assets: &[AssetTraits]) {
     let scan = |asset: &AssetTraits| asset.has_colors && !asset.has_normals && !asset.has_triangles;
     if assets.iter().all(scan) {
         description.lights.clear();
     }
-    if assets.iter().all(|asset| SURVEY_FORMATS.contains(&asset.format)) {
+    if assets.iter().all(|asset| SURVEY_FORMATS.contains(&asset.format) || is_georeferenced(asset))
+    {
         description.up = DVec3::Z;
+    }
+}
+
+/// Coordinates of a national or world-wide grid: x and y count from far away, and the land is flatter than it is wide.
+fn is_georeferenced(asset: &AssetTraits) -> bool {
+    let (centre, extent) = (asset.bounds.centre(), asset.bounds.extent());
+    // glTF says that y is up.
+    !asset.format.starts_with("gl")
+        && centre.truncate().abs().min_element() > 50_000.0
+        && extent.truncate().max_element() > extent.z
+        && extent.max_element() < centre.truncate().abs().max_element()
+}
+
+/// The box around what can be seen: vertices that no triangle uses are left out.
+pub fn drawn_bounds(geometry: &Geometry) -> Bounds {
+    match geometry {
+        Geometry::Points(cloud) => Bounds::of(cloud.positions.iter().copied()),
+        Geometry::Mesh(mesh) => {
+            let used = mesh.triangles.iter().flatten();
+            Bounds::of(used.filter_map(|&v| mesh.positions.get(v as usize).copied()))
+        }
     }
 }
 

@@ -67,6 +67,10 @@ impl Library {
         self.scenes.get(id).cloned()
     }
 
+    pub fn holds(&self, id: &str) -> bool {
+        self.scenes.contains_key(id)
+    }
+
     pub fn all(&self) -> Vec<Arc<Loaded>> {
         self.scenes.values().cloned().collect()
     }
@@ -94,7 +98,10 @@ pub fn load(
     let is_scene = prepare::is_scene_file(path);
     let mut hasher = Sha256::new();
     if is_scene {
-        hasher.update(std::fs::read(path).unwrap_or_default());
+        let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        hasher.update(
+            digest_file(path).map_err(|source| asset_error(AssetError::Io { file, source }))?,
+        );
     }
     let mut description = prepare::describe(path, &config.root, &config.scene)
         .map_err(|error| EngineError::Scene(Arc::new(error)))?;
@@ -130,8 +137,12 @@ fn read_asset(
     let display = file
         .file_name()
         .map_or_else(|| name.to_owned(), |name| name.to_string_lossy().into_owned());
-    let digest = digest_file(file)
+    let mut digest = digest_file(file)
         .map_err(|source| asset_error(AssetError::Io { file: display.clone(), source }))?;
+    // The name has a say in how the bytes are read.
+    let kind = display.to_ascii_lowercase();
+    let kind = kind.split_once('.').map_or("", |(_, extensions)| extensions);
+    digest = Sha256::new().chain_update(digest).chain_update(kind).finalize().into();
     let alone = stands_alone(file);
     if alone
         && let Some(found) = cache.assets.lock().get(&digest)
@@ -177,6 +188,7 @@ fn pack_asset(
 ) -> Result<ReadAsset, EngineError> {
     let mut traits = AssetTraits { format: asset.format, ..AssetTraits::default() };
     let mut geometries = Vec::with_capacity(asset.geometries.len());
+    let bounds = asset.geometries.iter().map(prepare::drawn_bounds).collect();
     for geometry in &mut asset.geometries {
         prepare::prepare_geometry(geometry, &mut traits);
         let packed = match geometry {
@@ -199,6 +211,7 @@ fn pack_asset(
         name: name.to_owned(),
         format: asset.format,
         packed: PackedAsset { geometries, materials: asset.materials, textures },
+        bounds,
         has_colors: traits.has_colors,
         has_normals: traits.has_normals,
         normals_estimated: traits.normals_estimated,
@@ -223,6 +236,12 @@ fn digest_contents(file: [u8; 32], packed: &PackedAsset) -> [u8; 32] {
     let mut hasher = Sha256::new();
     hasher.update(file);
     for geometry in &packed.geometries {
+        hasher.update(format!("{:?}", geometry.grid()));
+        for chunk in geometry.chunks() {
+            hasher.update(bytemuck::bytes_of(&chunk.origin));
+            hasher
+                .update([chunk.count, chunk.shift, chunk.material].map(u32::to_le_bytes).concat());
+        }
         match geometry {
             PackedGeometry::Samples(samples) => {
                 hasher.update(bytemuck::cast_slice(&samples.positions));
@@ -235,6 +254,7 @@ fn digest_contents(file: [u8; 32], packed: &PackedAsset) -> [u8; 32] {
         }
     }
     for texture in &packed.textures {
+        hasher.update([texture.width, texture.height, texture.wrap].map(u32::to_le_bytes).concat());
         hasher.update(bytemuck::cast_slice(&texture.texels));
     }
     hasher.update(format!("{:?}", packed.materials));
@@ -284,6 +304,7 @@ fn build(
         });
     }
     let model = SceneModel {
+        uid: NEXT_UID.fetch_add(1, Ordering::Relaxed),
         id: id.to_owned(),
         name: description.name.clone(),
         revision,
@@ -351,10 +372,12 @@ fn describe(
         assets: model
             .assets
             .iter()
-            .map(|asset| {
+            .zip(&description.assets)
+            .map(|(asset, reference)| {
                 let (samples, triangles) = asset.counts();
                 AssetInfo {
-                    name: asset.name.clone(),
+                    // Another scene may have read the same file under another name.
+                    name: reference.name.clone(),
                     format: asset.format,
                     samples,
                     triangles,
@@ -446,7 +469,9 @@ impl Loaded {
         let tan_x = tan_y * aspect;
         let centre = self.bounds.centre();
         // The nearest eye whose pyramid holds every corner of the box.
-        let least = (1e-9 * centre.length()).max(1e-9);
+        // Nothing but one point is seen from one unit away.
+        let least: f64 = if self.bounds.extent() == DVec3::ZERO { 1.0 } else { 1e-30 };
+        let least = least.max(1e-12 * centre.length());
         let distance = self.bounds.corners().into_iter().fold(least, |distance, corner| {
             let v = corner - centre;
             let needed = (v.dot(right).abs() / tan_x).max(v.dot(above).abs() / tan_y);

@@ -10,6 +10,7 @@ mod resolve;
 mod shared;
 mod worker;
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -45,6 +46,8 @@ pub struct EngineConfig {
     pub max_side: u32,
     /// Never use 64-bit atomics, even where the adapter has them.
     pub force_32_bit: bool,
+    /// Bytes that a shader binds at once at most; `None`: as many as the adapter can. Less means smaller pages.
+    pub max_binding_bytes: Option<u64>,
     pub read: ReadOptions,
     pub scene: SceneLimits,
 }
@@ -75,9 +78,9 @@ pub enum EngineError {
     #[error("{what} ({found}) is over the limit of {limit}")]
     OverLimit { what: &'static str, found: u64, limit: u64 },
     #[error("{0}")]
-    Asset(#[source] Arc<AssetError>),
+    Asset(Arc<AssetError>),
     #[error("{0}")]
-    Scene(#[source] Arc<SceneError>),
+    Scene(Arc<SceneError>),
     /// No adapter that could draw; the text says what to install.
     #[error("{0}")]
     NoGpu(String),
@@ -227,6 +230,18 @@ impl Drop for Inner {
     }
 }
 
+/// An identifier that is being loaded, released however that ends.
+struct Reserved<'a> {
+    shared: &'a Shared,
+    id: &'a str,
+}
+
+impl Drop for Reserved<'_> {
+    fn drop(&mut self) {
+        self.shared.loading.lock().remove(self.id);
+    }
+}
+
 /// A frame that has been promised. Await it; dropping it cancels the job unless somebody else waits
 /// for the same frame or it has been submitted already.
 pub struct FrameTicket {
@@ -266,6 +281,7 @@ impl EngineConfig {
             max_pixels: 1 << 24,
             max_side: 8192,
             force_32_bit: false,
+            max_binding_bytes: None,
             read: ReadOptions::default(),
             scene: SceneLimits::default(),
         }
@@ -284,9 +300,14 @@ impl Engine {
         let thread = std::thread::Builder::new()
             .name("render".into())
             .spawn(move || {
-                worker::run(&for_thread, |opened| {
-                    let _ = sender.send(opened);
-                });
+                let ran = catch_unwind(AssertUnwindSafe(|| {
+                    worker::run(&for_thread, |opened| {
+                        let _ = sender.send(opened);
+                    });
+                }));
+                if ran.is_err() {
+                    for_thread.abandon();
+                }
             })
             .map_err(|error| EngineError::Internal(error.to_string()))?;
         match receiver.recv() {
@@ -308,24 +329,33 @@ impl Engine {
     /// budget; call from a blocking thread. Fails without side effects.
     pub fn load(&self, id: &str, path: &std::path::Path) -> Result<SceneInfo, EngineError> {
         let shared = self.shared();
-        if shared.library.read().get(id).is_some() || !shared.loading.lock().insert(id.to_owned()) {
-            return Err(EngineError::SceneExists { id: id.to_owned() });
+        let exists = || EngineError::SceneExists { id: id.to_owned() };
+        if !shared.loading.lock().insert(id.to_owned()) {
+            return Err(exists());
         }
-        let result = self.load_reserved(id, path);
-        shared.loading.lock().remove(id);
-        result
+        let _reserved = Reserved { shared, id };
+        // Looked up only now: whoever held the reservation before may have loaded it.
+        if shared.library.read().holds(id) {
+            return Err(exists());
+        }
+        self.load_reserved(id, path)
     }
 
     fn load_reserved(&self, id: &str, path: &std::path::Path) -> Result<SceneInfo, EngineError> {
         let shared = self.shared();
         let path = library::check_path(path, &shared.config.root)?;
         let loaded = library::load(id, &path, &shared.config, &shared.cache)?;
-        let adapter = shared.adapter();
-        crate::residency::check_fits(adapter.max_binding_bytes, adapter.budget, &loaded.model)
-            .map_err(renderer::engine_error)?;
+        self.check_fits(&loaded)?;
         let info = loaded.info.clone();
         shared.library.write().insert(loaded);
         Ok(info)
+    }
+
+    /// Whether a scene alone would fit the GPU.
+    fn check_fits(&self, loaded: &library::Loaded) -> Result<(), EngineError> {
+        let adapter = self.shared().adapter();
+        crate::residency::check_fits(adapter.max_binding_bytes, adapter.budget, &loaded.model)
+            .map_err(renderer::engine_error)
     }
 
     /// Forgets a scene and frees its GPU memory.
@@ -333,7 +363,7 @@ impl Engine {
         let shared = self.shared();
         let removed = shared.library.write().remove(id);
         removed.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
-        shared.remove_from_gpu(id);
+        shared.wake_for_removal();
         Ok(())
     }
 
@@ -345,6 +375,8 @@ impl Engine {
         let loaded =
             library.get(id).ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
         let patched = loaded.patched(node, patch, &shared.config)?;
+        // A node that comes to light may draw more than there is room for.
+        self.check_fits(&patched)?;
         let info = patched.info.clone();
         library.insert(patched);
         Ok(info)

@@ -128,12 +128,23 @@ impl Renderer {
     /// # Errors
     /// A scene that cannot fit.
     pub fn ensure(&mut self, model: &Arc<SceneModel>) -> Result<(), EngineError> {
-        self.residency.ensure(&self.gpu, model).map_err(engine_error)
+        // Bind groups keep the buffers alive that an eviction, a growth or a new revision has replaced.
+        match self.residency.ensure(&self.gpu, model) {
+            Ok(false) => Ok(()),
+            Ok(true) => {
+                self.binds.borrow_mut().clear();
+                Ok(())
+            }
+            Err(error) => {
+                self.binds.borrow_mut().clear();
+                Err(engine_error(error))
+            }
+        }
     }
 
     /// Frees a scene.
     pub fn remove(&mut self, id: &str) {
-        self.residency.remove(id);
+        self.residency.remove(&self.gpu, id);
         self.binds.borrow_mut().clear();
     }
 
@@ -259,6 +270,13 @@ impl Renderer {
         // The callbacks of mappings run within polls.
         let pending =
             |flight: &[FlyingFrame]| flight.iter().any(|frame| frame.landing.is_pending());
+        if waited.is_err() {
+            // A device that is gone says so once its queue is empty.
+            let _ = self.gpu.device.poll(wgpu::PollType::Wait {
+                submission_index: None,
+                timeout: Some(Duration::from_secs(10)),
+            });
+        }
         let mut tries = 0;
         while waited.is_ok() && pending(&flight.frames) && tries < 1000 {
             if self.gpu.device.poll(wgpu::PollType::Poll).is_err() {
@@ -281,8 +299,16 @@ impl Renderer {
                 (image(&frame.job, &bytes[..split]), stats)
             });
             let Some((image, stats)) = read else {
-                landed.lost = true;
-                landed.again.push(frame.job);
+                match &fault {
+                    // Refused, not lost: drawing it again would end the same way.
+                    Some(text) if !self.gpu.is_lost() => {
+                        landed.failed.push((frame.job, EngineError::Internal(text.clone())));
+                    }
+                    _ => {
+                        landed.lost = true;
+                        landed.again.push(frame.job);
+                    }
+                }
                 continue;
             };
             self.ring.give_back(frame.landing);

@@ -90,7 +90,10 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
 fn pose(loaded: &Loaded, request: &FrameRequest) -> Result<(View, CameraReceipt), EngineError> {
     let (width, height) = (request.width, request.height);
     let camera = match &request.pose {
-        Pose::View(view) => return Ok((*view, receipt_of_view(view))),
+        Pose::View(view) => {
+            check_view(view, request)?;
+            return Ok((*view, receipt_of_view(view)));
+        }
         Pose::Camera(camera) => *camera,
         &Pose::Upright { eye, target, fov_deg } => Camera { eye, target, up: loaded.up(), fov_deg },
         Pose::Fit => loaded.fit(f64::from(width) / f64::from(height)),
@@ -113,6 +116,29 @@ fn pose(loaded: &Loaded, request: &FrameRequest) -> Result<(View, CameraReceipt)
     };
     let view = camera.view(width, height).map_err(bad_camera)?;
     Ok((view, receipt_of_camera(&camera, width, height)))
+}
+
+/// A view made elsewhere: it must be for this size, and of numbers that can be drawn with.
+fn check_view(view: &View, request: &FrameRequest) -> Result<(), EngineError> {
+    let bad = |reason: String, accepted: &str| EngineError::BadParameter {
+        parameter: "view",
+        reason,
+        accepted: accepted.to_owned(),
+    };
+    if (view.width, view.height) != (request.width, request.height) {
+        return Err(bad(
+            format!("was made for {} × {} pixels", view.width, view.height),
+            "a view of the frame's own size",
+        ));
+    }
+    let finite = view.eye.is_finite()
+        && view.view_from_world.is_finite()
+        && view.principal_px.is_finite()
+        && view.focal_px.is_finite();
+    if !finite || view.focal_px.min_element() <= 0.0 {
+        return Err(bad("has numbers that are not finite".to_owned(), "finite numbers"));
+    }
+    Ok(())
 }
 
 fn receipt_of_camera(camera: &Camera, width: u32, height: u32) -> CameraReceipt {

@@ -51,7 +51,8 @@ struct State {
     queue: Queue<Arc<Job>>,
     /// Every job that has not been answered, by its key.
     by_key: HashMap<String, Arc<Job>>,
-    removed: Vec<String>,
+    /// A scene was removed and the render thread has not looked yet.
+    removed: bool,
     stopping: bool,
     phase: Phase,
     /// Since when the render thread has been at one batch.
@@ -89,7 +90,7 @@ impl Shared {
             state: Mutex::new(State {
                 queue,
                 by_key: HashMap::new(),
-                removed: Vec::new(),
+                removed: false,
                 stopping: false,
                 phase: Phase::Starting,
                 busy_since: None,
@@ -163,10 +164,11 @@ impl Shared {
     /// The next jobs to draw. Waits up to `patience` for some when `may_wait`.
     pub fn next_batch(&self, may_wait: bool, patience: Duration) -> Batch {
         let mut state = self.state.lock();
-        if may_wait && state.queue.is_empty() && !state.stopping && state.removed.is_empty() {
+        if may_wait && state.queue.is_empty() && !state.stopping && !state.removed {
             state.busy_since = None;
             self.wake.wait_for(&mut state, patience);
         }
+        state.removed = false;
         let Taken { batch, expired, abandoned } =
             state.queue.take(self.config.max_batch, Instant::now());
         for job in expired.iter().chain(&abandoned) {
@@ -211,14 +213,25 @@ impl Shared {
         !self.state.lock().by_key.is_empty()
     }
 
-    /// Has the render thread free a scene.
-    pub fn remove_from_gpu(&self, id: &str) {
-        self.state.lock().removed.push(id.to_owned());
+    /// Has the render thread free the scenes that the library no longer holds.
+    pub fn wake_for_removal(&self) {
+        self.state.lock().removed = true;
         self.wake.notify_one();
     }
 
-    pub fn take_removed(&self) -> Vec<String> {
-        std::mem::take(&mut self.state.lock().removed)
+    /// Fails whatever is unanswered and takes nothing more: the render thread is gone.
+    pub fn abandon(&self) {
+        let jobs: Vec<Arc<Job>> = {
+            let mut state = self.state.lock();
+            state.stopping = true;
+            state.phase = Phase::Lost;
+            state.queue.drain();
+            state.by_key.drain().map(|(_, job)| job).collect()
+        };
+        self.stats.failed.fetch_add(jobs.len() as u64, Ordering::Relaxed);
+        for job in jobs {
+            job.answer(Err(EngineError::Internal("the render thread ended".to_owned())));
+        }
     }
 
     pub fn lose_device(&self) {
@@ -263,19 +276,16 @@ impl Shared {
         self.adapter.read().clone()
     }
 
-    /// Publishes which scenes are on the GPU.
-    pub fn set_resident(&self, is_resident: impl Fn(&str) -> bool) {
-        let now: HashSet<String> = self
-            .library
-            .read()
-            .all()
-            .iter()
-            .map(|scene| scene.model.id.clone())
-            .filter(|id| is_resident(id))
-            .collect();
+    /// Publishes which scenes are on the GPU, and returns those of them that have been removed from the library.
+    pub fn set_resident<'a>(&self, ids: impl Iterator<Item = &'a str>) -> Vec<String> {
+        let (now, removed): (HashSet<String>, HashSet<String>) = {
+            let library = self.library.read();
+            ids.map(str::to_owned).partition(|id| library.holds(id))
+        };
         if *self.resident.read() != now {
             *self.resident.write() = now;
         }
+        removed.into_iter().collect()
     }
 
     pub fn is_resident(&self, id: &str) -> bool {

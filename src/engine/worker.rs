@@ -7,6 +7,7 @@
 //! ```
 
 use std::collections::VecDeque;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -28,7 +29,11 @@ const IDLE: Duration = Duration::from_millis(250);
 
 /// Opens the device and runs until told to stop. `opened` hears once whether that worked.
 pub fn run(shared: &Arc<Shared>, opened: impl FnOnce(Result<(), GpuError>)) {
-    let options = GpuOptions { force_32_bit: shared.config.force_32_bit, adapter: None };
+    let options = GpuOptions {
+        force_32_bit: shared.config.force_32_bit,
+        adapter: None,
+        max_binding_bytes: shared.config.max_binding_bytes,
+    };
     let mut renderer = match open(shared, &options) {
         Ok(renderer) => renderer,
         Err(error) => return opened(Err(error)),
@@ -39,7 +44,13 @@ pub fn run(shared: &Arc<Shared>, opened: impl FnOnce(Result<(), GpuError>)) {
             let (shared, receiver) = (shared.clone(), receiver.clone());
             std::thread::Builder::new().name(format!("encode-{number}")).spawn(move || {
                 for drawn in receiver.iter() {
-                    finish(&shared, drawn);
+                    let job = drawn.job.clone();
+                    // Whoever waits must hear, also of a defect in an encoder.
+                    let finished = catch_unwind(AssertUnwindSafe(|| finish(&shared, drawn)));
+                    if finished.is_err() {
+                        let failed = EngineError::Internal("the encoder failed".to_owned());
+                        shared.answer(&job, Err(failed));
+                    }
                 }
             })
         })
@@ -108,9 +119,6 @@ fn reopen(shared: &Shared, options: &GpuOptions) -> Option<Renderer> {
 fn serve(shared: &Arc<Shared>, renderer: &mut Renderer, encoders: &flume::Sender<Drawn>) -> Stop {
     let mut flights: VecDeque<InFlight> = VecDeque::new();
     loop {
-        for id in shared.take_removed() {
-            renderer.remove(&id);
-        }
         if shared.take_lose_request() {
             renderer.gpu.device.destroy();
         }
@@ -135,10 +143,15 @@ fn serve(shared: &Arc<Shared>, renderer: &mut Renderer, encoders: &flume::Sender
             || (!flights.is_empty() && shared.is_queue_empty())
         {
             let Some(flight) = flights.pop_front() else { break };
-            if land(shared, renderer, flight, encoders) {
-                let rest: Vec<Arc<Job>> =
-                    flights.drain(..).flat_map(|flight| renderer.land(flight).again).collect();
-                retry(shared, rest);
+            let (mut again, lost) = land(shared, renderer, flight, encoders);
+            if lost {
+                // What flies behind it may still have arrived.
+                for flight in flights.drain(..) {
+                    again.extend(land(shared, renderer, flight, encoders).0);
+                }
+            }
+            retry(shared, again);
+            if lost {
                 return Stop::Lost;
             }
         }
@@ -161,11 +174,7 @@ fn make_resident(shared: &Shared, renderer: &mut Renderer, batch: Vec<Arc<Job>>)
     let mut later = Vec::new();
     for job in batch {
         let model = &job.resolved.model;
-        let there = renderer
-            .residency
-            .scene(&model.id)
-            .is_some_and(|scene| scene.revision == model.revision);
-        if !there && !ready.is_empty() {
+        if !ready.is_empty() && !renderer.residency.is_current(model) {
             later.push(job);
             continue;
         }
@@ -178,13 +187,13 @@ fn make_resident(shared: &Shared, renderer: &mut Renderer, batch: Vec<Arc<Job>>)
     ready
 }
 
-/// Lands one submission; true when the device was lost.
+/// Lands one submission: the jobs to draw again, and whether the device was lost.
 fn land(
     shared: &Shared,
     renderer: &mut Renderer,
     flight: InFlight,
     encoders: &flume::Sender<Drawn>,
-) -> bool {
+) -> (Vec<Arc<Job>>, bool) {
     let began = flight.began;
     let landed = renderer.land(flight);
     let frames = landed.drawn.len() as u32;
@@ -200,8 +209,7 @@ fn land(
     for (job, error) in landed.failed {
         shared.answer(&job, Err(error));
     }
-    retry(shared, landed.again);
-    landed.lost
+    (landed.again, landed.lost)
 }
 
 fn retry(shared: &Shared, jobs: Vec<Arc<Job>>) {
@@ -212,12 +220,15 @@ fn retry(shared: &Shared, jobs: Vec<Arc<Job>>) {
     shared.put_back(again);
 }
 
-fn publish(shared: &Shared, renderer: &Renderer) {
+/// Tells the others what is on the GPU, after freeing what was removed.
+fn publish(shared: &Shared, renderer: &mut Renderer) {
+    for id in shared.set_resident(renderer.residency.ids()) {
+        renderer.remove(&id);
+    }
     let stats = &shared.stats;
     stats.gpu_bytes_resident.store(renderer.residency.used(), Ordering::Relaxed);
     stats.evictions.store(renderer.residency.evictions(), Ordering::Relaxed);
     stats.uploads.store(renderer.residency.uploads(), Ordering::Relaxed);
-    shared.set_resident(|id| renderer.residency.is_resident(id));
 }
 
 /// Encodes a frame, writes its receipt and answers whoever waits.

@@ -148,6 +148,14 @@ impl Ranges {
         self.capacity == 0 || self.free.get(&0) == Some(&self.capacity)
     }
 
+    /// Length of the free run at the very end, which growth makes longer.
+    pub fn tail(&self) -> u32 {
+        self.free
+            .last_key_value()
+            .filter(|(start, size)| **start + **size == self.capacity)
+            .map_or(0, |(_, size)| *size)
+    }
+
     /// The longest free run.
     pub fn largest(&self) -> u32 {
         self.free.values().copied().max().unwrap_or(0)
@@ -170,6 +178,7 @@ mod tests {
                     ranges.release(start, size);
                 } else if let Some(start) = ranges.allocate(length) {
                     prop_assert!(start + length <= 256);
+                    prop_assert!(ranges.tail() <= ranges.largest());
                     for &(other, size) in &held {
                         prop_assert!(start + length <= other || other + size <= start);
                     }
@@ -181,6 +190,7 @@ mod tests {
             }
             prop_assert!(ranges.is_empty());
             prop_assert_eq!(ranges.largest(), 256);
+            prop_assert_eq!(ranges.tail(), 256);
         }
     }
 }

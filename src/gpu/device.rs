@@ -10,6 +10,8 @@ pub struct GpuOptions {
     pub force_32_bit: bool,
     /// A part of the adapter's name, in any case; also read from `POINTILLIST_ADAPTER`.
     pub adapter: Option<String>,
+    /// Bind no more bytes than this at once, even where the adapter could.
+    pub max_binding_bytes: Option<u64>,
 }
 
 #[derive(Debug, Clone, thiserror::Error)]
@@ -86,7 +88,11 @@ impl Gpu {
         let name = describe(&info);
         let unfit = |reason: String| GpuError::Unfit { adapter: name.clone(), reason };
         let offered = adapter.features();
-        let limits = adapter.limits();
+        let mut limits = adapter.limits();
+        if let Some(bytes) = options.max_binding_bytes {
+            limits.max_storage_buffer_binding_size =
+                limits.max_storage_buffer_binding_size.min(bytes);
+        }
         if limits.max_storage_buffers_per_shader_stage < 16 {
             return Err(unfit(format!(
                 "{} storage buffers a shader stage, 16 are needed",

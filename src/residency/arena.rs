@@ -42,8 +42,8 @@ impl Arena {
         if largest >= wanted {
             return wanted;
         }
-        // Growth adds to the last free run at least; a fresh run of the whole growth is always there.
-        (self.max_capacity - self.capacity).max(largest).min(wanted)
+        // Growth adds to what is free at the end.
+        (self.max_capacity - self.capacity + self.ranges.tail()).max(largest).min(wanted)
     }
 
     /// A run of `length` elements, growing if need be; `None` where even a full-grown arena has no such run.
@@ -51,10 +51,11 @@ impl Arena {
         if let Some(start) = self.ranges.allocate(length) {
             return Some(start);
         }
-        if self.max_capacity - self.capacity < length {
+        let missing = length - self.ranges.tail().min(length);
+        if self.max_capacity - self.capacity < missing {
             return None;
         }
-        let growth = length.max(self.capacity / 2).min(self.max_capacity - self.capacity);
+        let growth = missing.max(self.capacity / 2).min(self.max_capacity - self.capacity);
         let grown = self.capacity + growth;
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
         let streams: Vec<Buffer> = self
@@ -96,12 +97,10 @@ impl Arena {
         &self.streams[stream]
     }
 
-    pub fn is_empty(&self) -> bool {
-        self.ranges.is_empty()
-    }
-
-    /// Bytes that the streams occupy, free ranges included.
-    pub fn bytes(&self) -> u64 {
-        self.streams.iter().map(Buffer::size).sum()
+    /// Begins anew, and small, where nothing is held: buffers only grow otherwise.
+    pub fn trim(&mut self, gpu: &Gpu) {
+        if self.ranges.is_empty() && self.capacity > INITIAL {
+            *self = Arena::new(gpu, self.label, &self.strides);
+        }
     }
 }

@@ -15,7 +15,7 @@ pub mod layout;
 pub mod model;
 mod upload;
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use self::arena::Arena;
@@ -95,7 +95,10 @@ pub struct Looks {
 
 /// What the passes bind for one scene.
 pub struct ResidentScene {
-    pub revision: u64,
+    /// [`SceneModel::uid`].
+    model_uid: u64,
+    /// [`SceneModel::list_bytes`].
+    bytes: u64,
     pub instances: Buffer,
     pub entries: Buffer,
     pub segments: Buffer,
@@ -138,7 +141,7 @@ pub struct Residency {
 pub const TEXEL_PAGES: usize = 2;
 
 impl Residency {
-    /// Empty; at most `budget` bytes of assets stay at a time.
+    /// Empty; at most `budget` bytes of scenes stay at a time.
     pub fn new(gpu: &Gpu, budget: u64) -> Self {
         let mut materials = Arena::new(gpu, "materials", &[size_of::<GpuMaterial>() as u64]);
         // Number 0: what has no material of its own.
@@ -165,7 +168,7 @@ impl Residency {
         self.budget
     }
 
-    /// Bytes of resident assets.
+    /// Bytes of resident assets and of the lists of resident scenes.
     pub fn used(&self) -> u64 {
         self.used
     }
@@ -178,8 +181,9 @@ impl Residency {
         self.uploads
     }
 
-    pub fn is_resident(&self, id: &str) -> bool {
-        self.scenes.contains_key(id)
+    /// Identifiers of the resident scenes, in no order.
+    pub fn ids(&self) -> impl Iterator<Item = &str> {
+        self.scenes.keys().map(String::as_str)
     }
 
     /// Positions (stream 0) and attributes (stream 1) of a page of samples.
@@ -212,32 +216,67 @@ impl Residency {
         self.scenes.get(id)
     }
 
-    /// Makes `model` resident at its revision, evicting others if need be. Uploads nothing when it is there already.
+    /// Whether exactly this model, at this revision, is resident.
+    pub fn is_current(&self, model: &SceneModel) -> bool {
+        self.scenes.get(&model.id).is_some_and(|scene| scene.model_uid == model.uid)
+    }
+
+    /// Makes `model` resident, evicting others if need be. Uploads nothing when it is there already. True when buffers of
+    /// other scenes or of an earlier revision may have been given up for it.
     ///
     /// # Errors
-    /// [`ResidencyError`]; what was resident before stays.
-    pub fn ensure(&mut self, gpu: &Gpu, model: &Arc<SceneModel>) -> Result<(), ResidencyError> {
+    /// [`ResidencyError`]; nothing of `model` stays then, and the other scenes that are resident can be drawn.
+    pub fn ensure(&mut self, gpu: &Gpu, model: &Arc<SceneModel>) -> Result<bool, ResidencyError> {
         self.clock += 1;
-        let current =
-            self.scenes.get(&model.id).is_some_and(|scene| scene.revision == model.revision);
-        if !current {
+        let missing = !self.is_current(model);
+        if missing {
             self.check(gpu, model)?;
             self.forget_scene(&model.id);
-            for asset in &model.assets {
-                if !self.assets.contains_key(&asset.uid) {
-                    self.make_room(model, asset.gpu_bytes());
-                    self.upload_asset(gpu, asset)?;
+            if let Err(error) = self.bring(gpu, model) {
+                self.drop_unused_assets();
+                return Err(error);
+            }
+        }
+        for asset in &model.assets {
+            self.touch(asset.uid);
+        }
+        Ok(missing)
+    }
+
+    /// Uploads what is missing and lists the instances.
+    fn bring(&mut self, gpu: &Gpu, model: &Arc<SceneModel>) -> Result<(), ResidencyError> {
+        let mut afresh = false;
+        let mut next = 0;
+        while let Some(asset) = model.assets.get(next) {
+            if self.assets.contains_key(&asset.uid) {
+                next += 1;
+                continue;
+            }
+            self.make_room(model, asset.gpu_bytes());
+            if let Err(error) = self.upload_asset(gpu, asset) {
+                // A table or a page of texels is full: others may hold it, or free room lies in pieces.
+                if !self.evict_one(model) {
+                    if afresh {
+                        return Err(error);
+                    }
+                    afresh = true;
+                    next = 0;
+                    for asset in &model.assets {
+                        self.evict(asset.uid);
+                    }
                 }
-                self.touch(asset.uid);
-            }
-            let scene = self.build_scene(gpu, model)?;
-            self.scenes.insert(model.id.clone(), scene);
-        }
-        if let Some(scene) = self.scenes.get(&model.id) {
-            for uid in scene.asset_uids.clone() {
-                self.touch(uid);
             }
         }
+        self.make_room(model, model.list_bytes());
+        let scene = loop {
+            match self.build_scene(gpu, model) {
+                Ok(scene) => break scene,
+                Err(error) if !self.evict_one(model) => return Err(error),
+                Err(_) => {}
+            }
+        };
+        self.used += scene.bytes;
+        self.scenes.insert(model.id.clone(), scene);
         Ok(())
     }
 
@@ -256,9 +295,17 @@ impl Residency {
     }
 
     /// Frees a scene and the assets that no other resident scene draws.
-    pub fn remove(&mut self, id: &str) {
+    pub fn remove(&mut self, gpu: &Gpu, id: &str) {
         self.forget_scene(id);
-        let kept: Vec<u64> =
+        self.drop_unused_assets();
+        let meshes = self.meshes.iter_mut().flat_map(|(vertices, triangles)| [vertices, triangles]);
+        for arena in self.samples.iter_mut().chain(meshes).chain(&mut self.texels) {
+            arena.trim(gpu);
+        }
+    }
+
+    fn drop_unused_assets(&mut self) {
+        let kept: HashSet<u64> =
             self.scenes.values().flat_map(|scene| scene.asset_uids.iter().copied()).collect();
         let dropped: Vec<u64> =
             self.assets.keys().copied().filter(|uid| !kept.contains(uid)).collect();
@@ -269,32 +316,44 @@ impl Residency {
 
     fn forget_scene(&mut self, id: &str) {
         if let Some(scene) = self.scenes.remove(id) {
+            self.used -= scene.bytes;
             self.materials.release(scene.material_start, scene.material_length);
         }
     }
 
     /// Evicts the assets used the longest ago, never those of `model`, until `bytes` more fit the budget.
     fn make_room(&mut self, model: &SceneModel, bytes: u64) {
-        while self.used + bytes > self.budget {
-            let victim = self
-                .assets
-                .iter()
-                .filter(|(uid, _)| model.assets.iter().all(|asset| asset.uid != **uid))
-                .min_by_key(|(uid, asset)| (asset.last_used, **uid))
-                .map(|(uid, _)| *uid);
-            let Some(victim) = victim else { return };
-            self.free_asset(victim);
-            self.evictions += 1;
-            let broken: Vec<String> = self
-                .scenes
-                .iter()
-                .filter(|(_, scene)| scene.asset_uids.contains(&victim))
-                .map(|(id, _)| id.clone())
-                .collect();
-            for id in broken {
-                self.forget_scene(&id);
-            }
+        while self.used + bytes > self.budget && self.evict_one(model) {}
+    }
+
+    /// Evicts the asset used the longest ago that `model` does not draw; false when there is none.
+    fn evict_one(&mut self, model: &SceneModel) -> bool {
+        let victim = self
+            .assets
+            .iter()
+            .filter(|(uid, _)| model.assets.iter().all(|asset| asset.uid != **uid))
+            .min_by_key(|(uid, asset)| (asset.last_used, **uid))
+            .map(|(uid, _)| *uid);
+        victim.is_some_and(|victim| self.evict(victim))
+    }
+
+    /// Frees an asset with the lists of the scenes that draw it; false when it is not resident.
+    fn evict(&mut self, uid: u64) -> bool {
+        if !self.assets.contains_key(&uid) {
+            return false;
         }
+        self.free_asset(uid);
+        self.evictions += 1;
+        let broken: Vec<String> = self
+            .scenes
+            .iter()
+            .filter(|(_, scene)| scene.asset_uids.contains(&uid))
+            .map(|(id, _)| id.clone())
+            .collect();
+        for id in broken {
+            self.forget_scene(&id);
+        }
+        true
     }
 }
 
@@ -314,11 +373,28 @@ pub fn check_fits(max_binding: u64, budget: u64, model: &SceneModel) -> Result<(
     let counts = model.counts();
     let slots = counts.chunks * size_of::<layout::GpuSlot>() as u64;
     let instances = counts.instances * size_of::<layout::GpuInstance>() as u64;
-    for (what, needed) in [("visible chunks of all instances", slots), ("instances", instances)] {
+    let chunks = distinct_assets(model)
+        .flat_map(|asset| &asset.packed.geometries)
+        .map(|geometry| geometry.chunks().len() as u64 * size_of::<GpuChunk>() as u64)
+        .sum();
+    let materials =
+        distinct_assets(model).map(|asset| asset.packed.materials.len() as u64).sum::<u64>()
+            + model.materials.len() as u64
+            + 1;
+    let textures: u64 =
+        distinct_assets(model).map(|asset| asset.packed.textures.len() as u64).sum();
+    for (what, needed) in [
+        ("materials", materials * size_of::<GpuMaterial>() as u64),
+        ("textures", textures * size_of::<GpuTexture>() as u64),
+        ("visible chunks of all instances", slots),
+        ("instances", instances),
+        ("chunks of all assets", chunks),
+    ] {
         if needed > max_binding {
             return Err(ResidencyError::OverBinding { what, needed, limit: max_binding });
         }
     }
+    check_textures(max_binding, model)?;
     if counts.chunks >= 1 << 22 {
         return Err(ResidencyError::OverBinding {
             what: "chunks of all instances",
@@ -327,6 +403,36 @@ pub fn check_fits(max_binding: u64, budget: u64, model: &SceneModel) -> Result<(
         });
     }
     Ok(())
+}
+
+/// Whether the textures of a scene alone fit the pages of texels: first fit, as they are uploaded.
+fn check_textures(max_binding: u64, model: &SceneModel) -> Result<(), ResidencyError> {
+    let mut free_bytes: Vec<u64> = Vec::new();
+    for texture in distinct_assets(model).flat_map(|asset| &asset.packed.textures) {
+        let needed = texture.texels.len() as u64 * 4;
+        if needed > max_binding {
+            let what = "a texture with its smaller levels";
+            return Err(ResidencyError::OverBinding { what, needed, limit: max_binding });
+        }
+        match free_bytes.iter_mut().find(|free| **free >= needed) {
+            Some(free) => *free -= needed,
+            None => free_bytes.push(max_binding - needed),
+        }
+    }
+    if free_bytes.len() > TEXEL_PAGES {
+        return Err(ResidencyError::OverBudget {
+            what: format!("pages for the textures of scene `{}`", model.id),
+            needed: free_bytes.len() as u64 * max_binding,
+            budget: TEXEL_PAGES as u64 * max_binding,
+        });
+    }
+    Ok(())
+}
+
+/// The assets of a model, one that it names twice only once.
+fn distinct_assets(model: &SceneModel) -> impl Iterator<Item = &Arc<model::AssetModel>> {
+    let mut seen = HashSet::new();
+    model.assets.iter().filter(move |asset| seen.insert(asset.uid))
 }
 
 /// Entries grouped by page and padded to [`GROUP`]: the lists that the cull pass walks.

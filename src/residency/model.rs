@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DMat3, DVec3};
 
-use super::layout::{GpuInstance, two_floats};
+use super::layout::{GpuEntry, GpuInstance, two_floats};
 use crate::bake::pack::{Grid, PackedAsset, PackedGeometry};
 use crate::bake::prepare::AssetTraits;
 use crate::math::{Bounds, Camera};
@@ -19,6 +19,8 @@ pub struct AssetModel {
     pub name: String,
     pub format: &'static str,
     pub packed: PackedAsset,
+    /// Box of each geometry as the file has it; chunks lie on a grid and may reach a little farther.
+    pub bounds: Vec<Bounds>,
     pub has_colors: bool,
     pub has_normals: bool,
     pub normals_estimated: bool,
@@ -39,6 +41,8 @@ pub struct ModelInstance {
 /// Everything that drawing a scene needs.
 #[derive(Clone, Debug)]
 pub struct SceneModel {
+    /// Differs for every scene and every revision of it in this process.
+    pub uid: u64,
     pub id: String,
     pub name: String,
     pub revision: u64,
@@ -71,6 +75,7 @@ impl AssetModel {
             has_normals: self.has_normals,
             normals_estimated: self.normals_estimated,
             has_triangles: self.packed.geometries.iter().any(is_mesh),
+            bounds: self.bounds.iter().fold(Bounds::EMPTY, |all, bounds| all.union(*bounds)),
         }
     }
 
@@ -120,14 +125,7 @@ impl SceneModel {
     /// World-space box around every instance.
     pub fn bounds(&self) -> Bounds {
         self.instances.iter().fold(Bounds::EMPTY, |all, instance| {
-            let geometry = self.geometry(instance);
-            let grid = geometry.grid();
-            let local = geometry.chunks().iter().fold(Bounds::EMPTY, |b, chunk| {
-                b.union(Bounds {
-                    min: grid.position(chunk.origin),
-                    max: grid.position(chunk.origin + chunk.extent),
-                })
-            });
+            let local = &self.assets[instance.asset].bounds[instance.geometry];
             all.union(local.transformed(&instance.world_from_geometry))
         })
     }
@@ -141,8 +139,14 @@ impl SceneModel {
             .filter(|asset| seen.insert(asset.uid))
             .map(|asset| asset.gpu_bytes())
             .sum();
+        assets + self.list_bytes()
+    }
+
+    /// Bytes of its own lists of instances and chunks, assets left aside.
+    pub fn list_bytes(&self) -> u64 {
         let counts = self.counts();
-        assets + counts.instances * size_of::<GpuInstance>() as u64 + counts.chunks * 8
+        counts.instances * size_of::<GpuInstance>() as u64
+            + counts.chunks * size_of::<GpuEntry>() as u64
     }
 }
 

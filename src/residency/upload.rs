@@ -150,40 +150,62 @@ fn fitting_run(chunks: &[PackedChunk], from: usize, elements: u32, vertices: u32
 }
 
 impl Residency {
+    /// Uploads an asset that is not resident.
     pub(super) fn upload_asset(
         &mut self,
         gpu: &Gpu,
         asset: &Arc<AssetModel>,
     ) -> Result<(), ResidencyError> {
-        let over = |needed| ResidencyError::OverBudget {
-            what: format!("asset `{}`", asset.name),
-            needed,
-            budget: self.budget,
+        let mut resident = ResidentAsset {
+            geometries: Vec::new(),
+            material_start: 0,
+            material_length: 0,
+            texture_start: 0,
+            texture_length: 0,
+            texels: Vec::new(),
+            bytes: asset.gpu_bytes(),
+            last_used: self.clock,
         };
+        if let Err(error) = self.fill_asset(gpu, asset, &mut resident) {
+            self.release(&resident);
+            return Err(error);
+        }
+        self.used += resident.bytes;
+        self.uploads += 1;
+        self.assets.insert(asset.uid, resident);
+        Ok(())
+    }
+
+    /// Everything that is allocated is noted in `resident` at once, also where a later step fails.
+    fn fill_asset(
+        &mut self,
+        gpu: &Gpu,
+        asset: &AssetModel,
+        resident: &mut ResidentAsset,
+    ) -> Result<(), ResidencyError> {
         let packed = &asset.packed;
-        let mut texels: Vec<(usize, u32, u32)> = Vec::new();
-        let texture_length = packed.textures.len() as u32;
-        let texture_start = self
+        let full = |what, count: usize, bytes: usize| ResidencyError::OverBinding {
+            what,
+            needed: count as u64 * bytes as u64,
+            limit: gpu.max_binding_bytes(),
+        };
+        let count = packed.textures.len();
+        resident.texture_start = self
             .textures
-            .allocate(gpu, texture_length)
-            .ok_or_else(|| over(u64::from(texture_length) * 32))?;
+            .allocate(gpu, count as u32)
+            .ok_or_else(|| full("textures", count, size_of::<GpuTexture>()))?;
+        resident.texture_length = count as u32;
         for (index, texture) in packed.textures.iter().enumerate() {
             let length = texture.texels.len() as u32;
-            let found = (0..TEXEL_PAGES)
-                .find_map(|page| Some((page, self.texels[page].allocate(gpu, length)?)));
-            let Some((page, first)) = found else {
-                for &(page, start, length) in &texels {
-                    self.texels[page].release(start, length);
-                }
-                self.textures.release(texture_start, texture_length);
-                return Err(ResidencyError::OverBudget {
-                    what: format!("textures of asset `{}`", asset.name),
+            let (page, first) = (0..TEXEL_PAGES)
+                .find_map(|page| Some((page, self.texels[page].allocate(gpu, length)?)))
+                .ok_or_else(|| ResidencyError::OverBudget {
+                    what: format!("the textures of asset `{}`", asset.name),
                     needed: packed.textures.iter().map(|t| t.texels.len() as u64 * 4).sum(),
                     budget: TEXEL_PAGES as u64 * gpu.max_binding_bytes(),
-                });
-            };
+                })?;
             self.texels[page].write(gpu, 0, first, &texture.texels);
-            texels.push((page, first, length));
+            resident.texels.push((page, first, length));
             let record = GpuTexture {
                 first,
                 page: page as u32,
@@ -194,32 +216,24 @@ impl Residency {
                 nearest: u32::from(texture.nearest),
                 unused: 0,
             };
-            self.textures.write(gpu, 0, texture_start + index as u32, &[record]);
+            self.textures.write(gpu, 0, resident.texture_start + index as u32, &[record]);
         }
-        let material_length = packed.materials.len() as u32;
-        let material_start = self
+        let count = packed.materials.len();
+        resident.material_start = self
             .materials
-            .allocate(gpu, material_length)
-            .ok_or_else(|| over(u64::from(material_length) * 48))?;
-        let records: Vec<GpuMaterial> =
-            packed.materials.iter().map(|material| gpu_material(material, texture_start)).collect();
-        self.materials.write(gpu, 0, material_start, &records);
-        let mut resident = ResidentAsset {
-            geometries: Vec::new(),
-            material_start,
-            material_length,
-            texture_start,
-            texture_length,
-            texels,
-            bytes: asset.gpu_bytes(),
-            last_used: self.clock,
-        };
+            .allocate(gpu, count as u32)
+            .ok_or_else(|| full("materials", count, size_of::<GpuMaterial>()))?;
+        resident.material_length = count as u32;
+        let records: Vec<GpuMaterial> = packed
+            .materials
+            .iter()
+            .map(|material| gpu_material(material, resident.texture_start))
+            .collect();
+        self.materials.write(gpu, 0, resident.material_start, &records);
         for geometry in &packed.geometries {
-            resident.geometries.push(self.upload_geometry(gpu, geometry, material_start)?);
+            let uploaded = self.upload_geometry(gpu, geometry, resident.material_start)?;
+            resident.geometries.push(uploaded);
         }
-        self.used += resident.bytes;
-        self.uploads += 1;
-        self.assets.insert(asset.uid, resident);
         Ok(())
     }
 
@@ -266,12 +280,14 @@ impl Residency {
         let wanted = samples.positions.len() as u32 - first;
         let mut index = 0;
         loop {
-            if index == self.samples.len() {
+            let fresh = index == self.samples.len();
+            if fresh {
                 self.samples.push(sample_page(gpu));
             }
             let room = self.samples[index].room(wanted);
             let end = fitting_run(&samples.chunks, from, room, u32::MAX);
-            let worth = end == samples.chunks.len() || end >= from + 64;
+            // A few chunks here and there would make many segments, each with its own dispatch.
+            let worth = end == samples.chunks.len() || end >= from + 64 || fresh;
             if worth {
                 let last = &samples.chunks[end - 1];
                 let length = last.first + last.count - first;
@@ -301,7 +317,8 @@ impl Residency {
         let wanted_vertices = mesh.vertices.len() as u32 - origin.vertex_first;
         let mut index = 0;
         loop {
-            if index == self.meshes.len() {
+            let fresh = index == self.meshes.len();
+            if fresh {
                 self.meshes.push(mesh_page(gpu));
             }
             let (vertices, triangles) = &mut self.meshes[index];
@@ -311,7 +328,7 @@ impl Residency {
                 triangles.room(wanted),
                 vertices.room(wanted_vertices),
             );
-            let worth = end == mesh.chunks.len() || end >= from + 64;
+            let worth = end == mesh.chunks.len() || end >= from + 64 || fresh;
             if worth {
                 let last = &mesh.chunks[end - 1];
                 let length = last.first + last.count - origin.first;
@@ -347,6 +364,10 @@ impl Residency {
     pub(super) fn free_asset(&mut self, uid: u64) {
         let Some(asset) = self.assets.remove(&uid) else { return };
         self.used -= asset.bytes;
+        self.release(&asset);
+    }
+
+    fn release(&mut self, asset: &ResidentAsset) {
         for geometry in &asset.geometries {
             self.chunks.release(geometry.chunk_start, geometry.chunk_length);
             for piece in &geometry.pieces {
@@ -362,7 +383,7 @@ impl Residency {
                 }
             }
         }
-        for (page, start, length) in asset.texels {
+        for &(page, start, length) in &asset.texels {
             self.texels[page].release(start, length);
         }
         self.textures.release(asset.texture_start, asset.texture_length);
@@ -376,6 +397,7 @@ impl Residency {
         model: &SceneModel,
     ) -> Result<ResidentScene, ResidencyError> {
         let overrides: Vec<GpuMaterial> = model.materials.iter().map(gpu_override).collect();
+        // Only here can it fail, before anything is allocated.
         let material_length = overrides.len() as u32;
         let material_start =
             self.materials.allocate(gpu, material_length).ok_or(ResidencyError::OverBinding {
@@ -420,7 +442,8 @@ impl Residency {
         );
         gpu.queue.write_buffer(sizes_buffer.raw(), 0, bytemuck::cast_slice(&sizes));
         Ok(ResidentScene {
-            revision: model.revision,
+            model_uid: model.uid,
+            bytes: model.list_bytes(),
             instances: Buffer::with_data(gpu, "instances", &instances),
             entries: Buffer::with_data(gpu, "entries", &entries),
             segments: Buffer::with_data(gpu, "segments", &segments),

@@ -20,7 +20,10 @@ pub(super) const DEFAULT_BACKGROUND: &str = "#202428";
 /// # Errors
 /// See [`SceneError`]; `Invalid` names the place in the file.
 pub fn load(path: &Path, root: &Path, limits: &SceneLimits) -> Result<Scene, SceneError> {
-    let file = path.display().to_string();
+    // Only the name: where the root lies is nobody's business but the operator's.
+    let file = path
+        .file_name()
+        .map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned());
     let io = |source| SceneError::Io { file: file.clone(), source };
     let canonical = path.canonicalize().map_err(io)?;
     if !canonical.starts_with(root.canonicalize().map_err(io)?) {
@@ -75,7 +78,7 @@ pub fn parse(
     let wire = deserialize(text).map_err(|(path, reason)| invalid(name, &path, reason))?;
     let root = root
         .canonicalize()
-        .map_err(|source| SceneError::Io { file: root.display().to_string(), source })?;
+        .map_err(|source| SceneError::Io { file: "the scene root".to_owned(), source })?;
     let resolve = |file: &str| resolve_file(file, base_dir, &root);
     validate::scene(wire, name, &resolve, limits).map_err(|reason| match reason {
         Reason::At(path, reason) => invalid(name, &path, reason),

@@ -1,0 +1,114 @@
+//! Equal requests, equal bytes.
+
+use pointillist::encode::ImageFormat;
+use pointillist::plan::Output;
+
+use super::studio::{OUTPUTS, Studio, front, orbit};
+
+/// Different sizes, scenes, poses, outputs and formats.
+fn mixed() -> Vec<pointillist::engine::FrameRequest> {
+    let mut requests = Vec::new();
+    for (number, output) in OUTPUTS.into_iter().cycle().take(12).enumerate() {
+        let scene = if number % 3 == 1 { "cloud" } else { "solid" };
+        let mut request = orbit(scene, number as u32, 40 + 17 * number as u32);
+        request.output = output;
+        request.height += 3 * number as u32;
+        if number % 5 == 4 {
+            request.format = ImageFormat::Png;
+        }
+        requests.push(request);
+    }
+    requests
+}
+
+#[test]
+fn the_same_request_twice_and_in_a_fresh_engine() {
+    let studio = Studio::new();
+    studio.load_two();
+    let requests = mixed();
+    let first: Vec<Vec<u8>> = requests.iter().map(|request| studio.bytes(request)).collect();
+    for (request, bytes) in requests.iter().zip(&first) {
+        assert_eq!(&studio.bytes(request), bytes, "{request:?}");
+    }
+    let fresh = Studio::new();
+    fresh.load_two();
+    for (request, bytes) in requests.iter().zip(&first) {
+        assert_eq!(&fresh.bytes(request), bytes, "{request:?}");
+        assert_eq!(fresh.engine.etag(request).unwrap(), studio.engine.etag(request).unwrap());
+    }
+}
+
+#[test]
+fn a_batch_changes_no_frame() {
+    for force_32_bit in [false, true] {
+        let studio = Studio::with(|config| config.force_32_bit = force_32_bit);
+        studio.load_two();
+        let requests = mixed();
+        let alone: Vec<Vec<u8>> = requests.iter().map(|request| studio.bytes(request)).collect();
+        let mut largest = 0;
+        // How many meet in a batch is a matter of timing, what they show is not.
+        for _ in 0..20 {
+            let busy = studio.keep_busy("solid");
+            let tickets: Vec<_> = requests.iter().map(|request| studio.submit(request)).collect();
+            for (ticket, (request, bytes)) in tickets.into_iter().zip(requests.iter().zip(&alone)) {
+                let frame = ticket.wait().unwrap();
+                largest = largest.max(frame.receipt.batch_size);
+                assert_eq!(frame.bytes, bytes, "{request:?}");
+            }
+            drop(busy);
+            if largest >= 6 {
+                break;
+            }
+        }
+        assert!(largest >= 6, "batches of {largest} at most");
+    }
+}
+
+#[test]
+fn identical_requests_are_drawn_once() {
+    const ASKED: u64 = 24;
+    let studio = Studio::new();
+    studio.load_two();
+    let mut request = front("solid", 300, 200);
+    request.format = ImageFormat::Png;
+    let expected = studio.bytes(&request);
+    let mut joined = 0;
+    for _ in 0..10 {
+        let before = studio.engine.stats();
+        let busy = studio.keep_busy("cloud");
+        let blockers = busy.len() as u64;
+        let tickets: Vec<_> = (0..ASKED).map(|_| studio.submit(&request)).collect();
+        let frames: Vec<_> = tickets.into_iter().map(|ticket| ticket.wait().unwrap()).collect();
+        for ticket in busy {
+            ticket.wait().unwrap();
+        }
+        assert!(frames.iter().all(|frame| frame.bytes == expected));
+        let after = studio.engine.stats();
+        joined = after.coalesced - before.coalesced;
+        assert_eq!(after.frames - before.frames, blockers + ASKED - joined);
+        let told = frames.iter().filter(|frame| frame.receipt.coalesced).count() as u64;
+        assert_eq!(told, joined, "receipts say who shared a frame");
+        if joined == ASKED - 1 {
+            break;
+        }
+    }
+    assert_eq!(joined, ASKED - 1);
+}
+
+#[test]
+fn frames_show_what_they_should() {
+    // The other tests compare frames with one another; here one is looked at.
+    let studio = Studio::new();
+    studio.load_two();
+    let mut request = front("solid", 64, 64);
+    request.output = Output::Id;
+    let ids: Vec<u32> = studio
+        .bytes(&request)
+        .chunks_exact(4)
+        .map(|word| u32::from_le_bytes(word.try_into().unwrap()))
+        .collect();
+    for id in 1..=7 {
+        assert!(ids.contains(&id), "instance {id} is in view");
+    }
+    assert!(ids.iter().all(|id| *id <= 7));
+}

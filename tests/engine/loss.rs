@@ -1,0 +1,66 @@
+//! A device that is lost comes back with its scenes.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use pointillist::engine::{EngineError, Readiness};
+
+use super::studio::{Studio, eventually, orbit};
+
+#[test]
+fn an_idle_engine_recovers() {
+    let studio = Studio::new();
+    studio.load_two();
+    let requests: Vec<_> =
+        (0..6).map(|number| orbit(["solid", "cloud"][number as usize % 2], number, 100)).collect();
+    let before: Vec<_> = requests.iter().map(|request| studio.bytes(request)).collect();
+    assert_eq!(studio.engine.readiness(), Readiness::Ready);
+    let seen = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while studio.engine.stats().device_losses == 0
+                || studio.engine.readiness() != Readiness::Ready
+            {
+                if studio.engine.readiness() == Readiness::DeviceLost {
+                    seen.store(true, Ordering::Relaxed);
+                }
+                std::thread::yield_now();
+            }
+        });
+        studio.engine.lose_device();
+    });
+    assert!(seen.load(Ordering::Relaxed), "readiness told of the loss");
+    assert_eq!(studio.engine.stats().device_losses, 1);
+    for (request, bytes) in requests.iter().zip(&before) {
+        assert_eq!(&studio.bytes(request), bytes);
+    }
+}
+
+#[test]
+fn frames_in_flight_are_drawn_again() {
+    let studio = Studio::new();
+    studio.load_two();
+    let requests: Vec<_> = (0..10)
+        .map(|number| orbit(["solid", "cloud"][number as usize % 2], number, 400 + 30 * number))
+        .collect();
+    let before: Vec<_> = requests.iter().map(|request| studio.bytes(request)).collect();
+    for round in 0..6u64 {
+        let tickets: Vec<_> = requests.iter().map(|request| studio.submit(request)).collect();
+        // At different moments of their way.
+        std::thread::sleep(std::time::Duration::from_millis(3 * round));
+        studio.engine.lose_device();
+        for (ticket, bytes) in tickets.into_iter().zip(&before) {
+            match ticket.wait() {
+                Ok(frame) => assert_eq!(&frame.bytes, bytes),
+                Err(EngineError::DeviceLost { .. }) => {}
+                Err(error) => panic!("round {round}: {error}"),
+            }
+        }
+        eventually("the loss", || studio.engine.stats().device_losses > round);
+        eventually("readiness", || studio.engine.readiness() == Readiness::Ready);
+        for (request, bytes) in requests.iter().zip(&before) {
+            assert_eq!(&studio.bytes(request), bytes, "round {round}");
+        }
+    }
+    // Nothing was forgotten on the way: this would wait for ever.
+    studio.engine.drain();
+}

@@ -1,0 +1,21 @@
+//! The engine on a real adapter: equal requests give equal bytes whatever else is drawn, scenes come and go within the
+//! budget, a lost device comes back, the queue is fair, and nothing that a caller says makes it panic or hang.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that unwraps says where it failed"
+)]
+
+mod changes;
+mod determinism;
+mod extremes;
+mod large_triangles;
+mod limits;
+mod loss;
+mod memory;
+mod paging;
+mod queueing;
+mod side_files;
+mod studio;
+mod tags;

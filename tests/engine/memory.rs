@@ -1,0 +1,154 @@
+//! The GPU budget: scenes come and go, and never more stays than allowed.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use pointillist::engine::EngineError;
+
+use super::studio::{Studio, cloud_scene, front, wall};
+
+const SIDE: usize = 110;
+const SCENES: [&str; 3] = ["red", "green", "blue"];
+
+fn write_scenes(studio: &Studio) {
+    for (number, id) in SCENES.iter().enumerate() {
+        let file = format!("{id}.ply");
+        studio.write(
+            &file,
+            wall(SIDE, |x, y| {
+                let mut color = [x as u8, y as u8, 40];
+                color[number] = 250;
+                color
+            }),
+        );
+        studio.write(&format!("{id}.json"), cloud_scene(&file).to_string());
+    }
+}
+
+#[test]
+fn three_scenes_in_the_room_of_two() {
+    let roomy = Studio::new();
+    write_scenes(&roomy);
+    let bytes_each = SCENES.map(|id| roomy.load(id, &format!("{id}.json")).gpu_bytes);
+    let expected = SCENES.map(|id| roomy.bytes(&front(id, 200, 150)));
+    assert!(expected[0] != expected[1] && expected[1] != expected[2]);
+    assert_eq!(roomy.engine.stats().evictions, 0);
+
+    let budget = bytes_each[0] * 5 / 2;
+    let tight = Studio::with(|config| config.gpu_budget_bytes = Some(budget));
+    write_scenes(&tight);
+    for id in SCENES {
+        tight.load(id, &format!("{id}.json"));
+    }
+    assert_eq!(tight.engine.limits().gpu_budget_bytes, budget);
+    let done = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !done.load(Ordering::Relaxed) {
+                let used = tight.engine.stats().gpu_bytes_resident;
+                assert!(used <= budget, "{used} of {budget}");
+                std::thread::sleep(std::time::Duration::from_millis(1));
+            }
+        });
+        for _ in 0..3 {
+            for (id, expected) in SCENES.iter().zip(&expected) {
+                assert_eq!(&tight.bytes(&front(id, 200, 150)), expected, "{id}");
+            }
+        }
+        // All at once: no submission may hold a scene that another of its frames has pushed out.
+        let tickets: Vec<_> = (0..24)
+            .map(|number| {
+                let mut request = front(SCENES[number % 3], 200, 150);
+                request.quality = 1 + number as u8;
+                (number % 3, tight.submit(&request))
+            })
+            .collect();
+        for (number, ticket) in tickets {
+            assert_eq!(ticket.wait().unwrap().bytes, expected[number]);
+        }
+        done.store(true, Ordering::Relaxed);
+    });
+    let stats = tight.engine.stats();
+    // In turn, the third is never there.
+    assert!(stats.evictions >= 7, "{} evictions", stats.evictions);
+    assert_eq!(stats.uploads, stats.evictions + 2, "what was uploaded left or is one of two");
+    assert!(stats.gpu_bytes_resident > 0 && stats.gpu_bytes_resident <= budget);
+    let resident = tight.engine.scenes().iter().filter(|scene| scene.resident).count();
+    assert_eq!(resident, 2);
+}
+
+#[test]
+fn what_can_never_fit_is_refused_at_once() {
+    let studio = Studio::with(|config| config.gpu_budget_bytes = Some(100_000));
+    write_scenes(&studio);
+    let error = studio.try_load("red", "red.json").unwrap_err();
+    let EngineError::OutOfGpuMemory { what, needed, budget } = error else {
+        panic!("{error:?}");
+    };
+    assert!(what.contains("red"), "{what}");
+    assert_eq!(budget, 100_000);
+    assert!(needed >= (SIDE * SIDE * 16) as u64);
+    assert!(studio.engine.scenes().is_empty());
+    // The name is free, and smaller things work.
+    studio.write("small.ply", wall(20, |_, _| [9, 9, 9]));
+    studio.write("red.json", cloud_scene("small.ply").to_string());
+    studio.load("red", "red.json");
+    studio.frame(&front("red", 32, 32));
+}
+
+#[test]
+fn failed_loads_leave_nothing_behind() {
+    let studio = Studio::new();
+    studio.load_two();
+    let request = front("solid", 90, 70);
+    let expected = studio.bytes(&request);
+    let before = studio.engine.stats();
+    let good = std::fs::read_to_string(studio.folder().join("wall.ply")).unwrap();
+    studio.write("broken.ply", &good[..good.len() / 2]);
+    studio.write(
+        "mixed.json",
+        serde_json::json!({
+            "assets": { "good": { "file": "wall.ply" }, "bad": { "file": "broken.ply" } },
+            "nodes": [{ "asset": "good" }, { "asset": "bad" }],
+        })
+        .to_string(),
+    );
+    studio.write("wrong.json", r#"{ "assets": {}, "nodes": [{ "asset": "nothing" }] }"#);
+    std::fs::create_dir(studio.folder().join("folder.ply")).unwrap();
+    for (file, words) in [
+        ("broken.ply", "broken.ply"),
+        ("mixed.json", "broken.ply"),
+        ("wrong.json", "nothing"),
+        ("missing.ply", "missing.ply"),
+        ("folder.ply", "folder.ply"),
+        ("../wall.ply", "wall.ply"),
+    ] {
+        for _ in 0..2 {
+            let error = studio.try_load("x", file).unwrap_err().to_string();
+            assert!(error.contains(words), "{file}: {error}");
+        }
+    }
+    assert_eq!(studio.engine.scenes().len(), 2);
+    assert!(matches!(studio.engine.scene("x"), Err(EngineError::UnknownScene { .. })));
+    assert_eq!(studio.bytes(&request), expected);
+    let after = studio.engine.stats();
+    assert_eq!(after.uploads, before.uploads);
+    assert_eq!(after.gpu_bytes_resident, before.gpu_bytes_resident);
+    studio.load("x", "wall.ply");
+    let twice = studio.try_load("x", "wall.ply");
+    assert!(matches!(twice, Err(EngineError::SceneExists { .. })));
+}
+
+#[test]
+fn loading_one_identifier_from_many_threads_works_once() {
+    let studio = Studio::new();
+    studio.write("wall.ply", wall(60, |_, _| [9, 9, 9]));
+    for _ in 0..5 {
+        let loaded = std::thread::scope(|scope| {
+            let threads: Vec<_> =
+                (0..8).map(|_| scope.spawn(|| studio.try_load("x", "wall.ply"))).collect();
+            threads.into_iter().map(|thread| thread.join().unwrap()).filter(Result::is_ok).count()
+        });
+        assert_eq!(loaded, 1);
+        studio.engine.remove("x").unwrap();
+    }
+}

@@ -1,0 +1,130 @@
+//! Files that name other files are read anew when those change.
+
+use super::studio::{Studio, fit, wall};
+use pointillist::plan::Output;
+use serde_json::json;
+
+/// A quad in the plane z = 0 with texture coordinates.
+const QUAD_OBJ: &str = "mtllib quad.mtl\nv -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\n\
+    vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl paint\nf 1/1 2/2 3/3 4/4\n";
+
+fn png(color: [u8; 3]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, 2, 2);
+    encoder.set_color(png::ColorType::Rgb);
+    let mut writer = encoder.write_header().unwrap();
+    writer.write_image_data(&color.repeat(4)).unwrap();
+    writer.finish().unwrap();
+    bytes
+}
+
+/// Loads `file` before and after `change`, and expects different pictures under different tags; the first one back again
+/// after `restore`.
+fn sees_change(studio: &Studio, file: &str, change: &dyn Fn(), restore: &dyn Fn()) {
+    let look = || {
+        studio.load("x", file);
+        let request = fit("x", 64, Output::Color);
+        let seen = (studio.bytes(&request), studio.engine.etag(&request).unwrap());
+        studio.engine.remove("x").unwrap();
+        seen
+    };
+    studio.load("kept", file);
+    let kept = studio.bytes(&fit("kept", 64, Output::Color));
+    let before = look();
+    assert_eq!(before.0, kept);
+    change();
+    let after = look();
+    assert_ne!(after.1, before.1, "{file}: the tag tells");
+    assert_ne!(after.0, before.0, "{file}: the picture shows it");
+    let held = fit("kept", 64, Output::Color);
+    assert_eq!(studio.bytes(&held), kept, "what is loaded stays as it was");
+    restore();
+    assert_eq!(look(), before);
+    studio.engine.remove("kept").unwrap();
+}
+
+#[test]
+fn an_obj_with_materials_and_textures() {
+    let studio = Studio::new();
+    studio.write("quad.obj", QUAD_OBJ);
+    let plain = "newmtl paint\nKd 0.9 0.1 0.1\n";
+    studio.write("quad.mtl", plain);
+    sees_change(
+        &studio,
+        "quad.obj",
+        &|| studio.write("quad.mtl", "newmtl paint\nKd 0.1 0.1 0.9\n"),
+        &|| studio.write("quad.mtl", plain),
+    );
+    studio.write("quad.mtl", "newmtl paint\nKd 1 1 1\nmap_Kd paint.png\n");
+    studio.write("paint.png", png([200, 30, 30]));
+    sees_change(&studio, "quad.obj", &|| studio.write("paint.png", png([30, 200, 30])), &|| {
+        studio.write("paint.png", png([200, 30, 30]))
+    });
+    // The same through a scene file.
+    studio.write(
+        "scene.json",
+        json!({ "assets": { "q": { "file": "quad.obj" } }, "nodes": [{ "asset": "q" }] })
+            .to_string(),
+    );
+    sees_change(&studio, "scene.json", &|| studio.write("paint.png", png([30, 30, 200])), &|| {
+        studio.write("paint.png", png([200, 30, 30]))
+    });
+}
+
+#[test]
+fn a_gltf_with_a_buffer_beside_it() {
+    let bin = |scale: f32, depth: f32| -> Vec<u8> {
+        [[-1.0, -1.0, 0.0], [1.0, -1.0, depth], [0.0, 1.0, 0.0f32]]
+            .iter()
+            .flatten()
+            .flat_map(|v| (v * scale).to_le_bytes())
+            .collect()
+    };
+    let gltf = json!({
+        "asset": { "version": "2.0" },
+        "scene": 0,
+        "scenes": [{ "nodes": [0, 1] }],
+        "nodes": [{ "mesh": 0 }, { "mesh": 0, "translation": [0, 0, -3] }],
+        "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 } }] }],
+        "buffers": [{ "uri": "triangle.bin", "byteLength": 36 }],
+        "bufferViews": [{ "buffer": 0, "byteLength": 36 }],
+        "accessors": [{ "bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3" }],
+    });
+    let studio = Studio::new();
+    studio.write("triangle.gltf", gltf.to_string());
+    studio.write("triangle.bin", bin(1.0, 0.5));
+    let restore = || studio.write("triangle.bin", bin(1.0, 0.5));
+    sees_change(
+        &studio,
+        "triangle.gltf",
+        &|| studio.write("triangle.bin", bin(1.0, -0.5)),
+        &restore,
+    );
+    // Twice the size has the same coordinates on a grid of twice the step.
+    sees_change(
+        &studio,
+        "triangle.gltf",
+        &|| studio.write("triangle.bin", bin(2.0, 0.5)),
+        &restore,
+    );
+}
+
+#[test]
+fn equal_files_are_held_once_under_their_own_names() {
+    let studio = Studio::new();
+    let text = wall(40, |x, y| [x as u8 * 6, y as u8 * 6, 0]);
+    studio.write("one.ply", &text);
+    studio.write("two.ply", &text);
+    let scene = |name: &str, file: &str| json!({ "assets": { name: { "file": file } }, "nodes": [{ "asset": name }] });
+    let one = studio.load_json("one", &scene("first", "one.ply"));
+    let two = studio.load_json("two", &scene("second", "two.ply"));
+    assert_eq!((one.assets[0].name.as_str(), two.assets[0].name.as_str()), ("first", "second"));
+    let frames = ["one", "two"].map(|id| studio.bytes(&fit(id, 50, Output::Color)));
+    assert_eq!(frames[0], frames[1]);
+    assert_eq!(studio.engine.stats().uploads, 1);
+    // The same bytes under a name of another format are another matter.
+    studio.write("three.txt", "0 0 0\n1 1 1\n");
+    studio.write("three.obj", "0 0 0\n1 1 1\n");
+    studio.load("text", "three.txt");
+    assert!(studio.try_load("object", "three.obj").is_err());
+}

@@ -1,0 +1,121 @@
+//! Entity tags: equal exactly where requests are.
+
+use std::collections::HashMap;
+
+use glam::DVec3;
+use pointillist::encode::ImageFormat;
+use pointillist::engine::{FrameRequest, NodePatch, Pose};
+use pointillist::math::Camera;
+use pointillist::plan::Output;
+
+use super::studio::{Studio, front, sphere};
+
+fn camera() -> Camera {
+    Camera { eye: DVec3::new(0.0, 0.0, 3.0), target: DVec3::ZERO, up: DVec3::Y, fov_deg: 45.0 }
+}
+
+#[test]
+fn every_parameter_changes_the_tag() {
+    let studio = Studio::new();
+    studio.load_two();
+    let base = FrameRequest { pose: Pose::Camera(camera()), ..front("cloud", 128, 96) };
+    let with = |adjust: &dyn Fn(&mut FrameRequest)| {
+        let mut request = base.clone();
+        adjust(&mut request);
+        request
+    };
+    let posed = |adjust: &dyn Fn(&mut Camera)| {
+        let mut changed = camera();
+        adjust(&mut changed);
+        FrameRequest { pose: Pose::Camera(changed), ..base.clone() }
+    };
+    let requests = [
+        base.clone(),
+        with(&|r| r.scene = "solid".to_owned()),
+        with(&|r| r.width = 129),
+        with(&|r| r.height = 97),
+        with(&|r| (r.width, r.height) = (96, 128)),
+        with(&|r| r.quality = 89),
+        with(&|r| r.format = ImageFormat::Png),
+        with(&|r| r.format = ImageFormat::Qoi),
+        with(&|r| r.output = Output::Depth),
+        with(&|r| r.output = Output::Normal),
+        with(&|r| r.output = Output::Id),
+        with(&|r| r.pose = Pose::Fit),
+        posed(&|c| c.eye.x = 1e-9),
+        posed(&|c| c.eye.z = 3.0 + 1e-12),
+        posed(&|c| c.target.y = 0.1),
+        posed(&|c| c.up = DVec3::X),
+        posed(&|c| c.fov_deg = 45.0 + 1e-9),
+    ];
+    let mut seen: HashMap<String, &FrameRequest> = HashMap::new();
+    for request in &requests {
+        let tag = studio.engine.etag(request).unwrap();
+        assert!(tag.starts_with('"') && tag.ends_with('"') && tag.len() == 34, "{tag}");
+        assert_eq!(studio.engine.etag(request).unwrap(), tag, "a tag is stable");
+        if let Some(other) = seen.insert(tag, request) {
+            panic!("equal tags:\n{request:?}\n{other:?}");
+        }
+    }
+}
+
+#[test]
+fn equal_views_have_equal_tags_and_bytes() {
+    let studio = Studio::new();
+    studio.load_two();
+    let requests = [
+        front("cloud", 128, 96),
+        FrameRequest { pose: Pose::Camera(camera()), ..front("cloud", 128, 96) },
+        FrameRequest {
+            pose: Pose::Upright { eye: camera().eye, target: camera().target, fov_deg: 45.0 },
+            ..front("cloud", 128, 96)
+        },
+        FrameRequest {
+            pose: Pose::View(camera().view(128, 96).unwrap()),
+            ..front("cloud", 128, 96)
+        },
+        // Only the direction of `up` counts, and zero has no sign.
+        FrameRequest {
+            pose: Pose::Camera(Camera {
+                up: DVec3::Y * 7.0,
+                eye: DVec3::new(-0.0, -0.0, 3.0),
+                ..camera()
+            }),
+            ..front("cloud", 128, 96)
+        },
+    ];
+    let tag = studio.engine.etag(&requests[0]).unwrap();
+    let bytes = studio.bytes(&requests[0]);
+    for request in &requests[1..] {
+        assert_eq!(studio.engine.etag(request).unwrap(), tag, "{request:?}");
+        assert_eq!(studio.bytes(request), bytes, "{request:?}");
+    }
+    let later = FrameRequest {
+        deadline: Some(std::time::Instant::now() + std::time::Duration::from_secs(600)),
+        ..requests[0].clone()
+    };
+    assert_eq!(studio.engine.etag(&later).unwrap(), tag, "patience is no part of a frame");
+}
+
+#[test]
+fn content_and_revision_change_the_tag() {
+    let studio = Studio::new();
+    studio.load_two();
+    let request = front("cloud", 64, 64);
+    let first = studio.engine.etag(&request).unwrap();
+    let hide = NodePatch { visible: Some(false), ..NodePatch::default() };
+    let show = NodePatch { visible: Some(true), ..NodePatch::default() };
+    studio.engine.patch("cloud", "wall", &hide).unwrap();
+    let hidden = studio.engine.etag(&request).unwrap();
+    assert_ne!(hidden, first);
+    studio.engine.patch("cloud", "wall", &show).unwrap();
+    assert_ne!(studio.engine.etag(&request).unwrap(), hidden);
+
+    studio.engine.remove("cloud").unwrap();
+    studio.load("cloud", "cloud.json");
+    assert_eq!(studio.engine.etag(&request).unwrap(), first, "the same scene again");
+    studio.engine.remove("cloud").unwrap();
+    studio.write("wall.ply", sphere(5));
+    studio.load("cloud", "cloud.json");
+    assert_ne!(studio.engine.etag(&request).unwrap(), first, "a file has changed");
+}
