@@ -45,6 +45,9 @@ pub struct EngineConfig {
     pub max_side: u32,
     /// Never use 64-bit atomics, even where the adapter has them.
     pub force_32_bit: bool,
+    /// For measurements: boxes of triangles with a longer side than this go to the rasteriser; `None`: the measured best.
+    #[doc(hidden)]
+    pub small_triangle_px: Option<u32>,
     pub read: ReadOptions,
     pub scene: SceneLimits,
 }
@@ -266,6 +269,7 @@ impl EngineConfig {
             max_pixels: 1 << 24,
             max_side: 8192,
             force_32_bit: false,
+            small_triangle_px: None,
             read: ReadOptions::default(),
             scene: SceneLimits::default(),
         }
