@@ -12,61 +12,72 @@
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
 
 fn sample_color(own: u32, over_plus_one: u32) -> u32 {
-    if over_plus_one == 0u {
-        return own | 0xff000000u;
+    let plain = own | 0xff000000u;
+    if !OVERRIDES || over_plus_one == 0u {
+        return plain;
     }
     let over = materials[over_plus_one - 1u];
     if (over.overrides & OVERRIDE_BASE_COLOR) == 0u {
-        return own | 0xff000000u;
+        return plain;
     }
     let c = linear_from_srgb(unpack4x8unorm(own).rgb) * over.base_color.rgb;
     return pack4x8unorm(vec4<f32>(srgb_from_linear(c), 1.0));
 }
 
+fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
+    if OUTPUT == OUTPUT_DEPTH {
+        pixels[pixel] = bitcast<u32>(1.0 / bitcast<f32>(word.y));
+        return;
+    }
+    let id = ~word.x;
+    let slot = id >> SLOT_SHIFT;
+    let instance = slots[slot].instance;
+    if OUTPUT == OUTPUT_ID {
+        pixels[pixel] = instances[instance].id;
+        return;
+    }
+    let packed = attributes[slots[slot].first + (id & SLOT_MASK)];
+    if OUTPUT == OUTPUT_NORMAL || SHADED {
+        let towards = world_from_camera(ray_through(pixel_centre(at)));
+        let n = world_normal(instance, octahedral_decode(packed.y), towards);
+        if OUTPUT == OUTPUT_NORMAL {
+            pixels[pixel] = normal_word(n);
+            return;
+        }
+        normals[pixel] = octahedral_encode(n);
+    }
+    pixels[pixel] = sample_color(packed.x, instances[instance].material);
+}
+
 @compute @workgroup_size(64)
 fn resolve_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let pixel_count = frame.size_px.x * frame.size_px.y;
     let begin = dispatches[segment.index].first_slot;
     let count = dispatches[segment.index].count;
+    let width = frame.size_px.x;
+    var walk = walk_begin(group, lane);
     var shown = 0u;
-    for (var k = 0u; k < PIXELS_EACH; k++) {
-        let pixel = (group.x * PIXELS_EACH + k) * 64u + lane;
-        if pixel >= pixel_count {
+    loop {
+        loop {
+            if walk.pixel >= walk.end {
+                break;
+            }
+            walk.word = visibility[walk.pixel];
+            if walk.word.y == 0u && segment.first != 0u {
+                pixels[walk.pixel] = background_word();
+            }
+            if walk.word.y != 0u && ((~walk.word.x) >> SLOT_SHIFT) - begin < count {
+                break;
+            }
+            walk.pixel += width;
+            walk.at.y++;
+        }
+        if walk.pixel >= walk.end {
             break;
         }
-        let word = visibility[pixel];
-        if word.y == 0u {
-            if segment.first != 0u {
-                pixels[pixel] = background_word();
-            }
-            continue;
-        }
-        let id = ~word.x;
-        let slot = id >> SLOT_SHIFT;
-        if slot - begin >= count {
-            continue;
-        }
+        resolve(walk.pixel, walk.at, walk.word);
         shown++;
-        if frame.output == OUTPUT_DEPTH {
-            pixels[pixel] = bitcast<u32>(1.0 / bitcast<f32>(word.y));
-            continue;
-        }
-        let instance = slots[slot].instance;
-        if frame.output == OUTPUT_ID {
-            pixels[pixel] = instances[instance].id;
-            continue;
-        }
-        let packed = attributes[slots[slot].first + (id & SLOT_MASK)];
-        if frame.output == OUTPUT_NORMAL || segment.shaded != 0u {
-            let at = vec2<f32>(f32(pixel % frame.size_px.x), f32(pixel / frame.size_px.x)) + vec2<f32>(0.5);
-            let n = world_normal(instance, octahedral_decode(packed.y), world_from_camera(ray_through(at)));
-            if frame.output == OUTPUT_NORMAL {
-                pixels[pixel] = normal_word(n);
-                continue;
-            }
-            normals[pixel] = octahedral_encode(n);
-        }
-        pixels[pixel] = sample_color(packed.x, instances[instance].material);
+        walk.pixel += width;
+        walk.at.y++;
     }
     if shown != 0u {
         atomicAdd(&stats.pixels_of_samples, shown);

@@ -28,64 +28,86 @@ struct Light {
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
 
-const PIXELS_EACH: u32 = 8u;
+// Some instance overrides its asset's materials.
+override OVERRIDES: bool = true;
+// Some material reflects specularly.
+override SPECULAR: bool = true;
+// Some light stands at a point.
+override POINT_LIGHTS: bool = true;
 
-fn phong(light: Light, albedo: vec3<f32>, material: Material, n: vec3<f32>, from_eye: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
-    if light.kind == 0u {
-        return albedo * light.color.rgb;
+const TILE: vec2<u32> = vec2<u32>(64u, 16u);
+
+// The light's direction from the surface, and how much of it arrives.
+fn arriving(light: Light, from_eye: vec3<f32>, to_eye: vec3<f32>) -> vec4<f32> {
+    let sun = vec4<f32>(-light.place_hi.xyz, 1.0);
+    let head = vec4<f32>(to_eye, 1.0);
+    if !POINT_LIGHTS || light.kind != 3u {
+        return select(head, sun, light.kind == 2u);
     }
-    var l = to_eye;
-    var strength = 1.0;
-    if light.kind == 2u {
-        l = -light.place_hi.xyz;
-    }
-    if light.kind == 3u {
-        let d = (light.place_hi.xyz - frame.eye_hi.xyz) + (light.place_lo.xyz - frame.eye_lo.xyz) - from_eye;
-        let distance = length(d);
-        l = d / max(distance, 1e-30);
-        let ratio = distance / light.range;
-        strength = 1.0 / (1.0 + ratio * ratio);
-    }
-    let cosine = dot(n, l);
-    if cosine <= 0.0 {
-        return vec3<f32>(0.0);
-    }
-    var reflected = albedo * cosine;
-    if any(material.specular > vec3<f32>(0.0)) {
-        let r = 2.0 * cosine * n - l;
-        reflected += material.specular * pow(max(dot(r, to_eye), 0.0), material.shininess);
-    }
-    return reflected * light.color.rgb * strength;
+    let d = (light.place_hi.xyz - frame.eye_hi.xyz) + (light.place_lo.xyz - frame.eye_lo.xyz) - from_eye;
+    let distance = length(d);
+    let ratio = distance / light.range;
+    return vec4<f32>(d / max(distance, 1e-30), 1.0 / (1.0 + ratio * ratio));
 }
 
+fn phong(light: Light, albedo: vec3<f32>, material: Material, n: vec3<f32>, from_eye: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
+    let l = arriving(light, from_eye, to_eye);
+    let cosine = select(max(dot(n, l.xyz), 0.0), 1.0, light.kind == 0u);
+    var reflected = albedo * cosine;
+    if SPECULAR && light.kind != 0u && cosine > 0.0 {
+        let r = 2.0 * cosine * n - l.xyz;
+        reflected += material.specular * pow(max(dot(r, to_eye), 0.0), material.shininess);
+    }
+    return reflected * light.color.rgb * l.w;
+}
+
+fn light_up(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
+    let slot = (~word.x) >> SLOT_SHIFT;
+    var material = materials[chunks[slots[slot].chunk].material];
+    if OVERRIDES {
+        material = effective_material(material, instances[slots[slot].instance].material);
+    }
+    let packed = normals[pixel];
+    if (material.flags & MATERIAL_UNLIT) != 0u || packed == NO_NORMAL {
+        return;
+    }
+    let albedo = linear_from_srgb(unpack4x8unorm(pixels[pixel]).rgb);
+    let ray = world_from_camera(ray_through(vec2<f32>(at) + vec2<f32>(0.5)));
+    let from_eye = ray / bitcast<f32>(word.y);
+    let to_eye = -ray / length(ray);
+    let n = octahedral_decode(packed);
+    var color = vec3<f32>(0.0);
+    for (var i = 0u; i < frame.light_count; i++) {
+        color += phong(lights[i], albedo, material, n, from_eye, to_eye);
+    }
+    pixels[pixel] = pack4x8unorm(vec4<f32>(srgb_from_linear(color), 1.0));
+}
+
+// Steps from covered pixel to covered pixel of a column: see shared/resolve.
 @compute @workgroup_size(64)
 fn shade(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let pixel_count = frame.size_px.x * frame.size_px.y;
-    for (var k = 0u; k < PIXELS_EACH; k++) {
-        let pixel = (group.x * PIXELS_EACH + k) * 64u + lane;
-        if pixel >= pixel_count {
+    let size = frame.size_px;
+    var at = group.xy * TILE + vec2<u32>(lane, 0u);
+    var pixel = at.y * size.x + at.x;
+    let end = select(min(at.y + TILE.y, size.y) * size.x + at.x, pixel, at.x >= size.x);
+    loop {
+        var word = vec2<u32>(0u);
+        loop {
+            if pixel >= end {
+                break;
+            }
+            word = visibility[pixel];
+            if word.y != 0u {
+                break;
+            }
+            pixel += size.x;
+            at.y++;
+        }
+        if pixel >= end {
             break;
         }
-        let word = visibility[pixel];
-        if word.y == 0u || normals[pixel] == NO_NORMAL {
-            continue;
-        }
-        let slot = (~word.x) >> SLOT_SHIFT;
-        let own = materials[chunks[slots[slot].chunk].material];
-        let material = effective_material(own, instances[slots[slot].instance].material);
-        if (material.flags & MATERIAL_UNLIT) != 0u {
-            continue;
-        }
-        let albedo = linear_from_srgb(unpack4x8unorm(pixels[pixel]).rgb);
-        let at = vec2<f32>(f32(pixel % frame.size_px.x), f32(pixel / frame.size_px.x)) + vec2<f32>(0.5);
-        let ray = world_from_camera(ray_through(at));
-        let from_eye = ray / bitcast<f32>(word.y);
-        let to_eye = -ray / length(ray);
-        let n = octahedral_decode(normals[pixel]);
-        var color = vec3<f32>(0.0);
-        for (var i = 0u; i < frame.light_count; i++) {
-            color += phong(lights[i], albedo, material, n, from_eye, to_eye);
-        }
-        pixels[pixel] = pack4x8unorm(vec4<f32>(srgb_from_linear(color), 1.0));
+        light_up(pixel, at, word);
+        pixel += size.x;
+        at.y++;
     }
 }

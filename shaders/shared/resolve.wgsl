@@ -3,9 +3,16 @@ struct SegmentUse {
     index: u32,
     // 1 for the frame's first resolve, which also writes the background.
     first: u32,
-    // 1 when a shade pass follows and wants normals.
-    shaded: u32,
 }
+
+// 0 color, 1 depth, 2 normal, 3 id.
+override OUTPUT: u32 = 0u;
+// A shade pass follows and wants normals.
+override SHADED: bool = true;
+// Some instance overrides its asset's materials.
+override OVERRIDES: bool = true;
+// Some material has a texture.
+override TEXTURES: bool = true;
 
 @group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 @group(0) @binding(2) var<storage, read_write> pixels: array<u32>;
@@ -20,14 +27,39 @@ const OUTPUT_DEPTH: u32 = 1u;
 const OUTPUT_NORMAL: u32 = 2u;
 const OUTPUT_ID: u32 = 3u;
 const INFINITE_DEPTH: u32 = 0x7f800000u;
-// Pixels a thread takes, 64 apart.
-const PIXELS_EACH: u32 = 8u;
 
 fn background_word() -> u32 {
-    if frame.output == OUTPUT_COLOR {
+    if OUTPUT == OUTPUT_COLOR {
         return frame.background;
     }
-    return select(0u, INFINITE_DEPTH, frame.output == OUTPUT_DEPTH);
+    return select(0u, INFINITE_DEPTH, OUTPUT == OUTPUT_DEPTH);
+}
+
+// A thread's pixels: a column of a tile. CPU adapters run both sides of an `if` under a mask and every loop at least once;
+// so a thread first steps to its next pixel of this segment, which is cheap, and then resolves it, and tiles that show
+// nothing pass by in one step.
+struct Walk {
+    pixel: u32,
+    // One row below the tile.
+    end: u32,
+    at: vec2<u32>,
+    word: vec2<u32>,
+}
+
+const TILE: vec2<u32> = vec2<u32>(64u, 16u);
+
+fn walk_begin(group: vec3<u32>, lane: u32) -> Walk {
+    let at = group.xy * TILE + vec2<u32>(lane, 0u);
+    let size = frame.size_px;
+    var walk: Walk;
+    walk.at = at;
+    walk.pixel = at.y * size.x + at.x;
+    walk.end = select(min(at.y + TILE.y, size.y) * size.x + at.x, walk.pixel, at.x >= size.x);
+    return walk;
+}
+
+fn pixel_centre(at: vec2<u32>) -> vec2<f32> {
+    return vec2<f32>(at) + vec2<f32>(0.5);
 }
 
 // Visible from the front: the normal turned towards the eye, as bytes n · 127 + 128.

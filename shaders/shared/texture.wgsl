@@ -18,19 +18,16 @@ fn texel_word(page: u32, index: u32) -> u32 {
     return texels_1[index];
 }
 
+// For indices from −size to 3 · size − 1, which is where reduced coordinates lie.
 fn wrap_index(mode: u32, i: i32, size: i32) -> i32 {
-    if mode == 2u {
-        return clamp(i, 0, size - 1);
-    }
-    let period = select(size, 2 * size, mode == 1u);
-    var k = i % period;
-    if k < 0 {
-        k += period;
-    }
-    if k >= size {
-        k = period - 1 - k;
-    }
-    return k;
+    // Repeat: whole sizes off. Mirror: the second size runs backwards, and both ends into their neighbours.
+    let once = select(i, i + size, i < 0);
+    let twice = select(once, once - size, once >= size);
+    let repeated = select(twice, twice - size, twice >= size);
+    let left = select(i, -1 - i, i < 0);
+    let mirrored = select(left, 2 * size - 1 - left, left >= size);
+    let inside = select(repeated, select(mirrored, -1 - mirrored, mirrored < 0), mode == 1u);
+    return select(inside, clamp(i, 0, size - 1), mode == 2u);
 }
 
 fn texel(t: Texture, first: u32, size: vec2<i32>, at: vec2<i32>) -> vec4<f32> {
@@ -65,18 +62,20 @@ fn sample_level(t: Texture, level: u32, uv: vec2<f32>) -> vec4<f32> {
     return mix(top, bottom, f.y);
 }
 
+// `dx` and `dy`: what a step of one pixel covers, in texels.
+fn sample_trilinear(t: Texture, uv: vec2<f32>, dx: vec2<f32>, dy: vec2<f32>) -> vec4<f32> {
+    let footprint = sqrt(max(dot(dx, dx), dot(dy, dy)));
+    let level = clamp(log2(max(footprint, 1e-20)), 0.0, f32(t.levels - 1u));
+    let low = floor(level);
+    let next = min(u32(low) + 1u, t.levels - 1u);
+    return mix(sample_level(t, u32(low), uv), sample_level(t, next, uv), level - low);
+}
+
 fn sample_texture(t: Texture, uv_in: vec2<f32>, dx: vec2<f32>, dy: vec2<f32>) -> vec4<f32> {
     let uv = vec2<f32>(reduce(t.wrap & 3u, uv_in.x), reduce((t.wrap >> 2u) & 3u, uv_in.y));
     let size = vec2<f32>(f32(t.width), f32(t.height));
     if t.nearest != 0u {
         return texel(t, t.first, vec2<i32>(size), vec2<i32>(floor(uv * size)));
     }
-    let footprint = max(length(dx * size), length(dy * size));
-    let level = clamp(log2(max(footprint, 1e-20)), 0.0, f32(t.levels - 1u));
-    let low = floor(level);
-    let fine = sample_level(t, u32(low), uv);
-    if level == low {
-        return fine;
-    }
-    return mix(fine, sample_level(t, u32(low) + 1u, uv), level - low);
+    return sample_trilinear(t, uv, dx * size, dy * size);
 }

@@ -476,25 +476,28 @@ impl Loaded {
     /// A camera that sees the whole scene from its front, a little from the right and above.
     pub fn fit(&self, aspect: f64) -> Camera {
         const FOV_DEG: f64 = 40.0;
+        // What the scene may take of half the frame.
+        const PART: f64 = 0.94;
         let up = self.up();
+        let up = up / up.length();
         // The front of a y-up scene is +z, of a z-up scene −y.
         let front = if up.z.abs() > up.y.abs() { -DVec3::Y } else { DVec3::Z };
-        let right = up.cross(front);
-        let direction = front * 0.82 + right * 0.42 + up * 0.38;
-        let direction = direction / direction.length();
-        let radius = (0.5 * self.bounds.extent().length())
-            .max(1e-9 * self.bounds.centre().length())
-            .max(1e-9);
-        let half = (0.5 * FOV_DEG).to_radians();
-        // The narrower of the two fields of view must hold the sphere.
-        let narrow = if aspect < 1.0 { (half.tan() * aspect).atan() } else { half };
+        let backward = front * 0.82 + up.cross(front) * 0.42 + up * 0.38;
+        let backward = backward / backward.length();
+        let right = up.cross(backward);
+        let right = right / right.length();
+        let above = backward.cross(right);
+        let tan_y = (0.5 * FOV_DEG).to_radians().tan() * PART;
+        let tan_x = tan_y * aspect;
         let centre = self.bounds.centre();
-        Camera {
-            eye: centre + direction * (radius / narrow.sin()),
-            target: centre,
-            up,
-            fov_deg: FOV_DEG,
-        }
+        // The nearest eye whose pyramid holds every corner of the box.
+        let least = (1e-9 * centre.length()).max(1e-9);
+        let distance = self.bounds.corners().into_iter().fold(least, |distance, corner| {
+            let v = corner - centre;
+            let needed = (v.dot(right).abs() / tan_x).max(v.dot(above).abs() / tan_y);
+            distance.max(v.dot(backward) + needed)
+        });
+        Camera { eye: centre + backward * distance, target: centre, up, fov_deg: FOV_DEG }
     }
 }
 

@@ -344,7 +344,7 @@ impl Renderer {
         for span in spans {
             let ticks = span.span.zip(stamps).and_then(|(span, stamps)| {
                 let begin = *stamps.get(span.begin as usize)?;
-                let end = *stamps.get(span.begin as usize + 1)?;
+                let end = *stamps.get(span.end as usize)?;
                 first = first.min(begin);
                 last = last.max(end);
                 Some(end.saturating_sub(begin))

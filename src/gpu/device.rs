@@ -33,6 +33,8 @@ pub struct Gpu {
     pub atomics_64: bool,
     /// Nanoseconds per timestamp tick, `None` where the adapter has no timestamps.
     pub timestamp_period_ns: Option<f32>,
+    /// Timestamps can be written outside of passes.
+    pub stamps_between_passes: bool,
     pub limits: wgpu::Limits,
     /// A software adapter, whose "GPU memory" is the host's.
     pub is_cpu: bool,
@@ -94,6 +96,9 @@ impl Gpu {
         let wide = wgpu::Features::SHADER_INT64 | wgpu::Features::SHADER_INT64_ATOMIC_MIN_MAX;
         let atomics_64 = offered.contains(wide) && !options.force_32_bit;
         let mut features = offered & wgpu::Features::TIMESTAMP_QUERY;
+        if features.contains(wgpu::Features::TIMESTAMP_QUERY) {
+            features |= offered & wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS;
+        }
         if atomics_64 {
             features |= wide;
         }
@@ -122,6 +127,8 @@ impl Gpu {
             name,
             atomics_64,
             timestamp_period_ns,
+            stamps_between_passes: features
+                .contains(wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS),
             limits,
             is_cpu: info.device_type == wgpu::DeviceType::Cpu,
             lost,

@@ -1,4 +1,9 @@
-//! A pair of timestamps around every pass.
+//! A timestamp at the end of every pass.
+//!
+//! A pass's time runs from the end of the one before it (the frame's beginning for the first) to its own end: what the
+//! adapter spends between two passes, on barriers and launches, counts for the second, and the passes of a frame sum up to
+//! the frame. Pairs around each pass would not do: some software adapters write the stamps of a pass together, when the
+//! next barrier flushes them.
 
 use super::Gpu;
 
@@ -10,12 +15,19 @@ pub struct Timer {
     set: Option<wgpu::QuerySet>,
     resolved: Option<wgpu::Buffer>,
     used: u32,
+    /// The stamp that the next pass begins at.
+    last: Option<u32>,
+    /// Stamps can be written between passes.
+    between: bool,
+    /// Where stamps go only to be waited for; `None` where they are taken in time anyway.
+    settled: Option<wgpu::Buffer>,
 }
 
-/// Where a pass's two timestamps will be.
+/// Which stamps a pass begins and ends at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Span {
     pub begin: u32,
+    pub end: u32,
 }
 
 impl Timer {
@@ -36,25 +48,63 @@ impl Timer {
                 mapped_at_creation: false,
             })
         });
-        Self { set, resolved, used: 0 }
+        let settled = (enabled && gpu.is_cpu).then(|| {
+            gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("settled"),
+                size: 8,
+                usage: wgpu::BufferUsages::QUERY_RESOLVE,
+                mapped_at_creation: false,
+            })
+        });
+        let between = gpu.stamps_between_passes;
+        Self { set, resolved, used: 0, last: None, between, settled }
     }
 
     /// Forgets the previous submission's queries.
     pub fn reset(&mut self) {
         self.used = 0;
+        self.last = None;
     }
 
-    /// Room for `passes` more passes?
-    pub fn has_room(&self, passes: u32) -> bool {
-        self.set.is_none() || self.used + 2 * passes <= CAPACITY
-    }
-
-    fn span(&mut self) -> Option<Span> {
-        if self.set.is_none() || self.used + 2 > CAPACITY {
+    fn stamp(&mut self) -> Option<u32> {
+        if self.set.is_none() || self.used == CAPACITY {
             return None;
         }
-        self.used += 2;
-        Some(Span { begin: self.used - 2 })
+        self.used += 1;
+        Some(self.used - 1)
+    }
+
+    /// The frame begins here.
+    pub fn begin_frame(&mut self, encoder: &mut wgpu::CommandEncoder) {
+        self.last = None;
+        if !self.between {
+            return;
+        }
+        if let Some((stamp, set)) = self.stamp().zip(self.set.as_ref()) {
+            encoder.write_timestamp(set, stamp);
+            self.last = Some(stamp);
+            self.settle(encoder);
+        }
+    }
+
+    /// To be called after a pass. Mesa's software rasteriser takes a stamp when its tiles are next drawn, which
+    /// may be after the pass that follows, unless somebody waits for it.
+    pub fn settle(&self, encoder: &mut wgpu::CommandEncoder) {
+        let set = self.set.as_ref().zip(self.settled.as_ref());
+        if let Some((last, (set, buffer))) = self.last.zip(set) {
+            encoder.resolve_query_set(set, last..last + 1, buffer, 0);
+        }
+    }
+
+    /// The stamps of the next pass: where it begins, whether it must write that one itself, and where it ends.
+    fn next(&mut self) -> Option<(Span, bool)> {
+        let (begin, own) = match self.last {
+            Some(last) => (last, false),
+            None => (self.stamp()?, true),
+        };
+        let end = self.stamp()?;
+        self.last = Some(end);
+        Some((Span { begin, end }, own))
     }
 
     /// Begins a timed compute pass.
@@ -63,19 +113,20 @@ impl Timer {
         encoder: &'e mut wgpu::CommandEncoder,
         name: &'static str,
     ) -> (wgpu::ComputePass<'e>, Option<Span>) {
-        let span = self.span();
-        let timestamp_writes =
-            span.zip(self.set.as_ref()).map(|(span, query_set)| wgpu::ComputePassTimestampWrites {
+        let next = self.next();
+        let timestamp_writes = next.zip(self.set.as_ref()).map(|((span, own), query_set)| {
+            wgpu::ComputePassTimestampWrites {
                 query_set,
-                beginning_of_pass_write_index: Some(span.begin),
-                end_of_pass_write_index: Some(span.begin + 1),
-            });
+                beginning_of_pass_write_index: own.then_some(span.begin),
+                end_of_pass_write_index: Some(span.end),
+            }
+        });
         (
             encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                 label: Some(name),
                 timestamp_writes,
             }),
-            span,
+            next.map(|(span, _)| span),
         )
     }
 
@@ -86,13 +137,14 @@ impl Timer {
         name: &'static str,
         attachment: &wgpu::TextureView,
     ) -> (wgpu::RenderPass<'e>, Option<Span>) {
-        let span = self.span();
-        let timestamp_writes =
-            span.zip(self.set.as_ref()).map(|(span, query_set)| wgpu::RenderPassTimestampWrites {
+        let next = self.next();
+        let timestamp_writes = next.zip(self.set.as_ref()).map(|((span, own), query_set)| {
+            wgpu::RenderPassTimestampWrites {
                 query_set,
-                beginning_of_pass_write_index: Some(span.begin),
-                end_of_pass_write_index: Some(span.begin + 1),
-            });
+                beginning_of_pass_write_index: own.then_some(span.begin),
+                end_of_pass_write_index: Some(span.end),
+            }
+        });
         let pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some(name),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
@@ -109,7 +161,7 @@ impl Timer {
             occlusion_query_set: None,
             multiview_mask: None,
         });
-        (pass, span)
+        (pass, next.map(|(span, _)| span))
     }
 
     /// Resolves every query used so far and returns the buffer and its length in bytes.

@@ -51,6 +51,15 @@ impl Bounds {
         if self.is_empty() { DVec3::ZERO } else { self.max - self.min }
     }
 
+    /// The eight corners; those of an empty box are at the origin.
+    pub fn corners(&self) -> [DVec3; 8] {
+        let (centre, half) = (self.centre(), self.extent() * 0.5);
+        std::array::from_fn(|corner| {
+            let side = |axis: usize| if corner >> axis & 1 == 0 { -1.0 } else { 1.0 };
+            centre + half * DVec3::new(side(0), side(1), side(2))
+        })
+    }
+
     /// The box around this one's image under an affine map.
     pub fn transformed(&self, map: &DAffine3) -> Bounds {
         if self.is_empty() {
@@ -83,11 +92,9 @@ mod tests {
         let map =
             DAffine3::from_rotation_y(0.7) * DAffine3::from_translation(DVec3::new(1e6, 2.0, -3.0));
         let image = bounds.transformed(&map);
-        for corner in 0..8 {
-            let pick = |bit: usize, axis: usize| {
-                if corner >> bit & 1 == 0 { bounds.min[axis] } else { bounds.max[axis] }
-            };
-            let p = map.transform_point3(DVec3::new(pick(0, 0), pick(1, 1), pick(2, 2)));
+        assert_eq!(Bounds::of(bounds.corners()), bounds);
+        for corner in bounds.corners() {
+            let p = map.transform_point3(corner);
             assert!((p.cmpge(image.min - 1e-6) & p.cmple(image.max + 1e-6)).all());
         }
     }

@@ -34,6 +34,16 @@ fn srgb8(color: [f32; 4]) -> u32 {
     ])
 }
 
+/// What shaders call an output.
+pub fn output_number(output: Output) -> u32 {
+    match output {
+        Output::Color => 0,
+        Output::Depth => 1,
+        Output::Normal => 2,
+        Output::Id => 3,
+    }
+}
+
 /// The uniform record of a frame.
 pub fn frame_record(task: &FrameTask, scene: &ResidentScene) -> GpuFrame {
     let view = &task.view;
@@ -52,12 +62,7 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene) -> GpuFrame {
         entry_count: scene.entry_count,
         instance_count: scene.instance_count,
         background: srgb8(task.model.background),
-        output: match task.output {
-            Output::Color => 0,
-            Output::Depth => 1,
-            Output::Normal => 2,
-            Output::Id => 3,
-        },
+        output: output_number(task.output),
         light_count: scene.light_count,
         small_triangle_px: task.small_triangle_px.min(64) as i32,
     }

@@ -9,12 +9,16 @@ use crate::gpu::pipeline::{ComputePipeline, RasterPipeline};
 use crate::gpu::shader::ShaderError;
 
 /// What distinguishes pipelines of one pass.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct Variant {
     name: &'static str,
     visibility: Option<Visibility>,
     alpha_cut: bool,
+    constants: Constants,
 }
+
+/// Values of a module's overrides, by name; booleans are 0 or 1.
+pub type Constants = Vec<(&'static str, u32)>;
 
 /// Every pipeline built so far.
 #[derive(Default)]
@@ -24,18 +28,22 @@ pub struct Pipelines {
 }
 
 impl Pipelines {
-    /// The pipeline of a pass without variants; `root` is its file below `shaders/`, `name` its entry point.
+    /// The pipeline of a pass that leaves the visibility buffer alone; `root` is its file below `shaders/`, `name` its
+    /// entry point.
     pub fn plain(
         &mut self,
         gpu: &Gpu,
         root: &str,
         name: &'static str,
+        constants: Constants,
     ) -> Result<Rc<ComputePipeline>, ShaderError> {
-        let variant = Variant { name, visibility: None, alpha_cut: false };
+        let values: Vec<_> =
+            constants.iter().map(|&(name, value)| (name, f64::from(value))).collect();
+        let variant = Variant { name, visibility: None, alpha_cut: false, constants };
         if let Some(pipeline) = self.compute.get(&variant) {
             return Ok(pipeline.clone());
         }
-        let pipeline = Rc::new(ComputePipeline::new(gpu, name, &shaders::plain(root)?)?);
+        let pipeline = Rc::new(ComputePipeline::new(gpu, name, &shaders::plain(root)?, &values)?);
         self.compute.insert(variant, pipeline.clone());
         Ok(pipeline)
     }
@@ -49,12 +57,13 @@ impl Pipelines {
         visibility: Visibility,
         alpha_cut: bool,
     ) -> Result<Rc<ComputePipeline>, ShaderError> {
-        let variant = Variant { name, visibility: Some(visibility), alpha_cut };
+        let variant =
+            Variant { name, visibility: Some(visibility), alpha_cut, constants: Vec::new() };
         if let Some(pipeline) = self.compute.get(&variant) {
             return Ok(pipeline.clone());
         }
         let composed = shaders::visible(root, visibility, alpha_cut)?;
-        let pipeline = Rc::new(ComputePipeline::new(gpu, name, &composed)?);
+        let pipeline = Rc::new(ComputePipeline::new(gpu, name, &composed, &[])?);
         self.compute.insert(variant, pipeline.clone());
         Ok(pipeline)
     }
@@ -67,7 +76,8 @@ impl Pipelines {
         alpha_cut: bool,
     ) -> Result<Rc<RasterPipeline>, ShaderError> {
         let name = "rasterise_triangles";
-        let variant = Variant { name, visibility: Some(visibility), alpha_cut };
+        let variant =
+            Variant { name, visibility: Some(visibility), alpha_cut, constants: Vec::new() };
         if let Some(pipeline) = self.raster.get(&variant) {
             return Ok(pipeline.clone());
         }

@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use super::frame::{FrameTask, frame_record};
+use super::frame::{FrameTask, frame_record, output_number};
 use super::pipelines::Pipelines;
 use super::scratch::Scratch;
 use super::shaders::Visibility;
@@ -21,6 +21,9 @@ use crate::residency::{PageKind, Residency, ResidentScene};
 const ALIGN: u64 = 256;
 /// Workgroups in x before an indirect or direct dispatch takes a second row; as in the shaders.
 const DISPATCH_ROW: u32 = 32768;
+
+/// Pixels that a workgroup resolves or shades; as in the shaders.
+const TILE: (u32, u32) = (64, 16);
 
 /// When a pass ran within its submission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,9 +55,8 @@ impl Uniforms {
     /// Where the frame's records lie: the frame's own, then one a segment.
     pub fn frame(&mut self, task: &FrameTask, scene: &ResidentScene) -> FrameUniforms {
         let frame = self.push(&frame_record(task, scene));
-        let shaded = u32::from(task.plan.runs(Pass::Shade));
         let segments = (0..scene.pages.len() as u32)
-            .map(|index| self.push(&[index, u32::from(index == 0), shaded, 0u32]))
+            .map(|index| self.push(&[index, u32::from(index == 0), 0u32, 0u32]))
             .collect();
         FrameUniforms { frame, segments }
     }
@@ -111,6 +113,7 @@ pub fn record(
     let plan = &task.plan;
     let cut = scene.alpha_cut;
 
+    recorder.context.timer.begin_frame(encoder);
     recorder.run(encoder, Pass::Clear, "select/clear", pixels.div_ceil(2).div_ceil(16 * 64))?;
     recorder.run(encoder, Pass::Place, "select/place", scene.instance_count.div_ceil(64))?;
     recorder.run(encoder, Pass::Cull, "select/cull", scene.entry_count.div_ceil(32 * 32))?;
@@ -125,14 +128,14 @@ pub fn record(
     if let Some(second) = second {
         recorder.project(encoder, second, cut)?;
     }
-    let groups = pixels.div_ceil(8 * 64);
+    let tiles = (task.view.width.div_ceil(TILE.0), task.view.height.div_ceil(TILE.1));
     if plan.runs(Pass::ResolveSamples) {
         recorder.resolve(
             encoder,
             Pass::ResolveSamples,
             "resolve/resolve_samples",
             PageKind::Samples,
-            groups,
+            tiles,
         )?;
     }
     if plan.runs(Pass::ResolveTriangles) {
@@ -141,11 +144,11 @@ pub fn record(
             Pass::ResolveTriangles,
             "resolve/resolve_triangles",
             PageKind::Triangles,
-            groups,
+            tiles,
         )?;
     }
     if plan.runs(Pass::Shade) {
-        recorder.run(encoder, Pass::Shade, "shade/shade", groups)?;
+        recorder.shade(encoder, tiles)?;
     }
     debug_assert!(task.output != Output::Color || scene.light_count == 0 || plan.runs(Pass::Shade));
     Ok(recorder.out)
@@ -160,7 +163,8 @@ impl Recorder<'_, '_> {
         root: &str,
         groups: u32,
     ) -> Result<(), ShaderError> {
-        let pipeline = self.context.pipelines.plain(self.context.gpu, root, pass.name())?;
+        let pipeline =
+            self.context.pipelines.plain(self.context.gpu, root, pass.name(), Vec::new())?;
         let binds = self.bind(&pipeline, None)?;
         let (mut recorded, span) = self.context.timer.compute(encoder, pass.name());
         set(&mut recorded, &pipeline, &binds);
@@ -172,6 +176,7 @@ impl Recorder<'_, '_> {
             );
         }
         drop(recorded);
+        self.context.timer.settle(encoder);
         self.out.spans.push(PassSpan { pass, span });
         Ok(())
     }
@@ -233,6 +238,7 @@ impl Recorder<'_, '_> {
             );
         }
         drop(recorded);
+        self.context.timer.settle(encoder);
         self.out.spans.push(PassSpan { pass, span });
         Ok(())
     }
@@ -260,6 +266,7 @@ impl Recorder<'_, '_> {
             (segment * size_of::<GpuDispatch>()) as u64,
         );
         drop(recorded);
+        self.context.timer.settle(encoder);
         self.out.spans.push(PassSpan { pass, span });
         Ok(())
     }
@@ -283,6 +290,7 @@ impl Recorder<'_, '_> {
         }
         recorded.draw_indirect(self.context.scratch.large.buffer().raw(), 0);
         drop(recorded);
+        self.context.timer.settle(encoder);
         self.out.spans.push(PassSpan { pass, span });
         Ok(())
     }
@@ -293,9 +301,17 @@ impl Recorder<'_, '_> {
         pass: Pass,
         root: &str,
         kind: PageKind,
-        groups: u32,
+        tiles: (u32, u32),
     ) -> Result<(), ShaderError> {
-        let pipeline = self.context.pipelines.plain(self.context.gpu, root, pass.name())?;
+        let looks = self.scene.looks;
+        let constants = vec![
+            ("OUTPUT", output_number(self.task.output)),
+            ("SHADED", u32::from(self.task.plan.runs(Pass::Shade))),
+            ("OVERRIDES", u32::from(looks.overrides)),
+            ("TEXTURES", u32::from(looks.textures)),
+        ];
+        let pipeline =
+            self.context.pipelines.plain(self.context.gpu, root, pass.name(), constants)?;
         let segments = self.segments(kind);
         let binds: Vec<Binds> = segments
             .iter()
@@ -304,10 +320,35 @@ impl Recorder<'_, '_> {
         let (mut recorded, span) = self.context.timer.compute(encoder, pass.name());
         for binds in &binds {
             set(&mut recorded, &pipeline, binds);
-            recorded.dispatch_workgroups(groups, 1, 1);
+            recorded.dispatch_workgroups(tiles.0, tiles.1, 1);
         }
         drop(recorded);
+        self.context.timer.settle(encoder);
         self.out.spans.push(PassSpan { pass, span });
+        Ok(())
+    }
+
+    fn shade(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        tiles: (u32, u32),
+    ) -> Result<(), ShaderError> {
+        let looks = self.scene.looks;
+        let constants = vec![
+            ("OVERRIDES", u32::from(looks.overrides)),
+            ("SPECULAR", u32::from(looks.specular)),
+            ("POINT_LIGHTS", u32::from(looks.point_lights)),
+        ];
+        let name = Pass::Shade.name();
+        let pipeline =
+            self.context.pipelines.plain(self.context.gpu, "shade/shade", name, constants)?;
+        let binds = self.bind(&pipeline, None)?;
+        let (mut recorded, span) = self.context.timer.compute(encoder, name);
+        set(&mut recorded, &pipeline, &binds);
+        recorded.dispatch_workgroups(tiles.0, tiles.1, 1);
+        drop(recorded);
+        self.context.timer.settle(encoder);
+        self.out.spans.push(PassSpan { pass: Pass::Shade, span });
         Ok(())
     }
 

@@ -83,6 +83,16 @@ struct ResidentAsset {
     last_used: u64,
 }
 
+/// Which kinds of appearance a scene has: pipelines leave out what it has not.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Looks {
+    pub textures: bool,
+    /// Some instance overrides its asset's materials.
+    pub overrides: bool,
+    pub specular: bool,
+    pub point_lights: bool,
+}
+
 /// What the passes bind for one scene.
 pub struct ResidentScene {
     pub revision: u64,
@@ -101,6 +111,7 @@ pub struct ResidentScene {
     pub light_count: u32,
     /// Some material cuts holes by alpha.
     pub alpha_cut: bool,
+    pub looks: Looks,
     asset_uids: Vec<u64>,
     material_start: u32,
     material_length: u32,

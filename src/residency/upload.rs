@@ -6,8 +6,8 @@ use super::arena::Arena;
 use super::layout::*;
 use super::model::{AssetModel, SceneModel, gpu_instance};
 use super::{
-    GROUP, Page, PageKind, Piece, Residency, ResidencyError, ResidentAsset, ResidentGeometry,
-    ResidentScene, TEXEL_PAGES, group_entries,
+    GROUP, Looks, Page, PageKind, Piece, Residency, ResidencyError, ResidentAsset,
+    ResidentGeometry, ResidentScene, TEXEL_PAGES, group_entries,
 };
 use crate::assets::Material;
 use crate::bake::pack::{
@@ -117,6 +117,20 @@ fn gpu_chunk(
         vertex_first: vertex_start + (chunk.vertex_first - origin.vertex_first),
         material: if chunk.material == 0 { 0 } else { material_start + chunk.material - 1 },
         unused: 0,
+    }
+}
+
+fn looks(model: &SceneModel) -> Looks {
+    let black = [0.0; 3];
+    let mut materials = model.assets.iter().flat_map(|asset| &asset.packed.materials);
+    let textures = materials.clone().any(|material| material.base_texture.is_some());
+    let shines = materials.any(|material| material.specular != black);
+    let polished = model.materials.iter().any(|spec| spec.specular.is_some_and(|s| s != black));
+    Looks {
+        textures,
+        overrides: model.instances.iter().any(|instance| instance.material.is_some()),
+        specular: shines || polished,
+        point_lights: model.lights.iter().any(|light| matches!(light, Light::Point { .. })),
     }
 }
 
@@ -420,6 +434,7 @@ impl Residency {
             alpha_cut: model.assets.iter().any(|asset| {
                 asset.packed.materials.iter().any(|material| material.alpha_cutoff.is_some())
             }),
+            looks: looks(model),
             asset_uids: model.assets.iter().map(|asset| asset.uid).collect(),
             material_start,
             material_length,
