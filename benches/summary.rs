@@ -28,7 +28,7 @@ fn main() -> anyhow::Result<()> {
     let adapter = first["adapter"].as_str().unwrap_or("unknown").to_owned();
     let date = date();
     let header = ["target", "measured", "asked", ""];
-    let rows: Vec<Vec<String>> = results.iter().flat_map(|result| target_rows(result)).collect();
+    let rows: Vec<Vec<String>> = results.iter().flat_map(target_rows).collect();
     println!("\n== summary, {adapter}, {date}\n{}", render(&header, &rows));
     let written = json!({ "date": date, "adapter": adapter, "benches": results });
     let text = serde_json::to_vec_pretty(&written)?;

@@ -11,6 +11,8 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 mkdir -p target/bench
 if [ "$#" -gt 0 ]; then benches=("$@"); else benches=(points statue triangles daemon memory); fi
 
+# As in scripts/run.sh: no complaints about a Wayland server that is not there.
+export NODEVICE_SELECT=${NODEVICE_SELECT-1}
 benches/peers/install.sh || echo "!! SKIPPED: the comparison with VTK, which could not be installed"
 
 # Everything is built before anything is timed.

@@ -63,7 +63,7 @@ pub fn triangle_grid(side: u32, extent: u32) -> anyhow::Result<PathBuf> {
             corners * corners
         )?;
         write!(out, "property float x\nproperty float y\nproperty float z\n")?;
-        write!(out, "element face {}\n", 2 * cells * cells)?;
+        writeln!(out, "element face {}", 2 * cells * cells)?;
         write!(out, "property list uchar int vertex_indices\nend_header\n")?;
         for row in 0..corners {
             for column in 0..corners {
