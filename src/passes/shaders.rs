@@ -6,6 +6,9 @@ macro_rules! fragments {
     ($($name:literal),+ $(,)?) => {
         /// The text of a fragment of `shaders/`.
         pub fn source(name: &str) -> Option<&'static str> {
+            if let Some(text) = on_disk(name) {
+                return Some(text);
+            }
             match name {
                 $($name => Some(include_str!(concat!("../../shaders/", $name, ".wgsl"))),)+
                 _ => None,
@@ -15,6 +18,17 @@ macro_rules! fragments {
         /// The names of all fragments.
         pub const FRAGMENTS: &[&str] = &[$($name),+];
     };
+}
+
+/// In debug builds, the folder `POINTILLIST_SHADERS` stands in for what was embedded, so that shaders can be worked on
+/// without building anew.
+fn on_disk(name: &str) -> Option<&'static str> {
+    if !cfg!(debug_assertions) {
+        return None;
+    }
+    let folder = std::env::var_os("POINTILLIST_SHADERS")?;
+    let path = std::path::Path::new(&folder).join(name).with_extension("wgsl");
+    std::fs::read_to_string(path).ok().map(|text| &*text.leak())
 }
 
 fragments![
