@@ -259,7 +259,7 @@ fn flood(report: &mut Report, folder: &Path) -> anyhow::Result<()> {
     for queue in ["256", "16"] {
         let daemon = Daemon::start(folder, &["sphere.ply"], &["--queue", queue])?;
         let clients = pick(100, 10);
-        hammer(&daemon, clients, pick(4.0, 0.5))?;
+        hammer(&daemon, clients, pick(15.0, 0.5))?;
         let before = daemon.memory_mib("VmRSS");
         let tally = hammer(&daemon, clients, pick(10.0, 0.5))?;
         let after = daemon.memory_mib("VmRSS");
