@@ -66,7 +66,7 @@ export CARGO_TERM_COLOR=never
 
 check "cargo fmt" cargo fmt --check
 check "cargo clippy" cargo clippy --quiet --all-targets --locked -- -D warnings
-check "cargo doc" env RUSTDOCFLAGS="-D warnings" cargo doc --quiet --no-deps --locked --document-private-items
+check "cargo doc" env RUSTDOCFLAGS="-D warnings -A rustdoc::private-intra-doc-links" cargo doc --quiet --no-deps --locked --document-private-items
 
 if browser_said=$(scripts/setup-browser.sh 2>&1); then
     echo "$browser_said"

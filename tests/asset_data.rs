@@ -2,6 +2,8 @@
 //! source gives, every broken one is refused in words. `POINTILLIST_DATA` names the folder; without
 //! it, or `../shared/data` beside the checkout, these tests print "skipped" and pass.
 
+#![allow(clippy::panic, reason = "a panic is how a test fails")]
+
 use std::path::PathBuf;
 
 use pointillist::assets::{self, Asset, AssetError, Geometry, ReadOptions};

@@ -1,7 +1,7 @@
 //! Reference frames of the scenes that the engine draws.
 //!
 //! A [`Reference`] is loaded from the same file as an engine's scene, with the same description, preparation and numbering
-//! ([`crate::bake::prepare`]), but keeps its geometry in f64 and is drawn by the [oracle](crate::oracle). What
+//! ([`crate::bake::prepare`]), but keeps its geometry in f64 and is drawn by the [`crate::oracle`]. What
 //! packing, the GPU's arithmetic and its passes do to a frame is the difference between the two.
 //!
 //! Loading costs what the engine's loading costs; a frame costs seconds rather than milliseconds, so that scenes of a few

@@ -158,7 +158,12 @@ mod tests {
         let mut geometry = Geometry::Points(cloud);
         let mut found = traits("las");
         prepare_geometry(&mut geometry, &mut found);
-        let expected = AssetTraits { has_colors: true, normals_estimated: true, ..traits("las") };
+        let expected = AssetTraits {
+            has_colors: true,
+            normals_estimated: true,
+            bounds: Bounds { min: DVec3::ZERO, max: DVec3::new(7.0, 7.0, 0.0) },
+            ..traits("las")
+        };
         assert_eq!(found, expected);
         let Geometry::Points(cloud) = geometry else { unreachable!("a cloud stays one") };
         assert_eq!(cloud.colors.unwrap(), vec![[9; 4]; 64]);

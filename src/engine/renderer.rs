@@ -192,7 +192,10 @@ impl Renderer {
             encoder.copy_buffer_to_buffer(buffer, 0, landing.buffer(), 0, bytes);
             (landing, bytes)
         });
-        let index = self.gpu.queue.submit([encoder.finish()]);
+        let commands = encoder.finish();
+        // Some adapters begin to draw at once.
+        let submitted = Instant::now();
+        let index = self.gpu.queue.submit([commands]);
         let frames: Vec<FlyingFrame> = jobs
             .into_iter()
             .zip(recorded)
@@ -206,7 +209,6 @@ impl Renderer {
         if let Some((landing, _)) = &stamps {
             landing.map();
         }
-        let submitted = Instant::now();
         Ok(InFlight { frames, timer, stamps, index, began, record: submitted - began, submitted })
     }
 

@@ -9,7 +9,7 @@ use super::library::Loaded;
 use super::receipt::CameraReceipt;
 use super::shared::Shared;
 use super::{EngineError, FrameRequest, Pose};
-use crate::encode;
+use crate::encode::{self, EncodeError};
 use crate::math::{Camera, CameraError, View};
 use crate::plan::{AdapterFacts, plan};
 
@@ -62,6 +62,16 @@ fn check_size(shared: &Shared, request: &FrameRequest) -> Result<(), EngineError
     Ok(())
 }
 
+fn unfit_format(error: EncodeError) -> EngineError {
+    let (reason, accepted) = match error {
+        EncodeError::Unsupported { format, output, accepted } => {
+            (format!("{format:?} cannot hold {output:?}").to_lowercase(), accepted)
+        }
+        other => (other.to_string(), "another format or size"),
+    };
+    EngineError::BadParameter { parameter: "format", reason, accepted: accepted.to_owned() }
+}
+
 /// Validates a request against the scene as it is now.
 pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, EngineError> {
     let loaded = shared.library.read().get(&request.scene);
@@ -74,11 +84,7 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
             accepted: "1 to 100".to_owned(),
         });
     }
-    encode::accepts(request.format, request.output).map_err(|error| EngineError::BadParameter {
-        parameter: "format",
-        reason: error.to_string(),
-        accepted: "a format that can hold this output".to_owned(),
-    })?;
+    encode::accepts(request.format, request.output).map_err(unfit_format)?;
     let (view, camera) = pose(&loaded, request)?;
     let adapter = shared.adapter();
     let plan =

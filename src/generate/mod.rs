@@ -1,6 +1,6 @@
 //! Deterministic procedural assets and scenes (floor 2).
 //!
-//! [`generate`] makes one of the [`Kind`]s from [`Parameters`]; [`write`] puts it on disk in the
+//! [`generate`] makes one of the [`Kind`]s from [`Parameters`]; [`write()`] puts it on disk in the
 //! format that the file's extension asks for. Equal parameters give equal bytes on every machine:
 //! randomness comes from [`crate::scene::random`], trigonometry from [`numeric`], and parallel work is
 //! split and merged by index.

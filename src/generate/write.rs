@@ -49,7 +49,7 @@ fn create(path: &Path) -> Result<BufWriter<File>, GenerateError> {
     Ok(BufWriter::with_capacity(1 << 18, File::create(path).map_err(GenerateError::io(path))?))
 }
 
-/// Attributes of a vertex as PLY properties, in the order of [`ply_vertex`].
+/// Attributes of a vertex as PLY properties, in the order of `ply_vertex`.
 fn ply_header(
     out: &mut impl Write,
     (count, coordinates): (usize, &str),

@@ -4,7 +4,7 @@
 //! colours to linear RGB. [`Scene::instances`] walks the nodes, prototypes and repeats in order and
 //! yields every instance of an asset with its f64 transform.
 //!
-//! How a file becomes a scene: [`load`] reads it into the wire structures (unknown and repeated
+//! How a file becomes a scene: [`load()`] reads it into the wire structures (unknown and repeated
 //! keys are refused there), validation resolves and checks them place by place, and the graph of
 //! prototypes is tested for cycles, depth and the number of instances before anything is unfolded.
 //! [`json_schema`] describes the files for editors.

@@ -18,7 +18,11 @@ use super::verdict::{self, Tolerance};
 
 /// Where scenes are written, and pictures of those that failed.
 static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("twin");
+    // A process of its own for each test is what some runners start.
+    let runs = Path::new(env!("CARGO_TARGET_TMPDIR")).join("twin");
+    std::fs::create_dir_all(&runs).unwrap();
+    remove_old(&runs);
+    let folder = runs.join(std::process::id().to_string());
     let _ = std::fs::remove_dir_all(&folder);
     std::fs::create_dir_all(&folder).unwrap();
     let folder = folder.canonicalize().unwrap();
@@ -27,7 +31,10 @@ static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
     for entry in std::fs::read_dir(from).unwrap() {
         let file = entry.unwrap().path();
         if file.is_file() {
-            std::fs::copy(&file, folder.join(file.file_name().unwrap())).unwrap();
+            let to = folder.join(file.file_name().unwrap());
+            if std::fs::hard_link(&file, &to).is_err() {
+                std::fs::copy(&file, &to).unwrap();
+            }
         }
     }
     folder
@@ -35,6 +42,17 @@ static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
 
 fn engine(force_32_bit: bool) -> Engine {
     Engine::start(EngineConfig { force_32_bit, ..EngineConfig::new(&*FOLDER) }).unwrap()
+}
+
+/// What runs of an hour ago and more have left.
+fn remove_old(runs: &Path) {
+    const KEPT: std::time::Duration = std::time::Duration::from_secs(3600);
+    for entry in std::fs::read_dir(runs).unwrap().flatten() {
+        let age = entry.metadata().and_then(|found| found.modified()).map(|time| time.elapsed());
+        if matches!(age, Ok(Ok(age)) if age > KEPT) {
+            let _ = std::fs::remove_dir_all(entry.path());
+        }
+    }
 }
 
 /// With 64-bit atomics, where the adapter has them.
