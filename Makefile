@@ -33,7 +33,7 @@ lint: setup ## formatting and lints alone
 	cargo fmt --check
 	cargo clippy --all-targets --locked -- -D warnings
 
-bench: build ## speed and memory, beside VTK on the same machine
+bench: setup ## speed and memory, beside VTK on the same machine (BENCH_QUICK=1, BENCH_RECORD=1)
 	@scripts/bench.sh
 
 data: ## the Stanford dragon into scenes/data/ (11 MB from the npm registry)

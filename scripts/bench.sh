@@ -1,25 +1,35 @@
 #!/usr/bin/env bash
-# Speed and memory in one run: the project's own benches, then VTK on the same files at the same poses,
-# so that ratios compare like with like. Results: target/bench/.
+# Speed and memory in one run: each bench draws with VTK in turns, on the same files at the same poses, so that
+# ratios compare like with like. Tables on standard output; JSON in target/bench/; at the end one table of all targets.
+#
+#   scripts/bench.sh [BENCH…]      all benches, or the named ones (points statue triangles daemon memory)
+#   BENCH_RECORD=1                 keeps a copy in benches/results/, named after the adapter and the day
+#   BENCH_QUICK=1                  smoke check in a minute: tiny files, few repeats, figures without meaning
 set -euo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
-out=target/bench
-mkdir -p "$out"
-binary=target/release/pointillist
+mkdir -p target/bench
+if [ "$#" -gt 0 ]; then benches=("$@"); else benches=(points statue triangles daemon memory); fi
 
-# The peers' files: points spread in a cube, and a scanned statue, both made by the generators.
-[ -s "$out/statue-5m.ply" ] || "$binary" generate statue -o "$out/statue-5m.ply" --points 5000000 --seed 1
+# As in scripts/run.sh: no complaints about a Wayland server that is not there.
+export NODEVICE_SELECT=${NODEVICE_SELECT-1}
+benches/peers/install.sh || echo "!! SKIPPED: the comparison with VTK, which could not be installed"
 
-cargo bench --locked | tee "$out/cargo-bench.txt"
-
-if benches/peers/install.sh; then
-    python=target/peers/venv/bin/python
-    : >"$out/vtk.jsonl"
-    for mode in points point-gaussian; do
-        "$python" benches/peers/vtk_draw.py "$out/statue-5m.ply" --mode "$mode" --size 1024x1024 --jpeg 85 |
-            tee -a "$out/vtk.jsonl"
-    done
-else
-    echo "!! SKIPPED: the comparison with VTK, which could not be installed"
+# Everything is built before anything is timed.
+cargo bench --locked --no-run
+run() { cargo bench --quiet --locked --bench "$@"; }
+if [ "$#" -eq 0 ]; then
+    # What an earlier run left is not this run's result.
+    rm -f target/bench/{points,statue,triangles,daemon,memory}.json
+fi
+failed=()
+for bench in "${benches[@]}"; do
+    run "$bench" || failed+=("$bench")
+done
+record=()
+if [ -n "${BENCH_RECORD:-}" ] && [ "$BENCH_RECORD" != 0 ]; then record=(-- --record); fi
+run summary "${record[@]}"
+if [ "${#failed[@]}" -gt 0 ]; then
+    echo "bench: failed: ${failed[*]}" >&2
+    exit 1
 fi

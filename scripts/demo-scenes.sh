@@ -27,8 +27,10 @@ generate() { # FILE KIND [OPTIONS…]
 generate town-4m.ply town --points 4000000 --seed 1
 generate relief-400k.ply relief --triangles 400000 --seed 1
 
+# Scenes go by their files' names, and `town` and `relief` are the small ones beside this folder.
+rm -f "$folder/town.json" "$folder/relief.json"
 # Scene files name cameras; the town is a survey, so z is up and coordinates are UTM's.
-cat >"$folder/town.json" <<'JSON'
+cat >"$folder/town-4m.json" <<'JSON'
 {
   "pointillist": 1,
   "name": "Town, 4 M points",
@@ -43,7 +45,7 @@ cat >"$folder/town.json" <<'JSON'
   }
 }
 JSON
-cat >"$folder/relief.json" <<'JSON'
+cat >"$folder/relief-400k.json" <<'JSON'
 {
   "pointillist": 1,
   "name": "Relief, 400 K triangles",

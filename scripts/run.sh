@@ -11,4 +11,7 @@ scenes=()
 for file in "$root"/*.json "$root"/generated/*.json "$root"/data/*.json; do
     [ -f "$file" ] && scenes+=(--scene "${file#"$root"/}")
 done
+# Mesa's device-select layer asks a Wayland server which GPU the desktop prefers, and writes an error where there is
+# none. The program chooses its adapter itself (POINTILLIST_ADAPTER), so the layer stays out.
+export NODEVICE_SELECT=${NODEVICE_SELECT-1}
 exec "$binary" serve --root "$root" "${scenes[@]}" "$@"

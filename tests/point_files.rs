@@ -1,6 +1,8 @@
 //! Real and broken point files, read from a folder that is not part of the repository: the one that
 //! `POINTILLIST_DATA` names, or `../shared/data` beside it. Without the folder nothing is tested.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a panic is how a test fails")]
+
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;

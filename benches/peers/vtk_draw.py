@@ -9,15 +9,24 @@ Four ways to draw (`--mode`), each VTK's own:
   splats     vtkPointGaussianMapper, an unlit disc of --radius scene units a sample
   surface    the file's triangles, smooth shaded
 
+Everything else is off by default, which is as fast as VTK gets here; `--lighting`, `--multisamples`,
+`--point-size`, `--spheres`, `--colors lut` and `--window` turn on, one by one, what VTK, PyVista and ParaView
+do when they are told nothing.
+
 What is timed is `Render()` with the camera turned a little before each frame, then a wait until the
 driver has drawn (without it the call may return early). Loading, the first frame (upload, shader
 compilation) and `--warmup` more are outside; `first_ms` gives the first frame apart. With `--jpeg Q`
 or `--encode-png` the whole image is read back and encoded into memory within the timed part, as a
 server would have to.
+
+With `--interactive` the frames come on request, so that another program's can be timed in between: one line
+`{"ready": …}` when all is loaded and warm, then for each line on standard input, a number of degrees, one
+line with that frame's milliseconds; the summary follows the end of the input.
 """
 import argparse
 import json
 import math
+import os
 import statistics
 import sys
 import time
@@ -85,7 +94,7 @@ def read_vertices(path):
         return vertices
 
 
-def load(path, mode):
+def load(path, mode, coloring):
     """PLY → vtkPolyData, and whether it has colours."""
     vertices = None if mode == "surface" else read_vertices(path)
     data = vtk.vtkPolyData()
@@ -107,6 +116,13 @@ def load(path, mode):
             rgb = np.stack([vertices[name] for name in ("red", "green", "blue")], axis=1)
             colors = numpy_to_vtk(np.ascontiguousarray(rgb), deep=True)
             data.GetPointData().SetScalars(colors)
+        if coloring == "lut":
+            height = np.ascontiguousarray(positions[:, 2])
+            colors = numpy_to_vtk(height, deep=True)
+            data.GetPointData().SetScalars(colors)
+    if coloring == "none":
+        data.GetPointData().SetScalars(None)
+        colors = None
     if mode == "surface":
         if data.GetNumberOfPolys() == 0:
             sys.exit(f"{path}: no faces to draw as a surface")
@@ -128,13 +144,14 @@ def load(path, mode):
     return data, colors is not None
 
 
-def make_actor(data, has_colors, mode, radius):
+def make_actor(data, has_colors, args):
+    mode = args.mode
     if mode in ("points", "surface"):
         mapper = vtk.vtkPolyDataMapper()
     else:
         mapper = vtk.vtkPointGaussianMapper()
         mapper.EmissiveOff()
-        mapper.SetScaleFactor(radius if mode == "splats" else 0.0)
+        mapper.SetScaleFactor(args.radius if mode == "splats" else 0.0)
         if mode == "splats":
             mapper.SetSplatShaderCode(
                 "//VTK::Color::Impl\n"
@@ -143,13 +160,16 @@ def make_actor(data, has_colors, mode, radius):
             )
     mapper.SetInputData(data)
     mapper.SetScalarVisibility(has_colors)
+    if args.colors == "lut" and has_colors:
+        mapper.SetScalarRange(data.GetPointData().GetScalars().GetRange())
     actor = vtk.vtkActor()
     actor.SetMapper(mapper)
+    actor.GetProperty().SetPointSize(args.point_size)
+    actor.GetProperty().SetRenderPointsAsSpheres(args.spheres)
     if mode == "surface":
         actor.GetProperty().SetInterpolationToPhong()
     else:
-        actor.GetProperty().SetPointSize(1)
-        actor.GetProperty().LightingOff()
+        actor.GetProperty().SetLighting(args.lighting)
     return actor
 
 
@@ -221,6 +241,16 @@ def parse_arguments():
     parser.add_argument("--warmup", type=int, default=2, help="frames between the first and the timed ones")
     parser.add_argument("--step", type=float, default=0.5, help="degrees the camera turns a frame")
     parser.add_argument("--radius", type=float, default=0.01, help="of a splat, scene units")
+    parser.add_argument("--lighting", action="store_true", help="points lit by VTK's headlight, its default")
+    parser.add_argument("--multisamples", type=int, default=0, help="VTK's default is 8, PyVista's 4")
+    parser.add_argument("--point-size", type=float, default=1.0, help="pixels; PyVista's default is 5")
+    parser.add_argument("--spheres", action="store_true", help="render points as spheres")
+    parser.add_argument(
+        "--colors", default="file", choices=["file", "lut", "none"],
+        help="the file's, heights through a lookup table, or one colour for all",
+    )
+    parser.add_argument("--window", choices=["egl", "osmesa"], help="default: VTK chooses")
+    parser.add_argument("--interactive", action="store_true", help="draw frames as standard input asks")
     parser.add_argument("--jpeg", type=int, metavar="Q", help="time readback and JPEG encoding too")
     parser.add_argument("--encode-png", action="store_true", help="time readback and PNG encoding too")
     parser.add_argument("--png", help="write the unturned frame here")
@@ -229,8 +259,11 @@ def parse_arguments():
 
 def main():
     args = parse_arguments()
+    if args.window:
+        kind = {"egl": "vtkEGLRenderWindow", "osmesa": "vtkOSOpenGLRenderWindow"}[args.window]
+        os.environ["VTK_DEFAULT_OPENGL_WINDOW"] = kind
     began = time.perf_counter()
-    data, has_colors = load(args.ply, args.mode)
+    data, has_colors = load(args.ply, args.mode, args.colors)
     load_ms = (time.perf_counter() - began) * 1e3
 
     low_high = np.array(data.GetBounds()).reshape(3, 2)
@@ -243,11 +276,11 @@ def main():
 
     renderer = vtk.vtkRenderer()
     renderer.SetBackground(0, 0, 0)
-    renderer.AddActor(make_actor(data, has_colors, args.mode, args.radius))
+    renderer.AddActor(make_actor(data, has_colors, args))
     vtk.vtkObject.GlobalWarningDisplayOff()  # no "bad X server" line: having none is the point
     window = vtk.vtkRenderWindow()
     window.SetOffScreenRendering(1)
-    window.SetMultiSamples(0)
+    window.SetMultiSamples(args.multisamples)
     window.SetSize(*args.size)
     window.AddRenderer(renderer)
     camera = renderer.GetActiveCamera()
@@ -272,7 +305,16 @@ def main():
         covered = int((image[:, :3].max(axis=1) > 0).sum())
     for index in range(args.warmup):
         frame((index + 1) * args.step)
-    times = [frame((args.warmup + 1 + index) * args.step) for index in range(args.frames)]
+    if args.interactive:
+        print(json.dumps({"ready": True, "load_ms": round(load_ms, 1), "first_ms": round(first_ms, 1)}), flush=True)
+        times = []
+        for line in sys.stdin:
+            times.append(frame(float(line)))
+            print(f"{times[-1]:.3f}", flush=True)
+        if not times:
+            return
+    else:
+        times = [frame((args.warmup + 1 + index) * args.step) for index in range(args.frames)]
 
     median = statistics.median(times)
     points = data.GetNumberOfPoints()
@@ -288,12 +330,17 @@ def main():
         "renderer": gl.get("OpenGL renderer string"),
         "file": args.ply,
         "mode": args.mode,
+        "multisamples": window.GetMultiSamples(),
+        "point_size": args.point_size,
+        "lighting": args.lighting,
+        "spheres": args.spheres,
+        "colors": args.colors if has_colors else "none",
         "encode": "jpeg" if args.jpeg is not None else "png" if args.encode_png else None,
         "width": args.size[0],
         "height": args.size[1],
         "points": points,
         "triangles": triangles,
-        "frames": args.frames,
+        "frames": len(times),
         "median_ms": round(median, 3),
         "min_ms": round(min(times), 3),
         "max_ms": round(max(times), 3),

@@ -131,7 +131,7 @@ fn triangle(slot_index: u32, at: Placed, chunk: Chunk, one_sided: f32, index: u3
         p[1] = p[2];
         p[2] = swap;
     }
-    walk(p, low, high, triangle_plane(a, b, c), id, alpha_test(chunk, corners, a, b, c));
+    walk(p, low, high, triangle_plane(a, b, c), id, alpha_test(chunk, slots[slot_index].instance, corners, a, b, c));
 }
 
 @compute @workgroup_size(64)

@@ -8,6 +8,7 @@
 //!include ALPHA
 
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
+@group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
 @group(2) @binding(3) var<storage, read> placed: array<Placed>;
@@ -65,7 +66,8 @@ fn fragment(in: Corner) {
     let slot = in.id >> SLOT_SHIFT;
     let chunk = chunks[slots[slot].chunk];
     let corners = triangle_corners(chunk, in.id & SLOT_MASK);
-    if x < frame.size_px.x && y < frame.size_px.y && alpha_passes(alpha_test(chunk, corners, p[0], p[1], p[2]), ray) {
+    let test = alpha_test(chunk, slots[slot].instance, corners, p[0], p[1], p[2]);
+    if x < frame.size_px.x && y < frame.size_px.y && alpha_passes(test, ray) {
         let inverse = plane_inverse_depth(triangle_plane(p[0], p[1], p[2]), ray);
         visibility_write(y * frame.size_px.x + x, inverse, in.id);
     }

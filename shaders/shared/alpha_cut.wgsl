@@ -1,4 +1,5 @@
-// Materials with an alpha cut-off: a pixel is covered where vertex · base · texture alpha reaches it.
+// Materials with an alpha cut-off: a pixel is covered where vertex · base · texture alpha reaches it. The base colour may
+// be an override of the instance; the cut-off is always the asset's own.
 //!include shared/material
 //!include shared/colour
 //!include shared/barycentric
@@ -27,9 +28,9 @@ fn corner_uv(word: u32) -> vec2<f32> {
     return vec2<f32>(bitcast<f32>(vertices[word + 5u]), bitcast<f32>(vertices[word + 6u]));
 }
 
-fn alpha_test(chunk: Chunk, corners: vec3<u32>, a: vec3<f32>, b: vec3<f32>, c: vec3<f32>) -> AlphaTest {
+fn alpha_test(chunk: Chunk, instance: u32, corners: vec3<u32>, a: vec3<f32>, b: vec3<f32>, c: vec3<f32>) -> AlphaTest {
     var test: AlphaTest;
-    let material = materials[chunk.material];
+    let material = effective_material(materials[chunk.material], instances[instance].material);
     if (material.flags & MATERIAL_ALPHA_TEST) == 0u {
         return test;
     }

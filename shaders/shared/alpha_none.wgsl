@@ -5,7 +5,7 @@ struct AlphaTest {
     unused: u32,
 }
 
-fn alpha_test(chunk: Chunk, corners: vec3<u32>, a: vec3<f32>, b: vec3<f32>, c: vec3<f32>) -> AlphaTest {
+fn alpha_test(chunk: Chunk, instance: u32, corners: vec3<u32>, a: vec3<f32>, b: vec3<f32>, c: vec3<f32>) -> AlphaTest {
     return AlphaTest(0u);
 }
 

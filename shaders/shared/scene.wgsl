@@ -6,7 +6,7 @@ struct Instance {
     axis_x: vec4<f32>,
     axis_y: vec4<f32>,
     axis_z: vec4<f32>,
-    // Rows of grid_from_world (linear part), zero where the transform is singular.
+    // Rows of grid_from_world (linear part), or of the cofactors, scaled, where the transform is singular.
     inverse_x: vec4<f32>,
     inverse_y: vec4<f32>,
     inverse_z: vec4<f32>,

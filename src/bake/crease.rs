@@ -92,7 +92,7 @@ fn face(mesh: &Mesh, triangle: &[u32; 3]) -> Option<(Vec3, [f32; 3])> {
         return None;
     }
     let angle = |u: DVec3, v: DVec3| u.cross(v).length().atan2(u.dot(v)) as f32;
-    Some((normal.normalize().as_vec3(), [angle(ab, -ca), angle(bc, -ab), angle(ca, -bc)]))
+    Some((normal.normalize_or_zero().as_vec3(), [angle(ab, -ca), angle(bc, -ab), angle(ca, -bc)]))
 }
 
 /// The corners around each place: corner `3 t + i` is the `i`-th of triangle `t`.

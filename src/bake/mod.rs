@@ -4,9 +4,11 @@
 //!   nearest neighbours;
 //! - [`fill_colors`] gives them colours, from intensity or class;
 //! - [`smooth_normals`] gives meshes vertex normals, splitting vertices at creases;
+//! - [`prepare`] applies these as a file needs them, the same for the GPU and for the reference renderer;
 //! - [`pack`] puts geometry into the records that the GPU reads.
 
 pub mod pack;
+pub mod prepare;
 
 mod colors;
 mod crease;

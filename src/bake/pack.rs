@@ -179,7 +179,8 @@ pub fn pack_samples(cloud: &PointCloud) -> Result<PackedSamples, PackError> {
         .map(|(index, &position)| (morton(grid.quantise(position)), index as u32))
         .collect();
     order.par_sort_unstable();
-    let packed: Vec<(PackedChunk, Vec<[u32; 2]>, Vec<[u32; 2]>)> = order
+    type Packed = (PackedChunk, Vec<[u32; 2]>, Vec<[u32; 2]>);
+    let packed: Vec<Packed> = order
         .par_chunks(CHUNK)
         .enumerate()
         .map(|(index, run)| pack_run(cloud, &grid, index * CHUNK, run))

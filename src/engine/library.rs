@@ -12,17 +12,14 @@ use sha2::{Digest, Sha256};
 
 use super::{AssetInfo, EngineConfig, EngineError, NamedCamera, NodePatch, SceneInfo};
 use crate::assets::{self, Asset, AssetError, Geometry, Placement};
-use crate::bake;
 use crate::bake::pack::{PackedAsset, PackedGeometry, pack_mesh, pack_samples, pack_texture};
+use crate::bake::prepare::{self, AssetTraits};
 use crate::math::{Bounds, Camera};
 use crate::plan::SceneFacts;
 use crate::residency::model::{AssetModel, ModelInstance, SceneModel};
-use crate::scene::{self, Light, Node, Scene};
+use crate::scene::{Light, Node, Scene};
 
 static NEXT_UID: AtomicU64 = AtomicU64::new(1);
-
-/// Angle between faces, in degrees, above which a mesh without normals keeps its edge.
-const CREASE_DEG: f64 = 35.0;
 
 /// A scene and what was derived from it.
 pub struct Loaded {
@@ -98,21 +95,16 @@ pub fn load(
     config: &EngineConfig,
     cache: &AssetCache,
 ) -> Result<Loaded, EngineError> {
-    let is_scene = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
+    let is_scene = prepare::is_scene_file(path);
     let mut hasher = Sha256::new();
-    let mut description = if is_scene {
+    if is_scene {
         let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         hasher.update(
             digest_file(path).map_err(|source| asset_error(AssetError::Io { file, source }))?,
         );
-        scene::load(path, &config.root, &config.scene)
-            .map_err(|error| EngineError::Scene(Arc::new(error)))?
-    } else {
-        let stem = path
-            .file_stem()
-            .map_or_else(|| id.to_owned(), |stem| stem.to_string_lossy().into_owned());
-        Scene::from_asset(&stem, path.to_path_buf())
-    };
+    }
+    let mut description = prepare::describe(path, &config.root, &config.scene)
+        .map_err(|error| EngineError::Scene(Arc::new(error)))?;
     let mut assets = Vec::new();
     let mut placements = Vec::new();
     let mut warnings = Vec::new();
@@ -127,43 +119,13 @@ pub fn load(
         placements.push(asset.placements);
     }
     if !is_scene {
-        adapt_bare_asset(&mut description, &assets);
+        let traits: Vec<AssetTraits> = assets.iter().map(|asset| asset.traits()).collect();
+        prepare::adapt_bare_asset(&mut description, &traits);
     }
     if description.lights.iter().any(|light| matches!(light, Light::Sun { shadows: true, .. })) {
         warnings.push("lights ask for shadows, which this version does not draw".to_owned());
     }
     build(id, 1, description, assets, placements, warnings, hasher.finalize().into(), config)
-}
-
-/// A scan's own colours are shown unlit; survey formats and what lies on a survey's grid have z up.
-fn adapt_bare_asset(description: &mut Scene, assets: &[Arc<AssetModel>]) {
-    let scan = |asset: &Arc<AssetModel>| {
-        asset.has_colors
-            && !asset.has_normals
-            && asset
-                .packed
-                .geometries
-                .iter()
-                .all(|geometry| matches!(geometry, PackedGeometry::Samples(_)))
-    };
-    if assets.iter().all(scan) {
-        description.lights.clear();
-    }
-    let survey = ["las", "laz", "copc", "e57", "pts", "ptx", "xyz", "csv"];
-    if assets.iter().all(|asset| survey.contains(&asset.format) || is_georeferenced(asset)) {
-        description.up = DVec3::Z;
-    }
-}
-
-/// Coordinates of a national or world-wide grid: x and y count from far away, and the land is flatter than it is wide.
-fn is_georeferenced(asset: &AssetModel) -> bool {
-    let all = asset.bounds.iter().fold(Bounds::EMPTY, |all, bounds| all.union(*bounds));
-    let (centre, extent) = (all.centre(), all.extent());
-    // glTF says that y is up.
-    !asset.format.starts_with("gl")
-        && centre.truncate().abs().min_element() > 50_000.0
-        && extent.truncate().max_element() > extent.z
-        && extent.max_element() < centre.truncate().abs().max_element()
 }
 
 fn read_asset(
@@ -224,30 +186,14 @@ fn pack_asset(
     mut asset: Asset,
     digest: [u8; 32],
 ) -> Result<ReadAsset, EngineError> {
-    let (mut has_colors, mut has_normals, mut estimated) = (false, false, false);
+    let mut traits = AssetTraits { format: asset.format, ..AssetTraits::default() };
     let mut geometries = Vec::with_capacity(asset.geometries.len());
-    let bounds = asset.geometries.iter().map(drawn_bounds).collect();
+    let bounds = asset.geometries.iter().map(prepare::drawn_bounds).collect();
     for geometry in &mut asset.geometries {
+        prepare::prepare_geometry(geometry, &mut traits);
         let packed = match geometry {
-            Geometry::Points(cloud) => {
-                has_colors |= cloud.colors.is_some();
-                has_normals |= cloud.normals.is_some();
-                estimated |= cloud.normals.is_none();
-                bake::fill_colors(cloud);
-                bake::estimate_point_attributes(cloud);
-                pack_samples(cloud).map(PackedGeometry::Samples)
-            }
-            Geometry::Mesh(mesh) => {
-                has_colors |= mesh.colors.is_some();
-                has_normals |= mesh.normals.is_some();
-                estimated |= mesh.normals.is_none();
-                // A glTF mesh without normals is to be drawn flat (glTF 2.0, 3.7.2.1).
-                bake::smooth_normals(
-                    mesh,
-                    if asset.format.starts_with("gl") { 0.0 } else { CREASE_DEG },
-                );
-                pack_mesh(mesh).map(PackedGeometry::Mesh)
-            }
+            Geometry::Points(cloud) => pack_samples(cloud).map(PackedGeometry::Samples),
+            Geometry::Mesh(mesh) => pack_mesh(mesh).map(PackedGeometry::Mesh),
         };
         let packed = packed.map_err(|error| {
             asset_error(AssetError::Malformed {
@@ -266,9 +212,9 @@ fn pack_asset(
         format: asset.format,
         packed: PackedAsset { geometries, materials: asset.materials, textures },
         bounds,
-        has_colors,
-        has_normals,
-        normals_estimated: estimated,
+        has_colors: traits.has_colors,
+        has_normals: traits.has_normals,
+        normals_estimated: traits.normals_estimated,
     };
     Ok(ReadAsset {
         model: Arc::new(model),
@@ -277,17 +223,6 @@ fn pack_asset(
         warnings: asset.warnings,
         digest,
     })
-}
-
-/// The box around what can be seen: vertices that no triangle uses are left out.
-fn drawn_bounds(geometry: &Geometry) -> Bounds {
-    match geometry {
-        Geometry::Points(cloud) => Bounds::of(cloud.positions.iter().copied()),
-        Geometry::Mesh(mesh) => {
-            let used = mesh.triangles.iter().flatten();
-            Bounds::of(used.filter_map(|&v| mesh.positions.get(v as usize).copied()))
-        }
-    }
 }
 
 /// Whether a file's own bytes decide what is read. A glTF or OBJ may name buffers, materials and images beside it.
@@ -351,24 +286,22 @@ fn build(
     config: &EngineConfig,
 ) -> Result<Loaded, EngineError> {
     let mut instances = Vec::new();
-    for instance in description.instances() {
-        for placement in placements[instance.asset].iter() {
-            let number = instances.len() as u64 + 1;
-            if number > config.scene.max_instances {
-                return Err(EngineError::OverLimit {
-                    what: "instances",
-                    found: number,
-                    limit: config.scene.max_instances,
-                });
-            }
-            instances.push(ModelInstance {
-                asset: instance.asset,
-                geometry: placement.geometry,
-                world_from_geometry: instance.world_from_asset * placement.asset_from_geometry,
-                material: instance.material,
-                id: number as u32,
+    for placed in prepare::placed(&description, &placements) {
+        let number = instances.len() as u64 + 1;
+        if number > config.scene.max_instances {
+            return Err(EngineError::OverLimit {
+                what: "instances",
+                found: number,
+                limit: config.scene.max_instances,
             });
         }
+        instances.push(ModelInstance {
+            asset: placed.asset,
+            geometry: placed.geometry,
+            world_from_geometry: placed.world_from_geometry,
+            material: placed.material,
+            id: number as u32,
+        });
     }
     let model = SceneModel {
         uid: NEXT_UID.fetch_add(1, Ordering::Relaxed),

@@ -48,6 +48,9 @@ pub struct EngineConfig {
     pub force_32_bit: bool,
     /// Bytes that a shader binds at once at most; `None`: as many as the adapter can. Less means smaller pages.
     pub max_binding_bytes: Option<u64>,
+    /// For measurements: boxes of triangles with a longer side than this go to the rasteriser; `None`: the measured best.
+    #[doc(hidden)]
+    pub small_triangle_px: Option<u32>,
     pub read: ReadOptions,
     pub scene: SceneLimits,
 }
@@ -282,6 +285,7 @@ impl EngineConfig {
             max_side: 8192,
             force_32_bit: false,
             max_binding_bytes: None,
+            small_triangle_px: None,
             read: ReadOptions::default(),
             scene: SceneLimits::default(),
         }

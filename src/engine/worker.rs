@@ -78,12 +78,15 @@ enum Stop {
 }
 
 fn open(shared: &Shared, options: &GpuOptions) -> Result<Renderer, GpuError> {
-    let renderer = Renderer::open(options, |gpu| {
+    let mut renderer = Renderer::open(options, |gpu| {
         shared
             .config
             .gpu_budget_bytes
             .unwrap_or_else(|| (gpu.max_binding_bytes() * 24).min(4 << 30))
     })?;
+    if let Some(pixels) = shared.config.small_triangle_px {
+        renderer.set_small_triangle_px(pixels);
+    }
     shared.set_adapter(Adapter {
         name: renderer.gpu.name.clone(),
         atomics_64: renderer.gpu.atomics_64,

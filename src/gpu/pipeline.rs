@@ -112,12 +112,12 @@ fn reflect(
     };
     let mut checks = wgpu::ShaderRuntimeChecks::checked();
     checks.force_loop_bounding = false;
-    // SAFETY: the check left out guards against loops without end. Ours are counted, over at most 1024 elements, the pixels
-    // of a triangle's clamped box or of a tile's column, the lights, or a texture's levels.
     #[allow(
         unsafe_code,
         reason = "a counter in every loop costs a tenth of a frame on CPU adapters"
     )]
+    // SAFETY: the check left out guards against loops without end. Ours are counted, over at most 1024 elements, the pixels
+    // of a triangle's clamped box or of a tile's column, the lights, or a texture's levels.
     let module = unsafe { gpu.device.create_shader_module_trusted(descriptor, checks) };
     Ok(Reflected { module, layouts, bindings, layout })
 }

@@ -117,7 +117,7 @@ fn a_planes_depth_is_exact_at_every_pixel() {
     let (right, up) = (DVec3::new(40.0, 3.0, 9.0), DVec3::new(-3.0, 40.0, -20.0));
     let geometry = Geometry::Mesh(quad(DVec3::new(0.0, 0.0, -1.0), right, up));
     let frame = render(&scene(vec![item(&geometry)]), &view, 1);
-    let normal = right.cross(up).normalize();
+    let normal = right.cross(up).normalize_or_zero();
     let normal_view = view.view_from_world * normal;
     let offset = normal_view.dot(view.to_view(DVec3::new(0.0, 0.0, -1.0)));
     for (i, &depth) in frame.depth.iter().enumerate() {
@@ -135,7 +135,7 @@ fn a_balls_silhouette_is_right_within_a_pixel() {
     let centre = view.to_view(DVec3::ZERO);
     // Half the chord in which the ray through an image position meets the ball, squared; negative beside it.
     let inside = |x: f64, y: f64| {
-        let ray = view.ray(DVec2::new(x, y)).normalize();
+        let ray = view.ray(DVec2::new(x, y)).normalize_or_zero();
         1.0 - (centre.length_squared() - ray.dot(centre).powi(2))
     };
     let mut checked = [0, 0];
@@ -147,7 +147,7 @@ fn a_balls_silhouette_is_right_within_a_pixel() {
                 .to_vec();
         if around.iter().all(|&chord| chord > 0.0) {
             let ray = view.ray(DVec2::new(x, y));
-            let t = ray.normalize().dot(centre) - around[0].sqrt();
+            let t = ray.normalize_or_zero().dot(centre) - around[0].sqrt();
             assert!((depth - t / ray.length()).abs() < 5e-3, "pixel {i}: {depth}");
             checked[0] += 1;
         } else if around.iter().all(|&chord| chord < 0.0) {

@@ -7,6 +7,7 @@ use glam::{DAffine3, DMat3, DVec3};
 
 use super::layout::{GpuEntry, GpuInstance, two_floats};
 use crate::bake::pack::{Grid, PackedAsset, PackedGeometry};
+use crate::bake::prepare::AssetTraits;
 use crate::math::{Bounds, Camera};
 use crate::scene::{Light, MaterialSpec};
 
@@ -65,6 +66,19 @@ pub struct ModelCounts {
 }
 
 impl AssetModel {
+    /// What its file held.
+    pub fn traits(&self) -> AssetTraits {
+        let is_mesh = |geometry: &PackedGeometry| matches!(geometry, PackedGeometry::Mesh(_));
+        AssetTraits {
+            format: self.format,
+            has_colors: self.has_colors,
+            has_normals: self.has_normals,
+            normals_estimated: self.normals_estimated,
+            has_triangles: self.packed.geometries.iter().any(is_mesh),
+            bounds: self.bounds.iter().fold(Bounds::EMPTY, |all, bounds| all.union(*bounds)),
+        }
+    }
+
     /// Samples and triangles of the whole file, instances not counted.
     pub fn counts(&self) -> (u64, u64) {
         self.packed.geometries.iter().fold(
@@ -136,6 +150,15 @@ impl SceneModel {
     }
 }
 
+/// The transposed cofactors of a matrix, which are its inverse times its determinant, scaled to 1; zero where more than one
+/// direction is lost.
+fn unit_cofactors(m: &DMat3) -> DMat3 {
+    let (x, y, z) = (m.x_axis, m.y_axis, m.z_axis);
+    let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y)).transpose();
+    let most = cofactors.to_cols_array().into_iter().fold(0.0, |most, v| v.abs().max(most));
+    if most > 0.0 && most.is_finite() { cofactors * (1.0 / most) } else { DMat3::ZERO }
+}
+
 /// The record of an instance, computed in f64.
 pub fn gpu_instance(
     grid: &Grid,
@@ -147,7 +170,8 @@ pub fn gpu_instance(
     let origin = world_from_geometry.transform_point3(grid.origin);
     let inverse = linear.inverse();
     let usable = inverse.to_cols_array().iter().all(|v| v.is_finite() && v.abs() < 1e36);
-    let inverse = if usable { inverse } else { DMat3::ZERO };
+    // A flattened geometry has normals too: the cofactors turn them as the inverse would, up to a factor.
+    let inverse = if usable { inverse } else { unit_cofactors(&linear) };
     let row = |v: DVec3| [v.x as f32, v.y as f32, v.z as f32, 0.0];
     let rows = inverse.transpose();
     let split = origin.to_array().map(two_floats);

@@ -186,7 +186,7 @@ mod tests {
                 random.range(0.0, 40.0),
             );
             let direction =
-                DVec3::new(random.bell(), random.bell(), random.bell() * 0.3).normalize();
+                DVec3::new(random.bell(), random.bell(), random.bell() * 0.3).normalize_or_zero();
             let ray = Ray { origin, direction };
             let plain = solids
                 .iter()

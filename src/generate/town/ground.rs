@@ -313,7 +313,7 @@ mod tests {
         assert!(plan.hit(&down(-1.0), 9.0).is_none());
         let origin = DVec3::new(block.min.x - 4.0, y, 2.0);
         let target = DVec3::new(block.min.x, y, 0.5 * KERB_M);
-        let ray = Ray { origin, direction: (target - origin).normalize() };
+        let ray = Ray { origin, direction: (target - origin).normalize_or_zero() };
         let hit = plan.hit(&ray, 50.0).unwrap();
         assert_eq!(hit.normal, DVec3::NEG_X);
         assert!((ray.at(hit.t) - target).length() < 0.01);

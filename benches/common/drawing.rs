@@ -1,0 +1,124 @@
+//! Frames through the engine, without a server.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::Context;
+use glam::{DQuat, DVec3};
+use pointillist::encode::ImageFormat;
+use pointillist::engine::{
+    EncodedFrame, Engine, EngineConfig, FrameRequest, Pose, Receipt, SceneInfo,
+};
+use pointillist::math::Camera;
+use pointillist::plan::{Output, Settings};
+
+/// A camera that turns about the vertical axis through its target, as the peer's does.
+#[derive(Clone, Copy, Debug)]
+pub struct Orbit {
+    pub eye: DVec3,
+    pub target: DVec3,
+    pub fov_deg: f64,
+}
+
+/// Between two frames, so that none is like the one before it.
+pub const STEP_DEG: f64 = 0.5;
+
+impl Orbit {
+    /// All of a scene in view, from the front.
+    ///
+    /// # Errors
+    /// A scene without extent.
+    pub fn around(info: &SceneInfo) -> anyhow::Result<Orbit> {
+        let [low, high] = info.bounds.context("an empty scene")?.map(DVec3::from);
+        let (target, radius, fov_deg) = (0.5 * (low + high), 0.5 * (high - low).length(), 40.0f64);
+        let distance = radius / (0.5 * fov_deg).to_radians().sin();
+        Ok(Orbit { eye: target + DVec3::Z * distance, target, fov_deg })
+    }
+
+    pub fn at(&self, degrees: f64) -> Camera {
+        let turn = DQuat::from_rotation_y(degrees.to_radians());
+        Camera {
+            eye: self.target + turn * (self.eye - self.target),
+            target: self.target,
+            up: DVec3::Y,
+            fov_deg: self.fov_deg,
+        }
+    }
+}
+
+/// An engine with one scene.
+pub struct Drawing {
+    pub engine: Engine,
+    pub info: SceneInfo,
+    pub size: u32,
+}
+
+impl Drawing {
+    /// Opens an engine for `file` alone.
+    ///
+    /// # Errors
+    /// No adapter, a file that is refused.
+    pub fn open(
+        file: &Path,
+        size: u32,
+        adjust: impl FnOnce(&mut EngineConfig),
+    ) -> anyhow::Result<Drawing> {
+        let mut config = EngineConfig::new(file.parent().unwrap_or(Path::new(".")).canonicalize()?);
+        adjust(&mut config);
+        let engine = Engine::start(config)?;
+        let info = engine.load("scene", &file.canonicalize()?)?;
+        Ok(Drawing { engine, info, size })
+    }
+
+    /// One frame, square.
+    ///
+    /// # Errors
+    /// The engine refuses.
+    pub fn frame(&self, camera: Camera, format: ImageFormat) -> anyhow::Result<Arc<EncodedFrame>> {
+        let request = FrameRequest {
+            scene: self.info.id.clone(),
+            pose: Pose::Camera(camera),
+            width: self.size,
+            height: self.size,
+            settings: Settings::default(),
+            output: Output::Color,
+            format,
+            quality: 85,
+            deadline: None,
+        };
+        Ok(self.engine.submit(request)?.wait()?)
+    }
+
+    /// The same, as a JPEG, without its image.
+    ///
+    /// # Errors
+    /// The engine refuses.
+    pub fn receipt(&self, camera: Camera) -> anyhow::Result<Receipt> {
+        Ok(self.frame(camera, ImageFormat::Jpeg)?.receipt.clone())
+    }
+}
+
+/// GPU time of a pass; 0 where it did not run.
+///
+/// # Errors
+/// An adapter without timestamps, on which there is nothing to compare.
+pub fn pass_ns(receipt: &Receipt, name: &str) -> anyhow::Result<u64> {
+    match receipt.passes.iter().find(|pass| pass.name == name) {
+        Some(pass) if pass.ran => pass.gpu_ns.context("this adapter has no timestamps"),
+        _ => Ok(0),
+    }
+}
+
+/// Names and median milliseconds of the passes that ran, in order.
+pub fn pass_medians(receipts: &[Receipt]) -> Vec<(&'static str, f64)> {
+    let Some(first) = receipts.first() else { return Vec::new() };
+    let ran = first.passes.iter().filter(|pass| pass.ran);
+    ran.map(|pass| {
+        let times: Vec<f64> = receipts
+            .iter()
+            .filter_map(|receipt| pass_ns(receipt, pass.name).ok().map(super::ms))
+            .collect();
+        (pass.name, super::median(&times))
+    })
+    .collect()
+}

@@ -1,0 +1,109 @@
+//! Files that the benches draw, made once under `target/bench`. The peer reads the same ones.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use pointillist::assets::Progress;
+use pointillist::generate::{Kind, Parameters, generate, write};
+
+/// Writes through `fill` unless the file is there. A broken run leaves nothing half done behind.
+fn once(name: &str, fill: impl FnOnce(&Path) -> anyhow::Result<()>) -> anyhow::Result<PathBuf> {
+    let folder = super::folder();
+    std::fs::create_dir_all(&folder)?;
+    let file = folder.join(name);
+    if !file.exists() {
+        println!("making {}", file.display());
+        let partial = folder.join(format!("partial-{name}"));
+        fill(&partial).with_context(|| file.display().to_string())?;
+        std::fs::rename(&partial, &file)?;
+    }
+    Ok(file)
+}
+
+/// A point cloud or mesh of the program's own generators.
+pub fn generated(name: &str, kind: Kind, parameters: &Parameters) -> anyhow::Result<PathBuf> {
+    once(name, |file| {
+        let asset = generate(kind, parameters, &Progress::new(|_| ()))?;
+        write(&asset, file)?;
+        Ok(())
+    })
+}
+
+/// `count` points spread evenly over the cube from −1 to 1, coloured by where they are: 15 bytes each.
+pub fn random_points(count: u64) -> anyhow::Result<PathBuf> {
+    once(&format!("random-{count}.ply"), |file| {
+        let mut out = BufWriter::new(File::create(file)?);
+        write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n")?;
+        write!(out, "property float x\nproperty float y\nproperty float z\n")?;
+        write!(out, "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n")?;
+        let mut numbers = Numbers(1);
+        for _ in 0..count {
+            let point = [(); 3].map(|()| numbers.next() * 2.0 - 1.0);
+            for coordinate in point {
+                out.write_all(&coordinate.to_le_bytes())?;
+            }
+            out.write_all(&point.map(|coordinate| ((coordinate + 1.0) * 127.5) as u8))?;
+        }
+        Ok(out.flush()?)
+    })
+}
+
+/// Right triangles with legs of `side` units, two a square, over the square from `-side` to `extent + side`
+/// in the plane z = 0.
+pub fn triangle_grid(side: u32, extent: u32) -> anyhow::Result<PathBuf> {
+    once(&format!("triangles-{side}-of-{extent}.ply"), |file| {
+        let cells = extent.div_ceil(side) + 2;
+        let corners = cells + 1;
+        let mut out = BufWriter::new(File::create(file)?);
+        write!(
+            out,
+            "ply\nformat binary_little_endian 1.0\nelement vertex {}\n",
+            corners * corners
+        )?;
+        write!(out, "property float x\nproperty float y\nproperty float z\n")?;
+        writeln!(out, "element face {}", 2 * cells * cells)?;
+        write!(out, "property list uchar int vertex_indices\nend_header\n")?;
+        for row in 0..corners {
+            for column in 0..corners {
+                for at in [column, row] {
+                    out.write_all(&(at as f32 * side as f32 - side as f32).to_le_bytes())?;
+                }
+                out.write_all(&0f32.to_le_bytes())?;
+            }
+        }
+        for row in 0..cells {
+            for column in 0..cells {
+                let first = row * corners + column;
+                let above = first + corners;
+                for face in [[first, first + 1, above], [above, first + 1, above + 1]] {
+                    out.write_all(&[3])?;
+                    for corner in face {
+                        out.write_all(&(corner as i32).to_le_bytes())?;
+                    }
+                }
+            }
+        }
+        Ok(out.flush()?)
+    })
+}
+
+/// The Stanford dragon as `make data` brings it.
+pub fn dragon() -> Option<PathBuf> {
+    let file = PathBuf::from("scenes/data/dragon.ply");
+    file.exists().then_some(file)
+}
+
+/// Evenly spread numbers in [0, 1): Steele, Lea, Flood 2014, "Fast splittable pseudorandom number generators".
+struct Numbers(u64);
+
+impl Numbers {
+    fn next(&mut self) -> f32 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 40) as f32 / (1u32 << 24) as f32
+    }
+}

@@ -1,0 +1,58 @@
+//! What the benches share: reports, files to draw, the peer, the engine and the daemon.
+//!
+//! The machine may be busy with other work, so every figure is a median over repeats after a warm-up, and what
+//! is compared is timed in turns: one frame of the one, one of the other.
+#![allow(dead_code, reason = "each bench uses its part")]
+
+pub mod client;
+pub mod daemon;
+pub mod drawing;
+pub mod files;
+pub mod peer;
+pub mod report;
+
+use std::path::PathBuf;
+
+/// Results and generated files.
+pub fn folder() -> PathBuf {
+    PathBuf::from("target/bench")
+}
+
+/// A smoke check: tiny files, few repeats; its figures mean nothing.
+pub fn is_quick() -> bool {
+    std::env::var("BENCH_QUICK").is_ok_and(|value| !value.is_empty() && value != "0")
+}
+
+/// `full`, or `quick` in a smoke check.
+pub fn pick<T>(full: T, quick: T) -> T {
+    if is_quick() { quick } else { full }
+}
+
+/// The value in the middle; of an even number, the mean of the two. `NaN` of none.
+pub fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    match (sorted.get(sorted.len().saturating_sub(1) / 2), sorted.get(sorted.len() / 2)) {
+        (Some(low), Some(high)) => 0.5 * (low + high),
+        _ => f64::NAN,
+    }
+}
+
+/// How many times `slow` is `fast`, for what was timed in turns: the median over the pairs, which a load that comes and goes
+/// during the run spares.
+pub fn median_ratio(slow: &[f64], fast: &[f64]) -> f64 {
+    median(&slow.iter().zip(fast).map(|(slow, fast)| slow / fast).collect::<Vec<_>>())
+}
+
+/// The value below which `share` of all lie. `NaN` of none.
+pub fn quantile(values: &[f64], share: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let at = (share * sorted.len().saturating_sub(1) as f64).round() as usize;
+    sorted.get(at).copied().unwrap_or(f64::NAN)
+}
+
+/// Milliseconds of nanoseconds.
+pub fn ms(ns: u64) -> f64 {
+    ns as f64 / 1e6
+}

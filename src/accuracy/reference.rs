@@ -1,0 +1,219 @@
+//! Reference frames of the scenes that the engine draws.
+//!
+//! A [`Reference`] is loaded from the same file as an engine's scene, with the same description, preparation and numbering
+//! ([`crate::bake::prepare`]), but keeps its geometry in f64 and is drawn by the [oracle](crate::oracle). What
+//! packing, the GPU's arithmetic and its passes do to a frame is the difference between the two.
+//!
+//! Loading costs what the engine's loading costs; a frame costs seconds rather than milliseconds, so that scenes of a few
+//! million primitives and frames of a few hundred pixels a side are what this is for.
+
+use std::path::Path;
+
+use crate::assets::{self, Asset, AssetError, ReadOptions};
+use crate::bake::prepare::{self, AssetTraits, PlacedGeometry};
+use crate::encode::FrameImage;
+use crate::math::{Camera, View};
+use crate::oracle::{self, OracleFrame, OracleItem, OracleScene};
+use crate::plan::Output;
+use crate::scene::{Scene, SceneError, SceneLimits};
+
+/// Why there is no reference.
+#[derive(Debug, thiserror::Error)]
+pub enum ReferenceError {
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    #[error(transparent)]
+    Asset(#[from] AssetError),
+    #[error("{what} ({found}) is over the limit of {limit}")]
+    OverLimit { what: &'static str, found: u64, limit: u64 },
+}
+
+/// A scene as the oracle draws it, with everything that it refers to.
+#[derive(Debug)]
+pub struct Reference {
+    description: Scene,
+    /// Prepared, in the order of the description's assets.
+    assets: Vec<Asset>,
+    placed: Vec<PlacedGeometry>,
+}
+
+impl Reference {
+    /// Loads the scene or asset file at `path` as an engine does whose root, read options and limits these are.
+    ///
+    /// # Errors
+    /// Whatever makes the engine refuse the file as well.
+    pub fn load(
+        path: &Path,
+        root: &Path,
+        read: &ReadOptions,
+        limits: &SceneLimits,
+    ) -> Result<Reference, ReferenceError> {
+        let mut description = prepare::describe(path, root, limits)?;
+        let mut options = read.clone();
+        options.root.get_or_insert_with(|| root.to_path_buf());
+        let mut assets = Vec::with_capacity(description.assets.len());
+        let mut traits = Vec::with_capacity(description.assets.len());
+        for reference in &description.assets {
+            let mut asset = assets::read(&reference.file, &options)?;
+            let mut found = AssetTraits { format: asset.format, ..AssetTraits::default() };
+            for geometry in &mut asset.geometries {
+                prepare::prepare_geometry(geometry, &mut found);
+            }
+            if description.cameras.is_empty() {
+                description.cameras.extend(asset.cameras.iter().cloned());
+            }
+            traits.push(found);
+            assets.push(asset);
+        }
+        if !prepare::is_scene_file(path) {
+            prepare::adapt_bare_asset(&mut description, &traits);
+        }
+        let placements: Vec<_> = assets.iter().map(|asset| &asset.placements).collect();
+        let limit = limits.max_instances;
+        // One more than allowed is enough to know.
+        let most = usize::try_from(limit).unwrap_or(usize::MAX).saturating_add(1);
+        let placed: Vec<PlacedGeometry> =
+            prepare::placed(&description, &placements).take(most).collect();
+        if placed.len() as u64 > limit {
+            let found = placed.len() as u64;
+            return Err(ReferenceError::OverLimit { what: "instances", found, limit });
+        }
+        Ok(Reference { description, assets, placed })
+    }
+
+    /// The description, as loaded and adapted.
+    pub fn description(&self) -> &Scene {
+        &self.description
+    }
+
+    /// The pose of a camera that the scene, or else its asset, names.
+    pub fn camera(&self, name: &str) -> Option<Camera> {
+        let mut cameras = self.description.cameras.iter();
+        cameras.find(|(known, _)| known == name).map(|(_, camera)| *camera)
+    }
+
+    /// What the oracle draws. Instances have the numbers that the engine gives them.
+    pub fn scene(&self) -> OracleScene<'_> {
+        let item = |(number, placed): (usize, &PlacedGeometry)| {
+            let asset = &self.assets[placed.asset];
+            OracleItem {
+                geometry: &asset.geometries[placed.geometry],
+                world_from_geometry: placed.world_from_geometry,
+                materials: &asset.materials,
+                textures: &asset.textures,
+                override_material: placed
+                    .material
+                    .map(|material| &self.description.materials[material]),
+                instance: number as u32,
+            }
+        };
+        OracleScene {
+            items: self.placed.iter().enumerate().map(item).collect(),
+            lights: &self.description.lights,
+            background: self.description.background,
+        }
+    }
+
+    /// Draws a frame. `supersample` as in [`oracle::render`]: 1 samples as the engine does, more gives the smooth
+    /// picture that both approximate.
+    pub fn frame(&self, view: &View, supersample: u32) -> OracleFrame {
+        oracle::render(&self.scene(), view, supersample)
+    }
+}
+
+/// The image of a reference frame in the engine's own form: sRGB bytes, f32 depths, normals as bytes, ids.
+pub fn image(frame: &OracleFrame, output: Output) -> FrameImage {
+    let (width, height) = (frame.width, frame.height);
+    match output {
+        Output::Color => FrameImage::Color { width, height, rgba: frame.to_rgba8() },
+        Output::Depth => {
+            let depth = frame.depth.iter().map(|&depth| depth as f32).collect();
+            FrameImage::Depth { width, height, depth }
+        }
+        Output::Normal => {
+            let byte = |v: f64| (v * 127.0 + 128.0).round() as u8;
+            let normal = |n: &glam::DVec3| match n.length_squared() {
+                0.0 => [0; 4],
+                _ => [byte(n.x), byte(n.y), byte(n.z), 255],
+            };
+            FrameImage::Normal { width, height, rgba: frame.normal.iter().map(normal).collect() }
+        }
+        Output::Id => FrameImage::Id { width, height, id: frame.id.clone() },
+    }
+}
+
+/// Loads, draws and converts in one go: the reference of the frame that an engine with root `root` and default
+/// limits gives for `view` and `output`.
+///
+/// # Errors
+/// See [`Reference::load`].
+pub fn reference_frame(
+    path: &Path,
+    root: &Path,
+    view: &View,
+    output: Output,
+    supersample: u32,
+) -> Result<FrameImage, ReferenceError> {
+    let reference = Reference::load(path, root, &ReadOptions::default(), &SceneLimits::default())?;
+    Ok(image(&reference.frame(view, supersample), output))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    fn folder() -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        let triangle = "ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\n\
+            property double z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n\
+            -1 -1 0\n1 -1 0\n0 1 0\n3 0 1 2\n";
+        std::fs::write(folder.path().join("t.ply"), triangle).unwrap();
+        folder
+    }
+
+    fn view() -> View {
+        let eye = DVec3::new(0.0, 0.0, 4.0);
+        Camera { eye, target: DVec3::ZERO, up: DVec3::Y, fov_deg: 60.0 }.view(16, 12).unwrap()
+    }
+
+    #[test]
+    fn a_scene_file_is_drawn_with_its_overrides_and_numbers() {
+        let folder = folder();
+        let path = folder.path().join("s.json");
+        let text = r##"{"assets": {"t": {"file": "t.ply"}}, "lights": [], "background": "#102030",
+            "materials": {"red": {"color": [1, 0, 0]}},
+            "nodes": [{"asset": "t", "translate": [0, 0, -50]}, {"asset": "t", "material": "red"}],
+            "cameras": {"c": {"eye": [0, 0, 4], "target": [0, 0, 0]}}}"##;
+        std::fs::write(&path, text).unwrap();
+        let draw = |output| reference_frame(&path, folder.path(), &view(), output, 1).unwrap();
+        let centre = 6 * 16 + 8;
+        let FrameImage::Id { id, .. } = draw(Output::Id) else { panic!("ids") };
+        assert_eq!((id[0], id[centre]), (0, 2));
+        let FrameImage::Color { rgba, .. } = draw(Output::Color) else { panic!("colours") };
+        assert_eq!((rgba[0], rgba[centre]), ([0x10, 0x20, 0x30, 255], [255, 0, 0, 255]));
+        let FrameImage::Depth { depth, .. } = draw(Output::Depth) else { panic!("depths") };
+        assert_eq!((depth[0], depth[centre]), (f32::INFINITY, 4.0));
+        let FrameImage::Normal { rgba, .. } = draw(Output::Normal) else { panic!("normals") };
+        assert_eq!((rgba[0], rgba[centre]), ([0; 4], [128, 128, 255, 255]));
+    }
+
+    #[test]
+    fn a_bare_asset_is_a_scene() {
+        let folder = folder();
+        let path = folder.path().join("t.ply");
+        let load = |limits: &SceneLimits| {
+            Reference::load(&path, folder.path(), &ReadOptions::default(), limits)
+        };
+        let reference = load(&SceneLimits::default()).unwrap();
+        assert_eq!(reference.description().name, "t");
+        assert_eq!(reference.scene().lights.len(), 2);
+        assert!(reference.camera("c").is_none());
+        assert_eq!(reference.frame(&view(), 1).id[6 * 16 + 8], 1);
+        let none = SceneLimits { max_instances: 0, ..SceneLimits::default() };
+        assert!(matches!(load(&none), Err(ReferenceError::OverLimit { found: 1, limit: 0, .. })));
+        let missing = folder.path().join("missing.ply");
+        let error = reference_frame(&missing, folder.path(), &view(), Output::Id, 1).unwrap_err();
+        assert!(error.to_string().contains("missing.ply"), "{error}");
+    }
+}

@@ -1,0 +1,223 @@
+//! What a file goes through before it is drawn, by whatever renderer.
+//!
+//! The engine packs the result for the GPU, the reference of [`crate::accuracy`] gives it to the oracle as it is. Both
+//! take every step from here, so that a frame and its reference show the same scene: which description a path stands for
+//! ([`describe`]), the attributes that geometries lack ([`prepare_geometry`]), what a bare file says about its lights
+//! and its up ([`adapt_bare_asset`]), and which geometry stands where under which number ([`placed`]).
+
+use std::borrow::Borrow;
+use std::path::Path;
+
+use glam::{DAffine3, DVec3};
+
+use super::{estimate_point_attributes, fill_colors, smooth_normals};
+use crate::assets::{Geometry, Placement};
+use crate::math::Bounds;
+use crate::scene::{self, Scene, SceneError, SceneLimits};
+
+/// Angle between faces, in degrees, above which a mesh without normals keeps its edge.
+const CREASE_DEG: f64 = 35.0;
+/// Formats of surveys, which have z up.
+const SURVEY_FORMATS: [&str; 8] = ["las", "laz", "copc", "e57", "pts", "ptx", "xyz", "csv"];
+
+/// What an asset's file itself held.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct AssetTraits {
+    /// As [`crate::assets::Asset::format`].
+    pub format: &'static str,
+    /// Some geometry had colours.
+    pub has_colors: bool,
+    /// Some geometry had normals.
+    pub has_normals: bool,
+    /// Some geometry had none, so that they come from the neighbourhood.
+    pub normals_estimated: bool,
+    /// Some geometry is a mesh.
+    pub has_triangles: bool,
+    /// Of everything that is drawn, before it is placed.
+    pub bounds: Bounds,
+}
+
+/// One drawn copy of one geometry. Its number is its place in the list that [`placed`] gives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlacedGeometry {
+    /// Index into [`Scene::assets`].
+    pub asset: usize,
+    /// Index into the asset's geometries.
+    pub geometry: usize,
+    pub world_from_geometry: DAffine3,
+    /// Index into [`Scene::materials`].
+    pub material: Option<usize>,
+}
+
+/// Whether a path names a scene file; what is none is drawn as a scene of its own.
+pub fn is_scene_file(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"))
+}
+
+/// The scene that the file at `path` (below `root`) stands for.
+///
+/// # Errors
+/// A scene file that [`scene::load`] refuses.
+pub fn describe(path: &Path, root: &Path, limits: &SceneLimits) -> Result<Scene, SceneError> {
+    if is_scene_file(path) {
+        return scene::load(path, root, limits);
+    }
+    let stem = path.file_stem().map_or_else(|| "asset".into(), |stem| stem.to_string_lossy());
+    Ok(Scene::from_asset(&stem, path.to_path_buf()))
+}
+
+/// Gives a geometry the colours, normals and radii that it lacks, and notes in `traits`, whose format is known
+/// already, what it had.
+pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
+    traits.bounds = traits.bounds.union(drawn_bounds(geometry));
+    let (has_colors, has_normals) = match geometry {
+        Geometry::Points(cloud) => {
+            let had = (cloud.colors.is_some(), cloud.normals.is_some());
+            fill_colors(cloud);
+            estimate_point_attributes(cloud);
+            had
+        }
+        Geometry::Mesh(mesh) => {
+            traits.has_triangles = true;
+            let had = (mesh.colors.is_some(), mesh.normals.is_some());
+            // A glTF mesh without normals is to be drawn flat (glTF 2.0, 3.7.2.1).
+            smooth_normals(mesh, if traits.format.starts_with("gl") { 0.0 } else { CREASE_DEG });
+            had
+        }
+    };
+    traits.has_colors |= has_colors;
+    traits.has_normals |= has_normals;
+    traits.normals_estimated |= !has_normals;
+}
+
+/// Adapts the description of a bare asset file: a scan's own colours are shown unlit; survey formats, and what lies on a
+/// survey's grid, have z up.
+pub fn adapt_bare_asset(description: &mut Scene, assets: &[AssetTraits]) {
+    let scan = |asset: &AssetTraits| asset.has_colors && !asset.has_normals && !asset.has_triangles;
+    if assets.iter().all(scan) {
+        description.lights.clear();
+    }
+    if assets.iter().all(|asset| SURVEY_FORMATS.contains(&asset.format) || is_georeferenced(asset))
+    {
+        description.up = DVec3::Z;
+    }
+}
+
+/// Coordinates of a national or world-wide grid: x and y count from far away, and the land is flatter than it is wide.
+fn is_georeferenced(asset: &AssetTraits) -> bool {
+    let (centre, extent) = (asset.bounds.centre(), asset.bounds.extent());
+    // glTF says that y is up.
+    !asset.format.starts_with("gl")
+        && centre.truncate().abs().min_element() > 50_000.0
+        && extent.truncate().max_element() > extent.z
+        && extent.max_element() < centre.truncate().abs().max_element()
+}
+
+/// The box around what can be seen: vertices that no triangle uses are left out.
+pub fn drawn_bounds(geometry: &Geometry) -> Bounds {
+    match geometry {
+        Geometry::Points(cloud) => Bounds::of(cloud.positions.iter().copied()),
+        Geometry::Mesh(mesh) => {
+            let used = mesh.triangles.iter().flatten();
+            Bounds::of(used.filter_map(|&v| mesh.positions.get(v as usize).copied()))
+        }
+    }
+}
+
+/// Every geometry that a scene draws, instance by instance and placement by placement. `placements` has one list for
+/// each of the scene's assets.
+pub fn placed<'a, P: Borrow<Vec<Placement>>>(
+    description: &Scene,
+    placements: &'a [P],
+) -> impl Iterator<Item = PlacedGeometry> + use<'a, P> {
+    description.instances().into_iter().flat_map(move |instance| {
+        let here: &Vec<Placement> = placements[instance.asset].borrow();
+        here.iter().map(move |placement| PlacedGeometry {
+            asset: instance.asset,
+            geometry: placement.geometry,
+            world_from_geometry: instance.world_from_asset * placement.asset_from_geometry,
+            material: instance.material,
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::assets::{Mesh, PointCloud};
+
+    fn traits(format: &'static str) -> AssetTraits {
+        AssetTraits { format, ..AssetTraits::default() }
+    }
+
+    #[test]
+    fn a_cloud_gets_what_it_lacks() {
+        let positions: Vec<DVec3> =
+            (0..64).map(|i| DVec3::new(f64::from(i % 8), f64::from(i / 8), 0.0)).collect();
+        let cloud = PointCloud { positions, colors: Some(vec![[9; 4]; 64]), ..Default::default() };
+        let mut geometry = Geometry::Points(cloud);
+        let mut found = traits("las");
+        prepare_geometry(&mut geometry, &mut found);
+        let expected = AssetTraits { has_colors: true, normals_estimated: true, ..traits("las") };
+        assert_eq!(found, expected);
+        let Geometry::Points(cloud) = geometry else { unreachable!("a cloud stays one") };
+        assert_eq!(cloud.colors.unwrap(), vec![[9; 4]; 64]);
+        assert!(cloud.normals.unwrap().iter().all(|n| n.z.abs() > 0.99));
+        assert!(cloud.radii.unwrap().iter().all(|&radius| radius > 0.0));
+    }
+
+    #[test]
+    fn only_gltf_meshes_are_flat() {
+        // Two triangles that meet at 20°.
+        let (sin, cos) = 20f64.to_radians().sin_cos();
+        let positions = [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [cos, 0.0, sin]];
+        let mesh = Mesh {
+            positions: positions.map(DVec3::from).to_vec(),
+            triangles: vec![[0, 1, 2], [1, 0, 3]],
+            ..Default::default()
+        };
+        for (format, vertices) in [("ply", 4), ("glb", 6), ("gltf", 6)] {
+            let mut geometry = Geometry::Mesh(mesh.clone());
+            let mut found = traits(format);
+            prepare_geometry(&mut geometry, &mut found);
+            assert_eq!(geometry.positions().len(), vertices, "{format}");
+            assert!(found.has_triangles && found.normals_estimated && !found.has_normals);
+        }
+    }
+
+    #[test]
+    fn bare_scans_are_unlit_and_upright() {
+        let scan = AssetTraits { has_colors: true, ..traits("laz") };
+        let bare = || Scene::from_asset("a", "a".into());
+        let adapted = |asset| {
+            let mut scene = bare();
+            adapt_bare_asset(&mut scene, &[asset]);
+            (scene.lights.is_empty(), scene.up == DVec3::Z)
+        };
+        assert_eq!(adapted(scan), (true, true));
+        assert_eq!(adapted(AssetTraits { format: "ply", ..scan }), (true, false));
+        assert_eq!(adapted(AssetTraits { has_normals: true, ..scan }), (false, true));
+        assert_eq!(adapted(AssetTraits { has_colors: false, ..scan }), (false, true));
+        assert_eq!(adapted(AssetTraits { has_triangles: true, ..scan }), (false, true));
+    }
+
+    #[test]
+    fn placements_are_listed_within_instances() {
+        let text = r#"{"assets": {"a": {"file": "a.ply"}},
+            "nodes": [{"asset": "a", "repeat": {"grid": [2, 1, 1], "step": [10, 0, 0]}}]}"#;
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("a.ply"), "").unwrap();
+        let limits = SceneLimits::default();
+        let scene = scene::parse(text, "s", folder.path(), folder.path(), &limits).unwrap();
+        let placement = |geometry, x| Placement {
+            name: String::new(),
+            geometry,
+            asset_from_geometry: DAffine3::from_translation(DVec3::new(x, 0.0, 0.0)),
+        };
+        let lists = [Box::new(vec![placement(1, 1.0), placement(0, 2.0)])];
+        let found: Vec<(usize, f64)> = placed(&scene, &lists)
+            .map(|placed| (placed.geometry, placed.world_from_geometry.translation.x))
+            .collect();
+        assert_eq!(found, [(1, -4.0), (0, -3.0), (1, 6.0), (0, 7.0)]);
+    }
+}

@@ -1,0 +1,127 @@
+//! Every module that can be composed parses and validates with the capabilities that the device has. Needs no GPU.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that unwraps says where it failed"
+)]
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use naga::valid::{Capabilities, ValidationFlags, Validator};
+use pointillist::gpu::shader::{self, Composed};
+use pointillist::passes::shaders::{self, FRAGMENTS, Visibility};
+
+/// What is asked of the device where 64-bit atomics are used.
+const WIDE: Capabilities =
+    Capabilities::SHADER_INT64.union(Capabilities::SHADER_INT64_ATOMIC_MIN_MAX);
+
+/// Files with entry points.
+fn roots() -> Vec<&'static str> {
+    FRAGMENTS.iter().copied().filter(|name| !name.starts_with("shared/")).collect()
+}
+
+fn uses(root: &str, alias: &str) -> bool {
+    shaders::source(root).unwrap().lines().any(|line| line == format!("//!include {alias}"))
+}
+
+/// Every composition of a root, with what it is called and which variant of the visibility buffer it has.
+fn compositions(root: &str) -> Vec<(String, Option<Visibility>, Composed)> {
+    if !uses(root, "VISIBILITY") {
+        assert!(!uses(root, "ALPHA"), "{root} tests alpha but writes no visibility");
+        return vec![(root.to_owned(), None, shaders::plain(root).unwrap())];
+    }
+    let mut all = Vec::new();
+    for visibility in Visibility::ALL {
+        for alpha_cut in [false, true] {
+            let name = format!("{root} ({visibility:?}, alpha {alpha_cut})");
+            let composed = shaders::visible(root, visibility, alpha_cut).unwrap();
+            all.push((name, Some(visibility), composed));
+        }
+    }
+    all
+}
+
+fn validate(name: &str, composed: &Composed, capabilities: Capabilities) -> Result<(), String> {
+    let module = shader::parse(name, composed).unwrap_or_else(|error| panic!("{error}"));
+    assert!(!module.entry_points.is_empty(), "{name} has no entry point");
+    Validator::new(ValidationFlags::all(), capabilities)
+        .validate(&module)
+        .map(drop)
+        .map_err(|error| error.emit_to_string(&composed.source))
+}
+
+#[test]
+fn every_composition_is_valid() {
+    let mut checked = 0;
+    for root in roots() {
+        for (name, visibility, composed) in compositions(root) {
+            let capabilities = match visibility {
+                Some(Visibility::Wide) => WIDE,
+                _ => Capabilities::empty(),
+            };
+            if let Err(error) = validate(&name, &composed, capabilities) {
+                panic!("{name}: {error}");
+            }
+            checked += 1;
+        }
+    }
+    // Three roots have six variants each.
+    assert_eq!(checked, roots().len() - 3 + 3 * 6);
+}
+
+#[test]
+fn only_wide_visibility_needs_64_bits() {
+    for root in roots() {
+        for (name, visibility, composed) in compositions(root) {
+            let plain = validate(&name, &composed, Capabilities::empty());
+            assert_eq!(plain.is_err(), visibility == Some(Visibility::Wide), "{name}");
+        }
+    }
+}
+
+/// Entry points are called as their file; the rasteriser has a vertex and a fragment stage.
+#[test]
+fn entry_points_are_named_after_their_file() {
+    for root in roots() {
+        for (name, _, composed) in compositions(root) {
+            let module = shader::parse(&name, &composed).unwrap();
+            let names: Vec<&str> = module.entry_points.iter().map(|e| e.name.as_str()).collect();
+            let file = root.rsplit('/').next().unwrap();
+            if file.starts_with("rasterise") {
+                assert_eq!(names, ["vertex", "fragment"], "{name}");
+            } else {
+                assert_eq!(names, [file], "{name}");
+            }
+        }
+    }
+}
+
+fn files_below(folder: &Path, prefix: &str, found: &mut BTreeSet<String>) {
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_stem().unwrap().to_string_lossy().into_owned();
+        if path.is_dir() {
+            files_below(&path, &format!("{prefix}{name}/"), found);
+        } else {
+            found.insert(format!("{prefix}{name}"));
+        }
+    }
+}
+
+#[test]
+fn every_file_is_embedded_and_used() {
+    let mut files = BTreeSet::new();
+    files_below(&Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders"), "", &mut files);
+    let embedded: BTreeSet<String> = FRAGMENTS.iter().map(|&name| name.to_owned()).collect();
+    assert_eq!(files, embedded);
+    let mut used = BTreeSet::new();
+    for root in roots() {
+        for (_, _, composed) in compositions(root) {
+            let lines = 1..=composed.source.lines().count();
+            used.extend(lines.filter_map(|line| Some(composed.line(line)?.0.to_owned())));
+        }
+    }
+    assert_eq!(used, embedded, "a fragment that no composition includes");
+}

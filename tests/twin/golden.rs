@@ -1,0 +1,93 @@
+//! Pictures of the committed scenes, kept in `tests/golden`: what was right once stays as it is.
+//!
+//! `UPDATE=1 cargo test --test twin golden` writes them anew; look at them before they are committed. Another driver
+//! rounds otherwise, so that pictures are compared closely but not bit by bit.
+
+use std::path::PathBuf;
+
+use pointillist::accuracy::metrics;
+use pointillist::math::Camera;
+
+use super::stage::Case;
+use super::verdict;
+
+const WIDTH: u32 = 192;
+const HEIGHT: u32 = 144;
+
+fn file(name: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/{name}.png"))
+}
+
+/// Opaque pixels as a small PNG file.
+fn write(name: &str, rgba: &[[u8; 4]]) {
+    let path = file(name);
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    let mut encoder = png::Encoder::new(std::fs::File::create(path).unwrap(), WIDTH, HEIGHT);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_compression(png::Compression::High);
+    let rgb: Vec<u8> = rgba.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect();
+    encoder.write_header().unwrap().write_image_data(&rgb).unwrap();
+}
+
+fn read(name: &str) -> Vec<[u8; 4]> {
+    let path = file(name);
+    let opened = std::fs::File::open(&path)
+        .unwrap_or_else(|error| panic!("{}: {error}; UPDATE=1 writes it", path.display()));
+    let mut reader = png::Decoder::new(std::io::BufReader::new(opened)).read_info().unwrap();
+    let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut bytes).unwrap();
+    assert_eq!((info.width, info.height), (WIDTH, HEIGHT), "{name}");
+    assert_eq!(info.color_type, png::ColorType::Rgb, "{name}");
+    let (pixels, _) = bytes.as_chunks();
+    pixels.iter().map(|&[r, g, b]| [r, g, b, 255]).collect()
+}
+
+fn compare(scene: &str, cameras: &[&str]) {
+    let case = Case::committed(scene);
+    for camera in cameras {
+        let name = format!("{scene}-{camera}");
+        let camera: Camera = case.reference.camera(camera).unwrap();
+        let frame = case.draw(&camera.view(WIDTH, HEIGHT).unwrap());
+        assert!(frame.color.iter().all(|color| color[3] == 255), "{name} is translucent");
+        if std::env::var("UPDATE").is_ok_and(|update| update == "1") {
+            write(&name, &frame.color);
+        }
+        let golden = read(&name);
+        let psnr = metrics::psnr(&golden, &frame.color).unwrap();
+        let ssim = metrics::ssim(&golden, &frame.color, WIDTH, HEIGHT).unwrap();
+        let differs = |(a, b): &(&[u8; 4], &[u8; 4])| (0..3).any(|k| a[k].abs_diff(b[k]) > 4);
+        let changed = golden.iter().zip(&frame.color).filter(differs).count();
+        let report = format!("{name}: {psnr:.1} dB, SSIM {ssim:.5}, {changed} pixels differ");
+        println!("{report}");
+        if psnr < 45.0 || ssim < 0.995 || changed > golden.len() / 200 {
+            let difference = golden.iter().zip(&frame.color).map(|(a, b)| {
+                let [r, g, b, _] = std::array::from_fn(|k| a[k].abs_diff(b[k]).saturating_mul(8));
+                [r, g, b, 255]
+            });
+            verdict::save(&format!("{name}-golden"), WIDTH, HEIGHT, golden.clone());
+            verdict::save(&format!("{name}-difference"), WIDTH, HEIGHT, difference.collect());
+            verdict::save(&format!("{name}-frame"), WIDTH, HEIGHT, frame.color.clone());
+            panic!("{report}; see {}", super::stage::folder().join("failed").display());
+        }
+    }
+}
+
+#[test]
+fn town() {
+    compare("town", &["overview", "square", "street"]);
+}
+
+#[test]
+fn relief() {
+    compare("relief", &["front", "detail"]);
+}
+
+#[test]
+fn textured() {
+    compare("textured", &["front", "grazing"]);
+}
+
+#[test]
+fn plaza() {
+    compare("plaza", &["walk", "assembly"]);
+}

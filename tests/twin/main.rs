@@ -1,0 +1,23 @@
+//! Twins: the engine's frame beside the oracle's, drawn from the same files.
+//!
+//! `stage` holds two engines (with and without 64-bit atomics) and the scenes of the tests, `files` writes
+//! their assets, `verdict` compares frames. Needs a Vulkan adapter, such as Mesa's lavapipe.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that unwraps says where it failed"
+)]
+
+mod files;
+mod golden;
+mod instances;
+mod lights;
+mod materials;
+mod precision;
+mod random;
+mod samples;
+mod scenes;
+mod stage;
+mod triangles;
+mod verdict;

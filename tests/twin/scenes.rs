@@ -1,0 +1,59 @@
+//! The committed scenes, as users see them.
+
+use serde_json::Value;
+
+use super::stage::{Case, folder, look};
+use super::verdict::Tolerance;
+
+fn check(scene: &str, cameras: &[&str], tolerance: &Tolerance) {
+    let case = Case::committed(scene);
+    for camera in cameras {
+        case.check(&case.view(camera, 200, 150), tolerance);
+    }
+}
+
+#[test]
+fn town() {
+    check("town", &["overview", "square", "street", "above"], &Tolerance::samples());
+}
+
+#[test]
+fn relief() {
+    check("relief", &["front", "detail", "above"], &Tolerance::default());
+}
+
+#[test]
+fn textured() {
+    check("textured", &["front", "detail", "grazing"], &Tolerance::default());
+}
+
+/// All 40 × 40 assemblies. Trees are a pixel tall in the distance, their leaves a twentieth.
+#[test]
+fn plaza_as_a_whole() {
+    let tolerance = Tolerance {
+        unless_noise: true,
+        // One frame of eight million triangles is enough.
+        shift_px: 0.0,
+        unexplained: 4,
+        at_edges: 200 * 150 / 75,
+        ..Tolerance::default()
+    };
+    check("plaza", &["overview"], &tolerance);
+}
+
+/// The plaza with 8 × 8 assemblies, from among them.
+#[test]
+fn plaza_from_within() {
+    let text = std::fs::read_to_string(folder().join("plaza.json")).unwrap();
+    let mut scene: Value = serde_json::from_str(&text).unwrap();
+    scene["prototypes"]["row"]["children"][0]["repeat"]["grid"][0] = 8.into();
+    scene["nodes"][0]["repeat"]["grid"][2] = 8.into();
+    let path = folder().join("plaza-8.json");
+    std::fs::write(&path, serde_json::to_vec(&scene).unwrap()).unwrap();
+    let case = Case::load("plaza-8", &path);
+    let tolerance =
+        Tolerance { unless_noise: true, at_edges: 12, unexplained: 2, ..Tolerance::default() };
+    case.check(&case.view("assembly", 200, 150), &tolerance);
+    case.check(&look([0.0, 1.7, 24.0], [0.4, 1.6, -32.0], 50.0), &tolerance);
+    case.check(&look([1.0, 0.4, 20.5], [-0.5, 1.2, 19.0], 70.0), &tolerance);
+}

@@ -1,0 +1,194 @@
+//! The engines under test and the scenes that they draw.
+
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use glam::DVec3;
+use pointillist::accuracy::reference::Reference;
+use pointillist::assets::ReadOptions;
+use pointillist::encode::ImageFormat;
+use pointillist::engine::{Engine, EngineConfig, FrameRequest, NodePatch, Pose, Receipt};
+use pointillist::math::{Camera, View};
+use pointillist::plan::{Output, Pass, Settings};
+use pointillist::scene::SceneLimits;
+use serde_json::Value;
+
+use super::verdict::{self, Tolerance};
+
+/// Where scenes are written, and pictures of those that failed.
+static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("twin");
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).unwrap();
+    let folder = folder.canonicalize().unwrap();
+    // The committed scenes, so that one root holds all.
+    let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes");
+    for entry in std::fs::read_dir(from).unwrap() {
+        let file = entry.unwrap().path();
+        if file.is_file() {
+            std::fs::copy(&file, folder.join(file.file_name().unwrap())).unwrap();
+        }
+    }
+    folder
+});
+
+fn engine(force_32_bit: bool) -> Engine {
+    Engine::start(EngineConfig { force_32_bit, ..EngineConfig::new(&*FOLDER) }).unwrap()
+}
+
+/// With 64-bit atomics, where the adapter has them.
+static WIDE: LazyLock<Engine> = LazyLock::new(|| engine(false));
+/// Without.
+static NARROW: LazyLock<Engine> = LazyLock::new(|| engine(true));
+
+/// Where pictures of failures go.
+pub fn folder() -> &'static Path {
+    &FOLDER
+}
+
+/// A scene, loaded into both engines and as a reference.
+pub struct Case {
+    pub id: String,
+    pub reference: Reference,
+}
+
+/// The four images of a frame.
+#[derive(Clone, Debug)]
+pub struct Frames {
+    pub width: u32,
+    pub height: u32,
+    pub color: Vec<[u8; 4]>,
+    pub depth: Vec<f32>,
+    pub normal: Vec<[u8; 4]>,
+    pub id: Vec<u32>,
+    /// Of the colour frame, with 64-bit atomics.
+    pub receipt: Receipt,
+}
+
+impl Frames {
+    /// Whether all four images are the same to the bit.
+    pub fn same_pixels(&self, other: &Frames) -> bool {
+        let bits = |frames: &Frames| -> Vec<u32> {
+            frames.depth.iter().map(|depth| depth.to_bits()).collect()
+        };
+        self.color == other.color
+            && bits(self) == bits(other)
+            && self.normal == other.normal
+            && self.id == other.id
+    }
+
+    /// Pixels that show something.
+    pub fn covered(&self) -> usize {
+        self.id.iter().filter(|&&id| id != 0).count()
+    }
+}
+
+impl Case {
+    /// Writes `files` and the scene into a folder of their own and loads it. `name` is unique among the tests.
+    pub fn new(name: &str, files: &[(&str, Vec<u8>)], scene: &Value) -> Case {
+        let folder = FOLDER.join(name);
+        std::fs::create_dir_all(&folder).unwrap();
+        for (file, bytes) in files {
+            std::fs::write(folder.join(file), bytes).unwrap();
+        }
+        let path = folder.join("scene.json");
+        std::fs::write(&path, serde_json::to_vec_pretty(scene).unwrap()).unwrap();
+        Self::load(name, &path)
+    }
+
+    /// A committed scene.
+    pub fn committed(name: &str) -> Case {
+        static LOADED: AtomicU32 = AtomicU32::new(0);
+        let number = LOADED.fetch_add(1, Ordering::Relaxed);
+        Self::load(&format!("{name}-{number}"), &FOLDER.join(format!("{name}.json")))
+    }
+
+    /// A file below the folder.
+    pub fn load(id: &str, path: &Path) -> Case {
+        for engine in [&*WIDE, &*NARROW] {
+            engine.load(id, path).unwrap_or_else(|error| panic!("{id}: {error}"));
+        }
+        let (read, limits) = (ReadOptions::default(), SceneLimits::default());
+        let reference = Reference::load(path, &FOLDER, &read, &limits).unwrap();
+        Case { id: id.to_owned(), reference }
+    }
+
+    /// Shows or hides a top-level node in both engines; the reference stays as it is.
+    pub fn show(&self, node: &str, visible: bool) {
+        let patch = NodePatch { visible: Some(visible), ..NodePatch::default() };
+        for engine in [&*WIDE, &*NARROW] {
+            engine.patch(&self.id, node, &patch).unwrap();
+        }
+    }
+
+    /// The frame of both engines, which must not differ in a single bit.
+    pub fn draw(&self, view: &View) -> Frames {
+        let wide = frames(&WIDE, &self.id, view);
+        let narrow = frames(&NARROW, &self.id, view);
+        for pass in &narrow.receipt.passes {
+            let second = [Pass::ProjectSamplesId, Pass::ProjectTrianglesId];
+            if pass.ran && second.iter().any(|second| second.name() == pass.name) {
+                assert!(wide.same_pixels(&narrow), "{}: the 32-bit path differs", self.id);
+                return wide;
+            }
+        }
+        panic!("{}: the second engine has 64-bit atomics: {:?}", self.id, narrow.receipt.passes);
+    }
+
+    /// Draws and compares with the oracle; fails with pictures.
+    pub fn check(&self, view: &View, tolerance: &Tolerance) -> Frames {
+        let frames = self.draw(view);
+        verdict::judge(&self.id, &self.reference, view, &frames, tolerance);
+        frames
+    }
+
+    /// The view of a camera that the scene names.
+    pub fn view(&self, camera: &str, width: u32, height: u32) -> View {
+        self.reference.camera(camera).unwrap().view(width, height).unwrap()
+    }
+}
+
+impl Drop for Case {
+    fn drop(&mut self) {
+        for engine in [&*WIDE, &*NARROW] {
+            let _ = engine.remove(&self.id);
+        }
+    }
+}
+
+/// A view of 160 × 120 with y up.
+pub fn look(eye: [f64; 3], target: [f64; 3], fov_deg: f64) -> View {
+    let (eye, target) = (DVec3::from(eye), DVec3::from(target));
+    Camera { eye, target, up: DVec3::Y, fov_deg }.view(160, 120).unwrap()
+}
+
+fn frames(engine: &Engine, scene: &str, view: &View) -> Frames {
+    // All four wait at once, so that they share a submission.
+    let outputs = [Output::Color, Output::Depth, Output::Normal, Output::Id];
+    let tickets = outputs.map(|output| {
+        let request = FrameRequest {
+            scene: scene.to_owned(),
+            pose: Pose::View(*view),
+            width: view.width,
+            height: view.height,
+            settings: Settings::default(),
+            output,
+            format: ImageFormat::Raw,
+            quality: 85,
+            deadline: None,
+        };
+        engine.submit(request).unwrap()
+    });
+    let [color, depth, normal, id] = tickets.map(|ticket| ticket.wait().unwrap());
+    let words = |bytes: &[u8]| -> Vec<[u8; 4]> { bytes.as_chunks().0.to_vec() };
+    Frames {
+        width: view.width,
+        height: view.height,
+        color: words(&color.bytes),
+        depth: words(&depth.bytes).into_iter().map(f32::from_le_bytes).collect(),
+        normal: words(&normal.bytes),
+        id: words(&id.bytes).into_iter().map(u32::from_le_bytes).collect(),
+        receipt: color.receipt.clone(),
+    }
+}
