@@ -1,6 +1,12 @@
 //! Real files, when there are any: every mesh and PLY file loads with the counts and bounds that its
 //! source gives, every broken one is refused in words. `POINTILLIST_DATA` names the folder; without
 //! it, or `../shared/data` beside the checkout, these tests print "skipped" and pass.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that unwraps says where it failed"
+)]
 
 #![allow(clippy::panic, reason = "a panic is how a test fails")]
 

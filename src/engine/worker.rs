@@ -141,6 +141,8 @@ fn serve(shared: &Arc<Shared>, renderer: &mut Renderer, encoders: &flume::Sender
                 }
             }
         }
+        // Before anybody is answered, so that who has seen a frame finds its scene resident.
+        publish(shared, renderer);
         while flights.len() >= DEPTH
             || (idle && !flights.is_empty())
             || (!flights.is_empty() && shared.is_queue_empty())
@@ -158,7 +160,6 @@ fn serve(shared: &Arc<Shared>, renderer: &mut Renderer, encoders: &flume::Sender
                 return Stop::Lost;
             }
         }
-        publish(shared, renderer);
         if idle && flights.is_empty() {
             if work.stopping {
                 return Stop::Done;

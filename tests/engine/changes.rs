@@ -5,7 +5,7 @@ use pointillist::engine::{EngineError, NodePatch};
 use pointillist::plan::Output;
 use serde_json::json;
 
-use super::studio::{OUTPUTS, Studio, cloud_scene, covered, eventually, front, sphere, wall};
+use super::studio::{OUTPUTS, Studio, cloud_scene, covered, eventually, front, same, sphere, wall};
 
 fn visible(visible: bool) -> NodePatch {
     NodePatch { visible: Some(visible), ..NodePatch::default() }
@@ -48,21 +48,21 @@ fn a_patched_scene_looks_like_one_written_so() {
     assert_eq!(engine.patch("scene", "right", &visible(false)).unwrap().revision, 2);
     let frame = studio.frame(&front("scene", 120, 80));
     assert_eq!(frame.receipt.revision, 2);
-    assert_eq!(look("scene"), hidden);
+    assert!(look("scene") == hidden, "hidden");
     engine.patch("scene", "right", &visible(true)).unwrap();
-    assert_eq!(look("scene"), first);
+    assert!(look("scene") == first, "shown again");
     let place = DAffine3::from_translation(DVec3::new(0.1, 0.5, -1.0));
     let shift = NodePatch { world_from_node: Some(place), ..NodePatch::default() };
     let info = engine.patch("scene", "right", &shift).unwrap();
     assert_eq!(info.revision, 4);
     assert_eq!(info.bounds, engine.scene("moved").unwrap().bounds);
-    assert_eq!(look("scene"), moved);
+    assert!(look("scene") == moved, "moved");
     for _ in 0..40 {
         engine.patch("scene", "left", &visible(false)).unwrap();
         studio.frame(&front("scene", 16, 16));
         engine.patch("scene", "left", &visible(true)).unwrap();
     }
-    assert_eq!(look("scene"), moved);
+    assert!(look("scene") == moved, "moved");
     let stats = engine.stats();
     assert_eq!((stats.uploads, stats.evictions), (uploads, 0), "only transforms were written");
 
@@ -94,7 +94,7 @@ fn a_patch_that_does_not_fit_changes_nothing() {
     let error = studio.engine.patch("scene", "many", &visible(true)).unwrap_err();
     assert!(matches!(error, EngineError::OutOfGpuMemory { .. }), "{error}");
     assert_eq!(studio.engine.scene("scene").unwrap().revision, 1);
-    assert_eq!(studio.bytes(&front("scene", 50, 50)), before);
+    same(&studio.bytes(&front("scene", 50, 50)), &before, "as before");
 }
 
 #[test]
@@ -103,7 +103,7 @@ fn removing_a_scene_frees_its_memory() {
     studio.load_two();
     studio.frame(&front("solid", 40, 40));
     let resident = || studio.engine.stats().gpu_bytes_resident;
-    eventually("solid being resident", || studio.engine.scene("solid").unwrap().resident);
+    assert!(studio.engine.scene("solid").unwrap().resident, "known as soon as a frame is there");
     let one = resident();
     studio.write("own.ply", wall(70, |_, _| [1, 2, 3]));
     studio.load_json("own", &cloud_scene("own.ply"));
@@ -140,7 +140,7 @@ fn a_name_used_again_never_shows_the_scene_before() {
     for round in 0..30 {
         let file = ["red.json", "blue.json"][round % 2];
         studio.load("x", file);
-        assert_eq!(studio.bytes(&request), expected[round % 2], "round {round}");
+        same(&studio.bytes(&request), &expected[round % 2], &format!("round {round}"));
         studio.engine.remove("x").unwrap();
     }
 }

@@ -3,7 +3,7 @@
 use pointillist::encode::ImageFormat;
 use pointillist::plan::Output;
 
-use super::studio::{OUTPUTS, Studio, front, orbit};
+use super::studio::{OUTPUTS, Studio, front, orbit, same};
 
 /// Different sizes, scenes, poses, outputs and formats.
 fn mixed() -> Vec<pointillist::engine::FrameRequest> {
@@ -28,12 +28,12 @@ fn the_same_request_twice_and_in_a_fresh_engine() {
     let requests = mixed();
     let first: Vec<Vec<u8>> = requests.iter().map(|request| studio.bytes(request)).collect();
     for (request, bytes) in requests.iter().zip(&first) {
-        assert_eq!(&studio.bytes(request), bytes, "{request:?}");
+        same(&studio.bytes(request), bytes, &format!("{request:?}"));
     }
     let fresh = Studio::new();
     fresh.load_two();
     for (request, bytes) in requests.iter().zip(&first) {
-        assert_eq!(&fresh.bytes(request), bytes, "{request:?}");
+        same(&fresh.bytes(request), bytes, &format!("{request:?}"));
         assert_eq!(fresh.engine.etag(request).unwrap(), studio.engine.etag(request).unwrap());
     }
 }
@@ -53,7 +53,7 @@ fn a_batch_changes_no_frame() {
             for (ticket, (request, bytes)) in tickets.into_iter().zip(requests.iter().zip(&alone)) {
                 let frame = ticket.wait().unwrap();
                 largest = largest.max(frame.receipt.batch_size);
-                assert_eq!(frame.bytes, bytes, "{request:?}");
+                same(&frame.bytes, bytes, &format!("{request:?}"));
             }
             drop(busy);
             if largest >= 6 {

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use pointillist::engine::{EngineError, Readiness};
 
-use super::studio::{Studio, eventually, orbit};
+use super::studio::{Studio, eventually, orbit, same};
 
 #[test]
 fn an_idle_engine_recovers() {
@@ -31,7 +31,7 @@ fn an_idle_engine_recovers() {
     assert!(seen.load(Ordering::Relaxed), "readiness told of the loss");
     assert_eq!(studio.engine.stats().device_losses, 1);
     for (request, bytes) in requests.iter().zip(&before) {
-        assert_eq!(&studio.bytes(request), bytes);
+        same(&studio.bytes(request), bytes, "after the loss");
     }
 }
 
@@ -50,7 +50,7 @@ fn frames_in_flight_are_drawn_again() {
         studio.engine.lose_device();
         for (ticket, bytes) in tickets.into_iter().zip(&before) {
             match ticket.wait() {
-                Ok(frame) => assert_eq!(&frame.bytes, bytes),
+                Ok(frame) => same(&frame.bytes, bytes, "drawn again"),
                 Err(EngineError::DeviceLost { .. }) => {}
                 Err(error) => panic!("round {round}: {error}"),
             }
@@ -58,7 +58,7 @@ fn frames_in_flight_are_drawn_again() {
         eventually("the loss", || studio.engine.stats().device_losses > round);
         eventually("readiness", || studio.engine.readiness() == Readiness::Ready);
         for (request, bytes) in requests.iter().zip(&before) {
-            assert_eq!(&studio.bytes(request), bytes, "round {round}");
+            same(&studio.bytes(request), bytes, &format!("round {round}"));
         }
     }
     // Nothing was forgotten on the way: this would wait for ever.

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use pointillist::engine::EngineError;
 
-use super::studio::{Studio, cloud_scene, front, wall};
+use super::studio::{Studio, cloud_scene, front, same, wall};
 
 const SIDE: usize = 110;
 const SCENES: [&str; 3] = ["red", "green", "blue"];
@@ -51,7 +51,7 @@ fn three_scenes_in_the_room_of_two() {
         });
         for _ in 0..3 {
             for (id, expected) in SCENES.iter().zip(&expected) {
-                assert_eq!(&tight.bytes(&front(id, 200, 150)), expected, "{id}");
+                same(&tight.bytes(&front(id, 200, 150)), expected, id);
             }
         }
         // All at once: no submission may hold a scene that another of its frames has pushed out.
@@ -63,7 +63,7 @@ fn three_scenes_in_the_room_of_two() {
             })
             .collect();
         for (number, ticket) in tickets {
-            assert_eq!(ticket.wait().unwrap().bytes, expected[number]);
+            same(&ticket.wait().unwrap().bytes, &expected[number], SCENES[number]);
         }
         done.store(true, Ordering::Relaxed);
     });
@@ -129,7 +129,7 @@ fn failed_loads_leave_nothing_behind() {
     }
     assert_eq!(studio.engine.scenes().len(), 2);
     assert!(matches!(studio.engine.scene("x"), Err(EngineError::UnknownScene { .. })));
-    assert_eq!(studio.bytes(&request), expected);
+    same(&studio.bytes(&request), &expected, "as before");
     let after = studio.engine.stats();
     assert_eq!(after.uploads, before.uploads);
     assert_eq!(after.gpu_bytes_resident, before.gpu_bytes_resident);

@@ -8,7 +8,7 @@ use pointillist::gpu::{Gpu, GpuOptions};
 use pointillist::residency::model::{AssetModel, SceneModel};
 use pointillist::residency::{Residency, ResidencyError};
 
-use super::studio::{OUTPUTS, Studio, orbit, sphere, wall};
+use super::studio::{OUTPUTS, Studio, orbit, same, sphere, wall};
 use serde_json::json;
 
 /// Bytes of a binding: pages are this large at most.
@@ -33,7 +33,7 @@ fn pages_do_not_show() {
         let mut request = orbit("scene", number as u32, 256);
         request.output = output;
         let frames = [whole.frame(&request), paged.frame(&request)];
-        assert_eq!(frames[0].bytes, frames[1].bytes, "{output:?}");
+        same(&frames[1].bytes, &frames[0].bytes, &format!("{output:?}"));
         assert_eq!(frames[0].receipt.samples.tested, frames[1].receipt.samples.tested);
         assert_eq!(frames[0].receipt.triangles.tested, frames[1].receipt.triangles.tested);
     }
@@ -169,4 +169,25 @@ fn a_budget_counts_lists_too() {
     assert_eq!(residency.used(), 3 * each);
     residency.remove(&gpu, "other");
     assert_eq!(residency.used(), 2 * each);
+}
+
+#[test]
+fn a_scene_keeps_its_own_assets_while_it_comes() {
+    let gpu = gpu();
+    let [one, two, three] = [1, 2, 3].map(|uid| textured(uid, &[1000], 1));
+    let mut residency = Residency::new(&gpu, 2 * one.gpu_bytes());
+    residency.ensure(&gpu, &one).unwrap();
+    residency.ensure(&gpu, &two).unwrap();
+    // What the new scene shares with the first one was used the longest ago, and stays nevertheless.
+    let both = Arc::new(SceneModel {
+        uid: 50,
+        id: "both".to_owned(),
+        assets: vec![one.assets[0].clone(), three.assets[0].clone()],
+        ..SceneModel::clone(&one)
+    });
+    residency.ensure(&gpu, &both).unwrap();
+    assert_eq!((residency.uploads(), residency.evictions()), (3, 1));
+    assert!(residency.is_current(&both) && residency.is_current(&one));
+    assert!(!residency.is_current(&two));
+    assert_eq!(residency.used(), residency.budget());
 }

@@ -1,8 +1,11 @@
 //! Files that name other files are read anew when those change.
 
-use super::studio::{Studio, fit, wall};
+use glam::DVec3;
+use pointillist::engine::{FrameRequest, Pose};
 use pointillist::plan::Output;
 use serde_json::json;
+
+use super::studio::{Studio, fit, same, wall};
 
 /// A quad in the plane z = 0 with texture coordinates.
 const QUAD_OBJ: &str = "mtllib quad.mtl\nv -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\n\
@@ -18,28 +21,34 @@ fn png(color: [u8; 3]) -> Vec<u8> {
     bytes
 }
 
+/// From a place that does not depend on the scene's size.
+fn seen_from_fixed(scene: &str) -> FrameRequest {
+    let eye = DVec3::new(1.0, 2.0, 7.0);
+    let pose = Pose::Upright { eye, target: DVec3::ZERO, fov_deg: 40.0 };
+    FrameRequest { pose, ..fit(scene, 64, Output::Color) }
+}
+
 /// Loads `file` before and after `change`, and expects different pictures under different tags; the first one back again
 /// after `restore`.
 fn sees_change(studio: &Studio, file: &str, change: &dyn Fn(), restore: &dyn Fn()) {
     let look = || {
         studio.load("x", file);
-        let request = fit("x", 64, Output::Color);
+        let request = seen_from_fixed("x");
         let seen = (studio.bytes(&request), studio.engine.etag(&request).unwrap());
         studio.engine.remove("x").unwrap();
         seen
     };
     studio.load("kept", file);
-    let kept = studio.bytes(&fit("kept", 64, Output::Color));
+    let kept = studio.bytes(&seen_from_fixed("kept"));
     let before = look();
-    assert_eq!(before.0, kept);
+    same(&before.0, &kept, "the same file twice");
     change();
     let after = look();
     assert_ne!(after.1, before.1, "{file}: the tag tells");
-    assert_ne!(after.0, before.0, "{file}: the picture shows it");
-    let held = fit("kept", 64, Output::Color);
-    assert_eq!(studio.bytes(&held), kept, "what is loaded stays as it was");
+    assert!(after.0 != before.0, "{file}: the picture shows it");
+    same(&studio.bytes(&seen_from_fixed("kept")), &kept, "what is loaded stays as it was");
     restore();
-    assert_eq!(look(), before);
+    assert!(look() == before, "{file}: as before");
     studio.engine.remove("kept").unwrap();
 }
 
@@ -120,7 +129,7 @@ fn equal_files_are_held_once_under_their_own_names() {
     let two = studio.load_json("two", &scene("second", "two.ply"));
     assert_eq!((one.assets[0].name.as_str(), two.assets[0].name.as_str()), ("first", "second"));
     let frames = ["one", "two"].map(|id| studio.bytes(&fit(id, 50, Output::Color)));
-    assert_eq!(frames[0], frames[1]);
+    same(&frames[0], &frames[1], "two names");
     assert_eq!(studio.engine.stats().uploads, 1);
     // The same bytes under a name of another format are another matter.
     studio.write("three.txt", "0 0 0\n1 1 1\n");

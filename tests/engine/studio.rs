@@ -221,6 +221,14 @@ pub fn sphere_mesh(rings: u32) -> (Vec<DVec3>, Vec<[u32; 3]>) {
     (positions, triangles)
 }
 
+/// Fails with where images differ rather than with all their bytes.
+pub fn same(found: &[u8], expected: &[u8], what: &str) {
+    assert_eq!(found.len(), expected.len(), "{what}: sizes");
+    let differing = found.iter().zip(expected).filter(|(a, b)| a != b).count();
+    let first = found.iter().zip(expected).position(|(a, b)| a != b);
+    assert!(differing == 0, "{what}: {differing} bytes differ, the first at {first:?}");
+}
+
 /// Depths of a raw depth image.
 pub fn depths(bytes: &[u8]) -> Vec<f32> {
     bytes.chunks_exact(4).map(|word| f32::from_le_bytes(word.try_into().unwrap())).collect()

@@ -8,7 +8,7 @@ use pointillist::engine::{FrameRequest, NodePatch, Pose};
 use pointillist::math::Camera;
 use pointillist::plan::Output;
 
-use super::studio::{Studio, front, sphere};
+use super::studio::{Studio, front, same, sphere};
 
 fn camera() -> Camera {
     Camera { eye: DVec3::new(0.0, 0.0, 3.0), target: DVec3::ZERO, up: DVec3::Y, fov_deg: 45.0 }
@@ -88,7 +88,7 @@ fn equal_views_have_equal_tags_and_bytes() {
     let bytes = studio.bytes(&requests[0]);
     for request in &requests[1..] {
         assert_eq!(studio.engine.etag(request).unwrap(), tag, "{request:?}");
-        assert_eq!(studio.bytes(request), bytes, "{request:?}");
+        same(&studio.bytes(request), &bytes, &format!("{request:?}"));
     }
     let later = FrameRequest {
         deadline: Some(std::time::Instant::now() + std::time::Duration::from_secs(600)),
