@@ -1,4 +1,4 @@
-//! Triangles: from which size on the rasteriser beats the compute walk, and meshes beside VTK.
+//! Triangles: from which size on they are better not left to a single thread, and meshes beside VTK.
 //!
 //! The crossing belongs into `SMALL_TRIANGLE_PX` (`src/passes/mod.rs`). Two engines draw the same grids of equal
 //! triangles in turns, one told to walk all that the walk can take, one to rasterise everything.
@@ -59,8 +59,10 @@ fn coverage_ms(receipt: &Receipt) -> anyhow::Result<f64> {
     for name in [
         "project_triangles",
         "rasterise_triangles",
+        "walk_triangles",
         "project_triangles_id",
         "rasterise_triangles_id",
+        "walk_triangles_id",
     ] {
         sum += pass_ns(receipt, name)?;
     }
@@ -80,65 +82,80 @@ fn facing(frame: u32) -> Camera {
     }
 }
 
+/// How triangles can be drawn: name, longest side that a thread walks alone, and who draws the others.
+const WAYS: [(&str, u32, bool); 3] =
+    [("thread", WALK_LIMIT_PX, false), ("walk_triangles", 0, false), ("rasteriser", 0, true)];
+
 fn crossing(report: &mut Report) -> anyhow::Result<()> {
     let mut rows = Vec::new();
-    // Side and rasteriser's time over the walk's, where both can draw.
-    let mut ratios: Vec<(f64, f64)> = Vec::new();
+    // Side and the second and third way's time over the thread's, where all can draw.
+    let mut ratios: [Vec<(f64, f64)>; 2] = Default::default();
     for side in SIDES_PX {
         let file = files::triangle_grid(side, SIZE)?;
-        let open = |px| Drawing::open(&file, SIZE, |config| config.small_triangle_px = Some(px));
-        let (walk, raster) = (open(WALK_LIMIT_PX)?, open(0)?);
-        let (mut walk_ms, mut raster_ms) = (Vec::new(), Vec::new());
-        let mut whole: [Vec<f64>; 2] = Default::default();
+        let drawings = WAYS
+            .iter()
+            .map(|&(_, px, rasterise)| {
+                Drawing::open(&file, SIZE, |config| {
+                    config.small_triangle_px = Some(px);
+                    config.rasterise = Some(rasterise);
+                })
+            })
+            .collect::<anyhow::Result<Vec<_>>>()?;
+        let mut times: [Vec<f64>; 3] = Default::default();
         let (warm, frames) = pick((3, 15), (1, 2));
-        let mut walked = false;
+        let mut alone = false;
         for frame in 0..warm + frames {
-            let receipts = (walk.receipt(facing(frame))?, raster.receipt(facing(frame))?);
-            walked = receipts.0.triangles.rasterised == Some(0);
-            if frame >= warm {
-                walk_ms.push(coverage_ms(&receipts.0)?);
-                raster_ms.push(coverage_ms(&receipts.1)?);
-                whole[0].extend(receipts.0.gpu_ns.map(ms));
-                whole[1].extend(receipts.1.gpu_ns.map(ms));
+            for (way, drawing) in drawings.iter().enumerate() {
+                let receipt = drawing.receipt(facing(frame))?;
+                if way == 0 {
+                    alone = receipt.triangles.rasterised == Some(0);
+                }
+                if frame >= warm {
+                    times[way].push(coverage_ms(&receipt)?);
+                }
             }
         }
-        let ratio = median_ratio(&raster_ms, &walk_ms);
-        let (walk_ms, raster_ms) = (median(&walk_ms), median(&raster_ms));
-        let count = walk.info.triangles;
-        let each_ns = |time: f64| number(time * 1e6 / count as f64);
-        report.value(&format!("raster_{side}_px_ms"), raster_ms);
+        let count = drawings[0].info.triangles;
         let mut row = vec![side.to_string(), count.to_string()];
-        if walked {
-            report.value(&format!("walk_{side}_px_ms"), walk_ms);
-            ratios.push((f64::from(side), ratio));
-            row.extend([number(walk_ms), each_ns(walk_ms)]);
-        } else {
-            row.extend(["—".to_owned(), "—".to_owned()]);
+        for (way, (name, _, _)) in WAYS.iter().enumerate() {
+            if way == 0 && !alone {
+                row.extend(["—".to_owned(), "—".to_owned()]);
+                continue;
+            }
+            let time = median(&times[way]);
+            report.value(&format!("{name}_{side}_px_ms"), time);
+            row.extend([number(time), number(time * 1e6 / count as f64)]);
         }
-        row.extend([number(raster_ms), each_ns(raster_ms)]);
-        row.push(if walked { number(ratio) } else { "—".to_owned() });
-        row.push(if walked { number(median(&whole[0])) } else { "—".to_owned() });
-        row.push(number(median(&whole[1])));
+        for way in [1, 2] {
+            let ratio = median_ratio(&times[way], &times[0]);
+            row.push(if alone { number(ratio) } else { "—".to_owned() });
+            if alone {
+                ratios[way - 1].push((f64::from(side), ratio));
+            }
+        }
         rows.push(row);
     }
     report.table(
-        "Equal triangles that cover the frame: compute walk and rasteriser",
+        "Equal triangles that cover the frame, drawn in three ways",
         &[
             "side px",
             "triangles",
-            "walk ms",
+            "thread ms",
+            "ns each",
+            "walk_triangles ms",
             "ns each",
             "rasteriser ms",
             "ns each",
-            "rasteriser/walk",
-            "frame, walk ms",
-            "frame, rasteriser ms",
+            "walk/thread",
+            "rasteriser/thread",
         ],
         &rows,
     );
-    let crossing = crossing_px(&ratios);
-    println!("{}", explain(crossing, &ratios));
-    report.value("crossing_px", crossing);
+    for (way, ratios) in ratios.iter().enumerate() {
+        let crossing = crossing_px(ratios);
+        println!("{}", explain(WAYS[way + 1].0, crossing, ratios));
+        report.value(&format!("crossing_{}_px", WAYS[way + 1].0), crossing);
+    }
     report.value("small_triangle_px", SMALL_TRIANGLE_PX);
     Ok(())
 }
@@ -151,17 +168,17 @@ fn crossing_px(ratios: &[(f64, f64)]) -> Option<f64> {
     Some((low.0.ln() + share * (high.0.ln() - low.0.ln())).exp())
 }
 
-fn explain(crossing: Option<f64>, ratios: &[(f64, f64)]) -> String {
+fn explain(other: &str, crossing: Option<f64>, ratios: &[(f64, f64)]) -> String {
     let now = format!("SMALL_TRIANGLE_PX is {SMALL_TRIANGLE_PX}");
     match (crossing, ratios.first()) {
         (Some(side), _) => {
-            format!("the walk is faster up to {} px on this machine; {now}", number(side))
+            format!("a thread beats {other} up to {} px on this machine; {now}", number(side))
         }
         (None, Some((_, ratio))) if *ratio < 1.0 => {
-            format!("the rasteriser is faster at every size on this machine; {now}")
+            format!("{other} is faster at every size on this machine; {now}")
         }
         (None, _) => format!(
-            "the walk is faster at every size that it can take ({WALK_LIMIT_PX} px) on this machine; {now}"
+            "a thread beats {other} at every size that it can take ({WALK_LIMIT_PX} px) on this machine; {now}"
         ),
     }
 }

@@ -18,7 +18,8 @@ struct LargeList {
     instance_count: u32,
     first_vertex: u32,
     first_instance: u32,
-    ids: array<u32>,
+    // See LIST_ENTRY.
+    entries: array<vec2<u32>>,
 }
 
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
@@ -67,11 +68,12 @@ fn walk(p: array<vec2<i32>, 3>, low: vec2<i32>, high: vec2<i32>, plane: Plane, i
     }
 }
 
-fn list_large(id: u32) {
+fn list_large(id: u32, least: f32, most: f32) {
+    let rows = vec2<u32>(clamp(vec2<f32>(least - 1.0, most + 1.0), vec2<f32>(0.0), vec2<f32>(f32(frame.size_px.y) - 1.0)));
     let at = atomicAdd(&large.vertex_count, 3u) / 3u;
     atomicAdd(&stats.triangles_rasterised, 1u);
-    if at < arrayLength(&large.ids) {
-        large.ids[at] = id;
+    if at < arrayLength(&large.entries) {
+        large.entries[at] = vec2<u32>(id, rows.x | (rows.y << 16u));
     }
 }
 
@@ -89,24 +91,16 @@ fn triangle(slot_index: u32, at: Placed, chunk: Chunk, one_sided: f32, index: u3
     if one_sided * facing(a, b, c) > 0.0 {
         return;
     }
-    if min(a.z, min(b.z, c.z)) <= NEAREST {
-        list_large(id);
-        return;
-    }
-    let pa = image_position(a);
-    let pb = image_position(b);
-    let pc = image_position(c);
+    let bounds = image_bounds(a, b, c);
     let size = vec2<f32>(frame.size_px);
-    let least = min(pa, min(pb, pc));
-    let most = max(pa, max(pb, pc));
-    if any(most < vec2<f32>(-1.0)) || any(least > size + vec2<f32>(1.0)) {
+    if any(bounds.most < vec2<f32>(-1.0)) || any(bounds.least > size + vec2<f32>(1.0)) {
         return;
     }
-    if !(all(abs(least) < vec2<f32>(GUARD_PX)) && all(abs(most) < vec2<f32>(GUARD_PX))) {
-        list_large(id);
+    if !bounds.snaps {
+        list_large(id, bounds.least.y, bounds.most.y);
         return;
     }
-    var p = array<vec2<i32>, 3>(snap(pa), snap(pb), snap(pc));
+    var p = array<vec2<i32>, 3>(snap(image_position(a)), snap(image_position(b)), snap(image_position(c)));
     let ab = p[1] - p[0];
     let ac = p[2] - p[0];
     // First and last pixel whose centre the box may hold.
@@ -119,7 +113,7 @@ fn triangle(slot_index: u32, at: Placed, chunk: Chunk, one_sided: f32, index: u3
     }
     let box = snapped_most - snapped_least;
     if max(box.x, box.y) > frame.small_triangle_px * 256 {
-        list_large(id);
+        list_large(id, bounds.least.y, bounds.most.y);
         return;
     }
     let area = ab.x * ac.y - ab.y * ac.x;

@@ -14,9 +14,6 @@
 @group(2) @binding(3) var<storage, read> placed: array<Placed>;
 @group(2) @binding(4) var<storage, read> large: array<u32>;
 
-// Words of the indirect draw that stands before the ids.
-const LIST_HEAD: u32 = 4u;
-
 struct Corner {
     @builtin(position) position: vec4<f32>,
     @location(0) @interpolate(flat) id: u32,
@@ -33,7 +30,7 @@ fn corner_positions(id: u32) -> array<vec3<f32>, 3> {
 
 @vertex
 fn vertex(@builtin(vertex_index) index: u32) -> Corner {
-    let id = large[LIST_HEAD + index / 3u];
+    let id = large[LIST_HEAD + index / 3u * LIST_ENTRY];
     let p = corner_positions(id);
     let camera = p[index % 3u];
     let size = vec2<f32>(frame.size_px);

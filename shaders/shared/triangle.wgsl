@@ -4,6 +4,11 @@
 // A coordinate this large in pixels goes to the rasteriser's clipper.
 const GUARD_PX: f32 = 1048576.0;
 
+// Words of the indirect draw that stands before the list of large triangles, and of each entry: id, then first and last
+// row in 16 bits each.
+const LIST_HEAD: u32 = 4u;
+const LIST_ENTRY: u32 = 2u;
+
 // The plane of a triangle as 1/z over the image: 1/z = dot(plane, ray).
 struct Plane {
     inverse: vec3<f32>,
@@ -40,4 +45,39 @@ fn triangle_plane(a: vec3<f32>, b: vec3<f32>, c: vec3<f32>) -> Plane {
 
 fn plane_inverse_depth(plane: Plane, ray: vec3<f32>) -> f32 {
     return clamp(dot(plane.inverse, ray), plane.least, plane.most);
+}
+
+// Where a triangle is in the image.
+struct ImageBounds {
+    least: vec2<f32>,
+    most: vec2<f32>,
+    // All corners lie before the eye and within the guard: they can be snapped.
+    snaps: bool,
+}
+
+// Extends bounds by an edge's points before the eye. Where the edge meets the camera plane its image runs off to infinity.
+fn extend(bounds: ptr<function, ImageBounds>, p: vec3<f32>, q: vec3<f32>) {
+    if p.z > NEAREST {
+        let image = clamp(image_position(p), vec2<f32>(-2.0 * GUARD_PX), vec2<f32>(2.0 * GUARD_PX));
+        (*bounds).least = min((*bounds).least, image);
+        (*bounds).most = max((*bounds).most, image);
+    }
+    if (p.z > NEAREST) != (q.z > NEAREST) {
+        let t = p.z / (p.z - q.z);
+        let meets = p.xy + t * (q.xy - p.xy);
+        let slack = 1e-5 * max(abs(p.xy), abs(q.xy));
+        let far = vec2<f32>(2.0 * GUARD_PX);
+        (*bounds).least = min((*bounds).least, select(far, -far, meets <= slack));
+        (*bounds).most = max((*bounds).most, select(-far, far, meets >= -slack));
+    }
+}
+
+fn image_bounds(a: vec3<f32>, b: vec3<f32>, c: vec3<f32>) -> ImageBounds {
+    var bounds = ImageBounds(vec2<f32>(3.0 * GUARD_PX), vec2<f32>(-3.0 * GUARD_PX), false);
+    extend(&bounds, a, b);
+    extend(&bounds, b, c);
+    extend(&bounds, c, a);
+    let within = all(abs(bounds.least) < vec2<f32>(GUARD_PX)) && all(abs(bounds.most) < vec2<f32>(GUARD_PX));
+    bounds.snaps = within && min(a.z, min(b.z, c.z)) > NEAREST;
+    return bounds;
 }

@@ -51,6 +51,9 @@ pub struct EngineConfig {
     /// For measurements: boxes of triangles with a longer side than this go to the rasteriser; `None`: the measured best.
     #[doc(hidden)]
     pub small_triangle_px: Option<u32>,
+    /// For measurements and tests: whether large triangles go to the rasteriser; `None`: the measured best.
+    #[doc(hidden)]
+    pub rasterise: Option<bool>,
     pub read: ReadOptions,
     pub scene: SceneLimits,
 }
@@ -286,6 +289,7 @@ impl EngineConfig {
             force_32_bit: false,
             max_binding_bytes: None,
             small_triangle_px: None,
+            rasterise: None,
             read: ReadOptions::default(),
             scene: SceneLimits::default(),
         }

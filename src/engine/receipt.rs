@@ -91,7 +91,7 @@ pub struct SplatCounts {
 pub struct TriangleCounts {
     pub stored: u64,
     pub tested: Option<u64>,
-    /// Sent to the rasteriser for their size or because they meet the camera plane.
+    /// Left to rasterise_triangles or walk_triangles for their size or because they meet the camera plane.
     pub rasterised: Option<u64>,
 }
 

@@ -87,8 +87,11 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     encode::accepts(request.format, request.output).map_err(unfit_format)?;
     let (view, camera) = pose(&loaded, request)?;
     let adapter = shared.adapter();
-    let plan =
-        plan(&loaded.facts, request.output, &AdapterFacts { atomics_64: adapter.atomics_64 });
+    let plan = plan(
+        &loaded.facts,
+        request.output,
+        &AdapterFacts { atomics_64: adapter.atomics_64, rasterises: adapter.rasterises },
+    );
     let key = entity_tag(&loaded, request, &view, &adapter.name, adapter.atomics_64);
     Ok(Resolved { model: loaded.model.clone(), view, camera, plan, key })
 }

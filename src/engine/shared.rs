@@ -18,6 +18,7 @@ use super::{EngineConfig, EngineError, EngineStats, FrameRequest, Readiness};
 pub struct Adapter {
     pub name: String,
     pub atomics_64: bool,
+    pub rasterises: bool,
     pub max_binding_bytes: u64,
     pub max_side: u32,
     pub budget: u64,

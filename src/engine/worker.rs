@@ -31,6 +31,7 @@ const IDLE: Duration = Duration::from_millis(250);
 pub fn run(shared: &Arc<Shared>, opened: impl FnOnce(Result<(), GpuError>)) {
     let options = GpuOptions {
         force_32_bit: shared.config.force_32_bit,
+        rasterise: shared.config.rasterise,
         adapter: None,
         max_binding_bytes: shared.config.max_binding_bytes,
     };
@@ -90,6 +91,7 @@ fn open(shared: &Shared, options: &GpuOptions) -> Result<Renderer, GpuError> {
     shared.set_adapter(Adapter {
         name: renderer.gpu.name.clone(),
         atomics_64: renderer.gpu.atomics_64,
+        rasterises: renderer.gpu.rasterises,
         max_binding_bytes: renderer.gpu.max_binding_bytes(),
         max_side: renderer.gpu.limits.max_texture_dimension_2d,
         budget: renderer.residency.budget(),

@@ -8,6 +8,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub struct GpuOptions {
     /// Use the two-pass 32-bit visibility buffer even where 64-bit atomics exist.
     pub force_32_bit: bool,
+    /// Whether large triangles go to the rasteriser; `None`: as measured for the kind of adapter.
+    pub rasterise: Option<bool>,
     /// A part of the adapter's name, in any case; also read from `POINTILLIST_ADAPTER`.
     pub adapter: Option<String>,
     /// Bind no more bytes than this at once, even where the adapter could.
@@ -40,6 +42,8 @@ pub struct Gpu {
     pub limits: wgpu::Limits,
     /// A software adapter, whose "GPU memory" is the host's.
     pub is_cpu: bool,
+    /// Large triangles go to the rasteriser, which on a CPU is slower than a walk in compute.
+    pub rasterises: bool,
     lost: Arc<AtomicBool>,
 }
 
@@ -101,7 +105,10 @@ impl Gpu {
         }
         let wide = wgpu::Features::SHADER_INT64 | wgpu::Features::SHADER_INT64_ATOMIC_MIN_MAX;
         let atomics_64 = offered.contains(wide) && !options.force_32_bit;
-        let mut features = offered & wgpu::Features::TIMESTAMP_QUERY;
+        let integers = offered & wgpu::Features::SHADER_INT64;
+        let is_cpu = info.device_type == wgpu::DeviceType::Cpu;
+        let rasterises = options.rasterise.unwrap_or(!is_cpu) || integers.is_empty();
+        let mut features = integers | (offered & wgpu::Features::TIMESTAMP_QUERY);
         if features.contains(wgpu::Features::TIMESTAMP_QUERY) {
             features |= offered & wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS;
         }
@@ -136,7 +143,8 @@ impl Gpu {
             stamps_between_passes: features
                 .contains(wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS),
             limits,
-            is_cpu: info.device_type == wgpu::DeviceType::Cpu,
+            is_cpu,
+            rasterises,
             lost,
         })
     }

@@ -48,7 +48,7 @@ impl Timer {
                 mapped_at_creation: false,
             })
         });
-        let settled = (enabled && gpu.is_cpu).then(|| {
+        let settled = (enabled && gpu.is_cpu && gpu.rasterises).then(|| {
             gpu.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some("settled"),
                 size: 8,

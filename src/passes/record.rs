@@ -22,6 +22,8 @@ const ALIGN: u64 = 256;
 /// Workgroups in x before an indirect or direct dispatch takes a second row; as in the shaders.
 const DISPATCH_ROW: u32 = 32768;
 
+/// Workgroups of walk_triangles: triangles side by side, bands of the image; as in the shader.
+const WALK: (u32, u32) = (64, 8);
 /// Pixels that a workgroup resolves or shades; as in the shaders.
 const TILE: (u32, u32) = (64, 16);
 
@@ -206,12 +208,20 @@ impl Recorder<'_, '_> {
         }
         let triangles = if second { Pass::ProjectTrianglesId } else { Pass::ProjectTriangles };
         if self.task.plan.runs(triangles) {
-            let raster = if second { Pass::RasteriseTrianglesId } else { Pass::RasteriseTriangles };
+            let (raster, walk) = if second {
+                (Pass::RasteriseTrianglesId, Pass::WalkTrianglesId)
+            } else {
+                (Pass::RasteriseTriangles, Pass::WalkTriangles)
+            };
             for segment in self.segments(PageKind::Triangles) {
                 // The list of large triangles is the segment's own: its ids mean vertices of one page.
                 encoder.clear_buffer(self.context.scratch.large.buffer().raw(), 0, Some(4));
                 self.project_triangles(encoder, triangles, visibility, alpha_cut, segment)?;
-                self.rasterise(encoder, raster, visibility, alpha_cut, segment)?;
+                if self.task.plan.runs(raster) {
+                    self.rasterise(encoder, raster, visibility, alpha_cut, segment)?;
+                } else {
+                    self.walk(encoder, walk, visibility, alpha_cut, segment)?;
+                }
             }
         }
         Ok(())
@@ -265,6 +275,31 @@ impl Recorder<'_, '_> {
             self.context.scratch.dispatches.buffer().raw(),
             (segment * size_of::<GpuDispatch>()) as u64,
         );
+        drop(recorded);
+        self.context.timer.settle(encoder);
+        self.out.spans.push(PassSpan { pass, span });
+        Ok(())
+    }
+
+    fn walk(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        pass: Pass,
+        visibility: Visibility,
+        alpha_cut: bool,
+        segment: usize,
+    ) -> Result<(), ShaderError> {
+        let pipeline = self.context.pipelines.visible(
+            self.context.gpu,
+            "project/walk_triangles",
+            "walk_triangles",
+            visibility,
+            alpha_cut,
+        )?;
+        let binds = self.bind(&pipeline, Some(segment))?;
+        let (mut recorded, span) = self.context.timer.compute(encoder, pass.name());
+        set(&mut recorded, &pipeline, &binds);
+        recorded.dispatch_workgroups(WALK.0, WALK.1, 1);
         drop(recorded);
         self.context.timer.settle(encoder);
         self.out.spans.push(PassSpan { pass, span });

@@ -71,7 +71,7 @@ impl Scratch {
         self.group_counts.reserve(gpu, (u64::from(scene.entry_count) / GROUP as u64 + 1) * 4);
         self.slots.reserve(gpu, u64::from(scene.chunk_count) * size_of::<GpuSlot>() as u64);
         self.dispatches.reserve(gpu, scene.pages.len() as u64 * size_of::<GpuDispatch>() as u64);
-        self.large.reserve(gpu, 16 + u64::from(self.large_capacity) * 4);
+        self.large.reserve(gpu, 16 + u64::from(self.large_capacity) * 8);
     }
 
     /// Room for the normals that a shade pass reads.
@@ -85,7 +85,7 @@ impl Scratch {
 
     /// Makes room for `count` large triangles from the next frame on, as far as a binding goes.
     pub fn grow_large(&mut self, gpu: &Gpu, count: u32) {
-        let most = ((gpu.max_binding_bytes() - 16) / 4).min(u64::from(u32::MAX / 3)) as u32;
+        let most = ((gpu.max_binding_bytes() - 16) / 8).min(u64::from(u32::MAX / 3)) as u32;
         self.large_capacity = count.max(self.large_capacity).min(most);
     }
 

@@ -55,6 +55,7 @@ fragments![
     "project/project_samples",
     "project/project_triangles",
     "project/rasterise_triangles",
+    "project/walk_triangles",
     "resolve/resolve_samples",
     "resolve/resolve_triangles",
     "shade/shade",

@@ -25,6 +25,8 @@ pub struct SceneFacts {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AdapterFacts {
     pub atomics_64: bool,
+    /// Large triangles go to the rasteriser rather than to a walk in compute.
+    pub rasterises: bool,
 }
 
 /// Every pass, by the one name that it has everywhere.
@@ -41,8 +43,10 @@ pub enum Pass {
     ProjectSamplesId,
     ProjectTriangles,
     RasteriseTriangles,
+    WalkTriangles,
     ProjectTrianglesId,
     RasteriseTrianglesId,
+    WalkTrianglesId,
     ResolveSamples,
     ResolveTriangles,
     Shade,
@@ -51,7 +55,7 @@ pub enum Pass {
 
 impl Pass {
     /// All passes in the order in which they run.
-    pub const ALL: [Pass; 15] = [
+    pub const ALL: [Pass; 17] = [
         Pass::Clear,
         Pass::Place,
         Pass::Cull,
@@ -61,9 +65,11 @@ impl Pass {
         Pass::ProjectSamples,
         Pass::ProjectTriangles,
         Pass::RasteriseTriangles,
+        Pass::WalkTriangles,
         Pass::ProjectSamplesId,
         Pass::ProjectTrianglesId,
         Pass::RasteriseTrianglesId,
+        Pass::WalkTrianglesId,
         Pass::ResolveSamples,
         Pass::ResolveTriangles,
         Pass::Shade,
@@ -82,6 +88,8 @@ impl Pass {
             Pass::RasteriseTriangles => "rasterise_triangles",
             Pass::ProjectTrianglesId => "project_triangles_id",
             Pass::RasteriseTrianglesId => "rasterise_triangles_id",
+            Pass::WalkTriangles => "walk_triangles",
+            Pass::WalkTrianglesId => "walk_triangles_id",
             Pass::ResolveSamples => "resolve_samples",
             Pass::ResolveTriangles => "resolve_triangles",
             Pass::Shade => "shade",
@@ -117,12 +125,20 @@ pub fn plan(scene: &SceneFacts, output: Output, adapter: &AdapterFacts) -> Frame
         let samples = (!scene.has_samples).then_some("the scene has no samples");
         let triangles = (!scene.has_triangles).then_some("the scene has no triangles");
         let wide = adapter.atomics_64.then_some("the adapter has 64-bit atomics");
+        let rasterised =
+            adapter.rasterises.then_some("the adapter's rasteriser draws large triangles");
+        let walked = (!adapter.rasterises)
+            .then_some("the adapter's rasteriser is slower than walk_triangles");
         match pass {
             Pass::Clear | Pass::Place | Pass::Cull | Pass::Scan | Pass::Compact => None,
             Pass::ProjectSamples => samples,
-            Pass::ProjectTriangles | Pass::RasteriseTriangles => triangles,
+            Pass::ProjectTriangles => triangles,
+            Pass::RasteriseTriangles => triangles.or(walked),
+            Pass::WalkTriangles => triangles.or(rasterised),
             Pass::ProjectSamplesId => samples.or(wide),
-            Pass::ProjectTrianglesId | Pass::RasteriseTrianglesId => triangles.or(wide),
+            Pass::ProjectTrianglesId => triangles.or(wide),
+            Pass::RasteriseTrianglesId => triangles.or(wide).or(walked),
+            Pass::WalkTrianglesId => triangles.or(wide).or(rasterised),
             // It also writes the background of a scene that has nothing at all.
             Pass::ResolveSamples => samples.filter(|_| scene.has_triangles),
             Pass::ResolveTriangles => triangles,
@@ -141,7 +157,7 @@ pub fn plan(scene: &SceneFacts, output: Output, adapter: &AdapterFacts) -> Frame
 mod tests {
     use super::*;
 
-    const WIDE: AdapterFacts = AdapterFacts { atomics_64: true };
+    const WIDE: AdapterFacts = AdapterFacts { atomics_64: true, rasterises: true };
 
     #[test]
     fn a_scan_without_lights_runs_no_triangle_or_shade_pass() {
@@ -162,7 +178,24 @@ mod tests {
             SceneFacts { has_samples: true, has_triangles: true, lights: 1, ..Default::default() };
         let plan = plan(&facts, Output::Color, &AdapterFacts::default());
         for pass in Pass::ALL {
-            assert_eq!(plan.runs(pass), pass != Pass::ShadowMap, "{pass:?}");
+            let other = matches!(
+                pass,
+                Pass::ShadowMap | Pass::RasteriseTriangles | Pass::RasteriseTrianglesId
+            );
+            assert_eq!(plan.runs(pass), !other, "{pass:?}");
+        }
+    }
+
+    #[test]
+    fn large_triangles_are_drawn_in_one_way() {
+        let facts = SceneFacts { has_triangles: true, ..Default::default() };
+        for (rasterises, atomics_64) in [(true, true), (true, false), (false, true), (false, false)]
+        {
+            let plan = plan(&facts, Output::Color, &AdapterFacts { atomics_64, rasterises });
+            assert_eq!(plan.runs(Pass::RasteriseTriangles), rasterises);
+            assert_eq!(plan.runs(Pass::WalkTriangles), !rasterises);
+            assert_eq!(plan.runs(Pass::RasteriseTrianglesId), rasterises && !atomics_64);
+            assert_eq!(plan.runs(Pass::WalkTrianglesId), !rasterises && !atomics_64);
         }
     }
 

@@ -40,8 +40,13 @@ static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
     folder
 });
 
-fn engine(force_32_bit: bool) -> Engine {
-    Engine::start(EngineConfig { force_32_bit, ..EngineConfig::new(&*FOLDER) }).unwrap()
+fn engine(force_32_bit: bool, rasterise: bool) -> Engine {
+    let rasterise = Some(rasterise);
+    Engine::start(EngineConfig { force_32_bit, rasterise, ..EngineConfig::new(&*FOLDER) }).unwrap()
+}
+
+fn engines() -> [&'static Engine; 3] {
+    [&WIDE, &NARROW, &RASTERISING]
 }
 
 /// What runs of an hour ago and more have left.
@@ -56,9 +61,11 @@ fn remove_old(runs: &Path) {
 }
 
 /// With 64-bit atomics, where the adapter has them.
-static WIDE: LazyLock<Engine> = LazyLock::new(|| engine(false));
+static WIDE: LazyLock<Engine> = LazyLock::new(|| engine(false, false));
 /// Without.
-static NARROW: LazyLock<Engine> = LazyLock::new(|| engine(true));
+static NARROW: LazyLock<Engine> = LazyLock::new(|| engine(true, false));
+/// With the adapter's rasteriser for large triangles in place of the walk in compute.
+static RASTERISING: LazyLock<Engine> = LazyLock::new(|| engine(false, true));
 
 /// Where pictures of failures go.
 pub fn folder() -> &'static Path {
@@ -124,7 +131,7 @@ impl Case {
 
     /// A file below the folder.
     pub fn load(id: &str, path: &Path) -> Case {
-        for engine in [&*WIDE, &*NARROW] {
+        for engine in engines() {
             engine.load(id, path).unwrap_or_else(|error| panic!("{id}: {error}"));
         }
         let (read, limits) = (ReadOptions::default(), SceneLimits::default());
@@ -135,7 +142,7 @@ impl Case {
     /// Shows or hides a top-level node in both engines; the reference stays as it is.
     pub fn show(&self, node: &str, visible: bool) {
         let patch = NodePatch { visible: Some(visible), ..NodePatch::default() };
-        for engine in [&*WIDE, &*NARROW] {
+        for engine in engines() {
             engine.patch(&self.id, node, &patch).unwrap();
         }
     }
@@ -158,6 +165,12 @@ impl Case {
     pub fn check(&self, view: &View, tolerance: &Tolerance) -> Frames {
         let frames = self.draw(view);
         verdict::judge(&self.id, &self.reference, view, &frames, tolerance);
+        if frames.receipt.triangles.rasterised.is_some_and(|large| large > 0) {
+            let rasterised = self::frames(&RASTERISING, &self.id, view);
+            assert!(rasterised.ran(Pass::RasteriseTriangles) && frames.ran(Pass::WalkTriangles));
+            let id = format!("{}-rasterised", self.id);
+            verdict::judge(&id, &self.reference, view, &rasterised, tolerance);
+        }
         frames
     }
 
@@ -169,9 +182,15 @@ impl Case {
 
 impl Drop for Case {
     fn drop(&mut self) {
-        for engine in [&*WIDE, &*NARROW] {
+        for engine in engines() {
             let _ = engine.remove(&self.id);
         }
+    }
+}
+
+impl Frames {
+    fn ran(&self, pass: Pass) -> bool {
+        self.receipt.passes.iter().any(|line| line.name == pass.name() && line.ran)
     }
 }
 

@@ -1,0 +1,190 @@
+// Triangles that are large or meet the camera plane, for adapters whose rasteriser is slower than this: a CPU's. Eight
+// threads, a CPU's vector, take a triangle in a band of the image and walk their columns of its box.
+//
+// Coverage is decided in 64-bit integers on the grid of project_triangles. A triangle that meets the camera plane has
+// no corners to snap: there a pixel's ray is tested against the planes through the eye and each edge (Olano & Greer
+// 1997), each computed in the same way for both triangles that share the edge.
+//!include shared/frame
+//!include shared/scene
+//!include VISIBILITY
+//!include shared/mesh
+//!include shared/triangle
+//!include ALPHA
+
+@group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
+@group(1) @binding(3) var<storage, read> instances: array<Instance>;
+@group(1) @binding(4) var<storage, read> materials: array<Material>;
+@group(2) @binding(0) var<storage, read> slots: array<Slot>;
+@group(2) @binding(3) var<storage, read> placed: array<Placed>;
+@group(2) @binding(4) var<storage, read> large: array<u32>;
+
+// Triangles that go side by side, and bands of the image.
+const STRIDE: u32 = 64u;
+const BANDS: i32 = 8;
+const LANES: i32 = 8;
+
+struct Box {
+    low: vec2<i32>,
+    high: vec2<i32>,
+}
+
+struct Surface {
+    a: vec3<f32>,
+    b: vec3<f32>,
+    c: vec3<f32>,
+    id: u32,
+    plane: Plane,
+    texel: AlphaTest,
+}
+
+fn cover(s: Surface, at: vec2<i32>) {
+    let ray = ray_through(vec2<f32>(at) + vec2<f32>(0.5));
+    if alpha_passes(s.texel, ray) {
+        visibility_write(u32(at.y) * frame.size_px.x + u32(at.x), plane_inverse_depth(s.plane, ray), s.id);
+    }
+}
+
+// 0 where a pixel on the edge belongs to the triangle on its inner side, else −1: see project_triangles.
+fn bias(edge: vec2<i64>) -> i64 {
+    return select(-1li, 0li, edge.y < 0li || (edge.y == 0li && edge.x > 0li));
+}
+
+fn walk_snapped(s: Surface, box: Box, lane: i32) {
+    let base = vec2<i64>(box.low) * 256li + vec2<i64>(128li);
+    let a = vec2<i64>(snap(image_position(s.a))) - base;
+    var b = vec2<i64>(snap(image_position(s.b))) - base;
+    var c = vec2<i64>(snap(image_position(s.c))) - base;
+    let area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
+    if area < 0li {
+        let swap = b;
+        b = c;
+        c = swap;
+    }
+    let ab = b - a;
+    let bc = c - b;
+    let ca = a - c;
+    let origin = vec3<i64>(
+        ab.y * a.x - ab.x * a.y + bias(ab),
+        bc.y * b.x - bc.x * b.y + bias(bc),
+        ca.y * c.x - ca.x * c.y + bias(ca),
+    );
+    let step_x = vec3<i64>(ab.y, bc.y, ca.y) * -256li;
+    let step_y = vec3<i64>(ab.x, bc.x, ca.x) * 256li;
+    for (var x = box.low.x + lane; x <= box.high.x; x += LANES) {
+        var e = origin + step_x * i64(x - box.low.x);
+        for (var y = box.low.y; y <= box.high.y; y++) {
+            if (e.x | e.y | e.z) >= 0li && area != 0li {
+                cover(s, vec2<i32>(x, y));
+            }
+            e += step_y;
+        }
+    }
+}
+
+// A product and what rounding took from it (Dekker), halves of 12 bits each.
+fn exact_product(x: f32, y: f32) -> vec2<f32> {
+    let xh = bitcast<f32>(bitcast<u32>(x) & 0xfffff000u);
+    let yh = bitcast<f32>(bitcast<u32>(y) & 0xfffff000u);
+    let xl = x - xh;
+    let yl = y - yh;
+    let product = x * y;
+    return vec2<f32>(product, ((xh * yh - product) + (xh * yl + xl * yh)) + xl * yl);
+}
+
+// p · q − r · s without cancellation; swapping the two products only turns its sign.
+fn difference(p: f32, q: f32, r: f32, s: f32) -> f32 {
+    let first = exact_product(p, q);
+    let second = exact_product(r, s);
+    return (first.x - second.x) + (first.y - second.y);
+}
+
+// Normal of the plane through the eye and an edge, of about unit length: only its sign at a ray matters.
+fn edge_plane(p: vec3<f32>, q: vec3<f32>) -> vec3<f32> {
+    let n = vec3<f32>(
+        difference(p.y, q.z, p.z, q.y),
+        difference(p.z, q.x, p.x, q.z),
+        difference(p.x, q.y, p.y, q.x),
+    );
+    let most = max(abs(n.x), max(abs(n.y), abs(n.z)));
+    return n / select(most, 1.0, most < 1e-37);
+}
+
+// Rays in the plane of an edge belong to one of its two triangles: the same for both.
+fn owns(n: vec3<f32>) -> bool {
+    return n.x > 0.0 || (n.x == 0.0 && n.y > 0.0);
+}
+
+fn inside(n: vec3<f32>, ray: vec3<f32>) -> bool {
+    let side = dot(n, ray);
+    return side > 0.0 || (side == 0.0 && owns(n));
+}
+
+fn walk_rays(s: Surface, box: Box, lane: i32) {
+    let turn = select(1.0, -1.0, facing(s.a, s.b, s.c) < 0.0);
+    let ab = edge_plane(s.a, s.b) * turn;
+    let bc = edge_plane(s.b, s.c) * turn;
+    let ca = edge_plane(s.c, s.a) * turn;
+    for (var x = box.low.x + lane; x <= box.high.x; x += LANES) {
+        for (var y = box.low.y; y <= box.high.y; y++) {
+            let ray = ray_through(vec2<f32>(f32(x), f32(y)) + vec2<f32>(0.5));
+            if inside(ab, ray) && inside(bc, ray) && inside(ca, ray) {
+                cover(s, vec2<i32>(x, y));
+            }
+        }
+    }
+}
+
+fn triangle(id: u32, rows: vec2<i32>, lane: i32) {
+    let slot = id >> SLOT_SHIFT;
+    let chunk = chunks[slots[slot].chunk];
+    let instance = slots[slot].instance;
+    let at = placed[instance];
+    let corners = triangle_corners(chunk, id & SLOT_MASK);
+    var s: Surface;
+    s.id = id;
+    s.a = vertex_camera(at, corners.x);
+    s.b = vertex_camera(at, corners.y);
+    s.c = vertex_camera(at, corners.z);
+    s.plane = triangle_plane(s.a, s.b, s.c);
+    s.texel = alpha_test(chunk, instance, corners, s.a, s.b, s.c);
+    let bounds = image_bounds(s.a, s.b, s.c);
+    let last = vec2<f32>(frame.size_px) - vec2<f32>(1.0);
+    let low = vec2<i32>(clamp(floor(bounds.least - vec2<f32>(1.0)), vec2<f32>(0.0), last));
+    let high = vec2<i32>(clamp(floor(bounds.most + vec2<f32>(1.0)), vec2<f32>(0.0), last));
+    let box = Box(max(low, vec2<i32>(0, rows.x)), min(high, vec2<i32>(high.x, rows.y)));
+    if bounds.snaps {
+        walk_snapped(s, box, lane);
+    } else {
+        walk_rays(s, box, lane);
+    }
+}
+
+@compute @workgroup_size(8)
+fn walk_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let count = min(large[0] / 3u, (arrayLength(&large) - LIST_HEAD) / LIST_ENTRY);
+    let height = i32(frame.size_px.y);
+    let each = (height + BANDS - 1) / BANDS;
+    let first = i32(group.y) * each;
+    let last = min(first + each, height) - 1;
+    var i = group.x;
+    loop {
+        // On to the next triangle of this band, before anything dear is done: see shared/resolve.
+        var rows = vec2<i32>(0);
+        loop {
+            if i >= count {
+                break;
+            }
+            let span = large[LIST_HEAD + i * LIST_ENTRY + 1u];
+            rows = vec2<i32>(max(i32(span & 0xffffu), first), min(i32(span >> 16u), last));
+            if rows.x <= rows.y {
+                break;
+            }
+            i += STRIDE;
+        }
+        if i >= count {
+            break;
+        }
+        triangle(large[LIST_HEAD + i * LIST_ENTRY], rows, i32(lane));
+        i += STRIDE;
+    }
+}
