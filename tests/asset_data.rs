@@ -7,7 +7,6 @@
     clippy::panic,
     reason = "a test that unwraps says where it failed"
 )]
-#![allow(clippy::panic, reason = "a panic is how a test fails")]
 
 use std::path::PathBuf;
 
