@@ -30,7 +30,12 @@ fn uses(root: &str, alias: &str) -> bool {
 fn compositions(root: &str) -> Vec<(String, Option<Visibility>, Composed)> {
     if !uses(root, "VISIBILITY") {
         assert!(!uses(root, "ALPHA"), "{root} tests alpha but writes no visibility");
-        return vec![(root.to_owned(), None, shaders::plain(root).unwrap())];
+        let votes: &[bool] = if uses(root, "VOTE") { &[false, true] } else { &[false] };
+        let composed = |&vote: &bool| {
+            let name = format!("{root} (subgroups {vote})");
+            (name, None, shaders::plain(root, vote).unwrap())
+        };
+        return votes.iter().map(composed).collect();
     }
     let mut all = Vec::new();
     for visibility in Visibility::ALL {
@@ -41,6 +46,16 @@ fn compositions(root: &str) -> Vec<(String, Option<Visibility>, Composed)> {
         }
     }
     all
+}
+
+/// What a composition may use beyond the core of WGSL.
+fn needed(name: &str, visibility: Option<Visibility>) -> Capabilities {
+    match visibility {
+        Some(Visibility::Wide) => WIDE,
+        _ if name.contains("walk_triangles") => Capabilities::SHADER_INT64,
+        _ if name.contains("subgroups true") => Capabilities::SUBGROUP,
+        _ => Capabilities::empty(),
+    }
 }
 
 fn validate(name: &str, composed: &Composed, capabilities: Capabilities) -> Result<(), String> {
@@ -57,26 +72,22 @@ fn every_composition_is_valid() {
     let mut checked = 0;
     for root in roots() {
         for (name, visibility, composed) in compositions(root) {
-            let capabilities = match visibility {
-                Some(Visibility::Wide) => WIDE,
-                _ => Capabilities::empty(),
-            };
-            if let Err(error) = validate(&name, &composed, capabilities) {
+            if let Err(error) = validate(&name, &composed, needed(&name, visibility)) {
                 panic!("{name}: {error}");
             }
             checked += 1;
         }
     }
-    // Three roots have six variants each.
-    assert_eq!(checked, roots().len() - 3 + 3 * 6);
+    // Four roots have six variants each, three have two.
+    assert_eq!(checked, roots().len() - 7 + 4 * 6 + 3 * 2);
 }
 
 #[test]
-fn only_wide_visibility_needs_64_bits() {
+fn nothing_else_needs_more_than_the_core() {
     for root in roots() {
         for (name, visibility, composed) in compositions(root) {
             let plain = validate(&name, &composed, Capabilities::empty());
-            assert_eq!(plain.is_err(), visibility == Some(Visibility::Wide), "{name}");
+            assert_eq!(plain.is_err(), !needed(&name, visibility).is_empty(), "{name}");
         }
     }
 }

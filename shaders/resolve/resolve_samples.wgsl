@@ -1,4 +1,5 @@
 // Attributes of the pixels that show a sample of one page.
+//!include VOTE
 //!include shared/frame
 //!include shared/scene
 //!include shared/octahedral
@@ -57,6 +58,7 @@ fn resolve_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
     var walk = walk_begin(group, lane);
     var shown = 0u;
     loop {
+        var mine = false;
         loop {
             if walk.pixel >= walk.end {
                 break;
@@ -65,7 +67,8 @@ fn resolve_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
             if walk.word.y == 0u && segment.first != 0u {
                 pixels[walk.pixel] = background_word();
             }
-            if walk.word.y != 0u && ((~walk.word.x) >> SLOT_SHIFT) - begin < count {
+            mine = walk.word.y != 0u && ((~walk.word.x) >> SLOT_SHIFT) - begin < count;
+            if any_lane(mine) {
                 break;
             }
             walk.pixel += width;
@@ -74,8 +77,10 @@ fn resolve_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
         if walk.pixel >= walk.end {
             break;
         }
-        resolve(walk.pixel, walk.at, walk.word);
-        shown++;
+        if mine {
+            resolve(walk.pixel, walk.at, walk.word);
+            shown++;
+        }
         walk.pixel += width;
         walk.at.y++;
     }

@@ -1,4 +1,5 @@
 // Attributes of the pixels that show a triangle of one page: interpolated perspective-correctly at the pixel's centre.
+//!include VOTE
 //!include shared/frame
 //!include shared/scene
 //!include shared/octahedral
@@ -95,6 +96,7 @@ fn resolve_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_inv
     var walk = walk_begin(group, lane);
     var shown = 0u;
     loop {
+        var mine = false;
         loop {
             if walk.pixel >= walk.end {
                 break;
@@ -103,7 +105,8 @@ fn resolve_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_inv
             if walk.word.y == 0u && segment.first != 0u {
                 pixels[walk.pixel] = background_word();
             }
-            if walk.word.y != 0u && ((~walk.word.x) >> SLOT_SHIFT) - begin < count {
+            mine = walk.word.y != 0u && ((~walk.word.x) >> SLOT_SHIFT) - begin < count;
+            if any_lane(mine) {
                 break;
             }
             walk.pixel += width;
@@ -112,8 +115,10 @@ fn resolve_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_inv
         if walk.pixel >= walk.end {
             break;
         }
-        resolve(walk.pixel, walk.at, walk.word);
-        shown++;
+        if mine {
+            resolve(walk.pixel, walk.at, walk.word);
+            shown++;
+        }
         walk.pixel += width;
         walk.at.y++;
     }

@@ -1,4 +1,5 @@
 // Phong lighting of every covered pixel, once, from the resolved colour and normal.
+//!include VOTE
 //!include shared/frame
 //!include shared/scene
 //!include shared/octahedral
@@ -97,7 +98,7 @@ fn shade(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
                 break;
             }
             word = visibility[pixel];
-            if word.y != 0u {
+            if any_lane(word.y != 0u) {
                 break;
             }
             pixel += size.x;
@@ -106,7 +107,9 @@ fn shade(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         if pixel >= end {
             break;
         }
-        light_up(pixel, at, word);
+        if word.y != 0u {
+            light_up(pixel, at, word);
+        }
         pixel += size.x;
         at.y++;
     }

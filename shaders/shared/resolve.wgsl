@@ -36,8 +36,8 @@ fn background_word() -> u32 {
 }
 
 // A thread's pixels: a column of a tile. CPU adapters run both sides of an `if` under a mask and every loop at least once;
-// so a thread first steps to its next pixel of this segment, which is cheap, and then resolves it, and tiles that show
-// nothing pass by in one step.
+// so the threads of a vector first step to the next row in which one of them has a pixel of this segment, which is
+// cheap, and then resolve it. Tiles that show nothing pass by in one step.
 struct Walk {
     pixel: u32,
     // One row below the tile.

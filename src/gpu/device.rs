@@ -44,6 +44,8 @@ pub struct Gpu {
     pub is_cpu: bool,
     /// Large triangles go to the rasteriser, which on a CPU is slower than a walk in compute.
     pub rasterises: bool,
+    /// Threads of a vector can vote.
+    pub subgroups: bool,
     lost: Arc<AtomicBool>,
 }
 
@@ -108,7 +110,13 @@ impl Gpu {
         let integers = offered & wgpu::Features::SHADER_INT64;
         let is_cpu = info.device_type == wgpu::DeviceType::Cpu;
         let rasterises = options.rasterise.unwrap_or(!is_cpu) || integers.is_empty();
-        let mut features = integers | (offered & wgpu::Features::TIMESTAMP_QUERY);
+        // With the 32-bit path goes all that the poorest adapters lack.
+        let subgroups = if options.force_32_bit {
+            wgpu::Features::empty()
+        } else {
+            offered & wgpu::Features::SUBGROUP
+        };
+        let mut features = integers | subgroups | (offered & wgpu::Features::TIMESTAMP_QUERY);
         if features.contains(wgpu::Features::TIMESTAMP_QUERY) {
             features |= offered & wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS;
         }
@@ -145,6 +153,7 @@ impl Gpu {
             limits,
             is_cpu,
             rasterises,
+            subgroups: !subgroups.is_empty(),
             lost,
         })
     }

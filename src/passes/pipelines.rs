@@ -43,7 +43,12 @@ impl Pipelines {
         if let Some(pipeline) = self.compute.get(&variant) {
             return Ok(pipeline.clone());
         }
-        let pipeline = Rc::new(ComputePipeline::new(gpu, name, &shaders::plain(root)?, &values)?);
+        let pipeline = Rc::new(ComputePipeline::new(
+            gpu,
+            name,
+            &shaders::plain(root, gpu.subgroups)?,
+            &values,
+        )?);
         self.compute.insert(variant, pipeline.clone());
         Ok(pipeline)
     }

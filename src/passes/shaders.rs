@@ -44,6 +44,8 @@ fragments![
     "shared/alpha_none",
     "shared/alpha_cut",
     "shared/resolve",
+    "shared/vote_subgroup",
+    "shared/vote_alone",
     "shared/visibility_64",
     "shared/visibility_depth",
     "shared/visibility_id",
@@ -84,9 +86,10 @@ impl Visibility {
     }
 }
 
-/// Composes the module of a pass that has no variants.
-pub fn plain(root: &str) -> Result<Composed, ShaderError> {
-    compose(source, root, &[])
+/// Composes the module of a pass that leaves the visibility buffer alone; `subgroups`: its threads may vote.
+pub fn plain(root: &str, subgroups: bool) -> Result<Composed, ShaderError> {
+    let vote = if subgroups { "shared/vote_subgroup" } else { "shared/vote_alone" };
+    compose(source, root, &[("VOTE", vote)])
 }
 
 /// Composes a module that writes the visibility buffer.

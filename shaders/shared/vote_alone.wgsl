@@ -1,0 +1,4 @@
+// Without subgroups each thread goes by itself.
+fn any_lane(mine: bool) -> bool {
+    return mine;
+}
