@@ -8,7 +8,7 @@ pub mod serve;
 
 use clap::{Parser, Subcommand};
 
-/// A headless render server for scenes of points, lines and triangles.
+/// A headless render server for scenes of points and triangles.
 #[derive(Parser)]
 #[command(name = "pointillist", version, about)]
 pub struct Cli {

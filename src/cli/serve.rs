@@ -34,7 +34,7 @@ pub struct ServeArgs {
     /// Folder that scenes and their files are read from; uploads go below it [default: scenes]
     #[arg(long, env = "POINTILLIST_ROOT", value_name = "FOLDER")]
     pub root: Option<PathBuf>,
-    /// Scene or asset file to load at the start, relative to the root; may be repeated [default: every *.json directly in the root]
+    /// Scene or asset file to load at the start, relative to the root; may be repeated [default: every *.json directly in the root, or every asset file where there is none]
     #[arg(long, env = "POINTILLIST_SCENE", value_name = "FILE", value_delimiter = ',')]
     pub scene: Vec<PathBuf>,
     /// Scene data that may stay on the GPU, in MiB [default: three quarters of what the adapter offers, at most 4096]
@@ -308,18 +308,23 @@ fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig
     })
 }
 
-/// The scenes asked for, or every scene file directly in the root.
+/// The scenes asked for, or every scene file directly in the root, or every asset file where there is none.
 fn start_scenes(args: &ServeArgs, root: &Path) -> anyhow::Result<StartScenes> {
     if args.scene.is_empty() {
         let entries = std::fs::read_dir(root).context("the scene root cannot be listed")?;
         let mut files: Vec<PathBuf> = entries
             .filter_map(Result::ok)
             .map(|entry| entry.path())
-            .filter(|path| path.extension().is_some_and(|extension| extension == "json"))
             .filter(|path| path.is_file())
             .filter(|path| !path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.')))
             .collect();
         files.sort();
+        let is_scene = |path: &PathBuf| path.extension().is_some_and(|e| e == "json");
+        if files.iter().any(is_scene) {
+            files.retain(is_scene);
+        } else {
+            files.retain(|path| crate::assets::is_supported_extension(&path.to_string_lossy()));
+        }
         return Ok(StartScenes { scenes: with_ids(files), required: false });
     }
     let mut files = Vec::new();
@@ -425,6 +430,13 @@ mod tests {
         let found = start_scenes(&ServeArgs::default(), &root).unwrap();
         let ids: Vec<&str> = found.scenes.iter().map(|(id, _)| id.as_str()).collect();
         assert_eq!((ids, found.required), (vec!["a-one", "b"], false));
+        for name in ["b.json", "A One.json"] {
+            std::fs::remove_file(root.join(name)).unwrap();
+        }
+        std::fs::write(root.join("notes.md"), "").unwrap();
+        let found = start_scenes(&ServeArgs::default(), &root).unwrap();
+        let ids: Vec<&str> = found.scenes.iter().map(|(id, _)| id.as_str()).collect();
+        assert_eq!((ids, found.required), (vec!["c"], false));
         let found = start_scenes(&flags(&["--scene", "c.ply"]), &root).unwrap();
         assert_eq!((found.scenes[0].0.as_str(), found.required), ("c", true));
         assert!(start_scenes(&flags(&["--scene", "none.ply"]), &root).is_err());

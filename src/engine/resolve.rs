@@ -28,7 +28,7 @@ fn bad_camera(error: CameraError) -> EngineError {
         "fov" => "degrees between 0 and 180, both excluded",
         "view" => "16 numbers, column-major: rotation and translation",
         "proj" => "16 numbers, column-major: a perspective that looks along −z",
-        _ => "three finite numbers",
+        _ => "three numbers within ±1e100, eye and target apart",
     };
     EngineError::BadParameter {
         parameter: error.parameter,
@@ -49,7 +49,7 @@ fn check_size(shared: &Shared, request: &FrameRequest) -> Result<(), EngineError
         }
         if value > max_side {
             return Err(EngineError::OverLimit {
-                what: "pixels along one side",
+                what: if parameter == "w" { "pixels in w" } else { "pixels in h" },
                 found: u64::from(value),
                 limit: u64::from(max_side),
             });

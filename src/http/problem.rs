@@ -320,8 +320,15 @@ impl From<EngineError> for Problem {
                 Problem::new(Kind::ShuttingDown, text).retry_after(Duration::from_secs(5))
             }
             EngineError::OutOfGpuMemory { .. } => Problem::new(Kind::OutOfGpuMemory, text),
-            EngineError::OverLimit { what, limit, .. } => Problem::new(Kind::OverLimit, text)
-                .accepted(format!("at most {limit} {what}; GET /v1/limits lists all")),
+            EngineError::OverLimit { what, limit, .. } => {
+                let problem = Problem::new(Kind::OverLimit, text)
+                    .accepted(format!("at most {limit} {what}; GET /v1/limits lists all"));
+                match what {
+                    "pixels in w" => problem.at("w"),
+                    "pixels in h" => problem.at("h"),
+                    _ => problem,
+                }
+            }
             EngineError::Asset(inner) => match &*inner {
                 AssetError::Io { source, .. } if !is_users_fault(source) => Problem::internal(text),
                 AssetError::Io { .. } | AssetError::Malformed { .. } => {

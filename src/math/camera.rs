@@ -17,6 +17,9 @@ pub struct Camera {
     pub fov_deg: f64,
 }
 
+/// Coordinates beyond this are refused: their squares must stay finite.
+const FARTHEST: f64 = 1e100;
+
 /// A pose that cannot be drawn, naming the parameter at fault.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{parameter}: {reason}")]
@@ -53,6 +56,9 @@ impl Camera {
         for (parameter, v) in [("eye", self.eye), ("target", self.target), ("up", self.up)] {
             if !v.is_finite() {
                 return fail(parameter, "every coordinate must be a finite number");
+            }
+            if v.abs().max_element() > FARTHEST {
+                return fail(parameter, "lies farther away than anything that can be drawn");
             }
         }
         if !(self.fov_deg > 0.0 && self.fov_deg < 180.0) {
