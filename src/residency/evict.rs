@@ -1,4 +1,4 @@
-//! Who leaves when there is no room: whole scenes, the one used the longest ago first, each with the assets that no other
+//! Who leaves when there is no room: whole scenes, those used the longest ago, each with the assets that no other
 //! scene draws. A scene's own lists count as much as its assets: with many instances they are the larger part.
 
 use std::collections::{HashMap, HashSet};
@@ -15,39 +15,45 @@ pub(super) struct Holding<'a> {
     pub asset_uids: &'a [u64],
 }
 
-/// The scenes to evict, in order, so that `bytes` are freed: no more of them than needed, all where even that is too
-/// little. Assets in `kept` are not freed with any scene.
+/// The scenes to evict so that `bytes` are freed, all where even that is too little. None of them could stay, and those
+/// used before the newest of them would not do. Assets in `kept` are not freed with any scene.
 pub(super) fn victims<'a>(
     holdings: &[Holding<'a>],
     asset_bytes: impl Fn(u64) -> u64,
     kept: &HashSet<u64>,
     bytes: u64,
 ) -> Vec<&'a str> {
-    let distinct =
-        |holding: &Holding<'a>| holding.asset_uids.iter().copied().collect::<HashSet<_>>();
-    let mut users: HashMap<u64, usize> = HashMap::new();
-    for uid in holdings.iter().flat_map(distinct) {
-        *users.entry(uid).or_default() += 1;
-    }
-    let mut oldest_first: Vec<&Holding<'a>> = holdings.iter().collect();
-    oldest_first.sort_by_key(|holding| (holding.last_used, holding.id));
-    let mut freed = 0u64;
-    let mut out = Vec::new();
-    for holding in oldest_first {
-        if freed >= bytes {
-            break;
+    let freed = |gone: &[&Holding<'a>]| {
+        let going: HashSet<&str> = gone.iter().map(|holding| holding.id).collect();
+        let staying = holdings.iter().filter(|holding| !going.contains(holding.id));
+        let held: HashSet<u64> = staying.flat_map(|holding| holding.asset_uids).copied().collect();
+        let assets: HashSet<u64> =
+            gone.iter().flat_map(|holding| holding.asset_uids).copied().collect();
+        let free = assets.into_iter().filter(|uid| !held.contains(uid) && !kept.contains(uid));
+        gone.iter().map(|holding| holding.list_bytes).sum::<u64>()
+            + free.map(&asset_bytes).sum::<u64>()
+    };
+    let mut order: Vec<&Holding<'a>> = holdings.iter().collect();
+    order.sort_by_key(|holding| (holding.last_used, holding.id));
+    // More scenes free more: the shortest run of the oldest that frees enough is found by halving.
+    let (mut too_few, mut enough) = (0, order.len());
+    while too_few < enough {
+        let middle = (too_few + enough) / 2;
+        if freed(&order[..middle]) >= bytes {
+            enough = middle;
+        } else {
+            too_few = middle + 1;
         }
-        freed += holding.list_bytes;
-        for uid in distinct(holding) {
-            let left = users.entry(uid).or_default();
-            *left = left.saturating_sub(1);
-            if *left == 0 && !kept.contains(&uid) {
-                freed += asset_bytes(uid);
-            }
-        }
-        out.push(holding.id);
     }
-    out
+    let mut gone = order[..enough].to_vec();
+    // What goes with an old scene may be little, when its assets stay: it is spared where a later one frees enough.
+    for index in (0..gone.len()).rev() {
+        let spared = gone.remove(index);
+        if freed(&gone) < bytes {
+            gone.insert(index, spared);
+        }
+    }
+    gone.into_iter().map(|holding| holding.id).collect()
 }
 
 #[cfg(test)]
@@ -84,13 +90,16 @@ mod tests {
             let before = staying(&holdings, &bytes, &kept, &[]);
             let freed = |gone: &[&str]| before - staying(&holdings, &bytes, &kept, gone);
             prop_assert!(freed(&gone) >= wanted || gone.len() == holdings.len());
-            if let Some((_, fewer)) = gone.split_last() {
-                prop_assert!(freed(fewer) < wanted, "one less would do");
+            for spared in &gone {
+                let fewer: Vec<&str> = gone.iter().copied().filter(|id| id != spared).collect();
+                prop_assert!(freed(&fewer) < wanted, "{spared} could stay");
             }
-            let used = |id: &str| holdings.iter().find(|h| h.id == id).unwrap().last_used;
-            let newest_gone = gone.iter().map(|id| used(id)).max().unwrap_or(0);
-            for holding in &holdings {
-                prop_assert!(gone.contains(&holding.id) || holding.last_used >= newest_gone);
+            let age = |h: &Holding| (h.last_used, h.id.to_owned());
+            let newest = holdings.iter().filter(|h| gone.contains(&h.id)).map(age).max();
+            if let Some(newest) = newest {
+                let older: Vec<&str> =
+                    holdings.iter().filter(|h| age(h) < newest).map(|h| h.id).collect();
+                prop_assert!(freed(&older) < wanted, "older ones would do");
             }
         }
     }
