@@ -9,7 +9,6 @@
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 use e57::{E57Reader, RecordDataType, RecordName, RecordValue};
@@ -18,7 +17,7 @@ use glam::{DAffine3, DQuat, DVec3};
 use super::points::{
     self, colors, io_error, malformed, scale_to_word, skipped_warning, unsupported, value_range,
 };
-use super::{Asset, AssetError, Geometry, Placement, PointCloud, ReadOptions};
+use super::{Asset, AssetError, Geometry, Placement, PointCloud, ReadOptions, quiet};
 
 const HEADER_BYTES: u64 = 48;
 /// The decoder keeps a queue of values for each field.
@@ -48,8 +47,8 @@ fn read_seekable<R: Read + Seek>(
 ) -> Result<Asset, AssetError> {
     check_header(&mut reader, name)?;
     // The crate returns errors, but may meet damage that nobody foresaw.
-    let scans = catch_unwind(AssertUnwindSafe(|| read_scans(reader, name, options)))
-        .unwrap_or_else(|_| Err(malformed(name, "file", "is damaged: the decoder gave up")))?;
+    let scans = quiet::catch(|| read_scans(reader, name, options))
+        .unwrap_or_else(|| Err(malformed(name, "file", "is damaged: the decoder gave up")))?;
     options.progress.report(1.0);
     finish(scans, name)
 }

@@ -20,6 +20,7 @@ pub mod ply;
 mod points;
 mod polygon;
 pub mod ptx;
+mod quiet;
 pub mod stl;
 mod texture;
 mod tidy;

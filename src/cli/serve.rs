@@ -252,7 +252,9 @@ fn access(args: &ServeArgs, address: SocketAddr) -> anyhow::Result<Access> {
         address.ip().is_loopback() || args.insecure == Some(true),
         "{address} can be reached from other machines: give --api-keys FILE, or --insecure to let everybody in"
     );
-    Ok(Access::Open { cors_origins: args.cors_origin.clone() })
+    // Behind a proxy on the same machine, requests carry the proxy's name.
+    let only_loopback = address.ip().is_loopback() && args.insecure != Some(true);
+    Ok(Access::Open { cors_origins: args.cors_origin.clone(), only_loopback })
 }
 
 /// `value`, or the default; at least `least`.
@@ -410,7 +412,13 @@ mod tests {
         assert!(
             access(&ServeArgs::default(), open).unwrap_err().to_string().contains("--api-keys")
         );
-        assert!(access(&flags(&["--insecure"]), open).is_ok());
+        let only_loopback = |args: &ServeArgs, address| match access(args, address) {
+            Ok(Access::Open { only_loopback, .. }) => Some(only_loopback),
+            _ => None,
+        };
+        assert_eq!(only_loopback(&ServeArgs::default(), local), Some(true));
+        assert_eq!(only_loopback(&flags(&["--insecure"]), local), Some(false));
+        assert_eq!(only_loopback(&flags(&["--insecure"]), open), Some(false));
         let folder = tempfile::tempdir().unwrap();
         let keys = folder.path().join("keys");
         std::fs::write(&keys, format!("a read {}\n", "0".repeat(64))).unwrap();
@@ -448,7 +456,7 @@ mod tests {
         let refused = |line: &[&str]| {
             let args = flags(line);
             let root = PathBuf::from("/");
-            let access = Access::Open { cors_origins: Vec::new() };
+            let access = Access::Open { cors_origins: Vec::new(), only_loopback: true };
             engine_config(&args, root.clone()).is_err() || settings(&args, root, access).is_err()
         };
         assert!(!refused(&[]));

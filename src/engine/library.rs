@@ -79,6 +79,17 @@ impl Library {
         self.scenes.insert(loaded.model.id.clone(), Arc::new(loaded));
     }
 
+    /// Exchanges `old` for `new`, unless it is no longer there; whether that was done.
+    pub fn replace(&mut self, old: &Arc<Loaded>, new: Loaded) -> bool {
+        match self.scenes.get_mut(&old.model.id) {
+            Some(held) if Arc::ptr_eq(held, old) => {
+                *held = Arc::new(new);
+                true
+            }
+            _ => false,
+        }
+    }
+
     pub fn remove(&mut self, id: &str) -> Option<Arc<Loaded>> {
         self.scenes.remove(id)
     }

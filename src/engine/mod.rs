@@ -191,9 +191,13 @@ pub struct EncodedFrame {
 pub enum Readiness {
     Ready,
     Starting,
-    Stalled { for_ms: u64 },
+    Stalled {
+        for_ms: u64,
+    },
     DeviceLost,
     Draining,
+    /// The render thread ended by a defect: only a new process can draw again.
+    Failed,
 }
 
 /// Counters for `/metrics`, cumulative since the start.
@@ -378,16 +382,21 @@ impl Engine {
     /// Moves, shows or hides a top-level node: a new revision, nothing uploaded but transforms.
     pub fn patch(&self, id: &str, node: &str, patch: &NodePatch) -> Result<SceneInfo, EngineError> {
         let shared = self.shared();
-        // Two patches must not start from the same revision: the lock is held while the instances are listed anew.
-        let mut library = shared.library.write();
-        let loaded =
-            library.get(id).ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
-        let patched = loaded.patched(node, patch, &shared.config)?;
-        // A node that comes to light may draw more than there is room for.
-        self.check_fits(&patched)?;
-        let info = patched.info.clone();
-        library.insert(patched);
-        Ok(info)
+        // Two patches must not start from the same revision. Listing the instances anew may take a while, in which frames
+        // are still asked for: the library is locked only to look and to exchange.
+        let _alone = shared.patching.lock();
+        loop {
+            let loaded = shared.library.read().get(id);
+            let loaded = loaded.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
+            let patched = loaded.patched(node, patch, &shared.config)?;
+            // A node that comes to light may draw more than there is room for.
+            self.check_fits(&patched)?;
+            let info = patched.info.clone();
+            if shared.library.write().replace(&loaded, patched) {
+                return Ok(info);
+            }
+            // Removed meanwhile, and perhaps loaded again.
+        }
     }
 
     pub fn scenes(&self) -> Vec<SceneInfo> {
@@ -464,6 +473,12 @@ impl Engine {
         while self.shared().has_unanswered() {
             std::thread::sleep(std::time::Duration::from_millis(5));
         }
+    }
+
+    /// Has the render thread panic, to see what becomes of the rest.
+    #[doc(hidden)]
+    pub fn break_render_thread(&self) {
+        self.shared().break_render_thread();
     }
 
     /// Loses the device on purpose, to see that it comes back.

@@ -29,6 +29,8 @@ pub enum Phase {
     Starting,
     Ready,
     Lost,
+    /// The render thread panicked.
+    Failed,
 }
 
 #[derive(Default)]
@@ -65,6 +67,8 @@ pub struct Shared {
     pub library: RwLock<Library>,
     /// Identifiers being loaded.
     pub loading: Mutex<HashSet<String>>,
+    /// Held while a scene is patched.
+    pub patching: Mutex<()>,
     pub cache: AssetCache,
     pub stats: Stats,
     state: Mutex<State>,
@@ -74,6 +78,11 @@ pub struct Shared {
     /// Measured time of a frame, averaged.
     frame_ns: AtomicU64,
     lose: AtomicBool,
+    break_thread: AtomicBool,
+}
+
+fn render_thread_ended() -> EngineError {
+    EngineError::Internal("the render thread ended".to_owned())
 }
 
 /// Longer than this at one batch and the loop is said to stall.
@@ -86,6 +95,7 @@ impl Shared {
             config,
             library: RwLock::default(),
             loading: Mutex::default(),
+            patching: Mutex::default(),
             cache: AssetCache::default(),
             stats: Stats::default(),
             state: Mutex::new(State {
@@ -101,6 +111,7 @@ impl Shared {
             resident: RwLock::default(),
             frame_ns: AtomicU64::new(20_000_000),
             lose: AtomicBool::new(false),
+            break_thread: AtomicBool::new(false),
         }
     }
 
@@ -111,6 +122,9 @@ impl Shared {
         request: FrameRequest,
     ) -> Result<oneshot::Receiver<Reply>, EngineError> {
         let mut state = self.state.lock();
+        if state.phase == Phase::Failed {
+            return Err(render_thread_ended());
+        }
         if state.stopping {
             return Err(EngineError::ShuttingDown);
         }
@@ -225,19 +239,28 @@ impl Shared {
         let jobs: Vec<Arc<Job>> = {
             let mut state = self.state.lock();
             state.stopping = true;
-            state.phase = Phase::Lost;
+            state.phase = Phase::Failed;
             state.queue.drain();
             state.by_key.drain().map(|(_, job)| job).collect()
         };
         self.stats.failed.fetch_add(jobs.len() as u64, Ordering::Relaxed);
         for job in jobs {
-            job.answer(Err(EngineError::Internal("the render thread ended".to_owned())));
+            job.answer(Err(render_thread_ended()));
         }
     }
 
     pub fn lose_device(&self) {
         self.lose.store(true, Ordering::SeqCst);
         self.wake.notify_one();
+    }
+
+    pub fn break_render_thread(&self) {
+        self.break_thread.store(true, Ordering::SeqCst);
+        self.wake.notify_one();
+    }
+
+    pub fn is_to_break(&self) -> bool {
+        self.break_thread.load(Ordering::SeqCst)
     }
 
     pub fn take_lose_request(&self) -> bool {
@@ -254,12 +277,17 @@ impl Shared {
 
     pub fn readiness(&self) -> Readiness {
         let state = self.state.lock();
+        // Before all: who drains, ends; who failed, waits to be ended.
+        if state.phase == Phase::Failed {
+            return Readiness::Failed;
+        }
         if state.stopping {
             return Readiness::Draining;
         }
         match state.phase {
             Phase::Starting => Readiness::Starting,
             Phase::Lost => Readiness::DeviceLost,
+            Phase::Failed => Readiness::Failed,
             Phase::Ready => match state.busy_since.map(|since| since.elapsed()) {
                 Some(busy) if busy > STALL => {
                     Readiness::Stalled { for_ms: busy.as_millis() as u64 }

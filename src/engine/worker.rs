@@ -125,6 +125,7 @@ fn reopen(shared: &Shared, options: &GpuOptions) -> Option<Renderer> {
 fn serve(shared: &Arc<Shared>, renderer: &mut Renderer, encoders: &flume::Sender<Drawn>) -> Stop {
     let mut flights: VecDeque<InFlight> = VecDeque::new();
     loop {
+        assert!(!shared.is_to_break(), "told to break");
         if shared.take_lose_request() {
             renderer.gpu.device.destroy();
         }

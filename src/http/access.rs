@@ -4,9 +4,13 @@
 //! request is hashed once and compared with every stored hash in constant time, so that neither the
 //! time nor the order tells how near a guess was. Without keys (loopback, or `--insecure`) anybody
 //! may do everything, except that a web page from another origin may not change anything: browsers
-//! send such requests to a local server without asking.
+//! send such requests to a local server without asking. A name that its owner points at 127.0.0.1
+//! would make a page of his one of the same origin, so a server that listens on loopback answers only
+//! to the names of loopback.
 
-use axum::http::{HeaderMap, Method, header};
+use std::net::{Ipv4Addr, Ipv6Addr};
+
+use axum::http::{HeaderMap, Method, Uri, header};
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 
@@ -37,6 +41,8 @@ pub enum Access {
     /// No keys; changes only from the same origin or from `cors_origins`.
     Open {
         cors_origins: Vec<String>,
+        /// Answers only where it is called by a name or address of loopback.
+        only_loopback: bool,
     },
     Keys(Vec<ApiKey>),
 }
@@ -97,11 +103,29 @@ pub fn needed(method: &Method, route: &str) -> Option<Scope> {
 }
 
 impl Access {
-    /// Whether a request may pass.
-    pub fn check(&self, method: &Method, route: &str, headers: &HeaderMap) -> Result<(), Problem> {
+    /// Whether a request may pass: by the name it calls the server, then by who sends it.
+    pub fn check(
+        &self,
+        method: &Method,
+        uri: &Uri,
+        route: &str,
+        headers: &HeaderMap,
+    ) -> Result<(), Problem> {
+        if matches!(self, Access::Open { only_loopback: true, .. }) {
+            check_host(uri, headers)?;
+        }
+        self.check_sender(method, route, headers)
+    }
+
+    fn check_sender(
+        &self,
+        method: &Method,
+        route: &str,
+        headers: &HeaderMap,
+    ) -> Result<(), Problem> {
         let Some(scope) = needed(method, route) else { return Ok(()) };
         match self {
-            Access::Open { cors_origins } => {
+            Access::Open { cors_origins, .. } => {
                 if scope > Scope::Read && is_foreign(headers, cors_origins) {
                     return Err(Problem::new(
                         Kind::Forbidden,
@@ -115,6 +139,45 @@ impl Access {
             Access::Keys(keys) => check_key(keys, scope, headers),
         }
     }
+}
+
+/// Refuses a request for a host that is not loopback, or for none.
+fn check_host(uri: &Uri, headers: &HeaderMap) -> Result<(), Problem> {
+    // HTTP/2 says it in the address.
+    let authority = uri.authority().map(|authority| authority.as_str().as_bytes());
+    let mut hosts = headers
+        .get_all(header::HOST)
+        .iter()
+        .map(|host| host.as_bytes())
+        .chain(authority)
+        .peekable();
+    let is_named = hosts.peek().is_some();
+    if is_named && hosts.all(|host| std::str::from_utf8(host).is_ok_and(is_loopback)) {
+        return Ok(());
+    }
+    Err(Problem::new(
+        Kind::WrongHost,
+        "a server on loopback without API keys answers only to loopback names",
+    )
+    .at("Host")
+    .accepted("localhost, 127.0.0.1 or [::1], with any port"))
+}
+
+/// Whether an authority, with or without port, is a name or an address of loopback.
+fn is_loopback(authority: &str) -> bool {
+    let is_port = |port: &str| port.bytes().all(|byte| byte.is_ascii_digit());
+    if let Some(rest) = authority.strip_prefix('[') {
+        let Some((address, port)) = rest.split_once(']') else { return false };
+        let has_port = port.is_empty() || port.strip_prefix(':').is_some_and(is_port);
+        return has_port
+            && address
+                .parse::<Ipv6Addr>()
+                .is_ok_and(|address| address.to_canonical().is_loopback());
+    }
+    let (name, port) = authority.split_once(':').unwrap_or((authority, ""));
+    is_port(port)
+        && (name.eq_ignore_ascii_case("localhost")
+            || name.parse::<Ipv4Addr>().is_ok_and(|address| address.is_loopback()))
 }
 
 fn check_key(keys: &[ApiKey], scope: Scope, headers: &HeaderMap) -> Result<(), Problem> {
@@ -186,7 +249,7 @@ mod tests {
         let text = format!("# keys\n{}{}", line("eye", "read", "r"), line("hand", "write", "w"));
         let access = Access::Keys(parse_keys(&text).unwrap());
         let status = |method: &Method, route, headers: &HeaderMap| {
-            access.check(method, route, headers).err().map(|p| p.status())
+            access.check(method, &Uri::default(), route, headers).err().map(|p| p.status())
         };
         let frame = "/v1/scenes/{id}/frame";
         assert_eq!(status(&Method::GET, frame, &bearer("r")), None);
@@ -215,17 +278,57 @@ mod tests {
 
     #[test]
     fn foreign_pages_cannot_change_scenes() {
-        let access = Access::Open { cors_origins: vec!["https://app.example".into()] };
+        let access =
+            Access::Open { cors_origins: vec!["https://app.example".into()], only_loopback: false };
         let from = |origin: &str| {
             let mut headers = HeaderMap::new();
             headers.insert(header::HOST, HeaderValue::from_static("127.0.0.1:8080"));
             headers.insert(header::ORIGIN, HeaderValue::from_str(origin).unwrap());
-            access.check(&Method::POST, "/v1/scenes", &headers).is_ok()
+            access.check(&Method::POST, &Uri::default(), "/v1/scenes", &headers).is_ok()
         };
         assert!(from("http://127.0.0.1:8080"));
         assert!(from("https://app.example"));
         assert!(!from("https://evil.example"));
         assert!(!from("null"));
-        assert!(access.check(&Method::POST, "/v1/scenes", &HeaderMap::new()).is_ok());
+        let none = HeaderMap::new();
+        assert!(access.check(&Method::POST, &Uri::default(), "/v1/scenes", &none).is_ok());
+    }
+
+    #[test]
+    fn on_loopback_only_loopback_names_are_answered() {
+        let check = |only_loopback, uri: &'static str, hosts: &[&'static str]| {
+            let access = Access::Open { cors_origins: Vec::new(), only_loopback };
+            let mut headers = HeaderMap::new();
+            for host in hosts {
+                headers.append(header::HOST, HeaderValue::from_static(host));
+            }
+            let result = access.check(&Method::GET, &Uri::from_static(uri), "/healthz", &headers);
+            result.err().map(|problem| problem.status())
+        };
+        for host in ["localhost", "LocalHost:8080", "127.0.0.1:1", "127.9.9.9", "[::1]", "[::1]:80"]
+        {
+            assert_eq!(check(true, "/healthz", &[host]), None, "{host}");
+        }
+        for host in [
+            "evil.example",
+            "evil.example:80",
+            "localhost.evil.example",
+            "127.0.0.1.evil.example",
+            "127.0.0.1:80@evil.example",
+            "[::1].evil.example",
+            "[::2]",
+            "[::1",
+            "10.0.0.1",
+            "0.0.0.0",
+            "",
+            "localhost:80:80",
+        ] {
+            assert_eq!(check(true, "/healthz", &[host]), Some(421), "{host}");
+            assert_eq!(check(false, "/healthz", &[host]), None, "{host}");
+        }
+        assert_eq!(check(true, "/healthz", &[]), Some(421));
+        assert_eq!(check(true, "/healthz", &["localhost", "evil.example"]), Some(421));
+        assert_eq!(check(true, "http://localhost:80/healthz", &[]), None);
+        assert_eq!(check(true, "http://evil.example/healthz", &["localhost"]), Some(421));
     }
 }

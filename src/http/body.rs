@@ -13,29 +13,69 @@ use serde::de::DeserializeOwned;
 
 use super::problem::{Kind, Problem};
 
-/// The next piece of a body, or `None` at its end.
-///
-/// # Errors
-/// 408 when nothing comes for `patience`; 422 when the client broke off.
-pub async fn next_chunk<E: std::fmt::Display>(
-    stream: &mut (impl Stream<Item = Result<Bytes, E>> + Unpin),
-    patience: Duration,
-) -> Result<Option<Bytes>, Problem> {
-    match tokio::time::timeout(patience, stream.next()).await {
-        Err(_) => Err(stalled(patience)),
-        Ok(None) => Ok(None),
-        Ok(Some(Ok(chunk))) => Ok(Some(chunk)),
-        Ok(Some(Err(error))) => {
-            Err(Problem::new(Kind::BadBody, format!("the body broke off: {error}")))
-        }
-    }
+/// Bytes a second that a body has to come at, on the average of the time spent waiting for it.
+pub const LEAST_RATE: u64 = 1024;
+
+/// How long a body is waited for: `gap` for its next piece, and `gap` for the whole of it or as long as
+/// it takes at [`LEAST_RATE`]. Only waiting counts; how long a piece takes to be stored does not.
+pub struct Patience {
+    gap: Duration,
+    waited: Duration,
+    bytes: u64,
 }
 
-pub fn stalled(patience: Duration) -> Problem {
-    Problem::new(
-        Kind::RequestTimeout,
-        format!("nothing was received for {} seconds", patience.as_secs()),
-    )
+impl Patience {
+    pub fn new(gap: Duration) -> Self {
+        Self { gap, waited: Duration::ZERO, bytes: 0 }
+    }
+
+    /// Waits for something of the body, as long as it may take.
+    ///
+    /// # Errors
+    /// 408.
+    pub async fn wait<T>(&mut self, next: impl Future<Output = T>) -> Result<T, Problem> {
+        let whole =
+            self.gap.max(Duration::from_millis(self.bytes.saturating_mul(1000) / LEAST_RATE));
+        let left = whole.saturating_sub(self.waited);
+        let began = tokio::time::Instant::now();
+        let result = tokio::time::timeout(self.gap.min(left), next).await;
+        self.waited += began.elapsed();
+        result.map_err(|_| if left < self.gap { self.too_slow() } else { self.stalled() })
+    }
+
+    /// The next piece of a body, or `None` at its end.
+    ///
+    /// # Errors
+    /// 408 when nothing comes, or too slowly; 422 when the client broke off.
+    pub async fn next_chunk<E: std::fmt::Display>(
+        &mut self,
+        stream: &mut (impl Stream<Item = Result<Bytes, E>> + Unpin),
+    ) -> Result<Option<Bytes>, Problem> {
+        match self.wait(stream.next()).await? {
+            None => Ok(None),
+            Some(Ok(chunk)) => {
+                self.bytes += chunk.len() as u64;
+                Ok(Some(chunk))
+            }
+            Some(Err(error)) => {
+                Err(Problem::new(Kind::BadBody, format!("the body broke off: {error}")))
+            }
+        }
+    }
+
+    fn stalled(&self) -> Problem {
+        let seconds = self.gap.as_secs();
+        Problem::new(Kind::RequestTimeout, format!("nothing was received for {seconds} seconds"))
+    }
+
+    fn too_slow(&self) -> Problem {
+        let (bytes, seconds) = (self.bytes, self.waited.as_secs());
+        Problem::new(
+            Kind::RequestTimeout,
+            format!("{bytes} bytes of the body came in {seconds} seconds"),
+        )
+        .accepted(format!("{LEAST_RATE} bytes a second"))
+    }
 }
 
 pub fn too_large(limit: u64) -> Problem {
@@ -63,7 +103,7 @@ pub async fn json<T: DeserializeOwned>(
     headers: &HeaderMap,
     body: Body,
     limit: u64,
-    patience: Duration,
+    read_timeout: Duration,
 ) -> Result<T, Problem> {
     if !is_json(&media_type(headers)) {
         return Err(Problem::new(Kind::UnsupportedMediaType, "the body must be JSON")
@@ -73,7 +113,8 @@ pub async fn json<T: DeserializeOwned>(
     check_length(headers, limit)?;
     let mut bytes = Vec::new();
     let mut stream = body.into_data_stream();
-    while let Some(chunk) = next_chunk(&mut stream, patience).await? {
+    let mut patience = Patience::new(read_timeout);
+    while let Some(chunk) = patience.next_chunk(&mut stream).await? {
         if (bytes.len() + chunk.len()) as u64 > limit {
             return Err(too_large(limit));
         }
@@ -191,16 +232,49 @@ mod tests {
         let chunks = ["a", "b", "c"].map(|chunk| Ok::<_, std::io::Error>(Bytes::from(chunk)));
         let (body, rest) = share(Body::from_stream(futures::stream::iter(chunks)));
         let mut stream = body.into_data_stream();
-        let second = Duration::from_secs(1);
-        assert_eq!(run(next_chunk(&mut stream, second)).unwrap().unwrap(), "a");
+        let mut patience = Patience::new(Duration::from_secs(1));
+        assert_eq!(run(patience.next_chunk(&mut stream)).unwrap().unwrap(), "a");
         run(rest.linger());
-        assert!(run(next_chunk(&mut stream, second)).unwrap().is_none());
+        assert!(run(patience.next_chunk(&mut stream)).unwrap().is_none());
     }
 
     #[test]
     fn a_stalled_body_is_given_up() {
         let mut stream = futures::stream::pending::<Result<Bytes, String>>();
-        let problem = run(next_chunk(&mut stream, Duration::from_millis(5))).unwrap_err();
+        let mut patience = Patience::new(Duration::from_millis(5));
+        let problem = run(patience.next_chunk(&mut stream)).unwrap_err();
         assert_eq!(problem.status(), 408);
+        assert!(problem.detail.starts_with("nothing"), "{}", problem.detail);
+    }
+
+    /// Reads pieces that come one every 20 ms; the gap is 100 ms. What was read, and the problem if any.
+    fn trickle(piece_bytes: usize, pieces: usize) -> (usize, Option<Problem>) {
+        run(async {
+            let source = futures::stream::iter(0..pieces).then(|_| async move {
+                tokio::time::sleep(Duration::from_millis(20)).await;
+                Ok::<_, std::io::Error>(Bytes::from(vec![b' '; piece_bytes]))
+            });
+            let mut source = std::pin::pin!(source);
+            let mut patience = Patience::new(Duration::from_millis(100));
+            let mut read = 0;
+            loop {
+                match patience.next_chunk(&mut source).await {
+                    Ok(Some(chunk)) => read += chunk.len(),
+                    Ok(None) => return (read, None),
+                    Err(problem) => return (read, Some(problem)),
+                }
+            }
+        })
+    }
+
+    #[test]
+    fn a_body_that_trickles_is_given_up() {
+        let (read, problem) = trickle(1, 100);
+        let problem = problem.unwrap();
+        assert_eq!(problem.status(), 408);
+        assert!(problem.accepted.is_some() && read < 10, "{read}: {}", problem.detail);
+        // Ten times as fast as it must be, for much longer than the gap.
+        let (read, problem) = trickle(200, 20);
+        assert!(problem.is_none() && read == 4000, "{read}");
     }
 }

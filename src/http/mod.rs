@@ -66,7 +66,8 @@ pub struct Settings {
     pub max_connections: usize,
     /// Longest wait for a frame, whatever the client says.
     pub frame_timeout: Duration,
-    /// Longest wait for the head of a request, and for the next piece of its body.
+    /// Longest wait for the head of a request, and for the next piece of its body; after the same time
+    /// a body must have come at a least rate.
     pub read_timeout: Duration,
     /// How long answers in flight may take when the server stops.
     pub drain: Duration,
@@ -180,7 +181,8 @@ async fn gate(State(app): State<Arc<App>>, request: Request, next: Next) -> Resp
         let (body, rest) = body::share(whole);
         (Request::from_parts(parts, body), Some(rest))
     };
-    let response = match app.settings.access.check(&method, route, request.headers()) {
+    let response = match app.settings.access.check(&method, request.uri(), route, request.headers())
+    {
         Ok(()) => next.run(request).await,
         Err(problem) => problem.into_response(),
     };

@@ -150,7 +150,7 @@ fn problems(path: &str, method: &str) -> &'static [Kind] {
             ShuttingDown,
             OutOfGpuMemory,
         ],
-        ("/readyz", _) => &[NotReady],
+        ("/healthz" | "/readyz", _) => &[NotReady],
         _ => &[],
     }
 }
@@ -161,7 +161,7 @@ impl Modify for Problems {
     fn modify(&self, openapi: &mut utoipa::openapi::OpenApi) {
         each_operation(openapi, |path, method, operation| {
             let mut kinds = problems(path, method).to_vec();
-            kinds.push(Kind::Internal);
+            kinds.extend([Kind::WrongHost, Kind::Internal]);
             let verb = axum::http::Method::from_bytes(method.to_uppercase().as_bytes());
             match access::needed(&verb.unwrap_or_default(), path) {
                 None => {}
@@ -201,7 +201,9 @@ impl Modify for Keys {
     fn modify(&self, openapi: &mut utoipa::openapi::OpenApi) {
         let mut http = Http::new(HttpAuthScheme::Bearer);
         http.description = Some(
-            "An API key, where the server asks for one: not on loopback by default".to_owned(),
+            "An API key, where the server asks for one: not on loopback by default, where only requests \
+             to `localhost` and loopback addresses are answered"
+                .to_owned(),
         );
         let components = openapi.components.get_or_insert_with(Default::default);
         components.add_security_scheme("key", SecurityScheme::Http(http));

@@ -40,6 +40,7 @@ pub enum Kind {
     SceneRefused,
     Unauthorized,
     Forbidden,
+    WrongHost,
     Busy,
     DeadlineExceeded,
     FrameTimeout,
@@ -53,7 +54,7 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind, in the order of the documentation.
-    pub const ALL: [Kind; 30] = [
+    pub const ALL: [Kind; 31] = [
         Kind::UnknownRoute,
         Kind::UnknownScene,
         Kind::UnknownNode,
@@ -75,6 +76,7 @@ impl Kind {
         Kind::SceneRefused,
         Kind::Unauthorized,
         Kind::Forbidden,
+        Kind::WrongHost,
         Kind::Busy,
         Kind::DeadlineExceeded,
         Kind::FrameTimeout,
@@ -139,6 +141,7 @@ impl Kind {
             }
             Unauthorized => (401, "urn:pointillist:problem:unauthorized", "an API key is needed"),
             Forbidden => (403, "urn:pointillist:problem:forbidden", "not allowed"),
+            WrongHost => (421, "urn:pointillist:problem:wrong-host", "not a name of this server"),
             Busy => (503, "urn:pointillist:problem:busy", "the server is busy"),
             DeadlineExceeded => {
                 (503, "urn:pointillist:problem:deadline-exceeded", "the deadline passed")

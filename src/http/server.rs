@@ -4,6 +4,7 @@
 //! listen ─► Starting ──scenes loaded──► Serving ──SIGTERM, SIGINT──► Draining ─► exit
 //!           /healthz 200                /readyz 200                  no new connections; answers in
 //!           /readyz  503                                             flight end within `drain`
+//! a render thread that panicked: /healthz and /readyz 503, and the watchdog is no longer patted
 //! ```
 //!
 //! A connection has to produce the head of a request within `read_timeout`, an idle one is closed
@@ -189,11 +190,16 @@ fn notify(state: &[sd_notify::NotifyState]) {
     }
 }
 
+/// Whether the render loop moves, or may yet.
+fn is_alive(readiness: &Readiness) -> bool {
+    !matches!(readiness, Readiness::Stalled { .. } | Readiness::Failed)
+}
+
 /// Pats the service manager's watchdog while the render loop moves, at twice its pace.
 async fn watchdog(app: Arc<App>) {
     let Some(period) = sd_notify::watchdog_enabled() else { return };
     loop {
-        if !matches!(app.engine.readiness(), Readiness::Stalled { .. }) {
+        if is_alive(&app.engine.readiness()) {
             notify(&[sd_notify::NotifyState::Watchdog]);
         }
         tokio::time::sleep(period / 2).await;
@@ -345,5 +351,21 @@ impl AsyncWrite for Guarded {
         context: &mut Context<'_>,
     ) -> Poll<std::io::Result<()>> {
         Pin::new(&mut self.stream).poll_shutdown(context)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_watchdog_is_patted_while_there_is_hope() {
+        for readiness in
+            [Readiness::Ready, Readiness::Starting, Readiness::DeviceLost, Readiness::Draining]
+        {
+            assert!(is_alive(&readiness), "{readiness:?}");
+        }
+        assert!(!is_alive(&Readiness::Stalled { for_ms: 30_000 }));
+        assert!(!is_alive(&Readiness::Failed));
     }
 }

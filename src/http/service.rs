@@ -36,19 +36,24 @@ const PLAIN: [(HeaderName, HeaderValue); 2] = [
     (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
 ];
 
-/// Liveness: the process answers.
+const FAILED: &str = "the render thread ended; the server has to be started again";
+
+/// Liveness: the process answers. 503 once it can never draw again and has to be started anew.
 #[utoipa::path(
     get,
     path = "/healthz",
     tag = "service",
     responses((status = 200, description = "Alive", body = String, content_type = "text/plain")),
 )]
-pub async fn healthz() -> Response {
-    (PLAIN, "ok\n").into_response()
+pub async fn healthz(State(app): State<Arc<App>>) -> Result<Response, Problem> {
+    if app.engine.readiness() == Readiness::Failed {
+        return Err(Problem::new(Kind::NotReady, FAILED));
+    }
+    Ok((PLAIN, "ok\n").into_response())
 }
 
 /// Readiness: frames can be had now. 503 while scenes load at the start, when the render loop
-/// stalls, when the GPU is lost, and while the server drains.
+/// stalls or has ended, when the GPU is lost, and while the server drains.
 #[utoipa::path(
     get,
     path = "/readyz",
@@ -57,6 +62,7 @@ pub async fn healthz() -> Response {
 )]
 pub async fn readyz(State(app): State<Arc<App>>) -> Result<Response, Problem> {
     let reason = match (app.phase(), app.engine.readiness()) {
+        (_, Readiness::Failed) => return Err(Problem::new(Kind::NotReady, FAILED)),
         (Phase::Draining, _) | (_, Readiness::Draining) => "draining".to_owned(),
         (_, Readiness::Stalled { for_ms }) => {
             format!("the render loop has stalled for {for_ms} ms")

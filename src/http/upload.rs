@@ -203,7 +203,7 @@ async fn receive(
     let mut budget = Budget {
         left: app.settings.max_upload_bytes,
         limit: app.settings.max_upload_bytes,
-        patience: app.settings.read_timeout,
+        patience: body::Patience::new(app.settings.read_timeout),
     };
     if media_type == "multipart/form-data" {
         let mut form = Multipart::from_request(request, &())
@@ -254,11 +254,11 @@ fn unnamed(media_type: &str) -> Problem {
     Problem::parameter("name", "an asset needs a file name", "?name=FILE.EXTENSION")
 }
 
-/// Bytes that may still come, and how long to wait for the next.
+/// Bytes that may still come, and how long to wait for them.
 struct Budget {
     left: u64,
     limit: u64,
-    patience: Duration,
+    patience: body::Patience,
 }
 
 impl Budget {
@@ -290,7 +290,7 @@ async fn write_file<E: std::fmt::Display>(
                 _ => storage(&error),
             },
         )?;
-    while let Some(chunk) = body::next_chunk(stream, budget.patience).await? {
+    while let Some(chunk) = budget.patience.next_chunk(stream).await? {
         budget.take(chunk.len())?;
         file.write_all(&chunk).await.map_err(|error| storage(&error))?;
     }
@@ -306,7 +306,7 @@ async fn receive_scene<E: std::fmt::Display>(
 ) -> Result<(), Problem> {
     let limit = app.engine.limits().max_json_bytes;
     let mut text = Vec::new();
-    while let Some(chunk) = body::next_chunk(stream, budget.patience).await? {
+    while let Some(chunk) = budget.patience.next_chunk(stream).await? {
         budget.take(chunk.len())?;
         if (text.len() + chunk.len()) as u64 > limit {
             return Err(body::too_large(limit));
@@ -347,9 +347,7 @@ async fn receive_form(
     };
     let mut names: Vec<String> = Vec::new();
     loop {
-        let next = tokio::time::timeout(budget.patience, form.next_field())
-            .await
-            .map_err(|_| body::stalled(budget.patience))?;
+        let next = budget.patience.wait(form.next_field()).await?;
         let Some(mut field) = next.map_err(broken)? else { break };
         let name = match (field.file_name(), field.name()) {
             (Some(name), _) => valid_file_name(name)?,
@@ -507,7 +505,8 @@ mod tests {
 
     #[test]
     fn budgets_end() {
-        let mut budget = Budget { left: 10, limit: 10, patience: Duration::from_secs(1) };
+        let patience = body::Patience::new(Duration::from_secs(1));
+        let mut budget = Budget { left: 10, limit: 10, patience };
         budget.take(10).unwrap();
         assert_eq!(budget.take(1).unwrap_err().status(), 413);
     }

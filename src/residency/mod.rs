@@ -7,10 +7,11 @@
 //! ```
 //! An *entry* is a chunk of an instance; entries are grouped into *segments*, one for each page and kind, padded so that a
 //! segment begins at a group boundary of the cull pass. A frame writes none of this: it only reads. When the budget is
-//! exceeded the assets that were used the longest ago are freed ([`Residency::ensure`]); the next frame that needs
-//! them brings them back from the host copy.
+//! exceeded the scenes that were used the longest ago are freed ([`Residency::ensure`]), with the assets that no other
+//! scene draws; the next frame that needs them brings them back from the host copy.
 
 pub mod arena;
+mod evict;
 pub mod layout;
 pub mod model;
 mod upload;
@@ -19,6 +20,7 @@ use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use self::arena::Arena;
+use self::evict::Holding;
 use self::layout::{GpuChunk, GpuEntry, GpuMaterial, GpuSegment, GpuTexture};
 use self::model::SceneModel;
 use crate::gpu::Gpu;
@@ -80,7 +82,6 @@ struct ResidentAsset {
     /// Texel page, start and length of every texture.
     texels: Vec<(usize, u32, u32)>,
     bytes: u64,
-    last_used: u64,
 }
 
 /// Which kinds of appearance a scene has: pipelines leave out what it has not.
@@ -99,6 +100,8 @@ pub struct ResidentScene {
     model_uid: u64,
     /// [`SceneModel::list_bytes`].
     bytes: u64,
+    /// Clock of the last call of [`Residency::ensure`] for it.
+    last_used: u64,
     pub instances: Buffer,
     pub entries: Buffer,
     pub segments: Buffer,
@@ -232,13 +235,15 @@ impl Residency {
         if missing {
             self.check(gpu, model)?;
             self.forget_scene(&model.id);
+            // What only the scene of that name before drew would take room from others.
+            self.drop_unused_assets(&uids(model));
             if let Err(error) = self.bring(gpu, model) {
-                self.drop_unused_assets();
+                self.drop_unused_assets(&HashSet::new());
                 return Err(error);
             }
         }
-        for asset in &model.assets {
-            self.touch(asset.uid);
+        if let Some(scene) = self.scenes.get_mut(&model.id) {
+            scene.last_used = self.clock;
         }
         Ok(missing)
     }
@@ -252,7 +257,7 @@ impl Residency {
                 next += 1;
                 continue;
             }
-            self.make_room(model, asset.gpu_bytes());
+            self.make_room(model, asset.gpu_bytes())?;
             if let Err(error) = self.upload_asset(gpu, asset) {
                 // A table or a page of texels is full: others may hold it, or free room lies in pieces.
                 if !self.evict_one(model) {
@@ -262,12 +267,13 @@ impl Residency {
                     afresh = true;
                     next = 0;
                     for asset in &model.assets {
-                        self.evict(asset.uid);
+                        self.evictions += u64::from(self.assets.contains_key(&asset.uid));
+                        self.free_asset(asset.uid);
                     }
                 }
             }
         }
-        self.make_room(model, model.list_bytes());
+        self.make_room(model, model.list_bytes())?;
         let scene = loop {
             match self.build_scene(gpu, model) {
                 Ok(scene) => break scene,
@@ -278,12 +284,6 @@ impl Residency {
         self.used += scene.bytes;
         self.scenes.insert(model.id.clone(), scene);
         Ok(())
-    }
-
-    fn touch(&mut self, uid: u64) {
-        if let Some(asset) = self.assets.get_mut(&uid) {
-            asset.last_used = self.clock;
-        }
     }
 
     /// Whether `model` could ever be resident here.
@@ -297,18 +297,23 @@ impl Residency {
     /// Frees a scene and the assets that no other resident scene draws.
     pub fn remove(&mut self, gpu: &Gpu, id: &str) {
         self.forget_scene(id);
-        self.drop_unused_assets();
+        self.drop_unused_assets(&HashSet::new());
         let meshes = self.meshes.iter_mut().flat_map(|(vertices, triangles)| [vertices, triangles]);
         for arena in self.samples.iter_mut().chain(meshes).chain(&mut self.texels) {
             arena.trim(gpu);
         }
     }
 
-    fn drop_unused_assets(&mut self) {
-        let kept: HashSet<u64> =
+    /// Frees the assets that no resident scene draws, except `kept`.
+    fn drop_unused_assets(&mut self, kept: &HashSet<u64>) {
+        let drawn: HashSet<u64> =
             self.scenes.values().flat_map(|scene| scene.asset_uids.iter().copied()).collect();
-        let dropped: Vec<u64> =
-            self.assets.keys().copied().filter(|uid| !kept.contains(uid)).collect();
+        let dropped: Vec<u64> = self
+            .assets
+            .keys()
+            .copied()
+            .filter(|uid| !drawn.contains(uid) && !kept.contains(uid))
+            .collect();
         for uid in dropped {
             self.free_asset(uid);
         }
@@ -321,40 +326,59 @@ impl Residency {
         }
     }
 
-    /// Evicts the assets used the longest ago, never those of `model`, until `bytes` more fit the budget.
-    fn make_room(&mut self, model: &SceneModel, bytes: u64) {
-        while self.used + bytes > self.budget && self.evict_one(model) {}
-    }
-
-    /// Evicts the asset used the longest ago that `model` does not draw; false when there is none.
-    fn evict_one(&mut self, model: &SceneModel) -> bool {
-        let victim = self
-            .assets
-            .iter()
-            .filter(|(uid, _)| model.assets.iter().all(|asset| asset.uid != **uid))
-            .min_by_key(|(uid, asset)| (asset.last_used, **uid))
-            .map(|(uid, _)| *uid);
-        victim.is_some_and(|victim| self.evict(victim))
-    }
-
-    /// Frees an asset with the lists of the scenes that draw it; false when it is not resident.
-    fn evict(&mut self, uid: u64) -> bool {
-        if !self.assets.contains_key(&uid) {
-            return false;
+    /// Evicts the scenes used the longest ago, never the assets of `model`, until `bytes` more fit the budget.
+    fn make_room(&mut self, model: &SceneModel, bytes: u64) -> Result<(), ResidencyError> {
+        let over = (self.used + bytes).saturating_sub(self.budget);
+        if over == 0 {
+            return Ok(());
         }
-        self.free_asset(uid);
-        self.evictions += 1;
-        let broken: Vec<String> = self
+        self.evict_scenes(model, over);
+        if self.used + bytes > self.budget {
+            return Err(ResidencyError::OverBudget {
+                what: format!("scene `{}` with what must stay beside it", model.id),
+                needed: self.used + bytes,
+                budget: self.budget,
+            });
+        }
+        Ok(())
+    }
+
+    /// Evicts the scene used the longest ago; false when there is none.
+    fn evict_one(&mut self, model: &SceneModel) -> bool {
+        self.evict_scenes(model, 1) > 0
+    }
+
+    /// Evicts as many scenes as hold `bytes`, not `model`, and nothing that it draws; their number.
+    fn evict_scenes(&mut self, model: &SceneModel, bytes: u64) -> usize {
+        let kept = uids(model);
+        let holdings: Vec<Holding> = self
             .scenes
             .iter()
-            .filter(|(_, scene)| scene.asset_uids.contains(&uid))
-            .map(|(id, _)| id.clone())
+            .filter(|(id, _)| **id != model.id)
+            .map(|(id, scene)| Holding {
+                id,
+                last_used: scene.last_used,
+                list_bytes: scene.bytes,
+                asset_uids: &scene.asset_uids,
+            })
             .collect();
-        for id in broken {
-            self.forget_scene(&id);
+        let asset_bytes = |uid| self.assets.get(&uid).map_or(0, |asset| asset.bytes);
+        let gone: Vec<String> = evict::victims(&holdings, asset_bytes, &kept, bytes)
+            .into_iter()
+            .map(str::to_owned)
+            .collect();
+        for id in &gone {
+            self.forget_scene(id);
         }
-        true
+        self.drop_unused_assets(&kept);
+        self.evictions += gone.len() as u64;
+        gone.len()
     }
+}
+
+/// Identifiers of the assets that a model draws.
+fn uids(model: &SceneModel) -> HashSet<u64> {
+    model.assets.iter().map(|asset| asset.uid).collect()
 }
 
 /// Whether a scene fits a budget and an adapter's largest binding.

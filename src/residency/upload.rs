@@ -164,7 +164,6 @@ impl Residency {
             texture_length: 0,
             texels: Vec::new(),
             bytes: asset.gpu_bytes(),
-            last_used: self.clock,
         };
         if let Err(error) = self.fill_asset(gpu, asset, &mut resident) {
             self.release(&resident);
@@ -444,6 +443,7 @@ impl Residency {
         Ok(ResidentScene {
             model_uid: model.uid,
             bytes: model.list_bytes(),
+            last_used: self.clock,
             instances: Buffer::with_data(gpu, "instances", &instances),
             entries: Buffer::with_data(gpu, "entries", &entries),
             segments: Buffer::with_data(gpu, "segments", &segments),

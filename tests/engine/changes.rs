@@ -97,6 +97,65 @@ fn a_patch_that_does_not_fit_changes_nothing() {
     same(&studio.bytes(&front("scene", 50, 50)), &before, "as before");
 }
 
+/// Listing many instances anew takes a while; nobody else waits for it, and no patch is lost.
+#[test]
+fn patches_keep_nobody_waiting() {
+    use std::sync::atomic::{AtomicBool, Ordering};
+    use std::time::{Duration, Instant};
+    let studio = Studio::new();
+    studio.write("wall.ply", wall(4, |_, _| [200, 100, 50]));
+    studio.load_json(
+        "many",
+        &json!({
+            "assets": { "g": { "file": "wall.ply" } },
+            "nodes": [{ "name": "n", "asset": "g",
+                "repeat": { "grid": [600, 1, 1000], "step": [3, 3, 3] } }],
+        }),
+    );
+    let engine = &studio.engine;
+    let done = AtomicBool::new(false);
+    let (longest_patch, longest_look) = std::thread::scope(|scope| {
+        let looks = scope.spawn(|| {
+            let mut longest = Duration::ZERO;
+            while !done.load(Ordering::Relaxed) {
+                let began = Instant::now();
+                engine.scene("many").unwrap();
+                longest = longest.max(began.elapsed());
+            }
+            longest
+        });
+        let mut longest = Duration::ZERO;
+        for round in 0..4 {
+            let began = Instant::now();
+            engine.patch("many", "n", &visible(round % 2 == 0)).unwrap();
+            longest = longest.max(began.elapsed());
+        }
+        done.store(true, Ordering::Relaxed);
+        (longest, looks.join().unwrap())
+    });
+    assert!(longest_look < longest_patch / 2, "{longest_look:?} of {longest_patch:?}");
+    assert_eq!(engine.scene("many").unwrap().revision, 5);
+    std::thread::scope(|scope| {
+        for _ in 0..4 {
+            scope.spawn(|| {
+                for _ in 0..2 {
+                    engine.patch("many", "n", &visible(false)).unwrap();
+                }
+            });
+        }
+    });
+    assert_eq!(engine.scene("many").unwrap().revision, 13, "each patch is a revision");
+    // One that is removed meanwhile does not come back.
+    std::thread::scope(|scope| {
+        let patching = scope.spawn(|| engine.patch("many", "n", &visible(true)));
+        std::thread::sleep(longest_patch / 4);
+        engine.remove("many").unwrap();
+        let patched = patching.join().unwrap();
+        assert!(matches!(patched, Ok(_) | Err(EngineError::UnknownScene { .. })), "{patched:?}");
+    });
+    assert!(matches!(engine.scene("many"), Err(EngineError::UnknownScene { .. })));
+}
+
 #[test]
 fn removing_a_scene_frees_its_memory() {
     let studio = Studio::new();

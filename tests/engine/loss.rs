@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use pointillist::engine::{EngineError, Readiness};
 
-use super::studio::{Studio, eventually, orbit, same};
+use super::studio::{Studio, eventually, front, orbit, same};
 
 #[test]
 fn an_idle_engine_recovers() {
@@ -63,4 +63,18 @@ fn frames_in_flight_are_drawn_again() {
     }
     // Nothing was forgotten on the way: this would wait for ever.
     studio.engine.drain();
+}
+
+#[test]
+fn a_render_thread_that_ends_is_told() {
+    let studio = Studio::new();
+    studio.load_two();
+    studio.frame(&front("solid", 20, 20));
+    studio.engine.break_render_thread();
+    eventually("the failure", || studio.engine.readiness() == Readiness::Failed);
+    let refused = studio.engine.submit(front("solid", 20, 20)).map(|_| ());
+    assert!(matches!(refused, Err(EngineError::Internal(_))), "{refused:?}");
+    assert_eq!(studio.engine.scenes().len(), 2);
+    studio.engine.drain();
+    assert_eq!(studio.engine.readiness(), Readiness::Failed);
 }

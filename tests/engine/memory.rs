@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use pointillist::engine::EngineError;
 
-use super::studio::{Studio, cloud_scene, front, same, wall};
+use super::studio::{Studio, cloud_scene, eventually, front, same, wall};
 
 const SIDE: usize = 110;
 const SCENES: [&str; 3] = ["red", "green", "blue"];
@@ -74,6 +74,61 @@ fn three_scenes_in_the_room_of_two() {
     assert!(stats.gpu_bytes_resident > 0 && stats.gpu_bytes_resident <= budget);
     let resident = tight.engine.scenes().iter().filter(|scene| scene.resident).count();
     assert_eq!(resident, 2);
+}
+
+/// Scenes that share their one asset hold lists of their own, and those are what must give way.
+#[test]
+fn scenes_of_one_asset_keep_to_the_budget() {
+    let scene = serde_json::json!({
+        "assets": { "g": { "file": "wall.ply" } },
+        "nodes": [{ "asset": "g", "repeat": { "grid": [60, 50, 1], "step": [3, 3, 0] } }],
+        "lights": [],
+        "cameras": { "front": { "eye": [0, 0, 3], "target": [0, 0, 0], "fov": 45 } },
+    });
+    let budget = 1_200_000;
+    let studio = Studio::with(|config| config.gpu_budget_bytes = Some(budget));
+    studio.write("wall.ply", wall(20, |x, y| [x as u8, y as u8, 40]));
+    let ids: Vec<String> = (0..6).map(|number| format!("s{number}")).collect();
+    for id in &ids {
+        let info = studio.load_json(id, &scene);
+        assert!(info.gpu_bytes > budget / 3 && info.gpu_bytes < budget, "{}", info.gpu_bytes);
+    }
+    let first = studio.bytes(&front("s0", 60, 40));
+    for id in ids.iter().chain(&ids) {
+        same(&studio.bytes(&front(id, 60, 40)), &first, id);
+        let used = studio.engine.stats().gpu_bytes_resident;
+        assert!(used > 0 && used <= budget, "{used} of {budget}");
+        assert!(studio.engine.scene(id).unwrap().resident, "{id}");
+    }
+    let stats = studio.engine.stats();
+    assert_eq!(stats.uploads, 1, "the asset was drawn all along");
+    assert!(stats.evictions >= 8, "{} evictions", stats.evictions);
+}
+
+#[test]
+fn a_scene_that_replaces_another_leaves_none_of_its_assets() {
+    let studio = Studio::new();
+    write_scenes(&studio);
+    studio.load("keep", "green.json");
+    studio.frame(&front("keep", 40, 40));
+    let kept = studio.engine.stats().gpu_bytes_resident;
+    let mut largest = 0;
+    for round in 0..6 {
+        studio.load("x", ["red.json", "blue.json"][round % 2]);
+        studio.frame(&front("x", 40, 40));
+        largest = largest.max(studio.engine.stats().gpu_bytes_resident);
+        // Kept busy, so that the thread finds the name taken again when it looks for what was removed.
+        let busy = studio.keep_busy("keep");
+        studio.engine.remove("x").unwrap();
+        studio.load("x", ["blue.json", "red.json"][round % 2]);
+        let last = studio.submit(&front("x", 50, 40));
+        drop(busy);
+        last.wait().unwrap();
+        largest = largest.max(studio.engine.stats().gpu_bytes_resident);
+        studio.engine.remove("x").unwrap();
+    }
+    assert!(largest <= 2 * kept + kept / 10, "{largest} bytes for two scenes of {kept}");
+    eventually("x being freed", || studio.engine.stats().gpu_bytes_resident == kept);
 }
 
 #[test]

@@ -179,3 +179,46 @@ fn other_origins_cannot_change_scenes() {
     let reply = client.send("GET", "/v1/limits", &[("origin", "https://evil.example")], None);
     assert_eq!(reply.header("access-control-allow-origin"), None);
 }
+
+/// A page of a name that points at 127.0.0.1 sends that name.
+#[test]
+fn on_loopback_other_names_are_refused() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let called = |path: &str, host: &str| client.send("GET", path, &[("host", host)], None);
+    for path in ["/", "/healthz", "/v1/scenes", "/v1/scenes/grid/frame?w=8&h=8", "/nothing"] {
+        let reply = called(path, "evil.example");
+        assert_eq!(reply.status, 421, "{path}");
+        assert_eq!(reply.problem()["type"], "urn:pointillist:problem:wrong-host");
+    }
+    assert_eq!(called("/v1/scenes", "localhost:1234").status, 200);
+    let daemon = daemon.restart(&["--insecure"]);
+    let called = daemon.client().send("GET", "/v1/scenes", &[("host", "render.example")], None);
+    assert_eq!(called.status, 200, "behind a proxy");
+}
+
+#[test]
+fn bodies_that_trickle_are_given_up() {
+    use std::io::Write;
+    let daemon = Daemon::start(&["--read-timeout-seconds", "1"]);
+    let head = "POST /v1/scenes?id=slow&name=a.ply HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\n";
+    let mut stream = super::client::raw(daemon.address, head.as_bytes());
+    let mut writer = stream.try_clone().unwrap();
+    let sender = std::thread::spawn(move || {
+        // Ten bytes a second, never silent for long, for as long as they are taken.
+        for _ in 0..300 {
+            if writer.write_all(b"x").is_err() {
+                break;
+            }
+            std::thread::sleep(std::time::Duration::from_millis(100));
+        }
+    });
+    let began = std::time::Instant::now();
+    let answer = super::client::read_to_close(&mut stream);
+    assert!(answer.starts_with("HTTP/1.1 408 "), "{answer}");
+    assert!(answer.contains("request-timeout"), "{answer}");
+    assert!(began.elapsed().as_secs() < 15, "{:?}", began.elapsed());
+    drop(stream);
+    sender.join().unwrap();
+    assert!(daemon.uploads().is_empty(), "{:?}", daemon.uploads());
+}

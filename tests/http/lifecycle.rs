@@ -32,7 +32,7 @@ fn sigterm_finishes_what_is_in_flight() {
     let mut busy: Vec<_> = (0..4)
         .map(|i| {
             let request = format!(
-                "GET /v1/scenes/grid/frame?eye={i},1,3&target=0,0,0&w=2048&h=2048 HTTP/1.1\r\nHost: x\r\n\r\n"
+                "GET /v1/scenes/grid/frame?eye={i},1,3&target=0,0,0&w=2048&h=2048 HTTP/1.1\r\nHost: localhost\r\n\r\n"
             );
             raw(daemon.address, request.as_bytes())
         })
@@ -127,4 +127,41 @@ fn overriding(folder: &std::path::Path, args: &[&str]) -> String {
     let output = command.output().unwrap();
     assert!(!output.status.success());
     String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+#[test]
+fn a_server_that_can_never_draw_again_says_so() {
+    use pointillist::engine::{Engine, EngineConfig, Readiness};
+    use pointillist::http::{App, Phase, Settings, access::Access, router};
+    use std::time::Duration;
+    use tower::ServiceExt;
+
+    let folder = tempfile::tempdir().unwrap();
+    let engine = Engine::start(EngineConfig::new(folder.path())).unwrap();
+    let settings = Settings {
+        root: folder.path().to_owned(),
+        access: Access::Open { cors_origins: Vec::new(), only_loopback: true },
+        cors_origins: Vec::new(),
+        max_upload_bytes: 1 << 20,
+        max_connections: 4,
+        frame_timeout: Duration::from_secs(10),
+        read_timeout: Duration::from_secs(10),
+        drain: Duration::from_secs(1),
+    };
+    let app = App::new(engine.clone(), settings);
+    app.set_phase(Phase::Serving);
+    let router = router(app);
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let status = |path: &str| {
+        let request = axum::http::Request::get(path)
+            .header("host", "localhost")
+            .body(axum::body::Body::empty())
+            .unwrap();
+        runtime.block_on(router.clone().oneshot(request)).unwrap().status().as_u16()
+    };
+    assert_eq!((status("/healthz"), status("/readyz")), (200, 200));
+    engine.break_render_thread();
+    super::daemon::eventually("the failure", || engine.readiness() == Readiness::Failed);
+    assert_eq!((status("/healthz"), status("/readyz")), (503, 503));
+    assert_eq!(status("/v1/scenes"), 200, "what needs no rendering");
 }

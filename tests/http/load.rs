@@ -56,7 +56,7 @@ fn clients_that_go_away_free_their_places() {
         .map(|i| {
             let x = f64::from(i) * 0.01;
             let request = format!(
-                "GET /v1/scenes/grid/frame?eye={x},0,3&target=0,0,0&w=2048&h=2048 HTTP/1.1\r\nHost: x\r\n\r\n"
+                "GET /v1/scenes/grid/frame?eye={x},0,3&target=0,0,0&w=2048&h=2048 HTTP/1.1\r\nHost: localhost\r\n\r\n"
             );
             raw(daemon.address, request.as_bytes())
         })
@@ -78,7 +78,7 @@ fn late_work_is_dropped() {
     let busy: Vec<_> = (0..8)
         .map(|i| {
             let request = format!(
-                "GET /v1/scenes/grid/frame?eye={i},1,3&target=0,0,0&w=2048&h=2048 HTTP/1.1\r\nHost: x\r\n\r\n"
+                "GET /v1/scenes/grid/frame?eye={i},1,3&target=0,0,0&w=2048&h=2048 HTTP/1.1\r\nHost: localhost\r\n\r\n"
             );
             raw(daemon.address, request.as_bytes())
         })
@@ -119,8 +119,9 @@ fn revalidation_is_cheap() {
     let daemon = Daemon::start(&[]);
     let path = "/v1/scenes/grid/frame?camera=front&w=96&h=64&format=png";
     let etag = daemon.client().get(path).header("etag").unwrap().to_owned();
-    let request = format!("GET {path} HTTP/1.1\r\nHost: x\r\nIf-None-Match: {etag}\r\n\r\n");
-    let last = request.replace("Host: x", "Host: x\r\nConnection: close");
+    let request =
+        format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nIf-None-Match: {etag}\r\n\r\n");
+    let last = request.replace("Host: localhost", "Host: localhost\r\nConnection: close");
     let mut stream = raw(daemon.address, b"");
     let mut writer = stream.try_clone().unwrap();
     let began = Instant::now();

@@ -126,7 +126,7 @@ fn refused_uploads_leave_nothing() {
     assert_eq!(reply.status, 413, "{}", reply.text());
     let mut stream = raw(
         daemon.address,
-        b"POST /v1/scenes?name=a.ply HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\nConnection: close\r\n\r\n",
+        b"POST /v1/scenes?name=a.ply HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\nConnection: close\r\n\r\n",
     );
     for _ in 0..30 {
         stream.write_all(b"10000\r\n").unwrap();
@@ -143,7 +143,7 @@ fn refused_uploads_leave_nothing() {
 #[test]
 fn a_broken_off_upload_is_removed() {
     let daemon = Daemon::start(&["--read-timeout-seconds", "1"]);
-    let head = "POST /v1/scenes?id=half&name=a.ply HTTP/1.1\r\nHost: x\r\nContent-Length: 100000\r\n\r\nply\n";
+    let head = "POST /v1/scenes?id=half&name=a.ply HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\nply\n";
     let stream = raw(daemon.address, head.as_bytes());
     eventually("the upload", || !daemon.uploads().is_empty());
     stream.shutdown(Shutdown::Both).unwrap();

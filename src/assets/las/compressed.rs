@@ -5,7 +5,6 @@
 //! the layers. It is also called where a panic of its stays inside, and becomes an error.
 
 use std::io::{Cursor, Read, Seek, SeekFrom};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use laz::laszip::ChunkTable;
 use laz::record::{
@@ -18,6 +17,7 @@ use super::header::Header;
 use super::record::{Columns, Layout};
 use super::{AssetError, ReadOptions, io_error, malformed};
 use crate::assets::points::unsupported;
+use crate::assets::quiet;
 
 /// Longer records are refused: the decoder's models take kilobytes for each extra byte.
 const MAX_RECORD_BYTES: usize = 4096;
@@ -344,6 +344,5 @@ fn read_stream<R: Read>(
 
 /// Runs the decoder; a panic of its is damage that it does not report.
 fn guarded<T>(decode: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
-    catch_unwind(AssertUnwindSafe(decode))
-        .unwrap_or_else(|_| Err("is damaged: the decoder gave up".to_owned()))
+    quiet::catch(decode).unwrap_or_else(|| Err("is damaged: the decoder gave up".to_owned()))
 }
