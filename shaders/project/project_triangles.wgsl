@@ -68,12 +68,23 @@ fn walk(p: array<vec2<i32>, 3>, low: vec2<i32>, high: vec2<i32>, plane: Plane, i
     }
 }
 
-fn list_large(id: u32, least: f32, most: f32) {
-    let rows = vec2<u32>(clamp(vec2<f32>(least - 1.0, most + 1.0), vec2<f32>(0.0), vec2<f32>(f32(frame.size_px.y) - 1.0)));
+fn list_large(id: u32, bounds: ImageBounds) {
+    let last = vec2<f32>(frame.size_px) - vec2<f32>(1.0);
+    let low = vec2<u32>(clamp(bounds.least - vec2<f32>(1.0), vec2<f32>(0.0), last));
+    let high = vec2<u32>(clamp(bounds.most + vec2<f32>(1.0), vec2<f32>(0.0), last));
     let at = atomicAdd(&large.vertex_count, 3u) / 3u;
-    atomicAdd(&stats.triangles_rasterised, 1u);
-    if at < arrayLength(&large.entries) {
-        large.entries[at] = vec2<u32>(id, rows.x | (rows.y << 16u));
+    atomicMax(&stats.large_longest, at + 1u);
+    if at < frame.large_capacity {
+        large.entries[at] = vec2<u32>(id, low.y | (high.y << 16u));
+    }
+    if FIRST_HALF {
+        atomicAdd(&stats.triangles_rasterised, 1u);
+        let box = high - low + vec2<u32>(1u);
+        let units = (box.x * box.y + 4095u) / 4096u;
+        let old = atomicAdd(&stats.large_units, units);
+        if old + units < old {
+            atomicMax(&stats.large_wrapped, 1u);
+        }
     }
 }
 
@@ -97,7 +108,7 @@ fn triangle(slot_index: u32, at: Placed, chunk: Chunk, one_sided: f32, index: u3
         return;
     }
     if !bounds.snaps {
-        list_large(id, bounds.least.y, bounds.most.y);
+        list_large(id, bounds);
         return;
     }
     var p = array<vec2<i32>, 3>(snap(image_position(a)), snap(image_position(b)), snap(image_position(c)));
@@ -113,7 +124,7 @@ fn triangle(slot_index: u32, at: Placed, chunk: Chunk, one_sided: f32, index: u3
     }
     let box = snapped_most - snapped_least;
     if max(box.x, box.y) > frame.small_triangle_px * 256 {
-        list_large(id, bounds.least.y, bounds.most.y);
+        list_large(id, bounds);
         return;
     }
     let area = ab.x * ac.y - ab.y * ac.x;

@@ -10,6 +10,7 @@
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
+@group(0) @binding(4) var<storage, read> stats: array<u32, 12>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
 @group(2) @binding(3) var<storage, read> placed: array<Placed>;
 @group(2) @binding(4) var<storage, read> large: array<u32>;
@@ -30,6 +31,10 @@ fn corner_positions(id: u32) -> array<vec3<f32>, 3> {
 
 @vertex
 fn vertex(@builtin(vertex_index) index: u32) -> Corner {
+    if !may_draw(stats[STAT_LARGE_LONGEST], stats[STAT_LARGE_UNITS], stats[STAT_LARGE_WRAPPED]) {
+        // All corners in one place: nothing is covered.
+        return Corner(vec4<f32>(0.0, 0.0, 0.0, 1.0), 0u);
+    }
     let id = large[LIST_HEAD + index / 3u * LIST_ENTRY];
     let p = corner_positions(id);
     let camera = p[index % 3u];

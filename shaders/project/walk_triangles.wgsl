@@ -14,6 +14,7 @@
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
+@group(0) @binding(4) var<storage, read> stats: array<u32, 12>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
 @group(2) @binding(3) var<storage, read> placed: array<Placed>;
 @group(2) @binding(4) var<storage, read> large: array<u32>;
@@ -161,7 +162,8 @@ fn triangle(id: u32, rows: vec2<i32>, lane: i32) {
 
 @compute @workgroup_size(8)
 fn walk_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let count = min(large[0] / 3u, (arrayLength(&large) - LIST_HEAD) / LIST_ENTRY);
+    let drawn = may_draw(stats[STAT_LARGE_LONGEST], stats[STAT_LARGE_UNITS], stats[STAT_LARGE_WRAPPED]);
+    let count = select(0u, large[0] / 3u, drawn);
     let height = i32(frame.size_px.y);
     let each = (height + BANDS - 1) / BANDS;
     let first = i32(group.y) * each;

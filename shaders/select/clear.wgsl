@@ -2,7 +2,7 @@
 //!include shared/frame
 
 @group(0) @binding(1) var<storage, read_write> visibility: array<vec4<u32>>;
-@group(0) @binding(4) var<storage, read_write> stats: array<u32, 8>;
+@group(0) @binding(4) var<storage, read_write> stats: array<u32, 12>;
 @group(2) @binding(4) var<storage, read_write> large: array<u32, 4>;
 
 // Pairs of pixels a thread takes, 64 apart.
@@ -17,7 +17,7 @@ fn clear(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
             visibility[pair] = vec4<u32>(0u);
         }
     }
-    if group.x == 0u && lane < 8u {
+    if group.x == 0u && lane < 12u {
         stats[lane] = 0u;
     }
     if group.x == 0u && lane < 4u {

@@ -19,6 +19,12 @@ struct Frame {
     light_count: u32,
     // Longest side in pixels of a triangle's box that compute still walks itself.
     small_triangle_px: i32,
+    // Entries that the list of large triangles holds, and units of 4096 pixels that they may cover: beyond either, none is
+    // drawn, and the frame is not shown.
+    large_capacity: u32,
+    large_units_limit: u32,
+    unused_0: u32,
+    unused_1: u32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;

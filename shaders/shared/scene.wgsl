@@ -94,7 +94,18 @@ struct Stats {
     triangles_rasterised: atomic<u32>,
     pixels_of_samples: atomic<u32>,
     pixels_of_triangles: atomic<u32>,
+    // Longest list of large triangles that a segment asked for.
+    large_longest: atomic<u32>,
+    // Pixels in the boxes of large triangles, in units of 4096, and whether that sum has passed 2^32.
+    large_units: atomic<u32>,
+    large_wrapped: atomic<u32>,
+    unused: atomic<u32>,
 }
+
+// Places of the above for those who only read them.
+const STAT_LARGE_LONGEST: u32 = 8u;
+const STAT_LARGE_UNITS: u32 = 9u;
+const STAT_LARGE_WRAPPED: u32 = 10u;
 
 const SLOT_SHIFT: u32 = 10u;
 const SLOT_MASK: u32 = 1023u;

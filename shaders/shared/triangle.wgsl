@@ -81,3 +81,8 @@ fn image_bounds(a: vec3<f32>, b: vec3<f32>, c: vec3<f32>) -> ImageBounds {
     bounds.snaps = within && min(a.z, min(b.z, c.z)) > NEAREST;
     return bounds;
 }
+
+// Whether the list is whole and no dearer than a frame may be.
+fn may_draw(longest: u32, units: u32, wrapped: u32) -> bool {
+    return longest <= frame.large_capacity && units <= frame.large_units_limit && wrapped == 0u;
+}

@@ -6,3 +6,6 @@ fn visibility_write(pixel: u32, inverse_depth: f32, id: u32) {
     let word = (u64(bitcast<u32>(inverse_depth)) << 32u) | u64(~id);
     atomicMax(&visibility[pixel], word);
 }
+
+// What is counted, is counted in the first pass over the scene.
+const FIRST_HALF: bool = true;

@@ -4,3 +4,6 @@
 fn visibility_write(pixel: u32, inverse_depth: f32, id: u32) {
     atomicMax(&visibility[2u * pixel + 1u], bitcast<u32>(inverse_depth));
 }
+
+// What is counted, is counted in the first pass over the scene.
+const FIRST_HALF: bool = true;

@@ -6,3 +6,6 @@ fn visibility_write(pixel: u32, inverse_depth: f32, id: u32) {
         atomicMax(&visibility[2u * pixel], ~id);
     }
 }
+
+// What is counted, is counted in the first pass over the scene.
+const FIRST_HALF: bool = false;

@@ -79,6 +79,8 @@ pub struct Landed {
     pub lost: bool,
 }
 
+/// After this long at one submission the device is given up.
+const PATIENCE: Duration = Duration::from_secs(600);
 const STATS_BYTES: u64 = size_of::<GpuStats>() as u64;
 
 impl Renderer {
@@ -219,7 +221,14 @@ impl Renderer {
             output: job.request.output,
             plan: job.resolved.plan.clone(),
             small_triangle_px: self.small_triangle_px,
+            large_capacity: self.scratch.large_capacity(),
+            large_units_limit: self.large_units_limit(),
         }
+    }
+
+    /// What boxes of large triangles may cover in all, in units of 4096 pixels: some ten seconds' work.
+    fn large_units_limit(&self) -> u32 {
+        if self.gpu.is_cpu { 1 << 20 } else { 1 << 24 }
     }
 
     fn record_frame(
@@ -263,16 +272,31 @@ impl Renderer {
         Ok((landing, pixel_bytes, recorded.spans))
     }
 
+    /// Waits until the GPU is through with a submission. A slow frame is no lost device.
+    fn wait(&self, flight: &InFlight) -> Result<wgpu::PollStatus, wgpu::PollError> {
+        loop {
+            let waited = self.gpu.device.poll(wgpu::PollType::Wait {
+                submission_index: Some(flight.index.clone()),
+                timeout: Some(Duration::from_secs(30)),
+            });
+            if waited.is_ok() || self.gpu.is_lost() || flight.began.elapsed() > PATIENCE {
+                return waited;
+            }
+            let frames: Vec<&str> =
+                flight.frames.iter().map(|frame| frame.job.resolved.model.id.as_str()).collect();
+            let elapsed_s = flight.began.elapsed().as_secs();
+            tracing::warn!(?frames, elapsed_s, "the GPU is still drawing");
+        }
+    }
+
     /// Waits for a submission and brings its frames to host memory.
     pub fn land(&mut self, flight: InFlight) -> Landed {
-        let waited = self.gpu.device.poll(wgpu::PollType::Wait {
-            submission_index: Some(flight.index),
-            timeout: Some(Duration::from_secs(60)),
-        });
+        let waited = self.wait(&flight);
         // The callbacks of mappings run within polls.
         let pending =
             |flight: &[FlyingFrame]| flight.iter().any(|frame| frame.landing.is_pending());
-        if waited.is_err() {
+        let given_up = waited.is_err() && !self.gpu.is_lost() && flight.began.elapsed() > PATIENCE;
+        if waited.is_err() && !given_up {
             // A device that is gone says so once its queue is empty.
             let _ = self.gpu.device.poll(wgpu::PollType::Wait {
                 submission_index: None,
@@ -306,6 +330,11 @@ impl Renderer {
                     Some(text) if !self.gpu.is_lost() => {
                         landed.failed.push((frame.job, EngineError::Internal(text.clone())));
                     }
+                    _ if given_up => {
+                        landed.lost = true;
+                        let text = format!("the GPU was at it for {} s", PATIENCE.as_secs());
+                        landed.failed.push((frame.job, EngineError::Internal(text)));
+                    }
                     _ => {
                         landed.lost = true;
                         landed.again.push(frame.job);
@@ -318,14 +347,29 @@ impl Renderer {
                 landed.failed.push((frame.job, EngineError::Internal(text.clone())));
                 continue;
             }
-            if stats.triangles_rasterised > frame.large_capacity {
-                self.scratch.grow_large(&self.gpu, stats.triangles_rasterised);
-                if self.scratch.large_capacity() < stats.triangles_rasterised {
+            if stats.large_wrapped != 0 || stats.large_units > self.large_units_limit() {
+                let units = match stats.large_wrapped {
+                    0 => u64::from(stats.large_units),
+                    _ => u64::from(u32::MAX),
+                };
+                landed.failed.push((
+                    frame.job,
+                    EngineError::OverLimit {
+                        what: "pixels to test for large triangles",
+                        found: units * 4096,
+                        limit: u64::from(self.large_units_limit()) * 4096,
+                    },
+                ));
+                continue;
+            }
+            if stats.large_longest > frame.large_capacity {
+                self.scratch.grow_large(&self.gpu, stats.large_longest);
+                if self.scratch.large_capacity() < stats.large_longest {
                     landed.failed.push((
                         frame.job,
                         EngineError::OverLimit {
                             what: "large triangles in view",
-                            found: u64::from(stats.triangles_rasterised),
+                            found: u64::from(stats.large_longest),
                             limit: u64::from(self.scratch.large_capacity()),
                         },
                     ));

@@ -104,6 +104,7 @@ fn open(shared: &Shared, options: &GpuOptions) -> Result<Renderer, GpuError> {
 fn reopen(shared: &Shared, options: &GpuOptions) -> Option<Renderer> {
     shared.set_phase(Phase::Lost);
     shared.stats.device_losses.fetch_add(1, Ordering::Relaxed);
+    tracing::warn!("the GPU was lost; opening it again and bringing the scenes back");
     let mut pause = Duration::from_millis(50);
     loop {
         match open(shared, options) {

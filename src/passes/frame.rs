@@ -17,6 +17,10 @@ pub struct FrameTask {
     pub plan: FramePlan,
     /// Boxes of triangles with a longer side than this go to the rasteriser.
     pub small_triangle_px: u32,
+    /// Large triangles that the list holds.
+    pub large_capacity: u32,
+    /// Units of 4096 pixels that the boxes of large triangles may cover in all.
+    pub large_units_limit: u32,
 }
 
 /// Linear RGB and straight alpha → sRGB8 word.
@@ -65,5 +69,9 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene) -> GpuFrame {
         output: output_number(task.output),
         light_count: scene.light_count,
         small_triangle_px: task.small_triangle_px.min(64) as i32,
+        large_capacity: task.large_capacity,
+        large_units_limit: task.large_units_limit,
+        unused_0: 0,
+        unused_1: 0,
     }
 }

@@ -94,6 +94,10 @@ pub struct GpuStats {
     pub triangles_rasterised: u32,
     pub pixels_of_samples: u32,
     pub pixels_of_triangles: u32,
+    pub large_longest: u32,
+    pub large_units: u32,
+    pub large_wrapped: u32,
+    pub unused: u32,
 }
 
 /// `Material` of `shared/material.wgsl`.
@@ -163,6 +167,10 @@ pub struct GpuFrame {
     pub output: u32,
     pub light_count: u32,
     pub small_triangle_px: i32,
+    pub large_capacity: u32,
+    pub large_units_limit: u32,
+    pub unused_0: u32,
+    pub unused_1: u32,
 }
 
 /// An f64 as the sum of two f32: 48 bits of mantissa.
@@ -174,6 +182,8 @@ pub fn two_floats(v: f64) -> (f32, f32) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const SCENE: &str = include_str!("../../shaders/shared/scene.wgsl");
 
     /// Name of a WGSL struct, its size here, and the offsets of its members in order.
     type Mirror = (&'static str, usize, Vec<usize>);
@@ -255,7 +265,11 @@ mod tests {
                 background,
                 output,
                 light_count,
-                small_triangle_px
+                small_triangle_px,
+                large_capacity,
+                large_units_limit,
+                unused_0,
+                unused_1
             )],
         );
         let with_materials = concat!(
@@ -281,8 +295,7 @@ mod tests {
     #[test]
     fn counters_match_word_by_word() {
         // Arrays here are runs of scalars there: sizes and the first member of each run.
-        let module =
-            naga::front::wgsl::parse_str(include_str!("../../shaders/shared/scene.wgsl")).unwrap();
+        let module = naga::front::wgsl::parse_str(SCENE).unwrap();
         let span = |name: &str| {
             let (_, ty) =
                 module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).unwrap();
@@ -314,6 +327,16 @@ mod tests {
                         offset("pixels_of_triangles"),
                         std::mem::offset_of!(GpuStats, pixels_of_triangles)
                     );
+                    for (member, place) in [
+                        ("large_longest", std::mem::offset_of!(GpuStats, large_longest)),
+                        ("large_units", std::mem::offset_of!(GpuStats, large_units)),
+                        ("large_wrapped", std::mem::offset_of!(GpuStats, large_wrapped)),
+                    ] {
+                        assert_eq!(offset(member), place);
+                        let name = format!("STAT_{}", member.to_uppercase());
+                        let text = format!("const {name}: u32 = {}u;", place / 4);
+                        assert!(SCENE.contains(&text), "{text}");
+                    }
                 }
                 _ => {
                     assert_eq!(offset("first_slot"), std::mem::offset_of!(GpuDispatch, first_slot));
