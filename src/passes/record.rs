@@ -489,3 +489,7 @@ fn resolve_name<'b>(
     };
     Some((Binding::Whole(buffer), 0))
 }
+
+#[cfg(test)]
+#[path = "record_tests.rs"]
+mod tests;

@@ -9,6 +9,7 @@
     reason = "a test that unwraps says where it failed"
 )]
 
+mod counts;
 mod files;
 mod golden;
 mod instances;

@@ -1,11 +1,14 @@
 //! Far from the world's origin, and near to the eye.
 
-use glam::DVec3;
+use std::collections::BTreeSet;
+
+use glam::{DAffine3, DMat3, DVec2, DVec3};
 use pointillist::accuracy::metrics::psnr;
-use pointillist::math::View;
+use pointillist::math::{Camera, View};
+use pointillist::scene::random::SplitMix64;
 use serde_json::{Value, json};
 
-use super::files::Shape;
+use super::files::{Shape, random_color, random_direction};
 use super::stage::{Case, look};
 use super::verdict::Tolerance;
 
@@ -103,5 +106,101 @@ fn close_to_something_large() {
     {
         let eye = [812.34, height, 411.17];
         case.check(&look(eye, target, 60.0), &Tolerance { depth: 1e-4, ..Tolerance::default() });
+    }
+}
+
+/// Half the length of an asset of nearly 4096 units, whose grid has steps of 2⁻¹⁷.
+const FAR: f64 = 2040.0;
+
+/// Coordinates in multiples of this lie on the grid, wherever its centre is.
+const ON_GRID: f64 = 1.0 / 65_536.0;
+
+fn on_grid(v: DVec3) -> DVec3 {
+    (v / ON_GRID).round() * ON_GRID
+}
+
+/// A chunk's worth of samples about 10 mm in front of the eye, one in three pixels each way at most. Each is between 1/16
+/// and 1/6 pixel inside its pixel: a frame that is off by more than that shows them elsewhere.
+fn pattern(view: &View, world_from_asset: &DAffine3, random: &mut SplitMix64) -> Shape {
+    let asset_from_world = world_from_asset.inverse();
+    let (w, h) = (f64::from(view.width), f64::from(view.height));
+    let (mut taken, mut shape) = (BTreeSet::new(), Shape::default());
+    while shape.positions.len() < 1024 {
+        let ray = view.ray(DVec2::new(random.range(1.0, w - 1.0), random.range(1.0, h - 1.0)));
+        let wanted =
+            view.eye + view.view_from_world.transpose() * (ray * random.range(0.0095, 0.0105));
+        let position = on_grid(asset_from_world.transform_point3(wanted));
+        let seen = view.to_view(world_from_asset.transform_point3(position));
+        let pixel = view.project(seen).unwrap();
+        let into = pixel.fract().min(1.0 - pixel.fract()).min_element();
+        let (column, row) = (pixel.x as u32, pixel.y as u32);
+        let apart = column < view.width && row < view.height;
+        if (1.0 / 16.0..1.0 / 6.0).contains(&into) && apart && taken.insert((column / 3, row / 3)) {
+            shape.positions.push(position);
+            shape.colors.push(random_color(random));
+        }
+    }
+    shape
+}
+
+/// Ten millimetres from samples that are two kilometres from their asset's origin, which is at UTM coordinates, turned and
+/// scaled. The matrices are f32 numbers of 24 bits, as the GPU holds them.
+#[test]
+fn millimetres_away_kilometres_from_the_grids_origin() {
+    let turned = |axis: DVec3, angle: f64, scale: DVec3| {
+        let linear =
+            DMat3::from_axis_angle(axis / axis.length(), angle) * DMat3::from_diagonal(scale);
+        let linear = DMat3::from_cols_array(&linear.to_cols_array().map(|v| f64::from(v as f32)));
+        DAffine3::from_mat3_translation(linear, UTM + DVec3::splat(0.123))
+    };
+    let placed = [
+        DAffine3::from_translation(UTM),
+        turned(DVec3::new(1.0, 2.0, -0.5), 0.7, DVec3::splat(1.3)),
+        turned(DVec3::new(-1.0, 0.3, 0.8), 2.1, DVec3::new(0.9, 1.1, 0.77)),
+    ];
+    // An octant each, so that a chunk has one of them alone.
+    let places = [
+        DVec3::new(-FAR, -1700.3, -FAR),
+        DVec3::new(FAR, FAR, 1234.5),
+        DVec3::new(812.7, -1900.1, FAR),
+    ];
+    for (number, world_from_asset) in placed.iter().enumerate() {
+        let mut random = SplitMix64::new(90 + number as u64);
+        let (mut cloud, mut views) = (Shape::default(), Vec::new());
+        for place in places {
+            let target = world_from_asset.transform_point3(on_grid(place));
+            // The others are behind the eye.
+            let is_behind = |ahead: DVec3, other: DVec3| {
+                other == place || ahead.dot(world_from_asset.transform_vector3(other - place)) < 0.0
+            };
+            let mut ahead = random_direction(&mut random);
+            while !places.iter().all(|&other| is_behind(ahead, other)) {
+                ahead = random_direction(&mut random);
+            }
+            let camera = Camera { eye: target - ahead * 0.01, target, up: DVec3::Y, fov_deg: 22.6 };
+            let view = camera.view(160, 120).unwrap();
+            cloud.add(&pattern(&view, world_from_asset, &mut random));
+            views.push(view);
+        }
+        let m = world_from_asset.matrix3;
+        let columns = [m.x_axis, m.y_axis, m.z_axis, world_from_asset.translation];
+        let matrix: Vec<f64> = (columns.iter().enumerate())
+            .flat_map(|(k, column)| column.extend(if k == 3 { 1.0 } else { 0.0 }).to_array())
+            .collect();
+        let scene = json!({ "assets": { "c": { "file": "c.ply" } },
+            "nodes": [{ "asset": "c", "matrix": matrix }] });
+        let case = Case::new(&format!("millimetres-{number}"), &[("c.ply", cloud.ply())], &scene);
+        let exact = Tolerance {
+            unexplained: 0,
+            at_edges: 0,
+            shift_px: 0.0,
+            depth: 4e-5,
+            ..Tolerance::default()
+        };
+        for view in &views {
+            let frames = case.check(view, &exact);
+            assert_eq!(frames.covered(), 1024);
+            assert_eq!(frames.receipt.samples.tested, Some(1024));
+        }
     }
 }

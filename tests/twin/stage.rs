@@ -161,6 +161,11 @@ impl Case {
         panic!("{}: the second engine has 64-bit atomics: {:?}", self.id, narrow.receipt.passes);
     }
 
+    /// The frames of every engine: with 64-bit atomics, without, and with the rasteriser.
+    pub fn each(&self, view: &View) -> [Frames; 3] {
+        engines().map(|engine| frames(engine, &self.id, view))
+    }
+
     /// Draws and compares with the oracle; fails with pictures.
     pub fn check(&self, view: &View, tolerance: &Tolerance) -> Frames {
         let frames = self.draw(view);

@@ -1,0 +1,138 @@
+//! Numbers that Rust and WGSL both write down, compared as naga reads them. Needs no GPU.
+
+use naga::{Expression, Handle, Literal, Module};
+
+use super::{DISPATCH_ROW, TILE, WALK};
+use crate::bake::pack::{CHUNK, NO_NORMAL, TRIANGLES, VERTEX_WORDS};
+use crate::gpu::shader::parse;
+use crate::passes::frame::output_number;
+use crate::passes::shaders::{Visibility, plain, visible};
+use crate::plan::Output;
+use crate::residency::GROUP;
+use crate::residency::layout::*;
+
+/// The module of a root, whichever way it is composed.
+fn module(root: &str) -> Module {
+    let composed = if root.starts_with("project/") {
+        visible(root, Visibility::Depth, false)
+    } else {
+        plain(root, false)
+    };
+    parse(root, &composed.unwrap()).unwrap()
+}
+
+fn words(module: &Module, expression: Handle<Expression>) -> Vec<u32> {
+    match &module.global_expressions[expression] {
+        Expression::Literal(Literal::U32(value)) => vec![*value],
+        Expression::Literal(Literal::I32(value)) => vec![u32::try_from(*value).unwrap()],
+        Expression::Compose { components, .. } => {
+            components.iter().flat_map(|&component| words(module, component)).collect()
+        }
+        other => panic!("{other:?} is no number"),
+    }
+}
+
+/// The value of a module's constant, one word a component.
+fn vector(module: &Module, name: &str) -> Vec<u32> {
+    let mut constants = module.constants.iter();
+    let found = constants.find(|(_, constant)| constant.name.as_deref() == Some(name));
+    let (_, constant) = found.unwrap_or_else(|| panic!("no constant {name}"));
+    words(module, constant.init)
+}
+
+fn scalar(module: &Module, name: &str) -> u32 {
+    let [value] = vector(module, name)[..] else { panic!("{name} is no scalar") };
+    value
+}
+
+/// Threads in x of the module's only compute workgroup; there is one in y and z.
+fn threads(module: &Module) -> u32 {
+    let [entry] = &module.entry_points[..] else { panic!("one entry point is expected") };
+    assert_eq!(entry.workgroup_size[1..], [1, 1]);
+    entry.workgroup_size[0]
+}
+
+/// `record` divides by these literals.
+#[test]
+fn direct_dispatches_cover_what_they_must() {
+    let clear = module("select/clear");
+    assert_eq!(scalar(&clear, "PAIRS_EACH") * threads(&clear), 16 * 64);
+    let cull = module("select/cull");
+    assert_eq!(scalar(&cull, "GROUP") * threads(&cull), 32 * 32);
+    for root in ["select/place", "select/compact"] {
+        assert_eq!(threads(&module(root)), 64, "{root}");
+    }
+}
+
+#[test]
+fn rows_of_dispatches_are_as_long() {
+    let roots = [
+        "select/place",
+        "select/cull",
+        "select/scan",
+        "select/compact",
+        "project/project_samples",
+        "project/project_triangles",
+    ];
+    for root in roots {
+        assert_eq!(scalar(&module(root), "DISPATCH_ROW"), DISPATCH_ROW, "{root}");
+    }
+}
+
+#[test]
+fn groups_of_entries_are_as_long() {
+    for root in ["select/cull", "select/compact"] {
+        assert_eq!(scalar(&module(root), "GROUP") as usize, GROUP, "{root}");
+    }
+}
+
+#[test]
+fn tiles_are_as_large() {
+    for root in ["resolve/resolve_samples", "resolve/resolve_triangles", "shade/shade"] {
+        assert_eq!(vector(&module(root), "TILE"), [TILE.0, TILE.1], "{root}");
+    }
+}
+
+#[test]
+fn the_walk_has_as_many_workgroups() {
+    let walk = module("project/walk_triangles");
+    assert_eq!((scalar(&walk, "STRIDE"), scalar(&walk, "BANDS")), WALK);
+    assert_eq!(scalar(&walk, "LANES"), threads(&walk));
+}
+
+#[test]
+fn packing_is_read_as_it_is_written() {
+    let triangles = module("resolve/resolve_triangles");
+    assert_eq!(scalar(&triangles, "VERTEX_WORDS") as usize, VERTEX_WORDS);
+    assert_eq!(scalar(&triangles, "NO_NORMAL"), NO_NORMAL);
+    // A word of the visibility buffer names a slot and one of its chunk's elements.
+    assert_eq!(1 << scalar(&triangles, "SLOT_SHIFT"), CHUNK);
+    assert_eq!(scalar(&triangles, "SLOT_MASK") as usize, CHUNK - 1);
+    assert_eq!(scalar(&module("select/compact"), "TRIANGLES"), TRIANGLES);
+    // The padding of the list of entries.
+    assert_eq!(scalar(&module("select/cull"), "NO_INSTANCE"), u32::MAX);
+    let ranks = ["select/cull", "select/compact"].map(|root| scalar(&module(root), "NOT_VISIBLE"));
+    assert_eq!(ranks[0], ranks[1]);
+}
+
+#[test]
+fn flags_and_outputs_have_the_same_numbers() {
+    let triangles = module("resolve/resolve_triangles");
+    let numbers = [
+        ("MATERIAL_DOUBLE_SIDED", MATERIAL_DOUBLE_SIDED),
+        ("MATERIAL_UNLIT", MATERIAL_UNLIT),
+        ("MATERIAL_ALPHA_TEST", MATERIAL_ALPHA_TEST),
+        ("OVERRIDE_BASE_COLOR", OVERRIDE_BASE_COLOR),
+        ("OVERRIDE_SPECULAR", OVERRIDE_SPECULAR),
+        ("OVERRIDE_SHININESS", OVERRIDE_SHININESS),
+        ("OVERRIDE_UNLIT", OVERRIDE_UNLIT),
+        ("OVERRIDE_DOUBLE_SIDED", OVERRIDE_DOUBLE_SIDED),
+        ("OUTPUT_COLOR", output_number(Output::Color)),
+        ("OUTPUT_DEPTH", output_number(Output::Depth)),
+        ("OUTPUT_NORMAL", output_number(Output::Normal)),
+        ("OUTPUT_ID", output_number(Output::Id)),
+    ];
+    for (name, number) in numbers {
+        assert_eq!(scalar(&triangles, name), number, "{name}");
+    }
+}
