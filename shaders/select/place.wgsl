@@ -17,9 +17,15 @@ struct Sum {
     tail: vec3<f32>,
 }
 
+// Compilers may take floats for real numbers and cancel what the sum is made of (Mesa does): not through this. No frame
+// is 2^31 pixels wide, so that the bits stay as they are.
+fn opaque(v: vec3<f32>) -> vec3<f32> {
+    return bitcast<vec3<f32>>(bitcast<vec3<u32>>(v) ^ vec3<u32>(frame.size_px.x >> 31u));
+}
+
 fn add(sum: Sum, term: vec3<f32>) -> Sum {
-    let head = sum.head + term;
-    let part = head - sum.head;
+    let head = opaque(sum.head + term);
+    let part = opaque(head - sum.head);
     let lost = (sum.head - (head - part)) + (term - part);
     return Sum(head, sum.tail + lost);
 }

@@ -53,7 +53,7 @@ impl Scratch {
                 wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
             ),
             attachment: None,
-            large_capacity: LARGE_INITIAL,
+            large_capacity: LARGE_INITIAL.min(most_large(gpu)),
         }
     }
 
@@ -85,8 +85,7 @@ impl Scratch {
 
     /// Makes room for `count` large triangles from the next frame on, as far as a binding goes.
     pub fn grow_large(&mut self, gpu: &Gpu, count: u32) {
-        let most = ((gpu.max_binding_bytes() - 16) / 8).min(u64::from(u32::MAX / 3)) as u32;
-        self.large_capacity = count.max(self.large_capacity).min(most);
+        self.large_capacity = count.max(self.large_capacity).min(most_large(gpu));
     }
 
     /// An attachment of the frame's size that render passes need and nobody reads.
@@ -110,4 +109,9 @@ impl Scratch {
         self.attachment = Some((width, height, view.clone()));
         view
     }
+}
+
+/// Large triangles whose list a shader can bind: a head of 16 bytes, then 8 each.
+fn most_large(gpu: &Gpu) -> u32 {
+    (gpu.max_binding_bytes().saturating_sub(16) / 8).min(u64::from(u32::MAX / 3)) as u32
 }

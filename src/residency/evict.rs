@@ -1,7 +1,7 @@
 //! Who leaves when there is no room: whole scenes, those used the longest ago, each with the assets that no other
 //! scene draws. A scene's own lists count as much as its assets: with many instances they are the larger part.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashSet;
 
 /// What a resident scene holds, as the choice sees it.
 #[derive(Clone, Debug)]
