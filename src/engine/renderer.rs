@@ -272,14 +272,20 @@ impl Renderer {
         Ok((landing, pixel_bytes, recorded.spans))
     }
 
-    /// Waits until the GPU is through with a submission. A slow frame is no lost device.
-    fn wait(&self, flight: &InFlight) -> Result<wgpu::PollStatus, wgpu::PollError> {
+    /// Waits until the GPU is through with a submission, or with all of them. A slow frame is no lost device.
+    fn wait(
+        &self,
+        flight: &InFlight,
+        index: Option<&wgpu::SubmissionIndex>,
+    ) -> Result<wgpu::PollStatus, wgpu::PollError> {
         loop {
             let waited = self.gpu.device.poll(wgpu::PollType::Wait {
-                submission_index: Some(flight.index.clone()),
+                submission_index: index.cloned(),
                 timeout: Some(Duration::from_secs(30)),
             });
-            if waited.is_ok() || self.gpu.is_lost() || flight.began.elapsed() > PATIENCE {
+            // Only a timeout is worth another wait: what a lost device refused never ends.
+            let slow = matches!(waited, Err(wgpu::PollError::Timeout));
+            if !slow || self.gpu.is_lost() || flight.began.elapsed() > PATIENCE {
                 return waited;
             }
             let frames: Vec<&str> =
@@ -291,18 +297,15 @@ impl Renderer {
 
     /// Waits for a submission and brings its frames to host memory.
     pub fn land(&mut self, flight: InFlight) -> Landed {
-        let waited = self.wait(&flight);
+        let mut waited = self.wait(&flight, Some(&flight.index));
         // The callbacks of mappings run within polls.
         let pending =
             |flight: &[FlyingFrame]| flight.iter().any(|frame| frame.landing.is_pending());
-        let given_up = waited.is_err() && !self.gpu.is_lost() && flight.began.elapsed() > PATIENCE;
-        if waited.is_err() && !given_up {
-            // A device that is gone says so once its queue is empty.
-            let _ = self.gpu.device.poll(wgpu::PollType::Wait {
-                submission_index: None,
-                timeout: Some(Duration::from_secs(10)),
-            });
+        if matches!(waited, Err(wgpu::PollError::WrongSubmissionIndex(..))) {
+            // Never begun. A device that is gone says so once its queue is empty.
+            waited = self.wait(&flight, None);
         }
+        let given_up = waited.is_err() && !self.gpu.is_lost();
         let mut tries = 0;
         while waited.is_ok() && pending(&flight.frames) && tries < 1000 {
             if self.gpu.device.poll(wgpu::PollType::Poll).is_err() {

@@ -251,7 +251,6 @@ impl Shared {
 
     pub fn lose_device(&self) {
         self.lose.store(true, Ordering::SeqCst);
-        self.wake.notify_one();
     }
 
     pub fn break_render_thread(&self) {

@@ -126,10 +126,11 @@ fn serve(shared: &Arc<Shared>, renderer: &mut Renderer, encoders: &flume::Sender
     let mut flights: VecDeque<InFlight> = VecDeque::new();
     loop {
         assert!(!shared.is_to_break(), "told to break");
+        let work = shared.next_batch(flights.is_empty(), IDLE);
+        // The batch just taken is refused: a device may die between any two commands.
         if shared.take_lose_request() {
             renderer.gpu.device.destroy();
         }
-        let work = shared.next_batch(flights.is_empty(), IDLE);
         shared.beat(!work.batch.is_empty() || !flights.is_empty());
         let idle = work.batch.is_empty();
         if !idle {

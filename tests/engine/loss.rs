@@ -65,6 +65,22 @@ fn frames_in_flight_are_drawn_again() {
     studio.engine.drain();
 }
 
+/// What the device refuses, the buffers of its first frame among them, is drawn by the next one.
+#[test]
+fn a_device_lost_before_its_first_frame() {
+    let studio = Studio::new();
+    studio.load_two();
+    let request = front("solid", 90, 70);
+    let before = Studio::new();
+    before.load_two();
+    let bytes = before.bytes(&request);
+    for round in 0..4u64 {
+        studio.engine.lose_device();
+        same(&studio.bytes(&request), &bytes, "from the device that came after");
+        assert_eq!(studio.engine.stats().device_losses, round + 1);
+    }
+}
+
 #[test]
 fn a_render_thread_that_ends_is_told() {
     let studio = Studio::new();
