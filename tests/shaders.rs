@@ -136,3 +136,88 @@ fn every_file_is_embedded_and_used() {
     }
     assert_eq!(used, embedded, "a fragment that no composition includes");
 }
+
+/// Whether an expression's value comes from uniforms and constants alone, and from a uniform at all.
+fn uniform_alone(
+    module: &naga::Module,
+    function: &naga::Function,
+    expression: naga::Handle<naga::Expression>,
+) -> Option<bool> {
+    use naga::Expression as E;
+    let of = |inner| uniform_alone(module, function, inner);
+    let all = |parts: &[naga::Handle<E>]| {
+        parts.iter().try_fold(false, |found, &part| Some(found | of(part)?))
+    };
+    match &function.expressions[expression] {
+        E::Literal(_) | E::Constant(_) | E::Override(_) | E::ZeroValue(_) => Some(false),
+        E::GlobalVariable(variable) => {
+            let space = module.global_variables[*variable].space;
+            (space == naga::AddressSpace::Uniform).then_some(true)
+        }
+        E::Load { pointer: inner }
+        | E::AccessIndex { base: inner, .. }
+        | E::Splat { value: inner, .. }
+        | E::Swizzle { vector: inner, .. }
+        | E::Unary { expr: inner, .. }
+        | E::As { expr: inner, .. } => of(*inner),
+        E::Access { base, index } => all(&[*base, *index]),
+        E::Binary { left, right, .. } => all(&[*left, *right]),
+        E::Select { condition, accept, reject } => all(&[*condition, *accept, *reject]),
+        E::Compose { components, .. } => all(components),
+        E::Math { arg, arg1, arg2, arg3, .. } => {
+            let parts: Vec<_> = [Some(*arg), *arg1, *arg2, *arg3].into_iter().flatten().collect();
+            all(&parts)
+        }
+        _ => None,
+    }
+}
+
+fn inlined_uniforms(module: &naga::Module, function: &naga::Function, block: &naga::Block) -> bool {
+    use naga::Statement as S;
+    let within = |block| inlined_uniforms(module, function, block);
+    let alone = |part| uniform_alone(module, function, part) == Some(true);
+    let breaks = |block: &naga::Block| block.iter().any(|statement| matches!(statement, S::Break));
+    block.iter().any(|statement| match statement {
+        S::Block(block) => within(block),
+        S::Loop { body, continuing, break_if } => {
+            within(body) || within(continuing) || break_if.is_some_and(alone)
+        }
+        S::Switch { selector, cases } => alone(*selector) || cases.iter().any(|c| within(&c.body)),
+        S::If { condition, accept, reject } => {
+            let compared = match function.expressions[*condition] {
+                naga::Expression::Binary { left, right, .. } => alone(left) || alone(right),
+                _ => false,
+            };
+            alone(*condition)
+                || (compared && (breaks(accept) || breaks(reject)))
+                || within(accept)
+                || within(reject)
+        }
+        _ => false,
+    })
+}
+
+/// Mesa's lavapipe puts the values of uniforms that steer a branch or a loop into the shader, which it then builds anew
+/// for every frame: fifty milliseconds that nothing else tells of.
+#[test]
+fn no_branch_or_loop_hangs_on_uniforms_alone() {
+    for root in roots() {
+        for (name, _, composed) in compositions(root) {
+            let module = shader::parse(&name, &composed).unwrap();
+            let entries = module.entry_points.iter().map(|entry| &entry.function);
+            for function in module.functions.iter().map(|(_, f)| f).chain(entries) {
+                assert!(
+                    !inlined_uniforms(&module, function, &function.body),
+                    "{name}: {:?}",
+                    function.name
+                );
+            }
+        }
+    }
+    let bad = "struct F { n: u32 } @group(0) @binding(0) var<uniform> f: F;
+        @group(0) @binding(1) var<storage, read_write> o: array<u32>;
+        @compute @workgroup_size(1) fn main() { for (var i = 0u; i < f.n + 1u; i++) { o[i] = i; } }";
+    let module = naga::front::wgsl::parse_str(bad).unwrap();
+    let main = &module.entry_points[0].function;
+    assert!(inlined_uniforms(&module, main, &main.body));
+}

@@ -90,7 +90,7 @@ fn list_large(id: u32, bounds: ImageBounds) {
 
 fn triangle(slot_index: u32, at: Placed, chunk: Chunk, one_sided: f32, index: u32) {
     let id = (slot_index << SLOT_SHIFT) | index;
-    let corners = triangle_corners(chunk, index);
+    let corners = corner_words(chunk.first + index, chunk.vertex_first);
     let a = vertex_camera(at, corners.x);
     let b = vertex_camera(at, corners.y);
     let c = vertex_camera(at, corners.z);

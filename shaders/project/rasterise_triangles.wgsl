@@ -24,7 +24,7 @@ fn corner_positions(id: u32) -> array<vec3<f32>, 3> {
     let slot = id >> SLOT_SHIFT;
     let chunk = chunks[slots[slot].chunk];
     let at = placed[slots[slot].instance];
-    let corners = triangle_corners(chunk, id & SLOT_MASK);
+    let corners = corner_words(chunk.first + (id & SLOT_MASK), chunk.vertex_first);
     return array<vec3<f32>, 3>(
         vertex_camera(at, corners.x), vertex_camera(at, corners.y), vertex_camera(at, corners.z));
 }
@@ -67,7 +67,7 @@ fn fragment(in: Corner) {
     let p = corner_positions(in.id);
     let slot = in.id >> SLOT_SHIFT;
     let chunk = chunks[slots[slot].chunk];
-    let corners = triangle_corners(chunk, in.id & SLOT_MASK);
+    let corners = corner_words(chunk.first + (in.id & SLOT_MASK), chunk.vertex_first);
     let test = alpha_test(chunk, slots[slot].instance, corners, p[0], p[1], p[2]);
     if x < frame.size_px.x && y < frame.size_px.y && alpha_passes(test, ray) {
         let inverse = plane_inverse_depth(triangle_plane(p[0], p[1], p[2]), ray);

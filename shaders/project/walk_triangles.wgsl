@@ -19,9 +19,9 @@
 @group(2) @binding(3) var<storage, read> placed: array<Placed>;
 @group(2) @binding(4) var<storage, read> large: array<u32>;
 
-// Triangles that go side by side, and bands of the image.
+// Triangles that go side by side, and the height of the bands into which the image is cut.
 const STRIDE: u32 = 64u;
-const BANDS: i32 = 8;
+const BAND: i32 = 128;
 const LANES: i32 = 8;
 
 struct Box {
@@ -140,7 +140,7 @@ fn triangle(id: u32, rows: vec2<i32>, lane: i32) {
     let chunk = chunks[slots[slot].chunk];
     let instance = slots[slot].instance;
     let at = placed[instance];
-    let corners = triangle_corners(chunk, id & SLOT_MASK);
+    let corners = corner_words(chunk.first + (id & SLOT_MASK), chunk.vertex_first);
     var s: Surface;
     s.id = id;
     s.a = vertex_camera(at, corners.x);
@@ -165,9 +165,8 @@ fn walk_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoca
     let drawn = may_draw(stats[STAT_LARGE_LONGEST], stats[STAT_LARGE_UNITS], stats[STAT_LARGE_WRAPPED]);
     let count = select(0u, large[0] / 3u, drawn);
     let height = i32(frame.size_px.y);
-    let each = (height + BANDS - 1) / BANDS;
-    let first = i32(group.y) * each;
-    let last = min(first + each, height) - 1;
+    let first = i32(group.y) * BAND;
+    let last = min(first + BAND, height) - 1;
     var i = group.x;
     loop {
         // On to the next triangle of this band, before anything dear is done: see shared/resolve.

@@ -40,7 +40,7 @@ fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
     let packed = attributes[slots[slot].first + (id & SLOT_MASK)];
     if OUTPUT == OUTPUT_NORMAL || SHADED {
         let towards = world_from_camera(ray_through(pixel_centre(at)));
-        let n = world_normal(instance, octahedral_decode(packed.y), towards);
+        let n = facing_normal(turned(normal_map(instance), octahedral_decode(packed.y)), towards);
         if OUTPUT == OUTPUT_NORMAL {
             pixels[pixel] = normal_word(n);
             return;
@@ -54,37 +54,22 @@ fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
 fn resolve_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let begin = dispatches[segment.index].first_slot;
     let count = dispatches[segment.index].count;
-    let width = frame.size_px.x;
-    var walk = walk_begin(group, lane);
-    var shown = 0u;
+    var column = column_begin(group, lane);
+    var resolved = 0u;
+    column_read(&column, begin, count);
+    // Runs of a chunk are short here: keeping what they have in common costs more than it saves.
     loop {
-        var mine = false;
-        loop {
-            if walk.pixel >= walk.end {
-                break;
-            }
-            walk.word = visibility[walk.pixel];
-            if walk.word.y == 0u && segment.first != 0u {
-                pixels[walk.pixel] = background_word();
-            }
-            mine = walk.word.y != 0u && ((~walk.word.x) >> SLOT_SHIFT) - begin < count;
-            if any_lane(mine) {
-                break;
-            }
-            walk.pixel += width;
-            walk.at.y++;
-        }
-        if walk.pixel >= walk.end {
+        column_seek(&column, begin, count);
+        if column.pixel >= column.end {
             break;
         }
-        if mine {
-            resolve(walk.pixel, walk.at, walk.word);
-            shown++;
+        if column.mine {
+            resolve(column.pixel, column.at, column.word);
+            resolved++;
         }
-        walk.pixel += width;
-        walk.at.y++;
+        column_next(&column, begin, count);
     }
-    if shown != 0u {
-        atomicAdd(&stats.pixels_of_samples, shown);
+    if resolved != 0u {
+        atomicAdd(&stats.pixels_of_samples, resolved);
     }
 }

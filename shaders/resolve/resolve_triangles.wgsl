@@ -18,73 +18,133 @@
 @group(1) @binding(7) var<storage, read> texels_1: array<u32>;
 @group(2) @binding(3) var<storage, read> placed: array<Placed>;
 
-fn vertex_uv(word: u32) -> vec2<f32> {
+// What the triangles of a slot have in common.
+struct Shown {
+    slot: u32,
+    first: u32,
+    vertex_first: u32,
+    placed: Placed,
+    normals: NormalMap,
+    material: Material,
+    id: u32,
+}
+
+// One of them: positions as interpolation needs them, and attributes of the first corner with what the others differ.
+struct Surface {
+    form: Barycentric,
+    color: array<vec3<f32>, 3>,
+    // In world space, up to length.
+    normal: array<vec3<f32>, 3>,
+    uv: array<vec2<f32>, 3>,
+}
+
+fn shown_slot(slot: u32) -> Shown {
+    var shown: Shown;
+    shown.slot = slot;
+    if OUTPUT == OUTPUT_DEPTH {
+        return shown;
+    }
+    let instance = slots[slot].instance;
+    if OUTPUT == OUTPUT_ID {
+        shown.id = instances[instance].id;
+        return shown;
+    }
+    let chunk = slots[slot].chunk;
+    shown.first = chunks[chunk].first;
+    shown.vertex_first = chunks[chunk].vertex_first;
+    shown.placed = placed[instance];
+    if OUTPUT == OUTPUT_NORMAL || SHADED {
+        shown.normals = normal_map(instance);
+    }
+    if OUTPUT == OUTPUT_COLOR {
+        shown.material = materials[chunks[chunk].material];
+        if OVERRIDES {
+            shown.material = effective_material(shown.material, instances[instance].material);
+        }
+    }
+    return shown;
+}
+
+fn corner_color(word: u32) -> vec3<f32> {
+    return linear_from_srgb(unpack4x8unorm(vertices[word + 3u]).rgb);
+}
+
+fn corner_normal(word: u32) -> vec3<f32> {
+    return octahedral_decode(vertices[word + 4u]);
+}
+
+fn corner_uv(word: u32) -> vec2<f32> {
     return vec2<f32>(bitcast<f32>(vertices[word + 5u]), bitcast<f32>(vertices[word + 6u]));
 }
 
-fn surface_color(corners: vec3<u32>, w: Weights, material: Material) -> vec3<f32> {
-    let a = linear_from_srgb(unpack4x8unorm(vertices[corners.x + 3u]).rgb);
-    let b = linear_from_srgb(unpack4x8unorm(vertices[corners.y + 3u]).rgb);
-    let c = linear_from_srgb(unpack4x8unorm(vertices[corners.z + 3u]).rgb);
-    var color = material.base_color.rgb * (a + w.b * (b - a) + w.c * (c - a));
+fn shown_surface(shown: Shown, triangle: u32) -> Surface {
+    var surface: Surface;
+    let corners = corner_words(shown.first + triangle, shown.vertex_first);
+    surface.form = barycentric_forms(
+        vertex_camera(shown.placed, corners.x),
+        vertex_camera(shown.placed, corners.y),
+        vertex_camera(shown.placed, corners.z),
+    );
+    if OUTPUT == OUTPUT_NORMAL || SHADED {
+        let n = corner_normal(corners.x);
+        if all(n == vec3<f32>(0.0)) {
+            surface.normal[0] = world_from_camera(surface.form.all);
+        } else {
+            surface.normal[0] = turned(shown.normals, n);
+            surface.normal[1] = turned(shown.normals, corner_normal(corners.y) - n);
+            surface.normal[2] = turned(shown.normals, corner_normal(corners.z) - n);
+        }
+    }
+    if OUTPUT == OUTPUT_COLOR {
+        let color = corner_color(corners.x);
+        surface.color[0] = color;
+        surface.color[1] = corner_color(corners.y) - color;
+        surface.color[2] = corner_color(corners.z) - color;
+    }
+    if OUTPUT == OUTPUT_COLOR && TEXTURES {
+        let uv = corner_uv(corners.x);
+        surface.uv[0] = uv;
+        surface.uv[1] = corner_uv(corners.y) - uv;
+        surface.uv[2] = corner_uv(corners.z) - uv;
+    }
+    return surface;
+}
+
+fn surface_color(surface: Surface, material: Material, w: Weights) -> vec3<f32> {
+    var color = material.base_color.rgb * (surface.color[0] + w.b * surface.color[1] + w.c * surface.color[2]);
     if TEXTURES && material.texture != 0u {
-        let uv = vertex_uv(corners.x);
-        let ab = vertex_uv(corners.y) - uv;
-        let ac = vertex_uv(corners.z) - uv;
         color *= sample_texture(
             textures[material.texture - 1u],
-            uv + w.b * ab + w.c * ac,
-            w.dx.x * ab + w.dx.y * ac,
-            w.dy.x * ab + w.dy.y * ac,
+            surface.uv[0] + w.b * surface.uv[1] + w.c * surface.uv[2],
+            w.dx.x * surface.uv[1] + w.dx.y * surface.uv[2],
+            w.dy.x * surface.uv[1] + w.dy.y * surface.uv[2],
         ).rgb;
     }
     return color;
 }
 
-fn surface_normal(instance: u32, corners: vec3<u32>, w: Weights, plane: vec3<f32>, ray: vec3<f32>) -> vec3<f32> {
-    let towards = world_from_camera(ray);
-    let a = vertices[corners.x + 4u];
-    if a == NO_NORMAL {
-        return facing_normal(world_from_camera(plane), towards);
-    }
-    let na = octahedral_decode(a);
-    let nb = octahedral_decode(vertices[corners.y + 4u]);
-    let nc = octahedral_decode(vertices[corners.z + 4u]);
-    return world_normal(instance, na + w.b * (nb - na) + w.c * (nc - na), towards);
-}
-
-fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
+fn resolve(column: Column, shown: Shown, surface: Surface) {
+    let pixel = column.pixel;
     if OUTPUT == OUTPUT_DEPTH {
-        pixels[pixel] = bitcast<u32>(1.0 / bitcast<f32>(word.y));
+        pixels[pixel] = bitcast<u32>(1.0 / bitcast<f32>(column.word.y));
         return;
     }
-    let id = ~word.x;
-    let slot = id >> SLOT_SHIFT;
-    let instance = slots[slot].instance;
     if OUTPUT == OUTPUT_ID {
-        pixels[pixel] = instances[instance].id;
+        pixels[pixel] = shown.id;
         return;
     }
-    let chunk = chunks[slots[slot].chunk];
-    let seen = placed[instance];
-    let corners = triangle_corners(chunk, id & SLOT_MASK);
-    let form = barycentric_forms(
-        vertex_camera(seen, corners.x), vertex_camera(seen, corners.y), vertex_camera(seen, corners.z));
-    let ray = ray_through(pixel_centre(at));
-    let w = barycentric_weights(form, ray);
+    let ray = ray_through(pixel_centre(column.at));
+    let w = barycentric_weights(surface.form, ray);
     if OUTPUT == OUTPUT_NORMAL || SHADED {
-        let n = surface_normal(instance, corners, w, form.all, ray);
+        let own = surface.normal[0] + w.b * surface.normal[1] + w.c * surface.normal[2];
+        let n = facing_normal(own, world_from_camera(ray));
         if OUTPUT == OUTPUT_NORMAL {
             pixels[pixel] = normal_word(n);
             return;
         }
         normals[pixel] = octahedral_encode(n);
     }
-    var material = materials[chunk.material];
-    if OVERRIDES {
-        material = effective_material(material, instances[instance].material);
-    }
-    let color = surface_color(corners, w, material);
+    let color = surface_color(surface, shown.material, w);
     pixels[pixel] = pack4x8unorm(vec4<f32>(srgb_from_linear(color), 1.0));
 }
 
@@ -92,37 +152,42 @@ fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
 fn resolve_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let begin = dispatches[segment.index].first_slot;
     let count = dispatches[segment.index].count;
-    let width = frame.size_px.x;
-    var walk = walk_begin(group, lane);
-    var shown = 0u;
+    var column = column_begin(group, lane);
+    var resolved = 0u;
+    column_read(&column, begin, count);
     loop {
-        var mine = false;
-        loop {
-            if walk.pixel >= walk.end {
-                break;
-            }
-            walk.word = visibility[walk.pixel];
-            if walk.word.y == 0u && segment.first != 0u {
-                pixels[walk.pixel] = background_word();
-            }
-            mine = walk.word.y != 0u && ((~walk.word.x) >> SLOT_SHIFT) - begin < count;
-            if any_lane(mine) {
-                break;
-            }
-            walk.pixel += width;
-            walk.at.y++;
-        }
-        if walk.pixel >= walk.end {
+        column_seek(&column, begin, count);
+        if column.pixel >= column.end {
             break;
         }
-        if mine {
-            resolve(walk.pixel, walk.at, walk.word);
-            shown++;
+        var shown: Shown;
+        shown.slot = NO_SLOT;
+        if column.mine {
+            shown = shown_slot(slot_of(column.word));
         }
-        walk.pixel += width;
-        walk.at.y++;
+        loop {
+            // Of a pixel that shows nothing: no id of a triangle.
+            let id = select(0u, column.word.x, column.mine);
+            var surface: Surface;
+            if column.mine && (OUTPUT == OUTPUT_COLOR || OUTPUT == OUTPUT_NORMAL) {
+                surface = shown_surface(shown, ~id & SLOT_MASK);
+            }
+            loop {
+                if column.mine {
+                    resolve(column, shown, surface);
+                    resolved++;
+                }
+                column_next(&column, begin, count);
+                if !any_lane(column.mine) || any_lane(column.mine && column.word.x != id) {
+                    break;
+                }
+            }
+            if !any_lane(column.mine) || any_lane(column.mine && slot_of(column.word) != shown.slot) {
+                break;
+            }
+        }
     }
-    if shown != 0u {
-        atomicAdd(&stats.pixels_of_triangles, shown);
+    if resolved != 0u {
+        atomicAdd(&stats.pixels_of_triangles, resolved);
     }
 }

@@ -40,7 +40,9 @@ fn scan(@builtin(local_invocation_index) lane: u32) {
     }
     storageBarrier();
     workgroupBarrier();
-    for (var s = lane; s < sizes.segment_count; s += 64u) {
+    // See shade for why the bound is no uniform alone.
+    let segment_count = min(sizes.segment_count, arrayLength(&segments));
+    for (var s = lane; s < segment_count; s += 64u) {
         let segment = segments[s];
         let begin = group_counts[segment.first_group];
         let count = group_counts[segment.end_group] - begin;

@@ -24,6 +24,8 @@ struct Light {
 @group(0) @binding(2) var<storage, read_write> pixels: array<u32>;
 @group(0) @binding(3) var<storage, read> normals: array<u32>;
 @group(1) @binding(0) var<storage, read> lights: array<Light>;
+// The first of them once more: uniforms at fixed places are read once for a whole vector of threads.
+@group(1) @binding(1) var<uniform> few_lights: array<Light, 4>;
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
@@ -35,6 +37,10 @@ override OVERRIDES: bool = true;
 override SPECULAR: bool = true;
 // Some light stands at a point.
 override POINT_LIGHTS: bool = true;
+// Some material is unlit, shines or is overridden: pixels have to ask theirs.
+override MATERIALS: bool = true;
+// How many lights there are, if `few_lights` has them all, or 0.
+override FEW_LIGHTS: u32 = 0u;
 
 const TILE: vec2<u32> = vec2<u32>(64u, 16u);
 
@@ -64,7 +70,10 @@ fn phong(light: Light, albedo: vec3<f32>, material: Material, n: vec3<f32>, from
 
 fn light_up(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
     let slot = (~word.x) >> SLOT_SHIFT;
-    var material = materials[chunks[slots[slot].chunk].material];
+    var material: Material;
+    if MATERIALS {
+        material = materials[chunks[slots[slot].chunk].material];
+    }
     if OVERRIDES {
         material = effective_material(material, instances[slots[slot].instance].material);
     }
@@ -78,8 +87,15 @@ fn light_up(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
     let to_eye = -ray / length(ray);
     let n = octahedral_decode(packed);
     var color = vec3<f32>(0.0);
-    for (var i = 0u; i < frame.light_count; i++) {
-        color += phong(lights[i], albedo, material, n, from_eye, to_eye);
+    for (var i = 0u; i < FEW_LIGHTS; i++) {
+        color += phong(few_lights[i], albedo, material, n, from_eye, to_eye);
+    }
+    if FEW_LIGHTS == 0u {
+        // A bound that is a uniform alone makes lavapipe build the shader anew for every frame, with the value inlined.
+        let count = min(frame.light_count, arrayLength(&lights));
+        for (var i = 0u; i < count; i++) {
+            color += phong(lights[i], albedo, material, n, from_eye, to_eye);
+        }
     }
     pixels[pixel] = pack4x8unorm(vec4<f32>(srgb_from_linear(color), 1.0));
 }

@@ -5,11 +5,11 @@
 
 const VERTEX_WORDS: u32 = 7u;
 
-// Word offsets of a triangle's three vertices.
-fn triangle_corners(chunk: Chunk, triangle: u32) -> vec3<u32> {
-    let word = triangles[chunk.first + triangle];
+// Word offsets of the three vertices of a page's triangle whose chunk's vertices begin at `vertex_first`.
+fn corner_words(triangle: u32, vertex_first: u32) -> vec3<u32> {
+    let word = triangles[triangle];
     let local = vec3<u32>(word & 1023u, (word >> 10u) & 1023u, (word >> 20u) & 1023u);
-    return (vec3<u32>(chunk.vertex_first) + local) * VERTEX_WORDS;
+    return (vec3<u32>(vertex_first) + local) * VERTEX_WORDS;
 }
 
 fn vertex_camera(placed: Placed, word: u32) -> vec3<f32> {

@@ -35,27 +35,65 @@ fn background_word() -> u32 {
     return select(0u, INFINITE_DEPTH, OUTPUT == OUTPUT_DEPTH);
 }
 
-// A thread's pixels: a column of a tile. CPU adapters run both sides of an `if` under a mask and every loop at least once;
-// so the threads of a vector first step to the next row in which one of them has a pixel of this segment, which is
-// cheap, and then resolve it. Tiles that show nothing pass by in one step.
-struct Walk {
+// A thread's pixels: a column of a tile, downwards. On CPU adapters a load costs a scalar access for every thread of a
+// vector, the attributes of a pixel are some fifty loads, both sides of an `if` run under a mask, and every loop runs at
+// least once. So the threads of a vector go down together: in one step past what none of them has to draw, and while each
+// stays on the chunk and triangle that it has loaded, nothing is loaded anew.
+struct Column {
     pixel: u32,
     // One row below the tile.
     end: u32,
     at: vec2<u32>,
     word: vec2<u32>,
+    // The pixel shows one of the segment's slots.
+    mine: bool,
 }
 
 const TILE: vec2<u32> = vec2<u32>(64u, 16u);
 
-fn walk_begin(group: vec3<u32>, lane: u32) -> Walk {
+fn column_begin(group: vec3<u32>, lane: u32) -> Column {
     let at = group.xy * TILE + vec2<u32>(lane, 0u);
     let size = frame.size_px;
-    var walk: Walk;
-    walk.at = at;
-    walk.pixel = at.y * size.x + at.x;
-    walk.end = select(min(at.y + TILE.y, size.y) * size.x + at.x, walk.pixel, at.x >= size.x);
-    return walk;
+    var column: Column;
+    column.at = at;
+    column.pixel = at.y * size.x + at.x;
+    column.end = select(min(at.y + TILE.y, size.y) * size.x + at.x, column.pixel, at.x >= size.x);
+    return column;
+}
+
+const NO_SLOT: u32 = 0xffffffffu;
+
+fn slot_of(word: vec2<u32>) -> u32 {
+    return (~word.x) >> SLOT_SHIFT;
+}
+
+// Reads the column's pixel, if the column has not ended; `begin` and `count`: the segment's slots.
+fn column_read(column: ptr<function, Column>, begin: u32, count: u32) {
+    (*column).mine = false;
+    if (*column).pixel < (*column).end {
+        let word = visibility[(*column).pixel];
+        (*column).word = word;
+        (*column).mine = word.y != 0u && slot_of(word) - begin < count;
+        if word.y == 0u && segment.first != 0u {
+            pixels[(*column).pixel] = background_word();
+        }
+    }
+}
+
+fn column_next(column: ptr<function, Column>, begin: u32, count: u32) {
+    (*column).pixel += frame.size_px.x;
+    (*column).at.y++;
+    column_read(column, begin, count);
+}
+
+// Past rows in which no thread has a pixel of the segment.
+fn column_seek(column: ptr<function, Column>, begin: u32, count: u32) {
+    loop {
+        if (*column).pixel >= (*column).end || any_lane((*column).mine) {
+            break;
+        }
+        column_next(column, begin, count);
+    }
 }
 
 fn pixel_centre(at: vec2<u32>) -> vec2<f32> {
@@ -71,14 +109,23 @@ fn normal_word(n: vec3<f32>) -> u32 {
     return b.x | (b.y << 8u) | (b.z << 16u) | 0xff000000u;
 }
 
-// An instance's normal in world space, unit length and turned towards the eye, or zero.
-fn world_normal(instance: u32, local: vec3<f32>, towards: vec3<f32>) -> vec3<f32> {
-    let m = instances[instance].inverse_x.xyz * local.x
-        + instances[instance].inverse_y.xyz * local.y
-        + instances[instance].inverse_z.xyz * local.z;
-    return facing_normal(m, towards);
+// Rows of grid_from_world: what takes an instance's normals to world space, up to length.
+struct NormalMap {
+    x: vec3<f32>,
+    y: vec3<f32>,
+    z: vec3<f32>,
 }
 
+fn normal_map(instance: u32) -> NormalMap {
+    return NormalMap(instances[instance].inverse_x.xyz, instances[instance].inverse_y.xyz, instances[instance].inverse_z.xyz);
+}
+
+// A normal in world space, up to length.
+fn turned(map: NormalMap, local: vec3<f32>) -> vec3<f32> {
+    return map.x * local.x + map.y * local.y + map.z * local.z;
+}
+
+// Unit length and turned towards the eye, or zero.
 fn facing_normal(m: vec3<f32>, towards: vec3<f32>) -> vec3<f32> {
     let a = abs(m);
     let most = max(a.x, max(a.y, a.z));

@@ -14,7 +14,7 @@ use crate::gpu::pipeline::{BindingSlot, ComputePipeline, GROUPS};
 use crate::gpu::shader::ShaderError;
 use crate::gpu::timing::{Span, Timer};
 use crate::plan::{Output, Pass};
-use crate::residency::layout::{GpuDispatch, GpuFrame};
+use crate::residency::layout::{FEW_LIGHTS, GpuDispatch, GpuFrame, GpuLight};
 use crate::residency::{PageKind, Residency, ResidentScene};
 
 /// Uniform records begin at multiples of this.
@@ -22,8 +22,8 @@ const ALIGN: u64 = 256;
 /// Workgroups in x before an indirect or direct dispatch takes a second row; as in the shaders.
 const DISPATCH_ROW: u32 = 32768;
 
-/// Workgroups of walk_triangles: triangles side by side, bands of the image; as in the shader.
-const WALK: (u32, u32) = (64, 8);
+/// Triangles that walk_triangles takes side by side, and the height of a band of the image; as in the shader.
+const WALK: (u32, u32) = (64, 128);
 /// Pixels that a workgroup resolves or shades; as in the shaders.
 const TILE: (u32, u32) = (64, 16);
 
@@ -299,7 +299,7 @@ impl Recorder<'_, '_> {
         let binds = self.bind(&pipeline, Some(segment))?;
         let (mut recorded, span) = self.context.timer.compute(encoder, pass.name());
         set(&mut recorded, &pipeline, &binds);
-        recorded.dispatch_workgroups(WALK.0, WALK.1, 1);
+        recorded.dispatch_workgroups(WALK.0, self.task.view.height.div_ceil(WALK.1), 1);
         drop(recorded);
         self.context.timer.settle(encoder);
         self.out.spans.push(PassSpan { pass, span });
@@ -368,11 +368,13 @@ impl Recorder<'_, '_> {
         encoder: &mut wgpu::CommandEncoder,
         tiles: (u32, u32),
     ) -> Result<(), ShaderError> {
-        let looks = self.scene.looks;
+        let (looks, lights) = (self.scene.looks, self.scene.light_count);
         let constants = vec![
             ("OVERRIDES", u32::from(looks.overrides)),
             ("SPECULAR", u32::from(looks.specular)),
             ("POINT_LIGHTS", u32::from(looks.point_lights)),
+            ("MATERIALS", u32::from(looks.overrides || looks.specular || looks.unlit)),
+            ("FEW_LIGHTS", if lights > FEW_LIGHTS { 0 } else { lights }),
         ];
         let name = Pass::Shade.name();
         let pipeline =
@@ -476,6 +478,10 @@ fn resolve_name<'b>(
         "segments" => &scene.segments,
         "sizes" => &scene.sizes,
         "lights" => &scene.lights,
+        "few_lights" => {
+            let window = u64::from(FEW_LIGHTS) * size_of::<GpuLight>() as u64;
+            return Some((Binding::Window(&scene.lights, window), 0));
+        }
         "chunks" => residency.chunk_table(),
         "materials" => residency.material_table(),
         "textures" => residency.texture_table(),

@@ -149,6 +149,9 @@ pub struct GpuLight {
     pub place_lo: [f32; 4],
 }
 
+/// Lights that are bound as uniforms; as in `shade/shade.wgsl`. The list of lights has room for as many at least.
+pub const FEW_LIGHTS: u32 = 4;
+
 /// `Frame` of `shared/frame.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]

@@ -91,6 +91,7 @@ pub struct Looks {
     /// Some instance overrides its asset's materials.
     pub overrides: bool,
     pub specular: bool,
+    pub unlit: bool,
     pub point_lights: bool,
 }
 

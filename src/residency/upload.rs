@@ -122,14 +122,16 @@ fn gpu_chunk(
 
 fn looks(model: &SceneModel) -> Looks {
     let black = [0.0; 3];
-    let mut materials = model.assets.iter().flat_map(|asset| &asset.packed.materials);
+    let materials = model.assets.iter().flat_map(|asset| &asset.packed.materials);
     let textures = materials.clone().any(|material| material.base_texture.is_some());
-    let shines = materials.any(|material| material.specular != black);
+    let unlit = materials.clone().any(|material| material.unlit);
+    let shines = materials.clone().any(|material| material.specular != black);
     let polished = model.materials.iter().any(|spec| spec.specular.is_some_and(|s| s != black));
     Looks {
         textures,
         overrides: model.instances.iter().any(|instance| instance.material.is_some()),
         specular: shines || polished,
+        unlit,
         point_lights: model.lights.iter().any(|light| matches!(light, Light::Point { .. })),
     }
 }
@@ -432,6 +434,15 @@ impl Residency {
             pages.push(Page { kind: PageKind::Samples, index: 0 });
         }
         let lights: Vec<GpuLight> = model.lights.iter().map(gpu_light).collect();
+        let lights_buffer = Buffer::new(
+            gpu,
+            "lights",
+            lights.len().max(FEW_LIGHTS as usize) as u64 * size_of::<GpuLight>() as u64,
+            wgpu::BufferUsages::STORAGE
+                | wgpu::BufferUsages::UNIFORM
+                | wgpu::BufferUsages::COPY_DST,
+        );
+        gpu.queue.write_buffer(lights_buffer.raw(), 0, bytemuck::cast_slice(&lights));
         let sizes = [(entries.len() / GROUP) as u32, segments.len() as u32, 0, 0];
         let sizes_buffer = Buffer::new(
             gpu,
@@ -448,7 +459,7 @@ impl Residency {
             entries: Buffer::with_data(gpu, "entries", &entries),
             segments: Buffer::with_data(gpu, "segments", &segments),
             sizes: sizes_buffer,
-            lights: Buffer::with_data(gpu, "lights", &lights),
+            lights: lights_buffer,
             pages,
             entry_count: entries.len() as u32,
             instance_count: instances.len() as u32,
