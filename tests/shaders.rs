@@ -151,8 +151,10 @@ fn uniform_alone(
     match &function.expressions[expression] {
         E::Literal(_) | E::Constant(_) | E::Override(_) | E::ZeroValue(_) => Some(false),
         E::GlobalVariable(variable) => {
+            // The private variable is the view's record, copied from uniforms.
             let space = module.global_variables[*variable].space;
-            (space == naga::AddressSpace::Uniform).then_some(true)
+            let steady = [naga::AddressSpace::Uniform, naga::AddressSpace::Private];
+            steady.contains(&space).then_some(true)
         }
         E::Load { pointer: inner }
         | E::AccessIndex { base: inner, .. }

@@ -56,7 +56,7 @@ impl Connection {
     /// # Errors
     /// The connection is gone.
     pub fn send(&mut self, path: &str, headers: &str) -> anyhow::Result<()> {
-        let request = format!("GET {path} HTTP/1.1\r\nHost: bench\r\n{headers}\r\n");
+        let request = format!("GET {path} HTTP/1.1\r\nHost: localhost\r\n{headers}\r\n");
         Ok(self.stream.write_all(request.as_bytes())?)
     }
 

@@ -9,21 +9,24 @@ struct SegmentUse {
 
 @group(1) @binding(0) var<storage, read> positions: array<vec2<u32>>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
-@group(2) @binding(1) var<storage, read> dispatches: array<Dispatch>;
+@group(2) @binding(1) var<storage, read> runs: array<Run>;
 @group(2) @binding(2) var<uniform> segment: SegmentUse;
 
 @compute @workgroup_size(64)
 fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    begin_view(group.z);
     let index = group.y * DISPATCH_ROW + group.x;
-    if index >= dispatches[segment.index].count {
+    let run = runs[frame.first_run + segment.index];
+    if index >= run.count {
         return;
     }
-    let slot_index = dispatches[segment.index].first_slot + index;
-    let row_x = slots[slot_index].row_x;
-    let row_y = slots[slot_index].row_y;
-    let row_z = slots[slot_index].row_z;
-    let first = slots[slot_index].first;
-    let count = slots[slot_index].count;
+    let slot_index = run.first_slot + index;
+    let at = frame.first_slot + slot_index;
+    let row_x = slots[at].row_x;
+    let row_y = slots[at].row_y;
+    let row_z = slots[at].row_z;
+    let first = slots[at].first;
+    let count = slots[at].count;
     let size = vec2<f32>(frame.size_px);
     let width = frame.size_px.x;
     for (var i = lane; i < count; i += 64u) {
@@ -38,7 +41,7 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
         let x = fma(row_x.x, q.x, fma(row_x.y, q.y, fma(row_x.z, q.z, row_x.w))) * inverse;
         let y = fma(row_y.x, q.x, fma(row_y.y, q.y, fma(row_y.z, q.z, row_y.w))) * inverse;
         if z > NEAREST && x >= 0.0 && y >= 0.0 && x < size.x && y < size.y {
-            visibility_write(u32(y) * width + u32(x), inverse, (slot_index << SLOT_SHIFT) | i);
+            visibility_write(frame.first_pixel + u32(y) * width + u32(x), inverse, (slot_index << SLOT_SHIFT) | i);
         }
     }
 }

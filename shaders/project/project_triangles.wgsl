@@ -26,10 +26,10 @@ struct LargeList {
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
-@group(2) @binding(1) var<storage, read> dispatches: array<Dispatch>;
+@group(2) @binding(1) var<storage, read> runs: array<Run>;
 @group(2) @binding(2) var<uniform> segment: SegmentUse;
 @group(2) @binding(3) var<storage, read> placed: array<Placed>;
-@group(0) @binding(4) var<storage, read_write> stats: Stats;
+@group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
 @group(2) @binding(4) var<storage, read_write> large: LargeList;
 
 // Whether a pixel on the edge from `a` to `b` belongs to the triangle on its inner side (left or top edge, y down).
@@ -59,7 +59,7 @@ fn walk(p: array<vec2<i32>, 3>, low: vec2<i32>, high: vec2<i32>, plane: Plane, i
             if (e.x | e.y | e.z) >= 0 {
                 let ray = ray_through(vec2<f32>(f32(x), f32(y)) + vec2<f32>(0.5));
                 if alpha_passes(texel, ray) {
-                    visibility_write(u32(y) * frame.size_px.x + u32(x), plane_inverse_depth(plane, ray), id);
+                    visibility_write(frame.first_pixel + u32(y) * frame.size_px.x + u32(x), plane_inverse_depth(plane, ray), id);
                 }
             }
             e += step_x;
@@ -73,17 +73,17 @@ fn list_large(id: u32, bounds: ImageBounds) {
     let low = vec2<u32>(clamp(bounds.least - vec2<f32>(1.0), vec2<f32>(0.0), last));
     let high = vec2<u32>(clamp(bounds.most + vec2<f32>(1.0), vec2<f32>(0.0), last));
     let at = atomicAdd(&large.vertex_count, 3u) / 3u;
-    atomicMax(&stats.large_longest, at + 1u);
+    atomicMax(&stats[0].large_longest, at + 1u);
     if at < frame.large_capacity {
-        large.entries[at] = vec2<u32>(id, low.y | (high.y << 16u));
+        large.entries[at] = vec2<u32>(id, list_word(low.y, high.y, frame.view));
     }
     if FIRST_HALF {
-        atomicAdd(&stats.triangles_rasterised, 1u);
+        atomicAdd(&stats[frame.view].triangles_rasterised, 1u);
         let box = high - low + vec2<u32>(1u);
         let units = (box.x * box.y + 4095u) / 4096u;
-        let old = atomicAdd(&stats.large_units, units);
+        let old = atomicAdd(&stats[0].large_units, units);
         if old + units < old {
-            atomicMax(&stats.large_wrapped, 1u);
+            atomicMax(&stats[0].large_wrapped, 1u);
         }
     }
 }
@@ -136,19 +136,22 @@ fn triangle(slot_index: u32, at: Placed, chunk: Chunk, one_sided: f32, index: u3
         p[1] = p[2];
         p[2] = swap;
     }
-    walk(p, low, high, triangle_plane(a, b, c), id, alpha_test(chunk, slots[slot_index].instance, corners, a, b, c));
+    walk(p, low, high, triangle_plane(a, b, c), id, alpha_test(chunk, slots[frame.first_slot + slot_index].instance, corners, a, b, c));
 }
 
 @compute @workgroup_size(64)
 fn project_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    begin_view(group.z);
     let index = group.y * DISPATCH_ROW + group.x;
-    if index >= dispatches[segment.index].count {
+    let run = runs[frame.first_run + segment.index];
+    if index >= run.count {
         return;
     }
-    let slot_index = dispatches[segment.index].first_slot + index;
-    let chunk = chunks[slots[slot_index].chunk];
-    let instance = slots[slot_index].instance;
-    let at = placed[instance];
+    let slot_index = run.first_slot + index;
+    let slot = slots[frame.first_slot + slot_index];
+    let chunk = chunks[slot.chunk];
+    let instance = slot.instance;
+    let at = placed[frame.first_instance + instance];
     let material = effective_material(materials[chunk.material], instances[instance].material);
     var one_sided = 0.0;
     if (material.flags & MATERIAL_DOUBLE_SIDED) == 0u {

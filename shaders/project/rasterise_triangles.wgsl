@@ -10,7 +10,7 @@
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
-@group(0) @binding(4) var<storage, read> stats: array<u32, 12>;
+@group(0) @binding(4) var<storage, read> stats: array<u32>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
 @group(2) @binding(3) var<storage, read> placed: array<Placed>;
 @group(2) @binding(4) var<storage, read> large: array<u32>;
@@ -18,12 +18,13 @@
 struct Corner {
     @builtin(position) position: vec4<f32>,
     @location(0) @interpolate(flat) id: u32,
+    @location(1) @interpolate(flat) view: u32,
 }
 
 fn corner_positions(id: u32) -> array<vec3<f32>, 3> {
-    let slot = id >> SLOT_SHIFT;
+    let slot = frame.first_slot + (id >> SLOT_SHIFT);
     let chunk = chunks[slots[slot].chunk];
-    let at = placed[slots[slot].instance];
+    let at = placed[frame.first_instance + slots[slot].instance];
     let corners = corner_words(chunk.first + (id & SLOT_MASK), chunk.vertex_first);
     return array<vec3<f32>, 3>(
         vertex_camera(at, corners.x), vertex_camera(at, corners.y), vertex_camera(at, corners.z));
@@ -31,16 +32,22 @@ fn corner_positions(id: u32) -> array<vec3<f32>, 3> {
 
 @vertex
 fn vertex(@builtin(vertex_index) index: u32) -> Corner {
+    begin_view(0u);
     if !may_draw(stats[STAT_LARGE_LONGEST], stats[STAT_LARGE_UNITS], stats[STAT_LARGE_WRAPPED]) {
         // All corners in one place: nothing is covered.
-        return Corner(vec4<f32>(0.0, 0.0, 0.0, 1.0), 0u);
+        return Corner(vec4<f32>(0.0, 0.0, 0.0, 1.0), 0u, 0u);
     }
-    let id = large[LIST_HEAD + index / 3u * LIST_ENTRY];
+    // All views have one size: the draw's viewport is right for each, and its attachment is nobody's.
+    let entry = LIST_HEAD + index / 3u * LIST_ENTRY;
+    let id = large[entry];
+    let view = list_view(large[entry + 1u]);
+    begin_view(view);
     let p = corner_positions(id);
     let camera = p[index % 3u];
     let size = vec2<f32>(frame.size_px);
     var out: Corner;
     out.id = id;
+    out.view = view;
     let near = min(p[0].z, min(p[1].z, p[2].z));
     var clip = vec4<f32>(
         (2.0 * (frame.focal_px * camera.xy + frame.principal_px * camera.z) - size * camera.z) / size * vec2<f32>(1.0, -1.0),
@@ -61,16 +68,17 @@ fn vertex(@builtin(vertex_index) index: u32) -> Corner {
 
 @fragment
 fn fragment(in: Corner) {
+    begin_view(in.view);
     let x = u32(in.position.x);
     let y = u32(in.position.y);
     let ray = ray_through(vec2<f32>(f32(x), f32(y)) + vec2<f32>(0.5));
     let p = corner_positions(in.id);
-    let slot = in.id >> SLOT_SHIFT;
+    let slot = frame.first_slot + (in.id >> SLOT_SHIFT);
     let chunk = chunks[slots[slot].chunk];
     let corners = corner_words(chunk.first + (in.id & SLOT_MASK), chunk.vertex_first);
     let test = alpha_test(chunk, slots[slot].instance, corners, p[0], p[1], p[2]);
     if x < frame.size_px.x && y < frame.size_px.y && alpha_passes(test, ray) {
         let inverse = plane_inverse_depth(triangle_plane(p[0], p[1], p[2]), ray);
-        visibility_write(y * frame.size_px.x + x, inverse, in.id);
+        visibility_write(frame.first_pixel + y * frame.size_px.x + x, inverse, in.id);
     }
 }

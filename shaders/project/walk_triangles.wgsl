@@ -14,7 +14,7 @@
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
-@group(0) @binding(4) var<storage, read> stats: array<u32, 12>;
+@group(0) @binding(4) var<storage, read> stats: array<u32>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
 @group(2) @binding(3) var<storage, read> placed: array<Placed>;
 @group(2) @binding(4) var<storage, read> large: array<u32>;
@@ -41,7 +41,7 @@ struct Surface {
 fn cover(s: Surface, at: vec2<i32>) {
     let ray = ray_through(vec2<f32>(at) + vec2<f32>(0.5));
     if alpha_passes(s.texel, ray) {
-        visibility_write(u32(at.y) * frame.size_px.x + u32(at.x), plane_inverse_depth(s.plane, ray), s.id);
+        visibility_write(frame.first_pixel + u32(at.y) * frame.size_px.x + u32(at.x), plane_inverse_depth(s.plane, ray), s.id);
     }
 }
 
@@ -136,10 +136,10 @@ fn walk_rays(s: Surface, box: Box, lane: i32) {
 }
 
 fn triangle(id: u32, rows: vec2<i32>, lane: i32) {
-    let slot = id >> SLOT_SHIFT;
+    let slot = frame.first_slot + (id >> SLOT_SHIFT);
     let chunk = chunks[slots[slot].chunk];
     let instance = slots[slot].instance;
-    let at = placed[instance];
+    let at = placed[frame.first_instance + instance];
     let corners = corner_words(chunk.first + (id & SLOT_MASK), chunk.vertex_first);
     var s: Surface;
     s.id = id;
@@ -162,6 +162,7 @@ fn triangle(id: u32, rows: vec2<i32>, lane: i32) {
 
 @compute @workgroup_size(8)
 fn walk_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    begin_view(0u);
     let drawn = may_draw(stats[STAT_LARGE_LONGEST], stats[STAT_LARGE_UNITS], stats[STAT_LARGE_WRAPPED]);
     let count = select(0u, large[0] / 3u, drawn);
     let height = i32(frame.size_px.y);
@@ -171,12 +172,14 @@ fn walk_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoca
     loop {
         // On to the next triangle of this band, before anything dear is done: see shared/resolve.
         var rows = vec2<i32>(0);
+        var word = 0u;
         loop {
             if i >= count {
                 break;
             }
-            let span = large[LIST_HEAD + i * LIST_ENTRY + 1u];
-            rows = vec2<i32>(max(i32(span & 0xffffu), first), min(i32(span >> 16u), last));
+            word = large[LIST_HEAD + i * LIST_ENTRY + 1u];
+            rows = list_rows(word);
+            rows = vec2<i32>(max(rows.x, first), min(rows.y, last));
             if rows.x <= rows.y {
                 break;
             }
@@ -185,6 +188,7 @@ fn walk_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoca
         if i >= count {
             break;
         }
+        begin_view(list_view(word));
         triangle(large[LIST_HEAD + i * LIST_ENTRY], rows, i32(lane));
         i += STRIDE;
     }

@@ -31,7 +31,7 @@ fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
         return;
     }
     let id = ~word.x;
-    let slot = id >> SLOT_SHIFT;
+    let slot = frame.first_slot + (id >> SLOT_SHIFT);
     let instance = slots[slot].instance;
     if OUTPUT == OUTPUT_ID {
         pixels[pixel] = instances[instance].id;
@@ -52,8 +52,9 @@ fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
 
 @compute @workgroup_size(64)
 fn resolve_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let begin = dispatches[segment.index].first_slot;
-    let count = dispatches[segment.index].count;
+    begin_view(group.z);
+    let begin = runs[frame.first_run + segment.index].first_slot;
+    let count = runs[frame.first_run + segment.index].count;
     var column = column_begin(group, lane);
     var resolved = 0u;
     column_read(&column, begin, count);
@@ -70,6 +71,6 @@ fn resolve_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
         column_next(&column, begin, count);
     }
     if resolved != 0u {
-        atomicAdd(&stats.pixels_of_samples, resolved);
+        atomicAdd(&stats[frame.view].pixels_of_samples, resolved);
     }
 }

@@ -44,15 +44,16 @@ fn shown_slot(slot: u32) -> Shown {
     if OUTPUT == OUTPUT_DEPTH {
         return shown;
     }
-    let instance = slots[slot].instance;
+    let at = frame.first_slot + slot;
+    let instance = slots[at].instance;
     if OUTPUT == OUTPUT_ID {
         shown.id = instances[instance].id;
         return shown;
     }
-    let chunk = slots[slot].chunk;
+    let chunk = slots[at].chunk;
     shown.first = chunks[chunk].first;
     shown.vertex_first = chunks[chunk].vertex_first;
-    shown.placed = placed[instance];
+    shown.placed = placed[frame.first_instance + instance];
     if OUTPUT == OUTPUT_NORMAL || SHADED {
         shown.normals = normal_map(instance);
     }
@@ -150,8 +151,9 @@ fn resolve(column: Column, shown: Shown, surface: Surface) {
 
 @compute @workgroup_size(64)
 fn resolve_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let begin = dispatches[segment.index].first_slot;
-    let count = dispatches[segment.index].count;
+    begin_view(group.z);
+    let begin = runs[frame.first_run + segment.index].first_slot;
+    let count = runs[frame.first_run + segment.index].count;
     var column = column_begin(group, lane);
     var resolved = 0u;
     column_read(&column, begin, count);
@@ -188,6 +190,6 @@ fn resolve_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_inv
         }
     }
     if resolved != 0u {
-        atomicAdd(&stats.pixels_of_triangles, resolved);
+        atomicAdd(&stats[frame.view].pixels_of_triangles, resolved);
     }
 }

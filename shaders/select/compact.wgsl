@@ -9,7 +9,7 @@
 @group(2) @binding(2) var<storage, read> group_counts: array<u32>;
 @group(2) @binding(3) var<storage, read_write> slots: array<Slot>;
 @group(2) @binding(4) var<storage, read_write> seen: array<atomic<u32>>;
-@group(0) @binding(4) var<storage, read_write> stats: Stats;
+@group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
 
 const NOT_VISIBLE: u32 = 0xffffffffu;
 const GROUP: u32 = 32u;
@@ -33,11 +33,12 @@ fn sample_slot(entry: Entry, chunk: Chunk, at: Placed) -> Slot {
 
 @compute @workgroup_size(64)
 fn compact(@builtin(global_invocation_id) invocation: vec3<u32>) {
+    begin_view(invocation.z);
     let index = invocation.x + invocation.y * DISPATCH_ROW * 64u;
     if index >= frame.entry_count {
         return;
     }
-    let rank = ranks[index];
+    let rank = ranks[frame.first_entry + index];
     if rank == NOT_VISIBLE {
         return;
     }
@@ -45,23 +46,23 @@ fn compact(@builtin(global_invocation_id) invocation: vec3<u32>) {
     let chunk = chunks[entry.chunk];
     var slot: Slot;
     if chunk.shift == TRIANGLES {
-        let old = atomicAdd(&stats.triangles_tested_lo, chunk.count);
+        let old = atomicAdd(&stats[frame.view].triangles_tested_lo, chunk.count);
         if old + chunk.count < old {
-            atomicAdd(&stats.triangles_tested_hi, 1u);
+            atomicAdd(&stats[frame.view].triangles_tested_hi, 1u);
         }
     } else {
-        slot = sample_slot(entry, chunk, placed[entry.instance]);
-        let old = atomicAdd(&stats.samples_tested_lo, chunk.count);
+        slot = sample_slot(entry, chunk, placed[frame.first_instance + entry.instance]);
+        let old = atomicAdd(&stats[frame.view].samples_tested_lo, chunk.count);
         if old + chunk.count < old {
-            atomicAdd(&stats.samples_tested_hi, 1u);
+            atomicAdd(&stats[frame.view].samples_tested_hi, 1u);
         }
     }
     slot.instance = entry.instance;
     slot.chunk = entry.chunk;
     slot.first = chunk.first;
     slot.count = chunk.count;
-    slots[group_counts[index / GROUP] + rank] = slot;
-    if atomicExchange(&seen[entry.instance], 1u) == 0u {
-        atomicAdd(&stats.instances_drawn, 1u);
+    slots[frame.first_slot + group_counts[frame.first_group + index / GROUP] + rank] = slot;
+    if atomicExchange(&seen[frame.first_instance + entry.instance], 1u) == 0u {
+        atomicAdd(&stats[frame.view].instances_drawn, 1u);
     }
 }

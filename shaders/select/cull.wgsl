@@ -23,7 +23,7 @@ fn reaches(normal: vec3<f32>, centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: 
 
 fn in_frustum(entry: Entry) -> bool {
     let chunk = chunks[entry.chunk];
-    let at = placed[entry.instance];
+    let at = placed[frame.first_instance + entry.instance];
     let half = chunk.extent * 0.5;
     let x = at.axis_x.xyz * half.x;
     let y = at.axis_y.xyz * half.y;
@@ -44,6 +44,7 @@ const GROUP: u32 = 32u;
 
 @compute @workgroup_size(32)
 fn cull(@builtin(global_invocation_id) invocation: vec3<u32>) {
+    begin_view(invocation.z);
     let group = invocation.x + invocation.y * DISPATCH_ROW * 32u;
     let first = group * GROUP;
     if first >= frame.entry_count {
@@ -59,7 +60,7 @@ fn cull(@builtin(global_invocation_id) invocation: vec3<u32>) {
                 rank++;
             }
         }
-        ranks[first + k] = mine;
+        ranks[frame.first_entry + first + k] = mine;
     }
-    group_counts[group] = rank;
+    group_counts[frame.first_group + group] = rank;
 }

@@ -37,6 +37,7 @@ fn upper(v: vec3<f32>) -> vec3<f32> {
 
 @compute @workgroup_size(64)
 fn place(@builtin(global_invocation_id) invocation: vec3<u32>) {
+    begin_view(invocation.z);
     let index = invocation.x + invocation.y * DISPATCH_ROW * 64u;
     if index >= frame.instance_count {
         return;
@@ -77,6 +78,6 @@ fn place(@builtin(global_invocation_id) invocation: vec3<u32>) {
     out.axis_z = vec4<f32>(camera_from_world(axis_z), 0.0);
     out.position = vec4<f32>(camera_from_world(offset.head + offset.tail), 0.0);
     out.anchor = vec4<i32>(anchor, 0);
-    placed[index] = out;
-    seen[index] = 0u;
+    placed[frame.first_instance + index] = out;
+    seen[frame.first_instance + index] = 0u;
 }

@@ -1,4 +1,5 @@
-// Exclusive prefix sum of the groups' counts, in one workgroup, and the indirect dispatch of every segment.
+// Exclusive prefix sum of the groups' counts, in one workgroup a view; each segment's run of visible slots, and an
+// indirect dispatch that is enough for the longest run among the views.
 //!include shared/frame
 //!include shared/scene
 
@@ -11,17 +12,20 @@ struct Sizes {
 @group(1) @binding(1) var<uniform> sizes: Sizes;
 @group(2) @binding(0) var<storage, read_write> group_counts: array<u32>;
 @group(2) @binding(1) var<storage, read_write> dispatches: array<Dispatch>;
+@group(2) @binding(2) var<storage, read_write> runs: array<Run>;
 
 var<workgroup> partial: array<u32, 64>;
 
 @compute @workgroup_size(64)
-fn scan(@builtin(local_invocation_index) lane: u32) {
+fn scan(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    begin_view(group.z);
+    let base = frame.first_group;
     let share = (sizes.group_count + 63u) / 64u;
     let first = min(lane * share, sizes.group_count);
     let end = min(first + share, sizes.group_count);
     var sum = 0u;
     for (var i = first; i < end; i++) {
-        sum += group_counts[i];
+        sum += group_counts[base + i];
     }
     partial[lane] = sum;
     workgroupBarrier();
@@ -30,13 +34,13 @@ fn scan(@builtin(local_invocation_index) lane: u32) {
         running += partial[i];
     }
     for (var i = first; i < end; i++) {
-        let count = group_counts[i];
-        group_counts[i] = running;
+        let count = group_counts[base + i];
+        group_counts[base + i] = running;
         running += count;
     }
     // The last workgroup's end is the total; the array has one element more than there are groups.
     if lane == 63u {
-        group_counts[sizes.group_count] = running;
+        group_counts[base + sizes.group_count] = running;
     }
     storageBarrier();
     workgroupBarrier();
@@ -44,14 +48,11 @@ fn scan(@builtin(local_invocation_index) lane: u32) {
     let segment_count = min(sizes.segment_count, arrayLength(&segments));
     for (var s = lane; s < segment_count; s += 64u) {
         let segment = segments[s];
-        let begin = group_counts[segment.first_group];
-        let count = group_counts[segment.end_group] - begin;
-        var out: Dispatch;
-        out.groups_x = min(count, DISPATCH_ROW);
-        out.groups_y = (count + DISPATCH_ROW - 1u) / DISPATCH_ROW;
-        out.groups_z = 1u;
-        out.first_slot = begin;
-        out.count = count;
-        dispatches[s] = out;
+        let begin = group_counts[base + segment.first_group];
+        let count = group_counts[base + segment.end_group] - begin;
+        runs[frame.first_run + s] = Run(begin, count);
+        atomicMax(&dispatches[s].groups_x, min(count, DISPATCH_ROW));
+        atomicMax(&dispatches[s].groups_y, (count + DISPATCH_ROW - 1u) / DISPATCH_ROW);
+        atomicMax(&dispatches[s].groups_z, frame.views);
     }
 }

@@ -69,7 +69,7 @@ fn phong(light: Light, albedo: vec3<f32>, material: Material, n: vec3<f32>, from
 }
 
 fn light_up(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
-    let slot = (~word.x) >> SLOT_SHIFT;
+    let slot = frame.first_slot + ((~word.x) >> SLOT_SHIFT);
     var material: Material;
     if MATERIALS {
         material = materials[chunks[slots[slot].chunk].material];
@@ -103,10 +103,12 @@ fn light_up(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
 // Steps from covered pixel to covered pixel of a column: see shared/resolve.
 @compute @workgroup_size(64)
 fn shade(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    begin_view(group.z);
     let size = frame.size_px;
     var at = group.xy * TILE + vec2<u32>(lane, 0u);
-    var pixel = at.y * size.x + at.x;
-    let end = select(min(at.y + TILE.y, size.y) * size.x + at.x, pixel, at.x >= size.x);
+    var pixel = frame.first_pixel + at.y * size.x + at.x;
+    let below = frame.first_pixel + min(at.y + TILE.y, size.y) * size.x + at.x;
+    let end = select(below, pixel, at.x >= size.x);
     loop {
         var word = vec2<u32>(0u);
         loop {

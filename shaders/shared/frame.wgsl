@@ -1,4 +1,4 @@
-// What is the same for every invocation of one frame. Camera space: x right, y down, z forward, the eye at the origin.
+// What is the same for every invocation of one view. Camera space: x right, y down, z forward, the eye at the origin.
 struct Frame {
     // Rows of camera_from_world; w is unused.
     right: vec4<f32>,
@@ -23,11 +23,34 @@ struct Frame {
     // drawn, and the frame is not shown.
     large_capacity: u32,
     large_units_limit: u32,
+    // Views of one scene may be drawn together: which one this is, of how many, and where its share of each buffer begins.
+    view: u32,
+    views: u32,
+    first_pixel: u32,
+    first_instance: u32,
+    first_entry: u32,
+    first_group: u32,
+    first_slot: u32,
+    first_run: u32,
     unused_0: u32,
     unused_1: u32,
 }
 
-@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(0) var<uniform> frames: array<Frame, 16>;
+
+// Several views are drawn together; a dispatch counts them in z.
+override VIEWS: bool = false;
+
+var<private> frame: Frame;
+
+// To be called first. A uniform at a fixed place is read once for a whole vector of threads.
+fn begin_view(view: u32) {
+    if VIEWS {
+        frame = frames[view];
+    } else {
+        frame = frames[0];
+    }
+}
 
 fn camera_from_world(v: vec3<f32>) -> vec3<f32> {
     return vec3<f32>(dot(frame.right.xyz, v), dot(frame.down.xyz, v), dot(frame.forward.xyz, v));

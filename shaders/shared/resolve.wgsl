@@ -17,9 +17,9 @@ override TEXTURES: bool = true;
 @group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 @group(0) @binding(2) var<storage, read_write> pixels: array<u32>;
 @group(0) @binding(3) var<storage, read_write> normals: array<u32>;
-@group(0) @binding(4) var<storage, read_write> stats: Stats;
+@group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
-@group(2) @binding(1) var<storage, read> dispatches: array<Dispatch>;
+@group(2) @binding(1) var<storage, read> runs: array<Run>;
 @group(2) @binding(2) var<uniform> segment: SegmentUse;
 
 const OUTPUT_COLOR: u32 = 0u;
@@ -56,8 +56,9 @@ fn column_begin(group: vec3<u32>, lane: u32) -> Column {
     let size = frame.size_px;
     var column: Column;
     column.at = at;
-    column.pixel = at.y * size.x + at.x;
-    column.end = select(min(at.y + TILE.y, size.y) * size.x + at.x, column.pixel, at.x >= size.x);
+    column.pixel = frame.first_pixel + at.y * size.x + at.x;
+    let below = frame.first_pixel + min(at.y + TILE.y, size.y) * size.x + at.x;
+    column.end = select(below, column.pixel, at.x >= size.x);
     return column;
 }
 

@@ -73,16 +73,18 @@ struct Segment {
     end_group: u32,
 }
 
-// Where a segment's visible slots lie, in the form that an indirect dispatch reads.
-struct Dispatch {
-    groups_x: u32,
-    groups_y: u32,
-    groups_z: u32,
+// Where a segment's visible slots lie among those of a view.
+struct Run {
     first_slot: u32,
     count: u32,
-    pad_0: u32,
-    pad_1: u32,
-    pad_2: u32,
+}
+
+// Of a segment, in the form that an indirect dispatch reads.
+struct Dispatch {
+    groups_x: atomic<u32>,
+    groups_y: atomic<u32>,
+    groups_z: atomic<u32>,
+    unused: u32,
 }
 
 struct Stats {
@@ -94,7 +96,7 @@ struct Stats {
     triangles_rasterised: atomic<u32>,
     pixels_of_samples: atomic<u32>,
     pixels_of_triangles: atomic<u32>,
-    // Longest list of large triangles that a segment asked for.
+    // Of all views together, in the first one's record. Longest list of large triangles that a segment asked for.
     large_longest: atomic<u32>,
     // Pixels in the boxes of large triangles, in units of 4096, and whether that sum has passed 2^32.
     large_units: atomic<u32>,
@@ -102,7 +104,7 @@ struct Stats {
     unused: atomic<u32>,
 }
 
-// Places of the above for those who only read them.
+// Places of the above for those who only read them: of all views together.
 const STAT_LARGE_LONGEST: u32 = 8u;
 const STAT_LARGE_UNITS: u32 = 9u;
 const STAT_LARGE_WRAPPED: u32 = 10u;

@@ -4,10 +4,23 @@
 // A coordinate this large in pixels goes to the rasteriser's clipper.
 const GUARD_PX: f32 = 1048576.0;
 
-// Words of the indirect draw that stands before the list of large triangles, and of each entry: id, then first and last
-// row in 16 bits each.
+// Words of the indirect draw that stands before the list of large triangles, and of each entry: id, then what
+// list_word packs.
 const LIST_HEAD: u32 = 4u;
 const LIST_ENTRY: u32 = 2u;
+
+// First and last row in 14 bits each, and the view.
+fn list_word(first_row: u32, last_row: u32, view: u32) -> u32 {
+    return first_row | (last_row << 14u) | (view << 28u);
+}
+
+fn list_rows(word: u32) -> vec2<i32> {
+    return vec2<i32>(i32(word & 0x3fffu), i32((word >> 14u) & 0x3fffu));
+}
+
+fn list_view(word: u32) -> u32 {
+    return word >> 28u;
+}
 
 // The plane of a triangle as 1/z over the image: 1/z = dot(plane, ray).
 struct Plane {

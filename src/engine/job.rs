@@ -1,7 +1,7 @@
 //! One frame on its way: who waits for it, and until when.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::Instant;
 
 use parking_lot::Mutex;
@@ -34,6 +34,7 @@ pub struct Job {
     pub enqueued: Instant,
     waiters: Mutex<Waiters>,
     attempts: AtomicU32,
+    alone: AtomicBool,
 }
 
 struct Waiters {
@@ -54,6 +55,7 @@ impl Job {
             enqueued: Instant::now(),
             waiters: Mutex::new(waiters),
             attempts: AtomicU32::new(0),
+            alone: AtomicBool::new(false),
         };
         (Arc::new(job), receiver)
     }
@@ -92,6 +94,15 @@ impl Job {
                 let _ = sender.send(reply);
             }
         }
+    }
+
+    /// From now on no dispatch draws it together with other frames.
+    pub fn set_alone(&self) {
+        self.alone.store(true, Ordering::Relaxed);
+    }
+
+    pub fn is_alone(&self) -> bool {
+        self.alone.load(Ordering::Relaxed)
     }
 
     /// Counts a try; false when there have been too many.

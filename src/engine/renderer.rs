@@ -17,7 +17,7 @@ use crate::passes::{
     self, Context, FrameTask, PassSpan, Pipelines, SMALL_TRIANGLE_PX, Scratch, Uniforms,
 };
 use crate::plan::{Output, Pass};
-use crate::residency::layout::GpuStats;
+use crate::residency::layout::{GpuStats, MOST_VIEWS};
 use crate::residency::model::SceneModel;
 use crate::residency::{Residency, ResidencyError};
 
@@ -36,7 +36,7 @@ pub struct Renderer {
 
 /// A submission on its way.
 pub struct InFlight {
-    frames: Vec<FlyingFrame>,
+    groups: Vec<FlyingGroup>,
     timer: Timer,
     stamps: Option<(Landing, u64)>,
     index: wgpu::SubmissionIndex,
@@ -45,9 +45,11 @@ pub struct InFlight {
     submitted: Instant,
 }
 
-struct FlyingFrame {
-    job: Arc<Job>,
+/// Frames that the same dispatches draw: their pixels one behind the other, then their counters.
+struct FlyingGroup {
+    jobs: Vec<Arc<Job>>,
     landing: Landing,
+    /// Of one frame.
     pixel_bytes: u64,
     spans: Vec<PassSpan>,
     large_capacity: u32,
@@ -59,10 +61,12 @@ pub struct Drawn {
     pub job: Arc<Job>,
     pub image: FrameImage,
     pub stats: GpuStats,
-    /// Time of every pass that ran, in order; `None` where the adapter cannot say.
+    /// Time of every pass that ran, in order, its views having equal shares; `None` where the adapter cannot say.
     pub pass_ns: Vec<(Pass, Option<u64>)>,
     pub gpu_ns: Option<u64>,
     pub batch_size: u32,
+    /// Frames that the same dispatches drew.
+    pub views: u32,
     pub queue: Duration,
     pub record: Duration,
     pub readback: Duration,
@@ -81,7 +85,40 @@ pub struct Landed {
 
 /// After this long at one submission the device is given up.
 const PATIENCE: Duration = Duration::from_secs(600);
+/// Pixels of views drawn together, and entries or instances in their lists.
+const SHARED_PIXELS: u64 = 1 << 20;
+const SHARED_ENTRIES: u64 = 1 << 19;
 const STATS_BYTES: u64 = size_of::<GpuStats>() as u64;
+
+impl InFlight {
+    fn jobs(&self) -> impl Iterator<Item = &Arc<Job>> {
+        self.groups.iter().flat_map(|group| &group.jobs)
+    }
+}
+
+impl FlyingGroup {
+    /// The frames of a group that has landed.
+    fn read(&self) -> Option<Vec<(FrameImage, GpuStats)>> {
+        let (size, count) = (self.pixel_bytes as usize, self.jobs.len());
+        let total = (self.pixel_bytes + STATS_BYTES) * count as u64;
+        self.landing.read(total, |bytes| {
+            let (pixels, stats) = bytes.split_at(size * count);
+            let stats = stats.chunks_exact(STATS_BYTES as usize);
+            let frames = self.jobs.iter().zip(pixels.chunks_exact(size)).zip(stats);
+            frames
+                .map(|((job, pixels), stats)| {
+                    (image(job, pixels), bytemuck::pod_read_unaligned(stats))
+                })
+                .collect()
+        })
+    }
+}
+
+impl Landed {
+    fn refuse(&mut self, jobs: Vec<Arc<Job>>, error: &EngineError) {
+        self.failed.extend(jobs.into_iter().map(|job| (job, error.clone())));
+    }
+}
 
 impl Renderer {
     /// Opens an adapter; `budget` is asked once its limits are known.
@@ -165,9 +202,10 @@ impl Renderer {
             .gpu
             .device
             .create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("batch") });
-        let tasks: Vec<FrameTask> = jobs.iter().map(|job| self.task(job)).collect();
+        let groups = self.group(&jobs);
+        let tasks: Vec<FrameTask> = groups.iter().map(|group| self.task(group)).collect();
         let mut uniforms = Uniforms::default();
-        let mut offsets = Vec::with_capacity(jobs.len());
+        let mut offsets = Vec::with_capacity(tasks.len());
         for task in &tasks {
             let Some(scene) = self.residency.scene(&task.model.id) else {
                 return Err((
@@ -175,17 +213,17 @@ impl Renderer {
                     EngineError::Internal("a scene left the GPU before its frame".into()),
                 ));
             };
-            self.scratch.reserve(&self.gpu, scene, task.view.width, task.view.height);
+            self.scratch.reserve(&self.gpu, scene, task.size(), task.count());
             if task.plan.runs(Pass::Shade) {
-                self.scratch.reserve_normals(&self.gpu, task.view.width, task.view.height);
+                self.scratch.reserve_normals(&self.gpu, task.size(), task.count());
             }
-            offsets.push(uniforms.frame(task, scene));
+            offsets.push(uniforms.group(task, scene));
         }
         uniforms.write(&self.gpu, &mut self.scratch);
-        let mut recorded = Vec::with_capacity(jobs.len());
+        let mut recorded = Vec::with_capacity(tasks.len());
         for (task, offset) in tasks.iter().zip(&offsets) {
-            match self.record_frame(&mut encoder, &mut timer, task, offset) {
-                Ok(frame) => recorded.push(frame),
+            match self.record_group(&mut encoder, &mut timer, task, offset) {
+                Ok(group) => recorded.push(group),
                 Err(error) => return Err((jobs, error)),
             }
         }
@@ -198,28 +236,65 @@ impl Renderer {
         // Some adapters begin to draw at once.
         let submitted = Instant::now();
         let index = self.gpu.queue.submit([commands]);
-        let frames: Vec<FlyingFrame> = jobs
+        let groups: Vec<FlyingGroup> = groups
             .into_iter()
             .zip(recorded)
-            .map(|(job, (landing, pixel_bytes, spans))| {
+            .map(|(jobs, (landing, pixel_bytes, spans))| {
                 landing.map();
-                let gpu_bytes = job.resolved.model.gpu_bytes();
+                let gpu_bytes = jobs.first().map_or(0, |job| job.resolved.model.gpu_bytes());
                 let large_capacity = self.scratch.large_capacity();
-                FlyingFrame { job, landing, pixel_bytes, spans, large_capacity, gpu_bytes }
+                FlyingGroup { jobs, landing, pixel_bytes, spans, large_capacity, gpu_bytes }
             })
             .collect();
         if let Some((landing, _)) = &stamps {
             landing.map();
         }
-        Ok(InFlight { frames, timer, stamps, index, began, record: submitted - began, submitted })
+        Ok(InFlight { groups, timer, stamps, index, began, record: submitted - began, submitted })
     }
 
-    fn task(&self, job: &Job) -> FrameTask {
+    /// Jobs that the same dispatches can draw: one scene, size and output. Their order within a group is that of `jobs`.
+    fn group(&self, jobs: &[Arc<Job>]) -> Vec<Vec<Arc<Job>>> {
+        let mut groups: Vec<Vec<Arc<Job>>> = Vec::new();
+        for job in jobs {
+            let like = |group: &Vec<Arc<Job>>| {
+                group.first().is_some_and(|first| {
+                    !first.is_alone()
+                        && !job.is_alone()
+                        && Arc::ptr_eq(&first.resolved.model, &job.resolved.model)
+                        && first.resolved.plan == job.resolved.plan
+                        && first.request.output == job.request.output
+                        && first.request.width == job.request.width
+                        && first.request.height == job.request.height
+                        && group.len() < self.most_views(job)
+                })
+            };
+            match groups.iter_mut().find(|group| like(group)) {
+                Some(group) => group.push(job.clone()),
+                None => groups.push(vec![job.clone()]),
+            }
+        }
+        groups
+    }
+
+    /// Views of a job's scene that may be drawn together: what each needs of a buffer must fit it as often.
+    fn most_views(&self, job: &Job) -> usize {
+        let Some(scene) = self.residency.scene(&job.resolved.model.id) else { return 1 };
+        let pixels = u64::from(job.request.width) * u64::from(job.request.height);
+        let lists = u64::from(scene.entry_count.max(scene.instance_count));
+        let shared = (SHARED_PIXELS / pixels.max(1)).min(SHARED_ENTRIES / lists.max(1));
+        let largest = Scratch::largest(scene, (job.request.width, job.request.height));
+        let bound = self.gpu.max_binding_bytes() / largest.max(1);
+        shared.min(bound).clamp(1, u64::from(MOST_VIEWS)) as usize
+    }
+
+    fn task(&self, jobs: &[Arc<Job>]) -> FrameTask {
+        // Groups are never empty.
+        let first = &jobs[0];
         FrameTask {
-            model: job.resolved.model.clone(),
-            view: job.resolved.view,
-            output: job.request.output,
-            plan: job.resolved.plan.clone(),
+            model: first.resolved.model.clone(),
+            views: jobs.iter().map(|job| job.resolved.view).collect(),
+            output: first.request.output,
+            plan: first.resolved.plan.clone(),
             small_triangle_px: self.small_triangle_px,
             large_capacity: self.scratch.large_capacity(),
             large_units_limit: self.large_units_limit(),
@@ -231,7 +306,7 @@ impl Renderer {
         if self.gpu.is_cpu { 1 << 20 } else { 1 << 24 }
     }
 
-    fn record_frame(
+    fn record_group(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
         timer: &mut Timer,
@@ -253,22 +328,17 @@ impl Renderer {
         };
         let recorded = passes::record(&mut context, encoder, task, scene, offset)
             .map_err(|error| internal(error.to_string()))?;
-        let pixel_bytes = u64::from(task.view.width) * u64::from(task.view.height) * 4;
-        let landing = self.ring.take(&self.gpu, pixel_bytes + STATS_BYTES);
-        encoder.copy_buffer_to_buffer(
-            self.scratch.pixels.buffer().raw(),
-            0,
-            landing.buffer(),
-            0,
-            pixel_bytes,
-        );
-        encoder.copy_buffer_to_buffer(
-            self.scratch.stats.buffer().raw(),
-            0,
-            landing.buffer(),
-            pixel_bytes,
-            STATS_BYTES,
-        );
+        let (width, height) = task.size();
+        let pixel_bytes = u64::from(width) * u64::from(height) * 4;
+        let (pixels, stats) =
+            (u64::from(task.count()) * pixel_bytes, u64::from(task.count()) * STATS_BYTES);
+        let landing = self.ring.take(&self.gpu, pixels + stats);
+        for (source, start, length) in
+            [(&self.scratch.pixels, 0, pixels), (&self.scratch.stats, pixels, stats)]
+        {
+            let source = source.buffer().raw();
+            encoder.copy_buffer_to_buffer(source, 0, landing.buffer(), start, length);
+        }
         Ok((landing, pixel_bytes, recorded.spans))
     }
 
@@ -289,7 +359,7 @@ impl Renderer {
                 return waited;
             }
             let frames: Vec<&str> =
-                flight.frames.iter().map(|frame| frame.job.resolved.model.id.as_str()).collect();
+                flight.jobs().map(|job| job.resolved.model.id.as_str()).collect();
             let elapsed_s = flight.began.elapsed().as_secs();
             tracing::warn!(?frames, elapsed_s, "the GPU is still drawing");
         }
@@ -300,14 +370,14 @@ impl Renderer {
         let mut waited = self.wait(&flight, Some(&flight.index));
         // The callbacks of mappings run within polls.
         let pending =
-            |flight: &[FlyingFrame]| flight.iter().any(|frame| frame.landing.is_pending());
+            |flight: &InFlight| flight.groups.iter().any(|group| group.landing.is_pending());
         if matches!(waited, Err(wgpu::PollError::WrongSubmissionIndex(..))) {
             // Never begun. A device that is gone says so once its queue is empty.
             waited = self.wait(&flight, None);
         }
         let given_up = waited.is_err() && !self.gpu.is_lost();
         let mut tries = 0;
-        while waited.is_ok() && pending(&flight.frames) && tries < 1000 {
+        while waited.is_ok() && pending(&flight) && tries < 1000 {
             if self.gpu.device.poll(wgpu::PollType::Poll).is_err() {
                 break;
             }
@@ -319,84 +389,71 @@ impl Renderer {
         let stamps = flight.stamps.as_ref().and_then(|(landing, bytes)| {
             landing.read(*bytes, bytemuck::pod_collect_to_vec::<u8, u64>)
         });
-        let batch_size = flight.frames.len() as u32;
-        for frame in flight.frames {
-            let total = frame.pixel_bytes + STATS_BYTES;
-            let split = frame.pixel_bytes as usize;
-            let read = frame.landing.read(total, |bytes| {
-                let stats: GpuStats = bytemuck::pod_read_unaligned(&bytes[split..]);
-                (image(&frame.job, &bytes[..split]), stats)
-            });
-            let Some((image, stats)) = read else {
-                match &fault {
+        let batch_size = flight.jobs().count() as u32;
+        let (began, submitted, record) = (flight.began, flight.submitted, flight.record);
+        for group in flight.groups {
+            let read = group.read();
+            let Some(frames) = read else {
+                let refusal = match &fault {
                     // Refused, not lost: drawing it again would end the same way.
-                    Some(text) if !self.gpu.is_lost() => {
-                        landed.failed.push((frame.job, EngineError::Internal(text.clone())));
-                    }
+                    Some(text) if !self.gpu.is_lost() => Some(text.clone()),
                     _ if given_up => {
                         landed.lost = true;
-                        let text = format!("the GPU was at it for {} s", PATIENCE.as_secs());
-                        landed.failed.push((frame.job, EngineError::Internal(text)));
+                        Some(format!("the GPU was at it for {} s", PATIENCE.as_secs()))
                     }
                     _ => {
                         landed.lost = true;
-                        landed.again.push(frame.job);
+                        None
                     }
+                };
+                match refusal {
+                    Some(text) => landed.refuse(group.jobs, &EngineError::Internal(text)),
+                    None => landed.again.extend(group.jobs),
                 }
                 continue;
             };
-            self.ring.give_back(frame.landing);
+            self.ring.give_back(group.landing);
             if let Some(text) = &fault {
-                landed.failed.push((frame.job, EngineError::Internal(text.clone())));
+                landed.refuse(group.jobs, &EngineError::Internal(text.clone()));
                 continue;
             }
-            if stats.large_wrapped != 0 || stats.large_units > self.large_units_limit() {
-                let units = match stats.large_wrapped {
-                    0 => u64::from(stats.large_units),
-                    _ => u64::from(u32::MAX),
-                };
-                landed.failed.push((
-                    frame.job,
-                    EngineError::OverLimit {
-                        what: "pixels to test for large triangles",
-                        found: units * 4096,
-                        limit: u64::from(self.large_units_limit()) * 4096,
-                    },
-                ));
-                continue;
-            }
-            if stats.large_longest > frame.large_capacity {
-                self.scratch.grow_large(&self.gpu, stats.large_longest);
-                if self.scratch.large_capacity() < stats.large_longest {
-                    landed.failed.push((
-                        frame.job,
-                        EngineError::OverLimit {
-                            what: "large triangles in view",
-                            found: u64::from(stats.large_longest),
-                            limit: u64::from(self.scratch.large_capacity()),
-                        },
-                    ));
+            let views = frames.len() as u32;
+            let shared = frames.first().map(|(_, stats)| *stats).unwrap_or_default();
+            if let Some(error) = self.over_limit(&shared, group.large_capacity) {
+                if views > 1 {
+                    // One view's triangles must not cost the others their frames.
+                    group.jobs.iter().for_each(|job| job.set_alone());
+                    landed.again.extend(group.jobs);
                 } else {
-                    landed.again.push(frame.job);
+                    landed.refuse(group.jobs, &error);
                 }
                 continue;
             }
+            if shared.large_longest > group.large_capacity {
+                landed.again.extend(group.jobs);
+                continue;
+            }
             let now = Instant::now();
-            let (pass_ns, gpu_ns) = self.durations(&frame.spans, stamps.as_deref());
-            let since = now - flight.submitted;
-            landed.drawn.push(Drawn {
-                queue: flight.began.saturating_duration_since(frame.job.enqueued),
-                record: flight.record,
-                readback: since.saturating_sub(Duration::from_nanos(gpu_ns.unwrap_or(0))),
-                job: frame.job,
-                image,
-                stats,
-                pass_ns,
-                gpu_ns,
-                batch_size,
-                gpu_bytes: frame.gpu_bytes,
-                landed: now,
-            });
+            let (mut pass_ns, gpu_ns) = self.durations(&group.spans, stamps.as_deref());
+            let share = |ns: Option<u64>| ns.map(|ns| ns / u64::from(views));
+            pass_ns.iter_mut().for_each(|(_, ns)| *ns = share(*ns));
+            let since = now - submitted;
+            for (job, (image, stats)) in group.jobs.into_iter().zip(frames) {
+                landed.drawn.push(Drawn {
+                    queue: began.saturating_duration_since(job.enqueued),
+                    record,
+                    readback: since.saturating_sub(Duration::from_nanos(gpu_ns.unwrap_or(0))),
+                    job,
+                    image,
+                    stats,
+                    pass_ns: pass_ns.clone(),
+                    gpu_ns: share(gpu_ns),
+                    batch_size,
+                    views,
+                    gpu_bytes: group.gpu_bytes,
+                    landed: now,
+                });
+            }
         }
         if let Some((landing, _)) = flight.stamps {
             self.ring.give_back(landing);
@@ -404,6 +461,31 @@ impl Renderer {
         self.timers.push(flight.timer);
         landed.lost |= self.gpu.is_lost();
         landed
+    }
+
+    /// Why a group cannot be drawn: its large triangles cover too much, or are more than a list holds. Makes room where that
+    /// helps.
+    fn over_limit(&mut self, stats: &GpuStats, capacity: u32) -> Option<EngineError> {
+        if stats.large_wrapped != 0 || stats.large_units > self.large_units_limit() {
+            let units = match stats.large_wrapped {
+                0 => u64::from(stats.large_units),
+                _ => u64::from(u32::MAX),
+            };
+            return Some(EngineError::OverLimit {
+                what: "pixels to test for large triangles",
+                found: units * 4096,
+                limit: u64::from(self.large_units_limit()) * 4096,
+            });
+        }
+        if stats.large_longest <= capacity {
+            return None;
+        }
+        self.scratch.grow_large(&self.gpu, stats.large_longest);
+        (self.scratch.large_capacity() < stats.large_longest).then(|| EngineError::OverLimit {
+            what: "large triangles in view",
+            found: u64::from(stats.large_longest),
+            limit: u64::from(self.scratch.large_capacity()),
+        })
     }
 
     /// Time of each pass, parts of one pass added up, and from the first begin to the last end.

@@ -21,6 +21,7 @@ use super::shared::{Adapter, Phase, Shared};
 use super::{EncodedFrame, EngineError};
 use crate::gpu::{GpuError, GpuOptions};
 use crate::plan::Pass;
+use crate::residency::layout::MOST_ROWS;
 
 /// Submissions in flight while more jobs wait: one is drawn while the next is recorded.
 const DEPTH: usize = 2;
@@ -93,7 +94,7 @@ fn open(shared: &Shared, options: &GpuOptions) -> Result<Renderer, GpuError> {
         atomics_64: renderer.gpu.atomics_64,
         rasterises: renderer.gpu.rasterises,
         max_binding_bytes: renderer.gpu.max_binding_bytes(),
-        max_side: renderer.gpu.limits.max_texture_dimension_2d,
+        max_side: renderer.gpu.limits.max_texture_dimension_2d.min(MOST_ROWS),
         budget: renderer.residency.budget(),
     });
     shared.set_phase(Phase::Ready);
@@ -298,6 +299,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         revision: resolved.model.revision,
         adapter: shared.adapter().name,
         batch_size: drawn.batch_size,
+        views: drawn.views,
         camera: resolved.camera.clone(),
         settings: job.request.settings,
         max_error_px: None,

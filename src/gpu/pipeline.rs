@@ -150,19 +150,27 @@ impl ComputePipeline {
 }
 
 impl RasterPipeline {
-    /// Builds a pipeline of the entry points `vertex` and `fragment` over triangles, nothing culled.
+    /// Builds a pipeline of the entry points `vertex` and `fragment` over triangles, nothing culled, with the given values
+    /// of overrides.
     ///
     /// # Errors
     /// As [`ComputePipeline::new`].
-    pub fn new(gpu: &Gpu, name: &'static str, composed: &Composed) -> Result<Self, ShaderError> {
+    pub fn new(
+        gpu: &Gpu,
+        name: &'static str,
+        composed: &Composed,
+        constants: &[(&str, f64)],
+    ) -> Result<Self, ShaderError> {
         let reflected = reflect(gpu, name, composed, wgpu::ShaderStages::VERTEX_FRAGMENT)?;
+        let compilation_options =
+            wgpu::PipelineCompilationOptions { constants, ..Default::default() };
         let pipeline = gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
             label: Some(name),
             layout: Some(&reflected.layout),
             vertex: wgpu::VertexState {
                 module: &reflected.module,
                 entry_point: Some("vertex"),
-                compilation_options: Default::default(),
+                compilation_options: compilation_options.clone(),
                 buffers: &[],
             },
             primitive: wgpu::PrimitiveState::default(),
@@ -171,7 +179,7 @@ impl RasterPipeline {
             fragment: Some(wgpu::FragmentState {
                 module: &reflected.module,
                 entry_point: Some("fragment"),
-                compilation_options: Default::default(),
+                compilation_options,
                 targets: &[Some(wgpu::ColorTargetState {
                     format: wgpu::TextureFormat::R8Unorm,
                     blend: None,

@@ -8,11 +8,12 @@ use crate::residency::ResidentScene;
 use crate::residency::layout::{GpuFrame, two_floats};
 use crate::residency::model::SceneModel;
 
-/// One frame to record: the model (resident already), where it is seen from, what is wanted.
+/// Frames of one scene that are drawn together: the model (resident already), where it is seen from, what is wanted.
 #[derive(Clone)]
 pub struct FrameTask {
     pub model: Arc<SceneModel>,
-    pub view: View,
+    /// All of one size; at most [`MOST_VIEWS`](crate::residency::layout::MOST_VIEWS), and at least one.
+    pub views: Vec<View>,
     pub output: Output,
     pub plan: FramePlan,
     /// Boxes of triangles with a longer side than this go to the rasteriser.
@@ -48,9 +49,20 @@ pub fn output_number(output: Output) -> u32 {
     }
 }
 
-/// The uniform record of a frame.
-pub fn frame_record(task: &FrameTask, scene: &ResidentScene) -> GpuFrame {
-    let view = &task.view;
+impl FrameTask {
+    pub fn size(&self) -> (u32, u32) {
+        self.views.first().map_or((0, 0), |view| (view.width, view.height))
+    }
+
+    /// How many views there are.
+    pub fn count(&self) -> u32 {
+        self.views.len() as u32
+    }
+}
+
+/// The uniform record of view `number`.
+pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> GpuFrame {
+    let view = &task.views[number as usize];
     let axes = view.view_from_world.transpose();
     let row = |v: glam::DVec3| [v.x as f32, v.y as f32, v.z as f32, 0.0];
     let eye = view.eye.to_array().map(two_floats);
@@ -71,6 +83,14 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene) -> GpuFrame {
         small_triangle_px: task.small_triangle_px.min(64) as i32,
         large_capacity: task.large_capacity,
         large_units_limit: task.large_units_limit,
+        view: number,
+        views: task.count(),
+        first_pixel: number * view.width * view.height,
+        first_instance: number * scene.instance_count,
+        first_entry: number * scene.entry_count,
+        first_group: number * scene.group_slots(),
+        first_slot: number * scene.chunk_count,
+        first_run: number * scene.pages.len() as u32,
         unused_0: 0,
         unused_1: 0,
     }

@@ -7,6 +7,9 @@
 //!    └─ resolve_samples, resolve_triangles        attributes of the visible pixels only
 //!       shade                                     lights, once a pixel
 //! ```
+//! Frames of one scene, size and output go through the passes together: a dispatch counts the views in z, and each view has
+//! its share of every buffer.
+//!
 //! A visibility buffer filled by 64-bit atomics in compute draws points an order of magnitude faster than a rasteriser
 //! (Schütz, Kerbl, Wimmer 2021, "Rendering point clouds with compute shaders"); triangles of a few pixels go the same way.
 //! Where 64-bit atomics are absent, two passes over 32-bit words decide first the depth, then the id.

@@ -20,6 +20,10 @@ struct Variant {
 /// Values of a module's overrides, by name; booleans are 0 or 1.
 pub type Constants = Vec<(&'static str, u32)>;
 
+fn values(constants: &Constants) -> Vec<(&'static str, f64)> {
+    constants.iter().map(|&(name, value)| (name, f64::from(value))).collect()
+}
+
 /// Every pipeline built so far.
 #[derive(Default)]
 pub struct Pipelines {
@@ -37,8 +41,7 @@ impl Pipelines {
         name: &'static str,
         constants: Constants,
     ) -> Result<Rc<ComputePipeline>, ShaderError> {
-        let values: Vec<_> =
-            constants.iter().map(|&(name, value)| (name, f64::from(value))).collect();
+        let values = values(&constants);
         let variant = Variant { name, visibility: None, alpha_cut: false, constants };
         if let Some(pipeline) = self.compute.get(&variant) {
             return Ok(pipeline.clone());
@@ -61,14 +64,15 @@ impl Pipelines {
         name: &'static str,
         visibility: Visibility,
         alpha_cut: bool,
+        constants: Constants,
     ) -> Result<Rc<ComputePipeline>, ShaderError> {
-        let variant =
-            Variant { name, visibility: Some(visibility), alpha_cut, constants: Vec::new() };
+        let values = values(&constants);
+        let variant = Variant { name, visibility: Some(visibility), alpha_cut, constants };
         if let Some(pipeline) = self.compute.get(&variant) {
             return Ok(pipeline.clone());
         }
         let composed = shaders::visible(root, visibility, alpha_cut)?;
-        let pipeline = Rc::new(ComputePipeline::new(gpu, name, &composed, &[])?);
+        let pipeline = Rc::new(ComputePipeline::new(gpu, name, &composed, &values)?);
         self.compute.insert(variant, pipeline.clone());
         Ok(pipeline)
     }
@@ -79,15 +83,16 @@ impl Pipelines {
         gpu: &Gpu,
         visibility: Visibility,
         alpha_cut: bool,
+        constants: Constants,
     ) -> Result<Rc<RasterPipeline>, ShaderError> {
         let name = "rasterise_triangles";
-        let variant =
-            Variant { name, visibility: Some(visibility), alpha_cut, constants: Vec::new() };
+        let values = values(&constants);
+        let variant = Variant { name, visibility: Some(visibility), alpha_cut, constants };
         if let Some(pipeline) = self.raster.get(&variant) {
             return Ok(pipeline.clone());
         }
         let composed = shaders::visible("project/rasterise_triangles", visibility, alpha_cut)?;
-        let pipeline = Rc::new(RasterPipeline::new(gpu, name, &composed)?);
+        let pipeline = Rc::new(RasterPipeline::new(gpu, name, &composed, &values)?);
         self.raster.insert(variant, pipeline.clone());
         Ok(pipeline)
     }

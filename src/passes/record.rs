@@ -1,10 +1,10 @@
-//! Recording one frame: a list of calls, one a pass.
+//! Recording a group of frames of one scene: a list of calls, one a pass. A dispatch counts the group's views in z.
 
 use std::cell::RefCell;
 use std::rc::Rc;
 
 use super::frame::{FrameTask, frame_record, output_number};
-use super::pipelines::Pipelines;
+use super::pipelines::{Constants, Pipelines};
 use super::scratch::Scratch;
 use super::shaders::Visibility;
 use crate::gpu::Gpu;
@@ -14,9 +14,11 @@ use crate::gpu::pipeline::{BindingSlot, ComputePipeline, GROUPS};
 use crate::gpu::shader::ShaderError;
 use crate::gpu::timing::{Span, Timer};
 use crate::plan::{Output, Pass};
-use crate::residency::layout::{FEW_LIGHTS, GpuDispatch, GpuFrame, GpuLight};
+use crate::residency::layout::{FEW_LIGHTS, GpuDispatch, GpuFrame, GpuLight, MOST_VIEWS};
 use crate::residency::{PageKind, Residency, ResidentScene};
 
+/// What a shader binds as the views' records, however many there are.
+const VIEWS_WINDOW: u64 = MOST_VIEWS as u64 * size_of::<GpuFrame>() as u64;
 /// Uniform records begin at multiples of this.
 const ALIGN: u64 = 256;
 /// Workgroups in x before an indirect or direct dispatch takes a second row; as in the shaders.
@@ -34,7 +36,7 @@ pub struct PassSpan {
     pub span: Option<Span>,
 }
 
-/// What recording a frame leaves behind.
+/// What recording a group leaves behind.
 #[derive(Clone, Debug, Default)]
 pub struct Recorded {
     pub spans: Vec<PassSpan>,
@@ -47,16 +49,18 @@ pub struct Uniforms {
 }
 
 impl Uniforms {
-    fn push<T: bytemuck::NoUninit>(&mut self, record: &T) -> u32 {
+    fn push<T: bytemuck::NoUninit>(&mut self, records: &[T]) -> u32 {
         let offset = self.bytes.len();
-        self.bytes.extend_from_slice(bytemuck::bytes_of(record));
+        self.bytes.extend_from_slice(bytemuck::cast_slice(records));
         self.bytes.resize(self.bytes.len().next_multiple_of(ALIGN as usize), 0);
         offset as u32
     }
 
-    /// Where the frame's records lie: the frame's own, then one a segment.
-    pub fn frame(&mut self, task: &FrameTask, scene: &ResidentScene) -> FrameUniforms {
-        let frame = self.push(&frame_record(task, scene));
+    /// Where a group's records lie: those of its views, then one a segment.
+    pub fn group(&mut self, task: &FrameTask, scene: &ResidentScene) -> FrameUniforms {
+        let views: Vec<GpuFrame> =
+            (0..task.count()).map(|number| frame_record(task, scene, number)).collect();
+        let frame = self.push(views.as_slice());
         let segments = (0..scene.pages.len() as u32)
             .map(|index| self.push(&[index, u32::from(index == 0), 0u32, 0u32]))
             .collect();
@@ -64,7 +68,8 @@ impl Uniforms {
     }
 
     pub fn write(&self, gpu: &Gpu, scratch: &mut Scratch) {
-        scratch.uniforms.reserve(gpu, self.bytes.len() as u64);
+        // The last group's window may reach beyond its views.
+        scratch.uniforms.reserve(gpu, self.bytes.len() as u64 + VIEWS_WINDOW);
         gpu.queue.write_buffer(scratch.uniforms.buffer().raw(), 0, &self.bytes);
     }
 }
@@ -86,7 +91,7 @@ pub struct Context<'a> {
     pub timer: &'a mut Timer,
 }
 
-/// A frame being recorded.
+/// A group being recorded.
 struct Recorder<'a, 'c> {
     context: &'a mut Context<'c>,
     scene: &'a ResidentScene,
@@ -111,16 +116,19 @@ pub fn record(
 ) -> Result<Recorded, ShaderError> {
     let atomics_64 = context.gpu.atomics_64;
     let mut recorder = Recorder { context, scene, task, uniforms, out: Recorded::default() };
-    let pixels = task.view.width * task.view.height;
+    let (width, height) = task.size();
+    let views = task.count();
+    let pixels = views * width * height;
     let plan = &task.plan;
     let cut = scene.alpha_cut;
 
     recorder.context.timer.begin_frame(encoder);
-    recorder.run(encoder, Pass::Clear, "select/clear", pixels.div_ceil(2).div_ceil(16 * 64))?;
-    recorder.run(encoder, Pass::Place, "select/place", scene.instance_count.div_ceil(64))?;
-    recorder.run(encoder, Pass::Cull, "select/cull", scene.entry_count.div_ceil(32 * 32))?;
-    recorder.run(encoder, Pass::Scan, "select/scan", 1)?;
-    recorder.run(encoder, Pass::Compact, "select/compact", scene.entry_count.div_ceil(64))?;
+    let entries = scene.entry_count;
+    recorder.run(encoder, Pass::Clear, "select/clear", pixels.div_ceil(2).div_ceil(16 * 64), 1)?;
+    recorder.run(encoder, Pass::Place, "select/place", scene.instance_count.div_ceil(64), views)?;
+    recorder.run(encoder, Pass::Cull, "select/cull", entries.div_ceil(32 * 32), views)?;
+    recorder.run(encoder, Pass::Scan, "select/scan", 1, views)?;
+    recorder.run(encoder, Pass::Compact, "select/compact", entries.div_ceil(64), views)?;
     let (first, second) = if atomics_64 {
         (Visibility::Wide, None)
     } else {
@@ -130,7 +138,7 @@ pub fn record(
     if let Some(second) = second {
         recorder.project(encoder, second, cut)?;
     }
-    let tiles = (task.view.width.div_ceil(TILE.0), task.view.height.div_ceil(TILE.1));
+    let tiles = [width.div_ceil(TILE.0), height.div_ceil(TILE.1), views];
     if plan.runs(Pass::ResolveSamples) {
         recorder.resolve(
             encoder,
@@ -164,9 +172,11 @@ impl Recorder<'_, '_> {
         pass: Pass,
         root: &str,
         groups: u32,
+        views: u32,
     ) -> Result<(), ShaderError> {
+        let constants = self.constants();
         let pipeline =
-            self.context.pipelines.plain(self.context.gpu, root, pass.name(), Vec::new())?;
+            self.context.pipelines.plain(self.context.gpu, root, pass.name(), constants)?;
         let binds = self.bind(&pipeline, None)?;
         let (mut recorded, span) = self.context.timer.compute(encoder, pass.name());
         set(&mut recorded, &pipeline, &binds);
@@ -174,13 +184,18 @@ impl Recorder<'_, '_> {
             recorded.dispatch_workgroups(
                 groups.min(DISPATCH_ROW),
                 groups.div_ceil(DISPATCH_ROW),
-                1,
+                views,
             );
         }
         drop(recorded);
         self.context.timer.settle(encoder);
         self.out.spans.push(PassSpan { pass, span });
         Ok(())
+    }
+
+    /// Values of overrides that every pass has.
+    fn constants(&self) -> Constants {
+        vec![("VIEWS", u32::from(self.task.count() > 1))]
     }
 
     fn segments(&self, kind: PageKind) -> Vec<usize> {
@@ -203,6 +218,7 @@ impl Recorder<'_, '_> {
                 "project_samples",
                 visibility,
                 false,
+                self.constants(),
             )?;
             self.dispatch_segments(encoder, samples, &pipeline, PageKind::Samples)?;
         }
@@ -267,6 +283,7 @@ impl Recorder<'_, '_> {
             "project_triangles",
             visibility,
             alpha_cut,
+            self.constants(),
         )?;
         let binds = self.bind(&pipeline, Some(segment))?;
         let (mut recorded, span) = self.context.timer.compute(encoder, pass.name());
@@ -295,11 +312,12 @@ impl Recorder<'_, '_> {
             "walk_triangles",
             visibility,
             alpha_cut,
+            self.constants(),
         )?;
         let binds = self.bind(&pipeline, Some(segment))?;
         let (mut recorded, span) = self.context.timer.compute(encoder, pass.name());
         set(&mut recorded, &pipeline, &binds);
-        recorded.dispatch_workgroups(WALK.0, self.task.view.height.div_ceil(WALK.1), 1);
+        recorded.dispatch_workgroups(WALK.0, self.task.size().1.div_ceil(WALK.1), 1);
         drop(recorded);
         self.context.timer.settle(encoder);
         self.out.spans.push(PassSpan { pass, span });
@@ -314,10 +332,12 @@ impl Recorder<'_, '_> {
         alpha_cut: bool,
         segment: usize,
     ) -> Result<(), ShaderError> {
-        let pipeline = self.context.pipelines.raster(self.context.gpu, visibility, alpha_cut)?;
+        let constants = self.constants();
+        let pipeline =
+            self.context.pipelines.raster(self.context.gpu, visibility, alpha_cut, constants)?;
         let binds = self.bind_layouts(&pipeline.layouts, &pipeline.bindings, Some(segment))?;
-        let view = &self.task.view;
-        let attachment = self.context.scratch.attachment(self.context.gpu, view.width, view.height);
+        let (width, height) = self.task.size();
+        let attachment = self.context.scratch.attachment(self.context.gpu, width, height);
         let (mut recorded, span) = self.context.timer.raster(encoder, pass.name(), &attachment);
         recorded.set_pipeline(&pipeline.pipeline);
         for (index, (group, offsets)) in binds.iter().enumerate() {
@@ -336,15 +356,16 @@ impl Recorder<'_, '_> {
         pass: Pass,
         root: &str,
         kind: PageKind,
-        tiles: (u32, u32),
+        tiles: [u32; 3],
     ) -> Result<(), ShaderError> {
         let looks = self.scene.looks;
-        let constants = vec![
+        let mut constants = self.constants();
+        constants.extend([
             ("OUTPUT", output_number(self.task.output)),
             ("SHADED", u32::from(self.task.plan.runs(Pass::Shade))),
             ("OVERRIDES", u32::from(looks.overrides)),
             ("TEXTURES", u32::from(looks.textures)),
-        ];
+        ]);
         let pipeline =
             self.context.pipelines.plain(self.context.gpu, root, pass.name(), constants)?;
         let segments = self.segments(kind);
@@ -355,7 +376,7 @@ impl Recorder<'_, '_> {
         let (mut recorded, span) = self.context.timer.compute(encoder, pass.name());
         for binds in &binds {
             set(&mut recorded, &pipeline, binds);
-            recorded.dispatch_workgroups(tiles.0, tiles.1, 1);
+            recorded.dispatch_workgroups(tiles[0], tiles[1], tiles[2]);
         }
         drop(recorded);
         self.context.timer.settle(encoder);
@@ -366,23 +387,24 @@ impl Recorder<'_, '_> {
     fn shade(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
-        tiles: (u32, u32),
+        tiles: [u32; 3],
     ) -> Result<(), ShaderError> {
         let (looks, lights) = (self.scene.looks, self.scene.light_count);
-        let constants = vec![
+        let mut constants = self.constants();
+        constants.extend([
             ("OVERRIDES", u32::from(looks.overrides)),
             ("SPECULAR", u32::from(looks.specular)),
             ("POINT_LIGHTS", u32::from(looks.point_lights)),
             ("MATERIALS", u32::from(looks.overrides || looks.specular || looks.unlit)),
             ("FEW_LIGHTS", if lights > FEW_LIGHTS { 0 } else { lights }),
-        ];
+        ]);
         let name = Pass::Shade.name();
         let pipeline =
             self.context.pipelines.plain(self.context.gpu, "shade/shade", name, constants)?;
         let binds = self.bind(&pipeline, None)?;
         let (mut recorded, span) = self.context.timer.compute(encoder, name);
         set(&mut recorded, &pipeline, &binds);
-        recorded.dispatch_workgroups(tiles.0, tiles.1, 1);
+        recorded.dispatch_workgroups(tiles[0], tiles[1], tiles[2]);
         drop(recorded);
         self.context.timer.settle(encoder);
         self.out.spans.push(PassSpan { pass: Pass::Shade, span });
@@ -454,9 +476,9 @@ fn resolve_name<'b>(
             .map(|page| residency.mesh_page(page.index))
     };
     let buffer: &Buffer = match name {
-        "frame" => {
-            let window = size_of::<GpuFrame>() as u64;
-            return Some((Binding::Window(scratch.uniforms.buffer(), window), uniforms.frame));
+        "frames" => {
+            let window = Binding::Window(scratch.uniforms.buffer(), VIEWS_WINDOW);
+            return Some((window, uniforms.frame));
         }
         "segment" => {
             let offset = *uniforms.segments.get(segment?)?;
@@ -471,6 +493,7 @@ fn resolve_name<'b>(
         "ranks" => scratch.ranks.buffer(),
         "group_counts" => scratch.group_counts.buffer(),
         "slots" => scratch.slots.buffer(),
+        "runs" => scratch.runs.buffer(),
         "dispatches" => scratch.dispatches.buffer(),
         "large" => scratch.large.buffer(),
         "instances" => &scene.instances,

@@ -96,7 +96,7 @@ fn tiles_are_as_large() {
 #[test]
 fn the_walk_has_as_many_workgroups() {
     let walk = module("project/walk_triangles");
-    assert_eq!((scalar(&walk, "STRIDE"), scalar(&walk, "BANDS")), WALK);
+    assert_eq!((scalar(&walk, "STRIDE"), scalar(&walk, "BAND")), WALK);
     assert_eq!(scalar(&walk, "LANES"), threads(&walk));
 }
 
@@ -135,4 +135,18 @@ fn flags_and_outputs_have_the_same_numbers() {
     for (name, number) in numbers {
         assert_eq!(scalar(&triangles, name), number, "{name}");
     }
+}
+
+#[test]
+fn views_fit_their_records() {
+    let clear = module("select/clear");
+    assert_eq!(scalar(&clear, "STATS_WORDS") as usize * 4, size_of::<GpuStats>());
+    let mut globals = clear.global_variables.iter();
+    let (_, frames) = globals.find(|(_, v)| v.name.as_deref() == Some("frames")).unwrap();
+    let naga::TypeInner::Array { size, .. } = clear.types[frames.ty].inner else {
+        panic!("an array of views is expected")
+    };
+    assert_eq!(size, naga::ArraySize::Constant(MOST_VIEWS.try_into().unwrap()));
+    // An entry of the list of large triangles: two rows and a view in one word.
+    assert_eq!(2 * MOST_ROWS.ilog2() + MOST_VIEWS.ilog2(), 32);
 }

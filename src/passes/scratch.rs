@@ -2,10 +2,10 @@
 
 use crate::gpu::Gpu;
 use crate::gpu::buffer;
-use crate::residency::layout::{GpuDispatch, GpuPlaced, GpuSlot, GpuStats};
-use crate::residency::{GROUP, ResidentScene};
+use crate::residency::ResidentScene;
+use crate::residency::layout::{GpuDispatch, GpuPlaced, GpuRun, GpuSlot, GpuStats};
 
-/// Scratch of the device: frames of a batch run one behind the other and share it.
+/// Scratch of the device: the groups of a batch run one behind the other and share it.
 pub struct Scratch {
     pub visibility: buffer::Scratch,
     pub pixels: buffer::Scratch,
@@ -16,6 +16,7 @@ pub struct Scratch {
     pub ranks: buffer::Scratch,
     pub group_counts: buffer::Scratch,
     pub slots: buffer::Scratch,
+    pub runs: buffer::Scratch,
     pub dispatches: buffer::Scratch,
     pub large: buffer::Scratch,
     pub uniforms: buffer::Scratch,
@@ -45,6 +46,7 @@ impl Scratch {
             ranks: make("ranks"),
             group_counts: make("group_counts"),
             slots: make("slots"),
+            runs: make("runs"),
             dispatches: indirect("dispatches"),
             large: indirect("large"),
             uniforms: buffer::Scratch::new(
@@ -57,26 +59,44 @@ impl Scratch {
         }
     }
 
-    /// Makes room for a frame of `scene` with `width` · `height` pixels.
-    pub fn reserve(&mut self, gpu: &Gpu, scene: &ResidentScene, width: u32, height: u32) {
-        let pixels = u64::from(width) * u64::from(height);
+    /// Bytes of the largest buffer that one view needs.
+    pub fn largest(scene: &ResidentScene, (width, height): (u32, u32)) -> u64 {
+        let bytes = [
+            u64::from(width) * u64::from(height) * 8,
+            u64::from(scene.instance_count) * size_of::<GpuPlaced>() as u64,
+            u64::from(scene.chunk_count) * size_of::<GpuSlot>() as u64,
+        ];
+        bytes.into_iter().max().unwrap_or(0)
+    }
+
+    /// Makes room for `views` views of `scene` with `width` · `height` pixels each.
+    pub fn reserve(
+        &mut self,
+        gpu: &Gpu,
+        scene: &ResidentScene,
+        (width, height): (u32, u32),
+        views: u32,
+    ) {
+        let views = u64::from(views);
+        let pixels = views * u64::from(width) * u64::from(height);
         // A pair of pixels is cleared at a time.
         self.visibility.reserve(gpu, pixels.next_multiple_of(2) * 8);
         self.pixels.reserve(gpu, pixels * 4);
-        self.stats.reserve(gpu, size_of::<GpuStats>() as u64);
-        let instances = u64::from(scene.instance_count);
+        self.stats.reserve(gpu, views * size_of::<GpuStats>() as u64);
+        let instances = views * u64::from(scene.instance_count);
         self.placed.reserve(gpu, instances * size_of::<GpuPlaced>() as u64);
         self.seen.reserve(gpu, instances * 4);
-        self.ranks.reserve(gpu, u64::from(scene.entry_count) * 4);
-        self.group_counts.reserve(gpu, (u64::from(scene.entry_count) / GROUP as u64 + 1) * 4);
-        self.slots.reserve(gpu, u64::from(scene.chunk_count) * size_of::<GpuSlot>() as u64);
+        self.ranks.reserve(gpu, views * u64::from(scene.entry_count) * 4);
+        self.group_counts.reserve(gpu, views * u64::from(scene.group_slots()) * 4);
+        self.slots.reserve(gpu, views * u64::from(scene.chunk_count) * size_of::<GpuSlot>() as u64);
+        self.runs.reserve(gpu, views * (scene.pages.len() * size_of::<GpuRun>()) as u64);
         self.dispatches.reserve(gpu, scene.pages.len() as u64 * size_of::<GpuDispatch>() as u64);
         self.large.reserve(gpu, 16 + u64::from(self.large_capacity) * 8);
     }
 
     /// Room for the normals that a shade pass reads.
-    pub fn reserve_normals(&mut self, gpu: &Gpu, width: u32, height: u32) {
-        self.normals.reserve(gpu, u64::from(width) * u64::from(height) * 4);
+    pub fn reserve_normals(&mut self, gpu: &Gpu, (width, height): (u32, u32), views: u32) {
+        self.normals.reserve(gpu, u64::from(views) * u64::from(width) * u64::from(height) * 4);
     }
 
     pub fn large_capacity(&self) -> u32 {

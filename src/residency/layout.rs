@@ -74,14 +74,20 @@ pub struct GpuSegment {
     pub end_group: u32,
 }
 
+/// `Run` of `shared/scene.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct GpuRun {
+    pub first_slot: u32,
+    pub count: u32,
+}
+
 /// `Dispatch` of `shared/scene.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct GpuDispatch {
     pub groups: [u32; 3],
-    pub first_slot: u32,
-    pub count: u32,
-    pub pad: [u32; 3],
+    pub unused: u32,
 }
 
 /// `Stats` of `shared/scene.wgsl`.
@@ -149,6 +155,11 @@ pub struct GpuLight {
     pub place_lo: [f32; 4],
 }
 
+/// Views that the same dispatches draw at most; as in `shared/frame.wgsl`, and what four bits of a list's entry hold.
+pub const MOST_VIEWS: u32 = 16;
+/// Rows of an image at most: what fourteen bits of a list's entry hold.
+pub const MOST_ROWS: u32 = 1 << 14;
+
 /// Lights that are bound as uniforms; as in `shade/shade.wgsl`. The list of lights has room for as many at least.
 pub const FEW_LIGHTS: u32 = 4;
 
@@ -172,6 +183,14 @@ pub struct GpuFrame {
     pub small_triangle_px: i32,
     pub large_capacity: u32,
     pub large_units_limit: u32,
+    pub view: u32,
+    pub views: u32,
+    pub first_pixel: u32,
+    pub first_instance: u32,
+    pub first_entry: u32,
+    pub first_group: u32,
+    pub first_slot: u32,
+    pub first_run: u32,
     pub unused_0: u32,
     pub unused_1: u32,
 }
@@ -248,6 +267,7 @@ mod tests {
                 mirror!("Entry", GpuEntry, instance, chunk),
                 mirror!("Slot", GpuSlot, row_x, row_y, row_z, instance, chunk, first, count),
                 mirror!("Segment", GpuSegment, first_group, end_group),
+                mirror!("Run", GpuRun, first_slot, count),
             ],
         );
         check(
@@ -271,6 +291,14 @@ mod tests {
                 small_triangle_px,
                 large_capacity,
                 large_units_limit,
+                view,
+                views,
+                first_pixel,
+                first_instance,
+                first_entry,
+                first_group,
+                first_slot,
+                first_run,
                 unused_0,
                 unused_1
             )],
@@ -341,10 +369,7 @@ mod tests {
                         assert!(SCENE.contains(&text), "{text}");
                     }
                 }
-                _ => {
-                    assert_eq!(offset("first_slot"), std::mem::offset_of!(GpuDispatch, first_slot));
-                    assert_eq!(offset("count"), std::mem::offset_of!(GpuDispatch, count));
-                }
+                _ => assert_eq!(offset("unused"), std::mem::offset_of!(GpuDispatch, unused)),
             }
             *span as usize
         };

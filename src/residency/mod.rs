@@ -124,6 +124,13 @@ pub struct ResidentScene {
     material_length: u32,
 }
 
+impl ResidentScene {
+    /// Words that a view's prefix sum holds: one a group of entries, and the total.
+    pub fn group_slots(&self) -> u32 {
+        self.entry_count / GROUP as u32 + 1
+    }
+}
+
 /// GPU memory and what lies in it.
 pub struct Residency {
     samples: Vec<Arena>,

@@ -19,3 +19,4 @@ mod queueing;
 mod side_files;
 mod studio;
 mod tags;
+mod views;
