@@ -5,7 +5,7 @@ mod common;
 use std::path::Path;
 
 use common::drawing::{Drawing, Orbit, STEP_DEG, pass_medians, pass_ns};
-use common::peer::Vtk;
+use common::peer::{PYVISTA, Vtk};
 use common::report::{Bound, Report, number};
 use common::{files, median, median_ratio, ms, pick};
 use glam::DVec3;
@@ -13,14 +13,10 @@ use pointillist::engine::Receipt;
 
 const SIZE: u32 = 1024;
 
-/// How VTK may be told to draw points: names and arguments. The first is its fastest; the second is what who calls
-/// `pyvista.Plotter.add_points` without options gets (PyVista 0.49; the driver makes 4 multisamples of the 8).
+/// How VTK may be told to draw points: names and arguments. The first is its fastest.
 const WAYS: [(&str, &[&str]); 8] = [
     ("1 px, unlit, no multisamples", &[]),
-    (
-        "PyVista's defaults: 5 px, lit, 8 multisamples",
-        &["--point-size=5", "--lighting", "--multisamples=8"],
-    ),
+    ("PyVista's defaults: 5 px, lit, 8 multisamples", PYVISTA),
     ("VTK's defaults: 1 px, lit, 8 multisamples", &["--lighting", "--multisamples=8"]),
     ("one colour for all", &["--colors=none"]),
     ("heights through a lookup table", &["--colors=lut"]),

@@ -30,7 +30,8 @@ fn uses(root: &str, alias: &str) -> bool {
 fn compositions(root: &str) -> Vec<(String, Option<Visibility>, Composed)> {
     if !uses(root, "VISIBILITY") {
         assert!(!uses(root, "ALPHA"), "{root} tests alpha but writes no visibility");
-        let votes: &[bool] = if uses(root, "VOTE") { &[false, true] } else { &[false] };
+        let asks = shaders::plain(root, false).unwrap().source.contains("fn any_lane");
+        let votes: &[bool] = if asks { &[false, true] } else { &[false] };
         let composed = |&vote: &bool| {
             let name = format!("{root} (subgroups {vote})");
             (name, None, shaders::plain(root, vote).unwrap())

@@ -9,6 +9,10 @@ use serde_json::Value;
 
 use super::drawing::Orbit;
 
+/// What who calls `pyvista.Plotter.add_points` without options gets (PyVista 0.49; the driver makes 4 multisamples of
+/// the 8).
+pub const PYVISTA: &[&str] = &["--point-size=5", "--lighting", "--multisamples=8"];
+
 pub struct Vtk {
     child: Child,
     input: Option<ChildStdin>,

@@ -81,9 +81,9 @@ fn list_large(id: u32, bounds: ImageBounds) {
         atomicAdd(&stats[frame.view].triangles_rasterised, 1u);
         let box = high - low + vec2<u32>(1u);
         let units = (box.x * box.y + 4095u) / 4096u;
-        let old = atomicAdd(&stats[0].large_units, units);
+        let old = atomicAdd(&stats[frame.view].large_units, units);
         if old + units < old {
-            atomicMax(&stats[0].large_wrapped, 1u);
+            atomicMax(&stats[frame.view].large_wrapped, 1u);
         }
     }
 }

@@ -33,15 +33,20 @@ fn corner_positions(id: u32) -> array<vec3<f32>, 3> {
 @vertex
 fn vertex(@builtin(vertex_index) index: u32) -> Corner {
     begin_view(0u);
-    if !may_draw(stats[STAT_LARGE_LONGEST], stats[STAT_LARGE_UNITS], stats[STAT_LARGE_WRAPPED]) {
-        // All corners in one place: nothing is covered.
-        return Corner(vec4<f32>(0.0, 0.0, 0.0, 1.0), 0u, 0u);
+    // All corners in one place: nothing is covered.
+    let nowhere = Corner(vec4<f32>(0.0, 0.0, 0.0, 1.0), 0u, 0u);
+    if !list_is_whole(stats[STAT_LARGE_LONGEST]) {
+        return nowhere;
     }
     // All views have one size: the draw's viewport is right for each, and its attachment is nobody's.
     let entry = LIST_HEAD + index / 3u * LIST_ENTRY;
     let id = large[entry];
     let view = list_view(large[entry + 1u]);
     begin_view(view);
+    let counters = view * STATS_WORDS;
+    if !may_draw(stats[counters + STAT_LARGE_UNITS], stats[counters + STAT_LARGE_WRAPPED]) {
+        return nowhere;
+    }
     let p = corner_positions(id);
     let camera = p[index % 3u];
     let size = vec2<f32>(frame.size_px);

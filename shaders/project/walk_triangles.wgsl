@@ -163,8 +163,7 @@ fn triangle(id: u32, rows: vec2<i32>, lane: i32) {
 @compute @workgroup_size(8)
 fn walk_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     begin_view(0u);
-    let drawn = may_draw(stats[STAT_LARGE_LONGEST], stats[STAT_LARGE_UNITS], stats[STAT_LARGE_WRAPPED]);
-    let count = select(0u, large[0] / 3u, drawn);
+    let count = select(0u, large[0] / 3u, list_is_whole(stats[STAT_LARGE_LONGEST]));
     let height = i32(frame.size_px.y);
     let first = i32(group.y) * BAND;
     let last = min(first + BAND, height) - 1;
@@ -180,7 +179,8 @@ fn walk_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoca
             word = large[LIST_HEAD + i * LIST_ENTRY + 1u];
             rows = list_rows(word);
             rows = vec2<i32>(max(rows.x, first), min(rows.y, last));
-            if rows.x <= rows.y {
+            let counters = list_view(word) * STATS_WORDS;
+            if rows.x <= rows.y && may_draw(stats[counters + STAT_LARGE_UNITS], stats[counters + STAT_LARGE_WRAPPED]) {
                 break;
             }
             i += STRIDE;

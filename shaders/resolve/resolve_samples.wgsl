@@ -1,5 +1,4 @@
 // Attributes of the pixels that show a sample of one page.
-//!include VOTE
 //!include shared/frame
 //!include shared/scene
 //!include shared/octahedral
@@ -57,18 +56,18 @@ fn resolve_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
     let count = runs[frame.first_run + segment.index].count;
     var column = column_begin(group, lane);
     var resolved = 0u;
-    column_read(&column, begin, count);
+    resolve_load(&column, begin, count);
     // Runs of a chunk are short here: keeping what they have in common costs more than it saves.
     loop {
-        column_seek(&column, begin, count);
-        if column.pixel >= column.end {
+        resolve_seek(&column, begin, count);
+        if column_ends(column) {
             break;
         }
         if column.mine {
             resolve(column.pixel, column.at, column.word);
             resolved++;
         }
-        column_next(&column, begin, count);
+        resolve_next(&column, begin, count);
     }
     if resolved != 0u {
         atomicAdd(&stats[frame.view].pixels_of_samples, resolved);

@@ -1,5 +1,4 @@
 // Attributes of the pixels that show a triangle of one page: interpolated perspective-correctly at the pixel's centre.
-//!include VOTE
 //!include shared/frame
 //!include shared/scene
 //!include shared/octahedral
@@ -30,7 +29,7 @@ struct Shown {
 }
 
 // One of them: positions as interpolation needs them, and attributes of the first corner with what the others differ.
-struct Surface {
+struct Corners {
     form: Barycentric,
     color: array<vec3<f32>, 3>,
     // In world space, up to length.
@@ -78,8 +77,8 @@ fn corner_uv(word: u32) -> vec2<f32> {
     return vec2<f32>(bitcast<f32>(vertices[word + 5u]), bitcast<f32>(vertices[word + 6u]));
 }
 
-fn shown_surface(shown: Shown, triangle: u32) -> Surface {
-    var surface: Surface;
+fn shown_corners(shown: Shown, triangle: u32) -> Corners {
+    var surface: Corners;
     let corners = corner_words(shown.first + triangle, shown.vertex_first);
     surface.form = barycentric_forms(
         vertex_camera(shown.placed, corners.x),
@@ -111,7 +110,7 @@ fn shown_surface(shown: Shown, triangle: u32) -> Surface {
     return surface;
 }
 
-fn surface_color(surface: Surface, material: Material, w: Weights) -> vec3<f32> {
+fn surface_color(surface: Corners, material: Material, w: Weights) -> vec3<f32> {
     var color = material.base_color.rgb * (surface.color[0] + w.b * surface.color[1] + w.c * surface.color[2]);
     if TEXTURES && material.texture != 0u {
         color *= sample_texture(
@@ -124,7 +123,7 @@ fn surface_color(surface: Surface, material: Material, w: Weights) -> vec3<f32> 
     return color;
 }
 
-fn resolve(column: Column, shown: Shown, surface: Surface) {
+fn resolve(column: Column, shown: Shown, surface: Corners) {
     let pixel = column.pixel;
     if OUTPUT == OUTPUT_DEPTH {
         pixels[pixel] = bitcast<u32>(1.0 / bitcast<f32>(column.word.y));
@@ -156,10 +155,10 @@ fn resolve_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_inv
     let count = runs[frame.first_run + segment.index].count;
     var column = column_begin(group, lane);
     var resolved = 0u;
-    column_read(&column, begin, count);
+    resolve_load(&column, begin, count);
     loop {
-        column_seek(&column, begin, count);
-        if column.pixel >= column.end {
+        resolve_seek(&column, begin, count);
+        if column_ends(column) {
             break;
         }
         var shown: Shown;
@@ -170,16 +169,16 @@ fn resolve_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_inv
         loop {
             // Of a pixel that shows nothing: no id of a triangle.
             let id = select(0u, column.word.x, column.mine);
-            var surface: Surface;
+            var surface: Corners;
             if column.mine && (OUTPUT == OUTPUT_COLOR || OUTPUT == OUTPUT_NORMAL) {
-                surface = shown_surface(shown, ~id & SLOT_MASK);
+                surface = shown_corners(shown, ~id & SLOT_MASK);
             }
             loop {
                 if column.mine {
                     resolve(column, shown, surface);
                     resolved++;
                 }
-                column_next(&column, begin, count);
+                resolve_next(&column, begin, count);
                 if !any_lane(column.mine) || any_lane(column.mine && column.word.x != id) {
                     break;
                 }

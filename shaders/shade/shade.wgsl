@@ -1,10 +1,11 @@
 // Phong lighting of every covered pixel, once, from the resolved colour and normal.
-//!include VOTE
 //!include shared/frame
 //!include shared/scene
 //!include shared/octahedral
 //!include shared/colour
 //!include shared/material
+//!include VOTE
+//!include shared/column
 
 struct Light {
     // 0 ambient, 1 headlight, 2 sun, 3 point.
@@ -42,8 +43,6 @@ override MATERIALS: bool = true;
 // How many lights there are, if `few_lights` has them all, or 0.
 override FEW_LIGHTS: u32 = 0u;
 
-const TILE: vec2<u32> = vec2<u32>(64u, 16u);
-
 // The light's direction from the surface, and how much of it arrives.
 fn arriving(light: Light, from_eye: vec3<f32>, to_eye: vec3<f32>) -> vec4<f32> {
     let sun = vec4<f32>(-light.place_hi.xyz, 1.0);
@@ -69,7 +68,7 @@ fn phong(light: Light, albedo: vec3<f32>, material: Material, n: vec3<f32>, from
 }
 
 fn light_up(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
-    let slot = frame.first_slot + ((~word.x) >> SLOT_SHIFT);
+    let slot = frame.first_slot + slot_of(word);
     var material: Material;
     if MATERIALS {
         material = materials[chunks[slots[slot].chunk].material];
@@ -100,35 +99,26 @@ fn light_up(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
     pixels[pixel] = pack4x8unorm(vec4<f32>(srgb_from_linear(color), 1.0));
 }
 
-// Steps from covered pixel to covered pixel of a column: see shared/resolve.
 @compute @workgroup_size(64)
 fn shade(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     begin_view(group.z);
-    let size = frame.size_px;
-    var at = group.xy * TILE + vec2<u32>(lane, 0u);
-    var pixel = frame.first_pixel + at.y * size.x + at.x;
-    let below = frame.first_pixel + min(at.y + TILE.y, size.y) * size.x + at.x;
-    let end = select(below, pixel, at.x >= size.x);
+    var column = column_begin(group, lane);
+    column_load(&column);
     loop {
-        var word = vec2<u32>(0u);
         loop {
-            if pixel >= end {
+            if column_ends(column) || any_lane(column.mine) {
                 break;
             }
-            word = visibility[pixel];
-            if any_lane(word.y != 0u) {
-                break;
-            }
-            pixel += size.x;
-            at.y++;
+            column_step(&column);
+            column_load(&column);
         }
-        if pixel >= end {
+        if column_ends(column) {
             break;
         }
-        if word.y != 0u {
-            light_up(pixel, at, word);
+        if column.mine {
+            light_up(column.pixel, column.at, column.word);
         }
-        pixel += size.x;
-        at.y++;
+        column_step(&column);
+        column_load(&column);
     }
 }

@@ -14,8 +14,6 @@ struct Frame {
     instance_count: u32,
     // sRGB8 of pixels that nothing covers.
     background: u32,
-    // 0 color, 1 depth, 2 normal, 3 id.
-    output: u32,
     light_count: u32,
     // Longest side in pixels of a triangle's box that compute still walks itself.
     small_triangle_px: i32,
@@ -34,6 +32,7 @@ struct Frame {
     first_run: u32,
     unused_0: u32,
     unused_1: u32,
+    unused_2: u32,
 }
 
 @group(0) @binding(0) var<uniform> frames: array<Frame, 16>;

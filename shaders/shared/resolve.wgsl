@@ -1,4 +1,6 @@
 // What every resolve pass shares: which pixels are its own, and what it writes there.
+//!include VOTE
+//!include shared/column
 struct SegmentUse {
     index: u32,
     // 1 for the frame's first resolve, which also writes the background.
@@ -35,65 +37,29 @@ fn background_word() -> u32 {
     return select(0u, INFINITE_DEPTH, OUTPUT == OUTPUT_DEPTH);
 }
 
-// A thread's pixels: a column of a tile, downwards. On CPU adapters a load costs a scalar access for every thread of a
-// vector, the attributes of a pixel are some fifty loads, both sides of an `if` run under a mask, and every loop runs at
-// least once. So the threads of a vector go down together: in one step past what none of them has to draw, and while each
-// stays on the chunk and triangle that it has loaded, nothing is loaded anew.
-struct Column {
-    pixel: u32,
-    // One row below the tile.
-    end: u32,
-    at: vec2<u32>,
-    word: vec2<u32>,
-    // The pixel shows one of the segment's slots.
-    mine: bool,
-}
-
-const TILE: vec2<u32> = vec2<u32>(64u, 16u);
-
-fn column_begin(group: vec3<u32>, lane: u32) -> Column {
-    let at = group.xy * TILE + vec2<u32>(lane, 0u);
-    let size = frame.size_px;
-    var column: Column;
-    column.at = at;
-    column.pixel = frame.first_pixel + at.y * size.x + at.x;
-    let below = frame.first_pixel + min(at.y + TILE.y, size.y) * size.x + at.x;
-    column.end = select(below, column.pixel, at.x >= size.x);
-    return column;
-}
-
 const NO_SLOT: u32 = 0xffffffffu;
 
-fn slot_of(word: vec2<u32>) -> u32 {
-    return (~word.x) >> SLOT_SHIFT;
-}
-
-// Reads the column's pixel, if the column has not ended; `begin` and `count`: the segment's slots.
-fn column_read(column: ptr<function, Column>, begin: u32, count: u32) {
-    (*column).mine = false;
-    if (*column).pixel < (*column).end {
-        let word = visibility[(*column).pixel];
-        (*column).word = word;
-        (*column).mine = word.y != 0u && slot_of(word) - begin < count;
-        if word.y == 0u && segment.first != 0u {
-            pixels[(*column).pixel] = background_word();
-        }
+// Looks at the column's pixel; `begin` and `count`: the segment's slots.
+fn resolve_load(column: ptr<function, Column>, begin: u32, count: u32) {
+    column_load(column);
+    if (*column).word.y == 0u && segment.first != 0u && (*column).inside && (*column).at.y < (*column).bottom {
+        pixels[(*column).pixel] = background_word();
     }
+    (*column).mine = (*column).mine && slot_of((*column).word) - begin < count;
 }
 
-fn column_next(column: ptr<function, Column>, begin: u32, count: u32) {
-    (*column).pixel += frame.size_px.x;
-    (*column).at.y++;
-    column_read(column, begin, count);
+fn resolve_next(column: ptr<function, Column>, begin: u32, count: u32) {
+    column_step(column);
+    resolve_load(column, begin, count);
 }
 
 // Past rows in which no thread has a pixel of the segment.
-fn column_seek(column: ptr<function, Column>, begin: u32, count: u32) {
+fn resolve_seek(column: ptr<function, Column>, begin: u32, count: u32) {
     loop {
-        if (*column).pixel >= (*column).end || any_lane((*column).mine) {
+        if column_ends(*column) || any_lane((*column).mine) {
             break;
         }
-        column_next(column, begin, count);
+        resolve_next(column, begin, count);
     }
 }
 

@@ -96,7 +96,7 @@ struct Stats {
     triangles_rasterised: atomic<u32>,
     pixels_of_samples: atomic<u32>,
     pixels_of_triangles: atomic<u32>,
-    // Of all views together, in the first one's record. Longest list of large triangles that a segment asked for.
+    // Of all views together, in the first one's record: the longest list of large triangles that a segment asked for.
     large_longest: atomic<u32>,
     // Pixels in the boxes of large triangles, in units of 4096, and whether that sum has passed 2^32.
     large_units: atomic<u32>,
@@ -104,7 +104,8 @@ struct Stats {
     unused: atomic<u32>,
 }
 
-// Places of the above for those who only read them: of all views together.
+// Words of a view's record, and places in it for those who only read.
+const STATS_WORDS: u32 = 12u;
 const STAT_LARGE_LONGEST: u32 = 8u;
 const STAT_LARGE_UNITS: u32 = 9u;
 const STAT_LARGE_WRAPPED: u32 = 10u;

@@ -13,7 +13,8 @@
 //! | 9 | x y z, colour and normal in either order |
 //!
 //! Other numbers of columns are read group by group in the same way. Blanks, tabs, commas and
-//! semicolons separate columns; where semicolons do, a comma may be the decimal sign. Lines that
+//! semicolons separate columns; where semicolons do, or blanks do and x, y and z have a comma each, the comma is the
+//! decimal sign. Lines that
 //! begin with `#` or `//` are comments (a first one that names x, y and z is a header), a line with
 //! one whole number is a count of points, as PTS has it.
 
@@ -67,12 +68,21 @@ enum Delimiter {
     Blank,
     Comma,
     Semicolon,
+    BlankDecimalComma,
 }
 
 impl Delimiter {
     fn of(line: &str) -> Self {
+        // Blanks keep numbers apart that have a comma each: "1,5 2,0 3,25".
+        let decimal = |word: &&str| {
+            let halves = word.split_once(',');
+            halves.is_some_and(|(a, b)| a.parse::<i64>().is_ok() && b.parse::<u64>().is_ok())
+        };
+        let coordinates = line.split_ascii_whitespace().take(3).filter(decimal).count();
         if line.contains(';') {
             Self::Semicolon
+        } else if coordinates == 3 {
+            Self::BlankDecimalComma
         } else if line.contains(',') {
             Self::Comma
         } else {
@@ -83,7 +93,9 @@ impl Delimiter {
     /// Calls `take` with every column's text, blanks trimmed; a separator at the end adds none.
     fn split<'l>(self, line: &'l str, take: &mut impl FnMut(&'l str)) {
         let separator = match self {
-            Self::Blank => return line.split_ascii_whitespace().for_each(take),
+            Self::Blank | Self::BlankDecimalComma => {
+                return line.split_ascii_whitespace().for_each(take);
+            }
             Self::Comma => ',',
             Self::Semicolon => ';',
         };
@@ -103,7 +115,9 @@ impl Delimiter {
         }
         match token.parse() {
             Ok(value) => Some(value),
-            Err(_) if self == Self::Semicolon => token.replacen(',', ".", 1).parse().ok(),
+            Err(_) if matches!(self, Self::Semicolon | Self::BlankDecimalComma) => {
+                token.replacen(',', ".", 1).parse().ok()
+            }
             Err(_) => None,
         }
     }

@@ -34,6 +34,7 @@ pub struct Job {
     pub enqueued: Instant,
     waiters: Mutex<Waiters>,
     attempts: AtomicU32,
+    redraws: AtomicU32,
     alone: AtomicBool,
 }
 
@@ -55,6 +56,7 @@ impl Job {
             enqueued: Instant::now(),
             waiters: Mutex::new(waiters),
             attempts: AtomicU32::new(0),
+            redraws: AtomicU32::new(0),
             alone: AtomicBool::new(false),
         };
         (Arc::new(job), receiver)
@@ -96,6 +98,18 @@ impl Job {
         }
     }
 
+    /// Jobs with equal keys can be drawn by the same dispatches; `None`: none with this one.
+    pub fn group_key(&self) -> Option<impl PartialEq + use<>> {
+        let FrameRequest { output, width, height, .. } = self.request;
+        let (model, plan) = (self.resolved.model.uid, self.resolved.plan.clone());
+        (!self.is_alone()).then_some((model, plan, output, width, height))
+    }
+
+    /// Counts a redraw for want of room in a list; false when there have been more than growing lists explain.
+    pub fn may_redraw(&self) -> bool {
+        self.redraws.fetch_add(1, Ordering::Relaxed) < 8
+    }
+
     /// From now on no dispatch draws it together with other frames.
     pub fn set_alone(&self) {
         self.alone.store(true, Ordering::Relaxed);
@@ -105,7 +119,7 @@ impl Job {
         self.alone.load(Ordering::Relaxed)
     }
 
-    /// Counts a try; false when there have been too many.
+    /// Counts a device lost under it; false when there have been too many.
     pub fn try_again(&self) -> bool {
         self.attempts.fetch_add(1, Ordering::Relaxed) < 3
     }

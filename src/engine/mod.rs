@@ -1,5 +1,6 @@
 //! Jobs in, encoded frames with receipts out (floor 5). One thread owns the device.
 
+mod group;
 mod job;
 mod library;
 pub mod queue;
@@ -51,6 +52,10 @@ pub struct EngineConfig {
     /// For measurements: boxes of triangles with a longer side than this go to the rasteriser; `None`: the measured best.
     #[doc(hidden)]
     pub small_triangle_px: Option<u32>,
+    /// For tests: what the boxes of a frame's large triangles may cover, in units of 4096 pixels; `None`: some ten seconds'
+    /// work.
+    #[doc(hidden)]
+    pub large_units_limit: Option<u32>,
     /// For measurements and tests: whether large triangles go to the rasteriser; `None`: the measured best.
     #[doc(hidden)]
     pub rasterise: Option<bool>,
@@ -294,6 +299,7 @@ impl EngineConfig {
             max_binding_bytes: None,
             small_triangle_px: None,
             rasterise: None,
+            large_units_limit: None,
             read: ReadOptions::default(),
             scene: SceneLimits::default(),
         }
@@ -479,6 +485,12 @@ impl Engine {
     #[doc(hidden)]
     pub fn break_render_thread(&self) {
         self.shared().break_render_thread();
+    }
+
+    /// Has the driver refuse the next submission, to see whom that costs a frame.
+    #[doc(hidden)]
+    pub fn spoil_next_submission(&self) {
+        self.shared().spoil_next_submission();
     }
 
     /// Loses the device on purpose, to see that it comes back.

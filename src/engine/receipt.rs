@@ -14,8 +14,8 @@ pub struct Receipt {
     pub adapter: String,
     /// Frames that shared this one's submission, this one included.
     pub batch_size: u32,
-    /// Frames of the same scene, size and output that the same dispatches drew, this one included. Times of passes are this
-    /// frame's equal share.
+    /// Frames of the same scene, size and output that the same dispatches drew, this one included: the times of passes are
+    /// those of all of them.
     pub views: u32,
     pub camera: CameraReceipt,
     pub settings: Settings,
@@ -23,12 +23,13 @@ pub struct Receipt {
     pub max_error_px: Option<f32>,
     pub estimated_error_px: Option<f32>,
     pub passes: Vec<PassReceipt>,
-    /// From the first pass's begin to the last one's end, divided by `views`.
+    /// From the first pass's begin to the last one's end.
     pub gpu_ns: Option<u64>,
     pub queue_ns: u64,
     /// CPU time from a job leaving the queue to its submission, shared by the batch.
     pub record_ns: u64,
-    /// From submission to the pixels being in host memory, less the passes of all `views` where their time is known.
+    /// From submission to the pixels being in host memory, less `gpu_ns` where that is known. Other frames of the batch that
+    /// were drawn before count here.
     pub readback_ns: u64,
     /// From the pixels being in host memory to an encoder taking them up.
     pub encode_wait_ns: u64,

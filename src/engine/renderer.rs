@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use parking_lot::Mutex;
 
 use super::EngineError;
+use super::group::groups;
 use super::job::Job;
 use crate::encode::FrameImage;
 use crate::gpu::bind::BindCache;
@@ -32,6 +33,8 @@ pub struct Renderer {
     timers: Vec<Timer>,
     fault: Arc<Mutex<Option<String>>>,
     small_triangle_px: u32,
+    large_units_limit: u32,
+    spoil: bool,
 }
 
 /// A submission on its way.
@@ -40,6 +43,8 @@ pub struct InFlight {
     timer: Timer,
     stamps: Option<(Landing, u64)>,
     index: wgpu::SubmissionIndex,
+    /// What the driver complained about while it was recorded and submitted.
+    fault: Option<String>,
     pub began: Instant,
     record: Duration,
     submitted: Instant,
@@ -61,7 +66,7 @@ pub struct Drawn {
     pub job: Arc<Job>,
     pub image: FrameImage,
     pub stats: GpuStats,
-    /// Time of every pass that ran, in order, its views having equal shares; `None` where the adapter cannot say.
+    /// Time of every pass that ran, in order, for all `views`; `None` where the adapter cannot say.
     pub pass_ns: Vec<(Pass, Option<u64>)>,
     pub gpu_ns: Option<u64>,
     pub batch_size: u32,
@@ -75,19 +80,22 @@ pub struct Drawn {
 }
 
 /// What became of a submission.
+#[derive(Default)]
 pub struct Landed {
     pub drawn: Vec<Drawn>,
-    /// To be drawn again: the list of large triangles was too short.
+    /// To be drawn again: the device was lost.
     pub again: Vec<Arc<Job>>,
+    /// To be drawn again: the list of large triangles was too short, and is no more.
+    pub redraw: Vec<Arc<Job>>,
     pub failed: Vec<(Arc<Job>, EngineError)>,
     pub lost: bool,
 }
 
 /// After this long at one submission the device is given up.
 const PATIENCE: Duration = Duration::from_secs(600);
-/// Pixels of views drawn together, and entries or instances in their lists.
-const SHARED_PIXELS: u64 = 1 << 20;
-const SHARED_ENTRIES: u64 = 1 << 19;
+/// Bytes that views drawn together may need of any one buffer. It keeps the memory that scratch takes in proportion: a
+/// frame of 4096² needs as much.
+const SHARED_BYTES: u64 = 128 << 20;
 const STATS_BYTES: u64 = size_of::<GpuStats>() as u64;
 
 impl InFlight {
@@ -138,6 +146,8 @@ impl Renderer {
             sink.lock().get_or_insert(text);
         }));
         let residency = Residency::new(&gpu, budget(&gpu));
+        // Some ten seconds' work.
+        let large_units_limit = if gpu.is_cpu { 1 << 20 } else { 1 << 24 };
         let scratch = Scratch::new(&gpu);
         Ok(Renderer {
             gpu,
@@ -149,6 +159,8 @@ impl Renderer {
             timers: Vec::new(),
             fault,
             small_triangle_px: SMALL_TRIANGLE_PX,
+            large_units_limit,
+            spoil: false,
         })
     }
 
@@ -157,9 +169,24 @@ impl Renderer {
         self.small_triangle_px = pixels;
     }
 
-    /// What the driver complained about since the last call.
-    pub fn take_fault(&self) -> Option<String> {
-        self.fault.lock().take()
+    /// For tests: what boxes of large triangles may cover of a frame, in units of 4096 pixels.
+    pub fn set_large_units_limit(&mut self, units: u32) {
+        self.large_units_limit = units;
+    }
+
+    /// For tests: the driver refuses the next submission.
+    pub fn spoil_next(&mut self) {
+        self.spoil = true;
+    }
+
+    fn spoil(&self, encoder: &mut wgpu::CommandEncoder) {
+        let buffer = self.gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("larger than any"),
+            size: self.gpu.limits.max_buffer_size.saturating_add(4),
+            usage: wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        encoder.clear_buffer(&buffer, 0, None);
     }
 
     /// Makes a scene resident.
@@ -202,7 +229,7 @@ impl Renderer {
             .gpu
             .device
             .create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("batch") });
-        let groups = self.group(&jobs);
+        let groups = groups(&jobs, |job| job.group_key(), |job| self.most_views(job));
         let tasks: Vec<FrameTask> = groups.iter().map(|group| self.task(group)).collect();
         let mut uniforms = Uniforms::default();
         let mut offsets = Vec::with_capacity(tasks.len());
@@ -232,6 +259,9 @@ impl Renderer {
             encoder.copy_buffer_to_buffer(buffer, 0, landing.buffer(), 0, bytes);
             (landing, bytes)
         });
+        if std::mem::take(&mut self.spoil) {
+            self.spoil(&mut encoder);
+        }
         let commands = encoder.finish();
         // Some adapters begin to draw at once.
         let submitted = Instant::now();
@@ -249,42 +279,17 @@ impl Renderer {
         if let Some((landing, _)) = &stamps {
             landing.map();
         }
-        Ok(InFlight { groups, timer, stamps, index, began, record: submitted - began, submitted })
-    }
-
-    /// Jobs that the same dispatches can draw: one scene, size and output. Their order within a group is that of `jobs`.
-    fn group(&self, jobs: &[Arc<Job>]) -> Vec<Vec<Arc<Job>>> {
-        let mut groups: Vec<Vec<Arc<Job>>> = Vec::new();
-        for job in jobs {
-            let like = |group: &Vec<Arc<Job>>| {
-                group.first().is_some_and(|first| {
-                    !first.is_alone()
-                        && !job.is_alone()
-                        && Arc::ptr_eq(&first.resolved.model, &job.resolved.model)
-                        && first.resolved.plan == job.resolved.plan
-                        && first.request.output == job.request.output
-                        && first.request.width == job.request.width
-                        && first.request.height == job.request.height
-                        && group.len() < self.most_views(job)
-                })
-            };
-            match groups.iter_mut().find(|group| like(group)) {
-                Some(group) => group.push(job.clone()),
-                None => groups.push(vec![job.clone()]),
-            }
-        }
-        groups
+        let fault = self.fault.lock().take();
+        let record = submitted - began;
+        Ok(InFlight { groups, timer, stamps, index, fault, began, record, submitted })
     }
 
     /// Views of a job's scene that may be drawn together: what each needs of a buffer must fit it as often.
     fn most_views(&self, job: &Job) -> usize {
         let Some(scene) = self.residency.scene(&job.resolved.model.id) else { return 1 };
-        let pixels = u64::from(job.request.width) * u64::from(job.request.height);
-        let lists = u64::from(scene.entry_count.max(scene.instance_count));
-        let shared = (SHARED_PIXELS / pixels.max(1)).min(SHARED_ENTRIES / lists.max(1));
         let largest = Scratch::largest(scene, (job.request.width, job.request.height));
-        let bound = self.gpu.max_binding_bytes() / largest.max(1);
-        shared.min(bound).clamp(1, u64::from(MOST_VIEWS)) as usize
+        let room = self.gpu.max_binding_bytes().min(SHARED_BYTES) / largest.max(1);
+        room.clamp(1, u64::from(MOST_VIEWS)) as usize
     }
 
     fn task(&self, jobs: &[Arc<Job>]) -> FrameTask {
@@ -297,13 +302,8 @@ impl Renderer {
             plan: first.resolved.plan.clone(),
             small_triangle_px: self.small_triangle_px,
             large_capacity: self.scratch.large_capacity(),
-            large_units_limit: self.large_units_limit(),
+            large_units_limit: self.large_units_limit,
         }
-    }
-
-    /// What boxes of large triangles may cover in all, in units of 4096 pixels: some ten seconds' work.
-    fn large_units_limit(&self) -> u32 {
-        if self.gpu.is_cpu { 1 << 20 } else { 1 << 24 }
     }
 
     fn record_group(
@@ -311,7 +311,7 @@ impl Renderer {
         encoder: &mut wgpu::CommandEncoder,
         timer: &mut Timer,
         task: &FrameTask,
-        offset: &passes::FrameUniforms,
+        offset: &passes::GroupUniforms,
     ) -> Result<(Landing, u64, Vec<PassSpan>), EngineError> {
         let internal = |text: String| EngineError::Internal(text);
         let scene = self
@@ -326,7 +326,7 @@ impl Renderer {
             residency: &self.residency,
             timer,
         };
-        let recorded = passes::record(&mut context, encoder, task, scene, offset)
+        let spans = passes::record(&mut context, encoder, task, scene, offset)
             .map_err(|error| internal(error.to_string()))?;
         let (width, height) = task.size();
         let pixel_bytes = u64::from(width) * u64::from(height) * 4;
@@ -339,7 +339,7 @@ impl Renderer {
             let source = source.buffer().raw();
             encoder.copy_buffer_to_buffer(source, 0, landing.buffer(), start, length);
         }
-        Ok((landing, pixel_bytes, recorded.spans))
+        Ok((landing, pixel_bytes, spans))
     }
 
     /// Waits until the GPU is through with a submission, or with all of them. A slow frame is no lost device.
@@ -371,8 +371,10 @@ impl Renderer {
         // The callbacks of mappings run within polls.
         let pending =
             |flight: &InFlight| flight.groups.iter().any(|group| group.landing.is_pending());
-        if matches!(waited, Err(wgpu::PollError::WrongSubmissionIndex(..))) {
-            // Never begun. A device that is gone says so once its queue is empty.
+        let never_begun = matches!(waited, Err(wgpu::PollError::WrongSubmissionIndex(..)))
+            || flight.fault.is_some();
+        if never_begun {
+            // A device that is gone says so once its queue is empty.
             waited = self.wait(&flight, None);
         }
         let given_up = waited.is_err() && !self.gpu.is_lost();
@@ -383,62 +385,61 @@ impl Renderer {
             }
             tries += 1;
         }
-        let mut landed =
-            Landed { drawn: Vec::new(), again: Vec::new(), failed: Vec::new(), lost: false };
-        let fault = self.take_fault();
-        let stamps = flight.stamps.as_ref().and_then(|(landing, bytes)| {
-            landing.read(*bytes, bytemuck::pod_collect_to_vec::<u8, u64>)
-        });
+        let mut landed = Landed::default();
+        let stamps =
+            flight.stamps.as_ref().filter(|_| !never_begun).and_then(|(landing, bytes)| {
+                landing.read(*bytes, bytemuck::pod_collect_to_vec::<u8, u64>)
+            });
         let batch_size = flight.jobs().count() as u32;
+        let refusal = match flight.fault {
+            _ if given_up => Some(format!("the GPU was at it for {} s", PATIENCE.as_secs())),
+            // Drawing it again would end the same way. What the driver has refused may be any buffer of ours: the device
+            // is opened anew, with nothing but what is known to be whole.
+            Some(text) if !self.gpu.is_lost() => Some(text),
+            _ => None,
+        };
         let (began, submitted, record) = (flight.began, flight.submitted, flight.record);
         for group in flight.groups {
-            let read = group.read();
+            // Buffers of what never began would show an older frame.
+            let read = if never_begun { None } else { group.read() };
             let Some(frames) = read else {
-                let refusal = match &fault {
-                    // Refused, not lost: drawing it again would end the same way.
-                    Some(text) if !self.gpu.is_lost() => Some(text.clone()),
-                    _ if given_up => {
-                        landed.lost = true;
-                        Some(format!("the GPU was at it for {} s", PATIENCE.as_secs()))
-                    }
-                    _ => {
-                        landed.lost = true;
-                        None
-                    }
-                };
-                match refusal {
-                    Some(text) => landed.refuse(group.jobs, &EngineError::Internal(text)),
+                landed.lost = true;
+                match &refusal {
+                    Some(text) => landed.refuse(group.jobs, &EngineError::Internal(text.clone())),
                     None => landed.again.extend(group.jobs),
                 }
                 continue;
             };
             self.ring.give_back(group.landing);
-            if let Some(text) = &fault {
-                landed.refuse(group.jobs, &EngineError::Internal(text.clone()));
-                continue;
-            }
             let views = frames.len() as u32;
-            let shared = frames.first().map(|(_, stats)| *stats).unwrap_or_default();
-            if let Some(error) = self.over_limit(&shared, group.large_capacity) {
-                if views > 1 {
-                    // One view's triangles must not cost the others their frames.
+            let longest = frames.first().map_or(0, |(_, stats)| stats.large_longest);
+            if longest > group.large_capacity {
+                self.scratch.grow_large(&self.gpu, longest);
+                let limit = self.scratch.large_capacity();
+                if limit >= longest {
+                    landed.redraw.extend(group.jobs);
+                } else if views > 1 {
+                    // Each by itself may fit.
                     group.jobs.iter().for_each(|job| job.set_alone());
-                    landed.again.extend(group.jobs);
+                    landed.redraw.extend(group.jobs);
                 } else {
+                    let error = EngineError::OverLimit {
+                        what: "large triangles in view",
+                        found: u64::from(longest),
+                        limit: u64::from(limit),
+                    };
                     landed.refuse(group.jobs, &error);
                 }
                 continue;
             }
-            if shared.large_longest > group.large_capacity {
-                landed.again.extend(group.jobs);
-                continue;
-            }
             let now = Instant::now();
-            let (mut pass_ns, gpu_ns) = self.durations(&group.spans, stamps.as_deref());
-            let share = |ns: Option<u64>| ns.map(|ns| ns / u64::from(views));
-            pass_ns.iter_mut().for_each(|(_, ns)| *ns = share(*ns));
+            let (pass_ns, gpu_ns) = self.durations(&group.spans, stamps.as_deref());
             let since = now - submitted;
             for (job, (image, stats)) in group.jobs.into_iter().zip(frames) {
+                if let Some(error) = self.over_limit(&stats) {
+                    landed.failed.push((job, error));
+                    continue;
+                }
                 landed.drawn.push(Drawn {
                     queue: began.saturating_duration_since(job.enqueued),
                     record,
@@ -447,7 +448,7 @@ impl Renderer {
                     image,
                     stats,
                     pass_ns: pass_ns.clone(),
-                    gpu_ns: share(gpu_ns),
+                    gpu_ns,
                     batch_size,
                     views,
                     gpu_bytes: group.gpu_bytes,
@@ -463,28 +464,16 @@ impl Renderer {
         landed
     }
 
-    /// Why a group cannot be drawn: its large triangles cover too much, or are more than a list holds. Makes room where that
-    /// helps.
-    fn over_limit(&mut self, stats: &GpuStats, capacity: u32) -> Option<EngineError> {
-        if stats.large_wrapped != 0 || stats.large_units > self.large_units_limit() {
-            let units = match stats.large_wrapped {
-                0 => u64::from(stats.large_units),
-                _ => u64::from(u32::MAX),
-            };
-            return Some(EngineError::OverLimit {
-                what: "pixels to test for large triangles",
-                found: units * 4096,
-                limit: u64::from(self.large_units_limit()) * 4096,
-            });
-        }
-        if stats.large_longest <= capacity {
+    /// Why a view was not drawn: its large triangles cover too much.
+    fn over_limit(&self, stats: &GpuStats) -> Option<EngineError> {
+        if stats.large_wrapped == 0 && stats.large_units <= self.large_units_limit {
             return None;
         }
-        self.scratch.grow_large(&self.gpu, stats.large_longest);
-        (self.scratch.large_capacity() < stats.large_longest).then(|| EngineError::OverLimit {
-            what: "large triangles in view",
-            found: u64::from(stats.large_longest),
-            limit: u64::from(self.scratch.large_capacity()),
+        let units = if stats.large_wrapped == 0 { stats.large_units } else { u32::MAX };
+        Some(EngineError::OverLimit {
+            what: "pixels to test for large triangles",
+            found: u64::from(units) * 4096,
+            limit: u64::from(self.large_units_limit) * 4096,
         })
     }
 

@@ -78,6 +78,7 @@ pub struct Shared {
     /// Measured time of a frame, averaged.
     frame_ns: AtomicU64,
     lose: AtomicBool,
+    spoil: AtomicBool,
     break_thread: AtomicBool,
 }
 
@@ -111,6 +112,7 @@ impl Shared {
             resident: RwLock::default(),
             frame_ns: AtomicU64::new(20_000_000),
             lose: AtomicBool::new(false),
+            spoil: AtomicBool::new(false),
             break_thread: AtomicBool::new(false),
         }
     }
@@ -260,6 +262,14 @@ impl Shared {
 
     pub fn is_to_break(&self) -> bool {
         self.break_thread.load(Ordering::SeqCst)
+    }
+
+    pub fn spoil_next_submission(&self) {
+        self.spoil.store(true, Ordering::SeqCst);
+    }
+
+    pub fn take_spoil_request(&self) -> bool {
+        self.spoil.swap(false, Ordering::SeqCst)
     }
 
     pub fn take_lose_request(&self) -> bool {

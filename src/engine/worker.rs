@@ -89,6 +89,9 @@ fn open(shared: &Shared, options: &GpuOptions) -> Result<Renderer, GpuError> {
     if let Some(pixels) = shared.config.small_triangle_px {
         renderer.set_small_triangle_px(pixels);
     }
+    if let Some(units) = shared.config.large_units_limit {
+        renderer.set_large_units_limit(units);
+    }
     shared.set_adapter(Adapter {
         name: renderer.gpu.name.clone(),
         atomics_64: renderer.gpu.atomics_64,
@@ -131,6 +134,9 @@ fn serve(shared: &Arc<Shared>, renderer: &mut Renderer, encoders: &flume::Sender
         // The batch just taken is refused: a device may die between any two commands.
         if shared.take_lose_request() {
             renderer.gpu.device.destroy();
+        }
+        if !work.batch.is_empty() && shared.take_spoil_request() {
+            renderer.spoil_next();
         }
         shared.beat(!work.batch.is_empty() || !flights.is_empty());
         let idle = work.batch.is_empty();
@@ -197,7 +203,7 @@ fn make_resident(shared: &Shared, renderer: &mut Renderer, batch: Vec<Arc<Job>>)
     ready
 }
 
-/// Lands one submission: the jobs to draw again, and whether the device was lost.
+/// Lands one submission: the jobs to draw again on another device, and whether this one is to be given up.
 fn land(
     shared: &Shared,
     renderer: &mut Renderer,
@@ -219,6 +225,13 @@ fn land(
     for (job, error) in landed.failed {
         shared.answer(&job, Err(error));
     }
+    let (redraw, stuck): (Vec<_>, Vec<_>) =
+        landed.redraw.into_iter().partition(|job| job.may_redraw());
+    for job in stuck {
+        let text = "a list of large triangles that grows has still no room".to_owned();
+        shared.answer(&job, Err(EngineError::Internal(text)));
+    }
+    shared.put_back(redraw);
     (landed.again, landed.lost)
 }
 
@@ -258,7 +271,8 @@ fn finish(shared: &Shared, drawn: Drawn) {
             receipt.total_ns = drawn.job.enqueued.elapsed().as_nanos() as u64;
             shared.stats.frames.fetch_add(1, Ordering::Relaxed);
             shared.stats.encode_ns.fetch_add(receipt.encode_ns, Ordering::Relaxed);
-            shared.stats.gpu_ns.fetch_add(receipt.gpu_ns.unwrap_or(0), Ordering::Relaxed);
+            let gpu_ns = receipt.gpu_ns.unwrap_or(0) / u64::from(drawn.views.max(1));
+            shared.stats.gpu_ns.fetch_add(gpu_ns, Ordering::Relaxed);
             Ok(Arc::new(EncodedFrame {
                 bytes: encoded.bytes.into(),
                 content_type: encoded.content_type,

@@ -116,8 +116,10 @@ fn reflect(
         unsafe_code,
         reason = "a counter in every loop costs a tenth of a frame on CPU adapters"
     )]
-    // SAFETY: the check left out guards against loops without end. Ours are counted, over at most 1024 elements, the pixels
-    // of a triangle's clamped box or of a tile's column, the lights, or a texture's levels.
+    // SAFETY: the check left out guards against loops without end. Each of ours counts something up to a bound that it does
+    // not move: elements of a chunk, groups of a scan, entries of the list of large triangles (each no more than once), pixels
+    // of a triangle's clamped box, lights, levels of a texture. Those that go down a tile's column end by votes, but take at
+    // least one row off with every turn of every loop but the outermost, which ends with the rows.
     let module = unsafe { gpu.device.create_shader_module_trusted(descriptor, checks) };
     Ok(Reflected { module, layouts, bindings, layout })
 }

@@ -6,14 +6,15 @@ use axum::http::HeaderValue;
 
 use crate::engine::Receipt;
 
-/// `Server-Timing`: queue, batch (recording, with the number of frames that shared it), each GPU
+/// `Server-Timing`: queue, batch (recording, with the numbers of frames that shared it and its passes), each GPU
 /// pass by its name, readback, encode, total; milliseconds. Passes that did not run are left out.
 pub fn server_timing(receipt: &Receipt) -> Option<HeaderValue> {
     let mut line = String::with_capacity(256);
     entry(&mut line, "queue", receipt.queue_ns);
     entry(&mut line, "batch", receipt.record_ns);
     // Writing to a string cannot fail.
-    let _ = write!(line, ";desc=\"{} frames\"", receipt.batch_size);
+    let _ =
+        write!(line, ";desc=\"{} frames, {} drawn together\"", receipt.batch_size, receipt.views);
     for pass in receipt.passes.iter().filter(|pass| pass.ran) {
         if let Some(gpu_ns) = pass.gpu_ns {
             entry(&mut line, pass.name, gpu_ns);
@@ -79,6 +80,7 @@ mod tests {
         let pass = |name, ran, gpu_ns| PassReceipt { name, ran, gpu_ns, why: None };
         let r = Receipt {
             batch_size: 4,
+            views: 2,
             queue_ns: 20_111,
             record_ns: 1_500_000,
             passes: vec![
@@ -91,7 +93,7 @@ mod tests {
         };
         assert_eq!(
             server_timing(&r).unwrap(),
-            "queue;dur=0.020, batch;dur=1.500;desc=\"4 frames\", project_points;dur=0.812, \
+            "queue;dur=0.020, batch;dur=1.500;desc=\"4 frames, 2 drawn together\", project_points;dur=0.812, \
              readback;dur=0.000, encode;dur=0.000, total;dur=12.000"
         );
     }

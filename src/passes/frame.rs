@@ -78,7 +78,6 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         entry_count: scene.entry_count,
         instance_count: scene.instance_count,
         background: srgb8(task.model.background),
-        output: output_number(task.output),
         light_count: scene.light_count,
         small_triangle_px: task.small_triangle_px.min(64) as i32,
         large_capacity: task.large_capacity,
@@ -93,5 +92,6 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         first_run: number * scene.pages.len() as u32,
         unused_0: 0,
         unused_1: 0,
+        unused_2: 0,
     }
 }

@@ -14,16 +14,25 @@
 //! (Schütz, Kerbl, Wimmer 2021, "Rendering point clouds with compute shaders"); triangles of a few pixels go the same way.
 //! Where 64-bit atomics are absent, two passes over 32-bit words decide first the depth, then the id.
 
+mod bindings;
 mod frame;
 mod pipelines;
+mod project;
 mod record;
+mod recorder;
+mod resolve;
 mod scratch;
+mod select;
+mod shade;
 pub mod shaders;
+mod uniforms;
 
 pub use frame::{FrameTask, frame_record};
 pub use pipelines::Pipelines;
-pub use record::{Context, FrameUniforms, PassSpan, Recorded, Uniforms, record};
+pub use record::record;
+pub use recorder::{Context, PassSpan};
 pub use scratch::Scratch;
+pub use uniforms::{GroupUniforms, Uniforms};
 
 /// Longest side, in pixels, of a triangle's box up to which a single thread walks it. Measured with
 /// `cargo bench --bench triangles` on lavapipe: over grids of equal triangles a thread beats walk_triangles by a third at

@@ -2,10 +2,13 @@
 
 use naga::{Expression, Handle, Literal, Module};
 
-use super::{DISPATCH_ROW, TILE, WALK};
 use crate::bake::pack::{CHUNK, NO_NORMAL, TRIANGLES, VERTEX_WORDS};
 use crate::gpu::shader::parse;
 use crate::passes::frame::output_number;
+use crate::passes::project::walk_triangles;
+use crate::passes::recorder::DISPATCH_ROW;
+use crate::passes::resolve::TILE;
+use crate::passes::select::{clear, compact, cull, place};
 use crate::passes::shaders::{Visibility, plain, visible};
 use crate::plan::Output;
 use crate::residency::GROUP;
@@ -52,21 +55,21 @@ fn threads(module: &Module) -> u32 {
     entry.workgroup_size[0]
 }
 
-/// `record` divides by these literals.
 #[test]
 fn direct_dispatches_cover_what_they_must() {
-    let clear = module("select/clear");
-    assert_eq!(scalar(&clear, "PAIRS_EACH") * threads(&clear), 16 * 64);
-    let cull = module("select/cull");
-    assert_eq!(scalar(&cull, "GROUP") * threads(&cull), 32 * 32);
-    for root in ["select/place", "select/compact"] {
-        assert_eq!(threads(&module(root)), 64, "{root}");
-    }
+    let module_of_clear = module("select/clear");
+    let pairs = scalar(&module_of_clear, "PAIRS_EACH") * threads(&module_of_clear);
+    assert_eq!(2 * pairs, clear::PIXELS);
+    let module_of_cull = module("select/cull");
+    assert_eq!(scalar(&module_of_cull, "GROUP") * threads(&module_of_cull), cull::ENTRIES);
+    assert_eq!(threads(&module("select/place")), place::INSTANCES);
+    assert_eq!(threads(&module("select/compact")), compact::ENTRIES);
 }
 
 #[test]
 fn rows_of_dispatches_are_as_long() {
     let roots = [
+        "select/clear",
         "select/place",
         "select/cull",
         "select/scan",
@@ -96,7 +99,8 @@ fn tiles_are_as_large() {
 #[test]
 fn the_walk_has_as_many_workgroups() {
     let walk = module("project/walk_triangles");
-    assert_eq!((scalar(&walk, "STRIDE"), scalar(&walk, "BAND")), WALK);
+    assert_eq!(scalar(&walk, "STRIDE"), walk_triangles::STRIDE);
+    assert_eq!(scalar(&walk, "BAND"), walk_triangles::BAND);
     assert_eq!(scalar(&walk, "LANES"), threads(&walk));
 }
 
@@ -137,16 +141,31 @@ fn flags_and_outputs_have_the_same_numbers() {
     }
 }
 
+/// Elements of a global array of fixed length.
+fn array_length(module: &Module, name: &str) -> u32 {
+    let mut globals = module.global_variables.iter();
+    let (_, variable) = globals.find(|(_, v)| v.name.as_deref() == Some(name)).unwrap();
+    match module.types[variable.ty].inner {
+        naga::TypeInner::Array { size: naga::ArraySize::Constant(size), .. } => size.get(),
+        ref other => panic!("{name} is {other:?}"),
+    }
+}
+
 #[test]
 fn views_fit_their_records() {
     let clear = module("select/clear");
     assert_eq!(scalar(&clear, "STATS_WORDS") as usize * 4, size_of::<GpuStats>());
-    let mut globals = clear.global_variables.iter();
-    let (_, frames) = globals.find(|(_, v)| v.name.as_deref() == Some("frames")).unwrap();
-    let naga::TypeInner::Array { size, .. } = clear.types[frames.ty].inner else {
-        panic!("an array of views is expected")
-    };
-    assert_eq!(size, naga::ArraySize::Constant(MOST_VIEWS.try_into().unwrap()));
+    assert_eq!(array_length(&clear, "frames"), MOST_VIEWS);
     // An entry of the list of large triangles: two rows and a view in one word.
-    assert_eq!(2 * MOST_ROWS.ilog2() + MOST_VIEWS.ilog2(), 32);
+    let walk = module("project/walk_triangles");
+    let row_bits = scalar(&walk, "ROW_BITS");
+    assert_eq!(1 << row_bits, MOST_ROWS);
+    assert_eq!(scalar(&walk, "ROW_MASK"), MOST_ROWS - 1);
+    assert!(MOST_VIEWS <= 1 << (32 - 2 * row_bits));
+}
+
+#[test]
+fn lights_fit_their_records() {
+    let shade = module("shade/shade");
+    assert_eq!(array_length(&shade, "few_lights"), FEW_LIGHTS);
 }

@@ -43,6 +43,7 @@ fragments![
     "shared/barycentric",
     "shared/alpha_none",
     "shared/alpha_cut",
+    "shared/column",
     "shared/resolve",
     "shared/vote_subgroup",
     "shared/vote_alone",

@@ -178,7 +178,6 @@ pub struct GpuFrame {
     pub entry_count: u32,
     pub instance_count: u32,
     pub background: u32,
-    pub output: u32,
     pub light_count: u32,
     pub small_triangle_px: i32,
     pub large_capacity: u32,
@@ -193,6 +192,7 @@ pub struct GpuFrame {
     pub first_run: u32,
     pub unused_0: u32,
     pub unused_1: u32,
+    pub unused_2: u32,
 }
 
 /// An f64 as the sum of two f32: 48 bits of mantissa.
@@ -286,7 +286,6 @@ mod tests {
                 entry_count,
                 instance_count,
                 background,
-                output,
                 light_count,
                 small_triangle_px,
                 large_capacity,
@@ -300,7 +299,8 @@ mod tests {
                 first_slot,
                 first_run,
                 unused_0,
-                unused_1
+                unused_1,
+                unused_2
             )],
         );
         let with_materials = concat!(
@@ -321,6 +321,37 @@ mod tests {
                 overrides
             )],
         );
+    }
+
+    #[test]
+    fn lights_and_textures_match() {
+        let texture = concat!(
+            include_str!("../../shaders/shared/texture.wgsl"),
+            include_str!("../../shaders/shared/colour.wgsl"),
+            "@group(1) @binding(6) var<storage, read> texels_0: array<u32>;",
+            "@group(1) @binding(7) var<storage, read> texels_1: array<u32>;"
+        );
+        check(
+            texture,
+            &[mirror!(
+                "Texture", GpuTexture, first, page, width, height, levels, wrap, nearest, unused
+            )],
+        );
+        let shade = crate::passes::shaders::plain("shade/shade", false).unwrap();
+        let light: Mirror = (
+            "Light",
+            size_of::<GpuLight>(),
+            vec![
+                std::mem::offset_of!(GpuLight, kind),
+                std::mem::offset_of!(GpuLight, range),
+                std::mem::offset_of!(GpuLight, unused),
+                std::mem::offset_of!(GpuLight, unused) + 4,
+                std::mem::offset_of!(GpuLight, color),
+                std::mem::offset_of!(GpuLight, place_hi),
+                std::mem::offset_of!(GpuLight, place_lo),
+            ],
+        );
+        check(&shade.source, &[light]);
     }
 
     #[test]

@@ -51,7 +51,6 @@ fn frames_in_flight_are_drawn_again() {
         for (ticket, bytes) in tickets.into_iter().zip(&before) {
             match ticket.wait() {
                 Ok(frame) => same(&frame.bytes, bytes, "drawn again"),
-                Err(EngineError::DeviceLost { .. }) => {}
                 Err(error) => panic!("round {round}: {error}"),
             }
         }
@@ -78,6 +77,40 @@ fn a_device_lost_before_its_first_frame() {
         studio.engine.lose_device();
         same(&studio.bytes(&request), &bytes, "from the device that came after");
         assert_eq!(studio.engine.stats().device_losses, round + 1);
+    }
+}
+
+/// A submission that the driver refuses costs its own frames, and nobody sees another's pixels.
+#[test]
+fn a_refused_submission_costs_its_own_frames_alone() {
+    let studio = Studio::new();
+    studio.load_two();
+    // Large ones: each is a batch by itself, and two are in flight at a time.
+    let requests: Vec<_> = (0..6).map(|number| orbit("solid", number, 1100)).collect();
+    let before: Vec<_> = requests.iter().map(|request| studio.bytes(request)).collect();
+    for round in 0..4u64 {
+        let tickets: Vec<_> = requests.iter().map(|request| studio.submit(request)).collect();
+        std::thread::sleep(std::time::Duration::from_millis(15 * round));
+        studio.engine.spoil_next_submission();
+        let mut refused = 0;
+        for (ticket, bytes) in tickets.into_iter().zip(&before) {
+            match ticket.wait() {
+                Ok(frame) => same(&frame.bytes, bytes, "beside a refused one"),
+                Err(EngineError::Internal(text)) => {
+                    assert!(text.contains("larger than any"), "{text}");
+                    refused += 1;
+                }
+                Err(error) => panic!("round {round}: {error}"),
+            }
+        }
+        // It may come too late for all of them; then it hits the next.
+        assert!(refused <= 1, "{refused} frames for one submission");
+        if refused == 0 {
+            studio.submit(&front("cloud", 30, 30)).wait().unwrap_err();
+        }
+        for (request, bytes) in requests.iter().zip(&before).take(2) {
+            same(&studio.bytes(request), bytes, "after a refused one");
+        }
     }
 }
 

@@ -29,6 +29,8 @@ fn three_columns_in_every_separator() {
         assert!(cloud.colors.is_none() && cloud.normals.is_none() && cloud.intensity.is_none());
     }
     assert_eq!(cloud_of("1,5;2,5;3\n").positions, [DVec3::new(1.5, 2.5, 3.0)]);
+    let cloud = cloud_of("-1,5 2,50\t3,0\n4 5 6,25\n");
+    assert_eq!(cloud.positions, [DVec3::new(-1.5, 2.5, 3.0), DVec3::new(4.0, 5.0, 6.25)]);
 }
 
 #[test]

@@ -1,0 +1,52 @@
+// How passes over the image go through a tile. A thread's pixels are a column, downwards. On CPU adapters a load costs a
+// scalar access for every thread, the attributes of a pixel are some fifty loads, both sides of an `if` run under a mask,
+// and every loop runs at least once. So the threads of a vector go down together: in one step past what none of them has
+// to draw.
+//
+// Loops end by the row, which is the same for all threads of a workgroup, so that votes are taken by all of them. What is
+// drawn depends on no vote: a thread only ever draws its own pixels, and a vote that says yes too often costs time alone.
+const TILE: vec2<u32> = vec2<u32>(64u, 16u);
+
+struct Column {
+    at: vec2<u32>,
+    pixel: u32,
+    // One row below the tile.
+    bottom: u32,
+    // The tile may be wider than what is left of the image.
+    inside: bool,
+    word: vec2<u32>,
+    // The pixel is for this pass to draw.
+    mine: bool,
+}
+
+fn column_begin(group: vec3<u32>, lane: u32) -> Column {
+    let size = frame.size_px;
+    var column: Column;
+    column.at = group.xy * TILE + vec2<u32>(lane, 0u);
+    column.pixel = frame.first_pixel + column.at.y * size.x + column.at.x;
+    column.bottom = min((group.y + 1u) * TILE.y, size.y);
+    column.inside = column.at.x < size.x;
+    return column;
+}
+
+fn column_ends(column: Column) -> bool {
+    return column.at.y >= column.bottom;
+}
+
+// Loads what the visibility buffer has at the column's pixel; below the tile and beside the image that is nothing.
+fn column_load(column: ptr<function, Column>) {
+    (*column).word = vec2<u32>(0u);
+    if (*column).inside && (*column).at.y < (*column).bottom {
+        (*column).word = visibility[(*column).pixel];
+    }
+    (*column).mine = (*column).word.y != 0u;
+}
+
+fn column_step(column: ptr<function, Column>) {
+    (*column).pixel += frame.size_px.x;
+    (*column).at.y++;
+}
+
+fn slot_of(word: vec2<u32>) -> u32 {
+    return (~word.x) >> SLOT_SHIFT;
+}

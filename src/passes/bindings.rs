@@ -1,0 +1,76 @@
+//! The buffer behind every name that a shader binds.
+
+use super::scratch::Scratch;
+use super::uniforms::{GroupUniforms, SEGMENT_WINDOW, VIEWS_WINDOW};
+use crate::gpu::bind::Binding;
+use crate::gpu::buffer::Buffer;
+use crate::residency::layout::{FEW_LIGHTS, GpuLight};
+use crate::residency::{PageKind, Residency, ResidentScene};
+
+/// What names are looked up in.
+pub struct Names<'a> {
+    pub scratch: &'a Scratch,
+    pub residency: &'a Residency,
+    pub scene: &'a ResidentScene,
+    pub uniforms: &'a GroupUniforms,
+    /// The segment that a pass draws, if it draws one.
+    pub segment: Option<usize>,
+}
+
+impl<'a> Names<'a> {
+    /// The buffer that a shader means by `name`, and its dynamic offset.
+    pub fn find(&self, name: &str) -> Option<(Binding<'a>, u32)> {
+        let Names { scratch, residency, scene, uniforms, segment } = *self;
+        let page = segment.map(|segment| scene.pages[segment]);
+        let samples = || {
+            page.filter(|page| page.kind == PageKind::Samples)
+                .map(|page| residency.sample_page(page.index))
+        };
+        let mesh = || {
+            page.filter(|page| page.kind == PageKind::Triangles)
+                .map(|page| residency.mesh_page(page.index))
+        };
+        let buffer: &Buffer = match name {
+            "frames" => {
+                let window = Binding::Window(scratch.uniforms.buffer(), VIEWS_WINDOW);
+                return Some((window, uniforms.views));
+            }
+            "segment" => {
+                let offset = *uniforms.segments.get(segment?)?;
+                return Some((Binding::Window(scratch.uniforms.buffer(), SEGMENT_WINDOW), offset));
+            }
+            "few_lights" => {
+                let window = u64::from(FEW_LIGHTS) * size_of::<GpuLight>() as u64;
+                return Some((Binding::Window(&scene.lights, window), 0));
+            }
+            "visibility" => scratch.visibility.buffer(),
+            "pixels" => scratch.pixels.buffer(),
+            "normals" => scratch.normals.buffer(),
+            "stats" => scratch.stats.buffer(),
+            "placed" => scratch.placed.buffer(),
+            "seen" => scratch.seen.buffer(),
+            "ranks" => scratch.ranks.buffer(),
+            "group_counts" => scratch.group_counts.buffer(),
+            "slots" => scratch.slots.buffer(),
+            "runs" => scratch.runs.buffer(),
+            "dispatches" => scratch.dispatches.buffer(),
+            "large" => scratch.large.buffer(),
+            "instances" => &scene.instances,
+            "entries" => &scene.entries,
+            "segments" => &scene.segments,
+            "sizes" => &scene.sizes,
+            "lights" => &scene.lights,
+            "chunks" => residency.chunk_table(),
+            "materials" => residency.material_table(),
+            "textures" => residency.texture_table(),
+            "texels_0" => residency.texel_page(0),
+            "texels_1" => residency.texel_page(1),
+            "positions" => samples()?.0,
+            "attributes" => samples()?.1,
+            "vertices" => mesh()?.0,
+            "triangles" => mesh()?.1,
+            _ => return None,
+        };
+        Some((Binding::Whole(buffer), 0))
+    }
+}

@@ -1,0 +1,23 @@
+//! One pixel a sample.
+
+use crate::gpu::shader::ShaderError;
+use crate::passes::recorder::{Call, Launch, Recorder};
+use crate::passes::shaders::Visibility;
+use crate::plan::Pass;
+use crate::residency::PageKind;
+
+pub fn pass(half: Visibility) -> Pass {
+    if half == Visibility::Id { Pass::ProjectSamplesId } else { Pass::ProjectSamples }
+}
+
+pub fn record(recorder: &mut Recorder, half: Visibility) -> Result<(), ShaderError> {
+    let segments = recorder.segments(PageKind::Samples);
+    recorder.compute(Call {
+        pass: pass(half),
+        root: "project/project_samples",
+        visibility: Some(half),
+        constants: Vec::new(),
+        segments: &segments,
+        launch: Launch::Indirect,
+    })
+}

@@ -1,0 +1,25 @@
+//! Triangles of a few pixels; larger ones are listed.
+
+use crate::gpu::shader::ShaderError;
+use crate::passes::recorder::{Call, Launch, Recorder, Segment};
+use crate::passes::shaders::Visibility;
+use crate::plan::Pass;
+
+pub fn pass(half: Visibility) -> Pass {
+    if half == Visibility::Id { Pass::ProjectTrianglesId } else { Pass::ProjectTriangles }
+}
+
+pub fn record(
+    recorder: &mut Recorder,
+    half: Visibility,
+    segment: Segment,
+) -> Result<(), ShaderError> {
+    recorder.compute(Call {
+        pass: pass(half),
+        root: "project/project_triangles",
+        visibility: Some(half),
+        constants: Vec::new(),
+        segments: &[segment],
+        launch: Launch::Indirect,
+    })
+}

@@ -1,0 +1,202 @@
+//! What every pass does to record itself: find its pipeline and bind groups, take its stamps, launch.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use super::bindings::Names;
+use super::frame::FrameTask;
+use super::pipelines::{Constants, Pipelines};
+use super::scratch::Scratch;
+use super::shaders::Visibility;
+use super::uniforms::GroupUniforms;
+use crate::gpu::Gpu;
+use crate::gpu::bind::BindCache;
+use crate::gpu::pipeline::{BindingSlot, GROUPS};
+use crate::gpu::shader::ShaderError;
+use crate::gpu::timing::{Span, Timer};
+use crate::plan::Pass;
+use crate::residency::layout::GpuDispatch;
+use crate::residency::{PageKind, Residency, ResidentScene};
+
+/// Workgroups in x before a dispatch takes a second row; as in the shaders.
+pub const DISPATCH_ROW: u32 = 32768;
+
+/// When a pass ran within its submission.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PassSpan {
+    pub pass: Pass,
+    pub span: Option<Span>,
+}
+
+/// What recording needs besides the group.
+pub struct Context<'a> {
+    pub gpu: &'a Gpu,
+    pub pipelines: &'a mut Pipelines,
+    pub binds: &'a RefCell<BindCache>,
+    pub scratch: &'a mut Scratch,
+    pub residency: &'a Residency,
+    pub timer: &'a mut Timer,
+}
+
+/// A group being recorded.
+pub struct Recorder<'a, 'c> {
+    pub context: &'a mut Context<'c>,
+    pub encoder: &'a mut wgpu::CommandEncoder,
+    pub scene: &'a ResidentScene,
+    pub task: &'a FrameTask,
+    pub uniforms: &'a GroupUniforms,
+    pub spans: Vec<PassSpan>,
+}
+
+/// The segment that a launch draws, if it draws one.
+pub type Segment = Option<usize>;
+
+/// How many workgroups.
+#[derive(Clone, Copy)]
+pub enum Launch {
+    Direct([u32; 3]),
+    /// As `scan` has written it for the segment.
+    Indirect,
+}
+
+/// A compute pass.
+pub struct Call<'s> {
+    pub pass: Pass,
+    /// Its file below `shaders/`, whose last part names the entry point.
+    pub root: &'static str,
+    /// How it writes the visibility buffer, if it does.
+    pub visibility: Option<Visibility>,
+    pub constants: Constants,
+    /// What it is launched for, one after the other.
+    pub segments: &'s [Segment],
+    pub launch: Launch,
+}
+
+type Binds = Vec<(Rc<wgpu::BindGroup>, Vec<u32>)>;
+
+/// A launch in one dimension that takes a second row where one is not enough, for each of `views`.
+pub fn rows(groups: u32, views: u32) -> Launch {
+    Launch::Direct([groups.min(DISPATCH_ROW), groups.div_ceil(DISPATCH_ROW), views])
+}
+
+impl Recorder<'_, '_> {
+    /// The scene's segments of one kind.
+    pub fn segments(&self, kind: PageKind) -> Vec<Segment> {
+        (0..self.scene.pages.len())
+            .filter(|&index| self.scene.pages[index].kind == kind)
+            .map(Some)
+            .collect()
+    }
+
+    /// Values of overrides that every pass has.
+    fn constants(&self, own: Constants) -> Constants {
+        let mut constants = vec![("VIEWS", u32::from(self.task.count() > 1))];
+        constants.extend(own);
+        constants
+    }
+
+    /// Records a compute pass.
+    pub fn compute(&mut self, call: Call) -> Result<(), ShaderError> {
+        let Call { pass, root, visibility, constants, segments, launch } = call;
+        let constants = self.constants(constants);
+        let entry = root.rsplit('/').next().unwrap_or(root);
+        let gpu = self.context.gpu;
+        let pipeline = match visibility {
+            None => self.context.pipelines.plain(gpu, root, entry, constants)?,
+            Some(visibility) => {
+                let cut = self.scene.alpha_cut;
+                self.context.pipelines.visible(gpu, root, entry, visibility, cut, constants)?
+            }
+        };
+        let binds: Vec<Binds> = segments
+            .iter()
+            .map(|&segment| self.bind(&pipeline.layouts, &pipeline.bindings, segment))
+            .collect::<Result<_, _>>()?;
+        let (mut recorded, span) = self.context.timer.compute(self.encoder, pass.name());
+        for (segment, binds) in segments.iter().zip(&binds) {
+            recorded.set_pipeline(&pipeline.pipeline);
+            for (index, (group, offsets)) in binds.iter().enumerate() {
+                recorded.set_bind_group(index as u32, group.as_ref(), offsets);
+            }
+            match launch {
+                Launch::Direct([x, y, z]) if x > 0 && y > 0 => {
+                    recorded.dispatch_workgroups(x, y, z);
+                }
+                Launch::Direct(_) => {}
+                Launch::Indirect => recorded.dispatch_workgroups_indirect(
+                    self.context.scratch.dispatches.buffer().raw(),
+                    (segment.unwrap_or(0) * size_of::<GpuDispatch>()) as u64,
+                ),
+            }
+        }
+        drop(recorded);
+        self.finish(pass, span);
+        Ok(())
+    }
+
+    /// Records an indirect draw of the list of large triangles. The attachment has a view's size and is thrown away.
+    pub fn raster(
+        &mut self,
+        pass: Pass,
+        visibility: Visibility,
+        segment: Segment,
+    ) -> Result<(), ShaderError> {
+        let constants = self.constants(Vec::new());
+        let context = &mut *self.context;
+        let cut = self.scene.alpha_cut;
+        let pipeline = context.pipelines.raster(context.gpu, visibility, cut, constants)?;
+        let binds = self.bind(&pipeline.layouts, &pipeline.bindings, segment)?;
+        let (width, height) = self.task.size();
+        let context = &mut *self.context;
+        let attachment = context.scratch.attachment(context.gpu, width, height);
+        let (mut recorded, span) = context.timer.raster(self.encoder, pass.name(), &attachment);
+        recorded.set_pipeline(&pipeline.pipeline);
+        for (index, (group, offsets)) in binds.iter().enumerate() {
+            recorded.set_bind_group(index as u32, group.as_ref(), offsets);
+        }
+        recorded.draw_indirect(context.scratch.large.buffer().raw(), 0);
+        drop(recorded);
+        self.finish(pass, span);
+        Ok(())
+    }
+
+    fn finish(&mut self, pass: Pass, span: Option<Span>) {
+        self.context.timer.settle(self.encoder);
+        self.spans.push(PassSpan { pass, span });
+    }
+
+    /// Finds the buffer of every binding by its name in the shader.
+    fn bind(
+        &self,
+        layouts: &[wgpu::BindGroupLayout; GROUPS],
+        bindings: &[Vec<BindingSlot>; GROUPS],
+        segment: Segment,
+    ) -> Result<Binds, ShaderError> {
+        let names = Names {
+            scratch: self.context.scratch,
+            residency: self.context.residency,
+            scene: self.scene,
+            uniforms: self.uniforms,
+            segment,
+        };
+        let mut out = Vec::with_capacity(GROUPS);
+        for (layout, slots) in layouts.iter().zip(bindings) {
+            let mut list = Vec::with_capacity(slots.len());
+            let mut offsets = Vec::new();
+            for slot in slots {
+                let (binding, offset) =
+                    names.find(&slot.name).ok_or_else(|| ShaderError::Invalid {
+                        name: slot.name.clone(),
+                        message: "no buffer goes by this name in this pass".to_owned(),
+                    })?;
+                list.push((slot.number, binding));
+                if slot.dynamic {
+                    offsets.push(offset);
+                }
+            }
+            let group = self.context.binds.borrow_mut().get(self.context.gpu, layout, &list);
+            out.push((group, offsets));
+        }
+        Ok(out)
+    }
+}

@@ -1,0 +1,52 @@
+//! Uniform words of a batch, written to the GPU in one go before the submission.
+
+use super::frame::{FrameTask, frame_record};
+use super::scratch::Scratch;
+use crate::gpu::Gpu;
+use crate::residency::ResidentScene;
+use crate::residency::layout::{GpuFrame, MOST_VIEWS};
+
+/// Records begin at multiples of this.
+const ALIGN: usize = 256;
+/// What a shader binds as the views' records, however many there are.
+pub const VIEWS_WINDOW: u64 = MOST_VIEWS as u64 * size_of::<GpuFrame>() as u64;
+/// What a shader binds as its segment.
+pub const SEGMENT_WINDOW: u64 = 16;
+
+#[derive(Default)]
+pub struct Uniforms {
+    bytes: Vec<u8>,
+}
+
+/// Where the records of one group lie: those of its views, then one a segment.
+#[derive(Clone, Debug)]
+pub struct GroupUniforms {
+    pub views: u32,
+    pub segments: Vec<u32>,
+}
+
+impl Uniforms {
+    fn push<T: bytemuck::NoUninit>(&mut self, records: &[T]) -> u32 {
+        let offset = self.bytes.len();
+        self.bytes.extend_from_slice(bytemuck::cast_slice(records));
+        self.bytes.resize(self.bytes.len().next_multiple_of(ALIGN), 0);
+        offset as u32
+    }
+
+    /// Adds a group.
+    pub fn group(&mut self, task: &FrameTask, scene: &ResidentScene) -> GroupUniforms {
+        let records: Vec<GpuFrame> =
+            (0..task.count()).map(|number| frame_record(task, scene, number)).collect();
+        let views = self.push(&records);
+        let segments = (0..scene.pages.len() as u32)
+            .map(|index| self.push(&[index, u32::from(index == 0), 0u32, 0u32]))
+            .collect();
+        GroupUniforms { views, segments }
+    }
+
+    pub fn write(&self, gpu: &Gpu, scratch: &mut Scratch) {
+        // The last group's window may reach beyond its views.
+        scratch.uniforms.reserve(gpu, self.bytes.len() as u64 + VIEWS_WINDOW);
+        gpu.queue.write_buffer(scratch.uniforms.buffer().raw(), 0, &self.bytes);
+    }
+}
