@@ -3,7 +3,7 @@
 use crate::assets::PointCloud;
 
 /// What neither intensity nor class tells apart.
-const NEUTRAL: [u8; 4] = [204, 204, 204, 255];
+pub(super) const NEUTRAL: [u8; 4] = [204, 204, 204, 255];
 /// Intensities below and above these fractions of all points become black and white.
 const STRETCH: [f64; 2] = [0.01, 0.99];
 

@@ -10,6 +10,7 @@ use std::path::Path;
 
 use glam::{DAffine3, DVec3};
 
+use super::colors::NEUTRAL;
 use super::{estimate_point_attributes, fill_colors, smooth_normals};
 use crate::assets::{Geometry, Placement};
 use crate::math::Bounds;
@@ -33,6 +34,8 @@ pub struct AssetTraits {
     pub normals_estimated: bool,
     /// Some geometry is a mesh.
     pub has_triangles: bool,
+    /// Some part of a mesh has a material.
+    pub has_materials: bool,
     /// Of everything that is drawn, before it is placed.
     pub bounds: Bounds,
 }
@@ -79,6 +82,7 @@ pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
         }
         Geometry::Mesh(mesh) => {
             traits.has_triangles = true;
+            traits.has_materials |= mesh.parts.iter().any(|part| part.material.is_some());
             let had = (mesh.colors.is_some(), mesh.normals.is_some());
             // A glTF mesh without normals is to be drawn flat (glTF 2.0, 3.7.2.1).
             smooth_normals(mesh, if traits.format.starts_with("gl") { 0.0 } else { CREASE_DEG });
@@ -90,12 +94,20 @@ pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
     traits.normals_estimated |= !has_normals;
 }
 
-/// Adapts the description of a bare asset file: a scan's own colours are shown unlit; survey formats, and what lies on a
-/// survey's grid, have z up.
+/// Adapts the description of a bare asset file: a scan's own colours are shown unlit; a mesh with neither colours nor
+/// materials looks as grey as points without colours do, since white that faces the light has no shape; survey formats,
+/// and what lies on a survey's grid, have z up.
 pub fn adapt_bare_asset(description: &mut Scene, assets: &[AssetTraits]) {
     let scan = |asset: &AssetTraits| asset.has_colors && !asset.has_normals && !asset.has_triangles;
     if assets.iter().all(scan) {
         description.lights.clear();
+    }
+    let plain =
+        |asset: &AssetTraits| asset.has_triangles && !asset.has_colors && !asset.has_materials;
+    if assets.iter().all(plain) {
+        // Less light is the same picture as a grey material, and costs nothing to draw.
+        let [grey, ..] = scene::color::to_linear(NEUTRAL.map(|byte| f64::from(byte) / 255.0));
+        description.lights.iter_mut().for_each(|light| light.dim(grey));
     }
     if assets.iter().all(|asset| SURVEY_FORMATS.contains(&asset.format) || is_georeferenced(asset))
     {
@@ -145,6 +157,7 @@ pub fn placed<'a, P: Borrow<Vec<Placement>>>(
 mod tests {
     use super::*;
     use crate::assets::{Mesh, PointCloud};
+    use crate::scene::Light;
 
     fn traits(format: &'static str) -> AssetTraits {
         AssetTraits { format, ..AssetTraits::default() }
@@ -188,6 +201,20 @@ mod tests {
             assert_eq!(geometry.positions().len(), vertices, "{format}");
             assert!(found.has_triangles && found.normals_estimated && !found.has_normals);
         }
+    }
+
+    #[test]
+    fn bare_meshes_without_appearance_are_grey() {
+        let plain = AssetTraits { has_triangles: true, ..traits("stl") };
+        let bright = |asset| {
+            let mut scene = Scene::from_asset("a", "a".into());
+            adapt_bare_asset(&mut scene, &[asset]);
+            scene.lights == Light::default_pair()
+        };
+        assert!(!bright(plain));
+        assert!(bright(AssetTraits { has_colors: true, ..plain }));
+        assert!(bright(AssetTraits { has_materials: true, ..plain }));
+        assert!(bright(AssetTraits { has_triangles: false, ..plain }));
     }
 
     #[test]

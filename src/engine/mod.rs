@@ -85,6 +85,8 @@ pub enum EngineError {
     ShuttingDown,
     #[error("{what} needs {needed} bytes on the GPU, the budget is {budget}")]
     OutOfGpuMemory { what: String, needed: u64, budget: u64 },
+    #[error("{what} take {needed} bytes, of which this adapter binds {limit} at once")]
+    OverBinding { what: &'static str, needed: u64, limit: u64 },
     /// A limit of [`Limits`] was exceeded.
     #[error("{what} ({found}) is over the limit of {limit}")]
     OverLimit { what: &'static str, found: u64, limit: u64 },
@@ -361,11 +363,15 @@ impl Engine {
 
     fn load_reserved(&self, id: &str, path: &std::path::Path) -> Result<SceneInfo, EngineError> {
         let shared = self.shared();
+        let began = std::time::Instant::now();
         let path = library::check_path(path, &shared.config.root)?;
         let loaded = library::load(id, &path, &shared.config, &shared.cache)?;
         self.check_fits(&loaded)?;
         let info = loaded.info.clone();
         shared.library.write().insert(loaded);
+        let (samples, triangles) = (info.samples, info.triangles);
+        let elapsed_ms = began.elapsed().as_millis() as u64;
+        tracing::info!(id, samples, triangles, elapsed_ms, "scene loaded");
         Ok(info)
     }
 
@@ -382,6 +388,7 @@ impl Engine {
         let removed = shared.library.write().remove(id);
         removed.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
         shared.wake_for_removal();
+        tracing::info!(id, "scene deleted");
         Ok(())
     }
 
@@ -399,6 +406,7 @@ impl Engine {
             self.check_fits(&patched)?;
             let info = patched.info.clone();
             if shared.library.write().replace(&loaded, patched) {
+                tracing::info!(id, node, revision = info.revision, "scene changed");
                 return Ok(info);
             }
             // Removed meanwhile, and perhaps loaded again.

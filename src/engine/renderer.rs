@@ -527,7 +527,7 @@ pub fn engine_error(error: ResidencyError) -> EngineError {
             EngineError::OutOfGpuMemory { what, needed, budget }
         }
         ResidencyError::OverBinding { what, needed, limit } => {
-            EngineError::OutOfGpuMemory { what: what.to_owned(), needed, budget: limit }
+            EngineError::OverBinding { what, needed, limit }
         }
     }
 }

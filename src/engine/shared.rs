@@ -330,11 +330,12 @@ impl Shared {
         self.resident.read().contains(id)
     }
 
-    /// Folds a measured frame time into the average.
-    pub fn measured(&self, frame: Duration) {
-        let old = self.frame_ns.load(Ordering::Relaxed);
-        let new = frame.as_nanos() as u64;
-        self.frame_ns.store(old - old / 8 + new / 8, Ordering::Relaxed);
+    /// Folds in that `frames` took `frame` each. The mean forgets with a time constant of eight frames, however many come at once.
+    pub fn measured(&self, frame: Duration, frames: u32) {
+        let old = self.frame_ns.load(Ordering::Relaxed) as f64;
+        let kept = 0.875f64.powi(frames.min(64) as i32);
+        let new = frame.as_nanos() as f64;
+        self.frame_ns.store((old * kept + new * (1.0 - kept)) as u64, Ordering::Relaxed);
     }
 
     pub fn snapshot(&self) -> EngineStats {

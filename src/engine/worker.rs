@@ -128,6 +128,7 @@ fn reopen(shared: &Shared, options: &GpuOptions) -> Option<Renderer> {
 
 fn serve(shared: &Arc<Shared>, renderer: &mut Renderer, encoders: &flume::Sender<Drawn>) -> Stop {
     let mut flights: VecDeque<InFlight> = VecDeque::new();
+    let mut last_landed = Instant::now();
     loop {
         assert!(!shared.is_to_break(), "told to break");
         let work = shared.next_batch(flights.is_empty(), IDLE);
@@ -160,11 +161,11 @@ fn serve(shared: &Arc<Shared>, renderer: &mut Renderer, encoders: &flume::Sender
             || (!flights.is_empty() && shared.is_queue_empty())
         {
             let Some(flight) = flights.pop_front() else { break };
-            let (mut again, lost) = land(shared, renderer, flight, encoders);
+            let (mut again, lost) = land(shared, renderer, flight, encoders, &mut last_landed);
             if lost {
                 // What flies behind it may still have arrived.
                 for flight in flights.drain(..) {
-                    again.extend(land(shared, renderer, flight, encoders).0);
+                    again.extend(land(shared, renderer, flight, encoders, &mut last_landed).0);
                 }
             }
             retry(shared, again);
@@ -209,13 +210,16 @@ fn land(
     renderer: &mut Renderer,
     flight: InFlight,
     encoders: &flume::Sender<Drawn>,
+    last_landed: &mut Instant,
 ) -> (Vec<Arc<Job>>, bool) {
-    let began = flight.began;
+    // Not what it waited behind the one before.
+    let began = flight.began.max(*last_landed);
     let landed = renderer.land(flight);
+    *last_landed = Instant::now();
     let frames = landed.drawn.len() as u32;
     shared.stats.batches.fetch_add(1, Ordering::Relaxed);
     if frames > 0 {
-        shared.measured(began.elapsed() / frames);
+        shared.measured(began.elapsed() / frames, frames);
     }
     for drawn in landed.drawn {
         if let Err(flume::SendError(drawn)) = encoders.send(drawn) {

@@ -10,7 +10,7 @@ pub enum GenerateError {
     /// The file's extension and what was made do not go together.
     #[error("{file}: cannot hold {what}; accepted are {accepted}")]
     Format { file: String, what: &'static str, accepted: &'static str },
-    #[error("{file}: {source}")]
+    #[error("{file}: cannot be written")]
     Io { file: String, source: std::io::Error },
     /// A writer of a library failed.
     #[error("{file}: {reason}")]

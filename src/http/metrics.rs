@@ -83,7 +83,12 @@ impl Metrics {
             "From a frame's request to its encoded image",
             &metrics.total_seconds,
         );
-        seconds(registry, "frame_gpu", "GPU time of a frame's passes", &metrics.gpu_seconds);
+        seconds(
+            registry,
+            "frame_gpu",
+            "GPU time of a frame's passes, its share where several were drawn together",
+            &metrics.gpu_seconds,
+        );
         seconds(registry, "frame_encode", "Encoding time of a frame", &metrics.encode_seconds);
         registry.register_collector(Box::new(EngineCollector(engine.clone())));
         metrics
@@ -110,7 +115,7 @@ impl Metrics {
         self.total_seconds.observe(seconds_of(frame.receipt.total_ns));
         self.encode_seconds.observe(seconds_of(frame.receipt.encode_ns));
         if let Some(gpu_ns) = frame.receipt.gpu_ns {
-            self.gpu_seconds.observe(seconds_of(gpu_ns));
+            self.gpu_seconds.observe(seconds_of(gpu_ns) / f64::from(frame.receipt.views.max(1)));
         }
     }
 

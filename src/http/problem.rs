@@ -322,7 +322,9 @@ impl From<EngineError> for Problem {
             EngineError::ShuttingDown => {
                 Problem::new(Kind::ShuttingDown, text).retry_after(Duration::from_secs(5))
             }
-            EngineError::OutOfGpuMemory { .. } => Problem::new(Kind::OutOfGpuMemory, text),
+            EngineError::OutOfGpuMemory { .. } | EngineError::OverBinding { .. } => {
+                Problem::new(Kind::OutOfGpuMemory, text)
+            }
             EngineError::OverLimit { what, limit, .. } => {
                 let problem = Problem::new(Kind::OverLimit, text)
                     .accepted(format!("at most {limit} {what}; GET /v1/limits lists all"));

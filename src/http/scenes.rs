@@ -145,7 +145,8 @@ const CHANGE_SYNONYMS: [(&str, &str); 3] =
     [("position", "translate"), ("transform", "matrix"), ("hidden", "visible")];
 const MAX_CHANGE_BYTES: u64 = 64 << 10;
 
-/// Moves, shows or hides a top-level node: a new revision, nothing is uploaded again.
+/// Moves, shows or hides a top-level node: a new revision, nothing is uploaded again. The scene's file stays as it is: a
+/// daemon that starts anew begins with what the file says.
 #[utoipa::path(
     patch,
     path = "/v1/scenes/{id}/nodes/{node}",

@@ -138,17 +138,13 @@ async fn load_scenes(app: &Arc<App>, start: StartScenes) -> anyhow::Result<()> {
     let mut failed = 0;
     for (index, (id, file)) in start.scenes.into_iter().chain(earlier).enumerate() {
         let shown = file.display().to_string();
-        let began = Instant::now();
         let result = match app.registry.reserve(&id, |id| app.engine.scene(id).is_ok()) {
             Ok(reservation) => upload::load(app, reservation, file, |problem| problem).await,
             Err(problem) => Err(problem),
         };
-        let elapsed_ms = began.elapsed().as_millis();
         match result {
-            Ok(info) => {
-                let (samples, triangles) = (info.samples, info.triangles);
-                tracing::info!(id, samples, triangles, elapsed_ms, "scene loaded");
-            }
+            // The engine has told of it.
+            Ok(_) => {}
             Err(problem) => {
                 failed += usize::from(index < asked);
                 tracing::error!(id, file = shown, problem = problem.detail, "scene not loaded");

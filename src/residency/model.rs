@@ -69,12 +69,17 @@ impl AssetModel {
     /// What its file held.
     pub fn traits(&self) -> AssetTraits {
         let is_mesh = |geometry: &PackedGeometry| matches!(geometry, PackedGeometry::Mesh(_));
+        let has_material = |geometry: &PackedGeometry| match geometry {
+            PackedGeometry::Samples(_) => false,
+            PackedGeometry::Mesh(mesh) => mesh.chunks.iter().any(|chunk| chunk.material != 0),
+        };
         AssetTraits {
             format: self.format,
             has_colors: self.has_colors,
             has_normals: self.has_normals,
             normals_estimated: self.normals_estimated,
             has_triangles: self.packed.geometries.iter().any(is_mesh),
+            has_materials: self.packed.geometries.iter().any(has_material),
             bounds: self.bounds.iter().fold(Bounds::EMPTY, |all, bounds| all.union(*bounds)),
         }
     }

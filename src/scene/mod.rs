@@ -155,6 +155,15 @@ pub enum Light {
 }
 
 impl Light {
+    /// Multiplies its colour.
+    pub fn dim(&mut self, factor: f32) {
+        let (Light::Ambient { color }
+        | Light::Headlight { color }
+        | Light::Sun { color, .. }
+        | Light::Point { color, .. }) = self;
+        *color = color.map(|part| part * factor);
+    }
+
     /// What lights a scene that names no lights: a headlight (0.85) and ambient light (0.15).
     pub fn default_pair() -> [Light; 2] {
         [Light::Headlight { color: [0.85; 3] }, Light::Ambient { color: [0.15; 3] }]
