@@ -4,8 +4,8 @@ mod common;
 
 use std::path::Path;
 
-use common::drawing::{Drawing, Orbit, STEP_DEG, pass_medians, pass_ns};
-use common::peer::{PYVISTA, Vtk};
+use common::drawing::{Drawing, Orbit, pass_medians, pass_ns};
+use common::peer::{self, PYVISTA};
 use common::report::{Bound, Report, number};
 use common::{files, median, median_ratio, ms, pick};
 use glam::DVec3;
@@ -85,7 +85,7 @@ fn row(name: &str, count: u64, times_ms: &[f64], ratio: f64) -> Vec<String> {
     vec![name.to_owned(), number(time), number(count as f64 / time / 1e3), number(ratio)]
 }
 
-/// Draws `frames` frames with both, or with the engine alone where VTK is not installed.
+/// Frames with both; see [`peer::take_turns`].
 fn take_turns(
     report: &mut Report,
     ours: &Drawing,
@@ -95,23 +95,16 @@ fn take_turns(
     args: &[&str],
     frames: u32,
 ) -> anyhow::Result<Turns> {
-    let mut vtk = Vtk::start(file, orbit, SIZE, args)?;
-    let mut turns = Turns { receipts: Vec::new(), project_ms: Vec::new(), peer_ms: Vec::new() };
-    for frame in 0..frames {
-        let degrees = f64::from(frame) * STEP_DEG + 5.0;
-        let receipt = ours.receipt(orbit.at(degrees))?;
-        // Adapters without 64-bit atomics go through the samples twice.
-        let second = pass_ns(&receipt, "project_samples_id")?;
-        turns.project_ms.push(ms(pass_ns(&receipt, "project_samples")? + second));
-        turns.receipts.push(receipt);
-        if let Some(vtk) = &mut vtk {
-            turns.peer_ms.push(vtk.frame_ms(degrees)?);
-        }
-    }
-    if let Some(vtk) = vtk {
-        report.value(&format!("vtk, {name}"), vtk.finish()?);
-    }
-    Ok(turns)
+    let name = format!("vtk, {name}");
+    let peer::Turns { receipts, peer_ms } =
+        peer::take_turns(report, ours, file, orbit, SIZE, &name, args, frames)?;
+    // Adapters without 64-bit atomics go through the samples twice.
+    let both = |receipt| -> anyhow::Result<f64> {
+        let second = pass_ns(receipt, "project_samples_id")?;
+        Ok(ms(pass_ns(receipt, "project_samples")? + second))
+    };
+    let project_ms = receipts.iter().map(both).collect::<Result<_, _>>()?;
+    Ok(Turns { receipts, project_ms, peer_ms })
 }
 
 /// The time of each pass.

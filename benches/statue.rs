@@ -2,10 +2,8 @@
 
 mod common;
 
-use std::path::Path;
-
-use common::drawing::{Drawing, Orbit, STEP_DEG, pass_medians};
-use common::peer::{PYVISTA, Vtk};
+use common::drawing::{Drawing, Orbit, pass_medians};
+use common::peer::{self, PYVISTA, Turns};
 use common::report::{Bound, Report, number};
 use common::{files, median, median_ratio, ms, pick};
 use pointillist::engine::Receipt;
@@ -25,9 +23,13 @@ fn main() -> anyhow::Result<()> {
     for warm in 0..3 {
         ours.receipt(orbit.at(f64::from(warm) - 10.0))?;
     }
-    let (receipts, peer_ms) = take_turns(&mut report, &ours, &file, &orbit, "vtk", &[], 15)?;
-    let name = "vtk as PyVista sets it up";
-    let (slow_receipts, slow_ms) = take_turns(&mut report, &ours, &file, &orbit, name, PYVISTA, 5)?;
+    let mut turns = |name, args: &[&str], frames| {
+        let args = [&["--jpeg=85"], args].concat();
+        peer::take_turns(&mut report, &ours, &file, &orbit, SIZE, name, &args, pick(frames, 2))
+    };
+    let Turns { receipts, peer_ms } = turns("vtk", &[], 15)?;
+    let Turns { receipts: slow_receipts, peer_ms: slow_ms } =
+        turns("vtk as PyVista sets it up", PYVISTA, 5)?;
 
     let part = |of: fn(&Receipt) -> u64| {
         median(&receipts.iter().map(|receipt| ms(of(receipt))).collect::<Vec<_>>())
@@ -74,30 +76,6 @@ fn main() -> anyhow::Result<()> {
         "%",
     );
     report.finish()
-}
-
-/// Frames of ours and of VTK's in turns: receipts, and milliseconds where VTK is installed.
-fn take_turns(
-    report: &mut Report,
-    ours: &Drawing,
-    file: &Path,
-    orbit: &Orbit,
-    name: &str,
-    args: &[&str],
-    frames: u32,
-) -> anyhow::Result<(Vec<Receipt>, Vec<f64>)> {
-    let args: Vec<&str> = [&["--jpeg=85"], args].concat();
-    let mut vtk = Vtk::start(file, orbit, SIZE, &args)?;
-    let (mut receipts, mut peer_ms) = (Vec::new(), Vec::new());
-    for frame in 0..pick(frames, 2) {
-        let degrees = f64::from(frame) * STEP_DEG + 5.0;
-        receipts.push(ours.receipt(orbit.at(degrees))?);
-        if let Some(vtk) = &mut vtk {
-            peer_ms.push(vtk.frame_ms(degrees)?);
-        }
-    }
-    report.value(name, vtk.map(|vtk| vtk.finish()).transpose()?);
-    Ok((receipts, peer_ms))
 }
 
 /// What the passes and the steps around them sum up to, of the time from the request to the JPEG; `None` without

@@ -7,11 +7,51 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use anyhow::{Context, bail};
 use serde_json::Value;
 
-use super::drawing::Orbit;
+use pointillist::engine::Receipt;
+
+use super::drawing::{Drawing, Orbit, STEP_DEG};
+use super::report::Report;
 
 /// What who calls `pyvista.Plotter.add_points` without options gets (PyVista 0.49; the driver makes 4 multisamples of
 /// the 8).
 pub const PYVISTA: &[&str] = &["--point-size=5", "--lighting", "--multisamples=8"];
+
+/// Frames of ours and of VTK's.
+pub struct Turns {
+    pub receipts: Vec<Receipt>,
+    /// Empty where VTK is not installed.
+    pub peer_ms: Vec<f64>,
+}
+
+/// Draws `frames` frames with both in turns, or with the engine alone; VTK's own summary goes into the report under `name`.
+///
+/// # Errors
+/// Either fails.
+#[allow(clippy::too_many_arguments, reason = "what is drawn, how, and where it is told")]
+pub fn take_turns(
+    report: &mut Report,
+    ours: &Drawing,
+    file: &Path,
+    orbit: &Orbit,
+    size: u32,
+    name: &str,
+    args: &[&str],
+    frames: u32,
+) -> anyhow::Result<Turns> {
+    let mut vtk = Vtk::start(file, orbit, size, args)?;
+    let mut turns = Turns { receipts: Vec::new(), peer_ms: Vec::new() };
+    for frame in 0..frames {
+        let degrees = f64::from(frame) * STEP_DEG + 5.0;
+        turns.receipts.push(ours.receipt(orbit.at(degrees))?);
+        if let Some(vtk) = &mut vtk {
+            turns.peer_ms.push(vtk.frame_ms(degrees)?);
+        }
+    }
+    if let Some(vtk) = vtk {
+        report.value(name, vtk.finish()?);
+    }
+    Ok(turns)
+}
 
 pub struct Vtk {
     child: Child,

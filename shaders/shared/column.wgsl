@@ -33,10 +33,14 @@ fn column_ends(column: Column) -> bool {
     return column.at.y >= column.bottom;
 }
 
+fn column_is_pixel(column: Column) -> bool {
+    return column.inside && column.at.y < column.bottom;
+}
+
 // Loads what the visibility buffer has at the column's pixel; below the tile and beside the image that is nothing.
 fn column_load(column: ptr<function, Column>) {
     (*column).word = vec2<u32>(0u);
-    if (*column).inside && (*column).at.y < (*column).bottom {
+    if column_is_pixel(*column) {
         (*column).word = visibility[(*column).pixel];
     }
     (*column).mine = (*column).word.y != 0u;

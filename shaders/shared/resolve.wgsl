@@ -42,7 +42,7 @@ const NO_SLOT: u32 = 0xffffffffu;
 // Looks at the column's pixel; `begin` and `count`: the segment's slots.
 fn resolve_load(column: ptr<function, Column>, begin: u32, count: u32) {
     column_load(column);
-    if (*column).word.y == 0u && segment.first != 0u && (*column).inside && (*column).at.y < (*column).bottom {
+    if (*column).word.y == 0u && segment.first != 0u && column_is_pixel(*column) {
         pixels[(*column).pixel] = background_word();
     }
     (*column).mine = (*column).mine && slot_of((*column).word) - begin < count;

@@ -51,6 +51,13 @@ pub struct Receipt {
     pub coalesced: bool,
 }
 
+impl Receipt {
+    /// `gpu_ns`, divided equally among the frames that were drawn together.
+    pub fn gpu_share_ns(&self) -> Option<u64> {
+        self.gpu_ns.map(|ns| ns / u64::from(self.views.max(1)))
+    }
+}
+
 /// The pose as understood.
 #[derive(Clone, Debug, Default, Serialize, ToSchema)]
 pub struct CameraReceipt {

@@ -330,7 +330,8 @@ impl Shared {
         self.resident.read().contains(id)
     }
 
-    /// Folds in that `frames` took `frame` each. The mean forgets with a time constant of eight frames, however many come at once.
+    /// Folds in that `frames` took `frame` each. The mean forgets with a time constant of eight
+    /// frames, however many come at once.
     pub fn measured(&self, frame: Duration, frames: u32) {
         let old = self.frame_ns.load(Ordering::Relaxed) as f64;
         let kept = 0.875f64.powi(frames.min(64) as i32);

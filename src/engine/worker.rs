@@ -275,8 +275,8 @@ fn finish(shared: &Shared, drawn: Drawn) {
             receipt.total_ns = drawn.job.enqueued.elapsed().as_nanos() as u64;
             shared.stats.frames.fetch_add(1, Ordering::Relaxed);
             shared.stats.encode_ns.fetch_add(receipt.encode_ns, Ordering::Relaxed);
-            let gpu_ns = receipt.gpu_ns.unwrap_or(0) / u64::from(drawn.views.max(1));
-            shared.stats.gpu_ns.fetch_add(gpu_ns, Ordering::Relaxed);
+            let share_ns = receipt.gpu_share_ns().unwrap_or(0);
+            shared.stats.gpu_ns.fetch_add(share_ns, Ordering::Relaxed);
             Ok(Arc::new(EncodedFrame {
                 bytes: encoded.bytes.into(),
                 content_type: encoded.content_type,

@@ -114,8 +114,8 @@ impl Metrics {
         self.image_bytes.inc_by(frame.bytes.len() as u64);
         self.total_seconds.observe(seconds_of(frame.receipt.total_ns));
         self.encode_seconds.observe(seconds_of(frame.receipt.encode_ns));
-        if let Some(gpu_ns) = frame.receipt.gpu_ns {
-            self.gpu_seconds.observe(seconds_of(gpu_ns) / f64::from(frame.receipt.views.max(1)));
+        if let Some(share_ns) = frame.receipt.gpu_share_ns() {
+            self.gpu_seconds.observe(seconds_of(share_ns));
         }
     }
 

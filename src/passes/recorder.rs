@@ -74,11 +74,6 @@ pub struct Call<'s> {
 
 type Binds = Vec<(Rc<wgpu::BindGroup>, Vec<u32>)>;
 
-/// A launch in one dimension that takes a second row where one is not enough, for each of `views`.
-pub fn rows(groups: u32, views: u32) -> Launch {
-    Launch::Direct([groups.min(DISPATCH_ROW), groups.div_ceil(DISPATCH_ROW), views])
-}
-
 impl Recorder<'_, '_> {
     /// The scene's segments of one kind.
     pub fn segments(&self, kind: PageKind) -> Vec<Segment> {
@@ -132,6 +127,26 @@ impl Recorder<'_, '_> {
         drop(recorded);
         self.finish(pass, span);
         Ok(())
+    }
+
+    /// Records a compute pass over the whole scene, launched in one dimension that takes a second row where one is not
+    /// enough, for each of `views`.
+    pub fn rows(
+        &mut self,
+        pass: Pass,
+        root: &'static str,
+        groups: u32,
+        views: u32,
+    ) -> Result<(), ShaderError> {
+        let size = [groups.min(DISPATCH_ROW), groups.div_ceil(DISPATCH_ROW), views];
+        self.compute(Call {
+            pass,
+            root,
+            visibility: None,
+            constants: Vec::new(),
+            segments: &[None],
+            launch: Launch::Direct(size),
+        })
     }
 
     /// Records an indirect draw of the list of large triangles. The attachment has a view's size and is thrown away.

@@ -1,7 +1,7 @@
 //! Empties what the passes of all views gather in.
 
 use crate::gpu::shader::ShaderError;
-use crate::passes::recorder::{Call, Recorder, rows};
+use crate::passes::recorder::Recorder;
 use crate::plan::Pass;
 
 /// Pixels that a workgroup clears; as in the shader.
@@ -10,12 +10,5 @@ pub const PIXELS: u32 = 2 * 16 * 64;
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let (width, height) = recorder.task.size();
     let (groups, views) = ((recorder.task.count() * width * height).div_ceil(PIXELS), 1);
-    recorder.compute(Call {
-        pass: Pass::Clear,
-        root: "select/clear",
-        visibility: None,
-        constants: Vec::new(),
-        segments: &[None],
-        launch: rows(groups, views),
-    })
+    recorder.rows(Pass::Clear, "select/clear", groups, views)
 }

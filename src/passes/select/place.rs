@@ -1,7 +1,7 @@
 //! Each instance as each view's eye sees it.
 
 use crate::gpu::shader::ShaderError;
-use crate::passes::recorder::{Call, Recorder, rows};
+use crate::passes::recorder::Recorder;
 use crate::plan::Pass;
 
 /// Instances that a workgroup places; as in the shader.
@@ -10,12 +10,5 @@ pub const INSTANCES: u32 = 64;
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let groups = recorder.scene.instance_count.div_ceil(INSTANCES);
     let views = recorder.task.count();
-    recorder.compute(Call {
-        pass: Pass::Place,
-        root: "select/place",
-        visibility: None,
-        constants: Vec::new(),
-        segments: &[None],
-        launch: rows(groups, views),
-    })
+    recorder.rows(Pass::Place, "select/place", groups, views)
 }
