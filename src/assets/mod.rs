@@ -79,6 +79,49 @@ pub struct PointCloud {
     pub classification: Option<Vec<u8>>,
     /// In asset units, positive.
     pub radii: Option<Vec<f32>>,
+    pub kernels: Option<Vec<Kernel>>,
+    /// [`Clip::NONE`] where a sample keeps its whole kernel.
+    pub clips: Option<Vec<Clip>>,
+}
+
+/// A sample's reconstruction kernel: an elliptical Gaussian in its tangent plane (Zwicker 2004, §3).
+///
+/// `u` and `v` are orthogonal, in asset units; their lengths are its standard deviations. A point of the tangent plane has
+/// kernel coordinates `(s, t)` where it is `position + s · u + t · v`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Kernel {
+    pub u: Vec3,
+    pub v: Vec3,
+}
+
+/// What is kept of a kernel at sharp features (Zwicker 2004, §5).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Clip {
+    pub lines: [Option<ClipLine>; 2],
+    /// Of two lines: keep what either keeps (a reflex corner) rather than what both keep.
+    pub either: bool,
+}
+
+/// A line in kernel coordinates. It keeps the side where `normal · (s, t) ≥ offset`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClipLine {
+    /// Unit length.
+    pub normal: Vec2,
+    pub offset: f32,
+}
+
+impl Clip {
+    pub const NONE: Clip = Clip { lines: [None; 2], either: false };
+
+    /// Whether the point with kernel coordinates `at` is kept.
+    pub fn keeps(&self, at: Vec2) -> bool {
+        let mut sides = self.lines.iter().flatten().map(|line| line.normal.dot(at) >= line.offset);
+        if self.either && self.lines.iter().all(Option::is_some) {
+            sides.any(|kept| kept)
+        } else {
+            sides.all(|kept| kept)
+        }
+    }
 }
 
 /// Indexed triangles. Every optional vector is as long as `positions`.

@@ -280,6 +280,8 @@ impl Columns {
             classification: self.labels,
             positions: self.positions,
             radii: None,
+            kernels: None,
+            clips: None,
         };
         let mut asset = Asset::single("pcd", name, Geometry::Points(cloud));
         asset.warnings.extend(skipped_warning(self.not_finite, "no finite position"));

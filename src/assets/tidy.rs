@@ -107,6 +107,8 @@ pub(crate) fn finish_cloud(
     keep(&mut cloud.intensity, &kept);
     keep(&mut cloud.classification, &kept);
     keep(&mut cloud.radii, &kept);
+    keep(&mut cloud.kernels, &kept);
+    keep(&mut cloud.clips, &kept);
     warnings.push(format!("{lost} points with non-finite coordinates are left out"));
     Ok(cloud)
 }

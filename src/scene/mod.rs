@@ -14,12 +14,14 @@ mod graph;
 mod instances;
 mod load;
 pub mod random;
+mod splats;
 #[cfg(test)]
 mod tests;
 mod validate;
 mod wire;
 
 pub use load::{load, parse};
+pub use splats::{Blend, Filter, Shading, Splats};
 pub use wire::json_schema;
 
 use std::path::PathBuf;
@@ -43,6 +45,8 @@ pub struct Scene {
     pub paths: Vec<(String, CameraPath)>,
     /// World up, used where a request names none. `+y` unless the scene says otherwise.
     pub up: DVec3,
+    /// How samples are drawn where a request asks for splats.
+    pub splats: Splats,
 }
 
 /// A file that the scene draws.

@@ -192,6 +192,8 @@ impl Finished {
             intensity: self.intensity,
             classification: self.classification,
             radii: self.radii,
+            kernels: None,
+            clips: None,
         }
     }
 }

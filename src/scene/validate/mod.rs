@@ -14,7 +14,7 @@ use glam::DVec3;
 
 use super::load::{list, nearest};
 use super::wire::{AssetWire, Named, NodeWire, Object, PrototypeWire, SceneFile};
-use super::{AssetRef, Draws, Node, Prototype, Repeat, Scene, SceneLimits, graph};
+use super::{AssetRef, Draws, Node, Prototype, Repeat, Scene, SceneLimits, Splats, graph};
 
 /// Why a well-formed file was refused.
 #[derive(Debug)]
@@ -134,6 +134,7 @@ pub(super) fn scene(
     };
     let up = look::world_up(wire.up.as_ref(), root.key("up"))?;
     let scene = Scene {
+        splats: Splats::default(),
         name: wire.name.clone().unwrap_or_else(|| name.to_owned()),
         assets: assets(&wire.assets, resolve)?,
         materials: each(&wire.materials, "materials", look::material)?,

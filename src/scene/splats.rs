@@ -1,0 +1,110 @@
+//! How samples are drawn as splats (Zwicker et al. 2004): what a scene says, and what a request may say instead.
+
+use serde::{Deserialize, Serialize};
+
+/// How a kernel is taken to the image.
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    Hash,
+    Serialize,
+    Deserialize,
+    utoipa::ToSchema,
+    schemars::JsonSchema,
+    clap::ValueEnum,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Filter {
+    /// By the projection's linear approximation at the kernel's centre (Heckbert 1989; Zwicker et al. 2001): exact there.
+    Affine,
+    /// As the ellipse that the cut-off projects to (Zwicker et al. 2004, §4): exact at the outline.
+    #[default]
+    Perspective,
+    /// By intersecting each pixel's ray with the kernel's plane (Botsch et al. 2005): exact everywhere.
+    Exact,
+}
+
+/// What happens where splats overlap.
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    Hash,
+    Serialize,
+    Deserialize,
+    utoipa::ToSchema,
+    schemars::JsonSchema,
+    clap::ValueEnum,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Blend {
+    /// Three passes: visibility, weighted sums, normalisation.
+    #[default]
+    Weighted,
+    /// One pass: the nearest splat alone, depth-tested.
+    Opaque,
+}
+
+/// When splats are lit.
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    Hash,
+    Serialize,
+    Deserialize,
+    utoipa::ToSchema,
+    schemars::JsonSchema,
+    clap::ValueEnum,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Shading {
+    /// Once a pixel, from blended colours and normals (Phong splatting).
+    #[default]
+    Deferred,
+    /// Each splat by its own normal; lit colours are blended.
+    Splat,
+}
+
+/// How a scene's samples are drawn as splats.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, utoipa::ToSchema)]
+pub struct Splats {
+    pub filter: Filter,
+    pub blend: Blend,
+    pub shading: Shading,
+    /// Whether kernels are convolved with a low-pass filter of the image (EWA).
+    pub prefilter: bool,
+    /// Standard deviation of that filter, in pixels.
+    pub lowpass_px: f32,
+    /// Where kernels end, in their standard deviations.
+    pub cutoff: f32,
+    /// Multiplies every kernel's axes.
+    pub width: f32,
+    /// How far behind the nearest surface splats still count, in radii of the nearest splat.
+    pub depth_offset: f32,
+}
+
+impl Default for Splats {
+    fn default() -> Self {
+        Self {
+            filter: Filter::default(),
+            blend: Blend::default(),
+            shading: Shading::default(),
+            prefilter: true,
+            lowpass_px: 0.5,
+            cutoff: 2.0,
+            width: 1.0,
+            depth_offset: 1.0,
+        }
+    }
+}
