@@ -11,11 +11,15 @@ use std::path::Path;
 
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use pointillist::gpu::shader::{self, Composed};
-use pointillist::passes::shaders::{self, FRAGMENTS, Visibility};
+use pointillist::passes::shaders::{self, Choices, FRAGMENTS, Visibility};
 
 /// What is asked of the device where 64-bit atomics are used.
 const WIDE: Capabilities =
     Capabilities::SHADER_INT64.union(Capabilities::SHADER_INT64_ATOMIC_MIN_MAX);
+
+/// What is asked of the device where sums of 64 bits are used.
+const WIDE_SUMS: Capabilities =
+    Capabilities::SHADER_INT64.union(Capabilities::SHADER_INT64_ATOMIC_ALL_OPS);
 
 /// Files with entry points.
 fn roots() -> Vec<&'static str> {
@@ -26,37 +30,63 @@ fn uses(root: &str, alias: &str) -> bool {
     shaders::source(root).unwrap().lines().any(|line| line == format!("//!include {alias}"))
 }
 
-/// Every composition of a root, with what it is called and which variant of the visibility buffer it has.
-fn compositions(root: &str) -> Vec<(String, Option<Visibility>, Composed)> {
-    if !uses(root, "VISIBILITY") {
-        assert!(!uses(root, "ALPHA"), "{root} tests alpha but writes no visibility");
-        let asks = shaders::plain(root, false).unwrap().source.contains("fn any_lane");
-        let votes: &[bool] = if asks { &[false, true] } else { &[false] };
-        let composed = |&vote: &bool| {
-            let name = format!("{root} (subgroups {vote})");
-            (name, None, shaders::plain(root, vote).unwrap())
+/// Every composition of a root, with what it is called and what it is made of.
+fn compositions(root: &str) -> Vec<(String, Choices, Composed)> {
+    let whole = shaders::composed(root, &Choices::default()).unwrap().source;
+    // A choice matters to a root that includes its name, itself or by way of what it includes.
+    let asks = |alias: &str| {
+        uses(root, alias)
+            || FRAGMENTS.iter().any(|name| {
+                let own = shaders::source(name).unwrap().lines().next().unwrap();
+                uses(name, alias) && whole.contains(own)
+            })
+    };
+    let sides = |alias: &str| if asks(alias) { vec![false, true] } else { vec![false] };
+    let visibilities =
+        if asks("VISIBILITY") { Visibility::ALL.to_vec() } else { vec![Visibility::Depth] };
+    let mut all = vec![Choices::default()];
+    let widen = |all: Vec<Choices>, alias: &str, set: fn(&mut Choices, bool)| -> Vec<Choices> {
+        let sides = sides(alias);
+        let with = |choices: Choices, side: bool| {
+            let mut choices = choices;
+            set(&mut choices, side);
+            choices
         };
-        return votes.iter().map(composed).collect();
-    }
-    let mut all = Vec::new();
-    for visibility in Visibility::ALL {
-        for alpha_cut in [false, true] {
-            let name = format!("{root} ({visibility:?}, alpha {alpha_cut})");
-            let composed = shaders::visible(root, visibility, alpha_cut).unwrap();
-            all.push((name, Some(visibility), composed));
-        }
-    }
-    all
+        all.into_iter().flat_map(|c| sides.iter().map(move |&s| with(c, s))).collect()
+    };
+    all = all
+        .into_iter()
+        .flat_map(|c| visibilities.iter().map(move |&visibility| Choices { visibility, ..c }))
+        .collect();
+    all = widen(all, "VOTE", |choices, side| choices.subgroups = side);
+    all = widen(all, "ALPHA", |choices, side| choices.alpha_cut = side);
+    all = widen(all, "CLIPS", |choices, side| choices.clipped = side);
+    all = widen(all, "SUMS", |choices, side| choices.wide_sums = side);
+    all = widen(all, "NORMAL_SUMS", |choices, side| choices.normal_sums = side);
+    all = widen(all, "LIT", |choices, side| choices.lit = side);
+    all.into_iter()
+        .map(|choices| {
+            (format!("{root} {choices:?}"), choices, shaders::composed(root, &choices).unwrap())
+        })
+        .collect()
 }
 
 /// What a composition may use beyond the core of WGSL.
-fn needed(name: &str, visibility: Option<Visibility>) -> Capabilities {
-    match visibility {
-        Some(Visibility::Wide) => WIDE,
-        _ if name.contains("walk_triangles") => Capabilities::SHADER_INT64,
-        _ if name.contains("subgroups true") => Capabilities::SUBGROUP,
-        _ => Capabilities::empty(),
+fn needed(composed: &Composed, choices: &Choices) -> Capabilities {
+    let mut needed = Capabilities::empty();
+    if composed.source.contains("fn visibility_write") && choices.visibility == Visibility::Wide {
+        needed |= WIDE;
     }
+    if composed.source.contains("fn add_0") && choices.wide_sums {
+        needed |= WIDE_SUMS;
+    }
+    if composed.source.contains("fn walk_snapped") {
+        needed |= Capabilities::SHADER_INT64;
+    }
+    if composed.source.contains("subgroupAny") {
+        needed |= Capabilities::SUBGROUP;
+    }
+    needed
 }
 
 fn validate(name: &str, composed: &Composed, capabilities: Capabilities) -> Result<(), String> {
@@ -72,23 +102,26 @@ fn validate(name: &str, composed: &Composed, capabilities: Capabilities) -> Resu
 fn every_composition_is_valid() {
     let mut checked = 0;
     for root in roots() {
-        for (name, visibility, composed) in compositions(root) {
-            if let Err(error) = validate(&name, &composed, needed(&name, visibility)) {
+        for (name, choices, composed) in compositions(root) {
+            if let Err(error) = validate(&name, &composed, needed(&composed, &choices)) {
                 panic!("{name}: {error}");
             }
             checked += 1;
         }
     }
-    // Four roots have six variants each, three have two.
-    assert_eq!(checked, roots().len() - 7 + 4 * 6 + 3 * 2);
+    // Samples: three ways to write; triangles: the same, with and without alpha; splats' depths: with and without clip lines.
+    // Sums: clip lines, width, normals, lights. Passes over pixels: with and without votes.
+    let over_pixels = 4 * 2;
+    let others = 5;
+    assert_eq!(checked, 3 + 3 * 6 + 2 * 6 + 2 * 16 + over_pixels + others);
 }
 
 #[test]
 fn nothing_else_needs_more_than_the_core() {
     for root in roots() {
-        for (name, visibility, composed) in compositions(root) {
+        for (name, choices, composed) in compositions(root) {
             let plain = validate(&name, &composed, Capabilities::empty());
-            assert_eq!(plain.is_err(), !needed(&name, visibility).is_empty(), "{name}");
+            assert_eq!(plain.is_err(), !needed(&composed, &choices).is_empty(), "{name}");
         }
     }
 }

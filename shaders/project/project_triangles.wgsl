@@ -6,6 +6,7 @@
 //!include VISIBILITY
 //!include shared/mesh
 //!include shared/triangle
+//!include shared/large
 //!include ALPHA
 
 struct SegmentUse {

@@ -5,6 +5,7 @@
 //!include VISIBILITY
 //!include shared/mesh
 //!include shared/triangle
+//!include shared/large
 //!include ALPHA
 
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;

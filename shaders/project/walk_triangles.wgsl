@@ -9,20 +9,15 @@
 //!include VISIBILITY
 //!include shared/mesh
 //!include shared/triangle
+//!include shared/large
+//!include shared/walk
 //!include ALPHA
 
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
-@group(0) @binding(4) var<storage, read> stats: array<u32>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
 @group(2) @binding(3) var<storage, read> placed: array<Placed>;
-@group(2) @binding(4) var<storage, read> large: array<u32>;
-
-// Triangles that go side by side, and the height of the bands into which the image is cut.
-const STRIDE: u32 = 64u;
-const BAND: i32 = 128;
-const LANES: i32 = 8;
 
 struct Box {
     low: vec2<i32>,
@@ -160,36 +155,11 @@ fn triangle(id: u32, rows: vec2<i32>, lane: i32) {
     }
 }
 
+fn walk_one(id: u32, rows: vec2<i32>, lane: u32) {
+    triangle(id, rows, i32(lane));
+}
+
 @compute @workgroup_size(8)
 fn walk_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    begin_view(0u);
-    let count = select(0u, large[0] / 3u, list_is_whole(stats[STAT_LARGE_LONGEST]));
-    let height = i32(frame.size_px.y);
-    let first = i32(group.y) * BAND;
-    let last = min(first + BAND, height) - 1;
-    var i = group.x;
-    loop {
-        // On to the next triangle of this band, before anything dear is done: see shared/resolve.
-        var rows = vec2<i32>(0);
-        var word = 0u;
-        loop {
-            if i >= count {
-                break;
-            }
-            word = large[LIST_HEAD + i * LIST_ENTRY + 1u];
-            rows = list_rows(word);
-            rows = vec2<i32>(max(rows.x, first), min(rows.y, last));
-            let counters = list_view(word) * STATS_WORDS;
-            if rows.x <= rows.y && may_draw(stats[counters + STAT_LARGE_UNITS], stats[counters + STAT_LARGE_WRAPPED]) {
-                break;
-            }
-            i += STRIDE;
-        }
-        if i >= count {
-            break;
-        }
-        begin_view(list_view(word));
-        triangle(large[LIST_HEAD + i * LIST_ENTRY], rows, i32(lane));
-        i += STRIDE;
-    }
+    walk_list(group, lane);
 }

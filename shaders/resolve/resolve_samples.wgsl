@@ -4,8 +4,10 @@
 //!include shared/octahedral
 //!include shared/colour
 //!include shared/material
+//!include shared/normals
 //!include shared/resolve
 
+@group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 // sRGB8 colour and octahedral normal.
 @group(1) @binding(0) var<storage, read> attributes: array<vec2<u32>>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;

@@ -7,8 +7,10 @@
 //!include shared/mesh
 //!include shared/barycentric
 //!include shared/texture
+//!include shared/normals
 //!include shared/resolve
 
+@group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;

@@ -10,13 +10,15 @@
 @group(2) @binding(2) var<storage, read_write> group_counts: array<u32>;
 
 const NOT_VISIBLE: u32 = 0xffffffffu;
+// Chunks of triangles carry this shift.
+const TRIANGLES: u32 = 0xffffffffu;
 const NO_INSTANCE: u32 = 0xffffffffu;
 // Of the terms' magnitude: what f32 may lose while they are summed.
 const SLACK: f32 = 4e-6;
 
-// False when the box lies wholly on the negative side of a plane through the eye.
-fn reaches(normal: vec3<f32>, centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>) -> bool {
-    let reach = abs(dot(normal, x)) + abs(dot(normal, y)) + abs(dot(normal, z));
+// False when the box, and all within `radius` of it, lies on the negative side of a plane through the eye.
+fn reaches(normal: vec3<f32>, centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>, radius: f32) -> bool {
+    let reach = abs(dot(normal, x)) + abs(dot(normal, y)) + abs(dot(normal, z)) + radius * length(normal);
     let scale = dot(abs(normal), abs(centre)) + reach;
     return dot(normal, centre) + reach >= -SLACK * scale;
 }
@@ -32,11 +34,16 @@ fn in_frustum(entry: Entry) -> bool {
     let f = frame.focal_px;
     let c = frame.principal_px;
     let s = vec2<f32>(frame.size_px);
-    return reaches(vec3<f32>(0.0, 0.0, 1.0), centre, x, y, z)
-        && reaches(vec3<f32>(f.x, 0.0, c.x), centre, x, y, z)
-        && reaches(vec3<f32>(-f.x, 0.0, s.x - c.x), centre, x, y, z)
-        && reaches(vec3<f32>(0.0, f.y, c.y), centre, x, y, z)
-        && reaches(vec3<f32>(0.0, -f.y, s.y - c.y), centre, x, y, z);
+    // Splats reach beyond their centres, and the low-pass filter widens them in the image. Both are 0 for points.
+    let base = select(chunk.kernel_base * exp2(f32(chunk.shift)), 0.0, chunk.shift == TRIANGLES);
+    let longest = max(length(at.axis_x.xyz), max(length(at.axis_y.xyz), length(at.axis_z.xyz)));
+    let radius = 1.01 * frame.splat_cutoff * frame.splat_width * base * longest;
+    let m = frame.splat_cutoff * frame.splat_lowpass_px;
+    return reaches(vec3<f32>(0.0, 0.0, 1.0), centre, x, y, z, radius)
+        && reaches(vec3<f32>(f.x, 0.0, c.x + m), centre, x, y, z, radius)
+        && reaches(vec3<f32>(-f.x, 0.0, s.x - c.x + m), centre, x, y, z, radius)
+        && reaches(vec3<f32>(0.0, f.y, c.y + m), centre, x, y, z, radius)
+        && reaches(vec3<f32>(0.0, -f.y, s.y - c.y + m), centre, x, y, z, radius);
 }
 
 // One thread a group of entries: no barrier, which costs more than the work on a CPU adapter.

@@ -4,29 +4,13 @@
 //!include shared/octahedral
 //!include shared/colour
 //!include shared/material
+//!include shared/phong
 //!include VOTE
 //!include shared/column
-
-struct Light {
-    // 0 ambient, 1 headlight, 2 sun, 3 point.
-    kind: u32,
-    // Distance at which a point light has lost half.
-    range: f32,
-    unused_0: u32,
-    unused_1: u32,
-    // Linear, intensity included.
-    color: vec4<f32>,
-    // Direction of travel, or the position as the sum of two floats an axis.
-    place_hi: vec4<f32>,
-    place_lo: vec4<f32>,
-}
 
 @group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 @group(0) @binding(2) var<storage, read_write> pixels: array<u32>;
 @group(0) @binding(3) var<storage, read> normals: array<u32>;
-@group(1) @binding(0) var<storage, read> lights: array<Light>;
-// The first of them once more: uniforms at fixed places are read once for a whole vector of threads.
-@group(1) @binding(1) var<uniform> few_lights: array<Light, 4>;
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
@@ -34,38 +18,8 @@ struct Light {
 
 // Some instance overrides its asset's materials.
 override OVERRIDES: bool = true;
-// Some material reflects specularly.
-override SPECULAR: bool = true;
-// Some light stands at a point.
-override POINT_LIGHTS: bool = true;
 // Some material is unlit, shines or is overridden: pixels have to ask theirs.
 override MATERIALS: bool = true;
-// How many lights there are, if `few_lights` has them all, or 0.
-override FEW_LIGHTS: u32 = 0u;
-
-// The light's direction from the surface, and how much of it arrives.
-fn arriving(light: Light, from_eye: vec3<f32>, to_eye: vec3<f32>) -> vec4<f32> {
-    let sun = vec4<f32>(-light.place_hi.xyz, 1.0);
-    let head = vec4<f32>(to_eye, 1.0);
-    if !POINT_LIGHTS || light.kind != 3u {
-        return select(head, sun, light.kind == 2u);
-    }
-    let d = (light.place_hi.xyz - frame.eye_hi.xyz) + (light.place_lo.xyz - frame.eye_lo.xyz) - from_eye;
-    let distance = length(d);
-    let ratio = distance / light.range;
-    return vec4<f32>(d / max(distance, 1e-30), 1.0 / (1.0 + ratio * ratio));
-}
-
-fn phong(light: Light, albedo: vec3<f32>, material: Material, n: vec3<f32>, from_eye: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
-    let l = arriving(light, from_eye, to_eye);
-    let cosine = select(max(dot(n, l.xyz), 0.0), 1.0, light.kind == 0u);
-    var reflected = albedo * cosine;
-    if SPECULAR && light.kind != 0u && cosine > 0.0 {
-        let r = 2.0 * cosine * n - l.xyz;
-        reflected += material.specular * pow(max(dot(r, to_eye), 0.0), material.shininess);
-    }
-    return reflected * light.color.rgb * l.w;
-}
 
 fn light_up(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
     let slot = frame.first_slot + slot_of(word);
@@ -83,19 +37,7 @@ fn light_up(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
     let albedo = linear_from_srgb(unpack4x8unorm(pixels[pixel]).rgb);
     let ray = world_from_camera(ray_through(vec2<f32>(at) + vec2<f32>(0.5)));
     let from_eye = ray / bitcast<f32>(word.y);
-    let to_eye = -ray / length(ray);
-    let n = octahedral_decode(packed);
-    var color = vec3<f32>(0.0);
-    for (var i = 0u; i < FEW_LIGHTS; i++) {
-        color += phong(few_lights[i], albedo, material, n, from_eye, to_eye);
-    }
-    if FEW_LIGHTS == 0u {
-        // A bound that is a uniform alone makes lavapipe build the shader anew for every frame, with the value inlined.
-        let count = min(frame.light_count, arrayLength(&lights));
-        for (var i = 0u; i < count; i++) {
-            color += phong(lights[i], albedo, material, n, from_eye, to_eye);
-        }
-    }
+    let color = all_lights(albedo, material, octahedral_decode(packed), from_eye);
     pixels[pixel] = pack4x8unorm(vec4<f32>(srgb_from_linear(color), 1.0));
 }
 

@@ -30,9 +30,17 @@ struct Frame {
     first_group: u32,
     first_slot: u32,
     first_run: u32,
-    unused_0: u32,
-    unused_1: u32,
-    unused_2: u32,
+    // Segments of samples, which come first.
+    sample_segments: u32,
+    // Longest side in pixels of a splat's box that one thread walks.
+    small_splat_px: i32,
+    unused: u32,
+    // Where kernels end in standard deviations; standard deviation of the low-pass filter; what kernels' axes are multiplied
+    // by; how far behind a surface splats count, in its splats' radii. All 0 where samples are drawn as points.
+    splat_cutoff: f32,
+    splat_lowpass_px: f32,
+    splat_width: f32,
+    splat_offset: f32,
 }
 
 @group(0) @binding(0) var<uniform> frames: array<Frame, 16>;

@@ -16,7 +16,6 @@ override OVERRIDES: bool = true;
 // Some material has a texture.
 override TEXTURES: bool = true;
 
-@group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 @group(0) @binding(2) var<storage, read_write> pixels: array<u32>;
 @group(0) @binding(3) var<storage, read_write> normals: array<u32>;
 @group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
@@ -74,32 +73,4 @@ fn normal_word(n: vec3<f32>) -> u32 {
     }
     let b = vec3<u32>(round(n * 127.0 + vec3<f32>(128.0)));
     return b.x | (b.y << 8u) | (b.z << 16u) | 0xff000000u;
-}
-
-// Rows of grid_from_world: what takes an instance's normals to world space, up to length.
-struct NormalMap {
-    x: vec3<f32>,
-    y: vec3<f32>,
-    z: vec3<f32>,
-}
-
-fn normal_map(instance: u32) -> NormalMap {
-    return NormalMap(instances[instance].inverse_x.xyz, instances[instance].inverse_y.xyz, instances[instance].inverse_z.xyz);
-}
-
-// A normal in world space, up to length.
-fn turned(map: NormalMap, local: vec3<f32>) -> vec3<f32> {
-    return map.x * local.x + map.y * local.y + map.z * local.z;
-}
-
-// Unit length and turned towards the eye, or zero.
-fn facing_normal(m: vec3<f32>, towards: vec3<f32>) -> vec3<f32> {
-    let a = abs(m);
-    let most = max(a.x, max(a.y, a.z));
-    if !(most > 0.0) {
-        return vec3<f32>(0.0);
-    }
-    let scaled = m / most;
-    let n = scaled / length(scaled);
-    return select(n, -n, dot(n, towards) > 0.0);
 }

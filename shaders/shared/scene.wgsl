@@ -46,8 +46,8 @@ struct Chunk {
     // Triangles: first vertex in the page.
     vertex_first: u32,
     material: u32,
-    // Pads to 48 bytes.
-    unused: u32,
+    // Samples: longest axis of a kernel, in steps of 2^shift cells.
+    kernel_base: f32,
 }
 
 // One chunk of one instance, whether visible or not.
@@ -101,11 +101,16 @@ struct Stats {
     // Pixels in the boxes of large triangles, in units of 4096, and whether that sum has passed 2^32.
     large_units: atomic<u32>,
     large_wrapped: atomic<u32>,
-    unused: atomic<u32>,
+    // Splats that reach the camera plane, that were listed for their size or for that, and all others.
+    splats_clipped: atomic<u32>,
+    splats_listed: atomic<u32>,
+    splats_scattered: atomic<u32>,
+    unused_0: atomic<u32>,
+    unused_1: atomic<u32>,
 }
 
 // Words of a view's record, and places in it for those who only read.
-const STATS_WORDS: u32 = 12u;
+const STATS_WORDS: u32 = 16u;
 const STAT_LARGE_LONGEST: u32 = 8u;
 const STAT_LARGE_UNITS: u32 = 9u;
 const STAT_LARGE_WRAPPED: u32 = 10u;

@@ -4,27 +4,6 @@
 // A coordinate this large in pixels goes to the rasteriser's clipper.
 const GUARD_PX: f32 = 1048576.0;
 
-// Words of the indirect draw that stands before the list of large triangles, and of each entry: id, then what
-// list_word packs.
-const LIST_HEAD: u32 = 4u;
-const LIST_ENTRY: u32 = 2u;
-
-const ROW_BITS: u32 = 14u;
-const ROW_MASK: u32 = 0x3fffu;
-
-// First and last row, and the view.
-fn list_word(first_row: u32, last_row: u32, view: u32) -> u32 {
-    return first_row | (last_row << ROW_BITS) | (view << (2u * ROW_BITS));
-}
-
-fn list_rows(word: u32) -> vec2<i32> {
-    return vec2<i32>(i32(word & ROW_MASK), i32((word >> ROW_BITS) & ROW_MASK));
-}
-
-fn list_view(word: u32) -> u32 {
-    return word >> (2u * ROW_BITS);
-}
-
 // The plane of a triangle as 1/z over the image: 1/z = dot(plane, ray).
 struct Plane {
     inverse: vec3<f32>,
@@ -96,14 +75,4 @@ fn image_bounds(a: vec3<f32>, b: vec3<f32>, c: vec3<f32>) -> ImageBounds {
     let within = all(abs(bounds.least) < vec2<f32>(GUARD_PX)) && all(abs(bounds.most) < vec2<f32>(GUARD_PX));
     bounds.snaps = within && min(a.z, min(b.z, c.z)) > NEAREST;
     return bounds;
-}
-
-// Whether the list is whole.
-fn list_is_whole(longest: u32) -> bool {
-    return longest <= frame.large_capacity;
-}
-
-// Whether a view's part of it is no dearer than a frame may be.
-fn may_draw(units: u32, wrapped: u32) -> bool {
-    return units <= frame.large_units_limit && wrapped == 0u;
 }

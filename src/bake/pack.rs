@@ -4,12 +4,15 @@
 //! f32 could say at the asset's edge, and exact to subtract, so that what is near the eye keeps all its digits however far
 //! it is from the asset's origin. Samples and triangles are sorted along a Morton curve and cut into chunks of at most
 //! 1024, the unit of culling and of a workgroup. A sample's position is stored in 64 bits (3 × 21, relative to its chunk);
-//! a sample takes 16 bytes with colour and normal. A triangle takes 4 bytes and its vertices 28 each.
+//! a sample takes 20 bytes with colour, normal and reconstruction kernel. Samples that carry clip lines are kept apart, in chunks of
+//! their own behind the others, and take 8 bytes more, so that the others do not pay for them. A triangle takes 4 bytes and its vertices 28 each.
+
+mod kernel;
 
 use glam::{DVec3, I64Vec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::assets::{Filter, Material, Mesh, PointCloud, Texture, Wrap};
+use crate::assets::{Clip, Filter, Kernel, Material, Mesh, PointCloud, Texture, Wrap};
 use crate::math::Bounds;
 
 /// Samples, or triangles, or vertices in a chunk at most.
@@ -18,6 +21,10 @@ pub const CHUNK: usize = 1024;
 pub const TRIANGLES: u32 = u32::MAX;
 /// Normal words that stand for none.
 pub const NO_NORMAL: u32 = 0x8000_8000;
+/// Bytes of a sample.
+pub const SAMPLE_BYTES: u64 = 20;
+/// Bytes more of a sample with clip lines.
+pub const CLIP_BYTES: u64 = 8;
 /// Words of a mesh vertex: grid position, colour, normal, texture coordinates.
 pub const VERTEX_WORDS: usize = 7;
 
@@ -47,6 +54,8 @@ pub struct PackedChunk {
     pub vertex_count: u32,
     /// Index into the asset's materials plus one, 0 for the default.
     pub material: u32,
+    /// Samples: longest axis of a kernel, in steps of 2^shift cells.
+    pub kernel_base: f32,
 }
 
 /// A point cloud as the GPU holds it.
@@ -58,6 +67,12 @@ pub struct PackedSamples {
     pub positions: Vec<[u32; 2]>,
     /// sRGB8 colour and octahedral normal.
     pub attributes: Vec<[u32; 2]>,
+    /// Of each sample: logarithms of the axes' lengths, 11 bits each, and an angle.
+    pub kernels: Vec<u32>,
+    /// Of each sample from `clipped_first` on: two lines.
+    pub clips: Vec<[u32; 2]>,
+    /// The first sample with clip lines; a chunk begins there.
+    pub clipped_first: u32,
 }
 
 /// A mesh as the GPU holds it.
@@ -154,6 +169,20 @@ pub fn octahedral(normal: Vec3) -> u32 {
     u32::from(snorm(x)) | u32::from(snorm(y)) << 16
 }
 
+/// The unit vector of a normal word, in the shaders' own steps; zero for [`NO_NORMAL`].
+pub fn octahedral_decode(word: u32) -> Vec3 {
+    if word == NO_NORMAL {
+        return Vec3::ZERO;
+    }
+    let part = |half: u32| (f32::from(half as u16 as i16) / 32767.0).max(-1.0);
+    let (x, y) = (part(word), part(word >> 16));
+    let mut n = Vec3::new(x, y, 1.0 - x.abs() - y.abs());
+    let t = (-n.z).max(0.0);
+    n.x += if n.x >= 0.0 { -t } else { t };
+    n.y += if n.y >= 0.0 { -t } else { t };
+    n / n.length()
+}
+
 fn rgba_word(color: [u8; 4]) -> u32 {
     u32::from_le_bytes(color)
 }
@@ -172,41 +201,50 @@ fn finite(positions: &[DVec3]) -> Result<(), PackError> {
 pub fn pack_samples(cloud: &PointCloud) -> Result<PackedSamples, PackError> {
     finite(&cloud.positions)?;
     let grid = Grid::of(&Bounds::of(cloud.positions.iter().copied()))?;
-    let mut order: Vec<(u64, u32)> = cloud
+    let clipped = |index: usize| {
+        cloud.clips.as_ref().is_some_and(|clips| clips[index].lines.iter().any(Option::is_some))
+    };
+    let mut order: Vec<(bool, u64, u32)> = cloud
         .positions
         .par_iter()
         .enumerate()
-        .map(|(index, &position)| (morton(grid.quantise(position)), index as u32))
+        .map(|(index, &p)| (clipped(index), morton(grid.quantise(p)), index as u32))
         .collect();
     order.par_sort_unstable();
-    type Packed = (PackedChunk, Vec<[u32; 2]>, Vec<[u32; 2]>);
-    let packed: Vec<Packed> = order
-        .par_chunks(CHUNK)
-        .enumerate()
-        .map(|(index, run)| pack_run(cloud, &grid, index * CHUNK, run))
-        .collect();
+    let clipped_first = order.partition_point(|&(clipped, ..)| !clipped);
+    let (plain, with_lines) = order.split_at(clipped_first);
+    let chunks = plain.par_chunks(CHUNK).chain(with_lines.par_chunks(CHUNK));
+    let packed: Vec<PackedRun> = chunks.map(|run| pack_run(cloud, &grid, run)).collect();
     let mut out = PackedSamples {
         grid,
         chunks: Vec::with_capacity(packed.len()),
         positions: Vec::with_capacity(order.len()),
         attributes: Vec::with_capacity(order.len()),
+        kernels: Vec::with_capacity(order.len()),
+        clips: Vec::with_capacity(with_lines.len()),
+        clipped_first: clipped_first as u32,
     };
-    for (chunk, positions, attributes) in packed {
-        out.chunks.push(chunk);
-        out.positions.extend(positions);
-        out.attributes.extend(attributes);
+    for run in packed {
+        out.chunks.push(PackedChunk { first: out.positions.len() as u32, ..run.chunk });
+        out.positions.extend(run.positions);
+        out.attributes.extend(run.attributes);
+        out.kernels.extend(run.kernels);
+        out.clips.extend(run.clips);
     }
     Ok(out)
 }
 
-fn pack_run(
-    cloud: &PointCloud,
-    grid: &Grid,
-    first: usize,
-    run: &[(u64, u32)],
-) -> (PackedChunk, Vec<[u32; 2]>, Vec<[u32; 2]>) {
-    let cells: Vec<IVec3> =
-        run.iter().map(|&(_, i)| grid.quantise(cloud.positions[i as usize])).collect();
+struct PackedRun {
+    chunk: PackedChunk,
+    positions: Vec<[u32; 2]>,
+    attributes: Vec<[u32; 2]>,
+    kernels: Vec<u32>,
+    clips: Vec<[u32; 2]>,
+}
+
+fn pack_run(cloud: &PointCloud, grid: &Grid, run: &[(bool, u64, u32)]) -> PackedRun {
+    let indices = || run.iter().map(|&(.., i)| i as usize);
+    let cells: Vec<IVec3> = indices().map(|i| grid.quantise(cloud.positions[i])).collect();
     let low = cells.iter().copied().fold(IVec3::MAX, IVec3::min);
     let high = cells.iter().copied().fold(IVec3::MIN, IVec3::max);
     let longest = (high - low).max_element() as u32;
@@ -223,26 +261,48 @@ fn pack_run(
             [word as u32, (word >> 32) as u32]
         })
         .collect();
-    let attributes = run
-        .iter()
-        .map(|&(_, i)| {
-            let i = i as usize;
+    let attributes: Vec<[u32; 2]> = indices()
+        .map(|i| {
             let color = cloud.colors.as_ref().map_or([204, 204, 204, 255], |colors| colors[i]);
             let normal = cloud.normals.as_ref().map_or(NO_NORMAL, |normals| octahedral(normals[i]));
             [rgba_word(color), normal]
         })
         .collect();
+    // In the units of the stored coordinates.
+    let scale = 1.0 / (grid.step * f64::from(1u32 << shift));
+    let kernel = |i: usize| -> Kernel {
+        let stored = cloud.kernels.as_ref().map_or(Kernel::default(), |kernels| kernels[i]);
+        Kernel { u: stored.u * scale as f32, v: stored.v * scale as f32 }
+    };
+    let kernel_base = indices()
+        .map(|i| kernel::lengths(&kernel(i)))
+        .fold(0.0f32, |most, (u, v)| most.max(u).max(v));
+    let normals = || attributes.iter().map(|attribute| octahedral_decode(attribute[1]));
+    let kernels = indices()
+        .zip(normals())
+        .map(|(i, normal)| kernel::kernel_word(&kernel(i), normal, kernel_base))
+        .collect();
+    let clip = |i: usize| cloud.clips.as_ref().map_or(Clip::NONE, |clips| clips[i]);
+    let clips = if run.first().is_some_and(|&(clipped, ..)| clipped) {
+        indices()
+            .zip(normals())
+            .map(|(i, normal)| kernel::clip_words(&clip(i), &kernel(i), normal))
+            .collect()
+    } else {
+        Vec::new()
+    };
     let chunk = PackedChunk {
         origin: low,
         extent: high - low + IVec3::splat(1 << shift >> 1),
-        first: first as u32,
+        first: 0,
         count: run.len() as u32,
         shift,
         vertex_first: 0,
         vertex_count: 0,
         material: 0,
+        kernel_base,
     };
-    (chunk, positions, attributes)
+    PackedRun { chunk, positions, attributes, kernels, clips }
 }
 
 fn round_shift(v: i32, shift: u32) -> u32 {
@@ -320,6 +380,7 @@ impl MeshPacker<'_> {
                 vertex_first: self.out.vertices.len() as u32,
                 vertex_count: 0,
                 material,
+                kernel_base: 0.0,
             });
         }
         let number = self.out.chunks.len() as u32 - 1;
@@ -460,7 +521,10 @@ impl PackedGeometry {
     /// Bytes in the pages of the GPU.
     pub fn gpu_bytes(&self) -> u64 {
         match self {
-            PackedGeometry::Samples(samples) => samples.positions.len() as u64 * 16,
+            PackedGeometry::Samples(samples) => {
+                samples.positions.len() as u64 * SAMPLE_BYTES
+                    + samples.clips.len() as u64 * CLIP_BYTES
+            }
             PackedGeometry::Mesh(mesh) => {
                 mesh.vertices.len() as u64 * 4 * VERTEX_WORDS as u64
                     + mesh.triangles.len() as u64 * 4

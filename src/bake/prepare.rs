@@ -78,6 +78,7 @@ pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
             let had = (cloud.colors.is_some(), cloud.normals.is_some());
             fill_colors(cloud);
             estimate_point_attributes(cloud);
+            stand_in_kernels(cloud);
             had
         }
         Geometry::Mesh(mesh) => {
@@ -92,6 +93,16 @@ pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
     traits.has_colors |= has_colors;
     traits.has_normals |= has_normals;
     traits.normals_estimated |= !has_normals;
+}
+
+fn stand_in_kernels(cloud: &mut crate::assets::PointCloud) {
+    let (Some(normals), Some(radii)) = (&cloud.normals, &cloud.radii) else { return };
+    let kernel = |(n, r): (&glam::Vec3, &f32)| {
+        let n = if *n == glam::Vec3::ZERO { glam::Vec3::Z } else { *n };
+        let (u, v) = n.any_orthonormal_pair();
+        crate::assets::Kernel { u: u * *r, v: v * *r }
+    };
+    cloud.kernels = Some(normals.iter().zip(radii).map(kernel).collect());
 }
 
 /// Adapts the description of a bare asset file: a scan's own colours are shown unlit; a mesh with neither colours nor

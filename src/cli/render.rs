@@ -12,6 +12,7 @@ use crate::encode::ImageFormat;
 use crate::engine::{EncodedFrame, FrameRequest, Pose, Receipt};
 use crate::math::Camera;
 use crate::plan::{Lod, Output, Reconstruct, Settings};
+use crate::scene::{Blend, Filter, Shading};
 
 const DEFAULT_FOV_DEG: f64 = 40.0;
 
@@ -47,6 +48,18 @@ pub struct RenderArgs {
     /// How a surface is made of projected samples
     #[arg(long, value_enum, default_value = "points")]
     reconstruct: ReconstructChoice,
+    /// How splats are taken to the image [default: as the scene has it]
+    #[arg(long, value_enum)]
+    filter: Option<Filter>,
+    /// Whether splats are convolved with a low-pass filter of the image [default: as the scene has it]
+    #[arg(long, value_name = "BOOL")]
+    prefilter: Option<bool>,
+    /// What happens where splats overlap [default: as the scene has it]
+    #[arg(long, value_enum)]
+    blend: Option<Blend>,
+    /// When splats are lit [default: as the scene has it]
+    #[arg(long, value_enum)]
+    shading: Option<Shading>,
     /// Which image of the frame
     #[arg(long, value_enum, default_value = "color")]
     output: OutputChoice,
@@ -69,6 +82,7 @@ enum LodChoice {
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum ReconstructChoice {
     Points,
+    Splats,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -134,13 +148,30 @@ impl RenderArgs {
 
     fn request(&self) -> anyhow::Result<FrameRequest> {
         let LodChoice::Full = self.lod;
-        let ReconstructChoice::Points = self.reconstruct;
+        let reconstruct = match self.reconstruct {
+            ReconstructChoice::Points => Reconstruct::Points,
+            ReconstructChoice::Splats => Reconstruct::Splats,
+        };
+        let of_splats = self.filter.is_some()
+            || self.prefilter.is_some()
+            || self.blend.is_some()
+            || self.shading.is_some();
+        if of_splats && reconstruct != Reconstruct::Splats {
+            bail!("--filter, --prefilter, --blend and --shading go with --reconstruct splats");
+        }
         Ok(FrameRequest {
             scene: ID.to_owned(),
             pose: self.pose(),
             width: self.size.0,
             height: self.size.1,
-            settings: Settings { lod: Lod::Full, reconstruct: Reconstruct::Points },
+            settings: Settings {
+                lod: Lod::Full,
+                reconstruct,
+                filter: self.filter,
+                prefilter: self.prefilter,
+                blend: self.blend,
+                shading: self.shading,
+            },
             output: match self.output {
                 OutputChoice::Color => Output::Color,
                 OutputChoice::Depth => Output::Depth,

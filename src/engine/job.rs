@@ -13,6 +13,7 @@ use super::{EncodedFrame, EngineError, FrameRequest};
 use crate::math::View;
 use crate::plan::FramePlan;
 use crate::residency::model::SceneModel;
+use crate::scene::Splats;
 
 pub type Reply = Result<Arc<EncodedFrame>, EngineError>;
 
@@ -23,6 +24,8 @@ pub struct Resolved {
     pub view: View,
     pub camera: CameraReceipt,
     pub plan: FramePlan,
+    /// How samples are drawn, if not as points.
+    pub splats: Option<Splats>,
     /// Equal for requests whose frames are equal to the byte.
     pub key: String,
 }
@@ -102,7 +105,8 @@ impl Job {
     pub fn group_key(&self) -> Option<impl PartialEq + use<>> {
         let FrameRequest { output, width, height, .. } = self.request;
         let (model, plan) = (self.resolved.model.uid, self.resolved.plan.clone());
-        (!self.is_alone()).then_some((model, plan, output, width, height))
+        let splats = self.resolved.splats;
+        (!self.is_alone()).then_some((model, plan, splats, output, width, height))
     }
 
     /// Counts a redraw for want of room in a list; false when there have been more than growing lists explain.

@@ -326,6 +326,7 @@ fn build(
         background: description.background,
         cameras: description.cameras.clone(),
         up: description.up,
+        splats: description.splats,
     };
     let bounds = model.bounds();
     let info = describe(&model, &description, &bounds, warnings);

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use crate::plan::Settings;
+use crate::plan::UsedSettings;
 
 /// What was understood, what was done, and what it cost. Times and counts that the adapter cannot
 /// give are `null`, never invented.
@@ -18,7 +18,7 @@ pub struct Receipt {
     /// those of all of them.
     pub views: u32,
     pub camera: CameraReceipt,
-    pub settings: Settings,
+    pub settings: UsedSettings,
     /// Error accepted by the request and estimated for the frame, in pixels.
     pub max_error_px: Option<f32>,
     pub estimated_error_px: Option<f32>,
@@ -93,9 +93,12 @@ pub struct SampleCounts {
 
 #[derive(Clone, Copy, Debug, Default, Serialize, ToSchema)]
 pub struct SplatCounts {
-    pub clipped: u64,
-    pub rasterised: u64,
-    pub scattered: u64,
+    /// Of those that follow: reach the camera plane, and so are cut there.
+    pub clipped: Option<u64>,
+    /// Left to walk_splats and blend_walked for their size or because they reach the camera plane.
+    pub rasterised: Option<u64>,
+    /// Drawn by a thread each.
+    pub scattered: Option<u64>,
 }
 
 #[derive(Clone, Copy, Debug, Default, Serialize, ToSchema)]

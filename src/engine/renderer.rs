@@ -15,7 +15,8 @@ use crate::gpu::readback::{Landing, Ring};
 use crate::gpu::timing::Timer;
 use crate::gpu::{Gpu, GpuError, GpuOptions};
 use crate::passes::{
-    self, Context, FrameTask, PassSpan, Pipelines, SMALL_TRIANGLE_PX, Scratch, Uniforms,
+    self, Context, FrameTask, PassSpan, Pipelines, SMALL_SPLAT_PX, SMALL_TRIANGLE_PX, Scratch,
+    Uniforms,
 };
 use crate::plan::{Output, Pass};
 use crate::residency::layout::{GpuStats, MOST_VIEWS};
@@ -33,6 +34,7 @@ pub struct Renderer {
     timers: Vec<Timer>,
     fault: Arc<Mutex<Option<String>>>,
     small_triangle_px: u32,
+    small_splat_px: u32,
     large_units_limit: u32,
     spoil: bool,
 }
@@ -159,6 +161,7 @@ impl Renderer {
             timers: Vec::new(),
             fault,
             small_triangle_px: SMALL_TRIANGLE_PX,
+            small_splat_px: SMALL_SPLAT_PX,
             large_units_limit,
             spoil: false,
         })
@@ -167,6 +170,11 @@ impl Renderer {
     /// For measurements: boxes of triangles with a longer side than this go to the rasteriser.
     pub fn set_small_triangle_px(&mut self, pixels: u32) {
         self.small_triangle_px = pixels;
+    }
+
+    /// For measurements: boxes of splats with a longer side than this are walked by several threads.
+    pub fn set_small_splat_px(&mut self, pixels: u32) {
+        self.small_splat_px = pixels;
     }
 
     /// For tests: what boxes of large triangles may cover of a frame, in units of 4096 pixels.
@@ -244,6 +252,9 @@ impl Renderer {
             if task.plan.runs(Pass::Shade) {
                 self.scratch.reserve_normals(&self.gpu, task.size(), task.count());
             }
+            if task.plan.runs(Pass::ResolveSplats) {
+                self.scratch.reserve_sums(&self.gpu, task.size(), task.count(), task.sums());
+            }
             offsets.push(uniforms.group(task, scene));
         }
         uniforms.write(&self.gpu, &mut self.scratch);
@@ -300,6 +311,8 @@ impl Renderer {
             views: jobs.iter().map(|job| job.resolved.view).collect(),
             output: first.request.output,
             plan: first.resolved.plan.clone(),
+            splats: first.resolved.splats,
+            small_splat_px: self.small_splat_px,
             small_triangle_px: self.small_triangle_px,
             large_capacity: self.scratch.large_capacity(),
             large_units_limit: self.large_units_limit,

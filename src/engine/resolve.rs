@@ -87,13 +87,15 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     encode::accepts(request.format, request.output).map_err(unfit_format)?;
     let (view, camera) = pose(&loaded, request)?;
     let adapter = shared.adapter();
+    let splats = request.settings.splats(&loaded.model.splats);
     let plan = plan(
         &loaded.facts,
         request.output,
+        splats.as_ref(),
         &AdapterFacts { atomics_64: adapter.atomics_64, rasterises: adapter.rasterises },
     );
     let key = entity_tag(&loaded, request, &view, &adapter.name, adapter.atomics_64);
-    Ok(Resolved { model: loaded.model.clone(), view, camera, plan, key })
+    Ok(Resolved { model: loaded.model.clone(), view, camera, plan, splats, key })
 }
 
 fn pose(loaded: &Loaded, request: &FrameRequest) -> Result<(View, CameraReceipt), EngineError> {
@@ -192,6 +194,15 @@ fn entity_tag(
         request.output as u8,
     ]);
     hasher.update([request.settings.lod as u8, request.settings.reconstruct as u8]);
+    if let Some(splats) = request.settings.splats(&loaded.model.splats) {
+        // The scene's part in it is in the digest.
+        hasher.update([
+            splats.filter as u8,
+            splats.blend as u8,
+            splats.shading as u8,
+            u8::from(splats.prefilter),
+        ]);
+    }
     hasher.update(loaded.digest);
     hasher.update(loaded.model.revision.to_le_bytes());
     hasher.update(loaded.model.id.as_bytes());

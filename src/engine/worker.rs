@@ -20,7 +20,7 @@ use super::renderer::{Drawn, InFlight, Renderer};
 use super::shared::{Adapter, Phase, Shared};
 use super::{EncodedFrame, EngineError};
 use crate::gpu::{GpuError, GpuOptions};
-use crate::plan::Pass;
+use crate::plan::{Pass, UsedSettings};
 use crate::residency::layout::MOST_ROWS;
 
 /// Submissions in flight while more jobs wait: one is drawn while the next is recorded.
@@ -297,6 +297,8 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
     let resolved = &job.resolved;
     let counts = resolved.model.counts();
     let runs = |pass| resolved.plan.runs(pass);
+    let samples = runs(Pass::ProjectSamples) || runs(Pass::ProjectSplats);
+    let splats = |count: u32| runs(Pass::ProjectSplats).then_some(u64::from(count));
     let passes = resolved
         .plan
         .passes
@@ -319,7 +321,11 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         batch_size: drawn.batch_size,
         views: drawn.views,
         camera: resolved.camera.clone(),
-        settings: job.request.settings,
+        settings: UsedSettings {
+            lod: job.request.settings.lod,
+            reconstruct: job.request.settings.reconstruct,
+            splats: resolved.splats,
+        },
         max_error_px: None,
         estimated_error_px: None,
         passes,
@@ -329,10 +335,14 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         readback_ns: drawn.readback.as_nanos() as u64,
         samples: SampleCounts {
             stored: counts.samples,
-            tested: runs(Pass::ProjectSamples).then(|| wide(drawn.stats.samples_tested)),
-            drawn: runs(Pass::ProjectSamples).then_some(u64::from(drawn.stats.pixels_of_samples)),
+            tested: samples.then(|| wide(drawn.stats.samples_tested)),
+            drawn: samples.then_some(u64::from(drawn.stats.pixels_of_samples)),
         },
-        splats: SplatCounts::default(),
+        splats: SplatCounts {
+            clipped: splats(drawn.stats.splats_clipped),
+            rasterised: splats(drawn.stats.splats_listed),
+            scattered: splats(drawn.stats.splats_scattered),
+        },
         triangles: TriangleCounts {
             stored: counts.triangles,
             tested: runs(Pass::ProjectTriangles).then(|| wide(drawn.stats.triangles_tested)),

@@ -35,6 +35,8 @@ pub struct Gpu {
     pub name: String,
     /// 64-bit `atomicMax` on storage buffers may be used.
     pub atomics_64: bool,
+    /// Sums of 64 bits in storage buffers are atomic.
+    pub atomic_sums_64: bool,
     /// Nanoseconds per timestamp tick, `None` where the adapter has no timestamps.
     pub timestamp_period_ns: Option<f32>,
     /// Timestamps can be written outside of passes.
@@ -107,6 +109,8 @@ impl Gpu {
         }
         let wide = wgpu::Features::SHADER_INT64 | wgpu::Features::SHADER_INT64_ATOMIC_MIN_MAX;
         let atomics_64 = offered.contains(wide) && !options.force_32_bit;
+        let sums = wgpu::Features::SHADER_INT64 | wgpu::Features::SHADER_INT64_ATOMIC_ALL_OPS;
+        let atomic_sums_64 = offered.contains(sums) && !options.force_32_bit;
         let integers = offered & wgpu::Features::SHADER_INT64;
         let is_cpu = info.device_type == wgpu::DeviceType::Cpu;
         let rasterises = options.rasterise.unwrap_or(!is_cpu) || integers.is_empty();
@@ -122,6 +126,9 @@ impl Gpu {
         }
         if atomics_64 {
             features |= wide;
+        }
+        if atomic_sums_64 {
+            features |= sums;
         }
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("pointillist"),
@@ -147,6 +154,7 @@ impl Gpu {
             queue,
             name,
             atomics_64,
+            atomic_sums_64,
             timestamp_period_ns,
             stamps_between_passes: features
                 .contains(wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS),

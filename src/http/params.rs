@@ -16,6 +16,7 @@ use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
 use crate::math::{Camera, View};
 use crate::plan::{Lod, Output, Reconstruct, Settings};
+use crate::scene::{Blend, Filter, Shading};
 
 /// Width and height of a frame that names none.
 pub const DEFAULT_SIDE: u32 = 1024;
@@ -81,6 +82,20 @@ pub struct FrameParams {
     #[param(value_type = Option<Reconstruct>)]
     #[schema(value_type = Option<Reconstruct>)]
     pub reconstruct: Option<String>,
+    /// How splats are taken to the image; as the scene has it where none is given. Needs `reconstruct=splats`.
+    #[param(value_type = Option<Filter>)]
+    #[schema(value_type = Option<Filter>)]
+    pub filter: Option<String>,
+    /// Whether splats are convolved with a low-pass filter of the image. Needs `reconstruct=splats`.
+    pub prefilter: Option<bool>,
+    /// What happens where splats overlap. Needs `reconstruct=splats`.
+    #[param(value_type = Option<Blend>)]
+    #[schema(value_type = Option<Blend>)]
+    pub blend: Option<String>,
+    /// When splats are lit. Needs `reconstruct=splats`.
+    #[param(value_type = Option<Shading>)]
+    #[schema(value_type = Option<Shading>)]
+    pub shading: Option<String>,
     /// Milliseconds until the frame is worthless; work not begun by then is dropped.
     #[param(exclusive_minimum = 0.0)]
     #[schema(exclusive_minimum = 0.0)]
@@ -88,7 +103,7 @@ pub struct FrameParams {
 }
 
 /// Every parameter of this version.
-const NAMES: [&str; 15] = [
+const NAMES: [&str; 19] = [
     "camera",
     "eye",
     "target",
@@ -103,12 +118,15 @@ const NAMES: [&str; 15] = [
     "output",
     "lod",
     "reconstruct",
+    "filter",
+    "prefilter",
+    "blend",
+    "shading",
     "deadline_ms",
 ];
 
 /// Parameters of the contract that this version does not have, and what it does instead.
-const UNAVAILABLE: [(&str, &str); 4] = [
-    ("filter", "leave it out: samples are drawn unfiltered"),
+const UNAVAILABLE: [(&str, &str); 3] = [
     ("max_error_px", "leave it out: every sample and triangle is drawn"),
     ("budget_ms", "leave it out, or give `deadline_ms`"),
     ("effects", "leave it out: there are none"),
@@ -203,6 +221,10 @@ impl FrameParams {
             "output" => once(&mut self.output, name, value.to_owned()),
             "lod" => once(&mut self.lod, name, value.to_owned()),
             "reconstruct" => once(&mut self.reconstruct, name, value.to_owned()),
+            "filter" => once(&mut self.filter, name, value.to_owned()),
+            "prefilter" => once(&mut self.prefilter, name, number(name, value, "true or false")?),
+            "blend" => once(&mut self.blend, name, value.to_owned()),
+            "shading" => once(&mut self.shading, name, value.to_owned()),
             "deadline_ms" => {
                 once(&mut self.deadline_ms, name, number(name, value, "milliseconds above 0")?)
             }
@@ -259,6 +281,10 @@ impl FrameParams {
             output: self.output.or_else(|| defaults.output.clone()),
             lod: self.lod.or_else(|| defaults.lod.clone()),
             reconstruct: self.reconstruct.or_else(|| defaults.reconstruct.clone()),
+            filter: self.filter.or_else(|| defaults.filter.clone()),
+            prefilter: self.prefilter.or(defaults.prefilter),
+            blend: self.blend.or_else(|| defaults.blend.clone()),
+            shading: self.shading.or_else(|| defaults.shading.clone()),
             deadline_ms: self.deadline_ms.or(defaults.deadline_ms),
         }
     }
@@ -297,18 +323,43 @@ impl FrameParams {
                 "1 to 100",
             ));
         }
-        let lod: Lod = choice("lod", self.lod.as_deref())?;
-        let reconstruct: Reconstruct = choice("reconstruct", self.reconstruct.as_deref())?;
         Ok(FrameRequest {
             scene: scene.to_owned(),
             pose: self.pose(width, height)?,
             width,
             height,
-            settings: Settings { lod, reconstruct },
+            settings: self.settings()?,
             output: self.output()?,
             format,
             quality,
             deadline: self.deadline(now)?,
+        })
+    }
+
+    fn settings(&self) -> Result<Settings, Problem> {
+        let reconstruct: Reconstruct = choice("reconstruct", self.reconstruct.as_deref())?;
+        let given = [
+            ("filter", self.filter.is_some()),
+            ("prefilter", self.prefilter.is_some()),
+            ("blend", self.blend.is_some()),
+            ("shading", self.shading.is_some()),
+        ];
+        if reconstruct != Reconstruct::Splats
+            && let Some((name, _)) = given.iter().find(|(_, given)| *given)
+        {
+            return Err(Problem::parameter(
+                *name,
+                "only splats have one",
+                "together with `reconstruct=splats`, or left out",
+            ));
+        }
+        Ok(Settings {
+            lod: choice("lod", self.lod.as_deref())?,
+            reconstruct,
+            filter: chosen("filter", self.filter.as_deref())?,
+            prefilter: self.prefilter,
+            blend: chosen("blend", self.blend.as_deref())?,
+            shading: chosen("shading", self.shading.as_deref())?,
         })
     }
 
@@ -407,6 +458,14 @@ fn numbers<const N: usize>(name: &str, value: &str) -> Result<[f64; N], Problem>
 }
 
 /// A word of a closed list. The accepted ones are what the type itself deserialises, so that a new
+/// A choice that may be left to the scene.
+fn chosen<T: DeserializeOwned + Default>(
+    name: &str,
+    value: Option<&str>,
+) -> Result<Option<T>, Problem> {
+    value.map(|value| choice(name, Some(value))).transpose()
+}
+
 /// setting needs no second list here.
 fn choice<T: DeserializeOwned + Default>(name: &str, word: Option<&str>) -> Result<T, Problem> {
     let Some(word) = word else { return Ok(T::default()) };

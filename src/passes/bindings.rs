@@ -22,10 +22,7 @@ impl<'a> Names<'a> {
     pub fn find(&self, name: &str) -> Option<(Binding<'a>, u32)> {
         let Names { scratch, residency, scene, uniforms, segment } = *self;
         let page = segment.map(|segment| scene.pages[segment]);
-        let samples = || {
-            page.filter(|page| page.kind == PageKind::Samples)
-                .map(|page| residency.sample_page(page.index))
-        };
+        let samples = || residency.sample_page(page?);
         let mesh = || {
             page.filter(|page| page.kind == PageKind::Triangles)
                 .map(|page| residency.mesh_page(page.index))
@@ -44,6 +41,10 @@ impl<'a> Names<'a> {
                 return Some((Binding::Window(&scene.lights, window), 0));
             }
             "visibility" => scratch.visibility.buffer(),
+            "sums_0" => scratch.sums[0].buffer(),
+            "sums_1" => scratch.sums[1].buffer(),
+            "sums_2" => scratch.sums[2].buffer(),
+            "sums_3" => scratch.sums[3].buffer(),
             "pixels" => scratch.pixels.buffer(),
             "normals" => scratch.normals.buffer(),
             "stats" => scratch.stats.buffer(),
@@ -65,8 +66,10 @@ impl<'a> Names<'a> {
             "textures" => residency.texture_table(),
             "texels_0" => residency.texel_page(0),
             "texels_1" => residency.texel_page(1),
-            "positions" => samples()?.0,
-            "attributes" => samples()?.1,
+            "positions" => samples()?.positions,
+            "attributes" => samples()?.attributes,
+            "kernels" => samples()?.kernels,
+            "clips" => samples()?.clips?,
             "vertices" => mesh()?.0,
             "triangles" => mesh()?.1,
             _ => return None,

@@ -3,10 +3,11 @@
 use std::sync::Arc;
 
 use crate::math::View;
-use crate::plan::{FramePlan, Output};
+use crate::plan::{FramePlan, Output, Pass};
 use crate::residency::ResidentScene;
 use crate::residency::layout::{GpuFrame, two_floats};
 use crate::residency::model::SceneModel;
+use crate::scene::{Blend, Shading, Splats};
 
 /// Frames of one scene that are drawn together: the model (resident already), where it is seen from, what is wanted.
 #[derive(Clone)]
@@ -16,6 +17,10 @@ pub struct FrameTask {
     pub views: Vec<View>,
     pub output: Output,
     pub plan: FramePlan,
+    /// How samples are drawn, if not as points.
+    pub splats: Option<Splats>,
+    /// Boxes of splats with a longer side than this are walked by several threads.
+    pub small_splat_px: u32,
     /// Boxes of triangles with a longer side than this go to the rasteriser.
     pub small_triangle_px: u32,
     /// Large triangles that the list holds.
@@ -54,6 +59,21 @@ impl FrameTask {
         self.views.first().map_or((0, 0), |view| (view.width, view.height))
     }
 
+    /// Whether pixels that show splats are lit after normals are blended.
+    pub fn is_deferred(&self) -> bool {
+        let deferred = self.splats.is_some_and(|splats| splats.shading == Shading::Deferred);
+        deferred && self.output == Output::Color && self.plan.runs(Pass::Shade)
+    }
+
+    /// How many of a pixel's sums are in use; without blended splats none is.
+    pub fn sums(&self) -> usize {
+        match (self.plan.runs(Pass::BlendSplats), self.is_deferred()) {
+            (false, _) => 0,
+            (true, false) => 2,
+            (true, true) => 4,
+        }
+    }
+
     /// How many views there are.
     pub fn count(&self) -> u32 {
         self.views.len() as u32
@@ -90,8 +110,15 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         first_group: number * scene.group_slots(),
         first_slot: number * scene.chunk_count,
         first_run: number * scene.pages.len() as u32,
-        unused_0: 0,
-        unused_1: 0,
-        unused_2: 0,
+        sample_segments: scene.sample_segments(),
+        small_splat_px: task.small_splat_px as i32,
+        unused: 0,
+        splat_cutoff: task.splats.map_or(0.0, |splats| splats.cutoff),
+        splat_lowpass_px: task.splats.map_or(0.0, |s| if s.prefilter { s.lowpass_px } else { 0.0 }),
+        splat_width: task.splats.map_or(0.0, |splats| splats.width),
+        splat_offset: task.splats.map_or(0.0, |s| match s.blend {
+            Blend::Weighted => s.depth_offset,
+            Blend::Opaque => 0.0,
+        }),
     }
 }

@@ -3,8 +3,10 @@
 //! ```text
 //! clear ─ place ─ cull ─ scan ─ compact          which chunks are seen, and the map from each to the image
 //!    └─ project_samples ┐
-//!       project_triangles ─ rasterise_triangles   everything into one visibility buffer: 1/z ‖ id
-//!    └─ resolve_samples, resolve_triangles        attributes of the visible pixels only
+//!       project_splats ─ walk_splats             everything into one visibility buffer: 1/z ‖ id
+//!       project_triangles ─ rasterise_triangles
+//!    └─ blend_splats ─ blend_walked               weighted sums of the splats at the visible surface
+//!    └─ resolve_samples|splats, resolve_triangles attributes of the visible pixels only
 //!       shade                                     lights, once a pixel
 //! ```
 //! Frames of one scene, size and output go through the passes together: a dispatch counts the views in z, and each view has
@@ -18,6 +20,7 @@ mod bindings;
 mod frame;
 mod pipelines;
 mod project;
+mod reconstruct;
 mod record;
 mod recorder;
 mod resolve;
@@ -39,3 +42,6 @@ pub use uniforms::{GroupUniforms, Uniforms};
 /// 32 px and by a tenth at 64, and the rasteriser tenfold; where only a few triangles are seen, eight threads for each are
 /// better.
 pub const SMALL_TRIANGLE_PX: u32 = 32;
+
+/// Longest side, in pixels, of a splat's box up to which a single thread walks it.
+pub const SMALL_SPLAT_PX: u32 = 32;

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::rc::Rc;
 
-use super::shaders::{self, Visibility};
+use super::shaders::{self, Choices};
 use crate::gpu::Gpu;
 use crate::gpu::pipeline::{ComputePipeline, RasterPipeline};
 use crate::gpu::shader::ShaderError;
@@ -11,9 +11,8 @@ use crate::gpu::shader::ShaderError;
 /// What distinguishes pipelines of one pass.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct Variant {
-    name: &'static str,
-    visibility: Option<Visibility>,
-    alpha_cut: bool,
+    root: &'static str,
+    choices: Choices,
     constants: Constants,
 }
 
@@ -32,46 +31,21 @@ pub struct Pipelines {
 }
 
 impl Pipelines {
-    /// The pipeline of a pass that leaves the visibility buffer alone; `root` is its file below `shaders/`, `name` its
-    /// entry point.
-    pub fn plain(
+    /// The pipeline of a compute pass; `root` is its file below `shaders/`, whose last part names the entry point.
+    pub fn compute(
         &mut self,
         gpu: &Gpu,
-        root: &str,
-        name: &'static str,
+        root: &'static str,
+        choices: Choices,
         constants: Constants,
     ) -> Result<Rc<ComputePipeline>, ShaderError> {
         let values = values(&constants);
-        let variant = Variant { name, visibility: None, alpha_cut: false, constants };
+        let variant = Variant { root, choices, constants };
         if let Some(pipeline) = self.compute.get(&variant) {
             return Ok(pipeline.clone());
         }
-        let pipeline = Rc::new(ComputePipeline::new(
-            gpu,
-            name,
-            &shaders::plain(root, gpu.subgroups)?,
-            &values,
-        )?);
-        self.compute.insert(variant, pipeline.clone());
-        Ok(pipeline)
-    }
-
-    /// The pipeline of a pass that writes the visibility buffer.
-    pub fn visible(
-        &mut self,
-        gpu: &Gpu,
-        root: &str,
-        name: &'static str,
-        visibility: Visibility,
-        alpha_cut: bool,
-        constants: Constants,
-    ) -> Result<Rc<ComputePipeline>, ShaderError> {
-        let values = values(&constants);
-        let variant = Variant { name, visibility: Some(visibility), alpha_cut, constants };
-        if let Some(pipeline) = self.compute.get(&variant) {
-            return Ok(pipeline.clone());
-        }
-        let composed = shaders::visible(root, visibility, alpha_cut)?;
+        let name = root.rsplit('/').next().unwrap_or(root);
+        let composed = shaders::composed(root, &choices)?;
         let pipeline = Rc::new(ComputePipeline::new(gpu, name, &composed, &values)?);
         self.compute.insert(variant, pipeline.clone());
         Ok(pipeline)
@@ -81,18 +55,18 @@ impl Pipelines {
     pub fn raster(
         &mut self,
         gpu: &Gpu,
-        visibility: Visibility,
-        alpha_cut: bool,
+        choices: Choices,
         constants: Constants,
     ) -> Result<Rc<RasterPipeline>, ShaderError> {
-        let name = "rasterise_triangles";
+        let root = "project/rasterise_triangles";
         let values = values(&constants);
-        let variant = Variant { name, visibility: Some(visibility), alpha_cut, constants };
+        let variant = Variant { root, choices, constants };
         if let Some(pipeline) = self.raster.get(&variant) {
             return Ok(pipeline.clone());
         }
-        let composed = shaders::visible("project/rasterise_triangles", visibility, alpha_cut)?;
-        let pipeline = Rc::new(RasterPipeline::new(gpu, name, &composed, &values)?);
+        let composed = shaders::composed(root, &choices)?;
+        let pipeline =
+            Rc::new(RasterPipeline::new(gpu, "rasterise_triangles", &composed, &values)?);
         self.raster.insert(variant, pipeline.clone());
         Ok(pipeline)
     }

@@ -4,10 +4,10 @@ use super::frame::FrameTask;
 use super::recorder::{Context, PassSpan, Recorder};
 use super::shaders::Visibility;
 use super::uniforms::GroupUniforms;
-use super::{project, resolve, select, shade};
+use super::{project, reconstruct, resolve, select, shade};
 use crate::gpu::shader::ShaderError;
-use crate::plan::{Output, Pass};
-use crate::residency::{PageKind, ResidentScene};
+use crate::plan::Pass;
+use crate::residency::{PageKind, ResidentScene, SAMPLE_PAGES};
 
 /// Records every pass of `task`'s plan. The scratch has room and the scene is resident.
 ///
@@ -38,9 +38,18 @@ pub fn record(
         if plan.runs(project::project_samples::pass(half)) {
             project::project_samples::record(recorder, half)?;
         }
+        if plan.runs(project::project_splats::pass(half)) {
+            project_splats(recorder, half)?;
+        }
         if plan.runs(project::project_triangles::pass(half)) {
             project_triangles(recorder, half)?;
         }
+    }
+    if plan.runs(Pass::BlendSplats) {
+        blend_splats(recorder)?;
+    }
+    if plan.runs(Pass::ResolveSplats) {
+        resolve::resolve_splats::record(recorder)?;
     }
     if plan.runs(Pass::ResolveSamples) {
         resolve::resolve_samples::record(recorder)?;
@@ -51,15 +60,34 @@ pub fn record(
     if plan.runs(Pass::Shade) {
         shade::record(recorder)?;
     }
-    debug_assert!(task.output != Output::Color || scene.light_count == 0 || plan.runs(Pass::Shade));
     Ok(std::mem::take(&mut recorder.spans))
+}
+
+/// Segment by segment, as triangles.
+fn project_splats(recorder: &mut Recorder, half: Visibility) -> Result<(), ShaderError> {
+    for segment in recorder.segments(SAMPLE_PAGES) {
+        recorder.empty_list();
+        project::project_splats::record(recorder, half, segment)?;
+        project::walk_splats::record(recorder, half, segment)?;
+    }
+    Ok(())
+}
+
+fn blend_splats(recorder: &mut Recorder) -> Result<(), ShaderError> {
+    reconstruct::clear_sums(recorder);
+    for segment in recorder.segments(SAMPLE_PAGES) {
+        recorder.empty_list();
+        reconstruct::blend_splats::record(recorder, segment)?;
+        reconstruct::blend_walked::record(recorder, segment)?;
+    }
+    Ok(())
 }
 
 /// Segment by segment: the list of large triangles is the segment's own, its ids mean vertices of one page.
 fn project_triangles(recorder: &mut Recorder, half: Visibility) -> Result<(), ShaderError> {
     let rasterise = project::rasterise_triangles::pass(half);
-    for segment in recorder.segments(PageKind::Triangles) {
-        recorder.encoder.clear_buffer(recorder.context.scratch.large.buffer().raw(), 0, Some(4));
+    for segment in recorder.segments(&[PageKind::Triangles]) {
+        recorder.empty_list();
         project::project_triangles::record(recorder, half, segment)?;
         if recorder.task.plan.runs(rasterise) {
             project::rasterise_triangles::record(recorder, half, segment)?;

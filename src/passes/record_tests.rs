@@ -5,23 +5,18 @@ use naga::{Expression, Handle, Literal, Module};
 use crate::bake::pack::{CHUNK, NO_NORMAL, TRIANGLES, VERTEX_WORDS};
 use crate::gpu::shader::parse;
 use crate::passes::frame::output_number;
-use crate::passes::project::walk_triangles;
+use crate::passes::project::{BAND, STRIDE};
 use crate::passes::recorder::DISPATCH_ROW;
 use crate::passes::resolve::TILE;
 use crate::passes::select::{clear, compact, cull, place};
-use crate::passes::shaders::{Visibility, plain, visible};
+use crate::passes::shaders::{Choices, composed};
 use crate::plan::Output;
 use crate::residency::GROUP;
 use crate::residency::layout::*;
 
 /// The module of a root, whichever way it is composed.
 fn module(root: &str) -> Module {
-    let composed = if root.starts_with("project/") {
-        visible(root, Visibility::Depth, false)
-    } else {
-        plain(root, false)
-    };
-    parse(root, &composed.unwrap()).unwrap()
+    parse(root, &composed(root, &Choices::default()).unwrap()).unwrap()
 }
 
 fn words(module: &Module, expression: Handle<Expression>) -> Vec<u32> {
@@ -98,10 +93,12 @@ fn tiles_are_as_large() {
 
 #[test]
 fn the_walk_has_as_many_workgroups() {
-    let walk = module("project/walk_triangles");
-    assert_eq!(scalar(&walk, "STRIDE"), walk_triangles::STRIDE);
-    assert_eq!(scalar(&walk, "BAND"), walk_triangles::BAND);
-    assert_eq!(scalar(&walk, "LANES"), threads(&walk));
+    for root in ["project/walk_triangles", "project/walk_splats", "reconstruct/blend_walked"] {
+        let walk = module(root);
+        assert_eq!(scalar(&walk, "STRIDE"), STRIDE, "{root}");
+        assert_eq!(scalar(&walk, "BAND"), BAND, "{root}");
+        assert_eq!(scalar(&walk, "LANES"), threads(&walk), "{root}");
+    }
 }
 
 #[test]

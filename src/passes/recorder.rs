@@ -7,7 +7,7 @@ use super::bindings::Names;
 use super::frame::FrameTask;
 use super::pipelines::{Constants, Pipelines};
 use super::scratch::Scratch;
-use super::shaders::Visibility;
+use super::shaders::{Choices, Visibility};
 use super::uniforms::GroupUniforms;
 use crate::gpu::Gpu;
 use crate::gpu::bind::BindCache;
@@ -64,8 +64,8 @@ pub struct Call<'s> {
     pub pass: Pass,
     /// Its file below `shaders/`, whose last part names the entry point.
     pub root: &'static str,
-    /// How it writes the visibility buffer, if it does.
-    pub visibility: Option<Visibility>,
+    /// Which fragments it is made of; threads vote where they can.
+    pub choices: Choices,
     pub constants: Constants,
     /// What it is launched for, one after the other.
     pub segments: &'s [Segment],
@@ -75,12 +75,17 @@ pub struct Call<'s> {
 type Binds = Vec<(Rc<wgpu::BindGroup>, Vec<u32>)>;
 
 impl Recorder<'_, '_> {
-    /// The scene's segments of one kind.
-    pub fn segments(&self, kind: PageKind) -> Vec<Segment> {
+    /// The scene's segments of some kinds.
+    pub fn segments(&self, kinds: &[PageKind]) -> Vec<Segment> {
         (0..self.scene.pages.len())
-            .filter(|&index| self.scene.pages[index].kind == kind)
+            .filter(|&index| kinds.contains(&self.scene.pages[index].kind))
             .map(Some)
             .collect()
+    }
+
+    /// Empties the list of large triangles or splats.
+    pub fn empty_list(&mut self) {
+        self.encoder.clear_buffer(self.context.scratch.large.buffer().raw(), 0, Some(4));
     }
 
     /// Values of overrides that every pass has.
@@ -92,17 +97,11 @@ impl Recorder<'_, '_> {
 
     /// Records a compute pass.
     pub fn compute(&mut self, call: Call) -> Result<(), ShaderError> {
-        let Call { pass, root, visibility, constants, segments, launch } = call;
+        let Call { pass, root, choices, constants, segments, launch } = call;
         let constants = self.constants(constants);
-        let entry = root.rsplit('/').next().unwrap_or(root);
         let gpu = self.context.gpu;
-        let pipeline = match visibility {
-            None => self.context.pipelines.plain(gpu, root, entry, constants)?,
-            Some(visibility) => {
-                let cut = self.scene.alpha_cut;
-                self.context.pipelines.visible(gpu, root, entry, visibility, cut, constants)?
-            }
-        };
+        let choices = Choices { subgroups: gpu.subgroups, ..choices };
+        let pipeline = self.context.pipelines.compute(gpu, root, choices, constants)?;
         let binds: Vec<Binds> = segments
             .iter()
             .map(|&segment| self.bind(&pipeline.layouts, &pipeline.bindings, segment))
@@ -142,7 +141,7 @@ impl Recorder<'_, '_> {
         self.compute(Call {
             pass,
             root,
-            visibility: None,
+            choices: Choices::default(),
             constants: Vec::new(),
             segments: &[None],
             launch: Launch::Direct(size),
@@ -158,8 +157,9 @@ impl Recorder<'_, '_> {
     ) -> Result<(), ShaderError> {
         let constants = self.constants(Vec::new());
         let context = &mut *self.context;
-        let cut = self.scene.alpha_cut;
-        let pipeline = context.pipelines.raster(context.gpu, visibility, cut, constants)?;
+        let alpha_cut = self.scene.alpha_cut;
+        let choices = Choices { visibility, alpha_cut, ..Choices::default() };
+        let pipeline = context.pipelines.raster(context.gpu, choices, constants)?;
         let binds = self.bind(&pipeline.layouts, &pipeline.bindings, segment)?;
         let (width, height) = self.task.size();
         let context = &mut *self.context;

@@ -10,6 +10,8 @@ pub struct Scratch {
     pub visibility: buffer::Scratch,
     pub pixels: buffer::Scratch,
     pub normals: buffer::Scratch,
+    /// Of splats, two of 32 bits a pixel each.
+    pub sums: [buffer::Scratch; 4],
     pub stats: buffer::Scratch,
     pub placed: buffer::Scratch,
     pub seen: buffer::Scratch,
@@ -40,6 +42,7 @@ impl Scratch {
             visibility: make("visibility"),
             pixels: make("pixels"),
             normals: make("normals"),
+            sums: ["sums_0", "sums_1", "sums_2", "sums_3"].map(make),
             stats: make("stats"),
             placed: make("placed"),
             seen: make("seen"),
@@ -97,6 +100,18 @@ impl Scratch {
     /// Room for the normals that a shade pass reads.
     pub fn reserve_normals(&mut self, gpu: &Gpu, (width, height): (u32, u32), views: u32) {
         self.normals.reserve(gpu, u64::from(views) * u64::from(width) * u64::from(height) * 4);
+    }
+
+    /// Room for the first `count` of a pixel's sums.
+    pub fn reserve_sums(
+        &mut self,
+        gpu: &Gpu,
+        (width, height): (u32, u32),
+        views: u32,
+        count: usize,
+    ) {
+        let bytes = u64::from(views) * u64::from(width) * u64::from(height) * 8;
+        self.sums.iter_mut().take(count).for_each(|sums| sums.reserve(gpu, bytes));
     }
 
     pub fn large_capacity(&self) -> u32 {

@@ -47,6 +47,25 @@ fragments![
     "shared/resolve",
     "shared/vote_subgroup",
     "shared/vote_alone",
+    "shared/normals",
+    "shared/phong",
+    "shared/large",
+    "shared/walk",
+    "shared/splat",
+    "shared/sample_splats",
+    "shared/splat_depth",
+    "shared/splat_sums",
+    "shared/scatter",
+    "shared/walk_splat",
+    "shared/clip_none",
+    "shared/clip_lines",
+    "shared/sums_64",
+    "shared/sums_32",
+    "shared/normal_sums_none",
+    "shared/normal_sums_64",
+    "shared/normal_sums_32",
+    "shared/lit_none",
+    "shared/lit_splat",
     "shared/visibility_64",
     "shared/visibility_depth",
     "shared/visibility_id",
@@ -59,7 +78,12 @@ fragments![
     "project/project_triangles",
     "project/rasterise_triangles",
     "project/walk_triangles",
+    "project/project_splats",
+    "project/walk_splats",
+    "reconstruct/blend_splats",
+    "reconstruct/blend_walked",
     "resolve/resolve_samples",
+    "resolve/resolve_splats",
     "resolve/resolve_triangles",
     "shade/shade",
 ];
@@ -87,18 +111,65 @@ impl Visibility {
     }
 }
 
-/// Composes the module of a pass that leaves the visibility buffer alone; `subgroups`: its threads may vote.
-pub fn plain(root: &str, subgroups: bool) -> Result<Composed, ShaderError> {
-    let vote = if subgroups { "shared/vote_subgroup" } else { "shared/vote_alone" };
-    compose(source, root, &[("VOTE", vote)])
+/// Which fragments stand for the names in capitals that a module includes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Choices {
+    /// `VOTE`: threads may vote.
+    pub subgroups: bool,
+    /// `VISIBILITY`: how the visibility buffer is written.
+    pub visibility: Visibility,
+    /// `ALPHA`: some material cuts holes.
+    pub alpha_cut: bool,
+    /// `CLIPS`: samples carry clip lines.
+    pub clipped: bool,
+    /// `SUMS`, `NORMAL_SUMS`: 64-bit atomics add.
+    pub wide_sums: bool,
+    /// `NORMAL_SUMS`: normals and depths are blended beside colours.
+    pub normal_sums: bool,
+    /// `LIT`: splats are lit one by one.
+    pub lit: bool,
 }
 
-/// Composes a module that writes the visibility buffer.
-pub fn visible(
-    root: &str,
-    visibility: Visibility,
-    alpha_cut: bool,
-) -> Result<Composed, ShaderError> {
-    let alpha = if alpha_cut { "shared/alpha_cut" } else { "shared/alpha_none" };
-    compose(source, root, &[("VISIBILITY", visibility.fragment()), ("ALPHA", alpha)])
+impl Default for Choices {
+    fn default() -> Self {
+        Choices {
+            subgroups: false,
+            visibility: Visibility::Depth,
+            alpha_cut: false,
+            clipped: false,
+            wide_sums: false,
+            normal_sums: false,
+            lit: false,
+        }
+    }
+}
+
+impl Choices {
+    fn aliases(&self) -> [(&'static str, &'static str); 7] {
+        let either = |choice, yes, no| if choice { yes } else { no };
+        [
+            ("VOTE", either(self.subgroups, "shared/vote_subgroup", "shared/vote_alone")),
+            ("VISIBILITY", self.visibility.fragment()),
+            ("ALPHA", either(self.alpha_cut, "shared/alpha_cut", "shared/alpha_none")),
+            ("CLIPS", either(self.clipped, "shared/clip_lines", "shared/clip_none")),
+            ("SUMS", either(self.wide_sums, "shared/sums_64", "shared/sums_32")),
+            (
+                "NORMAL_SUMS",
+                match (self.normal_sums, self.wide_sums) {
+                    (false, _) => "shared/normal_sums_none",
+                    (true, true) => "shared/normal_sums_64",
+                    (true, false) => "shared/normal_sums_32",
+                },
+            ),
+            ("LIT", either(self.lit, "shared/lit_splat", "shared/lit_none")),
+        ]
+    }
+}
+
+/// Composes the module of a pass; `root` is its file below `shaders/`.
+///
+/// # Errors
+/// A fragment that is not there, which is a defect of this program.
+pub fn composed(root: &str, choices: &Choices) -> Result<Composed, ShaderError> {
+    compose(source, root, &choices.aliases())
 }

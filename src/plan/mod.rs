@@ -7,7 +7,9 @@ mod settings;
 
 use serde::Serialize;
 
-pub use settings::{Lod, Output, Reconstruct, Settings};
+pub use settings::{Lod, Output, Reconstruct, Settings, UsedSettings};
+
+use crate::scene::{Blend, Shading, Splats};
 
 /// What a plan depends on in a scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -41,6 +43,12 @@ pub enum Pass {
     ProjectSamples,
     /// Second half of [`Pass::ProjectSamples`] without 64-bit atomics.
     ProjectSamplesId,
+    ProjectSplats,
+    WalkSplats,
+    ProjectSplatsId,
+    WalkSplatsId,
+    BlendSplats,
+    BlendWalked,
     ProjectTriangles,
     RasteriseTriangles,
     WalkTriangles,
@@ -48,6 +56,7 @@ pub enum Pass {
     RasteriseTrianglesId,
     WalkTrianglesId,
     ResolveSamples,
+    ResolveSplats,
     ResolveTriangles,
     Shade,
     ShadowMap,
@@ -55,7 +64,7 @@ pub enum Pass {
 
 impl Pass {
     /// All passes in the order in which they run.
-    pub const ALL: [Pass; 17] = [
+    pub const ALL: [Pass; 24] = [
         Pass::Clear,
         Pass::Place,
         Pass::Cull,
@@ -63,14 +72,21 @@ impl Pass {
         Pass::Compact,
         Pass::ShadowMap,
         Pass::ProjectSamples,
+        Pass::ProjectSplats,
+        Pass::WalkSplats,
         Pass::ProjectTriangles,
         Pass::RasteriseTriangles,
         Pass::WalkTriangles,
         Pass::ProjectSamplesId,
+        Pass::ProjectSplatsId,
+        Pass::WalkSplatsId,
         Pass::ProjectTrianglesId,
         Pass::RasteriseTrianglesId,
         Pass::WalkTrianglesId,
+        Pass::BlendSplats,
+        Pass::BlendWalked,
         Pass::ResolveSamples,
+        Pass::ResolveSplats,
         Pass::ResolveTriangles,
         Pass::Shade,
     ];
@@ -84,6 +100,13 @@ impl Pass {
             Pass::Compact => "compact",
             Pass::ProjectSamples => "project_samples",
             Pass::ProjectSamplesId => "project_samples_id",
+            Pass::ProjectSplats => "project_splats",
+            Pass::ProjectSplatsId => "project_splats_id",
+            Pass::WalkSplats => "walk_splats",
+            Pass::WalkSplatsId => "walk_splats_id",
+            Pass::BlendSplats => "blend_splats",
+            Pass::BlendWalked => "blend_walked",
+            Pass::ResolveSplats => "resolve_splats",
             Pass::ProjectTriangles => "project_triangles",
             Pass::RasteriseTriangles => "rasterise_triangles",
             Pass::ProjectTrianglesId => "project_triangles_id",
@@ -118,9 +141,16 @@ impl FramePlan {
     }
 }
 
-/// Plans a frame.
-pub fn plan(scene: &SceneFacts, output: Output, adapter: &AdapterFacts) -> FramePlan {
+/// Plans a frame; `splats`: how samples are drawn, if not as points.
+pub fn plan(
+    scene: &SceneFacts,
+    output: Output,
+    splats: Option<&Splats>,
+    adapter: &AdapterFacts,
+) -> FramePlan {
     let shaded = output == Output::Color && scene.lights > 0;
+    let blended = splats.is_some_and(|splats| splats.blend == Blend::Weighted);
+    let lit_alone = blended && splats.is_some_and(|splats| splats.shading == Shading::Splat);
     let reason = |pass: Pass| -> Option<&'static str> {
         let samples = (!scene.has_samples).then_some("the scene has no samples");
         let triangles = (!scene.has_triangles).then_some("the scene has no triangles");
@@ -129,20 +159,33 @@ pub fn plan(scene: &SceneFacts, output: Output, adapter: &AdapterFacts) -> Frame
             adapter.rasterises.then_some("the adapter's rasteriser draws large triangles");
         let walked = (!adapter.rasterises)
             .then_some("the adapter's rasteriser is slower than walk_triangles");
+        let points = samples.or(splats.is_none().then_some("samples are drawn as points"));
+        let no_points = samples.or(splats.is_some().then_some("samples are drawn as splats"));
+        let opaque = points.or((!blended).then_some("splats are not blended"));
         match pass {
             Pass::Clear | Pass::Place | Pass::Cull | Pass::Scan | Pass::Compact => None,
-            Pass::ProjectSamples => samples,
+            Pass::ProjectSamples => no_points,
+            Pass::ProjectSplats | Pass::WalkSplats => points,
+            Pass::ProjectSplatsId | Pass::WalkSplatsId => points.or(wide),
+            Pass::BlendSplats | Pass::BlendWalked => {
+                opaque.or((output == Output::Id).then_some("the output is id"))
+            }
+            Pass::ResolveSplats => opaque,
             Pass::ProjectTriangles => triangles,
             Pass::RasteriseTriangles => triangles.or(walked),
             Pass::WalkTriangles => triangles.or(rasterised),
-            Pass::ProjectSamplesId => samples.or(wide),
+            Pass::ProjectSamplesId => no_points.or(wide),
             Pass::ProjectTrianglesId => triangles.or(wide),
             Pass::RasteriseTrianglesId => triangles.or(wide).or(walked),
             Pass::WalkTrianglesId => triangles.or(wide).or(rasterised),
             // It also writes the background of a scene that has nothing at all.
+            Pass::ResolveSamples if scene.has_samples => blended.then_some("splats are blended"),
             Pass::ResolveSamples => samples.filter(|_| scene.has_triangles),
             Pass::ResolveTriangles => triangles,
             Pass::Shade if output != Output::Color => Some("the output is not color"),
+            Pass::Shade if shaded && lit_alone && !scene.has_triangles && scene.has_samples => {
+                Some("splats are lit one by one")
+            }
             Pass::Shade => (!shaded).then_some("the scene has no lights"),
             Pass::ShadowMap if scene.casts_shadows => Some("this version draws no shadows"),
             Pass::ShadowMap => Some("no light casts shadows"),
@@ -162,7 +205,7 @@ mod tests {
     #[test]
     fn a_scan_without_lights_runs_no_triangle_or_shade_pass() {
         let facts = SceneFacts { has_samples: true, ..Default::default() };
-        let plan = plan(&facts, Output::Color, &WIDE);
+        let plan = plan(&facts, Output::Color, None, &WIDE);
         assert!(plan.runs(Pass::ProjectSamples) && plan.runs(Pass::ResolveSamples));
         for pass in
             [Pass::ProjectTriangles, Pass::RasteriseTriangles, Pass::ResolveTriangles, Pass::Shade]
@@ -176,12 +219,13 @@ mod tests {
     fn without_wide_atomics_every_projection_runs_twice() {
         let facts =
             SceneFacts { has_samples: true, has_triangles: true, lights: 1, ..Default::default() };
-        let plan = plan(&facts, Output::Color, &AdapterFacts::default());
+        let plan = plan(&facts, Output::Color, None, &AdapterFacts::default());
         for pass in Pass::ALL {
             let other = matches!(
                 pass,
                 Pass::ShadowMap | Pass::RasteriseTriangles | Pass::RasteriseTrianglesId
-            );
+            ) || pass.name().contains("splat")
+                || pass == Pass::BlendWalked;
             assert_eq!(plan.runs(pass), !other, "{pass:?}");
         }
     }
@@ -191,7 +235,7 @@ mod tests {
         let facts = SceneFacts { has_triangles: true, ..Default::default() };
         for (rasterises, atomics_64) in [(true, true), (true, false), (false, true), (false, false)]
         {
-            let plan = plan(&facts, Output::Color, &AdapterFacts { atomics_64, rasterises });
+            let plan = plan(&facts, Output::Color, None, &AdapterFacts { atomics_64, rasterises });
             assert_eq!(plan.runs(Pass::RasteriseTriangles), rasterises);
             assert_eq!(plan.runs(Pass::WalkTriangles), !rasterises);
             assert_eq!(plan.runs(Pass::RasteriseTrianglesId), rasterises && !atomics_64);
@@ -202,23 +246,56 @@ mod tests {
     #[test]
     fn only_color_is_shaded() {
         let facts = SceneFacts { has_samples: true, lights: 2, ..Default::default() };
-        assert!(plan(&facts, Output::Color, &WIDE).runs(Pass::Shade));
+        assert!(plan(&facts, Output::Color, None, &WIDE).runs(Pass::Shade));
         for output in [Output::Depth, Output::Normal, Output::Id] {
-            assert!(!plan(&facts, output, &WIDE).runs(Pass::Shade));
+            assert!(!plan(&facts, output, None, &WIDE).runs(Pass::Shade));
         }
     }
 
     #[test]
     fn an_empty_scene_still_has_a_background() {
-        assert!(plan(&SceneFacts::default(), Output::Color, &WIDE).runs(Pass::ResolveSamples));
+        assert!(
+            plan(&SceneFacts::default(), Output::Color, None, &WIDE).runs(Pass::ResolveSamples)
+        );
     }
 
     #[test]
     fn every_skipped_pass_says_why_and_all_are_listed_once() {
-        let plan = plan(&SceneFacts::default(), Output::Color, &WIDE);
+        let plan = plan(&SceneFacts::default(), Output::Color, None, &WIDE);
         assert_eq!(plan.passes.len(), Pass::ALL.len());
         for planned in &plan.passes {
             assert!(planned.skipped.is_none_or(|why| !why.is_empty()));
         }
+    }
+
+    #[test]
+    fn splats_run_what_their_settings_ask_for() {
+        let facts = SceneFacts { has_samples: true, lights: 1, ..Default::default() };
+        let runs = |splats: &Splats, output, facts: &SceneFacts| {
+            let plan = plan(facts, output, Some(splats), &WIDE);
+            let all = Pass::ALL.into_iter().filter(|&pass| plan.runs(pass));
+            all.map(Pass::name).filter(|name| !FIXED.contains(name)).collect::<Vec<_>>()
+        };
+        const FIXED: [&str; 5] = ["clear", "place", "cull", "scan", "compact"];
+        let deferred = Splats::default();
+        let depth = ["project_splats", "walk_splats"];
+        let blend = ["blend_splats", "blend_walked", "resolve_splats"];
+        assert_eq!(
+            runs(&deferred, Output::Color, &facts),
+            [&depth[..], &blend[..], &["shade"]].concat()
+        );
+        assert_eq!(runs(&deferred, Output::Depth, &facts), [&depth[..], &blend[..]].concat());
+        assert_eq!(runs(&deferred, Output::Id, &facts), [&depth[..], &["resolve_splats"]].concat());
+        let lit = Splats { shading: Shading::Splat, ..deferred };
+        assert_eq!(runs(&lit, Output::Color, &facts), [&depth[..], &blend[..]].concat());
+        let mixed = SceneFacts { has_triangles: true, ..facts };
+        assert!(runs(&lit, Output::Color, &mixed).contains(&"shade"));
+        let opaque = Splats { blend: Blend::Opaque, ..lit };
+        assert_eq!(
+            runs(&opaque, Output::Color, &facts),
+            [&depth[..], &["resolve_samples", "shade"]].concat()
+        );
+        let empty = SceneFacts::default();
+        assert_eq!(runs(&deferred, Output::Color, &empty), ["resolve_samples"]);
     }
 }

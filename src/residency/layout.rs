@@ -42,7 +42,7 @@ pub struct GpuChunk {
     pub shift: u32,
     pub vertex_first: u32,
     pub material: u32,
-    pub unused: u32,
+    pub kernel_base: f32,
 }
 
 /// `Entry` of `shared/scene.wgsl`.
@@ -103,7 +103,10 @@ pub struct GpuStats {
     pub large_longest: u32,
     pub large_units: u32,
     pub large_wrapped: u32,
-    pub unused: u32,
+    pub splats_clipped: u32,
+    pub splats_listed: u32,
+    pub splats_scattered: u32,
+    pub unused: [u32; 2],
 }
 
 /// `Material` of `shared/material.wgsl`.
@@ -190,9 +193,13 @@ pub struct GpuFrame {
     pub first_group: u32,
     pub first_slot: u32,
     pub first_run: u32,
-    pub unused_0: u32,
-    pub unused_1: u32,
-    pub unused_2: u32,
+    pub sample_segments: u32,
+    pub small_splat_px: i32,
+    pub unused: u32,
+    pub splat_cutoff: f32,
+    pub splat_lowpass_px: f32,
+    pub splat_width: f32,
+    pub splat_offset: f32,
 }
 
 /// An f64 as the sum of two f32: 48 bits of mantissa.
@@ -262,7 +269,7 @@ mod tests {
                     shift,
                     vertex_first,
                     material,
-                    unused
+                    kernel_base
                 ),
                 mirror!("Entry", GpuEntry, instance, chunk),
                 mirror!("Slot", GpuSlot, row_x, row_y, row_z, instance, chunk, first, count),
@@ -298,9 +305,13 @@ mod tests {
                 first_group,
                 first_slot,
                 first_run,
-                unused_0,
-                unused_1,
-                unused_2
+                sample_segments,
+                small_splat_px,
+                unused,
+                splat_cutoff,
+                splat_lowpass_px,
+                splat_width,
+                splat_offset
             )],
         );
         let with_materials = concat!(
@@ -337,7 +348,7 @@ mod tests {
                 "Texture", GpuTexture, first, page, width, height, levels, wrap, nearest, unused
             )],
         );
-        let shade = crate::passes::shaders::plain("shade/shade", false).unwrap();
+        let shade = crate::passes::shaders::composed("shade/shade", &Default::default()).unwrap();
         let light: Mirror = (
             "Light",
             size_of::<GpuLight>(),
@@ -389,6 +400,13 @@ mod tests {
                         offset("pixels_of_triangles"),
                         std::mem::offset_of!(GpuStats, pixels_of_triangles)
                     );
+                    for (member, place) in [
+                        ("splats_clipped", std::mem::offset_of!(GpuStats, splats_clipped)),
+                        ("splats_listed", std::mem::offset_of!(GpuStats, splats_listed)),
+                        ("splats_scattered", std::mem::offset_of!(GpuStats, splats_scattered)),
+                    ] {
+                        assert_eq!(offset(member), place);
+                    }
                     for (member, place) in [
                         ("large_longest", std::mem::offset_of!(GpuStats, large_longest)),
                         ("large_units", std::mem::offset_of!(GpuStats, large_units)),

@@ -33,8 +33,13 @@ pub const GROUP: usize = 32;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum PageKind {
     Samples,
+    /// Samples with clip lines.
+    Clipped,
     Triangles,
 }
+
+/// Pages of samples.
+pub const SAMPLE_PAGES: &[PageKind] = &[PageKind::Samples, PageKind::Clipped];
 
 /// A page: its kind and its number among those.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -65,6 +70,14 @@ struct Piece {
     /// Vertices in the page.
     vertex_start: u32,
     vertex_length: u32,
+}
+
+/// The streams of a page of samples.
+pub struct SamplePage<'a> {
+    pub positions: &'a Buffer,
+    pub attributes: &'a Buffer,
+    pub kernels: &'a Buffer,
+    pub clips: Option<&'a Buffer>,
 }
 
 struct ResidentGeometry {
@@ -125,6 +138,11 @@ pub struct ResidentScene {
 }
 
 impl ResidentScene {
+    /// Segments of samples, which come before those of triangles.
+    pub fn sample_segments(&self) -> u32 {
+        self.pages.iter().filter(|page| page.kind != PageKind::Triangles).count() as u32
+    }
+
     /// Words that a view's prefix sum holds: one a group of entries, and the total.
     pub fn group_slots(&self) -> u32 {
         self.entry_count / GROUP as u32 + 1
@@ -134,6 +152,7 @@ impl ResidentScene {
 /// GPU memory and what lies in it.
 pub struct Residency {
     samples: Vec<Arena>,
+    clipped: Vec<Arena>,
     meshes: Vec<(Arena, Arena)>,
     texels: Vec<Arena>,
     chunks: Arena,
@@ -160,6 +179,7 @@ impl Residency {
         materials.write(gpu, 0, 0, &[upload::gpu_material(&Default::default(), 0)]);
         Self {
             samples: vec![upload::sample_page(gpu)],
+            clipped: Vec::new(),
             meshes: vec![upload::mesh_page(gpu)],
             texels: (0..TEXEL_PAGES).map(|_| Arena::new(gpu, "texels", &[4])).collect(),
             chunks: Arena::new(gpu, "chunks", &[size_of::<GpuChunk>() as u64]),
@@ -197,9 +217,18 @@ impl Residency {
         self.scenes.keys().map(String::as_str)
     }
 
-    /// Positions (stream 0) and attributes (stream 1) of a page of samples.
-    pub fn sample_page(&self, index: usize) -> (&Buffer, &Buffer) {
-        (self.samples[index].buffer(0), self.samples[index].buffer(1))
+    /// Positions, attributes, kernels and, where it has them, clip lines of a page of samples; `None` for other pages.
+    pub fn sample_page(&self, page: Page) -> Option<SamplePage<'_>> {
+        let (arena, clips) = match page.kind {
+            PageKind::Samples => (&self.samples[page.index], None),
+            PageKind::Clipped => {
+                let arena = &self.clipped[page.index];
+                (arena, Some(arena.buffer(3)))
+            }
+            PageKind::Triangles => return None,
+        };
+        let [positions, attributes, kernels] = [0, 1, 2].map(|stream| arena.buffer(stream));
+        Some(SamplePage { positions, attributes, kernels, clips })
     }
 
     /// Vertices and triangles of a page of meshes.
@@ -307,7 +336,9 @@ impl Residency {
         self.forget_scene(id);
         self.drop_unused_assets(&HashSet::new());
         let meshes = self.meshes.iter_mut().flat_map(|(vertices, triangles)| [vertices, triangles]);
-        for arena in self.samples.iter_mut().chain(meshes).chain(&mut self.texels) {
+        for arena in
+            self.samples.iter_mut().chain(&mut self.clipped).chain(meshes).chain(&mut self.texels)
+        {
             arena.trim(gpu);
         }
     }

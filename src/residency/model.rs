@@ -9,7 +9,7 @@ use super::layout::{GpuEntry, GpuInstance, two_floats};
 use crate::bake::pack::{Grid, PackedAsset, PackedGeometry};
 use crate::bake::prepare::AssetTraits;
 use crate::math::{Bounds, Camera};
-use crate::scene::{Light, MaterialSpec};
+use crate::scene::{Light, MaterialSpec, Splats};
 
 /// One file's packed contents, shared by the scenes that draw it.
 #[derive(Debug)]
@@ -54,6 +54,8 @@ pub struct SceneModel {
     pub background: [f32; 4],
     pub cameras: Vec<(String, Camera)>,
     pub up: DVec3,
+    /// How samples are drawn where splats are asked for.
+    pub splats: Splats,
 }
 
 /// Totals over all instances.

@@ -18,7 +18,11 @@ use crate::gpu::buffer::Buffer;
 use crate::scene::{Light, MaterialSpec};
 
 pub(super) fn sample_page(gpu: &Gpu) -> Arena {
-    Arena::new(gpu, "samples", &[8, 8])
+    Arena::new(gpu, "samples", &[8, 8, 4])
+}
+
+fn clipped_page(gpu: &Gpu) -> Arena {
+    Arena::new(gpu, "samples with clip lines", &[8, 8, 4, 8])
 }
 
 pub(super) fn mesh_page(gpu: &Gpu) -> (Arena, Arena) {
@@ -116,7 +120,7 @@ fn gpu_chunk(
         shift: chunk.shift,
         vertex_first: vertex_start + (chunk.vertex_first - origin.vertex_first),
         material: if chunk.material == 0 { 0 } else { material_start + chunk.material - 1 },
-        unused: 0,
+        kernel_base: chunk.kernel_base,
     }
 }
 
@@ -275,29 +279,43 @@ impl Residency {
         Ok(out)
     }
 
-    /// Puts samples of chunks from `from` on into a page, as many as fit there.
+    /// Puts samples of chunks from `from` on into a page of their kind, as many as fit there.
     fn place_samples(&mut self, gpu: &Gpu, samples: &PackedSamples, from: usize) -> Piece {
         let first = samples.chunks[from].first;
-        let wanted = samples.positions.len() as u32 - first;
+        let clipped = first >= samples.clipped_first;
+        let (kind, pages, fresh_page): (_, _, fn(&Gpu) -> Arena) = if clipped {
+            (PageKind::Clipped, &mut self.clipped, clipped_page)
+        } else {
+            (PageKind::Samples, &mut self.samples, sample_page)
+        };
+        // Those with clip lines lie behind the others.
+        let plain_chunks = samples.chunks.partition_point(|c| c.first < samples.clipped_first);
+        let chunks = if clipped { &samples.chunks[..] } else { &samples.chunks[..plain_chunks] };
+        let all = if clipped { samples.positions.len() as u32 } else { samples.clipped_first };
         let mut index = 0;
         loop {
-            let fresh = index == self.samples.len();
+            let fresh = index == pages.len();
             if fresh {
-                self.samples.push(sample_page(gpu));
+                pages.push(fresh_page(gpu));
             }
-            let room = self.samples[index].room(wanted);
-            let end = fitting_run(&samples.chunks, from, room, u32::MAX);
+            let page = &mut pages[index];
+            let end = fitting_run(chunks, from, page.room(all - first), u32::MAX);
             // A few chunks here and there would make many segments, each with its own dispatch.
-            let worth = end == samples.chunks.len() || end >= from + 64 || fresh;
+            let worth = end == chunks.len() || end >= from + 64 || fresh;
             if worth {
-                let last = &samples.chunks[end - 1];
+                let last = &chunks[end - 1];
                 let length = last.first + last.count - first;
-                if let Some(start) = self.samples[index].allocate(gpu, length) {
+                if let Some(start) = page.allocate(gpu, length) {
                     let range = first as usize..(first + length) as usize;
-                    self.samples[index].write(gpu, 0, start, &samples.positions[range.clone()]);
-                    self.samples[index].write(gpu, 1, start, &samples.attributes[range]);
+                    page.write(gpu, 0, start, &samples.positions[range.clone()]);
+                    page.write(gpu, 1, start, &samples.attributes[range.clone()]);
+                    page.write(gpu, 2, start, &samples.kernels[range]);
+                    if clipped {
+                        let at = (first - samples.clipped_first) as usize;
+                        page.write(gpu, 3, start, &samples.clips[at..at + length as usize]);
+                    }
                     return Piece {
-                        page: Page { kind: PageKind::Samples, index },
+                        page: Page { kind, index },
                         first_chunk: 0,
                         chunk_count: (end - from) as u32,
                         start,
@@ -375,6 +393,9 @@ impl Residency {
                 match piece.page.kind {
                     PageKind::Samples => {
                         self.samples[piece.page.index].release(piece.start, piece.length)
+                    }
+                    PageKind::Clipped => {
+                        self.clipped[piece.page.index].release(piece.start, piece.length)
                     }
                     PageKind::Triangles => {
                         let (vertices, triangles) = &mut self.meshes[piece.page.index];

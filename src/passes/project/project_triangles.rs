@@ -2,7 +2,7 @@
 
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, Launch, Recorder, Segment};
-use crate::passes::shaders::Visibility;
+use crate::passes::shaders::{Choices, Visibility};
 use crate::plan::Pass;
 
 pub fn pass(half: Visibility) -> Pass {
@@ -17,7 +17,11 @@ pub fn record(
     recorder.compute(Call {
         pass: pass(half),
         root: "project/project_triangles",
-        visibility: Some(half),
+        choices: Choices {
+            visibility: half,
+            alpha_cut: recorder.scene.alpha_cut,
+            ..Choices::default()
+        },
         constants: Vec::new(),
         segments: &[segment],
         launch: Launch::Indirect,

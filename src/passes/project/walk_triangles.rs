@@ -1,14 +1,10 @@
 //! Listed triangles, for adapters whose rasteriser is slower than a walk in compute.
 
+use super::walk;
 use crate::gpu::shader::ShaderError;
-use crate::passes::recorder::{Call, Launch, Recorder, Segment};
-use crate::passes::shaders::Visibility;
+use crate::passes::recorder::{Call, Recorder, Segment};
+use crate::passes::shaders::{Choices, Visibility};
 use crate::plan::Pass;
-
-/// Triangles side by side; as in the shader.
-pub const STRIDE: u32 = 64;
-/// Rows of a band of the image; as in the shader.
-pub const BAND: u32 = 128;
 
 pub fn pass(half: Visibility) -> Pass {
     if half == Visibility::Id { Pass::WalkTrianglesId } else { Pass::WalkTriangles }
@@ -19,14 +15,16 @@ pub fn record(
     half: Visibility,
     segment: Segment,
 ) -> Result<(), ShaderError> {
-    // The list is that of all views together.
-    let bands = recorder.task.size().1.div_ceil(BAND);
     recorder.compute(Call {
         pass: pass(half),
         root: "project/walk_triangles",
-        visibility: Some(half),
+        choices: Choices {
+            visibility: half,
+            alpha_cut: recorder.scene.alpha_cut,
+            ..Choices::default()
+        },
         constants: Vec::new(),
         segments: &[segment],
-        launch: Launch::Direct([STRIDE, bands, 1]),
+        launch: walk(recorder),
     })
 }

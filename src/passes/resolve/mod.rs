@@ -1,6 +1,7 @@
 //! Attributes of the visible pixels only.
 
 pub mod resolve_samples;
+pub mod resolve_splats;
 pub mod resolve_triangles;
 
 use super::frame::output_number;

@@ -3,15 +3,16 @@
 use super::{constants, tiles};
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, Recorder};
+use crate::passes::shaders::Choices;
 use crate::plan::Pass;
-use crate::residency::PageKind;
+use crate::residency::SAMPLE_PAGES;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
-    let segments = recorder.segments(PageKind::Samples);
+    let segments = recorder.segments(SAMPLE_PAGES);
     recorder.compute(Call {
         pass: Pass::ResolveSamples,
         root: "resolve/resolve_samples",
-        visibility: None,
+        choices: Choices::default(),
         constants: constants(recorder),
         segments: &segments,
         launch: tiles(recorder),

@@ -1,24 +1,32 @@
 //! Lights, once a pixel.
 
+use super::pipelines::Constants;
 use super::recorder::{Call, Recorder};
 use super::resolve::tiles;
 use crate::gpu::shader::ShaderError;
+use crate::passes::shaders::Choices;
 use crate::plan::Pass;
+use crate::residency::Looks;
 use crate::residency::layout::FEW_LIGHTS;
 
-pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
-    let (looks, lights) = (recorder.scene.looks, recorder.scene.light_count);
-    let constants = vec![
-        ("OVERRIDES", u32::from(looks.overrides)),
+/// Overrides of `shared/phong` and of what asks pixels or splats for their materials.
+pub fn light_constants(looks: Looks, lights: u32) -> Constants {
+    vec![
         ("SPECULAR", u32::from(looks.specular)),
         ("POINT_LIGHTS", u32::from(looks.point_lights)),
         ("MATERIALS", u32::from(looks.overrides || looks.specular || looks.unlit)),
         ("FEW_LIGHTS", if lights > FEW_LIGHTS { 0 } else { lights }),
-    ];
+    ]
+}
+
+pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
+    let looks = recorder.scene.looks;
+    let mut constants = light_constants(looks, recorder.scene.light_count);
+    constants.push(("OVERRIDES", u32::from(looks.overrides)));
     recorder.compute(Call {
         pass: Pass::Shade,
         root: "shade/shade",
-        visibility: None,
+        choices: Choices::default(),
         constants,
         segments: &[None],
         launch: tiles(recorder),

@@ -1,0 +1,17 @@
+// Visibility of large splats, and of those that reach the camera plane.
+//!include shared/frame
+//!include shared/scene
+//!include shared/octahedral
+//!include VISIBILITY
+//!include shared/large
+//!include shared/splat
+//!include CLIPS
+//!include shared/sample_splats
+//!include shared/splat_depth
+//!include shared/walk
+//!include shared/walk_splat
+
+@compute @workgroup_size(8)
+fn walk_splats(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    walk_list(group, lane);
+}

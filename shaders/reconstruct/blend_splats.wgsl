@@ -1,0 +1,24 @@
+// Weighted sums of the splats that lie at the visible surface, second of three passes (Zwicker et al. 2004, §6).
+//!include shared/frame
+//!include shared/scene
+//!include shared/octahedral
+//!include shared/colour
+//!include shared/material
+//!include shared/normals
+//!include shared/large
+//!include shared/splat
+//!include CLIPS
+//!include shared/sample_splats
+//!include SUMS
+//!include NORMAL_SUMS
+//!include shared/splat_sums
+//!include LIT
+//!include shared/scatter
+
+// What is counted, project_splats has counted.
+const COUNTS: bool = false;
+
+@compute @workgroup_size(64)
+fn blend_splats(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    scatter(group, lane);
+}

@@ -1,0 +1,22 @@
+// Weighted sums of large splats, and of those that reach the camera plane.
+//!include shared/frame
+//!include shared/scene
+//!include shared/octahedral
+//!include shared/colour
+//!include shared/material
+//!include shared/normals
+//!include shared/large
+//!include shared/splat
+//!include CLIPS
+//!include shared/sample_splats
+//!include SUMS
+//!include NORMAL_SUMS
+//!include shared/splat_sums
+//!include LIT
+//!include shared/walk
+//!include shared/walk_splat
+
+@compute @workgroup_size(8)
+fn blend_walked(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    walk_list(group, lane);
+}

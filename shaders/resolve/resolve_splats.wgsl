@@ -1,0 +1,88 @@
+// Normalisation, last of three passes (Zwicker et al. 2004, §6): the sums of pixels that show splats, divided by their weights.
+//!include shared/frame
+//!include shared/scene
+//!include shared/octahedral
+//!include shared/colour
+//!include shared/normals
+//!include shared/resolve
+
+@group(0) @binding(5) var<storage, read> sums_0: array<vec2<u32>>;
+@group(0) @binding(6) var<storage, read> sums_1: array<vec2<u32>>;
+@group(0) @binding(7) var<storage, read> sums_2: array<vec2<u32>>;
+@group(0) @binding(8) var<storage, read> sums_3: array<vec2<u32>>;
+// Where pixels are lit, the offset is taken back.
+@group(0) @binding(1) var<storage, read_write> visibility: array<vec2<u32>>;
+@group(1) @binding(3) var<storage, read> instances: array<Instance>;
+
+// Pixels are lit once all is blended; otherwise splats were lit, or there are no lights.
+override DEFERRED: bool = true;
+
+const DEPTH_ONE: f32 = 1073741824.0;
+
+fn blended_normal(sums: vec3<u32>, inverse_weight: f32, at: vec2<u32>) -> vec3<f32> {
+    let n = fma(vec3<f32>(sums), vec3<f32>(2.0 * inverse_weight), vec3<f32>(-1.0));
+    // What rounding leaves of normals that are not known.
+    if dot(n, n) < 1e-4 {
+        return vec3<f32>(0.0);
+    }
+    return facing_normal(n, world_from_camera(ray_through(pixel_centre(at))));
+}
+
+fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
+    if OUTPUT == OUTPUT_ID {
+        let slot = frame.first_slot + slot_of(word);
+        pixels[pixel] = instances[slots[slot].instance].id;
+        return;
+    }
+    let first = sums_0[pixel];
+    let second = sums_1[pixel];
+    let inverse_weight = 1.0 / max(f32(first.y), 1.0);
+    if OUTPUT == OUTPUT_DEPTH {
+        let share = fma(f32(second.y), 4294967296.0, f32(second.x)) / DEPTH_ONE * inverse_weight;
+        pixels[pixel] = bitcast<u32>(share / bitcast<f32>(word.y));
+        return;
+    }
+    if OUTPUT == OUTPUT_NORMAL {
+        pixels[pixel] = normal_word(blended_normal(vec3<u32>(first.x, second.xy), inverse_weight, at));
+        return;
+    }
+    let color = vec3<f32>(vec3<u32>(first.x, second.xy)) * inverse_weight;
+    pixels[pixel] = pack4x8unorm(vec4<f32>(srgb_from_linear(color), 1.0));
+    if !SHADED {
+        return;
+    }
+    if !DEFERRED {
+        normals[pixel] = NO_NORMAL;
+        return;
+    }
+    let third = sums_2[pixel];
+    let fourth = sums_3[pixel];
+    normals[pixel] = octahedral_encode(blended_normal(vec3<u32>(third.xy, fourth.x), inverse_weight, at));
+    let share = clamp(f32(fourth.y) * inverse_weight, 1e-6, 1.0);
+    visibility[pixel].y = bitcast<u32>(bitcast<f32>(word.y) / share);
+}
+
+@compute @workgroup_size(64)
+fn resolve_splats(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    begin_view(group.z);
+    // Slots of samples come first.
+    let last = runs[frame.first_run + max(frame.sample_segments, 1u) - 1u];
+    let count = select(0u, last.first_slot + last.count, frame.sample_segments != 0u);
+    var column = column_begin(group, lane);
+    var resolved = 0u;
+    resolve_load(&column, 0u, count);
+    loop {
+        resolve_seek(&column, 0u, count);
+        if column_ends(column) {
+            break;
+        }
+        if column.mine {
+            resolve(column.pixel, column.at, column.word);
+            resolved++;
+        }
+        resolve_next(&column, 0u, count);
+    }
+    if resolved != 0u {
+        atomicAdd(&stats[frame.view].pixels_of_samples, resolved);
+    }
+}

@@ -1,0 +1,21 @@
+// Splats are lit one by one, by their own normals.
+//!include shared/phong
+const LIT: bool = true;
+
+// Some material is unlit, shines or is overridden: splats have to ask theirs.
+override MATERIALS: bool = true;
+
+fn lit(color: vec3<f32>, normal: vec3<f32>, slot: SplatSlot, sample: u32) -> vec3<f32> {
+    var material: Material;
+    if MATERIALS {
+        material = materials[0];
+    }
+    if OVERRIDES {
+        material = effective_material(material, instances[slot.instance].material);
+    }
+    if (material.flags & MATERIAL_UNLIT) != 0u || all(normal == vec3<f32>(0.0)) {
+        return color;
+    }
+    let from_eye = world_from_camera(camera_vector(splat_centre(slot, sample)));
+    return clamp(all_lights(color, material, normal, from_eye), vec3<f32>(0.0), vec3<f32>(1.0));
+}

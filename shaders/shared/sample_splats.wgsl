@@ -1,0 +1,80 @@
+// What passes over a page of samples share: a slot's samples as splats.
+@group(1) @binding(0) var<storage, read> positions: array<vec2<u32>>;
+@group(1) @binding(1) var<storage, read> kernels: array<u32>;
+@group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
+@group(1) @binding(6) var<storage, read> attributes: array<vec2<u32>>;
+@group(2) @binding(0) var<storage, read> slots: array<Slot>;
+
+// What the samples of a slot have in common.
+struct SplatSlot {
+    index: u32,
+    row_x: vec4<f32>,
+    row_y: vec4<f32>,
+    row_z: vec4<f32>,
+    first: u32,
+    instance: u32,
+    kernel_base: f32,
+    // Longest column of the map from stored coordinates to camera space.
+    scale: f32,
+}
+
+fn splat_slot(index: u32) -> SplatSlot {
+    let at = frame.first_slot + index;
+    var slot: SplatSlot;
+    slot.index = index;
+    slot.row_x = slots[at].row_x;
+    slot.row_y = slots[at].row_y;
+    slot.row_z = slots[at].row_z;
+    slot.first = slots[at].first;
+    slot.instance = slots[at].instance;
+    slot.kernel_base = chunks[slots[at].chunk].kernel_base;
+    let x = camera_vector(vec3<f32>(slot.row_x.x, slot.row_y.x, slot.row_z.x));
+    let y = camera_vector(vec3<f32>(slot.row_x.y, slot.row_y.y, slot.row_z.y));
+    let z = camera_vector(vec3<f32>(slot.row_x.z, slot.row_y.z, slot.row_z.z));
+    slot.scale = sqrt(max(dot(x, x), max(dot(y, y), dot(z, z))));
+    return slot;
+}
+
+fn taken(slot: SplatSlot, v: vec3<f32>) -> vec3<f32> {
+    return vec3<f32>(dot(slot.row_x.xyz, v), dot(slot.row_y.xyz, v), dot(slot.row_z.xyz, v));
+}
+
+// The centre's place in the image, times z, and z.
+fn splat_centre(slot: SplatSlot, sample: u32) -> vec3<f32> {
+    let word = positions[slot.first + sample];
+    let q = vec3<f32>(
+        f32(word.x & 0x1fffffu),
+        f32(((word.x >> 21u) | (word.y << 11u)) & 0x1fffffu),
+        f32((word.y >> 10u) & 0x1fffffu),
+    );
+    return vec3<f32>(
+        fma(slot.row_x.x, q.x, fma(slot.row_x.y, q.y, fma(slot.row_x.z, q.z, slot.row_x.w))),
+        fma(slot.row_y.x, q.x, fma(slot.row_y.y, q.y, fma(slot.row_y.z, q.z, slot.row_y.w))),
+        fma(slot.row_z.x, q.x, fma(slot.row_z.y, q.y, fma(slot.row_z.z, q.z, slot.row_z.w))),
+    );
+}
+
+// Without a normal: a disk that faces the eye.
+fn facing_axes(slot: SplatSlot, p: vec3<f32>, axes: Tangents) -> Tangents {
+    let towards = camera_vector(p);
+    let most = max(abs(towards.x), max(abs(towards.y), abs(towards.z)));
+    let direction = towards / max(most, 1e-37);
+    let own = tangent_frame(direction / max(length(direction), 1e-30));
+    let radius = slot.scale * sqrt(max(dot(axes.u, axes.u), dot(axes.v, axes.v)));
+    return Tangents(with_intrinsics(own.u * radius), with_intrinsics(own.v * radius));
+}
+
+fn splat_of(slot: SplatSlot, sample: u32) -> Splat {
+    let at = slot.first + sample;
+    let p = splat_centre(slot, sample);
+    let normal = attributes[at].y;
+    let axes = kernel_axes(kernels[at], slot.kernel_base, octahedral_decode(normal));
+    var image = Tangents(taken(slot, axes.u), taken(slot, axes.v));
+    var lines = clip_words(at);
+    if normal == NO_NORMAL {
+        image = facing_axes(slot, p, axes);
+        // They were given for axes that nobody knows.
+        lines = vec2<u32>(NO_LINE);
+    }
+    return make_splat((slot.index << SLOT_SHIFT) | sample, p, image.u, image.v, lines);
+}

@@ -1,0 +1,91 @@
+// A thread takes a sample, makes a splat of it and walks the pixels of its box; large ones are listed. The file that includes this
+// says what happens at a pixel: `emit`, with what `paint_of` gives it for the whole splat.
+struct SegmentUse {
+    index: u32,
+}
+
+struct LargeList {
+    // As an indirect draw's arguments: three to an entry.
+    vertex_count: atomic<u32>,
+    instance_count: u32,
+    first_vertex: u32,
+    first_instance: u32,
+    // See LIST_ENTRY.
+    entries: array<vec2<u32>>,
+}
+
+@group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
+@group(2) @binding(1) var<storage, read> runs: array<Run>;
+@group(2) @binding(2) var<uniform> segment: SegmentUse;
+@group(2) @binding(4) var<storage, read_write> large: LargeList;
+
+fn list_splat(splat: Splat) {
+    let at = atomicAdd(&large.vertex_count, 3u) / 3u;
+    atomicMax(&stats[0].large_longest, at + 1u);
+    if at < frame.large_capacity {
+        large.entries[at] = vec2<u32>(splat.id, list_word(u32(splat.low.y), u32(splat.high.y), frame.view));
+    }
+    if COUNTS {
+        let box = vec2<u32>(splat.high - splat.low) + vec2<u32>(1u);
+        let units = (box.x * box.y + 4095u) / 4096u;
+        let old = atomicAdd(&stats[frame.view].large_units, units);
+        if old + units < old {
+            atomicMax(&stats[frame.view].large_wrapped, 1u);
+        }
+    }
+}
+
+fn scatter(group: vec3<u32>, lane: u32) {
+    begin_view(group.z);
+    let index = group.y * DISPATCH_ROW + group.x;
+    let run = runs[frame.first_run + segment.index];
+    if index >= run.count {
+        return;
+    }
+    let slot = splat_slot(run.first_slot + index);
+    let count = slots[frame.first_slot + slot.index].count;
+    let limit = frame.splat_cutoff * frame.splat_cutoff;
+    let width = frame.size_px.x;
+    var scattered = 0u;
+    var listed = 0u;
+    var crossing = 0u;
+    for (var i = lane; i < count; i += 64u) {
+        let splat = splat_of(slot, i);
+        if splat.way == LARGE {
+            if all(splat.high >= splat.low) {
+                list_splat(splat);
+                listed++;
+                crossing += u32(splat.crosses);
+            }
+        }
+        if splat.way == SMALL {
+            scattered++;
+            let paint = paint_of(slot, i);
+            var at = splat.low;
+            // One loop over both directions: threads of a vector end together where their boxes are alike in area.
+            loop {
+                let d = vec2<f32>(at) + vec2<f32>(0.5) - splat.centre;
+                let q = splat_distance(splat, d);
+                if q <= limit && clip_keeps(splat.clip, d) {
+                    emit(splat, paint, frame.first_pixel + u32(at.y) * width + u32(at.x), d, q);
+                }
+                at.x++;
+                if at.x > splat.high.x {
+                    at = vec2<i32>(splat.low.x, at.y + 1);
+                }
+                if at.y > splat.high.y {
+                    break;
+                }
+            }
+        }
+    }
+    if COUNTS {
+        if scattered != 0u {
+            atomicAdd(&stats[frame.view].splats_scattered, scattered);
+        }
+        if listed != 0u {
+            atomicAdd(&stats[frame.view].splats_listed, listed);
+            atomicAdd(&stats[frame.view].splats_clipped, crossing);
+        }
+    }
+}

@@ -1,0 +1,341 @@
+// A sample as an elliptical Gaussian in its tangent plane, taken to the image (Zwicker et al. 2004, §4).
+//
+// Positions and tangents come multiplied by the camera's intrinsics: (x·z px, y·z px, z). With pc the centre's image, and
+// for each tangent t its image j = (t.xy − pc·t.z) / z and its slope β = t.z / z, everything follows without an inverse:
+//
+//   variance    V = Σ j jᵀ                                                 affine (Zwicker et al. 2001)
+//               V = (Σ j jᵀ + F² m mᵀ / k) / k,  m = Σ j β,  k = 1 − F² |β|²   perspective: the dual conic, in which
+//   centre      pc − F² m / k                                              nothing is left to cancel
+//   determinant (j_u × j_v)² / k³                                          exactly
+//   kernel coordinates at pc + d:  s = (d × j_v) / N,  t = (j_u × d) / N,  N = j_u × j_v − β_u (d × j_v) − β_v (j_u × d)
+//   inverse depth there:           N / (z · j_u × j_v)
+//
+// So each of these is a linear function of the pixel, or a quotient of two. The paper inverts the matrix of tangents and
+// centre instead, which fails for splats seen edge-on.
+
+// 0 affine, 1 perspective, 2 exact.
+override FILTER: u32 = 1u;
+// Kernels are convolved with a low-pass filter.
+override PREFILTER: bool = true;
+// Kernel coordinates need a division a pixel: of the exact filter, and of splats that reach the camera plane.
+override GENERAL: bool = true;
+// Splats are blended, and so have a depth offset.
+override WEIGHTED: bool = true;
+
+const AFFINE: u32 = 0u;
+const EXACT: u32 = 2u;
+
+const NOTHING: u32 = 0u;
+const SMALL: u32 = 1u;
+const LARGE: u32 = 2u;
+
+// Weights do not fall below this share of the kernel's own: what many tiny splats add up to keeps its digits.
+const LEAST_AMPLITUDE: f32 = 0.015625;
+const FARTHEST: f32 = 1e30;
+// Standard deviations below this many pixels are as good as none.
+const THINNEST: f32 = 1e-15;
+
+// A linear function of the offset from the splat's reference: constant, slopes.
+fn linear(form: vec3<f32>, d: vec2<f32>) -> f32 {
+    return fma(form.y, d.x, fma(form.z, d.y, form.x));
+}
+
+fn cross_2d(a: vec2<f32>, b: vec2<f32>) -> f32 {
+    return a.x * b.y - a.y * b.x;
+}
+
+struct Splat {
+    id: u32,
+    way: u32,
+    // Reaches the camera plane.
+    crosses: bool,
+    // What offsets are counted from.
+    centre: vec2<f32>,
+    // Squared distance in kernel units: (s² + t²) / n², where n > 0.
+    s: vec3<f32>,
+    t: vec3<f32>,
+    n: vec3<f32>,
+    // 1/z, and its bounds.
+    inverse: vec3<f32>,
+    least: f32,
+    most: f32,
+    amplitude: f32,
+    // In z.
+    offset: f32,
+    // First and last pixel of its box in the image.
+    low: vec2<i32>,
+    high: vec2<i32>,
+    clip: ClipForms,
+}
+
+// Kernel coordinates as quotients of linear functions: (s, t) = (s/n, t/n).
+struct KernelForms {
+    s: vec3<f32>,
+    t: vec3<f32>,
+    n: vec3<f32>,
+}
+
+fn splat_distance(splat: Splat, d: vec2<f32>) -> f32 {
+    let s = linear(splat.s, d);
+    let t = linear(splat.t, d);
+    let q = fma(s, s, t * t);
+    if GENERAL {
+        let n = linear(splat.n, d);
+        return select(FARTHEST, q / (n * n), n > 0.0);
+    }
+    return q;
+}
+
+fn splat_inverse(splat: Splat, d: vec2<f32>) -> f32 {
+    return clamp(linear(splat.inverse, d), splat.least, splat.most);
+}
+
+// Behind the surface by the splat's offset.
+fn offset_inverse(splat: Splat, inverse: f32) -> f32 {
+    if WEIGHTED {
+        return inverse / fma(splat.offset, inverse, 1.0);
+    }
+    return inverse;
+}
+
+// Length in camera space of what the intrinsics were multiplied with.
+fn camera_vector(t: vec3<f32>) -> vec3<f32> {
+    return vec3<f32>((t.xy - frame.principal_px * t.z) / frame.focal_px, t.z);
+}
+
+fn with_intrinsics(v: vec3<f32>) -> vec3<f32> {
+    return vec3<f32>(fma(frame.focal_px, v.xy, frame.principal_px * v.z), v.z);
+}
+
+// Unit vectors across a unit vector (Duff et al. 2017).
+struct Tangents {
+    u: vec3<f32>,
+    v: vec3<f32>,
+}
+
+fn tangent_frame(n: vec3<f32>) -> Tangents {
+    let s = select(-1.0, 1.0, n.z >= 0.0);
+    let a = -1.0 / (s + n.z);
+    let b = n.x * n.y * a;
+    return Tangents(vec3<f32>(1.0 + s * n.x * n.x * a, s * b, -s * n.x), vec3<f32>(b, s + n.y * n.y * a, -n.y));
+}
+
+fn axis_length(code: u32, base: f32) -> f32 {
+    return select(base * exp2((1.0 - f32(code)) * 0.0078125), 0.0, code == 0u);
+}
+
+// Both axes of a kernel, in the chunk's steps.
+fn kernel_axes(word: u32, base: f32, normal: vec3<f32>) -> Tangents {
+    let lengths = vec2<f32>(axis_length(word & 0x7ffu, base), axis_length((word >> 11u) & 0x7ffu, base)) * frame.splat_width;
+    let p = (f32(word >> 22u) - 511.0) / 511.0;
+    let inverse = 1.0 / fma(p, p, 1.0);
+    let cos = (1.0 - p * p) * inverse;
+    let sin = 2.0 * p * inverse;
+    let own = tangent_frame(normal);
+    return Tangents((cos * own.u + sin * own.v) * lengths.x, (cos * own.v - sin * own.u) * lengths.y);
+}
+
+// Pixels whose centres lie in a box, cut to the image; none where high < low.
+fn set_box(splat: ptr<function, Splat>, centre: vec2<f32>, extent: vec2<f32>) {
+    let last = vec2<f32>(frame.size_px) - vec2<f32>(1.0);
+    (*splat).low = vec2<i32>(clamp(ceil(centre - extent - 0.5), vec2<f32>(0.0), last + 1.0));
+    (*splat).high = vec2<i32>(clamp(floor(centre + extent - 0.5), vec2<f32>(-1.0), last));
+}
+
+// Variance matrix of an ellipse, its determinant and centre.
+struct Ellipse {
+    xx: f32,
+    xy: f32,
+    yy: f32,
+    determinant: f32,
+    shift: vec2<f32>,
+}
+
+// `jx` and `jy`: horizontal and vertical parts of both tangents' images.
+fn outline(jx: vec2<f32>, jy: vec2<f32>, slopes: vec2<f32>, affine: bool) -> Ellipse {
+    let area = cross_2d(jx, jy);
+    if affine {
+        return Ellipse(dot(jx, jx), dot(jx, jy), dot(jy, jy), area * area, vec2<f32>(0.0));
+    }
+    let f2 = frame.splat_cutoff * frame.splat_cutoff;
+    let inverse_k = 1.0 / (1.0 - f2 * dot(slopes, slopes));
+    let m = vec2<f32>(dot(jx, slopes), dot(jy, slopes));
+    let n = f2 * inverse_k * m;
+    var e: Ellipse;
+    e.xx = fma(n.x, m.x, dot(jx, jx)) * inverse_k;
+    e.xy = fma(n.x, m.y, dot(jx, jy)) * inverse_k;
+    e.yy = fma(n.y, m.y, dot(jy, jy)) * inverse_k;
+    e.determinant = area * area * inverse_k * inverse_k * inverse_k;
+    e.shift = -n;
+    return e;
+}
+
+// Forms of s and t whose squares add up to the distance in an ellipse widened by the low-pass filter.
+fn set_ellipse(splat: ptr<function, Splat>, e: Ellipse) {
+    var lowpass = 0.0;
+    if PREFILTER {
+        lowpass = frame.splat_lowpass_px * frame.splat_lowpass_px;
+    }
+    let xx = e.xx + lowpass;
+    let yy = e.yy + lowpass;
+    let determinant = fma(lowpass, e.xx + e.yy + lowpass, e.determinant);
+    // Cholesky's factor of the variance, inverted.
+    let l_x = max(sqrt(xx), THINNEST);
+    let l_y = max(sqrt(determinant) / l_x, THINNEST);
+    let lean = e.xy / (l_x * l_x);
+    (*splat).s = vec3<f32>(-e.shift.x, 1.0, 0.0) / l_x;
+    (*splat).t = vec3<f32>(fma(lean, e.shift.x, -e.shift.y), -lean, 1.0) / l_y;
+    (*splat).n = vec3<f32>(1.0, 0.0, 0.0);
+    if PREFILTER {
+        (*splat).amplitude = max(sqrt(e.determinant / determinant), LEAST_AMPLITUDE);
+    }
+    set_box(splat, (*splat).centre + e.shift, frame.splat_cutoff * sqrt(vec2<f32>(xx, yy)));
+}
+
+// Extends a box by the points of an edge before the eye. Where it meets the camera plane its image runs off to infinity.
+fn extend_box(low: ptr<function, vec2<f32>>, high: ptr<function, vec2<f32>>, p: vec3<f32>, q: vec3<f32>) {
+    let far = vec2<f32>(1e6);
+    if p.z > 0.0 {
+        let image = clamp(p.xy / p.z, -far, far);
+        *low = min(*low, image);
+        *high = max(*high, image);
+    }
+    if (p.z > 0.0) != (q.z > 0.0) {
+        let meets = p.xy + p.z / (p.z - q.z) * (q.xy - p.xy);
+        let slack = 1e-5 * max(abs(p.xy), abs(q.xy));
+        *low = min(*low, select(far, -far, meets <= slack));
+        *high = max(*high, select(-far, far, meets >= -slack));
+    }
+}
+
+// A splat that reaches the camera plane: each pixel's ray is met with its plane, and nothing is filtered.
+fn crossing_splat(splat: ptr<function, Splat>, p_in: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: vec2<u32>) {
+    let sizes = max(abs(p_in), max(abs(u_in), abs(v_in)));
+    let size = max(sizes.x, max(sizes.y, sizes.z));
+    // Neither over- nor underflow in products of three.
+    let p = p_in / size;
+    let u = u_in / size;
+    let v = v_in / size;
+    let normal = cross(u, v);
+    let volume = dot(normal, p);
+    if !(abs(volume) > 1e-30) {
+        return;
+    }
+    (*splat).crosses = true;
+    (*splat).way = LARGE;
+    (*splat).centre = vec2<f32>(frame.size_px) * 0.5;
+    let s = cross(v, p) / volume;
+    let t = cross(p, u) / volume;
+    let n = normal / volume;
+    let c = vec3<f32>((*splat).centre, 1.0);
+    let forms = KernelForms(vec3<f32>(dot(s, c), s.xy), vec3<f32>(dot(t, c), t.xy), vec3<f32>(dot(n, c), n.xy));
+    (*splat).s = forms.s;
+    (*splat).t = forms.t;
+    (*splat).n = forms.n;
+    (*splat).inverse = forms.n / size;
+    (*splat).least = NEAREST;
+    (*splat).most = FARTHEST;
+    (*splat).clip = clip_forms(lines, forms, vec2<f32>(1.0, 0.0), 1.0);
+    let f = frame.splat_cutoff;
+    var low = vec2<f32>(2e6);
+    var high = vec2<f32>(-2e6);
+    let a = p + f * (u + v);
+    let b = p + f * (u - v);
+    let d = p - f * (u + v);
+    let e = p - f * (u - v);
+    extend_box(&low, &high, a, b);
+    extend_box(&low, &high, b, d);
+    extend_box(&low, &high, d, e);
+    extend_box(&low, &high, e, a);
+    let middle = 0.5 * (low + high);
+    set_box(splat, middle, high - middle + 1.0);
+}
+
+// The splat of centre p and tangents u, v, all multiplied by the intrinsics.
+fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: vec2<u32>) -> Splat {
+    var splat: Splat;
+    splat.id = id;
+    splat.way = NOTHING;
+    splat.amplitude = 1.0;
+    splat.high = vec2<i32>(-1);
+    let f = frame.splat_cutoff;
+    var filter_px = 0.0;
+    if PREFILTER {
+        filter_px = f * frame.splat_lowpass_px;
+    }
+    let u_camera = camera_vector(u_in);
+    let v_camera = camera_vector(v_in);
+    let longest = sqrt(max(dot(u_camera, u_camera), dot(v_camera, v_camera)));
+    let pixel_reach = filter_px * abs(p.z) / frame.focal_px.y;
+    splat.offset = frame.splat_offset * fma(f, longest, pixel_reach);
+    let reach = f * length(vec2<f32>(u_in.z, v_in.z));
+    if p.z <= max(reach, NEAREST) {
+        if p.z >= -reach && reach > 0.0 {
+            crossing_splat(&splat, p, u_in, v_in, lines);
+        }
+        return splat;
+    }
+    let w = 1.0 / p.z;
+    let centre = p.xy * w;
+    splat.centre = centre;
+    var ju = (u_in.xy - centre * u_in.z) * w;
+    var jv = (v_in.xy - centre * v_in.z) * w;
+    var slopes = vec2<f32>(u_in.z, v_in.z) * w;
+    var area = cross_2d(ju, jv);
+    // s of the unfiltered kernel: spread.x · s + spread.y · t of the one that is drawn; t: amplitude-free third.
+    var spread = vec2<f32>(1.0, 0.0);
+    var spread_t = 1.0;
+    var exact = FILTER == EXACT;
+    if FILTER == EXACT && PREFILTER {
+        // Object-space EWA (Ren, Pfister & Zwicker 2002): the low-pass filter taken to the tangent plane at the centre.
+        let lowpass = frame.splat_lowpass_px * frame.splat_lowpass_px;
+        let size = dot(ju, ju) + dot(jv, jv);
+        if lowpass * size <= area * area {
+            let b = vec3<f32>(dot(jv, jv), -dot(ju, jv), dot(ju, ju)) * (lowpass / (area * area));
+            let l_u = sqrt(1.0 + b.x);
+            let l_uv = b.y / l_u;
+            let l_v = sqrt(max(1.0 + b.z - l_uv * l_uv, 1.0));
+            let wide = vec2<f32>(fma(l_u, slopes.x, l_uv * slopes.y), l_v * slopes.y);
+            exact = f * f * dot(wide, wide) < 1.0;
+            if exact {
+                slopes = wide;
+                ju = l_u * ju + l_uv * jv;
+                jv = l_v * jv;
+                area *= l_u * l_v;
+                spread = vec2<f32>(l_u, l_uv);
+                spread_t = l_v;
+                splat.amplitude = max(1.0 / (l_u * l_v), LEAST_AMPLITUDE);
+            }
+        } else {
+            exact = false;
+        }
+    }
+    let flat = abs(area) < 1e-30;
+    let inverse_area = select(1.0 / area, 0.0, flat);
+    var forms: KernelForms;
+    forms.s = vec3<f32>(0.0, jv.y, -jv.x) * inverse_area;
+    forms.t = vec3<f32>(0.0, -ju.y, ju.x) * inverse_area;
+    forms.n = vec3<f32>(1.0, 0.0, 0.0) - slopes.x * forms.s - slopes.y * forms.t;
+    splat.inverse = w * forms.n;
+    let relative = (reach + pixel_reach) * w;
+    splat.least = w / (1.0 + relative);
+    splat.most = select(FARTHEST, w / (1.0 - relative), relative < 1.0);
+    splat.clip = clip_forms(lines, forms, spread, spread_t);
+    let ellipse = outline(vec2<f32>(ju.x, jv.x), vec2<f32>(ju.y, jv.y), slopes, FILTER == AFFINE);
+    if exact {
+        if flat {
+            return splat;
+        }
+        splat.s = forms.s;
+        splat.t = forms.t;
+        splat.n = forms.n;
+        set_box(&splat, centre + ellipse.shift, f * sqrt(vec2<f32>(ellipse.xx, ellipse.yy)));
+    } else {
+        set_ellipse(&splat, ellipse);
+    }
+    let side = splat.high - splat.low;
+    if min(side.x, side.y) >= 0 {
+        splat.way = select(SMALL, LARGE, max(side.x, side.y) >= frame.small_splat_px);
+    }
+    return splat;
+}

@@ -1,0 +1,101 @@
+// What a splat adds to the pixels of the visible surface.
+//   color:               weight, red, green, blue; for deferred shading also the normal and the depth
+//   normal:              weight, normal
+//   depth:               weight; depth in 64 bits
+// Depth counts as a share of the offset surface's, which is never nearer.
+
+// As shared/resolve has them.
+override OUTPUT: u32 = 0u;
+override OVERRIDES: bool = true;
+// Colour frames that a shade pass follows: normals are blended too.
+override DEFERRED: bool = true;
+// The scene has more samples than the sums have room for, should all fall on one pixel.
+override CROWDED: bool = true;
+
+const OUTPUT_COLOR: u32 = 0u;
+const OUTPUT_DEPTH: u32 = 1u;
+const OUTPUT_NORMAL: u32 = 2u;
+
+const WEIGHT_ONE: f32 = 4096.0;
+const DEPTH_ONE: f32 = 1073741824.0;
+// Beyond it a pixel takes no more: the sums would wrap.
+const WEIGHT_FULL: u32 = 0x80000000u;
+
+@group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
+@group(1) @binding(3) var<storage, read> instances: array<Instance>;
+@group(1) @binding(4) var<storage, read> materials: array<Material>;
+
+struct Paint {
+    // Linear light.
+    color: vec3<f32>,
+    // n · ½ + ½ in world space, towards the eye.
+    normal: vec3<f32>,
+}
+
+fn albedo(own: u32, over_plus_one: u32) -> vec3<f32> {
+    let c = linear_from_srgb(unpack4x8unorm(own).rgb);
+    if !OVERRIDES || over_plus_one == 0u {
+        return c;
+    }
+    let over = materials[over_plus_one - 1u];
+    if (over.overrides & OVERRIDE_BASE_COLOR) == 0u {
+        return c;
+    }
+    return clamp(c * over.base_color.rgb, vec3<f32>(0.0), vec3<f32>(1.0));
+}
+
+// Unit, in world space, turned towards the eye; zero where the sample has none.
+fn world_normal(slot: SplatSlot, sample: u32, packed: u32) -> vec3<f32> {
+    let towards = world_from_camera(camera_vector(splat_centre(slot, sample)));
+    return facing_normal(turned(normal_map(slot.instance), octahedral_decode(packed)), towards);
+}
+
+fn paint_of(slot: SplatSlot, sample: u32) -> Paint {
+    var paint: Paint;
+    if OUTPUT == OUTPUT_DEPTH {
+        return paint;
+    }
+    let packed = attributes[slot.first + sample];
+    var normal = vec3<f32>(0.0);
+    if OUTPUT == OUTPUT_NORMAL || DEFERRED || LIT {
+        normal = world_normal(slot, sample, packed.y);
+        paint.normal = fma(normal, vec3<f32>(0.5), vec3<f32>(0.5));
+    }
+    if OUTPUT == OUTPUT_COLOR {
+        paint.color = lit(albedo(packed.x, instances[slot.instance].material), normal, slot, sample);
+    }
+    return paint;
+}
+
+fn fixed(v: vec3<f32>, weight: f32) -> vec3<u32> {
+    return vec3<u32>(round(v * weight));
+}
+
+fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) {
+    let inverse = splat_inverse(splat, d);
+    let visible = bitcast<f32>(visibility[pixel].y);
+    if inverse < visible {
+        return;
+    }
+    if CROWDED && weight_so_far(pixel) >= WEIGHT_FULL {
+        return;
+    }
+    let weight = max(round(splat.amplitude * exp(-0.5 * q) * WEIGHT_ONE), 1.0);
+    if OUTPUT == OUTPUT_DEPTH {
+        add_0(pixel, 0u, u32(weight));
+        add_wide(pixel, u32(weight), u32(min(visible / inverse, 1.0) * DEPTH_ONE));
+        return;
+    }
+    if OUTPUT == OUTPUT_NORMAL {
+        let n = fixed(paint.normal, weight);
+        add_0(pixel, n.x, u32(weight));
+        add_1(pixel, n.y, n.z);
+        return;
+    }
+    let c = fixed(paint.color, weight);
+    add_0(pixel, c.r, u32(weight));
+    add_1(pixel, c.g, c.b);
+    if DEFERRED {
+        add_normal(pixel, fixed(paint.normal, weight), u32(round(visible / inverse * weight)));
+    }
+}

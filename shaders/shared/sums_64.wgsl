@@ -1,0 +1,25 @@
+// Sums of a pixel in integers, whose order does not matter. Each 64-bit word holds two sums of 32 bits; contributions have a
+// weight of 12 bits at most, so that a million of them fit.
+@group(0) @binding(5) var<storage, read_write> sums_0: array<atomic<u64>>;
+@group(0) @binding(6) var<storage, read_write> sums_1: array<atomic<u64>>;
+
+fn two_words(low: u32, high: u32) -> u64 {
+    return (u64(high) << 32u) | u64(low);
+}
+
+fn add_0(pixel: u32, low: u32, high: u32) {
+    atomicAdd(&sums_0[pixel], two_words(low, high));
+}
+
+fn add_1(pixel: u32, low: u32, high: u32) {
+    atomicAdd(&sums_1[pixel], two_words(low, high));
+}
+
+// A product as one sum of 64 bits.
+fn add_wide(pixel: u32, a: u32, b: u32) {
+    atomicAdd(&sums_1[pixel], u64(a) * u64(b));
+}
+
+fn weight_so_far(pixel: u32) -> u32 {
+    return u32(atomicLoad(&sums_0[pixel]) >> 32u);
+}

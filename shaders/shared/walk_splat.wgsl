@@ -1,0 +1,16 @@
+// A large splat in a band of the image: threads take its columns in turns.
+fn walk_one(id: u32, rows: vec2<i32>, lane: u32) {
+    let slot = splat_slot(id >> SLOT_SHIFT);
+    let splat = splat_of(slot, id & SLOT_MASK);
+    let paint = paint_of(slot, id & SLOT_MASK);
+    let limit = frame.splat_cutoff * frame.splat_cutoff;
+    for (var x = splat.low.x + i32(lane); x <= splat.high.x; x += LANES) {
+        for (var y = max(splat.low.y, rows.x); y <= min(splat.high.y, rows.y); y++) {
+            let d = vec2<f32>(f32(x), f32(y)) + vec2<f32>(0.5) - splat.centre;
+            let q = splat_distance(splat, d);
+            if q <= limit && clip_keeps(splat.clip, d) {
+                emit(splat, paint, frame.first_pixel + u32(y) * frame.size_px.x + u32(x), d, q);
+            }
+        }
+    }
+}

@@ -1,0 +1,31 @@
+//! Visibility of splats; large ones are listed.
+
+use crate::gpu::shader::ShaderError;
+use crate::passes::reconstruct::{is_clipped, splat_constants};
+use crate::passes::recorder::{Call, Launch, Recorder, Segment};
+use crate::passes::shaders::{Choices, Visibility};
+use crate::plan::Pass;
+
+pub fn pass(half: Visibility) -> Pass {
+    if half == Visibility::Id { Pass::ProjectSplatsId } else { Pass::ProjectSplats }
+}
+
+pub fn record(
+    recorder: &mut Recorder,
+    half: Visibility,
+    segment: Segment,
+) -> Result<(), ShaderError> {
+    let splats = recorder.task.splats.unwrap_or_default();
+    recorder.compute(Call {
+        pass: pass(half),
+        root: "project/project_splats",
+        choices: Choices {
+            visibility: half,
+            clipped: is_clipped(recorder, segment),
+            ..Choices::default()
+        },
+        constants: splat_constants(&splats, false),
+        segments: &[segment],
+        launch: Launch::Indirect,
+    })
+}

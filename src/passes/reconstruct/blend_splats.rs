@@ -1,0 +1,17 @@
+//! Sums of splats that one thread walks.
+
+use super::{choices, constants};
+use crate::gpu::shader::ShaderError;
+use crate::passes::recorder::{Call, Launch, Recorder, Segment};
+use crate::plan::Pass;
+
+pub fn record(recorder: &mut Recorder, segment: Segment) -> Result<(), ShaderError> {
+    recorder.compute(Call {
+        pass: Pass::BlendSplats,
+        root: "reconstruct/blend_splats",
+        choices: choices(recorder, segment),
+        constants: constants(recorder, false),
+        segments: &[segment],
+        launch: Launch::Indirect,
+    })
+}

@@ -1,0 +1,79 @@
+//! A surface from the splats that were projected: weighted sums in integers, whose order does not matter.
+
+pub mod blend_splats;
+pub mod blend_walked;
+
+use super::frame::output_number;
+use super::pipelines::Constants;
+use super::recorder::{Recorder, Segment};
+use super::shaders::Choices;
+use crate::plan::Output;
+use crate::residency::PageKind;
+use crate::scene::{Blend, Filter, Shading, Splats};
+
+/// Samples that the sums of a pixel have room for.
+const SUMS_ROOM: u64 = 1 << 20;
+
+/// What shaders call a filter.
+pub fn filter_number(filter: Filter) -> u32 {
+    match filter {
+        Filter::Affine => 0,
+        Filter::Perspective => 1,
+        Filter::Exact => 2,
+    }
+}
+
+/// Overrides of `shared/splat`; `walked`: in a pass over the list of large splats.
+pub fn splat_constants(splats: &Splats, walked: bool) -> Constants {
+    vec![
+        ("FILTER", filter_number(splats.filter)),
+        ("PREFILTER", u32::from(splats.prefilter)),
+        ("GENERAL", u32::from(walked || splats.filter == Filter::Exact)),
+        ("WEIGHTED", u32::from(splats.blend == Blend::Weighted)),
+    ]
+}
+
+/// Whether a segment's samples carry clip lines.
+pub fn is_clipped(recorder: &Recorder, segment: Segment) -> bool {
+    segment.is_some_and(|index| recorder.scene.pages[index].kind == PageKind::Clipped)
+}
+
+/// Whether splats are lit one by one.
+fn is_lit(recorder: &Recorder) -> bool {
+    let alone = recorder.task.splats.is_some_and(|s| s.shading == Shading::Splat);
+    alone && recorder.task.output == Output::Color && recorder.scene.light_count > 0
+}
+
+/// Empties the sums of all views.
+pub fn clear_sums(recorder: &mut Recorder) {
+    let (width, height) = recorder.task.size();
+    let bytes = u64::from(recorder.task.count()) * u64::from(width) * u64::from(height) * 8;
+    for sums in &recorder.context.scratch.sums[..recorder.task.sums()] {
+        recorder.encoder.clear_buffer(sums.buffer().raw(), 0, Some(bytes));
+    }
+}
+
+fn choices(recorder: &Recorder, segment: Segment) -> Choices {
+    Choices {
+        clipped: is_clipped(recorder, segment),
+        wide_sums: recorder.context.gpu.atomic_sums_64,
+        normal_sums: recorder.task.is_deferred(),
+        lit: is_lit(recorder),
+        ..Choices::default()
+    }
+}
+
+fn constants(recorder: &Recorder, walked: bool) -> Constants {
+    let (looks, lights) = (recorder.scene.looks, recorder.scene.light_count);
+    let mut constants = vec![
+        ("OUTPUT", output_number(recorder.task.output)),
+        ("OVERRIDES", u32::from(looks.overrides)),
+        ("DEFERRED", u32::from(recorder.task.is_deferred())),
+        ("CROWDED", u32::from(recorder.task.model.counts().samples >= SUMS_ROOM)),
+    ];
+    if is_lit(recorder) {
+        constants.extend(super::shade::light_constants(looks, lights));
+    }
+    constants.extend(recorder.task.splats.iter().flat_map(|s| splat_constants(s, walked)));
+    constants
+}

@@ -1,0 +1,21 @@
+//! Pixels that show blended splats.
+
+use super::{constants, tiles};
+use crate::gpu::shader::ShaderError;
+use crate::passes::recorder::{Call, Recorder};
+use crate::passes::shaders::Choices;
+use crate::plan::Pass;
+
+pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
+    let mut constants = constants(recorder);
+    constants.push(("DEFERRED", u32::from(recorder.task.is_deferred())));
+    recorder.compute(Call {
+        pass: Pass::ResolveSplats,
+        root: "resolve/resolve_splats",
+        choices: Choices::default(),
+        constants,
+        // One for all: sums belong to no page. The first segment's resolve writes the background.
+        segments: &[Some(0)],
+        launch: tiles(recorder),
+    })
+}
