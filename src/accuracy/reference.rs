@@ -15,7 +15,7 @@ use crate::encode::FrameImage;
 use crate::math::{Camera, View};
 use crate::oracle::{self, OracleFrame, OracleItem, OracleScene};
 use crate::plan::Output;
-use crate::scene::{Scene, SceneError, SceneLimits};
+use crate::scene::{Scene, SceneError, SceneLimits, Splats};
 
 /// Why there is no reference.
 #[derive(Debug, thiserror::Error)]
@@ -92,7 +92,7 @@ impl Reference {
         cameras.find(|(known, _)| known == name).map(|(_, camera)| *camera)
     }
 
-    /// What the oracle draws. Instances have the numbers that the engine gives them.
+    /// What the oracle draws, with a pixel for each sample. Instances have the numbers that the engine gives them.
     pub fn scene(&self) -> OracleScene<'_> {
         let item = |(number, placed): (usize, &PlacedGeometry)| {
             let asset = &self.assets[placed.asset];
@@ -111,13 +111,25 @@ impl Reference {
             items: self.placed.iter().enumerate().map(item).collect(),
             lights: &self.description.lights,
             background: self.description.background,
+            splats: None,
         }
     }
 
     /// Draws a frame. `supersample` as in [`oracle::render`]: 1 samples as the engine does, more gives the smooth
     /// picture that both approximate.
     pub fn frame(&self, view: &View, supersample: u32) -> OracleFrame {
-        oracle::render(&self.scene(), view, supersample)
+        self.frame_with(view, supersample, None)
+    }
+
+    /// Draws a frame with samples as splats, or with a pixel for each sample where `splats` is `None`.
+    pub fn frame_with(
+        &self,
+        view: &View,
+        supersample: u32,
+        splats: Option<&Splats>,
+    ) -> OracleFrame {
+        let scene = OracleScene { splats: splats.copied(), ..self.scene() };
+        oracle::render(&scene, view, supersample)
     }
 }
 
@@ -210,10 +222,31 @@ mod tests {
         assert_eq!(reference.scene().lights.len(), 2);
         assert!(reference.camera("c").is_none());
         assert_eq!(reference.frame(&view(), 1).id[6 * 16 + 8], 1);
+        assert_eq!(
+            reference.frame_with(&view(), 1, Some(&Splats::default())),
+            reference.frame(&view(), 1)
+        );
         let none = SceneLimits { max_instances: 0, ..SceneLimits::default() };
         assert!(matches!(load(&none), Err(ReferenceError::OverLimit { found: 1, limit: 0, .. })));
         let missing = folder.path().join("missing.ply");
         let error = reference_frame(&missing, folder.path(), &view(), Output::Id, 1).unwrap_err();
         assert!(error.to_string().contains("missing.ply"), "{error}");
+    }
+
+    #[test]
+    fn samples_are_drawn_as_pixels_or_as_splats() {
+        let folder = folder();
+        let path = folder.path().join("p.xyz");
+        std::fs::write(&path, "0 0 0\n").unwrap();
+        let limits = SceneLimits::default();
+        let reference =
+            Reference::load(&path, folder.path(), &ReadOptions::default(), &limits).unwrap();
+        let covered = |splats| {
+            let frame = reference.frame_with(&view(), 1, splats);
+            frame.id.iter().filter(|&&id| id == 1).count()
+        };
+        assert_eq!(covered(None), 1);
+        // The low-pass filter alone reaches the four pixels around the image's centre.
+        assert!(covered(Some(&Splats::default())) >= 4);
     }
 }

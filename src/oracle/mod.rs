@@ -7,23 +7,32 @@
 //!    into. A triangle covers a pixel when the ray through the pixel's centre meets it, decided by exact predicates
 //!    (`predicates`), so that neighbours neither overlap nor leave a gap and a triangle through
 //!    the camera plane needs no clipping. The nearest wins; at equal depth the lower instance, then the lower index.
-//! 2. `surface`: colour (`texture` included), normal and material where the ray meets the winner.
-//! 3. `shade`: Phong, or the colour as it is.
+//! 2. `blend`: where samples are drawn as splats instead (`splats`, and `footprint` for their shapes in the image), which
+//!    pixels show them before the triangles, and the weighted means of those that make up the nearest surface.
+//! 3. `surface`: colour (`texture` included), normal and material where the ray meets the winner.
+//! 4. `shade`: Phong, or the colour as it is.
 //!
 //! Work is split by rows of the image; the order of primitives does not matter to the result, so that it
 //! is the same on any number of threads.
 
+mod blend;
 pub mod color;
+mod footprint;
 mod predicates;
 mod prepare;
 mod shade;
+mod splats;
 mod surface;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
+mod tests_blend;
+#[cfg(test)]
 mod tests_hard;
 #[cfg(test)]
 mod tests_shading;
+#[cfg(test)]
+mod tests_splats;
 mod texture;
 mod visibility;
 
@@ -32,8 +41,9 @@ use rayon::prelude::*;
 
 use crate::assets::{Geometry, Material, Texture};
 use crate::math::View;
-use crate::scene::{Light, MaterialSpec};
+use crate::scene::{Light, MaterialSpec, Splats};
 
+use blend::Blended;
 use prepare::Prepared;
 use visibility::Hit;
 
@@ -45,6 +55,8 @@ pub struct OracleScene<'a> {
     pub lights: &'a [Light],
     /// Linear RGB and straight alpha of pixels that nothing covers.
     pub background: [f32; 4],
+    /// How samples are drawn as splats; `None` draws one pixel a sample.
+    pub splats: Option<Splats>,
 }
 
 /// One geometry at one place.
@@ -69,7 +81,8 @@ pub struct OracleFrame {
     pub height: u32,
     /// Linear RGB, not clamped, and straight alpha.
     pub color: Vec<[f64; 4]>,
-    /// Distance along the viewing axis at the pixel's centre (a sample's own distance); infinite where nothing is.
+    /// Distance along the viewing axis at the pixel's centre (a sample's own distance, the mean of splats); infinite where
+    /// nothing is.
     pub depth: Vec<f64>,
     /// World-space unit normals, turned towards the eye; zero where nothing or no normal is.
     pub normal: Vec<DVec3>,
@@ -93,45 +106,85 @@ impl OracleFrame {
 /// Renders a frame of `view.width` × `view.height` pixels.
 ///
 /// `supersample` n > 1 gives each pixel's colour as the mean of n × n sub-pixels, each looking through its own centre;
-/// a sample still covers its whole pixel. Depth, normal and id are those of the pixel's centre whatever n is.
+/// a sample still covers its whole pixel, and the low-pass filter of splats keeps its size in pixels. Depth, normal and id
+/// are those of the pixel's centre whatever n is.
 pub fn render(scene: &OracleScene<'_>, view: &View, supersample: u32) -> OracleFrame {
     let prepared = Prepared::new(scene, view);
-    let hits = visibility::resolve(&prepared, view, 1);
+    let shown = shown(&prepared, view, 1);
     let color = match supersample {
-        0 | 1 => colors(&prepared, view, &hits),
+        0 | 1 => colors(&prepared, view, &shown),
         n => {
-            let fine_hits = visibility::resolve(&prepared, view, n);
-            let fine = colors(&prepared, &visibility::finer(view, n), &fine_hits);
+            let fine_view = visibility::finer(view, n);
+            let fine = colors(&prepared, &fine_view, &self::shown(&prepared, view, n));
             box_filter(&fine, view, n as usize)
         }
     };
     let width = view.width as usize;
-    let normal = hits.par_iter().enumerate().map(|(i, hit)| match hit {
-        Some(hit) => surface::at(&prepared, view, hit, i % width, i / width).normal_world,
-        None => DVec3::ZERO,
+    let normal = shown.par_iter().enumerate().map(|(i, shown)| match shown {
+        Shown::Nothing => DVec3::ZERO,
+        Shown::Hit(hit) => surface::at(&prepared, view, hit, i % width, i / width).normal_world,
+        Shown::Splats(blended) => blended.normal_world,
     });
+    let depth = |shown: &Shown| match shown {
+        Shown::Nothing => f64::INFINITY,
+        Shown::Hit(hit) => hit.depth,
+        Shown::Splats(blended) => blended.depth,
+    };
+    let id = |shown: &Shown| match shown {
+        Shown::Nothing => 0,
+        Shown::Hit(hit) => prepared.instance(hit) + 1,
+        Shown::Splats(blended) => blended.instance + 1,
+    };
     OracleFrame {
         width: view.width,
         height: view.height,
         normal: normal.collect(),
-        depth: hits.iter().map(|hit| hit.map_or(f64::INFINITY, |hit| hit.depth)).collect(),
-        id: hits.iter().map(|hit| hit.map_or(0, |hit| prepared.instance(&hit) + 1)).collect(),
+        depth: shown.iter().map(depth).collect(),
+        id: shown.iter().map(id).collect(),
         color,
     }
 }
 
-fn colors(prepared: &Prepared<'_>, view: &View, hits: &[Option<Hit>]) -> Vec<[f64; 4]> {
+/// What a pixel shows.
+#[derive(Clone, Copy, Debug)]
+enum Shown {
+    Nothing,
+    /// A triangle, or a sample of one pixel.
+    Hit(Hit),
+    Splats(Blended),
+}
+
+/// What the pixels of a frame show, or its `fineness` × `fineness` sub-pixels.
+fn shown(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Shown> {
+    let hits = visibility::resolve(prepared, view, fineness);
+    let or_hit = |hit: Option<Hit>| hit.map_or(Shown::Nothing, Shown::Hit);
+    let Some(splats) = &prepared.scene.splats else {
+        return hits.into_iter().map(or_hit).collect();
+    };
+    let settings = splats::Settings::new(splats, fineness);
+    let fine_view = visibility::finer(view, fineness);
+    let blended = blend::splatted(prepared, &fine_view, &settings, &hits);
+    let shown = |(blended, hit): (Option<Blended>, Option<Hit>)| {
+        blended.map_or_else(|| or_hit(hit), Shown::Splats)
+    };
+    blended.into_iter().zip(hits).map(shown).collect()
+}
+
+fn colors(prepared: &Prepared<'_>, view: &View, shown: &[Shown]) -> Vec<[f64; 4]> {
     let width = view.width as usize;
     let background = prepared.scene.background.map(f64::from);
-    let color = |(i, hit): (usize, &Option<Hit>)| match hit {
-        Some(hit) => {
-            let surface = surface::at(prepared, view, hit, i % width, i / width);
-            let [r, g, b] = shade::shade(&surface, prepared.scene.lights, view.eye);
-            [r, g, b, 1.0]
-        }
-        None => background,
+    let color = |(i, shown): (usize, &Shown)| {
+        let [r, g, b] = match shown {
+            Shown::Nothing => return background,
+            Shown::Hit(hit) => {
+                let surface = surface::at(prepared, view, hit, i % width, i / width);
+                shade::shade(&surface, prepared.scene.lights, view.eye)
+            }
+            Shown::Splats(blended) => blended.color,
+        };
+        [r, g, b, 1.0]
     };
-    hits.par_iter().enumerate().map(color).collect()
+    shown.par_iter().enumerate().map(color).collect()
 }
 
 /// The mean of every n × n block; colours count as much as they cover (alpha).

@@ -97,6 +97,17 @@ impl<'a> PreparedItem<'a> {
         (view.abs().max_element() <= FARTHEST && !view.is_nan()).then_some(view)
     }
 
+    /// A direction of the geometry in view space.
+    pub fn to_view_direction(&self, geometry: DVec3) -> DVec3 {
+        self.view_from_world * (self.linear * geometry)
+    }
+
+    /// Length of the longest column of the linear part.
+    pub fn greatest_stretch(&self) -> f64 {
+        let columns = [self.linear.x_axis, self.linear.y_axis, self.linear.z_axis];
+        columns.iter().map(|column| column.length()).fold(0.0, f64::max)
+    }
+
     /// A mesh's triangle in view space; `None` where an index leads nowhere or a corner cannot be drawn.
     pub fn triangle_view(&self, mesh: &Mesh, triangle: u32) -> Option<[DVec3; 3]> {
         let [a, b, c] = *mesh.triangles.get(triangle as usize)?;

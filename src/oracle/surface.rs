@@ -28,6 +28,15 @@ pub struct Surface {
     pub unlit: bool,
 }
 
+impl Surface {
+    /// Turns the normal to the side that the eye is on.
+    pub fn turn_to_eye(&mut self) {
+        if self.normal_world.dot(self.position_from_eye) > 0.0 {
+            self.normal_world = -self.normal_world;
+        }
+    }
+}
+
 /// The surface that pixel `(x, y)` of `view` shows.
 pub fn at(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -> Surface {
     let item = &prepared.items[hit.item as usize];
@@ -35,9 +44,7 @@ pub fn at(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -
         Geometry::Points(cloud) => sample(view, item, cloud, hit.index),
         Geometry::Mesh(mesh) => triangle(prepared, view, item, mesh, (hit, x, y)),
     };
-    if surface.normal_world.dot(surface.position_from_eye) > 0.0 {
-        surface.normal_world = -surface.normal_world;
-    }
+    surface.turn_to_eye();
     surface
 }
 

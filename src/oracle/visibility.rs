@@ -96,12 +96,14 @@ pub fn pixel_ray(view: &View, x: usize, y: usize) -> DVec3 {
 }
 
 /// The hit of every pixel of a frame, or of its `fineness` × `fineness` sub-pixels: samples cover
-/// whole pixels, triangles the fine ones.
+/// whole pixels, triangles the fine ones. Samples that are drawn as splats give no hits.
 pub fn resolve(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Option<Hit>> {
     let (width, height) = (view.width as usize, view.height as usize);
     let mut coarse = vec![None; width * height];
     for (number, item) in prepared.items.iter().enumerate() {
-        if let Geometry::Points(cloud) = item.item.geometry {
+        if let Geometry::Points(cloud) = item.item.geometry
+            && prepared.scene.splats.is_none()
+        {
             add_samples(prepared, view, &mut coarse, (number as u32, item, cloud));
         }
     }
@@ -143,7 +145,7 @@ fn keep_nearer(prepared: &Prepared<'_>, kept: &mut Option<Hit>, hit: Hit) {
 }
 
 /// Rows a task works on.
-fn band_rows(height: usize) -> usize {
+pub fn band_rows(height: usize) -> usize {
     height.div_ceil(4 * rayon::current_num_threads()).max(1)
 }
 

@@ -1,0 +1,227 @@
+//! Splats where they overlap (Zwicker et al. 2004, §6, in its three steps).
+//!
+//! 1. *Visibility.* Each covering splat reaches a depth that lies its offset behind its own at the pixel. The least of these,
+//!    and of the depth of the triangle that the pixel would show otherwise, wins; ties go to the lower instance, then to the
+//!    lower index. A pixel that a triangle wins shows no splats.
+//! 2. *Sums.* All covering splats up to the depth that the winner reaches are one surface: their colours, normals and
+//!    depths are added up by weight.
+//! 3. *Normalisation*, and light: once for the pixel with the means, or before the sums for each splat.
+//!
+//! In the opaque mode no splat reaches behind itself, and the winner alone is seen.
+//!
+//! Bands of rows are worked on at once. Within one, splats come in the scene's order, so that sums are the same on
+//! any number of threads.
+
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+use crate::assets::{Geometry, PointCloud};
+use crate::math::View;
+use crate::scene::{Blend, Shading};
+
+use super::prepare::{Prepared, PreparedItem};
+use super::shade::shade;
+use super::splats::{SeenSplat, Settings, Touch};
+use super::surface::{self, Surface};
+use super::visibility::{Hit, band_rows, pixel_ray};
+
+/// What a pixel shows of splats.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Blended {
+    /// Linear RGB, lit.
+    pub color: [f64; 3],
+    /// Unit length, turned towards the eye; zero where no splat has a normal.
+    pub normal_world: DVec3,
+    pub depth: f64,
+    pub instance: u32,
+}
+
+/// A splat with what it brings to a pixel.
+struct Splat {
+    seen: SeenSplat,
+    /// At its own centre.
+    surface: Surface,
+    /// What is blended: albedo, or the lit colour.
+    color: [f64; 3],
+    instance: u32,
+    rank: Rank,
+}
+
+/// Which of two wins at the same depth: instance, index, item.
+type Rank = (u32, u32, u32);
+
+/// The nearest so far.
+#[derive(Clone, Copy)]
+struct Winner<'a> {
+    /// Its depth, and a splat's offset behind it.
+    reach: f64,
+    rank: Rank,
+    /// `None` for a triangle, or nothing.
+    splat: Option<&'a Splat>,
+}
+
+/// Weighted sums over a pixel's splats.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    weight: f64,
+    color: [f64; 3],
+    normal_world: DVec3,
+    depth: f64,
+}
+
+impl Sums {
+    fn add(&mut self, splat: &Splat, weight: f64, depth: f64) {
+        self.weight += weight;
+        for (sum, channel) in self.color.iter_mut().zip(splat.color) {
+            *sum += weight * channel;
+        }
+        self.normal_world += weight * splat.surface.normal_world;
+        self.depth += weight * depth;
+    }
+}
+
+/// The pixels of `view` that show splats, before the `hits` of triangles.
+pub fn splatted(
+    prepared: &Prepared<'_>,
+    view: &View,
+    settings: &Settings,
+    hits: &[Option<Hit>],
+) -> Vec<Option<Blended>> {
+    let splats = seen_splats(prepared, view, settings);
+    let width = (view.width as usize).max(1);
+    let rows = band_rows(view.height as usize);
+    let mut frame = vec![None; hits.len()];
+    frame.par_chunks_mut(width * rows).enumerate().for_each(|(band, pixels)| {
+        let first_row = band * rows;
+        let hits = &hits[first_row * width..][..pixels.len()];
+        let band = Band { prepared, view, settings, splats: &splats, first_row, hits };
+        pixels.copy_from_slice(&band.blended());
+    });
+    frame
+}
+
+/// All splats that may cover a pixel, in the scene's order.
+fn seen_splats(prepared: &Prepared<'_>, view: &View, settings: &Settings) -> Vec<Splat> {
+    let of_item = |(number, item): (usize, &PreparedItem<'_>)| match item.item.geometry {
+        Geometry::Points(cloud) => item_splats(prepared, view, settings, (number, item, cloud)),
+        Geometry::Mesh(_) => vec![],
+    };
+    prepared.items.iter().enumerate().flat_map(of_item).collect()
+}
+
+fn item_splats(
+    prepared: &Prepared<'_>,
+    view: &View,
+    settings: &Settings,
+    (number, item, cloud): (usize, &PreparedItem<'_>, &PointCloud),
+) -> Vec<Splat> {
+    let splat = |index: usize| {
+        let seen = SeenSplat::new(view, settings, item, cloud, index)?;
+        let hit = Hit { depth: 0.0, item: number as u32, index: index as u32 };
+        // A sample's surface is the same from every pixel: colour and normal, turned to the eye, at its own centre.
+        let surface = surface::at(prepared, view, &hit, 0, 0);
+        let color = match (settings.splats.blend, settings.splats.shading) {
+            (Blend::Weighted, Shading::Splat) => shade(&surface, prepared.scene.lights, view.eye)
+                .map(|channel| channel.clamp(0.0, 1.0)),
+            _ => surface.albedo,
+        };
+        let instance = item.item.instance;
+        Some(Splat { seen, surface, color, instance, rank: (instance, hit.index, hit.item) })
+    };
+    (0..cloud.positions.len()).into_par_iter().filter_map(splat).collect()
+}
+
+/// Rows of the frame that are worked on together.
+struct Band<'a> {
+    prepared: &'a Prepared<'a>,
+    view: &'a View,
+    settings: &'a Settings,
+    splats: &'a [Splat],
+    first_row: usize,
+    hits: &'a [Option<Hit>],
+}
+
+impl<'a> Band<'a> {
+    fn blended(&self) -> Vec<Option<Blended>> {
+        let winners = self.winners();
+        let mut sums = vec![Sums::default(); winners.len()];
+        self.for_each_touch(|pixel, splat, touch| {
+            let winner = &winners[pixel];
+            let Some(best) = winner.splat else { return };
+            let is_winner = splat.rank == best.rank;
+            match self.settings.splats.blend {
+                // However small, a weight must count where there is no other.
+                Blend::Weighted if is_winner || touch.depth <= winner.reach => {
+                    sums[pixel].add(splat, touch.weight.max(f64::MIN_POSITIVE), touch.depth);
+                }
+                Blend::Opaque if is_winner => sums[pixel].add(splat, 1.0, touch.depth),
+                _ => {}
+            }
+        });
+        let pixels = winners.iter().zip(&sums).enumerate();
+        let blended = |(pixel, (winner, sums)): (usize, (&Winner<'a>, &Sums))| {
+            Some(self.finish(pixel, winner.splat?, sums))
+        };
+        pixels.map(blended).collect()
+    }
+
+    /// What each pixel shows foremost.
+    fn winners(&self) -> Vec<Winner<'a>> {
+        let of_hit = |hit: &Option<Hit>| match hit {
+            Some(hit) => {
+                let rank = (self.prepared.instance(hit), hit.index, hit.item);
+                Winner { reach: hit.depth, rank, splat: None }
+            }
+            None => {
+                Winner { reach: f64::INFINITY, rank: (u32::MAX, u32::MAX, u32::MAX), splat: None }
+            }
+        };
+        let mut winners: Vec<Winner<'a>> = self.hits.iter().map(of_hit).collect();
+        self.for_each_touch(|pixel, splat, touch| {
+            let reach = touch.depth + splat.seen.offset;
+            let best = &mut winners[pixel];
+            if reach < best.reach || (reach == best.reach && splat.rank < best.rank) {
+                *best = Winner { reach, rank: splat.rank, splat: Some(splat) };
+            }
+        });
+        winners
+    }
+
+    /// Every splat at every pixel of the band that it covers.
+    fn for_each_touch(&self, mut visit: impl FnMut(usize, &'a Splat, Touch)) {
+        let width = self.view.width as usize;
+        let end_row = self.first_row + self.hits.len() / width.max(1);
+        for splat in self.splats {
+            let [x0, x1, y0, y1] = splat.seen.pixel_box;
+            for y in y0.max(self.first_row)..y1.min(end_row) {
+                for x in x0..x1 {
+                    let centre = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+                    if let Some(touch) = splat.seen.at(centre, pixel_ray(self.view, x, y)) {
+                        visit((y - self.first_row) * width + x, splat, touch);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Means of a pixel's sums, lit.
+    fn finish(&self, pixel: usize, winner: &Splat, sums: &Sums) -> Blended {
+        let weight = sums.weight;
+        let width = self.view.width as usize;
+        let ray = pixel_ray(self.view, pixel % width, self.first_row + pixel / width);
+        let depth = sums.depth / weight;
+        let mut surface = Surface {
+            albedo: sums.color.map(|channel| channel / weight),
+            position_from_eye: self.view.view_from_world.transpose() * (ray * depth),
+            normal_world: sums.normal_world.try_normalize().unwrap_or(DVec3::ZERO),
+            ..winner.surface
+        };
+        surface.turn_to_eye();
+        let color = match (self.settings.splats.blend, self.settings.splats.shading) {
+            (Blend::Weighted, Shading::Splat) => surface.albedo,
+            _ => shade(&surface, self.prepared.scene.lights, self.view.eye),
+        };
+        let normal_world = surface.normal_world;
+        Blended { color, normal_world, depth, instance: winner.instance }
+    }
+}

@@ -1,0 +1,341 @@
+//! Samples as splats: elliptical disks in space, seen in perspective (Zwicker et al. 2004).
+//!
+//! [`SeenSplat::new`] takes a sample's kernel to camera space, where x points right, y down and z forward, and settles once
+//! how it is drawn:
+//!
+//! - wholly before the camera plane, it is *regular* and drawn by the filter that was asked for. The exact one with a
+//!   low-pass filter (object-space EWA: Ren, Pfister and Zwicker, *Object Space EWA Surface Splatting*, 2002) gives way
+//!   to the perspective one where the kernel is thinner than the low-pass filter;
+//! - where it meets the camera plane, only its exact intersection with each ray makes sense, without any filter;
+//! - wholly behind, it is not drawn.
+//!
+//! [`SeenSplat::at`] then says with which depth and weight it covers a pixel. A pixel's ray `r` meets the disk's
+//! plane where `λ r = p + s·t_u + t·t_v`. Divided by the depth λ, these are three linear equations for `s/λ`, `t/λ` and `1/λ`
+//! (the paper's `u = x M⁻¹`), whose solution stays finite on the plane's horizon and beyond, where a low-pass filter
+//! still has weight. Whatever is not a number covers nothing.
+
+use glam::{DMat2, DVec2, DVec3};
+
+use crate::assets::{Clip, ClipLine, PointCloud};
+use crate::math::View;
+use crate::scene::{Blend, Filter, Splats};
+
+use super::footprint::{Disk, Gaussian, solve};
+use super::prepare::PreparedItem;
+
+/// Splats that the low-pass filter spreads thin keep this much of their weight.
+const LEAST_AMPLITUDE: f64 = 1.0 / 64.0;
+
+/// Upper bound of a depth's inverse where the plane may come as close as the eye.
+const MOST_INVERSE_DEPTH: f64 = 1e30;
+
+/// Within this share of its depth of the camera plane, a disk's box is not found from its projection.
+const BOX_MARGIN: f64 = 0.01;
+
+/// How a frame, or its finer version for supersampling, draws splats.
+#[derive(Clone, Copy, Debug)]
+pub struct Settings {
+    pub splats: Splats,
+    cutoff: f64,
+    width: f64,
+    /// Zero without a low-pass filter.
+    lowpass_px: f64,
+}
+
+impl Settings {
+    /// `fineness` sub-pixels a pixel each way: the low-pass filter keeps its size in pixels.
+    pub fn new(splats: &Splats, fineness: u32) -> Self {
+        let lowpass_px = f64::from(splats.lowpass_px) * f64::from(fineness);
+        Self {
+            splats: *splats,
+            cutoff: f64::from(splats.cutoff),
+            width: f64::from(splats.width),
+            lowpass_px: if splats.prefilter { lowpass_px } else { 0.0 },
+        }
+    }
+}
+
+/// What a splat is at a pixel that it covers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Touch {
+    pub depth: f64,
+    /// Its Gaussian's value.
+    pub weight: f64,
+}
+
+/// A splat in one view.
+#[derive(Clone, Debug)]
+pub struct SeenSplat {
+    centre: DVec3,
+    tangents: [DVec3; 2],
+    /// The plane does not hold the eye, or nearly so.
+    has_plane: bool,
+    shape: Shape,
+    amplitude: f64,
+    lowpass_px: f64,
+    squared_cutoff: f64,
+    /// Bounds of the inverse depth, for regular splats.
+    inverse_depths: Option<[f64; 2]>,
+    /// How far behind its depth at a pixel others still count as the same surface.
+    pub offset: f64,
+    clip: Clip,
+    width: f64,
+    /// Pixels `[x0, x1) × [y0, y1)` that hold every covered one.
+    pub pixel_box: [usize; 4],
+}
+
+/// How the squared distance of a pixel from the kernel's centre is measured.
+#[derive(Clone, Copy, Debug)]
+enum Shape {
+    /// In the kernel's coordinates where the ray meets it.
+    Disk,
+    /// There too, against the kernel widened by the low-pass filter, which the affine map takes to the image.
+    WidenedDisk { affine: Gaussian, jacobian: DMat2 },
+    /// In the image.
+    Image(Gaussian),
+}
+
+impl SeenSplat {
+    /// The sample as `view` sees it; `None` where no pixel can show it.
+    pub fn new(
+        view: &View,
+        settings: &Settings,
+        item: &PreparedItem<'_>,
+        cloud: &PointCloud,
+        index: usize,
+    ) -> Option<Self> {
+        let centre = camera_from_view(item.to_view(*cloud.positions.get(index)?)?);
+        let tangents = tangents(item, cloud, index, centre).map(|t| t * settings.width);
+        let [u, v] = tangents;
+        if !(u.is_finite() && v.is_finite()) {
+            return None;
+        }
+        let cutoff = settings.cutoff;
+        let reach = cutoff * u.z.hypot(v.z);
+        let crossing = centre.z * centre.z <= reach * reach;
+        if !crossing && centre.z <= 0.0 {
+            return None;
+        }
+        let lowpass_px = if crossing { 0.0 } else { settings.lowpass_px };
+        let lowpass = cutoff * lowpass_px * centre.z / view.focal_px.y;
+        let disk = Disk::new(centre, tangents, view.focal_px, view.principal_px);
+        let (shape, amplitude) = if crossing {
+            (Shape::Disk, 1.0)
+        } else {
+            shape(settings.splats.filter, &disk, cutoff, lowpass_px)
+        };
+        let inverse_depths = (!crossing).then(|| {
+            let (far, near) = (centre.z + reach + lowpass, centre.z - reach - lowpass);
+            [1.0 / far, if near > 0.0 { 1.0 / near } else { MOST_INVERSE_DEPTH }]
+        });
+        let depth_offset = match settings.splats.blend {
+            Blend::Weighted => f64::from(settings.splats.depth_offset),
+            Blend::Opaque => 0.0,
+        };
+        let seen = Self {
+            centre,
+            tangents,
+            has_plane: has_plane(centre, tangents),
+            shape,
+            amplitude,
+            lowpass_px,
+            squared_cutoff: cutoff * cutoff,
+            inverse_depths,
+            offset: depth_offset * (cutoff * u.length().max(v.length()) + lowpass),
+            clip: clip(cloud, index),
+            width: settings.width,
+            pixel_box: pixel_box(view, &disk, (centre, tangents), &shape, (cutoff, lowpass_px)),
+        };
+        let [x0, x1, y0, y1] = seen.pixel_box;
+        (x0 < x1 && y0 < y1 && seen.offset.is_finite()).then_some(seen)
+    }
+
+    /// What the splat is at an image position, whose `ray` is in view space; `None` where it does not cover it.
+    pub fn at(&self, pixel: DVec2, ray: DVec3) -> Option<Touch> {
+        let plane = self.plane_coordinates(camera_from_view(ray));
+        // Kernel coordinates before the eye.
+        let hit = || plane.filter(|at| at.z > 0.0).map(|at| at.truncate() / at.z);
+        let squared = match &self.shape {
+            Shape::Disk => hit()?.length_squared(),
+            Shape::WidenedDisk { affine, jacobian } => {
+                affine.squared_distance(*jacobian * hit()?, self.lowpass_px)
+            }
+            Shape::Image(gaussian) => {
+                gaussian.squared_distance(pixel - gaussian.centre_px, self.lowpass_px)
+            }
+        };
+        let covered = squared <= self.squared_cutoff && self.keeps(plane);
+        let depth = 1.0 / self.inverse_depth(plane);
+        let weight = self.amplitude * (-0.5 * squared).exp();
+        let sound = depth > 0.0 && depth.is_finite() && weight.is_finite();
+        (covered && sound).then_some(Touch { depth, weight })
+    }
+
+    /// `(s/λ, t/λ, 1/λ)` where the ray meets the disk's plane; `None` for a plane through the eye.
+    fn plane_coordinates(&self, ray: DVec3) -> Option<DVec3> {
+        let [u, v] = self.tangents;
+        if self.has_plane { solve([u, v, self.centre], ray) } else { None }
+    }
+
+    fn inverse_depth(&self, plane: Option<DVec3>) -> f64 {
+        let inverse = plane.map_or(1.0 / self.centre.z, |at| at.z);
+        match self.inverse_depths {
+            // Not `clamp`, which panics on bounds that are not numbers.
+            Some([least, most]) => inverse.max(least).min(most),
+            None => inverse,
+        }
+    }
+
+    /// Whether the clip lines keep a place. A plane through the eye has no sides, and all of it is kept.
+    fn keeps(&self, plane: Option<DVec3>) -> bool {
+        let Some(at) = plane else { return true };
+        // Multiplied by 1/λ, which is positive at the centre: beyond the horizon each side goes on as it was.
+        let side = |line: &ClipLine| {
+            let offset = f64::from(line.offset) / self.width;
+            line.normal.as_dvec2().dot(at.truncate()) - offset * at.z >= 0.0
+        };
+        match &self.clip.lines {
+            [Some(first), Some(second)] if self.clip.either => side(first) || side(second),
+            lines => lines.iter().flatten().all(side),
+        }
+    }
+}
+
+/// View space (y up, looking along −z) → camera space (y down, looking along z), or back.
+pub fn camera_from_view(view: DVec3) -> DVec3 {
+    DVec3::new(view.x, -view.y, -view.z)
+}
+
+/// Whether the plane misses the eye by more than rounding can tell.
+fn has_plane(centre: DVec3, [u, v]: [DVec3; 2]) -> bool {
+    let distance = centre.dot(u.cross(v)).abs();
+    distance > 8.0 * f64::EPSILON * u.length() * v.length() * centre.length()
+}
+
+/// The sample's unit normal, where one is known.
+fn normal(cloud: &PointCloud, index: usize) -> Option<DVec3> {
+    cloud.normals.as_ref()?.get(index)?.as_dvec3().try_normalize()
+}
+
+/// What is kept of the kernel. One that turns with the eye has no axes for lines to refer to.
+fn clip(cloud: &PointCloud, index: usize) -> Clip {
+    let clip = cloud.clips.as_ref().and_then(|clips| clips.get(index));
+    normal(cloud, index).and(clip).copied().unwrap_or(Clip::NONE)
+}
+
+/// The kernel's axes in camera space, before the scene's width.
+fn tangents(
+    item: &PreparedItem<'_>,
+    cloud: &PointCloud,
+    index: usize,
+    centre: DVec3,
+) -> [DVec3; 2] {
+    let normal = normal(cloud, index);
+    let kernel = match (&cloud.kernels, &cloud.radii) {
+        (Some(kernels), _) => kernels.get(index).map(|k| [k.u.as_dvec3(), k.v.as_dvec3()]),
+        (None, Some(radii)) => radii.get(index).map(|&radius| {
+            let (u, v) = normal.unwrap_or(DVec3::Z).any_orthonormal_pair();
+            [u * f64::from(radius), v * f64::from(radius)]
+        }),
+        (None, None) => None,
+    };
+    let kernel = kernel.filter(|axes| axes.iter().all(|axis| axis.is_finite()));
+    let Some([u, v]) = kernel else { return [DVec3::ZERO; 2] };
+    if normal.is_some() {
+        return [u, v].map(|axis| camera_from_view(item.to_view_direction(axis)));
+    }
+    // Nobody knows which way it lies: it faces the eye, as a circle that holds the ellipse.
+    let radius = u.length().max(v.length()) * item.greatest_stretch();
+    let Some(towards) = centre.try_normalize() else { return [DVec3::ZERO; 2] };
+    let (u, v) = towards.any_orthonormal_pair();
+    [u * radius, v * radius]
+}
+
+/// What draws a regular splat, and the height of its Gaussian.
+fn shape(filter: Filter, disk: &Disk, cutoff: f64, lowpass_px: f64) -> (Shape, f64) {
+    let affine = disk.affine();
+    let amplitude = |gaussian: &Gaussian| match gaussian.amplitude(lowpass_px) {
+        _ if lowpass_px == 0.0 => 1.0,
+        thin if thin < LEAST_AMPLITUDE => LEAST_AMPLITUDE,
+        // What is not a number stays so, and covers nothing.
+        amplitude => amplitude,
+    };
+    let image = |gaussian: Gaussian| (Shape::Image(gaussian), amplitude(&gaussian));
+    match filter {
+        Filter::Affine => image(affine),
+        Filter::Perspective => image(disk.perspective(cutoff)),
+        Filter::Exact if lowpass_px == 0.0 => (Shape::Disk, 1.0),
+        Filter::Exact => {
+            let [along, across] = affine.lowpass_share(lowpass_px);
+            if along + across > 1.0 {
+                return image(disk.perspective(cutoff));
+            }
+            (Shape::WidenedDisk { affine, jacobian: disk.jacobian() }, amplitude(&affine))
+        }
+    }
+}
+
+/// Pixels `[x0, x1) × [y0, y1)` that hold every covered one, and at least one more on every side.
+fn pixel_box(
+    view: &View,
+    disk: &Disk,
+    seen: (DVec3, [DVec3; 2]),
+    shape: &Shape,
+    (cutoff, lowpass_px): (f64, f64),
+) -> [usize; 4] {
+    let radius = match shape {
+        Shape::Image(gaussian) => {
+            let half = gaussian.half_extent_px(cutoff, lowpass_px);
+            return clamped_box(view, gaussian.centre_px - half, gaussian.centre_px + half);
+        }
+        Shape::Disk => cutoff,
+        // The widened kernel ends within the circle of its own longest axis.
+        Shape::WidenedDisk { affine, .. } => {
+            cutoff * (1.0 + affine.lowpass_share(lowpass_px)[1]).sqrt()
+        }
+    };
+    if seen.0.z > 0.0 && disk.is_before_camera_plane(radius, BOX_MARGIN) {
+        let outline = disk.perspective_by_dual(radius);
+        let half = outline.half_extent_px(radius, 0.0);
+        return clamped_box(view, outline.centre_px - half, outline.centre_px + half);
+    }
+    swept_box(view, seen, radius)
+}
+
+/// Where neither side of a row or column of pixels is out of a disk's reach: for disks that come near the camera plane
+/// or lie on both sides of it.
+fn swept_box(view: &View, (centre, [u, v]): (DVec3, [DVec3; 2]), radius: f64) -> [usize; 4] {
+    // No point of the disk is on the side of a plane through the eye to which `normal` points.
+    let is_empty =
+        |normal: DVec3| normal.dot(centre) + radius * normal.dot(u).hypot(normal.dot(v)) < 0.0;
+    let sweep = |size: u32, axis: usize| {
+        let (mut low, mut high) = (0.0f64, f64::from(size));
+        for edge in 0..=size {
+            let mut normal = DVec3::ZERO;
+            normal[axis] = 1.0;
+            normal.z = -(f64::from(edge) - view.principal_px[axis]) / view.focal_px[axis];
+            if is_empty(-normal) {
+                low = low.max(f64::from(edge));
+            }
+            if is_empty(normal) {
+                high = high.min(f64::from(edge));
+            }
+        }
+        (low, high)
+    };
+    let ((x0, x1), (y0, y1)) = (sweep(view.width, 0), sweep(view.height, 1));
+    clamped_box(view, DVec2::new(x0, y0), DVec2::new(x1, y1))
+}
+
+fn clamped_box(view: &View, low: DVec2, high: DVec2) -> [usize; 4] {
+    let range = |low: f64, high: f64, size: u32| {
+        let size = f64::from(size);
+        // What is not a number, after an overflow, spans the frame.
+        let low = if low > 1.0 { (low - 1.0).min(size) } else { 0.0 };
+        let high = if high < size - 1.0 { (high + 1.0).max(0.0) } else { size };
+        (low.floor() as usize, high.ceil() as usize)
+    };
+    let ((x0, x1), (y0, y1)) =
+        (range(low.x, high.x, view.width), range(low.y, high.y, view.height));
+    [x0, x1, y0, y1]
+}
