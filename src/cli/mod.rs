@@ -1,5 +1,6 @@
 //! The command line (floor 8): one file a command.
 
+pub mod accuracy;
 pub mod generate;
 pub mod inspect;
 mod local;
@@ -26,6 +27,8 @@ enum Command {
     Inspect(inspect::InspectArgs),
     /// Write a procedural asset or scene
     Generate(generate::GenerateArgs),
+    /// Report whether what is drawn stays accurate where that is hard
+    Accuracy(accuracy::AccuracyArgs),
     /// Print the HTTP contract
     #[command(hide = true)]
     Openapi,
@@ -41,6 +44,7 @@ pub fn run() -> anyhow::Result<()> {
         Command::Render(args) => render::run(*args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Generate(args) => generate::run(args),
+        Command::Accuracy(args) => accuracy::run(&args),
         Command::Openapi => {
             print!("{}", crate::http::openapi_yaml()?);
             Ok(())

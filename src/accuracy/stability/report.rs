@@ -1,0 +1,102 @@
+//! The report as a table, in text and in Markdown.
+
+use std::fmt;
+
+use comfy_table::{CellAlignment, Table, TableStyle, presets};
+
+use super::{Compared, Row, Stability};
+
+const HEADER: [&str; 13] = [
+    "splats",
+    "regular",
+    "ours",
+    "bound",
+    "of it",
+    "exact",
+    "bound",
+    "of it",
+    "difference",
+    "naive",
+    "paper",
+    "NaN, ∞",
+    "verdict",
+];
+
+const LEGEND: &str = "\
+Worst error of an outline in px: edges of its box, centre, and the outline itself in 16 directions, within ±2^20 px.
+ours: the dual conic relative to the projected centre. exact: our kernel coordinates at 16 points of it, carried back to the image; – where every disk is too thin
+for f32 pixel coordinates to tell.
+bound: the largest of the splats' bounds from rounding analysis; of it: the largest error over its own splat's bound.
+difference: the dual conic with V as a difference of squares. naive: the dual conic formed as it stands.
+paper: Zwicker et al. 2004 by the inverse; in brackets what its condition number discards. × n: splats with NaN or ∞.
+";
+
+fn px(value: f64) -> String {
+    if value == 0.0 { "0".into() } else { format!("{value:.1e}") }
+}
+
+fn compared(of: &Compared) -> String {
+    match of.not_finite {
+        0 => px(of.worst_px),
+        n => format!("{} × {n}", px(of.worst_px)),
+    }
+}
+
+fn cells(row: &Row) -> [String; HEADER.len()] {
+    let (ours, exact) = (row.ours(), row.ours_exact);
+    let discarded = match row.paper_discarded {
+        0 => String::new(),
+        n => format!(" ({n})"),
+    };
+    let judged = |text: String| if exact.bound_px > 0.0 { text } else { "–".into() };
+    let verdict = match (row.holds, row.misclassified) {
+        (true, _) => "holds".to_owned(),
+        (false, 0) => "BROKEN".to_owned(),
+        (false, n) => format!("BROKEN, {n} on the wrong side"),
+    };
+    [
+        row.class.clone(),
+        row.regular.to_string(),
+        px(ours.worst_px),
+        px(ours.bound_px),
+        format!("{:.2}", ours.worst_share),
+        judged(px(exact.worst_px)),
+        judged(px(exact.bound_px)),
+        judged(format!("{:.2}", exact.worst_share)),
+        compared(&row.dual_difference),
+        compared(&row.dual_naive),
+        compared(&row.paper) + &discarded,
+        row.ours_not_finite.to_string(),
+        verdict,
+    ]
+}
+
+impl Stability {
+    fn table(&self, style: TableStyle) -> Table {
+        let mut table = Table::new();
+        table.load_style(style).set_header(HEADER);
+        for row in &self.rows {
+            table.add_row(cells(row));
+        }
+        for column in table.column_iter_mut().skip(1).take(HEADER.len() - 2) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+        table
+    }
+
+    /// A page of Markdown.
+    pub fn markdown(&self) -> String {
+        let Stability { seed, count, .. } = self;
+        let legend = LEGEND.trim_end().replace('\n', "  \n");
+        let table = self.table(presets::ASCII_MARKDOWN);
+        format!(
+            "# Outlines of splats in f32\n\n{count} splats a row, seed {seed}.\n\n{legend}\n\n{table}\n"
+        )
+    }
+}
+
+impl fmt::Display for Stability {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}\n\n{LEGEND}", self.table(presets::NOTHING))
+    }
+}
