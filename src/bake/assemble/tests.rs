@@ -61,8 +61,8 @@ fn solids_are_combined_where_they_stand() {
     assert!(part.traits.has_normals && !part.traits.normals_estimated);
     let Geometry::Points(cloud) = &part.asset.geometries[0] else { panic!("samples") };
     assert_eq!(cloud.colors.as_ref().map(Vec::len), Some(cloud.positions.len()));
-    // The corner is gone, and walls look into where it was.
-    let corner = |p: &glam::DVec3| p.min_element() > 0.7;
+    // The corner is gone but for samples whose disks reach out of it, and walls look into where it was.
+    let corner = |p: &glam::DVec3| p.min_element() > 0.8;
     assert!(!cloud.positions.iter().any(corner));
     let normals = cloud.normals.as_ref().unwrap();
     let walls = cloud
