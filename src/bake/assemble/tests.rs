@@ -74,7 +74,8 @@ fn solids_are_combined_where_they_stand() {
     let clips = cloud.clips.as_ref().unwrap();
     assert!(clips.iter().any(|clip| *clip != Clip::NONE));
     let bounds = crate::math::Bounds::of(cloud.positions.iter().copied());
-    assert!(bounds.max.max_element() <= 1.0 + 1e-6);
+    // Centres may lie beyond an edge by as much as their disk.
+    assert!(bounds.max.max_element() <= 1.2, "{bounds:?}");
 }
 
 #[test]
