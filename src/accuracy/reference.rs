@@ -1,7 +1,7 @@
 //! Reference frames of the scenes that the engine draws.
 //!
 //! A [`Reference`] is loaded from the same file as an engine's scene, with the same description, preparation and numbering
-//! ([`crate::bake::prepare`]), but keeps its geometry in f64 and is drawn by the [`crate::oracle`]. What
+//! ([`crate::bake::assemble`], [`crate::bake::prepare`]), but keeps its geometry in f64 and is drawn by the [`crate::oracle`]. What
 //! packing, the GPU's arithmetic and its passes do to a frame is the difference between the two.
 //!
 //! Loading costs what the engine's loading costs; a frame costs seconds rather than milliseconds, so that scenes of a few
@@ -9,8 +9,9 @@
 
 use std::path::Path;
 
-use crate::assets::{self, Asset, AssetError, ReadOptions};
-use crate::bake::prepare::{self, AssetTraits, PlacedGeometry};
+use crate::assets::{Asset, AssetError, ReadOptions};
+use crate::bake::assemble::{AssembleError, Assembler, Prepared};
+use crate::bake::prepare::{self, PlacedGeometry};
 use crate::encode::FrameImage;
 use crate::math::{Camera, View};
 use crate::oracle::{self, OracleFrame, OracleItem, OracleScene};
@@ -26,6 +27,15 @@ pub enum ReferenceError {
     Asset(#[from] AssetError),
     #[error("{what} ({found}) is over the limit of {limit}")]
     OverLimit { what: &'static str, found: u64, limit: u64 },
+}
+
+impl From<AssembleError> for ReferenceError {
+    fn from(error: AssembleError) -> Self {
+        match error {
+            AssembleError::Asset(error) => ReferenceError::Asset(error),
+            AssembleError::Scene(error) => ReferenceError::Scene(error),
+        }
+    }
 }
 
 /// A scene as the oracle draws it, with everything that it refers to.
@@ -53,12 +63,9 @@ impl Reference {
         options.root.get_or_insert_with(|| root.to_path_buf());
         let mut assets = Vec::with_capacity(description.assets.len());
         let mut traits = Vec::with_capacity(description.assets.len());
-        for reference in &description.assets {
-            let mut asset = assets::read(&reference.file, &options)?;
-            let mut found = AssetTraits { format: asset.format, ..AssetTraits::default() };
-            for geometry in &mut asset.geometries {
-                prepare::prepare_geometry(geometry, &mut found);
-            }
+        let mut assembler = Assembler::new(path, &description, &options);
+        for index in 0..description.assets.len() {
+            let Prepared { asset, traits: found } = assembler.asset(index)?;
             if description.cameras.is_empty() {
                 description.cameras.extend(asset.cameras.iter().cloned());
             }

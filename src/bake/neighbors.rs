@@ -297,6 +297,36 @@ impl PointTree {
         candidates.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
     }
 
+    /// Gives `found` the `k` points nearest to any position, nearest first: squared distance and the point's own index.
+    pub(super) fn nearest(&self, position: [f32; 3], k: usize, found: &mut Vec<(f32, u32)>) {
+        found.clear();
+        let k = k.min(self.order.len());
+        if k == 0 {
+            return;
+        }
+        let mut best = vec![u64::MAX; k];
+        let mut distances = [0.0; LEAF_POINTS];
+        let leaves = 1 << self.levels;
+        let point = Aabb::point(position);
+        let mut stack = vec![1];
+        while let Some(node) = stack.pop() {
+            if self.boxes[node].distance_squared(&point) >= bound(&best) {
+                continue;
+            }
+            if node < leaves {
+                let far = |child: usize| self.boxes[child].distance_squared(&point);
+                let (left, right) = (2 * node, 2 * node + 1);
+                // The nearer child is taken first: it comes last onto the stack.
+                stack.extend(if far(left) <= far(right) { [right, left] } else { [left, right] });
+            } else {
+                let range = self.shape().range(self.levels, node - leaves);
+                self.scan(range, position, None, &mut distances, &mut best);
+            }
+        }
+        let known = best.iter().take_while(|&&key| key != u64::MAX);
+        found.extend(known.map(|&key| (distance_of(key), self.order[place_of(key)])));
+    }
+
     /// Enters the points of a range that are nearer than the last of `best`.
     #[inline]
     fn scan(

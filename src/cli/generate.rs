@@ -23,7 +23,7 @@ pub struct GenerateArgs {
     /// Other numbers give other towns, reliefs and trees
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Number of points, for point clouds
+    /// Number of points, for point clouds; for a machined part, samples to aim at
     #[arg(long, value_name = "N")]
     pub points: Option<u64>,
     /// Number of triangles to aim at, for meshes

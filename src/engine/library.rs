@@ -11,13 +11,14 @@ use glam::DVec3;
 use sha2::{Digest, Sha256};
 
 use super::{AssetInfo, EngineConfig, EngineError, NamedCamera, NodePatch, SceneInfo};
-use crate::assets::{self, Asset, AssetError, Geometry, Placement};
+use crate::assets::{AssetError, Geometry, Placement};
+use crate::bake::assemble::{AssembleError, Assembler, Prepared};
 use crate::bake::pack::{PackedAsset, PackedGeometry, pack_mesh, pack_samples, pack_texture};
 use crate::bake::prepare::{self, AssetTraits};
 use crate::math::{Bounds, Camera};
 use crate::plan::SceneFacts;
 use crate::residency::model::{AssetModel, ModelInstance, SceneModel};
-use crate::scene::{Light, Node, Scene};
+use crate::scene::{AssetSource, FileSource, Light, Node, Scene};
 
 static NEXT_UID: AtomicU64 = AtomicU64::new(1);
 
@@ -119,8 +120,19 @@ pub fn load(
     let mut assets = Vec::new();
     let mut placements = Vec::new();
     let mut warnings = Vec::new();
-    for reference in &description.assets {
-        let asset = read_asset(&reference.name, &reference.file, config, cache)?;
+    let mut options = config.read.clone();
+    options.root.get_or_insert_with(|| config.root.clone());
+    let mut assembler = Assembler::new(path, &description, &options);
+    let mut keys = AssetKeys::default();
+    let operands_only = description.operands_only();
+    for (index, reference) in description.assets.iter().enumerate() {
+        let key = keys.of(&description, index)?;
+        // What is only an operand has nothing to draw, and its file must not be cached as that.
+        let asset = if operands_only[index] {
+            pack_asset(&reference.name, assembler.asset(index)?, key.digest)?
+        } else {
+            read_asset(&reference.name, index, &mut assembler, key, cache)?
+        };
         hasher.update(asset.digest);
         warnings.extend(asset.warnings.iter().map(|text| format!("{}: {text}", reference.name)));
         if description.cameras.is_empty() {
@@ -139,22 +151,81 @@ pub fn load(
     build(id, 1, description, assets, placements, warnings, hasher.finalize().into(), config)
 }
 
-fn read_asset(
-    name: &str,
-    file: &Path,
-    config: &EngineConfig,
-    cache: &AssetCache,
-) -> Result<ReadAsset, EngineError> {
+impl From<AssembleError> for EngineError {
+    fn from(error: AssembleError) -> Self {
+        match error {
+            AssembleError::Asset(error) => asset_error(error),
+            AssembleError::Scene(error) => EngineError::Scene(Arc::new(error)),
+        }
+    }
+}
+
+/// What decides an asset's content.
+#[derive(Clone, Copy)]
+struct AssetKey {
+    digest: [u8; 32],
+    /// Whether the digest is all that decides: no file names others.
+    alone: bool,
+}
+
+/// The keys of a scene's assets, each file hashed once.
+#[derive(Default)]
+struct AssetKeys {
+    known: HashMap<usize, AssetKey>,
+}
+
+impl AssetKeys {
+    /// The recursion is as deep as solids are nested, which a scene's limits bound.
+    fn of(&mut self, description: &Scene, index: usize) -> Result<AssetKey, EngineError> {
+        if let Some(&known) = self.known.get(&index) {
+            return Ok(known);
+        }
+        let reference = &description.assets[index];
+        let key = match &reference.source {
+            AssetSource::File(source) => file_key(&reference.name, source)?,
+            AssetSource::Solid(solid) => {
+                let mut hasher = Sha256::new();
+                hasher.update(solid.operation.key());
+                let mut alone = true;
+                for operand in &solid.operands {
+                    let part = self.of(description, operand.asset)?;
+                    alone &= part.alone;
+                    hasher.update(part.digest);
+                    let map = operand.solid_from_operand.to_cols_array();
+                    hasher.update(map.map(f64::to_le_bytes).concat());
+                }
+                AssetKey { digest: hasher.finalize().into(), alone }
+            }
+        };
+        self.known.insert(index, key);
+        Ok(key)
+    }
+}
+
+fn file_key(name: &str, source: &FileSource) -> Result<AssetKey, EngineError> {
+    let file = &source.path;
     let display = file
         .file_name()
         .map_or_else(|| name.to_owned(), |name| name.to_string_lossy().into_owned());
-    let mut digest = digest_file(file)
+    let content = digest_file(file)
         .map_err(|source| asset_error(AssetError::Io { file: display.clone(), source }))?;
-    // The name has a say in how the bytes are read.
+    // The name has a say in how the bytes are read, and the scene in what is made of them.
     let kind = display.to_ascii_lowercase();
     let kind = kind.split_once('.').map_or("", |(_, extensions)| extensions);
-    digest = Sha256::new().chain_update(digest).chain_update(kind).finalize().into();
-    let alone = stands_alone(file);
+    let mut hasher = Sha256::new().chain_update(content).chain_update(kind);
+    if source.sample.is_some() || source.features {
+        hasher.update(format!("\0{:?} {}", source.sample, source.features));
+    }
+    Ok(AssetKey { digest: hasher.finalize().into(), alone: stands_alone(file) })
+}
+
+fn read_asset(
+    name: &str,
+    index: usize,
+    assembler: &mut Assembler,
+    AssetKey { digest, alone }: AssetKey,
+    cache: &AssetCache,
+) -> Result<ReadAsset, EngineError> {
     if alone
         && let Some(found) = cache.assets.lock().get(&digest)
         && let Some(model) = found.model.upgrade()
@@ -167,12 +238,7 @@ fn read_asset(
             digest,
         });
     }
-    let mut options = config.read.clone();
-    if options.root.is_none() {
-        options.root = Some(config.root.clone());
-    }
-    let asset = assets::read(file, &options).map_err(asset_error)?;
-    let mut read = pack_asset(name, &display, asset, digest)?;
+    let mut read = pack_asset(name, assembler.asset(index)?, digest)?;
     if !alone {
         read.digest = digest_contents(digest, &read.model.packed);
         return Ok(read);
@@ -193,22 +259,19 @@ fn read_asset(
 
 fn pack_asset(
     name: &str,
-    display: &str,
-    mut asset: Asset,
+    Prepared { mut asset, traits }: Prepared,
     digest: [u8; 32],
 ) -> Result<ReadAsset, EngineError> {
-    let mut traits = AssetTraits { format: asset.format, ..AssetTraits::default() };
     let mut geometries = Vec::with_capacity(asset.geometries.len());
     let bounds = asset.geometries.iter().map(prepare::drawn_bounds).collect();
     for geometry in &mut asset.geometries {
-        prepare::prepare_geometry(geometry, &mut traits);
         let packed = match geometry {
             Geometry::Points(cloud) => pack_samples(cloud).map(PackedGeometry::Samples),
             Geometry::Mesh(mesh) => pack_mesh(mesh).map(PackedGeometry::Mesh),
         };
         let packed = packed.map_err(|error| {
             asset_error(AssetError::Malformed {
-                file: display.to_owned(),
+                file: name.to_owned(),
                 place: "positions".to_owned(),
                 reason: error.to_string(),
             })
@@ -508,4 +571,44 @@ pub fn check_path(path: &Path, root: &Path) -> Result<PathBuf, EngineError> {
         }));
     }
     Ok(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::SceneLimits;
+
+    /// The keys of the scene's assets, by their place in the file.
+    fn keys(folder: &Path, assets: &str) -> Vec<[u8; 32]> {
+        let text = format!(r#"{{"assets": {{{assets}}}, "nodes": []}}"#);
+        let limits = SceneLimits::default();
+        let scene = crate::scene::parse(&text, "s", folder, folder, &limits).unwrap();
+        let mut keys = AssetKeys::default();
+        (0..scene.assets.len()).map(|index| keys.of(&scene, index).unwrap().digest).collect()
+    }
+
+    #[test]
+    fn keys_tell_scene_assets_apart() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("a.ply"), "a").unwrap();
+        std::fs::write(folder.path().join("b.ply"), "b").unwrap();
+        let solid = |b: &str, key: &str, x: f64| {
+            let (a, b) = (r#""a": {"file": "a.ply"}"#, format!(r#""b": {{"file": "b.ply"{b}}}"#));
+            let operands =
+                format!(r#"[{{"asset": "a"}}, {{"asset": "b", "translate": [{x}, 0, 0]}}]"#);
+            keys(folder.path(), &format!(r#"{a}, {b}, "s": {{"{key}": {operands}}}"#))
+        };
+        let plain = solid("", "union", 0.0);
+        assert_eq!(plain, solid("", "union", 0.0));
+        let sampled = solid(r#", "sample": {}"#, "union", 0.0);
+        assert_eq!(plain[0], sampled[0]);
+        assert!(plain[1] != sampled[1] && plain[2] != sampled[2]);
+        let finer = solid(r#", "sample": {"spacing": 0.5}"#, "union", 0.0);
+        assert!(finer[1] != sampled[1] && finer[2] != sampled[2]);
+        assert_ne!(solid(r#", "features": true"#, "union", 0.0)[1], plain[1]);
+        assert_ne!(solid("", "difference", 0.0)[2], plain[2]);
+        assert_ne!(solid("", "union", 1.0)[2], plain[2]);
+        std::fs::write(folder.path().join("b.ply"), "c").unwrap();
+        assert_ne!(solid("", "union", 0.0)[2], plain[2]);
+    }
 }

@@ -8,6 +8,7 @@
 mod error;
 mod isosurface;
 pub mod numeric;
+pub mod part;
 pub mod plain;
 pub mod relief;
 pub mod scenes;
@@ -37,6 +38,8 @@ pub enum Kind {
     Checkerboard,
     /// Scene of 40 × 40 assemblies through nested prototypes
     Plaza,
+    /// Machined part, made of sampled solids: a block with bores and a rounded slot
+    CsgPart,
     /// Tree of forking tubes and single leaves, with vertex colours
     Tree,
     /// Cube about the origin
@@ -49,7 +52,7 @@ pub enum Kind {
 #[derive(Clone, Debug, Default)]
 pub struct Parameters {
     pub seed: u64,
-    /// Number of points, for point clouds.
+    /// Number of points, for point clouds; for a machined part, samples to aim at.
     pub points: Option<u64>,
     /// Number of triangles to aim at, for meshes.
     pub triangles: Option<u64>,
@@ -97,7 +100,7 @@ fn within<T: PartialOrd + Copy + std::fmt::Display>(
     }
 }
 
-/// Makes an asset: points or a mesh, or the scene that `plaza` is.
+/// Makes an asset: points or a mesh, or the scene that `plaza` and `csg-part` are.
 ///
 /// # Errors
 /// A parameter outside its range.
@@ -135,6 +138,7 @@ pub fn generate(
         }
         Kind::Checkerboard => Generated::Mesh(textured::checker_mesh(length(10.0)?)),
         Kind::Plaza => Generated::Scene(scenes::plaza("plaza", plaza_count(size)?, seed, progress)),
+        Kind::CsgPart => Generated::Scene(machined_part("csg-part", parameters)?),
         Kind::Tree => Generated::Mesh(plain::tree(length(6.0)?, corners(8_000)?, seed)),
         Kind::Cube => Generated::Mesh(plain::cube(length(1.0)?)),
         Kind::Sphere => Generated::Mesh(plain::sphere(length(1.0)?, corners(4_000)?)),
@@ -162,6 +166,9 @@ pub fn generate_scene(
         let count = plaza_count(parameters.size)?;
         return Ok(scenes::plaza(name, count, parameters.seed, progress));
     }
+    if kind == Kind::CsgPart {
+        return machined_part(name, parameters);
+    }
     let asset = generate(kind, parameters, progress)?;
     Ok(match kind {
         Kind::Town => scenes::town(name, asset, town_size(parameters.size)?),
@@ -172,6 +179,12 @@ pub fn generate_scene(
 
 /// Metres.
 const AMPHORA_HEIGHT: f64 = 0.6;
+
+fn machined_part(name: &str, parameters: &Parameters) -> Result<GeneratedScene, GenerateError> {
+    let length = within("size", parameters.size, 2.4, 1e-3, 1e6)?;
+    let samples = within("points", parameters.points, 6_500, 500, 10_000_000)?;
+    Ok(part::machined(name, length, samples))
+}
 
 fn town_size(size: Option<f64>) -> Result<f64, GenerateError> {
     within("size", size, 180.0, 40.0, 2_000.0)

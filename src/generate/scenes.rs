@@ -11,20 +11,20 @@ use crate::assets::Progress;
 use crate::math::Bounds;
 
 /// A pose in a scene file.
-struct Pose {
-    name: &'static str,
-    eye: DVec3,
-    target: DVec3,
-    fov: f64,
+pub(super) struct Pose {
+    pub name: &'static str,
+    pub eye: DVec3,
+    pub target: DVec3,
+    pub fov: f64,
 }
 
 /// Coordinates in a file, to the millimetre.
-fn vector(v: DVec3) -> String {
+pub(super) fn vector(v: DVec3) -> String {
     let round = |c: f64| (c * 1000.0).round() / 1000.0 + 0.0;
     format!("[{}, {}, {}]", round(v.x), round(v.y), round(v.z))
 }
 
-fn cameras(poses: &[Pose]) -> String {
+pub(super) fn cameras(poses: &[Pose]) -> String {
     let lines: Vec<String> = poses
         .iter()
         .map(|pose| {
@@ -39,7 +39,7 @@ fn cameras(poses: &[Pose]) -> String {
 }
 
 /// A path through `keys` (seconds, eye, target).
-fn path(name: &str, keys: &[(f64, DVec3, DVec3)]) -> String {
+pub(super) fn path(name: &str, keys: &[(f64, DVec3, DVec3)]) -> String {
     let lines: Vec<String> = keys
         .iter()
         .map(|(t, eye, target)| {
@@ -53,7 +53,7 @@ fn path(name: &str, keys: &[(f64, DVec3, DVec3)]) -> String {
     )
 }
 
-const DAYLIGHT: &str = r##"  "lights": [
+pub(super) const DAYLIGHT: &str = r##"  "lights": [
     { "kind": "sun", "direction": [-0.5, -1, -0.7], "color": "#fff2dd", "intensity": 0.85, "shadows": true },
     { "kind": "headlight", "intensity": 0.15 },
     { "kind": "ambient", "color": "#dce6f5", "intensity": 0.25 }

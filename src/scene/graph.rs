@@ -1,4 +1,4 @@
-//! The graph of prototypes: no cycles, bounded depth, and how many instances it unfolds to.
+//! The graphs of prototypes and of solids: no cycles, bounded depth, and how many instances it unfolds to.
 //!
 //! Prototypes that use one another form a directed graph. It is sorted topologically (Kahn 1962),
 //! users after what they use; what cannot be sorted holds a cycle. In that order depth and number
@@ -10,6 +10,7 @@ use super::{Draws, Node, Repeat, Scene, SceneLimits};
 
 /// Refuses cycles, depth and number of instances over the limits.
 pub(super) fn check(scene: &Scene, limits: &SceneLimits) -> Result<(), Reason> {
+    check_solids(scene, limits)?;
     let order = topological_order(scene).map_err(|cycle| {
         let names: Vec<&str> = cycle.iter().map(|&i| scene.prototypes[i].name.as_str()).collect();
         let place = format!("prototypes.{}", names.first().copied().unwrap_or_default());
@@ -33,21 +34,55 @@ pub(super) fn check(scene: &Scene, limits: &SceneLimits) -> Result<(), Reason> {
     Ok(())
 }
 
+/// Refuses solids that are made of themselves, nested too deeply or of too many operands.
+fn check_solids(scene: &Scene, limits: &SceneLimits) -> Result<(), Reason> {
+    let found = scene.assets.iter().map(|asset| asset.operands().len() as u64).sum();
+    if found > limits.max_nodes {
+        return Err(Reason::TooLarge { what: "operands", found, limit: limits.max_nodes });
+    }
+    let uses: Vec<Vec<usize>> = scene
+        .assets
+        .iter()
+        .map(|asset| asset.operands().iter().map(|operand| operand.asset).collect())
+        .collect();
+    let order = sort(uses.clone()).map_err(|cycle| {
+        let names: Vec<&str> = cycle.iter().map(|&i| scene.assets[i].name.as_str()).collect();
+        let place = format!("assets.{}", names.first().copied().unwrap_or_default());
+        Reason::At(place, format!("is made of itself: {}", names.join(" → ")))
+    })?;
+    let mut depths = vec![0u64; uses.len()];
+    for &index in &order {
+        depths[index] = 1 + uses[index].iter().map(|&used| depths[used]).max().unwrap_or(0);
+    }
+    let found = depths.into_iter().max().unwrap_or(0);
+    if found > u64::from(limits.max_depth) {
+        let limit = u64::from(limits.max_depth);
+        return Err(Reason::TooLarge { what: "depth of solids", found, limit });
+    }
+    Ok(())
+}
+
 /// Indices of prototypes, each after all that it uses; or the indices along a cycle, the first one
 /// repeated at the end.
 pub(super) fn topological_order(scene: &Scene) -> Result<Vec<usize>, Vec<usize>> {
-    let count = scene.prototypes.len();
-    let mut uses: Vec<Vec<usize>> = Vec::with_capacity(count);
-    let mut users: Vec<Vec<usize>> = vec![Vec::new(); count];
-    for (index, prototype) in scene.prototypes.iter().enumerate() {
+    let uses = |children: &[Node]| {
         let mut used = Vec::new();
-        collect_uses(&prototype.children, &mut used);
+        collect_uses(children, &mut used);
+        used
+    };
+    sort(scene.prototypes.iter().map(|prototype| uses(&prototype.children)).collect())
+}
+
+/// Sorts what uses one another, given what each one uses, as [`topological_order`] does.
+fn sort(mut uses: Vec<Vec<usize>>) -> Result<Vec<usize>, Vec<usize>> {
+    let count = uses.len();
+    let mut users: Vec<Vec<usize>> = vec![Vec::new(); count];
+    for (index, used) in uses.iter_mut().enumerate() {
         used.sort_unstable();
         used.dedup();
-        for &other in &used {
+        for &other in used.iter() {
             users[other].push(index);
         }
-        uses.push(used);
     }
     let mut missing: Vec<usize> = uses.iter().map(Vec::len).collect();
     let mut order: Vec<usize> = (0..count).filter(|&i| missing[i] == 0).collect();

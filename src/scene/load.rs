@@ -94,7 +94,7 @@ impl Scene {
     pub fn from_asset(name: &str, file: PathBuf) -> Scene {
         Scene {
             name: name.to_owned(),
-            assets: vec![AssetRef { name: name.to_owned(), file }],
+            assets: vec![AssetRef::file(name, file)],
             nodes: vec![Node {
                 name: Some(name.to_owned()),
                 draws: super::Draws::Asset(0),

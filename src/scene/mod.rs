@@ -9,6 +9,7 @@
 //! prototypes is tested for cycles, depth and the number of instances before anything is unfolded.
 //! [`json_schema`] describes the files for editors.
 
+mod assets;
 pub mod color;
 mod graph;
 mod instances;
@@ -20,11 +21,10 @@ mod tests;
 mod validate;
 mod wire;
 
+pub use assets::{AssetRef, AssetSource, CsgOperation, FileSource, MeshSampling, Operand, Solid};
 pub use load::{load, parse};
 pub use splats::{Blend, Filter, Shading, Splats};
 pub use wire::json_schema;
-
-use std::path::PathBuf;
 
 use glam::{DAffine3, DVec3};
 
@@ -47,14 +47,6 @@ pub struct Scene {
     pub up: DVec3,
     /// How samples are drawn where a request asks for splats.
     pub splats: Splats,
-}
-
-/// A file that the scene draws.
-#[derive(Clone, Debug, PartialEq)]
-pub struct AssetRef {
-    pub name: String,
-    /// Absolute, inside the scene root.
-    pub file: PathBuf,
 }
 
 /// A subtree with a name, drawn wherever a node or another prototype asks for it.

@@ -12,12 +12,14 @@ use std::marker::PhantomData;
 use schemars::JsonSchema;
 use serde::de::{self, Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 
+use super::splats::{Blend, Filter, Shading};
+
 /// The JSON Schema of scene files, draft 2020-12.
 pub fn json_schema() -> serde_json::Value {
     schemars::schema_for!(SceneFile).to_value()
 }
 
-/// A scene: files, where they stand, how they are lit and seen. Angles are in degrees, lengths in
+/// A scene: files and what is made of them, where they stand, how they are lit and seen. Angles are in degrees, lengths in
 /// the scene's own unit, colours sRGB. Only `assets` and `nodes` are required.
 #[derive(Debug, serde::Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -32,7 +34,7 @@ pub(super) struct SceneFile {
     /// Shown to users; the file's name when absent.
     #[serde(default)]
     pub name: Option<String>,
-    /// Files by name.
+    /// Files, and solids made of other assets, by name.
     #[schemars(with = "BTreeMap<String, AssetWire>")]
     pub assets: Named<AssetWire>,
     /// Subtrees by name. They may use one another, but not themselves.
@@ -61,13 +63,94 @@ pub(super) struct SceneFile {
     /// World up: `"x"`, `"y"` (when absent), `"z"`, or a vector.
     #[serde(default)]
     pub up: Option<UpWire>,
+    /// How samples are drawn as splats.
+    #[serde(default)]
+    pub splats: Option<Object<SplatsWire>>,
 }
 
+/// A file, or a solid made of other assets: one of `file`, `union`, `intersection` and `difference`.
 #[derive(Debug, serde::Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct AssetWire {
     /// Relative to the scene file, inside the scene root.
-    pub file: String,
+    #[serde(default)]
+    pub file: Option<String>,
+    /// Turns the file's meshes into samples that cover their surface; `{}` chooses how densely.
+    #[serde(default)]
+    pub sample: Option<Object<SampleWire>>,
+    /// Whether sharp features of the file's points are looked for, false when absent.
+    #[serde(default)]
+    pub features: Option<bool>,
+    /// What is in any of these sampled solids.
+    #[serde(default)]
+    pub union: Option<Vec<Object<OperandWire>>>,
+    /// What is in all of them.
+    #[serde(default)]
+    pub intersection: Option<Vec<Object<OperandWire>>>,
+    /// What is in the first of them alone.
+    #[serde(default)]
+    pub difference: Option<Vec<Object<OperandWire>>>,
+}
+
+#[derive(Debug, serde::Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SampleWire {
+    /// Distance between neighbouring samples, in the file's unit.
+    #[serde(default)]
+    pub spacing: Option<f64>,
+    /// Degrees between faces above which their edge is sharp, 35 when absent.
+    #[serde(default)]
+    pub crease: Option<f64>,
+}
+
+/// An asset as part of a solid, and where it stands in it.
+#[derive(Debug, serde::Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct OperandWire {
+    /// Name of another asset: sampled, points with normals, or made of others itself.
+    pub asset: String,
+    #[serde(default)]
+    pub translate: Option<[f64; 3]>,
+    /// Degrees about x, then y, then z, all about the solid's axes.
+    #[serde(default)]
+    pub rotate: Option<[f64; 3]>,
+    /// `[x, y, z, w]`, normalised on reading.
+    #[serde(default)]
+    pub quaternion: Option<[f64; 4]>,
+    #[serde(default)]
+    pub scale: Option<ScaleWire>,
+    /// Column by column, the last row 0 0 0 1; instead of the others.
+    #[serde(default)]
+    pub matrix: Option<[f64; 16]>,
+}
+
+#[derive(Debug, serde::Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SplatsWire {
+    /// How a kernel is taken to the image, `perspective` when absent.
+    #[serde(default)]
+    pub filter: Option<Filter>,
+    /// What happens where splats overlap, `weighted` when absent.
+    #[serde(default)]
+    pub blend: Option<Blend>,
+    /// When splats are lit, `deferred` when absent.
+    #[serde(default)]
+    pub shading: Option<Shading>,
+    /// Whether kernels are convolved with a low-pass filter of the image, true when absent.
+    #[serde(default)]
+    pub prefilter: Option<bool>,
+    /// Standard deviation of that filter in pixels, 0.1 to 4; 0.5 when absent.
+    #[serde(default)]
+    pub lowpass: Option<f64>,
+    /// Where kernels end, in their standard deviations, 0.5 to 4; 2 when absent.
+    #[serde(default)]
+    pub cutoff: Option<f64>,
+    /// Multiplies every kernel's axes, 0.01 to 100; 1 when absent.
+    #[serde(default)]
+    pub width: Option<f64>,
+    /// How far behind the nearest surface splats still count, in radii of the nearest splat, 0 to 100; 1 when absent.
+    #[serde(default)]
+    pub depth_offset: Option<f64>,
 }
 
 #[derive(Debug, serde::Deserialize, JsonSchema)]

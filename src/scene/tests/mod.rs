@@ -1,8 +1,9 @@
 //! Scene files in, scenes and refusals out.
 
 mod properties;
+mod solids;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use glam::DVec3;
 
@@ -48,6 +49,13 @@ impl Folder {
     }
 }
 
+fn file_of(scene: &Scene, asset: usize) -> PathBuf {
+    match &scene.assets[asset].source {
+        AssetSource::File(file) => file.path.clone(),
+        AssetSource::Solid(_) => panic!("asset {asset} is no file"),
+    }
+}
+
 fn with_nodes(nodes: &str) -> String {
     format!(r#"{{"assets": {{"a": {{"file": "a.ply"}}}}, "nodes": {nodes}}}"#)
 }
@@ -61,7 +69,7 @@ fn the_smallest_scene() {
     assert_eq!(scene.name, "test.json");
     let grey = color::linear_from_srgb(f64::from(0x24) / 255.0) as f32;
     assert_eq!(scene.background[1], grey);
-    let bare = Scene::from_asset("a", scene.assets[0].file.clone());
+    let bare = Scene::from_asset("a", file_of(&scene, 0));
     assert_eq!(bare.instances(), scene.instances());
     assert_eq!((bare.background, bare.lights), (scene.background, scene.lights));
 }
@@ -82,7 +90,7 @@ fn everything_at_once() {
         "paths": { "fly": { "keys": [ { "t": 0, "eye": [0, 1, 9], "target": [0, 0, 0] }, { "t": 4, "eye": [9, 1, 0], "target": [0, 0, 0] } ] } } }"##;
     let folder = Folder::new();
     let scene = folder.parse(text).unwrap();
-    assert_eq!(scene.assets[1].file, folder.root.join("sub/c.ply"));
+    assert_eq!(file_of(&scene, 1), folder.root.join("sub/c.ply"));
     assert_eq!(scene.cameras.iter().map(|c| c.0.as_str()).collect::<Vec<_>>(), ["z", "a"]);
     assert_eq!((scene.cameras[0].1.up, scene.cameras[0].1.fov_deg), (DVec3::Z, 40.0));
     assert_eq!((scene.cameras[1].1.up, scene.cameras[1].1.fov_deg), (DVec3::X, 60.0));
@@ -299,7 +307,7 @@ fn files_stay_inside_the_root() {
     file("link.ply", "leads out");
     std::os::unix::fs::symlink("a.ply", f.root.join("inside.ply")).unwrap();
     let ok = r#"{"assets": {"m": {"file": "inside.ply"}}, "nodes": []}"#;
-    assert_eq!(f.parse(ok).unwrap().assets[0].file, f.root.join("a.ply"));
+    assert_eq!(file_of(&f.parse(ok).unwrap(), 0), f.root.join("a.ply"));
     // From a scene in a sub-folder, the way up is open as far as the root.
     let up = r#"{"assets": {"m": {"file": "../a.ply"}}, "nodes": []}"#;
     let limits = SceneLimits::default();
@@ -335,7 +343,9 @@ fn the_schema_describes_the_format() {
     assert_eq!(schema["additionalProperties"], serde_json::Value::Bool(false));
     let required: Vec<_> = schema["required"].as_array().unwrap().iter().collect();
     assert_eq!(required.len(), 2, "{required:?}");
-    for key in ["assets", "nodes", "prototypes", "materials", "lights", "cameras", "paths", "up"] {
+    for key in
+        ["assets", "nodes", "prototypes", "materials", "lights", "cameras", "paths", "up", "splats"]
+    {
         assert!(schema["properties"][key].is_object(), "{key}");
     }
     assert!(schema["$defs"]["NodeWire"]["properties"]["quaternion"].is_object());
@@ -444,5 +454,5 @@ fn invisible_nodes_count_for_limits_alone() {
     let f = Folder::new();
     let few = SceneLimits { max_instances: 2, ..SceneLimits::default() };
     assert!(parse(&with_nodes(text), "t", &f.root, &f.root, &few).is_err());
-    assert!(Path::new(&scene.assets[0].file).is_absolute());
+    assert!(file_of(&scene, 0).is_absolute());
 }

@@ -5,9 +5,9 @@ use glam::DVec3;
 use super::super::color::{parse_hex, to_linear};
 use super::super::load::DEFAULT_BACKGROUND;
 use super::super::wire::{
-    CameraWire, ColorWire, LightKind, LightWire, MaterialWire, Object, PathWire, UpWire,
+    CameraWire, ColorWire, LightKind, LightWire, MaterialWire, Object, PathWire, SplatsWire, UpWire,
 };
-use super::super::{CameraPath, Light, MaterialSpec, PathKey};
+use super::super::{CameraPath, Light, MaterialSpec, PathKey, Splats};
 use super::{
     DEFAULT_FOV_DEG, LARGEST_COORDINATE, LARGEST_INTENSITY, Place, Valid, coordinates, unit, within,
 };
@@ -88,6 +88,29 @@ fn light(wire: &LightWire, place: Place<'_>) -> Valid<Light> {
             })
         }
     }
+}
+
+/// What a scene says of its splats, the rest as it is when nothing is said.
+pub(super) fn splats(wire: Option<&SplatsWire>) -> Valid<Splats> {
+    let mut splats = Splats::default();
+    let Some(wire) = wire else { return Ok(splats) };
+    let root = Place::Root;
+    let place = root.key("splats");
+    splats.filter = wire.filter.unwrap_or(splats.filter);
+    splats.blend = wire.blend.unwrap_or(splats.blend);
+    splats.shading = wire.shading.unwrap_or(splats.shading);
+    splats.prefilter = wire.prefilter.unwrap_or(splats.prefilter);
+    for (key, number, low, high, value) in [
+        ("lowpass", wire.lowpass, 0.1, 4.0, &mut splats.lowpass_px),
+        ("cutoff", wire.cutoff, 0.5, 4.0, &mut splats.cutoff),
+        ("width", wire.width, 0.01, 100.0, &mut splats.width),
+        ("depth_offset", wire.depth_offset, 0.0, 100.0, &mut splats.depth_offset),
+    ] {
+        if let Some(number) = number {
+            *value = within(number, low, high, place.key(key))? as f32;
+        }
+    }
+    Ok(splats)
 }
 
 pub(super) fn background(wire: Option<&ColorWire>) -> Valid<[f32; 4]> {

@@ -3,6 +3,7 @@
 //! Every function takes the [`Place`] it works at, a chain of segments on the stack that is only
 //! spelt out when something is wrong there.
 
+mod assets;
 mod look;
 mod placement;
 
@@ -13,8 +14,8 @@ use std::path::PathBuf;
 use glam::DVec3;
 
 use super::load::{list, nearest};
-use super::wire::{AssetWire, Named, NodeWire, Object, PrototypeWire, SceneFile};
-use super::{AssetRef, Draws, Node, Prototype, Repeat, Scene, SceneLimits, Splats, graph};
+use super::wire::{Named, NodeWire, Object, PrototypeWire, SceneFile};
+use super::{Draws, Node, Prototype, Repeat, Scene, SceneLimits, graph};
 
 /// Why a well-formed file was refused.
 #[derive(Debug)]
@@ -134,9 +135,9 @@ pub(super) fn scene(
     };
     let up = look::world_up(wire.up.as_ref(), root.key("up"))?;
     let scene = Scene {
-        splats: Splats::default(),
+        splats: look::splats(wire.splats.as_deref())?,
         name: wire.name.clone().unwrap_or_else(|| name.to_owned()),
-        assets: assets(&wire.assets, resolve)?,
+        assets: assets::assets(&wire.assets, &context.assets, resolve)?,
         materials: each(&wire.materials, "materials", look::material)?,
         prototypes: prototypes(&wire.prototypes, &context)?,
         nodes: top_nodes(&wire.nodes, &context)?,
@@ -167,16 +168,6 @@ fn each<T, U>(
 
 fn count_nodes(node: &NodeWire) -> u64 {
     1 + node.children.iter().map(|n| count_nodes(n)).sum::<u64>()
-}
-
-fn assets(
-    named: &Named<AssetWire>,
-    resolve: &dyn Fn(&str) -> Result<PathBuf, String>,
-) -> Valid<Vec<AssetRef>> {
-    each(named, "assets", |name, wire, place| match resolve(&wire.file) {
-        Ok(file) => Ok(AssetRef { name: name.to_owned(), file }),
-        Err(reason) => place.key("file").refuse(reason),
-    })
 }
 
 fn prototypes(named: &Named<PrototypeWire>, context: &Context<'_>) -> Valid<Vec<Prototype>> {

@@ -3,10 +3,34 @@
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 
 use super::super::Repeat;
-use super::super::wire::{NodeWire, RepeatWire, ScaleWire};
+use super::super::wire::{NodeWire, OperandWire, RepeatWire, ScaleWire};
 use super::{LARGEST_COORDINATE, LARGEST_SCALE, Place, Valid, coordinates, within};
 
-pub(super) fn transform(wire: &NodeWire, place: Place<'_>) -> Valid<DAffine3> {
+/// The keys that move something, wherever they stand.
+pub(super) struct TransformKeys {
+    translate: Option<[f64; 3]>,
+    rotate: Option<[f64; 3]>,
+    quaternion: Option<[f64; 4]>,
+    scale: Option<ScaleWire>,
+    matrix: Option<[f64; 16]>,
+}
+
+impl From<&NodeWire> for TransformKeys {
+    fn from(wire: &NodeWire) -> Self {
+        let NodeWire { translate, rotate, quaternion, scale, matrix, .. } = *wire;
+        Self { translate, rotate, quaternion, scale, matrix }
+    }
+}
+
+impl From<&OperandWire> for TransformKeys {
+    fn from(wire: &OperandWire) -> Self {
+        let OperandWire { translate, rotate, quaternion, scale, matrix, .. } = *wire;
+        Self { translate, rotate, quaternion, scale, matrix }
+    }
+}
+
+pub(super) fn transform(wire: impl Into<TransformKeys>, place: Place<'_>) -> Valid<DAffine3> {
+    let wire: TransformKeys = wire.into();
     if let Some(columns) = &wire.matrix {
         let others = [
             ("translate", wire.translate.is_some()),

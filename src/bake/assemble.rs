@@ -1,0 +1,275 @@
+//! A scene's assets, ready to be drawn by whatever renderer: files read, meshes sampled, features found, solids combined.
+//!
+//! The engine and the reference of [`crate::accuracy`] both take their geometry from [`Assembler::asset`]. What several
+//! solids are made of is read and sampled once.
+
+use std::collections::HashMap;
+use std::path::Path;
+use std::rc::Rc;
+
+use super::csg;
+use super::features::{FeatureOptions, detect_features, estimate_kernels};
+use super::prepare::{self, AssetTraits};
+use super::sample::{SampleOptions, sample_mesh};
+use super::{colors::NEUTRAL, estimate_point_attributes};
+use crate::assets::{self, Asset, AssetError, Clip, Geometry, PointCloud, ReadOptions};
+use crate::scene::{AssetRef, AssetSource, FileSource, Scene, SceneError, Solid};
+
+/// [`Asset::format`] of what is made of other assets.
+pub const SOLID_FORMAT: &str = "csg";
+/// [`Asset::format`] of what others are made of and no node draws.
+pub const OPERAND_FORMAT: &str = "operand";
+/// More samples than this are not combined.
+const MAX_SAMPLES: u64 = 50_000_000;
+
+/// Why an asset was not assembled.
+#[derive(Debug, thiserror::Error)]
+pub enum AssembleError {
+    /// A file that cannot be read.
+    #[error(transparent)]
+    Asset(#[from] AssetError),
+    /// What the scene asks of an asset does not go with what its file holds; names the place in the scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+}
+
+/// An asset with everything that drawing needs.
+#[derive(Debug)]
+pub struct Prepared {
+    pub asset: Asset,
+    pub traits: AssetTraits,
+}
+
+/// Assembles the assets of one scene.
+pub struct Assembler {
+    /// What errors call the scene.
+    scene: String,
+    assets: Vec<AssetRef>,
+    operands_only: Vec<bool>,
+    is_operand: Vec<bool>,
+    options: ReadOptions,
+    /// Files that something is made of, as read and sampled.
+    files: HashMap<usize, Rc<Asset>>,
+    /// What solids are made of.
+    clouds: HashMap<usize, Rc<PointCloud>>,
+}
+
+impl Assembler {
+    /// `scene` is the file that `description` came from, which errors name.
+    pub fn new(scene: &Path, description: &Scene, options: &ReadOptions) -> Assembler {
+        let mut is_operand = vec![false; description.assets.len()];
+        for operand in description.assets.iter().flat_map(AssetRef::operands) {
+            is_operand[operand.asset] = true;
+        }
+        Assembler {
+            scene: scene.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+            assets: description.assets.clone(),
+            operands_only: description.operands_only(),
+            is_operand,
+            options: options.clone(),
+            files: HashMap::new(),
+            clouds: HashMap::new(),
+        }
+    }
+
+    /// The asset with this index in the scene, as it is drawn. One that no node draws, and others are made of, has no
+    /// geometry.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or that does not hold what the scene asks for.
+    pub fn asset(&mut self, index: usize) -> Result<Prepared, AssembleError> {
+        if self.operands_only[index] {
+            return Ok(no_geometry());
+        }
+        let (mut asset, features) = match self.assets[index].source.clone() {
+            AssetSource::File(source) => {
+                let asset = Rc::unwrap_or_clone(self.file(index, &source)?);
+                (asset, source.features)
+            }
+            AssetSource::Solid(solid) => (self.solid_asset(index, &solid)?, false),
+        };
+        let mut traits = AssetTraits { format: asset.format, ..AssetTraits::default() };
+        for geometry in &mut asset.geometries {
+            prepare::prepare_geometry(geometry, &mut traits);
+            if features && let Geometry::Points(cloud) = geometry {
+                estimate_kernels(cloud);
+                detect_features(cloud, &FeatureOptions::default());
+            }
+        }
+        Ok(Prepared { asset, traits })
+    }
+
+    /// A file as read and, where asked for, sampled.
+    fn file(&mut self, index: usize, source: &FileSource) -> Result<Rc<Asset>, AssembleError> {
+        if let Some(known) = self.files.get(&index) {
+            return Ok(known.clone());
+        }
+        let mut asset = assets::read(&source.path, &self.options)?;
+        let is_mesh = |geometry: &Geometry| matches!(geometry, Geometry::Mesh(_));
+        if source.sample.is_some() && !asset.geometries.iter().any(is_mesh) {
+            let reason = "the file holds points, which are samples already";
+            return Err(self.invalid(index, ".sample", reason));
+        }
+        if source.features && asset.geometries.iter().all(is_mesh) {
+            let reason = "is for points; the file holds a mesh, whose creases `sample` finds";
+            return Err(self.invalid(index, ".features", reason));
+        }
+        if let Some(sampling) = source.sample {
+            let defaults = SampleOptions::default();
+            let options = SampleOptions {
+                spacing: sampling.spacing,
+                max_samples: defaults.max_samples.min(self.options.max_vertices),
+                crease_deg: sampling.crease_deg.unwrap_or(defaults.crease_deg),
+            };
+            let Asset { geometries, materials, textures, .. } = &mut asset;
+            for geometry in geometries.iter_mut() {
+                if let Geometry::Mesh(mesh) = geometry {
+                    let cloud = sample_mesh(mesh, materials, textures, &options)
+                        .map_err(|error| self.invalid(index, ".sample", &error.to_string()))?;
+                    *geometry = Geometry::Points(cloud);
+                }
+            }
+            // Their colours are the samples' now.
+            materials.clear();
+            textures.clear();
+        }
+        let asset = Rc::new(asset);
+        if self.is_operand[index] {
+            self.files.insert(index, asset.clone());
+        }
+        Ok(asset)
+    }
+
+    fn solid_asset(&mut self, index: usize, solid: &Solid) -> Result<Asset, AssembleError> {
+        let cloud = match self.clouds.get(&index) {
+            Some(known) => known.as_ref().clone(),
+            None => self.combine(index, solid)?,
+        };
+        let is_empty = cloud.positions.is_empty();
+        let name = &self.assets[index].name;
+        let mut asset = Asset::single(SOLID_FORMAT, name, Geometry::Points(cloud));
+        if is_empty {
+            asset.warnings.push(format!("nothing is left of the {}", solid.operation.key()));
+        }
+        Ok(asset)
+    }
+
+    /// The recursion is as deep as solids are nested, which a scene's limits bound.
+    fn combine(&mut self, index: usize, solid: &Solid) -> Result<PointCloud, AssembleError> {
+        let key = |operand: usize| format!(".{}[{operand}]", solid.operation.key());
+        let limit = MAX_SAMPLES.min(self.options.max_vertices);
+        let mut count = 0;
+        let mut operands = Vec::with_capacity(solid.operands.len());
+        for (number, operand) in solid.operands.iter().enumerate() {
+            let Some(cloud) = self.cloud(operand.asset)? else {
+                let name = &self.assets[operand.asset].name;
+                let reason =
+                    format!("`{name}` is a mesh; give it `sample` to combine it with others");
+                return Err(self.invalid(index, &key(number), &reason));
+            };
+            count += cloud.positions.len() as u64;
+            if count > limit {
+                let reason = format!("{count} samples are over the limit of {limit}");
+                return Err(self.invalid(index, &key(number), &reason));
+            }
+            operands.push(csg::transformed(&cloud, &operand.solid_from_operand));
+        }
+        csg::combine(solid.operation, &operands).map_err(|error| {
+            let place = error.operand().map_or_else(String::new, key);
+            let operand = error.operand().and_then(|number| solid.operands.get(number));
+            let name = operand.map_or("", |operand| &self.assets[operand.asset].name);
+            self.invalid(index, &place, &format!("`{name}`: {error}"))
+        })
+    }
+
+    /// All samples of an asset in one frame, with kernels; `None` where a mesh is among them.
+    fn cloud(&mut self, index: usize) -> Result<Option<Rc<PointCloud>>, AssembleError> {
+        if let Some(known) = self.clouds.get(&index) {
+            return Ok(Some(known.clone()));
+        }
+        let cloud = match self.assets[index].source.clone() {
+            AssetSource::Solid(solid) => self.combine(index, &solid)?,
+            AssetSource::File(source) => {
+                let asset = self.file(index, &source)?;
+                let Some(mut cloud) = placed_samples(&asset) else { return Ok(None) };
+                if cloud.normals.is_some() {
+                    estimate_point_attributes(&mut cloud);
+                    if cloud.kernels.is_none() {
+                        estimate_kernels(&mut cloud);
+                    }
+                    if source.features {
+                        detect_features(&mut cloud, &FeatureOptions::default());
+                    }
+                }
+                cloud
+            }
+        };
+        let cloud = Rc::new(cloud);
+        self.clouds.insert(index, cloud.clone());
+        Ok(Some(cloud))
+    }
+
+    fn invalid(&self, index: usize, place: &str, reason: &str) -> AssembleError {
+        AssembleError::Scene(SceneError::Invalid {
+            file: self.scene.clone(),
+            path: format!("assets.{}{place}", self.assets[index].name),
+            reason: reason.to_owned(),
+        })
+    }
+}
+
+fn no_geometry() -> Prepared {
+    let asset = Asset { format: OPERAND_FORMAT, ..Asset::default() };
+    Prepared { asset, traits: AssetTraits { format: OPERAND_FORMAT, ..AssetTraits::default() } }
+}
+
+/// The samples of all placements; `None` where a mesh is placed.
+fn placed_samples(asset: &Asset) -> Option<PointCloud> {
+    let mut all: Option<PointCloud> = None;
+    for placement in &asset.placements {
+        let Geometry::Points(cloud) = asset.geometries.get(placement.geometry)? else {
+            return None;
+        };
+        let cloud = csg::transformed(cloud, &placement.asset_from_geometry);
+        all = Some(match all {
+            Some(all) => joined(all, cloud),
+            None => cloud,
+        });
+    }
+    Some(all.unwrap_or_default())
+}
+
+/// Both clouds' samples, with what both have. Colours and clips are filled up instead.
+fn joined(a: PointCloud, b: PointCloud) -> PointCloud {
+    fn both<T>(a: Option<Vec<T>>, b: Option<Vec<T>>) -> Option<Vec<T>> {
+        let (mut a, b) = (a?, b?);
+        a.extend(b);
+        Some(a)
+    }
+    fn filled<T: Copy>(
+        a: Option<Vec<T>>,
+        b: Option<Vec<T>>,
+        counts: [usize; 2],
+        with: T,
+    ) -> Option<Vec<T>> {
+        if a.is_none() && b.is_none() {
+            return None;
+        }
+        let mut all = a.unwrap_or_else(|| vec![with; counts[0]]);
+        all.extend(b.unwrap_or_else(|| vec![with; counts[1]]));
+        Some(all)
+    }
+    let counts = [a.positions.len(), b.positions.len()];
+    PointCloud {
+        colors: filled(a.colors, b.colors, counts, NEUTRAL),
+        clips: filled(a.clips, b.clips, counts, Clip::NONE),
+        normals: both(a.normals, b.normals),
+        radii: both(a.radii, b.radii),
+        kernels: both(a.kernels, b.kernels),
+        positions: [a.positions, b.positions].concat(),
+        ..PointCloud::default()
+    }
+}
+
+#[cfg(test)]
+mod tests;
