@@ -82,6 +82,7 @@ fn textured(uid: u64, texels: &[u32], materials: usize) -> Arc<SceneModel> {
         background: [0.0; 4],
         cameras: Vec::new(),
         up: glam::DVec3::Y,
+        splats: Default::default(),
     })
 }
 
