@@ -2,6 +2,7 @@
 //!
 //! - [`estimate_point_attributes`] gives points the normals and radii that they lack, from their
 //!   nearest neighbours;
+//! - [`estimate_kernels`] gives them kernels as well, whose disks leave no holes, in the same search;
 //! - [`fill_colors`] gives them colours, from intensity or class;
 //! - [`smooth_normals`] gives meshes vertex normals, splitting vertices at creases;
 //! - [`prepare`] applies these as a file needs them, the same for the GPU and for the reference renderer;
@@ -12,9 +13,11 @@ pub mod prepare;
 
 mod colors;
 mod crease;
+mod kernels;
 mod neighbors;
 mod normals;
 
 pub use colors::fill_colors;
 pub use crease::smooth_normals;
+pub use kernels::{CUTOFF, estimate_kernels};
 pub use normals::estimate_point_attributes;

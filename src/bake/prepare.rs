@@ -11,7 +11,7 @@ use std::path::Path;
 use glam::{DAffine3, DVec3};
 
 use super::colors::NEUTRAL;
-use super::{estimate_point_attributes, fill_colors, smooth_normals};
+use super::{estimate_kernels, fill_colors, smooth_normals};
 use crate::assets::{Geometry, Placement};
 use crate::math::Bounds;
 use crate::scene::{self, Scene, SceneError, SceneLimits};
@@ -69,7 +69,7 @@ pub fn describe(path: &Path, root: &Path, limits: &SceneLimits) -> Result<Scene,
     Ok(Scene::from_asset(&stem, path.to_path_buf()))
 }
 
-/// Gives a geometry the colours, normals and radii that it lacks, and notes in `traits`, whose format is known
+/// Gives a geometry the colours, normals, radii and kernels that it lacks, and notes in `traits`, whose format is known
 /// already, what it had.
 pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
     traits.bounds = traits.bounds.union(drawn_bounds(geometry));
@@ -77,7 +77,7 @@ pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
         Geometry::Points(cloud) => {
             let had = (cloud.colors.is_some(), cloud.normals.is_some());
             fill_colors(cloud);
-            estimate_point_attributes(cloud);
+            estimate_kernels(cloud);
             had
         }
         Geometry::Mesh(mesh) => {

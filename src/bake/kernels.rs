@@ -1,0 +1,239 @@
+//! Reconstruction kernels of points (Zwicker 2004, §3), from their nearest neighbours.
+//!
+//! A disk that ends at [`CUTOFF`] standard deviations has to reach what is nearer to its own sample than to any other:
+//! the sample's Voronoi cell in the tangent plane. If every disk covers its cell, the disks together have no holes.
+//! Where the sampling is denser one way than the other (scan lines), the cell is long, and so is the kernel:
+//!
+//! 1. The [`MAX_NEIGHBORS`] nearest are projected to the tangent plane as offsets `q` and inverted, `w = q / |q|²`. The
+//!    inverses span the polar dual of the cell: a neighbour twice as near is a wall twice as near and weighs four times.
+//!    (The covariance of the neighbours themselves would not do: the nearest ones fill a circle, however they are
+//!    spread in it.) The second moments of `w` give the axes; the ratio of their roots, bounded by [`MAX_RATIO`], gives
+//!    the ellipticity.
+//! 2. In coordinates in which that ellipse is a circle, the cell's extent along a direction `d` is `1 / max 2 w · d`. The
+//!    largest of [`DIRECTIONS`], and a little more for what lies between them, is the kernel's reach.
+//! 3. At the border of a cloud a cell is open. A sample whose neighbours lie to one side takes, of every two opposite
+//!    directions, the shorter extent; one whose neighbours lie all in one direction is a stray.
+//!
+//! Neighbours are the same that normals and radii come from, found in one search.
+//!
+//! Measured on 300 k points (test profile, 2 shared cores): all three take 1.2 to 1.3 times what normals and radii take.
+
+use glam::{Vec2, Vec3};
+
+use super::neighbors::{MAX_NEIGHBORS, Neighbors};
+use super::normals::{complete_attributes, is_radius, median_of};
+use crate::assets::{Kernel, PointCloud};
+
+/// Where the disks end that have to cover the surface, in standard deviations.
+pub const CUTOFF: f32 = 2.0;
+/// Longest axis over shortest.
+const MAX_RATIO: f32 = 8.0;
+/// Directions that are looked at, over half a turn; their opposites are as well.
+const DIRECTIONS: usize = 8;
+/// A cell's corner between two directions (at most 11.25° off) is farther away than the cell's extent along either.
+const MARGIN: f32 = 1.15;
+/// Extents beyond this part of the distance to the farthest neighbour are not known to be gaps in the sampling.
+const KNOWN: f32 = 0.75;
+/// Neighbours nearer than this part of the distance to the middle one count as if they were that far: two scans of one
+/// surface give pairs of points in any direction.
+const NEAREST: f32 = 0.2;
+/// Length of the mean offset over the root of the mean square: about 0.6 at a straight border, 0.85 at a right corner.
+const BORDER: f32 = 0.45;
+const STRAY: f32 = 0.95;
+/// Bounds on standard deviations, in medians of the cloud.
+const LARGEST: f32 = 10.0;
+const SMALLEST: f32 = 0.05;
+/// Where nothing tells a size.
+const LONE: f32 = 0.25;
+
+/// Cosine and sine of the directions of half a turn.
+const TURN: [Vec2; DIRECTIONS] = [
+    Vec2::new(1.0, 0.0),
+    Vec2::new(0.923_879_5, 0.382_683_43),
+    Vec2::new(std::f32::consts::FRAC_1_SQRT_2, std::f32::consts::FRAC_1_SQRT_2),
+    Vec2::new(0.382_683_43, 0.923_879_5),
+    Vec2::new(0.0, 1.0),
+    Vec2::new(-0.382_683_43, 0.923_879_5),
+    Vec2::new(-std::f32::consts::FRAC_1_SQRT_2, std::f32::consts::FRAC_1_SQRT_2),
+    Vec2::new(-0.923_879_5, 0.382_683_43),
+];
+
+/// Gives a cloud the kernels that it lacks, and the normals and radii as
+/// [`estimate_point_attributes`](super::estimate_point_attributes) does, from one search for neighbours.
+///
+/// Call it instead of that function, not after it: a radius that is there on entry is taken for the file's own and makes
+/// the kernel circular, so that the disk at [`CUTOFF`] is the file's. All others get the ellipse that the module
+/// describes. Kernels that the cloud has are kept, apart from those that are zero or not finite, or whose number is wrong.
+///
+/// Afterwards every kernel is finite, with `u ⟂ v`, and `u × v` looks along the normal; both are ⟂ to it. Points whose
+/// normal is zero have circular kernels in an arbitrary plane. Standard deviations estimated here lie within a 20th and
+/// ten times the cloud's median; strays, and points at one place with all their neighbours, take what these bounds give.
+pub fn estimate_kernels(cloud: &mut PointCloud) {
+    let count = cloud.positions.len();
+    let given = cloud.kernels.take().filter(|kernels| kernels.len() == count);
+    if given.as_ref().is_some_and(|kernels| kernels.iter().all(is_kernel)) {
+        cloud.kernels = given;
+        complete_attributes(cloud, false);
+        return;
+    }
+    let of_file = cloud.radii.clone().filter(|radii| radii.len() == count);
+    let needs_fit = of_file.as_ref().is_none_or(|radii| !radii.iter().all(is_radius));
+    let mut kernels = complete_attributes(cloud, needs_fit);
+    kernels.resize(count, Kernel::default());
+    let normals = cloud.normals.as_deref().unwrap_or(&[]);
+    bound(&mut kernels, normals);
+    for (index, kernel) in kernels.iter_mut().enumerate() {
+        let of_file = of_file.as_ref().and_then(|radii| radii.get(index)).filter(|r| is_radius(r));
+        let normal = normals.get(index).copied().unwrap_or(Vec3::ZERO);
+        match (given.as_ref().and_then(|given| given.get(index)), of_file) {
+            (Some(own), _) if is_kernel(own) => *kernel = *own,
+            (_, Some(&radius)) => *kernel = circle(normal, radius / CUTOFF),
+            _ => {}
+        }
+    }
+    cloud.kernels = Some(kernels);
+}
+
+fn is_kernel(kernel: &Kernel) -> bool {
+    kernel.u.is_finite() && kernel.v.is_finite() && kernel.u != Vec3::ZERO && kernel.v != Vec3::ZERO
+}
+
+/// A circular kernel across a normal; in the plane of x and y where the normal is zero.
+pub(super) fn circle(normal: Vec3, deviation: f32) -> Kernel {
+    let [a, b] = tangents(normal);
+    Kernel { u: a * deviation, v: b * deviation }
+}
+
+/// Unit vectors with `a × b` along the normal.
+pub(super) fn tangents(normal: Vec3) -> [Vec3; 2] {
+    // Zero and what is not finite alike.
+    let normal = normal.try_normalize().unwrap_or(Vec3::Z);
+    let (a, b) = normal.any_orthonormal_pair();
+    if a.cross(b).dot(normal) > 0.0 { [a, b] } else { [b, a] }
+}
+
+/// The kernel of a point with a normal (possibly zero), in the coordinates of the tree; zero where nothing tells a size.
+pub(super) fn fit(neighbors: &Neighbors, normal: Vec3) -> Kernel {
+    if normal == Vec3::ZERO {
+        return circle(normal, mean_distance(neighbors) * 0.75 / CUTOFF);
+    }
+    let [a, b] = tangents(normal);
+    let mut offsets = [Vec2::ZERO; MAX_NEIGHBORS];
+    let count = neighbors.len();
+    for (offset, near) in offsets.iter_mut().zip(neighbors.offsets()) {
+        let near = Vec3::from(near);
+        *offset = Vec2::new(near.dot(a), near.dot(b));
+    }
+    match ellipse(&offsets[..count]) {
+        // v = n × u keeps the frame right-handed.
+        Some([u, v]) => Kernel { u: a * u.x + b * u.y, v: a * v.x + b * v.y },
+        None => Kernel::default(),
+    }
+}
+
+/// Mean distance of the nearest six that are not at the same place.
+fn mean_distance(neighbors: &Neighbors) -> f32 {
+    let near = neighbors.distances_squared().filter(|&d| d > 0.0).take(6);
+    let (sum, count) = near.fold((0.0, 0.0f32), |(sum, n), d| (sum + d.sqrt(), n + 1.0));
+    sum / count.max(1.0)
+}
+
+/// The axes of the kernel of a sample at the origin, from its neighbours in its tangent plane, nearest first; `None` for
+/// strays and where all are at one place.
+fn ellipse(offsets: &[Vec2]) -> Option<[Vec2; 2]> {
+    let farthest = offsets.iter().fold(0.0f32, |far, q| far.max(q.length_squared()));
+    let nearest = NEAREST * NEAREST * offsets.get(offsets.len() / 2)?.length_squared();
+    // Below this, a neighbour is the sample itself once more.
+    let same = 1e-8 * farthest;
+    let (mut sum, mut count, mut dual) = (Vec2::ZERO, 0.0f32, [0.0f32; 3]);
+    for q in offsets {
+        let d = q.length_squared();
+        if d > same {
+            let weight = 1.0 / (d * d.max(nearest));
+            dual = [
+                dual[0] + weight * q.x * q.x,
+                dual[1] + weight * q.x * q.y,
+                dual[2] + weight * q.y * q.y,
+            ];
+            sum += *q;
+            count += 1.0;
+        }
+    }
+    if count == 0.0 || !dual[0].is_finite() || !dual[2].is_finite() {
+        return None;
+    }
+    let square: f32 = offsets.iter().map(|q| q.length_squared()).sum();
+    let aside = sum.length() / (square * count).sqrt();
+    if aside > STRAY {
+        return None;
+    }
+    let (axis, ratio) = axes(dual);
+    // Scaling the axes by this and its inverse makes the dual round.
+    let scale = ratio.sqrt();
+    let across = axis.perp();
+    let mut forth = [0.0f32; DIRECTIONS];
+    let mut back = [0.0f32; DIRECTIONS];
+    for q in offsets {
+        let round = Vec2::new(q.dot(axis) * scale, q.dot(across) / scale);
+        let d = round.length_squared();
+        if d <= same {
+            continue;
+        }
+        let wall = round * (2.0 / d);
+        for ((forth, back), direction) in forth.iter_mut().zip(&mut back).zip(TURN) {
+            let near = wall.dot(direction);
+            *forth = forth.max(near);
+            *back = back.min(near);
+        }
+    }
+    // A circle of neighbours is known; in round coordinates it is an ellipse with this least half axis.
+    let known = KNOWN * farthest.sqrt() / scale;
+    let mut reach = 0.0f32;
+    for (forth, back) in forth.into_iter().zip(back) {
+        let (long, short) = (1.0 / forth.min(-back), 1.0 / forth.max(-back));
+        if aside > BORDER {
+            reach = if short <= known { reach.max(short) } else { reach };
+        } else {
+            reach = reach.max(if long > 0.0 { long.min(known) } else { known });
+        }
+    }
+    let deviation = reach * MARGIN / CUTOFF;
+    (deviation > 0.0).then(|| [axis * (deviation / scale), across * (deviation * scale)])
+}
+
+/// The direction along which a symmetric matrix (xx, xy, yy) is largest, and the root of the ratio of its eigenvalues.
+fn axes([xx, xy, yy]: [f32; 3]) -> (Vec2, f32) {
+    let (mean, half) = (0.5 * (xx + yy), 0.5 * (xx - yy));
+    let spread = (half * half + xy * xy).sqrt();
+    let least = (mean - spread).max((mean + spread) / (MAX_RATIO * MAX_RATIO));
+    // The half angle, from the longer of the two ways to write it.
+    let axis = if half > 0.0 { Vec2::new(half + spread, xy) } else { Vec2::new(xy, spread - half) };
+    (axis.try_normalize().unwrap_or(Vec2::X), ((mean + spread) / least).sqrt())
+}
+
+/// Gives strays a size and keeps all others near the median.
+fn bound(kernels: &mut [Kernel], normals: &[Vec3]) {
+    let lengths: Vec<f32> = kernels.iter().map(|k| k.v.length().max(k.u.length())).collect();
+    let median = median_of(&lengths).unwrap_or(LONE);
+    let (least, most) = (
+        (median * SMALLEST).max(f32::MIN_POSITIVE),
+        (median * LARGEST).min(f32::MAX.sqrt() * 1e-3).max(f32::MIN_POSITIVE),
+    );
+    for (index, kernel) in kernels.iter_mut().enumerate() {
+        if !is_kernel(kernel) {
+            let normal = normals.get(index).copied().unwrap_or(Vec3::ZERO);
+            // With neighbours, but all at its own place, the least; the same for a stray would hide it.
+            *kernel = circle(normal, median.clamp(least, most));
+            continue;
+        }
+        for axis in [&mut kernel.u, &mut kernel.v] {
+            let length = axis.length();
+            if length < least || length > most {
+                *axis *= length.clamp(least, most) / length.max(f32::MIN_POSITIVE);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
