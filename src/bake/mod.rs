@@ -4,6 +4,8 @@
 //!   nearest neighbours;
 //! - [`estimate_kernels`] gives them kernels as well, whose disks leave no holes, in the same search;
 //! - [`fill_colors`] gives them colours, from intensity or class;
+//! - [`sample_mesh`] turns meshes into samples whose disks cover them and end at their sharp edges;
+//! - [`detect_features`] finds sharp edges in points, and where their kernels end there;
 //! - [`smooth_normals`] gives meshes vertex normals, splitting vertices at creases;
 //! - [`prepare`] applies these as a file needs them, the same for the GPU and for the reference renderer;
 //! - [`pack`] puts geometry into the records that the GPU reads.
@@ -13,11 +15,15 @@ pub mod prepare;
 
 mod colors;
 mod crease;
+mod features;
 mod kernels;
 mod neighbors;
 mod normals;
+mod sample;
 
 pub use colors::fill_colors;
 pub use crease::smooth_normals;
+pub use features::{FeatureOptions, detect_features};
 pub use kernels::{CUTOFF, estimate_kernels};
 pub use normals::estimate_point_attributes;
+pub use sample::{SampleError, SampleOptions, sample_mesh};

@@ -54,11 +54,7 @@ pub(super) fn complete_attributes(cloud: &mut PointCloud, wants_kernels: bool) -
         return Vec::new();
     }
     let wants = Wants {
-        neighbors: match (wants_kernels, lacks_normals) {
-            (true, _) => MAX_NEIGHBORS,
-            (false, true) => NORMAL_NEIGHBORS,
-            (false, false) => RADIUS_NEIGHBORS,
-        },
+        neighbors: if wants_kernels || lacks_normals { NORMAL_NEIGHBORS } else { RADIUS_NEIGHBORS },
         normals: lacks_normals,
         kernels: wants_kernels,
         given: cloud.normals.as_deref().unwrap_or(&[]),
@@ -147,6 +143,25 @@ fn estimate(positions: &[DVec3], wants: &Wants) -> Estimates {
     estimates
 }
 
+/// The [`MAX_NEIGHBORS`] nearest of each point, nearest first; [`u32::MAX`] for those that there are not.
+pub(super) fn nearest(positions: &[DVec3]) -> Vec<[u32; MAX_NEIGHBORS]> {
+    let mut lists = vec![[u32::MAX; MAX_NEIGHBORS]; positions.len()];
+    let finite: Vec<u32> =
+        (0..u32::MAX).zip(positions).filter(|(_, p)| p.is_finite()).map(|(i, _)| i).collect();
+    let Some(frame) = Frame::of(positions, &finite) else { return lists };
+    let tree = PointTree::new(finite.iter().map(|&i| frame.to_local(positions[i as usize])));
+    let found = tree.map_neighbors(MAX_NEIGHBORS, |neighbors| {
+        let mut list = [u32::MAX; MAX_NEIGHBORS];
+        let indices = neighbors.indices().map(|index| finite[index as usize]);
+        list.iter_mut().zip(indices).for_each(|(slot, index)| *slot = index);
+        list
+    });
+    for (&place, list) in tree.order().iter().zip(found) {
+        lists[finite[place as usize] as usize] = list;
+    }
+    lists
+}
+
 impl Estimates {
     fn set(&mut self, index: usize, normal: Vec3, radius: f32) {
         if let Some(slot) = self.normals.get_mut(index) {
@@ -184,7 +199,7 @@ pub(super) fn median_of(lengths: &[f32]) -> Option<f32> {
 }
 
 /// Up to about [`SAMPLES`] elements, evenly spread.
-fn evenly<T>(all: &[T]) -> impl Iterator<Item = &T> {
+pub(super) fn evenly<T>(all: &[T]) -> impl Iterator<Item = &T> {
     all.iter().step_by(all.len().div_ceil(SAMPLES).max(1))
 }
 
@@ -250,8 +265,7 @@ impl Frame {
 
     /// The direction of least variance, looking outward.
     fn normal(&self, neighbors: &Neighbors) -> Vec3 {
-        let count = neighbors.len().min(NORMAL_NEIGHBORS);
-        let normal = least_direction(neighbors.offsets().take(count), count).as_vec3();
+        let normal = least_direction(neighbors.offsets(), neighbors.len()).as_vec3();
         let outward = match self.outward {
             Outward::Along(axis) => axis,
             Outward::From(centre) => Vec3::from(neighbors.position()) - centre,
@@ -269,7 +283,7 @@ fn flat_axis(extent: DVec3) -> Option<Vec3> {
 
 /// The unit vector along which the point (at the origin) and `count` offsets vary least, zero if
 /// they lie on a line or a place, or vary alike in all directions.
-fn least_direction(offsets: impl Iterator<Item = [f32; 3]>, count: usize) -> DVec3 {
+pub(super) fn least_direction(offsets: impl Iterator<Item = [f32; 3]>, count: usize) -> DVec3 {
     let (mut sum, mut squares, mut products) = (DVec3::ZERO, DVec3::ZERO, DVec3::ZERO);
     for offset in offsets {
         let d = DVec3::from(offset.map(f64::from));
