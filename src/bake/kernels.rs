@@ -72,7 +72,7 @@ const TURN_Y: [f32; DIRECTIONS] =
 ///
 /// Afterwards every kernel is finite, with `u ⟂ v`, and `u × v` looks along the normal; both are ⟂ to it. Points whose
 /// normal is zero have circular kernels in an arbitrary plane. Standard deviations estimated here lie within a 20th and
-/// ten times the cloud's median; strays, and points at one place with all their neighbours, take what these bounds give.
+/// ten times the cloud's median; strays, and points at one place with all their neighbours, take the median itself.
 pub fn estimate_kernels(cloud: &mut PointCloud) {
     let count = cloud.positions.len();
     let given = cloud.kernels.take().filter(|kernels| kernels.len() == count);

@@ -182,6 +182,7 @@ mod tests {
         assert_eq!(cloud.colors.unwrap(), vec![[9; 4]; 64]);
         assert!(cloud.normals.unwrap().iter().all(|n| n.z.abs() > 0.99));
         assert!(cloud.radii.unwrap().iter().all(|&radius| radius > 0.0));
+        assert!(cloud.kernels.unwrap().iter().all(|kernel| kernel.u.length() > 0.0));
     }
 
     #[test]

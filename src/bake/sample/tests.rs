@@ -245,23 +245,22 @@ fn colours_are_averaged_in_linear_light() {
     );
     quad.uvs = Some(quad.positions.iter().map(|p| p.truncate().as_vec2()).collect());
     quad.parts = vec![MeshPart { triangles: 2, material: Some(0) }];
-    let checker =
-        |size: u32| Texture {
-            name: String::new(),
-            width: 256,
-            height: 256,
-            rgba: (0..65536u32)
-                .map(|i| {
-                    if (i % 256 / size + i / 256 / size) % 2 == 0 {
-                        [255; 4]
-                    } else {
-                        [0, 0, 0, 255]
-                    }
-                })
-                .collect(),
-            wrap: [Wrap::Repeat; 2],
-            filter: crate::assets::Filter::Linear,
-        };
+    let checker = |size: u32| Texture {
+        name: String::new(),
+        width: 256,
+        height: 256,
+        rgba: (0..65536u32)
+            .map(|i| {
+                if (i % 256 / size + i / 256 / size).is_multiple_of(2) {
+                    [255; 4]
+                } else {
+                    [0, 0, 0, 255]
+                }
+            })
+            .collect(),
+        wrap: [Wrap::Repeat; 2],
+        filter: crate::assets::Filter::Linear,
+    };
     use crate::assets::Wrap;
     let material = Material {
         base_color: [1.0, 0.5, 1.0, 1.0],
@@ -271,12 +270,14 @@ fn colours_are_averaged_in_linear_light() {
     };
     let options = SampleOptions { spacing: Some(0.04), ..SampleOptions::default() };
     // Squares far finer than the disks: half the light, 188 in sRGB; green is half of that again, 137.
-    let fine = sample_mesh(&quad, &[material.clone()], &[checker(1)], &options).unwrap();
+    let fine =
+        sample_mesh(&quad, std::slice::from_ref(&material), &[checker(1)], &options).unwrap();
     for [r, g, _, a] in fine.colors.unwrap() {
         assert!(r.abs_diff(188) <= 2 && g.abs_diff(137) <= 2 && a == 255, "{r} {g} {a}");
     }
     // Squares far larger: black and white, except at their borders.
-    let coarse = sample_mesh(&quad, &[material.clone()], &[checker(128)], &options).unwrap();
+    let coarse =
+        sample_mesh(&quad, std::slice::from_ref(&material), &[checker(128)], &options).unwrap();
     for (position, [r, ..]) in coarse.positions.iter().zip(coarse.colors.unwrap()) {
         let (x, y) = (position.x, position.y);
         let border = |x: f64| (x - (2.0 * x).round() / 2.0).abs();
@@ -292,4 +293,12 @@ fn colours_are_averaged_in_linear_light() {
     let count = fine.positions.len();
     assert!((0.4..0.6).contains(&(cut.positions.len() as f64 / count as f64)));
     assert!(cut.normals.unwrap().iter().all(|normal| *normal == Vec3::Z));
+}
+
+#[test]
+#[ignore = "a measurement"]
+fn speed_of_sampling() {
+    let start = std::time::Instant::now();
+    let count = sampled(&cube(), (6.0f64 / 200_000.0).sqrt()).positions.len();
+    println!("{count} samples of a cube in {:?}", start.elapsed());
 }
