@@ -46,6 +46,8 @@ const STRAY: f32 = 0.95;
 /// Bounds on standard deviations, in medians of the cloud.
 const LARGEST: f32 = 10.0;
 const SMALLEST: f32 = 0.05;
+/// Nothing is smaller, in whatever unit.
+const TINY: f32 = 1e-18;
 /// Where nothing tells a size.
 const LONE: f32 = 0.25;
 
@@ -226,11 +228,13 @@ struct Bounds {
 
 impl Bounds {
     fn of(kernels: &[Kernel]) -> Self {
-        let lengths: Vec<f32> = evenly(kernels).map(|k| k.v.length().max(k.u.length())).collect();
+        let lengths: Vec<f32> = evenly(kernels)
+            .map(|k| k.v.as_dvec3().length().max(k.u.as_dvec3().length()) as f32)
+            .collect();
         let median = median_of(&lengths).unwrap_or(LONE);
-        // Small enough that squares of lengths are finite.
-        let most = (median * LARGEST).clamp(f32::MIN_POSITIVE, f32::MAX.sqrt() * 1e-3);
-        let least = (median * SMALLEST).clamp(f32::MIN_POSITIVE, most);
+        // Between these, squares of lengths are ordinary numbers.
+        let most = (median * LARGEST).clamp(TINY, f32::MAX.sqrt() * 1e-3);
+        let least = (median * SMALLEST).clamp(TINY, most);
         Self { median: median.clamp(least, most), least, most }
     }
 
@@ -240,12 +244,10 @@ impl Bounds {
             return circle(normal, self.median);
         }
         let bounded = |axis: Vec3| {
-            let length = axis.length();
-            if length < self.least || length > self.most {
-                axis * (length.clamp(self.least, self.most) / length.max(f32::MIN_POSITIVE))
-            } else {
-                axis
-            }
+            // In f64, where squares neither vanish nor overflow.
+            let (axis, length) = (axis.as_dvec3(), axis.as_dvec3().length());
+            let within = length.clamp(self.least.into(), self.most.into());
+            if within == length { axis.as_vec3() } else { (axis * (within / length)).as_vec3() }
         };
         Kernel { u: bounded(kernel.u), v: bounded(kernel.v) }
     }

@@ -158,6 +158,11 @@ fn lines_and_nothing_at_all_are_answered() {
     for positions in [vec![], vec![DVec3::ONE], vec![DVec3::ONE; 100], line(2), line(50)] {
         cloud(positions);
     }
+    // Units in which f32 has no squares, or no numbers at all.
+    for unit in [1e-310, 1e-300, 1e-42, 1e-30, 1e-20, 1e18, 1e25, 1e37, 1e300] {
+        cloud(grid(6, 6, |x, y| [x * unit, y * unit]));
+        cloud(grid(6, 6, |x, y| [x * unit, y]));
+    }
     let kernels = cloud(line(50)).kernels.unwrap();
     let [u, v] = [kernels[25].u.length(), kernels[25].v.length()];
     assert!((u - v).abs() < 1e-6 && (0.25..2.0).contains(&u), "{u} {v}");
