@@ -240,7 +240,9 @@ impl Bounds {
 
     /// Gives a stray the median and keeps all others near it.
     fn apply(&self, kernel: Kernel, normal: Vec3) -> Kernel {
-        if !is_kernel(&kernel) {
+        // So short that f32 has not kept the direction.
+        let is_vague = |axis: Vec3| axis.as_dvec3().length() < 1e-30;
+        if !is_kernel(&kernel) || is_vague(kernel.u) || is_vague(kernel.v) {
             return circle(normal, self.median);
         }
         let bounded = |axis: Vec3| {
