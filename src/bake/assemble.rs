@@ -7,11 +7,10 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::rc::Rc;
 
+use super::colors::NEUTRAL;
 use super::csg;
-use super::features::{FeatureOptions, detect_features, estimate_kernels};
 use super::prepare::{self, AssetTraits};
-use super::sample::{SampleOptions, sample_mesh};
-use super::{colors::NEUTRAL, estimate_point_attributes};
+use super::{FeatureOptions, SampleOptions, detect_features, estimate_kernels, sample_mesh};
 use crate::assets::{self, Asset, AssetError, Clip, Geometry, PointCloud, ReadOptions};
 use crate::scene::{AssetRef, AssetSource, FileSource, Scene, SceneError, Solid};
 
@@ -92,7 +91,6 @@ impl Assembler {
         for geometry in &mut asset.geometries {
             prepare::prepare_geometry(geometry, &mut traits);
             if features && let Geometry::Points(cloud) = geometry {
-                estimate_kernels(cloud);
                 detect_features(cloud, &FeatureOptions::default());
             }
         }
@@ -193,10 +191,7 @@ impl Assembler {
                 let asset = self.file(index, &source)?;
                 let Some(mut cloud) = placed_samples(&asset) else { return Ok(None) };
                 if cloud.normals.is_some() {
-                    estimate_point_attributes(&mut cloud);
-                    if cloud.kernels.is_none() {
-                        estimate_kernels(&mut cloud);
-                    }
+                    estimate_kernels(&mut cloud);
                     if source.features {
                         detect_features(&mut cloud, &FeatureOptions::default());
                     }

@@ -137,7 +137,7 @@ impl Fans {
 /// A fast hash of a few words: positions are spread by multiplication, no attacker gains by
 /// collisions more than time that the vertex limit bounds.
 #[derive(Default)]
-struct WordHasher(u64);
+pub(super) struct WordHasher(u64);
 
 impl Hasher for WordHasher {
     fn write(&mut self, bytes: &[u8]) {
@@ -163,10 +163,10 @@ impl Hasher for WordHasher {
     }
 }
 
-type WordMap<K, V> = HashMap<K, V, BuildHasherDefault<WordHasher>>;
+pub(super) type WordMap<K, V> = HashMap<K, V, BuildHasherDefault<WordHasher>>;
 
 /// The place of each vertex: vertices with equal positions share one.
-fn weld(positions: &[DVec3]) -> Vec<u32> {
+pub(super) fn weld(positions: &[DVec3]) -> Vec<u32> {
     let mut places: WordMap<(u64, u64, u64), u32> =
         WordMap::with_capacity_and_hasher(positions.len(), BuildHasherDefault::default());
     positions

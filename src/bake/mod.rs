@@ -2,7 +2,10 @@
 //!
 //! - [`estimate_point_attributes`] gives points the normals and radii that they lack, from their
 //!   nearest neighbours;
+//! - [`estimate_kernels`] gives them kernels as well, whose disks leave no holes, in the same search;
 //! - [`fill_colors`] gives them colours, from intensity or class;
+//! - [`sample_mesh`] turns meshes into samples whose disks cover them and end at their sharp edges;
+//! - [`detect_features`] finds sharp edges in points, and where their kernels end there;
 //! - [`smooth_normals`] gives meshes vertex normals, splitting vertices at creases;
 //! - [`csg`] combines sampled solids;
 //! - [`assemble`] reads, samples and combines what a scene's assets are made of;
@@ -11,16 +14,20 @@
 
 pub mod assemble;
 pub mod csg;
-pub mod features;
 pub mod pack;
 pub mod prepare;
-pub mod sample;
 
 mod colors;
 mod crease;
+mod features;
+mod kernels;
 mod neighbors;
 mod normals;
+mod sample;
 
 pub use colors::fill_colors;
 pub use crease::smooth_normals;
+pub use features::{FeatureOptions, detect_features};
+pub use kernels::{CUTOFF, estimate_kernels};
 pub use normals::estimate_point_attributes;
+pub use sample::{SampleError, SampleOptions, sample_mesh};

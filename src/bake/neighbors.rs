@@ -121,9 +121,9 @@ impl Neighbors<'_> {
         self.tree.position(self.place)
     }
 
-    #[cfg(test)]
-    fn indices(&self) -> Vec<u32> {
-        self.keys.iter().map(|&key| self.tree.order[place_of(key)]).collect()
+    /// The neighbours' own indices.
+    pub(super) fn indices(&self) -> impl Iterator<Item = u32> {
+        self.keys.iter().map(|&key| self.tree.order[place_of(key)])
     }
 }
 

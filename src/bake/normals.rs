@@ -13,8 +13,9 @@ use std::f64::consts::TAU;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::neighbors::{Neighbors, PointTree};
-use crate::assets::PointCloud;
+use super::kernels::fit;
+use super::neighbors::{MAX_NEIGHBORS, Neighbors, PointTree};
+use crate::assets::{Kernel, PointCloud};
 
 const NORMAL_NEIGHBORS: usize = 12;
 const RADIUS_NEIGHBORS: usize = 6;
@@ -38,16 +39,27 @@ const MAX_COORDINATE: f64 = 1e18;
 /// line, on one place, or are fewer than two. Radii are positive, in the units of the positions.
 /// Positions that are not finite get a zero normal and the smallest radius.
 pub fn estimate_point_attributes(cloud: &mut PointCloud) {
+    complete_attributes(cloud, false);
+}
+
+/// [`estimate_point_attributes`], and with `wants_kernels` the kernels that [`fit`] finds, in the units of the positions;
+/// zero where it finds none.
+pub(super) fn complete_attributes(cloud: &mut PointCloud, wants_kernels: bool) -> Vec<Kernel> {
     let count = cloud.positions.len();
     cloud.normals = cloud.normals.take().filter(|normals| normals.len() == count);
     cloud.radii = cloud.radii.take().filter(|radii| radii.len() == count);
     let lacks_normals = cloud.normals.as_ref().is_none_or(|n| n.contains(&Vec3::ZERO));
     let lacks_radii = cloud.radii.as_ref().is_none_or(|radii| !radii.iter().all(is_radius));
-    if !lacks_normals && !lacks_radii {
-        return;
+    if !lacks_normals && !lacks_radii && !wants_kernels {
+        return Vec::new();
     }
-    let k = if lacks_normals { NORMAL_NEIGHBORS } else { RADIUS_NEIGHBORS };
-    let (normals, mut radii) = estimate(&cloud.positions, k, lacks_normals);
+    let wants = Wants {
+        neighbors: if wants_kernels || lacks_normals { NORMAL_NEIGHBORS } else { RADIUS_NEIGHBORS },
+        normals: lacks_normals,
+        kernels: wants_kernels,
+        given: cloud.normals.as_deref().unwrap_or(&[]),
+    };
+    let Estimates { normals, mut radii, kernels } = estimate(&cloud.positions, &wants);
     if lacks_normals {
         let keep = |(old, new): (&Vec3, &Vec3)| if *old == Vec3::ZERO { *new } else { *old };
         cloud.normals = Some(match cloud.normals.take() {
@@ -63,37 +75,100 @@ pub fn estimate_point_attributes(cloud: &mut PointCloud) {
             None => radii,
         });
     }
+    kernels
 }
 
-fn is_radius(radius: &f32) -> bool {
+pub(super) fn is_radius(radius: &f32) -> bool {
     *radius > 0.0 && radius.is_finite()
 }
 
-/// Normals and raw radii (zero where unknown) of all points.
-fn estimate(positions: &[DVec3], k: usize, wants_normals: bool) -> (Vec<Vec3>, Vec<f32>) {
-    let mut normals = if wants_normals { vec![Vec3::ZERO; positions.len()] } else { Vec::new() };
-    let mut radii = vec![0.0; positions.len()];
+/// What a search is to give.
+struct Wants<'a> {
+    neighbors: usize,
+    normals: bool,
+    kernels: bool,
+    /// Normals that are known already, where they are not zero; may be empty.
+    given: &'a [Vec3],
+}
+
+/// What a search gave for each point, zero where unknown; what was not wanted is empty.
+#[derive(Default)]
+struct Estimates {
+    normals: Vec<Vec3>,
+    radii: Vec<f32>,
+    kernels: Vec<Kernel>,
+}
+
+fn estimate(positions: &[DVec3], wants: &Wants) -> Estimates {
+    let count = positions.len();
+    let mut estimates = Estimates {
+        normals: vec![Vec3::ZERO; if wants.normals { count } else { 0 }],
+        radii: vec![0.0; count],
+        kernels: vec![Kernel::default(); if wants.kernels { count } else { 0 }],
+    };
     // The tree counts in 32 bits.
     let finite: Vec<u32> = (0..u32::MAX)
         .zip(positions)
         .filter_map(|(index, position)| position.is_finite().then_some(index))
         .collect();
-    let Some(frame) = Frame::of(positions, &finite) else { return (normals, radii) };
+    let Some(frame) = Frame::of(positions, &finite) else { return estimates };
     let local: Vec<[f32; 3]> =
         finite.par_iter().map(|&index| frame.to_local(positions[index as usize])).collect();
     let tree = PointTree::new(local);
-    let estimates = tree.map_neighbors(k, |neighbors| {
-        let normal = if wants_normals { frame.normal(&neighbors) } else { Vec3::ZERO };
-        (normal, (f64::from(radius(&neighbors)) * frame.size) as f32)
+    let index_of = |place: usize| finite[tree.order()[place] as usize] as usize;
+    let radius = |neighbors: &Neighbors| (f64::from(radius(neighbors)) * frame.size) as f32;
+    let normal = |neighbors: &Neighbors| {
+        if wants.normals { frame.normal(neighbors) } else { Vec3::ZERO }
+    };
+    if wants.kernels {
+        let found = tree.map_neighbors(wants.neighbors, |neighbors| {
+            let normal = normal(&neighbors);
+            let given = wants.given.get(index_of(neighbors.place)).copied();
+            let own = given.filter(|given| *given != Vec3::ZERO).unwrap_or(normal);
+            (normal, radius(&neighbors), frame.kernel(fit(&neighbors, own)))
+        });
+        for (place, (normal, radius, kernel)) in found.into_iter().enumerate() {
+            let index = index_of(place);
+            estimates.set(index, normal, radius);
+            estimates.kernels[index] = kernel;
+        }
+    } else {
+        let visit = |neighbors: Neighbors| (normal(&neighbors), radius(&neighbors));
+        for (place, (normal, radius)) in
+            tree.map_neighbors(wants.neighbors, visit).into_iter().enumerate()
+        {
+            estimates.set(index_of(place), normal, radius);
+        }
+    }
+    estimates
+}
+
+/// The [`MAX_NEIGHBORS`] nearest of each point, nearest first; [`u32::MAX`] for those that there are not.
+pub(super) fn nearest(positions: &[DVec3]) -> Vec<[u32; MAX_NEIGHBORS]> {
+    let mut lists = vec![[u32::MAX; MAX_NEIGHBORS]; positions.len()];
+    let finite: Vec<u32> =
+        (0..u32::MAX).zip(positions).filter(|(_, p)| p.is_finite()).map(|(i, _)| i).collect();
+    let Some(frame) = Frame::of(positions, &finite) else { return lists };
+    let tree = PointTree::new(finite.iter().map(|&i| frame.to_local(positions[i as usize])));
+    let found = tree.map_neighbors(MAX_NEIGHBORS, |neighbors| {
+        let mut list = [u32::MAX; MAX_NEIGHBORS];
+        let indices = neighbors.indices().map(|index| finite[index as usize]);
+        list.iter_mut().zip(indices).for_each(|(slot, index)| *slot = index);
+        list
     });
-    for (&place, (normal, radius)) in tree.order().iter().zip(estimates) {
-        let index = finite[place as usize] as usize;
-        if let Some(slot) = normals.get_mut(index) {
+    for (&place, list) in tree.order().iter().zip(found) {
+        lists[finite[place as usize] as usize] = list;
+    }
+    lists
+}
+
+impl Estimates {
+    fn set(&mut self, index: usize, normal: Vec3, radius: f32) {
+        if let Some(slot) = self.normals.get_mut(index) {
             *slot = normal;
         }
-        radii[index] = radius;
+        self.radii[index] = radius;
     }
-    (normals, radii)
 }
 
 /// Half the mean distance to the nearest few; zero without any.
@@ -105,23 +180,26 @@ fn radius(neighbors: &Neighbors) -> f32 {
 
 /// Raises radii that are zero or all but zero beside the others.
 fn raise_radii(radii: &mut [f32]) {
-    let mut sample: Vec<f32> = evenly(radii).copied().filter(is_radius).collect();
-    if sample.is_empty() {
-        sample = radii.iter().copied().filter(is_radius).collect();
-    }
-    let middle = sample.len() / 2;
-    let floor = match sample.is_empty() {
-        true => LONE_RADIUS,
-        false => {
-            let (_, &mut median, _) = sample.select_nth_unstable_by(middle, f32::total_cmp);
-            (median * RADIUS_FLOOR).max(f32::MIN_POSITIVE)
-        }
+    let floor = match median_of(radii) {
+        Some(median) => (median * RADIUS_FLOOR).max(f32::MIN_POSITIVE),
+        None => LONE_RADIUS,
     };
     radii.iter_mut().for_each(|radius| *radius = radius.max(floor).min(f32::MAX));
 }
 
+/// The median of what is positive and finite, of a few thousand of them if there are more.
+pub(super) fn median_of(lengths: &[f32]) -> Option<f32> {
+    let mut sample: Vec<f32> = evenly(lengths).copied().filter(is_radius).collect();
+    if sample.is_empty() {
+        sample = lengths.iter().copied().filter(is_radius).collect();
+    }
+    let middle = sample.len() / 2;
+    let len = sample.len();
+    (len > 0).then(|| *sample.select_nth_unstable_by(middle, f32::total_cmp).1)
+}
+
 /// Up to about [`SAMPLES`] elements, evenly spread.
-fn evenly<T>(all: &[T]) -> impl Iterator<Item = &T> {
+pub(super) fn evenly<T>(all: &[T]) -> impl Iterator<Item = &T> {
     all.iter().step_by(all.len().div_ceil(SAMPLES).max(1))
 }
 
@@ -179,6 +257,12 @@ impl Frame {
         local.clamp(DVec3::splat(-MAX_COORDINATE), DVec3::splat(MAX_COORDINATE)).as_vec3().into()
     }
 
+    /// A kernel of the tree's coordinates in the units of the positions.
+    fn kernel(&self, kernel: Kernel) -> Kernel {
+        let scaled = |axis: Vec3| (axis.as_dvec3() * self.size).as_vec3();
+        Kernel { u: scaled(kernel.u), v: scaled(kernel.v) }
+    }
+
     /// The direction of least variance, looking outward.
     fn normal(&self, neighbors: &Neighbors) -> Vec3 {
         let normal = least_direction(neighbors.offsets(), neighbors.len()).as_vec3();
@@ -199,7 +283,7 @@ fn flat_axis(extent: DVec3) -> Option<Vec3> {
 
 /// The unit vector along which the point (at the origin) and `count` offsets vary least, zero if
 /// they lie on a line or a place, or vary alike in all directions.
-fn least_direction(offsets: impl Iterator<Item = [f32; 3]>, count: usize) -> DVec3 {
+pub(super) fn least_direction(offsets: impl Iterator<Item = [f32; 3]>, count: usize) -> DVec3 {
     let (mut sum, mut squares, mut products) = (DVec3::ZERO, DVec3::ZERO, DVec3::ZERO);
     for offset in offsets {
         let d = DVec3::from(offset.map(f64::from));

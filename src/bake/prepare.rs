@@ -11,7 +11,7 @@ use std::path::Path;
 use glam::{DAffine3, DVec3};
 
 use super::colors::NEUTRAL;
-use super::{estimate_point_attributes, fill_colors, smooth_normals};
+use super::{estimate_kernels, fill_colors, smooth_normals};
 use crate::assets::{Geometry, Placement};
 use crate::math::Bounds;
 use crate::scene::{self, Scene, SceneError, SceneLimits};
@@ -69,7 +69,7 @@ pub fn describe(path: &Path, root: &Path, limits: &SceneLimits) -> Result<Scene,
     Ok(Scene::from_asset(&stem, path.to_path_buf()))
 }
 
-/// Gives a geometry the colours, normals and radii that it lacks, and notes in `traits`, whose format is known
+/// Gives a geometry the colours, normals, radii and kernels that it lacks, and notes in `traits`, whose format is known
 /// already, what it had.
 pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
     traits.bounds = traits.bounds.union(drawn_bounds(geometry));
@@ -77,8 +77,7 @@ pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
         Geometry::Points(cloud) => {
             let had = (cloud.colors.is_some(), cloud.normals.is_some());
             fill_colors(cloud);
-            estimate_point_attributes(cloud);
-            stand_in_kernels(cloud);
+            estimate_kernels(cloud);
             had
         }
         Geometry::Mesh(mesh) => {
@@ -93,16 +92,6 @@ pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
     traits.has_colors |= has_colors;
     traits.has_normals |= has_normals;
     traits.normals_estimated |= !has_normals;
-}
-
-fn stand_in_kernels(cloud: &mut crate::assets::PointCloud) {
-    let (Some(normals), Some(radii)) = (&cloud.normals, &cloud.radii) else { return };
-    let kernel = |(n, r): (&glam::Vec3, &f32)| {
-        let n = if *n == glam::Vec3::ZERO { glam::Vec3::Z } else { *n };
-        let (u, v) = n.any_orthonormal_pair();
-        crate::assets::Kernel { u: u * *r, v: v * *r }
-    };
-    cloud.kernels = Some(normals.iter().zip(radii).map(kernel).collect());
 }
 
 /// Adapts the description of a bare asset file: a scan's own colours are shown unlit; a mesh with neither colours nor
@@ -193,6 +182,7 @@ mod tests {
         assert_eq!(cloud.colors.unwrap(), vec![[9; 4]; 64]);
         assert!(cloud.normals.unwrap().iter().all(|n| n.z.abs() > 0.99));
         assert!(cloud.radii.unwrap().iter().all(|&radius| radius > 0.0));
+        assert!(cloud.kernels.unwrap().iter().all(|kernel| kernel.u.length() > 0.0));
     }
 
     #[test]

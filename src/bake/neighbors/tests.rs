@@ -33,7 +33,7 @@ fn sphere(count: usize) -> Vec<[f32; 3]> {
 /// The indices of each point's neighbours, by point.
 fn neighbors(points: &[[f32; 3]], k: usize) -> Vec<Vec<u32>> {
     let tree = PointTree::new(points.iter().copied());
-    let found = tree.map_neighbors(k, |neighbors| neighbors.indices());
+    let found = tree.map_neighbors(k, |neighbors| neighbors.indices().collect::<Vec<u32>>());
     let mut sorted = vec![Vec::new(); points.len()];
     for (&index, found) in tree.order().iter().zip(found) {
         sorted[index as usize] = found;

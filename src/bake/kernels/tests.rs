@@ -1,0 +1,208 @@
+use glam::DVec3;
+use proptest::prelude::*;
+
+use super::*;
+
+/// Reproducible numbers in [0, 1).
+fn noise(seed: u64) -> impl FnMut() -> f64 {
+    let mut random = crate::scene::random::SplitMix64::new(seed);
+    move || random.unit()
+}
+
+fn cloud(positions: Vec<DVec3>) -> PointCloud {
+    let mut cloud = PointCloud { positions, ..PointCloud::default() };
+    estimate_kernels(&mut cloud);
+    check(&cloud);
+    cloud
+}
+
+/// What every kernel promises.
+fn check(cloud: &PointCloud) {
+    let (kernels, normals) = (cloud.kernels.as_ref().unwrap(), cloud.normals.as_ref().unwrap());
+    assert_eq!(kernels.len(), cloud.positions.len());
+    for (kernel, normal) in kernels.iter().zip(normals) {
+        assert!(is_kernel(kernel), "{kernel:?}");
+        let (u, v) = (kernel.u.normalize_or_zero(), kernel.v.normalize_or_zero());
+        assert!(u.dot(v).abs() < 1e-4, "{kernel:?}");
+        if *normal != Vec3::ZERO {
+            assert!(u.cross(v).dot(*normal) > 0.999, "{kernel:?} {normal}");
+        }
+    }
+}
+
+fn covers(cloud: &PointCloud, index: usize, point: DVec3) -> bool {
+    let Kernel { u, v } = cloud.kernels.as_ref().unwrap()[index];
+    let d = (point - cloud.positions[index]).as_vec3();
+    let (s, t) = (d.dot(u) / u.length_squared(), d.dot(v) / v.length_squared());
+    s * s + t * t <= CUTOFF * CUTOFF
+}
+
+/// The share of random points of a square about the middle of a sampled plane that no disk covers, and how many disks
+/// cover one on average.
+fn holes(positions: Vec<DVec3>, half: f64) -> (f64, f64) {
+    let cloud = cloud(positions);
+    let mut random = noise(3);
+    let (mut open, mut sum) = (0usize, 0usize);
+    for _ in 0..4000 {
+        let point = DVec3::new((2.0 * random() - 1.0) * half, (2.0 * random() - 1.0) * half, 0.0);
+        let found = (0..cloud.positions.len()).filter(|&i| covers(&cloud, i, point)).count();
+        open += usize::from(found == 0);
+        sum += found;
+    }
+    (open as f64 / 4000.0, sum as f64 / 4000.0)
+}
+
+fn grid(nx: i32, ny: i32, mut at: impl FnMut(f64, f64) -> [f64; 2]) -> Vec<DVec3> {
+    (0..nx * ny)
+        .map(|i| {
+            let [x, y] = at(f64::from(i % nx - nx / 2), f64::from(i / nx - ny / 2));
+            DVec3::new(x, y, 0.0)
+        })
+        .collect()
+}
+
+#[test]
+fn flat_samplings_have_no_holes() {
+    let mut random = noise(1);
+    let (square, overlap) = holes(grid(40, 40, |x, y| [x, y]), 15.0);
+    println!("square lattice: {overlap} disks a point");
+    assert!(square == 0.0 && overlap < 4.0, "{square} {overlap}");
+    let hex = grid(40, 40, |x, y| [x + 0.5 * (y.rem_euclid(2.0)), y * 0.75f64.sqrt()]);
+    assert_eq!(holes(hex, 12.0).0, 0.0);
+    let jittered = grid(40, 40, |x, y| [x + 0.6 * random(), y + 0.6 * random()]);
+    let (open, overlap) = holes(jittered, 15.0);
+    println!("jittered: {open}, {overlap} disks a point");
+    assert!(open == 0.0, "{open}");
+    // White noise has gaps of several spacings.
+    let white = (0..2000).map(|_| DVec3::new(40.0 * random(), 40.0 * random(), 0.0));
+    let (open, overlap) = holes(white.map(|p| p - DVec3::new(20.0, 20.0, 0.0)).collect(), 16.0);
+    println!("white noise: {open}, {overlap} disks a point");
+    assert!(open < 0.002, "{open}");
+}
+
+#[test]
+fn scan_lines_are_covered_by_long_kernels() {
+    for (name, stagger, jitter) in
+        [("grid", 0.0, 0.0), ("staggered", 0.5, 0.0), ("jittered", 0.3, 0.3)]
+    {
+        let mut random = noise(2);
+        let lines = grid(100, 20, |x, y| {
+            [x + stagger * y + jitter * (random() - 0.5), 5.0 * y + jitter * random()]
+        });
+        let (open, overlap) = holes(lines.clone(), 30.0);
+        println!("1:5 {name}: {open}, {overlap} disks a point");
+        assert_eq!(open, 0.0, "{name}");
+        let cloud = cloud(lines);
+        let kernel = cloud.kernels.as_ref().unwrap()[1050];
+        let ratio = kernel.v.length() / kernel.u.length();
+        assert!((2.5..=MAX_RATIO * 1.01).contains(&ratio), "{name} {ratio}");
+        assert!(kernel.v.y.abs() > 0.95 * kernel.v.length(), "{name} {kernel:?}");
+        assert!(overlap < 6.0, "{name} {overlap}");
+    }
+}
+
+#[test]
+fn borders_do_not_grow() {
+    let cloud = cloud(grid(20, 20, |x, y| [x, y]));
+    let kernels = cloud.kernels.unwrap();
+    let middle = kernels[210].u.length();
+    for kernel in &kernels {
+        let longest = kernel.u.length().max(kernel.v.length());
+        assert!(longest < 2.0 * middle, "{longest} {middle}");
+    }
+}
+
+#[test]
+fn strays_and_duplicates_stay_near_the_median() {
+    let mut positions = grid(30, 30, |x, y| [x, y]);
+    positions.extend([DVec3::new(0.0, 0.0, 900.0), DVec3::new(5e5, 0.0, 0.0)]);
+    positions.extend([DVec3::new(3.5, 3.5, 0.0); 40]);
+    let kernels = cloud(positions).kernels.unwrap();
+    let middle = kernels[465].u.length();
+    for kernel in &kernels {
+        for axis in [kernel.u, kernel.v] {
+            assert!((0.04 * middle..11.0 * middle).contains(&axis.length()), "{kernel:?}");
+        }
+    }
+    // Each point twice is the same surface.
+    let twice: Vec<DVec3> = grid(40, 40, |x, y| [x, y]).into_iter().flat_map(|p| [p, p]).collect();
+    assert_eq!(holes(twice, 15.0).0, 0.0);
+}
+
+#[test]
+fn radii_of_the_file_are_the_disks() {
+    let positions = grid(20, 20, |x, y| [x, y]);
+    let mut cloud = PointCloud { positions, radii: Some(vec![3.0; 400]), ..Default::default() };
+    cloud.radii.as_mut().unwrap()[7] = 0.0;
+    estimate_kernels(&mut cloud);
+    check(&cloud);
+    for (index, kernel) in cloud.kernels.as_ref().unwrap().iter().enumerate() {
+        for axis in [kernel.u, kernel.v] {
+            assert!((axis.length() - 1.5).abs() < 1e-5 || index == 7, "{kernel:?}");
+        }
+    }
+    assert!(cloud.kernels.as_ref().unwrap()[7].u.length() < 1.0);
+    // What is there stays, what is broken does not.
+    let own = Kernel { u: Vec3::X * 9.0, v: Vec3::Y };
+    let kernels = cloud.kernels.as_mut().unwrap();
+    (kernels[0], kernels[1]) = (own, Kernel { u: Vec3::NAN, v: Vec3::X });
+    estimate_kernels(&mut cloud);
+    let kernels = cloud.kernels.unwrap();
+    assert_eq!(kernels[0], own);
+    assert!(is_kernel(&kernels[1]));
+}
+
+#[test]
+fn lines_and_nothing_at_all_are_answered() {
+    let line = |count: usize| (0..count).map(|i| DVec3::new(i as f64, 0.0, 0.0)).collect();
+    for positions in [vec![], vec![DVec3::ONE], vec![DVec3::ONE; 100], line(2), line(50)] {
+        cloud(positions);
+    }
+    // Units in which f32 has no squares, or no numbers at all.
+    for unit in [1e-310, 1e-300, 1e-42, 1e-30, 1e-20, 1e18, 1e25, 1e37, 1e300] {
+        cloud(grid(6, 6, |x, y| [x * unit, y * unit]));
+        cloud(grid(6, 6, |x, y| [x * unit, y]));
+    }
+    let kernels = cloud(line(50)).kernels.unwrap();
+    let [u, v] = [kernels[25].u.length(), kernels[25].v.length()];
+    assert!((u - v).abs() < 1e-6 && (0.25..2.0).contains(&u), "{u} {v}");
+}
+
+/// Prints what kernels add to normals and radii.
+#[test]
+#[ignore = "a measurement"]
+fn speed_of_kernels() {
+    let mut random = noise(5);
+    let positions: Vec<DVec3> = (0..300_000)
+        .map(|_| {
+            let (x, y) = (100.0 * random(), 100.0 * random());
+            DVec3::new(x, y, (0.3 * x).sin() * (0.2 * y).cos())
+        })
+        .collect();
+    let time = |job: fn(&mut PointCloud)| {
+        let mut cloud = PointCloud { positions: positions.clone(), ..PointCloud::default() };
+        let start = std::time::Instant::now();
+        job(&mut cloud);
+        start.elapsed().as_secs_f64()
+    };
+    let (mut before, mut now) = (Vec::new(), Vec::new());
+    for _ in 0..7 {
+        before.push(time(crate::bake::estimate_point_attributes));
+        now.push(time(estimate_kernels));
+    }
+    let least = |times: &[f64]| times.iter().copied().fold(f64::INFINITY, f64::min);
+    let (before, now) = (least(&before), least(&now));
+    println!("normals and radii {before:.3} s, with kernels {now:.3} s: {:.2} times", now / before);
+}
+
+proptest! {
+    #[test]
+    fn any_cloud_is_answered(
+        positions in proptest::collection::vec(prop::array::uniform3(any::<f64>()), 0..60),
+        cells in proptest::collection::vec((0u8..6, 0u8..6, 0u8..3), 0..100),
+    ) {
+        cloud(positions.into_iter().map(DVec3::from).collect());
+        let cells = cells.into_iter();
+        cloud(cells.map(|(x, y, z)| DVec3::new(x.into(), y.into(), z.into())).collect());
+    }
+}
