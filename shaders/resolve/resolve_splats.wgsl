@@ -28,6 +28,9 @@ fn blended_normal(sums: vec3<u32>, inverse_weight: f32, at: vec2<u32>) -> vec3<f
     return facing_normal(n, world_from_camera(ray_through(pixel_centre(at))));
 }
 
+// As shared/splat has it.
+const FACING_BITS: u32 = 3u;
+
 fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
     if OUTPUT == OUTPUT_ID {
         let slot = frame.first_slot + slot_of(word);
@@ -39,7 +42,7 @@ fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
     let inverse_weight = 1.0 / max(f32(first.y), 1.0);
     if OUTPUT == OUTPUT_DEPTH {
         let share = fma(f32(second.y), 4294967296.0, f32(second.x)) / DEPTH_ONE * inverse_weight;
-        pixels[pixel] = bitcast<u32>(share / bitcast<f32>(word.y));
+        pixels[pixel] = bitcast<u32>(share / bitcast<f32>(word.y & ~FACING_BITS));
         return;
     }
     if OUTPUT == OUTPUT_NORMAL {
@@ -59,7 +62,7 @@ fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
     let fourth = sums_3[pixel];
     normals[pixel] = octahedral_encode(blended_normal(vec3<u32>(third.xy, fourth.x), inverse_weight, at));
     let share = clamp(f32(fourth.y) * inverse_weight, 1e-6, 1.0);
-    visibility[pixel].y = bitcast<u32>(bitcast<f32>(word.y) / share);
+    visibility[pixel].y = bitcast<u32>(bitcast<f32>(word.y & ~FACING_BITS) / share);
 }
 
 @compute @workgroup_size(64)

@@ -14,6 +14,8 @@ struct SplatSlot {
     first: u32,
     instance: u32,
     kernel_base: f32,
+    // 0 where normals do not tell outside from inside, −1 where the instance mirrors, else 1.
+    orientation: f32,
     // Longest column of the map from stored coordinates to camera space.
     scale: f32,
 }
@@ -27,11 +29,13 @@ fn splat_slot(index: u32) -> SplatSlot {
     slot.row_z = slots[at].row_z;
     slot.first = slots[at].first;
     slot.instance = slots[at].instance;
-    slot.kernel_base = chunks[slots[at].chunk].kernel_base;
+    let chunk = slots[at].chunk;
+    slot.kernel_base = chunks[chunk].kernel_base;
     let x = camera_vector(vec3<f32>(slot.row_x.x, slot.row_y.x, slot.row_z.x));
     let y = camera_vector(vec3<f32>(slot.row_x.y, slot.row_y.y, slot.row_z.y));
     let z = camera_vector(vec3<f32>(slot.row_x.z, slot.row_y.z, slot.row_z.z));
     slot.scale = sqrt(max(dot(x, x), max(dot(y, y), dot(z, z))));
+    slot.orientation = f32(chunks[chunk].vertex_first) * sign(dot(cross(x, y), z));
     return slot;
 }
 
@@ -71,10 +75,12 @@ fn splat_of(slot: SplatSlot, sample: u32) -> Splat {
     let axes = kernel_axes(kernels[at], slot.kernel_base, octahedral_decode(normal));
     var image = Tangents(taken(slot, axes.u), taken(slot, axes.v));
     var lines = clip_words(at);
+    var orientation = slot.orientation;
     if normal == NO_NORMAL {
         image = facing_axes(slot, p, axes);
         // They were given for axes that nobody knows.
         lines = vec2<u32>(NO_LINE);
+        orientation = 0.0;
     }
-    return make_splat((slot.index << SLOT_SHIFT) | sample, p, image.u, image.v, lines);
+    return make_splat((slot.index << SLOT_SHIFT) | sample, p, image.u, image.v, lines, orientation);
 }

@@ -43,7 +43,7 @@ struct Chunk {
     count: u32,
     // Samples: their 21-bit coordinates count in steps of 2^shift cells.
     shift: u32,
-    // Triangles: first vertex in the page.
+    // Triangles: first vertex in the page. Samples: 1 where normals tell outside from inside.
     vertex_first: u32,
     material: u32,
     // Samples: longest axis of a kernel, in steps of 2^shift cells.

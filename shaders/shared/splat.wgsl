@@ -25,6 +25,11 @@ override WEIGHTED: bool = true;
 const AFFINE: u32 = 0u;
 const EXACT: u32 = 2u;
 
+// Which side of a surface is seen, where its normals tell; kept in the lowest bits of a pixel's depth.
+const FACING_FRONT: u32 = 1u;
+const FACING_BACK: u32 = 2u;
+const FACING_BITS: u32 = 3u;
+
 const NOTHING: u32 = 0u;
 const SMALL: u32 = 1u;
 const LARGE: u32 = 2u;
@@ -49,6 +54,7 @@ struct Splat {
     way: u32,
     // Reaches the camera plane.
     crosses: bool,
+    facing: u32,
     // What offsets are counted from.
     centre: vec2<f32>,
     // Squared distance in kernel units: (s² + t²) / n², where n > 0.
@@ -96,6 +102,19 @@ fn offset_inverse(splat: Splat, inverse: f32) -> f32 {
         return inverse / fma(splat.offset, inverse, 1.0);
     }
     return inverse;
+}
+
+// The depth that is kept of a pixel's nearest splat: behind its surface, and which side is seen.
+fn kept_inverse(splat: Splat, inverse: f32) -> f32 {
+    if WEIGHTED {
+        return bitcast<f32>((bitcast<u32>(offset_inverse(splat, inverse)) & ~FACING_BITS) | splat.facing);
+    }
+    return inverse;
+}
+
+// `volume`: of both tangents and the centre; `orientation`: 0 where normals do not tell, −1 where the transform mirrors.
+fn facing_of(volume: f32, orientation: f32) -> u32 {
+    return select(select(FACING_BACK, FACING_FRONT, volume * orientation < 0.0), 0u, orientation == 0.0);
 }
 
 // Length in camera space of what the intrinsics were multiplied with.
@@ -209,7 +228,7 @@ fn extend_box(low: ptr<function, vec2<f32>>, high: ptr<function, vec2<f32>>, p: 
 }
 
 // A splat that reaches the camera plane: each pixel's ray is met with its plane, and nothing is filtered.
-fn crossing_splat(splat: ptr<function, Splat>, p_in: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: vec2<u32>) {
+fn crossing_splat(splat: ptr<function, Splat>, p_in: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: vec2<u32>, orientation: f32) {
     let sizes = max(abs(p_in), max(abs(u_in), abs(v_in)));
     let size = max(sizes.x, max(sizes.y, sizes.z));
     // Neither over- nor underflow in products of three.
@@ -222,6 +241,7 @@ fn crossing_splat(splat: ptr<function, Splat>, p_in: vec3<f32>, u_in: vec3<f32>,
         return;
     }
     (*splat).crosses = true;
+    (*splat).facing = facing_of(volume, orientation);
     (*splat).way = LARGE;
     (*splat).centre = vec2<f32>(frame.size_px) * 0.5;
     let s = cross(v, p) / volume;
@@ -252,7 +272,7 @@ fn crossing_splat(splat: ptr<function, Splat>, p_in: vec3<f32>, u_in: vec3<f32>,
 }
 
 // The splat of centre p and tangents u, v, all multiplied by the intrinsics.
-fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: vec2<u32>) -> Splat {
+fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: vec2<u32>, orientation: f32) -> Splat {
     var splat: Splat;
     splat.id = id;
     splat.way = NOTHING;
@@ -271,7 +291,7 @@ fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: ve
     let reach = f * length(vec2<f32>(u_in.z, v_in.z));
     if p.z <= max(reach, NEAREST) {
         if p.z >= -reach && reach > 0.0 {
-            crossing_splat(&splat, p, u_in, v_in, lines);
+            crossing_splat(&splat, p, u_in, v_in, lines, orientation);
         }
         return splat;
     }
@@ -282,6 +302,7 @@ fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: ve
     var jv = (v_in.xy - centre * v_in.z) * w;
     var slopes = vec2<f32>(u_in.z, v_in.z) * w;
     var area = cross_2d(ju, jv);
+    splat.facing = facing_of(area, orientation);
     // s of the unfiltered kernel: spread.x · s + spread.y · t of the one that is drawn; t: amplitude-free third.
     var spread = vec2<f32>(1.0, 0.0);
     var spread_t = 1.0;

@@ -8,5 +8,5 @@ fn paint_of(slot: SplatSlot, sample: u32) -> Paint {
 }
 
 fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) {
-    visibility_write(pixel, offset_inverse(splat, splat_inverse(splat, d)), splat.id);
+    visibility_write(pixel, kept_inverse(splat, splat_inverse(splat, d)), splat.id);
 }

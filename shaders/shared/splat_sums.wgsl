@@ -73,8 +73,10 @@ fn fixed(v: vec3<f32>, weight: f32) -> vec3<u32> {
 
 fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) {
     let inverse = splat_inverse(splat, d);
-    let visible = bitcast<f32>(visibility[pixel].y);
-    if inverse < visible {
+    let kept = visibility[pixel].y;
+    let visible = bitcast<f32>(kept & ~FACING_BITS);
+    // Hidden, or the other side of what is seen: near its silhouette a surface's back lies within the offset.
+    if inverse < visible || ((kept | splat.facing) & FACING_BITS) == FACING_BITS {
         return;
     }
     if CROWDED && weight_so_far(pixel) >= WEIGHT_FULL {

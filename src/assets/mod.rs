@@ -73,6 +73,8 @@ pub struct PointCloud {
     pub colors: Option<Vec<[u8; 4]>>,
     /// Unit length, or zero where unknown.
     pub normals: Option<Vec<Vec3>>,
+    /// Normals tell outside from inside; those that are estimated from neighbours alone do not.
+    pub oriented: bool,
     /// As stored in the file's own range, scaled to 0..=65535 over the file.
     pub intensity: Option<Vec<u16>>,
     /// ASPRS classes for LAS, labels elsewhere.

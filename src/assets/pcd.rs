@@ -280,6 +280,7 @@ impl Columns {
             classification: self.labels,
             positions: self.positions,
             radii: None,
+            oriented: false,
             kernels: None,
             clips: None,
         };

@@ -56,6 +56,8 @@ pub struct PackedChunk {
     pub material: u32,
     /// Samples: longest axis of a kernel, in steps of 2^shift cells.
     pub kernel_base: f32,
+    /// Samples: normals tell outside from inside.
+    pub oriented: bool,
 }
 
 /// A point cloud as the GPU holds it.
@@ -301,6 +303,7 @@ fn pack_run(cloud: &PointCloud, grid: &Grid, run: &[(bool, u64, u32)]) -> Packed
         vertex_count: 0,
         material: 0,
         kernel_base,
+        oriented: cloud.oriented,
     };
     PackedRun { chunk, positions, attributes, kernels, clips }
 }
@@ -381,6 +384,7 @@ impl MeshPacker<'_> {
                 vertex_count: 0,
                 material,
                 kernel_base: 0.0,
+                oriented: false,
             });
         }
         let number = self.out.chunks.len() as u32 - 1;

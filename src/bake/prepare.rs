@@ -77,6 +77,7 @@ pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
         Geometry::Points(cloud) => {
             let had = (cloud.colors.is_some(), cloud.normals.is_some());
             fill_colors(cloud);
+            cloud.oriented = had.1;
             estimate_kernels(cloud);
             had
         }

@@ -45,6 +45,8 @@ struct Splat {
     color: [f64; 3],
     instance: u32,
     rank: Rank,
+    /// Which side is seen: 1 the outside, −1 the inside, 0 where normals do not tell.
+    facing: i8,
 }
 
 /// Which of two wins at the same depth: instance, index, item.
@@ -126,9 +128,26 @@ fn item_splats(
             _ => surface.albedo,
         };
         let instance = item.item.instance;
-        Some(Splat { seen, surface, color, instance, rank: (instance, hit.index, hit.item) })
+        let facing = facing(item, cloud, index, view);
+        let rank = (instance, hit.index, hit.item);
+        Some(Splat { seen, surface, color, instance, rank, facing })
     };
     (0..cloud.positions.len()).into_par_iter().filter_map(splat).collect()
+}
+
+/// Which side of its surface a sample shows.
+fn facing(item: &PreparedItem<'_>, cloud: &PointCloud, index: usize, view: &View) -> i8 {
+    let normal = cloud.normals.as_ref().and_then(|normals| normals.get(index)).copied();
+    let (Some(normal), true) = (normal, cloud.oriented) else { return 0 };
+    let position = cloud.positions.get(index).and_then(|&position| item.to_view(position));
+    let from_eye = view.view_from_world.transpose() * position.unwrap_or(DVec3::ZERO);
+    let outward = item.normal_world_from_geometry * normal.as_dvec3();
+    let turn = if item.mirrored { -1.0 } else { 1.0 };
+    match turn * outward.dot(from_eye) {
+        side if side < 0.0 => 1,
+        _ if normal == glam::Vec3::ZERO => 0,
+        _ => -1,
+    }
 }
 
 /// Rows of the frame that are worked on together.
@@ -149,6 +168,10 @@ impl<'a> Band<'a> {
             let winner = &winners[pixel];
             let Some(best) = winner.splat else { return };
             let is_winner = splat.rank == best.rank;
+            // The other side of a surface lies within the offset near its silhouette, and is hidden.
+            if splat.facing * best.facing < 0 {
+                return;
+            }
             match self.settings.splats.blend {
                 // However small, a weight must count where there is no other.
                 Blend::Weighted if is_winner || touch.depth <= winner.reach => {

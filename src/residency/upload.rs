@@ -11,7 +11,7 @@ use super::{
 };
 use crate::assets::Material;
 use crate::bake::pack::{
-    Grid, PackedChunk, PackedGeometry, PackedMesh, PackedSamples, VERTEX_WORDS,
+    Grid, PackedChunk, PackedGeometry, PackedMesh, PackedSamples, TRIANGLES, VERTEX_WORDS,
 };
 use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
@@ -118,7 +118,11 @@ fn gpu_chunk(
         extent: chunk.extent.as_vec3().to_array(),
         count: chunk.count,
         shift: chunk.shift,
-        vertex_first: vertex_start + (chunk.vertex_first - origin.vertex_first),
+        vertex_first: if chunk.shift == TRIANGLES {
+            vertex_start + (chunk.vertex_first - origin.vertex_first)
+        } else {
+            u32::from(chunk.oriented)
+        },
         material: if chunk.material == 0 { 0 } else { material_start + chunk.material - 1 },
         kernel_base: chunk.kernel_base,
     }

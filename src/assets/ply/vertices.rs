@@ -192,6 +192,7 @@ impl Finished {
             intensity: self.intensity,
             classification: self.classification,
             radii: self.radii,
+            oriented: false,
             kernels: None,
             clips: None,
         }

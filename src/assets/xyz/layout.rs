@@ -174,6 +174,7 @@ pub(super) fn cloud(positions: Vec<DVec3>, columns: &[Vec<f32>], roles: &[Role])
         classification: column(Role::Class)
             .map(|labels| labels.iter().map(|&label| class_of(f64::from(label))).collect()),
         radii: radius.cloned(),
+        oriented: false,
         kernels: None,
         clips: None,
     }
