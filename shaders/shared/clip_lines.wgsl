@@ -26,7 +26,7 @@ fn clip_form(word: u32, forms: KernelForms, spread: vec2<f32>, spread_t: f32) ->
     let angle = f32(word >> 16u) * TURN;
     let normal = vec2<f32>(cos(angle), sin(angle));
     // In coordinates of the kernel that is drawn, which the low-pass filter may have widened.
-    let drawn = vec2<f32>(normal.x * spread.x, fma(normal.x, spread.y, normal.y * spread_t));
+    let drawn = vec2<f32>(dot(normal, spread), normal.y * spread_t);
     return drawn.x * forms.s + drawn.y * forms.t - f32(offset) * OFFSET_STEP / frame.splat_width * forms.n;
 }
 

@@ -5,13 +5,13 @@ const LIT: bool = true;
 // Some material is unlit, shines or is overridden: splats have to ask theirs.
 override MATERIALS: bool = true;
 
-fn lit(color: vec3<f32>, normal: vec3<f32>, slot: SplatSlot, sample: u32) -> vec3<f32> {
+fn lit(color: vec3<f32>, normal: vec3<f32>, over_plus_one: u32, slot: SplatSlot, sample: u32) -> vec3<f32> {
     var material: Material;
     if MATERIALS {
         material = materials[0];
     }
     if OVERRIDES {
-        material = effective_material(material, instances[slot.instance].material);
+        material = effective_material(material, over_plus_one);
     }
     if (material.flags & MATERIAL_UNLIT) != 0u || all(normal == vec3<f32>(0.0)) {
         return color;

@@ -44,6 +44,7 @@ fn scatter(group: vec3<u32>, lane: u32) {
     }
     let slot = splat_slot(run.first_slot + index);
     let count = slots[frame.first_slot + slot.index].count;
+    let shared_paint = paint_slot(slot);
     let limit = frame.splat_cutoff * frame.splat_cutoff;
     let width = frame.size_px.x;
     var scattered = 0u;
@@ -60,7 +61,7 @@ fn scatter(group: vec3<u32>, lane: u32) {
         }
         if splat.way == SMALL {
             scattered++;
-            let paint = paint_of(slot, i);
+            let paint = paint_of(slot, shared_paint, i);
             var at = splat.low;
             // One loop over both directions: threads of a vector end together where their boxes are alike in area.
             loop {

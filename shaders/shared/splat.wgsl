@@ -303,7 +303,7 @@ fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: ve
     var slopes = vec2<f32>(u_in.z, v_in.z) * w;
     var area = cross_2d(ju, jv);
     splat.facing = facing_of(area, orientation);
-    // s of the unfiltered kernel: spread.x · s + spread.y · t of the one that is drawn; t: amplitude-free third.
+    // Kernel coordinates from those of the kernel that is drawn: (spread.x · s, spread.y · s + spread_t · t).
     var spread = vec2<f32>(1.0, 0.0);
     var spread_t = 1.0;
     var exact = FILTER == EXACT;

@@ -3,7 +3,15 @@ struct Paint {
     unused: u32,
 }
 
-fn paint_of(slot: SplatSlot, sample: u32) -> Paint {
+struct PaintSlot {
+    unused: u32,
+}
+
+fn paint_slot(slot: SplatSlot) -> PaintSlot {
+    return PaintSlot(0u);
+}
+
+fn paint_of(slot: SplatSlot, shared_paint: PaintSlot, sample: u32) -> Paint {
     return Paint(0u);
 }
 

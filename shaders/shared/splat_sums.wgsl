@@ -25,6 +25,13 @@ const WEIGHT_FULL: u32 = 0x80000000u;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
 
+// What the samples of a slot have in common.
+struct PaintSlot {
+    normals: NormalMap,
+    // Overriding material plus one, or 0.
+    material: u32,
+}
+
 struct Paint {
     // Linear light.
     color: vec3<f32>,
@@ -44,13 +51,18 @@ fn albedo(own: u32, over_plus_one: u32) -> vec3<f32> {
     return clamp(c * over.base_color.rgb, vec3<f32>(0.0), vec3<f32>(1.0));
 }
 
-// Unit, in world space, turned towards the eye; zero where the sample has none.
-fn world_normal(slot: SplatSlot, sample: u32, packed: u32) -> vec3<f32> {
-    let towards = world_from_camera(camera_vector(splat_centre(slot, sample)));
-    return facing_normal(turned(normal_map(slot.instance), octahedral_decode(packed)), towards);
+fn paint_slot(slot: SplatSlot) -> PaintSlot {
+    var shared_paint: PaintSlot;
+    if OUTPUT == OUTPUT_NORMAL || DEFERRED || LIT {
+        shared_paint.normals = normal_map(slot.instance);
+    }
+    if OVERRIDES {
+        shared_paint.material = instances[slot.instance].material;
+    }
+    return shared_paint;
 }
 
-fn paint_of(slot: SplatSlot, sample: u32) -> Paint {
+fn paint_of(slot: SplatSlot, shared_paint: PaintSlot, sample: u32) -> Paint {
     var paint: Paint;
     if OUTPUT == OUTPUT_DEPTH {
         return paint;
@@ -58,11 +70,13 @@ fn paint_of(slot: SplatSlot, sample: u32) -> Paint {
     let packed = attributes[slot.first + sample];
     var normal = vec3<f32>(0.0);
     if OUTPUT == OUTPUT_NORMAL || DEFERRED || LIT {
-        normal = world_normal(slot, sample, packed.y);
+        // Unit, turned towards the eye; zero where the sample has none.
+        let towards = world_from_camera(camera_vector(splat_centre(slot, sample)));
+        normal = facing_normal(turned(shared_paint.normals, octahedral_decode(packed.y)), towards);
         paint.normal = fma(normal, vec3<f32>(0.5), vec3<f32>(0.5));
     }
     if OUTPUT == OUTPUT_COLOR {
-        paint.color = lit(albedo(packed.x, instances[slot.instance].material), normal, slot, sample);
+        paint.color = lit(albedo(packed.x, shared_paint.material), normal, shared_paint.material, slot, sample);
     }
     return paint;
 }

@@ -2,7 +2,7 @@
 fn walk_one(id: u32, rows: vec2<i32>, lane: u32) {
     let slot = splat_slot(id >> SLOT_SHIFT);
     let splat = splat_of(slot, id & SLOT_MASK);
-    let paint = paint_of(slot, id & SLOT_MASK);
+    let paint = paint_of(slot, paint_slot(slot), id & SLOT_MASK);
     let limit = frame.splat_cutoff * frame.splat_cutoff;
     for (var x = splat.low.x + i32(lane); x <= splat.high.x; x += LANES) {
         for (var y = max(splat.low.y, rows.x); y <= min(splat.high.y, rows.y); y++) {

@@ -18,7 +18,7 @@ use crate::bake::prepare::{self, AssetTraits};
 use crate::math::{Bounds, Camera};
 use crate::plan::SceneFacts;
 use crate::residency::model::{AssetModel, ModelInstance, SceneModel};
-use crate::scene::{AssetSource, FileSource, Light, Node, Scene};
+use crate::scene::{AssetRef, AssetSource, FileSource, Light, Node, Scene};
 
 static NEXT_UID: AtomicU64 = AtomicU64::new(1);
 
@@ -129,9 +129,9 @@ pub fn load(
         let key = keys.of(&description, index)?;
         // What is only an operand has nothing to draw, and its file must not be cached as that.
         let asset = if operands_only[index] {
-            pack_asset(&reference.name, assembler.asset(index)?, key.digest)?
+            pack_asset(reference, assembler.asset(index)?, key.digest)?
         } else {
-            read_asset(&reference.name, index, &mut assembler, key, cache)?
+            read_asset(reference, index, &mut assembler, key, cache)?
         };
         hasher.update(asset.digest);
         warnings.extend(asset.warnings.iter().map(|text| format!("{}: {text}", reference.name)));
@@ -220,7 +220,7 @@ fn file_key(name: &str, source: &FileSource) -> Result<AssetKey, EngineError> {
 }
 
 fn read_asset(
-    name: &str,
+    reference: &AssetRef,
     index: usize,
     assembler: &mut Assembler,
     AssetKey { digest, alone }: AssetKey,
@@ -238,7 +238,7 @@ fn read_asset(
             digest,
         });
     }
-    let mut read = pack_asset(name, assembler.asset(index)?, digest)?;
+    let mut read = pack_asset(reference, assembler.asset(index)?, digest)?;
     if !alone {
         read.digest = digest_contents(digest, &read.model.packed);
         return Ok(read);
@@ -258,7 +258,7 @@ fn read_asset(
 }
 
 fn pack_asset(
-    name: &str,
+    reference: &AssetRef,
     Prepared { mut asset, traits }: Prepared,
     digest: [u8; 32],
 ) -> Result<ReadAsset, EngineError> {
@@ -271,7 +271,7 @@ fn pack_asset(
         };
         let packed = packed.map_err(|error| {
             asset_error(AssetError::Malformed {
-                file: name.to_owned(),
+                file: reference.label(),
                 place: "positions".to_owned(),
                 reason: error.to_string(),
             })
@@ -282,7 +282,7 @@ fn pack_asset(
     let textures = asset.textures.iter().map(pack_texture).collect();
     let model = AssetModel {
         uid: NEXT_UID.fetch_add(1, Ordering::Relaxed),
-        name: name.to_owned(),
+        name: reference.name.clone(),
         format: asset.format,
         packed: PackedAsset { geometries, materials: asset.materials, textures },
         bounds,
@@ -320,6 +320,8 @@ fn digest_contents(file: [u8; 32], packed: &PackedAsset) -> [u8; 32] {
             PackedGeometry::Samples(samples) => {
                 hasher.update(bytemuck::cast_slice(&samples.positions));
                 hasher.update(bytemuck::cast_slice(&samples.attributes));
+                hasher.update(bytemuck::cast_slice(&samples.kernels));
+                hasher.update(bytemuck::cast_slice(&samples.clips));
             }
             PackedGeometry::Mesh(mesh) => {
                 hasher.update(bytemuck::cast_slice(&mesh.vertices));

@@ -6,7 +6,7 @@ use super::*;
 use crate::scene::{self, SceneLimits};
 
 /// The committed scenes and what they are generated from.
-const COMMITTED: [(Kind, &str, Parameters); 4] = [
+const COMMITTED: [(Kind, &str, Parameters); 5] = [
     (
         Kind::Town,
         "town",
@@ -22,6 +22,7 @@ const COMMITTED: [(Kind, &str, Parameters); 4] = [
         "textured",
         Parameters { seed: 1, points: None, triangles: Some(8_000), size: None },
     ),
+    (Kind::CsgPart, "part", Parameters { seed: 1, points: None, triangles: None, size: None }),
     (Kind::Plaza, "plaza", Parameters { seed: 1, points: None, triangles: None, size: None }),
 ];
 
@@ -57,7 +58,12 @@ fn committed_scenes_are_valid() {
         let scene = scene::load(&path, &folder, &SceneLimits::default()).unwrap();
         assert_eq!(scene.name, name);
         assert!(scene.cameras.len() >= 3 && scene.paths.len() == 1, "{name}");
-        let expected = if name == "plaza" { 1600 * 11 } else { scene.assets.len() as u64 };
+        let expected = match name {
+            "plaza" => 1600 * 11,
+            // The others are what it is made of.
+            "part" => 1,
+            _ => scene.assets.len() as u64,
+        };
         assert_eq!(scene.instance_count(), expected, "{name}");
     }
 }

@@ -81,6 +81,17 @@ impl AssetRef {
         AssetRef { name: name.to_owned(), source }
     }
 
+    /// What errors call it: its file, or else its name in the scene.
+    pub fn label(&self) -> String {
+        match &self.source {
+            AssetSource::File(source) => {
+                let file = source.path.file_name();
+                file.map_or_else(|| self.name.clone(), |file| file.to_string_lossy().into_owned())
+            }
+            AssetSource::Solid(_) => self.name.clone(),
+        }
+    }
+
     /// What it is made of; nothing for a file.
     pub fn operands(&self) -> &[Operand] {
         match &self.source {

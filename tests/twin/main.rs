@@ -19,6 +19,8 @@ mod precision;
 mod random;
 mod samples;
 mod scenes;
+mod splats;
+mod splats_figures;
 mod stage;
 mod triangles;
 mod verdict;

@@ -149,10 +149,15 @@ impl Case {
 
     /// The frame of both engines, which must not differ in a single bit.
     pub fn draw(&self, view: &View) -> Frames {
-        let wide = frames(&WIDE, &self.id, view);
-        let narrow = frames(&NARROW, &self.id, view);
+        self.draw_with(view, Settings::default())
+    }
+
+    /// As [`Case::draw`], with settings.
+    pub fn draw_with(&self, view: &View, settings: Settings) -> Frames {
+        let wide = frames(&WIDE, &self.id, view, settings);
+        let narrow = frames(&NARROW, &self.id, view, settings);
         for pass in &narrow.receipt.passes {
-            let second = [Pass::ProjectSamplesId, Pass::ProjectTrianglesId];
+            let second = [Pass::ProjectSamplesId, Pass::ProjectSplatsId, Pass::ProjectTrianglesId];
             if pass.ran && second.iter().any(|second| second.name() == pass.name) {
                 assert!(wide.same_pixels(&narrow), "{}: the 32-bit path differs", self.id);
                 return wide;
@@ -163,7 +168,7 @@ impl Case {
 
     /// The frames of every engine: with 64-bit atomics, without, and with the rasteriser.
     pub fn each(&self, view: &View) -> [Frames; 3] {
-        engines().map(|engine| frames(engine, &self.id, view))
+        engines().map(|engine| frames(engine, &self.id, view, Settings::default()))
     }
 
     /// Draws and compares with the oracle; fails with pictures.
@@ -171,7 +176,7 @@ impl Case {
         let frames = self.draw(view);
         verdict::judge(&self.id, &self.reference, view, &frames, tolerance);
         if frames.receipt.triangles.rasterised.is_some_and(|large| large > 0) {
-            let rasterised = self::frames(&RASTERISING, &self.id, view);
+            let rasterised = self::frames(&RASTERISING, &self.id, view, Settings::default());
             assert!(rasterised.ran(Pass::RasteriseTriangles) && frames.ran(Pass::WalkTriangles));
             let id = format!("{}-rasterised", self.id);
             verdict::judge(&id, &self.reference, view, &rasterised, tolerance);
@@ -194,7 +199,7 @@ impl Drop for Case {
 }
 
 impl Frames {
-    fn ran(&self, pass: Pass) -> bool {
+    pub fn ran(&self, pass: Pass) -> bool {
         self.receipt.passes.iter().any(|line| line.name == pass.name() && line.ran)
     }
 }
@@ -205,7 +210,7 @@ pub fn look(eye: [f64; 3], target: [f64; 3], fov_deg: f64) -> View {
     Camera { eye, target, up: DVec3::Y, fov_deg }.view(160, 120).unwrap()
 }
 
-fn frames(engine: &Engine, scene: &str, view: &View) -> Frames {
+fn frames(engine: &Engine, scene: &str, view: &View, settings: Settings) -> Frames {
     // All four wait at once, so that they share a submission.
     let outputs = [Output::Color, Output::Depth, Output::Normal, Output::Id];
     let tickets = outputs.map(|output| {
@@ -214,7 +219,7 @@ fn frames(engine: &Engine, scene: &str, view: &View) -> Frames {
             pose: Pose::View(*view),
             width: view.width,
             height: view.height,
-            settings: Settings::default(),
+            settings,
             output,
             format: ImageFormat::Raw,
             quality: 85,
