@@ -368,7 +368,7 @@ fn fields_of_view() -> (String, GeneratedScene) {
         .finish(&[])
 }
 
-/// Mirrored, sheared, singular, tiny and huge copies.
+/// Mirrored, sheared, nearly singular, tiny and huge copies.
 fn transforms() -> (String, GeneratedScene) {
     let matrix = |columns: [[f64; 3]; 3], x: f64| {
         let [a, b, c] = columns;
@@ -382,16 +382,16 @@ fn transforms() -> (String, GeneratedScene) {
         .node(json!({ "asset": "ball", "scale": 0.4 }))
         .node(matrix([[-0.4, 0.0, 0.0], [0.0, 0.4, 0.0], [0.0, 0.0, 0.4]], -1.0))
         .node(matrix([[0.4, 0.0, 0.0], [0.4, 0.4, 0.0], [0.0, 0.3, 0.4]], 1.0))
-        // Flat, a line, a point; as far as scene files allow.
-        .node(matrix([[0.4, 0.0, 0.0], [0.0, 0.4, 0.0], [0.4, 0.4, 0.0]], -2.0))
-        .node(matrix([[0.4, 0.2, 0.1], [0.4, 0.2, 0.1], [0.4, 0.2, 0.1]], 2.0))
-        .node(matrix([[0.0; 3]; 3], 2.5))
+        // All but flat, a line and a point: what scene files just allow.
+        .node(matrix([[0.4, 0.0, 0.0], [0.0, 0.4, 0.0], [0.4, 0.4, 1e-9]], -2.0))
+        .node(matrix([[0.4, 0.2, 0.1], [0.4, 0.2001, 0.1], [0.4, 0.2, 0.1001]], 2.0))
+        .node(matrix([[2e-9, 0.0, 0.0], [0.0, 2e-9, 0.0], [0.0, 0.0, 2e-9]], 2.5))
         .node(json!({ "asset": "ball", "translate": [0, 1, 0], "scale": 1e-8 }))
-        .node(json!({ "asset": "ball", "translate": [0, 0, -2e8], "scale": 1e8 }))
+        .node(json!({ "asset": "ball", "translate": [0, 0, 2e8], "scale": 1e8 }))
         .camera("front", [0.0, 0.0, 5.0], [0.0, 0.0, 0.0])
         .camera("tiny", [0.0, 1.0, 4e-8], [0.0, 1.0, 0.0])
-        .camera("huge", [0.0, 0.0, 3e8], [0.0, 0.0, -2e8])
-        .camera("within-huge", [0.0, 0.0, -2e8], [1.0, 0.0, -2e8])
+        .camera("huge", [0.0, 0.0, 7e8], [0.0, 0.0, 2e8])
+        .camera("within-huge", [0.0, 0.0, 2e8], [1.0, 0.0, 2e8])
         .finish(&[])
 }
 

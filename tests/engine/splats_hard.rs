@@ -118,12 +118,14 @@ impl Range {
     /// for the result. Light only takes away.
     fn assert_holds(&self, pixel: &[u8], settings: &Settings, lit: bool, what: &str) {
         let least_weight = if settings.prefilter == Some(true) { 9.0 } else { 554.0 };
-        let slack = if settings.blend == Some(Blend::Opaque) { 0.0 } else { 0.5 / least_weight };
+        let exact = settings.blend == Some(Blend::Opaque);
+        let slack = if exact { 0.0 } else { 0.5 / least_weight };
+        let rounding = u8::from(!exact);
         for channel in 0..3 {
             let found = pixel[channel];
             let (low, high) = (self.low[channel], self.high[channel]);
-            let below = linear(found.saturating_add(1)) >= linear(low) - slack;
-            let above = linear(found.saturating_sub(1)) <= linear(high) + slack;
+            let below = linear(found.saturating_add(rounding)) >= linear(low) - slack;
+            let above = linear(found.saturating_sub(rounding)) <= linear(high) + slack;
             let whole = found == low || !([0, 255].contains(&low) && low == high);
             assert!(
                 above && (lit || below && whole) && (high > 0 || found == 0),
@@ -139,8 +141,8 @@ fn unit_or_zero(pixel: &[u8], what: &str) -> bool {
     }
     let n = DVec3::new(f64::from(pixel[0]), f64::from(pixel[1]), f64::from(pixel[2]));
     let length = (n - DVec3::splat(128.0)).length() / 127.0;
-    // Half a step of each channel.
-    assert!((length - 1.0).abs() < 0.8 / 127.0, "{what}: a normal of length {length}, {pixel:?}");
+    // Half a step of each channel: √3 / 2.
+    assert!((length - 1.0).abs() < 0.87 / 127.0, "{what}: a normal of length {length}, {pixel:?}");
     true
 }
 
@@ -187,10 +189,18 @@ fn hard_names() -> Vec<String> {
     names
 }
 
-/// Every camera of the scene with every way and output, cameras of one way beside one another.
-fn all_requests(info: &SceneInfo, size: [u32; 2]) -> Vec<FrameRequest> {
+/// Every camera of the scene with every way and output, cameras of one way beside one another: 96 × 64 pixels, or images that are a
+/// single pixel or a single column, by turns.
+fn all_requests(info: &SceneInfo, thin: bool) -> Vec<FrameRequest> {
     let mut list = Vec::new();
-    for (settings, output) in ways_and_outputs() {
+    for (number, (settings, output)) in ways_and_outputs().into_iter().enumerate() {
+        // Five outputs a way, blended and opaque ones in turns: both sizes meet either, with and without low-pass filter.
+        let way = number / 5;
+        let size = match (thin, (way + way / 2) % 2) {
+            (false, _) => [96, 64],
+            (true, 0) => [1, 1],
+            (true, _) => [1, 257],
+        };
         for camera in &info.cameras {
             let pose = Pose::Named(camera.name.clone());
             list.push(request(&info.id, pose, settings, output, size));
@@ -230,20 +240,21 @@ fn every_hard_scene_is_drawn_soundly_and_always_alike() {
         let file = hard_folder().join(format!("{name}.json"));
         let info = studio.engine.load(&name, &file).unwrap();
         narrow.engine.load(&name, &file).unwrap();
-        for size in [[96, 64], [1, 1], [1, 257]] {
-            let requests = all_requests(&info, size);
+        for thin in [false, true] {
+            let requests = all_requests(&info, thin);
             let frames = together(&studio, &requests);
             largest = largest.max(frames.iter().map(|frame| frame.receipt.views).max().unwrap());
             let frames: Vec<Vec<u8>> = frames.iter().map(|frame| frame.bytes.to_vec()).collect();
             assert_all_sound(&info, &requests, &frames);
-            for (frame, (request, bytes)) in
-                together(&narrow, &requests).iter().zip(requests.iter().zip(&frames))
-            {
-                same(&frame.bytes, bytes, &format!("without 64-bit atomics: {request:?}"));
+            // The same passes run for thin images.
+            if !thin {
+                let others = together(&narrow, &requests);
+                for (frame, (request, bytes)) in others.iter().zip(requests.iter().zip(&frames)) {
+                    same(&frame.bytes, bytes, &format!("without 64-bit atomics: {request:?}"));
+                }
             }
-            // A prime: all cameras, ways and outputs take turns.
-            let step = if size == [96, 64] { 3 } else { 7 };
-            for (request, bytes) in requests.iter().zip(&frames).step_by(step) {
+            // Cameras, ways and outputs take turns.
+            for (request, bytes) in requests.iter().zip(&frames).step_by(7) {
                 same(&studio.bytes(request), bytes, &format!("alone: {request:?}"));
                 same(&studio.bytes(request), bytes, &format!("again: {request:?}"));
             }
@@ -262,16 +273,20 @@ fn every_hard_scene_is_drawn_soundly_and_always_alike() {
 fn what_lies_behind_the_eye_is_not_seen_and_what_is_before_it_is() {
     let studio = Studio::below(&hard_folder(), roomy);
     // Pixels at least, for the way that covers the fewest.
-    let expected: [(&str, &str, usize); 9] = [
-        ("around-the-eye", "on-a-sample-askew", 1500),
-        ("around-the-eye", "camera-plane", 2500),
-        ("around-the-eye", "within", 2000),
-        ("axes", "front", 3000),
-        ("few", "one", 10),
-        ("few", "same", 1),
-        ("fields-of-view", "narrow", 2000),
-        ("fields-of-view", "wide-within", 6000),
-        ("transforms", "tiny", 1000),
+    let expected = [
+        ("around-the-eye", "on-a-sample-askew", 6144),
+        ("around-the-eye", "down-from-a-hair", 6144),
+        ("around-the-eye", "camera-plane", 2200),
+        ("around-the-eye", "within", 3200),
+        ("axes", "front", 6144),
+        ("few", "one", 4200),
+        ("few", "same", 850),
+        ("fields-of-view", "narrow", 4600),
+        ("fields-of-view", "wide-within", 6144),
+        ("transforms", "tiny", 800),
+        ("transforms", "huge", 800),
+        ("transforms", "within-huge", 6144),
+        ("without-normals", "front", 3100),
     ];
     let covered = |scene: &str, camera: &str, way: Settings| {
         let pose = Pose::Named(camera.to_owned());
@@ -334,7 +349,7 @@ fn a_million_odd_splats_give_no_odd_numbers() {
             "nodes": [
                 { "asset": "g" },
                 { "asset": "g", "scale": [-1, 2, 1e-6], "rotate": [10, 20, 30] },
-                { "asset": "g", "matrix": [1, 1, 0, 0, 1, 1, 0, 0, 0, 1, 0, 0, 0, 0.5, 0, 1] },
+                { "asset": "g", "matrix": [1, 1, 0, 0, 1, 1.0001, 0, 0, 0, 1, 1e-3, 0, 0, 0.5, 0, 1] },
                 { "asset": "g", "scale": [1e3, 1e-3, 1], "translate": [0, 0, -1] },
             ],
             "lights": [],
@@ -417,8 +432,8 @@ fn two_million_splats_on_one_pixel_neither_wrap_nor_darken() {
 
 #[test]
 fn one_color_stays_that_color() {
-    // Whatever the kernels' sizes, slants and number on a pixel. Two rounded bytes of slack come from sums: half a unit in at
-    // least 554 is 0.0009 of linear light.
+    // Whatever the kernels' slants and their number on a pixel. At the ball's rim, pixels may have no more than a splat spread thin
+    // by the low-pass filter: the bound is that of one alone, on average it is far below a byte.
     let studio = Studio::with(roomy);
     let mut worst = 0;
     for (number, color) in [[200, 120, 40], [128; 3], [255; 3], [64, 90, 250]].iter().enumerate() {
@@ -429,13 +444,16 @@ fn one_color_stays_that_color() {
         for way in ways() {
             let pose = looking(DVec3::new(0.4, 0.8, 3.0), DVec3::ZERO, 45.0);
             let bytes = studio.bytes(&request(&id, pose, way, Output::Color, [96, 64]));
+            let (mut sum, mut count) = (0u64, 0u64);
             for pixel in bytes.chunks_exact(4).filter(|pixel| pixel[..3] != BACKGROUND) {
+                Range { low: *color, high: *color }.assert_holds(pixel, &way, false, &id);
                 let off = (0..3).map(|k| pixel[k].abs_diff(color[k])).max().unwrap();
                 worst = worst.max(off);
-                let allowed =
-                    if way.blend == Some(Blend::Opaque) || *color == [255; 3] { 0 } else { 2 };
-                assert!(off <= allowed, "{color:?} became {pixel:?}: {way:?}");
+                sum += u64::from(off);
+                count += 1;
             }
+            let mean = sum as f64 / count as f64;
+            assert!(mean < 0.2, "{color:?}: {mean} bytes off on average, {way:?}");
         }
     }
     println!("{worst} bytes off at most");
@@ -599,9 +617,9 @@ fn turning_scene_and_camera_together_changes_nothing() {
                     studio.bytes(&request(&format!("ball{number}"), pose, way, output, [96, 64]))
                 });
                 let found = differing(&turned, &straight, output, 1e-4);
-                // A pixel centre on an outline falls to either side: of 500 outlines, each some 40 pixels long, f32 leaves
-                // a few.
-                assert!(found <= 6, "{found} pixels, {output:?}, turn {turn}, {way:?}");
+                // A pixel centre on an outline falls to either side, and with e⁻² of weight a splat more or less at the
+                // ball's rim, where there are few, is seen: of 250 outlines, each some 40 pixels long, rounding leaves a few.
+                assert!(found <= 16, "{found} pixels, {output:?}, turn {turn}, {way:?}");
             }
         }
     }
