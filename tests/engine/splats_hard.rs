@@ -314,7 +314,7 @@ fn what_lies_behind_the_eye_is_not_seen_and_what_is_before_it_is() {
 }
 
 /// Samples that are each odd in a way of their own.
-fn odd_disks(count: u32, random: &mut SplitMix64) -> Vec<Disk> {
+fn odd_disks(count: u32, powers: &[i32], random: &mut SplitMix64) -> Vec<Disk> {
     let directions = [DVec3::ZERO, DVec3::X, DVec3::NEG_Y, DVec3::Z, DVec3::new(1.0, 1e-12, 0.0)];
     (0..count)
         .map(|_| {
@@ -330,8 +330,7 @@ fn odd_disks(count: u32, random: &mut SplitMix64) -> Vec<Disk> {
                 5 => p * 1e-30,
                 _ => p,
             };
-            let powers = [-12, -6, -3, -1, -1, -1, 0, 3, 6, 12];
-            let radius = random.range(1.0, 9.0) * 10f64.powi(powers[random.index(10)]);
+            let radius = random.range(1.0, 9.0) * 10f64.powi(powers[random.index(powers.len())]);
             Disk { at, normal, color: PURE, radius }
         })
         .collect()
@@ -341,24 +340,26 @@ fn odd_disks(count: u32, random: &mut SplitMix64) -> Vec<Disk> {
 fn a_million_odd_splats_give_no_odd_numbers() {
     let studio = Studio::with(roomy);
     let mut random = SplitMix64::new(20_040);
-    studio.write("odd.ply", disks(&odd_disks(1000, &mut random)));
-    let info = studio.load_json(
-        "odd",
-        &json!({
-            "assets": { "g": { "file": "odd.ply" } },
-            "nodes": [
-                { "asset": "g" },
-                { "asset": "g", "scale": [-1, 2, 1e-6], "rotate": [10, 20, 30] },
-                { "asset": "g", "matrix": [1, 1, 0, 0, 1, 1.0001, 0, 0, 0, 1, 1e-3, 0, 0, 0.5, 0, 1] },
-                { "asset": "g", "scale": [1e3, 1e-3, 1], "translate": [0, 0, -1] },
-            ],
-            "lights": [],
-            "background": "#102030",
-        }),
-    );
+    let mut infos = Vec::new();
+    // Large ones hide all others.
+    for (id, powers) in
+        [("odd", &[-12, -6, -3, -2, -2, -1][..]), ("odd-large", &[-12, -6, -1, 0, 3, 6, 12])]
+    {
+        let file = format!("{id}.ply");
+        studio.write(&file, disks(&odd_disks(1000, powers, &mut random)));
+        let mut scene = one_cloud(&file, json!([]));
+        scene["nodes"] = json!([
+            { "asset": "g" },
+            { "asset": "g", "scale": [-1, 2, 1e-6], "rotate": [10, 20, 30] },
+            { "asset": "g", "matrix": [1, 1, 0, 0, 1, 1.0001, 0, 0, 0, 1, 1e-3, 0, 0, 0.5, 0, 1] },
+            { "asset": "g", "scale": [1e3, 1e-3, 1], "translate": [0, 0, -1] },
+        ]);
+        infos.push(studio.load_json(id, &scene));
+    }
     let (mut tested, mut drawn) = (0, 0);
     let mut rounds = 0;
-    while tested < 1_000_000 {
+    while tested < 1_000_000 || rounds < 2 {
+        let info = &infos[rounds % 2];
         for way in ways() {
             let mut requests = Vec::new();
             for _ in 0..6 {
@@ -375,7 +376,8 @@ fn a_million_odd_splats_give_no_odd_numbers() {
                     eye + if towards.length() > 1e-9 { towards } else { DVec3::new(0.3, 0.2, 1.0) };
                 let fov = [0.01, 45.0, 45.0, 90.0, 179.0][random.index(5)];
                 for output in OUTPUTS {
-                    requests.push(request("odd", looking(eye, target, fov), way, output, [20, 14]));
+                    let pose = looking(eye, target, fov);
+                    requests.push(request(&info.id, pose, way, output, [20, 14]));
                 }
             }
             requests.sort_by_key(|request| request.output as u8);
@@ -386,7 +388,7 @@ fn a_million_odd_splats_give_no_odd_numbers() {
                     .map(|k| (requests[k * each + view].output, &frames[k * each + view].bytes[..]))
                     .collect();
                 let what = format!("{:?}, {way:?}", requests[view].pose);
-                assert_sound(&images, &way, &info, &what);
+                assert_sound(&images, &way, info, &what);
             }
             tested += frames.iter().map(|frame| frame.receipt.samples.tested.unwrap()).sum::<u64>();
             drawn += frames.iter().map(|frame| frame.receipt.samples.drawn.unwrap()).sum::<u64>();
@@ -757,17 +759,46 @@ fn what_a_shear_stretches_is_not_culled() {
     let disk = Disk { at: DVec3::ZERO, normal: DVec3::Z, color: PURE, radius: 1.0 };
     studio.write("disk.ply", disks(&[disk]));
     let mut scene = one_cloud("disk.ply", json!([]));
-    // Every vector of the plane is taken to (1, 1, 0) times the sum of its coordinates, up to a little.
-    scene["nodes"][0]["matrix"] = json!([1, 1, 0, 0, 1, 1.001, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
+    // Both columns are 1 long; their sum, which a vector of length √2 is taken to, is 2.
+    scene["nodes"][0]["matrix"] = json!([1, 0.1, 0, 0, 1, -0.1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
     studio.load_json("sheared", &scene);
-    // The long axis is 2 long, each column 1.41; the image begins between them.
-    let along = DVec3::new(1.0, 1.0, 0.0).normalize();
-    let eye = along * 1.8 + DVec3::Z * 10.0;
-    let pose = looking(eye, along * 1.8, 0.5);
-    for (filter, way) in FILTERS.map(|filter| (filter, weighted(filter, true))) {
+    // The disk ends at x = √2.
+    let pose = looking(DVec3::new(1.25, 0.0, 10.0), DVec3::X * 1.25, 0.5);
+    for way in ways() {
         let bytes = studio.bytes(&request("sheared", pose.clone(), way, Output::Id, [64, 64]));
         let covered = ids(&bytes).iter().filter(|id| **id != 0).count();
-        assert!(covered > 5, "{filter:?}: {covered} pixels");
+        assert!(covered > 4000, "{covered} pixels, {way:?}");
+    }
+}
+
+#[test]
+fn scale_changes_nothing() {
+    let studio = Studio::with(roomy);
+    studio.write("ball.ply", disks(&disk_sphere(300, 0.2, coloured)));
+    let mut usual: Vec<Vec<u8>> = Vec::new();
+    // Powers of two, which f32 takes out of every product unless it over- or underflows.
+    for power in [0, -29, -50, 29, 50] {
+        let scale = 2f64.powi(power);
+        let outer = 2f64.powi(power / 2);
+        let id = format!("s{power}");
+        let mut scene = one_cloud("ball.ply", json!([{ "kind": "headlight" }]));
+        let inner = json!({ "asset": "g", "scale": scale / outer });
+        scene["nodes"] = json!([{ "scale": outer, "children": [inner] }]);
+        studio.load_json(&id, &scene);
+        let mut found = Vec::new();
+        for (settings, output) in ways_and_outputs() {
+            let pose = looking(DVec3::new(0.5, 0.75, 2.5) * scale, DVec3::ZERO, 45.0);
+            let mut bytes = studio.bytes(&request(&id, pose, settings, output, [96, 64]));
+            if output == Output::Depth {
+                let depths = depths(&bytes).into_iter().map(|z| z / scale as f32);
+                bytes = depths.flat_map(f32::to_le_bytes).collect();
+            }
+            if let Some(usual) = usual.get(found.len()) {
+                same(&bytes, usual, &format!("2^{power}, {output:?}, {settings:?}"));
+            }
+            found.push(bytes);
+        }
+        usual = found;
     }
 }
 
