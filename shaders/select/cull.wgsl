@@ -23,6 +23,22 @@ fn reaches(normal: vec3<f32>, centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: 
     return dot(normal, centre) + reach >= -SLACK * scale;
 }
 
+// An upper bound of what an instance's map does to lengths: its longest column where columns are orthogonal, more where they
+// are not (Gershgorin's circles of the map's squares).
+fn stretch(at: Placed) -> f32 {
+    let sizes = max(abs(at.axis_x.xyz), max(abs(at.axis_y.xyz), abs(at.axis_z.xyz)));
+    // Squares of small numbers would be none in f32.
+    let most = max(sizes.x, max(sizes.y, sizes.z));
+    let unit = 1.0 / max(most, 1e-37);
+    let x = at.axis_x.xyz * unit;
+    let y = at.axis_y.xyz * unit;
+    let z = at.axis_z.xyz * unit;
+    let xy = abs(dot(x, y));
+    let yz = abs(dot(y, z));
+    let zx = abs(dot(z, x));
+    return most * sqrt(max(dot(x, x) + xy + zx, max(dot(y, y) + yz + xy, dot(z, z) + zx + yz)));
+}
+
 fn in_frustum(entry: Entry) -> bool {
     let chunk = chunks[entry.chunk];
     let at = placed[frame.first_instance + entry.instance];
@@ -36,8 +52,7 @@ fn in_frustum(entry: Entry) -> bool {
     let s = vec2<f32>(frame.size_px);
     // Splats reach beyond their centres, and the low-pass filter widens them in the image. Both are 0 for points.
     let base = select(chunk.kernel_base * exp2(f32(chunk.shift)), 0.0, chunk.shift == TRIANGLES);
-    let longest = max(length(at.axis_x.xyz), max(length(at.axis_y.xyz), length(at.axis_z.xyz)));
-    let radius = 1.01 * frame.splat_cutoff * frame.splat_width * base * longest;
+    let radius = 1.01 * frame.splat_cutoff * frame.splat_width * base * stretch(at);
     let m = frame.splat_cutoff * frame.splat_lowpass_px;
     return reaches(vec3<f32>(0.0, 0.0, 1.0), centre, x, y, z, radius)
         && reaches(vec3<f32>(f.x, 0.0, c.x + m), centre, x, y, z, radius)

@@ -34,8 +34,11 @@ fn splat_slot(index: u32) -> SplatSlot {
     let x = camera_vector(vec3<f32>(slot.row_x.x, slot.row_y.x, slot.row_z.x));
     let y = camera_vector(vec3<f32>(slot.row_x.y, slot.row_y.y, slot.row_z.y));
     let z = camera_vector(vec3<f32>(slot.row_x.z, slot.row_y.z, slot.row_z.z));
-    slot.scale = sqrt(max(dot(x, x), max(dot(y, y), dot(z, z))));
-    slot.orientation = f32(chunks[chunk].vertex_first) * sign(dot(cross(x, y), z));
+    // Cells may be so small that their squares, or the volume of three, are none in f32.
+    let sizes = max(abs(x), max(abs(y), abs(z)));
+    let most = max(max(sizes.x, max(sizes.y, sizes.z)), 1e-37);
+    slot.scale = most * sqrt(max(dot(x / most, x / most), max(dot(y / most, y / most), dot(z / most, z / most))));
+    slot.orientation = f32(chunks[chunk].vertex_first) * sign(dot(cross(x / most, y / most), z / most));
     return slot;
 }
 

@@ -99,7 +99,8 @@ fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) {
     let weight = max(round(splat.amplitude * exp(-0.5 * q) * WEIGHT_ONE), 1.0);
     if OUTPUT == OUTPUT_DEPTH {
         add_0(pixel, 0u, u32(weight));
-        add_wide(pixel, u32(weight), u32(min(visible / inverse, 1.0) * DEPTH_ONE));
+        // Much nearer to the eye than the splat is wide, it is still before the eye.
+        add_wide(pixel, u32(weight), max(u32(min(visible / inverse, 1.0) * DEPTH_ONE), 1u));
         return;
     }
     if OUTPUT == OUTPUT_NORMAL {

@@ -5,18 +5,33 @@ use glam::{DVec3, Vec3};
 
 use super::{AssetError, Mesh, PointCloud};
 
+/// How many elements are at fault, and which is the first, counted from 0.
+#[derive(Default)]
+struct Odd {
+    count: u64,
+    first: Option<usize>,
+}
+
+impl Odd {
+    fn count(&mut self, index: usize) {
+        self.count += 1;
+        self.first.get_or_insert(index);
+    }
+}
+
 /// Colours as bytes from floats. A file with any channel above 1 counts from 0 to 255, others from 0
 /// to 1; not-a-number becomes white.
 pub(crate) fn colors_from_floats(values: &[[f32; 4]], warnings: &mut Vec<String>) -> Vec<[u8; 4]> {
     let bytes = values.iter().flatten().any(|channel| channel.is_finite() && *channel > 1.0);
     let scale = if bytes { 1.0 } else { 255.0 };
-    let mut bad = 0u64;
+    let mut bad = Odd::default();
     let colors = values
         .iter()
-        .map(|color| {
+        .enumerate()
+        .map(|(index, color)| {
             let [r, g, b, a] = *color;
             if !(r.is_finite() && g.is_finite() && b.is_finite()) {
-                bad += 1;
+                bad.count(index);
                 return [255; 4];
             }
             let byte = |channel: f32| (channel * scale).round() as u8;
@@ -25,8 +40,11 @@ pub(crate) fn colors_from_floats(values: &[[f32; 4]], warnings: &mut Vec<String>
             [byte(r), byte(g), byte(b), alpha]
         })
         .collect();
-    if bad > 0 {
-        warnings.push(format!("{bad} colours are not numbers and are drawn white"));
+    if let Some(first) = bad.first {
+        let count = bad.count;
+        warnings.push(format!(
+            "{count} colours are not numbers and are drawn white; the first is that of vertex {first}"
+        ));
     }
     colors
 }
@@ -37,11 +55,11 @@ pub(crate) fn unit_normals(
     mut normals: Vec<Vec3>,
     warnings: &mut Vec<String>,
 ) -> Option<Vec<Vec3>> {
-    let mut bad = 0u64;
+    let mut bad = Odd::default();
     let mut any = false;
-    for normal in &mut normals {
+    for (index, normal) in normals.iter_mut().enumerate() {
         if !normal.is_finite() {
-            bad += 1;
+            bad.count(index);
             *normal = Vec3::ZERO;
         } else {
             let wide = normal.as_dvec3();
@@ -49,8 +67,11 @@ pub(crate) fn unit_normals(
             any |= *normal != Vec3::ZERO;
         }
     }
-    if bad > 0 {
-        warnings.push(format!("{bad} normals are not numbers and count as unknown"));
+    if let Some(first) = bad.first {
+        let count = bad.count;
+        warnings.push(format!(
+            "{count} normals are not numbers and count as unknown; the first is that of vertex {first}"
+        ));
     }
     any.then_some(normals)
 }
@@ -109,7 +130,10 @@ pub(crate) fn finish_cloud(
     keep(&mut cloud.radii, &kept);
     keep(&mut cloud.kernels, &kept);
     keep(&mut cloud.clips, &kept);
-    warnings.push(format!("{lost} points with non-finite coordinates are left out"));
+    let first = kept.iter().position(|kept| !kept).unwrap_or(0);
+    warnings.push(format!(
+        "{lost} points with non-finite coordinates are left out; the first is vertex {first}"
+    ));
     Ok(cloud)
 }
 

@@ -25,6 +25,9 @@ pub const NO_NORMAL: u32 = 0x8000_8000;
 pub const SAMPLE_BYTES: u64 = 20;
 /// Bytes more of a sample with clip lines.
 pub const CLIP_BYTES: u64 = 8;
+/// Cells are at least this part of the longest kernel: shaders square its length in cells, which f32 has to hold. It only
+/// matters where samples lie closer together than 10⁻⁹ of their kernels, or at one place.
+const KERNEL_DETAIL: f64 = 1.0 / (1u64 << 60) as f64;
 /// Words of a mesh vertex: grid position, colour, normal, texture coordinates.
 pub const VERTEX_WORDS: usize = 7;
 
@@ -114,13 +117,18 @@ impl Grid {
     /// # Errors
     /// A box that is not finite or longer than 1e30.
     pub fn of(bounds: &Bounds) -> Result<Grid, PackError> {
+        Grid::with_detail(bounds, 0.0)
+    }
+
+    /// The grid of a box, with cells no smaller than `detail`.
+    fn with_detail(bounds: &Bounds, detail: f64) -> Result<Grid, PackError> {
         let extent = bounds.extent().max_element();
         if !(extent.is_finite() && extent < 1e30 && bounds.centre().abs().max_element() < 1e30) {
             return Err(PackError::TooFar { extent });
         }
         let origin = bounds.centre();
         // Below this the coordinates themselves have no more digits.
-        let least = (origin.abs().max_element() * f64::EPSILON).max(1e-30);
+        let least = (origin.abs().max_element() * f64::EPSILON).max(1e-30).max(detail);
         let step = (extent / f64::from(1 << 29)).max(least).log2().ceil().exp2();
         let reach = (0.5 * extent / step).ceil() as i32 + 1;
         Ok(Grid { origin, step, reach })
@@ -202,7 +210,10 @@ fn finite(positions: &[DVec3]) -> Result<(), PackError> {
 /// See [`PackError`].
 pub fn pack_samples(cloud: &PointCloud) -> Result<PackedSamples, PackError> {
     finite(&cloud.positions)?;
-    let grid = Grid::of(&Bounds::of(cloud.positions.iter().copied()))?;
+    let longest = cloud.kernels.iter().flatten().map(kernel::lengths);
+    let longest = longest.fold(0.0f32, |most, (u, v)| most.max(u).max(v));
+    let bounds = Bounds::of(cloud.positions.iter().copied());
+    let grid = Grid::with_detail(&bounds, f64::from(longest) * KERNEL_DETAIL)?;
     let clipped = |index: usize| {
         cloud.clips.as_ref().is_some_and(|clips| clips[index].lines.iter().any(Option::is_some))
     };

@@ -17,7 +17,7 @@ pub struct GenerateArgs {
     #[arg(value_enum)]
     pub kind: Kind,
     /// File to write. Points: .ply, .las, .laz; meshes: .ply, .obj (with .mtl and .png); whole scenes
-    /// with their assets beside them: .json
+    /// with their assets beside them: .json; many scenes: a folder
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
     /// Other numbers give other towns, reliefs and trees
@@ -86,6 +86,7 @@ fn describe(generated: &Generated) -> String {
             mesh.mesh.triangles.len(),
             mesh.mesh.positions.len()
         ),
+        Generated::Scenes(scenes) => format!("{} scenes", scenes.len()),
         Generated::Scene(scene) => format!("a scene with {} assets", scene.assets.len()),
     }
 }

@@ -6,6 +6,7 @@
 //! split and merged by index.
 
 mod error;
+mod hard;
 mod isosurface;
 pub mod numeric;
 pub mod part;
@@ -40,6 +41,8 @@ pub enum Kind {
     Plaza,
     /// Machined part, made of sampled solids: a block with bores and a rounded slot
     CsgPart,
+    /// Folder of small scenes of splats that are hard to draw
+    Hard,
     /// Tree of forking tubes and single leaves, with vertex colours
     Tree,
     /// Cube about the origin
@@ -66,6 +69,8 @@ pub enum Generated {
     Points(PointCloud),
     Mesh(GeneratedMesh),
     Scene(GeneratedScene),
+    /// A folder's scenes, by name.
+    Scenes(Vec<(String, GeneratedScene)>),
 }
 
 /// A mesh and how it looks.
@@ -100,7 +105,7 @@ fn within<T: PartialOrd + Copy + std::fmt::Display>(
     }
 }
 
-/// Makes an asset: points or a mesh, or the scene that `plaza` and `csg-part` are.
+/// Makes an asset: points or a mesh, or the scene that `plaza` and `csg-part` are, or all of the scenes of `hard`.
 ///
 /// # Errors
 /// A parameter outside its range.
@@ -139,6 +144,7 @@ pub fn generate(
         Kind::Checkerboard => Generated::Mesh(textured::checker_mesh(length(10.0)?)),
         Kind::Plaza => Generated::Scene(scenes::plaza("plaza", plaza_count(size)?, seed, progress)),
         Kind::CsgPart => Generated::Scene(machined_part("csg-part", parameters)?),
+        Kind::Hard => Generated::Scenes(hard::corpus()),
         Kind::Tree => Generated::Mesh(plain::tree(length(6.0)?, corners(8_000)?, seed)),
         Kind::Cube => Generated::Mesh(plain::cube(length(1.0)?)),
         Kind::Sphere => Generated::Mesh(plain::sphere(length(1.0)?, corners(4_000)?)),
@@ -160,6 +166,12 @@ pub fn generate_scene(
         return Err(GenerateError::Parameter {
             parameter: "output",
             reason: format!("`{name}` names assets, too: use letters, digits, `-`, `_` and `.`"),
+        });
+    }
+    if kind == Kind::Hard {
+        return Err(GenerateError::Parameter {
+            parameter: "output",
+            reason: "`hard` makes many scenes: name a folder".to_owned(),
         });
     }
     if kind == Kind::Plaza {

@@ -98,7 +98,7 @@ pub fn solid(name: &str, asset: Generated) -> GeneratedScene {
     let bounds = match &asset {
         Generated::Points(cloud) => Bounds::of(cloud.positions.iter().copied()),
         Generated::Mesh(mesh) => Bounds::of(mesh.mesh.positions.iter().copied()),
-        Generated::Scene(_) => Bounds::EMPTY,
+        Generated::Scene(_) | Generated::Scenes(_) => Bounds::EMPTY,
     };
     let textured = matches!(&asset, Generated::Mesh(GeneratedMesh { texture: Some(_), .. }));
     let file = format!("{name}-{}", if textured { "mesh.obj" } else { "asset.ply" });

@@ -7,7 +7,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use super::{GenerateError, Generated, GeneratedMesh};
+use super::{GenerateError, Generated, GeneratedMesh, GeneratedScene};
 use crate::assets::{Material, Mesh, PointCloud, Texture};
 use crate::math::Bounds;
 
@@ -41,8 +41,23 @@ pub fn write(generated: &Generated, path: &Path) -> Result<Vec<PathBuf>, Generat
             return Ok(files);
         }
         (Generated::Scene(_), _) => return Err(refuse("a scene", ".json")),
+        (Generated::Scenes(scenes), "") => return folder_of(scenes, path),
+        (Generated::Scenes(_), _) => return Err(refuse("many scenes", "names of folders")),
     }?;
     Ok(vec![path.to_owned()])
+}
+
+fn folder_of(
+    scenes: &[(String, GeneratedScene)],
+    path: &Path,
+) -> Result<Vec<PathBuf>, GenerateError> {
+    std::fs::create_dir_all(path).map_err(GenerateError::io(path))?;
+    let mut files = Vec::new();
+    for (name, scene) in scenes {
+        let file = path.join(format!("{name}.json"));
+        files.extend(write(&Generated::Scene(scene.clone()), &file)?);
+    }
+    Ok(files)
 }
 
 fn create(path: &Path) -> Result<BufWriter<File>, GenerateError> {
@@ -54,7 +69,7 @@ fn ply_header(
     out: &mut impl Write,
     (count, coordinates): (usize, &str),
     (normals, colors): (bool, bool),
-    (intensity, classes): (bool, bool),
+    (intensity, classes, radii): (bool, bool, bool),
     triangles: Option<usize>,
 ) -> std::io::Result<()> {
     writeln!(out, "ply\nformat binary_little_endian 1.0\ncomment made by pointillist generate")?;
@@ -74,6 +89,9 @@ fn ply_header(
     if classes {
         writeln!(out, "property uchar classification")?;
     }
+    if radii {
+        writeln!(out, "property float radius")?;
+    }
     if let Some(triangles) = triangles {
         writeln!(out, "element face {triangles}\nproperty list uchar uint vertex_indices")?;
     }
@@ -87,7 +105,7 @@ fn ply_points(cloud: &PointCloud, path: &Path) -> Result<(), GenerateError> {
             &mut out,
             (cloud.positions.len(), "double"),
             (cloud.normals.is_some(), cloud.colors.is_some()),
-            (cloud.intensity.is_some(), cloud.classification.is_some()),
+            (cloud.intensity.is_some(), cloud.classification.is_some(), cloud.radii.is_some()),
             None,
         )?;
         for (i, p) in cloud.positions.iter().enumerate() {
@@ -106,6 +124,9 @@ fn ply_points(cloud: &PointCloud, path: &Path) -> Result<(), GenerateError> {
             if let Some(class) = cloud.classification.as_ref().and_then(|list| list.get(i)) {
                 out.write_all(&[*class])?;
             }
+            if let Some(radius) = cloud.radii.as_ref().and_then(|list| list.get(i)) {
+                out.write_all(&radius.to_le_bytes())?;
+            }
         }
         out.flush()
     };
@@ -119,7 +140,7 @@ fn ply_mesh(mesh: &Mesh, path: &Path) -> Result<(), GenerateError> {
             &mut out,
             (mesh.positions.len(), "float"),
             (mesh.normals.is_some(), mesh.colors.is_some()),
-            (false, false),
+            (false, false, false),
             Some(mesh.triangles.len()),
         )?;
         for (i, p) in mesh.positions.iter().enumerate() {

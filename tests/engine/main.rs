@@ -17,6 +17,7 @@ mod memory;
 mod paging;
 mod queueing;
 mod side_files;
+mod splats_hard;
 mod studio;
 mod tags;
 mod views;

@@ -32,6 +32,14 @@ impl Studio {
         Studio { engine: Engine::start(config).unwrap(), folder }
     }
 
+    /// An engine that reads below a folder that is there already.
+    pub fn below(root: &Path, adjust: impl FnOnce(&mut EngineConfig)) -> Studio {
+        Studio::with(|config| {
+            config.root = root.to_owned();
+            adjust(config);
+        })
+    }
+
     pub fn folder(&self) -> &Path {
         self.folder.path()
     }
@@ -167,6 +175,52 @@ pub fn cloud(points: impl Iterator<Item = (DVec3, [u8; 3])>) -> String {
     )
 }
 
+/// A sample of a cloud that says all that can be said of one.
+#[derive(Clone, Copy, Debug)]
+pub struct Disk {
+    pub at: DVec3,
+    pub normal: DVec3,
+    pub color: [u8; 3],
+    /// Two standard deviations.
+    pub radius: f64,
+}
+
+/// Disks as PLY.
+pub fn disks(list: &[Disk]) -> String {
+    let mut text = format!("ply\nformat ascii 1.0\nelement vertex {}\n", list.len());
+    for (kind, names) in [
+        ("double", &["x", "y", "z"][..]),
+        ("float", &["nx", "ny", "nz", "radius"]),
+        ("uchar", &["red", "green", "blue"]),
+    ] {
+        names.iter().for_each(|name| writeln!(text, "property {kind} {name}").unwrap());
+    }
+    text.push_str("end_header\n");
+    for Disk { at, normal: n, color: [r, g, b], radius } in list {
+        writeln!(
+            text,
+            "{:e} {:e} {:e} {:e} {:e} {:e} {radius:e} {r} {g} {b}",
+            at.x, at.y, at.z, n.x, n.y, n.z
+        )
+        .unwrap();
+    }
+    text
+}
+
+/// Disks on the unit sphere, evenly.
+pub fn disk_sphere(count: u32, radius: f64, color: impl Fn(DVec3) -> [u8; 3]) -> Vec<Disk> {
+    (0..count)
+        .map(|i| {
+            let y = 1.0 - 2.0 * (f64::from(i) + 0.5) / f64::from(count);
+            // The golden angle.
+            let (sin, cos) = (2.399_963_229_728_653 * f64::from(i)).sin_cos();
+            let r = (1.0 - y * y).sqrt();
+            let p = DVec3::new(r * cos, y, r * sin);
+            Disk { at: p, normal: p, color: color(p), radius }
+        })
+        .collect()
+}
+
 /// A mesh as PLY.
 pub fn mesh(positions: &[DVec3], triangles: &[[u32; 3]]) -> String {
     let mut text = format!(
@@ -232,6 +286,11 @@ pub fn same(found: &[u8], expected: &[u8], what: &str) {
 /// Depths of a raw depth image.
 pub fn depths(bytes: &[u8]) -> Vec<f32> {
     bytes.chunks_exact(4).map(|word| f32::from_le_bytes(word.try_into().unwrap())).collect()
+}
+
+/// Ids of a raw id image.
+pub fn ids(bytes: &[u8]) -> Vec<u32> {
+    bytes.chunks_exact(4).map(|word| u32::from_le_bytes(word.try_into().unwrap())).collect()
 }
 
 /// How many pixels of a raw depth image show something; none may be without a number.

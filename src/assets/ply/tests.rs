@@ -189,6 +189,13 @@ fn other_attributes() {
     assert_eq!(cloud.radii.as_deref(), Some(&[0.1, 0.2][..]));
     assert_eq!(cloud.normals.as_deref(), Some(&[Vec3::Z, Vec3::ZERO][..]));
     assert_eq!(asset.warnings.len(), 2);
+    let said = &asset.warnings[1];
+    assert!(said.contains("normals are not numbers") && said.ends_with("vertex 1"), "{said}");
+    for radius in ["-0.5", "0", "nan", "+inf", "1e39"] {
+        let asset = points("property float radius\n", &format!("0 0 0 1\n1 1 1 {radius}\n"));
+        assert!(matches!(&asset.geometries[0], Geometry::Points(c) if c.radii.is_none()));
+        assert!(asset.warnings[0].starts_with("vertex 1 has a radius of "), "{:?}", asset.warnings);
+    }
     let zero = "property float nx\nproperty float ny\nproperty float nz\n";
     let asset = points(zero, "0 0 0 0 0 0\n");
     assert!(matches!(&asset.geometries[0], Geometry::Points(c) if c.normals.is_none()));
@@ -198,7 +205,10 @@ fn other_attributes() {
 fn lost_points_are_counted() {
     let asset = points("", "0 0 0\n1 +inf 0\nnan 0 0\n2 0 0\n");
     assert_eq!(cloud(&asset).positions, [DVec3::ZERO, DVec3::X * 2.0]);
-    assert_eq!(asset.warnings, ["2 points with non-finite coordinates are left out"]);
+    assert_eq!(
+        asset.warnings,
+        ["2 points with non-finite coordinates are left out; the first is vertex 1"]
+    );
     let text = SQUARE.replace("0 1 0\r\n4", "0 nan 0\r\n4");
     let asset = read(text).unwrap();
     assert_eq!(mesh(&asset).triangles.len(), 1);

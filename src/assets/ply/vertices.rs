@@ -161,11 +161,14 @@ impl Vertices {
             warnings.push(format!("{} classes outside 0 to 255 count as 0", self.odd_classes));
         }
         let radii = self.radii.filter(|radii| {
-            let usable = radii.iter().all(|radius| *radius > 0.0 && radius.is_finite());
-            if !usable {
-                warnings.push("some radii are not positive, so none is used".to_owned());
+            let odd = radii.iter().position(|radius| !(*radius > 0.0 && radius.is_finite()));
+            if let Some(vertex) = odd {
+                let radius = radii[vertex];
+                warnings.push(format!(
+                    "vertex {vertex} has a radius of {radius}, which is no positive number, so none is used"
+                ));
             }
-            usable
+            odd.is_none()
         });
         Finished {
             positions: self.positions,

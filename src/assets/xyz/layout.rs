@@ -164,7 +164,8 @@ pub(super) fn cloud(positions: Vec<DVec3>, columns: &[Vec<f32>], roles: &[Role])
         let alpha = colors(count, |point| [alpha[point]; 3]);
         rgba.iter_mut().zip(alpha).for_each(|(color, [value, ..])| color[3] = value);
     }
-    let radius = column(Role::Radius).filter(|radii| radii.iter().all(|&r| r > 0.0));
+    let radius =
+        column(Role::Radius).filter(|radii| radii.iter().all(|&r| r > 0.0 && r.is_finite()));
     PointCloud {
         positions,
         colors: rgba,
