@@ -10,7 +10,7 @@ use common::folder;
 use common::report::{number, render, verdict};
 use serde_json::{Value, json};
 
-const BENCHES: [&str; 5] = ["points", "statue", "triangles", "daemon", "memory"];
+const BENCHES: [&str; 6] = ["points", "statue", "triangles", "splats", "daemon", "memory"];
 
 fn main() -> anyhow::Result<()> {
     let mut results = Vec::new();

@@ -10,7 +10,7 @@ use std::path::Path;
 use common::drawing::{Drawing, Orbit, STEP_DEG, pass_ns};
 use common::peer::Vtk;
 use common::report::{Report, number};
-use common::{files, median, median_ratio, ms, pick};
+use common::{crossing_px, files, median, median_ratio, ms, pick};
 use glam::DVec3;
 use pointillist::engine::Receipt;
 use pointillist::generate::{Kind, Parameters};
@@ -160,14 +160,6 @@ fn crossing(report: &mut Report) -> anyhow::Result<()> {
     }
     report.value("small_triangle_px", SMALL_TRIANGLE_PX);
     Ok(())
-}
-
-/// Where the ratio falls through one for good, interpolated on logarithmic axes; `None` when it does not.
-fn crossing_px(ratios: &[(f64, f64)]) -> Option<f64> {
-    let last_fast = ratios.iter().rposition(|(_, ratio)| *ratio >= 1.0)?;
-    let (low, high) = (ratios.get(last_fast)?, ratios.get(last_fast + 1)?);
-    let share = low.1.ln() / (low.1.ln() - high.1.ln());
-    Some((low.0.ln() + share * (high.0.ln() - low.0.ln())).exp())
 }
 
 fn explain(other: &str, crossing: Option<f64>, ratios: &[(f64, f64)]) -> String {

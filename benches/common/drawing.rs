@@ -70,23 +70,12 @@ impl Drawing {
         Ok(Drawing { engine, info, size })
     }
 
-    /// One frame, square.
+    /// One frame, square, as the engine draws when nothing is chosen.
     ///
     /// # Errors
     /// The engine refuses.
     pub fn frame(&self, camera: Camera, format: ImageFormat) -> anyhow::Result<Arc<EncodedFrame>> {
-        let request = FrameRequest {
-            scene: self.info.id.clone(),
-            pose: Pose::Camera(camera),
-            width: self.size,
-            height: self.size,
-            settings: Settings::default(),
-            output: Output::Color,
-            format,
-            quality: 85,
-            deadline: None,
-        };
-        Ok(self.engine.submit(request)?.wait()?)
+        self.submit(camera, [self.size, self.size], Settings::default(), format)
     }
 
     /// The same, as a JPEG, without its image.
@@ -95,6 +84,40 @@ impl Drawing {
     /// The engine refuses.
     pub fn receipt(&self, camera: Camera) -> anyhow::Result<Receipt> {
         Ok(self.frame(camera, ImageFormat::Jpeg)?.receipt.clone())
+    }
+
+    /// The receipt of a frame of any size and settings.
+    ///
+    /// # Errors
+    /// The engine refuses.
+    pub fn draw(
+        &self,
+        camera: Camera,
+        size: [u32; 2],
+        settings: Settings,
+    ) -> anyhow::Result<Receipt> {
+        Ok(self.submit(camera, size, settings, ImageFormat::Jpeg)?.receipt.clone())
+    }
+
+    fn submit(
+        &self,
+        camera: Camera,
+        [width, height]: [u32; 2],
+        settings: Settings,
+        format: ImageFormat,
+    ) -> anyhow::Result<Arc<EncodedFrame>> {
+        let request = FrameRequest {
+            scene: self.info.id.clone(),
+            pose: Pose::Camera(camera),
+            width,
+            height,
+            settings,
+            output: Output::Color,
+            format,
+            quality: 85,
+            deadline: None,
+        };
+        Ok(self.engine.submit(request)?.wait()?)
     }
 }
 

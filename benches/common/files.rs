@@ -50,6 +50,49 @@ pub fn random_points(count: u64) -> anyhow::Result<PathBuf> {
     })
 }
 
+/// Disks over a square around the origin of the plane z = 0.
+pub struct Wall {
+    /// Of the square that a frame shows; the wall is a tenth longer on either side.
+    pub side: f64,
+    /// Between neighbours.
+    pub spacing: f64,
+    pub radius: f64,
+}
+
+/// Coloured disks without normals of their own, on waves as high as a fiftieth of the wall: such a scene has no lights.
+pub fn wall(of: &Wall) -> anyhow::Result<PathBuf> {
+    let Wall { side, spacing, radius } = *of;
+    once(&format!("wall-{side}-spacing-{spacing}-radius-{radius}.ply"), |file| {
+        let half = 0.6 * side + radius;
+        let count = (2.0 * half / spacing).ceil() as u64 + 1;
+        let mut out = BufWriter::new(File::create(file)?);
+        write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", count * count)?;
+        write!(out, "property float x\nproperty float y\nproperty float z\n")?;
+        write!(out, "property uchar red\nproperty uchar green\nproperty uchar blue\n")?;
+        write!(out, "property float radius\nend_header\n")?;
+        let mut numbers = Numbers(1);
+        for row in 0..count {
+            for column in 0..count {
+                let mut at = |index: u64| {
+                    let jitter = f64::from(numbers.next()) - 0.5;
+                    (index as f64 + 0.3 * jitter) * spacing - half
+                };
+                let (x, y) = (at(column), at(row));
+                let turn = std::f64::consts::TAU / side;
+                let z = 0.01 * side * ((3.0 * turn * x).sin() + (2.0 * turn * y).cos());
+                for coordinate in [x, y, z] {
+                    out.write_all(&(coordinate as f32).to_le_bytes())?;
+                }
+                let shade =
+                    [x / half, y / half, 50.0 * z / side].map(|v| (127.5 + 120.0 * v) as u8);
+                out.write_all(&shade)?;
+                out.write_all(&(radius as f32).to_le_bytes())?;
+            }
+        }
+        Ok(out.flush()?)
+    })
+}
+
 /// Right triangles with legs of `side` units, two a square, over the square from `-side` to `extent + side`
 /// in the plane z = 0.
 pub fn triangle_grid(side: u32, extent: u32) -> anyhow::Result<PathBuf> {

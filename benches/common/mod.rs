@@ -44,6 +44,14 @@ pub fn median_ratio(slow: &[f64], fast: &[f64]) -> f64 {
     median(&slow.iter().zip(fast).map(|(slow, fast)| slow / fast).collect::<Vec<_>>())
 }
 
+/// Where a ratio by size falls through one for good, interpolated on logarithmic axes; `None` when it does not.
+pub fn crossing_px(ratios: &[(f64, f64)]) -> Option<f64> {
+    let last_fast = ratios.iter().rposition(|(_, ratio)| *ratio >= 1.0)?;
+    let (low, high) = (ratios.get(last_fast)?, ratios.get(last_fast + 1)?);
+    let share = low.1.ln() / (low.1.ln() - high.1.ln());
+    Some((low.0.ln() + share * (high.0.ln() - low.0.ln())).exp())
+}
+
 /// The value below which `share` of all lie. `NaN` of none.
 pub fn quantile(values: &[f64], share: f64) -> f64 {
     let mut sorted = values.to_vec();

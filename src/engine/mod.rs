@@ -52,6 +52,9 @@ pub struct EngineConfig {
     /// For measurements: boxes of triangles with a longer side than this go to the rasteriser; `None`: the measured best.
     #[doc(hidden)]
     pub small_triangle_px: Option<u32>,
+    /// For measurements: boxes of splats with a longer side than this go to walk_splats; `None`: the measured best.
+    #[doc(hidden)]
+    pub small_splat_px: Option<u32>,
     /// For tests: what the boxes of a frame's large triangles may cover, in units of 4096 pixels; `None`: some ten seconds'
     /// work.
     #[doc(hidden)]
@@ -300,6 +303,7 @@ impl EngineConfig {
             force_32_bit: false,
             max_binding_bytes: None,
             small_triangle_px: None,
+            small_splat_px: None,
             rasterise: None,
             large_units_limit: None,
             read: ReadOptions::default(),

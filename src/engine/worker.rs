@@ -89,6 +89,9 @@ fn open(shared: &Shared, options: &GpuOptions) -> Result<Renderer, GpuError> {
     if let Some(pixels) = shared.config.small_triangle_px {
         renderer.set_small_triangle_px(pixels);
     }
+    if let Some(pixels) = shared.config.small_splat_px {
+        renderer.set_small_splat_px(pixels);
+    }
     if let Some(units) = shared.config.large_units_limit {
         renderer.set_large_units_limit(units);
     }

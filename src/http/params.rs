@@ -252,6 +252,7 @@ impl FrameParams {
 
     /// Fills what is missing from `defaults`. A pose is taken whole: one that is given another way
     /// replaces that of the defaults, only `up`, `fov` and `proj` are inherited by their own kind.
+    /// Who asks for points inherits nothing that only splats have.
     pub fn or(self, defaults: &FrameParams) -> FrameParams {
         let posed = self.camera.is_some()
             || self.eye.is_some()
@@ -266,6 +267,8 @@ impl FrameParams {
         let by_matrix = self.view.is_some() || self.proj.is_some();
         let of = |yes: bool| if yes || !posed { defaults } else { &empty };
         let (camera, eye, matrix) = (of(false), of(by_eye), of(by_matrix));
+        let pointwise = self.reconstruct.as_deref().is_some_and(|word| word != "splats");
+        let splats = if pointwise { &empty } else { defaults };
         FrameParams {
             camera: self.camera.or_else(|| camera.camera.clone()),
             eye: self.eye.or(eye.eye),
@@ -281,10 +284,10 @@ impl FrameParams {
             output: self.output.or_else(|| defaults.output.clone()),
             lod: self.lod.or_else(|| defaults.lod.clone()),
             reconstruct: self.reconstruct.or_else(|| defaults.reconstruct.clone()),
-            filter: self.filter.or_else(|| defaults.filter.clone()),
-            prefilter: self.prefilter.or(defaults.prefilter),
-            blend: self.blend.or_else(|| defaults.blend.clone()),
-            shading: self.shading.or_else(|| defaults.shading.clone()),
+            filter: self.filter.or_else(|| splats.filter.clone()),
+            prefilter: self.prefilter.or(splats.prefilter),
+            blend: self.blend.or_else(|| splats.blend.clone()),
+            shading: self.shading.or_else(|| splats.shading.clone()),
             deadline_ms: self.deadline_ms.or(defaults.deadline_ms),
         }
     }
@@ -457,7 +460,6 @@ fn numbers<const N: usize>(name: &str, value: &str) -> Result<[f64; N], Problem>
     Ok(found)
 }
 
-/// A word of a closed list. The accepted ones are what the type itself deserialises, so that a new
 /// A choice that may be left to the scene.
 fn chosen<T: DeserializeOwned + Default>(
     name: &str,
@@ -466,7 +468,8 @@ fn chosen<T: DeserializeOwned + Default>(
     value.map(|value| choice(name, Some(value))).transpose()
 }
 
-/// setting needs no second list here.
+/// A word of a closed list. The accepted ones are what the type itself deserialises, so that a new setting needs no second
+/// list here.
 fn choice<T: DeserializeOwned + Default>(name: &str, word: Option<&str>) -> Result<T, Problem> {
     let Some(word) = word else { return Ok(T::default()) };
     let deserializer: StrDeserializer<'_, serde::de::value::Error> = word.into_deserializer();
@@ -483,141 +486,4 @@ fn shown(text: &str) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn request(query: &str) -> Result<FrameRequest, Problem> {
-        FrameParams::from_query(Some(query))?.request("s", ImageFormat::Png, Instant::now())
-    }
-
-    fn fault(query: &str) -> (String, String, String) {
-        let p = request(query).unwrap_err();
-        assert_eq!(p.status(), 422, "{query}");
-        (p.parameter.unwrap_or_default(), p.detail, p.accepted.unwrap_or_default())
-    }
-
-    #[test]
-    fn a_full_query() {
-        let r =
-            request("eye=0,1,3&target=0,0,0&up=0,0,1&fov=40&w=640&h=480&quality=90&output=depth")
-                .unwrap();
-        let Pose::Camera(camera) = r.pose else { panic!("{:?}", r.pose) };
-        assert_eq!(camera.eye, DVec3::new(0.0, 1.0, 3.0));
-        assert_eq!((camera.up, camera.fov_deg), (DVec3::Z, 40.0));
-        assert_eq!((r.width, r.height, r.quality, r.output), (640, 480, 90, Output::Depth));
-        assert!(r.deadline.is_none());
-    }
-
-    #[test]
-    fn nothing_given_shows_everything() {
-        let r = FrameParams::from_query(None)
-            .unwrap()
-            .request("s", ImageFormat::Png, Instant::now())
-            .unwrap();
-        assert_eq!((r.pose, r.width, r.height), (Pose::Fit, 1024, 1024));
-    }
-
-    #[test]
-    fn escapes_are_decoded() {
-        let r = request("camera=front%20door&eye=").unwrap_err();
-        assert_eq!(r.parameter.as_deref(), Some("eye"));
-        let r = request("camera=front+door").unwrap();
-        assert_eq!(r.pose, Pose::Named("front door".into()));
-    }
-
-    #[test]
-    fn unknown_names_are_suggested() {
-        assert!(fault("reconstuct=points").1.contains("`reconstruct`"));
-        assert!(fault("width=3").1.contains("`w`"));
-        assert!(fault("zzzz=3").2.contains("deadline_ms"));
-    }
-
-    #[test]
-    fn values_are_checked() {
-        for (query, parameter) in [
-            ("w=0", "w"),
-            ("w=-1", "w"),
-            ("h=1e3", "h"),
-            ("w=5&w=5", "w"),
-            ("quality=0", "quality"),
-            ("quality=101", "quality"),
-            ("eye=1,2&target=0,0,0", "eye"),
-            ("eye=1,2,nan&target=0,0,0", "eye"),
-            ("eye=1,2,inf&target=0,0,0", "eye"),
-            ("eye=1,2,3,4&target=0,0,0", "eye"),
-            ("eye=1,2,3", "target"),
-            ("target=1,2,3", "eye"),
-            ("fov=30", "eye"),
-            ("camera=a&fov=30", "fov"),
-            ("eye=1,2,3&target=0,0,0&view=1", "view"),
-            ("view=1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1", "proj"),
-            ("deadline_ms=0", "deadline_ms"),
-            ("deadline_ms=nan", "deadline_ms"),
-            ("output=colour", "output"),
-            ("lod=spt", "lod"),
-            ("reconstruct=splats", "reconstruct"),
-            ("format=gif", "format"),
-            ("filter=box", "filter"),
-            ("max_error_px=1", "max_error_px"),
-            ("budget_ms=1", "budget_ms"),
-            ("effects=ao", "effects"),
-        ] {
-            let params = FrameParams::from_query(Some(query));
-            let found = params.and_then(|p| {
-                p.format()?;
-                p.request("s", ImageFormat::Png, Instant::now())
-            });
-            let problem = found.err().unwrap_or_else(|| panic!("{query} was taken"));
-            assert_eq!(
-                problem.parameter.as_deref(),
-                Some(parameter),
-                "{query}: {}",
-                problem.detail
-            );
-            assert_eq!(problem.status(), 422);
-        }
-    }
-
-    #[test]
-    fn what_is_accepted_comes_from_the_type() {
-        assert_eq!(fault("reconstruct=splats").2, "points");
-        assert_eq!(fault("output=x").2, "color, depth, normal, id");
-    }
-
-    #[test]
-    fn matrices_become_a_view() {
-        let f = 1.0 / 20f64.to_radians().tan();
-        let query = format!(
-            "w=64&h=64&view=1,0,0,0,0,1,0,0,0,0,1,0,0,0,-5,1&proj={f},0,0,0,0,{f},0,0,0,0,-1,-1,0,0,-0.1,0"
-        );
-        let Pose::View(view) = request(&query).unwrap().pose else { panic!() };
-        assert_eq!(view.eye, DVec3::new(0.0, 0.0, 5.0));
-        assert_eq!(fault(&query.replace("view=1,", "view=2,")).0, "view");
-    }
-
-    #[test]
-    fn json_names_the_place() {
-        let fail = |json: serde_json::Value| {
-            let p = FrameParams::from_json(json, "poses[3]").unwrap_err();
-            (p.parameter.clone().unwrap(), p.status())
-        };
-        assert_eq!(fail(serde_json::json!({"eye": [1, 2]})), ("poses[3].eye".into(), 422));
-        assert_eq!(fail(serde_json::json!({"eyes": 1})), ("poses[3].eyes".into(), 422));
-        assert_eq!(fail(serde_json::json!({"filter": 1})), ("poses[3].filter".into(), 422));
-        assert_eq!(fail(serde_json::json!([1])).1, 422);
-        assert!(FrameParams::from_json(serde_json::json!({"w": 3}), "").is_ok());
-    }
-
-    #[test]
-    fn defaults_fill_but_do_not_mix_poses() {
-        let json = |v| FrameParams::from_json(v, "").unwrap();
-        let defaults =
-            json(serde_json::json!({"eye": [1,2,3], "target": [0,0,0], "fov": 30, "w": 7}));
-        let moved = json(serde_json::json!({"eye": [4,5,6]})).or(&defaults);
-        assert_eq!((moved.target, moved.fov, moved.w), (Some([0.0; 3]), Some(30.0), Some(7)));
-        let named = json(serde_json::json!({"camera": "front", "h": 9})).or(&defaults);
-        assert_eq!((named.eye, named.fov, named.w, named.h), (None, None, Some(7), Some(9)));
-        assert!(named.request("s", ImageFormat::Png, Instant::now()).is_ok());
-        assert_eq!(json(serde_json::json!({})).or(&defaults), defaults);
-    }
-}
+mod tests;

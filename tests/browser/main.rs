@@ -105,9 +105,7 @@ fn orbit_with_the_mouse() {
     assert_eq!(still_picture(&browser), first, "the same pose gives the same pixels");
 
     for output in ["normal", "depth", "id"] {
-        browser.script(&format!(
-            "const s = document.getElementById('output'); s.value = '{output}'; s.dispatchEvent(new Event('change'))"
-        ));
+        choose(&browser, "output", output);
         assert_ne!(still_picture(&browser), first, "{output} is another picture");
         browser.screenshot(&screenshot_path(&format!("wide-{output}.png")));
     }
@@ -122,6 +120,60 @@ fn orbit_with_the_mouse() {
     );
     assert!(message.as_str().unwrap_or_default().contains("ball"), "{message}");
     browser.screenshot(&screenshot_path("wide-error.png"));
+}
+
+/// Chooses an option as a user does.
+fn choose(browser: &Browser, control: &str, value: &str) {
+    browser.script(&format!(
+        "const s = document.getElementById('{control}'); s.value = '{value}'; s.dispatchEvent(new Event('change'))"
+    ));
+}
+
+/// Controls of splats that can be seen.
+fn shown_controls(browser: &Browser) -> String {
+    text(
+        browser,
+        "return ['reconstruct', 'filter', 'prefilter', 'blend', 'shading'].filter(name => \
+         document.getElementById(name).checkVisibility()).join(' ')",
+    )
+}
+
+#[test]
+fn splats_are_chosen_and_remembered() {
+    let Some(driver) = driver_or_skip() else { return };
+    let daemon = Daemon::start();
+    let browser = Browser::start(&driver, 1280, 800);
+    browser.open(&daemon.url);
+    still_picture(&browser);
+    assert_eq!(shown_controls(&browser), "reconstruct", "points have no settings of splats");
+
+    choose(&browser, "reconstruct", "splats");
+    let splats = still_picture(&browser);
+    assert_eq!(shown_controls(&browser), "reconstruct filter prefilter blend shading");
+    browser.screenshot(&screenshot_path("wide-splats.png"));
+    let filter = text(&browser, "return document.getElementById('filter').selectedOptions[0].text");
+    assert_eq!(filter, "scene: perspective");
+    let frame = text(&browser, "return document.getElementById('frame').innerText");
+    assert!(frame.contains("perspective filter, prefilter on, weighted"), "{frame}");
+    choose(&browser, "blend", "opaque");
+    choose(&browser, "prefilter", "false");
+    let opaque = still_picture(&browser);
+    assert_ne!(opaque, splats, "opaque splats are another picture");
+    let shown = shown_controls(&browser);
+    assert_eq!(shown, "reconstruct filter prefilter blend", "opaque splats are lit in one way");
+
+    let address = text(&browser, "return location.href");
+    for setting in ["reconstruct=splats", "blend=opaque", "prefilter=false"] {
+        assert!(address.contains(setting), "{address}");
+    }
+    assert!(!address.contains("filter=perspective"), "what was not chosen is not kept: {address}");
+    browser.open("about:blank");
+    browser.open(&address);
+    assert_eq!(still_picture(&browser), opaque, "the address shows the same picture");
+    choose(&browser, "reconstruct", "points");
+    still_picture(&browser);
+    assert_eq!(shown_controls(&browser), "reconstruct");
+    assert_eq!(browser.console_errors(), Vec::<String>::new());
 }
 
 /// Every step has a time or a reason, and they add up to the total.

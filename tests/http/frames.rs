@@ -176,7 +176,7 @@ fn many_poses_in_one_answer() {
     poses[3] = json!({"eye": [0, 0], "target": [0, 0, 0]});
     poses[5] = json!({"camera": "nobody"});
     poses[7] = json!({"camera": "front", "format": "jpeg", "w": 32});
-    poses[9] = json!({"filter": "box"});
+    poses[9] = json!({"filter": "exact"});
     let request = json!({"poses": poses, "w": 48, "h": 40, "format": "png"});
     let reply = client.post_json("/v1/scenes/grid/frames", &request);
     assert_eq!(reply.status, 200, "{}", reply.text());
@@ -230,4 +230,124 @@ fn a_node_is_moved_and_hidden() {
     assert_ne!((&moved.body, moved.header("etag")), (&before.body, before.header("etag")));
     assert_eq!(patch(json!({"translate": [0, 0, 0]})).status, 200);
     assert_eq!(client.get(FRAME).body, before.body);
+}
+
+/// Beside `grid`, the same wall in a scene that says how its splats are drawn.
+fn with_splats(root: &std::path::Path) {
+    let mut scene = super::daemon::grid_scene("grid.ply");
+    scene["name"] = json!("opaque");
+    scene["splats"] = json!({ "filter": "exact", "prefilter": false, "blend": "opaque", "shading": "splat", "cutoff": 2.5 });
+    std::fs::write(root.join("opaque.json"), scene.to_string()).unwrap();
+}
+
+fn splats_of(scene: &str, settings: &str) -> String {
+    format!("/v1/scenes/{scene}/frame?camera=front&w=96&h=64&reconstruct=splats{settings}")
+}
+
+#[test]
+fn splats_and_their_receipt() {
+    let daemon = Daemon::start_in(with_splats, &[]);
+    let client = daemon.client();
+    let points = client.get(FRAME);
+    assert_eq!(points.receipt()["settings"], json!({"lod": "full", "reconstruct": "points"}));
+    assert_eq!(points.receipt()["splats"]["scattered"], Value::Null);
+
+    let splats = client.get(&splats_of("grid", ""));
+    let (image, _) = decode(&splats);
+    assert_ne!(splats.body, points.body);
+    let background = *image.get_pixel(0, 0);
+    let covered = image.pixels().filter(|pixel| **pixel != background).count();
+    assert!(covered > 2000, "only {covered} pixels show the wall, which splats close");
+    let receipt = splats.receipt();
+    let defaults = json!({"lod": "full", "reconstruct": "splats", "filter": "perspective", "prefilter": true,
+        "blend": "weighted", "shading": "deferred", "lowpass_px": 0.5, "cutoff": 2.0, "width": 1.0, "depth_offset": 1.0});
+    assert_eq!(receipt["settings"], defaults);
+    let drawn = |key: &str| receipt["splats"][key].as_u64().unwrap();
+    assert_eq!(drawn("scattered") + drawn("rasterised"), 64 * 64, "{receipt}");
+    assert_eq!(drawn("clipped"), 0);
+    let ran = |name: &str| {
+        let passes = receipt["passes"].as_array().unwrap();
+        passes.iter().find(|pass| pass["name"] == name).unwrap()["ran"] == true
+    };
+    assert!(ran("project_splats") && ran("blend_splats") && ran("resolve_splats"));
+    assert!(!ran("project_samples") && !ran("resolve_samples"));
+
+    let asked = "&filter=affine&prefilter=false&blend=opaque&shading=splat";
+    let settings = &client.get(&splats_of("grid", asked)).receipt()["settings"];
+    assert_eq!(
+        [&settings["filter"], &settings["prefilter"], &settings["blend"], &settings["shading"]],
+        [&json!("affine"), &json!(false), &json!("opaque"), &json!("splat")]
+    );
+    let settings = &client.get(&splats_of("opaque", "&prefilter=true")).receipt()["settings"];
+    assert_eq!(
+        [&settings["filter"], &settings["prefilter"], &settings["blend"], &settings["cutoff"]],
+        [&json!("exact"), &json!(true), &json!("opaque"), &json!(2.5)],
+        "what is left out is as the scene has it"
+    );
+}
+
+#[test]
+fn entity_tags_of_splats_follow_what_is_drawn() {
+    let daemon = Daemon::start_in(with_splats, &[]);
+    let client = daemon.client();
+    let tag = |scene: &str, settings: &str| {
+        let reply = client.send("HEAD", &splats_of(scene, settings), &[], None);
+        assert_eq!(reply.status, 200, "{scene} {settings}");
+        reply.header("etag").unwrap().to_owned()
+    };
+    let points = client.send("HEAD", FRAME, &[], None);
+    let spelt_out = client.send("HEAD", &format!("{FRAME}&reconstruct=points"), &[], None);
+    assert_eq!(points.header("etag"), spelt_out.header("etag"));
+    for (scene, same, other) in [
+        (
+            "grid",
+            ["&filter=perspective", "&prefilter=true", "&blend=weighted", "&shading=deferred"],
+            ["&filter=affine", "&prefilter=false", "&blend=opaque", "&shading=splat"],
+        ),
+        (
+            "opaque",
+            ["&filter=exact", "&prefilter=false", "&blend=opaque", "&shading=splat"],
+            ["&filter=perspective", "&prefilter=true", "&blend=weighted", "&shading=deferred"],
+        ),
+    ] {
+        let plain = tag(scene, "");
+        assert_ne!(points.header("etag"), Some(plain.as_str()));
+        assert_eq!(tag(scene, &same.concat()), plain, "{scene}");
+        let mut tags: Vec<String> = other.iter().map(|settings| tag(scene, settings)).collect();
+        tags.push(plain.clone());
+        for setting in same {
+            assert_eq!(tag(scene, setting), plain, "{scene} {setting}");
+        }
+        tags.sort_unstable();
+        tags.dedup();
+        assert_eq!(tags.len(), 5, "{scene}: each setting has a tag of its own");
+    }
+}
+
+#[test]
+fn poses_of_a_series_inherit_how_splats_are_drawn() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let pose = json!({"camera": "front"});
+    let own =
+        json!({"camera": "front", "filter": "exact", "prefilter": true, "shading": "deferred"});
+    let points = json!({"camera": "front", "reconstruct": "points"});
+    let unknown = json!({"camera": "front", "blend": "max"});
+    let request = json!({"poses": [pose, own, points, unknown], "w": 96, "h": 64, "reconstruct": "splats",
+        "filter": "affine", "prefilter": false, "blend": "opaque", "shading": "splat"});
+    let reply = client.post_json("/v1/scenes/grid/frames", &request);
+    assert_eq!(reply.status, 200, "{}", reply.text());
+    let parts = parts(&reply);
+    for (part, query) in [
+        (0, "&filter=affine&prefilter=false&blend=opaque&shading=splat"),
+        (1, "&filter=exact&prefilter=true&blend=opaque&shading=deferred"),
+    ] {
+        let alone = client.get(&splats_of("grid", query));
+        assert_eq!(parts[part].2.as_ref().unwrap()["settings"], alone.receipt()["settings"]);
+        assert_eq!(parts[part].3, alone.body, "{query}");
+    }
+    assert_eq!(parts[2].3, client.get(FRAME).body, "points have none of it");
+    let problem: Value = serde_json::from_slice(&parts[3].3).unwrap();
+    assert_eq!(problem["status"], 422, "{problem}");
+    assert!(problem["parameter"].as_str().unwrap().ends_with("blend"), "{problem}");
 }

@@ -1,0 +1,212 @@
+use super::*;
+
+fn request(query: &str) -> Result<FrameRequest, Problem> {
+    FrameParams::from_query(Some(query))?.request("s", ImageFormat::Png, Instant::now())
+}
+
+fn fault(query: &str) -> (String, String, String) {
+    let p = request(query).unwrap_err();
+    assert_eq!(p.status(), 422, "{query}");
+    (p.parameter.unwrap_or_default(), p.detail, p.accepted.unwrap_or_default())
+}
+
+#[test]
+fn a_full_query() {
+    let r = request("eye=0,1,3&target=0,0,0&up=0,0,1&fov=40&w=640&h=480&quality=90&output=depth")
+        .unwrap();
+    let Pose::Camera(camera) = r.pose else { panic!("{:?}", r.pose) };
+    assert_eq!(camera.eye, DVec3::new(0.0, 1.0, 3.0));
+    assert_eq!((camera.up, camera.fov_deg), (DVec3::Z, 40.0));
+    assert_eq!((r.width, r.height, r.quality, r.output), (640, 480, 90, Output::Depth));
+    assert!(r.deadline.is_none());
+}
+
+#[test]
+fn nothing_given_shows_everything() {
+    let r = FrameParams::from_query(None)
+        .unwrap()
+        .request("s", ImageFormat::Png, Instant::now())
+        .unwrap();
+    assert_eq!((r.pose, r.width, r.height), (Pose::Fit, 1024, 1024));
+}
+
+#[test]
+fn escapes_are_decoded() {
+    let r = request("camera=front%20door&eye=").unwrap_err();
+    assert_eq!(r.parameter.as_deref(), Some("eye"));
+    let r = request("camera=front+door").unwrap();
+    assert_eq!(r.pose, Pose::Named("front door".into()));
+}
+
+#[test]
+fn unknown_names_are_suggested() {
+    assert!(fault("reconstuct=points").1.contains("`reconstruct`"));
+    assert!(fault("width=3").1.contains("`w`"));
+    assert!(fault("zzzz=3").2.contains("deadline_ms"));
+}
+
+#[test]
+fn values_are_checked() {
+    for (query, parameter) in [
+        ("w=0", "w"),
+        ("w=-1", "w"),
+        ("h=1e3", "h"),
+        ("w=5&w=5", "w"),
+        ("quality=0", "quality"),
+        ("quality=101", "quality"),
+        ("eye=1,2&target=0,0,0", "eye"),
+        ("eye=1,2,nan&target=0,0,0", "eye"),
+        ("eye=1,2,inf&target=0,0,0", "eye"),
+        ("eye=1,2,3,4&target=0,0,0", "eye"),
+        ("eye=1,2,3", "target"),
+        ("target=1,2,3", "eye"),
+        ("fov=30", "eye"),
+        ("camera=a&fov=30", "fov"),
+        ("eye=1,2,3&target=0,0,0&view=1", "view"),
+        ("view=1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1", "proj"),
+        ("deadline_ms=0", "deadline_ms"),
+        ("deadline_ms=nan", "deadline_ms"),
+        ("output=colour", "output"),
+        ("lod=spt", "lod"),
+        ("reconstruct=disks", "reconstruct"),
+        ("reconstruct=splats&reconstruct=splats", "reconstruct"),
+        ("reconstruct=splats&filter=box", "filter"),
+        ("reconstruct=splats&filter=exact&filter=exact", "filter"),
+        ("reconstruct=splats&prefilter=1", "prefilter"),
+        ("reconstruct=splats&prefilter=", "prefilter"),
+        ("reconstruct=splats&prefilter=true&prefilter=true", "prefilter"),
+        ("reconstruct=splats&blend=max", "blend"),
+        ("reconstruct=splats&blend=opaque&blend=weighted", "blend"),
+        ("reconstruct=splats&shading=phong", "shading"),
+        ("reconstruct=splats&shading=splat&shading=splat", "shading"),
+        ("format=gif", "format"),
+        ("max_error_px=1", "max_error_px"),
+        ("budget_ms=1", "budget_ms"),
+        ("effects=ao", "effects"),
+    ] {
+        let params = FrameParams::from_query(Some(query));
+        let found = params.and_then(|p| {
+            p.format()?;
+            p.request("s", ImageFormat::Png, Instant::now())
+        });
+        let problem = found.err().unwrap_or_else(|| panic!("{query} was taken"));
+        assert_eq!(problem.parameter.as_deref(), Some(parameter), "{query}: {}", problem.detail);
+        assert_eq!(problem.status(), 422);
+    }
+}
+
+#[test]
+fn what_is_accepted_comes_from_the_type() {
+    assert_eq!(fault("output=x").2, "color, depth, normal, id");
+    assert_eq!(fault("reconstruct=x").2, "points or splats");
+    for (query, accepted) in [
+        ("filter=x", "affine, perspective, exact"),
+        ("prefilter=yes", "true or false"),
+        ("blend=x", "weighted or opaque"),
+        ("shading=x", "deferred or splat"),
+    ] {
+        assert_eq!(fault(&format!("reconstruct=splats&{query}")).2, accepted, "{query}");
+    }
+}
+
+/// What a scene says of splats, a request may say otherwise; what it leaves out is the scene's to say.
+#[test]
+fn settings_of_splats_in_both_notations() {
+    const QUERY: &str =
+        "reconstruct=splats&filter=exact&prefilter=false&blend=opaque&shading=splat";
+    let asked = request(QUERY).unwrap().settings;
+    let expected = Settings {
+        lod: Lod::Full,
+        reconstruct: Reconstruct::Splats,
+        filter: Some(Filter::Exact),
+        prefilter: Some(false),
+        blend: Some(Blend::Opaque),
+        shading: Some(Shading::Splat),
+    };
+    assert_eq!(asked, expected);
+    let json = serde_json::json!({"reconstruct": "splats", "filter": "exact", "prefilter": false,
+        "blend": "opaque", "shading": "splat"});
+    let same = FrameParams::from_json(json, "").unwrap();
+    assert_eq!(same.request("s", ImageFormat::Png, Instant::now()).unwrap().settings, expected);
+    for (query, filter) in
+        [("affine", Filter::Affine), ("perspective", Filter::Perspective), ("exact", Filter::Exact)]
+    {
+        let settings = request(&format!("reconstruct=splats&filter={query}")).unwrap().settings;
+        let left = (settings.prefilter, settings.blend, settings.shading);
+        assert_eq!((settings.filter, left), (Some(filter), (None, None, None)), "{query}");
+    }
+    assert_eq!(request("").unwrap().settings, Settings::default());
+}
+
+#[test]
+fn settings_of_splats_need_splats() {
+    for (name, value) in [
+        ("filter", serde_json::json!("exact")),
+        ("prefilter", serde_json::json!(true)),
+        ("blend", serde_json::json!("weighted")),
+        ("shading", serde_json::json!("deferred")),
+    ] {
+        let word = value.to_string().replace('"', "");
+        for before in ["", "reconstruct=points&"] {
+            let (parameter, _, accepted) = fault(&format!("{before}{name}={word}"));
+            assert_eq!(parameter, name);
+            assert!(accepted.contains("`reconstruct=splats`"), "{name}: {accepted}");
+        }
+        let body = serde_json::Value::Object([(name.to_owned(), value)].into_iter().collect());
+        let params = FrameParams::from_json(body, "").unwrap();
+        let problem = params.request("s", ImageFormat::Png, Instant::now()).unwrap_err();
+        assert_eq!((problem.status(), problem.parameter.as_deref()), (422, Some(name)));
+    }
+    let fail = |json| FrameParams::from_json(json, "").unwrap_err().parameter.unwrap();
+    assert_eq!(fail(serde_json::json!({"prefilter": "true"})), "prefilter");
+    assert_eq!(fail(serde_json::json!({"blend": 1})), "blend");
+}
+
+#[test]
+fn settings_of_splats_are_inherited() {
+    let json = |v| FrameParams::from_json(v, "").unwrap();
+    let defaults = json(serde_json::json!({"reconstruct": "splats", "filter": "affine",
+        "prefilter": false, "blend": "opaque", "shading": "splat"}));
+    assert_eq!(json(serde_json::json!({})).or(&defaults), defaults);
+    let other = json(serde_json::json!({"prefilter": true, "filter": "exact"})).or(&defaults);
+    assert_eq!((other.prefilter, other.filter.as_deref()), (Some(true), Some("exact")));
+    assert_eq!((&other.blend, &other.shading), (&defaults.blend, &defaults.shading));
+    let points = json(serde_json::json!({"reconstruct": "points"})).or(&defaults);
+    assert!(points.request("s", ImageFormat::Png, Instant::now()).is_ok());
+}
+
+#[test]
+fn matrices_become_a_view() {
+    let f = 1.0 / 20f64.to_radians().tan();
+    let query = format!(
+        "w=64&h=64&view=1,0,0,0,0,1,0,0,0,0,1,0,0,0,-5,1&proj={f},0,0,0,0,{f},0,0,0,0,-1,-1,0,0,-0.1,0"
+    );
+    let Pose::View(view) = request(&query).unwrap().pose else { panic!() };
+    assert_eq!(view.eye, DVec3::new(0.0, 0.0, 5.0));
+    assert_eq!(fault(&query.replace("view=1,", "view=2,")).0, "view");
+}
+
+#[test]
+fn json_names_the_place() {
+    let fail = |json: serde_json::Value| {
+        let p = FrameParams::from_json(json, "poses[3]").unwrap_err();
+        (p.parameter.clone().unwrap(), p.status())
+    };
+    assert_eq!(fail(serde_json::json!({"eye": [1, 2]})), ("poses[3].eye".into(), 422));
+    assert_eq!(fail(serde_json::json!({"eyes": 1})), ("poses[3].eyes".into(), 422));
+    assert_eq!(fail(serde_json::json!({"filter": 1})), ("poses[3].filter".into(), 422));
+    assert_eq!(fail(serde_json::json!([1])).1, 422);
+    assert!(FrameParams::from_json(serde_json::json!({"w": 3}), "").is_ok());
+}
+
+#[test]
+fn defaults_fill_but_do_not_mix_poses() {
+    let json = |v| FrameParams::from_json(v, "").unwrap();
+    let defaults = json(serde_json::json!({"eye": [1,2,3], "target": [0,0,0], "fov": 30, "w": 7}));
+    let moved = json(serde_json::json!({"eye": [4,5,6]})).or(&defaults);
+    assert_eq!((moved.target, moved.fov, moved.w), (Some([0.0; 3]), Some(30.0), Some(7)));
+    let named = json(serde_json::json!({"camera": "front", "h": 9})).or(&defaults);
+    assert_eq!((named.eye, named.fov, named.w, named.h), (None, None, Some(7), Some(9)));
+    assert!(named.request("s", ImageFormat::Png, Instant::now()).is_ok());
+    assert_eq!(json(serde_json::json!({})).or(&defaults), defaults);
+}
