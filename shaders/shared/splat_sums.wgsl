@@ -16,10 +16,10 @@ const OUTPUT_COLOR: u32 = 0u;
 const OUTPUT_DEPTH: u32 = 1u;
 const OUTPUT_NORMAL: u32 = 2u;
 
-const WEIGHT_ONE: f32 = 4096.0;
+const WEIGHT_ONE: f32 = 32768.0;
 const DEPTH_ONE: f32 = 1073741824.0;
-// Beyond it a pixel takes no more: the sums would wrap.
-const WEIGHT_FULL: u32 = 0x80000000u;
+// Beyond it a pixel takes no more: the sums would wrap. What threads have read before others added fits above it.
+const WEIGHT_FULL: u32 = 0x40000000u;
 
 @group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;

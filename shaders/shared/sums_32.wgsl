@@ -12,7 +12,7 @@ fn add_1(pixel: u32, low: u32, high: u32) {
     atomicAdd(&sums_1[2u * pixel + 1u], high);
 }
 
-// A product as one sum of 64 bits: `a` below 2^13, `b` up to 2^30. Whoever makes the lower half wrap carries.
+// A product as one sum of 64 bits: `a` up to 2^15, `b` up to 2^30. Whoever makes the lower half wrap carries.
 fn add_wide(pixel: u32, a: u32, b: u32) {
     let near = a * (b & 0x7fffu);
     let far = a * (b >> 15u);

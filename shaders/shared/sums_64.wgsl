@@ -1,5 +1,5 @@
 // Sums of a pixel in integers, whose order does not matter. Each 64-bit word holds two sums of 32 bits; contributions have a
-// weight of 12 bits at most, so that a million of them fit.
+// weight of 15 bits at most, so that 2^17 of them fit.
 @group(0) @binding(5) var<storage, read_write> sums_0: array<atomic<u64>>;
 @group(0) @binding(6) var<storage, read_write> sums_1: array<atomic<u64>>;
 

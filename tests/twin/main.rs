@@ -17,6 +17,7 @@ mod lights;
 mod materials;
 mod precision;
 mod random;
+mod real;
 mod samples;
 mod scenes;
 mod splats;

@@ -70,12 +70,9 @@ fn view(eye: [f64; 3], target: [f64; 3], fov_deg: f64, width: u32, height: u32) 
 /// Fig. 7: seen at a flat angle and far off the axis, the affine filter leaves holes where the others leave none.
 #[test]
 fn figure_7_extreme_perspective() {
-    let cloud =
-        lattice(
-            160,
-            0.05,
-            |i, k| if (i / 8 + k / 8) % 2 == 0 { [230; 4] } else { [40, 60, 90, 255] },
-        );
+    let cloud = lattice(160, 0.05, |i, k| {
+        if (i / 8 + k / 8).is_multiple_of(2) { [230; 4] } else { [40, 60, 90, 255] }
+    });
     let case = case("figure-7", &cloud, json!({ "lights": [], "splats": { "cutoff": 1.76 } }));
     // A wide lens looks past the plane, which lies in the corner of the image.
     let base = view([0.0, 0.06, 3.2], [0.0, 0.3, -0.5], 120.0, 400, 300);
@@ -125,7 +122,8 @@ fn roughness(frames: &Frames, rows: std::ops::Range<usize>) -> f64 {
 /// Fig. 6: a checkerboard whose squares shrink below a pixel: energy above the Nyquist frequency with the low-pass filter and without.
 #[test]
 fn figure_6_checkerboard() {
-    let check = |i: u32, k: u32| if (i / 2 + k / 2) % 2 == 0 { [255; 4] } else { [0, 0, 0, 255] };
+    let check =
+        |i: u32, k: u32| if (i / 2 + k / 2).is_multiple_of(2) { [255; 4] } else { [0, 0, 0, 255] };
     let cloud = lattice(700, 0.02, check);
     let case = case("figure-6", &cloud, json!({ "lights": [], "background": "#808080" }));
     let view = view([0.0, 1.1, 7.2], [0.0, 0.0, 0.0], 40.0, 320, 240);

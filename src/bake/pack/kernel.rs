@@ -148,7 +148,7 @@ mod tests {
         fn lines_keep_their_side(
             angle in 0f32..TAU, line_angle in 0f32..TAU, offset in -3f32..3.0, flip in any::<bool>(),
         ) {
-            let n = Vec3::new(0.3, -0.5, 0.7).normalize();
+            let n = Vec3::new(0.3, -0.5, 0.7).normalize_or_zero();
             let (t, b) = frame(n);
             let u = angle.cos() * t + angle.sin() * b;
             let v = n.cross(u) * if flip { -1.0 } else { 1.0 };

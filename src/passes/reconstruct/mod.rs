@@ -12,7 +12,7 @@ use crate::residency::PageKind;
 use crate::scene::{Blend, Filter, Shading, Splats};
 
 /// Samples that the sums of a pixel have room for.
-const SUMS_ROOM: u64 = 1 << 20;
+const SUMS_ROOM: u64 = 1 << 17;
 
 /// What shaders call a filter.
 pub fn filter_number(filter: Filter) -> u32 {
