@@ -7,6 +7,7 @@ Four ways to draw (`--mode`), each VTK's own:
   points     one hardware point a sample (vtkPolyDataMapper, point size 1, no lighting)
   point-gaussian   vtkPointGaussianMapper with scale factor 0: its fastest path for large clouds
   splats     vtkPointGaussianMapper, an unlit disc of --radius scene units a sample
+  gaussians  vtkPointGaussianMapper as it is made: blended Gaussians, here cut off at --radius, two standard deviations
   surface    the file's triangles, smooth shaded
 
 Everything else is off by default, which is as fast as VTK gets here; `--lighting`, `--multisamples`,
@@ -151,7 +152,9 @@ def make_actor(data, has_colors, args):
     else:
         mapper = vtk.vtkPointGaussianMapper()
         mapper.EmissiveOff()
-        mapper.SetScaleFactor(args.radius if mode == "splats" else 0.0)
+        mapper.SetScaleFactor({"splats": args.radius, "gaussians": args.radius / 2}.get(mode, 0.0))
+        if mode == "gaussians":
+            mapper.SetTriangleScale(2.0)
         if mode == "splats":
             mapper.SetSplatShaderCode(
                 "//VTK::Color::Impl\n"
@@ -230,7 +233,7 @@ def parse_arguments():
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("ply")
     parser.add_argument(
-        "--mode", default="points", choices=["points", "point-gaussian", "splats", "surface"]
+        "--mode", default="points", choices=["points", "point-gaussian", "splats", "gaussians", "surface"]
     )
     parser.add_argument("--eye", type=vector, help="x,y,z (default: the whole scene in view)")
     parser.add_argument("--target", type=vector)

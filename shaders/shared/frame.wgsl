@@ -34,7 +34,8 @@ struct Frame {
     sample_segments: u32,
     // Longest side in pixels of a splat's box that one thread walks.
     small_splat_px: i32,
-    unused: u32,
+    // What a splat weighs in whole numbers where its kernel is 1.
+    weight_one: f32,
     // Where kernels end in standard deviations; standard deviation of the low-pass filter; what kernels' axes are multiplied
     // by; how far behind a surface splats count, in its splats' radii. All 0 where samples are drawn as points.
     splat_cutoff: f32,

@@ -19,6 +19,10 @@ struct LargeList {
 @group(2) @binding(2) var<uniform> segment: SegmentUse;
 @group(2) @binding(4) var<storage, read_write> large: LargeList;
 
+fn mark_full() {
+    atomicMax(&stats[frame.view].sums_full, 1u);
+}
+
 fn list_splat(splat: Splat) {
     let at = atomicAdd(&large.vertex_count, 3u) / 3u;
     atomicMax(&stats[0].large_longest, at + 1u);

@@ -105,8 +105,9 @@ struct Stats {
     splats_clipped: atomic<u32>,
     splats_listed: atomic<u32>,
     splats_scattered: atomic<u32>,
-    unused_0: atomic<u32>,
-    unused_1: atomic<u32>,
+    // The weights of some pixel's splats do not fit their sum.
+    sums_full: atomic<u32>,
+    unused: atomic<u32>,
 }
 
 // Words of a view's record, and places in it for those who only read.
@@ -114,6 +115,7 @@ const STATS_WORDS: u32 = 16u;
 const STAT_LARGE_LONGEST: u32 = 8u;
 const STAT_LARGE_UNITS: u32 = 9u;
 const STAT_LARGE_WRAPPED: u32 = 10u;
+const STAT_SUMS_FULL: u32 = 14u;
 
 const SLOT_SHIFT: u32 = 10u;
 const SLOT_MASK: u32 = 1023u;

@@ -35,8 +35,9 @@ const SMALL: u32 = 1u;
 const LARGE: u32 = 2u;
 
 // Weights do not fall below this share of the kernel's own: what many tiny splats add up to keeps its digits.
-const LEAST_AMPLITUDE: f32 = 0.015625;
+const LEAST_AMPLITUDE: f32 = 0.125;
 const FARTHEST: f32 = 1e30;
+const GAP: f32 = 0.0000019073486;
 // Standard deviations below this many pixels are as good as none.
 const THINNEST: f32 = 1e-15;
 
@@ -289,7 +290,8 @@ fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: ve
     let pixel_reach = filter_px * abs(p.z) / frame.focal_px.y;
     splat.offset = frame.splat_offset * fma(f, longest, pixel_reach);
     let reach = f * length(vec2<f32>(u_in.z, v_in.z));
-    if p.z <= max(reach, NEAREST) {
+    // Within rounding of the camera plane a disk has no outline that could be told from one that reaches it.
+    if p.z * (1.0 - GAP) <= max(reach, NEAREST) {
         if p.z >= -reach && reach > 0.0 {
             crossing_splat(&splat, p, u_in, v_in, lines, orientation);
         }
@@ -317,7 +319,7 @@ fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: ve
             let l_uv = b.y / l_u;
             let l_v = sqrt(max(1.0 + b.z - l_uv * l_uv, 1.0));
             let wide = vec2<f32>(fma(l_u, slopes.x, l_uv * slopes.y), l_v * slopes.y);
-            exact = f * f * dot(wide, wide) < 1.0;
+            exact = f * f * dot(wide, wide) < 1.0 - GAP;
             if exact {
                 slopes = wide;
                 ju = l_u * ju + l_uv * jv;

@@ -16,10 +16,7 @@ const OUTPUT_COLOR: u32 = 0u;
 const OUTPUT_DEPTH: u32 = 1u;
 const OUTPUT_NORMAL: u32 = 2u;
 
-const WEIGHT_ONE: f32 = 32768.0;
 const DEPTH_ONE: f32 = 1073741824.0;
-// Beyond it a pixel takes no more: the sums would wrap. What threads have read before others added fits above it.
-const WEIGHT_FULL: u32 = 0x40000000u;
 
 @group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;
@@ -85,6 +82,14 @@ fn fixed(v: vec3<f32>, weight: f32) -> vec3<u32> {
     return vec3<u32>(round(v * weight));
 }
 
+// The weight, and what shares its word. That it does not fit is the same in every order of splats.
+fn weigh(pixel: u32, other: u32, weight: u32) {
+    let wrapped = add_0(pixel, other, weight);
+    if CROWDED && wrapped {
+        mark_full();
+    }
+}
+
 fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) {
     let inverse = splat_inverse(splat, d);
     let kept = visibility[pixel].y;
@@ -93,24 +98,21 @@ fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) {
     if inverse < visible || ((kept | splat.facing) & FACING_BITS) == FACING_BITS {
         return;
     }
-    if CROWDED && weight_so_far(pixel) >= WEIGHT_FULL {
-        return;
-    }
-    let weight = max(round(splat.amplitude * exp(-0.5 * q) * WEIGHT_ONE), 1.0);
+    let weight = max(round(splat.amplitude * exp(-0.5 * q) * frame.weight_one), 1.0);
     if OUTPUT == OUTPUT_DEPTH {
-        add_0(pixel, 0u, u32(weight));
+        weigh(pixel, 0u, u32(weight));
         // Much nearer to the eye than the splat is wide, it is still before the eye.
         add_wide(pixel, u32(weight), max(u32(min(visible / inverse, 1.0) * DEPTH_ONE), 1u));
         return;
     }
     if OUTPUT == OUTPUT_NORMAL {
         let n = fixed(paint.normal, weight);
-        add_0(pixel, n.x, u32(weight));
+        weigh(pixel, n.x, u32(weight));
         add_1(pixel, n.y, n.z);
         return;
     }
     let c = fixed(paint.color, weight);
-    add_0(pixel, c.r, u32(weight));
+    weigh(pixel, c.r, u32(weight));
     add_1(pixel, c.g, c.b);
     if DEFERRED {
         add_normal(pixel, fixed(paint.normal, weight), u32(round(visible / inverse * weight)));

@@ -2,9 +2,10 @@
 @group(0) @binding(5) var<storage, read_write> sums_0: array<atomic<u32>>;
 @group(0) @binding(6) var<storage, read_write> sums_1: array<atomic<u32>>;
 
-fn add_0(pixel: u32, low: u32, high: u32) {
+fn add_0(pixel: u32, low: u32, high: u32) -> bool {
     atomicAdd(&sums_0[2u * pixel], low);
-    atomicAdd(&sums_0[2u * pixel + 1u], high);
+    let old = atomicAdd(&sums_0[2u * pixel + 1u], high);
+    return old + high < high;
 }
 
 fn add_1(pixel: u32, low: u32, high: u32) {
@@ -23,8 +24,4 @@ fn add_wide(pixel: u32, a: u32, b: u32) {
     if carried != 0u {
         atomicAdd(&sums_1[2u * pixel + 1u], carried);
     }
-}
-
-fn weight_so_far(pixel: u32) -> u32 {
-    return atomicLoad(&sums_0[2u * pixel + 1u]);
 }

@@ -39,6 +39,8 @@ pub struct Job {
     attempts: AtomicU32,
     redraws: AtomicU32,
     alone: AtomicBool,
+    /// Halvings of what splats weigh.
+    halvings: AtomicU32,
 }
 
 struct Waiters {
@@ -61,6 +63,7 @@ impl Job {
             attempts: AtomicU32::new(0),
             redraws: AtomicU32::new(0),
             alone: AtomicBool::new(false),
+            halvings: AtomicU32::new(0),
         };
         (Arc::new(job), receiver)
     }
@@ -106,12 +109,26 @@ impl Job {
         let FrameRequest { output, width, height, .. } = self.request;
         let (model, plan) = (self.resolved.model.uid, self.resolved.plan.clone());
         let splats = self.resolved.splats;
-        (!self.is_alone()).then_some((model, plan, splats, output, width, height))
+        let halvings = self.halvings.load(Ordering::Relaxed);
+        let key = (model, plan, splats, halvings, output, width, height);
+        (!self.is_alone()).then_some(key)
     }
 
     /// Counts a redraw for want of room in a list; false when there have been more than growing lists explain.
     pub fn may_redraw(&self) -> bool {
         self.redraws.fetch_add(1, Ordering::Relaxed) < 8
+    }
+
+    /// What a splat weighs in whole numbers where its kernel is 1: 15 bits, unless too many overlap.
+    pub fn weight_one(&self) -> f32 {
+        (1u32 << 15 >> self.halvings.load(Ordering::Relaxed)) as f32
+    }
+
+    /// From now on splats weigh a 32nd of what they did: the sums of a pixel have overflowed.
+    pub fn lighten(&self) {
+        let _ = self.halvings.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |halvings| {
+            Some((halvings + 5).min(15))
+        });
     }
 
     /// From now on no dispatch draws it together with other frames.

@@ -12,6 +12,7 @@ use sha2::{Digest, Sha256};
 
 use super::{AssetInfo, EngineConfig, EngineError, NamedCamera, NodePatch, SceneInfo};
 use crate::assets::{AssetError, Geometry, Placement};
+use crate::bake::CUTOFF;
 use crate::bake::assemble::{AssembleError, Assembler, Prepared};
 use crate::bake::pack::{PackedAsset, PackedGeometry, pack_mesh, pack_samples, pack_texture};
 use crate::bake::prepare::{self, AssetTraits};
@@ -144,6 +145,13 @@ pub fn load(
     if !is_scene {
         let traits: Vec<AssetTraits> = assets.iter().map(|asset| asset.traits()).collect();
         prepare::adapt_bare_asset(&mut description, &traits);
+    }
+    let splats = &description.splats;
+    if f64::from(splats.cutoff) * f64::from(splats.width) < f64::from(CUTOFF) {
+        warnings.push(format!(
+            "splats end at {} standard deviations; estimated kernels close a surface from {CUTOFF} on",
+            splats.cutoff * splats.width
+        ));
     }
     if description.lights.iter().any(|light| matches!(light, Light::Sun { shadows: true, .. })) {
         warnings.push("lights ask for shadows, which this version does not draw".to_owned());

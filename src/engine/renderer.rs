@@ -87,7 +87,7 @@ pub struct Landed {
     pub drawn: Vec<Drawn>,
     /// To be drawn again: the device was lost.
     pub again: Vec<Arc<Job>>,
-    /// To be drawn again: the list of large triangles was too short, and is no more.
+    /// To be drawn again: the list of large triangles was too short, or splats too heavy, and is no more.
     pub redraw: Vec<Arc<Job>>,
     pub failed: Vec<(Arc<Job>, EngineError)>,
     pub lost: bool,
@@ -313,6 +313,7 @@ impl Renderer {
             plan: first.resolved.plan.clone(),
             splats: first.resolved.splats,
             small_splat_px: self.small_splat_px,
+            weight_one: first.weight_one(),
             small_triangle_px: self.small_triangle_px,
             large_capacity: self.scratch.large_capacity(),
             large_units_limit: self.large_units_limit,
@@ -449,6 +450,11 @@ impl Renderer {
             let (pass_ns, gpu_ns) = self.durations(&group.spans, stamps.as_deref());
             let since = now - submitted;
             for (job, (image, stats)) in group.jobs.into_iter().zip(frames) {
+                if stats.sums_full != 0 {
+                    job.lighten();
+                    landed.redraw.push(job);
+                    continue;
+                }
                 if let Some(error) = self.over_limit(&stats) {
                     landed.failed.push((job, error));
                     continue;

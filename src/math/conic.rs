@@ -1,4 +1,4 @@
-//! The outline of a disk in the image, in f32: the operations that a shader does, one by one.
+//! The outline of a disk in the image, in f32, from operations that a shader has, with a guard for each extreme.
 //!
 //! A splat is a disk with centre `p` and tangents `t_u`, `t_v` in camera space (x right, y down, z forward, the eye at
 //! 0), cut off where `u² + v² = F²`. Its outline on screen is an ellipse as long as it does not reach the

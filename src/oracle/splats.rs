@@ -24,7 +24,7 @@ use super::footprint::{Disk, Gaussian, solve};
 use super::prepare::PreparedItem;
 
 /// Splats that the low-pass filter spreads thin keep this much of their weight.
-const LEAST_AMPLITUDE: f64 = 1.0 / 64.0;
+const LEAST_AMPLITUDE: f64 = 1.0 / 8.0;
 
 /// Upper bound of a depth's inverse where the plane may come as close as the eye.
 const MOST_INVERSE_DEPTH: f64 = 1e30;

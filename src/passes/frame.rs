@@ -21,6 +21,8 @@ pub struct FrameTask {
     pub splats: Option<Splats>,
     /// Boxes of splats with a longer side than this are walked by several threads.
     pub small_splat_px: u32,
+    /// What a splat weighs in whole numbers where its kernel is 1.
+    pub weight_one: f32,
     /// Boxes of triangles with a longer side than this go to the rasteriser.
     pub small_triangle_px: u32,
     /// Large triangles that the list holds.
@@ -112,7 +114,7 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         first_run: number * scene.pages.len() as u32,
         sample_segments: scene.sample_segments(),
         small_splat_px: task.small_splat_px as i32,
-        unused: 0,
+        weight_one: task.weight_one,
         splat_cutoff: task.splats.map_or(0.0, |splats| splats.cutoff),
         splat_lowpass_px: task.splats.map_or(0.0, |s| if s.prefilter { s.lowpass_px } else { 0.0 }),
         splat_width: task.splats.map_or(0.0, |splats| splats.width),

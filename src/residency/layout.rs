@@ -106,7 +106,8 @@ pub struct GpuStats {
     pub splats_clipped: u32,
     pub splats_listed: u32,
     pub splats_scattered: u32,
-    pub unused: [u32; 2],
+    pub sums_full: u32,
+    pub unused: u32,
 }
 
 /// `Material` of `shared/material.wgsl`.
@@ -195,7 +196,7 @@ pub struct GpuFrame {
     pub first_run: u32,
     pub sample_segments: u32,
     pub small_splat_px: i32,
-    pub unused: u32,
+    pub weight_one: f32,
     pub splat_cutoff: f32,
     pub splat_lowpass_px: f32,
     pub splat_width: f32,
@@ -307,7 +308,7 @@ mod tests {
                 first_run,
                 sample_segments,
                 small_splat_px,
-                unused,
+                weight_one,
                 splat_cutoff,
                 splat_lowpass_px,
                 splat_width,
@@ -411,6 +412,7 @@ mod tests {
                         ("large_longest", std::mem::offset_of!(GpuStats, large_longest)),
                         ("large_units", std::mem::offset_of!(GpuStats, large_units)),
                         ("large_wrapped", std::mem::offset_of!(GpuStats, large_wrapped)),
+                        ("sums_full", std::mem::offset_of!(GpuStats, sums_full)),
                     ] {
                         assert_eq!(offset(member), place);
                         let name = format!("STAT_{}", member.to_uppercase());
