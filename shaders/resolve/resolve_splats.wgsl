@@ -4,6 +4,7 @@
 //!include shared/octahedral
 //!include shared/colour
 //!include shared/normals
+//!include shared/kept
 //!include shared/resolve
 
 @group(0) @binding(5) var<storage, read> sums_0: array<vec2<u32>>;
@@ -17,8 +18,6 @@
 // Pixels are lit once all is blended; otherwise splats were lit, or there are no lights.
 override DEFERRED: bool = true;
 
-const DEPTH_ONE: f32 = 1073741824.0;
-
 fn blended_normal(sums: vec3<u32>, inverse_weight: f32, at: vec2<u32>) -> vec3<f32> {
     let n = fma(vec3<f32>(sums), vec3<f32>(2.0 * inverse_weight), vec3<f32>(-1.0));
     // What rounding leaves of normals that are not known.
@@ -27,9 +26,6 @@ fn blended_normal(sums: vec3<u32>, inverse_weight: f32, at: vec2<u32>) -> vec3<f
     }
     return facing_normal(n, world_from_camera(ray_through(pixel_centre(at))));
 }
-
-// As shared/splat has it.
-const FACING_BITS: u32 = 3u;
 
 fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
     if OUTPUT == OUTPUT_ID {

@@ -10,7 +10,6 @@ struct ClipForms {
 // Direction in 2^-16 turns and signed offset; what stands for no line has the least offset.
 @group(1) @binding(5) var<storage, read> clips: array<vec2<u32>>;
 
-const NO_LINE: u32 = 0x8000u;
 const OFFSET_STEP: f32 = 8.0 / 32767.0;
 const TURN: f32 = 6.2831853 / 65536.0;
 

@@ -3,8 +3,6 @@ struct ClipForms {
     unused: u32,
 }
 
-const NO_LINE: u32 = 0x8000u;
-
 fn clip_words(sample: u32) -> vec2<u32> {
     return vec2<u32>(0u);
 }

@@ -7,8 +7,7 @@ struct SegmentUse {
     first: u32,
 }
 
-// 0 color, 1 depth, 2 normal, 3 id.
-override OUTPUT: u32 = 0u;
+//!include shared/outputs
 // A shade pass follows and wants normals.
 override SHADED: bool = true;
 // Some instance overrides its asset's materials.
@@ -23,10 +22,6 @@ override TEXTURES: bool = true;
 @group(2) @binding(1) var<storage, read> runs: array<Run>;
 @group(2) @binding(2) var<uniform> segment: SegmentUse;
 
-const OUTPUT_COLOR: u32 = 0u;
-const OUTPUT_DEPTH: u32 = 1u;
-const OUTPUT_NORMAL: u32 = 2u;
-const OUTPUT_ID: u32 = 3u;
 const INFINITE_DEPTH: u32 = 0x7f800000u;
 
 fn background_word() -> u32 {

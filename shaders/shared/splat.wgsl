@@ -25,10 +25,9 @@ override WEIGHTED: bool = true;
 const AFFINE: u32 = 0u;
 const EXACT: u32 = 2u;
 
-// Which side of a surface is seen, where its normals tell; kept in the lowest bits of a pixel's depth.
-const FACING_FRONT: u32 = 1u;
-const FACING_BACK: u32 = 2u;
-const FACING_BITS: u32 = 3u;
+//!include shared/kept
+// A clip line that keeps everything.
+const NO_LINE: u32 = 0x8000u;
 
 const NOTHING: u32 = 0u;
 const SMALL: u32 = 1u;

@@ -4,19 +4,13 @@
 //   depth:               weight; depth in 64 bits
 // Depth counts as a share of the offset surface's, which is never nearer.
 
-// As shared/resolve has them.
-override OUTPUT: u32 = 0u;
+//!include shared/outputs
 override OVERRIDES: bool = true;
 // Colour frames that a shade pass follows: normals are blended too.
 override DEFERRED: bool = true;
 // The scene has more samples than the sums have room for, should all fall on one pixel.
 override CROWDED: bool = true;
 
-const OUTPUT_COLOR: u32 = 0u;
-const OUTPUT_DEPTH: u32 = 1u;
-const OUTPUT_NORMAL: u32 = 2u;
-
-const DEPTH_ONE: f32 = 1073741824.0;
 
 @group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;

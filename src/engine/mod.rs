@@ -2,6 +2,7 @@
 
 mod group;
 mod job;
+mod keys;
 mod library;
 pub mod queue;
 pub mod receipt;

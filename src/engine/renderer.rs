@@ -438,7 +438,7 @@ impl Renderer {
                     landed.redraw.extend(group.jobs);
                 } else {
                     let error = EngineError::OverLimit {
-                        what: "large triangles in view",
+                        what: "large triangles and splats in view",
                         found: u64::from(longest),
                         limit: u64::from(limit),
                     };
@@ -490,7 +490,7 @@ impl Renderer {
         }
         let units = if stats.large_wrapped == 0 { stats.large_units } else { u32::MAX };
         Some(EngineError::OverLimit {
-            what: "pixels to test for large triangles",
+            what: "pixels to test for large triangles and splats",
             found: u64::from(units) * 4096,
             limit: u64::from(self.large_units_limit) * 4096,
         })

@@ -49,6 +49,8 @@ fragments![
     "shared/vote_alone",
     "shared/normals",
     "shared/phong",
+    "shared/kept",
+    "shared/outputs",
     "shared/large",
     "shared/walk",
     "shared/splat",

@@ -7,6 +7,7 @@ use std::path::PathBuf;
 
 use pointillist::accuracy::metrics;
 use pointillist::math::Camera;
+use pointillist::plan::{Reconstruct, Settings};
 
 use super::stage::Case;
 use super::verdict;
@@ -43,11 +44,15 @@ fn read(name: &str) -> Vec<[u8; 4]> {
 }
 
 fn compare(scene: &str, cameras: &[&str]) {
+    compare_with(scene, cameras, Settings::default(), "");
+}
+
+fn compare_with(scene: &str, cameras: &[&str], settings: Settings, suffix: &str) {
     let case = Case::committed(scene);
     for camera in cameras {
-        let name = format!("{scene}-{camera}");
+        let name = format!("{scene}-{camera}{suffix}");
         let camera: Camera = case.reference.camera(camera).unwrap();
-        let frame = case.draw(&camera.view(WIDTH, HEIGHT).unwrap());
+        let frame = case.draw_with(&camera.view(WIDTH, HEIGHT).unwrap(), settings);
         assert!(frame.color.iter().all(|color| color[3] == 255), "{name} is translucent");
         if std::env::var("UPDATE").is_ok_and(|update| update == "1") {
             write(&name, &frame.color);
@@ -90,4 +95,11 @@ fn textured() {
 #[test]
 fn plaza() {
     compare("plaza", &["walk", "assembly"]);
+}
+
+#[test]
+fn splats() {
+    let settings = Settings { reconstruct: Reconstruct::Splats, ..Settings::default() };
+    compare_with("town", &["overview", "square"], settings, "-splats");
+    compare_with("part", &["front", "detail"], settings, "-splats");
 }

@@ -27,7 +27,7 @@ use crate::assets::{Clip, Kernel, PointCloud};
 use crate::scene::CsgOperation;
 
 /// Where kernels of sampled surfaces end, in standard deviations.
-const CUTOFF: f64 = 2.0;
+const CUTOFF: f64 = crate::bake::CUTOFF as f64;
 
 /// Why operands cannot be combined. `operand` counts from 0.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -1,0 +1,6 @@
+// What passes over splats and over pixels agree on: the bits of a pixel's depth that say which side of a surface is seen, and what a
+// depth is counted in.
+const FACING_FRONT: u32 = 1u;
+const FACING_BACK: u32 = 2u;
+const FACING_BITS: u32 = 3u;
+const DEPTH_ONE: f32 = 1073741824.0;
