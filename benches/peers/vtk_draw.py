@@ -153,8 +153,8 @@ def make_actor(data, has_colors, args):
         mapper = vtk.vtkPointGaussianMapper()
         mapper.EmissiveOff()
         mapper.SetScaleFactor({"splats": args.radius, "gaussians": args.radius / 2}.get(mode, 0.0))
-        if mode == "gaussians":
-            mapper.SetTriangleScale(2.0)
+        # Triangles no larger than what is drawn of them; without it VTK shades nine times a disc's area.
+        mapper.SetBoundScale({"splats": 1.0, "gaussians": 2.0}.get(mode, 3.0))
         if mode == "splats":
             mapper.SetSplatShaderCode(
                 "//VTK::Color::Impl\n"
