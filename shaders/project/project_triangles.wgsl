@@ -6,32 +6,16 @@
 //!include VISIBILITY
 //!include shared/mesh
 //!include shared/triangle
-//!include shared/large
+//!include shared/list
 //!include ALPHA
 
-struct SegmentUse {
-    index: u32,
-}
-
-struct LargeList {
-    // An indirect draw's arguments: three vertices a triangle.
-    vertex_count: atomic<u32>,
-    instance_count: u32,
-    first_vertex: u32,
-    first_instance: u32,
-    // See LIST_ENTRY.
-    entries: array<vec2<u32>>,
-}
+const COUNTS: bool = FIRST_HALF;
 
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
-@group(2) @binding(1) var<storage, read> runs: array<Run>;
-@group(2) @binding(2) var<uniform> segment: SegmentUse;
 @group(2) @binding(3) var<storage, read> placed: array<Placed>;
-@group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
-@group(2) @binding(4) var<storage, read_write> large: LargeList;
 
 // Whether a pixel on the edge from `a` to `b` belongs to the triangle on its inner side (left or top edge, y down).
 fn bias(edge: vec2<i32>) -> i32 {
@@ -69,23 +53,13 @@ fn walk(p: array<vec2<i32>, 3>, low: vec2<i32>, high: vec2<i32>, plane: Plane, i
     }
 }
 
-fn list_large(id: u32, bounds: ImageBounds) {
+fn list_triangle(id: u32, bounds: ImageBounds) {
     let last = vec2<f32>(frame.size_px) - vec2<f32>(1.0);
     let low = vec2<u32>(clamp(bounds.least - vec2<f32>(1.0), vec2<f32>(0.0), last));
     let high = vec2<u32>(clamp(bounds.most + vec2<f32>(1.0), vec2<f32>(0.0), last));
-    let at = atomicAdd(&large.vertex_count, 3u) / 3u;
-    atomicMax(&stats[0].large_longest, at + 1u);
-    if at < frame.large_capacity {
-        large.entries[at] = vec2<u32>(id, list_word(low.y, high.y, frame.view));
-    }
-    if FIRST_HALF {
+    list_large(id, low, high);
+    if COUNTS {
         atomicAdd(&stats[frame.view].triangles_rasterised, 1u);
-        let box = high - low + vec2<u32>(1u);
-        let units = (box.x * box.y + 4095u) / 4096u;
-        let old = atomicAdd(&stats[frame.view].large_units, units);
-        if old + units < old {
-            atomicMax(&stats[frame.view].large_wrapped, 1u);
-        }
     }
 }
 
@@ -109,7 +83,7 @@ fn triangle(slot_index: u32, at: Placed, chunk: Chunk, one_sided: f32, index: u3
         return;
     }
     if !bounds.snaps {
-        list_large(id, bounds);
+        list_triangle(id, bounds);
         return;
     }
     var p = array<vec2<i32>, 3>(snap(image_position(a)), snap(image_position(b)), snap(image_position(c)));
@@ -125,7 +99,7 @@ fn triangle(slot_index: u32, at: Placed, chunk: Chunk, one_sided: f32, index: u3
     }
     let box = snapped_most - snapped_least;
     if max(box.x, box.y) > frame.small_triangle_px * 256 {
-        list_large(id, bounds);
+        list_triangle(id, bounds);
         return;
     }
     let area = ab.x * ac.y - ab.y * ac.x;

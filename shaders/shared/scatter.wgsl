@@ -1,42 +1,9 @@
 // A thread takes a sample, makes a splat of it and walks the pixels of its box; large ones are listed. The file that includes this
 // says what happens at a pixel: `emit`, with what `paint_of` gives it for the whole splat.
-struct SegmentUse {
-    index: u32,
-}
-
-struct LargeList {
-    // As an indirect draw's arguments: three to an entry.
-    vertex_count: atomic<u32>,
-    instance_count: u32,
-    first_vertex: u32,
-    first_instance: u32,
-    // See LIST_ENTRY.
-    entries: array<vec2<u32>>,
-}
-
-@group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
-@group(2) @binding(1) var<storage, read> runs: array<Run>;
-@group(2) @binding(2) var<uniform> segment: SegmentUse;
-@group(2) @binding(4) var<storage, read_write> large: LargeList;
+//!include shared/list
 
 fn mark_full() {
     atomicMax(&stats[frame.view].sums_full, 1u);
-}
-
-fn list_splat(splat: Splat) {
-    let at = atomicAdd(&large.vertex_count, 3u) / 3u;
-    atomicMax(&stats[0].large_longest, at + 1u);
-    if at < frame.large_capacity {
-        large.entries[at] = vec2<u32>(splat.id, list_word(u32(splat.low.y), u32(splat.high.y), frame.view));
-    }
-    if COUNTS {
-        let box = vec2<u32>(splat.high - splat.low) + vec2<u32>(1u);
-        let units = (box.x * box.y + 4095u) / 4096u;
-        let old = atomicAdd(&stats[frame.view].large_units, units);
-        if old + units < old {
-            atomicMax(&stats[frame.view].large_wrapped, 1u);
-        }
-    }
 }
 
 fn scatter(group: vec3<u32>, lane: u32) {
@@ -58,7 +25,7 @@ fn scatter(group: vec3<u32>, lane: u32) {
         let splat = splat_of(slot, i);
         if splat.way == LARGE {
             if all(splat.high >= splat.low) {
-                list_splat(splat);
+                list_large(splat.id, vec2<u32>(splat.low), vec2<u32>(splat.high));
                 listed++;
                 crossing += u32(splat.crosses);
             }

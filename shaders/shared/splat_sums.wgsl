@@ -11,7 +11,6 @@ override DEFERRED: bool = true;
 // The scene has more samples than the sums have room for, should all fall on one pixel.
 override CROWDED: bool = true;
 
-
 @group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;

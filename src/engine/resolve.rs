@@ -7,11 +7,12 @@ use sha2::{Digest, Sha256};
 use super::job::Resolved;
 use super::library::Loaded;
 use super::receipt::CameraReceipt;
-use super::shared::Shared;
+use super::shared::{Adapter, Shared};
 use super::{EngineError, FrameRequest, Pose};
 use crate::encode::{self, EncodeError};
 use crate::math::{Camera, CameraError, View};
 use crate::plan::{AdapterFacts, plan};
+use crate::scene::Splats;
 
 /// Most pixels and longest side of a frame on this adapter.
 pub fn frame_limits(shared: &Shared) -> (u64, u32) {
@@ -94,7 +95,7 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
         splats.as_ref(),
         &AdapterFacts { atomics_64: adapter.atomics_64, rasterises: adapter.rasterises },
     );
-    let key = entity_tag(&loaded, request, &view, &adapter.name, adapter.atomics_64);
+    let key = entity_tag(&loaded, request, splats.as_ref(), &view, &adapter);
     Ok(Resolved { model: loaded.model.clone(), view, camera, plan, splats, key })
 }
 
@@ -180,21 +181,21 @@ fn receipt_of_view(view: &View) -> CameraReceipt {
 fn entity_tag(
     loaded: &Loaded,
     request: &FrameRequest,
+    splats: Option<&Splats>,
     view: &View,
-    adapter: &str,
-    atomics_64: bool,
+    adapter: &Adapter,
 ) -> String {
     let mut hasher = Sha256::new();
     hasher.update(crate::VERSION);
-    hasher.update(adapter);
+    hasher.update(&adapter.name);
     hasher.update([
-        u8::from(atomics_64),
+        u8::from(adapter.atomics_64),
         request.quality,
         request.format as u8,
         request.output as u8,
     ]);
     hasher.update([request.settings.lod as u8, request.settings.reconstruct as u8]);
-    if let Some(splats) = request.settings.splats(&loaded.model.splats) {
+    if let Some(splats) = splats {
         // The scene's part in it is in the digest.
         hasher.update([
             splats.filter as u8,

@@ -52,6 +52,7 @@ fragments![
     "shared/kept",
     "shared/outputs",
     "shared/large",
+    "shared/list",
     "shared/walk",
     "shared/splat",
     "shared/sample_splats",

@@ -129,6 +129,8 @@ pub struct ResidentScene {
     /// Entries that are no padding.
     pub chunk_count: u32,
     pub light_count: u32,
+    /// Samples of all instances.
+    pub sample_count: u64,
     /// Some material cuts holes by alpha.
     pub alpha_cut: bool,
     pub looks: Looks,

@@ -490,6 +490,7 @@ impl Residency {
             instance_count: instances.len() as u32,
             chunk_count,
             light_count: lights.len() as u32,
+            sample_count: model.counts().samples,
             alpha_cut: model.assets.iter().any(|asset| {
                 asset.packed.materials.iter().any(|material| material.alpha_cutoff.is_some())
             }),

@@ -69,7 +69,7 @@ fn constants(recorder: &Recorder, walked: bool) -> Constants {
         ("OUTPUT", output_number(recorder.task.output)),
         ("OVERRIDES", u32::from(looks.overrides)),
         ("DEFERRED", u32::from(recorder.task.is_deferred())),
-        ("CROWDED", u32::from(recorder.task.model.counts().samples >= SUMS_ROOM)),
+        ("CROWDED", u32::from(recorder.scene.sample_count >= SUMS_ROOM)),
     ];
     if is_lit(recorder) {
         constants.extend(super::shade::light_constants(looks, lights));
