@@ -153,8 +153,9 @@ def make_actor(data, has_colors, args):
         mapper = vtk.vtkPointGaussianMapper()
         mapper.EmissiveOff()
         mapper.SetScaleFactor({"splats": args.radius, "gaussians": args.radius / 2}.get(mode, 0.0))
-        # Triangles no larger than what is drawn of them; without it VTK shades nine times a disc's area.
-        mapper.SetBoundScale({"splats": 1.0, "gaussians": 2.0}.get(mode, 3.0))
+        # Triangles no larger than what is drawn of them; VTK's own bound of 3 shades nine times a disc's area.
+        tight = {"splats": 1.0, "gaussians": 2.0}.get(mode, 3.0)
+        mapper.SetBoundScale(tight if args.bound_scale is None else args.bound_scale)
         if mode == "splats":
             mapper.SetSplatShaderCode(
                 "//VTK::Color::Impl\n"
@@ -244,6 +245,9 @@ def parse_arguments():
     parser.add_argument("--warmup", type=int, default=2, help="frames between the first and the timed ones")
     parser.add_argument("--step", type=float, default=0.5, help="degrees the camera turns a frame")
     parser.add_argument("--radius", type=float, default=0.01, help="of a splat, scene units")
+    parser.add_argument(
+        "--bound-scale", type=float, help="triangles of Gaussians and discs, in scale factors; VTK's default is 3"
+    )
     parser.add_argument("--lighting", action="store_true", help="points lit by VTK's headlight, its default")
     parser.add_argument("--multisamples", type=int, default=0, help="VTK's default is 8, PyVista's 4")
     parser.add_argument("--point-size", type=float, default=1.0, help="pixels; PyVista's default is 5")
