@@ -25,9 +25,11 @@ pub const NO_NORMAL: u32 = 0x8000_8000;
 pub const SAMPLE_BYTES: u64 = 20;
 /// Bytes more of a sample with clip lines.
 pub const CLIP_BYTES: u64 = 8;
+/// Bytes more of a sample that is a node of a point tree.
+pub const NODE_BYTES: u64 = 8;
 /// Cells are at least this part of the longest kernel: shaders square its length in cells, which f32 has to hold. It only
 /// matters where samples lie closer together than 10⁻⁹ of their kernels, or at one place.
-const KERNEL_DETAIL: f64 = 1.0 / (1u64 << 60) as f64;
+pub(super) const KERNEL_DETAIL: f64 = 1.0 / (1u64 << 60) as f64;
 /// Words of a mesh vertex: grid position, colour, normal, texture coordinates.
 pub const VERTEX_WORDS: usize = 7;
 
@@ -61,6 +63,24 @@ pub struct PackedChunk {
     pub kernel_base: f32,
     /// Samples: normals tell outside from inside.
     pub oriented: bool,
+    /// Of point trees: which nodes or triangles are in it.
+    pub range: NodeRange,
+}
+
+/// What the nodes of a chunk of a point tree have in common, or the triangles that stand for its leaves. Lengths in grid cells.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct NodeRange {
+    /// What codes of errors, sizes and distances count from: see [`crate::bake::tree`].
+    pub base: f32,
+    /// The largest error that a parent has, of this chunk and of those behind it; of triangles their longest side.
+    pub error_parent: f32,
+    /// The largest size of a parent, likewise.
+    pub size_parent: f32,
+    /// The smallest error and size of a node.
+    pub error_least: f32,
+    pub size_least: f32,
+    /// The longest way from a node to its parent, of this chunk and of those behind it.
+    pub delta_most: f32,
 }
 
 /// A point cloud as the GPU holds it.
@@ -78,6 +98,8 @@ pub struct PackedSamples {
     pub clips: Vec<[u32; 2]>,
     /// The first sample with clip lines; a chunk begins there.
     pub clipped_first: u32,
+    /// Of point trees, for each node: what is asked before it is drawn (see [`crate::bake::tree`]).
+    pub nodes: Vec<[u32; 2]>,
 }
 
 /// A mesh as the GPU holds it.
@@ -121,7 +143,7 @@ impl Grid {
     }
 
     /// The grid of a box, with cells no smaller than `detail`.
-    fn with_detail(bounds: &Bounds, detail: f64) -> Result<Grid, PackError> {
+    pub(super) fn with_detail(bounds: &Bounds, detail: f64) -> Result<Grid, PackError> {
         let extent = bounds.extent().max_element();
         if !(extent.is_finite() && extent < 1e30 && bounds.centre().abs().max_element() < 1e30) {
             return Err(PackError::TooFar { extent });
@@ -157,7 +179,7 @@ fn spread(v: u64) -> u64 {
 }
 
 /// Place along a Morton curve, from the upper 21 of 30 bits a coordinate.
-fn morton(cell: IVec3) -> u64 {
+pub(super) fn morton(cell: IVec3) -> u64 {
     let part = |v: i32| spread((i64::from(v) + (1 << 29)).clamp(0, (1 << 30) - 1) as u64 >> 9);
     part(cell.x) | part(cell.y) << 1 | part(cell.z) << 2
 }
@@ -197,7 +219,7 @@ fn rgba_word(color: [u8; 4]) -> u32 {
     u32::from_le_bytes(color)
 }
 
-fn finite(positions: &[DVec3]) -> Result<(), PackError> {
+pub(super) fn finite(positions: &[DVec3]) -> Result<(), PackError> {
     match positions.iter().position(|p| !p.is_finite()) {
         Some(index) => Err(PackError::NotFinite { index }),
         None => Ok(()),
@@ -228,34 +250,43 @@ pub fn pack_samples(cloud: &PointCloud) -> Result<PackedSamples, PackError> {
     let (plain, with_lines) = order.split_at(clipped_first);
     let chunks = plain.par_chunks(CHUNK).chain(with_lines.par_chunks(CHUNK));
     let packed: Vec<PackedRun> = chunks.map(|run| pack_run(cloud, &grid, run)).collect();
+    Ok(joined(grid, packed, clipped_first as u32))
+}
+
+/// Chunks, one behind the other.
+pub(super) fn joined(grid: Grid, runs: Vec<PackedRun>, clipped_first: u32) -> PackedSamples {
+    let count = runs.iter().map(|run| run.positions.len()).sum();
     let mut out = PackedSamples {
         grid,
-        chunks: Vec::with_capacity(packed.len()),
-        positions: Vec::with_capacity(order.len()),
-        attributes: Vec::with_capacity(order.len()),
-        kernels: Vec::with_capacity(order.len()),
-        clips: Vec::with_capacity(with_lines.len()),
-        clipped_first: clipped_first as u32,
+        chunks: Vec::with_capacity(runs.len()),
+        positions: Vec::with_capacity(count),
+        attributes: Vec::with_capacity(count),
+        kernels: Vec::with_capacity(count),
+        clips: Vec::with_capacity(count.saturating_sub(clipped_first as usize)),
+        clipped_first,
+        nodes: Vec::new(),
     };
-    for run in packed {
+    for run in runs {
         out.chunks.push(PackedChunk { first: out.positions.len() as u32, ..run.chunk });
         out.positions.extend(run.positions);
         out.attributes.extend(run.attributes);
         out.kernels.extend(run.kernels);
         out.clips.extend(run.clips);
     }
-    Ok(out)
+    out
 }
 
-struct PackedRun {
-    chunk: PackedChunk,
-    positions: Vec<[u32; 2]>,
+/// One chunk and what it holds.
+pub(super) struct PackedRun {
+    pub(super) chunk: PackedChunk,
+    pub(super) positions: Vec<[u32; 2]>,
     attributes: Vec<[u32; 2]>,
     kernels: Vec<u32>,
     clips: Vec<[u32; 2]>,
 }
 
-fn pack_run(cloud: &PointCloud, grid: &Grid, run: &[(bool, u64, u32)]) -> PackedRun {
+/// `run`: whether with clip lines, in no matter what order, and which.
+pub(super) fn pack_run(cloud: &PointCloud, grid: &Grid, run: &[(bool, u64, u32)]) -> PackedRun {
     let indices = || run.iter().map(|&(.., i)| i as usize);
     let cells: Vec<IVec3> = indices().map(|i| grid.quantise(cloud.positions[i])).collect();
     let low = cells.iter().copied().fold(IVec3::MAX, IVec3::min);
@@ -315,6 +346,7 @@ fn pack_run(cloud: &PointCloud, grid: &Grid, run: &[(bool, u64, u32)]) -> Packed
         material: 0,
         kernel_base,
         oriented: cloud.oriented,
+        range: NodeRange::default(),
     };
     PackedRun { chunk, positions, attributes, kernels, clips }
 }
@@ -396,6 +428,7 @@ impl MeshPacker<'_> {
                 material,
                 kernel_base: 0.0,
                 oriented: false,
+                range: NodeRange::default(),
             });
         }
         let number = self.out.chunks.len() as u32 - 1;
@@ -539,6 +572,7 @@ impl PackedGeometry {
             PackedGeometry::Samples(samples) => {
                 samples.positions.len() as u64 * SAMPLE_BYTES
                     + samples.clips.len() as u64 * CLIP_BYTES
+                    + samples.nodes.len() as u64 * NODE_BYTES
             }
             PackedGeometry::Mesh(mesh) => {
                 mesh.vertices.len() as u64 * 4 * VERTEX_WORDS as u64

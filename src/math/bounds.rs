@@ -51,6 +51,14 @@ impl Bounds {
         if self.is_empty() { DVec3::ZERO } else { self.max - self.min }
     }
 
+    /// With `margin` more on every side; an empty box stays empty.
+    pub fn grown(&self, margin: f64) -> Bounds {
+        if self.is_empty() {
+            return *self;
+        }
+        Bounds { min: self.min - margin, max: self.max + margin }
+    }
+
     /// The eight corners; those of an empty box are at the origin.
     pub fn corners(&self) -> [DVec3; 8] {
         let (centre, half) = (self.centre(), self.extent() * 0.5);

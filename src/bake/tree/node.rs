@@ -1,0 +1,201 @@
+//! A node: a disk that stands for all leaves below it, and how far it is from them.
+
+use glam::{DVec3, Vec2, Vec3};
+
+use super::super::CUTOFF;
+use super::super::kernels::tangents;
+use crate::assets::Kernel;
+
+#[derive(Clone, Copy, Debug)]
+pub struct Node {
+    pub position: DVec3,
+    /// Unit, or zero where the leaves' normals cancel: the disk then faces the eye.
+    pub normal: Vec3,
+    /// The disk covers what lies below, seen along its normal.
+    pub radius: f32,
+    /// No leaf's disk is farther from the plane.
+    pub lift: f32,
+    /// The disk reaches no farther beyond the leaves' disks.
+    pub spread: f32,
+    pub error: f32,
+    /// As the error, for those who draw one pixel a node: the disk's radius, and what leaves stand for.
+    pub size: f32,
+    /// Area of the leaves.
+    pub weight: f32,
+    /// sRGB, 0..=255.
+    pub color: Vec3,
+    /// Mean square of the leaves' differences from the colour, of one channel.
+    pub variance: f32,
+    pub parent: u32,
+    /// Height above the leaves.
+    pub level: u8,
+}
+
+pub const NO_NODE: u32 = u32::MAX;
+
+/// Shorter sums of normals, in parts of what they would be were all alike, say nothing.
+const LEAST_NORMAL: f32 = 0.1;
+/// Standard deviations of colour, of 255, from which on it counts, and at which a node's error is its diameter (§3.9).
+const FAINT: f32 = 4.0;
+const STRONG: f32 = 24.0;
+/// Directions in which a disk's reach is looked at.
+const DIRECTIONS: [Vec2; 8] = {
+    const D: f32 = std::f32::consts::FRAC_1_SQRT_2;
+    [
+        Vec2::new(1.0, 0.0),
+        Vec2::new(D, D),
+        Vec2::new(0.0, 1.0),
+        Vec2::new(-D, D),
+        Vec2::new(-1.0, 0.0),
+        Vec2::new(-D, -D),
+        Vec2::new(0.0, -1.0),
+        Vec2::new(D, -D),
+    ]
+};
+
+/// Length of a kernel's longer axis; 0 where it is no number.
+pub fn kernel_length(kernel: &Kernel) -> f32 {
+    let length = kernel.u.length().max(kernel.v.length());
+    if length.is_finite() { length } else { 0.0 }
+}
+
+impl Node {
+    /// A sample as it is, which may stand for something finer.
+    pub fn leaf(
+        position: DVec3,
+        normal: Vec3,
+        color: [u8; 4],
+        kernel: &Kernel,
+        error: f32,
+    ) -> Node {
+        let radius = CUTOFF * kernel_length(kernel);
+        let error = if error > 0.0 { error } else { 0.0 };
+        Node {
+            position,
+            normal,
+            radius,
+            lift: 0.0,
+            spread: 0.0,
+            error,
+            size: error,
+            // Samples without a size count, too.
+            weight: (radius * radius).max(f32::MIN_POSITIVE),
+            color: Vec3::new(f32::from(color[0]), f32::from(color[1]), f32::from(color[2])),
+            variance: 0.0,
+            parent: NO_NODE,
+            level: 0,
+        }
+    }
+
+    /// The node above `children`, of which there are two or more.
+    pub fn above(children: &[&Node]) -> Node {
+        // Weights of one node may be 10³⁰ times another's.
+        let total: f64 = children.iter().map(|child| f64::from(child.weight)).sum();
+        let share = |child: &Node| (f64::from(child.weight) / total) as f32;
+        let origin = children[0].position;
+        let (mut mean, mut normal, mut color) = (Vec3::ZERO, Vec3::ZERO, Vec3::ZERO);
+        for child in children {
+            let part = share(child);
+            mean += (child.position - origin).as_vec3() * part;
+            normal += child.normal * part;
+            color += child.color * part;
+        }
+        let variance = children.iter().map(|child| {
+            let off = child.color - color;
+            (off.length_squared() / 3.0 + child.variance) * share(child)
+        });
+        let variance = variance.sum();
+        let length = normal.length();
+        let normal = if length > LEAST_NORMAL { normal / length } else { Vec3::ZERO };
+        let mut node = Node {
+            position: origin + mean.as_dvec3(),
+            normal,
+            radius: 0.0,
+            lift: 0.0,
+            spread: 0.0,
+            error: 0.0,
+            size: 0.0,
+            weight: total.min(f64::from(f32::MAX)) as f32,
+            color,
+            variance,
+            parent: NO_NODE,
+            level: children.iter().map(|child| child.level).max().unwrap_or(0).saturating_add(1),
+        };
+        if normal == Vec3::ZERO {
+            node.enclose_in_a_ball(children);
+        } else {
+            node.enclose_in_a_disk(children);
+        }
+        let contrast = ((variance.sqrt() - FAINT) / (STRONG - FAINT)).clamp(0.0, 1.0);
+        let own = (node.lift * node.lift + node.spread * node.spread).sqrt();
+        let own = own.max(2.0 * node.radius * contrast);
+        node.error = children.iter().fold(own, |most, child| most.max(child.error));
+        node.size = children.iter().fold(node.radius, |most, child| most.max(child.size));
+        node
+    }
+
+    fn enclose_in_a_ball(&mut self, children: &[&Node]) {
+        for step in 0..4 {
+            let far = children.iter().map(|child| {
+                let way = (child.position - self.position).as_vec3();
+                (way.length() + child.radius, way)
+            });
+            let (_, way) = far.fold((-1.0, Vec3::ZERO), |a, b| if b.0 > a.0 { b } else { a });
+            self.position += (way / (step as f32 + 2.0)).as_dvec3();
+        }
+        self.radius = children.iter().fold(0.0, |most, child| {
+            let way = (child.position - self.position).as_vec3().length();
+            most.max(way + child.radius + child.lift)
+        });
+        // A disk that faces the eye shows none of the shape within.
+        self.lift = self.radius;
+        self.spread = self.radius;
+    }
+
+    fn enclose_in_a_disk(&mut self, children: &[&Node]) {
+        let [a, b] = tangents(self.normal);
+        let places: [(Vec2, f32); 8] = std::array::from_fn(|i| {
+            let Some(child) = children.get(i) else { return (Vec2::ZERO, 0.0) };
+            let way = (child.position - self.position).as_vec3();
+            (Vec2::new(way.dot(a), way.dot(b)), way.dot(self.normal))
+        });
+        let places = &places[..children.len().min(8)];
+        // The smallest circle around all, nearly (Bădoiu & Clarkson 2003).
+        let mut centre = Vec2::ZERO;
+        for step in 0..4 {
+            let far = places.iter().zip(children).map(|((at, _), child)| {
+                let way = *at - centre;
+                (way.length() + child.radius, way)
+            });
+            let (_, way) = far.fold((-1.0, Vec2::ZERO), |a, b| if b.0 > a.0 { b } else { a });
+            centre += way / (step as f32 + 2.0);
+        }
+        let (mut low, mut high) = (f32::MAX, f32::MIN);
+        for ((at, height), child) in places.iter().zip(children) {
+            // What is below the child lies in a cylinder about its disk, or in a ball.
+            let cosine = child.normal.dot(self.normal);
+            let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
+            let lift = if child.normal == Vec3::ZERO { 0.0 } else { child.lift };
+            let across = child.radius + lift * sine;
+            let reach = child.radius * sine + lift;
+            self.radius = self.radius.max((*at - centre).length() + across);
+            low = low.min(height - reach);
+            high = high.max(height + reach);
+        }
+        self.lift = 0.5 * (high - low);
+        let raise = 0.5 * (high + low);
+        // The widest gap between the disk's rim and what lies below it.
+        let narrow = DIRECTIONS.iter().map(|direction| {
+            let axis = a * direction.x + b * direction.y;
+            let reach = places.iter().zip(children).map(|((at, _), child)| {
+                let off = axis.dot(child.normal);
+                let extent = child.radius * (1.0 - off * off).max(0.0).sqrt();
+                (*at - centre).dot(*direction) + extent - child.spread
+            });
+            reach.fold(f32::MIN, f32::max)
+        });
+        let narrow = narrow.fold(f32::MAX, f32::min);
+        self.spread = (self.radius - narrow).clamp(0.0, 2.0 * self.radius);
+        self.position += (a * centre.x + b * centre.y + self.normal * raise).as_dvec3();
+    }
+}

@@ -1,0 +1,313 @@
+use glam::{DVec3, Vec3};
+use proptest::prelude::*;
+
+use super::hierarchy::{self, Tree};
+use super::node::{NO_NODE, Node};
+use super::*;
+use crate::assets::Kernel;
+use crate::bake::kernels::circle;
+use crate::math::Bounds;
+use crate::scene::random::SplitMix64;
+
+fn random(seed: u64) -> impl FnMut() -> f64 {
+    let mut numbers = SplitMix64::new(seed);
+    move || (numbers.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// Samples of a sphere, evenly, whose disks cover it.
+fn sphere(count: usize, radius: f64) -> PointCloud {
+    let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
+    let spacing = radius * (4.0 * std::f64::consts::PI / count as f64).sqrt();
+    let normals: Vec<Vec3> = (0..count)
+        .map(|i| {
+            let z = 1.0 - 2.0 * (i as f64 + 0.5) / count as f64;
+            let (sin, cos) = (golden * i as f64).sin_cos();
+            let ring = (1.0 - z * z).sqrt();
+            DVec3::new(ring * cos, ring * sin, z).as_vec3()
+        })
+        .collect();
+    PointCloud {
+        positions: normals.iter().map(|n| n.as_dvec3() * radius).collect(),
+        kernels: Some(normals.iter().map(|&n| circle(n, (0.46 * spacing) as f32)).collect()),
+        normals: Some(normals),
+        oriented: true,
+        ..PointCloud::default()
+    }
+}
+
+/// Samples anywhere, some at one place, with disks of all sizes.
+fn scattered(count: usize, seed: u64) -> PointCloud {
+    let mut next = random(seed);
+    let mut cloud = PointCloud::default();
+    let (mut normals, mut kernels, mut colors) = (Vec::new(), Vec::new(), Vec::new());
+    for index in 0..count {
+        let again = index > 0 && next() < 0.2;
+        let position = DVec3::new(next(), next() * 0.3, next() * 10.0);
+        cloud.positions.push(if again { cloud.positions[index - 1] } else { position });
+        let normal = Vec3::new(next() as f32 - 0.5, next() as f32 - 0.5, next() as f32 - 0.5);
+        let normal = if next() < 0.1 { Vec3::ZERO } else { normal.normalize_or_zero() };
+        normals.push(normal);
+        kernels.push(circle(normal, (10f64.powf(-4.0 * next()) * 0.1) as f32));
+        colors.push([(next() * 255.0) as u8, 10, 200, 255]);
+    }
+    cloud.normals = Some(normals);
+    cloud.kernels = Some(kernels);
+    cloud.colors = Some(colors);
+    cloud
+}
+
+fn tree_of(cloud: &PointCloud) -> Tree {
+    hierarchy::build(cloud, None, &Bounds::of(cloud.positions.iter().copied()))
+}
+
+fn packed(cloud: &PointCloud, tree: &Tree) -> (PackedSamples, Vec<u32>) {
+    let bounds = Bounds::of(cloud.positions.iter().copied()).grown(1.0);
+    sequence::sequence(cloud, tree, Grid::of(&bounds).unwrap())
+}
+
+fn is_above(tree: &Tree, mut node: usize, above: usize) -> bool {
+    while node != above {
+        if tree.nodes[node].parent == NO_NODE {
+            return false;
+        }
+        node = tree.nodes[node].parent as usize;
+    }
+    true
+}
+
+#[test]
+fn there_is_one_root_and_every_node_has_few_children() {
+    for cloud in [sphere(5000, 2.0), scattered(3000, 1), scattered(1, 2), scattered(20, 3)] {
+        let tree = tree_of(&cloud);
+        let leaves = cloud.positions.len();
+        assert_eq!(tree.samples.len(), leaves);
+        assert_eq!(tree.nodes.iter().filter(|node| node.parent == NO_NODE).count(), 1);
+        let mut children = vec![0; tree.nodes.len()];
+        for node in &tree.nodes {
+            if node.parent != NO_NODE {
+                children[node.parent as usize] += 1;
+            }
+        }
+        assert!(children[..leaves].iter().all(|&count| count == 0));
+        assert!(children[leaves..].iter().all(|&count| (2..=8).contains(&count)));
+        // Parents come behind their children.
+        let behind = |(index, node): (usize, &Node)| node.parent as usize > index;
+        assert!(tree.nodes.iter().enumerate().all(behind));
+        let mut seen = tree.samples.clone();
+        seen.sort_unstable();
+        assert!(seen.into_iter().eq(0..leaves as u32));
+    }
+}
+
+#[test]
+fn many_samples_at_one_place_make_a_tree_too() {
+    let mut cloud = sphere(4, 1.0);
+    for _ in 0..600 {
+        cloud.positions.push(cloud.positions[1]);
+        cloud.normals.as_mut().unwrap().push(Vec3::Z);
+        cloud.kernels.as_mut().unwrap().push(Kernel::default());
+    }
+    let tree = tree_of(&cloud);
+    assert_eq!(tree.nodes.iter().filter(|node| node.parent == NO_NODE).count(), 1);
+    assert!(build_tree(&cloud, None).unwrap().nodes.len() > 604);
+}
+
+#[test]
+fn an_empty_cloud_has_an_empty_tree() {
+    let packed = build_tree(&PointCloud::default(), None).unwrap();
+    assert!(packed.nodes.is_empty() && packed.chunks.is_empty());
+}
+
+#[test]
+fn a_node_stands_for_all_leaves_below_it() {
+    for cloud in [sphere(3000, 2.0), scattered(800, 7)] {
+        let tree = tree_of(&cloud);
+        for leaf in 0..tree.samples.len() {
+            let below = tree.nodes[leaf];
+            let mut at = below.parent;
+            while at != NO_NODE {
+                let node = &tree.nodes[at as usize];
+                let way = (below.position - node.position).as_vec3();
+                let slack = 1e-4 * node.radius;
+                if node.normal == Vec3::ZERO {
+                    assert!(way.length() + below.radius <= node.radius + slack);
+                } else {
+                    let height = way.dot(node.normal);
+                    let across = (way - height * node.normal).length();
+                    let cosine = below.normal.dot(node.normal);
+                    let tilt = below.radius * (1.0 - cosine * cosine).max(0.0).sqrt();
+                    assert!(across + below.radius <= node.radius + slack, "covered");
+                    assert!(height.abs() + tilt <= node.lift + slack, "within the lift");
+                }
+                at = node.parent;
+            }
+        }
+    }
+}
+
+/// Along any direction in its plane a disk ends no farther than its spread beyond some leaf's disk.
+#[test]
+fn a_disk_reaches_little_beyond_its_leaves() {
+    let cloud = sphere(3000, 2.0);
+    let tree = tree_of(&cloud);
+    for (index, node) in tree.nodes.iter().enumerate().skip(tree.samples.len()) {
+        if node.normal == Vec3::ZERO {
+            continue;
+        }
+        let [a, b] = crate::bake::kernels::tangents(node.normal);
+        for turn in 0..8 {
+            let (sin, cos) = (turn as f32 * std::f32::consts::FRAC_PI_4).sin_cos();
+            let axis = a * cos + b * sin;
+            let reach = (0..tree.samples.len())
+                .filter(|&leaf| is_above(&tree, leaf, index))
+                .map(|leaf| {
+                    let leaf = &tree.nodes[leaf];
+                    (leaf.position - node.position).as_vec3().dot(axis) + leaf.radius
+                })
+                .fold(f32::MIN, f32::max);
+            assert!(node.radius - reach <= node.spread + 1e-4 * node.radius);
+        }
+        if index > tree.samples.len() + 60 {
+            break;
+        }
+    }
+}
+
+#[test]
+fn errors_grow_upwards_and_with_the_size_of_the_disk() {
+    let cloud = sphere(20_000, 2.0);
+    let tree = tree_of(&cloud);
+    for node in &tree.nodes {
+        if let Some(parent) = tree.nodes.get(node.parent as usize) {
+            assert!(parent.error >= node.error && parent.radius >= 0.99 * node.radius);
+        }
+        assert!(node.error.is_finite() && node.radius.is_finite());
+    }
+    // A disk of radius r on a sphere of radius 2 is r²/4 away from it, half of that where it lies between.
+    let inner = tree.nodes.iter().filter(|node| node.level > 0 && node.radius < 0.5);
+    for node in inner {
+        let sagitta = node.radius * node.radius / 4.0;
+        assert!(node.lift <= 2.5 * sagitta + 0.1 * node.radius, "{node:?}");
+        assert!(node.error < node.radius);
+    }
+}
+
+#[test]
+fn colors_that_differ_keep_their_detail() {
+    let mut cloud = sphere(4000, 2.0);
+    let plain = tree_of(&cloud);
+    let stripes = cloud.positions.iter().map(|p| {
+        if (p.z * 20.0).floor() as i64 % 2 == 0 { [255, 255, 255, 255] } else { [0, 0, 0, 255] }
+    });
+    cloud.colors = Some(stripes.collect());
+    let striped = tree_of(&cloud);
+    let mean = |tree: &Tree| {
+        let inner = &tree.nodes[tree.samples.len()..];
+        inner.iter().map(|node| f64::from(node.error / node.radius)).sum::<f64>()
+            / inner.len() as f64
+    };
+    assert!(mean(&striped) > 1.3 && mean(&plain) < 0.6, "{} {}", mean(&striped), mean(&plain));
+}
+
+#[test]
+fn codes_are_bounds_and_keep_the_order() {
+    let mut next = random(5);
+    let base = 3.7;
+    let mut last = (0.0f32, NONE);
+    let mut values: Vec<f32> =
+        (0..2000).map(|_| base * 0.5 * (-30.0 * next()).exp2() as f32).collect();
+    values.sort_by(f32::total_cmp);
+    for value in values {
+        let code = sequence::code(value, base);
+        assert!(decode(code, base) >= value && decode(code, base) <= value * 1.012, "{value}");
+        assert!(code <= last.1 && value >= last.0 && code != NO_PARENT);
+        last = (value, code);
+        let delta = sequence::delta_code(value, base);
+        assert!(decode_delta(delta, base) >= value * 0.999_999, "{value}");
+    }
+    assert_eq!(decode(sequence::code(0.0, base), base), 0.0);
+}
+
+#[test]
+fn the_first_chunks_are_small_and_chunks_say_what_is_in_them() {
+    let cloud = sphere(30_000, 2.0);
+    let packed = build_tree(&cloud, None).unwrap();
+    let counts: Vec<u32> = packed.chunks.iter().map(|chunk| chunk.count).collect();
+    assert_eq!(counts[..2], [64, 256]);
+    assert!(counts.iter().all(|&count| count as usize <= crate::bake::pack::CHUNK));
+    assert_eq!(counts.iter().map(|&count| count as usize).sum::<usize>(), packed.nodes.len());
+    for pair in packed.chunks.windows(2) {
+        assert!(pair[0].range.error_parent >= pair[1].range.error_parent);
+        assert!(pair[0].range.delta_most >= pair[1].range.delta_most);
+    }
+    for chunk in &packed.chunks {
+        for [error, size] in &packed.nodes[chunk.first as usize..][..chunk.count as usize] {
+            let range = chunk.range;
+            let parent = error >> 12 & 0xfff;
+            assert!(parent == NO_PARENT || decode(parent, range.base) <= range.error_parent);
+            assert!(decode(error & 0xfff, range.base) >= range.error_least);
+            assert!(decode(size & 0xfff, range.base) >= range.size_least);
+            assert!(decode_delta(error >> 24, range.base) <= range.delta_most);
+        }
+    }
+    let statistics = TreeStatistics::of(&packed);
+    assert_eq!(statistics.leaves, 30_000);
+    assert!(statistics.inner < 20_000, "{statistics:?}");
+    // 28 bytes a node.
+    assert_eq!(statistics.bytes, 28 * packed.nodes.len() as u64);
+}
+
+#[test]
+fn trees_are_equal_whatever_the_number_of_threads() {
+    let cloud = scattered(40_000, 9);
+    let build = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| build_tree(&cloud, None).unwrap())
+    };
+    let (a, b) = (build(1), build(3));
+    assert!(a.nodes == b.nodes && a.positions == b.positions && a.attributes == b.attributes);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+    /// Whatever the eye, the scale and the accepted error, every leaf has a drawn ancestor-or-self: decided in f32 from the packed
+    /// words and places, as shaders do.
+    #[test]
+    fn every_leaf_is_covered(
+        seed in 0u64..1000,
+        even in any::<bool>(),
+        eye in prop::array::uniform3(-20.0f32..20.0),
+        forward in prop::array::uniform3(-1.0f32..1.0),
+        scale in -6.0f32..6.0,
+        lod in -16.0f32..2.0,
+        measure in 0usize..2,
+    ) {
+        let cloud = if even { sphere(1500, 3.0) } else { scattered(900, seed) };
+        let tree = tree_of(&cloud);
+        let (packed, order) = packed(&cloud, &tree);
+        let forward = Vec3::from(forward).try_normalize().unwrap_or(Vec3::Z);
+        let (scale, lod) = (scale.exp2(), lod.exp2());
+        let mut drawn = vec![false; tree.nodes.len()];
+        for chunk in &packed.chunks {
+            for at in chunk.first..chunk.first + chunk.count {
+                let place = packed.positions[at as usize];
+                let word = u64::from(place[0]) | u64::from(place[1]) << 32;
+                let q = [word, word >> 21, word >> 42].map(|v| (v & 0x1f_ffff) as i32);
+                let cell = chunk.origin + glam::IVec3::from(q) * (1 << chunk.shift);
+                let position = packed.grid.position(cell).as_vec3() * scale;
+                let z = (position - Vec3::from(eye)).dot(forward);
+                let words = packed.nodes[at as usize];
+                let base = chunk.range.base * packed.grid.step as f32 * scale;
+                drawn[order[at as usize] as usize] =
+                    is_drawn(words[measure], words[0] >> 24, base, lod, z);
+            }
+        }
+        for leaf in 0..tree.samples.len() {
+            let mut at = leaf as u32;
+            while at != NO_NODE && !drawn[at as usize] {
+                at = tree.nodes[at as usize].parent;
+            }
+            prop_assert!(at != NO_NODE, "leaf {leaf} has no drawn ancestor");
+        }
+    }
+}
