@@ -1,18 +1,22 @@
-// One pixel a sample: a workgroup takes a slot's chunk, a thread every 64th sample of it.
+// One pixel a sample: a workgroup takes a slot's chunk, its threads take turns at its samples.
 //!include shared/frame
 //!include shared/scene
 //!include VISIBILITY
+//!include NODES
 
 struct SegmentUse {
     index: u32,
 }
 
+//!include shared/lanes
+
 @group(1) @binding(0) var<storage, read> positions: array<vec2<u32>>;
+@group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
 @group(2) @binding(1) var<storage, read> runs: array<Run>;
 @group(2) @binding(2) var<uniform> segment: SegmentUse;
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(LANES)
 fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     begin_view(group.z);
     let index = group.y * DISPATCH_ROW + group.x;
@@ -27,9 +31,11 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
     let row_z = slots[at].row_z;
     let first = slots[at].first;
     let count = slots[at].count;
+    let unit = slots[at].unit;
+    var drawn = 0u;
     let size = vec2<f32>(frame.size_px);
     let width = frame.size_px.x;
-    for (var i = lane; i < count; i += 64u) {
+    for (var i = lane; i < count; i += LANES) {
         let word = positions[first + i];
         let q = vec3<f32>(
             f32(word.x & 0x1fffffu),
@@ -41,7 +47,17 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
         let x = fma(row_x.x, q.x, fma(row_x.y, q.y, fma(row_x.z, q.z, row_x.w))) * inverse;
         let y = fma(row_y.x, q.x, fma(row_y.y, q.y, fma(row_y.z, q.z, row_y.w))) * inverse;
         if z > NEAREST && x >= 0.0 && y >= 0.0 && x < size.x && y < size.y {
+            if TREE {
+                let image = vec2<f32>(x, y);
+                if !node_is_drawn(first + i, unit, z * ray_through(image)) {
+                    continue;
+                }
+                drawn++;
+            }
             visibility_write(frame.first_pixel + u32(y) * width + u32(x), inverse, (slot_index << SLOT_SHIFT) | i);
         }
+    }
+    if TREE && FIRST_HALF && drawn != 0u {
+        atomicAdd(&stats[frame.view].nodes_drawn, drawn);
     }
 }

@@ -12,7 +12,7 @@
 
 const COUNTS: bool = FIRST_HALF;
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(LANES)
 fn project_splats(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     scatter(group, lane);
 }

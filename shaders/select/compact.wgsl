@@ -1,8 +1,9 @@
 // Visible entries → slots, each with the affine map that takes its samples to the image.
 //!include shared/frame
 //!include shared/scene
+//!include shared/frustum
+//!include LIST
 
-@group(1) @binding(0) var<storage, read> entries: array<Entry>;
 @group(1) @binding(1) var<storage, read> chunks: array<Chunk>;
 @group(2) @binding(0) var<storage, read> placed: array<Placed>;
 @group(2) @binding(1) var<storage, read> ranks: array<u32>;
@@ -28,6 +29,7 @@ fn sample_slot(entry: Entry, chunk: Chunk, at: Placed) -> Slot {
     slot.row_x = vec4<f32>(f.x * x + c.x * z, f.x * corner.x + c.x * corner.z);
     slot.row_y = vec4<f32>(f.y * y + c.y * z, f.y * corner.y + c.y * corner.z);
     slot.row_z = vec4<f32>(z, corner.z);
+    slot.unit = chunk.node_base * stretch(at);
     return slot;
 }
 
@@ -35,7 +37,7 @@ fn sample_slot(entry: Entry, chunk: Chunk, at: Placed) -> Slot {
 fn compact(@builtin(global_invocation_id) invocation: vec3<u32>) {
     begin_view(invocation.z);
     let index = invocation.x + invocation.y * DISPATCH_ROW * 64u;
-    if index >= frame.entry_count {
+    if index >= entry_count() {
         return;
     }
     let rank = ranks[frame.first_entry + index];

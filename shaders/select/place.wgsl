@@ -6,6 +6,7 @@
 // addition. What the other passes add to it are small integers.
 //!include shared/frame
 //!include shared/scene
+//!include MEMBERS
 
 @group(1) @binding(0) var<storage, read> instances: array<Instance>;
 @group(2) @binding(0) var<storage, read_write> placed: array<Placed>;
@@ -38,7 +39,7 @@ fn upper(v: vec3<f32>) -> vec3<f32> {
 @compute @workgroup_size(64)
 fn place(@builtin(global_invocation_id) invocation: vec3<u32>) {
     begin_view(invocation.z);
-    let index = invocation.x + invocation.y * DISPATCH_ROW * 64u;
+    let index = member(invocation.x + invocation.y * DISPATCH_ROW * 64u);
     if index >= frame.instance_count {
         return;
     }

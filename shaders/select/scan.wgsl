@@ -3,13 +3,10 @@
 //!include shared/frame
 //!include shared/scene
 
-struct Sizes {
-    group_count: u32,
-    segment_count: u32,
-}
+//!include shared/chosen
 
-@group(1) @binding(0) var<storage, read> segments: array<Segment>;
-@group(1) @binding(1) var<uniform> sizes: Sizes;
+@group(2) @binding(3) var<storage, read> segments: array<Segment>;
+@group(2) @binding(4) var<storage, read> sizes: Sizes;
 @group(2) @binding(0) var<storage, read_write> group_counts: array<u32>;
 @group(2) @binding(1) var<storage, read_write> dispatches: array<Dispatch>;
 @group(2) @binding(2) var<storage, read_write> runs: array<Run>;

@@ -42,6 +42,14 @@ struct Frame {
     splat_lowpass_px: f32,
     splat_width: f32,
     splat_offset: f32,
+    // Of point trees: what may be accepted at depth 1 on the optical axis.
+    lod_scale: f32,
+    // Entries that there is room for.
+    entry_capacity: u32,
+    // Groups of instances.
+    instance_groups: u32,
+    // Segments of the scene.
+    segment_count: u32,
 }
 
 @group(0) @binding(0) var<uniform> frames: array<Frame, 16>;

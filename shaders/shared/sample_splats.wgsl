@@ -1,6 +1,6 @@
 // What passes over a page of samples share: a slot's samples as splats.
+//!include NODES
 @group(1) @binding(0) var<storage, read> positions: array<vec2<u32>>;
-@group(1) @binding(1) var<storage, read> kernels: array<u32>;
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
 @group(1) @binding(6) var<storage, read> attributes: array<vec2<u32>>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
@@ -14,6 +14,8 @@ struct SplatSlot {
     first: u32,
     instance: u32,
     kernel_base: f32,
+    // Of point trees: the base of the nodes' codes in camera space.
+    unit: f32,
     // 0 where normals do not tell outside from inside, −1 where the instance mirrors, else 1.
     orientation: f32,
     // Longest column of the map from stored coordinates to camera space.
@@ -29,6 +31,7 @@ fn splat_slot(index: u32) -> SplatSlot {
     slot.row_z = slots[at].row_z;
     slot.first = slots[at].first;
     slot.instance = slots[at].instance;
+    slot.unit = slots[at].unit;
     let chunk = slots[at].chunk;
     slot.kernel_base = chunks[chunk].kernel_base;
     let x = camera_vector(vec3<f32>(slot.row_x.x, slot.row_y.x, slot.row_z.x));
@@ -74,8 +77,13 @@ fn facing_axes(slot: SplatSlot, p: vec3<f32>, axes: Tangents) -> Tangents {
 fn splat_of(slot: SplatSlot, sample: u32) -> Splat {
     let at = slot.first + sample;
     let p = splat_centre(slot, sample);
+    if !node_is_drawn(at, slot.unit, camera_vector(p)) {
+        var nothing: Splat;
+        nothing.way = NOTHING;
+        return nothing;
+    }
     let normal = attributes[at].y;
-    let axes = kernel_axes(kernels[at], slot.kernel_base, octahedral_decode(normal));
+    let axes = kernel_axes(kernels[at * KERNEL_WORDS], slot.kernel_base, octahedral_decode(normal));
     var image = Tangents(taken(slot, axes.u), taken(slot, axes.v));
     var lines = clip_words(at);
     var orientation = slot.orientation;

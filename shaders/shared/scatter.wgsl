@@ -1,6 +1,7 @@
 // A thread takes a sample, makes a splat of it and walks the pixels of its box; large ones are listed. The file that includes this
 // says what happens at a pixel: `emit`, with what `paint_of` gives it for the whole splat.
 //!include shared/list
+//!include shared/lanes
 
 fn mark_full() {
     atomicMax(&stats[frame.view].sums_full, 1u);
@@ -21,7 +22,7 @@ fn scatter(group: vec3<u32>, lane: u32) {
     var scattered = 0u;
     var listed = 0u;
     var crossing = 0u;
-    for (var i = lane; i < count; i += 64u) {
+    for (var i = lane; i < count; i += LANES) {
         let splat = splat_of(slot, i);
         if splat.way == LARGE {
             if all(splat.high >= splat.low) {

@@ -3,24 +3,30 @@
 // Written once when a scene becomes resident or an instance moves.
 struct Instance {
     // Columns of world_from_grid (linear part, the grid step included).
-    axis_x: vec4<f32>,
-    axis_y: vec4<f32>,
-    axis_z: vec4<f32>,
-    // Rows of grid_from_world (linear part), or of the cofactors, scaled, where the transform is singular.
-    inverse_x: vec4<f32>,
-    inverse_y: vec4<f32>,
-    inverse_z: vec4<f32>,
-    // World position of the grid's origin as the sum of two floats an axis.
-    origin_hi: vec4<f32>,
-    origin_lo: vec4<f32>,
+    axis_x: vec3<f32>,
     // Overriding material plus one, or 0.
     material: u32,
+    axis_y: vec3<f32>,
     // What the id output shows.
     id: u32,
+    axis_z: vec3<f32>,
     // 1: the transform mirrors.
     mirrored: u32,
+    // Rows of grid_from_world (linear part), or of the cofactors, scaled, where the transform is singular.
+    inverse_x: vec3<f32>,
     // Half the asset's size in grid cells; the anchor stays within.
     reach: f32,
+    inverse_y: vec3<f32>,
+    // Of a scene of point trees: which geometry,
+    geometry: u32,
+    inverse_z: vec3<f32>,
+    // and of the node that stands above it as a whole its error, its size and how far away it is, in world units.
+    error_parent: f32,
+    // World position of the grid's origin as the sum of two floats an axis.
+    origin_hi: vec3<f32>,
+    size_parent: f32,
+    origin_lo: vec3<f32>,
+    delta: f32,
 }
 
 // An instance seen from this frame's eye: camera = axes · (grid − anchor) + position.
@@ -48,7 +54,38 @@ struct Chunk {
     material: u32,
     // Samples: longest axis of a kernel, in steps of 2^shift cells.
     kernel_base: f32,
+    // Of point trees, in cells; see NodeRange in src/bake/pack.rs.
+    node_base: f32,
+    error_parent: f32,
+    size_parent: f32,
+    error_least: f32,
+    size_least: f32,
+    delta_most: f32,
+    range_unused: vec2<u32>,
 }
+
+// Some 32 instances of a scene of point trees, neighbours in space.
+struct InstanceGroup {
+    // Middle of the box around them, as the sum of two floats an axis; half its size.
+    centre_hi: vec4<f32>,
+    centre_lo: vec4<f32>,
+    half: vec3<f32>,
+    // What stands above them: the largest size and error, and the longest way to it.
+    size_parent: f32,
+    first: u32,
+    count: u32,
+    error_parent: f32,
+    delta_most: f32,
+}
+
+// The chunks of a geometry that lie in the page of a segment.
+struct ChunkRun {
+    first: u32,
+    count: u32,
+}
+
+// Instances of a group.
+const INSTANCE_GROUP: u32 = 32u;
 
 // One chunk of one instance, whether visible or not.
 struct Entry {
@@ -65,6 +102,11 @@ struct Slot {
     chunk: u32,
     first: u32,
     count: u32,
+    // Of point trees: the base of the nodes' codes in camera space.
+    unit: f32,
+    unused_0: u32,
+    unused_1: u32,
+    unused_2: u32,
 }
 
 // Entries of one page and one kind: workgroups [first_group, end_group) of the entry list.
@@ -107,15 +149,22 @@ struct Stats {
     splats_scattered: atomic<u32>,
     // The weights of some pixel's splats do not fit their sum.
     sums_full: atomic<u32>,
-    unused: atomic<u32>,
+    // Entries that the selection asked for; beyond the room that there is, none is drawn and the frame is not shown.
+    entries_wanted: atomic<u32>,
+    // Nodes of point trees that passed their test.
+    nodes_drawn: atomic<u32>,
+    unused_0: atomic<u32>,
+    unused_1: atomic<u32>,
+    unused_2: atomic<u32>,
 }
 
 // Words of a view's record, and places in it for those who only read.
-const STATS_WORDS: u32 = 16u;
+const STATS_WORDS: u32 = 20u;
 const STAT_LARGE_LONGEST: u32 = 8u;
 const STAT_LARGE_UNITS: u32 = 9u;
 const STAT_LARGE_WRAPPED: u32 = 10u;
 const STAT_SUMS_FULL: u32 = 14u;
+const STAT_ENTRIES_WANTED: u32 = 15u;
 
 const SLOT_SHIFT: u32 = 10u;
 const SLOT_MASK: u32 = 1023u;

@@ -106,7 +106,7 @@ fn is_kernel(kernel: &Kernel) -> bool {
 }
 
 /// A circular kernel across a normal; in the plane of x and y where the normal is zero.
-pub(super) fn circle(normal: Vec3, deviation: f32) -> Kernel {
+pub fn circle(normal: Vec3, deviation: f32) -> Kernel {
     let [a, b] = tangents(normal);
     Kernel { u: a * deviation, v: b * deviation }
 }

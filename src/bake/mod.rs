@@ -30,6 +30,6 @@ mod sample;
 pub use colors::fill_colors;
 pub use crease::smooth_normals;
 pub use features::{FeatureOptions, detect_features};
-pub use kernels::{CUTOFF, estimate_kernels};
+pub use kernels::{CUTOFF, circle, estimate_kernels};
 pub use normals::estimate_point_attributes;
 pub use sample::{SampleError, SampleOptions, sample_mesh};

@@ -8,6 +8,9 @@
 //! their own behind the others, and take 8 bytes more, so that the others do not pay for them. A triangle takes 4 bytes and its vertices 28 each.
 
 mod kernel;
+mod unpack;
+
+pub use unpack::unpack_samples;
 
 use glam::{DVec3, I64Vec3, IVec3, Vec3};
 use rayon::prelude::*;
@@ -34,7 +37,7 @@ pub(super) const KERNEL_DETAIL: f64 = 1.0 / (1u64 << 60) as f64;
 pub const VERTEX_WORDS: usize = 7;
 
 /// A grid that positions are counted on: `local = origin + step · grid`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Grid {
     pub origin: DVec3,
     pub step: f64,
@@ -84,7 +87,7 @@ pub struct NodeRange {
 }
 
 /// A point cloud as the GPU holds it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct PackedSamples {
     pub grid: Grid,
     pub chunks: Vec<PackedChunk>,

@@ -11,7 +11,7 @@ use super::local::{ID, SceneArgs};
 use crate::encode::ImageFormat;
 use crate::engine::{EncodedFrame, FrameRequest, Pose, Receipt};
 use crate::math::Camera;
-use crate::plan::{Lod, Output, Reconstruct, Settings};
+use crate::plan::{Lod, MaxError, Output, Reconstruct, Settings};
 use crate::scene::{Blend, Filter, Shading};
 
 const DEFAULT_FOV_DEG: f64 = 40.0;
@@ -45,6 +45,9 @@ pub struct RenderArgs {
     /// Level of detail
     #[arg(long, value_enum, default_value = "full")]
     lod: LodChoice,
+    /// What --lod spt may be wrong by, in pixels [default: 1]
+    #[arg(long, value_name = "PX")]
+    max_error_px: Option<f32>,
     /// How a surface is made of projected samples
     #[arg(long, value_enum, default_value = "points")]
     reconstruct: ReconstructChoice,
@@ -76,7 +79,10 @@ pub struct RenderArgs {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum LodChoice {
+    /// Every sample and triangle
     Full,
+    /// What --max-error-px asks for, from sequential point trees (Dachsbacher et al. 2003)
+    Spt,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -147,7 +153,19 @@ impl RenderArgs {
     }
 
     fn request(&self) -> anyhow::Result<FrameRequest> {
-        let LodChoice::Full = self.lod;
+        let lod = match self.lod {
+            LodChoice::Full => Lod::Full,
+            LodChoice::Spt => Lod::Spt,
+        };
+        let max_error = match self.max_error_px {
+            None => MaxError::default(),
+            Some(_) if lod == Lod::Full => bail!("--max-error-px goes with --lod spt"),
+            Some(px) => {
+                let [least, most] = MaxError::RANGE_PX;
+                MaxError::new(px)
+                    .with_context(|| format!("--max-error-px: {px} is not in {least} to {most}"))?
+            }
+        };
         let reconstruct = match self.reconstruct {
             ReconstructChoice::Points => Reconstruct::Points,
             ReconstructChoice::Splats => Reconstruct::Splats,
@@ -165,7 +183,8 @@ impl RenderArgs {
             width: self.size.0,
             height: self.size.1,
             settings: Settings {
-                lod: Lod::Full,
+                lod,
+                max_error,
                 reconstruct,
                 filter: self.filter,
                 prefilter: self.prefilter,

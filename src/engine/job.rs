@@ -11,7 +11,7 @@ use super::queue::Waiting;
 use super::receipt::CameraReceipt;
 use super::{EncodedFrame, EngineError, FrameRequest};
 use crate::math::View;
-use crate::plan::FramePlan;
+use crate::plan::{FramePlan, MaxError};
 use crate::residency::model::SceneModel;
 use crate::scene::Splats;
 
@@ -26,6 +26,8 @@ pub struct Resolved {
     pub plan: FramePlan,
     /// How samples are drawn, if not as points.
     pub splats: Option<Splats>,
+    /// What may be wrong by how many pixels, in a scene of point trees.
+    pub max_error: MaxError,
     /// Equal for requests whose frames are equal to the byte.
     pub key: String,
 }
@@ -111,7 +113,8 @@ impl Job {
         let splats = self.resolved.splats;
         let halvings = self.halvings.load(Ordering::Relaxed);
         let key = (model, plan, splats, halvings, output, width, height);
-        (!self.is_alone()).then_some(key)
+        // What one frame lists of point trees another cannot use.
+        (!self.is_alone() && !self.resolved.model.trees).then_some(key)
     }
 
     /// Counts a redraw for want of room in a list; false when there have been more than growing lists explain.

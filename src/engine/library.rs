@@ -3,24 +3,31 @@
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Weak};
+use std::sync::{Arc, OnceLock, Weak};
 
 use glam::DVec3;
 use sha2::{Digest, Sha256};
 
 use super::keys::{AssetKey, AssetKeys, digest_file};
+use super::trees::TreeScene;
 use super::{AssetInfo, EngineConfig, EngineError, NamedCamera, NodePatch, SceneInfo};
 use crate::assets::{AssetError, Geometry, Placement};
 use crate::bake::CUTOFF;
 use crate::bake::assemble::{AssembleError, Assembler, Prepared};
 use crate::bake::pack::{PackedAsset, PackedGeometry, pack_mesh, pack_samples, pack_texture};
 use crate::bake::prepare::{self, AssetTraits};
+use crate::bake::tree::Above;
 use crate::math::{Bounds, Camera};
 use crate::plan::SceneFacts;
 use crate::residency::model::{AssetModel, ModelInstance, SceneModel};
 use crate::scene::{AssetRef, Light, Node, Scene};
 
 static NEXT_UID: AtomicU64 = AtomicU64::new(1);
+
+/// A number that no asset and no scene of this process has had.
+pub fn next_uid() -> u64 {
+    NEXT_UID.fetch_add(1, Ordering::Relaxed)
+}
 
 /// A scene and what was derived from it.
 pub struct Loaded {
@@ -31,6 +38,8 @@ pub struct Loaded {
     /// Hash of the description and of every file's content.
     pub digest: [u8; 32],
     description: Scene,
+    /// See [`Loaded::trees`].
+    pub(super) trees: OnceLock<Result<TreeScene, EngineError>>,
     /// For each asset: where its geometries stand.
     placements: Vec<Arc<Vec<Placement>>>,
 }
@@ -229,7 +238,7 @@ fn pack_asset(
     }
     let textures = asset.textures.iter().map(pack_texture).collect();
     let model = AssetModel {
-        uid: NEXT_UID.fetch_add(1, Ordering::Relaxed),
+        uid: next_uid(),
         name: reference.name.clone(),
         format: asset.format,
         packed: PackedAsset { geometries, materials: asset.materials, textures },
@@ -237,6 +246,7 @@ fn pack_asset(
         has_colors: traits.has_colors,
         has_normals: traits.has_normals,
         normals_estimated: traits.normals_estimated,
+        tree: OnceLock::new(),
     };
     Ok(ReadAsset {
         model: Arc::new(model),
@@ -306,10 +316,11 @@ fn build(
             world_from_geometry: placed.world_from_geometry,
             material: placed.material,
             id: number as u32,
+            above: Above::NOTHING,
         });
     }
     let model = SceneModel {
-        uid: NEXT_UID.fetch_add(1, Ordering::Relaxed),
+        uid: next_uid(),
         id: id.to_owned(),
         name: description.name.clone(),
         revision,
@@ -321,6 +332,8 @@ fn build(
         cameras: description.cameras.clone(),
         up: description.up,
         splats: description.splats,
+        trees: false,
+        totals: OnceLock::new(),
     };
     let bounds = model.bounds();
     let info = describe(&model, &description, &bounds, warnings);
@@ -331,6 +344,7 @@ fn build(
         info,
         digest,
         description,
+        trees: OnceLock::new(),
         placements,
     })
 }
@@ -353,6 +367,7 @@ fn facts(model: &SceneModel) -> SceneFacts {
         alpha_cut: model.assets.iter().any(|asset| {
             asset.packed.materials.iter().any(|material| material.alpha_cutoff.is_some())
         }),
+        trees: false,
     }
 }
 

@@ -10,6 +10,7 @@ mod renderer;
 mod request;
 mod resolve;
 mod shared;
+mod trees;
 mod worker;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -26,6 +27,8 @@ pub use request::{FrameRequest, Pose};
 
 use crate::assets::{AssetError, ReadOptions};
 use crate::math::Camera;
+use crate::plan::Lod;
+use crate::residency::Part;
 use crate::scene::{SceneError, SceneLimits};
 
 use self::shared::Shared;
@@ -370,8 +373,8 @@ impl Engine {
         let shared = self.shared();
         let began = std::time::Instant::now();
         let path = library::check_path(path, &shared.config.root)?;
-        let loaded = library::load(id, &path, &shared.config, &shared.cache)?;
-        self.check_fits(&loaded)?;
+        let mut loaded = library::load(id, &path, &shared.config, &shared.cache)?;
+        self.check_fits(&mut loaded)?;
         let info = loaded.info.clone();
         shared.library.write().insert(loaded);
         let (samples, triangles) = (info.samples, info.triangles);
@@ -380,11 +383,23 @@ impl Engine {
         Ok(info)
     }
 
-    /// Whether a scene alone would fit the GPU.
-    fn check_fits(&self, loaded: &library::Loaded) -> Result<(), EngineError> {
+    /// Whether a scene alone would fit the GPU, at least where frames list what they need of it; where not all of it does, the
+    /// scene says so.
+    fn check_fits(&self, loaded: &mut library::Loaded) -> Result<(), EngineError> {
         let adapter = self.shared().adapter();
-        crate::residency::check_fits(adapter.max_binding_bytes, adapter.budget, &loaded.model)
-            .map_err(renderer::engine_error)
+        let fits = |part| {
+            let (binding, budget) = (adapter.max_binding_bytes, adapter.budget);
+            crate::residency::check_fits(binding, budget, &loaded.model, part)
+                .map_err(renderer::engine_error)
+        };
+        fits(Part::Stored)?;
+        if let Err(error) = fits(Part::Whole) {
+            let warning = format!("too large for full detail: {error}; lod=spt draws it");
+            if !loaded.info.warnings.contains(&warning) {
+                loaded.info.warnings.push(warning);
+            }
+        }
+        Ok(())
     }
 
     /// Forgets a scene and frees its GPU memory.
@@ -406,9 +421,9 @@ impl Engine {
         loop {
             let loaded = shared.library.read().get(id);
             let loaded = loaded.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
-            let patched = loaded.patched(node, patch, &shared.config)?;
+            let mut patched = loaded.patched(node, patch, &shared.config)?;
             // A node that comes to light may draw more than there is room for.
-            self.check_fits(&patched)?;
+            self.check_fits(&mut patched)?;
             let info = patched.info.clone();
             if shared.library.write().replace(&loaded, patched) {
                 tracing::info!(id, node, revision = info.revision, "scene changed");
@@ -436,6 +451,26 @@ impl Engine {
     /// The strong entity tag (quoted) of the frame that `request` would give. Validates the request; costs no GPU work.
     pub fn etag(&self, request: &FrameRequest) -> Result<String, EngineError> {
         Ok(resolve::resolve(self.shared(), request)?.key)
+    }
+
+    /// Whether a frame with these settings has to wait until something is baked, which [`Engine::bake`] does.
+    pub fn must_bake(&self, request: &FrameRequest) -> bool {
+        let loaded = self.shared().library.read().get(&request.scene);
+        request.settings.lod == Lod::Spt && loaded.is_some_and(|loaded| !loaded.has_trees())
+    }
+
+    /// Builds what a request needs and is not there: the scene's point trees. Blocks, for a second per million samples or so.
+    ///
+    /// # Errors
+    /// An unknown scene, or a geometry that no tree can be built of.
+    pub fn bake(&self, request: &FrameRequest) -> Result<(), EngineError> {
+        let loaded = self.shared().library.read().get(&request.scene);
+        let loaded =
+            loaded.ok_or_else(|| EngineError::UnknownScene { id: request.scene.clone() })?;
+        if request.settings.lod == Lod::Spt {
+            loaded.trees()?;
+        }
+        Ok(())
     }
 
     /// Queues a frame.

@@ -85,8 +85,10 @@ pub struct PassReceipt {
 pub struct SampleCounts {
     /// In the scene, instances counted.
     pub stored: u64,
-    /// In chunks that met the frustum; each was projected.
+    /// In chunks that met the frustum and, of point trees, the accepted error; each was projected.
     pub tested: Option<u64>,
+    /// Nodes of point trees that the accepted error asked for, and that lie in the image; `null` at full detail.
+    pub accepted: Option<u64>,
     /// Pixels that show a sample.
     pub drawn: Option<u64>,
 }

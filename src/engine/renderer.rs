@@ -60,6 +60,7 @@ struct FlyingGroup {
     pixel_bytes: u64,
     spans: Vec<PassSpan>,
     large_capacity: u32,
+    entry_capacity: u32,
     gpu_bytes: u64,
 }
 
@@ -283,8 +284,15 @@ impl Renderer {
             .map(|(jobs, (landing, pixel_bytes, spans))| {
                 landing.map();
                 let gpu_bytes = jobs.first().map_or(0, |job| job.resolved.model.gpu_bytes());
-                let large_capacity = self.scratch.large_capacity();
-                FlyingGroup { jobs, landing, pixel_bytes, spans, large_capacity, gpu_bytes }
+                FlyingGroup {
+                    jobs,
+                    landing,
+                    pixel_bytes,
+                    spans,
+                    large_capacity: self.scratch.large_capacity(),
+                    entry_capacity: self.scratch.entry_capacity(),
+                    gpu_bytes,
+                }
             })
             .collect();
         if let Some((landing, _)) = &stamps {
@@ -317,6 +325,8 @@ impl Renderer {
             small_triangle_px: self.small_triangle_px,
             large_capacity: self.scratch.large_capacity(),
             large_units_limit: self.large_units_limit,
+            max_error_px: first.resolved.max_error.px(),
+            entry_capacity: self.scratch.entry_capacity(),
         }
     }
 
@@ -426,6 +436,22 @@ impl Renderer {
             };
             self.ring.give_back(group.landing);
             let views = frames.len() as u32;
+            let wanted = frames.first().map_or(0, |(_, stats)| stats.entries_wanted);
+            if wanted > group.entry_capacity {
+                self.scratch.grow_entries(&self.gpu, wanted);
+                let limit = self.scratch.entry_capacity();
+                if limit >= wanted {
+                    landed.redraw.extend(group.jobs);
+                } else {
+                    let error = EngineError::OverLimit {
+                        what: "chunks of point trees in view",
+                        found: u64::from(wanted),
+                        limit: u64::from(limit),
+                    };
+                    landed.refuse(group.jobs, &error);
+                }
+                continue;
+            }
             let longest = frames.first().map_or(0, |(_, stats)| stats.large_longest);
             if longest > group.large_capacity {
                 self.scratch.grow_large(&self.gpu, longest);

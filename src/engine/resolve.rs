@@ -11,7 +11,7 @@ use super::shared::{Adapter, Shared};
 use super::{EngineError, FrameRequest, Pose};
 use crate::encode::{self, EncodeError};
 use crate::math::{Camera, CameraError, View};
-use crate::plan::{AdapterFacts, plan};
+use crate::plan::{AdapterFacts, Lod, plan};
 use crate::scene::Splats;
 
 /// Most pixels and longest side of a frame on this adapter.
@@ -89,14 +89,22 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     let (view, camera) = pose(&loaded, request)?;
     let adapter = shared.adapter();
     let splats = request.settings.splats(&loaded.model.splats);
+    let (model, facts) = match request.settings.lod {
+        Lod::Full => (loaded.model.clone(), loaded.facts),
+        Lod::Spt => {
+            let trees = loaded.trees()?;
+            (trees.model, trees.facts)
+        }
+    };
     let plan = plan(
-        &loaded.facts,
+        &facts,
         request.output,
         splats.as_ref(),
         &AdapterFacts { atomics_64: adapter.atomics_64, rasterises: adapter.rasterises },
     );
     let key = entity_tag(&loaded, request, splats.as_ref(), &view, &adapter);
-    Ok(Resolved { model: loaded.model.clone(), view, camera, plan, splats, key })
+    let max_error = request.settings.max_error;
+    Ok(Resolved { model, view, camera, plan, splats, max_error, key })
 }
 
 fn pose(loaded: &Loaded, request: &FrameRequest) -> Result<(View, CameraReceipt), EngineError> {
@@ -195,6 +203,9 @@ fn entity_tag(
         request.output as u8,
     ]);
     hasher.update([request.settings.lod as u8, request.settings.reconstruct as u8]);
+    if request.settings.lod == Lod::Spt {
+        hasher.update(request.settings.max_error.px().to_le_bytes());
+    }
     if let Some(splats) = splats {
         // The scene's part in it is in the digest.
         hasher.update([

@@ -12,6 +12,7 @@ use super::job::{Job, Reply, Resolved};
 use super::library::{AssetCache, Library};
 use super::queue::{Queue, Taken, expected_wait};
 use super::{EngineConfig, EngineError, EngineStats, FrameRequest, Readiness};
+use crate::residency::model::SceneModel;
 
 /// The adapter in use.
 #[derive(Clone, Debug, Default)]
@@ -318,7 +319,7 @@ impl Shared {
     pub fn set_resident<'a>(&self, ids: impl Iterator<Item = &'a str>) -> Vec<String> {
         let (now, removed): (HashSet<String>, HashSet<String>) = {
             let library = self.library.read();
-            ids.map(str::to_owned).partition(|id| library.holds(id))
+            ids.map(str::to_owned).partition(|id| library.holds(SceneModel::scene_of(id)))
         };
         if *self.resident.read() != now {
             *self.resident.write() = now;
@@ -327,7 +328,8 @@ impl Shared {
     }
 
     pub fn is_resident(&self, id: &str) -> bool {
-        self.resident.read().contains(id)
+        let resident = self.resident.read();
+        resident.contains(id) || resident.contains(&SceneModel::tree_id(id))
     }
 
     /// Folds in that `frames` took `frame` each. The mean forgets with a time constant of eight

@@ -21,6 +21,7 @@ use super::shared::{Adapter, Phase, Shared};
 use super::{EncodedFrame, EngineError};
 use crate::gpu::{GpuError, GpuOptions};
 use crate::plan::{Pass, UsedSettings};
+use crate::residency::layout::GpuStats;
 use crate::residency::layout::MOST_ROWS;
 
 /// Submissions in flight while more jobs wait: one is drawn while the next is recorded.
@@ -295,6 +296,11 @@ fn wide(words: [u32; 2]) -> u64 {
     u64::from(words[0]) | u64::from(words[1]) << 32
 }
 
+/// Nodes that passed their test, whichever way they are drawn.
+fn accepted(stats: &GpuStats) -> u64 {
+    [stats.nodes_drawn, stats.splats_listed, stats.splats_scattered].map(u64::from).iter().sum()
+}
+
 fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
     let job = &drawn.job;
     let resolved = &job.resolved;
@@ -318,7 +324,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         })
         .collect();
     Receipt {
-        scene: resolved.model.id.clone(),
+        scene: job.request.scene.clone(),
         revision: resolved.model.revision,
         adapter: shared.adapter().name,
         batch_size: drawn.batch_size,
@@ -329,7 +335,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
             reconstruct: job.request.settings.reconstruct,
             splats: resolved.splats,
         },
-        max_error_px: None,
+        max_error_px: resolved.model.trees.then(|| job.request.settings.max_error.px()),
         estimated_error_px: None,
         passes,
         gpu_ns: drawn.gpu_ns,
@@ -339,6 +345,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         samples: SampleCounts {
             stored: counts.samples,
             tested: samples.then(|| wide(drawn.stats.samples_tested)),
+            accepted: resolved.model.trees.then(|| accepted(&drawn.stats)),
             drawn: samples.then_some(u64::from(drawn.stats.pixels_of_samples)),
         },
         splats: SplatCounts {

@@ -73,6 +73,7 @@ pub async fn frame(
             .and_then(|seconds| now.checked_add(Duration::from_secs(seconds)));
     }
 
+    bake(&app, &request).await.map_err(|problem| missing(&app, &id, problem))?;
     let etag = app.engine.etag(&request).map_err(|error| missing(&app, &id, error.into()))?;
     let tag = HeaderValue::from_str(&etag)
         .map_err(|_| Problem::internal(format!("the tag {etag:?} is no header")))?;
@@ -109,6 +110,16 @@ pub async fn frame(
         headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
     }
     Ok(response)
+}
+
+/// Has the engine build what the request needs and is not there, which may take seconds.
+pub async fn bake(app: &Arc<App>, request: &FrameRequest) -> Result<(), Problem> {
+    if !app.engine.must_bake(request) {
+        return Ok(());
+    }
+    let (app, request) = (app.clone(), request.clone());
+    let baked = tokio::task::spawn_blocking(move || app.engine.bake(&request)).await;
+    Ok(baked.map_err(|error| Problem::internal(format!("baking failed: {error}")))??)
 }
 
 /// The format, and whether `Accept` had a say in it.

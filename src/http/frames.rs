@@ -19,7 +19,7 @@ use futures::Stream;
 use serde::Deserialize;
 use utoipa::ToSchema;
 
-use super::frame::{choose_format, missing, receipt_headers, wait};
+use super::frame::{bake, choose_format, missing, receipt_headers, wait};
 use super::params::FrameParams;
 use super::problem::{Kind, PROBLEM_JSON, Problem};
 use super::{App, Segments, body};
@@ -138,6 +138,9 @@ impl Batch {
                 Ok(request) => request,
                 Err(problem) => return Some(Err(problem)),
             };
+            if let Err(problem) = bake(&self.app, &request).await {
+                return Some(Err(problem));
+            }
             match self.app.engine.submit(request) {
                 Ok(ticket) => return Some(Ok(ticket)),
                 Err(EngineError::Busy { retry_after }) if turn.elapsed() < MAX_QUEUEING => {

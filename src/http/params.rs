@@ -15,7 +15,7 @@ use super::problem::{Kind, Problem, nearest};
 use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
 use crate::math::{Camera, View};
-use crate::plan::{Lod, Output, Reconstruct, Settings};
+use crate::plan::{Lod, MaxError, Output, Reconstruct, Settings};
 use crate::scene::{Blend, Filter, Shading};
 
 /// Width and height of a frame that names none.
@@ -78,6 +78,10 @@ pub struct FrameParams {
     #[param(value_type = Option<Lod>)]
     #[schema(value_type = Option<Lod>)]
     pub lod: Option<String>,
+    /// What `lod=spt` may be wrong by, in pixels; 1 where none is given.
+    #[param(minimum = 0.05, maximum = 64)]
+    #[schema(minimum = 0.05, maximum = 64)]
+    pub max_error_px: Option<f32>,
     /// How a surface is made of projected samples.
     #[param(value_type = Option<Reconstruct>)]
     #[schema(value_type = Option<Reconstruct>)]
@@ -103,7 +107,7 @@ pub struct FrameParams {
 }
 
 /// Every parameter of this version.
-const NAMES: [&str; 19] = [
+const NAMES: [&str; 20] = [
     "camera",
     "eye",
     "target",
@@ -117,6 +121,7 @@ const NAMES: [&str; 19] = [
     "quality",
     "output",
     "lod",
+    "max_error_px",
     "reconstruct",
     "filter",
     "prefilter",
@@ -220,6 +225,9 @@ impl FrameParams {
             "quality" => once(&mut self.quality, name, number(name, value, "1 to 100")?),
             "output" => once(&mut self.output, name, value.to_owned()),
             "lod" => once(&mut self.lod, name, value.to_owned()),
+            "max_error_px" => {
+                once(&mut self.max_error_px, name, number(name, value, "0.05 to 64")?)
+            }
             "reconstruct" => once(&mut self.reconstruct, name, value.to_owned()),
             "filter" => once(&mut self.filter, name, value.to_owned()),
             "prefilter" => once(&mut self.prefilter, name, number(name, value, "true or false")?),
@@ -252,7 +260,7 @@ impl FrameParams {
 
     /// Fills what is missing from `defaults`. A pose is taken whole: one that is given another way
     /// replaces that of the defaults, only `up`, `fov` and `proj` are inherited by their own kind.
-    /// Who asks for points inherits nothing that only splats have.
+    /// Who asks for points inherits nothing that only splats have, who asks for full detail no accepted error.
     pub fn or(self, defaults: &FrameParams) -> FrameParams {
         let posed = self.camera.is_some()
             || self.eye.is_some()
@@ -269,6 +277,8 @@ impl FrameParams {
         let (camera, eye, matrix) = (of(false), of(by_eye), of(by_matrix));
         let pointwise = self.reconstruct.as_deref().is_some_and(|word| word != "splats");
         let splats = if pointwise { &empty } else { defaults };
+        let whole = self.lod.as_deref().is_some_and(|word| word == "full");
+        let detail = if whole { &empty } else { defaults };
         FrameParams {
             camera: self.camera.or_else(|| camera.camera.clone()),
             eye: self.eye.or(eye.eye),
@@ -282,6 +292,7 @@ impl FrameParams {
             format: self.format.or_else(|| defaults.format.clone()),
             quality: self.quality.or(defaults.quality),
             output: self.output.or_else(|| defaults.output.clone()),
+            max_error_px: self.max_error_px.or(detail.max_error_px),
             lod: self.lod.or_else(|| defaults.lod.clone()),
             reconstruct: self.reconstruct.or_else(|| defaults.reconstruct.clone()),
             filter: self.filter.or_else(|| splats.filter.clone()),
@@ -356,8 +367,28 @@ impl FrameParams {
                 "together with `reconstruct=splats`, or left out",
             ));
         }
+        let lod: Lod = choice("lod", self.lod.as_deref())?;
+        let [least, most] = MaxError::RANGE_PX;
+        let max_error = match self.max_error_px {
+            None => MaxError::default(),
+            Some(_) if lod == Lod::Full => {
+                return Err(Problem::parameter(
+                    "max_error_px",
+                    "full detail has none",
+                    "together with `lod=spt`, or left out",
+                ));
+            }
+            Some(px) => MaxError::new(px).ok_or_else(|| {
+                Problem::parameter(
+                    "max_error_px",
+                    format!("{px} is out of range"),
+                    format!("{least} to {most} pixels"),
+                )
+            })?,
+        };
         Ok(Settings {
-            lod: choice("lod", self.lod.as_deref())?,
+            lod,
+            max_error,
             reconstruct,
             filter: chosen("filter", self.filter.as_deref())?,
             prefilter: self.prefilter,

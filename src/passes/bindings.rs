@@ -5,7 +5,7 @@ use super::uniforms::{GroupUniforms, SEGMENT_WINDOW, VIEWS_WINDOW};
 use crate::gpu::bind::Binding;
 use crate::gpu::buffer::Buffer;
 use crate::residency::layout::{FEW_LIGHTS, GpuLight};
-use crate::residency::{PageKind, Residency, ResidentScene};
+use crate::residency::{Lists, PageKind, Residency, ResidentScene};
 
 /// What names are looked up in.
 pub struct Names<'a> {
@@ -57,9 +57,24 @@ impl<'a> Names<'a> {
             "dispatches" => scratch.dispatches.buffer(),
             "large" => scratch.large.buffer(),
             "instances" => &scene.instances,
-            "entries" => &scene.entries,
-            "segments" => &scene.segments,
-            "sizes" => &scene.sizes,
+            "group_flags" => scratch.group_flags.buffer(),
+            "listed" => scratch.listed.buffer(),
+            "chosen" => scratch.chosen.buffer(),
+            "chosen_first" => scratch.chosen_first.buffer(),
+            "entries" | "segments" | "sizes" | "instance_groups" | "pieces" | "geometries" => {
+                match (&scene.lists, name) {
+                    (Lists::Full(full), "entries") => &full.entries,
+                    (Lists::Full(full), "segments") => &full.segments,
+                    (Lists::Full(full), "sizes") => &full.sizes,
+                    (Lists::Trees(_), "entries") => scratch.entries.buffer(),
+                    (Lists::Trees(_), "segments") => scratch.segments.buffer(),
+                    (Lists::Trees(_), "sizes") => scratch.sizes.buffer(),
+                    (Lists::Trees(trees), "instance_groups") => &trees.groups,
+                    (Lists::Trees(trees), "pieces") => &trees.pieces,
+                    (Lists::Trees(trees), "geometries") => &trees.geometries,
+                    _ => return None,
+                }
+            }
             "lights" => &scene.lights,
             "chunks" => residency.chunk_table(),
             "materials" => residency.material_table(),

@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use crate::math::View;
 use crate::plan::{FramePlan, Output, Pass};
-use crate::residency::ResidentScene;
 use crate::residency::layout::{GpuFrame, two_floats};
 use crate::residency::model::SceneModel;
+use crate::residency::{GROUP, ResidentScene};
 use crate::scene::{Blend, Shading, Splats};
 
 /// Frames of one scene that are drawn together: the model (resident already), where it is seen from, what is wanted.
@@ -29,6 +29,10 @@ pub struct FrameTask {
     pub large_capacity: u32,
     /// Units of 4096 pixels that the boxes of large triangles may cover in all.
     pub large_units_limit: u32,
+    /// What may be wrong by how many pixels, where the scene is one of point trees.
+    pub max_error_px: f32,
+    /// Entries that such a frame may list.
+    pub entry_capacity: u32,
 }
 
 /// Linear RGB and straight alpha → sRGB8 word.
@@ -76,6 +80,11 @@ impl FrameTask {
         }
     }
 
+    /// By which of a node's measures detail is chosen: sizes where samples are drawn as points.
+    pub fn measure(&self) -> u32 {
+        u32::from(self.splats.is_none())
+    }
+
     /// How many views there are.
     pub fn count(&self) -> u32 {
         self.views.len() as u32
@@ -88,6 +97,7 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
     let axes = view.view_from_world.transpose();
     let row = |v: glam::DVec3| [v.x as f32, v.y as f32, v.z as f32, 0.0];
     let eye = view.eye.to_array().map(two_floats);
+    let (entries, slots) = scene.entries(task.entry_capacity);
     GpuFrame {
         right: row(axes.x_axis),
         down: row(-axes.y_axis),
@@ -97,7 +107,7 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         focal_px: view.focal_px.as_vec2().to_array(),
         principal_px: view.principal_px.as_vec2().to_array(),
         size_px: [view.width, view.height],
-        entry_count: scene.entry_count,
+        entry_count: entries,
         instance_count: scene.instance_count,
         background: srgb8(task.model.background),
         light_count: scene.light_count,
@@ -108,9 +118,9 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         views: task.count(),
         first_pixel: number * view.width * view.height,
         first_instance: number * scene.instance_count,
-        first_entry: number * scene.entry_count,
-        first_group: number * scene.group_slots(),
-        first_slot: number * scene.chunk_count,
+        first_entry: number * entries,
+        first_group: number * (entries / GROUP as u32 + 1),
+        first_slot: number * slots,
         first_run: number * scene.pages.len() as u32,
         sample_segments: scene.sample_segments(),
         small_splat_px: task.small_splat_px as i32,
@@ -122,5 +132,9 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
             Blend::Weighted => s.depth_offset,
             Blend::Opaque => 0.0,
         }),
+        lod_scale: task.max_error_px / view.focal_px.max_element() as f32,
+        entry_capacity: task.entry_capacity,
+        instance_groups: scene.instance_groups(),
+        segment_count: scene.pages.len() as u32,
     }
 }

@@ -30,7 +30,15 @@ pub fn record(
     let recorder = &mut Recorder { context, encoder, scene, task, uniforms, spans: Vec::new() };
 
     select::clear::record(recorder)?;
+    if plan.runs(Pass::CullGroups) {
+        select::cull_groups::record(recorder)?;
+        select::list_groups::record(recorder)?;
+    }
     select::place::record(recorder)?;
+    if plan.runs(Pass::SelectChunks) {
+        select::select_chunks::record(recorder)?;
+        select::list_entries::record(recorder)?;
+    }
     select::cull::record(recorder)?;
     select::scan::record(recorder)?;
     select::compact::record(recorder)?;

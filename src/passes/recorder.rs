@@ -15,7 +15,7 @@ use crate::gpu::pipeline::{BindingSlot, GROUPS};
 use crate::gpu::shader::ShaderError;
 use crate::gpu::timing::{Span, Timer};
 use crate::plan::Pass;
-use crate::residency::layout::GpuDispatch;
+use crate::residency::layout::{GpuDispatch, LOD_LAUNCHES};
 use crate::residency::{PageKind, Residency, ResidentScene};
 
 /// Workgroups in x before a dispatch takes a second row; as in the shaders.
@@ -57,6 +57,17 @@ pub enum Launch {
     Direct([u32; 3]),
     /// As `scan` has written it for the segment.
     Indirect,
+    /// As `list_groups` or `list_entries` has written it, behind the segments'.
+    Listed(Listed),
+}
+
+/// What passes over the lists of point trees are launched for; the numbers are those of `shared/chosen.wgsl`.
+#[derive(Clone, Copy)]
+pub enum Listed {
+    Place = 0,
+    Select = 1,
+    Cull = 2,
+    Compact = 3,
 }
 
 /// A compute pass.
@@ -81,6 +92,16 @@ impl Recorder<'_, '_> {
             .filter(|&index| kinds.contains(&self.scene.pages[index].kind))
             .map(Some)
             .collect()
+    }
+
+    /// The override of `shared/lanes`.
+    pub fn lanes(&self) -> (&'static str, u32) {
+        ("LANES", if self.context.gpu.is_cpu { 8 } else { 64 })
+    }
+
+    /// Entries of a view, padding included.
+    pub fn entries(&self) -> u32 {
+        self.scene.entries(self.task.entry_capacity).0
     }
 
     /// Empties the list of large triangles or splats.
@@ -117,10 +138,18 @@ impl Recorder<'_, '_> {
                     recorded.dispatch_workgroups(x, y, z);
                 }
                 Launch::Direct(_) => {}
-                Launch::Indirect => recorded.dispatch_workgroups_indirect(
-                    self.context.scratch.dispatches.buffer().raw(),
-                    (segment.unwrap_or(0) * size_of::<GpuDispatch>()) as u64,
-                ),
+                Launch::Indirect | Launch::Listed(_) => {
+                    let dispatches = self.context.scratch.dispatches.buffer();
+                    let number = match launch {
+                        Launch::Listed(listed) => {
+                            dispatches.size() as usize / size_of::<GpuDispatch>() - LOD_LAUNCHES
+                                + listed as usize
+                        }
+                        _ => segment.unwrap_or(0),
+                    };
+                    let offset = (number * size_of::<GpuDispatch>()) as u64;
+                    recorded.dispatch_workgroups_indirect(dispatches.raw(), offset);
+                }
             }
         }
         drop(recorded);
@@ -145,6 +174,29 @@ impl Recorder<'_, '_> {
             constants: Vec::new(),
             segments: &[None],
             launch: Launch::Direct(size),
+        })
+    }
+
+    /// Records a pass over the entries, or over the instances, of all views; where the scene is one of point trees, over those
+    /// that the frame has listed.
+    pub fn over_lists(
+        &mut self,
+        pass: Pass,
+        root: &'static str,
+        groups: u32,
+        listed: Listed,
+        constants: Constants,
+    ) -> Result<(), ShaderError> {
+        if !self.scene.has_trees() {
+            return self.rows(pass, root, groups, self.task.count());
+        }
+        self.compute(Call {
+            pass,
+            root,
+            choices: Choices { trees: true, ..Choices::default() },
+            constants,
+            segments: &[None],
+            launch: Launch::Listed(listed),
         })
     }
 

@@ -2,8 +2,11 @@
 
 use crate::gpu::Gpu;
 use crate::gpu::buffer;
-use crate::residency::ResidentScene;
-use crate::residency::layout::{GpuDispatch, GpuPlaced, GpuRun, GpuSlot, GpuStats};
+use crate::residency::layout::{
+    GpuDispatch, GpuEntry, GpuPlaced, GpuRun, GpuSegment, GpuSlot, GpuStats, INSTANCE_GROUP,
+    LOD_LAUNCHES,
+};
+use crate::residency::{GROUP, ResidentScene};
 
 /// Scratch of the device: the groups of a batch run one behind the other and share it.
 pub struct Scratch {
@@ -21,14 +24,28 @@ pub struct Scratch {
     pub runs: buffer::Scratch,
     pub dispatches: buffer::Scratch,
     pub large: buffer::Scratch,
+    /// Of scenes of point trees: which groups of instances are in play, what is chosen of each, and the entries listed from that.
+    pub group_flags: buffer::Scratch,
+    pub listed: buffer::Scratch,
+    pub chosen: buffer::Scratch,
+    pub chosen_first: buffer::Scratch,
+    pub entries: buffer::Scratch,
+    pub segments: buffer::Scratch,
+    pub sizes: buffer::Scratch,
     pub uniforms: buffer::Scratch,
     attachment: Option<(u32, u32, wgpu::TextureView)>,
     /// Ids that the list of large triangles holds.
     large_capacity: u32,
+    /// Entries that a frame of point trees may list.
+    entry_capacity: u32,
 }
 
 /// Large triangles that there is room for at first; a frame with more is drawn again with room enough.
 const LARGE_INITIAL: u32 = 1 << 18;
+/// Likewise for the entries that a frame of point trees lists.
+const ENTRIES_INITIAL: u32 = 1 << 15;
+/// Slots have numbers of 22 bits.
+const MOST_ENTRIES: u32 = 1 << 22;
 
 impl Scratch {
     pub fn new(gpu: &Gpu) -> Self {
@@ -52,6 +69,13 @@ impl Scratch {
             runs: make("runs"),
             dispatches: indirect("dispatches"),
             large: indirect("large"),
+            group_flags: make("group_flags"),
+            listed: make("listed"),
+            chosen: make("chosen"),
+            chosen_first: make("chosen_first"),
+            entries: make("entries"),
+            segments: make("segments"),
+            sizes: make("sizes"),
             uniforms: buffer::Scratch::new(
                 gpu,
                 "uniforms",
@@ -59,6 +83,7 @@ impl Scratch {
             ),
             attachment: None,
             large_capacity: LARGE_INITIAL.min(most_large(gpu)),
+            entry_capacity: ENTRIES_INITIAL,
         }
     }
 
@@ -67,7 +92,7 @@ impl Scratch {
         let bytes = [
             u64::from(width) * u64::from(height) * 8,
             u64::from(scene.instance_count) * size_of::<GpuPlaced>() as u64,
-            u64::from(scene.chunk_count) * size_of::<GpuSlot>() as u64,
+            u64::from(scene.entries(ENTRIES_INITIAL).1) * size_of::<GpuSlot>() as u64,
         ];
         bytes.into_iter().max().unwrap_or(0)
     }
@@ -89,11 +114,24 @@ impl Scratch {
         let instances = views * u64::from(scene.instance_count);
         self.placed.reserve(gpu, instances * size_of::<GpuPlaced>() as u64);
         self.seen.reserve(gpu, instances * 4);
-        self.ranks.reserve(gpu, views * u64::from(scene.entry_count) * 4);
-        self.group_counts.reserve(gpu, views * u64::from(scene.group_slots()) * 4);
-        self.slots.reserve(gpu, views * u64::from(scene.chunk_count) * size_of::<GpuSlot>() as u64);
+        let (entries, slots) = scene.entries(self.entry_capacity);
+        self.ranks.reserve(gpu, views * u64::from(entries) * 4);
+        self.group_counts.reserve(gpu, views * (u64::from(entries) / GROUP as u64 + 1) * 4);
+        self.slots.reserve(gpu, views * u64::from(slots) * size_of::<GpuSlot>() as u64);
         self.runs.reserve(gpu, views * (scene.pages.len() * size_of::<GpuRun>()) as u64);
-        self.dispatches.reserve(gpu, scene.pages.len() as u64 * size_of::<GpuDispatch>() as u64);
+        // Shaders find what is behind the segments' from the end.
+        let launches = (scene.pages.len() + LOD_LAUNCHES) as u64;
+        self.dispatches.reserve(gpu, launches * size_of::<GpuDispatch>() as u64);
+        if scene.has_trees() {
+            let (groups, segments) = (u64::from(scene.instance_groups()), scene.pages.len() as u64);
+            self.group_flags.reserve(gpu, groups * 4);
+            self.listed.reserve(gpu, (groups + 1) * 4);
+            self.chosen.reserve(gpu, segments * groups * (INSTANCE_GROUP as u64 + 1) * 4);
+            self.chosen_first.reserve(gpu, segments * groups * 4);
+            self.entries.reserve(gpu, u64::from(entries) * size_of::<GpuEntry>() as u64);
+            self.segments.reserve(gpu, segments * size_of::<GpuSegment>() as u64);
+            self.sizes.reserve(gpu, 16);
+        }
         self.large.reserve(gpu, 16 + u64::from(self.large_capacity) * 8);
     }
 
@@ -121,6 +159,18 @@ impl Scratch {
     /// Makes room for `count` large triangles from the next frame on, as far as a binding goes.
     pub fn grow_large(&mut self, gpu: &Gpu, count: u32) {
         self.large_capacity = count.max(self.large_capacity).min(most_large(gpu));
+    }
+
+    pub fn entry_capacity(&self) -> u32 {
+        self.entry_capacity
+    }
+
+    /// Makes room for `count` entries from the next frame on, as far as slots can be told apart and a binding goes.
+    pub fn grow_entries(&mut self, gpu: &Gpu, count: u32) {
+        let slots = gpu.max_binding_bytes() / size_of::<GpuSlot>() as u64;
+        let most = slots.min(u64::from(MOST_ENTRIES)) as u32 / GROUP as u32 * GROUP as u32;
+        let wanted = count.checked_next_power_of_two().unwrap_or(u32::MAX);
+        self.entry_capacity = wanted.max(self.entry_capacity).min(most);
     }
 
     /// An attachment of the frame's size that render passes need and nobody reads.

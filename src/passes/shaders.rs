@@ -72,7 +72,24 @@ fragments![
     "shared/visibility_64",
     "shared/visibility_depth",
     "shared/visibility_id",
+    "shared/accepted",
+    "shared/chosen",
+    "shared/launch",
+    "shared/lanes",
+    "shared/frustum",
+    "shared/entries_full",
+    "shared/entries_tree",
+    "shared/list_full",
+    "shared/list_tree",
+    "shared/members_all",
+    "shared/members_listed",
+    "shared/nodes_none",
+    "shared/nodes_tree",
     "select/clear",
+    "select/cull_groups",
+    "select/list_groups",
+    "select/select_chunks",
+    "select/list_entries",
     "select/place",
     "select/cull",
     "select/scan",
@@ -131,6 +148,10 @@ pub struct Choices {
     pub normal_sums: bool,
     /// `LIT`: splats are lit one by one.
     pub lit: bool,
+    /// `ENTRIES`, `LIST`, `MEMBERS`: the frame lists its own entries, from point trees.
+    pub trees: bool,
+    /// `NODES`: samples are nodes of point trees.
+    pub nodes: bool,
 }
 
 impl Default for Choices {
@@ -143,12 +164,14 @@ impl Default for Choices {
             wide_sums: false,
             normal_sums: false,
             lit: false,
+            trees: false,
+            nodes: false,
         }
     }
 }
 
 impl Choices {
-    fn aliases(&self) -> [(&'static str, &'static str); 7] {
+    fn aliases(&self) -> [(&'static str, &'static str); 11] {
         let either = |choice, yes, no| if choice { yes } else { no };
         [
             ("VOTE", either(self.subgroups, "shared/vote_subgroup", "shared/vote_alone")),
@@ -165,6 +188,10 @@ impl Choices {
                 },
             ),
             ("LIT", either(self.lit, "shared/lit_splat", "shared/lit_none")),
+            ("ENTRIES", either(self.trees, "shared/entries_tree", "shared/entries_full")),
+            ("LIST", either(self.trees, "shared/list_tree", "shared/list_full")),
+            ("MEMBERS", either(self.trees, "shared/members_listed", "shared/members_all")),
+            ("NODES", either(self.nodes, "shared/nodes_tree", "shared/nodes_none")),
         ]
     }
 }

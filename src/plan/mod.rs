@@ -7,7 +7,7 @@ mod settings;
 
 use serde::Serialize;
 
-pub use settings::{Lod, Output, Reconstruct, Settings, UsedSettings};
+pub use settings::{Lod, MaxError, Output, Reconstruct, Settings, UsedSettings};
 
 use crate::scene::{Blend, Shading, Splats};
 
@@ -21,6 +21,8 @@ pub struct SceneFacts {
     pub casts_shadows: bool,
     /// Some material cuts holes by alpha.
     pub alpha_cut: bool,
+    /// Its assets are point trees, from which a frame takes the detail that it shows.
+    pub trees: bool,
 }
 
 /// What a plan depends on in the adapter.
@@ -36,7 +38,11 @@ pub struct AdapterFacts {
 #[serde(rename_all = "snake_case")]
 pub enum Pass {
     Clear,
+    CullGroups,
+    ListGroups,
     Place,
+    SelectChunks,
+    ListEntries,
     Cull,
     Scan,
     Compact,
@@ -64,9 +70,13 @@ pub enum Pass {
 
 impl Pass {
     /// All passes in the order in which they run.
-    pub const ALL: [Pass; 24] = [
+    pub const ALL: [Pass; 28] = [
         Pass::Clear,
+        Pass::CullGroups,
+        Pass::ListGroups,
         Pass::Place,
+        Pass::SelectChunks,
+        Pass::ListEntries,
         Pass::Cull,
         Pass::Scan,
         Pass::Compact,
@@ -94,6 +104,10 @@ impl Pass {
     pub fn name(self) -> &'static str {
         match self {
             Pass::Clear => "clear",
+            Pass::CullGroups => "cull_groups",
+            Pass::ListGroups => "list_groups",
+            Pass::SelectChunks => "select_chunks",
+            Pass::ListEntries => "list_entries",
             Pass::Place => "place",
             Pass::Cull => "cull",
             Pass::Scan => "scan",
@@ -164,6 +178,9 @@ pub fn plan(
         let opaque = points.or((!blended).then_some("splats are not blended"));
         match pass {
             Pass::Clear | Pass::Place | Pass::Cull | Pass::Scan | Pass::Compact => None,
+            Pass::CullGroups | Pass::ListGroups | Pass::SelectChunks | Pass::ListEntries => {
+                (!scene.trees).then_some("the level of detail is full")
+            }
             Pass::ProjectSamples => no_points,
             Pass::ProjectSplats | Pass::WalkSplats => points,
             Pass::ProjectSplatsId | Pass::WalkSplatsId => points.or(wide),
@@ -200,6 +217,8 @@ pub fn plan(
 mod tests {
     use super::*;
 
+    const OF_TREES: [Pass; 4] =
+        [Pass::CullGroups, Pass::ListGroups, Pass::SelectChunks, Pass::ListEntries];
     const WIDE: AdapterFacts = AdapterFacts { atomics_64: true, rasterises: true };
 
     #[test]
@@ -225,7 +244,8 @@ mod tests {
                 pass,
                 Pass::ShadowMap | Pass::RasteriseTriangles | Pass::RasteriseTrianglesId
             ) || pass.name().contains("splat")
-                || pass == Pass::BlendWalked;
+                || pass == Pass::BlendWalked
+                || OF_TREES.contains(&pass);
             assert_eq!(plan.runs(pass), !other, "{pass:?}");
         }
     }

@@ -8,6 +8,8 @@ use crate::scene::{Blend, Filter, Shading, Splats};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Settings {
     pub lod: Lod,
+    /// What `lod` may cost; full detail costs nothing.
+    pub max_error: MaxError,
     pub reconstruct: Reconstruct,
     pub filter: Option<Filter>,
     pub prefilter: Option<bool>,
@@ -25,6 +27,47 @@ impl Settings {
             shading: self.shading.unwrap_or(scene.shading),
             ..*scene
         })
+    }
+}
+
+/// An error that may be accepted, in pixels: 1 unless said otherwise.
+#[derive(Clone, Copy, Debug)]
+pub struct MaxError {
+    px: f32,
+}
+
+impl MaxError {
+    /// Least and most that can be asked for.
+    pub const RANGE_PX: [f32; 2] = [0.05, 64.0];
+
+    /// `None` for what is out of [`MaxError::RANGE_PX`].
+    pub fn new(px: f32) -> Option<MaxError> {
+        let [least, most] = MaxError::RANGE_PX;
+        (least..=most).contains(&px).then_some(MaxError { px })
+    }
+
+    pub fn px(self) -> f32 {
+        self.px
+    }
+}
+
+impl Default for MaxError {
+    fn default() -> Self {
+        MaxError { px: 1.0 }
+    }
+}
+
+impl PartialEq for MaxError {
+    fn eq(&self, other: &Self) -> bool {
+        self.px.to_bits() == other.px.to_bits()
+    }
+}
+
+impl Eq for MaxError {}
+
+impl std::hash::Hash for MaxError {
+    fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
+        self.px.to_bits().hash(state);
     }
 }
 
@@ -47,6 +90,8 @@ pub enum Lod {
     /// Every sample and triangle.
     #[default]
     Full,
+    /// What the accepted error asks for, from sequential point trees (Dachsbacher et al. 2003).
+    Spt,
 }
 
 /// How a surface is made of projected samples.

@@ -6,18 +6,22 @@ use bytemuck::{Pod, Zeroable};
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct GpuInstance {
-    pub axis_x: [f32; 4],
-    pub axis_y: [f32; 4],
-    pub axis_z: [f32; 4],
-    pub inverse_x: [f32; 4],
-    pub inverse_y: [f32; 4],
-    pub inverse_z: [f32; 4],
-    pub origin_hi: [f32; 4],
-    pub origin_lo: [f32; 4],
+    pub axis_x: [f32; 3],
     pub material: u32,
+    pub axis_y: [f32; 3],
     pub id: u32,
+    pub axis_z: [f32; 3],
     pub mirrored: u32,
+    pub inverse_x: [f32; 3],
     pub reach: f32,
+    pub inverse_y: [f32; 3],
+    pub geometry: u32,
+    pub inverse_z: [f32; 3],
+    pub error_parent: f32,
+    pub origin_hi: [f32; 3],
+    pub size_parent: f32,
+    pub origin_lo: [f32; 3],
+    pub delta: f32,
 }
 
 /// `Placed` of `shared/scene.wgsl`.
@@ -43,6 +47,42 @@ pub struct GpuChunk {
     pub vertex_first: u32,
     pub material: u32,
     pub kernel_base: f32,
+    pub node_base: f32,
+    pub error_parent: f32,
+    pub size_parent: f32,
+    pub error_least: f32,
+    pub size_least: f32,
+    pub delta_most: f32,
+    pub range_unused: [u32; 2],
+}
+
+/// `InstanceGroup` of `shared/scene.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct GpuInstanceGroup {
+    pub centre_hi: [f32; 4],
+    pub centre_lo: [f32; 4],
+    pub half: [f32; 3],
+    pub size_parent: f32,
+    pub first: u32,
+    pub count: u32,
+    pub error_parent: f32,
+    pub delta_most: f32,
+}
+
+/// Instances of a group; as in `shared/scene.wgsl`.
+pub const INSTANCE_GROUP: usize = 32;
+/// Launches behind those of the segments; as in `shared/chosen.wgsl`.
+pub const LOD_LAUNCHES: usize = 4;
+/// Segments of a scene of point trees at most; as in `select/list_entries.wgsl`.
+pub const MOST_SEGMENTS: usize = 32;
+
+/// `ChunkRun` of `shared/scene.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct GpuChunkRun {
+    pub first: u32,
+    pub count: u32,
 }
 
 /// `Entry` of `shared/scene.wgsl`.
@@ -64,6 +104,8 @@ pub struct GpuSlot {
     pub chunk: u32,
     pub first: u32,
     pub count: u32,
+    pub unit: f32,
+    pub unused: [u32; 3],
 }
 
 /// `Segment` of `shared/scene.wgsl`.
@@ -107,7 +149,9 @@ pub struct GpuStats {
     pub splats_listed: u32,
     pub splats_scattered: u32,
     pub sums_full: u32,
-    pub unused: u32,
+    pub entries_wanted: u32,
+    pub nodes_drawn: u32,
+    pub unused: [u32; 3],
 }
 
 /// `Material` of `shared/material.wgsl`.
@@ -201,6 +245,10 @@ pub struct GpuFrame {
     pub splat_lowpass_px: f32,
     pub splat_width: f32,
     pub splat_offset: f32,
+    pub lod_scale: f32,
+    pub entry_capacity: u32,
+    pub instance_groups: u32,
+    pub segment_count: u32,
 }
 
 /// An f64 as the sum of two f32: 48 bits of mantissa.
@@ -247,17 +295,21 @@ mod tests {
                     "Instance",
                     GpuInstance,
                     axis_x,
-                    axis_y,
-                    axis_z,
-                    inverse_x,
-                    inverse_y,
-                    inverse_z,
-                    origin_hi,
-                    origin_lo,
                     material,
+                    axis_y,
                     id,
+                    axis_z,
                     mirrored,
-                    reach
+                    inverse_x,
+                    reach,
+                    inverse_y,
+                    geometry,
+                    inverse_z,
+                    error_parent,
+                    origin_hi,
+                    size_parent,
+                    origin_lo,
+                    delta
                 ),
                 mirror!("Placed", GpuPlaced, axis_x, axis_y, axis_z, position, anchor),
                 mirror!(
@@ -270,10 +322,29 @@ mod tests {
                     shift,
                     vertex_first,
                     material,
-                    kernel_base
+                    kernel_base,
+                    node_base,
+                    error_parent,
+                    size_parent,
+                    error_least,
+                    size_least,
+                    delta_most,
+                    range_unused
                 ),
+                mirror!(
+                    "InstanceGroup",
+                    GpuInstanceGroup,
+                    centre_hi,
+                    centre_lo,
+                    half,
+                    size_parent,
+                    first,
+                    count,
+                    error_parent,
+                    delta_most
+                ),
+                mirror!("ChunkRun", GpuChunkRun, first, count),
                 mirror!("Entry", GpuEntry, instance, chunk),
-                mirror!("Slot", GpuSlot, row_x, row_y, row_z, instance, chunk, first, count),
                 mirror!("Segment", GpuSegment, first_group, end_group),
                 mirror!("Run", GpuRun, first_slot, count),
             ],
@@ -312,7 +383,11 @@ mod tests {
                 splat_cutoff,
                 splat_lowpass_px,
                 splat_width,
-                splat_offset
+                splat_offset,
+                lod_scale,
+                entry_capacity,
+                instance_groups,
+                segment_count
             )],
         );
         let with_materials = concat!(
@@ -401,6 +476,7 @@ mod tests {
                         offset("pixels_of_triangles"),
                         std::mem::offset_of!(GpuStats, pixels_of_triangles)
                     );
+                    assert_eq!(offset("nodes_drawn"), std::mem::offset_of!(GpuStats, nodes_drawn));
                     for (member, place) in [
                         ("splats_clipped", std::mem::offset_of!(GpuStats, splats_clipped)),
                         ("splats_listed", std::mem::offset_of!(GpuStats, splats_listed)),
@@ -413,11 +489,21 @@ mod tests {
                         ("large_units", std::mem::offset_of!(GpuStats, large_units)),
                         ("large_wrapped", std::mem::offset_of!(GpuStats, large_wrapped)),
                         ("sums_full", std::mem::offset_of!(GpuStats, sums_full)),
+                        ("entries_wanted", std::mem::offset_of!(GpuStats, entries_wanted)),
                     ] {
                         assert_eq!(offset(member), place);
                         let name = format!("STAT_{}", member.to_uppercase());
                         let text = format!("const {name}: u32 = {}u;", place / 4);
                         assert!(SCENE.contains(&text), "{text}");
+                    }
+                }
+                "Slot" => {
+                    for (member, place) in [
+                        ("instance", std::mem::offset_of!(GpuSlot, instance)),
+                        ("count", std::mem::offset_of!(GpuSlot, count)),
+                        ("unit", std::mem::offset_of!(GpuSlot, unit)),
+                    ] {
+                        assert_eq!(offset(member), place);
                     }
                 }
                 _ => assert_eq!(offset("unused"), std::mem::offset_of!(GpuDispatch, unused)),
@@ -426,6 +512,7 @@ mod tests {
         };
         assert_eq!(span("Stats"), size_of::<GpuStats>());
         assert_eq!(span("Dispatch"), size_of::<GpuDispatch>());
+        assert_eq!(span("Slot"), size_of::<GpuSlot>());
     }
 
     #[test]

@@ -13,6 +13,7 @@
 pub mod arena;
 mod evict;
 pub mod layout;
+mod lists;
 pub mod model;
 mod upload;
 
@@ -35,11 +36,25 @@ pub enum PageKind {
     Samples,
     /// Samples with clip lines.
     Clipped,
+    /// Nodes of point trees.
+    Nodes,
+    ClippedNodes,
     Triangles,
 }
 
 /// Pages of samples.
-pub const SAMPLE_PAGES: &[PageKind] = &[PageKind::Samples, PageKind::Clipped];
+pub const SAMPLE_PAGES: &[PageKind] =
+    &[PageKind::Samples, PageKind::Clipped, PageKind::Nodes, PageKind::ClippedNodes];
+
+impl PageKind {
+    pub fn is_clipped(self) -> bool {
+        matches!(self, PageKind::Clipped | PageKind::ClippedNodes)
+    }
+
+    pub fn is_tree(self) -> bool {
+        matches!(self, PageKind::Nodes | PageKind::ClippedNodes)
+    }
+}
 
 /// A page: its kind and its number among those.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -108,6 +123,33 @@ pub struct Looks {
     pub point_lights: bool,
 }
 
+/// Where a frame finds the chunks of a scene's instances.
+pub enum Lists {
+    Full(FullLists),
+    Trees(TreeLists),
+}
+
+/// Every chunk of every instance.
+pub struct FullLists {
+    pub entries: Buffer,
+    pub segments: Buffer,
+    pub sizes: Buffer,
+    /// Entries, padding included; a multiple of [`GROUP`].
+    pub entry_count: u32,
+    /// Entries that are no padding.
+    pub chunk_count: u32,
+}
+
+/// What a frame lists its entries from, where assets are point trees.
+pub struct TreeLists {
+    pub groups: Buffer,
+    /// Runs of chunks by geometry and segment.
+    pub pieces: Buffer,
+    /// Half the size of each geometry, in cells.
+    pub geometries: Buffer,
+    pub group_count: u32,
+}
+
 /// What the passes bind for one scene.
 pub struct ResidentScene {
     /// [`SceneModel::uid`].
@@ -117,17 +159,11 @@ pub struct ResidentScene {
     /// Clock of the last call of [`Residency::ensure`] for it.
     last_used: u64,
     pub instances: Buffer,
-    pub entries: Buffer,
-    pub segments: Buffer,
-    pub sizes: Buffer,
+    pub lists: Lists,
     pub lights: Buffer,
     /// The page of each segment, in order.
     pub pages: Vec<Page>,
-    /// Entries, padding included; a multiple of [`GROUP`].
-    pub entry_count: u32,
     pub instance_count: u32,
-    /// Entries that are no padding.
-    pub chunk_count: u32,
     pub light_count: u32,
     /// Samples of all instances.
     pub sample_count: u64,
@@ -145,16 +181,32 @@ impl ResidentScene {
         self.pages.iter().filter(|page| page.kind != PageKind::Triangles).count() as u32
     }
 
-    /// Words that a view's prefix sum holds: one a group of entries, and the total.
-    pub fn group_slots(&self) -> u32 {
-        self.entry_count / GROUP as u32 + 1
+    /// Entries of a view, padding included, and those that may be none; `capacity`: what there is room for where a frame lists
+    /// its own.
+    pub fn entries(&self, capacity: u32) -> (u32, u32) {
+        match &self.lists {
+            Lists::Full(full) => (full.entry_count, full.chunk_count),
+            Lists::Trees(_) => (capacity, capacity),
+        }
+    }
+
+    /// Groups of instances; none where a frame does not list its own entries.
+    pub fn instance_groups(&self) -> u32 {
+        match &self.lists {
+            Lists::Full(_) => 0,
+            Lists::Trees(trees) => trees.group_count,
+        }
+    }
+
+    pub fn has_trees(&self) -> bool {
+        matches!(self.lists, Lists::Trees(_))
     }
 }
 
 /// GPU memory and what lies in it.
 pub struct Residency {
-    samples: Vec<Arena>,
-    clipped: Vec<Arena>,
+    /// Pages of samples, by kind in the order of [`SAMPLE_PAGES`].
+    samples: [Vec<Arena>; 4],
     meshes: Vec<(Arena, Arena)>,
     texels: Vec<Arena>,
     chunks: Arena,
@@ -180,8 +232,12 @@ impl Residency {
         materials.allocate(gpu, 1);
         materials.write(gpu, 0, 0, &[upload::gpu_material(&Default::default(), 0)]);
         Self {
-            samples: vec![upload::sample_page(gpu)],
-            clipped: Vec::new(),
+            samples: [
+                vec![upload::sample_page(gpu, PageKind::Samples)],
+                Vec::new(),
+                Vec::new(),
+                Vec::new(),
+            ],
             meshes: vec![upload::mesh_page(gpu)],
             texels: (0..TEXEL_PAGES).map(|_| Arena::new(gpu, "texels", &[4])).collect(),
             chunks: Arena::new(gpu, "chunks", &[size_of::<GpuChunk>() as u64]),
@@ -221,14 +277,9 @@ impl Residency {
 
     /// Positions, attributes, kernels and, where it has them, clip lines of a page of samples; `None` for other pages.
     pub fn sample_page(&self, page: Page) -> Option<SamplePage<'_>> {
-        let (arena, clips) = match page.kind {
-            PageKind::Samples => (&self.samples[page.index], None),
-            PageKind::Clipped => {
-                let arena = &self.clipped[page.index];
-                (arena, Some(arena.buffer(3)))
-            }
-            PageKind::Triangles => return None,
-        };
+        let kind = SAMPLE_PAGES.iter().position(|&kind| kind == page.kind)?;
+        let arena = &self.samples[kind][page.index];
+        let clips = page.kind.is_clipped().then(|| arena.buffer(3));
         let [positions, attributes, kernels] = [0, 1, 2].map(|stream| arena.buffer(stream));
         Some(SamplePage { positions, attributes, kernels, clips })
     }
@@ -330,7 +381,7 @@ impl Residency {
     /// # Errors
     /// What is too large, by how much.
     pub fn check(&self, gpu: &Gpu, model: &SceneModel) -> Result<(), ResidencyError> {
-        check_fits(gpu.max_binding_bytes(), self.budget, model)
+        check_fits(gpu.max_binding_bytes(), self.budget, model, Part::Whole)
     }
 
     /// Frees a scene and the assets that no other resident scene draws.
@@ -338,9 +389,7 @@ impl Residency {
         self.forget_scene(id);
         self.drop_unused_assets(&HashSet::new());
         let meshes = self.meshes.iter_mut().flat_map(|(vertices, triangles)| [vertices, triangles]);
-        for arena in
-            self.samples.iter_mut().chain(&mut self.clipped).chain(meshes).chain(&mut self.texels)
-        {
+        for arena in self.samples.iter_mut().flatten().chain(meshes).chain(&mut self.texels) {
             arena.trim(gpu);
         }
     }
@@ -422,12 +471,27 @@ fn uids(model: &SceneModel) -> HashSet<u64> {
     model.assets.iter().map(|asset| asset.uid).collect()
 }
 
+/// What of a scene is to fit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// Everything that its frames need.
+    Whole,
+    /// What is left where frames list what they need, as they do of point trees: not every chunk of every instance.
+    Stored,
+}
+
 /// Whether a scene fits a budget and an adapter's largest binding.
 ///
 /// # Errors
 /// What is too large, by how much.
-pub fn check_fits(max_binding: u64, budget: u64, model: &SceneModel) -> Result<(), ResidencyError> {
-    let needed = model.gpu_bytes();
+pub fn check_fits(
+    max_binding: u64,
+    budget: u64,
+    model: &SceneModel,
+    part: Part,
+) -> Result<(), ResidencyError> {
+    let lists = if part == Part::Whole { model.list_bytes() } else { 0 };
+    let needed = model.asset_bytes() + lists;
     if needed > budget {
         return Err(ResidencyError::OverBudget {
             what: format!("scene `{}`", model.id),
@@ -436,7 +500,9 @@ pub fn check_fits(max_binding: u64, budget: u64, model: &SceneModel) -> Result<(
         });
     }
     let counts = model.counts();
-    let slots = counts.chunks * size_of::<layout::GpuSlot>() as u64;
+    // A frame of point trees lists what it needs.
+    let listed = if model.trees || part == Part::Stored { 0 } else { counts.chunks };
+    let slots = listed * size_of::<layout::GpuSlot>() as u64;
     let instances = counts.instances * size_of::<layout::GpuInstance>() as u64;
     let chunks = distinct_assets(model)
         .flat_map(|asset| &asset.packed.geometries)
@@ -460,10 +526,10 @@ pub fn check_fits(max_binding: u64, budget: u64, model: &SceneModel) -> Result<(
         }
     }
     check_textures(max_binding, model)?;
-    if counts.chunks >= 1 << 22 {
+    if listed >= 1 << 22 {
         return Err(ResidencyError::OverBinding {
             what: "chunks of all instances",
-            needed: counts.chunks,
+            needed: listed,
             limit: 1 << 22,
         });
     }

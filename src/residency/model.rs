@@ -1,13 +1,14 @@
 //! A scene as it is drawn: packed assets and the flat list of their instances, in host memory. From this the GPU can be
 //! filled at any time, after an eviction as after a lost device.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use glam::{DAffine3, DMat3, DVec3};
 
-use super::layout::{GpuEntry, GpuInstance, two_floats};
-use crate::bake::pack::{Grid, PackedAsset, PackedGeometry};
+use super::layout::{GpuEntry, GpuInstance, GpuInstanceGroup, INSTANCE_GROUP, two_floats};
+use crate::bake::pack::{Grid, PackError, PackedAsset, PackedGeometry};
 use crate::bake::prepare::AssetTraits;
+use crate::bake::tree::Above;
 use crate::math::{Bounds, Camera};
 use crate::scene::{Light, MaterialSpec, Splats};
 
@@ -24,6 +25,8 @@ pub struct AssetModel {
     pub has_colors: bool,
     pub has_normals: bool,
     pub normals_estimated: bool,
+    /// The asset as point trees, once a frame has asked for it.
+    pub tree: OnceLock<Result<Arc<AssetModel>, PackError>>,
 }
 
 /// One drawn copy of one geometry.
@@ -36,6 +39,8 @@ pub struct ModelInstance {
     pub material: Option<usize>,
     /// Number that the id output shows.
     pub id: u32,
+    /// Of scenes of point trees: what stands above it as a whole, in world units.
+    pub above: Above,
 }
 
 /// Everything that drawing a scene needs.
@@ -56,6 +61,10 @@ pub struct SceneModel {
     pub up: DVec3,
     /// How samples are drawn where splats are asked for.
     pub splats: Splats,
+    /// Assets are point trees: frames take the detail that they show.
+    pub trees: bool,
+    /// Of [`SceneModel::counts`].
+    pub totals: OnceLock<ModelCounts>,
 }
 
 /// Totals over all instances.
@@ -108,12 +117,30 @@ impl AssetModel {
     }
 }
 
+/// Ends the identifier of a scene of point trees.
+const TREES: &str = ":spt";
+
 impl SceneModel {
+    /// What the GPU calls the point trees of a scene.
+    pub fn tree_id(scene: &str) -> String {
+        format!("{scene}{TREES}")
+    }
+
+    /// The scene that an identifier belongs to, its own or that of its point trees.
+    pub fn scene_of(id: &str) -> &str {
+        id.strip_suffix(TREES).unwrap_or(id)
+    }
+
     pub fn geometry(&self, instance: &ModelInstance) -> &PackedGeometry {
         &self.assets[instance.asset].packed.geometries[instance.geometry]
     }
 
+    /// Totals over all instances, added up once.
     pub fn counts(&self) -> ModelCounts {
+        *self.totals.get_or_init(|| self.add_up())
+    }
+
+    fn add_up(&self) -> ModelCounts {
         let mut counts =
             ModelCounts { instances: self.instances.len() as u64, ..Default::default() };
         for instance in &self.instances {
@@ -139,21 +166,28 @@ impl SceneModel {
 
     /// Bytes of everything that the scene needs on the GPU, shared assets counted once.
     pub fn gpu_bytes(&self) -> u64 {
+        self.asset_bytes() + self.list_bytes()
+    }
+
+    /// Bytes of its assets, each counted once.
+    pub fn asset_bytes(&self) -> u64 {
         let mut seen = std::collections::BTreeSet::new();
-        let assets: u64 = self
-            .assets
+        self.assets
             .iter()
             .filter(|asset| seen.insert(asset.uid))
             .map(|asset| asset.gpu_bytes())
-            .sum();
-        assets + self.list_bytes()
+            .sum()
     }
 
     /// Bytes of its own lists of instances and chunks, assets left aside.
     pub fn list_bytes(&self) -> u64 {
         let counts = self.counts();
-        counts.instances * size_of::<GpuInstance>() as u64
-            + counts.chunks * size_of::<GpuEntry>() as u64
+        let lists = if self.trees {
+            counts.instances.div_ceil(INSTANCE_GROUP as u64) * size_of::<GpuInstanceGroup>() as u64
+        } else {
+            counts.chunks * size_of::<GpuEntry>() as u64
+        };
+        counts.instances * size_of::<GpuInstance>() as u64 + lists
     }
 }
 
@@ -179,7 +213,7 @@ pub fn gpu_instance(
     let usable = inverse.to_cols_array().iter().all(|v| v.is_finite() && v.abs() < 1e36);
     // A flattened geometry has normals too: the cofactors turn them as the inverse would, up to a factor.
     let inverse = if usable { inverse } else { unit_cofactors(&linear) };
-    let row = |v: DVec3| [v.x as f32, v.y as f32, v.z as f32, 0.0];
+    let row = |v: DVec3| v.as_vec3().to_array();
     let rows = inverse.transpose();
     let split = origin.to_array().map(two_floats);
     GpuInstance {
@@ -189,11 +223,12 @@ pub fn gpu_instance(
         inverse_x: row(rows.x_axis),
         inverse_y: row(rows.y_axis),
         inverse_z: row(rows.z_axis),
-        origin_hi: [split[0].0, split[1].0, split[2].0, 0.0],
-        origin_lo: [split[0].1, split[1].1, split[2].1, 0.0],
+        origin_hi: split.map(|(hi, _)| hi),
+        origin_lo: split.map(|(_, lo)| lo),
         material,
         id,
         mirrored: u32::from(world_from_geometry.matrix3.determinant() < 0.0),
         reach: grid.reach as f32,
+        ..GpuInstance::default()
     }
 }

@@ -4,25 +4,25 @@ use std::sync::Arc;
 
 use super::arena::Arena;
 use super::layout::*;
-use super::model::{AssetModel, SceneModel, gpu_instance};
+use super::model::{AssetModel, SceneModel};
 use super::{
-    GROUP, Looks, Page, PageKind, Piece, Residency, ResidencyError, ResidentAsset,
-    ResidentGeometry, ResidentScene, TEXEL_PAGES, group_entries,
+    Looks, Page, PageKind, Piece, Residency, ResidencyError, ResidentAsset, ResidentGeometry,
+    ResidentScene, SAMPLE_PAGES, TEXEL_PAGES,
 };
 use crate::assets::Material;
 use crate::bake::pack::{
-    Grid, PackedChunk, PackedGeometry, PackedMesh, PackedSamples, TRIANGLES, VERTEX_WORDS,
+    PackedChunk, PackedGeometry, PackedMesh, PackedSamples, TRIANGLES, VERTEX_WORDS,
 };
 use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
 use crate::scene::{Light, MaterialSpec};
 
-pub(super) fn sample_page(gpu: &Gpu) -> Arena {
-    Arena::new(gpu, "samples", &[8, 8, 4])
-}
-
-fn clipped_page(gpu: &Gpu) -> Arena {
-    Arena::new(gpu, "samples with clip lines", &[8, 8, 4, 8])
+pub(super) fn sample_page(gpu: &Gpu, kind: PageKind) -> Arena {
+    // Positions, attributes, kernels with the words of nodes, clip lines.
+    let kernels = if kind.is_tree() { 12 } else { 4 };
+    let strides = [8, 8, kernels, 8];
+    let streams = if kind.is_clipped() { 4 } else { 3 };
+    Arena::new(gpu, "samples", &strides[..streams])
 }
 
 pub(super) fn mesh_page(gpu: &Gpu) -> (Arena, Arena) {
@@ -125,6 +125,13 @@ fn gpu_chunk(
         },
         material: if chunk.material == 0 { 0 } else { material_start + chunk.material - 1 },
         kernel_base: chunk.kernel_base,
+        node_base: chunk.range.base,
+        error_parent: chunk.range.error_parent,
+        size_parent: chunk.range.size_parent,
+        error_least: chunk.range.error_least,
+        size_least: chunk.range.size_least,
+        delta_most: chunk.range.delta_most,
+        range_unused: [0; 2],
     }
 }
 
@@ -287,11 +294,8 @@ impl Residency {
     fn place_samples(&mut self, gpu: &Gpu, samples: &PackedSamples, from: usize) -> Piece {
         let first = samples.chunks[from].first;
         let clipped = first >= samples.clipped_first;
-        let (kind, pages, fresh_page): (_, _, fn(&Gpu) -> Arena) = if clipped {
-            (PageKind::Clipped, &mut self.clipped, clipped_page)
-        } else {
-            (PageKind::Samples, &mut self.samples, sample_page)
-        };
+        let number = usize::from(clipped) + if samples.nodes.is_empty() { 0 } else { 2 };
+        let (kind, pages) = (SAMPLE_PAGES[number], &mut self.samples[number]);
         // Those with clip lines lie behind the others.
         let plain_chunks = samples.chunks.partition_point(|c| c.first < samples.clipped_first);
         let chunks = if clipped { &samples.chunks[..] } else { &samples.chunks[..plain_chunks] };
@@ -300,7 +304,7 @@ impl Residency {
         loop {
             let fresh = index == pages.len();
             if fresh {
-                pages.push(fresh_page(gpu));
+                pages.push(sample_page(gpu, kind));
             }
             let page = &mut pages[index];
             let end = fitting_run(chunks, from, page.room(all - first), u32::MAX);
@@ -313,7 +317,16 @@ impl Residency {
                     let range = first as usize..(first + length) as usize;
                     page.write(gpu, 0, start, &samples.positions[range.clone()]);
                     page.write(gpu, 1, start, &samples.attributes[range.clone()]);
-                    page.write(gpu, 2, start, &samples.kernels[range]);
+                    if kind.is_tree() {
+                        let words: Vec<[u32; 3]> = samples.kernels[range.clone()]
+                            .iter()
+                            .zip(&samples.nodes[range])
+                            .map(|(&kernel, &[error, size])| [kernel, error, size])
+                            .collect();
+                        page.write(gpu, 2, start, &words);
+                    } else {
+                        page.write(gpu, 2, start, &samples.kernels[range]);
+                    }
                     if clipped {
                         let at = (first - samples.clipped_first) as usize;
                         page.write(gpu, 3, start, &samples.clips[at..at + length as usize]);
@@ -394,14 +407,11 @@ impl Residency {
         for geometry in &asset.geometries {
             self.chunks.release(geometry.chunk_start, geometry.chunk_length);
             for piece in &geometry.pieces {
-                match piece.page.kind {
-                    PageKind::Samples => {
-                        self.samples[piece.page.index].release(piece.start, piece.length)
+                match SAMPLE_PAGES.iter().position(|&kind| kind == piece.page.kind) {
+                    Some(kind) => {
+                        self.samples[kind][piece.page.index].release(piece.start, piece.length)
                     }
-                    PageKind::Clipped => {
-                        self.clipped[piece.page.index].release(piece.start, piece.length)
-                    }
-                    PageKind::Triangles => {
+                    None => {
                         let (vertices, triangles) = &mut self.meshes[piece.page.index];
                         triangles.release(piece.start, piece.length);
                         vertices.release(piece.vertex_start, piece.vertex_length);
@@ -432,31 +442,10 @@ impl Residency {
                 limit: gpu.max_binding_bytes(),
             })?;
         self.materials.write(gpu, 0, material_start, &overrides);
-        let mut instances = Vec::with_capacity(model.instances.len());
-        let mut listed = Vec::new();
-        for (number, instance) in model.instances.iter().enumerate() {
-            let grid: &Grid = model.geometry(instance).grid();
-            let material =
-                instance.material.map_or(0, |material| material_start + material as u32 + 1);
-            instances.push(gpu_instance(
-                grid,
-                &instance.world_from_geometry,
-                material,
-                instance.id,
-            ));
-            let Some(asset) = self.assets.get(&model.assets[instance.asset].uid) else { continue };
-            for piece in &asset.geometries[instance.geometry].pieces {
-                for chunk in piece.first_chunk..piece.first_chunk + piece.chunk_count {
-                    listed.push((piece.page, GpuEntry { instance: number as u32, chunk }));
-                }
-            }
-        }
-        let chunk_count = listed.len() as u32;
-        let (entries, mut segments, mut pages) = group_entries(listed);
-        if pages.is_empty() {
-            // Nothing to draw: one empty segment, for which the resolve pass still writes the background.
-            segments.push(GpuSegment { first_group: 0, end_group: 0 });
-            pages.push(Page { kind: PageKind::Samples, index: 0 });
+        let (lists, mut instances, pages) =
+            if model.trees { self.list_trees(gpu, model) } else { self.list_all(gpu, model) };
+        for record in &mut instances {
+            record.material += if record.material == 0 { 0 } else { material_start };
         }
         let lights: Vec<GpuLight> = model.lights.iter().map(gpu_light).collect();
         let lights_buffer = Buffer::new(
@@ -468,27 +457,15 @@ impl Residency {
                 | wgpu::BufferUsages::COPY_DST,
         );
         gpu.queue.write_buffer(lights_buffer.raw(), 0, bytemuck::cast_slice(&lights));
-        let sizes = [(entries.len() / GROUP) as u32, segments.len() as u32, 0, 0];
-        let sizes_buffer = Buffer::new(
-            gpu,
-            "sizes",
-            16,
-            wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-        );
-        gpu.queue.write_buffer(sizes_buffer.raw(), 0, bytemuck::cast_slice(&sizes));
         Ok(ResidentScene {
             model_uid: model.uid,
             bytes: model.list_bytes(),
             last_used: self.clock,
             instances: Buffer::with_data(gpu, "instances", &instances),
-            entries: Buffer::with_data(gpu, "entries", &entries),
-            segments: Buffer::with_data(gpu, "segments", &segments),
-            sizes: sizes_buffer,
+            lists,
             lights: lights_buffer,
             pages,
-            entry_count: entries.len() as u32,
             instance_count: instances.len() as u32,
-            chunk_count,
             light_count: lights.len() as u32,
             sample_count: model.counts().samples,
             alpha_cut: model.assets.iter().any(|asset| {

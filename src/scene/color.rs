@@ -5,6 +5,11 @@ pub fn linear_from_srgb(channel: f64) -> f64 {
     if channel <= 0.040_45 { channel / 12.92 } else { ((channel + 0.055) / 1.055).powf(2.4) }
 }
 
+/// The inverse of [`linear_from_srgb`].
+pub fn srgb_from_linear(channel: f64) -> f64 {
+    if channel <= 0.003_130_8 { channel * 12.92 } else { 1.055 * channel.powf(1.0 / 2.4) - 0.055 }
+}
+
 /// Reads `#rgb`, `#rrggbb` or `#rrggbbaa` as sRGB channels and straight alpha in `0..=1`.
 pub fn parse_hex(text: &str) -> Option<[f64; 4]> {
     let digits = text.strip_prefix('#')?;

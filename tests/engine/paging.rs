@@ -69,6 +69,7 @@ fn textured(uid: u64, texels: &[u32], materials: usize) -> Arc<SceneModel> {
         has_colors: false,
         has_normals: false,
         normals_estimated: false,
+        tree: Default::default(),
     };
     Arc::new(SceneModel {
         uid,
@@ -83,6 +84,8 @@ fn textured(uid: u64, texels: &[u32], materials: usize) -> Arc<SceneModel> {
         cameras: Vec::new(),
         up: glam::DVec3::Y,
         splats: Default::default(),
+        trees: false,
+        totals: Default::default(),
     })
 }
 

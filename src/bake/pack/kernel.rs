@@ -19,7 +19,7 @@ const LENGTH_MASK: u32 = 0x7ff;
 /// Values of the angle's parameter on either side of 0.
 const ANGLE_STEPS: f32 = 511.0;
 /// Offsets of clip lines are stored up to this many standard deviations.
-const OFFSET_RANGE: f32 = 8.0;
+pub(super) const OFFSET_RANGE: f32 = 8.0;
 /// A clip line's word where there is none: it keeps everything.
 pub const NO_LINE: u32 = 0x8000;
 
@@ -77,6 +77,20 @@ fn stored_axes(kernel: &Kernel, normal: Vec3) -> (Vec3, Vec3) {
     let p = angle_parameter(kernel, normal) as f32 / ANGLE_STEPS;
     let (cos, sin) = ((1.0 - p * p) / (1.0 + p * p), 2.0 * p / (1.0 + p * p));
     (cos * t + sin * b, cos * b - sin * t)
+}
+
+/// The kernel of a word, in the units of `base`.
+pub(super) fn decode(word: u32, normal: Vec3, base: f32) -> Kernel {
+    let length = |code: u32| {
+        if code == 0 { 0.0 } else { base * ((1.0 - code as f32) / STEPS).exp2() }
+    };
+    let (t, b) = frame(normal);
+    let p = ((word >> 22) as f32 - ANGLE_STEPS) / ANGLE_STEPS;
+    let (cos, sin) = ((1.0 - p * p) / (1.0 + p * p), 2.0 * p / (1.0 + p * p));
+    Kernel {
+        u: (cos * t + sin * b) * length(word & LENGTH_MASK),
+        v: (cos * b - sin * t) * length(word >> 11 & LENGTH_MASK),
+    }
 }
 
 fn line_word(line: Option<ClipLine>, signs: Vec2) -> u32 {

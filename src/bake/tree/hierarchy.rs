@@ -3,6 +3,7 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
+use super::Measures;
 use super::node::Node;
 use crate::assets::{Kernel, PointCloud};
 use crate::math::Bounds;
@@ -55,7 +56,7 @@ fn spread(v: u64) -> u64 {
     x
 }
 
-pub fn build(cloud: &PointCloud, errors: Option<&[f32]>, bounds: &Bounds) -> Tree {
+pub fn build(cloud: &PointCloud, stands: Option<&[Measures]>, bounds: &Bounds) -> Tree {
     let mut open = codes(cloud, bounds);
     let samples: Vec<u32> = open.iter().map(|&(_, sample)| sample).collect();
     let mut nodes: Vec<Node> = samples
@@ -67,7 +68,7 @@ pub fn build(cloud: &PointCloud, errors: Option<&[f32]>, bounds: &Bounds) -> Tre
                 cloud.normals.as_ref().map_or(Vec3::ZERO, |normals| normals[i]),
                 cloud.colors.as_ref().map_or(super::super::colors::NEUTRAL, |colors| colors[i]),
                 &cloud.kernels.as_ref().map_or(Kernel::default(), |kernels| kernels[i]),
-                errors.map_or(0.0, |errors| errors[i]),
+                stands.map_or(Measures::default(), |stands| stands[i]),
             )
         })
         .collect();

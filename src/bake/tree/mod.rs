@@ -31,27 +31,86 @@ mod sequence;
 
 pub use sequence::{NO_PARENT, NONE, decode, decode_delta};
 
+use glam::{DVec3, Vec3};
+
 use crate::assets::PointCloud;
 
-use super::pack::{Grid, KERNEL_DETAIL, PackError, PackedSamples, finite};
+use super::pack::{
+    Grid, KERNEL_DETAIL, PackError, PackedChunk, PackedSamples, finite, unpack_samples,
+};
 use crate::math::Bounds;
 
 /// Builds the tree above samples with normals and kernels; what they lack is drawn as a facing disk, or not at all.
 ///
-/// `errors` are what leaves stand for beyond themselves: a leaf is not drawn where its error, in units of the positions, is not
-/// acceptable, because something finer is drawn there (triangles, or another tree). Without them leaves are exact.
+/// `stands` are what leaves stand for beyond themselves: a leaf is not drawn where its error is not acceptable, because
+/// something finer is drawn there (triangles, or another tree). Without them leaves are exact.
 ///
 /// # Errors
 /// See [`PackError`].
-pub fn build_tree(cloud: &PointCloud, errors: Option<&[f32]>) -> Result<PackedSamples, PackError> {
+pub fn build_tree(
+    cloud: &PointCloud,
+    stands: Option<&[Measures]>,
+) -> Result<PackedSamples, PackError> {
+    let (tree, grid) = raise(cloud, stands)?;
+    Ok(sequence::sequence(cloud, &tree, grid, 0).0)
+}
+
+/// The tree above leaves that are trees themselves, and drawn as such: it has none of its own. For each leaf, in an order in
+/// which neighbours in space are neighbours: its number, and what stands above it.
+///
+/// # Errors
+/// See [`PackError`].
+pub fn build_crowd(
+    roots: &PointCloud,
+    stands: &[Measures],
+) -> Result<(PackedSamples, Vec<(u32, Above)>), PackError> {
+    let (tree, grid) = raise(roots, Some(stands))?;
+    let (packed, _) = sequence::sequence(roots, &tree, grid, tree.samples.len());
+    let (base, step) = (sequence::base_of(&tree, grid), grid.step as f32);
+    // Shaders compute these anew, and may round otherwise.
+    let up = |value: f32| (value * 1.001).min(f32::MAX);
+    let above = tree.samples.iter().zip(&tree.nodes).map(|(&sample, leaf)| {
+        let above = tree.nodes.get(leaf.parent as usize).map_or(Above::NOTHING, |parent| Above {
+            error: up(sequence::rounded(parent.error, base, step)),
+            size: up(sequence::rounded(parent.size, base, step)),
+            delta: up((leaf.position - parent.position).length() as f32 + 4.0 * step),
+        });
+        (sample, above)
+    });
+    Ok((packed, above.collect()))
+}
+
+/// An error, and what stands for it where samples are drawn as one pixel each, in units of the positions.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Measures {
+    pub error: f32,
+    pub size: f32,
+}
+
+/// The node above a tree as a whole: its measures, and the way to its centre, in world units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Above {
+    pub error: f32,
+    pub size: f32,
+    pub delta: f32,
+}
+
+impl Above {
+    /// There is none.
+    pub const NOTHING: Above = Above { error: f32::MAX, size: f32::MAX, delta: 0.0 };
+}
+
+fn raise(
+    cloud: &PointCloud,
+    stands: Option<&[Measures]>,
+) -> Result<(hierarchy::Tree, Grid), PackError> {
     finite(&cloud.positions)?;
     let longest = cloud.kernels.iter().flatten().map(node::kernel_length).fold(0.0f32, f32::max);
     let bounds = Bounds::of(cloud.positions.iter().copied());
     // Nodes lie within the leaves' disks, at most a disk outside of the box.
     let grown = bounds.grown(f64::from(2.0 * super::CUTOFF * longest));
     let grid = Grid::with_detail(&grown, f64::from(longest) * KERNEL_DETAIL)?;
-    let tree = hierarchy::build(cloud, errors, &bounds);
-    Ok(sequence::sequence(cloud, &tree, grid).0)
+    Ok((hierarchy::build(cloud, stands, &bounds), grid))
 }
 
 /// Whether a node is drawn, as shaders decide it. `word`: of its error, or of its size; `delta` is in the former. `base` in camera
@@ -61,6 +120,43 @@ pub fn is_drawn(word: u32, delta: u32, base: f32, lod: f32, z: f32) -> bool {
     let near = z * (1.0 - SLACK * z.signum()) - decode_delta(delta, base);
     let (own, parent) = (word & 0xfff, word >> 12 & 0xfff);
     decode(own, base) <= accepted && (parent == NO_PARENT || decode(parent, base) > lod * near)
+}
+
+/// The root of a tree: its disk and its measures.
+pub struct Root {
+    pub position: DVec3,
+    /// Zero where the disk faces the eye.
+    pub normal: Vec3,
+    pub color: [u8; 4],
+    pub radius: f32,
+    pub measures: Measures,
+}
+
+impl Root {
+    /// `None` of an empty tree.
+    pub fn of(tree: &PackedSamples) -> Option<Root> {
+        let roots = tree.nodes.iter().position(|[error, _]| error >> 12 & 0xfff == NO_PARENT)?;
+        let chunk = tree.chunks.iter().rfind(|chunk| chunk.first as usize <= roots)?;
+        let cloud = unpack_samples(&PackedSamples {
+            chunks: vec![PackedChunk { first: 0, count: 1, ..*chunk }],
+            positions: vec![tree.positions[roots]],
+            attributes: vec![tree.attributes[roots]],
+            kernels: vec![tree.kernels[roots]],
+            clips: Vec::new(),
+            nodes: vec![tree.nodes[roots]],
+            ..PackedSamples { grid: tree.grid, ..PackedSamples::default() }
+        });
+        let step = tree.grid.step as f32;
+        let value = |word: u32| decode(word & 0xfff, chunk.range.base) * step;
+        let [error, size] = tree.nodes[roots];
+        Some(Root {
+            position: cloud.positions[0],
+            normal: cloud.normals.map_or(Vec3::ZERO, |normals| normals[0]),
+            color: cloud.colors.map_or([255; 4], |colors| colors[0]),
+            radius: super::CUTOFF * cloud.kernels.map_or(0.0, |k| node::kernel_length(&k[0])),
+            measures: Measures { error: value(error), size: value(size) },
+        })
+    }
 }
 
 /// What depths may be wrong by in f32, in parts of them.

@@ -4,6 +4,7 @@ use glam::{DVec3, Vec2, Vec3};
 
 use super::super::CUTOFF;
 use super::super::kernels::tangents;
+use super::Measures;
 use crate::assets::Kernel;
 
 #[derive(Clone, Copy, Debug)]
@@ -35,7 +36,8 @@ pub const NO_NODE: u32 = u32::MAX;
 
 /// Shorter sums of normals, in parts of what they would be were all alike, say nothing.
 const LEAST_NORMAL: f32 = 0.1;
-/// Standard deviations of colour, of 255, from which on it counts, and at which a node's error is its diameter (§3.9).
+/// Standard deviations of colour, of 255, from which on it counts, and at which a node's error is its radius: what is averaged over
+/// a disk may be off by that (§3.9 takes the diameter, but there errors are those of both sides).
 const FAINT: f32 = 4.0;
 const STRONG: f32 = 24.0;
 /// Directions in which a disk's reach is looked at.
@@ -66,18 +68,18 @@ impl Node {
         normal: Vec3,
         color: [u8; 4],
         kernel: &Kernel,
-        error: f32,
+        stands: Measures,
     ) -> Node {
         let radius = CUTOFF * kernel_length(kernel);
-        let error = if error > 0.0 { error } else { 0.0 };
+        let known = |measure: f32| if measure > 0.0 { measure } else { 0.0 };
         Node {
             position,
             normal,
             radius,
             lift: 0.0,
             spread: 0.0,
-            error,
-            size: error,
+            error: known(stands.error),
+            size: known(stands.size),
             // Samples without a size count, too.
             weight: (radius * radius).max(f32::MIN_POSITIVE),
             color: Vec3::new(f32::from(color[0]), f32::from(color[1]), f32::from(color[2])),
@@ -128,7 +130,7 @@ impl Node {
         }
         let contrast = ((variance.sqrt() - FAINT) / (STRONG - FAINT)).clamp(0.0, 1.0);
         let own = (node.lift * node.lift + node.spread * node.spread).sqrt();
-        let own = own.max(2.0 * node.radius * contrast);
+        let own = own.max(node.radius * contrast);
         node.error = children.iter().fold(own, |most, child| most.max(child.error));
         node.size = children.iter().fold(node.radius, |most, child| most.max(child.size));
         node
@@ -147,9 +149,9 @@ impl Node {
             let way = (child.position - self.position).as_vec3().length();
             most.max(way + child.radius + child.lift)
         });
-        // A disk that faces the eye shows none of the shape within.
+        // A disk that faces the eye shows none of the shape within, and is as wide as all of it.
         self.lift = self.radius;
-        self.spread = self.radius;
+        self.spread = 0.0;
     }
 
     fn enclose_in_a_disk(&mut self, children: &[&Node]) {

@@ -22,7 +22,7 @@ const DELTA_STEPS: f32 = 8.0;
 /// Stands for what no error reaches.
 const INFINITE: f32 = 1e30;
 /// Nodes of the first chunks: what is seen from afar shall not cost a whole chunk's test.
-const FIRST_CHUNKS: [usize; 2] = [64, 256];
+const FIRST_CHUNKS: [usize; 3] = [16, 48, 192];
 /// Chunks of fewer nodes take some of the next band.
 const LEAST_CHUNK: usize = 256;
 
@@ -60,6 +60,17 @@ struct Codes {
     size_parent: u32,
 }
 
+/// Twice what any node has, so that no code of a node is that of no parent; in cells.
+pub fn base_of(tree: &Tree, grid: Grid) -> f32 {
+    let measures = tree.nodes.par_iter().map(|node| node.error.max(node.size));
+    2.0 * measures.reduce(|| 0.0, f32::max) / grid.step as f32
+}
+
+/// What a measure of a tree's node is once it has been packed.
+pub fn rounded(value: f32, base: f32, step: f32) -> f32 {
+    decode(code(value / step, base), base) * step
+}
+
 /// All nodes as samples: leaves keep their kernels and clip lines, the others are disks.
 fn cloud_of(cloud: &PointCloud, tree: &Tree) -> PointCloud {
     let leaf = |index: usize| tree.samples.get(index).map(|&sample| sample as usize);
@@ -89,14 +100,18 @@ fn cloud_of(cloud: &PointCloud, tree: &Tree) -> PointCloud {
 }
 
 /// The packed tree, and which node of `tree` each of its nodes is.
-pub fn sequence(cloud: &PointCloud, tree: &Tree, grid: Grid) -> (PackedSamples, Vec<u32>) {
+///
+/// Nodes before `first` are left out.
+pub fn sequence(
+    cloud: &PointCloud,
+    tree: &Tree,
+    grid: Grid,
+    first: usize,
+) -> (PackedSamples, Vec<u32>) {
     let all = cloud_of(cloud, tree);
     let nodes = &tree.nodes;
     let step = grid.step as f32;
-    // Twice what any node has, so that no code of a node is that of no parent.
-    let base = 2.0
-        * nodes.par_iter().map(|node| node.error.max(node.size)).reduce(|| 0.0, f32::max)
-        / step;
+    let base = base_of(tree, grid);
     let codes: Vec<Codes> = nodes
         .par_iter()
         .map(|node| {
@@ -110,11 +125,11 @@ pub fn sequence(cloud: &PointCloud, tree: &Tree, grid: Grid) -> (PackedSamples, 
     let clipped = |index: usize| {
         all.clips.as_ref().is_some_and(|clips| clips[index].lines.iter().any(Option::is_some))
     };
-    let mut order: Vec<(bool, u32, u64, u32)> = (0..nodes.len())
+    let mut order: Vec<(bool, u32, u64, u32)> = (first..nodes.len())
         .into_par_iter()
         .map(|index| {
             let codes = &codes[index];
-            let band = codes.error_parent / 64 << 8 | codes.size_parent / 128;
+            let band = ((codes.error_parent / 64) << 8) | (codes.size_parent / 128);
             let place = morton(grid.quantise(all.positions[index]));
             (clipped(index), band, place, index as u32)
         })

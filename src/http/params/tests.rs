@@ -117,6 +117,7 @@ fn settings_of_splats_in_both_notations() {
     let asked = request(QUERY).unwrap().settings;
     let expected = Settings {
         lod: Lod::Full,
+        max_error: Default::default(),
         reconstruct: Reconstruct::Splats,
         filter: Some(Filter::Exact),
         prefilter: Some(false),

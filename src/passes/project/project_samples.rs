@@ -1,6 +1,7 @@
 //! One pixel a sample.
 
 use crate::gpu::shader::ShaderError;
+use crate::passes::reconstruct::{is_tree, node_constants};
 use crate::passes::recorder::{Call, Launch, Recorder};
 use crate::passes::shaders::{Choices, Visibility};
 use crate::plan::Pass;
@@ -11,12 +12,20 @@ pub fn pass(half: Visibility) -> Pass {
 }
 
 pub fn record(recorder: &mut Recorder, half: Visibility) -> Result<(), ShaderError> {
+    // A scene's samples are either all nodes of trees or none.
     let segments = recorder.segments(SAMPLE_PAGES);
+    let first = segments.first().copied().flatten();
+    let mut constants = node_constants(recorder, first);
+    constants.push(recorder.lanes());
     recorder.compute(Call {
         pass: pass(half),
         root: "project/project_samples",
-        choices: Choices { visibility: half, ..Choices::default() },
-        constants: Vec::new(),
+        choices: Choices {
+            visibility: half,
+            nodes: is_tree(recorder, first),
+            ..Choices::default()
+        },
+        constants,
         segments: &segments,
         launch: Launch::Indirect,
     })

@@ -1,7 +1,7 @@
 //! Visibility of splats; large ones are listed.
 
 use crate::gpu::shader::ShaderError;
-use crate::passes::reconstruct::{is_clipped, splat_constants};
+use crate::passes::reconstruct::{is_clipped, is_tree, node_constants, splat_constants};
 use crate::passes::recorder::{Call, Launch, Recorder, Segment};
 use crate::passes::shaders::{Choices, Visibility};
 use crate::plan::Pass;
@@ -16,15 +16,19 @@ pub fn record(
     segment: Segment,
 ) -> Result<(), ShaderError> {
     let splats = recorder.task.splats.unwrap_or_default();
+    let mut constants = splat_constants(&splats, false);
+    constants.extend(node_constants(recorder, segment));
+    constants.push(recorder.lanes());
     recorder.compute(Call {
         pass: pass(half),
         root: "project/project_splats",
         choices: Choices {
             visibility: half,
             clipped: is_clipped(recorder, segment),
+            nodes: is_tree(recorder, segment),
             ..Choices::default()
         },
-        constants: splat_constants(&splats, false),
+        constants,
         segments: &[segment],
         launch: Launch::Indirect,
     })

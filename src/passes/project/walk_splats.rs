@@ -2,7 +2,7 @@
 
 use super::walk;
 use crate::gpu::shader::ShaderError;
-use crate::passes::reconstruct::{is_clipped, splat_constants};
+use crate::passes::reconstruct::{is_clipped, is_tree, node_constants, splat_constants};
 use crate::passes::recorder::{Call, Recorder, Segment};
 use crate::passes::shaders::{Choices, Visibility};
 use crate::plan::Pass;
@@ -17,15 +17,18 @@ pub fn record(
     segment: Segment,
 ) -> Result<(), ShaderError> {
     let splats = recorder.task.splats.unwrap_or_default();
+    let mut constants = splat_constants(&splats, true);
+    constants.extend(node_constants(recorder, segment));
     recorder.compute(Call {
         pass: pass(half),
         root: "project/walk_splats",
         choices: Choices {
             visibility: half,
             clipped: is_clipped(recorder, segment),
+            nodes: is_tree(recorder, segment),
             ..Choices::default()
         },
-        constants: splat_constants(&splats, true),
+        constants,
         segments: &[segment],
         launch: walk(recorder),
     })

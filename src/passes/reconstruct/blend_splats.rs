@@ -6,11 +6,13 @@ use crate::passes::recorder::{Call, Launch, Recorder, Segment};
 use crate::plan::Pass;
 
 pub fn record(recorder: &mut Recorder, segment: Segment) -> Result<(), ShaderError> {
+    let mut constants = constants(recorder, segment, false);
+    constants.push(recorder.lanes());
     recorder.compute(Call {
         pass: Pass::BlendSplats,
         root: "reconstruct/blend_splats",
         choices: choices(recorder, segment),
-        constants: constants(recorder, false),
+        constants,
         segments: &[segment],
         launch: Launch::Indirect,
     })

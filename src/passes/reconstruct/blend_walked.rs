@@ -11,7 +11,7 @@ pub fn record(recorder: &mut Recorder, segment: Segment) -> Result<(), ShaderErr
         pass: Pass::BlendWalked,
         root: "reconstruct/blend_walked",
         choices: choices(recorder, segment),
-        constants: constants(recorder, true),
+        constants: constants(recorder, segment, true),
         segments: &[segment],
         launch: walk(recorder),
     })

@@ -8,7 +8,6 @@ use super::pipelines::Constants;
 use super::recorder::{Recorder, Segment};
 use super::shaders::Choices;
 use crate::plan::Output;
-use crate::residency::PageKind;
 use crate::scene::{Blend, Filter, Shading, Splats};
 
 /// Samples that the sums of a pixel have room for.
@@ -35,7 +34,18 @@ pub fn splat_constants(splats: &Splats, walked: bool) -> Constants {
 
 /// Whether a segment's samples carry clip lines.
 pub fn is_clipped(recorder: &Recorder, segment: Segment) -> bool {
-    segment.is_some_and(|index| recorder.scene.pages[index].kind == PageKind::Clipped)
+    segment.is_some_and(|index| recorder.scene.pages[index].kind.is_clipped())
+}
+
+/// Whether a segment's samples are nodes of point trees.
+pub fn is_tree(recorder: &Recorder, segment: Segment) -> bool {
+    segment.is_some_and(|index| recorder.scene.pages[index].kind.is_tree())
+}
+
+/// Overrides of `shared/nodes_tree`, where a pass is made of it.
+pub fn node_constants(recorder: &Recorder, segment: Segment) -> Constants {
+    let measure = is_tree(recorder, segment).then_some(("MEASURE", recorder.task.measure()));
+    measure.into_iter().collect()
 }
 
 /// Whether splats are lit one by one.
@@ -59,11 +69,12 @@ fn choices(recorder: &Recorder, segment: Segment) -> Choices {
         wide_sums: recorder.context.gpu.atomic_sums_64,
         normal_sums: recorder.task.is_deferred(),
         lit: is_lit(recorder),
+        nodes: is_tree(recorder, segment),
         ..Choices::default()
     }
 }
 
-fn constants(recorder: &Recorder, walked: bool) -> Constants {
+fn constants(recorder: &Recorder, segment: Segment, walked: bool) -> Constants {
     let (looks, lights) = (recorder.scene.looks, recorder.scene.light_count);
     let mut constants = vec![
         ("OUTPUT", output_number(recorder.task.output)),
@@ -75,5 +86,6 @@ fn constants(recorder: &Recorder, walked: bool) -> Constants {
         constants.extend(super::shade::light_constants(looks, lights));
     }
     constants.extend(recorder.task.splats.iter().flat_map(|s| splat_constants(s, walked)));
+    constants.extend(node_constants(recorder, segment));
     constants
 }

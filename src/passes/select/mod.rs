@@ -3,5 +3,9 @@
 pub mod clear;
 pub mod compact;
 pub mod cull;
+pub mod cull_groups;
+pub mod list_entries;
+pub mod list_groups;
 pub mod place;
 pub mod scan;
+pub mod select_chunks;

@@ -1,7 +1,7 @@
 //! Each instance as each view's eye sees it.
 
 use crate::gpu::shader::ShaderError;
-use crate::passes::recorder::Recorder;
+use crate::passes::recorder::{Listed, Recorder};
 use crate::plan::Pass;
 
 /// Instances that a workgroup places; as in the shader.
@@ -9,6 +9,5 @@ pub const INSTANCES: u32 = 64;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let groups = recorder.scene.instance_count.div_ceil(INSTANCES);
-    let views = recorder.task.count();
-    recorder.rows(Pass::Place, "select/place", groups, views)
+    recorder.over_lists(Pass::Place, "select/place", groups, Listed::Place, Vec::new())
 }

@@ -1,0 +1,24 @@
+// A scene's lists as they were uploaded: every chunk of every instance, every instance.
+@group(1) @binding(0) var<storage, read> entries: array<Entry>;
+
+fn entry_count() -> u32 {
+    return frame.entry_count;
+}
+
+struct Walk {
+    at: u32,
+}
+
+fn walk_from(first: u32) -> Walk {
+    return Walk(first);
+}
+
+fn walk_next(walk: ptr<function, Walk>) -> Entry {
+    let entry = entries[(*walk).at];
+    (*walk).at++;
+    return entry;
+}
+
+fn chunk_is_wanted(chunk: Chunk, scale: f32, low: f32, high: f32, far: f32) -> bool {
+    return true;
+}

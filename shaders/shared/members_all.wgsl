@@ -1,0 +1,4 @@
+// Every instance.
+fn member(index: u32) -> u32 {
+    return index;
+}

@@ -1,0 +1,229 @@
+//! Scenes of point trees: what `lod=spt` draws instead of a scene's assets as they are.
+//!
+//! A tree is built from an asset's packed samples when a frame first asks for it, and kept with the asset, so that scenes and
+//! revisions share it. The scene of trees is a scene of its own to the GPU ([`SceneModel::trees`]): it comes and goes by itself.
+
+use std::collections::HashMap;
+use std::sync::{Arc, OnceLock};
+
+use glam::{DAffine3, DMat3, DVec3, Vec3};
+
+use super::EngineError;
+use super::library::{Loaded, asset_error, next_uid};
+use crate::assets::{AssetError, PointCloud};
+use crate::bake::pack::{PackError, PackedAsset, PackedGeometry, unpack_samples};
+use crate::bake::tree::{Above, Measures, Root, build_crowd, build_tree};
+use crate::bake::{CUTOFF, circle};
+use crate::math::Bounds;
+use crate::plan::SceneFacts;
+use crate::residency::model::{AssetModel, ModelInstance, SceneModel};
+use crate::scene::color::{linear_from_srgb, srgb_from_linear};
+
+/// A scene of trees, and what a plan depends on in it.
+#[derive(Clone)]
+pub struct TreeScene {
+    pub model: Arc<SceneModel>,
+    pub facts: SceneFacts,
+}
+
+/// The tree of an asset, built by whoever asks first.
+fn asset_tree(asset: &AssetModel) -> Result<Arc<AssetModel>, PackError> {
+    asset.tree.get_or_init(|| bake(asset).map(Arc::new)).clone()
+}
+
+fn bake(asset: &AssetModel) -> Result<AssetModel, PackError> {
+    let began = std::time::Instant::now();
+    let mut geometries = Vec::with_capacity(asset.packed.geometries.len());
+    for geometry in &asset.packed.geometries {
+        geometries.push(match geometry {
+            PackedGeometry::Samples(samples) => {
+                PackedGeometry::Samples(build_tree(&unpack_samples(samples), None)?)
+            }
+            PackedGeometry::Mesh(mesh) => PackedGeometry::Mesh(mesh.clone()),
+        });
+    }
+    let packed = PackedAsset {
+        geometries,
+        materials: asset.packed.materials.clone(),
+        textures: asset.packed.textures.clone(),
+    };
+    let tree = AssetModel {
+        uid: next_uid(),
+        name: asset.name.clone(),
+        packed,
+        bounds: asset.bounds.clone(),
+        tree: OnceLock::new(),
+        ..*asset
+    };
+    let (samples, _) = tree.counts();
+    let elapsed_ms = began.elapsed().as_millis() as u64;
+    tracing::info!(asset = asset.name, nodes = samples, elapsed_ms, "point tree built");
+    Ok(tree)
+}
+
+impl Loaded {
+    /// Whether [`Loaded::trees`] costs nothing.
+    pub fn has_trees(&self) -> bool {
+        self.trees.get().is_some()
+    }
+
+    /// The scene's point trees, built when they are first asked for: that may take seconds.
+    ///
+    /// # Errors
+    /// A geometry that cannot be packed with its disks.
+    pub fn trees(&self) -> Result<TreeScene, EngineError> {
+        self.trees.get_or_init(|| self.build_trees()).clone()
+    }
+
+    fn build_trees(&self) -> Result<TreeScene, EngineError> {
+        let mut assets: Vec<Arc<AssetModel>> = Vec::with_capacity(self.model.assets.len());
+        let mut known: HashMap<u64, Arc<AssetModel>> = HashMap::new();
+        for asset in &self.model.assets {
+            let tree = match known.get(&asset.uid) {
+                Some(tree) => tree.clone(),
+                None => asset_tree(asset).map_err(|error| {
+                    asset_error(AssetError::Malformed {
+                        file: asset.name.clone(),
+                        place: "positions".to_owned(),
+                        reason: error.to_string(),
+                    })
+                })?,
+            };
+            known.insert(asset.uid, tree.clone());
+            assets.push(tree);
+        }
+        let mut instances = self.model.instances.clone();
+        if instances.len() >= LEAST_CROWD {
+            instances = self.crowd(&mut assets, &instances)?;
+        }
+        let model = SceneModel {
+            uid: next_uid(),
+            id: SceneModel::tree_id(&self.model.id),
+            assets,
+            instances,
+            trees: true,
+            totals: OnceLock::new(),
+            ..SceneModel::clone(&self.model)
+        };
+        let facts = SceneFacts { trees: true, ..self.facts };
+        Ok(TreeScene { model: Arc::new(model), facts })
+    }
+
+    /// Sorts instances by place and puts a tree over them, an asset and an instance of its own: from afar whole groups of them
+    /// are a few nodes.
+    fn crowd(
+        &self,
+        assets: &mut Vec<Arc<AssetModel>>,
+        instances: &[ModelInstance],
+    ) -> Result<Vec<ModelInstance>, EngineError> {
+        let began = std::time::Instant::now();
+        let mut known: HashMap<(usize, usize), Option<Root>> = HashMap::new();
+        let mut roots = PointCloud { oriented: true, ..PointCloud::default() };
+        let (mut normals, mut colors, mut kernels) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut stands, mut owners) = (Vec::new(), Vec::new());
+        for (number, instance) in instances.iter().enumerate() {
+            let packed = &assets[instance.asset].packed.geometries[instance.geometry];
+            let key = (instance.asset, instance.geometry);
+            let root = known.entry(key).or_insert_with(|| match packed {
+                PackedGeometry::Samples(tree) => Root::of(tree),
+                PackedGeometry::Mesh(_) => None,
+            });
+            let Some(root) = root else { continue };
+            let map = &instance.world_from_geometry;
+            let position = map.transform_point3(root.position);
+            let scale = stretch(&map.matrix3) as f32;
+            if !(position.is_finite() && scale.is_finite()) {
+                continue;
+            }
+            roots.positions.push(position);
+            let normal = turned(&map.matrix3, root.normal);
+            normals.push(normal);
+            colors.push(self.painted(instance, root.color));
+            kernels.push(circle(normal, root.radius * scale / CUTOFF));
+            let Measures { error, size } = root.measures;
+            stands.push(Measures { error: error * scale, size: size * scale });
+            owners.push(number);
+        }
+        roots.normals = Some(normals);
+        roots.colors = Some(colors);
+        roots.kernels = Some(kernels);
+        let (packed, above) = build_crowd(&roots, &stands).map_err(|error| {
+            EngineError::Internal(format!("a tree over the instances cannot be built: {error}"))
+        })?;
+        let mut sorted = Vec::with_capacity(instances.len() + 1);
+        let mut seen = vec![false; instances.len()];
+        for (root, above) in above {
+            let number = owners[root as usize];
+            seen[number] = true;
+            sorted.push(ModelInstance { above, ..instances[number] });
+        }
+        // What is not a tree stands by itself.
+        sorted.extend(seen.iter().zip(instances).filter(|(seen, _)| !**seen).map(|(_, i)| *i));
+        let nodes = packed.nodes.len() as u64;
+        if nodes > 0 {
+            let bounds = Bounds::of(roots.positions.iter().copied());
+            sorted.push(ModelInstance {
+                asset: assets.len(),
+                geometry: 0,
+                world_from_geometry: DAffine3::IDENTITY,
+                material: None,
+                id: 0,
+                above: Above::NOTHING,
+            });
+            assets.push(Arc::new(AssetModel {
+                uid: next_uid(),
+                name: "instances".to_owned(),
+                format: "crowd",
+                packed: PackedAsset {
+                    geometries: vec![PackedGeometry::Samples(packed)],
+                    materials: Vec::new(),
+                    textures: Vec::new(),
+                },
+                bounds: vec![bounds],
+                has_colors: true,
+                has_normals: true,
+                normals_estimated: false,
+                tree: OnceLock::new(),
+            }));
+        }
+        let elapsed_ms = began.elapsed().as_millis() as u64;
+        tracing::info!(
+            scene = self.model.id,
+            instances = owners.len(),
+            nodes,
+            elapsed_ms,
+            "tree over instances built"
+        );
+        Ok(sorted)
+    }
+
+    /// The color of an instance's root under its material.
+    fn painted(&self, instance: &ModelInstance, color: [u8; 4]) -> [u8; 4] {
+        let material = instance.material.and_then(|index| self.model.materials.get(index));
+        let Some(base) = material.and_then(|material| material.base_color) else { return color };
+        let channel = |i: usize| {
+            let linear = linear_from_srgb(f64::from(color[i]) / 255.0) * f64::from(base[i]);
+            (srgb_from_linear(linear.clamp(0.0, 1.0)) * 255.0).round() as u8
+        };
+        [channel(0), channel(1), channel(2), color[3]]
+    }
+}
+
+/// Scenes of fewer instances have no tree over them.
+const LEAST_CROWD: usize = 16;
+
+/// The longest that a map makes a unit vector: its largest singular value, from above.
+fn stretch(map: &DMat3) -> f64 {
+    let square = map.transpose() * *map;
+    // Gershgorin's circles; exact for what turns and scales evenly.
+    let row = |v: DVec3| v.abs().element_sum();
+    row(square.x_axis).max(row(square.y_axis)).max(row(square.z_axis)).sqrt()
+}
+
+/// A unit normal under a map; zero stays zero.
+fn turned(map: &DMat3, normal: Vec3) -> Vec3 {
+    let (x, y, z) = (map.x_axis, map.y_axis, map.z_axis);
+    let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
+    let sign = map.determinant().signum();
+    (cofactors * normal.as_dvec3() * sign).try_normalize().map_or(Vec3::ZERO, |n| n.as_vec3())
+}

@@ -1,0 +1,9 @@
+//! Where the chosen chunks of each group of instances lie in the list of entries.
+
+use crate::gpu::shader::ShaderError;
+use crate::passes::recorder::Recorder;
+use crate::plan::Pass;
+
+pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
+    recorder.rows(Pass::ListEntries, "select/list_entries", 1, 1)
+}
