@@ -11,9 +11,11 @@
 //! - [`assemble`] reads, samples and combines what a scene's assets are made of;
 //! - [`prepare`] applies these as a file needs them, the same for the GPU and for the reference renderer;
 //! - [`tree`] builds point trees, from which a frame takes the detail that it can show;
-//! - [`pack`] puts geometry into the records that the GPU reads.
+//! - [`pack`] puts geometry into the records that the GPU reads;
+//! - [`cache`] keeps what was baked in a folder.
 
 pub mod assemble;
+pub mod cache;
 pub mod csg;
 pub mod pack;
 pub mod prepare;

@@ -1,0 +1,220 @@
+//! A folder of baked geometries, so that what has been baked once is only read the next time.
+//!
+//! An entry is a file named after its key, which stands for everything that decides what is baked: the asset's bytes and the
+//! options. [`entry`] says how its bytes are laid out.
+//!
+//! *Writing.* A temporary file beside the entry is filled, synchronised and renamed, so that a reader sees a whole entry or
+//! none, and of two writers the later one wins.
+//!
+//! *Reading.* Nothing in a file is believed before its length and its SHA-256 are right, and even then every length and index
+//! that a shader would follow is checked. What fails is removed, and baked again.
+//!
+//! *Room.* An entry's time of modification is when it was last used: reading refreshes it. After each writing the entries that
+//! were used the longest ago go, until the rest fits. Files with other names are left alone.
+
+mod check;
+mod entry;
+mod record;
+
+use std::ffi::OsString;
+use std::fs::{self, File};
+use std::io::{self, BufWriter};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime};
+
+use self::entry::{Entry, Refusal};
+use super::pack::PackedGeometry;
+
+/// Of an entry's bytes and of what they mean. It must be raised with every change of either: of the layout, of the records of
+/// [`super::pack`], of the codes of [`super::tree`], and of what is baked from the same input. The crate's version has no part
+/// in an entry, so that a release which changes none of these keeps its users' folders.
+pub const FORMAT_VERSION: u32 = 1;
+
+const EXTENSION: &str = "bake";
+const WRITING_PREFIX: &str = "writing-";
+const WRITING_SUFFIX: &str = ".tmp";
+/// No writer takes this long: who left a temporary file this old has crashed.
+const ABANDONED: Duration = Duration::from_secs(24 * 60 * 60);
+
+/// A folder of baked geometries.
+#[derive(Clone, Debug)]
+pub struct BakeCache {
+    folder: PathBuf,
+    max_bytes: u64,
+}
+
+/// An entry in the folder.
+struct Found {
+    path: PathBuf,
+    bytes: u64,
+    used: SystemTime,
+}
+
+impl BakeCache {
+    /// Does not touch the disk. `max_bytes`: of all entries together.
+    pub fn new(folder: impl Into<PathBuf>, max_bytes: u64) -> BakeCache {
+        BakeCache { folder: folder.into(), max_bytes }
+    }
+
+    /// The user's cache folder: `$XDG_CACHE_HOME/pointillist`, else `$HOME/.cache/pointillist`; none where neither variable is an
+    /// absolute path.
+    pub fn default_folder() -> Option<PathBuf> {
+        user_folder(std::env::var_os("XDG_CACHE_HOME"), std::env::var_os("HOME"))
+    }
+
+    /// What was baked for this key, where a whole and undamaged entry of [`FORMAT_VERSION`] is there. Any other file in its place
+    /// is removed, with a warning. Materials are the asset's: that it has those which chunks name is the caller's to check.
+    pub fn load(&self, key: &[u8; 32]) -> Option<Vec<PackedGeometry>> {
+        let path = self.path(key);
+        match read(&path, key) {
+            Ok(geometries) => {
+                touch(&path);
+                Some(geometries)
+            }
+            Err(Refusal::Io(error)) if error.kind() == io::ErrorKind::NotFound => None,
+            // The file may be whole and only out of reach.
+            Err(Refusal::Io(error)) => {
+                tracing::warn!(file = %path.display(), %error, "a baked geometry cannot be read");
+                None
+            }
+            Err(reason) => {
+                tracing::warn!(file = %path.display(), %reason, "a baked geometry is removed");
+                // Where another process has just put a whole one in its place, that one goes: it is baked once more.
+                remove(&path);
+                None
+            }
+        }
+    }
+
+    /// Puts an entry in place of what is there for this key, if anything, and makes room for it. One that is larger than
+    /// `max_bytes` by itself is not written.
+    ///
+    /// # Errors
+    /// `InvalidInput` for geometries that [`BakeCache::load`] would refuse; whatever keeps the folder from being made, written or
+    /// listed. What was there before is still there then, whole.
+    pub fn store(&self, key: &[u8; 32], geometries: &[PackedGeometry]) -> io::Result<()> {
+        let entry = Entry::of(geometries)
+            .map_err(|refusal| io::Error::new(io::ErrorKind::InvalidInput, refusal))?;
+        if entry.bytes() > self.max_bytes {
+            tracing::debug!(bytes = entry.bytes(), "a baked geometry is too large to be kept");
+            return Ok(());
+        }
+        fs::create_dir_all(&self.folder)?;
+        // Removed when dropped, which it is on errors.
+        let mut file = tempfile::Builder::new()
+            .prefix(WRITING_PREFIX)
+            .suffix(WRITING_SUFFIX)
+            .tempfile_in(&self.folder)?;
+        let mut out = BufWriter::new(file.as_file_mut());
+        entry.write(&mut out, key)?;
+        out.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()?;
+        let path = self.path(key);
+        file.persist(&path).map_err(|error| error.error)?;
+        self.make_room(&path)
+    }
+
+    fn path(&self, key: &[u8; 32]) -> PathBuf {
+        let name: String = key.iter().map(|byte| format!("{byte:02x}")).collect();
+        self.folder.join(name).with_extension(EXTENSION)
+    }
+
+    /// Removes what crashed writers have left, and the entries used the longest ago, `newest` last.
+    fn make_room(&self, newest: &Path) -> io::Result<()> {
+        let mut entries = Vec::new();
+        for item in fs::read_dir(&self.folder)? {
+            let item = item?;
+            // Gone meanwhile, or nothing of ours.
+            let Ok(metadata) = item.metadata() else { continue };
+            let Some(kind) = NameKind::of(&item.file_name().to_string_lossy()) else { continue };
+            if !metadata.is_file() {
+                continue;
+            }
+            let used = metadata.modified()?;
+            match kind {
+                NameKind::Entry => {
+                    entries.push(Found { path: item.path(), bytes: metadata.len(), used });
+                }
+                NameKind::Writing if used.elapsed().is_ok_and(|age| age > ABANDONED) => {
+                    remove(&item.path());
+                }
+                NameKind::Writing => {}
+            }
+        }
+        for path in surplus(entries, self.max_bytes, newest) {
+            remove(&path);
+        }
+        Ok(())
+    }
+}
+
+/// Which entries have to go so that the others take `max_bytes` at most: those used the longest ago, `newest` last.
+fn surplus(mut entries: Vec<Found>, max_bytes: u64, newest: &Path) -> Vec<PathBuf> {
+    let mut bytes: u64 = entries.iter().map(|entry| entry.bytes).sum();
+    // The clock of a file system may be too coarse to tell the newest.
+    entries.sort_by(|a, b| {
+        (a.path == newest, a.used, &a.path).cmp(&(b.path == newest, b.used, &b.path))
+    });
+    let goes = |entry: &Found| {
+        let over = bytes > max_bytes;
+        bytes -= if over { entry.bytes } else { 0 };
+        over
+    };
+    let count = entries.iter().map(goes).take_while(|&over| over).count();
+    entries.into_iter().take(count).map(|entry| entry.path).collect()
+}
+
+/// Files of a cache, by their names.
+enum NameKind {
+    Entry,
+    Writing,
+}
+
+impl NameKind {
+    fn of(name: &str) -> Option<NameKind> {
+        if name.starts_with(WRITING_PREFIX) && name.ends_with(WRITING_SUFFIX) {
+            return Some(NameKind::Writing);
+        }
+        let (key, extension) = name.split_once('.')?;
+        let is_key = key.len() == 64 && key.bytes().all(|c| matches!(c, b'0'..=b'9' | b'a'..=b'f'));
+        (is_key && extension == EXTENSION).then_some(NameKind::Entry)
+    }
+}
+
+fn user_folder(xdg: Option<OsString>, home: Option<OsString>) -> Option<PathBuf> {
+    let absolute = |value: Option<OsString>| value.map(PathBuf::from).filter(|p| p.is_absolute());
+    let caches = absolute(xdg).or_else(|| Some(absolute(home)?.join(".cache")))?;
+    Some(caches.join("pointillist"))
+}
+
+fn read(path: &Path, key: &[u8; 32]) -> Result<Vec<PackedGeometry>, Refusal> {
+    // Before it is opened: a pipe would keep us waiting.
+    if !fs::symlink_metadata(path)?.is_file() {
+        return Err(Refusal::Foreign);
+    }
+    let mut file = File::open(path)?;
+    let bytes = file.metadata()?.len();
+    entry::read(&mut file, bytes, key)
+}
+
+/// Notes that an entry is in use. Where that fails it only goes earlier.
+fn touch(path: &Path) {
+    let touched = File::options()
+        .write(true)
+        .open(path)
+        .and_then(|file| file.set_modified(SystemTime::now()));
+    if let Err(error) = touched {
+        tracing::debug!(file = %path.display(), %error, "a baked geometry's use cannot be noted");
+    }
+}
+
+fn remove(path: &Path) {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            tracing::warn!(file = %path.display(), %error, "a file of the cache cannot be removed");
+        }
+        _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests;

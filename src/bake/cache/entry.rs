@@ -1,0 +1,282 @@
+//! The bytes of an entry.
+//!
+//! ```text
+//! header    magic, format version, number of geometries, key, bytes of the file
+//! table     for each geometry: kind, clipped_first, grid, and how many elements each of its sections has
+//! sections  for each geometry: chunks │ positions │ attributes │ kernels │ clips │ nodes
+//!                          or: chunks │ vertices │ triangles
+//! trailer   SHA-256 of all the above
+//! ```
+//! All of it is 32-bit little-endian words; numbers of 64 bits are two of them, the lower one first. Sections lie without gaps in
+//! the table's order; arrays of words are read to where they stay.
+//!
+//! A file is gone through twice, for its checksum and then for what is in it: a damaged length is never used. That what the
+//! table says adds up to the file's length bounds what is allocated also where somebody has made up a checksum.
+
+use std::io::{self, Read, Seek, SeekFrom, Write};
+
+use sha2::{Digest, Sha256};
+
+use super::FORMAT_VERSION;
+use super::check::check;
+use super::record::{
+    HEADER_WORDS, RECORD_WORDS, Record, Sections, TRAILER_BYTES, chunk_from_words, chunk_to_words,
+    file_bytes, halves, whole, words_of,
+};
+use crate::bake::pack::{PackedChunk, PackedGeometry, PackedMesh, PackedSamples};
+
+const MAGIC: [u8; 8] = *b"PTLSBAKE";
+/// Words that are written at once.
+const BLOCK: usize = 1 << 14;
+/// Bytes that are hashed at once.
+const HASHED: usize = 1 << 20;
+
+/// Why a file is not believed, or geometries are not written.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum Refusal {
+    #[error("{0}")]
+    Io(#[from] io::Error),
+    #[error("it is no baked geometry")]
+    Foreign,
+    #[error("it has format version {found}, not {FORMAT_VERSION}")]
+    Version { found: u32 },
+    #[error("it has {found} bytes, not as many as were written")]
+    Length { found: u64 },
+    #[error("it is another asset's")]
+    Key,
+    #[error("its checksum is another")]
+    Checksum,
+    #[error("its table does not describe it")]
+    Table,
+    #[error("geometry {geometry}: {what}")]
+    Invalid { geometry: usize, what: &'static str },
+}
+
+/// Geometries that may be written.
+pub(super) struct Entry<'a> {
+    geometries: &'a [PackedGeometry],
+    table: Vec<Record>,
+}
+
+impl<'a> Entry<'a> {
+    /// # Errors
+    /// Geometries that [`read`] would refuse.
+    pub(super) fn of(geometries: &'a [PackedGeometry]) -> Result<Entry<'a>, Refusal> {
+        for (index, geometry) in geometries.iter().enumerate() {
+            check(geometry).map_err(|what| Refusal::Invalid { geometry: index, what })?;
+        }
+        if geometries.len() > u32::MAX as usize {
+            return Err(Refusal::Table);
+        }
+        Ok(Entry { geometries, table: geometries.iter().map(Record::of).collect() })
+    }
+
+    /// Bytes of the file.
+    pub(super) fn bytes(&self) -> u64 {
+        file_bytes(&self.table)
+    }
+
+    pub(super) fn write(&self, out: impl Write, key: &[u8; 32]) -> io::Result<()> {
+        let mut writer = Writer { out, hasher: Sha256::new(), block: Vec::with_capacity(BLOCK) };
+        let mut header = [0; HEADER_WORDS];
+        header[..2].copy_from_slice(&words_of(&MAGIC));
+        header[2] = FORMAT_VERSION;
+        header[3] = self.table.len() as u32;
+        header[4..12].copy_from_slice(&words_of(key));
+        header[12..].copy_from_slice(&halves(self.bytes()));
+        writer.put(&header)?;
+        for record in &self.table {
+            writer.put(&record.to_words())?;
+        }
+        for geometry in self.geometries {
+            for chunk in geometry.chunks() {
+                writer.put(&chunk_to_words(chunk))?;
+            }
+            // By all their names, so that no new field is forgotten.
+            match geometry {
+                PackedGeometry::Samples(PackedSamples {
+                    grid: _,
+                    chunks: _,
+                    positions,
+                    attributes,
+                    kernels,
+                    clips,
+                    clipped_first: _,
+                    nodes,
+                }) => {
+                    writer.put(positions.as_flattened())?;
+                    writer.put(attributes.as_flattened())?;
+                    writer.put(kernels)?;
+                    writer.put(clips.as_flattened())?;
+                    writer.put(nodes.as_flattened())?;
+                }
+                PackedGeometry::Mesh(PackedMesh { grid: _, chunks: _, vertices, triangles }) => {
+                    writer.put(vertices.as_flattened())?;
+                    writer.put(triangles)?;
+                }
+            }
+        }
+        let Writer { mut out, hasher, .. } = writer;
+        out.write_all(&hasher.finalize())?;
+        out.flush()
+    }
+}
+
+struct Writer<W> {
+    out: W,
+    hasher: Sha256,
+    /// Little-endian words on their way.
+    block: Vec<u32>,
+}
+
+impl<W: Write> Writer<W> {
+    fn put(&mut self, words: &[u32]) -> io::Result<()> {
+        for part in words.chunks(BLOCK) {
+            self.block.clear();
+            self.block.extend(part.iter().map(|word| word.to_le()));
+            let bytes = bytemuck::cast_slice(&self.block);
+            self.hasher.update(bytes);
+            self.out.write_all(bytes)?;
+        }
+        Ok(())
+    }
+}
+
+/// Reads a file of `bytes` bytes.
+pub(super) fn read(
+    source: &mut (impl Read + Seek),
+    bytes: u64,
+    key: &[u8; 32],
+) -> Result<Vec<PackedGeometry>, Refusal> {
+    read_whole(source, bytes, key).map_err(|refusal| match refusal {
+        // It became shorter meanwhile.
+        Refusal::Io(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
+            Refusal::Length { found: bytes }
+        }
+        other => other,
+    })
+}
+
+fn read_whole(
+    source: &mut (impl Read + Seek),
+    bytes: u64,
+    key: &[u8; 32],
+) -> Result<Vec<PackedGeometry>, Refusal> {
+    let header_bytes = 4 * HEADER_WORDS as u64;
+    if bytes < header_bytes + TRAILER_BYTES {
+        return Err(Refusal::Length { found: bytes });
+    }
+    let mut header = [0; HEADER_WORDS];
+    read_words(source, &mut header)?;
+    if header[..2] != *words_of(&MAGIC) {
+        return Err(Refusal::Foreign);
+    }
+    if header[2] != FORMAT_VERSION {
+        return Err(Refusal::Version { found: header[2] });
+    }
+    if whole([header[12], header[13]]) != bytes {
+        return Err(Refusal::Length { found: bytes });
+    }
+    if header[4..12] != *words_of(key) {
+        return Err(Refusal::Key);
+    }
+    source.rewind()?;
+    let hash = hash(source, bytes - TRAILER_BYTES)?;
+    let mut trailer = [0; TRAILER_BYTES as usize];
+    source.read_exact(&mut trailer)?;
+    if trailer != hash {
+        return Err(Refusal::Checksum);
+    }
+    source.seek(SeekFrom::Start(header_bytes))?;
+    let count = header[3];
+    if u64::from(count) * 4 * RECORD_WORDS as u64 > bytes - header_bytes - TRAILER_BYTES {
+        return Err(Refusal::Table);
+    }
+    let records = read_arrays::<RECORD_WORDS>(source, count)?;
+    let table: Option<Vec<Record>> = records.iter().map(Record::from_words).collect();
+    let table = table.filter(|table| file_bytes(table) == bytes).ok_or(Refusal::Table)?;
+    let mut geometries = Vec::with_capacity(table.len());
+    for (index, record) in table.iter().enumerate() {
+        let invalid = |what| Refusal::Invalid { geometry: index, what };
+        let geometry =
+            read_geometry(source, record)?.ok_or(invalid("a flag is neither 0 nor 1"))?;
+        check(&geometry).map_err(invalid)?;
+        geometries.push(geometry);
+    }
+    Ok(geometries)
+}
+
+/// The hash of the next `bytes` bytes.
+fn hash(source: &mut impl Read, bytes: u64) -> io::Result<[u8; 32]> {
+    let mut hasher = Sha256::new();
+    let mut buffer = vec![0; bytes.min(HASHED as u64) as usize];
+    let mut left = bytes;
+    while left > 0 {
+        let part = &mut buffer[..left.min(HASHED as u64) as usize];
+        source.read_exact(part)?;
+        hasher.update(&*part);
+        left -= part.len() as u64;
+    }
+    Ok(hasher.finalize().into())
+}
+
+/// None where a flag is neither 0 nor 1. The table has been checked against the file's length.
+fn read_geometry(source: &mut impl Read, record: &Record) -> io::Result<Option<PackedGeometry>> {
+    let grid = record.grid;
+    match record.sections {
+        Sections::Samples {
+            chunks,
+            positions,
+            attributes,
+            kernels,
+            clips,
+            nodes,
+            clipped_first,
+        } => {
+            let Some(chunks) = read_chunks(source, chunks)? else { return Ok(None) };
+            Ok(Some(PackedGeometry::Samples(PackedSamples {
+                grid,
+                chunks,
+                positions: read_arrays(source, positions)?,
+                attributes: read_arrays(source, attributes)?,
+                kernels: read_list(source, kernels)?,
+                clips: read_arrays(source, clips)?,
+                clipped_first,
+                nodes: read_arrays(source, nodes)?,
+            })))
+        }
+        Sections::Mesh { chunks, vertices, triangles } => {
+            let Some(chunks) = read_chunks(source, chunks)? else { return Ok(None) };
+            Ok(Some(PackedGeometry::Mesh(PackedMesh {
+                grid,
+                chunks,
+                vertices: read_arrays(source, vertices)?,
+                triangles: read_list(source, triangles)?,
+            })))
+        }
+    }
+}
+
+fn read_chunks(source: &mut impl Read, count: u32) -> io::Result<Option<Vec<PackedChunk>>> {
+    Ok(read_arrays(source, count)?.iter().map(chunk_from_words).collect())
+}
+
+fn read_list(source: &mut impl Read, count: u32) -> io::Result<Vec<u32>> {
+    let mut list = vec![0; count as usize];
+    read_words(source, &mut list)?;
+    Ok(list)
+}
+
+fn read_arrays<const N: usize>(source: &mut impl Read, count: u32) -> io::Result<Vec<[u32; N]>> {
+    let mut list = vec![[0; N]; count as usize];
+    read_words(source, list.as_flattened_mut())?;
+    Ok(list)
+}
+
+fn read_words(source: &mut impl Read, words: &mut [u32]) -> io::Result<()> {
+    source.read_exact(bytemuck::cast_slice_mut(words))?;
+    for word in words {
+        *word = u32::from_le(*word);
+    }
+    Ok(())
+}
