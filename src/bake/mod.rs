@@ -5,6 +5,7 @@
 //! - [`estimate_kernels`] gives them kernels as well, whose disks leave no holes, in the same search;
 //! - [`fill_colors`] gives them colours, from intensity or class;
 //! - [`sample_mesh`] turns meshes into samples whose disks cover them and end at their sharp edges;
+//! - [`rasterise_mesh`] turns them into many more, fast, whose disks cover them;
 //! - [`detect_features`] finds sharp edges in points, and where their kernels end there;
 //! - [`smooth_normals`] gives meshes vertex normals, splitting vertices at creases;
 //! - [`csg`] combines sampled solids;
@@ -27,6 +28,7 @@ mod features;
 mod kernels;
 mod neighbors;
 mod normals;
+mod rasterise;
 mod sample;
 
 pub use colors::fill_colors;
@@ -34,4 +36,5 @@ pub use crease::smooth_normals;
 pub use features::{FeatureOptions, detect_features};
 pub use kernels::{CUTOFF, circle, estimate_kernels};
 pub use normals::estimate_point_attributes;
+pub use rasterise::{RasteriseOptions, RasterisedMesh, rasterise_mesh};
 pub use sample::{SampleError, SampleOptions, sample_mesh};

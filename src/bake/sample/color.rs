@@ -2,7 +2,7 @@
 
 use glam::{DVec2, DVec3, Vec4};
 
-use super::Face;
+use super::{Face, barycentric};
 use crate::assets::{Filter, Material, Mesh, Texture, Wrap};
 use crate::scene::color::linear_from_srgb;
 
@@ -18,7 +18,8 @@ struct Pyramid {
     filter: Filter,
 }
 
-pub(super) struct Colors<'a> {
+/// Finds the colours of a mesh's samples.
+pub(in crate::bake) struct Colors<'a> {
     mesh: &'a Mesh,
     materials: &'a [Material],
     /// As the materials refer to them; empty for those that none uses or that are broken.
@@ -29,7 +30,11 @@ pub(super) struct Colors<'a> {
 }
 
 impl<'a> Colors<'a> {
-    pub(super) fn of(mesh: &'a Mesh, materials: &'a [Material], textures: &[Texture]) -> Self {
+    pub(in crate::bake) fn of(
+        mesh: &'a Mesh,
+        materials: &'a [Material],
+        textures: &[Texture],
+    ) -> Self {
         let linear = std::array::from_fn(|byte| linear_from_srgb(byte as f64 / 255.0) as f32);
         let used = |index: usize| {
             let uses = |material: u32| materials.get(material as usize)?.base_texture;
@@ -53,6 +58,32 @@ impl<'a> Colors<'a> {
         Self { mesh, materials, pyramids, linear, ends }
     }
 
+    /// The part that a triangle belongs to; the number of parts for those that belong to none.
+    pub(in crate::bake) fn part(&self, triangle: u32) -> usize {
+        self.ends.partition_point(|&end| end <= u64::from(triangle))
+    }
+
+    /// Whether each part has the same colour all over.
+    pub(in crate::bake) fn is_flat(&self) -> bool {
+        self.mesh.colors.is_none() && self.pyramids.iter().all(Option::is_none)
+    }
+
+    /// The colour about a place of a triangle that exists and has these corners, or `None` where the material's cut-off
+    /// leaves nothing.
+    pub(in crate::bake) fn on(
+        &self,
+        triangle: u32,
+        corners: [DVec3; 3],
+        at: DVec3,
+        radius: f64,
+    ) -> Option<[u8; 4]> {
+        let [a, b, c] = corners;
+        let cross = (b - a).cross(c - a);
+        let normal = cross.normalize_or_zero();
+        let face = Face { triangle, corners, normal, area: 0.5 * cross.length() };
+        self.at(&face, barycentric(&face, at), at, radius)
+    }
+
     /// The colour about a place of a face, or `None` where the material's cut-off leaves nothing.
     pub(super) fn at(
         &self,
@@ -71,7 +102,7 @@ impl<'a> Colors<'a> {
                 color += Vec4::new(r, g, b, f32::from(a) / 255.0) * weight as f32;
             }
         }
-        let part = self.ends.partition_point(|&end| end <= u64::from(face.triangle));
+        let part = self.part(face.triangle);
         let material = self.mesh.parts.get(part).and_then(|part| part.material);
         if let Some(material) = material.and_then(|index| self.materials.get(index as usize)) {
             color *= Vec4::from(material.base_color);

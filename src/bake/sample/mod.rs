@@ -15,7 +15,7 @@
 //! Everything runs in one order on one thread: equal input gives equal samples.
 
 mod clip;
-mod color;
+pub(super) mod color;
 mod edges;
 
 use glam::{DVec3, Vec3};
