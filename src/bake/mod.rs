@@ -11,6 +11,7 @@
 //! - [`csg`] combines sampled solids;
 //! - [`assemble`] reads, samples and combines what a scene's assets are made of;
 //! - [`prepare`] applies these as a file needs them, the same for the GPU and for the reference renderer;
+//! - [`hybrid`] samples meshes for point trees, which keep the triangles for where they are the better;
 //! - [`tree`] builds point trees, from which a frame takes the detail that it can show;
 //! - [`pack`] puts geometry into the records that the GPU reads;
 //! - [`cache`] keeps what was baked in a folder.
@@ -18,6 +19,7 @@
 pub mod assemble;
 pub mod cache;
 pub mod csg;
+pub mod hybrid;
 pub mod pack;
 pub mod prepare;
 pub mod tree;

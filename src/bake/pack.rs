@@ -10,7 +10,7 @@
 mod kernel;
 mod unpack;
 
-pub use unpack::unpack_samples;
+pub use unpack::{unpack_mesh, unpack_samples, unpack_texture};
 
 use glam::{DVec3, I64Vec3, IVec3, Vec3};
 use rayon::prelude::*;
@@ -363,8 +363,22 @@ fn round_shift(v: i32, shift: u32) -> u32 {
 /// # Errors
 /// See [`PackError`].
 pub fn pack_mesh(mesh: &Mesh) -> Result<PackedMesh, PackError> {
-    finite(&mesh.positions)?;
     let grid = Grid::of(&Bounds::of(mesh.positions.iter().copied()))?;
+    pack_triangles(mesh, grid, None)
+}
+
+/// Packs a mesh for a point tree: `sides` are the errors up to which triangles are drawn, in mesh units. Triangles are sorted by
+/// them, in bands of half an octave, so that a frame finds those that it needs. `grid` is that of the samples that stand in for them,
+/// and holds the whole mesh.
+///
+/// # Errors
+/// See [`PackError`].
+pub fn pack_hybrid(mesh: &Mesh, grid: Grid, sides: &[f32]) -> Result<PackedMesh, PackError> {
+    pack_triangles(mesh, grid, Some(sides))
+}
+
+fn pack_triangles(mesh: &Mesh, grid: Grid, sides: Option<&[f32]>) -> Result<PackedMesh, PackError> {
+    finite(&mesh.positions)?;
     let cells: Vec<IVec3> = mesh.positions.par_iter().map(|&p| grid.quantise(p)).collect();
     let mut materials = vec![0u32; mesh.triangles.len()];
     let mut at = 0;
@@ -373,13 +387,19 @@ pub fn pack_mesh(mesh: &Mesh) -> Result<PackedMesh, PackError> {
         materials[at..end].fill(part.material.map_or(0, |m| m + 1));
         at = end;
     }
-    let mut order: Vec<(u32, u64, u32)> = mesh
+    let longest = sides.map_or(0.0, |sides| sides.iter().copied().fold(0.0, f32::max));
+    // The longest first.
+    let band = |index: usize| {
+        let side = sides.map_or(0.0, |sides| sides[index]);
+        if side > 0.0 { (2.0 * (longest / side).log2()) as u32 } else { u32::MAX }
+    };
+    let mut order: Vec<(u32, u32, u64, u32)> = mesh
         .triangles
         .par_iter()
         .enumerate()
         .map(|(index, corners)| {
             let sum: I64Vec3 = corners.iter().map(|&v| cells[v as usize].as_i64vec3()).sum();
-            (materials[index], morton((sum / 3).as_ivec3()), index as u32)
+            (band(index), materials[index], morton((sum / 3).as_ivec3()), index as u32)
         })
         .collect();
     order.par_sort_unstable();
@@ -394,10 +414,24 @@ pub fn pack_mesh(mesh: &Mesh) -> Result<PackedMesh, PackError> {
             triangles: Vec::with_capacity(order.len()),
         },
     };
-    for (material, _, index) in order {
-        packer.add(material, mesh.triangles[index as usize]);
+    let mut last = 0;
+    for &(band, material, _, index) in &order {
+        let split = band != last && packer.out.chunks.last().is_some_and(|c| c.count >= 256);
+        packer.add(material, mesh.triangles[index as usize], split);
+        last = band;
     }
     packer.finish_boxes();
+    if let Some(sides) = sides {
+        let mut behind = 0.0f32;
+        for chunk in packer.out.chunks.iter_mut().rev() {
+            let range = chunk.first as usize..(chunk.first + chunk.count) as usize;
+            let own = order[range].iter().map(|&(.., index)| sides[index as usize]);
+            behind = own.fold(behind, f32::max);
+            // Of this chunk and of those behind it, as of nodes.
+            chunk.range.error_parent = behind / grid.step as f32;
+            chunk.range.size_parent = chunk.range.error_parent;
+        }
+    }
     Ok(packer.out)
 }
 
@@ -410,12 +444,13 @@ struct MeshPacker<'a> {
 }
 
 impl MeshPacker<'_> {
-    fn add(&mut self, material: u32, corners: [u32; 3]) {
+    fn add(&mut self, material: u32, corners: [u32; 3], split: bool) {
         let current = self.out.chunks.len() as u32;
         let fits = self.out.chunks.last().is_some_and(|chunk| {
             let fresh =
                 corners.iter().filter(|&&v| self.stamp[v as usize].0 != current - 1).count();
-            chunk.material == material
+            !split
+                && chunk.material == material
                 && (chunk.count as usize) < CHUNK
                 && chunk.vertex_count as usize + fresh <= CHUNK
         });

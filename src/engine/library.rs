@@ -246,6 +246,7 @@ fn pack_asset(
         has_colors: traits.has_colors,
         has_normals: traits.has_normals,
         normals_estimated: traits.normals_estimated,
+        beside: Vec::new(),
         tree: OnceLock::new(),
     };
     Ok(ReadAsset {

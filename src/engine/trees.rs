@@ -10,9 +10,13 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 
 use super::EngineError;
 use super::library::{Loaded, asset_error, next_uid};
-use crate::assets::{AssetError, PointCloud};
-use crate::bake::pack::{PackError, PackedAsset, PackedGeometry, unpack_samples};
-use crate::bake::tree::{Above, Measures, Root, build_crowd, build_tree};
+use crate::assets::{AssetError, PointCloud, Texture};
+use crate::bake::hybrid::hybrid_mesh;
+use crate::bake::pack::{
+    PackError, PackedAsset, PackedGeometry, PackedMesh, PackedSamples, pack_hybrid, unpack_mesh,
+    unpack_samples, unpack_texture,
+};
+use crate::bake::tree::{Above, Measures, Root, build_crowd, build_tree, build_tree_within};
 use crate::bake::{CUTOFF, circle};
 use crate::math::Bounds;
 use crate::plan::SceneFacts;
@@ -34,14 +38,25 @@ fn asset_tree(asset: &AssetModel) -> Result<Arc<AssetModel>, PackError> {
 fn bake(asset: &AssetModel) -> Result<AssetModel, PackError> {
     let began = std::time::Instant::now();
     let mut geometries = Vec::with_capacity(asset.packed.geometries.len());
-    for geometry in &asset.packed.geometries {
+    let mut meshes = Vec::new();
+    let textures: Vec<Texture> = asset.packed.textures.iter().map(unpack_texture).collect();
+    let mut bounds = asset.bounds.clone();
+    let mut beside = vec![None; asset.packed.geometries.len()];
+    for (index, geometry) in asset.packed.geometries.iter().enumerate() {
         geometries.push(match geometry {
             PackedGeometry::Samples(samples) => {
                 PackedGeometry::Samples(build_tree(&unpack_samples(samples), None)?)
             }
-            PackedGeometry::Mesh(mesh) => PackedGeometry::Mesh(mesh.clone()),
+            PackedGeometry::Mesh(packed) => {
+                let (tree, triangles) = hybrid(asset, packed, asset.bounds[index], &textures)?;
+                beside[index] = Some(asset.packed.geometries.len() + meshes.len());
+                meshes.push(PackedGeometry::Mesh(triangles));
+                bounds.push(asset.bounds[index]);
+                PackedGeometry::Samples(tree)
+            }
         });
     }
+    geometries.extend(meshes);
     let packed = PackedAsset {
         geometries,
         materials: asset.packed.materials.clone(),
@@ -51,7 +66,8 @@ fn bake(asset: &AssetModel) -> Result<AssetModel, PackError> {
         uid: next_uid(),
         name: asset.name.clone(),
         packed,
-        bounds: asset.bounds.clone(),
+        bounds,
+        beside,
         tree: OnceLock::new(),
         ..*asset
     };
@@ -59,6 +75,29 @@ fn bake(asset: &AssetModel) -> Result<AssetModel, PackError> {
     let elapsed_ms = began.elapsed().as_millis() as u64;
     tracing::info!(asset = asset.name, nodes = samples, elapsed_ms, "point tree built");
     Ok(tree)
+}
+
+/// A mesh as a tree of samples, and its triangles on the same grid.
+fn hybrid(
+    asset: &AssetModel,
+    packed: &PackedMesh,
+    bounds: Bounds,
+    textures: &[Texture],
+) -> Result<(PackedSamples, PackedMesh), PackError> {
+    let mesh = unpack_mesh(packed);
+    match hybrid_mesh(&mesh, &asset.packed.materials, textures, MAX_SAMPLES) {
+        Ok(hybrid) => {
+            let tree = build_tree_within(&hybrid.samples, Some(&hybrid.stands), bounds)?;
+            let triangles = pack_hybrid(&mesh, tree.grid, &hybrid.sides)?;
+            Ok((tree, triangles))
+        }
+        Err(error) => {
+            tracing::warn!(asset = asset.name, %error, "a mesh keeps all its triangles");
+            let sides = vec![ALWAYS; mesh.triangles.len()];
+            let tree = PackedSamples { grid: packed.grid, ..PackedSamples::default() };
+            Ok((tree, pack_hybrid(&mesh, packed.grid, &sides)?))
+        }
+    }
 }
 
 impl Loaded {
@@ -105,7 +144,8 @@ impl Loaded {
             totals: OnceLock::new(),
             ..SceneModel::clone(&self.model)
         };
-        let facts = SceneFacts { trees: true, ..self.facts };
+        let has_samples = model.counts().samples > 0;
+        let facts = SceneFacts { trees: true, has_samples, ..self.facts };
         Ok(TreeScene { model: Arc::new(model), facts })
     }
 
@@ -183,6 +223,7 @@ impl Loaded {
                 has_colors: true,
                 has_normals: true,
                 normals_estimated: false,
+                beside: Vec::new(),
                 tree: OnceLock::new(),
             }));
         }
@@ -208,6 +249,11 @@ impl Loaded {
         [channel(0), channel(1), channel(2), color[3]]
     }
 }
+
+/// No error that is accepted is larger.
+const ALWAYS: f32 = 1e30;
+/// Samples of one mesh at most.
+const MAX_SAMPLES: u64 = 1 << 28;
 
 /// Scenes of fewer instances have no tree over them.
 const LEAST_CROWD: usize = 16;

@@ -66,10 +66,13 @@ impl Residency {
         let mut pages: Vec<Page> = Vec::new();
         let pieces_of = |&(asset, geometry): &(usize, usize)| {
             let resident = self.assets.get(&model.assets[asset].uid);
-            resident.map_or(&[][..], |resident| &resident.geometries[geometry].pieces)
+            let drawn = model.assets[asset].drawn_with(geometry);
+            drawn.flat_map(move |geometry| {
+                resident.map_or(&[][..], |resident| &resident.geometries[geometry].pieces)
+            })
         };
         for key in numbers.keys() {
-            pages.extend(pieces_of(key).iter().map(|piece| piece.page));
+            pages.extend(pieces_of(key).map(|piece| piece.page));
         }
         pages.sort_unstable();
         pages.dedup();
@@ -88,8 +91,12 @@ impl Residency {
                 let first = if run.count == 0 { piece.first_chunk } else { run.first };
                 *run = GpuChunkRun { first, count: end - first };
             }
-            let geometry = &model.assets[key.0].packed.geometries[key.1];
-            geometries[number as usize] = half_extent(geometry);
+            let asset = &model.assets[key.0];
+            let halves = asset
+                .drawn_with(key.1)
+                .map(|geometry| half_extent(&asset.packed.geometries[geometry]));
+            geometries[number as usize] = halves
+                .fold([0.0; 4], |a, b| std::array::from_fn(|axis| f32::max(a[axis], b[axis])));
         }
         let halves: BTreeMap<(usize, usize), [f32; 4]> =
             numbers.iter().map(|(&key, &number)| (key, geometries[number as usize])).collect();

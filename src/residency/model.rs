@@ -25,6 +25,9 @@ pub struct AssetModel {
     pub has_colors: bool,
     pub has_normals: bool,
     pub normals_estimated: bool,
+    /// Of point trees: for each geometry the one that is drawn wherever it is, on the same grid: a mesh's triangles beside its
+    /// samples.
+    pub beside: Vec<Option<usize>>,
     /// The asset as point trees, once a frame has asked for it.
     pub tree: OnceLock<Result<Arc<AssetModel>, PackError>>,
 }
@@ -77,6 +80,12 @@ pub struct ModelCounts {
 }
 
 impl AssetModel {
+    /// A geometry, and what is drawn wherever it is.
+    pub fn drawn_with(&self, geometry: usize) -> impl Iterator<Item = usize> + use<> {
+        let beside = self.beside.get(geometry).copied().flatten();
+        std::iter::once(geometry).chain(beside)
+    }
+
     /// What its file held.
     pub fn traits(&self) -> AssetTraits {
         let is_mesh = |geometry: &PackedGeometry| matches!(geometry, PackedGeometry::Mesh(_));
@@ -144,13 +153,16 @@ impl SceneModel {
         let mut counts =
             ModelCounts { instances: self.instances.len() as u64, ..Default::default() };
         for instance in &self.instances {
-            let geometry = self.geometry(instance);
-            counts.chunks += geometry.chunks().len() as u64;
-            match geometry {
-                PackedGeometry::Samples(samples) => {
-                    counts.samples += samples.positions.len() as u64
+            let asset = &self.assets[instance.asset];
+            for geometry in asset.drawn_with(instance.geometry) {
+                let geometry = &asset.packed.geometries[geometry];
+                counts.chunks += geometry.chunks().len() as u64;
+                match geometry {
+                    PackedGeometry::Samples(samples) => {
+                        counts.samples += samples.positions.len() as u64
+                    }
+                    PackedGeometry::Mesh(mesh) => counts.triangles += mesh.triangles.len() as u64,
                 }
-                PackedGeometry::Mesh(mesh) => counts.triangles += mesh.triangles.len() as u64,
             }
         }
         counts

@@ -69,6 +69,7 @@ fn textured(uid: u64, texels: &[u32], materials: usize) -> Arc<SceneModel> {
         has_colors: false,
         has_normals: false,
         normals_estimated: false,
+        beside: Vec::new(),
         tree: Default::default(),
     };
     Arc::new(SceneModel {

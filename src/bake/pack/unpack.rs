@@ -3,8 +3,8 @@
 use glam::{IVec3, Vec2, Vec3};
 
 use super::kernel::{self, NO_LINE};
-use super::{NO_NORMAL, PackedSamples, octahedral_decode};
-use crate::assets::{Clip, ClipLine, PointCloud};
+use super::{NO_NORMAL, PackedMesh, PackedSamples, PackedTexture, octahedral_decode};
+use crate::assets::{Clip, ClipLine, Filter, Mesh, MeshPart, PointCloud, Texture, Wrap};
 
 /// The samples of packed samples, in their order.
 pub fn unpack_samples(packed: &PackedSamples) -> PointCloud {
@@ -51,6 +51,51 @@ fn line(word: u32) -> Option<ClipLine> {
 
 fn clip([a, b]: [u32; 2]) -> Clip {
     Clip { lines: [line(a), line(b)], either: a > b }
+}
+
+/// The triangles of a packed mesh, in their order. A vertex that several chunks share comes once for each of them.
+pub fn unpack_mesh(packed: &PackedMesh) -> Mesh {
+    let words = &packed.vertices;
+    let cell = |w: &[u32; super::VERTEX_WORDS]| IVec3::new(w[0] as i32, w[1] as i32, w[2] as i32);
+    let mut mesh = Mesh {
+        positions: words.iter().map(|w| packed.grid.position(cell(w))).collect(),
+        triangles: Vec::with_capacity(packed.triangles.len()),
+        colors: Some(words.iter().map(|w| w[3].to_le_bytes()).collect()),
+        normals: Some(words.iter().map(|w| octahedral_decode(w[4])).collect()),
+        uvs: Some(
+            words.iter().map(|w| Vec2::new(f32::from_bits(w[5]), f32::from_bits(w[6]))).collect(),
+        ),
+        parts: Vec::with_capacity(packed.chunks.len()),
+    };
+    for chunk in &packed.chunks {
+        let triangles = &packed.triangles[chunk.first as usize..][..chunk.count as usize];
+        mesh.triangles.extend(
+            triangles
+                .iter()
+                .map(|word| [0, 10, 20].map(|shift| chunk.vertex_first + (word >> shift & 0x3ff))),
+        );
+        let material = chunk.material.checked_sub(1);
+        mesh.parts.push(MeshPart { triangles: chunk.count, material });
+    }
+    mesh
+}
+
+/// The largest level of a packed texture.
+pub fn unpack_texture(packed: &PackedTexture) -> Texture {
+    let wrap = |bits: u32| match bits & 3 {
+        0 => Wrap::Repeat,
+        1 => Wrap::Mirror,
+        _ => Wrap::Clamp,
+    };
+    let count = packed.width as usize * packed.height as usize;
+    Texture {
+        name: String::new(),
+        width: packed.width,
+        height: packed.height,
+        rgba: packed.texels.iter().take(count).map(|texel| texel.to_le_bytes()).collect(),
+        wrap: [wrap(packed.wrap), wrap(packed.wrap >> 2)],
+        filter: if packed.nearest { Filter::Nearest } else { Filter::default() },
+    }
 }
 
 #[cfg(test)]

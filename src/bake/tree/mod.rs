@@ -51,7 +51,19 @@ pub fn build_tree(
     cloud: &PointCloud,
     stands: Option<&[Measures]>,
 ) -> Result<PackedSamples, PackError> {
-    let (tree, grid) = raise(cloud, stands)?;
+    build_tree_within(cloud, stands, Bounds::EMPTY)
+}
+
+/// As [`build_tree`], on a grid that holds the box `also` as well.
+///
+/// # Errors
+/// See [`PackError`].
+pub fn build_tree_within(
+    cloud: &PointCloud,
+    stands: Option<&[Measures]>,
+    also: Bounds,
+) -> Result<PackedSamples, PackError> {
+    let (tree, grid) = raise(cloud, stands, also)?;
     Ok(sequence::sequence(cloud, &tree, grid, 0).0)
 }
 
@@ -64,7 +76,7 @@ pub fn build_crowd(
     roots: &PointCloud,
     stands: &[Measures],
 ) -> Result<(PackedSamples, Vec<(u32, Above)>), PackError> {
-    let (tree, grid) = raise(roots, Some(stands))?;
+    let (tree, grid) = raise(roots, Some(stands), Bounds::EMPTY)?;
     let (packed, _) = sequence::sequence(roots, &tree, grid, tree.samples.len());
     let (base, step) = (sequence::base_of(&tree, grid), grid.step as f32);
     // Shaders compute these anew, and may round otherwise.
@@ -103,13 +115,14 @@ impl Above {
 fn raise(
     cloud: &PointCloud,
     stands: Option<&[Measures]>,
+    also: Bounds,
 ) -> Result<(hierarchy::Tree, Grid), PackError> {
     finite(&cloud.positions)?;
     let longest = cloud.kernels.iter().flatten().map(node::kernel_length).fold(0.0f32, f32::max);
     let bounds = Bounds::of(cloud.positions.iter().copied());
     // Nodes lie within the leaves' disks, at most a disk outside of the box.
     let grown = bounds.grown(f64::from(2.0 * super::CUTOFF * longest));
-    let grid = Grid::with_detail(&grown, f64::from(longest) * KERNEL_DETAIL)?;
+    let grid = Grid::with_detail(&grown.union(also), f64::from(longest) * KERNEL_DETAIL)?;
     Ok((hierarchy::build(cloud, stands, &bounds), grid))
 }
 

@@ -1,0 +1,223 @@
+//! Meshes for point trees (Dachsbacher et al. 2003, §3.8): samples for where triangles are smaller than what may be wrong, and the
+//! triangles for everywhere else.
+//!
+//! A triangle is drawn while its longest side `s` is more than the accepted error, `s > T(z)`; each of its samples has `s` for an
+//! error, and so stands in for it from where it is not. Both are drawn about the border, where a triangle's near end is asked and a
+//! sample's own place: there is no seam. Since no sample of a triangle is drawn where the triangle is larger than the accepted
+//! error, large triangles have one, whose disk covers them, and only small ones are rasterised
+//! ([`rasterise_mesh`]), with about one sample for each of usual size.
+
+use glam::{DVec3, Vec3};
+
+use super::kernels::{CUTOFF, circle};
+use super::rasterise::{RasteriseOptions, rasterise_mesh};
+use super::sample::SampleError;
+use super::sample::color::Colors;
+use super::tree::Measures;
+use crate::assets::{Material, Mesh, MeshPart, PointCloud, Texture};
+
+/// A mesh, prepared for a point tree.
+pub struct HybridMesh {
+    pub samples: PointCloud,
+    /// What each sample stands for.
+    pub stands: Vec<Measures>,
+    /// Of each triangle: up to which error it is drawn, in mesh units.
+    pub sides: Vec<f32>,
+}
+
+/// Usual triangles are rasterised with this many samples along their longest side.
+const PER_SIDE: f64 = 1.5;
+/// From this many cells on a triangle has a single sample.
+const LARGE: f64 = 4.0;
+/// Codes of errors are larger than what they stand for, by less than this.
+const ROUNDED: f32 = 1.02;
+
+/// The corners of a triangle that can be drawn.
+fn corners(mesh: &Mesh, triangle: [u32; 3]) -> Option<[DVec3; 3]> {
+    let corner = |v: u32| mesh.positions.get(v as usize).copied().filter(|p| p.is_finite());
+    let corners = [corner(triangle[0])?, corner(triangle[1])?, corner(triangle[2])?];
+    let [a, b, c] = corners;
+    ((b - a).cross(c - a) != DVec3::ZERO).then_some(corners)
+}
+
+fn longest_side([a, b, c]: [DVec3; 3]) -> f64 {
+    (b - a).length().max((c - b).length()).max((a - c).length())
+}
+
+/// Samples a mesh, whose parts refer to `materials`, and these to `textures`.
+///
+/// # Errors
+/// More samples than `max_samples`.
+pub fn hybrid_mesh(
+    mesh: &Mesh,
+    materials: &[Material],
+    textures: &[Texture],
+    max_samples: u64,
+) -> Result<HybridMesh, SampleError> {
+    let sides: Vec<f64> = mesh
+        .triangles
+        .iter()
+        .map(|&triangle| corners(mesh, triangle).map_or(0.0, longest_side))
+        .collect();
+    let mut known: Vec<f64> = sides.iter().copied().filter(|side| *side > 0.0).collect();
+    if known.is_empty() {
+        let sides = vec![0.0; mesh.triangles.len()];
+        return Ok(HybridMesh { samples: PointCloud::default(), stands: Vec::new(), sides });
+    }
+    let middle = known.len() / 2;
+    let (_, &mut usual, _) = known.select_nth_unstable_by(middle, f64::total_cmp);
+    let spacing = usual / PER_SIDE;
+    let is_large = |side: f64| side > LARGE * spacing;
+    let (small, numbers) = part_of(mesh, |triangle| !is_large(sides[triangle]));
+    let options = RasteriseOptions { spacing: Some(spacing), max_samples };
+    let rasterised = rasterise_mesh(&small, materials, textures, &options)?;
+    let mut samples = rasterised.cloud;
+    samples.radii = None;
+    let stand = |side: f64| {
+        let error = side.max(spacing) as f32;
+        Measures { error, size: error }
+    };
+    let mut stands: Vec<Measures> = rasterised
+        .triangles
+        .iter()
+        .map(|&triangle| stand(sides[numbers[triangle as usize] as usize]))
+        .collect();
+    let colors = Colors::of(mesh, materials, textures);
+    for (number, &triangle) in mesh.triangles.iter().enumerate() {
+        if !is_large(sides[number]) {
+            continue;
+        }
+        let Some(corners) = corners(mesh, triangle) else { continue };
+        let [a, b, c] = corners;
+        let centre = (a + b + c) / 3.0;
+        let reach = corners.iter().fold(0.0, |most: f64, p| most.max((*p - centre).length()));
+        let Some(color) = colors.on(number as u32, corners, centre, reach) else { continue };
+        let normal = (b - a).cross(c - a).normalize_or_zero().as_vec3();
+        samples.positions.push(centre);
+        samples.colors.get_or_insert_default().push(color);
+        samples.normals.get_or_insert_default().push(outward(mesh, triangle, normal));
+        samples.kernels.get_or_insert_default().push(circle(normal, reach as f32 / CUTOFF));
+        stands.push(stand(sides[number]));
+    }
+    let limit = max_samples;
+    let count = samples.positions.len() as u64;
+    if count > limit {
+        return Err(SampleError::TooMany { count, limit });
+    }
+    let sides = sides.iter().map(|&side| stand(side).error * ROUNDED).collect();
+    Ok(HybridMesh { samples: PointCloud { oriented: true, ..samples }, stands, sides })
+}
+
+/// The face's normal on the side that its vertices' normals look to.
+fn outward(mesh: &Mesh, triangle: [u32; 3], normal: Vec3) -> Vec3 {
+    let Some(normals) = &mesh.normals else { return normal };
+    let sum: Vec3 = triangle.iter().filter_map(|&v| normals.get(v as usize)).sum();
+    if sum.dot(normal) < 0.0 { -normal } else { normal }
+}
+
+/// The triangles that are wanted, with all vertices; and the number of each in the whole mesh.
+fn part_of(mesh: &Mesh, wanted: impl Fn(usize) -> bool) -> (Mesh, Vec<u32>) {
+    let mut numbers = Vec::with_capacity(mesh.triangles.len());
+    let mut parts = Vec::with_capacity(mesh.parts.len());
+    let mut first = 0usize;
+    for part in &mesh.parts {
+        let end = (first + part.triangles as usize).min(mesh.triangles.len());
+        let before = numbers.len();
+        numbers.extend((first..end).filter(|&i| wanted(i)).map(|i| i as u32));
+        parts.push(MeshPart { triangles: (numbers.len() - before) as u32, ..*part });
+        first = end;
+    }
+    numbers.extend((first..mesh.triangles.len()).filter(|&i| wanted(i)).map(|i| i as u32));
+    let triangles = numbers.iter().map(|&i| mesh.triangles[i as usize]).collect();
+    let part = Mesh {
+        positions: mesh.positions.clone(),
+        triangles,
+        colors: mesh.colors.clone(),
+        normals: mesh.normals.clone(),
+        uvs: mesh.uvs.clone(),
+        parts,
+    };
+    (part, numbers)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::random::SplitMix64;
+
+    /// A level grid of small triangles beside one large one.
+    fn mixed() -> Mesh {
+        let mut mesh = Mesh::default();
+        for y in 0..21 {
+            for x in 0..21 {
+                mesh.positions.push(DVec3::new(f64::from(x), f64::from(y), 0.0) * 0.05);
+            }
+        }
+        for y in 0..20u32 {
+            for x in 0..20 {
+                let at = 21 * y + x;
+                mesh.triangles.extend([[at, at + 1, at + 22], [at, at + 22, at + 21]]);
+            }
+        }
+        let first = mesh.positions.len() as u32;
+        mesh.positions.extend([[2.0, 0.0, 0.0], [5.0, 0.0, 0.0], [2.0, 4.0, 0.0]].map(DVec3::from));
+        mesh.triangles.push([first, first + 1, first + 2]);
+        mesh
+    }
+
+    #[test]
+    fn large_triangles_have_one_sample_that_covers_them() {
+        let mesh = mixed();
+        let hybrid = hybrid_mesh(&mesh, &[], &[], 1 << 20).unwrap();
+        let large: Vec<usize> =
+            (0..hybrid.stands.len()).filter(|&i| hybrid.stands[i].error > 1.0).collect();
+        let [only] = large[..] else { panic!("{large:?}") };
+        assert!((hybrid.stands[only].error - 5.0).abs() < 1e-5);
+        let kernel = hybrid.samples.kernels.as_ref().unwrap()[only];
+        for corner in &mesh.positions[mesh.positions.len() - 3..] {
+            let way = *corner - hybrid.samples.positions[only];
+            assert!(way.length() <= f64::from(CUTOFF * kernel.u.length()) * 1.001);
+        }
+        let small = hybrid.samples.positions.len() - 1;
+        assert!((600..2000).contains(&small), "{small}");
+    }
+
+    /// Wherever one looks at a triangle from, it is drawn where one of its samples is not.
+    #[test]
+    fn a_sample_or_its_triangle_is_drawn() {
+        let mesh = mixed();
+        let hybrid = hybrid_mesh(&mesh, &[], &[], 1 << 20).unwrap();
+        let mut numbers = SplitMix64::new(1);
+        for (index, stands) in hybrid.stands.iter().enumerate() {
+            let at = hybrid.samples.positions[index];
+            let accepted = (numbers.next_u64() % 1000) as f32 * 1e-3 * 2.0 * stands.error;
+            let drawn = stands.error <= accepted;
+            let triangle = mesh.triangles.iter().enumerate().find(|(_, triangle)| {
+                let [a, b, c] = triangle.map(|v| mesh.positions[v as usize]);
+                let side = |a: DVec3, b: DVec3| (b - a).cross(at - a).z >= -1e-9;
+                side(a, b) && side(b, c) && side(c, a)
+            });
+            let Some((number, _)) = triangle else { continue };
+            assert!(drawn || hybrid.sides[number] > accepted);
+        }
+    }
+
+    #[test]
+    fn nothing_to_draw_has_no_samples() {
+        let flat = Mesh {
+            positions: vec![DVec3::ZERO; 3],
+            triangles: vec![[0, 1, 2], [0, 1, 9]],
+            ..Mesh::default()
+        };
+        let hybrid = hybrid_mesh(&flat, &[], &[], 10).unwrap();
+        assert!(hybrid.samples.positions.is_empty() && hybrid.sides == [0.0, 0.0]);
+    }
+
+    #[test]
+    fn too_many_samples_are_refused() {
+        assert!(matches!(
+            hybrid_mesh(&mixed(), &[], &[], 100),
+            Err(SampleError::TooMany { limit: 100, .. })
+        ));
+    }
+}
