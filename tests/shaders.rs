@@ -64,6 +64,10 @@ fn compositions(root: &str) -> Vec<(String, Choices, Composed)> {
     all = widen(all, "SUMS", |choices, side| choices.wide_sums = side);
     all = widen(all, "NORMAL_SUMS", |choices, side| choices.normal_sums = side);
     all = widen(all, "LIT", |choices, side| choices.lit = side);
+    all = widen(all, "NODES", |choices, side| choices.nodes = side);
+    // Each of them in a pass of its own.
+    let lists = ["ENTRIES", "LIST", "MEMBERS"].into_iter().find(|alias| asks(alias));
+    all = widen(all, lists.unwrap_or("ENTRIES"), |choices, side| choices.trees = side);
     all.into_iter()
         .map(|choices| {
             (format!("{root} {choices:?}"), choices, shaders::composed(root, &choices).unwrap())
@@ -109,11 +113,13 @@ fn every_composition_is_valid() {
             checked += 1;
         }
     }
-    // Samples: three ways to write; triangles: the same, with and without alpha; splats' depths: with and without clip lines.
-    // Sums: clip lines, width, normals, lights. Passes over pixels: with and without votes.
-    let over_pixels = 4 * 2;
-    let others = 5;
-    assert_eq!(checked, 3 + 3 * 6 + 2 * 6 + 2 * 16 + over_pixels + others);
+    // Samples: three ways to write, as they are or of point trees; triangles: the same ways, with and without alpha; splats'
+    // depths: those of samples, with and without clip lines. Sums: clip lines, width, normals, lights, trees. Passes over pixels:
+    // with and without votes, and of samples with and without trees. Lists: of everything, or of trees.
+    let over_pixels = 5 * 2;
+    let lists = 3 * 2;
+    let others = 6;
+    assert_eq!(checked, 6 + 3 * 6 + 2 * 12 + 2 * 32 + over_pixels + lists + others);
 }
 
 #[test]

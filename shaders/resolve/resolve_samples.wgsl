@@ -6,6 +6,7 @@
 //!include shared/material
 //!include shared/normals
 //!include shared/resolve
+//!include NODES
 
 @group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 // sRGB8 colour and octahedral normal.
@@ -38,7 +39,8 @@ fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
         pixels[pixel] = instances[instance].id;
         return;
     }
-    let packed = attributes[slots[slot].first + (id & SLOT_MASK)];
+    let sample = slots[slot].first + (id & SLOT_MASK);
+    let packed = attributes[sample];
     if OUTPUT == OUTPUT_NORMAL || SHADED {
         let towards = world_from_camera(ray_through(pixel_centre(at)));
         let n = facing_normal(turned(normal_map(instance), octahedral_decode(packed.y)), towards);
@@ -48,7 +50,7 @@ fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
         }
         normals[pixel] = octahedral_encode(n);
     }
-    pixels[pixel] = sample_color(packed.x, instances[instance].material);
+    pixels[pixel] = sample_color(painted(sample, packed.x), instances[instance].material);
 }
 
 @compute @workgroup_size(64)

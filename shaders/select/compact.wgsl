@@ -16,6 +16,8 @@ const NOT_VISIBLE: u32 = 0xffffffffu;
 const GROUP: u32 = 32u;
 // Chunks of triangles carry this shift.
 const TRIANGLES: u32 = 0xffffffffu;
+// Sides::Closed.
+const CLOSED: u32 = 2u;
 
 fn sample_slot(entry: Entry, chunk: Chunk, at: Placed) -> Slot {
     let corner = grid_to_camera(at, chunk.origin);
@@ -30,6 +32,7 @@ fn sample_slot(entry: Entry, chunk: Chunk, at: Placed) -> Slot {
     slot.row_y = vec4<f32>(f.y * y + c.y * z, f.y * corner.y + c.y * corner.z);
     slot.row_z = vec4<f32>(z, corner.z);
     slot.unit = chunk.node_base * stretch(at);
+    slot.one_sided = u32(chunk.vertex_first == CLOSED && at.position.w == 1.0);
     return slot;
 }
 

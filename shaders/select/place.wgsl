@@ -77,7 +77,9 @@ fn place(@builtin(global_invocation_id) invocation: vec3<u32>) {
     out.axis_x = vec4<f32>(camera_from_world(axis_x), 0.0);
     out.axis_y = vec4<f32>(camera_from_world(axis_y), 0.0);
     out.axis_z = vec4<f32>(camera_from_world(axis_z), 0.0);
-    out.position = vec4<f32>(camera_from_world(offset.head + offset.tail), 0.0);
+    // What cannot be told counts as within.
+    let outside = any(abs(known) > vec3<f32>(instance.reach + 1.0)) && all(eye_grid == eye_grid);
+    out.position = vec4<f32>(camera_from_world(offset.head + offset.tail), f32(outside));
     out.anchor = vec4<i32>(anchor, 0);
     placed[frame.first_instance + index] = out;
     seen[frame.first_instance + index] = 0u;

@@ -4,6 +4,14 @@
 const TREE: bool = false;
 const KERNEL_WORDS: u32 = 1u;
 
+fn cone_sine(sample: u32) -> f32 {
+    return 2.0;
+}
+
+fn painted(sample: u32, own: u32) -> u32 {
+    return own;
+}
+
 fn node_is_drawn(sample: u32, unit: f32, centre: vec3<f32>) -> bool {
     return true;
 }

@@ -12,6 +12,27 @@ override MEASURE: u32 = 0u;
 const NO_CODE: u32 = 0xfffu;
 const NO_PARENT: u32 = 0u;
 
+// Nodes show how high they stand above the leaves (Dachsbacher et al. 2003, Fig. 1).
+override LEVELS: bool = false;
+
+// The sRGB8 colour of a node that has `own`.
+fn painted(sample: u32, own: u32) -> u32 {
+    if !LEVELS {
+        return own;
+    }
+    let level = (kernels[sample * KERNEL_WORDS + 2u] >> 24u) & 31u;
+    // Hues of neighbours lie well apart.
+    let hue = fract(f32(level) * 0.381966 + 0.02) * 6.0;
+    let color = clamp(abs((vec3<f32>(hue) + vec3<f32>(0.0, 4.0, 2.0)) % 6.0 - 3.0) - 1.0, vec3<f32>(0.0), vec3<f32>(1.0));
+    return pack4x8unorm(vec4<f32>(0.25 + 0.7 * color, 1.0));
+}
+
+// Sine of the widest angle between a node's normal and those of the leaves below it; cone_sine of src/bake/tree/sequence.rs.
+fn cone_sine(sample: u32) -> f32 {
+    let code = kernels[sample * KERNEL_WORDS + 2u] >> 29u;
+    return select(f32(code * code) / 48.0, 2.0, code == 7u);
+}
+
 // Of a code, in units of its base.
 fn code_value(code: u32) -> f32 {
     return select(exp2(f32(code) * -0.0078125), 0.0, code == NO_CODE);

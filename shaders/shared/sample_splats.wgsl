@@ -16,6 +16,8 @@ struct SplatSlot {
     kernel_base: f32,
     // Of point trees: the base of the nodes' codes in camera space.
     unit: f32,
+    // Backs are never seen.
+    one_sided: bool,
     // 0 where normals do not tell outside from inside, −1 where the instance mirrors, else 1.
     orientation: f32,
     // Longest column of the map from stored coordinates to camera space.
@@ -32,6 +34,7 @@ fn splat_slot(index: u32) -> SplatSlot {
     slot.first = slots[at].first;
     slot.instance = slots[at].instance;
     slot.unit = slots[at].unit;
+    slot.one_sided = TREE && slots[at].one_sided != 0u;
     let chunk = slots[at].chunk;
     slot.kernel_base = chunks[chunk].kernel_base;
     let x = camera_vector(vec3<f32>(slot.row_x.x, slot.row_y.x, slot.row_z.x));
@@ -41,7 +44,7 @@ fn splat_slot(index: u32) -> SplatSlot {
     let sizes = max(abs(x), max(abs(y), abs(z)));
     let most = max(max(sizes.x, max(sizes.y, sizes.z)), 1e-37);
     slot.scale = most * sqrt(max(dot(x / most, x / most), max(dot(y / most, y / most), dot(z / most, z / most))));
-    slot.orientation = f32(chunks[chunk].vertex_first) * sign(dot(cross(x / most, y / most), z / most));
+    slot.orientation = f32(min(chunks[chunk].vertex_first, 1u)) * sign(dot(cross(x / most, y / most), z / most));
     return slot;
 }
 
@@ -87,6 +90,19 @@ fn splat_of(slot: SplatSlot, sample: u32) -> Splat {
     var image = Tangents(taken(slot, axes.u), taken(slot, axes.v));
     var lines = clip_words(at);
     var orientation = slot.orientation;
+    if slot.one_sided && normal != NO_NORMAL {
+        let u = camera_vector(image.u);
+        let v = camera_vector(image.v);
+        let across = cross(u, v);
+        let centre = camera_vector(p);
+        // Of all leaves below, as seen from anywhere on the disk.
+        let reach = cone_sine(at) * length(centre) + 2.0 * frame.splat_cutoff * max(length(u), length(v));
+        if dot(across, centre) * orientation > length(across) * reach {
+            var hidden: Splat;
+            hidden.way = NOTHING;
+            return hidden;
+        }
+    }
     if normal == NO_NORMAL {
         image = facing_axes(slot, p, axes);
         // They were given for axes that nobody knows.

@@ -34,6 +34,7 @@ struct Placed {
     axis_x: vec4<f32>,
     axis_y: vec4<f32>,
     axis_z: vec4<f32>,
+    // w: 1 where the eye is outside of the asset's box, as far as f32 can tell.
     position: vec4<f32>,
     anchor: vec4<i32>,
 }
@@ -49,7 +50,7 @@ struct Chunk {
     count: u32,
     // Samples: their 21-bit coordinates count in steps of 2^shift cells.
     shift: u32,
-    // Triangles: first vertex in the page. Samples: 1 where normals tell outside from inside.
+    // Triangles: first vertex in the page. Samples: what normals tell, see Sides in src/bake/pack.rs.
     vertex_first: u32,
     material: u32,
     // Samples: longest axis of a kernel, in steps of 2^shift cells.
@@ -104,9 +105,10 @@ struct Slot {
     count: u32,
     // Of point trees: the base of the nodes' codes in camera space.
     unit: f32,
+    // 1: backs are never seen, the surface being closed and the eye outside.
+    one_sided: u32,
     unused_0: u32,
     unused_1: u32,
-    unused_2: u32,
 }
 
 // Entries of one page and one kind: workgroups [first_group, end_group) of the entry list.

@@ -66,7 +66,7 @@ fn paint_of(slot: SplatSlot, shared_paint: PaintSlot, sample: u32) -> Paint {
         paint.normal = fma(normal, vec3<f32>(0.5), vec3<f32>(0.5));
     }
     if OUTPUT == OUTPUT_COLOR {
-        paint.color = lit(albedo(packed.x, shared_paint.material), normal, shared_paint.material, slot, sample);
+        paint.color = lit(albedo(painted(slot.first + sample, packed.x), shared_paint.material), normal, shared_paint.material, slot, sample);
     }
     return paint;
 }

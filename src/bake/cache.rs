@@ -28,7 +28,7 @@ use super::pack::PackedGeometry;
 /// Of an entry's bytes and of what they mean. It must be raised with every change of either: of the layout, of the records of
 /// [`super::pack`], of the codes of [`super::tree`], and of what is baked from the same input. The crate's version has no part
 /// in an entry, so that a release which changes none of these keeps its users' folders.
-pub const FORMAT_VERSION: u32 = 1;
+pub const FORMAT_VERSION: u32 = 2;
 
 const EXTENSION: &str = "bake";
 const WRITING_PREFIX: &str = "writing-";

@@ -64,10 +64,23 @@ pub struct PackedChunk {
     pub material: u32,
     /// Samples: longest axis of a kernel, in steps of 2^shift cells.
     pub kernel_base: f32,
-    /// Samples: normals tell outside from inside.
-    pub oriented: bool,
+    /// Samples: what normals tell.
+    pub sides: Sides,
     /// Of point trees: which nodes or triangles are in it.
     pub range: NodeRange,
+}
+
+/// What the normals of samples tell of the surface.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Sides {
+    /// Nothing: they may look either way.
+    #[default]
+    Unknown = 0,
+    /// Outside from inside.
+    Oriented = 1,
+    /// So, and the surface is closed: from outside its back is never seen.
+    Closed = 2,
 }
 
 /// What the nodes of a chunk of a point tree have in common, or the triangles that stand for its leaves. Lengths in grid cells.
@@ -348,7 +361,7 @@ pub(super) fn pack_run(cloud: &PointCloud, grid: &Grid, run: &[(bool, u64, u32)]
         vertex_count: 0,
         material: 0,
         kernel_base,
-        oriented: cloud.oriented,
+        sides: if cloud.oriented { Sides::Oriented } else { Sides::Unknown },
         range: NodeRange::default(),
     };
     PackedRun { chunk, positions, attributes, kernels, clips }
@@ -465,7 +478,7 @@ impl MeshPacker<'_> {
                 vertex_count: 0,
                 material,
                 kernel_base: 0.0,
-                oriented: false,
+                sides: Sides::Unknown,
                 range: NodeRange::default(),
             });
         }

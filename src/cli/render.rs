@@ -11,7 +11,7 @@ use super::local::{ID, SceneArgs};
 use crate::encode::ImageFormat;
 use crate::engine::{EncodedFrame, FrameRequest, Pose, Receipt};
 use crate::math::Camera;
-use crate::plan::{Lod, MaxError, Output, Reconstruct, Settings};
+use crate::plan::{Lod, MaxError, Output, Paint, Reconstruct, Settings};
 use crate::scene::{Blend, Filter, Shading};
 
 const DEFAULT_FOV_DEG: f64 = 40.0;
@@ -48,6 +48,9 @@ pub struct RenderArgs {
     /// What --lod spt may be wrong by, in pixels [default: 1]
     #[arg(long, value_name = "PX")]
     max_error_px: Option<f32>,
+    /// Colours tell how high in its tree each node stands; goes with --lod spt
+    #[arg(long)]
+    levels: bool,
     /// How a surface is made of projected samples
     #[arg(long, value_enum, default_value = "points")]
     reconstruct: ReconstructChoice,
@@ -157,6 +160,9 @@ impl RenderArgs {
             LodChoice::Full => Lod::Full,
             LodChoice::Spt => Lod::Spt,
         };
+        if self.levels && lod == Lod::Full {
+            bail!("--levels goes with --lod spt");
+        }
         let max_error = match self.max_error_px {
             None => MaxError::default(),
             Some(_) if lod == Lod::Full => bail!("--max-error-px goes with --lod spt"),
@@ -185,6 +191,7 @@ impl RenderArgs {
             settings: Settings {
                 lod,
                 max_error,
+                paint: if self.levels { Paint::Levels } else { Paint::Colors },
                 reconstruct,
                 filter: self.filter,
                 prefilter: self.prefilter,

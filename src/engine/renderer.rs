@@ -326,6 +326,7 @@ impl Renderer {
             large_capacity: self.scratch.large_capacity(),
             large_units_limit: self.large_units_limit,
             max_error_px: first.resolved.max_error.px(),
+            paint: first.request.settings.paint,
             entry_capacity: self.scratch.entry_capacity(),
         }
     }

@@ -11,7 +11,7 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 use super::EngineError;
 use super::library::{Loaded, asset_error, next_uid};
 use crate::assets::{AssetError, PointCloud, Texture};
-use crate::bake::hybrid::hybrid_mesh;
+use crate::bake::hybrid::{hybrid_mesh, is_watertight};
 use crate::bake::pack::{
     PackError, PackedAsset, PackedGeometry, PackedMesh, PackedSamples, pack_hybrid, unpack_mesh,
     unpack_samples, unpack_texture,
@@ -87,7 +87,9 @@ fn hybrid(
     let mesh = unpack_mesh(packed);
     match hybrid_mesh(&mesh, &asset.packed.materials, textures, MAX_SAMPLES) {
         Ok(hybrid) => {
-            let tree = build_tree_within(&hybrid.samples, Some(&hybrid.stands), bounds)?;
+            let closed = is_watertight(&mesh);
+            let stands = Some(&hybrid.stands[..]);
+            let tree = build_tree_within(&hybrid.samples, stands, bounds, closed)?;
             let triangles = pack_hybrid(&mesh, tree.grid, &hybrid.sides)?;
             Ok((tree, triangles))
         }

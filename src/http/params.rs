@@ -15,7 +15,7 @@ use super::problem::{Kind, Problem, nearest};
 use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
 use crate::math::{Camera, View};
-use crate::plan::{Lod, MaxError, Output, Reconstruct, Settings};
+use crate::plan::{Lod, MaxError, Output, Paint, Reconstruct, Settings};
 use crate::scene::{Blend, Filter, Shading};
 
 /// Width and height of a frame that names none.
@@ -82,6 +82,10 @@ pub struct FrameParams {
     #[param(minimum = 0.05, maximum = 64)]
     #[schema(minimum = 0.05, maximum = 64)]
     pub max_error_px: Option<f32>,
+    /// What the colours of samples show; `levels` needs `lod=spt`.
+    #[param(value_type = Option<Paint>)]
+    #[schema(value_type = Option<Paint>)]
+    pub paint: Option<String>,
     /// How a surface is made of projected samples.
     #[param(value_type = Option<Reconstruct>)]
     #[schema(value_type = Option<Reconstruct>)]
@@ -107,7 +111,7 @@ pub struct FrameParams {
 }
 
 /// Every parameter of this version.
-const NAMES: [&str; 20] = [
+const NAMES: [&str; 21] = [
     "camera",
     "eye",
     "target",
@@ -122,6 +126,7 @@ const NAMES: [&str; 20] = [
     "output",
     "lod",
     "max_error_px",
+    "paint",
     "reconstruct",
     "filter",
     "prefilter",
@@ -228,6 +233,7 @@ impl FrameParams {
             "max_error_px" => {
                 once(&mut self.max_error_px, name, number(name, value, "0.05 to 64")?)
             }
+            "paint" => once(&mut self.paint, name, value.to_owned()),
             "reconstruct" => once(&mut self.reconstruct, name, value.to_owned()),
             "filter" => once(&mut self.filter, name, value.to_owned()),
             "prefilter" => once(&mut self.prefilter, name, number(name, value, "true or false")?),
@@ -293,6 +299,7 @@ impl FrameParams {
             quality: self.quality.or(defaults.quality),
             output: self.output.or_else(|| defaults.output.clone()),
             max_error_px: self.max_error_px.or(detail.max_error_px),
+            paint: self.paint.or_else(|| detail.paint.clone()),
             lod: self.lod.or_else(|| defaults.lod.clone()),
             reconstruct: self.reconstruct.or_else(|| defaults.reconstruct.clone()),
             filter: self.filter.or_else(|| splats.filter.clone()),
@@ -386,7 +393,17 @@ impl FrameParams {
                 )
             })?,
         };
+        let paint: Paint = choice("paint", self.paint.as_deref())?;
+        if paint == Paint::Levels && lod == Lod::Full {
+            let reason = "full detail has no levels";
+            return Err(Problem::parameter(
+                "paint",
+                reason,
+                "together with `lod=spt`, or `colors`",
+            ));
+        }
         Ok(Settings {
+            paint,
             lod,
             max_error,
             reconstruct,

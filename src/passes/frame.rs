@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::math::View;
-use crate::plan::{FramePlan, Output, Pass};
+use crate::plan::{FramePlan, Output, Paint, Pass};
 use crate::residency::layout::{GpuFrame, two_floats};
 use crate::residency::model::SceneModel;
 use crate::residency::{GROUP, ResidentScene};
@@ -31,6 +31,8 @@ pub struct FrameTask {
     pub large_units_limit: u32,
     /// What may be wrong by how many pixels, where the scene is one of point trees.
     pub max_error_px: f32,
+    /// What the colours of samples show.
+    pub paint: Paint,
     /// Entries that such a frame may list.
     pub entry_capacity: u32,
 }

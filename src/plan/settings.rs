@@ -10,6 +10,7 @@ pub struct Settings {
     pub lod: Lod,
     /// What `lod` may cost; full detail costs nothing.
     pub max_error: MaxError,
+    pub paint: Paint,
     pub reconstruct: Reconstruct,
     pub filter: Option<Filter>,
     pub prefilter: Option<bool>,
@@ -75,6 +76,7 @@ impl std::hash::Hash for MaxError {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct UsedSettings {
     pub lod: Lod,
+    pub paint: Paint,
     pub reconstruct: Reconstruct,
     /// Only where samples are drawn as splats.
     #[serde(flatten)]
@@ -92,6 +94,19 @@ pub enum Lod {
     Full,
     /// What the accepted error asks for, from sequential point trees (Dachsbacher et al. 2003).
     Spt,
+}
+
+/// What the colours of samples show.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Paint {
+    /// The surface's own.
+    #[default]
+    Colors,
+    /// How high above the leaves of its tree each node stands (Dachsbacher et al. 2003, Fig. 1).
+    Levels,
 }
 
 /// How a surface is made of projected samples.

@@ -105,7 +105,8 @@ pub struct GpuSlot {
     pub first: u32,
     pub count: u32,
     pub unit: f32,
-    pub unused: [u32; 3],
+    pub one_sided: u32,
+    pub unused: [u32; 2],
 }
 
 /// `Segment` of `shared/scene.wgsl`.
@@ -502,6 +503,7 @@ mod tests {
                         ("instance", std::mem::offset_of!(GpuSlot, instance)),
                         ("count", std::mem::offset_of!(GpuSlot, count)),
                         ("unit", std::mem::offset_of!(GpuSlot, unit)),
+                        ("one_sided", std::mem::offset_of!(GpuSlot, one_sided)),
                     ] {
                         assert_eq!(offset(member), place);
                     }

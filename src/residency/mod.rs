@@ -490,7 +490,7 @@ pub fn check_fits(
     model: &SceneModel,
     part: Part,
 ) -> Result<(), ResidencyError> {
-    let lists = if part == Part::Whole { model.list_bytes() } else { 0 };
+    let lists = if part == Part::Whole { model.list_bytes() } else { model.group_bytes() };
     let needed = model.asset_bytes() + lists;
     if needed > budget {
         return Err(ResidencyError::OverBudget {

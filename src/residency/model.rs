@@ -193,13 +193,19 @@ impl SceneModel {
 
     /// Bytes of its own lists of instances and chunks, assets left aside.
     pub fn list_bytes(&self) -> u64 {
+        if self.trees {
+            return self.group_bytes();
+        }
         let counts = self.counts();
-        let lists = if self.trees {
-            counts.instances.div_ceil(INSTANCE_GROUP as u64) * size_of::<GpuInstanceGroup>() as u64
-        } else {
-            counts.chunks * size_of::<GpuEntry>() as u64
-        };
-        counts.instances * size_of::<GpuInstance>() as u64 + lists
+        counts.instances * size_of::<GpuInstance>() as u64
+            + counts.chunks * size_of::<GpuEntry>() as u64
+    }
+
+    /// Bytes of its instances and of groups of them.
+    pub fn group_bytes(&self) -> u64 {
+        let instances = self.counts().instances;
+        let groups = instances.div_ceil(INSTANCE_GROUP as u64);
+        instances * size_of::<GpuInstance>() as u64 + groups * size_of::<GpuInstanceGroup>() as u64
     }
 }
 

@@ -121,7 +121,7 @@ fn gpu_chunk(
         vertex_first: if chunk.shift == TRIANGLES {
             vertex_start + (chunk.vertex_first - origin.vertex_first)
         } else {
-            u32::from(chunk.oriented)
+            chunk.sides as u32
         },
         material: if chunk.material == 0 { 0 } else { material_start + chunk.material - 1 },
         kernel_base: chunk.kernel_base,

@@ -20,4 +20,5 @@ mod side_files;
 mod splats_hard;
 mod studio;
 mod tags;
+mod trees;
 mod views;

@@ -24,7 +24,7 @@ fn refusals_of_frames() {
         ("format=jpeg&output=depth", "bad-parameter", "format"),
         ("quality=0", "bad-parameter", "quality"),
         ("output=colour", "bad-parameter", "output"),
-        ("lod=spt", "bad-parameter", "lod"),
+        ("lod=coarse", "bad-parameter", "lod"),
         ("reconstruct=disks", "bad-parameter", "reconstruct"),
         ("filter=exact", "bad-parameter", "filter"),
         ("prefilter=true", "bad-parameter", "prefilter"),

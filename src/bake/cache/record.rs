@@ -3,7 +3,7 @@
 use glam::{DVec3, IVec3};
 
 use crate::bake::pack::{
-    Grid, NodeRange, PackedChunk, PackedGeometry, PackedMesh, PackedSamples, VERTEX_WORDS,
+    Grid, NodeRange, PackedChunk, PackedGeometry, PackedMesh, PackedSamples, Sides, VERTEX_WORDS,
 };
 
 /// Magic 2, version, number of geometries, key 8, bytes of the file 2.
@@ -187,7 +187,7 @@ pub(super) fn chunk_to_words(chunk: &PackedChunk) -> [u32; CHUNK_WORDS] {
         vertex_count,
         material,
         kernel_base,
-        oriented,
+        sides,
         range: NodeRange { base, error_parent, size_parent, error_least, size_least, delta_most },
     } = *chunk;
     [
@@ -204,7 +204,7 @@ pub(super) fn chunk_to_words(chunk: &PackedChunk) -> [u32; CHUNK_WORDS] {
         vertex_count,
         material,
         kernel_base.to_bits(),
-        u32::from(oriented),
+        sides as u32,
         base.to_bits(),
         error_parent.to_bits(),
         size_parent.to_bits(),
@@ -214,7 +214,7 @@ pub(super) fn chunk_to_words(chunk: &PackedChunk) -> [u32; CHUNK_WORDS] {
     ]
 }
 
-/// None where `oriented` is neither 0 nor 1.
+/// None where `sides` is none of its values.
 pub(super) fn chunk_from_words(words: &[u32; CHUNK_WORDS]) -> Option<PackedChunk> {
     let [
         x,
@@ -230,7 +230,7 @@ pub(super) fn chunk_from_words(words: &[u32; CHUNK_WORDS]) -> Option<PackedChunk
         vertex_count,
         material,
         kernel_base,
-        oriented,
+        sides,
         range @ ..,
     ] = *words;
     let cells = |x, y, z| IVec3::new(x as i32, y as i32, z as i32);
@@ -246,11 +246,7 @@ pub(super) fn chunk_from_words(words: &[u32; CHUNK_WORDS]) -> Option<PackedChunk
         vertex_count,
         material,
         kernel_base: f32::from_bits(kernel_base),
-        oriented: match oriented {
-            0 => false,
-            1 => true,
-            _ => return None,
-        },
+        sides: [Sides::Unknown, Sides::Oriented, Sides::Closed].get(sides as usize).copied()?,
         range: NodeRange { base, error_parent, size_parent, error_least, size_least, delta_most },
     })
 }

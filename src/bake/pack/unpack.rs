@@ -3,7 +3,7 @@
 use glam::{IVec3, Vec2, Vec3};
 
 use super::kernel::{self, NO_LINE};
-use super::{NO_NORMAL, PackedMesh, PackedSamples, PackedTexture, octahedral_decode};
+use super::{NO_NORMAL, PackedMesh, PackedSamples, PackedTexture, Sides, octahedral_decode};
 use crate::assets::{Clip, ClipLine, Filter, Mesh, MeshPart, PointCloud, Texture, Wrap};
 
 /// The samples of packed samples, in their order.
@@ -13,7 +13,7 @@ pub fn unpack_samples(packed: &PackedSamples) -> PointCloud {
         positions: Vec::with_capacity(count),
         colors: Some(packed.attributes.iter().map(|[color, _]| color.to_le_bytes()).collect()),
         normals: Some(packed.attributes.iter().map(|[_, n]| octahedral_decode(*n)).collect()),
-        oriented: packed.chunks.iter().any(|chunk| chunk.oriented),
+        oriented: packed.chunks.iter().any(|chunk| chunk.sides != Sides::Unknown),
         ..PointCloud::default()
     };
     let mut kernels = Vec::with_capacity(count);

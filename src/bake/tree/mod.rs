@@ -22,21 +22,22 @@
 //!
 //! A node's two words: of the error, then of the size, its own code (12 bits), its parent's (12 bits); and 8 bits above, of `δ` in
 //! the first, of the level in the second. A code `c` stands for `base · 2^(−c/128)`, with 0 in a parent's place for no parent and
-//! 4095 for none at all; `δ` counts in eighths of an octave below `base`. Rounding makes errors and distances larger, never
+//! 4095 for none at all; `δ` counts in eighths of an octave below `base`; the level has 5 bits, and the 3 above them say how far
+//! the leaves' normals are from the node's ([`cone_sine`]). Rounding makes errors and distances larger, never
 //! smaller, and the same number has the same code in both places.
 
 mod hierarchy;
 mod node;
 mod sequence;
 
-pub use sequence::{NO_PARENT, NONE, decode, decode_delta};
+pub use sequence::{NO_PARENT, NONE, cone_sine, decode, decode_delta};
 
 use glam::{DVec3, Vec3};
 
 use crate::assets::PointCloud;
 
 use super::pack::{
-    Grid, KERNEL_DETAIL, PackError, PackedChunk, PackedSamples, finite, unpack_samples,
+    Grid, KERNEL_DETAIL, PackError, PackedChunk, PackedSamples, Sides, finite, unpack_samples,
 };
 use crate::math::Bounds;
 
@@ -51,10 +52,10 @@ pub fn build_tree(
     cloud: &PointCloud,
     stands: Option<&[Measures]>,
 ) -> Result<PackedSamples, PackError> {
-    build_tree_within(cloud, stands, Bounds::EMPTY)
+    build_tree_within(cloud, stands, Bounds::EMPTY, false)
 }
 
-/// As [`build_tree`], on a grid that holds the box `also` as well.
+/// As [`build_tree`], on a grid that holds the box `also` as well, and of a surface that is `closed` or may not be.
 ///
 /// # Errors
 /// See [`PackError`].
@@ -62,9 +63,14 @@ pub fn build_tree_within(
     cloud: &PointCloud,
     stands: Option<&[Measures]>,
     also: Bounds,
+    closed: bool,
 ) -> Result<PackedSamples, PackError> {
     let (tree, grid) = raise(cloud, stands, also)?;
-    Ok(sequence::sequence(cloud, &tree, grid, 0).0)
+    let (mut packed, _) = sequence::sequence(cloud, &tree, grid, 0);
+    if closed && cloud.oriented {
+        packed.chunks.iter_mut().for_each(|chunk| chunk.sides = Sides::Closed);
+    }
+    Ok(packed)
 }
 
 /// The tree above leaves that are trees themselves, and drawn as such: it has none of its own. For each leaf, in an order in
@@ -192,7 +198,7 @@ impl TreeStatistics {
     pub fn of(samples: &PackedSamples) -> TreeStatistics {
         let (mut levels, mut errors) = (Vec::new(), vec![0; 33]);
         for [error, size] in &samples.nodes {
-            let level = (size >> 24) as usize;
+            let level = (size >> 24 & 31) as usize;
             if levels.len() <= level {
                 levels.resize(level + 1, 0);
             }

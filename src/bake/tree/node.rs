@@ -1,5 +1,7 @@
 //! A node: a disk that stands for all leaves below it, and how far it is from them.
 
+use std::f32::consts::PI;
+
 use glam::{DVec3, Vec2, Vec3};
 
 use super::super::CUTOFF;
@@ -18,6 +20,8 @@ pub struct Node {
     pub lift: f32,
     /// The disk reaches no farther beyond the leaves' disks.
     pub spread: f32,
+    /// No leaf's normal is farther from the normal, in radians; π where it is not known.
+    pub cone: f32,
     pub error: f32,
     /// As the error, for those who draw one pixel a node: the disk's radius, and what leaves stand for.
     pub size: f32,
@@ -78,6 +82,7 @@ impl Node {
             radius,
             lift: 0.0,
             spread: 0.0,
+            cone: if normal == Vec3::ZERO { PI } else { 0.0 },
             error: known(stands.error),
             size: known(stands.size),
             // Samples without a size count, too.
@@ -115,6 +120,7 @@ impl Node {
             radius: 0.0,
             lift: 0.0,
             spread: 0.0,
+            cone: PI,
             error: 0.0,
             size: 0.0,
             weight: total.min(f64::from(f32::MAX)) as f32,
@@ -127,6 +133,10 @@ impl Node {
             node.enclose_in_a_ball(children);
         } else {
             node.enclose_in_a_disk(children);
+            node.cone = children.iter().fold(0.0, |most, child| {
+                let cosine = child.normal.dot(normal).clamp(-1.0, 1.0);
+                most.max(cosine.acos() + child.cone)
+            });
         }
         let contrast = ((variance.sqrt() - FAINT) / (STRONG - FAINT)).clamp(0.0, 1.0);
         let own = (node.lift * node.lift + node.spread * node.spread).sqrt();

@@ -48,6 +48,16 @@ pub(super) fn delta_code(value: f32, base: f32) -> u32 {
     ((base / value).log2() * DELTA_STEPS).floor().clamp(0.0, 255.0) as u32
 }
 
+/// The sine of a cone's half angle, of its code; the last says nothing.
+pub fn cone_sine(code: u32) -> f32 {
+    if code == 7 { 2.0 } else { (code * code) as f32 / 48.0 }
+}
+
+fn cone_code(cone: f32) -> u32 {
+    let sine = if cone < std::f32::consts::FRAC_PI_2 { cone.sin() } else { 2.0 };
+    (0..7).find(|&code| sine <= cone_sine(code)).unwrap_or(7)
+}
+
 /// The distance of a code.
 pub fn decode_delta(code: u32, base: f32) -> f32 {
     base * (-(code as f32) / DELTA_STEPS).exp2()
@@ -168,7 +178,10 @@ pub fn sequence(
             });
             [
                 codes.error | codes.error_parent << 12 | delta << 24,
-                codes.size | codes.size_parent << 12 | u32::from(node.level) << 24,
+                codes.size
+                    | codes.size_parent << 12
+                    | u32::from(node.level).min(31) << 24
+                    | cone_code(node.cone) << 29,
             ]
         })
         .collect();

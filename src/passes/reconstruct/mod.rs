@@ -7,7 +7,7 @@ use super::frame::output_number;
 use super::pipelines::Constants;
 use super::recorder::{Recorder, Segment};
 use super::shaders::Choices;
-use crate::plan::Output;
+use crate::plan::{Output, Paint};
 use crate::scene::{Blend, Filter, Shading, Splats};
 
 /// Samples that the sums of a pixel have room for.
@@ -46,6 +46,12 @@ pub fn is_tree(recorder: &Recorder, segment: Segment) -> bool {
 pub fn node_constants(recorder: &Recorder, segment: Segment) -> Constants {
     let measure = is_tree(recorder, segment).then_some(("MEASURE", recorder.task.measure()));
     measure.into_iter().collect()
+}
+
+/// Overrides of `shared/nodes_tree` for passes that see colours.
+pub fn paint_constants(recorder: &Recorder, segment: Segment) -> Constants {
+    let levels = u32::from(recorder.task.paint == Paint::Levels);
+    is_tree(recorder, segment).then_some(("LEVELS", levels)).into_iter().collect()
 }
 
 /// Whether splats are lit one by one.
@@ -87,5 +93,6 @@ fn constants(recorder: &Recorder, segment: Segment, walked: bool) -> Constants {
     }
     constants.extend(recorder.task.splats.iter().flat_map(|s| splat_constants(s, walked)));
     constants.extend(node_constants(recorder, segment));
+    constants.extend(paint_constants(recorder, segment));
     constants
 }

@@ -2,6 +2,7 @@
 
 use super::{constants, tiles};
 use crate::gpu::shader::ShaderError;
+use crate::passes::reconstruct::{is_tree, paint_constants};
 use crate::passes::recorder::{Call, Recorder};
 use crate::passes::shaders::Choices;
 use crate::plan::Pass;
@@ -9,11 +10,14 @@ use crate::residency::SAMPLE_PAGES;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let segments = recorder.segments(SAMPLE_PAGES);
+    let first = segments.first().copied().flatten();
+    let mut constants = constants(recorder);
+    constants.extend(paint_constants(recorder, first));
     recorder.compute(Call {
         pass: Pass::ResolveSamples,
         root: "resolve/resolve_samples",
-        choices: Choices::default(),
-        constants: constants(recorder),
+        choices: Choices { nodes: is_tree(recorder, first), ..Choices::default() },
+        constants,
         segments: &segments,
         launch: tiles(recorder),
     })

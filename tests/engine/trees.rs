@@ -1,0 +1,357 @@
+//! Level of detail: what a frame takes from point trees is as near to full detail as it says, whole, and always the same.
+
+use glam::DVec3;
+use pointillist::assets::Progress;
+use pointillist::engine::{FrameRequest, NodePatch, Pose};
+use pointillist::generate::{Kind, Parameters, generate, write};
+use pointillist::math::Camera;
+use pointillist::plan::{Lod, MaxError, Output, Reconstruct, Settings};
+use serde_json::{Value, json};
+
+use super::studio::{
+    OUTPUTS, Studio, covered, depths, disk_sphere, disks, fit, front, ids, same, sphere,
+};
+
+const WAYS: [Reconstruct; 2] = [Reconstruct::Points, Reconstruct::Splats];
+
+fn spt(px: f32, reconstruct: Reconstruct) -> Settings {
+    let max_error = MaxError::new(px).unwrap();
+    Settings { lod: Lod::Spt, max_error, reconstruct, ..Settings::default() }
+}
+
+fn full(reconstruct: Reconstruct) -> Settings {
+    Settings { reconstruct, ..Settings::default() }
+}
+
+/// From `distance` away from the origin.
+fn seen(scene: &str, number: u32, distance: f64, side: u32) -> FrameRequest {
+    let (turn, lift) = (1.1 * f64::from(number), (0.7 * f64::from(number)).sin());
+    let eye = DVec3::new(turn.sin(), lift, turn.cos()).normalize_or(DVec3::Z) * distance;
+    let camera = Camera { eye, target: DVec3::ZERO, up: DVec3::Y, fov_deg: 40.0 };
+    let request = front(scene, side, side);
+    FrameRequest { pose: Pose::Camera(camera), output: Output::Depth, ..request }
+}
+
+/// A sculpture of points or of triangles, as `statue.ply`.
+fn sculpture(studio: &Studio, kind: Kind, size: u64) {
+    let parameters = Parameters {
+        seed: 3,
+        points: (kind == Kind::Statue).then_some(size),
+        triangles: (kind == Kind::Relief).then_some(size),
+        ..Parameters::default()
+    };
+    let generated = generate(kind, &parameters, &Progress::none()).unwrap();
+    write(&generated, &studio.folder().join("statue.ply")).unwrap();
+}
+
+fn one(file: &str) -> Value {
+    json!({ "assets": { "g": { "file": file } }, "nodes": [{ "name": "one", "asset": "g" }] })
+}
+
+/// Which pixels show something.
+fn mask(studio: &Studio, request: &FrameRequest) -> Vec<bool> {
+    depths(&studio.bytes(request)).iter().map(|depth| depth.is_finite()).collect()
+}
+
+/// The farthest that a pixel of `a` is from one of `b`, in pixels; at most `limit` is looked for.
+fn excess(a: &[bool], b: &[bool], side: i64, limit: i64) -> f64 {
+    let at = |x: i64, y: i64| {
+        (0..side).contains(&x) && (0..side).contains(&y) && b[(y * side + x) as usize]
+    };
+    let mut ways: Vec<(i64, i64, i64)> = (-limit..=limit)
+        .flat_map(|y| (-limit..=limit).map(move |x| (x * x + y * y, x, y)))
+        .collect();
+    ways.sort_unstable();
+    let mut worst = 0;
+    for y in 0..side {
+        for x in 0..side {
+            if a[(y * side + x) as usize] {
+                let near = ways.iter().find(|(_, dx, dy)| at(x + dx, y + dy));
+                worst = worst.max(near.map_or(i64::MAX, |(square, ..)| *square));
+            }
+        }
+    }
+    (worst as f64).sqrt()
+}
+
+/// Pixels that `whole` shows as one surface with all around them, and that are missing.
+fn holes(whole: &[f32], found: &[bool], side: i64, margin: i64) -> usize {
+    // Depths of a surface change by no more than a few pixels' width a pixel.
+    let pixel = 2.0 * 20f32.to_radians().tan() / side as f32;
+    let at = |x: i64, y: i64| {
+        let inside = (0..side).contains(&x) && (0..side).contains(&y);
+        if inside { whole[(y * side + x) as usize] } else { f32::INFINITY }
+    };
+    let window = || (-margin..=margin).flat_map(|y| (-margin..=margin).map(move |x| (x, y)));
+    let is_inner = |x: i64, y: i64| {
+        let depth = at(x, y);
+        let slope = 3.0 * margin as f32 * pixel * depth;
+        depth.is_finite() && window().all(|(dx, dy)| (at(x + dx, y + dy) - depth).abs() <= slope)
+    };
+    (0..side * side)
+        .filter(|pixel| is_inner(pixel % side, pixel / side) && !found[*pixel as usize])
+        .count()
+}
+
+/// Silhouettes at `px` beside those of full detail: neither is farther from the other than was promised (and a pixel for where
+/// pixels lie), and there are no holes within.
+fn check_silhouettes(studio: &Studio, scene: &str, poses: u32, distance: f64) {
+    const SIDE: i64 = 220;
+    for pose in 0..poses {
+        // So near that some is behind the eye, up to far away.
+        let distance = distance * [0.45, 1.0, 2.5, 7.0, 30.0][pose as usize % 5];
+        for reconstruct in WAYS {
+            let request = seen(scene, pose, distance, SIDE as u32);
+            let settings = full(reconstruct);
+            let deep = depths(&studio.bytes(&FrameRequest { settings, ..request.clone() }));
+            let whole: Vec<bool> = deep.iter().map(|depth| depth.is_finite()).collect();
+            for px in [0.5, 2.0, 6.0] {
+                let settings = spt(px, reconstruct);
+                let found = mask(studio, &FrameRequest { settings, ..request.clone() });
+                let what = format!("{scene}, pose {pose}, {reconstruct:?}, {px} px");
+                // Points may leave holes in either, splats widen both by their filter.
+                let limit =
+                    f64::from(px) + if reconstruct == Reconstruct::Splats { 1.5 } else { 2.5 };
+                let window = limit.ceil() as i64 + 3;
+                let beyond = excess(&found, &whole, SIDE, window);
+                assert!(beyond <= limit, "{what}: {beyond} px beyond");
+                let short = excess(&whole, &found, SIDE, window);
+                assert!(short <= limit, "{what}: {short} px short");
+                if reconstruct == Reconstruct::Splats {
+                    let holes = holes(&deep, &found, SIDE, px.ceil() as i64 + 2);
+                    assert!(holes == 0, "{what}: {holes} holes");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn silhouettes_of_points_are_as_near_as_promised() {
+    let studio = Studio::new();
+    sculpture(&studio, Kind::Statue, 60_000);
+    studio.load_json("statue", &one("statue.ply"));
+    check_silhouettes(&studio, "statue", 5, 4.0);
+}
+
+#[test]
+fn silhouettes_of_meshes_are_as_near_as_promised() {
+    let studio = Studio::new();
+    sculpture(&studio, Kind::Relief, 8000);
+    studio.load_json("statue", &one("statue.ply"));
+    check_silhouettes(&studio, "statue", 5, 4.0);
+}
+
+#[test]
+fn silhouettes_of_a_crowd_are_as_near_as_promised() {
+    let studio = Studio::new();
+    let ball = disk_sphere(700, 0.12, |p| [(p.x * 100.0 + 128.0) as u8, 90, 40]);
+    studio.write("ball.ply", disks(&ball));
+    studio.write("sphere.ply", sphere(8));
+    let scene = json!({
+        "assets": { "ball": { "file": "ball.ply" }, "mesh": { "file": "sphere.ply" } },
+        "nodes": [
+            { "asset": "ball", "scale": 0.1, "repeat": { "grid": [9, 7, 9], "step": [0.3, 0.3, 0.3] } },
+            { "asset": "mesh", "scale": 0.05, "repeat": { "grid": [8, 8, 8], "step": [0.3, 0.25, 0.3] } },
+        ],
+    });
+    studio.load_json("crowd", &scene);
+    check_silhouettes(&studio, "crowd", 5, 5.0);
+}
+
+/// Scales, mirror images and places far from the origin: as at home.
+#[test]
+fn silhouettes_hold_at_any_scale() {
+    let studio = Studio::new();
+    let ball = disk_sphere(3000, 0.06, |_| [200, 200, 200]);
+    studio.write("ball.ply", disks(&ball));
+    for (name, scale, at) in [
+        ("small", json!(1e-5), [0.0; 3]),
+        ("large", json!(3e5), [0.0; 3]),
+        ("mirrored", json!([-1.0, 2.0, 0.5]), [0.0; 3]),
+        ("far", json!(1.0), [3.1e6, -5.2e6, 4e5]),
+    ] {
+        let node = json!({ "asset": "g", "scale": scale, "translate": at });
+        studio.load_json(
+            name,
+            &json!({ "assets": { "g": { "file": "ball.ply" } }, "nodes": [node] }),
+        );
+        let size = scale.as_f64().unwrap_or(1.5);
+        for (number, reconstruct) in WAYS.into_iter().enumerate() {
+            let mut request = seen(name, number as u32, 5.0 * size, 160);
+            if let Pose::Camera(camera) = &mut request.pose {
+                camera.eye += DVec3::from(at);
+                camera.target += DVec3::from(at);
+            }
+            let whole =
+                mask(&studio, &FrameRequest { settings: full(reconstruct), ..request.clone() });
+            let found = mask(&studio, &FrameRequest { settings: spt(2.0, reconstruct), ..request });
+            assert!(whole.iter().filter(|seen| **seen).count() > 500, "{name}");
+            assert!(excess(&found, &whole, 160, 8) <= 4.5, "{name}, {reconstruct:?}");
+            assert!(excess(&whole, &found, 160, 8) <= 4.5, "{name}, {reconstruct:?}");
+        }
+    }
+}
+
+#[test]
+fn less_is_drawn_the_more_may_be_wrong_and_full_detail_where_nothing_may() {
+    let studio = Studio::new();
+    sculpture(&studio, Kind::Statue, 40_000);
+    studio.load_json("statue", &one("statue.ply"));
+    for reconstruct in WAYS {
+        let request = fit("statue", 300, Output::Color);
+        let at = |settings| studio.frame(&FrameRequest { settings, ..request.clone() });
+        let mut last = u64::MAX;
+        for px in [0.05, 0.5, 2.0, 8.0, 64.0] {
+            let frame = at(spt(px, reconstruct));
+            let samples = &frame.receipt.samples;
+            let (tested, accepted) = (samples.tested.unwrap(), samples.accepted.unwrap());
+            assert!(accepted <= last && accepted <= tested, "{px} px: {samples:?}");
+            assert_eq!(frame.receipt.max_error_px, Some(px));
+            last = accepted;
+        }
+        assert!(last < 150, "{last} nodes at 64 px");
+        // All leaves, and nothing else: the same samples, in another order.
+        let (fine, whole) = (at(spt(0.05, reconstruct)), at(full(reconstruct)));
+        assert!(fine.receipt.samples.accepted.unwrap() >= 39_000);
+        let off = fine.bytes.iter().zip(whole.bytes.iter()).map(|(a, b)| a.abs_diff(*b));
+        let square: f64 = off.map(|d| f64::from(d) * f64::from(d)).sum();
+        let psnr = 10.0 * (65025.0 * whole.bytes.len() as f64 / square.max(1e-9)).log10();
+        assert!(psnr > 45.0, "{reconstruct:?}: {psnr} dB");
+        assert_eq!(whole.receipt.samples.accepted, None);
+    }
+}
+
+#[test]
+fn every_output_repeats_to_the_bit_with_and_without_wide_atomics() {
+    for force_32_bit in [false, true] {
+        let studio = Studio::with(|config| config.force_32_bit = force_32_bit);
+        studio.load_two();
+        for scene in ["solid", "cloud"] {
+            for output in OUTPUTS {
+                for reconstruct in WAYS {
+                    let settings = spt(1.5, reconstruct);
+                    let request = FrameRequest { output, settings, ..front(scene, 120, 90) };
+                    let first = studio.bytes(&request);
+                    studio.frame(&FrameRequest { output, ..front(scene, 60, 60) });
+                    same(
+                        &studio.bytes(&request),
+                        &first,
+                        &format!("{scene} {output:?} {reconstruct:?}"),
+                    );
+                    if output == Output::Id {
+                        assert!(ids(&first).iter().any(|&id| id != 0));
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Nodes that repeat are what they stand for.
+#[test]
+fn copies_are_as_if_written_out() {
+    let studio = Studio::new();
+    studio.write("sphere.ply", sphere(12));
+    let copies: Vec<Value> = (0..25)
+        .map(|i| {
+            let (x, z) = (f64::from(i % 5) - 2.0, f64::from(i / 5) - 2.0);
+            json!({ "asset": "g", "scale": 0.3, "translate": [x, 0, z] })
+        })
+        .collect();
+    let assets = json!({ "g": { "file": "sphere.ply" } });
+    let repeat = json!({ "grid": [5, 1, 5], "step": [1, 0, 1] });
+    let nodes = json!([{ "asset": "g", "scale": 0.3, "repeat": repeat }]);
+    studio.load_json("repeated", &json!({ "assets": assets, "nodes": nodes }));
+    studio.load_json("written", &json!({ "assets": assets, "nodes": copies }));
+    for (distance, px) in [(4.0, 1.0), (40.0, 1.0), (40.0, 8.0)] {
+        let settings = spt(px, Reconstruct::Splats);
+        let of = |scene| {
+            let request = seen(scene, 3, distance, 150);
+            studio.bytes(&FrameRequest { settings, output: Output::Color, ..request })
+        };
+        same(&of("repeated"), &of("written"), &format!("from {distance}"));
+    }
+}
+
+#[test]
+fn a_moved_node_is_as_if_it_had_always_been_there() {
+    let studio = Studio::new();
+    studio.write("sphere.ply", sphere(12));
+    let scene = |at: [f64; 3]| {
+        let repeat = json!({ "grid": [6, 1, 6], "step": [1, 0, 1] });
+        json!({
+            "assets": { "g": { "file": "sphere.ply" } },
+            "nodes": [
+                { "asset": "g", "scale": 0.3, "repeat": repeat },
+                { "name": "one", "asset": "g", "translate": at },
+            ],
+        })
+    };
+    studio.load_json("moved", &scene([0.0, 2.0, 0.0]));
+    studio.load_json("still", &scene([1.0, 1.5, -2.0]));
+    let request = |scene| FrameRequest {
+        settings: spt(1.0, Reconstruct::Splats),
+        output: Output::Color,
+        ..seen(scene, 2, 14.0, 200)
+    };
+    let before = studio.bytes(&request("moved"));
+    let patch = NodePatch {
+        world_from_node: Some(glam::DAffine3::from_translation(DVec3::new(1.0, 1.5, -2.0))),
+        ..NodePatch::default()
+    };
+    studio.engine.patch("moved", "one", &patch).unwrap();
+    let after = studio.bytes(&request("moved"));
+    assert!(before != after);
+    same(&after, &studio.bytes(&request("still")), "after the move");
+}
+
+/// More chunks than there is room for at first: the frame is drawn again, whole.
+#[test]
+fn a_list_that_is_too_short_grows() {
+    let studio = Studio::new();
+    let ball = disk_sphere(40, 0.5, |_| [250, 120, 10]);
+    studio.write("ball.ply", disks(&ball));
+    let repeat = json!({ "grid": [200, 1, 200], "step": [0.02, 0, 0.02] });
+    let node = json!({ "asset": "g", "scale": 0.008, "repeat": repeat });
+    let scene = json!({ "assets": { "g": { "file": "ball.ply" } }, "nodes": [node] });
+    studio.load_json("many", &scene);
+    let settings = spt(0.05, Reconstruct::Points);
+    let camera =
+        Camera { eye: DVec3::new(0.1, 8.0, 0.1), target: DVec3::ZERO, up: DVec3::Y, fov_deg: 60.0 };
+    let request = FrameRequest { settings, pose: Pose::Camera(camera), ..front("many", 256, 256) };
+    let frame = studio.frame(&request);
+    assert_eq!(frame.receipt.instances.drawn, Some(40_000), "{:?}", frame.receipt.instances);
+    // From afar a few nodes stand for all.
+    let camera = Camera {
+        eye: DVec3::new(0.1, 4000.0, 0.1),
+        target: DVec3::ZERO,
+        up: DVec3::Y,
+        fov_deg: 60.0,
+    };
+    let settings = spt(1.0, Reconstruct::Points);
+    let request = FrameRequest { settings, pose: Pose::Camera(camera), ..front("many", 256, 256) };
+    let frame = studio.frame(&request);
+    assert!(frame.receipt.samples.tested.unwrap() < 500, "{:?}", frame.receipt.samples);
+    assert_eq!(frame.receipt.instances.drawn, Some(1), "the tree over the instances alone");
+}
+
+#[test]
+fn odd_geometries_have_trees() {
+    let studio = Studio::new();
+    let header = "ply\nformat ascii 1.0\nelement vertex";
+    let fields = "property double x\nproperty double y\nproperty double z\nend_header\n";
+    studio.write("lone.ply", format!("{header} 1\n{fields}0 0 0\n"));
+    studio.write("same.ply", format!("{header} 40\n{fields}{}", "1 2 3\n".repeat(40)));
+    studio.write("flat.ply", super::studio::mesh(&[DVec3::ZERO, DVec3::X, DVec3::X], &[[0, 1, 2]]));
+    studio.write("none.ply", format!("{header} 0\n{fields}"));
+    for name in ["lone", "same", "flat", "none"] {
+        let Ok(info) = studio.try_load(name, &format!("{name}.ply")) else { continue };
+        for reconstruct in WAYS {
+            let settings = spt(1.0, reconstruct);
+            let frame = studio.frame(&FrameRequest { settings, ..fit(name, 64, Output::Depth) });
+            let drawn = covered(&frame.bytes);
+            assert!(drawn > 0 || info.samples == 0, "{name}, {reconstruct:?}");
+        }
+    }
+}
