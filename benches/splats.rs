@@ -8,7 +8,7 @@ mod common;
 
 use std::path::PathBuf;
 
-use common::drawing::{Drawing, Orbit, STEP_DEG, pass_medians, pass_ns};
+use common::drawing::{Drawing, Orbit, STEP_DEG, gpu_ms, pass_medians, pass_ns};
 use common::files::Wall;
 use common::peer::Vtk;
 use common::report::{Bound, Report, number};
@@ -77,11 +77,6 @@ fn facing(side_px: u32) -> Orbit {
 /// Between frames the wall stays before the whole frame.
 fn degrees(frame: u32) -> f64 {
     f64::from(frame % 9) * STEP_DEG - 2.0
-}
-
-fn gpu_ms(receipt: &Receipt) -> anyhow::Result<f64> {
-    let ns = receipt.gpu_ns;
-    Ok(ms(ns.ok_or_else(|| anyhow::anyhow!("this adapter has no timestamps"))?))
 }
 
 /// Share of the frame's pixels that show samples, in percent.

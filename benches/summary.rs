@@ -10,7 +10,7 @@ use common::folder;
 use common::report::{number, render, verdict};
 use serde_json::{Value, json};
 
-const BENCHES: [&str; 6] = ["points", "statue", "triangles", "splats", "daemon", "memory"];
+const BENCHES: [&str; 7] = ["points", "statue", "triangles", "splats", "lod", "daemon", "memory"];
 
 fn main() -> anyhow::Result<()> {
     let mut results = Vec::new();

@@ -74,10 +74,7 @@ impl Daemon {
 
     /// Memory in MiB: resident now (`VmRSS`), or at most so far (`VmHWM`); `None` where the system does not tell.
     pub fn memory_mib(&self, field: &str) -> Option<f64> {
-        let text = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).ok()?;
-        let line = text.lines().find_map(|line| line.strip_prefix(field)?.strip_prefix(':'))?;
-        let kib: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-        Some(kib / 1024.0)
+        super::memory_mib(&self.child.id().to_string(), field)
     }
 
     /// The value of a counter or gauge without labels.

@@ -35,6 +35,17 @@ impl Orbit {
         Ok(Orbit { eye: target + DVec3::Z * distance, target, fov_deg })
     }
 
+    /// As a frame sees the scene where no pose is given.
+    ///
+    /// # Errors
+    /// The engine refuses.
+    pub fn fitted(drawing: &Drawing, size: [u32; 2], settings: Settings) -> anyhow::Result<Orbit> {
+        let frame = drawing.submit(Pose::Fit, size, settings, ImageFormat::Jpeg)?;
+        let camera = &frame.receipt.camera;
+        let [eye, target] = [camera.eye, camera.target].map(DVec3::from);
+        Ok(Orbit { eye, target, fov_deg: camera.fov_deg })
+    }
+
     pub fn at(&self, degrees: f64) -> Camera {
         let turn = DQuat::from_rotation_y(degrees.to_radians());
         Camera {
@@ -46,7 +57,7 @@ impl Orbit {
     }
 }
 
-/// An engine with one scene.
+/// A scene and its engine.
 pub struct Drawing {
     pub engine: Engine,
     pub info: SceneInfo,
@@ -70,12 +81,31 @@ impl Drawing {
         Ok(Drawing { engine, info, size })
     }
 
+    /// Another scene of the same folder in the same engine.
+    ///
+    /// # Errors
+    /// A file that is refused.
+    pub fn beside(&self, file: &Path) -> anyhow::Result<Drawing> {
+        let id = file.file_stem().context("a file has a name")?.to_string_lossy();
+        let info = self.engine.load(&id, &file.canonicalize()?)?;
+        Ok(Drawing { engine: self.engine.clone(), info, size: self.size })
+    }
+
+    /// Builds what frames with these settings need, so that none of them waits for it.
+    ///
+    /// # Errors
+    /// The engine refuses.
+    pub fn bake(&self, settings: Settings) -> anyhow::Result<()> {
+        let size = [self.size, self.size];
+        Ok(self.engine.bake(&self.request(Pose::Fit, size, settings, ImageFormat::Jpeg))?)
+    }
+
     /// One frame, square, as the engine draws when nothing is chosen.
     ///
     /// # Errors
     /// The engine refuses.
     pub fn frame(&self, camera: Camera, format: ImageFormat) -> anyhow::Result<Arc<EncodedFrame>> {
-        self.submit(camera, [self.size, self.size], Settings::default(), format)
+        self.submit(Pose::Camera(camera), [self.size, self.size], Settings::default(), format)
     }
 
     /// The same, as a JPEG, without its image.
@@ -96,19 +126,43 @@ impl Drawing {
         size: [u32; 2],
         settings: Settings,
     ) -> anyhow::Result<Receipt> {
-        Ok(self.submit(camera, size, settings, ImageFormat::Jpeg)?.receipt.clone())
+        Ok(self.image(camera, size, settings, ImageFormat::Jpeg)?.receipt.clone())
+    }
+
+    /// A frame of any size, settings and format.
+    ///
+    /// # Errors
+    /// The engine refuses.
+    pub fn image(
+        &self,
+        camera: Camera,
+        size: [u32; 2],
+        settings: Settings,
+        format: ImageFormat,
+    ) -> anyhow::Result<Arc<EncodedFrame>> {
+        self.submit(Pose::Camera(camera), size, settings, format)
     }
 
     fn submit(
         &self,
-        camera: Camera,
-        [width, height]: [u32; 2],
+        pose: Pose,
+        size: [u32; 2],
         settings: Settings,
         format: ImageFormat,
     ) -> anyhow::Result<Arc<EncodedFrame>> {
-        let request = FrameRequest {
+        Ok(self.engine.submit(self.request(pose, size, settings, format))?.wait()?)
+    }
+
+    fn request(
+        &self,
+        pose: Pose,
+        [width, height]: [u32; 2],
+        settings: Settings,
+        format: ImageFormat,
+    ) -> FrameRequest {
+        FrameRequest {
             scene: self.info.id.clone(),
-            pose: Pose::Camera(camera),
+            pose,
             width,
             height,
             settings,
@@ -116,9 +170,16 @@ impl Drawing {
             format,
             quality: 85,
             deadline: None,
-        };
-        Ok(self.engine.submit(request)?.wait()?)
+        }
     }
+}
+
+/// GPU time of a frame in milliseconds.
+///
+/// # Errors
+/// An adapter without timestamps, on which there is nothing to compare.
+pub fn gpu_ms(receipt: &Receipt) -> anyhow::Result<f64> {
+    Ok(super::ms(receipt.gpu_ns.context("this adapter has no timestamps")?))
 }
 
 /// GPU time of a pass; 0 where it did not run.

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use pointillist::assets::Progress;
 use pointillist::generate::{Kind, Parameters, generate, write};
+use serde_json::{Map, Value, json};
 
 /// Writes through `fill` unless the file is there. A broken run leaves nothing half done behind.
 fn once(name: &str, fill: impl FnOnce(&Path) -> anyhow::Result<()>) -> anyhow::Result<PathBuf> {
@@ -29,6 +30,72 @@ pub fn generated(name: &str, kind: Kind, parameters: &Parameters) -> anyhow::Res
         write(&asset, file)?;
         Ok(())
     })
+}
+
+/// A scene file, which names assets beside it; written anew each time.
+fn scene(name: &str, description: &Value) -> anyhow::Result<PathBuf> {
+    let folder = super::folder();
+    std::fs::create_dir_all(&folder)?;
+    let file = folder.join(name);
+    std::fs::write(&file, description.to_string()).with_context(|| file.display().to_string())?;
+    Ok(file)
+}
+
+/// Between copies, which are a little less wide.
+const STEP: f64 = 2.0;
+
+/// A scene of `side` × `side` copies of a relief.
+pub fn copies(side: u32) -> anyhow::Result<PathBuf> {
+    let triangles = super::pick(400_000, 10_000);
+    let parameters = Parameters { seed: 1, triangles: Some(triangles), ..Parameters::default() };
+    let asset = format!("relief-{triangles}.ply");
+    generated(&asset, Kind::Relief, &parameters)?;
+    let description = json!({
+        "assets": { "relief": { "file": asset } },
+        "nodes": [{
+            "asset": "relief",
+            "repeat": { "grid": [side, 1, side], "step": [STEP, 0.0, STEP] },
+        }],
+    });
+    scene(&format!("copies-{side}-of-{triangles}.json"), &description)
+}
+
+/// Ten models, and a scene in which each has every tenth place of a square of `side` × `side`.
+pub fn crowd(side: u32) -> anyhow::Result<PathBuf> {
+    const KINDS: [(&str, Kind, u64); 10] = [
+        ("relief", Kind::Relief, 1),
+        ("statue", Kind::Statue, 2),
+        ("tree", Kind::Tree, 3),
+        ("sphere", Kind::Sphere, 4),
+        ("relief", Kind::Relief, 5),
+        ("statue", Kind::Statue, 6),
+        ("tree", Kind::Tree, 7),
+        ("cube", Kind::Cube, 8),
+        ("relief", Kind::Relief, 9),
+        ("statue", Kind::Statue, 10),
+    ];
+    let (mut assets, mut nodes) = (Map::new(), Vec::new());
+    for (index, (name, kind, seed)) in KINDS.into_iter().enumerate() {
+        let count = super::pick(10_000, 1_000) * (1 + seed);
+        let parameters = Parameters {
+            seed,
+            points: Some(count),
+            triangles: Some(count),
+            size: Some(1.0 + 0.08 * seed as f64),
+        };
+        let file = format!("small-{name}-{seed}-of-{count}.ply");
+        generated(&file, kind, &parameters)?;
+        let asset = format!("{name} {seed}");
+        let (column, row) = ((index % 5) as f64, (index / 5) as f64);
+        nodes.push(json!({
+            "asset": asset,
+            "translate": [STEP * column, 0.0, STEP * row],
+            "repeat": { "grid": [side / 5, 1, side / 2], "step": [5.0 * STEP, 0.0, 2.0 * STEP] },
+        }));
+        assets.insert(asset, json!({ "file": file }));
+    }
+    let description = json!({ "assets": assets, "nodes": nodes });
+    scene(&format!("crowd-{side}.json"), &description)
 }
 
 /// `count` points spread evenly over the cube from −1 to 1, coloured by where they are: 15 bytes each.

@@ -10,6 +10,7 @@ pub mod drawing;
 pub mod files;
 pub mod peer;
 pub mod report;
+pub mod shots;
 
 use std::path::PathBuf;
 
@@ -63,4 +64,12 @@ pub fn quantile(values: &[f64], share: f64) -> f64 {
 /// Milliseconds of nanoseconds.
 pub fn ms(ns: u64) -> f64 {
     ns as f64 / 1e6
+}
+
+/// Memory of a process, or of `self`, in MiB, as `/proc` tells it under `field`; `None` where it does not.
+pub fn memory_mib(process: &str, field: &str) -> Option<f64> {
+    let text = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix(field)?.strip_prefix(':'))?;
+    let kib: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kib / 1024.0)
 }
