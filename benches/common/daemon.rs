@@ -35,6 +35,7 @@ impl Daemon {
         let mut child = command
             .args(args)
             .env_remove("POINTILLIST_CONFIG")
+            .env("POINTILLIST_NO_CACHE", "true")
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(File::create(&log)?)

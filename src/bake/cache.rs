@@ -26,8 +26,9 @@ use self::entry::{Entry, Refusal};
 use super::pack::PackedGeometry;
 
 /// Of an entry's bytes and of what they mean. It must be raised with every change of either: of the layout, of the records of
-/// [`super::pack`], of the codes of [`super::tree`], and of what is baked from the same input. The crate's version has no part
-/// in an entry, so that a release which changes none of these keeps its users' folders.
+/// [`super::pack`] and of the codes of [`super::tree`]. What is baked from the same input has a version of its own in the key
+/// ([`super::tree::BAKING_VERSION`]). The crate's version has no part in an entry, so that a release which changes none of these
+/// keeps its users' folders.
 pub const FORMAT_VERSION: u32 = 2;
 
 const EXTENSION: &str = "bake";
@@ -54,6 +55,16 @@ impl BakeCache {
     /// Does not touch the disk. `max_bytes`: of all entries together.
     pub fn new(folder: impl Into<PathBuf>, max_bytes: u64) -> BakeCache {
         BakeCache { folder: folder.into(), max_bytes }
+    }
+
+    /// Where entries are; it may not be there yet.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Of all entries together.
+    pub fn max_bytes(&self) -> u64 {
+        self.max_bytes
     }
 
     /// The user's cache folder: `$XDG_CACHE_HOME/pointillist`, else `$HOME/.cache/pointillist`; none where neither variable is an
@@ -87,17 +98,17 @@ impl BakeCache {
     }
 
     /// Puts an entry in place of what is there for this key, if anything, and makes room for it. One that is larger than
-    /// `max_bytes` by itself is not written.
+    /// `max_bytes` by itself is not written; whether it was.
     ///
     /// # Errors
     /// `InvalidInput` for geometries that [`BakeCache::load`] would refuse; whatever keeps the folder from being made, written or
     /// listed. What was there before is still there then, whole.
-    pub fn store(&self, key: &[u8; 32], geometries: &[PackedGeometry]) -> io::Result<()> {
+    pub fn store(&self, key: &[u8; 32], geometries: &[PackedGeometry]) -> io::Result<bool> {
         let entry = Entry::of(geometries)
             .map_err(|refusal| io::Error::new(io::ErrorKind::InvalidInput, refusal))?;
         if entry.bytes() > self.max_bytes {
             tracing::debug!(bytes = entry.bytes(), "a baked geometry is too large to be kept");
-            return Ok(());
+            return Ok(false);
         }
         fs::create_dir_all(&self.folder)?;
         // Removed when dropped, which it is on errors.
@@ -110,7 +121,8 @@ impl BakeCache {
         out.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()?;
         let path = self.path(key);
         file.persist(&path).map_err(|error| error.error)?;
-        self.make_room(&path)
+        self.make_room(&path)?;
+        Ok(true)
     }
 
     fn path(&self, key: &[u8; 32]) -> PathBuf {

@@ -5,10 +5,10 @@ use clap::Args;
 use comfy_table::{Table, presets};
 use serde::Serialize;
 
-use super::local::{ID, SceneArgs};
+use super::local::{ID, SceneArgs, progress_bar, show_baking};
 use super::render::contents;
 use crate::encode::ImageFormat;
-use crate::engine::{FrameRequest, Pose, SceneInfo};
+use crate::engine::{BakedAsset, FrameRequest, Pose, SceneInfo};
 use crate::plan::{FramePlan, Output, Settings};
 
 /// Which scene, and how to tell.
@@ -16,6 +16,9 @@ use crate::plan::{FramePlan, Output, Settings};
 pub struct InspectArgs {
     #[command(flatten)]
     scene: SceneArgs,
+    /// Tell what the point trees of --lod spt are as well; they are built where the cache has none
+    #[arg(long)]
+    tree: bool,
     /// JSON on standard output
     #[arg(long)]
     json: bool,
@@ -30,6 +33,9 @@ struct Inspection {
     gpu_budget_bytes: u64,
     /// The passes of a color frame, each with the reason where it is skipped.
     plan: FramePlan,
+    /// With --tree: of each asset that has something to draw.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    trees: Option<Vec<BakedAsset>>,
 }
 
 /// Loads the scene and tells.
@@ -51,11 +57,18 @@ pub fn run(args: &InspectArgs) -> Result<()> {
         quality: 90,
         deadline: None,
     })?;
+    let trees = args.tree.then(|| {
+        let bar = progress_bar();
+        let baked = engine.bake_all(ID, |event| show_baking(&bar, &event));
+        bar.finish_and_clear();
+        baked
+    });
     let told = Inspection {
         scene,
         adapter: engine.adapter(),
         gpu_budget_bytes: engine.limits().gpu_budget_bytes,
         plan,
+        trees: trees.transpose()?,
     };
     if args.json {
         println!("{}", serde_json::to_string_pretty(&told)?);
@@ -128,5 +141,36 @@ fn text(told: &Inspection) -> String {
             planned.skipped.map_or("yes".to_owned(), |why| format!("no: {why}")),
         ]);
     }
-    format!("{facts}\n\n{assets}\n\n{passes}\n")
+    let trees: String = told.trees.iter().flatten().map(tree_text).collect();
+    format!("{facts}\n\n{assets}\n\n{passes}\n{trees}")
+}
+
+/// The figures of an asset's point trees.
+fn tree_text(asset: &BakedAsset) -> String {
+    let tree = &asset.tree;
+    let mut facts = table();
+    facts.add_row(["point trees of", &asset.name]);
+    facts.add_row(["leaves", &tree.leaves.to_string()]);
+    facts.add_row(["inner nodes", &tree.inner.to_string()]);
+    facts.add_row(["chunks", &tree.chunks.to_string()]);
+    let by_leaf = tree.bytes as f64 / tree.leaves.max(1) as f64;
+    facts.add_row(["bytes", &format!("{}, {by_leaf:.1} a leaf", megabytes(tree.bytes))]);
+    if asset.triangles_beside > 0 {
+        let (count, bytes) = (asset.triangles_beside, megabytes(asset.triangle_bytes));
+        facts.add_row(["triangles beside", &format!("{count}, {bytes}")]);
+    }
+    let mut levels = table();
+    levels.set_header(["level above the leaves", "nodes"]);
+    for (level, nodes) in tree.levels.iter().enumerate() {
+        levels.add_row([level.to_string(), nodes.to_string()]);
+    }
+    let mut errors = table();
+    errors.set_header(["error, in units of the asset, at most", "nodes"]);
+    let (exact, octaves) = tree.errors.split_last().unwrap_or((&0, &[]));
+    for (octave, &nodes) in octaves.iter().enumerate().filter(|(_, nodes)| **nodes > 0) {
+        let most = f64::from(tree.base) * (-(octave as f64)).exp2();
+        errors.add_row([format!("{most:.3e}"), nodes.to_string()]);
+    }
+    errors.add_row(["none".to_owned(), exact.to_string()]);
+    format!("\n{facts}\n\n{levels}\n\n{errors}\n")
 }

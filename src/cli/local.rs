@@ -1,4 +1,4 @@
-//! An engine for one scene, as `render` and `inspect` need it.
+//! An engine for one scene, as `render` and `inspect` need it, and what `bake` shares with them.
 
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
@@ -6,28 +6,62 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+use super::cache::CacheArgs;
 use crate::assets::Progress;
-use crate::engine::{Engine, EngineConfig, SceneInfo};
+use crate::engine::{BakeEvent, Engine, EngineConfig, SceneInfo};
 
-/// Which scene, and where its files may lie.
+/// Which scene, where its files may lie, and where its point trees are kept.
 #[derive(clap::Args, Clone, Debug)]
-pub struct SceneArgs {
+pub struct SceneFile {
     /// Scene file (.json), or one file of points or triangles
     #[arg(value_name = "SCENE_OR_ASSET")]
     pub scene: PathBuf,
     /// Folder that the scene's files must lie in [default: the scene's own]
     #[arg(long, value_name = "FOLDER")]
     pub root: Option<PathBuf>,
+    #[command(flatten)]
+    pub cache: CacheArgs,
+}
+
+/// Which scene, and how much of it may lie on the GPU.
+#[derive(clap::Args, Clone, Debug)]
+pub struct SceneArgs {
+    #[command(flatten)]
+    file: SceneFile,
     /// Scene data that may lie on the GPU, in MiB
     #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
-    pub gpu_budget_mib: Option<u64>,
+    gpu_budget_mib: Option<u64>,
     /// Never use 64-bit atomics, even where the adapter has them
     #[arg(long, hide = true)]
-    pub force_32_bit: bool,
+    force_32_bit: bool,
 }
 
 /// Identifier of the only scene.
 pub const ID: &str = "scene";
+
+impl SceneFile {
+    /// The scene's absolute path and an engine's configuration for it; reading moves `bar`.
+    ///
+    /// # Errors
+    /// A file that is not there; a setting of the cache that cannot be used.
+    pub fn config(&self, bar: &ProgressBar) -> anyhow::Result<(PathBuf, EngineConfig)> {
+        let path = self
+            .scene
+            .canonicalize()
+            .with_context(|| format!("{} cannot be opened", self.scene.display()))?;
+        let folder = path.parent().unwrap_or(Path::new("/")).to_path_buf();
+        let mut config = EngineConfig::new(self.root.clone().unwrap_or(folder));
+        config.bake_cache = self.cache.open()?;
+        let shown = bar.clone();
+        config.read.progress = Progress::new(move |fraction| {
+            shown.set_position((fraction * 1000.0) as u64);
+            if fraction >= 1.0 {
+                shown.set_message("preparing");
+            }
+        });
+        Ok((path, config))
+    }
+}
 
 impl SceneArgs {
     /// Starts an engine and loads the scene into it, with a progress bar on a terminal.
@@ -38,35 +72,40 @@ impl SceneArgs {
         &self,
         adjust: impl FnOnce(&mut EngineConfig),
     ) -> anyhow::Result<(Engine, SceneInfo)> {
-        let path = self
-            .scene
-            .canonicalize()
-            .with_context(|| format!("{} cannot be opened", self.scene.display()))?;
-        let folder = path.parent().unwrap_or(Path::new("/")).to_path_buf();
-        let mut config = EngineConfig::new(self.root.clone().unwrap_or(folder));
+        let bar = progress_bar();
+        let (path, mut config) = self.file.config(&bar)?;
         config.gpu_budget_bytes = self.gpu_budget_mib.map(|mib| mib.saturating_mul(1 << 20));
         config.force_32_bit = self.force_32_bit;
-        let bar = ProgressBar::new(1000);
-        if !std::io::stderr().is_terminal() {
-            bar.set_draw_target(ProgressDrawTarget::hidden());
-        }
-        if let Ok(style) = ProgressStyle::with_template("{msg} {wide_bar} {percent} % · {eta} left")
-        {
-            bar.set_style(style);
-        }
-        bar.set_message("reading");
-        let shown = bar.clone();
-        config.read.progress = Progress::new(move |fraction| {
-            shown.set_position((fraction * 1000.0) as u64);
-            if fraction >= 1.0 {
-                shown.set_message("preparing");
-            }
-        });
         adjust(&mut config);
         let engine = Engine::start(config)?;
         let loaded = engine.load(ID, &path);
         bar.finish_and_clear();
         Ok((engine, loaded?))
+    }
+}
+
+/// A bar of 1000 on standard error where that is a terminal, and nowhere else.
+pub fn progress_bar() -> ProgressBar {
+    let bar = ProgressBar::new(1000);
+    if !std::io::stderr().is_terminal() {
+        bar.set_draw_target(ProgressDrawTarget::hidden());
+    }
+    if let Ok(style) = ProgressStyle::with_template("{msg} {wide_bar} {percent} % · {eta} left") {
+        bar.set_style(style);
+    }
+    bar.set_message("reading");
+    bar
+}
+
+/// Shows how far baking has come.
+pub fn show_baking(bar: &ProgressBar, event: &BakeEvent) {
+    match event {
+        BakeEvent::Started { asset, done, total } => {
+            bar.set_length(*total);
+            bar.set_position(*done);
+            bar.set_message(format!("baking {asset}"));
+        }
+        BakeEvent::Finished(asset) => bar.inc(asset.samples + asset.triangles),
     }
 }
 

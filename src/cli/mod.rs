@@ -1,6 +1,8 @@
 //! The command line (floor 8): one file a command.
 
 pub mod accuracy;
+pub mod bake;
+mod cache;
 pub mod generate;
 pub mod inspect;
 mod local;
@@ -25,6 +27,8 @@ enum Command {
     Render(Box<render::RenderArgs>),
     /// Tell what a scene or asset holds, what it needs on the GPU, and which passes would draw it
     Inspect(inspect::InspectArgs),
+    /// Build the point trees that --lod spt draws, and keep them in the cache
+    Bake(bake::BakeArgs),
     /// Write a procedural asset or scene
     Generate(generate::GenerateArgs),
     /// Report whether what is drawn stays accurate where that is hard
@@ -43,6 +47,7 @@ pub fn run() -> anyhow::Result<()> {
         Command::Serve(args) => serve::run(*args),
         Command::Render(args) => render::run(*args),
         Command::Inspect(args) => inspect::run(&args),
+        Command::Bake(args) => bake::run(&args),
         Command::Generate(args) => generate::run(args),
         Command::Accuracy(args) => accuracy::run(&args),
         Command::Openapi => {

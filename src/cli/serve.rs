@@ -14,6 +14,7 @@ use anyhow::{Context, bail, ensure};
 use clap::{Args, ValueEnum};
 use serde::Deserialize;
 
+use super::cache::CacheArgs;
 use crate::assets::ReadOptions;
 use crate::engine::{Engine, EngineConfig};
 use crate::http::access::{Access, parse_keys};
@@ -40,6 +41,15 @@ pub struct ServeArgs {
     /// Scene data that may stay on the GPU, in MiB [default: three quarters of what the adapter offers, at most 4096]
     #[arg(long, env = "POINTILLIST_GPU_BUDGET_MIB", value_name = "MIB")]
     pub gpu_budget_mib: Option<u64>,
+    /// Folder that point trees are kept in [default: `pointillist` in the user's cache folder]
+    #[arg(long, env = "POINTILLIST_CACHE", value_name = "FOLDER")]
+    pub cache: Option<PathBuf>,
+    /// Keep no point trees on disk and read none, whatever --cache says
+    #[arg(long, env = "POINTILLIST_NO_CACHE", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
+    pub no_cache: Option<bool>,
+    /// What that folder may take, in MiB; what was used the longest ago goes first [default: 4096]
+    #[arg(long, env = "POINTILLIST_CACHE_MAX_MIB", value_name = "MIB")]
+    pub cache_max_mib: Option<u64>,
     /// Frames that may wait; more are refused with 503 [default: 256]
     #[arg(long, env = "POINTILLIST_QUEUE", value_name = "N")]
     pub queue: Option<usize>,
@@ -204,6 +214,9 @@ impl ServeArgs {
             root: self.root.or(lower.root),
             scene: list(self.scene, lower.scene),
             gpu_budget_mib: self.gpu_budget_mib.or(lower.gpu_budget_mib),
+            cache: self.cache.or(lower.cache),
+            no_cache: self.no_cache.or(lower.no_cache),
+            cache_max_mib: self.cache_max_mib.or(lower.cache_max_mib),
             queue: self.queue.or(lower.queue),
             max_batch: self.max_batch.or(lower.max_batch),
             encoder_threads: self.encoder_threads.or(lower.encoder_threads),
@@ -291,10 +304,16 @@ fn settings(args: &ServeArgs, root: PathBuf, access: Access) -> anyhow::Result<S
 
 fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig> {
     let default = EngineConfig::new(root.clone());
+    let cache = CacheArgs {
+        cache: args.cache.clone(),
+        no_cache: args.no_cache,
+        cache_max_mib: args.cache_max_mib,
+    };
     let budget_mib = args.gpu_budget_mib.map(|mib| number("gpu-budget-mib", Some(mib), 1, 1));
     Ok(EngineConfig {
         read: ReadOptions { root: Some(root), ..ReadOptions::default() },
         gpu_budget_bytes: budget_mib.transpose()?.map(|mib| mib.saturating_mul(1 << 20)),
+        bake_cache: cache.open()?,
         queue_capacity: number("queue", args.queue, default.queue_capacity, 1)?,
         max_batch: number("max-batch", args.max_batch, default.max_batch, 1)?,
         encoder_threads: number(
@@ -464,6 +483,7 @@ mod tests {
             "--queue=0",
             "--max-batch=0",
             "--gpu-budget-mib=0",
+            "--cache-max-mib=0",
             "--max-upload-mib=0",
             "--cors-origin=x",
         ] {

@@ -9,7 +9,13 @@ use sha2::{Digest, Sha256};
 
 use super::EngineError;
 use super::library::asset_error;
-use crate::assets::AssetError;
+use crate::assets::{AssetError, Material};
+use crate::bake::pack::{
+    Grid, NodeRange, PackedAsset, PackedChunk, PackedGeometry, PackedMesh, PackedSamples,
+    PackedTexture,
+};
+use crate::bake::tree::BAKING_VERSION;
+use crate::residency::model::AssetModel;
 use crate::scene::{AssetSource, FileSource, Scene};
 
 /// What decides an asset's content.
@@ -88,6 +94,128 @@ pub fn digest_file(file: &Path) -> std::io::Result<[u8; 32]> {
         }
         hasher.update(&buffer[..read]);
     }
+}
+
+/// What decides an asset's point trees, wherever its contents came from: two assets with the same key have the same trees.
+pub fn tree_key(asset: &AssetModel) -> [u8; 32] {
+    let mut hasher = Sha256::new_with_prefix(b"point trees\0");
+    hasher.update(BAKING_VERSION.to_le_bytes());
+    digest_packed(&mut hasher, &asset.packed);
+    // Trees of meshes are as large as these.
+    for bounds in &asset.bounds {
+        numbers(&mut hasher, &[bounds.min.to_array(), bounds.max.to_array()].concat());
+    }
+    hasher.finalize().into()
+}
+
+/// Adds all of an asset's packed contents, lists with their lengths in front. Records are taken apart by all their names, so that no
+/// new field is forgotten.
+pub fn digest_packed(hasher: &mut Sha256, packed: &PackedAsset) {
+    let PackedAsset { geometries, materials, textures } = packed;
+    for count in [geometries.len(), materials.len(), textures.len()] {
+        hasher.update((count as u64).to_le_bytes());
+    }
+    for geometry in geometries {
+        match geometry {
+            PackedGeometry::Samples(samples) => digest_samples(hasher, samples),
+            PackedGeometry::Mesh(mesh) => digest_mesh(hasher, mesh),
+        }
+    }
+    for material in materials {
+        digest_material(hasher, material);
+    }
+    for texture in textures {
+        let PackedTexture { width, height, levels, wrap, nearest, texels } = texture;
+        words(hasher, &[*width, *height, *levels, *wrap, u32::from(*nearest)]);
+        words(hasher, texels);
+    }
+}
+
+fn words(hasher: &mut Sha256, words: &[u32]) {
+    hasher.update((words.len() as u64).to_le_bytes());
+    hasher.update(bytemuck::cast_slice(words));
+}
+
+fn numbers(hasher: &mut Sha256, numbers: &[f64]) {
+    hasher.update(bytemuck::cast_slice(numbers));
+}
+
+fn digest_samples(hasher: &mut Sha256, samples: &PackedSamples) {
+    let PackedSamples { grid, chunks, positions, attributes, kernels, clips, clipped_first, nodes } =
+        samples;
+    hasher.update(b"samples");
+    digest_grid(hasher, grid);
+    digest_chunks(hasher, chunks);
+    words(hasher, positions.as_flattened());
+    words(hasher, attributes.as_flattened());
+    words(hasher, kernels);
+    words(hasher, clips.as_flattened());
+    words(hasher, &[*clipped_first]);
+    words(hasher, nodes.as_flattened());
+}
+
+fn digest_mesh(hasher: &mut Sha256, mesh: &PackedMesh) {
+    let PackedMesh { grid, chunks, vertices, triangles } = mesh;
+    hasher.update(b"mesh");
+    digest_grid(hasher, grid);
+    digest_chunks(hasher, chunks);
+    words(hasher, vertices.as_flattened());
+    words(hasher, triangles);
+}
+
+fn digest_grid(hasher: &mut Sha256, grid: &Grid) {
+    let Grid { origin, step, reach } = grid;
+    numbers(hasher, &[origin.x, origin.y, origin.z, *step]);
+    hasher.update(reach.to_le_bytes());
+}
+
+fn digest_chunks(hasher: &mut Sha256, chunks: &[PackedChunk]) {
+    hasher.update((chunks.len() as u64).to_le_bytes());
+    for chunk in chunks {
+        let PackedChunk {
+            origin,
+            extent,
+            first,
+            count,
+            shift,
+            vertex_first,
+            vertex_count,
+            material,
+            kernel_base,
+            sides,
+            range,
+        } = chunk;
+        let NodeRange { base, error_parent, size_parent, error_least, size_least, delta_most } =
+            range;
+        hasher.update(bytemuck::bytes_of(origin));
+        hasher.update(bytemuck::bytes_of(extent));
+        let indices = [first, count, shift, vertex_first, vertex_count, material];
+        words(hasher, &indices.map(|index| *index));
+        let lengths =
+            [kernel_base, base, error_parent, size_parent, error_least, size_least, delta_most];
+        words(hasher, &lengths.map(|length| length.to_bits()));
+        hasher.update([*sides as u8]);
+    }
+}
+
+fn digest_material(hasher: &mut Sha256, material: &Material) {
+    let Material {
+        name,
+        base_color,
+        base_texture,
+        specular,
+        shininess,
+        double_sided,
+        unlit,
+        alpha_cutoff,
+    } = material;
+    hasher.update((name.len() as u64).to_le_bytes());
+    hasher.update(name);
+    words(hasher, &base_color.map(f32::to_bits));
+    words(hasher, &specular.map(f32::to_bits));
+    words(hasher, base_texture.as_slice());
+    words(hasher, alpha_cutoff.map(f32::to_bits).as_slice());
+    words(hasher, &[shininess.to_bits(), u32::from(*double_sided), u32::from(*unlit)]);
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use std::sync::{Arc, OnceLock, Weak};
 use glam::DVec3;
 use sha2::{Digest, Sha256};
 
-use super::keys::{AssetKey, AssetKeys, digest_file};
+use super::keys::{AssetKey, AssetKeys, digest_file, digest_packed};
 use super::trees::TreeScene;
 use super::{AssetInfo, EngineConfig, EngineError, NamedCamera, NodePatch, SceneInfo};
 use crate::assets::{AssetError, Geometry, Placement};
@@ -197,7 +197,9 @@ fn read_asset(
     }
     let mut read = pack_asset(reference, assembler.asset(index)?, digest)?;
     if !alone {
-        read.digest = digest_contents(digest, &read.model.packed);
+        let mut hasher = Sha256::new_with_prefix(digest);
+        digest_packed(&mut hasher, &read.model.packed);
+        read.digest = hasher.finalize().into();
         return Ok(read);
     }
     let mut cached = cache.assets.lock();
@@ -256,38 +258,6 @@ fn pack_asset(
         warnings: asset.warnings,
         digest,
     })
-}
-
-/// Hash of a file and of all that was read through it.
-fn digest_contents(file: [u8; 32], packed: &PackedAsset) -> [u8; 32] {
-    let mut hasher = Sha256::new();
-    hasher.update(file);
-    for geometry in &packed.geometries {
-        hasher.update(format!("{:?}", geometry.grid()));
-        for chunk in geometry.chunks() {
-            hasher.update(bytemuck::bytes_of(&chunk.origin));
-            hasher
-                .update([chunk.count, chunk.shift, chunk.material].map(u32::to_le_bytes).concat());
-        }
-        match geometry {
-            PackedGeometry::Samples(samples) => {
-                hasher.update(bytemuck::cast_slice(&samples.positions));
-                hasher.update(bytemuck::cast_slice(&samples.attributes));
-                hasher.update(bytemuck::cast_slice(&samples.kernels));
-                hasher.update(bytemuck::cast_slice(&samples.clips));
-            }
-            PackedGeometry::Mesh(mesh) => {
-                hasher.update(bytemuck::cast_slice(&mesh.vertices));
-                hasher.update(bytemuck::cast_slice(&mesh.triangles));
-            }
-        }
-    }
-    for texture in &packed.textures {
-        hasher.update([texture.width, texture.height, texture.wrap].map(u32::to_le_bytes).concat());
-        hasher.update(bytemuck::cast_slice(&texture.texels));
-    }
-    hasher.update(format!("{:?}", packed.materials));
-    hasher.finalize().into()
 }
 
 #[expect(clippy::too_many_arguments, reason = "the parts of a loaded scene, each used once")]

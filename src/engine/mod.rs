@@ -1,5 +1,6 @@
 //! Jobs in, encoded frames with receipts out (floor 5). One thread owns the device.
 
+mod baking;
 mod group;
 mod job;
 mod keys;
@@ -21,11 +22,13 @@ use std::time::Duration;
 use bytes::Bytes;
 use serde::Serialize;
 
+pub use baking::{BakeEvent, BakeSource, BakedAsset, bake_file};
 pub use receipt::Receipt;
 pub use renderer::Renderer;
 pub use request::{FrameRequest, Pose};
 
 use crate::assets::{AssetError, ReadOptions};
+use crate::bake::cache::BakeCache;
 use crate::math::Camera;
 use crate::plan::Lod;
 use crate::residency::Part;
@@ -66,6 +69,8 @@ pub struct EngineConfig {
     /// For measurements and tests: whether large triangles go to the rasteriser; `None`: the measured best.
     #[doc(hidden)]
     pub rasterise: Option<bool>,
+    /// Where point trees are kept from one process to the next; `None`: they are built anew.
+    pub bake_cache: Option<BakeCache>,
     pub read: ReadOptions,
     pub scene: SceneLimits,
 }
@@ -310,6 +315,7 @@ impl EngineConfig {
             small_splat_px: None,
             rasterise: None,
             large_units_limit: None,
+            bake_cache: None,
             read: ReadOptions::default(),
             scene: SceneLimits::default(),
         }
@@ -468,9 +474,24 @@ impl Engine {
         let loaded =
             loaded.ok_or_else(|| EngineError::UnknownScene { id: request.scene.clone() })?;
         if request.settings.lod == Lod::Spt {
-            loaded.trees()?;
+            loaded.trees(self.shared().config.bake_cache.as_ref())?;
         }
         Ok(())
+    }
+
+    /// Builds or reads the point trees of all of a scene's assets, keeps them for frames, and tells what they are. Blocks, for a
+    /// second per million samples or so that are in no cache.
+    ///
+    /// # Errors
+    /// An unknown scene, or a geometry that no tree can be built of.
+    pub fn bake_all(
+        &self,
+        id: &str,
+        tell: impl FnMut(BakeEvent),
+    ) -> Result<Vec<BakedAsset>, EngineError> {
+        let loaded = self.shared().library.read().get(id);
+        let loaded = loaded.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
+        loaded.bake_each(self.shared().config.bake_cache.as_ref(), true, tell)
     }
 
     /// Queues a frame.

@@ -92,7 +92,7 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     let (model, facts) = match request.settings.lod {
         Lod::Full => (loaded.model.clone(), loaded.facts),
         Lod::Spt => {
-            let trees = loaded.trees()?;
+            let trees = loaded.trees(shared.config.bake_cache.as_ref())?;
             (trees.model, trees.facts)
         }
     };

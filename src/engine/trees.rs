@@ -1,7 +1,7 @@
 //! Scenes of point trees: what `lod=spt` draws instead of a scene's assets as they are.
 //!
-//! A tree is built from an asset's packed samples when a frame first asks for it, and kept with the asset, so that scenes and
-//! revisions share it. The scene of trees is a scene of its own to the GPU ([`SceneModel::trees`]): it comes and goes by itself.
+//! A tree is built from an asset's packed samples when a frame first asks for it, or read from the cache on disk
+//! ([`super::baking`]), and kept with the asset, so that scenes and revisions share it. The scene of trees is a scene of its own to the GPU ([`SceneModel::trees`]): it comes and goes by itself.
 
 use std::collections::HashMap;
 use std::sync::{Arc, OnceLock};
@@ -9,8 +9,10 @@ use std::sync::{Arc, OnceLock};
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 
 use super::EngineError;
+use super::baking::{BakeSource, read_or_build};
 use super::library::{Loaded, asset_error, next_uid};
 use crate::assets::{AssetError, PointCloud, Texture};
+use crate::bake::cache::BakeCache;
 use crate::bake::hybrid::{hybrid_mesh, is_watertight};
 use crate::bake::pack::{
     PackError, PackedAsset, PackedGeometry, PackedMesh, PackedSamples, pack_hybrid, unpack_mesh,
@@ -30,33 +32,46 @@ pub struct TreeScene {
     pub facts: SceneFacts,
 }
 
-/// The tree of an asset, built by whoever asks first.
-fn asset_tree(asset: &AssetModel) -> Result<Arc<AssetModel>, PackError> {
-    asset.tree.get_or_init(|| bake(asset).map(Arc::new)).clone()
+/// The trees of an asset, made by whoever asks first, and where they came from.
+pub(super) fn asset_tree(
+    asset: &AssetModel,
+    cache: Option<&BakeCache>,
+) -> Result<(Arc<AssetModel>, BakeSource), EngineError> {
+    let mut source = BakeSource::Kept;
+    let tree = asset.tree.get_or_init(|| {
+        let (tree, made) = bake(asset, cache)?;
+        source = made;
+        Ok(Arc::new(tree))
+    });
+    match tree {
+        Ok(tree) => Ok((tree.clone(), source)),
+        Err(error) => Err(tree_error(asset, error)),
+    }
 }
 
-fn bake(asset: &AssetModel) -> Result<AssetModel, PackError> {
+pub(super) fn tree_error(asset: &AssetModel, error: &PackError) -> EngineError {
+    asset_error(AssetError::Malformed {
+        file: asset.name.clone(),
+        place: "positions".to_owned(),
+        reason: error.to_string(),
+    })
+}
+
+/// Reads the trees of an asset from the cache, or builds them.
+pub(super) fn bake(
+    asset: &AssetModel,
+    cache: Option<&BakeCache>,
+) -> Result<(AssetModel, BakeSource), PackError> {
     let began = std::time::Instant::now();
-    let mut geometries = Vec::with_capacity(asset.packed.geometries.len());
-    let mut meshes = Vec::new();
-    let textures: Vec<Texture> = asset.packed.textures.iter().map(unpack_texture).collect();
+    let (geometries, source) = read_or_build(asset, cache, || build(asset))?;
     let mut bounds = asset.bounds.clone();
     let mut beside = vec![None; asset.packed.geometries.len()];
     for (index, geometry) in asset.packed.geometries.iter().enumerate() {
-        geometries.push(match geometry {
-            PackedGeometry::Samples(samples) => {
-                PackedGeometry::Samples(build_tree(&unpack_samples(samples), None)?)
-            }
-            PackedGeometry::Mesh(packed) => {
-                let (tree, triangles) = hybrid(asset, packed, asset.bounds[index], &textures)?;
-                beside[index] = Some(asset.packed.geometries.len() + meshes.len());
-                meshes.push(PackedGeometry::Mesh(triangles));
-                bounds.push(asset.bounds[index]);
-                PackedGeometry::Samples(tree)
-            }
-        });
+        if matches!(geometry, PackedGeometry::Mesh(_)) {
+            beside[index] = Some(bounds.len());
+            bounds.push(asset.bounds[index]);
+        }
     }
-    geometries.extend(meshes);
     let packed = PackedAsset {
         geometries,
         materials: asset.packed.materials.clone(),
@@ -71,10 +86,32 @@ fn bake(asset: &AssetModel) -> Result<AssetModel, PackError> {
         tree: OnceLock::new(),
         ..*asset
     };
-    let (samples, _) = tree.counts();
+    let (nodes, _) = tree.counts();
     let elapsed_ms = began.elapsed().as_millis() as u64;
-    tracing::info!(asset = asset.name, nodes = samples, elapsed_ms, "point tree built");
-    Ok(tree)
+    let from_cache = source == BakeSource::Cached;
+    tracing::info!(asset = asset.name, nodes, elapsed_ms, from_cache, "point trees ready");
+    Ok((tree, source))
+}
+
+/// For each geometry its tree, and behind them the triangles of each mesh.
+fn build(asset: &AssetModel) -> Result<Vec<PackedGeometry>, PackError> {
+    let mut geometries = Vec::with_capacity(asset.packed.geometries.len());
+    let mut meshes = Vec::new();
+    let textures: Vec<Texture> = asset.packed.textures.iter().map(unpack_texture).collect();
+    for (index, geometry) in asset.packed.geometries.iter().enumerate() {
+        geometries.push(match geometry {
+            PackedGeometry::Samples(samples) => {
+                PackedGeometry::Samples(build_tree(&unpack_samples(samples), None)?)
+            }
+            PackedGeometry::Mesh(packed) => {
+                let (tree, triangles) = hybrid(asset, packed, asset.bounds[index], &textures)?;
+                meshes.push(PackedGeometry::Mesh(triangles));
+                PackedGeometry::Samples(tree)
+            }
+        });
+    }
+    geometries.extend(meshes);
+    Ok(geometries)
 }
 
 /// A mesh as a tree of samples, and its triangles on the same grid.
@@ -108,27 +145,21 @@ impl Loaded {
         self.trees.get().is_some()
     }
 
-    /// The scene's point trees, built when they are first asked for: that may take seconds.
+    /// The scene's point trees, read from `cache` or built when they are first asked for: that may take seconds.
     ///
     /// # Errors
     /// A geometry that cannot be packed with its disks.
-    pub fn trees(&self) -> Result<TreeScene, EngineError> {
-        self.trees.get_or_init(|| self.build_trees()).clone()
+    pub fn trees(&self, cache: Option<&BakeCache>) -> Result<TreeScene, EngineError> {
+        self.trees.get_or_init(|| self.make_trees(cache)).clone()
     }
 
-    fn build_trees(&self) -> Result<TreeScene, EngineError> {
+    fn make_trees(&self, cache: Option<&BakeCache>) -> Result<TreeScene, EngineError> {
         let mut assets: Vec<Arc<AssetModel>> = Vec::with_capacity(self.model.assets.len());
         let mut known: HashMap<u64, Arc<AssetModel>> = HashMap::new();
         for asset in &self.model.assets {
             let tree = match known.get(&asset.uid) {
                 Some(tree) => tree.clone(),
-                None => asset_tree(asset).map_err(|error| {
-                    asset_error(AssetError::Malformed {
-                        file: asset.name.clone(),
-                        place: "positions".to_owned(),
-                        reason: error.to_string(),
-                    })
-                })?,
+                None => asset_tree(asset, cache)?.0,
             };
             known.insert(asset.uid, tree.clone());
             assets.push(tree);

@@ -136,8 +136,7 @@ const NAMES: [&str; 21] = [
 ];
 
 /// Parameters of the contract that this version does not have, and what it does instead.
-const UNAVAILABLE: [(&str, &str); 3] = [
-    ("max_error_px", "leave it out: every sample and triangle is drawn"),
+const UNAVAILABLE: [(&str, &str); 2] = [
     ("budget_ms", "leave it out, or give `deadline_ms`"),
     ("effects", "leave it out: there are none"),
 ];

@@ -19,6 +19,7 @@ impl Daemon {
         let mut child = Command::new(env!("CARGO_BIN_EXE_pointillist"))
             .args(["serve", "--listen", "127.0.0.1:0", "--root"])
             .arg(root.path())
+            .env("POINTILLIST_NO_CACHE", "true")
             .stdout(Stdio::piped())
             .spawn()
             .expect("the daemon starts");

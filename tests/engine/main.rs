@@ -7,6 +7,7 @@
     reason = "a test that unwraps says where it failed"
 )]
 
+mod baking;
 mod changes;
 mod determinism;
 mod extremes;

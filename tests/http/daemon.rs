@@ -81,6 +81,7 @@ impl Daemon {
             .arg(folder.path().join("root"))
             .args(args)
             .env_remove("POINTILLIST_CONFIG")
+            .env("POINTILLIST_NO_CACHE", "true")
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(log)

@@ -41,6 +41,10 @@ use super::pack::{
 };
 use crate::math::Bounds;
 
+/// Of what is built from the same asset: a part of the key that trees are cached by. It must be raised whenever the trees of some
+/// asset change, whichever file that happens in: of this folder, [`super::hybrid`], `bake/rasterise.rs`, [`super::pack`].
+pub const BAKING_VERSION: u32 = 1;
+
 /// Builds the tree above samples with normals and kernels; what they lack is drawn as a facing disk, or not at all.
 ///
 /// `stands` are what leaves stand for beyond themselves: a leaf is not drawn where its error is not acceptable, because
@@ -182,15 +186,19 @@ impl Root {
 pub const SLACK: f32 = 4e-6;
 
 /// Figures of a built tree.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct TreeStatistics {
     pub leaves: u64,
     pub inner: u64,
     /// Nodes by height above the leaves.
     pub levels: Vec<u64>,
-    /// Nodes by error, in octaves below the largest; the last entry counts those without.
+    /// Nodes by error, in octaves below `base`: entry `i` counts errors in `(base · 2^−(i+1), base · 2^−i]`. The last entry counts
+    /// those without.
     pub errors: Vec<u64>,
+    /// What errors count from, in units of the positions: twice the largest error or size. Of several trees the largest.
+    pub base: f32,
     pub chunks: u64,
+    /// On the GPU.
     pub bytes: u64,
 }
 
@@ -213,10 +221,28 @@ impl TreeStatistics {
             inner: count - leaves,
             levels,
             errors,
+            base: samples.chunks.iter().map(|chunk| chunk.range.base).fold(0.0, f32::max)
+                * samples.grid.step as f32,
             chunks: samples.chunks.len() as u64,
             bytes: count * (super::pack::SAMPLE_BYTES + super::pack::NODE_BYTES)
                 + samples.clips.len() as u64 * super::pack::CLIP_BYTES,
         }
+    }
+
+    /// Both together. Errors stay in octaves below the base of the tree that each is in.
+    pub fn with(mut self, other: &TreeStatistics) -> TreeStatistics {
+        let add = |sums: &mut Vec<u64>, more: &[u64]| {
+            sums.resize(sums.len().max(more.len()), 0);
+            sums.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
+        };
+        add(&mut self.levels, &other.levels);
+        add(&mut self.errors, &other.errors);
+        self.base = self.base.max(other.base);
+        self.leaves += other.leaves;
+        self.inner += other.inner;
+        self.chunks += other.chunks;
+        self.bytes += other.bytes;
+        self
     }
 }
 

@@ -1,0 +1,175 @@
+//! `pointillist bake`: point trees made beforehand, so that the first frame of a process finds them in the cache.
+
+use std::io::IsTerminal;
+use std::path::Path;
+use std::time::Instant;
+
+use anyhow::{Context, bail};
+use clap::Args;
+use comfy_table::{CellAlignment, Table, presets};
+use serde::Serialize;
+
+use super::local::{SceneFile, progress_bar, show_baking};
+use crate::bake::cache::BakeCache;
+use crate::engine::{BakeEvent, BakeSource, BakedAsset, bake_file};
+
+/// What to bake, and where to.
+#[derive(Args, Clone, Debug)]
+pub struct BakeArgs {
+    #[command(flatten)]
+    file: SceneFile,
+    /// JSON on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+/// Everything that is told.
+#[derive(Serialize)]
+struct Baking<'a> {
+    assets: &'a [BakedAsset],
+    /// Absent with --no-cache.
+    cache: Option<&'a Path>,
+    /// Reading, building and writing.
+    elapsed_ns: u64,
+}
+
+/// Bakes, with a progress bar on a terminal and a line an asset elsewhere. Needs no GPU.
+///
+/// # Errors
+/// A scene that is refused; no folder for the cache, or one that cannot be written or is too small.
+pub fn run(args: &BakeArgs) -> anyhow::Result<()> {
+    super::local::init_log();
+    let began = Instant::now();
+    let bar = progress_bar();
+    let (path, config) = args.file.config(&bar)?;
+    let cache = config.bake_cache.as_ref();
+    match cache {
+        // Now rather than after minutes of building.
+        Some(cache) => std::fs::create_dir_all(cache.folder()).with_context(|| {
+            format!("--cache {}: the folder cannot be made", cache.folder().display())
+        })?,
+        None if args.file.cache.no_cache == Some(true) => {}
+        None => bail!("there is no folder for the cache: give --cache FOLDER"),
+    }
+    let lines = !std::io::stderr().is_terminal();
+    let baked = bake_file(&path, &config, |event| {
+        show_baking(&bar, &event);
+        if let BakeEvent::Finished(asset) = event
+            && lines
+        {
+            eprintln!("{}", line(asset));
+        }
+    });
+    bar.finish_and_clear();
+    let assets = baked?;
+    let elapsed = began.elapsed();
+    if args.json {
+        let told = Baking {
+            assets: &assets,
+            cache: cache.map(BakeCache::folder),
+            elapsed_ns: elapsed.as_nanos() as u64,
+        };
+        println!("{}", serde_json::to_string_pretty(&told)?);
+    } else {
+        print!("{}", table(&assets));
+        let folder = cache
+            .map_or("kept nowhere".into(), |cache| format!("kept in {}", cache.folder().display()));
+        println!(
+            "\n{:.1} MB of point trees, {folder}; {:.2} s in all",
+            bytes(&assets) as f64 / 1e6,
+            elapsed.as_secs_f64()
+        );
+    }
+    cache.map_or(Ok(()), |cache| check_kept(&assets, cache))
+}
+
+/// # Errors
+/// An asset whose trees are not in the cache now.
+fn check_kept(assets: &[BakedAsset], cache: &BakeCache) -> anyhow::Result<()> {
+    let folder = cache.folder().display();
+    for asset in assets {
+        match &asset.source {
+            BakeSource::NotStored { reason } => {
+                bail!(
+                    "--cache {folder}: the point trees of `{}` are not kept: {reason}",
+                    asset.name
+                )
+            }
+            BakeSource::TooLarge => bail!(
+                "--cache-max-mib {}: the point trees of `{}` alone take more",
+                cache.max_bytes() >> 20,
+                asset.name
+            ),
+            _ => {}
+        }
+    }
+    if bytes(assets) > cache.max_bytes() {
+        bail!(
+            "--cache-max-mib {}: all point trees together take {} MiB, so the first are gone again",
+            cache.max_bytes() >> 20,
+            bytes(assets).div_ceil(1 << 20)
+        );
+    }
+    Ok(())
+}
+
+fn bytes(assets: &[BakedAsset]) -> u64 {
+    assets.iter().map(|asset| asset.tree.bytes + asset.triangle_bytes).sum()
+}
+
+fn nodes(asset: &BakedAsset) -> u64 {
+    asset.tree.leaves + asset.tree.inner
+}
+
+fn seconds(asset: &BakedAsset) -> f64 {
+    asset.elapsed_ns as f64 / 1e9
+}
+
+/// Millions of leaves a second: of a cloud its samples, of a mesh those that it was turned into.
+fn rate(asset: &BakedAsset) -> f64 {
+    asset.tree.leaves as f64 / 1e6 / seconds(asset).max(1e-9)
+}
+
+fn origin(source: &BakeSource) -> &'static str {
+    match source {
+        BakeSource::Cached => "cache",
+        BakeSource::Kept => "memory",
+        BakeSource::Stored => "built, now in the cache",
+        BakeSource::Built => "built",
+        BakeSource::TooLarge => "built, too large for the cache",
+        BakeSource::NotStored { .. } => "built, not written",
+    }
+}
+
+fn line(asset: &BakedAsset) -> String {
+    format!(
+        "{}: {}, {} nodes, {:.2} s, {:.2} M samples/s, {}",
+        asset.name,
+        super::render::contents(asset.samples, asset.triangles, 0),
+        nodes(asset),
+        seconds(asset),
+        rate(asset),
+        origin(&asset.source)
+    )
+}
+
+fn table(assets: &[BakedAsset]) -> String {
+    let mut table = Table::new();
+    table.load_style(presets::NOTHING);
+    table.set_header(["asset", "samples", "triangles", "nodes", "s", "M samples/s", "from"]);
+    for asset in assets {
+        table.add_row([
+            asset.name.clone(),
+            asset.samples.to_string(),
+            asset.triangles.to_string(),
+            nodes(asset).to_string(),
+            format!("{:.2}", seconds(asset)),
+            format!("{:.2}", rate(asset)),
+            origin(&asset.source).to_owned(),
+        ]);
+    }
+    for column in table.column_iter_mut().skip(1).take(5) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    format!("{table}\n")
+}

@@ -1,0 +1,67 @@
+//! Where commands keep point trees from one run to the next.
+
+use std::path::PathBuf;
+
+use anyhow::ensure;
+
+use crate::bake::cache::BakeCache;
+
+const DEFAULT_MAX_MIB: u64 = 4096;
+
+/// Settings of the cache; what is `None` was not given.
+#[derive(clap::Args, Clone, Debug, Default)]
+pub struct CacheArgs {
+    /// Folder that point trees are kept in [default: `pointillist` in the user's cache folder]
+    #[arg(long, env = "POINTILLIST_CACHE", value_name = "FOLDER")]
+    pub cache: Option<PathBuf>,
+    /// Keep no point trees on disk and read none, whatever --cache says
+    #[arg(long, env = "POINTILLIST_NO_CACHE", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
+    pub no_cache: Option<bool>,
+    /// What that folder may take, in MiB; what was used the longest ago goes first [default: 4096]
+    #[arg(long, env = "POINTILLIST_CACHE_MAX_MIB", value_name = "MIB")]
+    pub cache_max_mib: Option<u64>,
+}
+
+impl CacheArgs {
+    /// The cache asked for; none where it is not wanted, or where no folder is given and the user has none for caches. Does not touch
+    /// the disk.
+    ///
+    /// # Errors
+    /// A cache of nothing.
+    pub fn open(&self) -> anyhow::Result<Option<BakeCache>> {
+        let mib = self.cache_max_mib.unwrap_or(DEFAULT_MAX_MIB);
+        ensure!(mib >= 1, "--cache-max-mib {mib}: must be at least 1");
+        if self.no_cache == Some(true) {
+            return Ok(None);
+        }
+        let folder = self.cache.clone().or_else(BakeCache::default_folder);
+        Ok(folder.map(|folder| BakeCache::new(folder, mib.saturating_mul(1 << 20))))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: CacheArgs,
+    }
+
+    fn opened(line: &[&str]) -> anyhow::Result<Option<BakeCache>> {
+        Line::parse_from(std::iter::once(&"bake").chain(line)).args.open()
+    }
+
+    #[test]
+    fn what_is_asked_for_is_opened() {
+        let cache = opened(&["--cache", "/c", "--cache-max-mib", "3"]).unwrap().unwrap();
+        assert_eq!((cache.folder().to_str(), cache.max_bytes()), (Some("/c"), 3 << 20));
+        let cache = opened(&["--cache", "/c", "--no-cache=false"]).unwrap().unwrap();
+        assert_eq!(cache.max_bytes(), 4 << 30);
+        assert!(opened(&["--cache", "/c", "--no-cache"]).unwrap().is_none());
+        let refused = opened(&["--cache-max-mib=0"]).unwrap_err().to_string();
+        assert!(refused.contains("--cache-max-mib"), "{refused}");
+    }
+}

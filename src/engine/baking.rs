@@ -1,0 +1,232 @@
+//! What is baked, asset by asset: read from the cache on disk where it is there, built and written to it where not.
+//!
+//! An entry's key is the hash of all that its trees depend on ([`super::keys::tree_key`]). Trees over a scene's instances are made
+//! in no time and are not cached. A cache that cannot be written costs a warning and the next process the time to build.
+
+use std::collections::HashSet;
+use std::path::Path;
+use std::time::Instant;
+
+use serde::Serialize;
+
+use super::keys::tree_key;
+use super::library::{AssetCache, Loaded, check_path, load};
+use super::trees::{asset_tree, bake, tree_error};
+use super::{EngineConfig, EngineError};
+use crate::bake::cache::BakeCache;
+use crate::bake::pack::{PackError, PackedGeometry};
+use crate::bake::tree::TreeStatistics;
+use crate::residency::model::AssetModel;
+
+/// Where an asset's point trees came from, and what became of them.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(tag = "source", rename_all = "snake_case")]
+pub enum BakeSource {
+    /// Built; there is no cache.
+    Built,
+    /// Built, and written to the cache.
+    Stored,
+    /// Built; the cache would be too small for them alone.
+    TooLarge,
+    /// Built; the cache cannot be written, and why.
+    NotStored { reason: String },
+    /// Read from the cache.
+    Cached,
+    /// They had been made before and were still in memory.
+    Kept,
+}
+
+/// The point trees of an asset, in figures.
+#[derive(Clone, Debug, Serialize)]
+pub struct BakedAsset {
+    pub name: String,
+    /// Of the asset as it was read.
+    pub samples: u64,
+    pub triangles: u64,
+    #[serde(flatten)]
+    pub source: BakeSource,
+    /// Reading or building, and writing.
+    pub elapsed_ns: u64,
+    /// Of all its trees together.
+    pub tree: TreeStatistics,
+    /// Triangles that are drawn where samples would be too coarse, and their bytes on the GPU.
+    pub triangles_beside: u64,
+    pub triangle_bytes: u64,
+}
+
+/// How far baking has come.
+#[derive(Clone, Copy, Debug)]
+pub enum BakeEvent<'a> {
+    /// Samples and triangles of the scene's assets together, each asset counted once.
+    Started {
+        asset: &'a str,
+        done: u64,
+        total: u64,
+    },
+    Finished(&'a BakedAsset),
+}
+
+/// Bakes the assets of the scene file or asset file at `path` (below the configuration's root), one after the other, for the cache:
+/// nothing is kept in memory. Needs no GPU.
+///
+/// # Errors
+/// A scene that is refused; a geometry that no tree can be built of.
+pub fn bake_file(
+    path: &Path,
+    config: &EngineConfig,
+    tell: impl FnMut(BakeEvent),
+) -> Result<Vec<BakedAsset>, EngineError> {
+    let path = check_path(path, &config.root)?;
+    let loaded = load("scene", &path, config, &AssetCache::default())?;
+    loaded.bake_each(config.bake_cache.as_ref(), false, tell)
+}
+
+impl Loaded {
+    /// The trees of all assets that have something to draw, each once. `keep`: for frames, as [`Loaded::trees`] does.
+    pub(super) fn bake_each(
+        &self,
+        cache: Option<&BakeCache>,
+        keep: bool,
+        mut tell: impl FnMut(BakeEvent),
+    ) -> Result<Vec<BakedAsset>, EngineError> {
+        let elements = |asset: &AssetModel| {
+            let (samples, triangles) = asset.counts();
+            samples + triangles
+        };
+        let mut seen = HashSet::new();
+        // Another scene may have read the same file under another name.
+        let names = self.info.assets.iter().map(|asset| asset.name.as_str());
+        let assets: Vec<_> = self
+            .model
+            .assets
+            .iter()
+            .zip(names)
+            .filter(|(asset, _)| seen.insert(asset.uid) && elements(asset) > 0)
+            .collect();
+        let total = assets.iter().map(|(asset, _)| elements(asset)).sum();
+        let (mut done, mut baked) = (0, Vec::with_capacity(assets.len()));
+        for (asset, name) in assets {
+            tell(BakeEvent::Started { asset: name, done, total });
+            let began = Instant::now();
+            let told = if keep || asset.tree.get().is_some() {
+                let (tree, source) = asset_tree(asset, cache)?;
+                figures(name, asset, &tree, source, began)
+            } else {
+                let (tree, source) =
+                    bake(asset, cache).map_err(|error| tree_error(asset, &error))?;
+                figures(name, asset, &tree, source, began)
+            };
+            tell(BakeEvent::Finished(&told));
+            done += elements(asset);
+            baked.push(told);
+        }
+        Ok(baked)
+    }
+}
+
+fn figures(
+    name: &str,
+    asset: &AssetModel,
+    tree: &AssetModel,
+    source: BakeSource,
+    began: Instant,
+) -> BakedAsset {
+    let (samples, triangles) = asset.counts();
+    let mut told = BakedAsset {
+        name: name.to_owned(),
+        samples,
+        triangles,
+        source,
+        elapsed_ns: began.elapsed().as_nanos() as u64,
+        tree: TreeStatistics::default(),
+        triangles_beside: 0,
+        triangle_bytes: 0,
+    };
+    for geometry in &tree.packed.geometries {
+        match geometry {
+            PackedGeometry::Samples(samples) => {
+                told.tree = told.tree.with(&TreeStatistics::of(samples));
+            }
+            PackedGeometry::Mesh(mesh) => {
+                told.triangles_beside += mesh.triangles.len() as u64;
+                told.triangle_bytes += geometry.gpu_bytes();
+            }
+        }
+    }
+    told
+}
+
+/// The geometries of an asset's trees: for each of its own a tree, and behind them the triangles of each mesh.
+///
+/// # Errors
+/// Those of `build`.
+pub(super) fn read_or_build(
+    asset: &AssetModel,
+    cache: Option<&BakeCache>,
+    build: impl FnOnce() -> Result<Vec<PackedGeometry>, PackError>,
+) -> Result<(Vec<PackedGeometry>, BakeSource), PackError> {
+    // What has nothing to draw needs no entry.
+    let Some(cache) = cache.filter(|_| asset.counts() != (0, 0)) else {
+        return Ok((build()?, BakeSource::Built));
+    };
+    let key = tree_key(asset);
+    if let Some(found) = cache.load(&key) {
+        match fits(asset, &found) {
+            Ok(()) => return Ok((found, BakeSource::Cached)),
+            Err(reason) => {
+                tracing::warn!(asset = asset.name, reason, "cached point trees are built anew");
+            }
+        }
+    }
+    let built = build()?;
+    let source = match cache.store(&key, &built) {
+        Ok(true) => BakeSource::Stored,
+        Ok(false) => BakeSource::TooLarge,
+        Err(error) => {
+            let folder = cache.folder().display();
+            tracing::warn!(asset = asset.name, %folder, %error, "point trees cannot be cached");
+            BakeSource::NotStored { reason: error.to_string() }
+        }
+    };
+    Ok((built, source))
+}
+
+/// Whether geometries can be an asset's trees, as far as drawing them takes it for granted; else what is wrong. That each is sound by
+/// itself has been checked.
+fn fits(asset: &AssetModel, found: &[PackedGeometry]) -> Result<(), &'static str> {
+    let own = &asset.packed.geometries;
+    let meshes = own.iter().enumerate().filter_map(|(index, geometry)| {
+        matches!(geometry, PackedGeometry::Mesh(_)).then_some(index)
+    });
+    let meshes: Vec<usize> = meshes.collect();
+    if found.len() != own.len() + meshes.len() {
+        return Err("they are not as many as the asset has");
+    }
+    let (trees, triangles) = found.split_at(own.len());
+    let is_tree = |geometry: &PackedGeometry| match geometry {
+        PackedGeometry::Samples(samples) => samples.nodes.len() == samples.positions.len(),
+        PackedGeometry::Mesh(_) => false,
+    };
+    if !trees.iter().all(is_tree) {
+        return Err("some samples are no nodes");
+    }
+    for (geometry, &index) in triangles.iter().zip(&meshes) {
+        if !matches!(geometry, PackedGeometry::Mesh(_)) {
+            return Err("a mesh's triangles are none");
+        }
+        if geometry.grid() != trees[index].grid() {
+            return Err("a mesh's triangles and samples lie on different grids");
+        }
+    }
+    let materials = asset.packed.materials.len();
+    let known = |geometry: &PackedGeometry| {
+        geometry.chunks().iter().all(|chunk| chunk.material as usize <= materials)
+    };
+    if !found.iter().all(known) {
+        return Err("they name a material that is not there");
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,158 @@
+//! The commands that work without a server, as a shell runs them.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that unwraps says where it failed")]
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+/// A folder with a cloud, and a home whose caches are used where nothing else is said.
+struct Shell {
+    folder: tempfile::TempDir,
+}
+
+impl Shell {
+    fn new() -> Shell {
+        let shell = Shell { folder: tempfile::tempdir().unwrap() };
+        let mut text = String::from("ply\nformat ascii 1.0\nelement vertex 2500\n");
+        for axis in ["x", "y", "z"] {
+            writeln!(text, "property float {axis}").unwrap();
+        }
+        text += "end_header\n";
+        for i in 0..2500 {
+            writeln!(text, "{} {} {}", i % 50, i / 50, i % 7).unwrap();
+        }
+        std::fs::write(shell.path("cloud.ply"), text).unwrap();
+        shell
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn command(&self, args: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_pointillist"));
+        command.args(args).current_dir(self.folder.path());
+        for name in ["POINTILLIST_CACHE", "POINTILLIST_NO_CACHE", "POINTILLIST_CACHE_MAX_MIB"] {
+            command.env_remove(name);
+        }
+        command.env("XDG_CACHE_HOME", self.path("caches"));
+        command
+    }
+
+    fn run(&self, args: &[&str]) -> Output {
+        self.command(args).output().unwrap()
+    }
+
+    /// What a command that succeeds writes as JSON.
+    fn json(&self, args: &[&str]) -> Value {
+        json(&self.run(args))
+    }
+
+    /// Where point trees go by default. Drivers have their own caches beside it.
+    fn default_cache(&self) -> PathBuf {
+        self.path("caches").join("pointillist")
+    }
+
+    fn complaint(&self, args: &[&str]) -> String {
+        let output = self.run(args);
+        assert_eq!(output.status.code(), Some(1), "{args:?}");
+        String::from_utf8(output.stderr).unwrap()
+    }
+}
+
+fn json(output: &Output) -> Value {
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn entries(folder: &Path) -> usize {
+    std::fs::read_dir(folder).map_or(0, Iterator::count)
+}
+
+#[test]
+fn bake_fills_the_cache() {
+    let shell = Shell::new();
+    let first = shell.json(&["bake", "cloud.ply", "--json"]);
+    let asset = &first["assets"][0];
+    assert_eq!(asset["source"], "stored");
+    assert_eq!((&asset["samples"], &asset["tree"]["leaves"]), (&2500.into(), &2500.into()));
+    let folder = shell.default_cache();
+    assert_eq!(first["cache"], folder.to_str().unwrap());
+    assert_eq!(entries(&folder), 1);
+    let second = shell.run(&["bake", "cloud.ply"]);
+    let (told, lines) = (second.stdout, String::from_utf8(second.stderr).unwrap());
+    let told = String::from_utf8(told).unwrap();
+    assert!(told.contains("M samples/s") && told.contains("caches/pointillist"), "{told}");
+    assert!(lines.contains("2500 samples") && lines.contains("cache"), "{lines}");
+
+    let named = shell.json(&["bake", "cloud.ply", "--json", "--cache", "here/there"]);
+    assert_eq!(
+        (&named["assets"][0]["source"], &named["cache"]),
+        (&"stored".into(), &"here/there".into())
+    );
+    assert_eq!(entries(&shell.path("here/there")), 1);
+    let mut by_environment = shell.command(&["bake", "cloud.ply", "--json"]);
+    by_environment.env("POINTILLIST_CACHE", "here/there");
+    assert_eq!(json(&by_environment.output().unwrap())["assets"][0]["source"], "cached");
+}
+
+#[test]
+fn no_cache_writes_nothing() {
+    let shell = Shell::new();
+    let told = shell.json(&["bake", "cloud.ply", "--json", "--no-cache"]);
+    assert_eq!((&told["assets"][0]["source"], &told["cache"]), (&"built".into(), &Value::Null));
+    let told =
+        shell.json(&["inspect", "cloud.ply", "--json", "--tree", "--no-cache", "--cache", "c"]);
+    assert_eq!(told["trees"][0]["source"], "built");
+    let frame = ["render", "cloud.ply", "--lod", "spt", "--size", "64x64", "-o", "a.raw"];
+    assert!(shell.run(&[&frame[..], &["--no-cache"]].concat()).status.success());
+    assert!(!shell.default_cache().exists() && !shell.path("c").exists());
+    // And with it, the same frame twice.
+    for name in ["b.raw", "c.raw"] {
+        assert!(shell.run(&[&frame[..7], &[name]].concat()).status.success());
+        assert_eq!(
+            std::fs::read(shell.path(name)).unwrap(),
+            std::fs::read(shell.path("a.raw")).unwrap()
+        );
+    }
+    assert_eq!(entries(&shell.default_cache()), 1);
+}
+
+#[test]
+fn inspect_tells_of_trees_when_asked() {
+    let shell = Shell::new();
+    let plain = shell.json(&["inspect", "cloud.ply", "--json"]);
+    assert!(plain.get("trees").is_none() && !shell.default_cache().exists());
+    let told = shell.json(&["inspect", "cloud.ply", "--json", "--tree"]);
+    let tree = &told["trees"][0]["tree"];
+    let sum =
+        |list: &Value| list.as_array().unwrap().iter().map(|n| n.as_u64().unwrap()).sum::<u64>();
+    let nodes = tree["leaves"].as_u64().unwrap() + tree["inner"].as_u64().unwrap();
+    assert_eq!((sum(&tree["levels"]), sum(&tree["errors"])), (nodes, nodes));
+    assert_eq!(tree["bytes"].as_u64(), Some(28 * nodes));
+    let text = String::from_utf8(shell.run(&["inspect", "cloud.ply", "--tree"]).stdout).unwrap();
+    for expected in ["leaves", "inner nodes", "chunks", "a leaf", "level above", "at most"] {
+        assert!(text.contains(expected), "{expected}: {text}");
+    }
+}
+
+#[test]
+fn what_cannot_be_cached_is_an_error_of_bake() {
+    let shell = Shell::new();
+    std::fs::write(shell.path("file"), "").unwrap();
+    for (args, expected) in [
+        (&["nothing.ply"][..], "nothing.ply cannot be opened"),
+        (&["cloud.ply", "--cache", "file"], "--cache file"),
+        (&["cloud.ply", "--cache-max-mib", "0"], "--cache-max-mib 0"),
+    ] {
+        let text = shell.complaint(&[&["bake"], args].concat());
+        assert!(text.contains(expected), "{args:?}: {text}");
+    }
+    let mut homeless = shell.command(&["bake", "cloud.ply"]);
+    let output = homeless.env_remove("XDG_CACHE_HOME").env_remove("HOME").output().unwrap();
+    let text = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success() && text.contains("give --cache FOLDER"), "{text}");
+}
