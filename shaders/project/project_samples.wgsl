@@ -32,10 +32,22 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
     let first = slots[at].first;
     let count = slots[at].count;
     let unit = slots[at].unit;
+    let limit = slots[at].limit;
+    let sorted = slots[at].sorted != 0u && MEASURE == 0u;
     var drawn = 0u;
+    var looked_at = 0u;
     let size = vec2<f32>(frame.size_px);
     let width = frame.size_px.x;
     for (var i = lane; i < count; i += LANES) {
+        if TREE {
+            looked_at++;
+            if !is_in_prefix(first + i, limit) {
+                if sorted {
+                    break;
+                }
+                continue;
+            }
+        }
         let word = positions[first + i];
         let q = vec3<f32>(
             f32(word.x & 0x1fffffu),
@@ -57,7 +69,13 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
             visibility_write(frame.first_pixel + u32(y) * width + u32(x), inverse, (slot_index << SLOT_SHIFT) | i);
         }
     }
-    if TREE && FIRST_HALF && drawn != 0u {
-        atomicAdd(&stats[frame.view].nodes_drawn, drawn);
+    if TREE && FIRST_HALF {
+        let old = atomicAdd(&stats[frame.view].samples_tested_lo, looked_at);
+        if old + looked_at < old {
+            atomicAdd(&stats[frame.view].samples_tested_hi, 1u);
+        }
+        if drawn != 0u {
+            atomicAdd(&stats[frame.view].nodes_drawn, drawn);
+        }
     }
 }

@@ -33,6 +33,8 @@ fn sample_slot(entry: Entry, chunk: Chunk, at: Placed) -> Slot {
     slot.row_z = vec4<f32>(z, corner.z);
     slot.unit = chunk.node_base * stretch(at);
     slot.one_sided = u32(chunk.vertex_first == CLOSED && at.position.w == 1.0);
+    slot.limit = parent_limit(chunk, at, slot.unit);
+    slot.sorted = chunk.sorted & u32(LISTS_SORTED);
     return slot;
 }
 
@@ -57,9 +59,11 @@ fn compact(@builtin(global_invocation_id) invocation: vec3<u32>) {
         }
     } else {
         slot = sample_slot(entry, chunk, placed[frame.first_instance + entry.instance]);
-        let old = atomicAdd(&stats[frame.view].samples_tested_lo, chunk.count);
-        if old + chunk.count < old {
-            atomicAdd(&stats[frame.view].samples_tested_hi, 1u);
+        if COUNTS_SAMPLES {
+            let old = atomicAdd(&stats[frame.view].samples_tested_lo, chunk.count);
+            if old + chunk.count < old {
+                atomicAdd(&stats[frame.view].samples_tested_hi, 1u);
+            }
         }
     }
     slot.instance = entry.instance;

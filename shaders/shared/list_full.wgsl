@@ -4,3 +4,11 @@
 fn entry_count() -> u32 {
     return frame.entry_count;
 }
+
+// All samples of a chunk are tested.
+const COUNTS_SAMPLES: bool = true;
+const LISTS_SORTED: bool = false;
+
+fn parent_limit(chunk: Chunk, at: Placed, unit: f32) -> u32 {
+    return 0xffffffffu;
+}

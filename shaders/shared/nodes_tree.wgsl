@@ -27,6 +27,11 @@ fn painted(sample: u32, own: u32) -> u32 {
     return pack4x8unorm(vec4<f32>(0.25 + 0.7 * color, 1.0));
 }
 
+// Whether a node's parent has a smaller code.
+fn is_in_prefix(sample: u32, limit: u32) -> bool {
+    return ((kernels[sample * KERNEL_WORDS + 1u + MEASURE] >> 12u) & 0xfffu) < limit;
+}
+
 // Sine of the widest angle between a node's normal and those of the leaves below it; cone_sine of src/bake/tree/sequence.rs.
 fn cone_sine(sample: u32) -> f32 {
     let code = kernels[sample * KERNEL_WORDS + 2u] >> 29u;

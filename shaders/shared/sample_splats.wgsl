@@ -16,6 +16,9 @@ struct SplatSlot {
     kernel_base: f32,
     // Of point trees: the base of the nodes' codes in camera space.
     unit: f32,
+    // Nodes whose parents have this code or a larger one are not drawn; codes do not decrease.
+    limit: u32,
+    sorted: bool,
     // Backs are never seen.
     one_sided: bool,
     // 0 where normals do not tell outside from inside, −1 where the instance mirrors, else 1.
@@ -34,6 +37,10 @@ fn splat_slot(index: u32) -> SplatSlot {
     slot.first = slots[at].first;
     slot.instance = slots[at].instance;
     slot.unit = slots[at].unit;
+    if TREE {
+        slot.limit = slots[at].limit;
+        slot.sorted = slots[at].sorted != 0u;
+    }
     slot.one_sided = TREE && slots[at].one_sided != 0u;
     let chunk = slots[at].chunk;
     slot.kernel_base = chunks[chunk].kernel_base;

@@ -3,6 +3,14 @@
 //!include shared/list
 //!include shared/lanes
 
+// Of point trees, samples that were looked at.
+fn count_tested(count: u32) {
+    let old = atomicAdd(&stats[frame.view].samples_tested_lo, count);
+    if old + count < old {
+        atomicAdd(&stats[frame.view].samples_tested_hi, 1u);
+    }
+}
+
 fn mark_full() {
     atomicMax(&stats[frame.view].sums_full, 1u);
 }
@@ -22,7 +30,15 @@ fn scatter(group: vec3<u32>, lane: u32) {
     var scattered = 0u;
     var listed = 0u;
     var crossing = 0u;
+    var looked_at = 0u;
     for (var i = lane; i < count; i += LANES) {
+        looked_at++;
+        if TREE && !is_in_prefix(slot.first + i, slot.limit) {
+            if slot.sorted && MEASURE == 0u {
+                break;
+            }
+            continue;
+        }
         let splat = splat_of(slot, i);
         if splat.way == LARGE {
             if all(splat.high >= splat.low) {
@@ -53,6 +69,9 @@ fn scatter(group: vec3<u32>, lane: u32) {
         }
     }
     if COUNTS {
+        if TREE {
+            count_tested(looked_at);
+        }
         if scattered != 0u {
             atomicAdd(&stats[frame.view].splats_scattered, scattered);
         }

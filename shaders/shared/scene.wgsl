@@ -62,7 +62,9 @@ struct Chunk {
     error_least: f32,
     size_least: f32,
     delta_most: f32,
-    range_unused: vec2<u32>,
+    // 1: nodes are strictly sorted by their parents' errors.
+    sorted: u32,
+    range_unused: u32,
 }
 
 // Some 32 instances of a scene of point trees, neighbours in space.
@@ -107,8 +109,10 @@ struct Slot {
     unit: f32,
     // 1: backs are never seen, the surface being closed and the eye outside.
     one_sided: u32,
-    unused_0: u32,
-    unused_1: u32,
+    // Nodes whose parents have this code or a larger one, and so smaller errors, are not drawn.
+    limit: u32,
+    // 1: parents' codes do not decrease within the chunk.
+    sorted: u32,
 }
 
 // Entries of one page and one kind: workgroups [first_group, end_group) of the entry list.

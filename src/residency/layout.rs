@@ -53,7 +53,8 @@ pub struct GpuChunk {
     pub error_least: f32,
     pub size_least: f32,
     pub delta_most: f32,
-    pub range_unused: [u32; 2],
+    pub sorted: u32,
+    pub range_unused: u32,
 }
 
 /// `InstanceGroup` of `shared/scene.wgsl`.
@@ -106,7 +107,8 @@ pub struct GpuSlot {
     pub count: u32,
     pub unit: f32,
     pub one_sided: u32,
-    pub unused: [u32; 2],
+    pub limit: u32,
+    pub sorted: u32,
 }
 
 /// `Segment` of `shared/scene.wgsl`.
@@ -330,6 +332,7 @@ mod tests {
                     error_least,
                     size_least,
                     delta_most,
+                    sorted,
                     range_unused
                 ),
                 mirror!(
@@ -504,6 +507,8 @@ mod tests {
                         ("count", std::mem::offset_of!(GpuSlot, count)),
                         ("unit", std::mem::offset_of!(GpuSlot, unit)),
                         ("one_sided", std::mem::offset_of!(GpuSlot, one_sided)),
+                        ("limit", std::mem::offset_of!(GpuSlot, limit)),
+                        ("sorted", std::mem::offset_of!(GpuSlot, sorted)),
                     ] {
                         assert_eq!(offset(member), place);
                     }

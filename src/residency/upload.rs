@@ -13,6 +13,7 @@ use crate::assets::Material;
 use crate::bake::pack::{
     PackedChunk, PackedGeometry, PackedMesh, PackedSamples, TRIANGLES, VERTEX_WORDS,
 };
+use crate::bake::tree::SORTED;
 use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
 use crate::scene::{Light, MaterialSpec};
@@ -111,6 +112,7 @@ fn gpu_chunk(
     vertex_start: u32,
     material_start: u32,
     origin: &PackedChunk,
+    list_first: u32,
 ) -> GpuChunk {
     GpuChunk {
         origin: chunk.origin.to_array(),
@@ -131,7 +133,8 @@ fn gpu_chunk(
         error_least: chunk.range.error_least,
         size_least: chunk.range.size_least,
         delta_most: chunk.range.delta_most,
-        range_unused: [0; 2],
+        sorted: u32::from(chunk.shift != TRIANGLES && chunk.first - list_first < SORTED),
+        range_unused: 0,
     }
 }
 
@@ -268,6 +271,11 @@ impl Residency {
                 needed: bytes,
                 limit: gpu.max_binding_bytes(),
             })?;
+        // Samples with clip lines are a list of their own.
+        let clipped_first = match geometry {
+            PackedGeometry::Samples(samples) => samples.clipped_first,
+            PackedGeometry::Mesh(_) => u32::MAX,
+        };
         let mut out = ResidentGeometry { pieces: Vec::new(), chunk_start, chunk_length };
         let mut from = 0;
         while from < chunks.len() {
@@ -279,7 +287,9 @@ impl Residency {
             let records: Vec<GpuChunk> = chunks[from..end]
                 .iter()
                 .map(|chunk| {
-                    gpu_chunk(chunk, piece.start, piece.vertex_start, material_start, &chunks[from])
+                    let [start, vertices] = [piece.start, piece.vertex_start];
+                    let list = if chunk.first >= clipped_first { clipped_first } else { 0 };
+                    gpu_chunk(chunk, start, vertices, material_start, &chunks[from], list)
                 })
                 .collect();
             let first_chunk = chunk_start + from as u32;

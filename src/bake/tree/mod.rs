@@ -30,7 +30,7 @@ mod hierarchy;
 mod node;
 mod sequence;
 
-pub use sequence::{NO_PARENT, NONE, cone_sine, decode, decode_delta};
+pub use sequence::{NO_PARENT, NONE, SORTED, cone_sine, decode, decode_delta};
 
 use glam::{DVec3, Vec3};
 

@@ -23,6 +23,8 @@ const DELTA_STEPS: f32 = 8.0;
 const INFINITE: f32 = 1e30;
 /// Nodes of the first chunks: what is seen from afar shall not cost a whole chunk's test.
 const FIRST_CHUNKS: [usize; 3] = [16, 48, 192];
+/// Nodes at the front of a list that are strictly sorted.
+pub const SORTED: u32 = (FIRST_CHUNKS[0] + FIRST_CHUNKS[1] + FIRST_CHUNKS[2]) as u32;
 /// Chunks of fewer nodes take some of the next band.
 const LEAST_CHUNK: usize = 256;
 
