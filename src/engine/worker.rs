@@ -332,7 +332,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         camera: resolved.camera.clone(),
         settings: UsedSettings {
             lod: job.request.settings.lod,
-            paint: job.request.settings.paint,
+            paint: resolved.model.trees.then_some(job.request.settings.paint),
             reconstruct: job.request.settings.reconstruct,
             splats: resolved.splats,
         },

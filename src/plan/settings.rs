@@ -76,7 +76,9 @@ impl std::hash::Hash for MaxError {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct UsedSettings {
     pub lod: Lod,
-    pub paint: Paint,
+    /// Only of point trees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub paint: Option<Paint>,
     pub reconstruct: Reconstruct,
     /// Only where samples are drawn as splats.
     #[serde(flatten)]

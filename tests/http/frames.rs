@@ -351,3 +351,39 @@ fn poses_of_a_series_inherit_how_splats_are_drawn() {
     assert_eq!(problem["status"], 422, "{problem}");
     assert!(problem["parameter"].as_str().unwrap().ends_with("blend"), "{problem}");
 }
+
+#[test]
+fn level_of_detail_and_its_receipt() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    // The first frame waits for the trees.
+    let reply = client.get(&format!("{FRAME}&lod=spt&max_error_px=0.5"));
+    let (image, _) = decode(&reply);
+    let receipt = reply.receipt();
+    assert_eq!(receipt["settings"]["lod"], "spt");
+    assert_eq!(receipt["max_error_px"], 0.5);
+    let samples = &receipt["samples"];
+    let count = |name: &str| samples[name].as_u64().unwrap_or_else(|| panic!("{name}: {samples}"));
+    assert!(count("stored") >= count("tested") && count("tested") >= count("accepted"));
+    assert!(count("accepted") >= count("drawn"), "{samples}");
+    let passes = receipt["passes"].as_array().unwrap();
+    let ran = |name: &str| passes.iter().any(|pass| pass["name"] == name && pass["ran"] == true);
+    for pass in ["cull_groups", "list_groups", "select_chunks", "list_entries"] {
+        assert!(ran(pass), "{pass}");
+    }
+    let background = *image.get_pixel(0, 0);
+    assert!(image.pixels().filter(|pixel| **pixel != background).count() > 500);
+
+    // Each detail is a frame of its own, and equal ones are equal.
+    let tag =
+        |query: &str| client.get(&format!("{FRAME}{query}")).header("etag").map(str::to_owned);
+    let queries = ["", "&lod=spt", "&lod=spt&max_error_px=2", "&lod=spt&paint=levels"];
+    let tags: Vec<_> = queries.iter().map(|query| tag(query)).collect();
+    for (index, one) in tags.iter().enumerate() {
+        assert!(one.is_some() && !tags[..index].contains(one), "{}", queries[index]);
+    }
+    assert_eq!(tag("&lod=spt&max_error_px=1"), tags[1]);
+    let full = client.get(FRAME);
+    assert_eq!(full.receipt()["max_error_px"], Value::Null);
+    assert_eq!(full.receipt()["samples"]["accepted"], Value::Null);
+}

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use pointillist::accuracy::metrics;
 use pointillist::math::Camera;
-use pointillist::plan::{Reconstruct, Settings};
+use pointillist::plan::{Lod, MaxError, Reconstruct, Settings};
 
 use super::stage::Case;
 use super::verdict;
@@ -102,4 +102,16 @@ fn splats() {
     let settings = Settings { reconstruct: Reconstruct::Splats, ..Settings::default() };
     compare_with("town", &["overview", "square"], settings, "-splats");
     compare_with("part", &["front", "detail"], settings, "-splats");
+}
+
+#[test]
+fn level_of_detail() {
+    let spt = |px, reconstruct| {
+        let max_error = MaxError::new(px).unwrap();
+        Settings { lod: Lod::Spt, max_error, reconstruct, ..Settings::default() }
+    };
+    compare_with("town", &["overview"], spt(1.0, Reconstruct::Splats), "-spt");
+    compare_with("plaza", &["walk"], spt(1.0, Reconstruct::Splats), "-spt");
+    compare_with("relief", &["front"], spt(2.0, Reconstruct::Splats), "-spt");
+    compare_with("part", &["front"], spt(1.0, Reconstruct::Points), "-spt");
 }
