@@ -33,7 +33,7 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
     let count = slots[at].count;
     let unit = slots[at].unit;
     let limit = slots[at].limit;
-    let sorted = slots[at].sorted != 0u && MEASURE == 0u;
+    let sorted = slots[at].sorted != 0u;
     var drawn = 0u;
     var looked_at = 0u;
     let size = vec2<f32>(frame.size_px);
@@ -42,7 +42,7 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
         if TREE {
             looked_at++;
             if !is_in_prefix(first + i, limit) {
-                if sorted {
+                if sorted && is_behind_prefix(first + i, limit) {
                     break;
                 }
                 continue;

@@ -2,11 +2,14 @@
 @group(1) @binding(1) var<storage, read> kernels: array<u32>;
 
 const TREE: bool = false;
-const MEASURE: u32 = 0u;
 const KERNEL_WORDS: u32 = 1u;
 
 fn is_in_prefix(sample: u32, limit: u32) -> bool {
     return true;
+}
+
+fn is_behind_prefix(sample: u32, limit: u32) -> bool {
+    return false;
 }
 
 fn cone_sine(sample: u32) -> f32 {

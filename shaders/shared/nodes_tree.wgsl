@@ -32,6 +32,13 @@ fn is_in_prefix(sample: u32, limit: u32) -> bool {
     return ((kernels[sample * KERNEL_WORDS + 1u + MEASURE] >> 12u) & 0xfffu) < limit;
 }
 
+// In chunks that are sorted: whether no node from this one on has a parent with a smaller code, in either measure.
+fn is_behind_prefix(sample: u32, limit: u32) -> bool {
+    let error = (kernels[sample * KERNEL_WORDS + 1u] >> 12u) & 0xfffu;
+    let size = (kernels[sample * KERNEL_WORDS + 2u] >> 12u) & 0xfffu;
+    return min(error, size) >= limit;
+}
+
 // Sine of the widest angle between a node's normal and those of the leaves below it; cone_sine of src/bake/tree/sequence.rs.
 fn cone_sine(sample: u32) -> f32 {
     let code = kernels[sample * KERNEL_WORDS + 2u] >> 29u;

@@ -34,7 +34,7 @@ fn scatter(group: vec3<u32>, lane: u32) {
     for (var i = lane; i < count; i += LANES) {
         looked_at++;
         if TREE && !is_in_prefix(slot.first + i, slot.limit) {
-            if slot.sorted && MEASURE == 0u {
+            if slot.sorted && is_behind_prefix(slot.first + i, slot.limit) {
                 break;
             }
             continue;

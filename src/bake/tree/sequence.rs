@@ -22,9 +22,10 @@ const DELTA_STEPS: f32 = 8.0;
 /// Stands for what no error reaches.
 const INFINITE: f32 = 1e30;
 /// Nodes of the first chunks: what is seen from afar shall not cost a whole chunk's test.
-const FIRST_CHUNKS: [usize; 3] = [16, 48, 192];
-/// Nodes at the front of a list that are strictly sorted.
-pub const SORTED: u32 = (FIRST_CHUNKS[0] + FIRST_CHUNKS[1] + FIRST_CHUNKS[2]) as u32;
+const FIRST_CHUNKS: [usize; 2] = [64, 192];
+/// Nodes at the front of a list that are strictly sorted, by the smaller of their parents' codes: so that what comes behind one
+/// that is not wanted by either measure is not wanted either.
+pub const SORTED: u32 = (FIRST_CHUNKS[0] + FIRST_CHUNKS[1]) as u32;
 /// Chunks of fewer nodes take some of the next band.
 const LEAST_CHUNK: usize = 256;
 
@@ -202,7 +203,8 @@ fn cut<'a>(
         head += 1;
     }
     order[..head].sort_unstable_by_key(|&(.., index)| {
-        (codes[index as usize].error_parent, codes[index as usize].size_parent, index)
+        let codes = &codes[index as usize];
+        (codes.error_parent.min(codes.size_parent), index)
     });
     let mut cuts = Vec::new();
     let mut rest: &[_] = order;

@@ -255,7 +255,7 @@ fn the_first_chunks_are_small_and_chunks_say_what_is_in_them() {
     let cloud = sphere(30_000, 2.0);
     let packed = build_tree(&cloud, None).unwrap();
     let counts: Vec<u32> = packed.chunks.iter().map(|chunk| chunk.count).collect();
-    assert_eq!(counts[..3], [16, 48, 192]);
+    assert_eq!(counts[..2], [64, 192]);
     assert!(counts.iter().all(|&count| count as usize <= crate::bake::pack::CHUNK));
     assert_eq!(counts.iter().map(|&count| count as usize).sum::<usize>(), packed.nodes.len());
     for pair in packed.chunks.windows(2) {
