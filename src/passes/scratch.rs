@@ -83,7 +83,7 @@ impl Scratch {
             ),
             attachment: None,
             large_capacity: LARGE_INITIAL.min(most_large(gpu)),
-            entry_capacity: ENTRIES_INITIAL,
+            entry_capacity: ENTRIES_INITIAL.min(most_entries(gpu)),
         }
     }
 
@@ -167,10 +167,8 @@ impl Scratch {
 
     /// Makes room for `count` entries from the next frame on, as far as slots can be told apart and a binding goes.
     pub fn grow_entries(&mut self, gpu: &Gpu, count: u32) {
-        let slots = gpu.max_binding_bytes() / size_of::<GpuSlot>() as u64;
-        let most = slots.min(u64::from(MOST_ENTRIES)) as u32 / GROUP as u32 * GROUP as u32;
         let wanted = count.checked_next_power_of_two().unwrap_or(u32::MAX);
-        self.entry_capacity = wanted.max(self.entry_capacity).min(most);
+        self.entry_capacity = wanted.max(self.entry_capacity).min(most_entries(gpu));
     }
 
     /// An attachment of the frame's size that render passes need and nobody reads.
@@ -194,6 +192,12 @@ impl Scratch {
         self.attachment = Some((width, height, view.clone()));
         view
     }
+}
+
+/// Entries whose slots a shader can bind, in whole groups.
+fn most_entries(gpu: &Gpu) -> u32 {
+    let slots = gpu.max_binding_bytes() / size_of::<GpuSlot>() as u64;
+    slots.min(u64::from(MOST_ENTRIES)) as u32 / GROUP as u32 * GROUP as u32
 }
 
 /// Large triangles whose list a shader can bind: a head of 16 bytes, then 8 each.

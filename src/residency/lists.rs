@@ -3,10 +3,14 @@
 use std::collections::BTreeMap;
 
 use super::layout::{
-    GpuChunkRun, GpuEntry, GpuInstance, GpuInstanceGroup, GpuSegment, INSTANCE_GROUP, two_floats,
+    GpuChunkRun, GpuEntry, GpuInstance, GpuInstanceGroup, GpuSegment, INSTANCE_GROUP,
+    MOST_SEGMENTS, two_floats,
 };
 use super::model::{ModelInstance, SceneModel, gpu_instance};
-use super::{FullLists, GROUP, Lists, Page, PageKind, Residency, TreeLists, group_entries};
+use super::{
+    FullLists, GROUP, Lists, Page, PageKind, Piece, Residency, ResidencyError, TreeLists,
+    group_entries,
+};
 use crate::bake::pack::PackedGeometry;
 use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
@@ -26,6 +30,10 @@ fn record(model: &SceneModel, instance: &ModelInstance) -> GpuInstance {
 const NO_PAGE: Page = Page { kind: PageKind::Samples, index: 0 };
 
 impl Residency {
+    pub(super) fn lists(&self, gpu: &Gpu, model: &SceneModel) -> Result<Listed, ResidencyError> {
+        if model.trees { self.list_trees(gpu, model) } else { Ok(self.list_all(gpu, model)) }
+    }
+
     /// Lists every chunk of every instance.
     pub(super) fn list_all(&self, gpu: &Gpu, model: &SceneModel) -> Listed {
         let mut listed = Vec::new();
@@ -57,13 +65,19 @@ impl Residency {
     }
 
     /// Lists instances in groups of neighbours, in the order of the model, and the chunks of each geometry page by page.
-    pub(super) fn list_trees(&self, gpu: &Gpu, model: &SceneModel) -> Listed {
+    ///
+    /// # Errors
+    /// More segments than shaders go through.
+    pub(super) fn list_trees(
+        &self,
+        gpu: &Gpu,
+        model: &SceneModel,
+    ) -> Result<Listed, ResidencyError> {
         let mut numbers: BTreeMap<(usize, usize), u32> = BTreeMap::new();
         for instance in &model.instances {
             let next = numbers.len() as u32;
             numbers.entry((instance.asset, instance.geometry)).or_insert(next);
         }
-        let mut pages: Vec<Page> = Vec::new();
         let pieces_of = |&(asset, geometry): &(usize, usize)| {
             let resident = self.assets.get(&model.assets[asset].uid);
             let drawn = model.assets[asset].drawn_with(geometry);
@@ -71,25 +85,28 @@ impl Residency {
                 resident.map_or(&[][..], |resident| &resident.geometries[geometry].pieces)
             })
         };
-        for key in numbers.keys() {
-            pages.extend(pieces_of(key).map(|piece| piece.page));
+        let runs: Vec<Vec<(Segment, GpuChunkRun)>> =
+            numbers.keys().map(|key| runs_of(pieces_of(key))).collect();
+        let mut segments: Vec<Segment> =
+            runs.iter().flatten().map(|&(segment, _)| segment).collect();
+        segments.sort_unstable();
+        segments.dedup();
+        if segments.is_empty() {
+            segments.push((NO_PAGE, 0));
         }
-        pages.sort_unstable();
-        pages.dedup();
-        if pages.is_empty() {
-            pages.push(NO_PAGE);
+        if segments.len() > MOST_SEGMENTS {
+            return Err(ResidencyError::OverBinding {
+                what: "pages of point trees",
+                needed: segments.len() as u64 * gpu.max_binding_bytes(),
+                limit: MOST_SEGMENTS as u64 * gpu.max_binding_bytes(),
+            });
         }
-        let mut pieces = vec![GpuChunkRun::default(); numbers.len() * pages.len()];
+        let mut pieces = vec![GpuChunkRun::default(); numbers.len() * segments.len()];
         let mut geometries = vec![[0f32; 4]; numbers.len()];
-        for (key, &number) in &numbers {
-            for piece in pieces_of(key) {
-                let segment = pages.binary_search(&piece.page).unwrap_or(0);
-                // A geometry may have come into a page in several pieces, whose chunks lie one behind the other only where
-                // nothing else was between them: `place_samples` never leaves and comes back.
-                let run = &mut pieces[number as usize * pages.len() + segment];
-                let end = piece.first_chunk + piece.chunk_count;
-                let first = if run.count == 0 { piece.first_chunk } else { run.first };
-                *run = GpuChunkRun { first, count: end - first };
+        for ((key, &number), runs) in numbers.iter().zip(&runs) {
+            for (segment, run) in runs {
+                let place = segments.binary_search(segment).unwrap_or(0);
+                pieces[number as usize * segments.len() + place] = *run;
             }
             let asset = &model.assets[key.0];
             let halves = asset
@@ -123,8 +140,29 @@ impl Residency {
             geometries: Buffer::with_data(gpu, "geometries", &geometries),
             group_count: groups.len() as u32,
         };
-        (Lists::Trees(lists), instances, pages)
+        Ok((Lists::Trees(lists), instances, segments.into_iter().map(|(page, _)| page).collect()))
     }
+}
+
+/// A page, and how often a geometry has come back to it: chunks of a segment lie one behind the other.
+type Segment = (Page, usize);
+
+/// Pieces as runs of chunks, each in a segment of its own.
+fn runs_of<'a>(pieces: impl Iterator<Item = &'a Piece>) -> Vec<(Segment, GpuChunkRun)> {
+    let mut runs: Vec<(Segment, GpuChunkRun)> = Vec::new();
+    for piece in pieces {
+        let (page, first, count) = (piece.page, piece.first_chunk, piece.chunk_count);
+        match runs.last_mut() {
+            Some(((last, _), run)) if *last == page && run.first + run.count == first => {
+                run.count += count;
+            }
+            _ => {
+                let before = runs.iter().filter(|((other, _), _)| *other == page).count();
+                runs.push(((page, before), GpuChunkRun { first, count }));
+            }
+        }
+    }
+    runs
 }
 
 /// Half the size of the box about the grid's origin, in cells, that holds a geometry with the disks of its leaves.
@@ -172,5 +210,29 @@ fn group(
         count: members.len() as u32,
         error_parent,
         delta_most,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_comes_back_to_a_page_gets_a_segment_more() {
+        let piece = |index, first_chunk, chunk_count| Piece {
+            page: Page { kind: PageKind::Nodes, index },
+            first_chunk,
+            chunk_count,
+            start: 0,
+            length: 0,
+            vertex_start: 0,
+            vertex_length: 0,
+        };
+        let pieces = [piece(0, 0, 5), piece(0, 5, 2), piece(1, 7, 9), piece(0, 16, 1)];
+        let found: Vec<(usize, usize, u32, u32)> = runs_of(pieces.iter())
+            .into_iter()
+            .map(|((page, again), run)| (page.index, again, run.first, run.count))
+            .collect();
+        assert_eq!(found, [(0, 0, 0, 7), (1, 0, 7, 9), (0, 1, 16, 1)]);
     }
 }

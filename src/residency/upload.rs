@@ -452,8 +452,13 @@ impl Residency {
                 limit: gpu.max_binding_bytes(),
             })?;
         self.materials.write(gpu, 0, material_start, &overrides);
-        let (lists, mut instances, pages) =
-            if model.trees { self.list_trees(gpu, model) } else { self.list_all(gpu, model) };
+        let (lists, mut instances, pages) = match self.lists(gpu, model) {
+            Ok(lists) => lists,
+            Err(error) => {
+                self.materials.release(material_start, material_length);
+                return Err(error);
+            }
+        };
         for record in &mut instances {
             record.material += if record.material == 0 { 0 } else { material_start };
         }

@@ -4,7 +4,9 @@ use std::sync::Arc;
 
 use pointillist::assets::Material;
 use pointillist::bake::pack::{PackedAsset, PackedTexture};
+use pointillist::engine::FrameRequest;
 use pointillist::gpu::{Gpu, GpuOptions};
+use pointillist::plan::{Lod, Reconstruct, Settings};
 use pointillist::residency::model::{AssetModel, SceneModel};
 use pointillist::residency::{Residency, ResidencyError};
 
@@ -36,6 +38,21 @@ fn pages_do_not_show() {
         same(&frames[1].bytes, &frames[0].bytes, &format!("{output:?}"));
         assert_eq!(frames[0].receipt.samples.tested, frames[1].receipt.samples.tested);
         assert_eq!(frames[0].receipt.triangles.tested, frames[1].receipt.triangles.tested);
+    }
+    // Point trees: what is drawn is the same, whatever page it lies in.
+    for reconstruct in [Reconstruct::Points, Reconstruct::Splats] {
+        for (number, output) in OUTPUTS.into_iter().enumerate() {
+            let settings = Settings { lod: Lod::Spt, reconstruct, ..Settings::default() };
+            let request = FrameRequest { settings, output, ..orbit("scene", number as u32, 256) };
+            let frames = [whole.frame(&request), paged.frame(&request)];
+            same(
+                &frames[1].bytes,
+                &frames[0].bytes,
+                &format!("trees, {reconstruct:?}, {output:?}"),
+            );
+            let accepted = frames.map(|frame| frame.receipt.samples.accepted);
+            assert_eq!(accepted[0], accepted[1]);
+        }
     }
 }
 
