@@ -83,6 +83,15 @@ pub enum Sides {
     Closed = 2,
 }
 
+impl PackedChunk {
+    /// The cell of a sample of this chunk, from the words of its position.
+    pub fn cell(&self, [low, high]: [u32; 2]) -> IVec3 {
+        let word = u64::from(low) | u64::from(high) << 32;
+        let q = [word, word >> 21, word >> 42].map(|v| (v & 0x1f_ffff) as i32);
+        self.origin + IVec3::from(q) * (1 << self.shift)
+    }
+}
+
 /// What the nodes of a chunk of a point tree have in common, or the triangles that stand for its leaves. Lengths in grid cells.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NodeRange {
@@ -185,7 +194,7 @@ impl Grid {
 }
 
 /// Spreads the lower 21 bits of `v`, two zeros after each.
-fn spread(v: u64) -> u64 {
+pub(super) fn spread(v: u64) -> u64 {
     let mut x = v & 0x1f_ffff;
     x = (x | x << 32) & 0x001f_0000_0000_ffff;
     x = (x | x << 16) & 0x001f_0000_ff00_00ff;

@@ -154,16 +154,8 @@ impl Loaded {
     }
 
     fn make_trees(&self, cache: Option<&BakeCache>) -> Result<TreeScene, EngineError> {
-        let mut assets: Vec<Arc<AssetModel>> = Vec::with_capacity(self.model.assets.len());
-        let mut known: HashMap<u64, Arc<AssetModel>> = HashMap::new();
-        for asset in &self.model.assets {
-            let tree = match known.get(&asset.uid) {
-                Some(tree) => tree.clone(),
-                None => asset_tree(asset, cache)?.0,
-            };
-            known.insert(asset.uid, tree.clone());
-            assets.push(tree);
-        }
+        let trees = self.model.assets.iter().map(|asset| Ok(asset_tree(asset, cache)?.0));
+        let mut assets = trees.collect::<Result<Vec<_>, EngineError>>()?;
         let mut instances = self.model.instances.clone();
         if instances.len() >= LEAST_CROWD {
             instances = self.crowd(&mut assets, &instances)?;

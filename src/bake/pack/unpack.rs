@@ -22,11 +22,7 @@ pub fn unpack_samples(packed: &PackedSamples) -> PointCloud {
         let base = chunk.kernel_base * step;
         let range = chunk.first as usize..(chunk.first + chunk.count) as usize;
         for index in range {
-            let [low, high] = packed.positions[index];
-            let word = u64::from(low) | u64::from(high) << 32;
-            let q = [word, word >> 21, word >> 42].map(|v| (v & 0x1f_ffff) as i32);
-            let cell = chunk.origin + IVec3::from(q) * (1 << chunk.shift);
-            cloud.positions.push(packed.grid.position(cell));
+            cloud.positions.push(packed.grid.position(chunk.cell(packed.positions[index])));
             let normal = packed.attributes[index][1];
             let axes = if normal == NO_NORMAL { Vec3::Z } else { octahedral_decode(normal) };
             kernels.push(kernel::decode(packed.kernels[index], axes, base));

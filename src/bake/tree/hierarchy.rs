@@ -3,6 +3,7 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
+use super::super::pack::spread;
 use super::Measures;
 use super::node::Node;
 use crate::assets::{Kernel, PointCloud};
@@ -39,21 +40,6 @@ fn codes(cloud: &PointCloud, bounds: &Bounds) -> Vec<Open> {
         .collect();
     codes.par_sort_unstable();
     codes
-}
-
-/// Two zeros after each of the lower 21 bits.
-fn spread(v: u64) -> u64 {
-    let mut x = v & 0x1f_ffff;
-    for (shift, mask) in [
-        (32, 0x001f_0000_0000_ffff),
-        (16, 0x001f_0000_ff00_00ff),
-        (8, 0x100f_00f0_0f00_f00f),
-        (4, 0x10c3_0c30_c30c_30c3),
-        (2, 0x1249_2492_4924_9249),
-    ] {
-        x = (x | x << shift) & mask;
-    }
-    x
 }
 
 pub fn build(cloud: &PointCloud, stands: Option<&[Measures]>, bounds: &Bounds) -> Tree {

@@ -166,9 +166,7 @@ pub fn sequence(
     for chunk in &out.chunks {
         let range = chunk.first as usize..(chunk.first + chunk.count) as usize;
         for (place, &(.., node)) in out.positions[range.clone()].iter().zip(&order[range]) {
-            let word = u64::from(place[0]) | u64::from(place[1]) << 32;
-            let q = [word, word >> 21, word >> 42].map(|v| (v & 0x1f_ffff) as i32);
-            cells[node as usize] = chunk.origin + IVec3::from(q) * (1 << chunk.shift);
+            cells[node as usize] = chunk.cell(*place);
         }
     }
     out.nodes = order
