@@ -386,18 +386,16 @@ fn load_uploaded(
     main: PathBuf,
 ) -> Loading {
     tokio::spawn(async move {
-        let result = load(&app, reservation, main, |mut problem| {
+        load(&app, reservation, main, |mut problem| {
+            // Before the failure is known: from then on the id, and with it the folder, may be another upload's.
+            remove_folder(&folder);
             problem.detail = problem.detail.replace(UP_TO_ROOT, "");
             let own =
                 format!("{FOLDER}/{}/", folder.file_name().unwrap_or_default().to_string_lossy());
             problem.detail = problem.detail.replace(&own, "");
             problem
         })
-        .await;
-        if result.is_err() {
-            remove_folder(&folder);
-        }
-        result
+        .await
     })
 }
 
