@@ -59,6 +59,12 @@ fn splats(filter: Option<Filter>, blend: Blend, prefilter: bool) -> Settings {
     }
 }
 
+/// Blended and depth-tested in a single pass.
+fn fuzzy(prefilter: bool) -> Settings {
+    let prefilter = Some(prefilter);
+    Settings { reconstruct: Reconstruct::Fuzzy, prefilter, ..Settings::default() }
+}
+
 /// A waved wall of disks before [`facing`]: one unit of its plane a pixel.
 fn wall(side_px: u32, spacing_px: f64, radius_px: f64) -> anyhow::Result<PathBuf> {
     files::wall(&Wall { side: f64::from(side_px), spacing: spacing_px, radius: radius_px })
@@ -103,6 +109,7 @@ fn beside_vtk(report: &mut Report) -> anyhow::Result<()> {
         ("three passes", splats(None, Blend::Weighted, false)),
         ("three passes, prefiltered", splats(None, Blend::Weighted, true)),
         ("one pass", splats(None, Blend::Opaque, false)),
+        ("fuzzy", fuzzy(false)),
     ];
     let mut rows = Vec::new();
     for radius in RADII_PX {
@@ -157,14 +164,19 @@ fn beside_vtk(report: &mut Report) -> anyhow::Result<()> {
         }
         // Blended beside blended, opaque beside opaque.
         for (index, (name, _, _)) in PEERS.iter().enumerate() {
-            let (what, ours) =
-                if index % 2 == 0 { ("one pass", &times[2]) } else { ("three passes", &times[0]) };
-            report.target(
-                &format!("splats of {radius} px radius at 1024², {what}, against {name}"),
-                peer_times.get(index).map(|(_, peer)| median_ratio(peer, ours)),
-                Bound::AtLeast(20.0),
-                "×",
-            );
+            let beside: &[(&str, usize)] = if index % 2 == 0 {
+                &[("one pass", 2)]
+            } else {
+                &[("three passes", 0), ("fuzzy", 3)]
+            };
+            for &(what, ours) in beside {
+                report.target(
+                    &format!("splats of {radius} px radius at 1024², {what}, against {name}"),
+                    peer_times.get(index).map(|(_, peer)| median_ratio(peer, &times[ours])),
+                    Bound::AtLeast(20.0),
+                    "×",
+                );
+            }
         }
     }
     report.table(
@@ -191,6 +203,9 @@ fn beside_points(report: &mut Report) -> anyhow::Result<()> {
     // The low-pass filter makes 1.5 px 1.8 px.
     let plain = ways.len();
     ways.push(("splats, unfiltered, 3 passes".to_owned(), splats(None, Blend::Weighted, false)));
+    let single = ways.len();
+    ways.push(("fuzzy, unfiltered".to_owned(), fuzzy(false)));
+    ways.push(("fuzzy".to_owned(), fuzzy(true)));
     let defaults = Settings { reconstruct: Reconstruct::Splats, ..Settings::default() };
     ways.push(("splats, as they come".to_owned(), defaults));
     let mut times: Vec<Vec<f64>> = vec![Vec::new(); ways.len()];
@@ -225,7 +240,12 @@ fn beside_points(report: &mut Report) -> anyhow::Result<()> {
     let rows: Vec<Vec<String>> =
         passes.iter().map(|(name, time)| vec![(*name).to_owned(), number(*time)]).collect();
     report.table("Passes of splats as they come", &["pass", "median ms"], &rows);
-    for (what, times_of) in [("", plain), (", widened by the low-pass filter", ways.len() - 1)] {
+    for (what, times_of) in [
+        ("", plain),
+        (", widened by the low-pass filter", ways.len() - 1),
+        (", in a single pass", single),
+        (", in a single pass, widened by the low-pass filter", single + 1),
+    ] {
         report.target(
             &format!("splats of 1.5 px radius{what}, that cover 1024², against the same samples as points"),
             times.get(times_of).map(|of| median_ratio(of, &times[0])),

@@ -20,7 +20,7 @@ use pointillist::passes::SMALL_TRIANGLE_PX;
 const SIZE: u32 = 1024;
 const SIDES_PX: [u32; 8] = [1, 2, 4, 8, 16, 32, 64, 128];
 /// The walk's integers hold no longer boxes.
-const WALK_LIMIT_PX: u32 = 64;
+const WALK_LIMIT_PX: u32 = 60;
 
 fn main() -> anyhow::Result<()> {
     let probe = Drawing::open(&files::triangle_grid(64, SIZE)?, SIZE, |_| ())?;

@@ -84,6 +84,11 @@ fn needed(composed: &Composed, choices: &Choices) -> Capabilities {
     if composed.source.contains("fn add_0") && choices.wide_sums {
         needed |= WIDE_SUMS;
     }
+    if composed.source.contains("fn slab_tag")
+        && composed.source.contains("atomicCompareExchangeWeak")
+    {
+        needed |= WIDE_SUMS;
+    }
     if composed.source.contains("fn walk_snapped") {
         needed |= Capabilities::SHADER_INT64;
     }
@@ -114,12 +119,14 @@ fn every_composition_is_valid() {
         }
     }
     // Samples: three ways to write, as they are or of point trees; triangles: the same ways, with and without alpha; splats'
-    // depths: those of samples, with and without clip lines. Sums: clip lines, width, normals, lights, trees. Passes over pixels:
-    // with and without votes, and of samples with and without trees. Lists: of everything, or of trees.
-    let over_pixels = 5 * 2;
+    // depths: those of samples, with and without clip lines. Sums: clip lines, width, normals, lights, trees; in a single pass: clip
+    // lines, lights, trees. Each of these a thread a splat, with and without votes, and from a list. Passes over pixels: with and
+    // without votes, and of samples with and without trees. Lists: of everything, or of trees.
+    let (depths, sums, single) = (12, 32, 8);
+    let over_pixels = 6 * 2;
     let lists = 3 * 2;
     let others = 6;
-    assert_eq!(checked, 6 + 3 * 6 + 2 * 12 + 2 * 32 + over_pixels + lists + others);
+    assert_eq!(checked, 6 + 3 * 6 + 3 * (depths + sums + single) + over_pixels + lists + others);
 }
 
 #[test]

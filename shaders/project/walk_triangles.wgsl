@@ -130,7 +130,7 @@ fn walk_rays(s: Surface, box: Box, lane: i32) {
     }
 }
 
-fn triangle(id: u32, rows: vec2<i32>, lane: i32) {
+fn triangle(id: u32, rows: vec2<i32>, lane: i32) -> u32 {
     let slot = frame.first_slot + (id >> SLOT_SHIFT);
     let chunk = chunks[slots[slot].chunk];
     let instance = slots[slot].instance;
@@ -153,13 +153,14 @@ fn triangle(id: u32, rows: vec2<i32>, lane: i32) {
     } else {
         walk_rays(s, box, lane);
     }
+    return walk_rounds(box.high.x - box.low.x, box.high.y - box.low.y);
 }
 
-fn walk_one(id: u32, rows: vec2<i32>, lane: u32) {
-    triangle(id, rows, i32(lane));
+fn walk_one(id: u32, rows: vec2<i32>, lane: u32) -> u32 {
+    return triangle(id, rows, i32(lane));
 }
 
 @compute @workgroup_size(8)
-fn walk_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    walk_list(group, lane);
+fn walk_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    walk_list(group, groups.x, lane);
 }

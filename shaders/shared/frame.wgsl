@@ -42,6 +42,13 @@ struct Frame {
     splat_lowpass_px: f32,
     splat_width: f32,
     splat_offset: f32,
+    // Of splats that are blended in a single pass, slabs of depth: where they begin, how many for each unit, where that ends (and its
+    // logarithm to base 2), and how many for each doubling from there.
+    slab_near: f32,
+    slab_per_unit: f32,
+    slab_meet: f32,
+    slab_meet_log2: f32,
+    slab_per_octave: f32,
     // Of point trees: what may be accepted at depth 1 on the optical axis.
     lod_scale: f32,
     // Entries that there is room for.

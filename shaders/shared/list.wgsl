@@ -21,12 +21,17 @@ struct LargeList {
 @group(2) @binding(4) var<storage, read_write> large: LargeList;
 
 // Lists what lies in a box of pixels, `high` included.
-fn list_large(id: u32, low: vec2<u32>, high: vec2<u32>) {
+fn list_entry(id: u32, low: vec2<u32>, high: vec2<u32>) {
     let at = atomicAdd(&large.vertex_count, 3u) / 3u;
     atomicMax(&stats[0].large_longest, at + 1u);
     if at < frame.large_capacity {
         large.entries[at] = vec2<u32>(id, list_word(low.y, high.y, frame.view));
     }
+}
+
+// The same of what is large, which a frame may have so much of.
+fn list_large(id: u32, low: vec2<u32>, high: vec2<u32>) {
+    list_entry(id, low, high);
     if COUNTS {
         let box = high - low + vec2<u32>(1u);
         let units = (box.x * box.y + 4095u) / 4096u;

@@ -1,7 +1,12 @@
 // A thread takes a sample, makes a splat of it and walks the pixels of its box; large ones are listed. The file that includes this
 // says what happens at a pixel: `emit`, with what `paint_of` gives it for the whole splat.
+//
+// On lavapipe all loops of a thread, and of those that go with it, share 65535 rounds, and what comes after is never done. So threads
+// keep account of theirs, and list what they have none left for.
 //!include shared/list
 //!include shared/lanes
+//!include VOTE
+const ROUNDS: u32 = 60000u;
 
 // Of point trees, samples that were looked at.
 fn count_tested(count: u32) {
@@ -31,15 +36,22 @@ fn scatter(group: vec3<u32>, lane: u32) {
     var listed = 0u;
     var crossing = 0u;
     var looked_at = 0u;
+    var rounds = 0u;
+    let longest = u32(frame.small_splat_px) + 1u;
     for (var i = lane; i < count; i += LANES) {
         looked_at++;
+        var splat: Splat;
+        splat.way = NOTHING;
         if TREE && !is_in_prefix(slot.first + i, slot.limit) {
             if slot.sorted && is_behind_prefix(slot.first + i, slot.limit) {
                 break;
             }
-            continue;
+        } else {
+            splat = splat_of(slot, i);
         }
-        let splat = splat_of(slot, i);
+        let box = vec2<u32>(splat.high - splat.low + vec2<i32>(1));
+        let pixels = select(0u, box.x * box.y, splat.way == SMALL);
+        let full = rounds + most_of_lanes(pixels, longest * longest) > ROUNDS;
         if splat.way == LARGE {
             if all(splat.high >= splat.low) {
                 list_large(splat.id, vec2<u32>(splat.low), vec2<u32>(splat.high));
@@ -47,7 +59,12 @@ fn scatter(group: vec3<u32>, lane: u32) {
                 crossing += u32(splat.crosses);
             }
         }
-        if splat.way == SMALL {
+        if splat.way == SMALL && full {
+            list_entry(splat.id, vec2<u32>(splat.low), vec2<u32>(splat.high));
+            listed++;
+        }
+        var taken = 0u;
+        if splat.way == SMALL && !full {
             scattered++;
             let paint = paint_of(slot, shared_paint, i);
             var at = splat.low;
@@ -55,10 +72,14 @@ fn scatter(group: vec3<u32>, lane: u32) {
             loop {
                 let d = vec2<f32>(at) + vec2<f32>(0.5) - splat.centre;
                 let q = splat_distance(splat, d);
+                var done = true;
                 if q <= limit && clip_keeps(splat.clip, d) {
-                    emit(splat, paint, frame.first_pixel + u32(at.y) * width + u32(at.x), d, q);
+                    done = emit(splat, paint, frame.first_pixel + u32(at.y) * width + u32(at.x), d, q);
                 }
-                at.x++;
+                taken++;
+                if done {
+                    at.x++;
+                }
                 if at.x > splat.high.x {
                     at = vec2<i32>(splat.low.x, at.y + 1);
                 }
@@ -67,6 +88,7 @@ fn scatter(group: vec3<u32>, lane: u32) {
                 }
             }
         }
+        rounds += most_of_lanes(taken, longest * longest) + frame.light_count + 1u;
     }
     if COUNTS {
         if TREE {

@@ -159,7 +159,8 @@ struct Stats {
     entries_wanted: atomic<u32>,
     // Nodes of point trees that passed their test.
     nodes_drawn: atomic<u32>,
-    unused_0: atomic<u32>,
+    // Of all views together, in the first one's record: some workgroup had more to walk than it may; the frame is not shown.
+    walk_cut: atomic<u32>,
     unused_1: atomic<u32>,
     unused_2: atomic<u32>,
 }
@@ -171,6 +172,7 @@ const STAT_LARGE_UNITS: u32 = 9u;
 const STAT_LARGE_WRAPPED: u32 = 10u;
 const STAT_SUMS_FULL: u32 = 14u;
 const STAT_ENTRIES_WANTED: u32 = 15u;
+const STAT_WALK_CUT: u32 = 17u;
 
 const SLOT_SHIFT: u32 = 10u;
 const SLOT_MASK: u32 = 1023u;

@@ -15,6 +15,7 @@ fn paint_of(slot: SplatSlot, shared_paint: PaintSlot, sample: u32) -> Paint {
     return Paint(0u);
 }
 
-fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) {
+fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) -> bool {
     visibility_write(pixel, kept_inverse(splat, splat_inverse(splat, d)), splat.id);
+    return true;
 }

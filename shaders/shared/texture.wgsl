@@ -45,20 +45,49 @@ fn reduce(mode: u32, u: f32) -> f32 {
     return u - 2.0 * floor(u * 0.5);
 }
 
-fn sample_level(t: Texture, level: u32, uv: vec2<f32>) -> vec4<f32> {
-    var first = t.first;
-    var size = vec2<u32>(t.width, t.height);
-    for (var k = 0u; k < level; k++) {
-        first += size.x * size.y;
-        size = max(size >> vec2<u32>(1u), vec2<u32>(1u));
-    }
-    let s = vec2<i32>(size);
-    let p = uv * vec2<f32>(size) - vec2<f32>(0.5);
+// One of a texture's levels: its first texel and its size.
+struct Level {
+    first: u32,
+    size: vec2<u32>,
+}
+
+fn below(l: Level) -> Level {
+    return Level(l.first + l.size.x * l.size.y, max(l.size >> vec2<u32>(1u), vec2<u32>(1u)));
+}
+
+fn go_down(l: Level, go: bool) -> Level {
+    let next = below(l);
+    return Level(select(l.first, next.first, go), select(l.size, next.size, go));
+}
+
+// Written out: on lavapipe all loops of a thread share 65535 rounds, and a pixel should take none of them.
+fn level_of(t: Texture, level: u32) -> Level {
+    var l = Level(t.first, vec2<u32>(t.width, t.height));
+    l = go_down(l, level > 0u);
+    l = go_down(l, level > 1u);
+    l = go_down(l, level > 2u);
+    l = go_down(l, level > 3u);
+    l = go_down(l, level > 4u);
+    l = go_down(l, level > 5u);
+    l = go_down(l, level > 6u);
+    l = go_down(l, level > 7u);
+    l = go_down(l, level > 8u);
+    l = go_down(l, level > 9u);
+    l = go_down(l, level > 10u);
+    l = go_down(l, level > 11u);
+    l = go_down(l, level > 12u);
+    l = go_down(l, level > 13u);
+    return go_down(l, level > 14u);
+}
+
+fn sample_level(t: Texture, level: Level, uv: vec2<f32>) -> vec4<f32> {
+    let s = vec2<i32>(level.size);
+    let p = uv * vec2<f32>(level.size) - vec2<f32>(0.5);
     let base = floor(p);
     let f = p - base;
     let i = vec2<i32>(base);
-    let top = mix(texel(t, first, s, i), texel(t, first, s, i + vec2<i32>(1, 0)), f.x);
-    let bottom = mix(texel(t, first, s, i + vec2<i32>(0, 1)), texel(t, first, s, i + vec2<i32>(1, 1)), f.x);
+    let top = mix(texel(t, level.first, s, i), texel(t, level.first, s, i + vec2<i32>(1, 0)), f.x);
+    let bottom = mix(texel(t, level.first, s, i + vec2<i32>(0, 1)), texel(t, level.first, s, i + vec2<i32>(1, 1)), f.x);
     return mix(top, bottom, f.y);
 }
 
@@ -67,8 +96,9 @@ fn sample_trilinear(t: Texture, uv: vec2<f32>, dx: vec2<f32>, dy: vec2<f32>) -> 
     let footprint = sqrt(max(dot(dx, dx), dot(dy, dy)));
     let level = clamp(log2(max(footprint, 1e-20)), 0.0, f32(t.levels - 1u));
     let low = floor(level);
-    let next = min(u32(low) + 1u, t.levels - 1u);
-    return mix(sample_level(t, u32(low), uv), sample_level(t, next, uv), level - low);
+    let near = level_of(t, u32(low));
+    let far = go_down(near, u32(low) + 1u < t.levels);
+    return mix(sample_level(t, near, uv), sample_level(t, far, uv), level - low);
 }
 
 fn sample_texture(t: Texture, uv_in: vec2<f32>, dx: vec2<f32>, dy: vec2<f32>) -> vec4<f32> {

@@ -92,6 +92,7 @@ enum LodChoice {
 enum ReconstructChoice {
     Points,
     Splats,
+    Fuzzy,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -175,13 +176,15 @@ impl RenderArgs {
         let reconstruct = match self.reconstruct {
             ReconstructChoice::Points => Reconstruct::Points,
             ReconstructChoice::Splats => Reconstruct::Splats,
+            ReconstructChoice::Fuzzy => Reconstruct::Fuzzy,
         };
-        let of_splats = self.filter.is_some()
-            || self.prefilter.is_some()
-            || self.blend.is_some()
-            || self.shading.is_some();
-        if of_splats && reconstruct != Reconstruct::Splats {
-            bail!("--filter, --prefilter, --blend and --shading go with --reconstruct splats");
+        let of_kernels = self.filter.is_some() || self.prefilter.is_some();
+        if of_kernels && reconstruct == Reconstruct::Points {
+            bail!("--filter and --prefilter go with --reconstruct splats or fuzzy");
+        }
+        let of_passes = self.blend.is_some() || self.shading.is_some();
+        if of_passes && reconstruct != Reconstruct::Splats {
+            bail!("--blend and --shading go with --reconstruct splats");
         }
         Ok(FrameRequest {
             scene: ID.to_owned(),

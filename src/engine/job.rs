@@ -11,9 +11,12 @@ use super::queue::Waiting;
 use super::receipt::CameraReceipt;
 use super::{EncodedFrame, EngineError, FrameRequest};
 use crate::math::View;
-use crate::plan::{FramePlan, MaxError};
-use crate::residency::model::SceneModel;
-use crate::scene::Splats;
+use crate::plan::{FramePlan, MaxError, Reconstruct};
+use crate::residency::model::{Extent, SceneModel};
+use crate::scene::{Blend, Splats};
+
+/// Leaves room for 68 splats of full weight over a pixel.
+const SINGLE_PASS_WEIGHT: f32 = 15.0;
 
 pub type Reply = Result<Arc<EncodedFrame>, EngineError>;
 
@@ -23,13 +26,25 @@ pub struct Resolved {
     pub model: Arc<SceneModel>,
     pub view: View,
     pub camera: CameraReceipt,
-    pub plan: FramePlan,
-    /// How samples are drawn, if not as points.
-    pub splats: Option<Splats>,
+    pub extent: Extent,
+    pub drawing: Drawing,
+    /// For splats that a single pass has no room for.
+    pub in_three_passes: Option<Drawing>,
     /// What may be wrong by how many pixels, in a scene of point trees.
     pub max_error: MaxError,
     /// Equal for requests whose frames are equal to the byte.
     pub key: String,
+}
+
+/// One way to draw a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Drawing {
+    pub plan: FramePlan,
+    pub reconstruct: Reconstruct,
+    /// Why it is not the way that was asked for.
+    pub instead_because: Option<&'static str>,
+    /// How samples are drawn, if not as points.
+    pub splats: Option<Splats>,
 }
 
 /// A frame that somebody waits for.
@@ -43,6 +58,8 @@ pub struct Job {
     alone: AtomicBool,
     /// Halvings of what splats weigh.
     halvings: AtomicU32,
+    /// The first way to draw it had no room for what lies over one pixel.
+    too_full: AtomicBool,
 }
 
 struct Waiters {
@@ -66,6 +83,7 @@ impl Job {
             redraws: AtomicU32::new(0),
             alone: AtomicBool::new(false),
             halvings: AtomicU32::new(0),
+            too_full: AtomicBool::new(false),
         };
         (Arc::new(job), receiver)
     }
@@ -109,10 +127,9 @@ impl Job {
     /// Jobs with equal keys can be drawn by the same dispatches; `None`: none with this one.
     pub fn group_key(&self) -> Option<impl PartialEq + use<>> {
         let FrameRequest { output, width, height, .. } = self.request;
-        let (model, plan) = (self.resolved.model.uid, self.resolved.plan.clone());
-        let splats = self.resolved.splats;
+        let drawing = self.drawing().clone();
         let halvings = self.halvings.load(Ordering::Relaxed);
-        let key = (model, plan, splats, halvings, output, width, height);
+        let key = (self.resolved.model.uid, drawing, halvings, output, width, height);
         // What one frame lists of point trees another cannot use.
         (!self.is_alone() && !self.resolved.model.trees).then_some(key)
     }
@@ -122,13 +139,30 @@ impl Job {
         self.redraws.fetch_add(1, Ordering::Relaxed) < 8
     }
 
-    /// What a splat weighs in whole numbers where its kernel is 1: 15 bits, unless too many overlap.
+    /// How it is drawn now.
+    pub fn drawing(&self) -> &Drawing {
+        let other = self.resolved.in_three_passes.as_ref();
+        other.filter(|_| self.too_full.load(Ordering::Relaxed)).unwrap_or(&self.resolved.drawing)
+    }
+
+    fn is_single_pass(&self) -> bool {
+        self.drawing().splats.is_some_and(|splats| splats.blend == Blend::Interleaved)
+    }
+
+    /// What a splat weighs in whole numbers where its kernel is 1: 15 bits, unless too many overlap; 4 in a single pass.
     pub fn weight_one(&self) -> f32 {
+        if self.is_single_pass() {
+            return SINGLE_PASS_WEIGHT;
+        }
         (1u32 << 15 >> self.halvings.load(Ordering::Relaxed)) as f32
     }
 
-    /// From now on splats weigh a 32nd of what they did: the sums of a pixel have overflowed.
+    /// The sums of a pixel have overflowed: from now on splats weigh a 32nd of what they did, or take three passes.
     pub fn lighten(&self) {
+        if self.is_single_pass() {
+            self.too_full.store(true, Ordering::Relaxed);
+            return;
+        }
         let _ = self.halvings.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |halvings| {
             Some((halvings + 5).min(15))
         });

@@ -19,7 +19,7 @@ use crate::bake::prepare::{self, AssetTraits};
 use crate::bake::tree::Above;
 use crate::math::{Bounds, Camera};
 use crate::plan::SceneFacts;
-use crate::residency::model::{AssetModel, ModelInstance, SceneModel};
+use crate::residency::model::{AssetModel, Extent, ModelInstance, SceneModel};
 use crate::scene::{AssetRef, Light, Node, Scene};
 
 static NEXT_UID: AtomicU64 = AtomicU64::new(1);
@@ -33,7 +33,7 @@ pub fn next_uid() -> u64 {
 pub struct Loaded {
     pub model: Arc<SceneModel>,
     pub facts: SceneFacts,
-    pub bounds: Bounds,
+    pub extent: Extent,
     pub info: SceneInfo,
     /// Hash of the description and of every file's content.
     pub digest: [u8; 32],
@@ -306,12 +306,12 @@ fn build(
         trees: false,
         totals: OnceLock::new(),
     };
-    let bounds = model.bounds();
-    let info = describe(&model, &description, &bounds, warnings);
+    let extent = model.extent();
+    let info = describe(&model, &description, &extent.bounds, warnings);
     Ok(Loaded {
         facts: facts(&model),
         model: Arc::new(model),
-        bounds,
+        extent,
         info,
         digest,
         description,
@@ -459,12 +459,12 @@ impl Loaded {
         let above = backward.cross(right);
         let tan_y = (0.5 * FOV_DEG).to_radians().tan() * PART;
         let tan_x = tan_y * aspect;
-        let centre = self.bounds.centre();
+        let centre = self.extent.bounds.centre();
         // The nearest eye whose pyramid holds every corner of the box.
         // Nothing but one point is seen from one unit away.
-        let least: f64 = if self.bounds.extent() == DVec3::ZERO { 1.0 } else { 1e-30 };
+        let least: f64 = if self.extent.bounds.extent() == DVec3::ZERO { 1.0 } else { 1e-30 };
         let least = least.max(1e-12 * centre.length());
-        let distance = self.bounds.corners().into_iter().fold(least, |distance, corner| {
+        let distance = self.extent.bounds.corners().into_iter().fold(least, |distance, corner| {
             let v = corner - centre;
             let needed = (v.dot(right).abs() / tan_x).max(v.dot(above).abs() / tan_y);
             distance.max(v.dot(backward) + needed)

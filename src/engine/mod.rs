@@ -505,7 +505,7 @@ impl Engine {
 
     /// The plan that a request would follow, and what it was planned from.
     pub fn plan(&self, request: &FrameRequest) -> Result<crate::plan::FramePlan, EngineError> {
-        Ok(resolve::resolve(self.shared(), request)?.plan)
+        Ok(resolve::resolve(self.shared(), request)?.drawing.plan)
     }
 
     pub fn readiness(&self) -> Readiness {

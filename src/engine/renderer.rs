@@ -15,8 +15,8 @@ use crate::gpu::readback::{Landing, Ring};
 use crate::gpu::timing::Timer;
 use crate::gpu::{Gpu, GpuError, GpuOptions};
 use crate::passes::{
-    self, Context, FrameTask, PassSpan, Pipelines, SMALL_SPLAT_PX, SMALL_TRIANGLE_PX, Scratch,
-    Uniforms,
+    self, Context, FrameTask, LAYERS_BYTES, PassSpan, Pipelines, SMALL_SPLAT_PX, SMALL_TRIANGLE_PX,
+    Scratch, Uniforms,
 };
 use crate::plan::{Output, Pass};
 use crate::residency::layout::{GpuStats, MOST_VIEWS};
@@ -61,6 +61,7 @@ struct FlyingGroup {
     spans: Vec<PassSpan>,
     large_capacity: u32,
     entry_capacity: u32,
+    walk_stride: u32,
     gpu_bytes: u64,
 }
 
@@ -88,7 +89,7 @@ pub struct Landed {
     pub drawn: Vec<Drawn>,
     /// To be drawn again: the device was lost.
     pub again: Vec<Arc<Job>>,
-    /// To be drawn again: the list of large triangles was too short, or splats too heavy, and is no more.
+    /// To be drawn again: a list was too short, or cut into too few parts, or splats too heavy, which is mended.
     pub redraw: Vec<Arc<Job>>,
     pub failed: Vec<(Arc<Job>, EngineError)>,
     pub lost: bool,
@@ -256,6 +257,9 @@ impl Renderer {
             if task.plan.runs(Pass::ResolveSplats) {
                 self.scratch.reserve_sums(&self.gpu, task.size(), task.count(), task.sums());
             }
+            if task.plan.runs(Pass::ResolveFused) {
+                self.scratch.reserve_layers(&self.gpu, task.size(), task.count());
+            }
             offsets.push(uniforms.group(task, scene));
         }
         uniforms.write(&self.gpu, &mut self.scratch);
@@ -291,6 +295,7 @@ impl Renderer {
                     spans,
                     large_capacity: self.scratch.large_capacity(),
                     entry_capacity: self.scratch.entry_capacity(),
+                    walk_stride: self.scratch.walk_stride(),
                     gpu_bytes,
                 }
             })
@@ -306,7 +311,9 @@ impl Renderer {
     /// Views of a job's scene that may be drawn together: what each needs of a buffer must fit it as often.
     fn most_views(&self, job: &Job) -> usize {
         let Some(scene) = self.residency.scene(&job.resolved.model.id) else { return 1 };
-        let largest = Scratch::largest(scene, (job.request.width, job.request.height));
+        let size = (job.request.width, job.request.height);
+        let bytes = if job.drawing().plan.runs(Pass::ResolveFused) { LAYERS_BYTES } else { 8 };
+        let largest = Scratch::largest(scene, size, bytes);
         let room = self.gpu.max_binding_bytes().min(SHARED_BYTES) / largest.max(1);
         room.clamp(1, u64::from(MOST_VIEWS)) as usize
     }
@@ -314,16 +321,19 @@ impl Renderer {
     fn task(&self, jobs: &[Arc<Job>]) -> FrameTask {
         // Groups are never empty.
         let first = &jobs[0];
+        let drawing = first.drawing();
         FrameTask {
             model: first.resolved.model.clone(),
             views: jobs.iter().map(|job| job.resolved.view).collect(),
             output: first.request.output,
-            plan: first.resolved.plan.clone(),
-            splats: first.resolved.splats,
+            plan: drawing.plan.clone(),
+            splats: drawing.splats,
+            extent: first.resolved.extent,
             small_splat_px: self.small_splat_px,
             weight_one: first.weight_one(),
             small_triangle_px: self.small_triangle_px,
             large_capacity: self.scratch.large_capacity(),
+            walk_stride: self.scratch.walk_stride(),
             large_units_limit: self.large_units_limit,
             max_error_px: first.resolved.max_error.px(),
             paint: first.request.settings.paint,
@@ -470,6 +480,15 @@ impl Renderer {
                         limit: u64::from(limit),
                     };
                     landed.refuse(group.jobs, &error);
+                }
+                continue;
+            }
+            if frames.first().is_some_and(|(_, stats)| stats.walk_cut != 0) {
+                if self.scratch.grow_walk(group.walk_stride) {
+                    landed.redraw.extend(group.jobs);
+                } else {
+                    let text = "a list of large triangles or splats took too many rounds";
+                    landed.refuse(group.jobs, &EngineError::Internal(text.to_owned()));
                 }
                 continue;
             }

@@ -4,14 +4,15 @@
 use glam::DVec3;
 use sha2::{Digest, Sha256};
 
-use super::job::Resolved;
+use super::job::{Drawing, Resolved};
 use super::library::Loaded;
 use super::receipt::CameraReceipt;
 use super::shared::{Adapter, Shared};
 use super::{EngineError, FrameRequest, Pose};
 use crate::encode::{self, EncodeError};
 use crate::math::{Camera, CameraError, View};
-use crate::plan::{AdapterFacts, Lod, plan};
+use crate::passes::LAYERS_BYTES;
+use crate::plan::{AdapterFacts, Lod, Output, Reconstruct, Settings, plan};
 use crate::scene::Splats;
 
 /// Most pixels and longest side of a frame on this adapter.
@@ -88,7 +89,6 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     encode::accepts(request.format, request.output).map_err(unfit_format)?;
     let (view, camera) = pose(&loaded, request)?;
     let adapter = shared.adapter();
-    let splats = request.settings.splats(&loaded.model.splats);
     let (model, facts) = match request.settings.lod {
         Lod::Full => (loaded.model.clone(), loaded.facts),
         Lod::Spt => {
@@ -96,15 +96,44 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
             (trees.model, trees.facts)
         }
     };
-    let plan = plan(
-        &facts,
-        request.output,
-        splats.as_ref(),
-        &AdapterFacts { atomics_64: adapter.atomics_64, rasterises: adapter.rasterises },
-    );
-    let key = entity_tag(&loaded, request, splats.as_ref(), &view, &adapter);
+    let way = |settings: &Settings, instead_because| {
+        let splats = settings.splats(&loaded.model.splats);
+        let adapter = AdapterFacts {
+            atomics_64: adapter.atomics_64,
+            atomic_sums_64: adapter.atomic_sums_64,
+            rasterises: adapter.rasterises,
+        };
+        let plan = plan(&facts, request.output, splats.as_ref(), &adapter);
+        Drawing { plan, reconstruct: settings.reconstruct, instead_because, splats }
+    };
+    let settings = &request.settings;
+    let other = settings.in_three_passes();
+    let is_single = settings.reconstruct == Reconstruct::Fuzzy && facts.has_samples;
+    let refused = if is_single { no_single_pass(request, &adapter) } else { None };
+    let drawing = match refused {
+        Some(_) => way(&other, refused),
+        None => way(settings, None),
+    };
+    let in_three_passes = (is_single && refused.is_none()).then(|| {
+        way(&other, Some("more splats lie over one pixel than a single pass has room for"))
+    });
+    let key = entity_tag(&loaded, request, drawing.splats.as_ref(), &view, &adapter);
+    let extent = loaded.extent;
     let max_error = request.settings.max_error;
-    Ok(Resolved { model, view, camera, plan, splats, max_error, key })
+    Ok(Resolved { model, view, camera, extent, drawing, in_three_passes, max_error, key })
+}
+
+/// Why splats cannot be blended and depth-tested in a single pass.
+fn no_single_pass(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
+    let pixels = u64::from(request.width) * u64::from(request.height);
+    if request.output != Output::Color {
+        return Some("a single pass has nothing but colours");
+    }
+    if !adapter.atomic_sums_64 {
+        return Some("a single pass needs 64-bit atomics that add and exchange");
+    }
+    (pixels * LAYERS_BYTES > adapter.max_binding_bytes)
+        .then_some("the adapter cannot bind what a single pass needs for so many pixels")
 }
 
 fn pose(loaded: &Loaded, request: &FrameRequest) -> Result<(View, CameraReceipt), EngineError> {

@@ -19,6 +19,7 @@ use crate::residency::model::SceneModel;
 pub struct Adapter {
     pub name: String,
     pub atomics_64: bool,
+    pub atomic_sums_64: bool,
     pub rasterises: bool,
     pub max_binding_bytes: u64,
     pub max_side: u32,

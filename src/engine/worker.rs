@@ -99,6 +99,7 @@ fn open(shared: &Shared, options: &GpuOptions) -> Result<Renderer, GpuError> {
     shared.set_adapter(Adapter {
         name: renderer.gpu.name.clone(),
         atomics_64: renderer.gpu.atomics_64,
+        atomic_sums_64: renderer.gpu.atomic_sums_64,
         rasterises: renderer.gpu.rasterises,
         max_binding_bytes: renderer.gpu.max_binding_bytes(),
         max_side: renderer.gpu.limits.max_texture_dimension_2d.min(MOST_ROWS),
@@ -305,10 +306,12 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
     let job = &drawn.job;
     let resolved = &job.resolved;
     let counts = resolved.model.counts();
-    let runs = |pass| resolved.plan.runs(pass);
-    let samples = runs(Pass::ProjectSamples) || runs(Pass::ProjectSplats);
-    let splats = |count: u32| runs(Pass::ProjectSplats).then_some(u64::from(count));
-    let passes = resolved
+    let drawing = job.drawing();
+    let runs = |pass| drawing.plan.runs(pass);
+    let as_splats = runs(Pass::ProjectSplats) || runs(Pass::FuseSplats);
+    let samples = runs(Pass::ProjectSamples) || as_splats;
+    let splats = |count: u32| as_splats.then_some(u64::from(count));
+    let passes = drawing
         .plan
         .passes
         .iter()
@@ -333,8 +336,9 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         settings: UsedSettings {
             lod: job.request.settings.lod,
             paint: resolved.model.trees.then_some(job.request.settings.paint),
-            reconstruct: job.request.settings.reconstruct,
-            splats: resolved.splats,
+            reconstruct: drawing.reconstruct,
+            instead_because: drawing.instead_because,
+            splats: drawing.splats,
         },
         max_error_px: resolved.model.trees.then(|| job.request.settings.max_error.px()),
         estimated_error_px: None,

@@ -90,11 +90,11 @@ pub struct FrameParams {
     #[param(value_type = Option<Reconstruct>)]
     #[schema(value_type = Option<Reconstruct>)]
     pub reconstruct: Option<String>,
-    /// How splats are taken to the image; as the scene has it where none is given. Needs `reconstruct=splats`.
+    /// How splats are taken to the image; as the scene has it where none is given. Needs `reconstruct=splats` or `fuzzy`.
     #[param(value_type = Option<Filter>)]
     #[schema(value_type = Option<Filter>)]
     pub filter: Option<String>,
-    /// Whether splats are convolved with a low-pass filter of the image. Needs `reconstruct=splats`.
+    /// Whether splats are convolved with a low-pass filter of the image. Needs `reconstruct=splats` or `fuzzy`.
     pub prefilter: Option<bool>,
     /// What happens where splats overlap. Needs `reconstruct=splats`.
     #[param(value_type = Option<Blend>)]
@@ -280,8 +280,10 @@ impl FrameParams {
         let by_matrix = self.view.is_some() || self.proj.is_some();
         let of = |yes: bool| if yes || !posed { defaults } else { &empty };
         let (camera, eye, matrix) = (of(false), of(by_eye), of(by_matrix));
-        let pointwise = self.reconstruct.as_deref().is_some_and(|word| word != "splats");
-        let splats = if pointwise { &empty } else { defaults };
+        let other =
+            |words: &[&str]| self.reconstruct.as_deref().is_some_and(|w| !words.contains(&w));
+        let kernels = if other(&["splats", "fuzzy"]) { &empty } else { defaults };
+        let splats = if other(&["splats"]) { &empty } else { defaults };
         let whole = self.lod.as_deref().is_some_and(|word| word == "full");
         let detail = if whole { &empty } else { defaults };
         FrameParams {
@@ -301,8 +303,8 @@ impl FrameParams {
             paint: self.paint.or_else(|| detail.paint.clone()),
             lod: self.lod.or_else(|| defaults.lod.clone()),
             reconstruct: self.reconstruct.or_else(|| defaults.reconstruct.clone()),
-            filter: self.filter.or_else(|| splats.filter.clone()),
-            prefilter: self.prefilter.or(splats.prefilter),
+            filter: self.filter.or_else(|| kernels.filter.clone()),
+            prefilter: self.prefilter.or(kernels.prefilter),
             blend: self.blend.or_else(|| splats.blend.clone()),
             shading: self.shading.or_else(|| splats.shading.clone()),
             deadline_ms: self.deadline_ms.or(defaults.deadline_ms),
@@ -358,20 +360,28 @@ impl FrameParams {
 
     fn settings(&self) -> Result<Settings, Problem> {
         let reconstruct: Reconstruct = choice("reconstruct", self.reconstruct.as_deref())?;
-        let given = [
-            ("filter", self.filter.is_some()),
-            ("prefilter", self.prefilter.is_some()),
-            ("blend", self.blend.is_some()),
-            ("shading", self.shading.is_some()),
-        ];
-        if reconstruct != Reconstruct::Splats
-            && let Some((name, _)) = given.iter().find(|(_, given)| *given)
-        {
-            return Err(Problem::parameter(
-                *name,
-                "only splats have one",
-                "together with `reconstruct=splats`, or left out",
-            ));
+        let kernels = [("filter", self.filter.is_some()), ("prefilter", self.prefilter.is_some())];
+        let passes = [("blend", self.blend.is_some()), ("shading", self.shading.is_some())];
+        let given =
+            |of: &[(&'static str, bool)]| of.iter().find(|(_, given)| *given).map(|of| of.0);
+        let refused = match reconstruct {
+            Reconstruct::Points => given(&kernels).or(given(&passes)),
+            Reconstruct::Fuzzy => given(&passes),
+            Reconstruct::Splats => None,
+        };
+        if let Some(name) = refused {
+            return Err(match reconstruct {
+                Reconstruct::Fuzzy => Problem::parameter(
+                    name,
+                    "splats in a single pass are blended and lit in one way only",
+                    "together with `reconstruct=splats`, or left out",
+                ),
+                _ => Problem::parameter(
+                    name,
+                    "only splats have one",
+                    "together with `reconstruct=splats`, or left out",
+                ),
+            });
         }
         let lod: Lod = choice("lod", self.lod.as_deref())?;
         let [least, most] = MaxError::RANGE_PX;

@@ -129,7 +129,8 @@ impl SeenSplat {
             [1.0 / far, if near > 0.0 { 1.0 / near } else { MOST_INVERSE_DEPTH }]
         });
         let depth_offset = match settings.splats.blend {
-            Blend::Weighted => f64::from(settings.splats.depth_offset),
+            // However many passes it takes, this is what they are after.
+            Blend::Weighted | Blend::Interleaved => f64::from(settings.splats.depth_offset),
             Blend::Opaque => 0.0,
         };
         let seen = Self {

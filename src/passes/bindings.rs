@@ -45,6 +45,7 @@ impl<'a> Names<'a> {
             "sums_1" => scratch.sums[1].buffer(),
             "sums_2" => scratch.sums[2].buffer(),
             "sums_3" => scratch.sums[3].buffer(),
+            "layers" => scratch.layers.buffer(),
             "pixels" => scratch.pixels.buffer(),
             "normals" => scratch.normals.buffer(),
             "stats" => scratch.stats.buffer(),

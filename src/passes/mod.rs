@@ -6,7 +6,8 @@
 //!       project_splats ─ walk_splats             everything into one visibility buffer: 1/z ‖ id
 //!       project_triangles ─ rasterise_triangles
 //!    └─ blend_splats ─ blend_walked               weighted sums of the splats at the visible surface
-//!    └─ resolve_samples|splats, resolve_triangles attributes of the visible pixels only
+//!    └─ fuse_splats ─ fuse_walked                 or both in one, behind the triangles
+//!    └─ resolve_samples|splats|fused, …_triangles attributes of the visible pixels only
 //!       shade                                     lights, once a pixel
 //! ```
 //! Frames of one scene, size and output go through the passes together: a dispatch counts the views in z, and each view has
@@ -34,7 +35,7 @@ pub use frame::{FrameTask, frame_record};
 pub use pipelines::Pipelines;
 pub use record::record;
 pub use recorder::{Context, PassSpan};
-pub use scratch::Scratch;
+pub use scratch::{LAYERS_BYTES, Scratch};
 pub use uniforms::{GroupUniforms, Uniforms};
 
 /// Longest side, in pixels, of a triangle's box up to which a single thread walks it. Measured with

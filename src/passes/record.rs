@@ -56,6 +56,10 @@ pub fn record(
     if plan.runs(Pass::BlendSplats) {
         blend_splats(recorder)?;
     }
+    if plan.runs(Pass::FuseSplats) {
+        fuse_splats(recorder)?;
+        resolve::resolve_fused::record(recorder)?;
+    }
     if plan.runs(Pass::ResolveSplats) {
         resolve::resolve_splats::record(recorder)?;
     }
@@ -87,6 +91,16 @@ fn blend_splats(recorder: &mut Recorder) -> Result<(), ShaderError> {
         recorder.empty_list();
         reconstruct::blend_splats::record(recorder, segment)?;
         reconstruct::blend_walked::record(recorder, segment)?;
+    }
+    Ok(())
+}
+
+fn fuse_splats(recorder: &mut Recorder) -> Result<(), ShaderError> {
+    reconstruct::clear_layers(recorder);
+    for segment in recorder.segments(SAMPLE_PAGES) {
+        recorder.empty_list();
+        reconstruct::fuse_splats::record(recorder, segment)?;
+        reconstruct::fuse_walked::record(recorder, segment)?;
     }
     Ok(())
 }

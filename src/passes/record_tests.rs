@@ -5,7 +5,7 @@ use naga::{Expression, Handle, Literal, Module};
 use crate::bake::pack::{CHUNK, NO_NORMAL, TRIANGLES, VERTEX_WORDS};
 use crate::gpu::shader::parse;
 use crate::passes::frame::output_number;
-use crate::passes::project::{BAND, STRIDE};
+use crate::passes::project::LANES;
 use crate::passes::recorder::DISPATCH_ROW;
 use crate::passes::resolve::TILE;
 use crate::passes::select::{clear, compact, cull, place};
@@ -92,12 +92,16 @@ fn tiles_are_as_large() {
 }
 
 #[test]
-fn the_walk_has_as_many_workgroups() {
-    for root in ["project/walk_triangles", "project/walk_splats", "reconstruct/blend_walked"] {
+fn the_walk_has_as_many_threads() {
+    for root in [
+        "project/walk_triangles",
+        "project/walk_splats",
+        "reconstruct/blend_walked",
+        "reconstruct/fuse_walked",
+    ] {
         let walk = module(root);
-        assert_eq!(scalar(&walk, "STRIDE"), STRIDE, "{root}");
-        assert_eq!(scalar(&walk, "BAND"), BAND, "{root}");
-        assert_eq!(scalar(&walk, "LANES"), threads(&walk), "{root}");
+        assert_eq!(scalar(&walk, "LANES"), LANES, "{root}");
+        assert_eq!(threads(&walk), LANES, "{root}");
     }
 }
 

@@ -15,6 +15,8 @@ pub struct Scratch {
     pub normals: buffer::Scratch,
     /// Of splats, two of 32 bits a pixel each.
     pub sums: [buffer::Scratch; 4],
+    /// Of splats in a single pass, see `shared/slabs`.
+    pub layers: buffer::Scratch,
     pub stats: buffer::Scratch,
     pub placed: buffer::Scratch,
     pub seen: buffer::Scratch,
@@ -38,12 +40,20 @@ pub struct Scratch {
     large_capacity: u32,
     /// Entries that a frame of point trees may list.
     entry_capacity: u32,
+    /// Entries of the list of large triangles that are walked side by side.
+    walk_stride: u32,
 }
+
+/// Bytes that each pixel takes where splats are blended in a single pass: two words.
+pub const LAYERS_BYTES: u64 = 16;
 
 /// Large triangles that there is room for at first; a frame with more is drawn again with room enough.
 const LARGE_INITIAL: u32 = 1 << 18;
 /// Likewise for the entries that a frame of point trees lists.
 const ENTRIES_INITIAL: u32 = 1 << 15;
+/// Entries of a list that are walked side by side, each by a workgroup a band: at first, and at most.
+const STRIDE_INITIAL: u32 = 64;
+const MOST_STRIDE: u32 = 1 << 15;
 /// Slots have numbers of 22 bits.
 const MOST_ENTRIES: u32 = 1 << 22;
 
@@ -60,6 +70,7 @@ impl Scratch {
             pixels: make("pixels"),
             normals: make("normals"),
             sums: ["sums_0", "sums_1", "sums_2", "sums_3"].map(make),
+            layers: make("layers"),
             stats: make("stats"),
             placed: make("placed"),
             seen: make("seen"),
@@ -84,13 +95,14 @@ impl Scratch {
             attachment: None,
             large_capacity: LARGE_INITIAL.min(most_large(gpu)),
             entry_capacity: ENTRIES_INITIAL.min(most_entries(gpu)),
+            walk_stride: STRIDE_INITIAL,
         }
     }
 
-    /// Bytes of the largest buffer that one view needs.
-    pub fn largest(scene: &ResidentScene, (width, height): (u32, u32)) -> u64 {
+    /// Bytes of the largest buffer that one view needs, of which there are `bytes` for each pixel.
+    pub fn largest(scene: &ResidentScene, (width, height): (u32, u32), bytes: u64) -> u64 {
         let bytes = [
-            u64::from(width) * u64::from(height) * 8,
+            u64::from(width) * u64::from(height) * bytes,
             u64::from(scene.instance_count) * size_of::<GpuPlaced>() as u64,
             u64::from(scene.entries(ENTRIES_INITIAL).1) * size_of::<GpuSlot>() as u64,
         ];
@@ -152,6 +164,12 @@ impl Scratch {
         self.sums.iter_mut().take(count).for_each(|sums| sums.reserve(gpu, bytes));
     }
 
+    /// Room for both words of each pixel.
+    pub fn reserve_layers(&mut self, gpu: &Gpu, (width, height): (u32, u32), views: u32) {
+        let pixels = u64::from(views) * u64::from(width) * u64::from(height);
+        self.layers.reserve(gpu, pixels * LAYERS_BYTES);
+    }
+
     pub fn large_capacity(&self) -> u32 {
         self.large_capacity
     }
@@ -169,6 +187,16 @@ impl Scratch {
     pub fn grow_entries(&mut self, gpu: &Gpu, count: u32) {
         let wanted = count.checked_next_power_of_two().unwrap_or(u32::MAX);
         self.entry_capacity = wanted.max(self.entry_capacity).min(most_entries(gpu));
+    }
+
+    pub fn walk_stride(&self) -> u32 {
+        self.walk_stride
+    }
+
+    /// Cuts walks over lists into more parts than `stride`, from the next frame on; false where there can be no more.
+    pub fn grow_walk(&mut self, stride: u32) -> bool {
+        self.walk_stride = self.walk_stride.max((stride * 8).min(MOST_STRIDE));
+        self.walk_stride > stride
     }
 
     /// An attachment of the frame's size that render passes need and nobody reads.

@@ -29,6 +29,8 @@ pub struct SceneFacts {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AdapterFacts {
     pub atomics_64: bool,
+    /// Integers of 64 bits can be added and exchanged, not only compared.
+    pub atomic_sums_64: bool,
     /// Large triangles go to the rasteriser rather than to a walk in compute.
     pub rasterises: bool,
 }
@@ -55,6 +57,8 @@ pub enum Pass {
     WalkSplatsId,
     BlendSplats,
     BlendWalked,
+    FuseSplats,
+    FuseWalked,
     ProjectTriangles,
     RasteriseTriangles,
     WalkTriangles,
@@ -63,6 +67,7 @@ pub enum Pass {
     WalkTrianglesId,
     ResolveSamples,
     ResolveSplats,
+    ResolveFused,
     ResolveTriangles,
     Shade,
     ShadowMap,
@@ -70,7 +75,7 @@ pub enum Pass {
 
 impl Pass {
     /// All passes in the order in which they run.
-    pub const ALL: [Pass; 28] = [
+    pub const ALL: [Pass; 31] = [
         Pass::Clear,
         Pass::CullGroups,
         Pass::ListGroups,
@@ -95,8 +100,11 @@ impl Pass {
         Pass::WalkTrianglesId,
         Pass::BlendSplats,
         Pass::BlendWalked,
+        Pass::FuseSplats,
+        Pass::FuseWalked,
         Pass::ResolveSamples,
         Pass::ResolveSplats,
+        Pass::ResolveFused,
         Pass::ResolveTriangles,
         Pass::Shade,
     ];
@@ -120,7 +128,10 @@ impl Pass {
             Pass::WalkSplatsId => "walk_splats_id",
             Pass::BlendSplats => "blend_splats",
             Pass::BlendWalked => "blend_walked",
+            Pass::FuseSplats => "fuse_splats",
+            Pass::FuseWalked => "fuse_walked",
             Pass::ResolveSplats => "resolve_splats",
+            Pass::ResolveFused => "resolve_fused",
             Pass::ProjectTriangles => "project_triangles",
             Pass::RasteriseTriangles => "rasterise_triangles",
             Pass::ProjectTrianglesId => "project_triangles_id",
@@ -163,8 +174,10 @@ pub fn plan(
     adapter: &AdapterFacts,
 ) -> FramePlan {
     let shaded = output == Output::Color && scene.lights > 0;
-    let blended = splats.is_some_and(|splats| splats.blend == Blend::Weighted);
-    let lit_alone = blended && splats.is_some_and(|splats| splats.shading == Shading::Splat);
+    let is = |blend| splats.is_some_and(|splats| splats.blend == blend);
+    let (blended, fused) = (is(Blend::Weighted), is(Blend::Interleaved));
+    let lit_alone =
+        (blended || fused) && splats.is_some_and(|splats| splats.shading == Shading::Splat);
     let reason = |pass: Pass| -> Option<&'static str> {
         let samples = (!scene.has_samples).then_some("the scene has no samples");
         let triangles = (!scene.has_triangles).then_some("the scene has no triangles");
@@ -175,19 +188,22 @@ pub fn plan(
             .then_some("the adapter's rasteriser is slower than walk_triangles");
         let points = samples.or(splats.is_none().then_some("samples are drawn as points"));
         let no_points = samples.or(splats.is_some().then_some("samples are drawn as splats"));
-        let opaque = points.or((!blended).then_some("splats are not blended"));
+        let single = fused.then_some("splats are blended in a single pass");
+        let opaque = points.or(single).or((!blended).then_some("splats are not blended"));
+        let apart = points.or((!fused).then_some("splats are not blended in a single pass"));
         match pass {
             Pass::Clear | Pass::Place | Pass::Cull | Pass::Scan | Pass::Compact => None,
             Pass::CullGroups | Pass::ListGroups | Pass::SelectChunks | Pass::ListEntries => {
                 (!scene.trees).then_some("the level of detail is full")
             }
             Pass::ProjectSamples => no_points,
-            Pass::ProjectSplats | Pass::WalkSplats => points,
-            Pass::ProjectSplatsId | Pass::WalkSplatsId => points.or(wide),
+            Pass::ProjectSplats | Pass::WalkSplats => points.or(single),
+            Pass::ProjectSplatsId | Pass::WalkSplatsId => points.or(single).or(wide),
             Pass::BlendSplats | Pass::BlendWalked => {
                 opaque.or((output == Output::Id).then_some("the output is id"))
             }
             Pass::ResolveSplats => opaque,
+            Pass::FuseSplats | Pass::FuseWalked | Pass::ResolveFused => apart,
             Pass::ProjectTriangles => triangles,
             Pass::RasteriseTriangles => triangles.or(walked),
             Pass::WalkTriangles => triangles.or(rasterised),
@@ -196,7 +212,9 @@ pub fn plan(
             Pass::RasteriseTrianglesId => triangles.or(wide).or(walked),
             Pass::WalkTrianglesId => triangles.or(wide).or(rasterised),
             // It also writes the background of a scene that has nothing at all.
-            Pass::ResolveSamples if scene.has_samples => blended.then_some("splats are blended"),
+            Pass::ResolveSamples if scene.has_samples => {
+                (blended || fused).then_some("splats are blended")
+            }
             Pass::ResolveSamples => samples.filter(|_| scene.has_triangles),
             Pass::ResolveTriangles => triangles,
             Pass::Shade if output != Output::Color => Some("the output is not color"),
@@ -219,7 +237,8 @@ mod tests {
 
     const OF_TREES: [Pass; 4] =
         [Pass::CullGroups, Pass::ListGroups, Pass::SelectChunks, Pass::ListEntries];
-    const WIDE: AdapterFacts = AdapterFacts { atomics_64: true, rasterises: true };
+    const WIDE: AdapterFacts =
+        AdapterFacts { atomics_64: true, atomic_sums_64: true, rasterises: true };
 
     #[test]
     fn a_scan_without_lights_runs_no_triangle_or_shade_pass() {
@@ -244,7 +263,7 @@ mod tests {
                 pass,
                 Pass::ShadowMap | Pass::RasteriseTriangles | Pass::RasteriseTrianglesId
             ) || pass.name().contains("splat")
-                || pass == Pass::BlendWalked
+                || matches!(pass, Pass::BlendWalked | Pass::FuseWalked | Pass::ResolveFused)
                 || OF_TREES.contains(&pass);
             assert_eq!(plan.runs(pass), !other, "{pass:?}");
         }
@@ -255,7 +274,8 @@ mod tests {
         let facts = SceneFacts { has_triangles: true, ..Default::default() };
         for (rasterises, atomics_64) in [(true, true), (true, false), (false, true), (false, false)]
         {
-            let plan = plan(&facts, Output::Color, None, &AdapterFacts { atomics_64, rasterises });
+            let adapter = AdapterFacts { atomics_64, rasterises, ..AdapterFacts::default() };
+            let plan = plan(&facts, Output::Color, None, &adapter);
             assert_eq!(plan.runs(Pass::RasteriseTriangles), rasterises);
             assert_eq!(plan.runs(Pass::WalkTriangles), !rasterises);
             assert_eq!(plan.runs(Pass::RasteriseTrianglesId), rasterises && !atomics_64);
@@ -315,6 +335,10 @@ mod tests {
             runs(&opaque, Output::Color, &facts),
             [&depth[..], &["resolve_samples", "shade"]].concat()
         );
+        let fused = Splats { blend: Blend::Interleaved, ..lit };
+        let single = ["fuse_splats", "fuse_walked", "resolve_fused"];
+        assert_eq!(runs(&fused, Output::Color, &facts), single);
+        assert_eq!(runs(&fused, Output::Color, &mixed).last(), Some(&"shade"));
         let empty = SceneFacts::default();
         assert_eq!(runs(&deferred, Output::Color, &empty), ["resolve_samples"]);
     }

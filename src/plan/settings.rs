@@ -21,13 +21,33 @@ pub struct Settings {
 impl Settings {
     /// How samples are drawn as splats, if they are; `scene`: what the scene says.
     pub fn splats(&self, scene: &Splats) -> Option<Splats> {
-        (self.reconstruct == Reconstruct::Splats).then(|| Splats {
+        let of_kernels = Splats {
             filter: self.filter.unwrap_or(scene.filter),
             prefilter: self.prefilter.unwrap_or(scene.prefilter),
-            blend: self.blend.unwrap_or(scene.blend),
-            shading: self.shading.unwrap_or(scene.shading),
             ..*scene
-        })
+        };
+        match self.reconstruct {
+            Reconstruct::Points => None,
+            Reconstruct::Splats => Some(Splats {
+                blend: self.blend.unwrap_or(scene.blend),
+                shading: self.shading.unwrap_or(scene.shading),
+                ..of_kernels
+            }),
+            // What is added up cannot be lit any more.
+            Reconstruct::Fuzzy => {
+                Some(Splats { blend: Blend::Interleaved, shading: Shading::Splat, ..of_kernels })
+            }
+        }
+    }
+
+    /// What is drawn where a single pass will not do.
+    pub fn in_three_passes(&self) -> Settings {
+        Settings {
+            reconstruct: Reconstruct::Splats,
+            blend: Some(Blend::Weighted),
+            shading: Some(Shading::Splat),
+            ..*self
+        }
     }
 }
 
@@ -80,6 +100,9 @@ pub struct UsedSettings {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub paint: Option<Paint>,
     pub reconstruct: Reconstruct,
+    /// Why that is not what was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub instead_because: Option<&'static str>,
     /// Only where samples are drawn as splats.
     #[serde(flatten)]
     pub splats: Option<Splats>,
@@ -122,6 +145,8 @@ pub enum Reconstruct {
     Points,
     /// Elliptical Gaussians in the samples' tangent planes (Zwicker et al. 2004).
     Splats,
+    /// The same, blended and depth-tested in a single pass (Dachsbacher et al. 2003, §5): faster, coarser in weights and depths.
+    Fuzzy,
 }
 
 /// Which image of the frame is wanted.

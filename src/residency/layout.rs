@@ -154,7 +154,8 @@ pub struct GpuStats {
     pub sums_full: u32,
     pub entries_wanted: u32,
     pub nodes_drawn: u32,
-    pub unused: [u32; 3],
+    pub walk_cut: u32,
+    pub unused: [u32; 2],
 }
 
 /// `Material` of `shared/material.wgsl`.
@@ -248,10 +249,17 @@ pub struct GpuFrame {
     pub splat_lowpass_px: f32,
     pub splat_width: f32,
     pub splat_offset: f32,
+    pub slab_near: f32,
+    pub slab_per_unit: f32,
+    pub slab_meet: f32,
+    pub slab_meet_log2: f32,
+    pub slab_per_octave: f32,
     pub lod_scale: f32,
     pub entry_capacity: u32,
     pub instance_groups: u32,
     pub segment_count: u32,
+    /// Records lie 16 bytes apart.
+    pub padding: [u32; 3],
 }
 
 /// An f64 as the sum of two f32: 48 bits of mantissa.
@@ -388,6 +396,11 @@ mod tests {
                 splat_lowpass_px,
                 splat_width,
                 splat_offset,
+                slab_near,
+                slab_per_unit,
+                slab_meet,
+                slab_meet_log2,
+                slab_per_octave,
                 lod_scale,
                 entry_capacity,
                 instance_groups,
@@ -494,6 +507,7 @@ mod tests {
                         ("large_wrapped", std::mem::offset_of!(GpuStats, large_wrapped)),
                         ("sums_full", std::mem::offset_of!(GpuStats, sums_full)),
                         ("entries_wanted", std::mem::offset_of!(GpuStats, entries_wanted)),
+                        ("walk_cut", std::mem::offset_of!(GpuStats, walk_cut)),
                     ] {
                         assert_eq!(offset(member), place);
                         let name = format!("STAT_{}", member.to_uppercase());

@@ -6,7 +6,7 @@ use std::sync::{Arc, OnceLock};
 use glam::{DAffine3, DMat3, DVec3};
 
 use super::layout::{GpuEntry, GpuInstance, GpuInstanceGroup, INSTANCE_GROUP, two_floats};
-use crate::bake::pack::{Grid, PackError, PackedAsset, PackedGeometry};
+use crate::bake::pack::{Grid, PackError, PackedAsset, PackedChunk, PackedGeometry};
 use crate::bake::prepare::AssetTraits;
 use crate::bake::tree::Above;
 use crate::math::{Bounds, Camera};
@@ -30,6 +30,14 @@ pub struct AssetModel {
     pub beside: Vec<Option<usize>>,
     /// The asset as point trees, once a frame has asked for it.
     pub tree: OnceLock<Result<Arc<AssetModel>, PackError>>,
+}
+
+/// Where a scene's samples are and how wide they are, in world units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Extent {
+    pub bounds: Bounds,
+    /// Standard deviation of kernels along their longer axis, of a median chunk of each geometry, on average over instances.
+    pub kernel: f64,
 }
 
 /// One drawn copy of one geometry.
@@ -104,6 +112,23 @@ impl AssetModel {
         }
     }
 
+    /// Of each geometry the longest axis of a kernel in a median chunk, in its own units, and how many samples there are.
+    fn kernels(&self) -> Vec<(f64, f64)> {
+        let of = |geometry: &PackedGeometry| {
+            let PackedGeometry::Samples(cloud) = geometry else { return (0.0, 0.0) };
+            let longest =
+                |chunk: &PackedChunk| f64::from(chunk.kernel_base) * f64::from(1u32 << chunk.shift);
+            let mut lengths: Vec<f64> = cloud.chunks.iter().map(longest).collect();
+            let middle = lengths.len() / 2;
+            if middle >= lengths.len() {
+                return (0.0, 0.0);
+            }
+            let (_, median, _) = lengths.select_nth_unstable_by(middle, f64::total_cmp);
+            (*median * cloud.grid.step, cloud.positions.len() as f64)
+        };
+        self.packed.geometries.iter().map(of).collect()
+    }
+
     /// Samples and triangles of the whole file, instances not counted.
     pub fn counts(&self) -> (u64, u64) {
         self.packed.geometries.iter().fold(
@@ -166,6 +191,22 @@ impl SceneModel {
             }
         }
         counts
+    }
+
+    /// Where its samples are and how wide.
+    pub fn extent(&self) -> Extent {
+        let kernels: Vec<Vec<(f64, f64)>> =
+            self.assets.iter().map(|asset| asset.kernels()).collect();
+        let (mut sum, mut count) = (0.0, 0.0);
+        for instance in &self.instances {
+            let (kernel, samples) = kernels[instance.asset][instance.geometry];
+            let map = instance.world_from_geometry.matrix3;
+            let scale = map.x_axis.length().max(map.y_axis.length()).max(map.z_axis.length());
+            sum += samples * kernel * scale;
+            count += samples;
+        }
+        let kernel = if count > 0.0 && f64::is_finite(sum) { sum / count } else { 0.0 };
+        Extent { bounds: self.bounds(), kernel }
     }
 
     /// World-space box around every instance.

@@ -50,6 +50,18 @@ pub enum Blend {
     Weighted,
     /// One pass: the nearest splat alone, depth-tested.
     Opaque,
+    /// One pass: blended and depth-tested at once (Dachsbacher et al. 2003, §5). What `reconstruct=fuzzy` draws with, and no scene's
+    /// or request's word for it.
+    #[serde(skip_deserializing)]
+    #[schemars(skip)]
+    #[value(skip)]
+    Interleaved,
+}
+
+impl Blend {
+    fn is_interleaved(&self) -> bool {
+        *self == Blend::Interleaved
+    }
 }
 
 /// When splats are lit.
@@ -80,6 +92,8 @@ pub enum Shading {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct Splats {
     pub filter: Filter,
+    /// Left out where `reconstruct=fuzzy` has its own way.
+    #[serde(skip_serializing_if = "Blend::is_interleaved")]
     pub blend: Blend,
     pub shading: Shading,
     /// Whether kernels are convolved with a low-pass filter of the image (EWA).

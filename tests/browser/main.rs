@@ -170,6 +170,12 @@ fn splats_are_chosen_and_remembered() {
     browser.open("about:blank");
     browser.open(&address);
     assert_eq!(still_picture(&browser), opaque, "the address shows the same picture");
+    choose(&browser, "reconstruct", "fuzzy");
+    assert_eq!(
+        shown_controls(&browser),
+        "reconstruct filter prefilter",
+        "blended and lit in one way"
+    );
     choose(&browser, "reconstruct", "points");
     still_picture(&browser);
     assert_eq!(shown_controls(&browser), "reconstruct");

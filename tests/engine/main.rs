@@ -17,6 +17,7 @@ mod loss;
 mod memory;
 mod paging;
 mod queueing;
+mod rounds;
 mod side_files;
 mod splats_hard;
 mod studio;

@@ -284,6 +284,16 @@ fn splats_and_their_receipt() {
         [&json!("exact"), &json!(true), &json!("opaque"), &json!(2.5)],
         "what is left out is as the scene has it"
     );
+
+    let fuzzy = FRAME.to_owned() + "&reconstruct=fuzzy";
+    let receipt = client.get(&fuzzy).receipt();
+    let expected = json!({"lod": "full", "reconstruct": "fuzzy", "filter": "perspective", "prefilter": true,
+        "shading": "splat", "lowpass_px": 0.5, "cutoff": 2.0, "width": 1.0, "depth_offset": 1.0});
+    assert_eq!(receipt["settings"], expected);
+    assert_eq!(receipt["splats"]["scattered"], 64 * 64);
+    let settings = &client.get(&(fuzzy + "&output=normal")).receipt()["settings"];
+    assert_eq!(settings["reconstruct"], "splats");
+    assert_eq!(settings["instead_because"], "a single pass has nothing but colours");
 }
 
 #[test]

@@ -11,6 +11,7 @@
 
 mod counts;
 mod files;
+mod fuzzy;
 mod golden;
 mod instances;
 mod lights;

@@ -168,7 +168,12 @@ impl Case {
 
     /// The frames of every engine: with 64-bit atomics, without, and with the rasteriser.
     pub fn each(&self, view: &View) -> [Frames; 3] {
-        engines().map(|engine| frames(engine, &self.id, view, Settings::default()))
+        self.each_with(view, Settings::default())
+    }
+
+    /// As [`Case::each`], with settings.
+    pub fn each_with(&self, view: &View, settings: Settings) -> [Frames; 3] {
+        engines().map(|engine| frames(engine, &self.id, view, settings))
     }
 
     /// Draws and compares with the oracle; fails with pictures.

@@ -103,7 +103,7 @@ fn values_are_checked() {
 #[test]
 fn what_is_accepted_comes_from_the_type() {
     assert_eq!(fault("output=x").2, "color, depth, normal, id");
-    assert_eq!(fault("reconstruct=x").2, "points or splats");
+    assert_eq!(fault("reconstruct=x").2, "points, splats, fuzzy");
     for (query, accepted) in [
         ("filter=x", "affine, perspective, exact"),
         ("prefilter=yes", "true or false"),
@@ -164,6 +164,16 @@ fn settings_of_splats_need_splats() {
         let problem = params.request("s", ImageFormat::Png, Instant::now()).unwrap_err();
         assert_eq!((problem.status(), problem.parameter.as_deref()), (422, Some(name)));
     }
+    // A single pass has kernels like three, and one way to blend and light them.
+    let fuzzy = request("reconstruct=fuzzy&filter=exact&prefilter=false").unwrap().settings;
+    assert_eq!((fuzzy.reconstruct, fuzzy.filter), (Reconstruct::Fuzzy, Some(Filter::Exact)));
+    for given in ["blend=weighted", "shading=deferred"] {
+        let (parameter, _, accepted) = fault(&format!("reconstruct=fuzzy&{given}"));
+        assert!(given.starts_with(&parameter) && accepted.contains("`reconstruct=splats`"));
+    }
+    let (parameter, _, accepted) = fault("reconstruct=splats&blend=interleaved");
+    assert_eq!(parameter, "blend");
+    assert!(accepted.contains("opaque") && !accepted.contains("interleaved"), "{accepted}");
     let fail = |json| FrameParams::from_json(json, "").unwrap_err().parameter.unwrap();
     assert_eq!(fail(serde_json::json!({"prefilter": "true"})), "prefilter");
     assert_eq!(fail(serde_json::json!({"blend": 1})), "blend");

@@ -1,6 +1,6 @@
 //! Visibility of listed splats.
 
-use super::walk;
+use super::{band_constant, walk};
 use crate::gpu::shader::ShaderError;
 use crate::passes::reconstruct::{is_clipped, is_tree, node_constants, splat_constants};
 use crate::passes::recorder::{Call, Recorder, Segment};
@@ -19,6 +19,7 @@ pub fn record(
     let splats = recorder.task.splats.unwrap_or_default();
     let mut constants = splat_constants(&splats, true);
     constants.extend(node_constants(recorder, segment));
+    constants.push(band_constant(recorder));
     recorder.compute(Call {
         pass: pass(half),
         root: "project/walk_splats",

@@ -1,6 +1,6 @@
 //! Listed triangles, for adapters whose rasteriser is slower than a walk in compute.
 
-use super::walk;
+use super::{band_constant, walk};
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, Recorder, Segment};
 use crate::passes::shaders::{Choices, Visibility};
@@ -23,7 +23,7 @@ pub fn record(
             alpha_cut: recorder.scene.alpha_cut,
             ..Choices::default()
         },
-        constants: Vec::new(),
+        constants: vec![band_constant(recorder)],
         segments: &[segment],
         launch: walk(recorder),
     })

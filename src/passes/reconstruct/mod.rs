@@ -2,12 +2,15 @@
 
 pub mod blend_splats;
 pub mod blend_walked;
+pub mod fuse_splats;
+pub mod fuse_walked;
 
 use super::frame::output_number;
 use super::pipelines::Constants;
 use super::recorder::{Recorder, Segment};
+use super::scratch::LAYERS_BYTES;
 use super::shaders::Choices;
-use crate::plan::{Output, Paint};
+use crate::plan::{Output, Paint, Pass};
 use crate::scene::{Blend, Filter, Shading, Splats};
 
 /// Samples that the sums of a pixel have room for.
@@ -69,6 +72,14 @@ pub fn clear_sums(recorder: &mut Recorder) {
     }
 }
 
+/// Empties both words of each pixel, of all views.
+pub fn clear_layers(recorder: &mut Recorder) {
+    let (width, height) = recorder.task.size();
+    let pixels = u64::from(recorder.task.count()) * u64::from(width) * u64::from(height);
+    let layers = recorder.context.scratch.layers.buffer().raw();
+    recorder.encoder.clear_buffer(layers, 0, Some(pixels * LAYERS_BYTES));
+}
+
 fn choices(recorder: &Recorder, segment: Segment) -> Choices {
     Choices {
         clipped: is_clipped(recorder, segment),
@@ -86,8 +97,12 @@ fn constants(recorder: &Recorder, segment: Segment, walked: bool) -> Constants {
         ("OUTPUT", output_number(recorder.task.output)),
         ("OVERRIDES", u32::from(looks.overrides)),
         ("DEFERRED", u32::from(recorder.task.is_deferred())),
-        ("CROWDED", u32::from(recorder.scene.sample_count >= SUMS_ROOM)),
     ];
+    if recorder.task.plan.runs(Pass::FuseSplats) {
+        constants.push(("HIDES", u32::from(recorder.task.plan.runs(Pass::ProjectTriangles))));
+    } else {
+        constants.push(("CROWDED", u32::from(recorder.scene.sample_count >= SUMS_ROOM)));
+    }
     if is_lit(recorder) {
         constants.extend(super::shade::light_constants(looks, lights));
     }

@@ -1,5 +1,6 @@
 //! Attributes of the visible pixels only.
 
+pub mod resolve_fused;
 pub mod resolve_samples;
 pub mod resolve_splats;
 pub mod resolve_triangles;

@@ -36,10 +36,16 @@ pub(super) fn material(name: &str, wire: &MaterialWire, place: Place<'_>) -> Val
     })
 }
 
+/// Each pixel goes through all of them.
+const MOST_LIGHTS: usize = 256;
+
 pub(super) fn lights(wires: Option<&[Object<LightWire>]>) -> Valid<Vec<Light>> {
     let Some(wires) = wires else { return Ok(Light::default_pair().to_vec()) };
     let root = Place::Root;
     let place = root.key("lights");
+    if wires.len() > MOST_LIGHTS {
+        return place.refuse(format!("{} lights, {MOST_LIGHTS} are possible", wires.len()));
+    }
     wires.iter().enumerate().map(|(i, wire)| light(wire, place.index(i))).collect()
 }
 

@@ -1,0 +1,68 @@
+// Colours of pixels that show splats blended in a single pass: the nearest slab, with the one behind it.
+//!include shared/frame
+//!include shared/scene
+//!include shared/colour
+//!include shared/kept
+//!include shared/resolve
+//!include shared/slabs
+
+@group(0) @binding(1) var<storage, read_write> visibility: array<vec2<u32>>;
+// Even slab, then odd one; lower half, then upper.
+@group(0) @binding(5) var<storage, read> layers: array<vec4<u32>>;
+
+// Red, green, blue and weight.
+fn sums_of(word: vec2<u32>) -> vec4<f32> {
+    let red = ((word.y & 0xfffu) << 3u) | (word.x >> 29u);
+    let color = vec3<f32>(vec3<u32>(red, (word.x >> 14u) & 0x7fffu, word.x & 0x3fffu));
+    return vec4<f32>(color / vec3<f32>(RED_GREEN_STEPS, RED_GREEN_STEPS, BLUE_STEPS), f32(weights_of(word.y)));
+}
+
+// Of both slabs, if they lie side by side and show the same side of a surface, else of the nearer one.
+fn fused(words: vec4<u32>) -> vec4<f32> {
+    let even = SLAB_NEAREST - tag_of(words.y);
+    let odd = SLAB_NEAREST - tag_of(words.w);
+    // Slabs 2n and 2n + 1 have the same number among their kinds.
+    let even_first = (even >> 1u) <= (odd >> 1u);
+    let apart = select((even >> 1u) - (odd >> 1u) - 1u, (odd >> 1u) - (even >> 1u), even_first);
+    let nearer = select(words.zw, words.xy, even_first);
+    let farther = select(words.xy, words.zw, even_first);
+    let beside = tag_of(farther.y) != 0u && apart == 0u && ((even ^ odd) & 1u) == 0u;
+    if weights_of(nearer.y) == WEIGHTS_FULL || (beside && weights_of(farther.y) == WEIGHTS_FULL) {
+        atomicMax(&stats[frame.view].sums_full, 1u);
+    }
+    return sums_of(nearer) + select(vec4<f32>(0.0), sums_of(farther), beside);
+}
+
+@compute @workgroup_size(64)
+fn resolve_fused(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    begin_view(group.z);
+    var column = column_begin(group, lane);
+    var resolved = 0u;
+    loop {
+        if column_ends(column) {
+            break;
+        }
+        var words = vec4<u32>(0u);
+        if column.inside {
+            words = layers[column.pixel];
+        }
+        column.mine = (words.y | words.w) != 0u;
+        if any_lane(column.mine) {
+            if column.mine {
+                let sums = fused(words);
+                let color = srgb_from_linear(sums.rgb / max(sums.a, 1.0));
+                pixels[column.pixel] = pack4x8unorm(vec4<f32>(color, 1.0));
+                // What triangles have there lies behind.
+                visibility[column.pixel] = vec2<u32>(0u);
+                resolved++;
+            }
+        }
+        if column.inside && !column.mine && visibility[column.pixel].y == 0u {
+            pixels[column.pixel] = frame.background;
+        }
+        column_step(&column);
+    }
+    if resolved != 0u {
+        atomicAdd(&stats[frame.view].pixels_of_samples, resolved);
+    }
+}

@@ -1,0 +1,37 @@
+// The word of a pixel that is blended and depth-tested at once. Depths are cut into slabs, equally thick up to some
+// depth, each a given share thicker than the one before it from there; a pixel has a word for even slabs and one for odd ones, each of the nearest slab of its kind:
+//
+//   10 bits  1023 − (2 · number among its kind, + 1 for the back of a surface); so that a greater word is nearer, 0 is none
+//   10 bits  sum of weights; all ones: there were too many for the bits
+//   15 bits  red,   15 bits  green, in 32nds of a weight's unit
+//   14 bits  blue, in 16ths
+//
+// To keep the nearest slab and add up what lies in it depends on no order. Two slabs side by side reach at least one slab behind the
+// nearest fragment, wherever in its slab that is.
+const SLABS: f32 = 1021.0;
+const SLAB_NEAREST: u32 = 1023u;
+const WEIGHTS_MOST: u32 = 1022u;
+const WEIGHTS_FULL: u32 = 1023u;
+const RED_GREEN_STEPS: f32 = 32.0;
+const BLUE_STEPS: f32 = 16.0;
+
+// `inverse`: 1/z.
+fn slab_of(inverse: f32) -> u32 {
+    let z = 1.0 / inverse;
+    let first = (min(z, frame.slab_meet) - frame.slab_near) * frame.slab_per_unit;
+    let rest = max(log2(z) - frame.slab_meet_log2, 0.0) * frame.slab_per_octave;
+    return u32(clamp(first + rest, 0.0, SLABS));
+}
+
+fn slab_tag(slab: u32, facing: u32) -> u32 {
+    return SLAB_NEAREST - ((slab & ~1u) | u32(facing == FACING_BACK));
+}
+
+// Upper halves of words.
+fn tag_of(high: u32) -> u32 {
+    return high >> 22u;
+}
+
+fn weights_of(high: u32) -> u32 {
+    return (high >> 12u) & 0x3ffu;
+}

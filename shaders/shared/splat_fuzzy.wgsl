@@ -1,0 +1,37 @@
+// What a splat does at a pixel that is blended and depth-tested at once (Dachsbacher et al. 2003, §5): it takes the place of what
+// lies a slab behind, is added to what lies beside it, or is hidden.
+//!include shared/splat_paint
+//!include shared/slabs
+// Triangles may hide splats; they are drawn before.
+override HIDES: bool = true;
+
+@group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
+@group(0) @binding(5) var<storage, read_write> layers: array<atomic<u64>>;
+
+const WEIGHTS_BITS: u64 = 0x3ff00000000000lu;
+
+// False where another thread came between: to be tried once more.
+fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) -> bool {
+    let inverse = splat_inverse(splat, d);
+    if HIDES && inverse < bitcast<f32>(visibility[pixel].y) {
+        return true;
+    }
+    let weight = max(round(splat.amplitude * exp(-0.5 * q) * frame.weight_one), 1.0);
+    let slab = slab_of(inverse);
+    let tag = slab_tag(slab, splat.facing);
+    let c = vec3<u32>(round(paint.color * weight * vec3<f32>(RED_GREEN_STEPS, RED_GREEN_STEPS, BLUE_STEPS)));
+    let low = c.b | (c.g << 14u) | (c.r << 29u);
+    let high = (c.r >> 3u) | (u32(weight) << 12u);
+    let share = (u64(high) << 32u) | u64(low);
+    let word = 2u * pixel + (slab & 1u);
+    let old = atomicLoad(&layers[word]);
+    let old_high = u32(old >> 32u);
+    if tag_of(old_high) > tag {
+        return true;
+    }
+    var next = share | (u64(tag) << 54u);
+    if tag_of(old_high) == tag {
+        next = select(old + share, old | WEIGHTS_BITS, weights_of(old_high) + u32(weight) > WEIGHTS_MOST);
+    }
+    return atomicCompareExchangeWeak(&layers[word], old, next).exchanged;
+}

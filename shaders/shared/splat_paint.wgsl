@@ -1,0 +1,63 @@
+// What a splat has to give to pixels: its colour, lit or not, and its normal.
+//!include shared/outputs
+override OVERRIDES: bool = true;
+// Colour frames that a shade pass follows: normals are blended too.
+override DEFERRED: bool = true;
+@group(1) @binding(3) var<storage, read> instances: array<Instance>;
+@group(1) @binding(4) var<storage, read> materials: array<Material>;
+
+// What the samples of a slot have in common.
+struct PaintSlot {
+    normals: NormalMap,
+    // Overriding material plus one, or 0.
+    material: u32,
+}
+
+struct Paint {
+    // Linear light.
+    color: vec3<f32>,
+    // n · ½ + ½ in world space, towards the eye.
+    normal: vec3<f32>,
+}
+
+fn albedo(own: u32, over_plus_one: u32) -> vec3<f32> {
+    let c = linear_from_srgb(unpack4x8unorm(own).rgb);
+    if !OVERRIDES || over_plus_one == 0u {
+        return c;
+    }
+    let over = materials[over_plus_one - 1u];
+    if (over.overrides & OVERRIDE_BASE_COLOR) == 0u {
+        return c;
+    }
+    return clamp(c * over.base_color.rgb, vec3<f32>(0.0), vec3<f32>(1.0));
+}
+
+fn paint_slot(slot: SplatSlot) -> PaintSlot {
+    var shared_paint: PaintSlot;
+    if OUTPUT == OUTPUT_NORMAL || DEFERRED || LIT {
+        shared_paint.normals = normal_map(slot.instance);
+    }
+    if OVERRIDES {
+        shared_paint.material = instances[slot.instance].material;
+    }
+    return shared_paint;
+}
+
+fn paint_of(slot: SplatSlot, shared_paint: PaintSlot, sample: u32) -> Paint {
+    var paint: Paint;
+    if OUTPUT == OUTPUT_DEPTH {
+        return paint;
+    }
+    let packed = attributes[slot.first + sample];
+    var normal = vec3<f32>(0.0);
+    if OUTPUT == OUTPUT_NORMAL || DEFERRED || LIT {
+        // Unit, turned towards the eye; zero where the sample has none.
+        let towards = world_from_camera(camera_vector(splat_centre(slot, sample)));
+        normal = facing_normal(turned(shared_paint.normals, octahedral_decode(packed.y)), towards);
+        paint.normal = fma(normal, vec3<f32>(0.5), vec3<f32>(0.5));
+    }
+    if OUTPUT == OUTPUT_COLOR {
+        paint.color = lit(albedo(painted(slot.first + sample, packed.x), shared_paint.material), normal, shared_paint.material, slot, sample);
+    }
+    return paint;
+}

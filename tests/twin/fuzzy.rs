@@ -1,0 +1,108 @@
+//! Splats blended and depth-tested in a single pass (Dachsbacher et al. 2003, §5) beside the oracle's, which are blended as three
+//! passes would. What differs are weights of four bits, colours in 32nds of them, and depths that are told apart by slabs.
+
+use glam::DVec3;
+use pointillist::accuracy::metrics;
+use pointillist::math::View;
+use pointillist::plan::{Pass, Reconstruct, Settings};
+use pointillist::scene::{Blend, Filter, Shading};
+use serde_json::json;
+
+use super::files::Shape;
+use super::splats::{ball, case, oracle};
+use super::stage::{Case, Frames, look};
+
+fn fuzzy(filter: Filter) -> Settings {
+    Settings { reconstruct: Reconstruct::Fuzzy, filter: Some(filter), ..Settings::default() }
+}
+
+/// The frame beside the oracle's of three passes, and the same on the other path, which has no 64-bit atomics and draws just those.
+fn check(case: &Case, view: &View, settings: Settings, least: f64) -> Frames {
+    let [single, narrow, _] = case.each_with(view, settings);
+    let drawn = &single.receipt.settings;
+    assert_eq!(drawn.reconstruct, Reconstruct::Fuzzy, "{}: {:?}", case.id, drawn.instead_because);
+    assert!(single.ran(Pass::FuseSplats) && !single.ran(Pass::ProjectSplats));
+    let three = Settings {
+        reconstruct: Reconstruct::Splats,
+        blend: Some(Blend::Weighted),
+        shading: Some(Shading::Splat),
+        ..settings
+    };
+    let twin = oracle(case, view, three);
+    let found = metrics::psnr(&twin.to_rgba8(), &single.color).unwrap();
+    let [_, three_narrow, _] = case.each_with(view, three);
+    let drawn = &narrow.receipt.settings;
+    assert_eq!(drawn.reconstruct, Reconstruct::Splats);
+    assert!(drawn.instead_because.unwrap().contains("64-bit atomics"));
+    assert_eq!(narrow.color, three_narrow.color);
+    let passes = metrics::psnr(&twin.to_rgba8(), &three_narrow.color).unwrap();
+    println!("{} {settings:?}: {found:.1} dB, three passes {passes:.1} dB", case.id);
+    assert!(found >= least, "{}: {settings:?}: {found} dB, least {least}", case.id);
+    // Coverage is that of three passes: the footprints are the same.
+    let shown = |frames: &Frames| -> Vec<bool> { frames.id.iter().map(|&id| id != 0).collect() };
+    assert_eq!(shown(&single), shown(&three_narrow), "{}", case.id);
+    single
+}
+
+#[test]
+fn every_filter_is_near_the_oracles() {
+    let case = case("fuzzy-filters", &ball(1500, 11), json!({}));
+    for view in [look([0.4, 1.0, 3.0], [0.0; 3], 45.0), look([0.2, 0.4, 1.35], [0.0; 3], 70.0)] {
+        for filter in [Filter::Affine, Filter::Perspective, Filter::Exact] {
+            for prefilter in [false, true] {
+                check(&case, &view, Settings { prefilter: Some(prefilter), ..fuzzy(filter) }, 35.0);
+            }
+        }
+    }
+}
+
+/// Triangles before and behind, instances, splats that reach the camera plane.
+#[test]
+fn a_single_pass_shares_its_depth_with_triangles() {
+    let scene = json!({
+        "assets": { "c": { "file": "c.ply" }, "t": { "file": "t.ply" } },
+        "nodes": [
+            { "asset": "c", "scale": [1, 0.4, 1.3], "rotate": [20, 30, 5] },
+            { "asset": "c", "scale": [-0.5, 0.5, 0.5], "translate": [1.1, 0.3, 0] },
+            { "asset": "t", "translate": [0, -0.75, 0] }
+        ]
+    });
+    let (u, v) = (DVec3::new(0.0, 0.0, 4.0), DVec3::new(4.0, 0.0, 0.0));
+    let floor = Shape::quad(DVec3::new(-2.0, 0.0, -2.0), u, v, 1.0);
+    let files = [("c.ply", ball(900, 14).ply()), ("t.ply", floor.ply())];
+    let case = Case::new("fuzzy-mixed", &files, &scene);
+    for eye in [[1.0, 1.2, 2.5], [-2.0, 0.4, 1.0], [0.2, 0.1, 1.1]] {
+        let view = look(eye, [0.3, 0.0, 0.0], 55.0);
+        let frames = check(&case, &view, fuzzy(Filter::Perspective), 32.0);
+        let of_triangles = frames.id.iter().filter(|&&id| id == 3).count();
+        // From within there is nothing else to see.
+        assert!(of_triangles > 200 || eye[0] == 0.2, "{of_triangles} pixels of triangles");
+    }
+}
+
+#[test]
+fn committed_scenes() {
+    for (scene, camera, least) in
+        [("town", "overview", 38.0), ("part", "front", 48.0), ("part", "detail", 48.0)]
+    {
+        let case = Case::committed(scene);
+        check(&case, &case.view(camera, 480, 360), fuzzy(Filter::Perspective), least);
+    }
+}
+
+/// Outputs other than colour, and pixels over which too much lies, take three passes, and the receipt says why.
+#[test]
+fn three_passes_where_one_will_not_do() {
+    let mut crowd = ball(3000, 3);
+    crowd.positions.iter_mut().for_each(|p| *p *= 1e-3);
+    let case = case("fuzzy-crowd", &crowd, json!({ "splats": { "width": 8 } }));
+    let view = look([0.0, 0.0, 0.02], [0.0; 3], 45.0);
+    let [frames, _, _] = case.each_with(&view, fuzzy(Filter::Perspective));
+    let because = frames.receipt.settings.instead_because.unwrap();
+    assert!(because.contains("over one pixel"), "{because}");
+    let three = fuzzy(Filter::Perspective).in_three_passes();
+    let [expected, _, _] = case.each_with(&view, three);
+    assert!(frames.same_pixels(&expected));
+    assert!(frames.covered() > 200, "{}", frames.covered());
+    assert!(frames.ran(Pass::BlendSplats) && !frames.ran(Pass::FuseSplats));
+}
