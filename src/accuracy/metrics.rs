@@ -191,6 +191,52 @@ pub fn coverage(
     Ok(found)
 }
 
+/// How far, in pixels, a covered pixel of `from` is from the nearest one of `to` at most (the one-sided Hausdorff distance); infinite where
+/// `to` covers none, 0 where `from` covers none.
+///
+/// # Errors
+/// Slices that are not `width · height` long.
+pub fn farthest_px(
+    from: &[bool],
+    to: &[bool],
+    width: u32,
+    height: u32,
+) -> Result<f64, SizeMismatch> {
+    check(from, to, Some((width, height)))?;
+    let (width, height) = (width as usize, height as usize);
+    // Along its column, of each pixel; then the nearest column.
+    let mut along = vec![f64::INFINITY; to.len()];
+    for x in 0..width {
+        for y in 0..height {
+            let before = if y > 0 { along[(y - 1) * width + x] + 1.0 } else { f64::INFINITY };
+            along[y * width + x] = if to[y * width + x] { 0.0 } else { before };
+        }
+        for y in (1..height).rev() {
+            let behind = along[y * width + x] + 1.0;
+            let own = &mut along[(y - 1) * width + x];
+            *own = own.min(behind);
+        }
+    }
+    let mut farthest: f64 = 0.0;
+    for (pixel, _) in from.iter().zip(to).enumerate().filter(|(_, (from, to))| **from && !**to) {
+        let (x, row) = (pixel % width, &along[pixel - pixel % width..][..width]);
+        let mut nearest = row[x] * row[x];
+        for off in 1..width {
+            let across = (off * off) as f64;
+            if across >= nearest {
+                break;
+            }
+            for column in [x.checked_sub(off), Some(x + off)].into_iter().flatten() {
+                if let Some(reach) = row.get(column) {
+                    nearest = nearest.min(across + reach * reach);
+                }
+            }
+        }
+        farthest = farthest.max(nearest);
+    }
+    Ok(farthest.sqrt())
+}
+
 /// Covered pixels of an id image.
 pub fn covered_by_id(id: &[u32]) -> Vec<bool> {
     id.iter().map(|&id| id != 0).collect()

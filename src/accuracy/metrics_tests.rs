@@ -133,3 +133,30 @@ fn sizes_must_agree() {
     assert!(depth_error(&[1.0], &[1.0, 2.0]).is_err());
     assert!(normal_error_deg(&[], &[DVec3::Z]).is_err());
 }
+
+/// Beside a search through all pairs.
+#[test]
+fn the_farthest_pixel_is_found() {
+    let (width, height) = (23, 17);
+    let mut random = crate::scene::random::SplitMix64::new(9);
+    for density in [0.01, 0.05, 0.3] {
+        let mut mask =
+            || -> Vec<bool> { (0..width * height).map(|_| random.chance(density)).collect() };
+        let (from, to) = (mask(), mask());
+        let place = |pixel: usize| [(pixel % width) as f64, (pixel / width) as f64];
+        let of = |mask: &[bool]| -> Vec<[f64; 2]> {
+            (0..mask.len()).filter(|&pixel| mask[pixel]).map(place).collect()
+        };
+        let nearest = |a: &[f64; 2]| {
+            let ways = of(&to).into_iter().map(|b| (a[0] - b[0]).hypot(a[1] - b[1]));
+            ways.fold(f64::INFINITY, f64::min)
+        };
+        let expected = of(&from).iter().map(nearest).fold(0.0, f64::max);
+        let found = farthest_px(&from, &to, width as u32, height as u32).unwrap();
+        assert!((found - expected).abs() < 1e-9, "{found}, not {expected}");
+    }
+    let (none, all) = (vec![false; 4], vec![true; 4]);
+    assert_eq!(farthest_px(&all, &none, 2, 2), Ok(f64::INFINITY));
+    assert_eq!(farthest_px(&none, &all, 2, 2), Ok(0.0));
+    assert!(farthest_px(&none, &all, 3, 2).is_err());
+}

@@ -1,6 +1,7 @@
 //! Level of detail: what a frame takes from point trees is as near to full detail as it says, whole, and always the same.
 
 use glam::DVec3;
+use pointillist::accuracy::metrics::farthest_px;
 use pointillist::assets::Progress;
 use pointillist::engine::{FrameRequest, NodePatch, Pose};
 use pointillist::generate::{Kind, Parameters, generate, write};
@@ -53,27 +54,6 @@ fn mask(studio: &Studio, request: &FrameRequest) -> Vec<bool> {
     depths(&studio.bytes(request)).iter().map(|depth| depth.is_finite()).collect()
 }
 
-/// The farthest that a pixel of `a` is from one of `b`, in pixels; at most `limit` is looked for.
-fn excess(a: &[bool], b: &[bool], side: i64, limit: i64) -> f64 {
-    let at = |x: i64, y: i64| {
-        (0..side).contains(&x) && (0..side).contains(&y) && b[(y * side + x) as usize]
-    };
-    let mut ways: Vec<(i64, i64, i64)> = (-limit..=limit)
-        .flat_map(|y| (-limit..=limit).map(move |x| (x * x + y * y, x, y)))
-        .collect();
-    ways.sort_unstable();
-    let mut worst = 0;
-    for y in 0..side {
-        for x in 0..side {
-            if a[(y * side + x) as usize] {
-                let near = ways.iter().find(|(_, dx, dy)| at(x + dx, y + dy));
-                worst = worst.max(near.map_or(i64::MAX, |(square, ..)| *square));
-            }
-        }
-    }
-    (worst as f64).sqrt()
-}
-
 /// Pixels that `whole` shows as one surface with all around them, and that are missing.
 fn holes(whole: &[f32], found: &[bool], side: i64, margin: i64) -> usize {
     // Depths of a surface change by no more than a few pixels' width a pixel.
@@ -112,10 +92,10 @@ fn check_silhouettes(studio: &Studio, scene: &str, poses: u32, distance: f64) {
                 // Points may leave holes in either, splats widen both by their filter.
                 let limit =
                     f64::from(px) + if reconstruct == Reconstruct::Splats { 1.5 } else { 2.5 };
-                let window = limit.ceil() as i64 + 3;
-                let beyond = excess(&found, &whole, SIDE, window);
+                let excess = |a, b| farthest_px(a, b, SIDE as u32, SIDE as u32).unwrap();
+                let beyond = excess(&found, &whole);
                 assert!(beyond <= limit, "{what}: {beyond} px beyond");
-                let short = excess(&whole, &found, SIDE, window);
+                let short = excess(&whole, &found);
                 assert!(short <= limit, "{what}: {short} px short");
                 if reconstruct == Reconstruct::Splats {
                     let holes = holes(&deep, &found, SIDE, px.ceil() as i64 + 2);

@@ -24,5 +24,6 @@ mod scenes;
 mod splats;
 mod splats_figures;
 mod stage;
+mod trees;
 mod triangles;
 mod verdict;

@@ -125,16 +125,20 @@ pub fn sequence(
     let nodes = &tree.nodes;
     let step = grid.step as f32;
     let base = base_of(tree, grid);
+    let own: Vec<(u32, u32)> = nodes
+        .par_iter()
+        .map(|node| (code(node.error / step, base), code(node.size / step, base)))
+        .collect();
     let codes: Vec<Codes> = nodes
         .par_iter()
-        .map(|node| {
-            let of = |node: &Node| (code(node.error / step, base), code(node.size / step, base));
-            let (error, size) = of(node);
-            let (error_parent, size_parent) =
-                nodes.get(node.parent as usize).map_or((NO_PARENT, NO_PARENT), of);
+        .zip(&own)
+        .map(|(node, &(error, size))| {
+            let above = own.get(node.parent as usize).copied();
+            let (error_parent, size_parent) = above.unwrap_or((NO_PARENT, NO_PARENT));
             Codes { error, size, error_parent, size_parent }
         })
         .collect();
+    drop(own);
     let clipped = |index: usize| {
         all.clips.as_ref().is_some_and(|clips| clips[index].lines.iter().any(Option::is_some))
     };

@@ -1,0 +1,66 @@
+//! The error that was accepted, beside the oracle at full detail: outlines of what is taken from point trees are no farther from those of
+//! all samples, drawn in f64, than was promised.
+
+use glam::DVec3;
+use pointillist::accuracy::metrics::{covered_by_id, farthest_px, psnr};
+use pointillist::math::{Camera, View};
+use pointillist::plan::{Lod, MaxError, Reconstruct, Settings};
+use pointillist::scene::random::SplitMix64;
+
+use super::splats::{ball, case, oracle};
+use super::stage::Case;
+use serde_json::json;
+
+/// Where pixels lie and what splats' filter and outlines add, on either side.
+const PIXEL_PX: f64 = 1.5;
+
+/// All around `centre`, from `near` to `far` away.
+fn poses(centre: DVec3, [near, far]: [f64; 2], count: usize) -> Vec<View> {
+    let mut random = SplitMix64::new(41);
+    (0..count)
+        .map(|_| {
+            let mut side = |low, high| random.range(low, high);
+            let direction = DVec3::new(side(-1.0, 1.0), side(-0.2, 1.0), side(-1.0, 1.0));
+            let distance = near * (far / near).powf(side(0.0, 1.0));
+            let eye = centre + direction.normalize_or(DVec3::Z) * distance;
+            let camera = Camera { eye, target: centre, up: DVec3::Y, fov_deg: 40.0 };
+            camera.view(200, 160).unwrap()
+        })
+        .collect()
+}
+
+fn check(case: &Case, views: &[View], reconstruct: Reconstruct, least_db: f64) {
+    let full = Settings { reconstruct: Reconstruct::Splats, ..Settings::default() };
+    for (number, view) in views.iter().enumerate() {
+        let twin = oracle(case, view, full);
+        let whole = covered_by_id(&twin.id);
+        for px in [0.5, 1.0, 3.0] {
+            let max_error = MaxError::new(px).unwrap();
+            let settings = Settings { lod: Lod::Spt, max_error, reconstruct, ..full };
+            let [frames, ..] = case.each_with(view, settings);
+            let found = covered_by_id(&frames.id);
+            let distance = |a, b| farthest_px(a, b, view.width, view.height).unwrap();
+            let (beyond, short) = (distance(&found, &whole), distance(&whole, &found));
+            let db = psnr(&twin.to_rgba8(), &frames.color).unwrap();
+            println!(
+                "{} {number}, {px} px: {beyond:.2} beyond, {short:.2} short, {db:.1} dB",
+                case.id
+            );
+            let limit = f64::from(px) + PIXEL_PX;
+            let fits = beyond <= limit && short <= limit;
+            assert!(fits, "{} {number}, {px} px: {beyond} beyond, {short} short", case.id);
+            assert!(px > 0.5 || db >= least_db, "{} {number}, {px} px: {db} dB", case.id);
+        }
+    }
+}
+
+#[test]
+fn outlines_are_as_near_to_the_oracles_as_promised() {
+    let town = Case::committed("town");
+    let centre = DVec3::new(412_000.0, 5_653_000.0, 116.0);
+    check(&town, &poses(centre, [40.0, 400.0], 6), Reconstruct::Splats, 33.0);
+    let part = Case::committed("part");
+    check(&part, &poses(DVec3::ZERO, [2.5, 40.0], 6), Reconstruct::Splats, 34.0);
+    let ball = case("trees-ball", &ball(6000, 5), json!({}));
+    check(&ball, &poses(DVec3::ZERO, [1.5, 30.0], 6), Reconstruct::Splats, 26.0);
+}
