@@ -8,14 +8,16 @@
 //! their own behind the others, and take 8 bytes more, so that the others do not pay for them. A triangle takes 4 bytes and its vertices 28 each.
 
 mod kernel;
+mod texture;
 mod unpack;
 
-pub use unpack::{unpack_mesh, unpack_samples, unpack_texture};
+pub use texture::{PackedTexture, pack_texture, unpack_texture};
+pub use unpack::{unpack_mesh, unpack_samples};
 
 use glam::{DVec3, I64Vec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::assets::{Clip, Filter, Kernel, Material, Mesh, PointCloud, Texture, Wrap};
+use crate::assets::{Clip, Kernel, Material, Mesh, PointCloud};
 use crate::math::Bounds;
 
 /// Samples, or triangles, or vertices in a chunk at most.
@@ -135,18 +137,6 @@ pub struct PackedMesh {
     pub vertices: Vec<[u32; VERTEX_WORDS]>,
     /// Three 10-bit indices into the chunk's vertices.
     pub triangles: Vec<u32>,
-}
-
-/// A texture with all its levels, largest first, as sRGB8 words.
-#[derive(Clone, Debug)]
-pub struct PackedTexture {
-    pub width: u32,
-    pub height: u32,
-    pub levels: u32,
-    /// Two bits an axis: 0 repeat, 1 mirror, 2 clamp.
-    pub wrap: u32,
-    pub nearest: bool,
-    pub texels: Vec<u32>,
 }
 
 /// A geometry that cannot be packed.
@@ -542,59 +532,6 @@ impl MeshPacker<'_> {
             chunk.extent = high - low;
         }
     }
-}
-
-/// Builds every level of a texture: each texel the average, in linear light, of the 2×2 above it.
-pub fn pack_texture(texture: &Texture) -> PackedTexture {
-    let (mut width, mut height) = (texture.width as usize, texture.height as usize);
-    let mut level: Vec<[u8; 4]> = texture.rgba.clone();
-    let decode: Vec<f32> = (0..256).map(|v| linear_from_srgb(v as f32 / 255.0)).collect();
-    let mut texels: Vec<u32> = level.iter().map(|&texel| rgba_word(texel)).collect();
-    let mut levels = 1;
-    while width > 1 || height > 1 {
-        let (w, h) = ((width / 2).max(1), (height / 2).max(1));
-        let next: Vec<[u8; 4]> = (0..w * h)
-            .into_par_iter()
-            .map(|i| {
-                let (x, y) = (i % w, i / w);
-                let mut sum = [0.0f32; 4];
-                for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-                    let texel =
-                        level[(2 * y + dy).min(height - 1) * width + (2 * x + dx).min(width - 1)];
-                    for c in 0..3 {
-                        sum[c] += decode[texel[c] as usize];
-                    }
-                    sum[3] += f32::from(texel[3]);
-                }
-                let byte = |v: f32| (srgb_from_linear(v * 0.25) * 255.0).round() as u8;
-                [byte(sum[0]), byte(sum[1]), byte(sum[2]), (sum[3] * 0.25).round() as u8]
-            })
-            .collect();
-        texels.extend(next.iter().map(|&texel| rgba_word(texel)));
-        (level, width, height) = (next, w, h);
-        levels += 1;
-    }
-    let wrap = |mode| match mode {
-        Wrap::Repeat => 0,
-        Wrap::Mirror => 1,
-        Wrap::Clamp => 2,
-    };
-    PackedTexture {
-        width: texture.width,
-        height: texture.height,
-        levels,
-        wrap: wrap(texture.wrap[0]) | wrap(texture.wrap[1]) << 2,
-        nearest: texture.filter == Filter::Nearest,
-        texels,
-    }
-}
-
-fn linear_from_srgb(c: f32) -> f32 {
-    if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
-}
-
-fn srgb_from_linear(c: f32) -> f32 {
-    if c <= 0.003_130_8 { c * 12.92 } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 }
 }
 
 /// An asset, packed: what the CPU keeps so that the GPU can be filled again at any time.

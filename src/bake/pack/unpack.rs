@@ -3,8 +3,8 @@
 use glam::{IVec3, Vec2, Vec3};
 
 use super::kernel::{self, NO_LINE};
-use super::{NO_NORMAL, PackedMesh, PackedSamples, PackedTexture, Sides, octahedral_decode};
-use crate::assets::{Clip, ClipLine, Filter, Mesh, MeshPart, PointCloud, Texture, Wrap};
+use super::{NO_NORMAL, PackedMesh, PackedSamples, Sides, octahedral_decode};
+use crate::assets::{Clip, ClipLine, Mesh, MeshPart, PointCloud};
 
 /// The samples of packed samples, in their order.
 pub fn unpack_samples(packed: &PackedSamples) -> PointCloud {
@@ -74,24 +74,6 @@ pub fn unpack_mesh(packed: &PackedMesh) -> Mesh {
         mesh.parts.push(MeshPart { triangles: chunk.count, material });
     }
     mesh
-}
-
-/// The largest level of a packed texture.
-pub fn unpack_texture(packed: &PackedTexture) -> Texture {
-    let wrap = |bits: u32| match bits & 3 {
-        0 => Wrap::Repeat,
-        1 => Wrap::Mirror,
-        _ => Wrap::Clamp,
-    };
-    let count = packed.width as usize * packed.height as usize;
-    Texture {
-        name: String::new(),
-        width: packed.width,
-        height: packed.height,
-        rgba: packed.texels.iter().take(count).map(|texel| texel.to_le_bytes()).collect(),
-        wrap: [wrap(packed.wrap), wrap(packed.wrap >> 2)],
-        filter: if packed.nearest { Filter::Nearest } else { Filter::default() },
-    }
 }
 
 #[cfg(test)]
