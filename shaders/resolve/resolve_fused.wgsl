@@ -12,8 +12,8 @@
 
 // Red, green, blue and weight.
 fn sums_of(word: vec2<u32>) -> vec4<f32> {
-    let red = ((word.y & 0xfffu) << 3u) | (word.x >> 29u);
-    let color = vec3<f32>(vec3<u32>(red, (word.x >> 14u) & 0x7fffu, word.x & 0x3fffu));
+    let red = ((word.y & 0x1ffu) << 5u) | (word.x >> 27u);
+    let color = vec3<f32>(vec3<u32>(red, (word.x >> 13u) & 0x3fffu, word.x & 0x1fffu));
     return vec4<f32>(color / vec3<f32>(RED_GREEN_STEPS, RED_GREEN_STEPS, BLUE_STEPS), f32(weights_of(word.y)));
 }
 

@@ -36,7 +36,7 @@ fn list_entries(@builtin(local_invocation_index) lane: u32) {
         var sum = 0u;
         for (var i = first; i < end; i++) {
             // Too much in any case; it must not wrap.
-            sum = min(sum + chosen_first[row + i], 1u << 24u);
+            sum = min(sum + min(chosen_first[row + i], 1u << 24u), 1u << 24u);
         }
         partial[lane] = sum;
         workgroupBarrier();
@@ -56,7 +56,8 @@ fn list_entries(@builtin(local_invocation_index) lane: u32) {
         if lane == 0u {
             segments[segment] = Segment(begin / GROUP, padded);
         }
-        begin = padded * GROUP;
+        // Likewise: there are up to 32 of them.
+        begin = min(padded * GROUP, 1u << 26u);
     }
     if lane == 0u {
         let fits = begin <= frame.entry_capacity;

@@ -1,19 +1,19 @@
 // The word of a pixel that is blended and depth-tested at once. Depths are cut into slabs, equally thick up to some
 // depth, each a given share thicker than the one before it from there; a pixel has a word for even slabs and one for odd ones, each of the nearest slab of its kind:
 //
-//   10 bits  1023 − (2 · number among its kind, + 1 for the back of a surface); so that a greater word is nearer, 0 is none
+//   13 bits  8191 − (2 · number among its kind, + 1 for the back of a surface); so that a greater word is nearer, 0 is none
 //   10 bits  sum of weights; all ones: there were too many for the bits
-//   15 bits  red,   15 bits  green, in 32nds of a weight's unit
-//   14 bits  blue, in 16ths
+//   14 bits  red,   14 bits  green, in 16ths of a weight's unit
+//   13 bits  blue, in 8ths
 //
 // To keep the nearest slab and add up what lies in it depends on no order. Two slabs side by side reach at least one slab behind the
 // nearest fragment, wherever in its slab that is.
-const SLABS: f32 = 1021.0;
-const SLAB_NEAREST: u32 = 1023u;
+const SLABS: f32 = 8188.0;
+const SLAB_NEAREST: u32 = 8191u;
 const WEIGHTS_MOST: u32 = 1022u;
 const WEIGHTS_FULL: u32 = 1023u;
-const RED_GREEN_STEPS: f32 = 32.0;
-const BLUE_STEPS: f32 = 16.0;
+const RED_GREEN_STEPS: f32 = 16.0;
+const BLUE_STEPS: f32 = 8.0;
 
 // `inverse`: 1/z.
 fn slab_of(inverse: f32) -> u32 {
@@ -29,9 +29,9 @@ fn slab_tag(slab: u32, facing: u32) -> u32 {
 
 // Upper halves of words.
 fn tag_of(high: u32) -> u32 {
-    return high >> 22u;
+    return high >> 19u;
 }
 
 fn weights_of(high: u32) -> u32 {
-    return (high >> 12u) & 0x3ffu;
+    return (high >> 9u) & 0x3ffu;
 }

@@ -8,7 +8,7 @@ override HIDES: bool = true;
 @group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 @group(0) @binding(5) var<storage, read_write> layers: array<atomic<u64>>;
 
-const WEIGHTS_BITS: u64 = 0x3ff00000000000lu;
+const WEIGHTS_BITS: u64 = 0x7fe0000000000lu;
 
 // False where another thread came between: to be tried once more.
 fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) -> bool {
@@ -20,8 +20,8 @@ fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) -> bool {
     let slab = slab_of(inverse);
     let tag = slab_tag(slab, splat.facing);
     let c = vec3<u32>(round(paint.color * weight * vec3<f32>(RED_GREEN_STEPS, RED_GREEN_STEPS, BLUE_STEPS)));
-    let low = c.b | (c.g << 14u) | (c.r << 29u);
-    let high = (c.r >> 3u) | (u32(weight) << 12u);
+    let low = c.b | (c.g << 13u) | (c.r << 27u);
+    let high = (c.r >> 5u) | (u32(weight) << 9u);
     let share = (u64(high) << 32u) | u64(low);
     let word = 2u * pixel + (slab & 1u);
     let old = atomicLoad(&layers[word]);
@@ -29,7 +29,7 @@ fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) -> bool {
     if tag_of(old_high) > tag {
         return true;
     }
-    var next = share | (u64(tag) << 54u);
+    var next = share | (u64(tag) << 51u);
     if tag_of(old_high) == tag {
         next = select(old + share, old | WEIGHTS_BITS, weights_of(old_high) + u32(weight) > WEIGHTS_MOST);
     }

@@ -1,3 +1,4 @@
+//!include VOTE
 // A large splat in a band of the image: threads take its columns in turns.
 fn walk_one(id: u32, rows: vec2<i32>, lane: u32) -> u32 {
     let slot = splat_slot(id >> SLOT_SHIFT);
@@ -6,6 +7,7 @@ fn walk_one(id: u32, rows: vec2<i32>, lane: u32) -> u32 {
     let limit = frame.splat_cutoff * frame.splat_cutoff;
     let low = max(splat.low.y, rows.x);
     let high = min(splat.high.y, rows.y);
+    var taken = 0u;
     for (var x = splat.low.x + i32(lane); x <= splat.high.x; x += LANES) {
         var y = low;
         loop {
@@ -19,7 +21,9 @@ fn walk_one(id: u32, rows: vec2<i32>, lane: u32) -> u32 {
                 done = emit(splat, paint, frame.first_pixel + u32(y) * frame.size_px.x + u32(x), d, q);
             }
             y += i32(done);
+            taken++;
         }
+        taken += 2u;
     }
-    return walk_rounds(splat.high.x - splat.low.x, high - low) + frame.light_count;
+    return most_of_lanes(taken, walk_rounds(splat.high.x - splat.low.x, high - low)) + frame.light_count;
 }

@@ -33,31 +33,72 @@ const LARGE: f64 = 4.0;
 /// Codes of errors are larger than what they stand for, by less than this.
 const ROUNDED: f32 = 1.02;
 
-/// Whether a mesh is the surface of solids: every edge has as many triangles on one side as on the other, and the whole has a
-/// volume that is inside. Vertices at one place are one.
+/// Whether a mesh is the surface of solids, none of which is inside out: every edge has as many triangles on one side as on the other,
+/// and whatever hangs together has a volume that is inside. Vertices at one place are one.
 pub fn is_watertight(mesh: &Mesh) -> bool {
-    let place = |v: u32| {
+    let mut places: Vec<[u64; 3]> = mesh
+        .positions
+        .iter()
         // Negative zero is zero.
-        mesh.positions.get(v as usize).map(|p| p.to_array().map(|c| (c + 0.0).to_bits()))
-    };
+        .map(|p| p.to_array().map(|c| (c + 0.0).to_bits()))
+        .collect();
+    let of_vertex = places.clone();
+    places.par_sort_unstable();
+    places.dedup();
+    let number = |v: u32| places.binary_search(of_vertex.get(v as usize)?).ok();
+    let mut whole = Parts::new(places.len());
     let mut edges = Vec::with_capacity(3 * mesh.triangles.len());
-    let mut volume = 0.0;
+    let mut triangles = Vec::with_capacity(mesh.triangles.len());
     for &[a, b, c] in &mesh.triangles {
-        let (Some(pa), Some(pb), Some(pc)) = (place(a), place(b), place(c)) else { return false };
-        if pa == pb || pb == pc || pc == pa {
+        let (Some(na), Some(nb), Some(nc)) = (number(a), number(b), number(c)) else {
+            return false;
+        };
+        if na == nb || nb == nc || nc == na {
             continue;
         }
-        for (from, to) in [(pa, pb), (pb, pc), (pc, pa)] {
+        for (from, to) in [(na, nb), (nb, nc), (nc, na)] {
             edges.push(if from < to { (from, to, 1) } else { (to, from, -1) });
+            whole.join(from, to);
         }
-        let [a, b, c] = [a, b, c].map(|v| mesh.positions[v as usize] - mesh.positions[0]);
-        volume += a.dot(b.cross(c));
+        triangles.push((na, [a, b, c]));
     }
     edges.par_sort_unstable();
     let balanced = edges
         .chunk_by(|a, b| (a.0, a.1) == (b.0, b.1))
         .all(|edge| edge.iter().map(|(.., side)| side).sum::<i32>() == 0);
-    balanced && volume > 0.0
+    let mut volumes = vec![None; places.len()];
+    for (place, corners) in triangles {
+        let [a, b, c] = corners.map(|v| mesh.positions[v as usize]);
+        // Of a closed surface the volume is the same from anywhere; from near it, more exact.
+        let (origin, volume) = volumes[whole.of(place)].get_or_insert((a, 0.0));
+        *volume += (a - *origin).dot((b - *origin).cross(c - *origin));
+    }
+    let mut volumes = volumes.into_iter().flatten().peekable();
+    balanced && volumes.peek().is_some() && volumes.all(|(_, volume)| volume > 0.0)
+}
+
+/// What hangs together.
+struct Parts {
+    above: Vec<usize>,
+}
+
+impl Parts {
+    fn new(count: usize) -> Parts {
+        Parts { above: (0..count).collect() }
+    }
+
+    fn of(&mut self, mut member: usize) -> usize {
+        while self.above[member] != member {
+            self.above[member] = self.above[self.above[member]];
+            member = self.above[member];
+        }
+        member
+    }
+
+    fn join(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.of(a), self.of(b));
+        self.above[a.max(b)] = a.min(b);
+    }
 }
 
 /// The corners of a triangle that can be drawn.

@@ -465,7 +465,7 @@ impl Engine {
         request.settings.lod == Lod::Spt && loaded.is_some_and(|loaded| !loaded.has_trees())
     }
 
-    /// Builds what a request needs and is not there: the scene's point trees. Blocks, for a second per million samples or so.
+    /// Builds what a request needs and is not there: the scene's point trees. Blocks, for some seconds per million samples.
     ///
     /// # Errors
     /// An unknown scene, or a geometry that no tree can be built of.
@@ -480,7 +480,7 @@ impl Engine {
     }
 
     /// Builds or reads the point trees of all of a scene's assets, keeps them for frames, and tells what they are. Blocks, for a
-    /// second per million samples or so that are in no cache.
+    /// few seconds per million samples that are in no cache.
     ///
     /// # Errors
     /// An unknown scene, or a geometry that no tree can be built of.

@@ -11,7 +11,7 @@ use super::shared::{Adapter, Shared};
 use super::{EngineError, FrameRequest, Pose};
 use crate::encode::{self, EncodeError};
 use crate::math::{Camera, CameraError, View};
-use crate::passes::LAYERS_BYTES;
+use crate::passes::{LAYERS_BYTES, Slabs};
 use crate::plan::{AdapterFacts, Lod, Output, Reconstruct, Settings, plan};
 use crate::scene::Splats;
 
@@ -109,7 +109,18 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     let settings = &request.settings;
     let other = settings.in_three_passes();
     let is_single = settings.reconstruct == Reconstruct::Fuzzy && facts.has_samples;
-    let refused = if is_single { no_single_pass(request, &adapter) } else { None };
+    let fits = || {
+        let splats = settings.splats(&loaded.model.splats);
+        let accepted_px = if facts.trees { settings.max_error.px() } else { 0.0 };
+        splats.is_none_or(|s| Slabs::new(&s, &loaded.extent, &view, accepted_px).fit())
+    };
+    let refused = if !is_single {
+        None
+    } else if let Some(reason) = no_single_pass(request, &adapter) {
+        Some(reason)
+    } else {
+        (!fits()).then_some("the scene is too deep for the slabs of a single pass")
+    };
     let drawing = match refused {
         Some(_) => way(&other, refused),
         None => way(settings, None),

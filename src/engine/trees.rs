@@ -11,7 +11,7 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 use super::EngineError;
 use super::baking::{BakeSource, read_or_build};
 use super::library::{Loaded, asset_error, next_uid};
-use crate::assets::{AssetError, PointCloud, Texture};
+use crate::assets::{AssetError, MeshPart, PointCloud, Texture};
 use crate::bake::cache::BakeCache;
 use crate::bake::hybrid::{hybrid_mesh, is_watertight};
 use crate::bake::pack::{
@@ -124,7 +124,12 @@ fn hybrid(
     let mesh = unpack_mesh(packed);
     match hybrid_mesh(&mesh, &asset.packed.materials, textures, MAX_SAMPLES) {
         Ok(hybrid) => {
-            let closed = is_watertight(&mesh);
+            // Through what alpha cuts out of a surface its far side is seen from behind.
+            let cut = |part: &MeshPart| {
+                let material = part.material.and_then(|m| asset.packed.materials.get(m as usize));
+                material.is_some_and(|material| material.alpha_cutoff.is_some())
+            };
+            let closed = !mesh.parts.iter().any(cut) && is_watertight(&mesh);
             let stands = Some(&hybrid.stands[..]);
             let tree = build_tree_within(&hybrid.samples, stands, bounds, closed)?;
             let triangles = pack_hybrid(&mesh, tree.grid, &hybrid.sides)?;

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::slabs::Slabs;
 use crate::math::View;
 use crate::plan::{FramePlan, Output, Paint, Pass};
 use crate::residency::layout::{GpuFrame, two_floats};
@@ -43,15 +44,6 @@ pub struct FrameTask {
 
 /// Beyond it the sixteen triangles of a thread might take more rounds of loops than lavapipe lets a thread have: 65535.
 pub const MOST_SMALL_TRIANGLE_PX: u32 = 60;
-/// How thick slabs of depth are where `depth_offset` is 1: in pixels, or as a share of how far kernels reach. A pixel shows one slab to
-/// two of them; measured on town, part and balls of large splats, these come nearest to three passes.
-const SLAB_PX: f64 = 2.0;
-const SLAB_REACH: f64 = 0.5;
-/// As in `shared/slabs`.
-const SLABS: f64 = 1021.0;
-/// What lies nearer than the farthest by this factor is in the first slab.
-const SLAB_RANGE: f64 = 4096.0;
-
 /// Linear RGB and straight alpha → sRGB8 word.
 fn srgb8(color: [f32; 4]) -> u32 {
     let encode = |c: f32| {
@@ -108,49 +100,6 @@ impl FrameTask {
     }
 }
 
-/// How depths are cut into slabs: see `shared/slabs`.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Slabs {
-    near: f64,
-    /// Slabs for each unit of depth, from `near` to `meet`.
-    per_unit: f64,
-    meet: f64,
-    /// Slabs for each doubling of depth, from there on.
-    per_octave: f64,
-}
-
-/// A slab is as thick as a kernel reaches, or as [`SLAB_PX`] pixels are wide where that is more, times `depth_offset`; thicker where
-/// there would be too many for what the scene spans.
-fn slabs(splats: &Splats, extent: &Extent, view: &View) -> Slabs {
-    let backward = view.view_from_world.transpose().z_axis;
-    let depths = extent.bounds.corners().map(|corner| (view.eye - corner).dot(backward));
-    let far = depths.into_iter().fold(0.0, f64::max);
-    let least = depths.into_iter().fold(f64::INFINITY, f64::min);
-    if !(far > 0.0 && far.is_finite()) {
-        return Slabs::default();
-    }
-    let near = least.max(far / SLAB_RANGE);
-    let offset = f64::from(splats.depth_offset);
-    let reach = SLAB_REACH * offset * extent.kernel * f64::from(splats.width * splats.cutoff);
-    let share = offset * SLAB_PX / view.focal_px.max_element();
-    // Where what pixels are wide becomes more than kernels reach.
-    let meet = (reach / share).clamp(near, far);
-    let meet = if meet.is_finite() { meet } else { near };
-    let per_unit = if meet > near { reach.recip() } else { 0.0 };
-    let per_octave = std::f64::consts::LN_2 / share.ln_1p();
-    let wanted = (meet - near) * per_unit + (far / meet).log2() * per_octave;
-    let fit = if wanted > SLABS { SLABS / wanted } else { 1.0 };
-    if !wanted.is_finite() {
-        return Slabs {
-            near,
-            per_unit: 0.0,
-            meet: near,
-            per_octave: SLABS / (far / near).log2().max(1e-3),
-        };
-    }
-    Slabs { near, per_unit: per_unit * fit, meet, per_octave: per_octave * fit }
-}
-
 /// The uniform record of view `number`.
 pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> GpuFrame {
     let view = &task.views[number as usize];
@@ -159,7 +108,10 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
     let eye = view.eye.to_array().map(two_floats);
     let (entries, slots) = scene.entries(task.entry_capacity);
     let single = task.splats.filter(|splats| splats.blend == Blend::Interleaved);
-    let slabs = single.map_or(Slabs::default(), |splats| slabs(&splats, &task.extent, view));
+    let slabs = single.map_or(Slabs::default(), |s| {
+        let accepted_px = if task.model.trees { task.max_error_px } else { 0.0 };
+        Slabs::new(&s, &task.extent, view, accepted_px)
+    });
     GpuFrame {
         right: row(axes.x_axis),
         down: row(-axes.y_axis),

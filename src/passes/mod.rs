@@ -29,6 +29,7 @@ mod scratch;
 mod select;
 mod shade;
 pub mod shaders;
+mod slabs;
 mod uniforms;
 
 pub use frame::{FrameTask, frame_record};
@@ -36,6 +37,7 @@ pub use pipelines::Pipelines;
 pub use record::record;
 pub use recorder::{Context, PassSpan};
 pub use scratch::{LAYERS_BYTES, Scratch};
+pub use slabs::Slabs;
 pub use uniforms::{GroupUniforms, Uniforms};
 
 /// Longest side, in pixels, of a triangle's box up to which a single thread walks it. Measured with

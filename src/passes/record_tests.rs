@@ -10,6 +10,7 @@ use crate::passes::recorder::DISPATCH_ROW;
 use crate::passes::resolve::TILE;
 use crate::passes::select::{clear, compact, cull, place};
 use crate::passes::shaders::{Choices, composed};
+use crate::passes::slabs::SLABS;
 use crate::plan::Output;
 use crate::residency::GROUP;
 use crate::residency::layout::*;
@@ -41,6 +42,16 @@ fn vector(module: &Module, name: &str) -> Vec<u32> {
 fn scalar(module: &Module, name: &str) -> u32 {
     let [value] = vector(module, name)[..] else { panic!("{name} is no scalar") };
     value
+}
+
+fn float(module: &Module, name: &str) -> f32 {
+    let mut constants = module.constants.iter();
+    let found = constants.find(|(_, constant)| constant.name.as_deref() == Some(name));
+    let (_, constant) = found.unwrap_or_else(|| panic!("no constant {name}"));
+    match module.global_expressions[constant.init] {
+        Expression::Literal(Literal::F32(value)) => value,
+        ref other => panic!("{other:?} is no number"),
+    }
 }
 
 /// Threads in x of the module's only compute workgroup; there is one in y and z.
@@ -102,6 +113,13 @@ fn the_walk_has_as_many_threads() {
         let walk = module(root);
         assert_eq!(scalar(&walk, "LANES"), LANES, "{root}");
         assert_eq!(threads(&walk), LANES, "{root}");
+    }
+}
+
+#[test]
+fn slabs_are_as_many() {
+    for root in ["reconstruct/fuse_splats", "resolve/resolve_fused"] {
+        assert_eq!(f64::from(float(&module(root), "SLABS")), SLABS, "{root}");
     }
 }
 

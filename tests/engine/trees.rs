@@ -10,7 +10,8 @@ use pointillist::plan::{Lod, MaxError, Output, Reconstruct, Settings};
 use serde_json::{Value, json};
 
 use super::studio::{
-    OUTPUTS, Studio, covered, depths, disk_sphere, disks, fit, front, ids, same, sphere,
+    Disk, OUTPUTS, Studio, covered, depths, disk_sphere, disks, fit, front, ids, mesh, same,
+    sphere, sphere_mesh,
 };
 
 const WAYS: [Reconstruct; 2] = [Reconstruct::Points, Reconstruct::Splats];
@@ -120,6 +121,45 @@ fn silhouettes_of_meshes_are_as_near_as_promised() {
     sculpture(&studio, Kind::Relief, 8000);
     studio.load_json("statue", &one("statue.ply"));
     check_silhouettes(&studio, "statue", 5, 4.0);
+}
+
+/// Leaves that a disk covers badly: in a line along their normals, in plates one above the other, in dots with gaps between them; and a
+/// ball beside one that is inside out.
+#[test]
+fn silhouettes_of_odd_shapes_are_as_near_as_promised() {
+    let studio = Studio::new();
+    let disk = |at: [f64; 3], normal, radius| Disk {
+        at: DVec3::from(at),
+        normal,
+        color: [200, 90, 40],
+        radius,
+    };
+    let at = |i: u32, count: u32| 2.0 * f64::from(i) / f64::from(count) - 1.0;
+    let column: Vec<Disk> =
+        (0..2000).map(|i| disk([0.0, at(i, 2000), 0.0], DVec3::Y, 0.002)).collect();
+    let shelf: Vec<Disk> =
+        (0..64).map(|i| disk([0.1 * at(i % 4, 4), at(i / 4, 16), 0.1], DVec3::Y, 0.03)).collect();
+    let lattice: Vec<Disk> = (0..48 * 48)
+        .map(|i| disk([at(i % 48, 48), at(i / 48, 48), 0.0], DVec3::Z, 0.006))
+        .collect();
+    let (mut positions, mut triangles) = sphere_mesh(12);
+    let count = positions.len() as u32;
+    positions.iter_mut().for_each(|p| *p = *p * 0.45 - DVec3::X * 0.5);
+    positions.extend(positions.clone().into_iter().map(|p| p + DVec3::X));
+    triangles.extend(triangles.clone().into_iter().map(|[a, b, c]| [a, c, b].map(|v| v + count)));
+    let turned = mesh(&positions, &triangles);
+    let files = [
+        ("column", disks(&column)),
+        ("shelf", disks(&shelf)),
+        ("lattice", disks(&lattice)),
+        ("turned", turned),
+    ];
+    for (name, text) in files {
+        let file = format!("{name}.ply");
+        studio.write(&file, text);
+        studio.load_json(name, &one(&file));
+        check_silhouettes(&studio, name, 5, 3.0);
+    }
 }
 
 #[test]

@@ -54,6 +54,10 @@ pub fn build(cloud: &PointCloud, stands: Option<&[Measures]>, bounds: &Bounds) -
                 cloud.normals.as_ref().map_or(Vec3::ZERO, |normals| normals[i]),
                 cloud.colors.as_ref().map_or(super::super::colors::NEUTRAL, |colors| colors[i]),
                 &cloud.kernels.as_ref().map_or(Kernel::default(), |kernels| kernels[i]),
+                cloud
+                    .clips
+                    .as_ref()
+                    .is_some_and(|clips| clips[i].lines.iter().any(Option::is_some)),
                 stands.map_or(Measures::default(), |stands| stands[i]),
             )
         })

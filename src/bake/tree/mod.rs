@@ -43,7 +43,7 @@ use crate::math::Bounds;
 
 /// Of what is built from the same asset: a part of the key that trees are cached by. It must be raised whenever the trees of some
 /// asset change, whichever file that happens in: of this folder, [`super::hybrid`], `bake/rasterise.rs`, [`super::pack`].
-pub const BAKING_VERSION: u32 = 2;
+pub const BAKING_VERSION: u32 = 3;
 
 /// Builds the tree above samples with normals and kernels; what they lack is drawn as a facing disk, or not at all.
 ///

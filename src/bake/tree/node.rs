@@ -18,12 +18,12 @@ pub struct Node {
     pub radius: f32,
     /// No leaf's disk is farther from the plane.
     pub lift: f32,
-    /// The disk reaches no farther beyond the leaves' disks.
+    /// No place on the disk, seen along its normal, is farther from a leaf's disk.
     pub spread: f32,
     /// No leaf's normal is farther from the normal, in radians; π where it is not known.
     pub cone: f32,
     pub error: f32,
-    /// As the error, for those who draw one pixel a node: the disk's radius, and what leaves stand for.
+    /// As the error, for those who draw one pixel a node: how far leaves are from the centre, and what they stand for.
     pub size: f32,
     /// Area of the leaves.
     pub weight: f32,
@@ -44,18 +44,33 @@ const LEAST_NORMAL: f32 = 0.1;
 /// a disk may be off by that (§3.9 takes the diameter, but there errors are those of both sides).
 const FAINT: f32 = 4.0;
 const STRONG: f32 = 24.0;
-/// Directions in which a disk's reach is looked at.
-const DIRECTIONS: [Vec2; 8] = {
-    const D: f32 = std::f32::consts::FRAC_1_SQRT_2;
+/// Between those places it may be farther by this factor; measured on lattices of dots.
+const BETWEEN: f32 = 1.2;
+/// Places on a disk of radius 1 at which it is asked how far the leaves are: its centre, and two rings.
+const PLACES: [Vec2; 19] = {
+    // Sines of multiples of 30°.
+    const H: f32 = 0.866_025_4;
+    const R: f32 = 0.6;
     [
+        Vec2::new(0.0, 0.0),
+        Vec2::new(R, 0.0),
+        Vec2::new(0.5 * R, H * R),
+        Vec2::new(-0.5 * R, H * R),
+        Vec2::new(-R, 0.0),
+        Vec2::new(-0.5 * R, -H * R),
+        Vec2::new(0.5 * R, -H * R),
         Vec2::new(1.0, 0.0),
-        Vec2::new(D, D),
+        Vec2::new(H, 0.5),
+        Vec2::new(0.5, H),
         Vec2::new(0.0, 1.0),
-        Vec2::new(-D, D),
+        Vec2::new(-0.5, H),
+        Vec2::new(-H, 0.5),
         Vec2::new(-1.0, 0.0),
-        Vec2::new(-D, -D),
+        Vec2::new(-H, -0.5),
+        Vec2::new(-0.5, -H),
         Vec2::new(0.0, -1.0),
-        Vec2::new(D, -D),
+        Vec2::new(0.5, -H),
+        Vec2::new(H, -0.5),
     ]
 };
 
@@ -72,6 +87,7 @@ impl Node {
         normal: Vec3,
         color: [u8; 4],
         kernel: &Kernel,
+        is_clipped: bool,
         stands: Measures,
     ) -> Node {
         let radius = CUTOFF * kernel_length(kernel);
@@ -81,7 +97,8 @@ impl Node {
             normal,
             radius,
             lift: 0.0,
-            spread: 0.0,
+            // What is cut off its disk is not there.
+            spread: if is_clipped { radius } else { 0.0 },
             cone: if normal == Vec3::ZERO { PI } else { 0.0 },
             error: known(stands.error),
             size: known(stands.size),
@@ -142,7 +159,10 @@ impl Node {
         let own = (node.lift * node.lift + node.spread * node.spread).sqrt();
         let own = own.max(node.radius * contrast);
         node.error = children.iter().fold(own, |most, child| most.max(child.error));
-        node.size = children.iter().fold(node.radius, |most, child| most.max(child.size));
+        // A ball's leaves are no farther from its centre than its radius, a disk's may also lie above it.
+        let reach = if normal == Vec3::ZERO { 0.0 } else { node.lift };
+        let own = node.radius.hypot(reach);
+        node.size = children.iter().fold(own, |most, child| most.max(child.size));
         node
     }
 
@@ -196,18 +216,21 @@ impl Node {
         }
         self.lift = 0.5 * (high - low);
         let raise = 0.5 * (high + low);
-        // The widest gap between the disk's rim and what lies below it.
-        let narrow = DIRECTIONS.iter().map(|direction| {
-            let axis = a * direction.x + b * direction.y;
-            let reach = places.iter().zip(children).map(|((at, _), child)| {
-                let off = axis.dot(child.normal);
-                let extent = child.radius * (1.0 - off * off).max(0.0).sqrt();
-                (*at - centre).dot(*direction) + extent - child.spread
-            });
-            reach.fold(f32::MIN, f32::max)
+        // The farthest from what lies below: between children as well as beyond them.
+        let mut extents = [f32::MIN; 8];
+        for (extent, child) in extents.iter_mut().zip(children) {
+            // A disk seen at an angle holds a circle that is smaller by it.
+            let seen = if child.normal == Vec3::ZERO { 1.0 } else { child.normal.dot(self.normal) };
+            *extent = child.radius * seen.abs() - child.spread;
+        }
+        let farthest = PLACES.iter().map(|place| {
+            let at = centre + *place * self.radius;
+            let ways = places.iter().zip(&extents);
+            ways.fold(f32::MAX, |least, ((child, _), extent)| {
+                least.min((at - *child).length() - extent)
+            })
         });
-        let narrow = narrow.fold(f32::MAX, f32::min);
-        self.spread = (self.radius - narrow).clamp(0.0, 2.0 * self.radius);
+        self.spread = (BETWEEN * farthest.fold(0.0, f32::max)).min(2.0 * self.radius);
         self.position += (a * centre.x + b * centre.y + self.normal * raise).as_dvec3();
     }
 }

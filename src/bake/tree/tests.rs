@@ -1,4 +1,4 @@
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 use proptest::prelude::*;
 
 use super::hierarchy::{self, Tree};
@@ -155,17 +155,22 @@ fn a_disk_reaches_little_beyond_its_leaves() {
             continue;
         }
         let [a, b] = crate::bake::kernels::tangents(node.normal);
-        for turn in 0..8 {
-            let (sin, cos) = (turn as f32 * std::f32::consts::FRAC_PI_4).sin_cos();
-            let axis = a * cos + b * sin;
-            let reach = (0..tree.samples.len())
-                .filter(|&leaf| is_above(&tree, leaf, index))
-                .map(|leaf| {
-                    let leaf = &tree.nodes[leaf];
-                    (leaf.position - node.position).as_vec3().dot(axis) + leaf.radius
-                })
-                .fold(f32::MIN, f32::max);
-            assert!(node.radius - reach <= node.spread + 1e-4 * node.radius);
+        let leaves: Vec<(Vec2, f32)> = (0..tree.samples.len())
+            .filter(|&leaf| is_above(&tree, leaf, index))
+            .map(|leaf| {
+                let leaf = &tree.nodes[leaf];
+                let way = (leaf.position - node.position).as_vec3();
+                (Vec2::new(way.dot(a), way.dot(b)), leaf.radius * leaf.normal.dot(node.normal))
+            })
+            .collect();
+        // Places that the tree was not built with.
+        for turn in 0..40 {
+            let (sin, cos) = (turn as f32 * 2.399_963).sin_cos();
+            let place = Vec2::new(cos, sin) * node.radius * ((turn as f32 + 0.5) / 40.0).sqrt();
+            let way = |(at, radius): &(Vec2, f32)| (place - *at).length() - radius;
+            let nearest = leaves.iter().map(way).fold(f32::MAX, f32::min);
+            // Between those there may be a little more.
+            assert!(nearest <= node.spread + 0.1 * node.radius, "{nearest} {node:?}");
         }
         if index > tree.samples.len() + 60 {
             break;
@@ -188,7 +193,7 @@ fn errors_grow_upwards_and_with_the_size_of_the_disk() {
     for node in inner {
         let sagitta = node.radius * node.radius / 4.0;
         assert!(node.lift <= 2.5 * sagitta + 0.1 * node.radius, "{node:?}");
-        assert!(node.error < node.radius);
+        assert!(node.error < 1.5 * node.radius, "{node:?}");
     }
 }
 
