@@ -7,9 +7,14 @@ use std::fmt::Write as _;
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, Output as Ended, Stdio};
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
+use pointillist::encode::ImageFormat;
+use pointillist::engine::{Engine, EngineConfig, FrameRequest, NodePatch, Pose};
+use pointillist::film::{self, Event, Film, FilmError, Report, shots::Shots};
+use pointillist::plan::{Output, Settings};
 use pointillist::scene::random::SplitMix64;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
@@ -79,11 +84,53 @@ impl Studio {
         told
     }
 
+    fn succeeds(&self, args: &[&str]) {
+        let output = self.command(&[args, &SMALL].concat()).output().unwrap();
+        assert!(output.status.success(), "{args:?}: {}", text(&output));
+    }
+
     fn complaint(&self, args: &[&str]) -> String {
         let output =
             self.command(&[&["path", "scene.json"], args, &SMALL].concat()).output().unwrap();
         assert_eq!(output.status.code(), Some(1), "{args:?}: {}", text(&output));
         text(&output)
+    }
+
+    /// An engine with the scene, by the name that the program gives it: frames are the same.
+    fn engine(&self, adjust: impl FnOnce(&mut EngineConfig)) -> Engine {
+        let mut config = EngineConfig::new(self.folder.path());
+        adjust(&mut config);
+        let engine = Engine::start(config).unwrap();
+        engine.load("scene", &self.at("scene.json")).unwrap();
+        engine
+    }
+
+    /// The path through the library, of a process that draws other things as well.
+    fn filmed(
+        &self,
+        engine: &Engine,
+        folder: &str,
+        stop: bool,
+        tell: impl FnMut(Event<'_>) + Send,
+    ) -> Result<Report, FilmError> {
+        let path = engine.camera_path("scene", "fly").unwrap();
+        let film = Film {
+            engine,
+            request: FrameRequest {
+                scene: "scene".to_owned(),
+                pose: Pose::Fit,
+                width: 64,
+                height: 48,
+                settings: Settings::default(),
+                output: Output::Color,
+                format: ImageFormat::Png,
+                quality: 85,
+                deadline: None,
+            },
+            shots: Shots::new(&path, None, None, None).unwrap(),
+            folder: &self.at(folder),
+        };
+        film::run(&film, &AtomicBool::new(stop), tell)
     }
 
     /// Every file of a folder, but for the lock.
@@ -139,7 +186,7 @@ fn records(manifest: &str) -> Vec<Value> {
     manifest.lines().skip(1).filter_map(|line| serde_json::from_str(line).ok()).collect()
 }
 
-fn text(output: &Output) -> String {
+fn text(output: &Ended) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
@@ -172,7 +219,7 @@ fn a_path_becomes_numbered_frames() {
 
     // The path's first key is a camera of the scene, and its last key is the same: one frame of `render`, bit for bit.
     let render = ["render", "scene.json", "--camera", "first", "-o", "first.png"];
-    assert!(studio.command(&[&render[..], &SMALL].concat()).status().unwrap().success());
+    studio.succeeds(&render);
     let files = studio.contents("a/frames");
     let first = fs::read(studio.at("first.png")).unwrap();
     assert!(files["frame-00000.png"] == first && files["frame-00120.png"] == first);
@@ -185,7 +232,7 @@ fn a_path_becomes_numbered_frames() {
     assert_eq!((studio.inodes("a/frames"), studio.contents("a/frames")), (inodes, files.clone()));
     fs::write(studio.at("cam.json"), path().to_string()).unwrap();
     let args = ["path", "scene.json", "--path", "cam.json", "-o", "b"];
-    assert!(studio.command(&[&args[..], &SMALL].concat()).status().unwrap().success());
+    studio.succeeds(&args);
     assert_eq!(studio.contents("b"), files);
 }
 
@@ -367,4 +414,52 @@ fn what_is_wrong_is_named() {
     let args = ["path", "cloud.ply", "--path", "fly", "-o", "f"];
     let told = text(&studio.command(&args).output().unwrap());
     assert!(told.contains("the scene names no paths"), "{told}");
+}
+
+/// Neither a queue that others fill nor a device that is lost costs a frame or changes one.
+#[test]
+fn what_the_engine_puts_off_is_drawn_later() {
+    let studio = Studio::new();
+    studio.flown("whole", &[]);
+    let whole = studio.contents("whole");
+
+    let narrow = studio.engine(|config| (config.queue_capacity, config.max_batch) = (1, 1));
+    let report = studio.filmed(&narrow, "narrow", false, |_| ()).unwrap();
+    assert_eq!((report.drawn, report.kept, report.missing), (121, 0, 0));
+    assert_eq!(studio.contents("narrow"), whole);
+
+    let engine = studio.engine(|_| ());
+    let mut drawn = 0;
+    let report = studio.filmed(&engine, "lost", false, |event| {
+        drawn += u64::from(matches!(event, Event::Drawn { .. }));
+        if drawn == 5 {
+            engine.lose_device();
+        }
+    });
+    assert_eq!((report.unwrap().drawn, drawn), (121, 121));
+    assert_eq!(engine.stats().device_losses, 1);
+    assert_eq!(studio.contents("lost"), whole);
+    // Several frames went through the device at once.
+    let stats = engine.stats();
+    assert!(stats.batches * 2 < stats.frames, "{} frames, {} batches", stats.frames, stats.batches);
+}
+
+#[test]
+fn a_scene_that_changes_ends_the_run() {
+    let studio = Studio::new();
+    let engine = studio.engine(|_| ());
+    let stopped = studio.filmed(&engine, "f", true, |_| ()).unwrap();
+    assert_eq!((stopped.drawn, stopped.missing), (0, 121));
+    let hidden = NodePatch { visible: Some(false), ..NodePatch::default() };
+    let mut is_first = true;
+    let ended = studio.filmed(&engine, "f", false, |event| {
+        if matches!(event, Event::Drawn { .. }) && std::mem::take(&mut is_first) {
+            engine.patch("scene", "0", &hidden).unwrap();
+        }
+    });
+    assert!(matches!(ended, Err(FilmError::SceneChanged { .. })), "{ended:?}");
+    assert!((1..121).contains(&studio.check("f")));
+    // None of those shows the scene as it is now.
+    let report = studio.filmed(&engine, "f", false, |_| ()).unwrap();
+    assert_eq!((report.drawn, report.kept), (121, 0));
 }

@@ -81,8 +81,14 @@ pub fn run(
     let mut finished = found.kept;
     folder.begin(&header, finished.values())?;
     let queue = found.draw.iter().filter_map(|number| slots.get(number)).collect();
-    let drawing =
-        Drawing { film, revision: scene.revision, queue, flight: VecDeque::new(), refusals: 0 };
+    let drawing = Drawing {
+        film,
+        revision: scene.revision,
+        queue,
+        flight: VecDeque::new(),
+        window: film.window(),
+        refusals: 0,
+    };
     let ended = draw(drawing, stop, |slot, frame| {
         let record = slot.record(&frame);
         folder.put(&record.file, &frame.bytes)?;
@@ -208,6 +214,8 @@ struct Drawing<'a> {
     /// Not sent yet.
     queue: VecDeque<&'a Slot>,
     flight: VecDeque<(&'a Slot, FrameTicket)>,
+    /// See [`Film::window`].
+    window: (usize, usize),
     /// Times in a row that the engine put off.
     refusals: u32,
 }
@@ -217,12 +225,8 @@ impl<'a> Drawing<'a> {
     fn next(&mut self) -> Result<Option<(&'a Slot, Arc<EncodedFrame>)>, FilmError> {
         loop {
             self.send()?;
-            let Some((slot, ticket)) = self.flight.pop_front() else {
-                if self.queue.is_empty() {
-                    return Ok(None);
-                }
-                continue;
-            };
+            // Whatever is left to send was sent, or waits for those in flight.
+            let Some((slot, ticket)) = self.flight.pop_front() else { return Ok(None) };
             let frame = slot.number;
             match ticket.wait() {
                 Ok(drawn) if drawn.receipt.revision != self.revision => {
@@ -242,7 +246,7 @@ impl<'a> Drawing<'a> {
 
     /// Sends frames to the engine, where it has few of them.
     fn send(&mut self) -> Result<(), FilmError> {
-        let (most, few) = self.film.window();
+        let (most, few) = self.window;
         if self.flight.len() > few {
             return Ok(());
         }
