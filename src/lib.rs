@@ -3,7 +3,7 @@
 //! One request's journey, top to bottom; a module imports only from the floors below it:
 //!
 //! 1. [`cli`] parses a command line, [`http`] translates a request into a job;
-//! 2. [`engine`] admits, coalesces and batches jobs, and alone owns the device;
+//! 2. [`engine`] admits, coalesces and batches jobs, and alone owns the device; [`film`] has it draw a camera path, frame by frame;
 //! 3. [`encode`] turns pixels into PNG, JPEG, WebP, QOI, EXR, PFM or raw bytes;
 //! 4. [`passes`] records the passes that [`plan`] found necessary;
 //! 5. [`residency`] holds what [`bake`] made of the [`assets`] that a [`scene`] names in GPU memory;
@@ -19,6 +19,7 @@ pub mod bake;
 pub mod cli;
 pub mod encode;
 pub mod engine;
+pub mod film;
 pub mod generate;
 pub mod gpu;
 pub mod http;

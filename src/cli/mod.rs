@@ -3,9 +3,11 @@
 pub mod accuracy;
 pub mod bake;
 mod cache;
+mod frame;
 pub mod generate;
 pub mod inspect;
 mod local;
+pub mod path;
 pub mod render;
 pub mod serve;
 
@@ -25,6 +27,8 @@ enum Command {
     Serve(Box<serve::ServeArgs>),
     /// Draw one frame of a scene or of a single asset file, without a server
     Render(Box<render::RenderArgs>),
+    /// Draw a camera path to numbered frames; run again, it draws what is missing
+    Path(Box<path::PathArgs>),
     /// Tell what a scene or asset holds, what it needs on the GPU, and which passes would draw it
     Inspect(inspect::InspectArgs),
     /// Build the point trees that --lod spt draws, and keep them in the cache
@@ -46,6 +50,7 @@ pub fn run() -> anyhow::Result<()> {
     match Cli::parse().command {
         Command::Serve(args) => serve::run(*args),
         Command::Render(args) => render::run(*args),
+        Command::Path(args) => path::run(*args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Bake(args) => bake::run(&args),
         Command::Generate(args) => generate::run(args),

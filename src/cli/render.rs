@@ -4,15 +4,14 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, bail};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use glam::DVec3;
 
-use super::local::{ID, SceneArgs};
+use super::frame::FrameArgs;
+use super::local::SceneArgs;
 use crate::encode::ImageFormat;
-use crate::engine::{EncodedFrame, FrameRequest, Pose, Receipt};
+use crate::engine::{EncodedFrame, Pose, Receipt};
 use crate::math::Camera;
-use crate::plan::{Lod, MaxError, Output, Paint, Reconstruct, Settings};
-use crate::scene::{Blend, Filter, Shading};
 
 const DEFAULT_FOV_DEG: f64 = 40.0;
 
@@ -39,68 +38,14 @@ pub struct RenderArgs {
     /// Vertical field of view in degrees [default: 40]
     #[arg(long, value_name = "DEG", requires = "eye")]
     fov: Option<f64>,
-    /// Width and height in pixels
-    #[arg(long, value_name = "WxH", default_value = "1024x1024", value_parser = size)]
-    size: (u32, u32),
-    /// Level of detail
-    #[arg(long, value_enum, default_value = "full")]
-    lod: LodChoice,
-    /// What --lod spt may be wrong by, in pixels [default: 1]
-    #[arg(long, value_name = "PX")]
-    max_error_px: Option<f32>,
-    /// Colours tell how high in its tree each node stands; goes with --lod spt
-    #[arg(long)]
-    levels: bool,
-    /// How a surface is made of projected samples
-    #[arg(long, value_enum, default_value = "points")]
-    reconstruct: ReconstructChoice,
-    /// How splats are taken to the image [default: as the scene has it]
-    #[arg(long, value_enum)]
-    filter: Option<Filter>,
-    /// Whether splats are convolved with a low-pass filter of the image [default: as the scene has it]
-    #[arg(long, value_name = "BOOL")]
-    prefilter: Option<bool>,
-    /// What happens where splats overlap [default: as the scene has it]
-    #[arg(long, value_enum)]
-    blend: Option<Blend>,
-    /// When splats are lit [default: as the scene has it]
-    #[arg(long, value_enum)]
-    shading: Option<Shading>,
-    /// Which image of the frame
-    #[arg(long, value_enum, default_value = "color")]
-    output: OutputChoice,
-    /// Quality of lossy formats
-    #[arg(long, default_value_t = 85, value_parser = clap::value_parser!(u8).range(1..=100))]
-    quality: u8,
+    #[command(flatten)]
+    frame: FrameArgs,
     /// Write the frame's receipt, as JSON
     #[arg(long, value_name = "FILE")]
     receipt: Option<PathBuf>,
     /// Draw the frame this many times; the receipt is the median one's
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     repeat: u32,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum LodChoice {
-    /// Every sample and triangle
-    Full,
-    /// What --max-error-px asks for, from sequential point trees (Dachsbacher et al. 2003)
-    Spt,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum ReconstructChoice {
-    Points,
-    Splats,
-    Fuzzy,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum OutputChoice {
-    Color,
-    Depth,
-    Normal,
-    Id,
 }
 
 fn vector(text: &str) -> Result<DVec3, String> {
@@ -113,16 +58,6 @@ fn vector(text: &str) -> Result<DVec3, String> {
         return Err(format!("expected three numbers, got {}", numbers.len()));
     };
     Ok(DVec3::new(x, y, z))
-}
-
-fn size(text: &str) -> Result<(u32, u32), String> {
-    let sides = text
-        .split_once(['x', 'X', '×'])
-        .map(|(w, h)| (w.trim().parse::<u32>(), h.trim().parse::<u32>()));
-    match sides {
-        Some((Ok(width), Ok(height))) if width > 0 && height > 0 => Ok((width, height)),
-        _ => Err("expected WIDTHxHEIGHT in pixels, as in 1920x1080".to_owned()),
-    }
 }
 
 fn format_of(file: &Path) -> anyhow::Result<ImageFormat> {
@@ -155,63 +90,6 @@ impl RenderArgs {
             None => Pose::Upright { eye, target, fov_deg },
         }
     }
-
-    fn request(&self) -> anyhow::Result<FrameRequest> {
-        let lod = match self.lod {
-            LodChoice::Full => Lod::Full,
-            LodChoice::Spt => Lod::Spt,
-        };
-        if self.levels && lod == Lod::Full {
-            bail!("--levels goes with --lod spt");
-        }
-        let max_error = match self.max_error_px {
-            None => MaxError::default(),
-            Some(_) if lod == Lod::Full => bail!("--max-error-px goes with --lod spt"),
-            Some(px) => {
-                let [least, most] = MaxError::RANGE_PX;
-                MaxError::new(px)
-                    .with_context(|| format!("--max-error-px: {px} is not in {least} to {most}"))?
-            }
-        };
-        let reconstruct = match self.reconstruct {
-            ReconstructChoice::Points => Reconstruct::Points,
-            ReconstructChoice::Splats => Reconstruct::Splats,
-            ReconstructChoice::Fuzzy => Reconstruct::Fuzzy,
-        };
-        let of_kernels = self.filter.is_some() || self.prefilter.is_some();
-        if of_kernels && reconstruct == Reconstruct::Points {
-            bail!("--filter and --prefilter go with --reconstruct splats or fuzzy");
-        }
-        let of_passes = self.blend.is_some() || self.shading.is_some();
-        if of_passes && reconstruct != Reconstruct::Splats {
-            bail!("--blend and --shading go with --reconstruct splats");
-        }
-        Ok(FrameRequest {
-            scene: ID.to_owned(),
-            pose: self.pose(),
-            width: self.size.0,
-            height: self.size.1,
-            settings: Settings {
-                lod,
-                max_error,
-                paint: if self.levels { Paint::Levels } else { Paint::Colors },
-                reconstruct,
-                filter: self.filter,
-                prefilter: self.prefilter,
-                blend: self.blend,
-                shading: self.shading,
-            },
-            output: match self.output {
-                OutputChoice::Color => Output::Color,
-                OutputChoice::Depth => Output::Depth,
-                OutputChoice::Normal => Output::Normal,
-                OutputChoice::Id => Output::Id,
-            },
-            format: format_of(&self.file)?,
-            quality: self.quality,
-            deadline: None,
-        })
-    }
 }
 
 /// Draws and writes.
@@ -220,7 +98,7 @@ impl RenderArgs {
 /// A scene, pose or format that is refused, no GPU, a file that cannot be written.
 pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     super::local::init_log();
-    let request = args.request()?;
+    let request = args.frame.request(args.pose(), format_of(&args.file)?)?;
     let begin = Instant::now();
     let (engine, info) = args.scene.load(|_| ())?;
     for warning in &info.warnings {
@@ -314,9 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_and_formats() {
-        assert_eq!(size("640x480"), Ok((640, 480)));
-        assert!(size("640").is_err() && size("0x4").is_err() && size("-1x4").is_err());
+    fn formats() {
         assert_eq!(format_of(Path::new("a/b.JPG")).unwrap(), ImageFormat::Jpeg);
         assert!(format_of(Path::new("a.tiff")).unwrap_err().to_string().contains("tiff"));
         assert!(format_of(Path::new("a")).is_err());

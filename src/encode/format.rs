@@ -18,3 +18,18 @@ pub enum ImageFormat {
     Exr,
     Pfm,
 }
+
+impl ImageFormat {
+    /// What files of it end in.
+    pub fn extension(self) -> &'static str {
+        match self {
+            ImageFormat::Png => "png",
+            ImageFormat::Jpeg => "jpg",
+            ImageFormat::Webp => "webp",
+            ImageFormat::Qoi => "qoi",
+            ImageFormat::Raw => "raw",
+            ImageFormat::Exr => "exr",
+            ImageFormat::Pfm => "pfm",
+        }
+    }
+}

@@ -20,7 +20,7 @@ use crate::bake::tree::Above;
 use crate::math::{Bounds, Camera};
 use crate::plan::SceneFacts;
 use crate::residency::model::{AssetModel, Extent, ModelInstance, SceneModel};
-use crate::scene::{AssetRef, Light, Node, Scene};
+use crate::scene::{AssetRef, CameraPath, Light, Node, Scene};
 
 static NEXT_UID: AtomicU64 = AtomicU64::new(1);
 
@@ -436,6 +436,20 @@ impl Loaded {
             hasher.finalize().into(),
             config,
         )
+    }
+
+    /// A camera path that the scene names.
+    pub fn camera_path(&self, name: &str) -> Result<CameraPath, EngineError> {
+        let found = self.description.paths.iter().find(|(known, _)| known == name);
+        found.map(|(_, path)| path.clone()).ok_or_else(|| EngineError::BadParameter {
+            parameter: "path",
+            reason: format!("the scene has no path `{name}`"),
+            accepted: if self.info.paths.is_empty() {
+                "a path of one's own: this scene names none".to_owned()
+            } else {
+                self.info.paths.join(", ")
+            },
+        })
     }
 
     /// Which way is up.

@@ -32,7 +32,7 @@ use crate::bake::cache::BakeCache;
 use crate::math::Camera;
 use crate::plan::Lod;
 use crate::residency::Part;
-use crate::scene::{SceneError, SceneLimits};
+use crate::scene::{CameraPath, SceneError, SceneLimits};
 
 use self::shared::Shared;
 
@@ -448,6 +448,12 @@ impl Engine {
         loaded
             .map(|loaded| self.info(&loaded))
             .ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })
+    }
+
+    /// A camera path that the scene names.
+    pub fn camera_path(&self, id: &str, name: &str) -> Result<CameraPath, EngineError> {
+        let loaded = self.shared().library.read().get(id);
+        loaded.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?.camera_path(name)
     }
 
     fn info(&self, loaded: &library::Loaded) -> SceneInfo {

@@ -158,8 +158,8 @@ async fn load_scenes(app: &Arc<App>, start: StartScenes) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The name of the first signal to stop.
-fn stop_signal() -> std::io::Result<impl Future<Output = &'static str>> {
+/// The name of the first signal to stop. Within a runtime; from the call on such signals no longer end the process.
+pub fn stop_signal() -> std::io::Result<impl Future<Output = &'static str>> {
     #[cfg(unix)]
     {
         use tokio::signal::unix::{SignalKind, signal};

@@ -1,8 +1,9 @@
-//! Transforms, cameras, bounds and frusta in f64, and the outlines of splats in f32 (floor 0).
+//! Transforms, cameras, curves, bounds and frusta in f64, and the outlines of splats in f32 (floor 0).
 
 mod bounds;
 mod camera;
 pub mod conic;
+pub mod spline;
 
 pub use bounds::Bounds;
 pub use camera::{Camera, CameraError, View};

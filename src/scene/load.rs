@@ -8,9 +8,12 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Component, Path, PathBuf};
 
+use glam::DVec3;
+use serde::de::DeserializeOwned;
+
 use super::validate::{self, Reason};
-use super::wire::{Object, SceneFile};
-use super::{AssetRef, Light, Node, Scene, SceneError, SceneLimits};
+use super::wire::{Object, PathWire, SceneFile};
+use super::{AssetRef, CameraPath, Light, Node, Scene, SceneError, SceneLimits};
 
 /// Background of scenes that name none: `#202428`.
 pub(super) const DEFAULT_BACKGROUND: &str = "#202428";
@@ -33,26 +36,54 @@ pub fn load(path: &Path, root: &Path, limits: &SceneLimits) -> Result<Scene, Sce
             reason: "the scene file lies outside the scene root".to_owned(),
         });
     }
-    let mut bytes = Vec::new();
-    let handle = File::open(&canonical).map_err(io)?;
-    handle.take(limits.max_json_bytes.saturating_add(1)).read_to_end(&mut bytes).map_err(io)?;
-    let text = match String::from_utf8(bytes) {
-        Ok(text) => text,
-        // A cut in the middle of a character is the limit's doing; `parse` reports the length.
-        Err(error) if error.as_bytes().len() as u64 > limits.max_json_bytes => {
-            String::from_utf8_lossy(error.as_bytes()).into_owned()
-        }
-        Err(error) => {
-            let at = error.utf8_error().valid_up_to();
-            return Err(invalid(&file, "$", format!("not UTF-8 text: byte {at}")));
-        }
-    };
+    let text = read(&canonical, &file, limits)?;
     let mut scene =
         parse(&text, &file, canonical.parent().unwrap_or(Path::new("/")), root, limits)?;
     if scene.name == file {
         scene.name = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or(file);
     }
     Ok(scene)
+}
+
+/// Reads a file that holds one camera path, wherever it lies. `up` is the up of the scene that it leads through.
+///
+/// # Errors
+/// See [`SceneError`]; `Invalid` names the place in the file.
+pub fn load_path(path: &Path, up: DVec3, limits: &SceneLimits) -> Result<CameraPath, SceneError> {
+    let file = path.display().to_string();
+    let text = read(path, &file, limits)?;
+    parse_path(&text, &file, up)
+}
+
+/// Validates the text of a file that holds one camera path. `name` is what errors call it.
+///
+/// # Errors
+/// [`SceneError::Invalid`], which names the place in the file.
+pub fn parse_path(text: &str, name: &str, up: DVec3) -> Result<CameraPath, SceneError> {
+    let wire: PathWire =
+        deserialize(text).map_err(|(path, reason)| invalid(name, &path, reason))?;
+    validate::path(&wire, up).map_err(|reason| refused(name, reason))
+}
+
+/// Text of a file that is small enough; `file` is what errors call it.
+fn read(path: &Path, file: &str, limits: &SceneLimits) -> Result<String, SceneError> {
+    let io = |source| SceneError::Io { file: file.to_owned(), source };
+    let mut bytes = Vec::new();
+    let handle = File::open(path).map_err(io)?;
+    handle.take(limits.max_json_bytes.saturating_add(1)).read_to_end(&mut bytes).map_err(io)?;
+    check_length(bytes.len(), file, limits)?;
+    String::from_utf8(bytes).map_err(|error| {
+        let at = error.utf8_error().valid_up_to();
+        invalid(file, "$", format!("not UTF-8 text: byte {at}"))
+    })
+}
+
+fn check_length(bytes: usize, file: &str, limits: &SceneLimits) -> Result<(), SceneError> {
+    let (found, limit) = (bytes as u64, limits.max_json_bytes);
+    if found <= limit {
+        return Ok(());
+    }
+    Err(SceneError::TooLarge { file: file.to_owned(), what: "bytes of JSON", found, limit })
 }
 
 /// Validates the text of a scene file. `name` is what errors call it (and the scene, if it names
@@ -67,25 +98,14 @@ pub fn parse(
     root: &Path,
     limits: &SceneLimits,
 ) -> Result<Scene, SceneError> {
-    if text.len() as u64 > limits.max_json_bytes {
-        return Err(SceneError::TooLarge {
-            file: name.to_owned(),
-            what: "bytes of JSON",
-            found: text.len() as u64,
-            limit: limits.max_json_bytes,
-        });
-    }
-    let wire = deserialize(text).map_err(|(path, reason)| invalid(name, &path, reason))?;
+    check_length(text.len(), name, limits)?;
+    let wire: SceneFile =
+        deserialize(text).map_err(|(path, reason)| invalid(name, &path, reason))?;
     let root = root
         .canonicalize()
         .map_err(|source| SceneError::Io { file: "the scene root".to_owned(), source })?;
     let resolve = |file: &str| resolve_file(file, base_dir, &root);
-    validate::scene(wire, name, &resolve, limits).map_err(|reason| match reason {
-        Reason::At(path, reason) => invalid(name, &path, reason),
-        Reason::TooLarge { what, found, limit } => {
-            SceneError::TooLarge { file: name.to_owned(), what, found, limit }
-        }
-    })
+    validate::scene(wire, name, &resolve, limits).map_err(|reason| refused(name, reason))
 }
 
 impl Scene {
@@ -103,8 +123,17 @@ impl Scene {
             lights: Light::default_pair().to_vec(),
             background: super::color::parse_hex(DEFAULT_BACKGROUND)
                 .map_or([0.0, 0.0, 0.0, 1.0], super::color::to_linear),
-            up: glam::DVec3::Y,
+            up: DVec3::Y,
             ..Scene::default()
+        }
+    }
+}
+
+fn refused(file: &str, reason: Reason) -> SceneError {
+    match reason {
+        Reason::At(path, reason) => invalid(file, &path, reason),
+        Reason::TooLarge { what, found, limit } => {
+            SceneError::TooLarge { file: file.to_owned(), what, found, limit }
         }
     }
 }
@@ -114,10 +143,10 @@ fn invalid(file: &str, path: &str, reason: String) -> SceneError {
 }
 
 /// JSON → wire structures, or the path and the reason why not.
-fn deserialize(text: &str) -> Result<SceneFile, (String, String)> {
+fn deserialize<T: DeserializeOwned>(text: &str) -> Result<T, (String, String)> {
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let mut json = serde_json::Deserializer::from_str(text);
-    let wire: Object<SceneFile> = serde_path_to_error::deserialize(&mut json).map_err(|error| {
+    let wire: Object<T> = serde_path_to_error::deserialize(&mut json).map_err(|error| {
         let path = match error.path().to_string() {
             path if path == "." => "$".to_owned(),
             path => path,

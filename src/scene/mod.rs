@@ -7,13 +7,15 @@
 //! How a file becomes a scene: [`load()`] reads it into the wire structures (unknown and repeated
 //! keys are refused there), validation resolves and checks them place by place, and the graph of
 //! prototypes is tested for cycles, depth and the number of instances before anything is unfolded.
-//! [`json_schema`] describes the files for editors.
+//! [`json_schema`] describes the files for editors. A camera path may also lie in a file of its own ([`load_path`]); [`path`] says
+//! what its camera is at any time.
 
 mod assets;
 pub mod color;
 mod graph;
 mod instances;
 mod load;
+pub mod path;
 pub mod random;
 mod splats;
 #[cfg(test)]
@@ -22,9 +24,10 @@ mod validate;
 mod wire;
 
 pub use assets::{AssetRef, AssetSource, CsgOperation, FileSource, MeshSampling, Operand, Solid};
-pub use load::{load, parse};
+pub use load::{load, load_path, parse, parse_path};
+pub use path::{CameraPath, Ease, Interpolation, PathKey, PathSampler};
 pub use splats::{Blend, Filter, Shading, Splats};
-pub use wire::json_schema;
+pub use wire::{json_schema, path_json_schema};
 
 use glam::{DAffine3, DVec3};
 
@@ -164,19 +167,6 @@ impl Light {
     pub fn default_pair() -> [Light; 2] {
         [Light::Headlight { color: [0.85; 3] }, Light::Ambient { color: [0.15; 3] }]
     }
-}
-
-/// Keyframes with times in seconds.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CameraPath {
-    pub fps: f64,
-    pub keys: Vec<PathKey>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PathKey {
-    pub t: f64,
-    pub camera: Camera,
 }
 
 /// One drawn copy of an asset.

@@ -12,11 +12,17 @@ use std::marker::PhantomData;
 use schemars::JsonSchema;
 use serde::de::{self, Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 
+use super::path::{Ease, Interpolation};
 use super::splats::{Blend, Filter, Shading};
 
 /// The JSON Schema of scene files, draft 2020-12.
 pub fn json_schema() -> serde_json::Value {
     schemars::schema_for!(SceneFile).to_value()
+}
+
+/// The JSON Schema of files that hold one camera path, draft 2020-12.
+pub fn path_json_schema() -> serde_json::Value {
+    schemars::schema_for!(PathWire).to_value()
 }
 
 /// A scene: files and what is made of them, where they stand, how they are lit and seen. Angles are in degrees, lengths in
@@ -285,12 +291,24 @@ pub(super) struct CameraWire {
     pub fov: Option<f64>,
 }
 
+/// A camera's way: its poses at certain times. In between, orientations turn the shorter way, distances to the target and fields of
+/// view change evenly.
 #[derive(Debug, serde::Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[schemars(title = "Pointillist camera path")]
 pub(super) struct PathWire {
+    /// Where this schema lies, for editors; not read.
+    #[serde(rename = "$schema", default)]
+    pub _schema: Option<String>,
     /// Frames a second, 30 when absent.
     #[serde(default)]
     pub fps: Option<f64>,
+    /// How positions go from key to key, `catmull_rom` when absent.
+    #[serde(default)]
+    pub interpolation: Option<Interpolation>,
+    /// How time passes between keys that do not say themselves; when absent `smooth` for `catmull_rom`, `linear` for `linear`.
+    #[serde(default)]
+    pub ease: Option<Ease>,
     pub keys: Vec<Object<KeyWire>>,
 }
 
@@ -301,10 +319,15 @@ pub(super) struct KeyWire {
     pub t: f64,
     pub eye: [f64; 3],
     pub target: [f64; 3],
+    /// The scene's up when absent.
     #[serde(default)]
     pub up: Option<[f64; 3]>,
+    /// Vertical field of view, 40 when absent.
     #[serde(default)]
     pub fov: Option<f64>,
+    /// How time passes from here to the next key; the path's `ease` when absent.
+    #[serde(default)]
+    pub ease: Option<Ease>,
 }
 
 /// `#rgb`, `#rrggbb`, `#rrggbbaa` or three channels in 0..=1, sRGB.

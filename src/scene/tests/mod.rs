@@ -94,7 +94,9 @@ fn everything_at_once() {
     assert_eq!(scene.cameras.iter().map(|c| c.0.as_str()).collect::<Vec<_>>(), ["z", "a"]);
     assert_eq!((scene.cameras[0].1.up, scene.cameras[0].1.fov_deg), (DVec3::Z, 40.0));
     assert_eq!((scene.cameras[1].1.up, scene.cameras[1].1.fov_deg), (DVec3::X, 60.0));
-    assert_eq!(scene.paths[0].1.keys[1].t, 4.0);
+    let fly = &scene.paths[0].1;
+    assert_eq!((fly.keys[1].t, fly.fps, fly.interpolation), (4.0, 30.0, Interpolation::CatmullRom));
+    assert_eq!((fly.keys[0].ease, fly.keys[0].camera.up), (Ease::Smooth, DVec3::Z));
     assert_eq!(scene.background, [0.0; 4]);
     assert_eq!(
         scene.lights[0],
@@ -258,6 +260,40 @@ fn refusals_beyond_nodes() {
         "paths.p.keys[1].t",
         "later",
     );
+}
+
+#[test]
+fn paths_in_files_of_their_own() {
+    let text = r#"{ "fps": 12, "interpolation": "linear", "keys": [
+        { "t": 0, "eye": [0, 0, 5], "target": [0, 0, 0] },
+        { "t": 1, "eye": [5, 0, 0], "target": [0, 0, 0], "ease": "in_out", "up": [0, 1, 0], "fov": 60 } ] }"#;
+    let path = parse_path(text, "cam.json", DVec3::Z).unwrap();
+    assert_eq!((path.fps, path.interpolation), (12.0, Interpolation::Linear));
+    assert_eq!((path.keys[0].ease, path.keys[1].ease), (Ease::Linear, Ease::InOut));
+    let cameras = [path.keys[0].camera, path.keys[1].camera];
+    assert_eq!((cameras[0].up, cameras[0].fov_deg), (DVec3::Z, 40.0));
+    assert_eq!((cameras[1].up, cameras[1].fov_deg), (DVec3::Y, 60.0));
+    for (from, to, expected) in [
+        ("linear", "bezier", "cam.json: interpolation: unknown value `bezier`"),
+        ("in_out", "inout", "cam.json: keys[1].ease: unknown value `inout` at line 3 column"),
+        ("in_out", "inout", "did you mean `in_out`?"),
+        ("fov", "fow", "did you mean `fov`?"),
+        ("\"t\": 1", "\"t\": -1", "cam.json: keys[1].t: -1 s must be later"),
+        ("[5, 0, 0]", "[0, 0, 0]", "cam.json: keys[1].target: must differ from eye"),
+    ] {
+        let refused = parse_path(&text.replace(from, to), "cam.json", DVec3::Z).unwrap_err();
+        assert!(refused.to_string().contains(expected), "{refused}");
+    }
+    let f = Folder::new();
+    let file = f.root.join("cam.json");
+    std::fs::write(&file, text).unwrap();
+    let limits = SceneLimits::default();
+    assert_eq!(load_path(&file, DVec3::Z, &limits).unwrap(), path);
+    let small = SceneLimits { max_json_bytes: 10, ..limits };
+    assert!(matches!(load_path(&file, DVec3::Z, &small), Err(SceneError::TooLarge { .. })));
+    let schema = path_json_schema();
+    assert_eq!(schema["required"], serde_json::json!(["keys"]));
+    assert_eq!(schema["additionalProperties"], false);
 }
 
 #[test]

@@ -173,6 +173,8 @@ fn pose(
 
 pub(super) fn path(wire: &PathWire, up: DVec3, place: Place<'_>) -> Valid<CameraPath> {
     let fps = within(wire.fps.unwrap_or(30.0), 0.001, 1000.0, place.key("fps"))?;
+    let interpolation = wire.interpolation.unwrap_or_default();
+    let ease = wire.ease.unwrap_or(interpolation.default_ease());
     let list = place.key("keys");
     if wire.keys.is_empty() {
         return list.refuse("needs at least one key");
@@ -192,9 +194,10 @@ pub(super) fn path(wire: &PathWire, up: DVec3, place: Place<'_>) -> Valid<Camera
         keys.push(PathKey {
             t: key.t,
             camera: pose(key.eye, key.target, key.up, key.fov, up, place)?,
+            ease: key.ease.unwrap_or(ease),
         });
     }
-    Ok(CameraPath { fps, keys })
+    Ok(CameraPath { fps, interpolation, keys })
 }
 
 pub(super) fn world_up(wire: Option<&UpWire>, place: Place<'_>) -> Valid<DVec3> {

@@ -14,8 +14,8 @@ use std::path::PathBuf;
 use glam::DVec3;
 
 use super::load::{list, nearest};
-use super::wire::{Named, NodeWire, Object, PrototypeWire, SceneFile};
-use super::{Draws, Node, Prototype, Repeat, Scene, SceneLimits, graph};
+use super::wire::{Named, NodeWire, Object, PathWire, PrototypeWire, SceneFile};
+use super::{CameraPath, Draws, Node, Prototype, Repeat, Scene, SceneLimits, graph};
 
 /// Why a well-formed file was refused.
 #[derive(Debug)]
@@ -153,6 +153,11 @@ pub(super) fn scene(
     };
     graph::check(&scene, limits)?;
     Ok(scene)
+}
+
+/// Validates a file that holds one camera path; `up` is the up of the scene that it leads through.
+pub(super) fn path(wire: &PathWire, up: DVec3) -> Valid<CameraPath> {
+    look::path(wire, up, Place::Root)
 }
 
 /// Applies `make` to every entry of a map of the root object.

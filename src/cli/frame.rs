@@ -1,0 +1,184 @@
+//! What the commands that draw have in common: how a frame is drawn, whatever it shows.
+
+use anyhow::{Context, bail};
+use clap::{Args, ValueEnum};
+
+use super::local::ID;
+use crate::encode::ImageFormat;
+use crate::engine::{FrameRequest, Pose};
+use crate::plan::{Lod, MaxError, Output, Paint, Reconstruct, Settings};
+use crate::scene::{Blend, Filter, Shading};
+
+/// Size, settings and quality of frames.
+#[derive(Args, Clone, Debug)]
+pub struct FrameArgs {
+    /// Width and height in pixels
+    #[arg(long, value_name = "WxH", default_value = "1024x1024", value_parser = size)]
+    size: (u32, u32),
+    /// Level of detail
+    #[arg(long, value_enum, default_value = "full")]
+    lod: LodChoice,
+    /// What --lod spt may be wrong by, in pixels [default: 1]
+    #[arg(long, value_name = "PX")]
+    max_error_px: Option<f32>,
+    /// Colours tell how high in its tree each node stands; goes with --lod spt
+    #[arg(long)]
+    levels: bool,
+    /// How a surface is made of projected samples
+    #[arg(long, value_enum, default_value = "points")]
+    reconstruct: ReconstructChoice,
+    /// How splats are taken to the image [default: as the scene has it]
+    #[arg(long, value_enum)]
+    filter: Option<Filter>,
+    /// Whether splats are convolved with a low-pass filter of the image [default: as the scene has it]
+    #[arg(long, value_name = "BOOL")]
+    prefilter: Option<bool>,
+    /// What happens where splats overlap [default: as the scene has it]
+    #[arg(long, value_enum)]
+    blend: Option<Blend>,
+    /// When splats are lit [default: as the scene has it]
+    #[arg(long, value_enum)]
+    shading: Option<Shading>,
+    /// Which image of the frame
+    #[arg(long, value_enum, default_value = "color")]
+    output: OutputChoice,
+    /// Quality of lossy formats
+    #[arg(long, default_value_t = 85, value_parser = clap::value_parser!(u8).range(1..=100))]
+    quality: u8,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum LodChoice {
+    /// Every sample and triangle
+    Full,
+    /// What --max-error-px asks for, from sequential point trees (Dachsbacher et al. 2003)
+    Spt,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum ReconstructChoice {
+    Points,
+    Splats,
+    Fuzzy,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum OutputChoice {
+    Color,
+    Depth,
+    Normal,
+    Id,
+}
+
+fn size(text: &str) -> Result<(u32, u32), String> {
+    let sides = text
+        .split_once(['x', 'X', '×'])
+        .map(|(w, h)| (w.trim().parse::<u32>(), h.trim().parse::<u32>()));
+    match sides {
+        Some((Ok(width), Ok(height))) if width > 0 && height > 0 => Ok((width, height)),
+        _ => Err("expected WIDTHxHEIGHT in pixels, as in 1920x1080".to_owned()),
+    }
+}
+
+impl FrameArgs {
+    /// The frame asked for, of the command's only scene.
+    ///
+    /// # Errors
+    /// Options that do not go together.
+    pub fn request(&self, pose: Pose, format: ImageFormat) -> anyhow::Result<FrameRequest> {
+        let lod = match self.lod {
+            LodChoice::Full => Lod::Full,
+            LodChoice::Spt => Lod::Spt,
+        };
+        if self.levels && lod == Lod::Full {
+            bail!("--levels goes with --lod spt");
+        }
+        let max_error = match self.max_error_px {
+            None => MaxError::default(),
+            Some(_) if lod == Lod::Full => bail!("--max-error-px goes with --lod spt"),
+            Some(px) => {
+                let [least, most] = MaxError::RANGE_PX;
+                MaxError::new(px)
+                    .with_context(|| format!("--max-error-px: {px} is not in {least} to {most}"))?
+            }
+        };
+        let reconstruct = match self.reconstruct {
+            ReconstructChoice::Points => Reconstruct::Points,
+            ReconstructChoice::Splats => Reconstruct::Splats,
+            ReconstructChoice::Fuzzy => Reconstruct::Fuzzy,
+        };
+        let of_kernels = self.filter.is_some() || self.prefilter.is_some();
+        if of_kernels && reconstruct == Reconstruct::Points {
+            bail!("--filter and --prefilter go with --reconstruct splats or fuzzy");
+        }
+        let of_passes = self.blend.is_some() || self.shading.is_some();
+        if of_passes && reconstruct != Reconstruct::Splats {
+            bail!("--blend and --shading go with --reconstruct splats");
+        }
+        Ok(FrameRequest {
+            scene: ID.to_owned(),
+            pose,
+            width: self.size.0,
+            height: self.size.1,
+            settings: Settings {
+                lod,
+                max_error,
+                paint: if self.levels { Paint::Levels } else { Paint::Colors },
+                reconstruct,
+                filter: self.filter,
+                prefilter: self.prefilter,
+                blend: self.blend,
+                shading: self.shading,
+            },
+            output: match self.output {
+                OutputChoice::Color => Output::Color,
+                OutputChoice::Depth => Output::Depth,
+                OutputChoice::Normal => Output::Normal,
+                OutputChoice::Id => Output::Id,
+            },
+            format,
+            quality: self.quality,
+            deadline: None,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: FrameArgs,
+    }
+
+    fn request(line: &[&str]) -> anyhow::Result<FrameRequest> {
+        let line = std::iter::once(&"render").chain(line);
+        Line::parse_from(line).args.request(Pose::Fit, ImageFormat::Png)
+    }
+
+    #[test]
+    fn sizes() {
+        assert_eq!(size("640x480"), Ok((640, 480)));
+        assert!(size("640").is_err() && size("0x4").is_err() && size("-1x4").is_err());
+    }
+
+    #[test]
+    fn options_that_do_not_go_together_are_named() {
+        let plain = request(&[]).unwrap();
+        assert_eq!((plain.width, plain.height, plain.quality), (1024, 1024, 85));
+        assert_eq!(plain.settings, Settings::default());
+        for (line, expected) in [
+            (&["--levels"][..], "--levels goes with"),
+            (&["--max-error-px", "2"], "--max-error-px goes with"),
+            (&["--lod", "spt", "--max-error-px", "0"], "--max-error-px: 0 is not in"),
+            (&["--filter", "exact"], "--filter and --prefilter go with"),
+            (&["--reconstruct", "fuzzy", "--blend", "opaque"], "--blend and --shading go with"),
+        ] {
+            let refused = request(line).unwrap_err().to_string();
+            assert!(refused.contains(expected), "{refused}");
+        }
+    }
+}

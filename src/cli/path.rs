@@ -1,0 +1,305 @@
+//! `pointillist path`: a camera path to numbered frames, in as many runs as it takes.
+
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+use clap::{Args, ValueEnum};
+use glam::DVec3;
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::frame::FrameArgs;
+use super::local::{ID, SceneArgs, progress_bar, show_baking};
+use crate::encode::ImageFormat;
+use crate::engine::{Engine, FrameRequest, Pose, Receipt, SceneInfo};
+use crate::film::{self, Event, Film, FilmError, Report, shots::Shots};
+use crate::http::server::stop_signal;
+use crate::scene::{CameraPath, SceneLimits, load_path};
+
+/// What to draw, along which path, and where to.
+#[derive(Args, Clone, Debug)]
+pub struct PathArgs {
+    #[command(flatten)]
+    scene: SceneArgs,
+    /// A path that the scene names, or a file that holds one (.json)
+    #[arg(long, value_name = "NAME_OR_FILE")]
+    path: String,
+    /// Folder for frame-00000.png and so on and frames.jsonl, which tells of each; made where it is not there
+    #[arg(short = 'o', long = "out", value_name = "FOLDER")]
+    folder: PathBuf,
+    /// Format of the frames
+    #[arg(long, value_enum, default_value = "png")]
+    format: FormatChoice,
+    /// Frames a second [default: as the path has it]
+    #[arg(long, value_name = "N")]
+    fps: Option<f64>,
+    /// Number of the first frame to draw [default: 0]
+    #[arg(long, value_name = "FRAME")]
+    from: Option<u64>,
+    /// Number of the last frame to draw [default: the path's last]
+    #[arg(long, value_name = "FRAME")]
+    to: Option<u64>,
+    #[command(flatten)]
+    frame: FrameArgs,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum FormatChoice {
+    Png,
+    #[value(alias = "jpeg")]
+    Jpg,
+    Webp,
+    Qoi,
+    Exr,
+    Pfm,
+    Raw,
+}
+
+impl FormatChoice {
+    fn format(self) -> ImageFormat {
+        match self {
+            FormatChoice::Png => ImageFormat::Png,
+            FormatChoice::Jpg => ImageFormat::Jpeg,
+            FormatChoice::Webp => ImageFormat::Webp,
+            FormatChoice::Qoi => ImageFormat::Qoi,
+            FormatChoice::Exr => ImageFormat::Exr,
+            FormatChoice::Pfm => ImageFormat::Pfm,
+            FormatChoice::Raw => ImageFormat::Raw,
+        }
+    }
+}
+
+/// Draws what is missing, with a progress bar on a terminal and a line every few seconds elsewhere.
+///
+/// # Errors
+/// A scene, path or setting that is refused, no GPU, a folder that cannot be written; being told to stop before the last frame.
+pub fn run(args: PathArgs) -> anyhow::Result<()> {
+    super::local::init_log();
+    // The pose is each frame's own.
+    let request = args.frame.request(Pose::Fit, args.format.format())?;
+    let (engine, info) = args.scene.load(|_| ())?;
+    for warning in &info.warnings {
+        eprintln!("warning: {warning}");
+    }
+    let path = find(&engine, &info, &args.path)?;
+    let shots = Shots::new(&path, args.fps, args.from, args.to).map_err(|error| match error {
+        FilmError::BadRange { parameter, reason } => anyhow::anyhow!("--{parameter}: {reason}"),
+        other => anyhow::anyhow!("--path {}: {other}", args.path),
+    })?;
+    bake(&engine, &request)?;
+    let stop = stop_when_told()?;
+    let film = Film { engine: &engine, request, shots, folder: &args.folder };
+    let began = Instant::now();
+    let mut telling = Telling::new();
+    let report = film::run(&film, &stop, |event| telling.hear(&event));
+    telling.bar.finish_and_clear();
+    let report = report?;
+    eprintln!("{}: {}", args.folder.display(), telling.summary(&report, began.elapsed()));
+    if let Some(first) = report.left_over.first() {
+        eprintln!(
+            "warning: {} files of earlier runs are no frames of this path as it is drawn now, {first} among them; \
+             they are not in {}",
+            report.left_over.len(),
+            film::MANIFEST
+        );
+    }
+    if report.missing > 0 {
+        bail!(
+            "told to stop, {} frames are missing; the same command goes on from here",
+            report.missing
+        );
+    }
+    Ok(())
+}
+
+/// The scene's path of that name, or else the one in that file.
+fn find(engine: &Engine, info: &SceneInfo, name: &str) -> anyhow::Result<CameraPath> {
+    if info.paths.iter().any(|known| known == name) {
+        return Ok(engine.camera_path(ID, name)?);
+    }
+    let file = Path::new(name);
+    if file.exists() || file.extension().is_some_and(|extension| extension == "json") {
+        // In one line: what is told of a file that cannot be read holds the system's words already.
+        return load_path(file, DVec3::from_array(info.up), &SceneLimits::default())
+            .map_err(|error| anyhow::anyhow!("--path {error}"));
+    }
+    match info.paths.as_slice() {
+        [] => bail!("--path {name}: there is no such file, and the scene names no paths"),
+        known => bail!(
+            "--path {name}: there is no such file, and the scene's paths are {}",
+            known.join(", ")
+        ),
+    }
+}
+
+/// Builds point trees that the frames need, with a bar.
+fn bake(engine: &Engine, request: &FrameRequest) -> anyhow::Result<()> {
+    if engine.must_bake(request) {
+        let bar = progress_bar();
+        let baked = engine.bake_all(ID, |event| show_baking(&bar, &event));
+        bar.finish_and_clear();
+        baked?;
+    }
+    Ok(())
+}
+
+/// Becomes true when the process is told to end, which it does by itself then; told again, it ends at once.
+fn stop_when_told() -> anyhow::Result<Arc<AtomicBool>> {
+    /// What shells make of a process that SIGINT ended.
+    const INTERRUPTED: i32 = 130;
+    let stop = Arc::new(AtomicBool::new(false));
+    let told = stop.clone();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let first = {
+        let _inside = runtime.enter();
+        stop_signal()?
+    };
+    std::thread::Builder::new()
+        .name("signals".into())
+        .spawn(move || {
+            runtime.block_on(async {
+                let signal = first.await;
+                eprintln!("{signal}: stopping after the frame at hand");
+                told.store(true, Ordering::Relaxed);
+                if let Ok(next) = stop_signal() {
+                    next.await;
+                    std::process::exit(INTERRUPTED);
+                }
+            });
+        })
+        .context("no thread for signals")?;
+    Ok(stop)
+}
+
+/// Seconds between lines where there is no terminal.
+const LINE_EVERY: Duration = Duration::from_secs(5);
+
+/// How far it has come, for those who watch.
+struct Telling {
+    bar: ProgressBar,
+    lines: bool,
+    total: u64,
+    done: u64,
+    drawn: u64,
+    gpu_ns: Option<u64>,
+    /// Of all frames drawn: how many the engine drew at once with each.
+    views: u64,
+    began: Instant,
+    told: Instant,
+}
+
+impl Telling {
+    fn new() -> Telling {
+        let bar = progress_bar();
+        let template = "{msg} {wide_bar} {pos}/{len} · {per_sec} · {eta} left";
+        if let Ok(style) = ProgressStyle::with_template(template) {
+            bar.set_style(style);
+        }
+        bar.set_message("looking at what is there");
+        Telling {
+            bar,
+            lines: !std::io::stderr().is_terminal(),
+            total: 0,
+            done: 0,
+            drawn: 0,
+            gpu_ns: Some(0),
+            views: 0,
+            began: Instant::now(),
+            told: Instant::now(),
+        }
+    }
+
+    fn hear(&mut self, event: &Event<'_>) {
+        match event {
+            Event::Surveyed { kept, to_draw } => {
+                (self.total, self.done) = (kept + to_draw, *kept);
+                self.began = Instant::now();
+                self.told = self.began;
+                self.bar.set_length(self.total);
+                self.bar.set_position(*kept);
+                self.bar.set_message("drawing");
+                // What was there already took no time.
+                self.bar.reset_eta();
+                if self.lines && *kept > 0 {
+                    eprintln!("{kept} of {} frames are there already", self.total);
+                }
+            }
+            Event::Drawn { receipt, .. } => self.count(receipt),
+        }
+    }
+
+    fn count(&mut self, receipt: &Receipt) {
+        (self.done, self.drawn) = (self.done + 1, self.drawn + 1);
+        self.views += u64::from(receipt.views);
+        self.gpu_ns = self.gpu_ns.zip(receipt.gpu_share_ns()).map(|(sum, ns)| sum + ns);
+        self.bar.inc(1);
+        if self.lines && (self.told.elapsed() >= LINE_EVERY || self.done == self.total) {
+            self.told = Instant::now();
+            let rate = self.drawn as f64 / self.began.elapsed().as_secs_f64().max(1e-9);
+            let left_s = (self.total - self.done) as f64 / rate;
+            eprintln!(
+                "{} of {} frames, {rate:.1} a second, {left_s:.0} s left",
+                self.done, self.total
+            );
+        }
+    }
+
+    fn summary(&self, report: &Report, elapsed: Duration) -> String {
+        let mut text = format!("{} drawn", frames(report.drawn));
+        if report.drawn > 0 {
+            let seconds = elapsed.as_secs_f64();
+            let rate = report.drawn as f64 / seconds.max(1e-9);
+            text += &format!(" in {seconds:.2} s ({rate:.1} a second");
+            if let Some(ns) = self.gpu_ns {
+                text += &format!(", GPU {:.2} s", ns as f64 / 1e9);
+            }
+            text += &format!(", {:.1} at a time)", self.views as f64 / report.drawn as f64);
+        }
+        format!("{text}, {} kept", report.kept)
+    }
+}
+
+fn frames(count: u64) -> String {
+    if count == 1 { "1 frame".to_owned() } else { format!("{count} frames") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: PathArgs,
+    }
+
+    #[test]
+    fn options() {
+        let line =
+            ["path", "s.json", "--path", "fly", "-o", "frames", "--format", "jpeg", "--from", "3"];
+        let args = Line::parse_from(line).args;
+        assert_eq!((args.format.format(), args.from, args.to), (ImageFormat::Jpeg, Some(3), None));
+        assert_eq!(args.folder, Path::new("frames"));
+        assert!(Line::try_parse_from(["path", "s.json", "-o", "frames"]).is_err());
+    }
+
+    #[test]
+    fn summaries() {
+        let mut telling = Telling::new();
+        let receipt = Receipt { views: 4, gpu_ns: Some(8_000_000_000), ..Receipt::default() };
+        telling.hear(&Event::Surveyed { kept: 3, to_draw: 2 });
+        (0..2).for_each(|_| telling.count(&receipt));
+        let report = Report { kept: 3, drawn: 2, ..Report::default() };
+        let text = telling.summary(&report, Duration::from_secs(4));
+        assert_eq!(
+            text,
+            "2 frames drawn in 4.00 s (0.5 a second, GPU 4.00 s, 4.0 at a time), 3 kept"
+        );
+        let nothing = telling.summary(&Report { kept: 5, ..Report::default() }, Duration::ZERO);
+        assert_eq!(nothing, "0 frames drawn, 5 kept");
+    }
+}

@@ -1,0 +1,244 @@
+//! A folder of frames on disk: all that touches files.
+//!
+//! A file comes into its place whole or not at all: it is written under another name in the same folder, brought to the disk, and
+//! renamed. One process at a time draws into a folder, which a lock sees to that ends with the process, however that ends.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
+
+use super::manifest::{self, Header, Record};
+use super::{FilmError, MANIFEST};
+
+/// Held while a process draws into the folder, and left there.
+const LOCK: &str = ".frames.lock";
+/// What files that are being written are called: the final name between these.
+const WRITING: [&str; 2] = [".", ".part"];
+
+/// A folder that is locked for this process.
+pub struct Folder {
+    path: PathBuf,
+    manifest: Option<File>,
+    _lock: File,
+}
+
+fn failed(file: &Path) -> impl FnOnce(io::Error) -> FilmError + use<> {
+    let file = file.to_owned();
+    |error| FilmError::Io { file, error }
+}
+
+impl Folder {
+    /// Makes the folder where it is not there, locks it, and removes what a process that was killed had not finished writing.
+    ///
+    /// # Errors
+    /// A folder that cannot be made or listed; [`FilmError::Locked`].
+    pub fn open(path: &Path) -> Result<Folder, FilmError> {
+        fs::create_dir_all(path).map_err(failed(path))?;
+        let name = path.join(LOCK);
+        let opened = File::options().create(true).append(true).open(&name);
+        let lock = opened.map_err(failed(&name))?;
+        match lock.try_lock() {
+            Ok(()) => {}
+            Err(fs::TryLockError::WouldBlock) => {
+                return Err(FilmError::Locked { folder: path.to_owned() });
+            }
+            Err(fs::TryLockError::Error(error)) => return Err(failed(&name)(error)),
+        }
+        for item in fs::read_dir(path).map_err(failed(path))? {
+            let item = item.map_err(failed(path))?;
+            let name = item.file_name();
+            let name = name.to_string_lossy();
+            let [before, after] = WRITING;
+            let inner = name.strip_prefix(before).and_then(|name| name.strip_suffix(after));
+            if inner.is_some_and(|name| name == MANIFEST || super::shots::is_file_name(name)) {
+                fs::remove_file(item.path()).map_err(failed(&item.path()))?;
+            }
+        }
+        Ok(Folder { path: path.to_owned(), manifest: None, _lock: lock })
+    }
+
+    /// What earlier runs say that they finished.
+    ///
+    /// # Errors
+    /// A manifest that cannot be read, or that is none.
+    pub fn records(&self) -> Result<BTreeMap<u64, Record>, FilmError> {
+        let file = self.path.join(MANIFEST);
+        match fs::read(&file) {
+            Ok(text) => {
+                manifest::parse(&text).map_err(|reason| FilmError::Foreign { file, reason })
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(BTreeMap::new()),
+            Err(error) => Err(failed(&file)(error)),
+        }
+    }
+
+    /// Whether a record's file is there, as long as it says and with its checksum.
+    pub fn is_intact(&self, record: &Record) -> bool {
+        let path = self.path.join(&record.file);
+        let is_candidate = fs::symlink_metadata(&path)
+            .is_ok_and(|found| found.is_file() && found.len() == record.bytes);
+        // What cannot be read is drawn again, and what cannot be written then is an error.
+        is_candidate && digest(&path).is_ok_and(|digest| digest == record.sha256)
+    }
+
+    pub fn holds(&self, file: &str) -> bool {
+        self.path.join(file).is_file()
+    }
+
+    /// Writes the manifest anew, in the order of `records`; lines are added to it from then on.
+    ///
+    /// # Errors
+    /// Whatever keeps it from being written.
+    pub fn begin<'a>(
+        &mut self,
+        header: &Header,
+        records: impl IntoIterator<Item = &'a Record>,
+    ) -> Result<(), FilmError> {
+        let file = self.path.join(MANIFEST);
+        let text = manifest::text(header, records)
+            .map_err(|error| failed(&file)(io::Error::other(error)))?;
+        self.put(MANIFEST, &text)?;
+        self.sync()?;
+        let opened = File::options().append(true).open(&file);
+        self.manifest = Some(opened.map_err(failed(&file))?);
+        Ok(())
+    }
+
+    /// Puts a file in its place, instead of what is there.
+    ///
+    /// # Errors
+    /// Whatever keeps it from being written; what was there before is there then.
+    pub fn put(&self, name: &str, bytes: &[u8]) -> Result<(), FilmError> {
+        let file = self.path.join(name);
+        let [before, after] = WRITING;
+        let written = self.path.join(format!("{before}{name}{after}"));
+        let write = || {
+            let mut out = File::create(&written)?;
+            out.write_all(bytes)?;
+            out.sync_all()?;
+            fs::rename(&written, &file)
+        };
+        write().map_err(|error| {
+            // Nothing of use to anyone; what remains is removed by the next run.
+            let _ = fs::remove_file(&written);
+            failed(&file)(error)
+        })
+    }
+
+    /// Notes that a frame's file is in its place. A line that a power cut loses costs drawing the frame again.
+    ///
+    /// # Errors
+    /// Whatever keeps it from being written.
+    pub fn note(&mut self, record: &Record) -> Result<(), FilmError> {
+        let name = self.path.join(MANIFEST);
+        let line = manifest::line(record).map_err(io::Error::other);
+        let written = match &mut self.manifest {
+            Some(file) => line.and_then(|line| file.write_all(&line)),
+            None => Err(io::Error::other("the manifest was not begun")),
+        };
+        written.map_err(failed(&name))
+    }
+
+    /// Brings the names of files to the disk, where the system can.
+    fn sync(&self) -> Result<(), FilmError> {
+        #[cfg(unix)]
+        File::open(&self.path).and_then(|folder| folder.sync_all()).map_err(failed(&self.path))?;
+        Ok(())
+    }
+}
+
+fn digest(path: &Path) -> io::Result<String> {
+    let mut hasher = Sha256::new();
+    let mut file = File::open(path)?;
+    let mut buffer = vec![0; 1 << 16];
+    loop {
+        match file.read(&mut buffer)? {
+            0 => return Ok(manifest::digits(&hasher.finalize())),
+            read => hasher.update(&buffer[..read]),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::encode::ImageFormat;
+    use crate::plan::Output;
+
+    fn header() -> Header {
+        Header {
+            manifest: manifest::VERSION,
+            scene: "s".to_owned(),
+            fps: 30.0,
+            frames: 2,
+            width: 1,
+            height: 1,
+            output: Output::Color,
+            format: ImageFormat::Raw,
+        }
+    }
+
+    fn record(file: &str, contents: &[u8]) -> Record {
+        Record {
+            frame: 0,
+            t: 0.0,
+            file: file.to_owned(),
+            bytes: contents.len() as u64,
+            sha256: manifest::checksum(contents),
+            tag: "1".to_owned(),
+        }
+    }
+
+    #[test]
+    fn frames_are_whole_or_not_there() {
+        let at = tempfile::tempdir().unwrap();
+        let path = at.path().join("deep/frames");
+        let mut folder = Folder::open(&path).unwrap();
+        assert!(folder.records().unwrap().is_empty());
+        folder.begin(&header(), []).unwrap();
+        let good = record("frame-00000.raw", b"four");
+        assert!(!folder.is_intact(&good));
+        folder.put(&good.file, b"more than four").unwrap();
+        folder.put(&good.file, b"four").unwrap();
+        folder.note(&good).unwrap();
+        assert!(folder.is_intact(&good) && folder.holds(&good.file));
+        assert_eq!(folder.records().unwrap(), BTreeMap::from([(0, good.clone())]));
+        fs::write(path.join(&good.file), b"fouR").unwrap();
+        assert!(!folder.is_intact(&good));
+        fs::write(path.join(&good.file), b"fou").unwrap();
+        assert!(!folder.is_intact(&good));
+        // What cannot be put in its place is an error that names it, and leaves nothing behind.
+        fs::create_dir(path.join("frame-00001.raw")).unwrap();
+        let refused = folder.put("frame-00001.raw", b"x").unwrap_err().to_string();
+        assert!(refused.contains("frame-00001.raw"), "{refused}");
+        assert!(!path.join(".frame-00001.raw.part").exists());
+    }
+
+    #[test]
+    fn one_process_at_a_time() {
+        let at = tempfile::tempdir().unwrap();
+        let first = Folder::open(at.path()).unwrap();
+        assert!(matches!(Folder::open(at.path()), Err(FilmError::Locked { .. })));
+        drop(first);
+        assert!(Folder::open(at.path()).is_ok());
+    }
+
+    #[test]
+    fn what_was_being_written_goes_and_what_is_not_ours_stays() {
+        let at = tempfile::tempdir().unwrap();
+        for name in [".frame-00007.png.part", ".frames.jsonl.part", ".mine.part", "frame-00007.png"]
+        {
+            fs::write(at.path().join(name), "x").unwrap();
+        }
+        let folder = Folder::open(at.path()).unwrap();
+        let left = [".frame-00007.png.part", ".frames.jsonl.part", ".mine.part", "frame-00007.png"]
+            .map(|name| folder.holds(name));
+        assert_eq!(left, [false, false, true, true]);
+        fs::write(at.path().join(MANIFEST), "my notes\n").unwrap();
+        let refused = folder.records().unwrap_err().to_string();
+        assert!(refused.contains("frames.jsonl: not a manifest"), "{refused}");
+    }
+}

@@ -1,0 +1,196 @@
+//! The manifest of a folder of frames: lines of JSON, the first about all frames, each other about one. Pure.
+//!
+//! A run adds lines at the end, so that what is cut off by a crash is the last one alone; a later line of the same frame counts. What
+//! is written anew is in the order of the frames.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::shots::is_file_name;
+use crate::encode::ImageFormat;
+use crate::plan::Output;
+
+/// Version of what the lines mean.
+pub const VERSION: u32 = 1;
+
+/// What holds for all frames. A folder is complete when it has as many records as `frames` says.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Header {
+    /// [`VERSION`].
+    pub manifest: u32,
+    /// The scene's name.
+    pub scene: String,
+    pub fps: f64,
+    /// Frames of the whole path.
+    pub frames: u64,
+    pub width: u32,
+    pub height: u32,
+    pub output: Output,
+    pub format: ImageFormat,
+}
+
+/// A finished frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    pub frame: u64,
+    /// The path's time, in seconds.
+    pub t: f64,
+    /// In the manifest's own folder.
+    pub file: String,
+    pub bytes: u64,
+    /// Of the file, in hexadecimal digits.
+    pub sha256: String,
+    /// Of all that decides what the frame shows, in hexadecimal digits.
+    pub tag: String,
+}
+
+/// The records of a manifest's text, by frame.
+///
+/// # Errors
+/// Text that is no manifest, or one of another version. Damaged lines are no errors: their frames count as not there.
+pub fn parse(text: &[u8]) -> Result<BTreeMap<u64, Record>, String> {
+    if text.is_empty() {
+        return Ok(BTreeMap::new());
+    }
+    // What follows the last end of a line was not written to its end.
+    let mut lines =
+        text.split_inclusive(|&byte| byte == b'\n').filter_map(|line| line.strip_suffix(b"\n"));
+    let first = lines.next().ok_or("its first line has no end")?;
+    let version = serde_json::from_slice::<serde_json::Value>(first)
+        .ok()
+        .and_then(|value| value.get("manifest")?.as_u64())
+        .ok_or("its first line says nothing of `manifest`")?;
+    if version != u64::from(VERSION) {
+        return Err(format!("version {version} is unknown; this is {VERSION}"));
+    }
+    Ok(lines
+        .filter_map(|line| serde_json::from_slice::<Record>(line).ok())
+        .filter(|record| is_file_name(&record.file))
+        .map(|record| (record.frame, record))
+        .collect())
+}
+
+/// The text of a manifest.
+///
+/// # Errors
+/// Numbers that JSON does not have.
+pub fn text<'a>(
+    header: &Header,
+    records: impl IntoIterator<Item = &'a Record>,
+) -> serde_json::Result<Vec<u8>> {
+    let mut text = serde_json::to_vec(header)?;
+    text.push(b'\n');
+    for record in records {
+        text.extend(line(record)?);
+    }
+    Ok(text)
+}
+
+/// One frame's line, with its end.
+///
+/// # Errors
+/// Numbers that JSON does not have.
+pub fn line(record: &Record) -> serde_json::Result<Vec<u8>> {
+    let mut line = serde_json::to_vec(record)?;
+    line.push(b'\n');
+    Ok(line)
+}
+
+/// A file's checksum as records have it.
+pub fn checksum(bytes: &[u8]) -> String {
+    digits(&Sha256::digest(bytes))
+}
+
+/// Bytes as hexadecimal digits.
+pub fn digits(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn header() -> Header {
+        Header {
+            manifest: VERSION,
+            scene: "town\n".to_owned(),
+            fps: 30.0,
+            frames: 5,
+            width: 64,
+            height: 48,
+            output: Output::Color,
+            format: ImageFormat::Png,
+        }
+    }
+
+    fn record(frame: u64, seed: u8) -> Record {
+        Record {
+            frame,
+            t: frame as f64 / 30.0,
+            file: format!("frame-{frame:05}.png"),
+            bytes: 100 + u64::from(seed),
+            sha256: checksum(&[seed]),
+            tag: format!("{seed:032x}"),
+        }
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let records = [record(0, 1), record(4, 2)];
+        let mut written = text(&header(), &records).unwrap();
+        written.extend(line(&record(0, 9)).unwrap());
+        let read = parse(&written).unwrap();
+        assert_eq!(read.into_values().collect::<Vec<_>>(), [record(0, 9), record(4, 2)]);
+        let first =
+            serde_json::from_slice::<Header>(written.split(|&b| b == b'\n').next().unwrap());
+        assert_eq!(first.unwrap(), header());
+        assert_eq!(
+            checksum(b"abc"),
+            "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+        );
+    }
+
+    #[test]
+    fn what_is_no_manifest_is_refused() {
+        assert!(parse(b"").unwrap().is_empty());
+        for other in ["{", "{}\n", "hello\nworld\n", "{\"manifest\": 2}\n", "\n"] {
+            assert!(parse(other.as_bytes()).is_err(), "{other}");
+        }
+    }
+
+    #[test]
+    fn files_elsewhere_are_not_believed() {
+        let mut written = text(&header(), []).unwrap();
+        for file in ["../frame-00000.png", "/etc/passwd", "", "frames.jsonl"] {
+            written.extend(line(&Record { file: file.to_owned(), ..record(0, 1) }).unwrap());
+        }
+        assert!(parse(&written).unwrap().is_empty());
+    }
+
+    proptest! {
+        /// Whatever a crash cuts off: the lines before are all there.
+        #[test]
+        fn a_cut_costs_the_line_that_it_hits(count in 0u64..6, kept in 0.0..=1.0f64) {
+            let records: Vec<Record> = (0..count).map(|frame| record(frame, frame as u8)).collect();
+            let whole = text(&header(), &records).unwrap();
+            let first = text(&header(), []).unwrap().len();
+            let length = first + ((whole.len() - first) as f64 * kept) as usize;
+            let ends = whole[first..length].iter().filter(|&&byte| byte == b'\n').count();
+            let read: Vec<Record> = parse(&whole[..length]).unwrap().into_values().collect();
+            prop_assert_eq!(read, records[..ends].to_vec());
+        }
+
+        #[test]
+        fn damage_never_panics(at in 0usize..600, byte in any::<u8>()) {
+            let records: Vec<Record> = (0..3).map(|frame| record(frame, frame as u8)).collect();
+            let mut damaged = text(&header(), &records).unwrap();
+            let at = at % damaged.len();
+            damaged[at] = byte;
+            let _ = parse(&damaged);
+        }
+    }
+}

@@ -1,0 +1,465 @@
+//! `pointillist path`, as a shell runs it: whole runs, broken ones, and what becomes of the frames.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that unwraps says where it failed")]
+#![cfg(unix)]
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::fs;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output as Ended, Stdio};
+use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
+
+use pointillist::encode::ImageFormat;
+use pointillist::engine::{Engine, EngineConfig, FrameRequest, NodePatch, Pose};
+use pointillist::film::{self, Event, Film, FilmError, Report, shots::Shots};
+use pointillist::plan::{Output, Settings};
+use pointillist::scene::random::SplitMix64;
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+
+/// A folder with a scene that has a path of 121 frames.
+struct Studio {
+    folder: tempfile::TempDir,
+}
+
+const FRAMES: usize = 121;
+const SMALL: [&str; 2] = ["--size", "64x48"];
+
+fn path() -> Value {
+    json!({ "fps": 30, "keys": [
+        { "t": 0, "eye": [25, 20, 90], "target": [25, 25, 0] },
+        { "t": 1, "eye": [90, 25, 40], "target": [25, 25, 0], "ease": "in_out" },
+        { "t": 2.5, "eye": [60, 80, 30], "target": [25, 25, 0], "fov": 55 },
+        { "t": 4, "eye": [25, 20, 90], "target": [25, 25, 0] },
+    ] })
+}
+
+impl Studio {
+    fn new() -> Studio {
+        let studio = Studio { folder: tempfile::tempdir().unwrap() };
+        let mut cloud = String::from("ply\nformat ascii 1.0\nelement vertex 2500\n");
+        for axis in ["x", "y", "z"] {
+            writeln!(cloud, "property float {axis}").unwrap();
+        }
+        cloud += "end_header\n";
+        for i in 0..2500 {
+            writeln!(cloud, "{} {} {}", i % 50, i / 50, i % 7).unwrap();
+        }
+        fs::write(studio.at("cloud.ply"), cloud).unwrap();
+        let key = &path()["keys"][0];
+        let scene = json!({
+            "assets": { "cloud": { "file": "cloud.ply" } },
+            "nodes": [{ "asset": "cloud" }],
+            "cameras": { "first": { "eye": key["eye"], "target": key["target"] } },
+            "paths": { "fly": path(), "other": path() },
+        });
+        fs::write(studio.at("scene.json"), scene.to_string()).unwrap();
+        studio
+    }
+
+    fn at(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn command(&self, args: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_pointillist"));
+        command.args(args).current_dir(self.folder.path());
+        command.env("POINTILLIST_CACHE", self.at("cache"));
+        command
+    }
+
+    /// The path `fly` into `folder`, small.
+    fn fly(&self, folder: &str, more: &[&str]) -> Command {
+        let args = ["path", "scene.json", "--path", "fly", "-o", folder];
+        self.command(&[&args[..], &SMALL, more].concat())
+    }
+
+    /// Runs it to its end; what it says.
+    fn flown(&self, folder: &str, more: &[&str]) -> String {
+        let output = self.fly(folder, more).output().unwrap();
+        let told = text(&output);
+        assert!(output.status.success(), "{told}");
+        told
+    }
+
+    fn succeeds(&self, args: &[&str]) {
+        let output = self.command(&[args, &SMALL].concat()).output().unwrap();
+        assert!(output.status.success(), "{args:?}: {}", text(&output));
+    }
+
+    fn complaint(&self, args: &[&str]) -> String {
+        let output =
+            self.command(&[&["path", "scene.json"], args, &SMALL].concat()).output().unwrap();
+        assert_eq!(output.status.code(), Some(1), "{args:?}: {}", text(&output));
+        text(&output)
+    }
+
+    /// An engine with the scene, by the name that the program gives it: frames are the same.
+    fn engine(&self, adjust: impl FnOnce(&mut EngineConfig)) -> Engine {
+        let mut config = EngineConfig::new(self.folder.path());
+        adjust(&mut config);
+        let engine = Engine::start(config).unwrap();
+        engine.load("scene", &self.at("scene.json")).unwrap();
+        engine
+    }
+
+    /// The path through the library, of a process that draws other things as well.
+    fn filmed(
+        &self,
+        engine: &Engine,
+        folder: &str,
+        stop: bool,
+        tell: impl FnMut(Event<'_>) + Send,
+    ) -> Result<Report, FilmError> {
+        let path = engine.camera_path("scene", "fly").unwrap();
+        let film = Film {
+            engine,
+            request: FrameRequest {
+                scene: "scene".to_owned(),
+                pose: Pose::Fit,
+                width: 64,
+                height: 48,
+                settings: Settings::default(),
+                output: Output::Color,
+                format: ImageFormat::Png,
+                quality: 85,
+                deadline: None,
+            },
+            shots: Shots::new(&path, None, None, None).unwrap(),
+            folder: &self.at(folder),
+        };
+        film::run(&film, &AtomicBool::new(stop), tell)
+    }
+
+    /// Every file of a folder, but for the lock.
+    fn contents(&self, folder: &str) -> BTreeMap<String, Vec<u8>> {
+        names(&self.at(folder))
+            .into_iter()
+            .map(|(name, path)| (name, fs::read(path).unwrap()))
+            .collect()
+    }
+
+    /// Which file stands behind each name: a frame that is drawn anew is another file.
+    fn inodes(&self, folder: &str) -> BTreeMap<String, u64> {
+        let files =
+            names(&self.at(folder)).into_iter().filter(|(name, _)| name.starts_with("frame-"));
+        files.map(|(name, path)| (name, fs::metadata(path).unwrap().ino())).collect()
+    }
+
+    fn records(&self, folder: &str) -> Vec<Value> {
+        records(&fs::read_to_string(self.at(folder).join("frames.jsonl")).unwrap())
+    }
+
+    /// Every record has its file, of its length and checksum, and there is no other file; how many there are.
+    fn check(&self, folder: &str) -> usize {
+        let mut files = self.contents(folder);
+        let manifest = files.remove("frames.jsonl").unwrap();
+        let records = records(std::str::from_utf8(&manifest).unwrap());
+        let numbers: Vec<u64> =
+            records.iter().map(|record| record["frame"].as_u64().unwrap()).collect();
+        assert!(numbers.is_sorted_by(|a, b| a < b));
+        for record in &records {
+            let file = files.remove(record["file"].as_str().unwrap()).unwrap();
+            assert_eq!(record["bytes"], file.len());
+            let sum: String =
+                Sha256::digest(&file).iter().map(|byte| format!("{byte:02x}")).collect();
+            assert_eq!(record["sha256"], sum);
+            assert_eq!(record["tag"].as_str().unwrap().len(), 32);
+        }
+        assert!(files.is_empty(), "{:?}", files.keys());
+        records.len()
+    }
+}
+
+fn names(folder: &Path) -> Vec<(String, PathBuf)> {
+    let Ok(items) = fs::read_dir(folder) else { return Vec::new() };
+    let found = items.map(|item| {
+        let item = item.unwrap();
+        (item.file_name().into_string().unwrap(), item.path())
+    });
+    found.filter(|(name, _)| name != ".frames.lock").collect()
+}
+
+fn records(manifest: &str) -> Vec<Value> {
+    manifest.lines().skip(1).filter_map(|line| serde_json::from_str(line).ok()).collect()
+}
+
+fn text(output: &Ended) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// Waits until a folder has so many frames, or the process has ended.
+fn wait_for(child: &mut Child, folder: &Path, frames: usize) {
+    let began = Instant::now();
+    while names(folder).iter().filter(|(name, _)| name.starts_with("frame-")).count() < frames {
+        assert!(began.elapsed() < Duration::from_secs(120), "no frames");
+        if child.try_wait().unwrap().is_some() {
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+#[test]
+fn a_path_becomes_numbered_frames() {
+    let studio = Studio::new();
+    let told = studio.flown("a/frames", &[]);
+    assert!(told.contains("121 frames drawn") && told.contains("0 kept"), "{told}");
+    assert!(told.contains("121 of 121 frames"), "{told}");
+    assert_eq!(studio.check("a/frames"), FRAMES);
+    let manifest = fs::read_to_string(studio.at("a/frames/frames.jsonl")).unwrap();
+    let header: Value = serde_json::from_str(manifest.lines().next().unwrap()).unwrap();
+    let expected = json!({ "manifest": 1, "scene": "scene", "fps": 30.0, "frames": 121, "width": 64, "height": 48,
+        "output": "color", "format": "png" });
+    assert_eq!(header, expected);
+    let last = &studio.records("a/frames")[120];
+    assert_eq!((&last["frame"], &last["t"]), (&120.into(), &4.0.into()));
+
+    // The path's first key is a camera of the scene, and its last key is the same: one frame of `render`, bit for bit.
+    let render = ["render", "scene.json", "--camera", "first", "-o", "first.png"];
+    studio.succeeds(&render);
+    let files = studio.contents("a/frames");
+    let first = fs::read(studio.at("first.png")).unwrap();
+    assert!(files["frame-00000.png"] == first && files["frame-00120.png"] == first);
+    assert_ne!(files["frame-00060.png"], first);
+
+    // Again: nothing to do. The same path from a file: the same frames.
+    let inodes = studio.inodes("a/frames");
+    let told = studio.flown("a/frames", &[]);
+    assert!(told.contains("0 frames drawn, 121 kept"), "{told}");
+    assert_eq!((studio.inodes("a/frames"), studio.contents("a/frames")), (inodes, files.clone()));
+    fs::write(studio.at("cam.json"), path().to_string()).unwrap();
+    let args = ["path", "scene.json", "--path", "cam.json", "-o", "b"];
+    studio.succeeds(&args);
+    assert_eq!(studio.contents("b"), files);
+}
+
+/// Killed at many moments, also while it starts and while it goes through what is there: in the end nothing tells.
+#[test]
+fn killed_runs_leave_no_trace() {
+    let studio = Studio::new();
+    studio.flown("whole", &[]);
+    let whole = studio.contents("whole");
+    let mut random = SplitMix64::new(7);
+    let mut pick = |most: u64| (random.next_u64() % most) as usize;
+    let folder = studio.at("broken");
+    let mut kept: BTreeMap<String, u64> = BTreeMap::new();
+    for round in 0..10 {
+        let before = studio.inodes("broken").len();
+        let mut child = studio.fly("broken", &[]).stderr(Stdio::null()).spawn().unwrap();
+        if round % 3 == 2 {
+            std::thread::sleep(Duration::from_millis(pick(900) as u64));
+        } else {
+            wait_for(&mut child, &folder, before + 1 + pick(14));
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        // What the manifest tells of is there, and stays the file that it is through all later runs.
+        let inodes = studio.inodes("broken");
+        for (file, inode) in &kept {
+            assert_eq!(inodes[file], *inode, "{file} was drawn again in round {round}");
+        }
+        let files = studio.contents("broken");
+        let manifest =
+            files.get("frames.jsonl").map(|text| String::from_utf8_lossy(text).into_owned());
+        for record in records(&manifest.unwrap_or_default()) {
+            let file = record["file"].as_str().unwrap();
+            assert_eq!(files[file], whole[file], "{file} in round {round}");
+            kept.insert(file.to_owned(), inodes[file]);
+        }
+    }
+    assert!(kept.len() > 10, "{} frames in ten runs", kept.len());
+    let told = studio.flown("broken", &[]);
+    assert!(
+        told.contains(&format!("{} frames drawn", FRAMES - kept.len())),
+        "{told}: {}",
+        kept.len()
+    );
+    assert_eq!(studio.check("broken"), FRAMES);
+    assert_eq!(studio.contents("broken"), whole);
+}
+
+#[test]
+fn damaged_frames_are_drawn_again_and_no_others() {
+    let studio = Studio::new();
+    studio.flown("f", &["--to", "19"]);
+    let (files, before) = (studio.contents("f"), studio.inodes("f"));
+    let file = |number: usize| studio.at(&format!("f/frame-{number:05}.png"));
+    let mut flipped = files["frame-00003.png"].clone();
+    *flipped.last_mut().unwrap() ^= 1;
+    fs::write(file(3), flipped).unwrap();
+    fs::write(file(7), &files["frame-00007.png"][..50]).unwrap();
+    fs::remove_file(file(11)).unwrap();
+    fs::write(studio.at("f/.frame-00012.png.part"), "half").unwrap();
+    // A line that a crash cut, and one that something damaged.
+    let manifest = String::from_utf8(files["frames.jsonl"].clone()).unwrap();
+    let manifest = manifest.replace("{\"frame\":15,", "{\"frime\":15,");
+    fs::write(studio.at("f/frames.jsonl"), &manifest[..manifest.len() - 20]).unwrap();
+    let told = studio.flown("f", &["--to", "19"]);
+    assert!(told.contains("5 frames drawn") && told.contains("15 kept"), "{told}");
+    assert_eq!(studio.contents("f"), files);
+    let after = studio.inodes("f");
+    let anew = [3, 7, 11, 15, 19].map(|number| format!("frame-{number:05}.png"));
+    for (name, inode) in before.iter().filter(|(name, _)| !anew.contains(name)) {
+        assert_eq!(after[name], *inode, "{name}");
+    }
+}
+
+#[test]
+fn other_settings_draw_all_anew() {
+    let studio = Studio::new();
+    let few = ["--to", "9", "--format", "jpg"];
+    let with = |more: &[&'static str]| [&few[..], more].concat();
+    studio.flown("f", &few);
+    let mut drawn = vec![studio.contents("f")];
+    for more in [
+        &["--quality", "40"][..],
+        &["--fps", "15"],
+        &["--reconstruct", "splats"],
+        &["--lod", "spt"],
+        &["--output", "normal"],
+    ] {
+        let told = studio.flown("f", &with(more));
+        assert!(told.contains("10 frames drawn"), "{more:?}: {told}");
+        assert_eq!(studio.check("f"), 10);
+        assert!(!drawn.contains(&studio.contents("f")), "{more:?}");
+        drawn.push(studio.contents("f"));
+        assert!(studio.flown("f", &with(more)).contains("0 frames drawn, 10 kept"));
+    }
+    // Another scene under the same name.
+    let cloud = fs::read_to_string(studio.at("cloud.ply")).unwrap();
+    fs::write(studio.at("cloud.ply"), cloud.replacen("0 0 0", "0 0 1", 1)).unwrap();
+    let told = studio.flown("f", &with(&["--output", "normal"]));
+    assert!(told.contains("10 frames drawn"), "{told}");
+    // And another format: what was there is left, and named.
+    let told = studio.flown("f", &["--to", "9", "--output", "depth", "--format", "exr"]);
+    assert!(told.contains("warning: 10 files") && told.contains("frame-00000.jpg"), "{told}");
+    assert_eq!(studio.records("f").len(), 10);
+}
+
+#[test]
+fn parts_make_a_whole() {
+    let studio = Studio::new();
+    studio.flown("whole", &[]);
+    studio.flown("parts", &["--from", "100"]);
+    assert_eq!(studio.check("parts"), 21);
+    studio.flown("parts", &["--from", "30", "--to", "59"]);
+    assert_eq!(studio.check("parts"), 51);
+    let told = studio.flown("parts", &[]);
+    assert!(told.contains("70 frames drawn") && told.contains("51 kept"), "{told}");
+    assert_eq!(studio.contents("parts"), studio.contents("whole"));
+}
+
+#[test]
+fn an_interrupt_ends_a_run_that_goes_on_later() {
+    let studio = Studio::new();
+    let slow = ["--fps", "1000"];
+    let mut child = studio.fly("f", &slow).stderr(Stdio::piped()).spawn().unwrap();
+    wait_for(&mut child, &studio.at("f"), 5);
+    // Nobody else draws there meanwhile.
+    let second = studio.fly("f", &slow).output().unwrap();
+    let told = text(&second);
+    assert!(!second.status.success() && told.contains("another process"), "{told}");
+    let id = child.id().to_string();
+    assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    let told = text(&output);
+    assert_eq!(output.status.code(), Some(1), "{told}");
+    assert!(told.contains("SIGINT") && told.contains("frames are missing"), "{told}");
+    let drawn = studio.check("f");
+    assert!((5..4001).contains(&drawn), "{drawn}");
+    let last = drawn.to_string();
+    let told = studio.flown("f", &["--fps", "1000", "--to", &last]);
+    assert!(told.contains("1 frame drawn") && told.contains(&format!("{drawn} kept")), "{told}");
+}
+
+#[test]
+fn what_is_wrong_is_named() {
+    let studio = Studio::new();
+    fs::write(
+        studio.at("bad.json"),
+        r#"{"keys": [{"t": 0, "eye": [0, 0, 1], "targt": [0, 0, 0]}]}"#,
+    )
+    .unwrap();
+    fs::write(studio.at("file"), "").unwrap();
+    fs::create_dir(studio.at("notes")).unwrap();
+    fs::write(studio.at("notes/frames.jsonl"), "remember the milk\n").unwrap();
+    for (args, expected) in [
+        (
+            &["--path", "flie", "-o", "f"][..],
+            "--path flie: there is no such file, and the scene's paths are fly, other",
+        ),
+        (&["--path", "none.json", "-o", "f"], "--path none.json: No such file"),
+        (&["--path", "bad.json", "-o", "f"], "--path bad.json: keys[0]"),
+        (
+            &["--path", "fly", "-o", "f", "--from", "121"],
+            "--from: 121 is beyond the path's last frame, 120",
+        ),
+        (&["--path", "fly", "-o", "f", "--fps", "0"], "--fps: 0 is not in"),
+        (&["--path", "fly", "-o", "f", "--format", "pfm"], "format: pfm cannot hold color"),
+        (
+            &["--path", "fly", "-o", "f", "--max-error-px", "2"],
+            "--max-error-px goes with --lod spt",
+        ),
+        (&["--path", "fly", "-o", "file"], "file: "),
+        (&["--path", "fly", "-o", "notes"], "frames.jsonl: not a manifest of frames"),
+    ] {
+        let told = studio.complaint(args);
+        assert!(told.contains(expected), "{args:?}: {told}");
+    }
+    assert!(!studio.at("f").exists());
+    assert_eq!(fs::read_to_string(studio.at("notes/frames.jsonl")).unwrap(), "remember the milk\n");
+    let args = ["path", "cloud.ply", "--path", "fly", "-o", "f"];
+    let told = text(&studio.command(&args).output().unwrap());
+    assert!(told.contains("the scene names no paths"), "{told}");
+}
+
+/// Neither a queue that others fill nor a device that is lost costs a frame or changes one.
+#[test]
+fn what_the_engine_puts_off_is_drawn_later() {
+    let studio = Studio::new();
+    studio.flown("whole", &[]);
+    let whole = studio.contents("whole");
+
+    let narrow = studio.engine(|config| (config.queue_capacity, config.max_batch) = (1, 1));
+    let report = studio.filmed(&narrow, "narrow", false, |_| ()).unwrap();
+    assert_eq!((report.drawn, report.kept, report.missing), (121, 0, 0));
+    assert_eq!(studio.contents("narrow"), whole);
+
+    let engine = studio.engine(|_| ());
+    let mut drawn = 0;
+    let report = studio.filmed(&engine, "lost", false, |event| {
+        drawn += u64::from(matches!(event, Event::Drawn { .. }));
+        if drawn == 5 {
+            engine.lose_device();
+        }
+    });
+    assert_eq!((report.unwrap().drawn, drawn), (121, 121));
+    assert_eq!(engine.stats().device_losses, 1);
+    assert_eq!(studio.contents("lost"), whole);
+    // Several frames went through the device at once.
+    let stats = engine.stats();
+    assert!(stats.batches * 2 < stats.frames, "{} frames, {} batches", stats.frames, stats.batches);
+}
+
+#[test]
+fn a_scene_that_changes_ends_the_run() {
+    let studio = Studio::new();
+    let engine = studio.engine(|_| ());
+    let stopped = studio.filmed(&engine, "f", true, |_| ()).unwrap();
+    assert_eq!((stopped.drawn, stopped.missing), (0, 121));
+    let hidden = NodePatch { visible: Some(false), ..NodePatch::default() };
+    let mut is_first = true;
+    let ended = studio.filmed(&engine, "f", false, |event| {
+        if matches!(event, Event::Drawn { .. }) && std::mem::take(&mut is_first) {
+            engine.patch("scene", "0", &hidden).unwrap();
+        }
+    });
+    assert!(matches!(ended, Err(FilmError::SceneChanged { .. })), "{ended:?}");
+    assert!((1..121).contains(&studio.check("f")));
+    // None of those shows the scene as it is now.
+    let report = studio.filmed(&engine, "f", false, |_| ()).unwrap();
+    assert_eq!((report.drawn, report.kept), (121, 0));
+}
