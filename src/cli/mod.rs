@@ -5,6 +5,7 @@ pub mod bake;
 mod cache;
 pub mod generate;
 pub mod inspect;
+pub mod load;
 mod local;
 pub mod render;
 pub mod serve;
@@ -33,6 +34,8 @@ enum Command {
     Generate(generate::GenerateArgs),
     /// Report whether what is drawn stays accurate where that is hard
     Accuracy(accuracy::AccuracyArgs),
+    /// Ask a daemon for frames at given rates, or at rising ones until it no longer keeps up
+    Load(Box<load::LoadArgs>),
     /// Print the HTTP contract
     #[command(hide = true)]
     Openapi,
@@ -50,6 +53,7 @@ pub fn run() -> anyhow::Result<()> {
         Command::Bake(args) => bake::run(&args),
         Command::Generate(args) => generate::run(args),
         Command::Accuracy(args) => accuracy::run(&args),
+        Command::Load(args) => load::run(&args),
         Command::Openapi => {
             print!("{}", crate::http::openapi_yaml()?);
             Ok(())

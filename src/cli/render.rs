@@ -115,7 +115,7 @@ fn vector(text: &str) -> Result<DVec3, String> {
     Ok(DVec3::new(x, y, z))
 }
 
-fn size(text: &str) -> Result<(u32, u32), String> {
+pub(super) fn size(text: &str) -> Result<(u32, u32), String> {
     let sides = text
         .split_once(['x', 'X', '×'])
         .map(|(w, h)| (w.trim().parse::<u32>(), h.trim().parse::<u32>()));
