@@ -60,8 +60,20 @@ fn frames_of_a_daemon_are_measured() {
     let before = daemon.client().metric("pointillist_frames_sent_total");
     let output = load(
         &url,
-        &[&SMALL[..], &["--rates", "20,40", "--duration", "1.5", "--format", "qoi", "-o", out.to_str().unwrap()]]
-            .concat(),
+        &[
+            &SMALL[..],
+            &[
+                "--rates",
+                "20,40",
+                "--duration",
+                "1.5",
+                "--format",
+                "qoi",
+                "-o",
+                out.to_str().unwrap(),
+            ],
+        ]
+        .concat(),
     );
     let told = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success(), "{output:?}");
@@ -69,7 +81,8 @@ fn frames_of_a_daemon_are_measured() {
     let lines = String::from_utf8_lossy(&output.stderr);
     assert_eq!(lines.lines().filter(|line| line.contains("/s offered:")).count(), 2, "{lines}");
 
-    let json: Value = serde_json::from_slice(&std::fs::read(out.join("load.json")).unwrap()).unwrap();
+    let json: Value =
+        serde_json::from_slice(&std::fs::read(out.join("load.json")).unwrap()).unwrap();
     let points = json["points"].as_array().unwrap();
     assert_eq!(points.len(), 2);
     let mut frames = 0;
@@ -99,7 +112,11 @@ fn frames_of_a_daemon_are_measured() {
     let svg = std::fs::read_to_string(out.join("load.svg")).unwrap();
     let document = roxmltree::Document::parse(&svg).unwrap();
     let adapter = json["adapter"].as_str().unwrap();
-    assert!(document.descendants().any(|node| node.text().is_some_and(|text| text.contains(&adapter[..8]))));
+    assert!(
+        document
+            .descendants()
+            .any(|node| node.text().is_some_and(|text| text.contains(&adapter[..8])))
+    );
 }
 
 #[test]
@@ -110,17 +127,36 @@ fn saturation_of_a_daemon_is_found() {
     let json = report(
         &url,
         &[
-            "--saturate", "--first-rate", "8", "--factor", "4", "--resolution", "0.5", "--duration", "1",
-            "--warmup", "0.2", "--size", "1024x1024", "--format", "png", "--max-rate", "600", "--seed", "3",
+            "--saturate",
+            "--first-rate",
+            "8",
+            "--factor",
+            "4",
+            "--resolution",
+            "0.5",
+            "--duration",
+            "1",
+            "--warmup",
+            "0.2",
+            "--size",
+            "1024x1024",
+            "--format",
+            "png",
+            "--max-rate",
+            "600",
+            "--seed",
+            "3",
         ],
     );
     let knee = &json["knee"];
     let points = json["points"].as_array().unwrap();
-    let rates: Vec<f64> = points.iter().map(|point| point["rate_per_s"].as_f64().unwrap()).collect();
+    let rates: Vec<f64> =
+        points.iter().map(|point| point["rate_per_s"].as_f64().unwrap()).collect();
     assert!(rates.is_sorted() && rates.len() >= 3, "{rates:?}");
     let Some(kept) = knee["keeps_up_to_per_s"].as_f64() else { panic!("{json}") };
     if knee["is_bounded"] == true {
-        let beyond = points.iter().find(|point| point["rate_per_s"].as_f64().unwrap() > kept).unwrap();
+        let beyond =
+            points.iter().find(|point| point["rate_per_s"].as_f64().unwrap() > kept).unwrap();
         assert_ne!(beyond["verdict"], "keeps_up");
         let last = points.last().unwrap();
         assert!(last["throughput_per_s"].as_f64() < last["offered_per_s"].as_f64());
@@ -165,7 +201,10 @@ fn keys_are_sent() {
     let daemon = Daemon::start(&["--api-keys", keys.to_str().unwrap()]);
     let url = format!("http://{}", daemon.address);
     assert!(complaint(&url, &[]).contains("401"));
-    let json = report(&url, &[&SMALL[..], &["--key", "key", "--rate", "20", "--duration", "0.5"]].concat());
+    let json = report(
+        &url,
+        &[&SMALL[..], &["--key", "key", "--rate", "20", "--duration", "0.5"]].concat(),
+    );
     assert!(json["points"][0]["counts"]["frames"].as_u64().unwrap() > 0);
     assert!(!json.to_string().contains("\"key\""), "a key is no part of a report");
 }
@@ -203,7 +242,11 @@ fn answer(stream: &mut TcpStream, head: &str, body: &str) -> bool {
     write!(stream, "HTTP/1.1 {head}\r\nContent-Length: {length}\r\n\r\n{body}").is_ok()
 }
 
-fn serve(mut stream: TcpStream, seen: &Mutex<Vec<String>>, frame: &dyn Fn(usize, &mut TcpStream) -> bool) {
+fn serve(
+    mut stream: TcpStream,
+    seen: &Mutex<Vec<String>>,
+    frame: &dyn Fn(usize, &mut TcpStream) -> bool,
+) {
     const SCENE: &str = r#"{"state":"ready","id":"s","revision":1,"bounds":[[0,0,0],[1,1,1]],"up":[0,1,0],"cameras":[]}"#;
     stream.set_nodelay(true).unwrap();
     let mut lines = BufReader::new(stream.try_clone().unwrap()).lines().map_while(Result::ok);
@@ -240,7 +283,8 @@ fn a_stall_is_in_the_percentiles() {
         spent: Duration,
         requests: u32,
     }
-    let works = Arc::new(Mutex::new(Works { next_stall: None, spent: Duration::ZERO, requests: 0 }));
+    let works =
+        Arc::new(Mutex::new(Works { next_stall: None, spent: Duration::ZERO, requests: 0 }));
     let account = works.clone();
     let server = Server::start(move |_, stream| {
         let mut works = works.lock().unwrap();
@@ -258,11 +302,25 @@ fn a_stall_is_in_the_percentiles() {
     // Constant spacing, so that the share of requests that are due in a stall is that of its time.
     let json = report(
         &server.url(),
-        &["--rate", "100", "--duration", "3", "--warmup", "0", "--spacing", "constant", "--connections", "200"],
+        &[
+            "--rate",
+            "100",
+            "--duration",
+            "3",
+            "--warmup",
+            "0",
+            "--spacing",
+            "constant",
+            "--connections",
+            "200",
+        ],
     );
     let point = &json["points"][0];
     let latency = &point["latency"];
-    let (spent, requests) = { let works = account.lock().unwrap(); (works.spent, works.requests) };
+    let (spent, requests) = {
+        let works = account.lock().unwrap();
+        (works.spent, works.requests)
+    };
     let mean_service_ms = spent.as_secs_f64() * 1e3 / f64::from(requests);
     assert!(mean_service_ms < 10.0, "{mean_service_ms}");
     assert_eq!(point["counts"]["frames"], 300, "{point}");
@@ -284,7 +342,18 @@ fn a_stall_is_not_hidden_by_a_limit() {
     });
     let json = report(
         &server.url(),
-        &["--rate", "100", "--duration", "2", "--warmup", "0", "--spacing", "constant", "--connections", "1"],
+        &[
+            "--rate",
+            "100",
+            "--duration",
+            "2",
+            "--warmup",
+            "0",
+            "--spacing",
+            "constant",
+            "--connections",
+            "1",
+        ],
     );
     let point = &json["points"][0];
     let not_sent = point["counts"]["not_sent"].as_u64().unwrap();
@@ -307,7 +376,18 @@ fn every_answer_is_counted_as_what_it_is() {
     });
     let json = report(
         &server.url(),
-        &["--rate", "80", "--duration", "1", "--warmup", "0", "--spacing", "constant", "--timeout", "0.4"],
+        &[
+            "--rate",
+            "80",
+            "--duration",
+            "1",
+            "--warmup",
+            "0",
+            "--spacing",
+            "constant",
+            "--timeout",
+            "0.4",
+        ],
     );
     let point = &json["points"][0];
     let count = |name: &str| point["counts"][name].as_u64().unwrap();
@@ -319,7 +399,7 @@ fn every_answer_is_counted_as_what_it_is() {
     assert_eq!(point["verdict"], "unanswered");
     let warnings = json["warnings"].to_string();
     assert!(warnings.contains("it broke") || warnings.contains("connection closed"), "{warnings}");
-    // Other poses each time, but for the 304 that nobody asked for.
+    // Another pose each time.
     let mut paths = server.paths.lock().unwrap().clone();
     paths.sort();
     paths.dedup();
