@@ -60,8 +60,12 @@ const fn line(
 }
 
 fn latency_ms(point: &Point, pick: fn(&Percentiles) -> Option<u64>) -> Option<f64> {
-    // A logarithm of nothing is not to be had; no answer takes less than a microsecond.
-    pick(&point.latency).map(|ns| (ns as f64 / 1e6).max(1e-3))
+    match pick(&point.latency) {
+        // A logarithm of nothing is not to be had; no answer takes less than a microsecond.
+        Some(ns) => Some((ns as f64 / 1e6).max(1e-3)),
+        // Among requests that were never answered: beyond any axis.
+        None => (point.latency.endless > 0).then_some(f64::INFINITY),
+    }
 }
 
 fn share(point: &Point, count: u64) -> Option<f64> {
@@ -90,6 +94,10 @@ struct Axis {
     from_px: f64,
     to_px: f64,
     is_log: bool,
+    /// Between ticks, where it is linear.
+    step: f64,
+    /// Whether there are values beyond it, which stand at its end.
+    is_exceeded: bool,
 }
 
 impl Axis {
@@ -103,17 +111,20 @@ impl Axis {
     fn linear(most: f64, from_px: f64, to_px: f64) -> Self {
         let step = tick_step(most);
         let high = (most / step).ceil().max(1.0) * step;
-        Self { low: 0.0, high, from_px, to_px, is_log: false }
+        Self { low: 0.0, high, from_px, to_px, is_log: false, step, is_exceeded: false }
     }
 
-    /// Whole decades around all of `values`.
+    /// Whole decades around all of `values`, and one more where some are infinite.
     fn decades(values: impl Iterator<Item = f64> + Clone, from_px: f64, to_px: f64) -> Self {
-        let least = values.clone().fold(f64::INFINITY, f64::min);
-        let most = values.fold(f64::NEG_INFINITY, f64::max);
+        let is_exceeded = values.clone().any(f64::is_infinite);
+        let finite = values.filter(|value| value.is_finite());
+        let least = finite.clone().fold(f64::INFINITY, f64::min);
+        let most = finite.fold(f64::NEG_INFINITY, f64::max);
         let (least, most) = if least <= most { (least, most) } else { (1.0, 1.0) };
         let low = 10f64.powf(least.log10().floor());
         let high = 10f64.powf(most.log10().ceil()).max(10.0 * low);
-        Self { low, high, from_px, to_px, is_log: true }
+        let high = if is_exceeded { 10.0 * high } else { high };
+        Self { low, high, from_px, to_px, is_log: true, step: 0.0, is_exceeded }
     }
 
     fn ticks(&self) -> Vec<f64> {
@@ -121,14 +132,15 @@ impl Axis {
             let decades = (self.high / self.low).log10().round() as i32;
             return (0..=decades).map(|decade| self.low * 10f64.powi(decade)).collect();
         }
-        let step = tick_step(self.high);
-        (0..=(self.high / step).round() as u32).map(|tick| f64::from(tick) * step).collect()
+        (0..=(self.high / self.step).round() as u32)
+            .map(|tick| f64::from(tick) * self.step)
+            .collect()
     }
 }
 
-/// 1, 2 or 5 times a power of ten, so that `most` has about five of it.
+/// 1, 2 or 5 times a power of ten, so that `most` has about six of it.
 fn tick_step(most: f64) -> f64 {
-    let rough = if most > 0.0 { most / 5.0 } else { 0.2 };
+    let rough = if most > 0.0 { most / 6.0 } else { 0.2 };
     let power = 10f64.powf(rough.log10().floor());
     let steps = [1.0, 2.0, 5.0, 10.0].map(|times| times * power);
     steps.into_iter().find(|step| *step >= 0.999 * rough).unwrap_or(10.0 * power)
@@ -185,9 +197,16 @@ pub fn svg(report: &Report) -> String {
         .iter()
         .flat_map(|judged| LATENCY_LINES.iter().filter_map(|line| (line.value)(&judged.point)));
     let latency = Axis::decades(values, LATENCY[1], LATENCY[0]);
-    panel(&mut out, &x, &latency, "latency, ms", &LATENCY_LINES, points, |_| {});
-    let unanswered =
-        Axis { low: 0.0, high: 100.0, from_px: UNANSWERED[1], to_px: UNANSWERED[0], is_log: false };
+    panel(&mut out, &x, &latency, "latency since due, ms", &LATENCY_LINES, points, |_| {});
+    let unanswered = Axis {
+        low: 0.0,
+        high: 100.0,
+        from_px: UNANSWERED[1],
+        to_px: UNANSWERED[0],
+        is_log: false,
+        step: 25.0,
+        is_exceeded: false,
+    };
     panel(&mut out, &x, &unanswered, "no frame, %", &UNANSWERED_LINES, points, |_| {});
     knee(&mut out, &x, report);
     let _ = writeln!(
@@ -207,10 +226,8 @@ fn heading(out: &mut String, report: &Report) {
     let run = &report.run;
     let (arrivals, duration) = (format!("{:?}", run.spacing).to_lowercase(), run.duration_s);
     let subject = shortened(&report.subject());
-    let how = shortened(&format!(
-        "{} · {arrivals} arrivals, {duration} s a step · latency from when a request was due",
-        report.adapter()
-    ));
+    let how =
+        shortened(&format!("{} · {arrivals} arrivals, {duration} s a step", report.adapter()));
     for (y, class, id, text) in [
         (30.0, "title", " id=\"title\"", "Frames under load"),
         (52.0, "soft", " id=\"subject\"", subject.as_str()),
@@ -251,13 +268,16 @@ fn panel(
     for (index, tick) in ticks.iter().enumerate() {
         let at = y.px(*tick);
         let _ = writeln!(out, "<path class=\"grid\" d=\"M{LEFT} {at:.1}H{RIGHT}\"/>");
-        if index % every == 0 || (!y.is_log && index + 1 == ticks.len() && every < 3) {
+        let label = match y.is_exceeded && index + 1 == ticks.len() {
+            true => "lost".to_owned(),
+            false => tick_label(*tick),
+        };
+        if index % every == 0 {
             let _ = writeln!(
                 out,
-                "<text class=\"soft end\" x=\"{:.1}\" y=\"{:.1}\">{}</text>",
+                "<text class=\"soft end\" x=\"{:.1}\" y=\"{:.1}\">{label}</text>",
                 LEFT - 8.0,
-                at + 4.5,
-                tick_label(*tick)
+                at + 4.5
             );
         }
     }
@@ -271,7 +291,7 @@ fn panel(
     for line in lines {
         ends.extend(curve(out, x, y, line, points).map(|end_px| (line, end_px)));
     }
-    end_labels(out, ends);
+    end_labels(out, ends, bottom);
     let _ = writeln!(
         out,
         "<rect class=\"frame\" x=\"{LEFT}\" y=\"{top}\" width=\"{:.1}\" height=\"{:.1}\"/>",
@@ -296,7 +316,7 @@ fn curve(out: &mut String, x: &Axis, y: &Axis, line: &Line, points: &[JudgedPoin
             "<circle class=\"dot {}\" cx=\"{at_x:.1}\" cy=\"{at_y:.1}\" r=\"3\"><title>{} {}</title></circle>",
             line.class,
             line.label,
-            three_digits(value)
+            if value.is_finite() { three_digits(value) } else { "lost".to_owned() }
         );
         pen = 'L';
         end_px = Some(at_y);
@@ -312,14 +332,21 @@ fn curve(out: &mut String, x: &Axis, y: &Axis, line: &Line, points: &[JudgedPoin
     end_px
 }
 
-/// Labels at the lines' ends, from the top down, none upon another.
-fn end_labels(out: &mut String, mut ends: Vec<(&Line, f64)>) {
+/// Labels at the lines' ends, none upon another and none below the panel.
+fn end_labels(out: &mut String, mut ends: Vec<(&Line, f64)>, bottom: f64) {
     const APART_PX: f64 = 15.0;
     ends.sort_by(|a, b| a.1.total_cmp(&b.1));
-    let mut free_px = f64::NEG_INFINITY;
-    for (line, end_px) in ends {
-        let at = (end_px + 4.5).max(free_px);
-        free_px = at + APART_PX;
+    let mut places: Vec<f64> = Vec::with_capacity(ends.len());
+    for (_, end_px) in &ends {
+        let free_px = places.last().map_or(f64::NEG_INFINITY, |last| last + APART_PX);
+        places.push((end_px + 4.5).max(free_px));
+    }
+    let mut free_px = bottom + 2.0;
+    for place in places.iter_mut().rev() {
+        *place = place.min(free_px);
+        free_px = *place - APART_PX;
+    }
+    for ((line, _), at) in ends.into_iter().zip(places) {
         let _ = writeln!(
             out,
             "<text class=\"{}\" x=\"{:.1}\" y=\"{at:.1}\">{}</text>",
@@ -340,6 +367,12 @@ fn ideal(out: &mut String, x: &Axis, y: &Axis) {
         y.px(0.0),
         x.px(most),
         y.px(most)
+    );
+    let _ = writeln!(
+        out,
+        "<text class=\"soft end\" x=\"{:.1}\" y=\"{:.1}\">as offered</text>",
+        x.px(most) - 20.0,
+        y.px(most) + 16.0
     );
 }
 
@@ -378,7 +411,7 @@ mod tests {
             "Frames under load",
             "<town> & \"country\" · w=64 format=jpeg",
             "frames per second",
-            "latency, ms",
+            "latency since due, ms",
             "no frame, %",
             "offered requests per second",
             "frames",
@@ -417,16 +450,33 @@ mod tests {
         }
     }
 
-    /// A percentile among requests that never came has no place on the axis: its line ends before.
+    /// A percentile among requests that never came stands at the end of the axis, which says so.
     #[test]
-    fn lines_end_where_answers_do() {
+    fn what_never_came_is_above_everything() {
         let svg = svg(&report(vec![point(40, 40), point(80, 80), point(200, 90)]));
         let document = roxmltree::Document::parse(&svg).unwrap();
-        let dots = |label: &str| {
+        let dots = |label: &str| -> Vec<(String, f64)> {
             let titles = document.descendants().filter(|node| node.has_tag_name("title"));
-            titles.filter(|node| node.text().is_some_and(|text| text.starts_with(label))).count()
+            let of_line =
+                titles.filter(|node| node.text().is_some_and(|text| text.starts_with(label)));
+            let place =
+                |node: roxmltree::Node<'_, '_>| node.parent()?.attribute("cy")?.parse().ok();
+            of_line.map(|node| (node.text().unwrap().to_owned(), place(node).unwrap())).collect()
         };
-        assert_eq!((dots("p50 "), dots("p99 "), dots("frames ")), (3, 2, 3));
+        assert_eq!((dots("p50 ").len(), dots("p99 ").len(), dots("frames ").len()), (3, 3, 3));
+        assert_eq!(dots("p99 ")[2], ("p99 lost".to_owned(), LATENCY[0]));
+        assert!(dots("p50 ")[2].1 > LATENCY[0] && dots("p99 ")[1].1 > LATENCY[0]);
+        assert_eq!(texts(&svg).iter().filter(|text| *text == "lost").count(), 2);
+    }
+
+    #[test]
+    fn labels_at_ends_keep_apart() {
+        let mut out = String::new();
+        let ends = UNANSWERED_LINES.iter().map(|line| (line, 680.0)).collect();
+        end_labels(&mut out, ends, 680.0);
+        for y in ["652.0", "667.0", "682.0"] {
+            assert!(out.contains(&format!("y=\"{y}\"")), "{out}");
+        }
     }
 
     #[test]

@@ -154,7 +154,7 @@ impl JudgedPoint {
         let point = &self.point;
         let counts = &point.counts;
         let mut line = format!(
-            "{}/s offered: {} frames/s, p50 {} ms, p99 {} ms",
+            "{}/s offered: {} frames/s, p50 {}, p99 {} (ms)",
             three_digits(point.offered_per_s),
             three_digits(point.throughput_per_s),
             latency_ms(point, point.latency.p50_ns),
