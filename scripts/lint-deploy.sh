@@ -140,8 +140,8 @@ for (; exec.scenario.iterationInTest < 5000; exec.scenario.iterationInTest++) {
     seen.add(query.get('eye'));
 }
 if (seen.size !== 5000) fail('a pose came twice');
-const [refused, queue, gpu] = added;
-if (refused[0] !== 'frames_refused' || queue[1] !== 1 || gpu[1] !== 2) fail('not the measures');
+const [first, second, third] = added;
+if (first[0] !== 'frames_refused' || second[1] !== 1 || third[1] !== 2) fail('not the measures');
 if (options.scenarios.frames.executor !== 'constant-arrival-rate') fail('not an open loop');
 PLAYED
     } >"$work/k6.mjs"
