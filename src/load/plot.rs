@@ -371,7 +371,7 @@ fn ideal(out: &mut String, x: &Axis, y: &Axis) {
     let _ = writeln!(
         out,
         "<text class=\"soft end\" x=\"{:.1}\" y=\"{:.1}\">as offered</text>",
-        x.px(most) - 20.0,
+        x.px(most) - 44.0,
         y.px(most) + 16.0
     );
 }
