@@ -101,6 +101,58 @@ else
     lacking "haproxy.cfg (no haproxy)"
 fi
 
+# --- k6: its own parser where it is there, and the script itself with k6's modules played by a few lines of node
+if have k6; then
+    checked "k6.js (k6 inspect)" k6 inspect deploy/k6.js
+else
+    lacking "k6.js with 'k6 inspect' (no k6)"
+fi
+k6_played() {
+    {
+        cat <<'PLAYED'
+const __ENV = { URL: 'http://daemon/', SCENE: 'a scene', QUERY: 'lod=spt', API_KEY: 'k' };
+const asked = [], added = [], exec = { scenario: { iterationInTest: 0 } };
+class Metric { constructor(name) { this.name = name; } add(value) { added.push([this.name, value]); } }
+const Counter = Metric, Trend = Metric;
+const scene = { bounds: [[10, 20, -5], [14, 26, 7]], up: [0, 0, 1] };
+const receipt = JSON.stringify({ gpu_ns: 4e6, views: 2, queue_ns: 1e6 });
+const check = (answer, wanted) => Object.values(wanted).every((holds) => holds(answer));
+const http = { get: (url, how) => {
+    asked.push([url, how]);
+    return url.includes('/frame?') ? { status: 503, headers: { 'Pointillist-Receipt': receipt } } : { status: 200, json: () => scene };
+} };
+PLAYED
+        sed -E '/^import /d; s/^export default function/function iteration/; s/^export //' deploy/k6.js
+        cat <<'PLAYED'
+const fail = (what) => { throw new Error(`${what}: ${JSON.stringify(asked.slice(-3))} ${JSON.stringify(added)}`); };
+const orbit = setup();
+const seen = new Set();
+for (; exec.scenario.iterationInTest < 5000; exec.scenario.iterationInTest++) {
+    iteration(orbit);
+    const [url, how] = asked[asked.length - 1];
+    const query = new URL(url).searchParams;
+    const [eye, target] = ['eye', 'target'].map((name) => query.get(name).split(',').map(Number));
+    const distance = Math.hypot(...eye.map((at, axis) => at - target[axis]));
+    // Half the diagonal of the box is 7; an eye that sees the sphere around it under 40 degrees is 7 / sin 20° away.
+    if (Math.abs(distance - 7 / Math.sin(Math.PI / 9)) > 1e-6 || target.join() !== '12,23,1') fail('not an orbit');
+    if (query.get('lod') !== 'spt' || how.headers.Authorization !== 'Bearer k' || how.tags.name !== 'frame') fail('not as asked');
+    if (!url.startsWith('http://daemon/v1/scenes/a%20scene/frame?')) fail('not the address');
+    seen.add(query.get('eye'));
+}
+if (seen.size !== 5000) fail('a pose came twice');
+const [first, second, third] = added;
+if (first[0] !== 'frames_refused' || second[1] !== 1 || third[1] !== 2) fail('not the measures');
+if (options.scenarios.frames.executor !== 'constant-arrival-rate') fail('not an open loop');
+PLAYED
+    } >"$work/k6.mjs"
+    node "$work/k6.mjs"
+}
+if have node; then
+    checked "k6.js (played by node)" k6_played
+else
+    lacking "k6.js (no node)"
+fi
+
 # --- configuration: each key, given or commented out, is a flag of `serve`, and every flag is there
 if [ -x "$binary" ] && "$binary" serve --help >"$work/help" 2>/dev/null; then
     # Explanations are indented deeper than flags, so that a flag named in one is not taken for one.

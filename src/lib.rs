@@ -10,6 +10,8 @@
 //! 6. [`gpu`] submits, times and reads back;
 //! 7. [`oracle`] renders the same scene in f64 on the CPU, [`accuracy`] compares the two.
 //!
+//! From outside, [`load`] asks a daemon for more and more frames until it no longer keeps up.
+//!
 //! The answer carries a receipt ([`engine::receipt`]): what was understood, which passes ran, which
 //! were skipped and why, and what each of them cost.
 
@@ -23,6 +25,7 @@ pub mod film;
 pub mod generate;
 pub mod gpu;
 pub mod http;
+pub mod load;
 pub mod math;
 pub mod oracle;
 pub mod passes;

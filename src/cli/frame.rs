@@ -70,7 +70,7 @@ enum OutputChoice {
     Id,
 }
 
-fn size(text: &str) -> Result<(u32, u32), String> {
+pub(super) fn size(text: &str) -> Result<(u32, u32), String> {
     let sides = text
         .split_once(['x', 'X', '×'])
         .map(|(w, h)| (w.trim().parse::<u32>(), h.trim().parse::<u32>()));

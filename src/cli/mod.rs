@@ -6,6 +6,7 @@ mod cache;
 mod frame;
 pub mod generate;
 pub mod inspect;
+pub mod load;
 mod local;
 pub mod path;
 pub mod render;
@@ -37,6 +38,8 @@ enum Command {
     Generate(generate::GenerateArgs),
     /// Report whether what is drawn stays accurate where that is hard
     Accuracy(accuracy::AccuracyArgs),
+    /// Ask a daemon for frames at given rates, or at rising ones until it no longer keeps up
+    Load(Box<load::LoadArgs>),
     /// Print the HTTP contract
     #[command(hide = true)]
     Openapi,
@@ -55,6 +58,7 @@ pub fn run() -> anyhow::Result<()> {
         Command::Bake(args) => bake::run(&args),
         Command::Generate(args) => generate::run(args),
         Command::Accuracy(args) => accuracy::run(&args),
+        Command::Load(args) => load::run(&args),
         Command::Openapi => {
             print!("{}", crate::http::openapi_yaml()?);
             Ok(())

@@ -1,0 +1,495 @@
+//! `pointillist load`: how many frames a second a daemon gives, how late they are, and where that ends.
+
+use std::io::IsTerminal;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail, ensure};
+use clap::Args;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use serde::Deserialize;
+
+use crate::load::knee::{Demands, SearchSettings};
+use crate::load::poses::{PathKind, Poses};
+use crate::load::report::{Generator, Report, three_digits};
+use crate::load::request::{Connections, RequestClient};
+use crate::load::run::{Event, Outcomes, Rates, RunSettings, run as run_steps};
+use crate::load::schedule::Spacing;
+use crate::load::wire::{SceneAnswer, Target, percent_encoded};
+use crate::load::{drive::Client, plot, tally::Outcome};
+
+/// Rates beyond this are no longer kept by one thread.
+const MOST_PER_S: f64 = 200_000.0;
+const DAY_S: f64 = 86_400.0;
+
+/// Which daemon, how much of what, and where the report goes.
+#[derive(Args, Clone, Debug)]
+#[command(
+    after_help = "Requests are sent when they are due, whatever became of earlier ones, and latency counts from then on. \
+Each has another pose along a path around the scene or between its cameras. Every frame is a request of its own; streams \
+are not among what is measured. On the daemon's own machine, the generator takes CPU time from it."
+)]
+pub struct LoadArgs {
+    /// The daemon's address: http://HOST:PORT
+    #[arg(value_name = "URL")]
+    url: String,
+    /// Folder for load.json and load.svg, made where it is missing
+    #[arg(short, long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    rates: RateArgs,
+    /// Seconds that are counted at each rate
+    #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = seconds)]
+    duration: f64,
+    /// Seconds before that which are not counted
+    #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = seconds_or_none)]
+    warmup: f64,
+    /// How arrivals lie in time
+    #[arg(long, value_enum, default_value = "poisson")]
+    spacing: Spacing,
+    /// Requests that may be under way at a time, each on a connection of its own; what is over that is not sent, and counted
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=60_000))]
+    connections: u32,
+    /// Seconds after which a request is given up
+    #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = seconds)]
+    timeout: f64,
+    /// Highest 99th percentile of latency with which a daemon counts as keeping up, in milliseconds
+    #[arg(long, value_name = "MS", default_value_t = 1000.0, value_parser = positive)]
+    max_p99_ms: f64,
+    /// Other numbers give other arrivals and other poses
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// An API key of the daemon
+    #[arg(long, env = "POINTILLIST_KEY", hide_env_values = true, value_name = "KEY")]
+    key: Option<String>,
+    #[command(flatten)]
+    frame: FrameArgs,
+    /// JSON on standard output instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+/// At which rates.
+#[derive(Args, Clone, Debug)]
+struct RateArgs {
+    /// Requests per second [default: 10]
+    #[arg(long, value_name = "R", value_parser = rate, conflicts_with_all = ["rates", "saturate"])]
+    rate: Option<f64>,
+    /// One rate after another, as in 10,20,40
+    #[arg(long, value_name = "R,R,…", value_delimiter = ',', value_parser = rate, conflicts_with = "saturate")]
+    rates: Vec<f64>,
+    /// Raise the rate until the daemon no longer keeps up, then close in on where that begins
+    #[arg(long)]
+    saturate: bool,
+    /// Where --saturate begins
+    #[arg(long, value_name = "R", default_value_t = 4.0, value_parser = rate, requires = "saturate")]
+    first_rate: f64,
+    /// Where --saturate ends
+    #[arg(long, value_name = "R", default_value_t = 20_000.0, value_parser = rate, requires = "saturate")]
+    max_rate: f64,
+    /// By what --saturate multiplies the rate
+    #[arg(long, value_name = "F", default_value_t = 2.0, value_parser = factor, requires = "saturate")]
+    factor: f64,
+    /// How near --saturate comes to the knee, as a share of the rate
+    #[arg(long, value_name = "SHARE", default_value_t = 0.08, value_parser = positive, requires = "saturate")]
+    resolution: f64,
+    /// Rates that --saturate tries at most
+    #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u32).range(1..), requires = "saturate")]
+    max_steps: u32,
+}
+
+/// What frames are asked for. All but the pose is handed to the daemon as it stands: it knows what it accepts.
+#[derive(Args, Clone, Debug)]
+struct FrameArgs {
+    /// Which scene [default: the only one]
+    #[arg(long, value_name = "ID")]
+    scene: Option<String>,
+    /// Where frames are seen from
+    #[arg(long, value_enum, default_value = "orbit")]
+    poses: PathKind,
+    /// Width and height in pixels
+    #[arg(long, value_name = "WxH", default_value = "640x480", value_parser = super::frame::size)]
+    size: (u32, u32),
+    /// Encoding
+    #[arg(long, default_value = "jpeg")]
+    format: String,
+    /// Quality of lossy formats
+    #[arg(long)]
+    quality: Option<String>,
+    /// Which image of the frame
+    #[arg(long)]
+    output: Option<String>,
+    /// Level of detail
+    #[arg(long)]
+    lod: Option<String>,
+    /// What --lod spt may be wrong by
+    #[arg(long, value_name = "PX")]
+    max_error_px: Option<String>,
+    /// What samples are drawn as
+    #[arg(long)]
+    reconstruct: Option<String>,
+    /// Of splats, as are those that follow
+    #[arg(long)]
+    filter: Option<String>,
+    #[arg(long, hide = true)]
+    prefilter: Option<String>,
+    #[arg(long, hide = true)]
+    blend: Option<String>,
+    #[arg(long, hide = true)]
+    shading: Option<String>,
+    /// Any other parameter of a frame; may be given again
+    #[arg(long = "param", value_name = "NAME=VALUE", value_parser = parameter)]
+    parameters: Vec<(String, String)>,
+}
+
+fn number(text: &str, least: f64, most: f64, what: &str) -> Result<f64, String> {
+    let number = text.trim().parse::<f64>().ok();
+    number.filter(|n| (least..=most).contains(n)).ok_or_else(|| format!("expected {what}"))
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    number(text, 0.01, MOST_PER_S, "requests per second, 0.01 to 200000")
+}
+
+fn factor(text: &str) -> Result<f64, String> {
+    number(text, 1.05, 100.0, "a factor of 1.05 to 100")
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    number(text, 1e-3, 1e9, "a number above 0")
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    number(text, 0.05, DAY_S, "seconds, at least 0.05")
+}
+
+fn seconds_or_none(text: &str) -> Result<f64, String> {
+    number(text, 0.0, DAY_S, "seconds, or 0")
+}
+
+fn parameter(text: &str) -> Result<(String, String), String> {
+    match text.split_once('=') {
+        Some((name, value)) if !name.is_empty() => Ok((name.to_owned(), value.to_owned())),
+        _ => Err("expected NAME=VALUE".to_owned()),
+    }
+}
+
+impl FrameArgs {
+    /// Query parameters beside the pose.
+    fn query(&self) -> Vec<(String, String)> {
+        let given = [
+            ("quality", &self.quality),
+            ("output", &self.output),
+            ("lod", &self.lod),
+            ("max_error_px", &self.max_error_px),
+            ("reconstruct", &self.reconstruct),
+            ("filter", &self.filter),
+            ("prefilter", &self.prefilter),
+            ("blend", &self.blend),
+            ("shading", &self.shading),
+        ];
+        let (width, height) = self.size;
+        let always =
+            [("w", width.to_string()), ("h", height.to_string()), ("format", self.format.clone())];
+        let given = given.into_iter().filter_map(|(name, value)| Some((name, value.clone()?)));
+        let named = always.into_iter().chain(given).map(|(name, value)| (name.to_owned(), value));
+        named.chain(self.parameters.iter().cloned()).collect()
+    }
+}
+
+impl LoadArgs {
+    fn settings(&self) -> anyhow::Result<RunSettings> {
+        let RateArgs { rate, rates, saturate, .. } = &self.rates;
+        let rates = match (saturate, rate, rates.is_empty()) {
+            (true, ..) => Rates::Saturate(self.rates.search()?),
+            (false, Some(rate), _) => Rates::Given(vec![*rate]),
+            (false, None, false) => Rates::Given(rates.clone()),
+            (false, None, true) => Rates::Given(vec![10.0]),
+        };
+        Ok(RunSettings {
+            rates,
+            spacing: self.spacing,
+            seed: self.seed,
+            warmup_s: self.warmup,
+            duration_s: self.duration,
+            timeout_s: self.timeout,
+            connections_at_most: self.connections as usize,
+            demands: Demands::new(Duration::from_secs_f64(self.max_p99_ms / 1e3)),
+        })
+    }
+}
+
+impl RateArgs {
+    fn search(&self) -> anyhow::Result<SearchSettings> {
+        let RateArgs { first_rate, max_rate, factor, resolution, max_steps, .. } = *self;
+        ensure!(first_rate <= max_rate, "--first-rate {first_rate} is above --max-rate {max_rate}");
+        Ok(SearchSettings {
+            first_per_s: first_rate,
+            least_per_s: 0.05_f64.min(first_rate),
+            most_per_s: max_rate,
+            factor,
+            resolution,
+            steps_at_most: max_steps,
+        })
+    }
+}
+
+/// Runs the load, and prints and writes what came of it.
+///
+/// # Errors
+/// A daemon that cannot be reached, a scene or parameter that it refuses, a file that cannot be written; not one frame.
+pub fn run(args: &LoadArgs) -> anyhow::Result<()> {
+    super::local::init_log();
+    let settings = args.settings()?;
+    let target = Target::parse(&args.url)?;
+    if let Some(folder) = &args.out {
+        // Now rather than after minutes of load.
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("making the folder {}", folder.display()))?;
+    }
+    let runtime = tokio::runtime::Runtime::new().context("starting the async runtime")?;
+    let report = runtime.block_on(measure(args, &target, settings))?;
+    let json = serde_json::to_string_pretty(&report)? + "\n";
+    if args.json {
+        print!("{json}");
+    } else {
+        print!("{report}");
+    }
+    if let Some(folder) = &args.out {
+        for (name, text) in [("load.json", &json), ("load.svg", &plot::svg(&report))] {
+            let path = folder.join(name);
+            std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))?;
+        }
+        eprintln!("load.json and load.svg are in {}", folder.display());
+    }
+    let frames: u64 = report.points.iter().map(|judged| judged.point.counts.frames).sum();
+    ensure!(report.interrupted || frames > 0, "not one frame came");
+    Ok(())
+}
+
+async fn measure(
+    args: &LoadArgs,
+    target: &Target,
+    settings: RunSettings,
+) -> anyhow::Result<Report> {
+    let connections = Connections::new(target, args.key.as_deref()).await?;
+    let scene = find_scene(&connections, &target.prefix, args.frame.scene.as_deref()).await?;
+    let client = Arc::new(RequestClient {
+        connections,
+        prefix: target.prefix.clone(),
+        scene: scene.id.clone(),
+        poses: Poses::new(args.frame.poses, &scene, args.seed)?,
+        parameters: args.frame.query(),
+    });
+    try_once(client.as_ref(), settings.timeout_s).await?;
+    let stop = Arc::new(AtomicBool::new(false));
+    stop_on_interrupt(stop.clone());
+    let shown = Shown::new();
+    let outcomes = run_steps(client.clone(), &settings, stop, |event| shown.tell(&event)).await?;
+    shown.bar.finish_and_clear();
+    let Outcomes { points, knee, interrupted, adapter, settings: settings_used } = outcomes;
+    Ok(Report {
+        target: target.authority(),
+        scene: scene.id,
+        revision: scene.revision,
+        client: "request",
+        poses: args.frame.poses,
+        parameters: client.parameters.clone(),
+        adapter,
+        settings_used,
+        generator: Generator::here(),
+        run: settings,
+        points,
+        knee,
+        connections_opened: client.connections.opened(),
+        interrupted,
+        warnings: Vec::new(),
+    }
+    .finish())
+}
+
+/// The scene asked for, or the only one that is ready.
+async fn find_scene(
+    connections: &Connections,
+    prefix: &str,
+    asked: Option<&str>,
+) -> anyhow::Result<SceneAnswer> {
+    #[derive(Deserialize)]
+    struct Listed {
+        id: String,
+        state: String,
+    }
+    #[derive(Deserialize)]
+    struct List {
+        scenes: Vec<Listed>,
+    }
+    let id = match asked {
+        Some(id) => id.to_owned(),
+        None => {
+            let list: List = connections.json(&format!("{prefix}/v1/scenes")).await?;
+            let mut ready = list.scenes.into_iter().filter(|scene| scene.state == "ready");
+            match (ready.next(), ready.next()) {
+                (Some(only), None) => only.id,
+                (None, _) => bail!("the daemon has no scene that is ready"),
+                (Some(first), Some(second)) => {
+                    let rest = ready.map(|scene| format!(", {}", scene.id)).collect::<String>();
+                    bail!("say which --scene: there are {}, {}{rest}", first.id, second.id)
+                }
+            }
+        }
+    };
+    let path = format!("{prefix}/v1/scenes/{}", percent_encoded(&id));
+    let answer: serde_json::Value = connections.json(&path).await?;
+    let state = answer["state"].as_str().unwrap_or("unknown");
+    ensure!(state == "ready", "scene `{id}` is not ready: it is {state}");
+    serde_json::from_value(answer).with_context(|| format!("GET {path}: not a scene as expected"))
+}
+
+/// One frame before all others: what the daemon refuses, it refuses now, and a first frame's preparations are not measured.
+async fn try_once(client: &RequestClient, timeout_s: f64) -> anyhow::Result<()> {
+    // Point trees may have to be built for it.
+    let patience = Duration::from_secs_f64(timeout_s.max(120.0));
+    // No request of the run has this number's pose.
+    let first = tokio::time::timeout(patience, client.frame(u64::from(u32::MAX)));
+    match first.await {
+        Err(_) => bail!("no first frame within {} s", patience.as_secs()),
+        Ok(Outcome::Answered(answer)) => match answer.status {
+            200..=299 => Ok(()),
+            // Somebody else's load: to be measured, not refused.
+            429 | 503 => Ok(()),
+            status => {
+                bail!("{}", answer.complaint.unwrap_or_else(|| format!("status {status}")))
+            }
+        },
+        Ok(Outcome::NotConnected(why) | Outcome::BrokenOff(why)) => bail!("no first frame: {why}"),
+        Ok(Outcome::TimedOut | Outcome::NotSent) => bail!("no first frame"),
+    }
+}
+
+/// An interrupt ends the run after what is under way, a second one the program.
+fn stop_on_interrupt(stop: Arc<AtomicBool>) {
+    tokio::spawn(async move {
+        if tokio::signal::ctrl_c().await.is_ok() {
+            stop.store(true, Ordering::Relaxed);
+            if tokio::signal::ctrl_c().await.is_ok() {
+                std::process::exit(130);
+            }
+        }
+    });
+}
+
+/// A bar on a terminal, and a line for each step everywhere.
+struct Shown {
+    bar: ProgressBar,
+}
+
+impl Shown {
+    fn new() -> Self {
+        let bar = ProgressBar::new(1000);
+        if !std::io::stderr().is_terminal() {
+            bar.set_draw_target(ProgressDrawTarget::hidden());
+        }
+        if let Ok(style) = ProgressStyle::with_template("{msg} {wide_bar} {percent} %") {
+            bar.set_style(style);
+        }
+        Self { bar }
+    }
+
+    fn tell(&self, event: &Event<'_>) {
+        match event {
+            Event::Began { rate_per_s, sends_for } => {
+                self.bar.set_message(format!("{}/s", three_digits(*rate_per_s)));
+                self.bar.set_position(0);
+                self.follow(*sends_for);
+            }
+            Event::Ended(point) if std::io::stderr().is_terminal() => {
+                self.bar.println(point.line());
+            }
+            Event::Ended(point) => eprintln!("{}", point.line()),
+        }
+    }
+
+    /// Moves the bar along for so long.
+    fn follow(&self, length: Duration) {
+        const TICK: Duration = Duration::from_millis(100);
+        if self.bar.is_hidden() {
+            return;
+        }
+        let (bar, began) = (self.bar.clone(), Instant::now());
+        tokio::spawn(async move {
+            while began.elapsed() < length && !bar.is_finished() {
+                tokio::time::sleep(TICK).await;
+                let share = began.elapsed().as_secs_f64() / length.as_secs_f64();
+                bar.set_position((share.min(1.0) * 1000.0) as u64);
+            }
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: LoadArgs,
+    }
+
+    fn parsed(line: &[&str]) -> Result<LoadArgs, String> {
+        Line::try_parse_from(["load", "http://127.0.0.1:1"].iter().chain(line))
+            .map(|line| line.args)
+            .map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn rates_are_given_or_searched() {
+        let rates = |line: &[&str]| parsed(line).unwrap().settings().unwrap().rates;
+        assert_eq!(rates(&[]), Rates::Given(vec![10.0]));
+        assert_eq!(rates(&["--rate", "2.5"]), Rates::Given(vec![2.5]));
+        assert_eq!(rates(&["--rates", "10,20,5"]), Rates::Given(vec![10.0, 20.0, 5.0]));
+        let Rates::Saturate(search) = rates(&["--saturate", "--first-rate", "3"]) else { panic!() };
+        assert_eq!((search.first_per_s, search.factor), (3.0, 2.0));
+        for line in [
+            ["--rate", "0"].as_slice(),
+            &["--rate", "nan"],
+            &["--rates", "1,x"],
+            &["--rate", "1", "--saturate"],
+            &["--rates", "1", "--saturate"],
+            &["--first-rate", "3"],
+            &["--duration", "0"],
+            &["--connections", "0"],
+            &["--param", "w"],
+        ] {
+            assert!(parsed(line).is_err(), "{line:?}");
+        }
+        let crossed = parsed(&["--saturate", "--first-rate", "9", "--max-rate", "8"]).unwrap();
+        assert!(crossed.settings().is_err());
+    }
+
+    #[test]
+    fn settings_of_frames_are_passed_on() {
+        let args = parsed(&[
+            "--size",
+            "64x48",
+            "--lod",
+            "spt",
+            "--max-error-px",
+            "2",
+            "--reconstruct",
+            "splats",
+            "--param",
+            "deadline_ms=90",
+        ]);
+        let query = args.unwrap().frame.query();
+        let shown: Vec<String> =
+            query.iter().map(|(name, value)| format!("{name}={value}")).collect();
+        assert_eq!(
+            shown.join("&"),
+            "w=64&h=48&format=jpeg&lod=spt&max_error_px=2&reconstruct=splats&deadline_ms=90"
+        );
+    }
+}

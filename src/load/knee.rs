@@ -1,0 +1,278 @@
+//! Up to which rate the server keeps up.
+//!
+//! ```text
+//!   first ──keeps up──► × factor ──keeps up──► … ──does not──► bisect between the last that did and the first that did not
+//!     │                                                        until they are within `resolution`
+//!     └──does not──► ÷ factor … ──keeps up──► bisect
+//! ```
+//!
+//! A rate is kept up with when nearly all of its requests become frames, in time, and frames arrive as fast as requests do.
+//! Rates are compared by their ratio: bisection takes the geometric mean.
+
+use std::time::Duration;
+
+use serde::Serialize;
+
+use super::tally::Point;
+
+/// When a server counts as keeping up.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Demands {
+    /// Share of the requests that must become frames, and of their rate that throughput must reach.
+    pub share: f64,
+    pub p99_at_most_ns: u64,
+}
+
+impl Demands {
+    pub fn new(p99_at_most: Duration) -> Self {
+        let p99_at_most_ns = u64::try_from(p99_at_most.as_nanos()).unwrap_or(u64::MAX);
+        Self { share: 0.95, p99_at_most_ns }
+    }
+}
+
+/// Whether a rate was kept up with, and if not, what shows it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    KeepsUp,
+    /// Too few requests became frames.
+    Unanswered,
+    /// Frames arrive at a lower rate than requests.
+    FallsBehind,
+    /// The 99th percentile of latency is beyond its bound.
+    Slow,
+    /// There was no request to judge by.
+    Idle,
+}
+
+impl Verdict {
+    pub fn words(self) -> &'static str {
+        match self {
+            Verdict::KeepsUp => "keeps up",
+            Verdict::Unanswered => "leaves requests without a frame",
+            Verdict::FallsBehind => "falls behind",
+            Verdict::Slow => "slow",
+            Verdict::Idle => "no requests",
+        }
+    }
+}
+
+/// Judges a step by `demands`.
+pub fn judge(point: &Point, demands: &Demands) -> Verdict {
+    let requests = point.requests as f64;
+    if point.requests == 0 {
+        return Verdict::Idle;
+    }
+    let frames = (point.counts.frames + point.counts.not_modified) as f64;
+    if frames < demands.share * requests {
+        return Verdict::Unanswered;
+    }
+    // Requests under way at the window's two ends differ by chance; a random count's own deviation is its root.
+    let arrived = point.throughput_per_s / point.offered_per_s * requests;
+    if arrived < demands.share * requests - requests.sqrt() {
+        return Verdict::FallsBehind;
+    }
+    match point.latency.p99_ns {
+        Some(p99_ns) if p99_ns <= demands.p99_at_most_ns => Verdict::KeepsUp,
+        _ => Verdict::Slow,
+    }
+}
+
+/// How rates are tried.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct SearchSettings {
+    pub first_per_s: f64,
+    pub least_per_s: f64,
+    pub most_per_s: f64,
+    /// Ratio of one rate to the next while it is raised.
+    pub factor: f64,
+    /// The search ends when the rates to both sides of the knee differ by no more than this share.
+    pub resolution: f64,
+    pub steps_at_most: u32,
+}
+
+/// Which rate to try next.
+#[derive(Clone, Debug)]
+pub struct Search {
+    settings: SearchSettings,
+    steps: u32,
+    /// The highest rate that was kept up with below every one that was not, and the lowest of those.
+    kept: Option<f64>,
+    lost: Option<f64>,
+}
+
+impl Search {
+    pub fn new(settings: SearchSettings) -> Self {
+        Self { settings, steps: 0, kept: None, lost: None }
+    }
+
+    /// `None` when the knee is known well enough, or the limits are reached.
+    pub fn next_rate(&self) -> Option<f64> {
+        let SearchSettings {
+            first_per_s,
+            least_per_s,
+            most_per_s,
+            factor,
+            resolution,
+            steps_at_most,
+        } = self.settings;
+        if self.steps >= steps_at_most {
+            return None;
+        }
+        match (self.kept, self.lost) {
+            (None, None) => Some(first_per_s.clamp(least_per_s, most_per_s)),
+            (Some(kept), None) => (kept < most_per_s).then(|| (kept * factor).min(most_per_s)),
+            (None, Some(lost)) => (lost > least_per_s).then(|| (lost / factor).max(least_per_s)),
+            (Some(kept), Some(lost)) => {
+                (lost / kept > 1.0 + resolution).then(|| (kept * lost).sqrt())
+            }
+        }
+    }
+
+    /// What came of a rate.
+    pub fn tell(&mut self, rate_per_s: f64, kept_up: bool) {
+        self.steps += 1;
+        let side = if kept_up { &mut self.kept } else { &mut self.lost };
+        *side = Some(rate_per_s);
+    }
+
+    /// The highest rate that was kept up with.
+    pub fn knee_per_s(&self) -> Option<f64> {
+        self.kept
+    }
+
+    /// Whether a rate above the knee was tried, so that it is one.
+    pub fn is_bounded(&self) -> bool {
+        self.lost.is_some()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::VecDeque;
+
+    use super::super::schedule::{Schedule, Spacing};
+    use super::super::tally::{Answer, Outcome, Sample, Tally};
+    use super::*;
+
+    const SETTINGS: SearchSettings = SearchSettings {
+        first_per_s: 1.0,
+        least_per_s: 0.1,
+        most_per_s: 1e5,
+        factor: 2.0,
+        resolution: 0.05,
+        steps_at_most: 40,
+    };
+
+    fn found(
+        settings: SearchSettings,
+        mut keeps_up: impl FnMut(f64) -> bool,
+    ) -> (Option<f64>, u32) {
+        let mut search = Search::new(settings);
+        while let Some(rate) = search.next_rate() {
+            search.tell(rate, keeps_up(rate));
+        }
+        (search.knee_per_s(), search.steps)
+    }
+
+    #[test]
+    fn a_sharp_knee_is_found_wherever_it_is() {
+        for knee in [0.2, 0.9, 1.0, 3.7, 100.0, 1023.0, 1025.0, 77_777.0] {
+            let (rate, steps) = found(SETTINGS, |rate| rate <= knee);
+            let rate = rate.unwrap();
+            assert!(rate <= knee && rate * 1.05 >= knee, "{knee}: {rate}");
+            assert!(steps < 25, "{knee}: {steps}");
+        }
+    }
+
+    #[test]
+    fn limits_end_the_search() {
+        assert_eq!(found(SETTINGS, |_| true).0, Some(1e5));
+        assert_eq!(found(SETTINGS, |_| false).0, None);
+        let few = SearchSettings { steps_at_most: 3, ..SETTINGS };
+        assert_eq!(found(few, |_| true), (Some(4.0), 3));
+    }
+
+    /// A server that takes `service` for a frame, one at a time, refuses when `queue` are waiting, and drifts by nothing else.
+    fn simulated(
+        rate_per_s: f64,
+        service: Duration,
+        queue: usize,
+        timeout: Duration,
+        seed: u64,
+    ) -> Point {
+        let (warmup, length) = (Duration::from_secs(2), Duration::from_secs(20));
+        let mut tally = Tally::new(warmup, length);
+        let mut free = Duration::ZERO;
+        let mut under_way: VecDeque<Duration> = VecDeque::new();
+        for due in Schedule::new(rate_per_s, Spacing::Poisson, seed) {
+            if due >= warmup + length {
+                break;
+            }
+            while under_way.front().is_some_and(|done| *done <= due) {
+                under_way.pop_front();
+            }
+            let status = if under_way.len() > queue { 503 } else { 200 };
+            let mut done = due;
+            if status == 200 {
+                free = free.max(due) + service;
+                done = free;
+                under_way.push_back(done);
+            }
+            let outcome = if done - due > timeout {
+                Outcome::TimedOut
+            } else {
+                Outcome::Answered(Answer {
+                    status,
+                    bytes: 1,
+                    has_retry_after: true,
+                    receipt: None,
+                    complaint: None,
+                })
+            };
+            tally.record(Sample { due, begun: due, done, outcome });
+        }
+        tally.point(rate_per_s)
+    }
+
+    /// Capacity 200/s: with a queue that refuses and with one that grows, the knee is found a little below it, where the queue
+    /// of a random arrival process is still short.
+    #[test]
+    fn the_knee_of_a_simulated_server_is_its_capacity() {
+        let service = Duration::from_millis(5);
+        for queue in [16, usize::MAX] {
+            for seed in 0..5 {
+                let demands = Demands::new(Duration::from_millis(250));
+                let (mut search, mut seen) = (Search::new(SETTINGS), Vec::new());
+                while let Some(rate) = search.next_rate() {
+                    let point = simulated(rate, service, queue, Duration::from_secs(10), seed);
+                    let verdict = judge(&point, &demands);
+                    search.tell(rate, verdict == Verdict::KeepsUp);
+                    seen.push((rate, point.throughput_per_s, verdict));
+                }
+                let knee = search.knee_per_s().unwrap();
+                assert!((160.0..=215.0).contains(&knee), "{queue} {seed}: {knee} {seen:?}");
+                assert!(seen.iter().all(|(_, throughput, _)| *throughput < 201.0), "{seen:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn overload_shows_as_what_it_is() {
+        let demands = Demands::new(Duration::from_secs(1));
+        let service = Duration::from_millis(5);
+        let refusing = simulated(400.0, service, 8, Duration::from_secs(10), 1);
+        assert_eq!(judge(&refusing, &demands), Verdict::Unanswered);
+        assert!((refusing.throughput_per_s - 200.0).abs() < 2.0);
+        let patient = simulated(400.0, service, usize::MAX, Duration::from_secs(100), 1);
+        assert_eq!(patient.counts.frames, patient.requests);
+        assert_eq!(judge(&patient, &demands), Verdict::FallsBehind);
+        let slow =
+            simulated(20.0, Duration::from_millis(45), usize::MAX, Duration::from_secs(10), 1);
+        assert_eq!(judge(&slow, &Demands::new(Duration::from_millis(100))), Verdict::Slow);
+        let lost = simulated(400.0, service, usize::MAX, Duration::from_millis(300), 1);
+        assert_eq!(judge(&lost, &demands), Verdict::Unanswered);
+        assert_eq!(lost.latency.p99_ns, None);
+        assert_eq!(judge(&simulated(1e-9, service, 1, service, 1), &demands), Verdict::Idle);
+    }
+}

@@ -1,0 +1,24 @@
+//! The load generator (floor 7): how many frames a second a daemon gives, how late they are, and where that ends.
+//!
+//! ```text
+//!  schedule ──due times──► drive ──a task each──► request ──GET, pose from poses──► daemon
+//!      ▲                     │                                                        │
+//!      │                     └──────── sample ◄── answer, receipt ◄───────────────────┘
+//!      │                                 │
+//!  knee ◄── point ◄── tally (histograms) ◄┘          report, plot ◄── points
+//! ```
+//!
+//! It knows the daemon by its HTTP contract alone ([`wire`]). [`schedule`], [`poses`], [`histogram`], [`tally`], [`knee`],
+//! [`report`] and [`plot`] are pure; clocks, tasks and sockets are in [`drive`] and [`request`], and [`mod@run`] strings steps together.
+
+pub mod drive;
+pub mod histogram;
+pub mod knee;
+pub mod plot;
+pub mod poses;
+pub mod report;
+pub mod request;
+pub mod run;
+pub mod schedule;
+pub mod tally;
+pub mod wire;

@@ -1,0 +1,375 @@
+//! What a run found, as JSON, as a table and in sentences.
+
+use std::fmt;
+
+use comfy_table::{CellAlignment, Table, presets};
+use serde::Serialize;
+
+use super::knee::Verdict;
+use super::poses::PathKind;
+use super::run::RunSettings;
+use super::tally::Point;
+
+/// A point of the curve, and whether the server kept up there.
+#[derive(Clone, Debug, Serialize)]
+pub struct JudgedPoint {
+    pub verdict: Verdict,
+    #[serde(flatten)]
+    pub point: Point,
+}
+
+/// Where saturation begins.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Knee {
+    /// The highest rate that was kept up with; `null` when even the lowest was not.
+    pub keeps_up_to_per_s: Option<f64>,
+    /// Whether a higher rate was tried and not kept up with. If not, the limits of the search ended it.
+    pub is_bounded: bool,
+    /// The highest throughput of any step.
+    pub most_throughput_per_s: f64,
+}
+
+/// Who asked.
+#[derive(Clone, Debug, Serialize)]
+pub struct Generator {
+    pub version: &'static str,
+    pub os: &'static str,
+    pub arch: &'static str,
+    pub cpus: usize,
+}
+
+impl Generator {
+    /// This program on this machine.
+    pub fn here() -> Self {
+        Self {
+            version: crate::VERSION,
+            os: std::env::consts::OS,
+            arch: std::env::consts::ARCH,
+            cpus: std::thread::available_parallelism().map_or(1, usize::from),
+        }
+    }
+}
+
+/// Everything that is told.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    pub target: String,
+    pub scene: String,
+    pub revision: u64,
+    /// How frames are asked for. There is one way: a request each.
+    pub client: &'static str,
+    pub poses: PathKind,
+    /// Query parameters beside the pose.
+    pub parameters: Vec<(String, String)>,
+    /// Of the first receipt: the daemon's adapter, and the settings as it understood them.
+    pub adapter: Option<String>,
+    pub settings_used: serde_json::Value,
+    pub generator: Generator,
+    pub run: RunSettings,
+    /// In order of their rates.
+    pub points: Vec<JudgedPoint>,
+    pub knee: Option<Knee>,
+    pub connections_opened: u64,
+    pub interrupted: bool,
+    /// What takes from the worth of these figures.
+    pub warnings: Vec<String>,
+}
+
+/// Three digits of a time, in milliseconds.
+pub fn ms(ns: Option<u64>) -> String {
+    let Some(ns) = ns else { return "–".to_owned() };
+    three_digits(ns as f64 / 1e6)
+}
+
+/// A number with three digits, or all of them before the point.
+pub fn three_digits(value: f64) -> String {
+    match value.abs() {
+        v if v >= 99.95 || v == 0.0 => format!("{value:.0}"),
+        v if v >= 9.995 => format!("{value:.1}"),
+        v if v >= 0.9995 => format!("{value:.2}"),
+        _ => format!("{value:.3}"),
+    }
+}
+
+/// A percentile of latency: `lost` where it falls among requests that were never answered.
+fn latency_ms(point: &Point, ns: Option<u64>) -> String {
+    match ns {
+        None if point.latency.endless > 0 => "lost".to_owned(),
+        ns => ms(ns),
+    }
+}
+
+const HEADER: [&str; 18] = [
+    "offered/s",
+    "frames/s",
+    "p50 ms",
+    "p90",
+    "p95",
+    "p99",
+    "p99.9",
+    "max",
+    "frames",
+    "refused",
+    "lost",
+    "failed",
+    "MB/s",
+    "GPU ms",
+    "queue ms",
+    "batch",
+    "views",
+    "",
+];
+
+impl JudgedPoint {
+    fn cells(&self) -> [String; HEADER.len()] {
+        let point = &self.point;
+        let latency = |ns| latency_ms(point, ns);
+        let mean =
+            |value: Option<f64>| value.map_or("–".to_owned(), |value| format!("{value:.1}"));
+        let p = &point.latency;
+        [
+            three_digits(point.offered_per_s),
+            three_digits(point.throughput_per_s),
+            latency(p.p50_ns),
+            latency(p.p90_ns),
+            latency(p.p95_ns),
+            latency(p.p99_ns),
+            latency(p.p99_9_ns),
+            latency(p.max_ns),
+            (point.counts.frames + point.counts.not_modified).to_string(),
+            point.counts.refused.to_string(),
+            point.counts.lost().to_string(),
+            point.counts.failed.to_string(),
+            three_digits(point.bytes_per_s / 1e6),
+            ms(point.receipts.gpu_p50_ns),
+            ms(point.receipts.queue_p50_ns),
+            mean(point.receipts.batch_size_mean),
+            mean(point.receipts.views_mean),
+            self.verdict.words().to_owned(),
+        ]
+    }
+
+    /// A line of progress.
+    pub fn line(&self) -> String {
+        let point = &self.point;
+        let counts = &point.counts;
+        let mut line = format!(
+            "{}/s offered: {} frames/s, p50 {}, p99 {} (ms)",
+            three_digits(point.offered_per_s),
+            three_digits(point.throughput_per_s),
+            latency_ms(point, point.latency.p50_ns),
+            latency_ms(point, point.latency.p99_ns)
+        );
+        for (count, what) in
+            [(counts.refused, "refused"), (counts.lost(), "lost"), (counts.failed, "failed")]
+        {
+            if count > 0 {
+                line += &format!(", {count} {what}");
+            }
+        }
+        format!("{line}: {}", self.verdict.words())
+    }
+}
+
+impl Report {
+    /// Puts the points in order, and says what takes from their worth.
+    pub fn finish(mut self) -> Self {
+        self.points.sort_by(|a, b| a.point.rate_per_s.total_cmp(&b.point.rate_per_s));
+        self.warnings = self.points.iter().flat_map(|judged| warnings(&judged.point)).collect();
+        self
+    }
+
+    /// What is drawn, in a line.
+    pub fn subject(&self) -> String {
+        let parameters: Vec<String> =
+            self.parameters.iter().map(|(name, value)| format!("{name}={value}")).collect();
+        format!("{} · {}", self.scene, parameters.join(" "))
+    }
+
+    pub fn adapter(&self) -> &str {
+        self.adapter.as_deref().unwrap_or("adapter unknown: no receipt was read")
+    }
+}
+
+/// What a point's reader should know.
+fn warnings(point: &Point) -> Vec<String> {
+    const LATE_NS: u64 = 10_000_000;
+    let at = format!("at {}/s", three_digits(point.rate_per_s));
+    let mut warnings = Vec::new();
+    if let (Some(late_ns), Some(p99_ns)) = (point.begun_late_p99_ns, point.latency.p99_ns)
+        && late_ns > LATE_NS
+        && late_ns > p99_ns / 10
+    {
+        warnings.push(format!(
+            "{at} the generator itself was {} ms late (p99): it needs more of a CPU, or one of its own",
+            ms(Some(late_ns))
+        ));
+    }
+    if point.counts.not_sent > 0 {
+        warnings.push(format!(
+            "{at} {} requests were not sent, for as many were under way as --connections allows; they count as lost",
+            point.counts.not_sent
+        ));
+    }
+    if point.receipts.coalesced > 0 {
+        warnings.push(format!(
+            "{at} {} frames were drawn for somebody else who asked for the same: this server had other load, or a run with the same --seed",
+            point.receipts.coalesced
+        ));
+    }
+    if let Some(failure) = &point.first_failure {
+        warnings.push(format!("{at}: {failure}"));
+    }
+    warnings
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "{}\n{}\n", self.subject(), self.adapter())?;
+        let mut table = Table::new();
+        table.load_style(presets::NOTHING).set_header(HEADER);
+        for judged in &self.points {
+            table.add_row(judged.cells());
+        }
+        for column in table.column_iter_mut().take(HEADER.len() - 1) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+        writeln!(f, "{table}\n")?;
+        if let Some(knee) = &self.knee {
+            writeln!(f, "{knee}")?;
+        }
+        for warning in &self.warnings {
+            writeln!(f, "! {warning}")?;
+        }
+        if self.interrupted {
+            writeln!(f, "! interrupted: the step under way is left out")?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for Knee {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let most = three_digits(self.most_throughput_per_s);
+        match (self.keeps_up_to_per_s, self.is_bounded) {
+            (Some(rate), true) => {
+                write!(f, "keeps up with {}/s; at most {most} frames/s", three_digits(rate))
+            }
+            (Some(rate), false) => write!(
+                f,
+                "keeps up with {}/s, the highest rate tried: it may reach more (--max-rate, --max-steps)",
+                three_digits(rate)
+            ),
+            (None, _) => write!(f, "keeps up with none of these rates; at most {most} frames/s"),
+        }
+    }
+}
+
+#[cfg(test)]
+pub mod tests {
+    use std::time::Duration;
+
+    use super::super::knee::Demands;
+    use super::super::run::Rates;
+    use super::super::schedule::Spacing;
+    use super::super::tally::{Answer, Outcome, Sample, Tally};
+    use super::*;
+
+    /// A point with `requests` in a second, of which `frames` took from 1 ms to their number in ms, the others were refused or lost by turns.
+    pub fn point(requests: u64, frames: u64) -> JudgedPoint {
+        let mut tally = Tally::new(Duration::ZERO, Duration::from_secs(1));
+        for number in 0..requests {
+            let answer = Answer {
+                status: if number < frames { 200 } else { 503 },
+                bytes: 50_000,
+                has_retry_after: true,
+                receipt: None,
+                complaint: None,
+            };
+            let outcome = match number {
+                number if number >= frames && number % 2 == 0 => Outcome::TimedOut,
+                _ => Outcome::Answered(answer),
+            };
+            let done = Duration::from_millis(1 + number.min(frames));
+            tally.record(Sample { due: Duration::ZERO, begun: Duration::ZERO, done, outcome });
+        }
+        let verdict = if frames == requests { Verdict::KeepsUp } else { Verdict::Unanswered };
+        JudgedPoint { verdict, point: tally.point(requests as f64) }
+    }
+
+    pub fn report(points: Vec<JudgedPoint>) -> Report {
+        let knee =
+            Knee { keeps_up_to_per_s: Some(80.0), is_bounded: true, most_throughput_per_s: 95.0 };
+        Report {
+            target: "127.0.0.1:8080".into(),
+            scene: "<town> & \"country\"".into(),
+            revision: 1,
+            client: "request",
+            poses: PathKind::Orbit,
+            parameters: vec![("w".into(), "64".into()), ("format".into(), "jpeg".into())],
+            adapter: Some("a <software> adapter".into()),
+            settings_used: serde_json::Value::Null,
+            generator: Generator::here(),
+            run: RunSettings {
+                rates: Rates::Given(vec![1.0]),
+                spacing: Spacing::Poisson,
+                seed: 1,
+                warmup_s: 0.0,
+                duration_s: 1.0,
+                timeout_s: 10.0,
+                connections_at_most: 8,
+                demands: Demands::new(Duration::from_secs(1)),
+            },
+            points,
+            knee: Some(knee),
+            connections_opened: 3,
+            interrupted: false,
+            warnings: Vec::new(),
+        }
+        .finish()
+    }
+
+    #[test]
+    fn the_table_has_a_row_a_rate_in_order() {
+        let text = report(vec![point(200, 90), point(40, 40), point(80, 80)]).to_string();
+        let rows: Vec<&str> = text
+            .lines()
+            .filter(|line| line.contains("keeps up") || line.contains("leaves"))
+            .collect();
+        assert_eq!(rows.len(), 4, "{text}");
+        assert!(rows[0].trim_start().starts_with("40.0"), "{text}");
+        assert!(rows[2].contains("lost") && rows[2].contains("without a frame"), "{text}");
+        assert!(rows[3].starts_with("keeps up with 80.0/s; at most 95.0 frames/s"), "{text}");
+    }
+
+    #[test]
+    fn json_says_null_for_what_never_came() {
+        let json = serde_json::to_value(report(vec![point(200, 90)])).unwrap();
+        let point = &json["points"][0];
+        assert_eq!(point["latency"]["p99_ns"], serde_json::Value::Null);
+        assert!(point["latency"]["p50_ns"].is_u64(), "{point}");
+        assert_eq!(point["verdict"], "unanswered");
+        assert_eq!(point["counts"]["refused"], 55);
+        assert_eq!(json["knee"]["keeps_up_to_per_s"], 80.0);
+        assert_eq!(json["run"]["rates"]["given"][0], 1.0);
+    }
+
+    #[test]
+    fn what_takes_from_the_figures_is_said() {
+        let mut late = point(10, 10);
+        late.point.begun_late_p99_ns = Some(20_000_000);
+        late.point.counts.not_sent = 3;
+        late.point.receipts.coalesced = 2;
+        late.point.first_failure = Some("404: there is no such scene".into());
+        let text = report(vec![late]).to_string();
+        for said in ["20.0 ms late", "3 requests were not sent", "2 frames were drawn for", "404"] {
+            assert!(text.contains(said), "{said}: {text}");
+        }
+    }
+
+    #[test]
+    fn numbers_have_three_digits() {
+        let found = [0.0, 0.01234, 0.9999, 1.234, 12.34, 99.97, 1234.5].map(three_digits);
+        assert_eq!(found, ["0", "0.012", "1.00", "1.23", "12.3", "100", "1234"]);
+    }
+}

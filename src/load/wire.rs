@@ -1,0 +1,197 @@
+//! What is sent to the daemon and read from its answers: its HTTP contract and nothing else of it.
+
+use anyhow::{Context, bail, ensure};
+use serde::Deserialize;
+
+use crate::math::Camera;
+
+/// Where the daemon is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Target {
+    pub host: String,
+    pub port: u16,
+    /// What paths begin with: empty, or `/prefix`.
+    pub prefix: String,
+}
+
+impl Target {
+    /// Reads `http://HOST[:PORT][/PREFIX]`.
+    ///
+    /// # Errors
+    /// Anything else, https above all.
+    pub fn parse(text: &str) -> anyhow::Result<Self> {
+        let uri: hyper::Uri = text.parse().with_context(|| format!("{text}: not a URL"))?;
+        match uri.scheme_str() {
+            Some("http") => {}
+            Some("https") => bail!(
+                "{text}: only plain http is spoken here; give the daemon's own address rather than that of the proxy that does TLS"
+            ),
+            _ => bail!("{text}: expected http://HOST:PORT"),
+        }
+        ensure!(uri.query().is_none(), "{text}: parameters of frames go into options (see --help)");
+        let authority = uri.authority().with_context(|| format!("{text}: no host"))?;
+        ensure!(!authority.as_str().contains('@'), "{text}: a key goes into --key");
+        Ok(Self {
+            host: authority.host().trim_matches(['[', ']']).to_owned(),
+            port: authority.port_u16().unwrap_or(80),
+            prefix: uri.path().trim_end_matches('/').to_owned(),
+        })
+    }
+
+    /// What the header `Host` says.
+    pub fn authority(&self) -> String {
+        if self.host.contains(':') {
+            format!("[{}]:{}", self.host, self.port)
+        } else {
+            format!("{}:{}", self.host, self.port)
+        }
+    }
+}
+
+/// Bytes outside of the unreserved characters as `%XX`.
+pub fn percent_encoded(text: &str) -> String {
+    let mut encoded = String::with_capacity(text.len());
+    for byte in text.bytes() {
+        if byte.is_ascii_alphanumeric() || b"-._~,".contains(&byte) {
+            encoded.push(char::from(byte));
+        } else {
+            encoded += &format!("%{byte:02X}");
+        }
+    }
+    encoded
+}
+
+/// The path and query of a frame. `parameters` are those that stay the same from request to request.
+pub fn frame_path(
+    prefix: &str,
+    scene: &str,
+    pose: &Camera,
+    parameters: &[(String, String)],
+) -> String {
+    let vector = |v: glam::DVec3| format!("{},{},{}", v.x, v.y, v.z);
+    let mut path = format!(
+        "{prefix}/v1/scenes/{}/frame?eye={}&target={}&up={}&fov={}",
+        percent_encoded(scene),
+        vector(pose.eye),
+        vector(pose.target),
+        vector(pose.up),
+        pose.fov_deg
+    );
+    for (name, value) in parameters {
+        path += &format!("&{}={}", percent_encoded(name), percent_encoded(value));
+    }
+    path
+}
+
+/// Of a scene, what poses need.
+#[derive(Clone, Debug, Deserialize)]
+pub struct SceneAnswer {
+    pub id: String,
+    pub revision: u64,
+    pub bounds: Option<[[f64; 3]; 2]>,
+    pub up: [f64; 3],
+    pub cameras: Vec<CameraAnswer>,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+pub struct CameraAnswer {
+    pub eye: [f64; 3],
+    pub target: [f64; 3],
+    pub up: [f64; 3],
+    pub fov: f64,
+}
+
+impl CameraAnswer {
+    pub fn pose(&self) -> Camera {
+        Camera {
+            eye: self.eye.into(),
+            target: self.target.into(),
+            up: self.up.into(),
+            fov_deg: self.fov,
+        }
+    }
+}
+
+/// Of a receipt, what is added up. What an adapter cannot measure is `None`.
+#[derive(Clone, Debug, Deserialize)]
+pub struct ReceiptAnswer {
+    pub adapter: String,
+    pub gpu_ns: Option<u64>,
+    pub queue_ns: u64,
+    pub encode_ns: u64,
+    pub batch_size: u32,
+    /// Frames that `gpu_ns` is for.
+    pub views: u32,
+    #[serde(default)]
+    pub coalesced: bool,
+    #[serde(default)]
+    pub settings: serde_json::Value,
+}
+
+/// What went wrong, in the words of a problem document, or as much of the body as fits a line.
+pub fn complaint(status: u16, body: &[u8]) -> String {
+    let problem: Option<serde_json::Value> = serde_json::from_slice(body).ok();
+    let word = |key: &str| problem.as_ref()?.get(key)?.as_str().map(str::to_owned);
+    let text = word("detail").or_else(|| word("title")).unwrap_or_else(|| {
+        String::from_utf8_lossy(body).lines().next().unwrap_or_default().chars().take(200).collect()
+    });
+    let accepted = word("accepted").map_or(String::new(), |accepted| format!(" ({accepted})"));
+    format!("{status}: {text}{accepted}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn targets_are_plain_http() {
+        let target = Target::parse("http://127.0.0.1:8080").unwrap();
+        assert_eq!((target.authority().as_str(), target.prefix.as_str()), ("127.0.0.1:8080", ""));
+        let target = Target::parse("http://render.example/pointillist/").unwrap();
+        assert_eq!((target.port, target.prefix.as_str()), (80, "/pointillist"));
+        let target = Target::parse("http://[::1]:9000/").unwrap();
+        assert_eq!((target.host.as_str(), target.authority().as_str()), ("::1", "[::1]:9000"));
+        for (text, said) in [
+            ("https://render.example", "only plain http"),
+            ("127.0.0.1:8080", "expected http://"),
+            ("ftp://a", "expected http://"),
+            ("http://a/?w=3", "options"),
+            ("http://key@a/", "--key"),
+            ("http://", "not a URL"),
+        ] {
+            let refused = format!("{:#}", Target::parse(text).unwrap_err());
+            assert!(refused.contains(said), "{text}: {refused}");
+        }
+    }
+
+    #[test]
+    fn paths_are_complete_and_encoded() {
+        let pose = Camera {
+            eye: glam::DVec3::new(411_950.08, -1e-7, 3.0),
+            target: glam::DVec3::ZERO,
+            up: glam::DVec3::Z,
+            fov_deg: 42.5,
+        };
+        let parameters =
+            [("w".to_owned(), "64".to_owned()), ("filter".to_owned(), "a b&c".to_owned())];
+        assert_eq!(
+            frame_path("/p", "my scene", &pose, &parameters),
+            "/p/v1/scenes/my%20scene/frame?eye=411950.08,-0.0000001,3&target=0,0,0&up=0,0,1&fov=42.5&w=64&filter=a%20b%26c"
+        );
+    }
+
+    #[test]
+    fn complaints_are_told_in_the_daemons_words() {
+        let problem = br#"{"title":"bad","detail":"w: not a number","accepted":"1 to 9"}"#;
+        assert_eq!(complaint(400, problem), "400: w: not a number (1 to 9)");
+        assert_eq!(complaint(502, b"<html>\nbad gateway"), "502: <html>");
+    }
+
+    #[test]
+    fn receipts_of_the_daemon_are_read() {
+        let receipt = crate::engine::Receipt { views: 2, ..Default::default() };
+        let line = serde_json::to_string(&receipt).unwrap();
+        let read: ReceiptAnswer = serde_json::from_str(&line).unwrap();
+        assert_eq!((read.views, read.gpu_ns, read.coalesced), (2, None, false));
+    }
+}

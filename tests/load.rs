@@ -1,0 +1,407 @@
+//! `pointillist load` against the real daemon, and against servers that stall, refuse and fall silent.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that unwraps says where it failed"
+)]
+
+#[path = "http/client.rs"]
+#[allow(dead_code, reason = "shared with the tests of HTTP, which use all of it")]
+mod client;
+#[path = "http/daemon.rs"]
+#[allow(dead_code, reason = "shared with the tests of HTTP, which use all of it")]
+mod daemon;
+
+use std::io::{BufRead, BufReader, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::process::{Command, Output};
+use std::sync::Arc;
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+use daemon::Daemon;
+use serde_json::Value;
+
+fn load(url: &str, args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_pointillist"))
+        .args(["load", url])
+        .args(args)
+        .env_remove("POINTILLIST_KEY")
+        .output()
+        .unwrap()
+}
+
+fn report(url: &str, args: &[&str]) -> Value {
+    let output = load(url, &[args, &["--json"]].concat());
+    let complaint = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{args:?}: {complaint}");
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn complaint(url: &str, args: &[&str]) -> String {
+    let output = load(url, args);
+    assert_eq!(output.status.code(), Some(1), "{args:?}: {output:?}");
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn ms(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("{value}")) / 1e6
+}
+
+const SMALL: [&str; 4] = ["--size", "48x32", "--warmup", "0.3"];
+
+#[test]
+fn frames_of_a_daemon_are_measured() {
+    let daemon = Daemon::start(&[]);
+    let url = format!("http://{}", daemon.address);
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("new/report");
+    let before = daemon.client().metric("pointillist_frames_sent_total");
+    let output = load(
+        &url,
+        &[
+            &SMALL[..],
+            &[
+                "--rates",
+                "20,40",
+                "--duration",
+                "1.5",
+                "--format",
+                "qoi",
+                "-o",
+                out.to_str().unwrap(),
+            ],
+        ]
+        .concat(),
+    );
+    let told = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{output:?}");
+    assert!(told.contains("offered/s") && told.contains("grid · w=48 h=32 format=qoi"), "{told}");
+    let lines = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(lines.lines().filter(|line| line.contains("/s offered:")).count(), 2, "{lines}");
+
+    let json: Value =
+        serde_json::from_slice(&std::fs::read(out.join("load.json")).unwrap()).unwrap();
+    let points = json["points"].as_array().unwrap();
+    assert_eq!(points.len(), 2);
+    let mut frames = 0;
+    for (point, rate) in points.iter().zip([20.0, 40.0]) {
+        assert_eq!(point["rate_per_s"], rate);
+        let requests = point["requests"].as_u64().unwrap();
+        frames += point["counts"]["frames"].as_u64().unwrap();
+        // Five deviations of a Poisson count.
+        let expected: f64 = rate * 1.5;
+        assert!((requests as f64 - expected).abs() < 5.0 * expected.sqrt(), "{point}");
+        assert_eq!(point["counts"]["frames"], requests, "{point}");
+        let latency = &point["latency"];
+        assert!(ms(&latency["p50_ns"]) > 0.0 && ms(&latency["max_ns"]) >= ms(&latency["p99_ns"]));
+        let receipts = &point["receipts"];
+        assert_eq!((&receipts["read"], &receipts["coalesced"]), (&requests.into(), &0.into()));
+        assert!(receipts["queue_p50_ns"].is_u64() && receipts["batch_size_mean"].is_f64());
+        assert!(point["bytes"].as_u64().unwrap() > requests * 14);
+    }
+    assert!(json["adapter"].as_str().is_some_and(|name| !name.is_empty()), "{json}");
+    assert_eq!(json["settings_used"]["reconstruct"], "points");
+    // Frames of the warm-up and the first one were sent too.
+    let sent = daemon.client().metric("pointillist_frames_sent_total") - before;
+    assert!(sent > frames as f64, "{sent} {frames}");
+    // Connections are kept.
+    assert!(json["connections_opened"].as_u64().unwrap() < sent as u64 / 2, "{json}");
+
+    let svg = std::fs::read_to_string(out.join("load.svg")).unwrap();
+    let document = roxmltree::Document::parse(&svg).unwrap();
+    let adapter = json["adapter"].as_str().unwrap();
+    assert!(
+        document
+            .descendants()
+            .any(|node| node.text().is_some_and(|text| text.contains(&adapter[..8])))
+    );
+}
+
+#[test]
+fn saturation_of_a_daemon_is_found() {
+    // Frames large enough that a few hundred a second are more than any CPU adapter gives, and a short queue.
+    let daemon = Daemon::start(&["--queue", "8", "--max-batch", "2"]);
+    let url = format!("http://{}", daemon.address);
+    let json = report(
+        &url,
+        &[
+            "--saturate",
+            "--first-rate",
+            "8",
+            "--factor",
+            "4",
+            "--resolution",
+            "0.5",
+            "--duration",
+            "1",
+            "--warmup",
+            "0.2",
+            "--size",
+            "1024x1024",
+            "--format",
+            "png",
+            "--max-rate",
+            "600",
+            "--seed",
+            "3",
+        ],
+    );
+    let knee = &json["knee"];
+    let points = json["points"].as_array().unwrap();
+    let rates: Vec<f64> =
+        points.iter().map(|point| point["rate_per_s"].as_f64().unwrap()).collect();
+    assert!(rates.is_sorted() && rates.len() >= 3, "{rates:?}");
+    let Some(kept) = knee["keeps_up_to_per_s"].as_f64() else { panic!("{json}") };
+    if knee["is_bounded"] == true {
+        let beyond =
+            points.iter().find(|point| point["rate_per_s"].as_f64().unwrap() > kept).unwrap();
+        assert_ne!(beyond["verdict"], "keeps_up");
+        let last = points.last().unwrap();
+        assert!(last["throughput_per_s"].as_f64() < last["offered_per_s"].as_f64());
+        // The queue is short: what it has no room for is refused, and says when to come again.
+        let counts = &last["counts"];
+        assert!(counts["refused"].as_u64().unwrap() > 0, "{last}");
+        assert_eq!(counts["refused"], counts["refused_with_retry_after"]);
+    }
+}
+
+#[test]
+fn what_the_daemon_refuses_is_said_at_once() {
+    let daemon = Daemon::start_in(
+        |root| {
+            let folder = root.join("other.json");
+            std::fs::write(folder, daemon::grid_scene("grid.ply").to_string()).unwrap();
+        },
+        &[],
+    );
+    let url = format!("http://{}", daemon.address);
+    let said = complaint(&url, &[]);
+    assert!(said.contains("--scene") && said.contains("grid") && said.contains("other"), "{said}");
+    let said = complaint(&url, &["--scene", "gird"]);
+    assert!(said.contains("404"), "{said}");
+    let said = complaint(&url, &["--scene", "grid", "--lod", "some"]);
+    assert!(said.contains("422") && said.contains("lod"), "{said}");
+    let said = complaint(&url, &["--scene", "grid", "--poses", "cameras"]);
+    assert!(said.contains("needs two"), "{said}");
+    let said = complaint("https://127.0.0.1:1", &[]);
+    assert!(said.contains("only plain http"), "{said}");
+    let nobody = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let said = complaint(&format!("http://{nobody}"), &[]);
+    assert!(said.contains("cannot be reached"), "{said}");
+}
+
+#[test]
+fn keys_are_sent() {
+    let folder = tempfile::tempdir().unwrap();
+    let keys = folder.path().join("keys");
+    let hash = "2c70e12b7a0646f92279f427c7b38e7334d8e5389cff167a1dc30e73f826b683"; // of `key`
+    std::fs::write(&keys, format!("loader read {hash}\n")).unwrap();
+    let daemon = Daemon::start(&["--api-keys", keys.to_str().unwrap()]);
+    let url = format!("http://{}", daemon.address);
+    assert!(complaint(&url, &[]).contains("401"));
+    let json = report(
+        &url,
+        &[&SMALL[..], &["--key", "key", "--rate", "20", "--duration", "0.5"]].concat(),
+    );
+    assert!(json["points"][0]["counts"]["frames"].as_u64().unwrap() > 0);
+    assert!(!json.to_string().contains("\"key\""), "a key is no part of a report");
+}
+
+/// A server of frames that are a few bytes, which treats the requests for them as `frame` says.
+struct Server {
+    address: SocketAddr,
+    /// What it was asked for.
+    paths: Arc<Mutex<Vec<String>>>,
+}
+
+impl Server {
+    /// `frame` answers the frame of that number on the connection, or false to end it.
+    fn start(frame: impl Fn(usize, &mut TcpStream) -> bool + Send + Sync + 'static) -> Server {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        let (paths, frame) = (Arc::new(Mutex::new(Vec::new())), Arc::new(frame));
+        let seen = paths.clone();
+        std::thread::spawn(move || {
+            for stream in listener.incoming().map_while(Result::ok) {
+                let (seen, frame) = (seen.clone(), frame.clone());
+                std::thread::spawn(move || serve(stream, &seen, frame.as_ref()));
+            }
+        });
+        Server { address, paths }
+    }
+
+    fn url(&self) -> String {
+        format!("http://{}", self.address)
+    }
+}
+
+fn answer(stream: &mut TcpStream, head: &str, body: &str) -> bool {
+    let length = body.len();
+    write!(stream, "HTTP/1.1 {head}\r\nContent-Length: {length}\r\n\r\n{body}").is_ok()
+}
+
+fn serve(
+    mut stream: TcpStream,
+    seen: &Mutex<Vec<String>>,
+    frame: &dyn Fn(usize, &mut TcpStream) -> bool,
+) {
+    const SCENE: &str = r#"{"state":"ready","id":"s","revision":1,"bounds":[[0,0,0],[1,1,1]],"up":[0,1,0],"cameras":[]}"#;
+    stream.set_nodelay(true).unwrap();
+    let mut lines = BufReader::new(stream.try_clone().unwrap()).lines().map_while(Result::ok);
+    while let Some(first) = lines.next() {
+        let path = first.split(' ').nth(1).unwrap_or_default().to_owned();
+        while lines.next().is_some_and(|line| !line.is_empty()) {}
+        let goes_on = if path == "/v1/scenes" {
+            answer(&mut stream, "200 OK", &format!("{{\"scenes\":[{SCENE}]}}"))
+        } else if path == "/v1/scenes/s" {
+            answer(&mut stream, "200 OK", SCENE)
+        } else {
+            let number = {
+                let mut seen = seen.lock().unwrap();
+                seen.push(path);
+                seen.len() - 1
+            };
+            frame(number, &mut stream)
+        };
+        if !goes_on {
+            return;
+        }
+    }
+}
+
+/// The server works one request at a time, in microseconds, but stands still for 500 ms every 1.5 s. By its own account a request
+/// takes some 3 ms on average, and a client that waits for each answer before it asks again would see one slow request in
+/// a hundred. Of the requests that were *due*, a third came while it stood still: their waiting must be in the percentiles.
+#[test]
+fn a_stall_is_in_the_percentiles() {
+    const STALL: Duration = Duration::from_millis(500);
+    const EVERY: Duration = Duration::from_millis(1500);
+    struct Works {
+        next_stall: Option<Instant>,
+        spent: Duration,
+        requests: u32,
+    }
+    let works =
+        Arc::new(Mutex::new(Works { next_stall: None, spent: Duration::ZERO, requests: 0 }));
+    let account = works.clone();
+    let server = Server::start(move |_, stream| {
+        let mut works = works.lock().unwrap();
+        let began = Instant::now();
+        let next = *works.next_stall.get_or_insert(began + Duration::from_millis(400));
+        if began >= next {
+            std::thread::sleep(STALL);
+            works.next_stall = Some(next + EVERY);
+        }
+        works.requests += 1;
+        works.spent += began.elapsed();
+        drop(works);
+        answer(stream, "200 OK", "frame")
+    });
+    // Constant spacing, so that the share of requests that are due in a stall is that of its time.
+    let json = report(
+        &server.url(),
+        &[
+            "--rate",
+            "100",
+            "--duration",
+            "3",
+            "--warmup",
+            "0",
+            "--spacing",
+            "constant",
+            "--connections",
+            "200",
+        ],
+    );
+    let point = &json["points"][0];
+    let latency = &point["latency"];
+    let (spent, requests) = {
+        let works = account.lock().unwrap();
+        (works.spent, works.requests)
+    };
+    let mean_service_ms = spent.as_secs_f64() * 1e3 / f64::from(requests);
+    assert!(mean_service_ms < 10.0, "{mean_service_ms}");
+    assert_eq!(point["counts"]["frames"], 300, "{point}");
+    // Two stalls in three seconds: a third of the requests wait, evenly up to 500 ms.
+    assert!(ms(&latency["p50_ns"]) < 60.0, "{latency}");
+    assert!((250.0..480.0).contains(&ms(&latency["p90_ns"])), "{latency}");
+    assert!((400.0..700.0).contains(&ms(&latency["p99_ns"])), "{latency}");
+    assert!((450.0..900.0).contains(&ms(&latency["max_ns"])), "{latency}");
+}
+
+/// The same with one request under way at most: those that come meanwhile are not sent, and so are lost, rather than forgotten.
+#[test]
+fn a_stall_is_not_hidden_by_a_limit() {
+    let server = Server::start(|number, stream| {
+        if number == 50 {
+            std::thread::sleep(Duration::from_millis(500));
+        }
+        answer(stream, "200 OK", "frame")
+    });
+    let json = report(
+        &server.url(),
+        &[
+            "--rate",
+            "100",
+            "--duration",
+            "2",
+            "--warmup",
+            "0",
+            "--spacing",
+            "constant",
+            "--connections",
+            "1",
+        ],
+    );
+    let point = &json["points"][0];
+    let not_sent = point["counts"]["not_sent"].as_u64().unwrap();
+    assert!((40..90).contains(&not_sent), "{point}");
+    assert!(point["latency"]["p50_ns"].is_u64(), "{point}");
+    assert_eq!(point["latency"]["p90_ns"], Value::Null, "{point}");
+    assert!(json["warnings"].to_string().contains("--connections"), "{json}");
+}
+
+#[test]
+fn every_answer_is_counted_as_what_it_is() {
+    let server = Server::start(|number, stream| match number % 8 {
+        1 => answer(stream, "503 Service Unavailable\r\nRetry-After: 1", "{}"),
+        2 => answer(stream, "429 Too Many Requests", "{}"),
+        3 => answer(stream, "500 Internal Server Error", r#"{"detail":"it broke"}"#),
+        4 => stream.write_all(b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\nhalf").is_err(),
+        // Silence: the client gives up.
+        5 => stream.flush().is_ok(),
+        _ => answer(stream, "200 OK", "frame"),
+    });
+    let json = report(
+        &server.url(),
+        &[
+            "--rate",
+            "80",
+            "--duration",
+            "1",
+            "--warmup",
+            "0",
+            "--spacing",
+            "constant",
+            "--timeout",
+            "0.4",
+        ],
+    );
+    let point = &json["points"][0];
+    let count = |name: &str| point["counts"][name].as_u64().unwrap();
+    assert_eq!(point["requests"], 80, "{point}");
+    assert_eq!((count("refused"), count("refused_with_retry_after")), (20, 10), "{point}");
+    assert_eq!((count("failed"), count("broken_off"), count("timed_out")), (10, 10, 10), "{point}");
+    assert_eq!(count("frames"), 30, "{point}");
+    assert_eq!(point["statuses"]["503"], 10);
+    assert_eq!(point["verdict"], "unanswered");
+    let warnings = json["warnings"].to_string();
+    assert!(warnings.contains("it broke") || warnings.contains("connection closed"), "{warnings}");
+    // Another pose each time.
+    let mut paths = server.paths.lock().unwrap().clone();
+    paths.sort();
+    paths.dedup();
+    assert_eq!(paths.len(), 81);
+}
