@@ -1,6 +1,7 @@
 //! The queue of frames that wait: bounded, fair to clients, and pure. It holds no lock, channel or clock.
 //!
-//! Every client has a lane of its own, in order of arrival, and clients with a lane take turns:
+//! Every client has a lane of its own, in order of arrival, and clients with a lane take turns: who was served the longest ago is
+//! next, also if it had nothing waiting for a while.
 //!
 //! ```text
 //! turns   A ─▶ B ─▶ C ─▶ (A)        lanes   A: a1 a2 a3 …    B: b1    C: c1 c2
@@ -12,7 +13,7 @@
 //! of [`SHARE_PIXELS`] together: a client that has only one frame waiting at a time, as a stream has, would otherwise get one
 //! frame for every fifteen of a client that has a hundred.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::time::{Duration, Instant};
 
 /// What the queue needs to know of a job.
@@ -43,13 +44,22 @@ pub struct Queue<J> {
     returned: VecDeque<J>,
     /// None is empty.
     lanes: HashMap<Client, VecDeque<J>>,
-    /// Every client that has a lane, once.
-    turns: VecDeque<Client>,
+    /// Every client that has a lane, by its rank: the least has the next turn.
+    turns: BTreeMap<u64, Client>,
     waiting: usize,
     capacity: usize,
-    /// Which batch last had a job of a client's; forgotten after [`MEMORY`] batches.
-    served: HashMap<Client, u64>,
+    /// Who was served in one of the last [`MEMORY`] batches.
+    served: HashMap<Client, Served>,
     batches: u64,
+    /// Given out as ranks, never twice.
+    next_rank: u64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Served {
+    batch: u64,
+    /// What the client comes back with.
+    rank: u64,
 }
 
 /// What came out of the queue.
@@ -80,11 +90,12 @@ impl<J: Waiting> Queue<J> {
         Self {
             returned: VecDeque::new(),
             lanes: HashMap::new(),
-            turns: VecDeque::new(),
+            turns: BTreeMap::new(),
             waiting: 0,
             capacity: capacity.max(1),
             served: HashMap::new(),
             batches: 0,
+            next_rank: 0,
         }
     }
 
@@ -115,9 +126,10 @@ impl<J: Waiting> Queue<J> {
 
     /// A client's lane, and a turn if it had none.
     fn lane(&mut self, client: Client) -> &mut VecDeque<J> {
-        let turns = &mut self.turns;
-        self.lanes.entry(client).or_insert_with(|| {
-            turns.push_back(client);
+        let Self { lanes, turns, served, next_rank, .. } = self;
+        lanes.entry(client).or_insert_with(|| {
+            let rank = served.get(&client).map_or_else(|| new_rank(next_rank), |last| last.rank);
+            turns.insert(rank, client);
             VecDeque::new()
         })
     }
@@ -140,7 +152,7 @@ impl<J: Waiting> Queue<J> {
     /// Takes lanes away that have become empty, with their turns.
     fn tidy(&mut self) {
         self.lanes.retain(|_, lane| !lane.is_empty());
-        self.turns.retain(|client| self.lanes.contains_key(client));
+        self.turns.retain(|_, client| self.lanes.contains_key(client));
     }
 
     /// Whether a job of `client` waits in its lane.
@@ -150,7 +162,8 @@ impl<J: Waiting> Queue<J> {
 
     /// Puts `new` where a job of `client` waits, and gives that one; `new` comes back when it waits no more.
     pub fn replace(&mut self, client: Client, is_old: impl Fn(&J) -> bool, new: J) -> Result<J, J> {
-        match self.lanes.get_mut(&client).and_then(|lane| lane.iter_mut().find(|job| is_old(job))) {
+        let lane = self.lanes.get_mut(&client);
+        match lane.and_then(|lane| lane.iter_mut().find(|job| is_old(job))) {
             Some(place) => Ok(std::mem::replace(place, new)),
             None => Err(new),
         }
@@ -184,7 +197,7 @@ impl<J: Waiting> Queue<J> {
         let before = self.waiting;
         self.batches += 1;
         let oldest = self.batches.saturating_sub(MEMORY);
-        self.served.retain(|_, batch| *batch >= oldest);
+        self.served.retain(|_, last| last.batch >= oldest);
         let alone = self.is_one_about();
         let mut shares: HashMap<Client, u64> = HashMap::new();
         let mut taken = Taken { batch: Vec::new(), expired: Vec::new(), abandoned: Vec::new() };
@@ -200,9 +213,9 @@ impl<J: Waiting> Queue<J> {
             taken.batch.push(job);
         }
         // Clients that have had their share of this batch; their turns come in the next one.
-        let mut served = VecDeque::new();
+        let mut sated = Vec::new();
         while taken.batch.len() < max && self.returned.is_empty() {
-            let Some(client) = self.turns.pop_front() else { break };
+            let Some((rank, client)) = self.turns.pop_first() else { break };
             let Some(lane) = self.lanes.get_mut(&client) else { continue };
             let Some(job) = next_live(lane, now, &mut taken) else {
                 self.lanes.remove(&client);
@@ -213,24 +226,24 @@ impl<J: Waiting> Queue<J> {
             let is_over = !alone && share.is_some() && more > SHARE_PIXELS;
             if is_over || !fits(pixels, &job) {
                 lane.push_front(job);
+                sated.push((rank, client));
                 if is_over {
-                    served.push_back(client);
                     continue;
                 }
-                self.turns.push_front(client);
                 break;
             }
             pixels = pixels.saturating_add(job.pixels());
             taken.batch.push(job);
             shares.insert(client, more);
-            self.served.insert(client, self.batches);
+            let rank = new_rank(&mut self.next_rank);
+            self.served.insert(client, Served { batch: self.batches, rank });
             if lane.is_empty() {
                 self.lanes.remove(&client);
             } else {
-                self.turns.push_back(client);
+                self.turns.insert(rank, client);
             }
         }
-        self.turns.append(&mut served);
+        self.turns.extend(sated);
         let out = taken.batch.len() + taken.expired.len() + taken.abandoned.len();
         self.waiting = before - out;
         taken
@@ -238,7 +251,7 @@ impl<J: Waiting> Queue<J> {
 
     /// Whether no two clients wait or were served lately.
     fn is_one_about(&self) -> bool {
-        let mut about = self.turns.iter().chain(self.served.keys());
+        let mut about = self.turns.values().chain(self.served.keys());
         let first = about.next();
         about.all(|client| Some(client) == first)
     }
@@ -247,11 +260,16 @@ impl<J: Waiting> Queue<J> {
     pub fn drain(&mut self) -> Vec<J> {
         self.waiting = 0;
         let mut jobs: Vec<J> = self.returned.drain(..).collect();
-        for client in self.turns.drain(..) {
+        for client in std::mem::take(&mut self.turns).into_values() {
             jobs.extend(self.lanes.remove(&client).into_iter().flatten());
         }
         jobs
     }
+}
+
+fn new_rank(next_rank: &mut u64) -> u64 {
+    *next_rank += 1;
+    *next_rank
 }
 
 /// Whether a batch of `pixels` takes another job.

@@ -156,9 +156,11 @@ mod tests {
                     }
                 }
             }
-            while let Some((seq, (), quality)) = course.wanted(now) {
-                asked.push((seq, quality));
-                course.asked(quality);
+            while course.wanted(now).is_some() || course.wake_at(now).is_some() {
+                if let Some((seq, (), quality)) = course.wanted(now) {
+                    asked.push((seq, quality));
+                    course.asked(quality);
+                }
                 now = course.wake_at(now).unwrap_or(now);
             }
             let mut drawn: Vec<u64> = asked.iter().map(|asked| asked.0).collect();
