@@ -432,24 +432,22 @@ fn clients_share_the_device_and_the_plain_api_still_answers() {
     }
 }
 
-/// Sends two poses ahead of the frame that it shows, and gives the number of frames until `until`.
+/// Sends a new pose every few milliseconds, and gives the number of frames until `until`.
 fn count_frames(daemon: &Daemon, number: usize, until: Instant) -> usize {
     let mut stream = Stream::open(daemon, GRID);
-    let mut seq = 0;
-    let mut pose = |stream: &mut Stream| {
+    stream.patience(Duration::from_millis(4));
+    stream.send(json!({"seq": 0, "camera": "front", "w": 400, "h": 400, "moving": false}));
+    let (mut seq, mut count) = (0, 0);
+    while Instant::now() < until {
         seq += 1;
         let eye = json!([seq as f64 * 0.001 + number as f64, 0.1, 3]);
-        let (w, h) = (400, 400);
-        stream.send(
-            json!({"seq": seq, "eye": eye, "target": [0, 0, 0], "w": w, "h": h, "moving": false}),
-        );
-    };
-    pose(&mut stream);
-    let mut count = 0;
-    while Instant::now() < until {
-        pose(&mut stream);
-        stream.frame();
-        count += 1;
+        stream.send(json!({"seq": seq, "eye": eye, "target": [0, 0, 0], "moving": false}));
+        while let Some(came) = stream.try_next() {
+            if let Came::Frame { header, .. } = came {
+                stream.send(json!({"ack": header["frame"]}));
+                count += 1;
+            }
+        }
     }
     count
 }

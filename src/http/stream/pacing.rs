@@ -51,8 +51,10 @@ pub struct Pacer {
     last_drawn_at: Option<Instant>,
     last_acked_at: Option<Instant>,
     base: Base,
-    /// What a frame takes of the link, averaged.
+    /// What a moving frame takes of the link, averaged.
     link: Option<Duration>,
+    /// What the last frame took of it.
+    last_took: Option<Duration>,
     bytes_per_second: Option<f64>,
     /// Share of the pixels that each stage allows.
     drawn_pixels: f64,
@@ -69,6 +71,7 @@ impl Pacer {
             last_acked_at: None,
             base: Base::default(),
             link: None,
+            last_took: None,
             bytes_per_second: None,
             // Carefully at first: the first frame is to be there at once.
             drawn_pixels: 0.25,
@@ -88,7 +91,9 @@ impl Pacer {
     pub fn window(&self) -> usize {
         let pace = self.link.unwrap_or(TARGET).max(TARGET);
         let fill = self.base.least().unwrap_or_default().as_secs_f64() / pace.as_secs_f64();
-        (MIN_WINDOW + fill as usize).min(MAX_WINDOW)
+        // Where the link is quick, one more waits at the engine while another is drawn, and a third is being acknowledged.
+        let is_quick = self.last_took.is_some_and(|took| took < TARGET / 2);
+        (MIN_WINDOW + usize::from(is_quick) + fill as usize).min(MAX_WINDOW)
     }
 
     fn window_bytes(&self) -> u64 {
@@ -149,6 +154,7 @@ impl Pacer {
         let since = self.last_acked_at.map(|last| now.saturating_duration_since(last));
         self.last_acked_at = Some(now);
         let took = since.map_or(own, |since| since.min(own));
+        self.last_took = Some(took);
         if sent.bytes >= LEAST_BYTES / 4 {
             let rate = sent.bytes as f64 / took.max(Duration::from_millis(1)).as_secs_f64();
             self.bytes_per_second =
