@@ -19,7 +19,7 @@ use crate::assets::ReadOptions;
 use crate::engine::{Engine, EngineConfig};
 use crate::http::access::{Access, parse_keys};
 use crate::http::server::{StartScenes, serve};
-use crate::http::{App, Settings, nearest};
+use crate::http::{App, Settings, StreamLimits, nearest};
 
 /// Settings of the daemon; what is `None` was not given.
 #[derive(Args, Clone, Debug, Default, PartialEq, Deserialize)]
@@ -77,6 +77,15 @@ pub struct ServeArgs {
     /// Longest wait for the head of a request or the next piece of its body, in seconds [default: 30]
     #[arg(long, env = "POINTILLIST_READ_TIMEOUT_SECONDS", value_name = "S")]
     pub read_timeout_seconds: Option<u64>,
+    /// Streams at the same time [default: 64]
+    #[arg(long, env = "POINTILLIST_MAX_STREAMS", value_name = "N")]
+    pub max_streams: Option<usize>,
+    /// Streams at the same time of one client: of one key, or of one address where there are no keys [default: 16]
+    #[arg(long, env = "POINTILLIST_MAX_STREAMS_PER_CLIENT", value_name = "N")]
+    pub max_streams_per_client: Option<usize>,
+    /// How long a stream's client may send nothing, in seconds [default: 60]
+    #[arg(long, env = "POINTILLIST_STREAM_IDLE_SECONDS", value_name = "S")]
+    pub stream_idle_seconds: Option<u64>,
     /// File of API keys, `name scope sha256hex` a line; scopes are read, write, admin
     #[arg(long, env = "POINTILLIST_API_KEYS", value_name = "FILE")]
     pub api_keys: Option<PathBuf>,
@@ -226,6 +235,9 @@ impl ServeArgs {
             max_connections: self.max_connections.or(lower.max_connections),
             frame_timeout_seconds: self.frame_timeout_seconds.or(lower.frame_timeout_seconds),
             read_timeout_seconds: self.read_timeout_seconds.or(lower.read_timeout_seconds),
+            max_streams: self.max_streams.or(lower.max_streams),
+            max_streams_per_client: self.max_streams_per_client.or(lower.max_streams_per_client),
+            stream_idle_seconds: self.stream_idle_seconds.or(lower.stream_idle_seconds),
             api_keys: self.api_keys.or(lower.api_keys),
             insecure: self.insecure.or(lower.insecure),
             cors_origin: list(self.cors_origin, lower.cors_origin),
@@ -299,6 +311,11 @@ fn settings(args: &ServeArgs, root: PathBuf, access: Access) -> anyhow::Result<S
         frame_timeout: seconds("frame-timeout-seconds", args.frame_timeout_seconds, 120, 1)?,
         read_timeout: seconds("read-timeout-seconds", args.read_timeout_seconds, 30, 1)?,
         drain: seconds("drain-seconds", args.drain_seconds, 20, 0)?,
+        streams: StreamLimits {
+            most: number("max-streams", args.max_streams, 64, 0)?,
+            most_per_client: number("max-streams-per-client", args.max_streams_per_client, 16, 1)?,
+            idle: seconds("stream-idle-seconds", args.stream_idle_seconds, 60, 1)?,
+        },
     })
 }
 
@@ -485,6 +502,8 @@ mod tests {
             "--gpu-budget-mib=0",
             "--cache-max-mib=0",
             "--max-upload-mib=0",
+            "--max-streams-per-client=0",
+            "--stream-idle-seconds=0",
             "--cors-origin=x",
         ] {
             assert!(refused(&[flag]), "{flag}");

@@ -7,7 +7,7 @@ use std::time::Instant;
 use parking_lot::Mutex;
 use tokio::sync::oneshot;
 
-use super::queue::Waiting;
+use super::queue::{Client, Waiting};
 use super::receipt::CameraReceipt;
 use super::{EncodedFrame, EngineError, FrameRequest};
 use crate::math::View;
@@ -63,17 +63,22 @@ pub struct Job {
 }
 
 struct Waiters {
-    senders: Vec<oneshot::Sender<Reply>>,
+    /// With who it is that waits.
+    senders: Vec<(Client, oneshot::Sender<Reply>)>,
     /// The latest that anybody would still take it; `None`: any time.
     deadline: Option<Instant>,
     answered: bool,
 }
 
 impl Job {
-    pub fn new(resolved: Resolved, request: FrameRequest) -> (Arc<Job>, oneshot::Receiver<Reply>) {
+    pub fn new(
+        client: Client,
+        resolved: Resolved,
+        request: FrameRequest,
+    ) -> (Arc<Job>, oneshot::Receiver<Reply>) {
         let (sender, receiver) = oneshot::channel();
-        let waiters =
-            Waiters { senders: vec![sender], deadline: request.deadline, answered: false };
+        let senders = vec![(client, sender)];
+        let waiters = Waiters { senders, deadline: request.deadline, answered: false };
         let job = Job {
             resolved,
             request,
@@ -89,15 +94,26 @@ impl Job {
     }
 
     /// One more waits for the same frame; `None` when it has been answered already.
-    pub fn join(&self, deadline: Option<Instant>) -> Option<oneshot::Receiver<Reply>> {
+    pub fn join(
+        &self,
+        client: Client,
+        deadline: Option<Instant>,
+    ) -> Option<oneshot::Receiver<Reply>> {
         let mut waiters = self.waiters.lock();
         if waiters.answered {
             return None;
         }
         let (sender, receiver) = oneshot::channel();
-        waiters.senders.push(sender);
+        waiters.senders.push((client, sender));
         waiters.deadline = waiters.deadline.zip(deadline).map(|(a, b)| a.max(b));
         Some(receiver)
+    }
+
+    /// Somebody else than `client` who waits for it.
+    pub fn waiter_beside(&self, client: Client) -> Option<Client> {
+        let waiters = self.waiters.lock();
+        let live = waiters.senders.iter().filter(|(_, sender)| !sender.is_closed());
+        live.map(|(other, _)| *other).find(|other| *other != client)
     }
 
     /// Answers everybody. The first to have asked gets the frame as it is; the others' receipts say that they shared it.
@@ -115,7 +131,7 @@ impl Job {
             })
         });
         let mut first = Some(reply);
-        for sender in senders {
+        for (_, sender) in senders {
             let reply = first.take().or_else(|| shared.clone());
             if let Some(reply) = reply {
                 // A receiver that is gone has cancelled.
@@ -185,7 +201,7 @@ impl Job {
 
 impl Waiting for Arc<Job> {
     fn is_abandoned(&self) -> bool {
-        self.waiters.lock().senders.iter().all(oneshot::Sender::is_closed)
+        self.waiters.lock().senders.iter().all(|(_, sender)| sender.is_closed())
     }
 
     fn deadline(&self) -> Option<Instant> {

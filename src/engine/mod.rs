@@ -10,6 +10,7 @@ pub mod receipt;
 mod renderer;
 mod request;
 mod resolve;
+mod seat;
 mod shared;
 mod trees;
 mod worker;
@@ -23,9 +24,11 @@ use bytes::Bytes;
 use serde::Serialize;
 
 pub use baking::{BakeEvent, BakeSource, BakedAsset, bake_file};
+pub use queue::Client;
 pub use receipt::Receipt;
 pub use renderer::Renderer;
 pub use request::{FrameRequest, Pose};
+pub use seat::Seat;
 
 use crate::assets::{AssetError, ReadOptions};
 use crate::bake::cache::BakeCache;
@@ -89,6 +92,9 @@ pub enum EngineError {
     SceneExists { id: String },
     #[error("the queue is full")]
     Busy { retry_after: Duration },
+    /// Of a [`Seat`]'s request that a newer one took the place of.
+    #[error("a newer request took this one's place")]
+    Overtaken,
     #[error("the deadline passed before the frame was begun")]
     DeadlineExceeded,
     #[error("the GPU was lost; scenes are being rebuilt")]
@@ -190,6 +196,14 @@ impl NamedCamera {
     }
 }
 
+/// A scene as it was at one time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SceneMark {
+    /// No two scenes of a process, nor revisions of one, have the same.
+    uid: u64,
+    pub revision: u64,
+}
+
 /// Changes to one top-level node; `None` leaves a property as it is.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NodePatch {
@@ -226,6 +240,8 @@ pub struct EngineStats {
     pub batches: u64,
     pub coalesced: u64,
     pub cancelled: u64,
+    /// Jobs that a newer one took the place of before they were begun.
+    pub overtaken: u64,
     pub expired: u64,
     pub refused: u64,
     pub failed: u64,
@@ -383,6 +399,7 @@ impl Engine {
         self.check_fits(&mut loaded)?;
         let info = loaded.info.clone();
         shared.library.write().insert(loaded);
+        shared.scenes_changed();
         let (samples, triangles) = (info.samples, info.triangles);
         let elapsed_ms = began.elapsed().as_millis() as u64;
         tracing::info!(id, samples, triangles, elapsed_ms, "scene loaded");
@@ -414,6 +431,7 @@ impl Engine {
         let removed = shared.library.write().remove(id);
         removed.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
         shared.wake_for_removal();
+        shared.scenes_changed();
         tracing::info!(id, "scene deleted");
         Ok(())
     }
@@ -432,6 +450,7 @@ impl Engine {
             self.check_fits(&mut patched)?;
             let info = patched.info.clone();
             if shared.library.write().replace(&loaded, patched) {
+                shared.scenes_changed();
                 tracing::info!(id, node, revision = info.revision, "scene changed");
                 return Ok(info);
             }
@@ -505,8 +524,37 @@ impl Engine {
     /// # Errors
     /// Whatever is wrong with the request, or [`EngineError::Busy`]; nothing is queued then.
     pub fn submit(&self, request: FrameRequest) -> Result<FrameTicket, EngineError> {
+        self.submit_for(Client::Unnamed, request)
+    }
+
+    /// Queues a frame for `client`, who takes turns with the others.
+    ///
+    /// # Errors
+    /// As [`Engine::submit`].
+    pub fn submit_for(
+        &self,
+        client: Client,
+        request: FrameRequest,
+    ) -> Result<FrameTicket, EngineError> {
         let resolved = resolve::resolve(self.shared(), &request)?;
-        Ok(FrameTicket { receiver: self.shared().enqueue(resolved, request)? })
+        let (_, receiver) = self.shared().enqueue(client, resolved, request)?;
+        Ok(FrameTicket { receiver })
+    }
+
+    /// A place in the queue for one who wants the newest frame only.
+    pub fn seat(&self) -> Seat {
+        Seat::new(self)
+    }
+
+    /// Changes whenever a scene is loaded, patched or removed.
+    pub fn changes(&self) -> tokio::sync::watch::Receiver<u64> {
+        self.shared().changes.subscribe()
+    }
+
+    /// What tells a scene from any other and from itself at another revision; `None` when there is none.
+    pub fn scene_mark(&self, id: &str) -> Option<SceneMark> {
+        let loaded = self.shared().library.read().get(id)?;
+        Some(SceneMark { uid: loaded.model.uid, revision: loaded.model.revision })
     }
 
     /// The plan that a request would follow, and what it was planned from.

@@ -6,11 +6,11 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use parking_lot::{Condvar, Mutex, RwLock};
-use tokio::sync::oneshot;
+use tokio::sync::{oneshot, watch};
 
 use super::job::{Job, Reply, Resolved};
 use super::library::{AssetCache, Library};
-use super::queue::{Queue, Taken, expected_wait};
+use super::queue::{Client, Queue, Taken, expected_wait};
 use super::{EngineConfig, EngineError, EngineStats, FrameRequest, Readiness};
 use crate::residency::model::SceneModel;
 
@@ -41,6 +41,7 @@ pub struct Stats {
     pub batches: AtomicU64,
     pub coalesced: AtomicU64,
     pub cancelled: AtomicU64,
+    pub overtaken: AtomicU64,
     pub expired: AtomicU64,
     pub refused: AtomicU64,
     pub failed: AtomicU64,
@@ -64,6 +65,25 @@ struct State {
     busy_since: Option<Instant>,
 }
 
+/// A job, and where its frame will come.
+type Queued = (Arc<Job>, oneshot::Receiver<Reply>);
+
+impl State {
+    /// Whether jobs are taken on.
+    fn check_open(&self) -> Result<(), EngineError> {
+        if self.phase == Phase::Failed {
+            return Err(render_thread_ended());
+        }
+        if self.stopping {
+            return Err(EngineError::ShuttingDown);
+        }
+        if self.phase == Phase::Lost {
+            return Err(EngineError::DeviceLost { retry_after: Duration::from_secs(1) });
+        }
+        Ok(())
+    }
+}
+
 pub struct Shared {
     pub config: EngineConfig,
     pub library: RwLock<Library>,
@@ -73,6 +93,8 @@ pub struct Shared {
     pub patching: Mutex<()>,
     pub cache: AssetCache,
     pub stats: Stats,
+    /// Counts changes of scenes: loaded, patched, removed.
+    pub changes: watch::Sender<u64>,
     state: Mutex<State>,
     wake: Condvar,
     adapter: RwLock<Adapter>,
@@ -101,6 +123,7 @@ impl Shared {
             patching: Mutex::default(),
             cache: AssetCache::default(),
             stats: Stats::default(),
+            changes: watch::Sender::new(0),
             state: Mutex::new(State {
                 queue,
                 by_key: HashMap::new(),
@@ -119,31 +142,21 @@ impl Shared {
         }
     }
 
-    /// Queues a resolved request, or joins it to an equal one that has not been answered.
+    /// Queues a resolved request, or joins it to an equal one that has not been answered. Gives the job beside.
     pub fn enqueue(
         &self,
+        client: Client,
         resolved: Resolved,
         request: FrameRequest,
-    ) -> Result<oneshot::Receiver<Reply>, EngineError> {
+    ) -> Result<Queued, EngineError> {
         let mut state = self.state.lock();
-        if state.phase == Phase::Failed {
-            return Err(render_thread_ended());
-        }
-        if state.stopping {
-            return Err(EngineError::ShuttingDown);
-        }
-        if state.phase == Phase::Lost {
-            return Err(EngineError::DeviceLost { retry_after: Duration::from_secs(1) });
-        }
-        if let Some(receiver) =
-            state.by_key.get(&resolved.key).and_then(|job| job.join(request.deadline))
-        {
-            self.stats.coalesced.fetch_add(1, Ordering::Relaxed);
-            return Ok(receiver);
+        state.check_open()?;
+        if let Some(joined) = self.join(&state, client, &resolved, &request) {
+            return Ok(joined);
         }
         let key = resolved.key.clone();
-        let (job, receiver) = Job::new(resolved, request);
-        let (admitted, dropped) = state.queue.admit(job.clone());
+        let (job, receiver) = Job::new(client, resolved, request);
+        let (admitted, dropped) = state.queue.admit(client, job.clone());
         for gone in dropped {
             self.forget(&mut state, &gone);
             self.stats.cancelled.fetch_add(1, Ordering::Relaxed);
@@ -155,10 +168,74 @@ impl Shared {
                 retry_after: expected_wait(state.queue.len(), per_frame),
             });
         }
-        state.by_key.insert(key, job);
+        state.by_key.insert(key, job.clone());
         drop(state);
         self.wake.notify_one();
-        Ok(receiver)
+        Ok((job, receiver))
+    }
+
+    /// Whether `job` waits in the lane of `client`.
+    pub fn is_waiting(&self, client: Client, job: &Arc<Job>) -> bool {
+        self.state.lock().queue.holds(client, |other| Arc::ptr_eq(job, other))
+    }
+
+    /// Has a request take the place of `old`, which `client` waits for; `None` when that waits in the queue no more. Whoever else
+    /// waits for `old` still gets it.
+    pub fn replace(
+        &self,
+        client: Client,
+        old: &Arc<Job>,
+        resolved: Resolved,
+        request: FrameRequest,
+    ) -> Result<Option<Queued>, EngineError> {
+        let is_old = |job: &Arc<Job>| Arc::ptr_eq(job, old);
+        let mut state = self.state.lock();
+        state.check_open()?;
+        if !state.queue.holds(client, is_old) {
+            return Ok(None);
+        }
+        let joined = self.join(&state, client, &resolved, &request);
+        if joined.as_ref().is_some_and(|(job, _)| is_old(job)) {
+            return Ok(joined);
+        }
+        let new = match joined {
+            Some(joined) => {
+                state.queue.remove(client, is_old);
+                joined
+            }
+            None => {
+                let key = resolved.key.clone();
+                let (job, receiver) = Job::new(client, resolved, request);
+                if state.queue.replace(client, is_old, job.clone()).is_err() {
+                    return Ok(None);
+                }
+                state.by_key.insert(key, job.clone());
+                (job, receiver)
+            }
+        };
+        if let Some(other) = old.waiter_beside(client) {
+            state.queue.hand_over(other, old.clone());
+        } else {
+            self.forget(&mut state, old);
+            self.stats.overtaken.fetch_add(1, Ordering::Relaxed);
+            drop(state);
+            old.answer(Err(EngineError::Overtaken));
+        }
+        Ok(Some(new))
+    }
+
+    /// Joins a request to an equal one that has not been answered.
+    fn join(
+        &self,
+        state: &State,
+        client: Client,
+        resolved: &Resolved,
+        request: &FrameRequest,
+    ) -> Option<Queued> {
+        let job = state.by_key.get(&resolved.key)?;
+        let receiver = job.join(client, request.deadline)?;
+        self.stats.coalesced.fetch_add(1, Ordering::Relaxed);
+        Some((job.clone(), receiver))
     }
 
     /// Takes `job` out of the register, unless a later one of the same key is there.
@@ -251,6 +328,11 @@ impl Shared {
         for job in jobs {
             job.answer(Err(render_thread_ended()));
         }
+    }
+
+    /// Tells whoever watches that a scene is not what it was.
+    pub fn scenes_changed(&self) {
+        self.changes.send_modify(|count| *count += 1);
     }
 
     pub fn lose_device(&self) {
@@ -349,6 +431,7 @@ impl Shared {
             batches: read(&self.stats.batches),
             coalesced: read(&self.stats.coalesced),
             cancelled: read(&self.stats.cancelled),
+            overtaken: read(&self.stats.overtaken),
             expired: read(&self.stats.expired),
             refused: read(&self.stats.refused),
             failed: read(&self.stats.failed),

@@ -14,7 +14,7 @@
 //! others, and at its end the manifest is the same, byte for byte, as if there had been a single run.
 //!
 //! What to do is decided by functions of what was found ([`shots`], [`manifest`], [`survey`]); [`folder`] alone touches files, and
-//! [`run`] the engine.
+//! [`mod@run`] the engine.
 
 pub mod folder;
 pub mod manifest;

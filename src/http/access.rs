@@ -6,7 +6,9 @@
 //! may do everything, except that a web page from another origin may not change anything: browsers
 //! send such requests to a local server without asking. A name that its owner points at 127.0.0.1
 //! would make a page of his one of the same origin, so a server that listens on loopback answers only
-//! to the names of loopback.
+//! to the names of loopback. A stream's answers any page could read, whatever its origin: browsers apply that rule to
+//! WebSockets no more than they let pages set headers on them. So without keys a stream is for pages of the same origin (or of
+//! `cors_origins`), and a key may also come as a subprotocol, `pointillist.key.KEY`.
 
 use std::net::{Ipv4Addr, Ipv6Addr};
 
@@ -14,6 +16,7 @@ use axum::http::{HeaderMap, Method, Uri, header};
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 
+use super::STREAM;
 use super::problem::{Kind, Problem};
 
 /// What a key allows; each includes those before it.
@@ -102,15 +105,19 @@ pub fn needed(method: &Method, route: &str) -> Option<Scope> {
     }
 }
 
+/// What a subprotocol that carries a key begins with.
+pub const KEY_PROTOCOL: &str = "pointillist.key.";
+
 impl Access {
-    /// Whether a request may pass: by the name it calls the server, then by who sends it.
+    /// Whether a request may pass: by the name it calls the server, then by who sends it. Gives the name of the key, if keys are
+    /// asked for.
     pub fn check(
         &self,
         method: &Method,
         uri: &Uri,
         route: &str,
         headers: &HeaderMap,
-    ) -> Result<(), Problem> {
+    ) -> Result<Option<&str>, Problem> {
         if matches!(self, Access::Open { only_loopback: true, .. }) {
             check_host(uri, headers)?;
         }
@@ -122,10 +129,19 @@ impl Access {
         method: &Method,
         route: &str,
         headers: &HeaderMap,
-    ) -> Result<(), Problem> {
-        let Some(scope) = needed(method, route) else { return Ok(()) };
+    ) -> Result<Option<&str>, Problem> {
+        let Some(scope) = needed(method, route) else { return Ok(None) };
         match self {
             Access::Open { cors_origins, .. } => {
+                let anybody_reads = cors_origins.iter().any(|origin| origin == "*");
+                if route == STREAM && !anybody_reads && is_foreign(headers, cors_origins) {
+                    return Err(Problem::new(
+                        Kind::Forbidden,
+                        "a page of another origin may not open a stream",
+                    )
+                    .at("Origin")
+                    .accepted("an origin given with --cors-origin"));
+                }
                 if scope > Scope::Read && is_foreign(headers, cors_origins) {
                     return Err(Problem::new(
                         Kind::Forbidden,
@@ -134,9 +150,9 @@ impl Access {
                     .at("Origin")
                     .accepted("an origin given with --cors-origin"));
                 }
-                Ok(())
+                Ok(None)
             }
-            Access::Keys(keys) => check_key(keys, scope, headers),
+            Access::Keys(keys) => check_key(keys, scope, route, headers).map(Some),
         }
     }
 }
@@ -180,34 +196,48 @@ fn is_loopback(authority: &str) -> bool {
             || name.parse::<Ipv4Addr>().is_ok_and(|address| address.is_loopback()))
 }
 
-fn check_key(keys: &[ApiKey], scope: Scope, headers: &HeaderMap) -> Result<(), Problem> {
+fn check_key<'a>(
+    keys: &'a [ApiKey],
+    scope: Scope,
+    route: &str,
+    headers: &HeaderMap,
+) -> Result<&'a str, Problem> {
     const HOW: &str = "Authorization: Bearer KEY";
     let unauthorized =
         |detail| Problem::new(Kind::Unauthorized, detail).at("Authorization").accepted(HOW);
-    let Some(value) = headers.get(header::AUTHORIZATION) else {
-        return Err(unauthorized("no key was sent"));
-    };
-    let bytes = value.as_bytes();
-    let token = match bytes.split_at_checked(7) {
-        Some((scheme, token)) if scheme.eq_ignore_ascii_case(b"Bearer ") => token.trim_ascii(),
-        _ => return Err(unauthorized("not a bearer key")),
+    let in_protocol = || (route == STREAM).then(|| protocol_key(headers)).flatten();
+    let token = match headers.get(header::AUTHORIZATION) {
+        Some(value) => match value.as_bytes().split_at_checked(7) {
+            Some((scheme, token)) if scheme.eq_ignore_ascii_case(b"Bearer ") => token.trim_ascii(),
+            _ => return Err(unauthorized("not a bearer key")),
+        },
+        None => in_protocol().ok_or_else(|| unauthorized("no key was sent"))?,
     };
     let hash: [u8; 32] = Sha256::digest(token).into();
-    let mut granted: Option<Scope> = None;
+    let mut granted: Option<&ApiKey> = None;
     for key in keys {
         // Every key is compared, also after a hit.
-        if bool::from(key.hash.ct_eq(&hash)) {
-            granted = granted.max(Some(key.scope));
+        if bool::from(key.hash.ct_eq(&hash)) && granted.is_none_or(|best| best.scope < key.scope) {
+            granted = Some(key);
         }
     }
     match granted {
         None => Err(unauthorized("the key is not known")),
-        Some(granted) if granted < scope => Err(Problem::new(
+        Some(granted) if granted.scope < scope => Err(Problem::new(
             Kind::Forbidden,
-            format!("the key's scope is {granted:?}, this needs {scope:?}").to_lowercase(),
+            format!("the key's scope is {:?}, this needs {scope:?}", granted.scope).to_lowercase(),
         )),
-        Some(_) => Ok(()),
+        Some(granted) => Ok(&granted.name),
     }
+}
+
+/// The key among the subprotocols that a client offers: all that a page can send along with a WebSocket's request.
+fn protocol_key(headers: &HeaderMap) -> Option<&[u8]> {
+    headers
+        .get_all(header::SEC_WEBSOCKET_PROTOCOL)
+        .iter()
+        .flat_map(|list| list.as_bytes().split(|&byte| byte == b','))
+        .find_map(|name| name.trim_ascii().strip_prefix(KEY_PROTOCOL.as_bytes()))
 }
 
 /// Whether a browser sent this for a page of another origin.
@@ -264,6 +294,37 @@ mod tests {
         let mut basic = HeaderMap::new();
         basic.insert(header::AUTHORIZATION, HeaderValue::from_static("Basic r"));
         assert_eq!(status(&Method::GET, frame, &basic), Some(401));
+    }
+
+    #[test]
+    fn pages_send_their_key_as_a_subprotocol_of_streams_only() {
+        let access = Access::Keys(parse_keys(&line("eye", "read", "r-1")).unwrap());
+        let mut headers = HeaderMap::new();
+        let offered = HeaderValue::from_static("pointillist, pointillist.key.r-1");
+        headers.insert(header::SEC_WEBSOCKET_PROTOCOL, offered);
+        let check = |route| access.check(&Method::GET, &Uri::default(), route, &headers);
+        assert_eq!(check(STREAM).unwrap(), Some("eye"));
+        assert_eq!(check("/v1/scenes").unwrap_err().status(), 401);
+        let wrong = HeaderValue::from_static("pointillist.key.r-2");
+        headers.insert(header::SEC_WEBSOCKET_PROTOCOL, wrong);
+        let refused = access.check(&Method::GET, &Uri::default(), STREAM, &headers);
+        assert_eq!(refused.unwrap_err().status(), 401);
+    }
+
+    #[test]
+    fn foreign_pages_cannot_open_streams() {
+        let from = |origin: &str, allowed: &str| {
+            let cors_origins = vec![allowed.to_owned()];
+            let access = Access::Open { cors_origins, only_loopback: true };
+            let mut headers = HeaderMap::new();
+            headers.insert(header::HOST, HeaderValue::from_static("127.0.0.1:8080"));
+            headers.insert(header::ORIGIN, HeaderValue::from_str(origin).unwrap());
+            access.check(&Method::GET, &Uri::default(), STREAM, &headers).is_ok()
+        };
+        assert!(from("http://127.0.0.1:8080", "https://app.example"));
+        assert!(from("https://app.example", "https://app.example"));
+        assert!(!from("https://evil.example", "https://app.example"));
+        assert!(from("https://evil.example", "*"));
     }
 
     #[test]

@@ -4,12 +4,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use axum::body::Body;
-use axum::extract::State;
+use axum::extract::{Extension, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 
 use super::problem::{Kind, Problem};
-use super::{App, Segments, conditional, headers};
+use super::{App, Caller, Segments, conditional, headers};
 use crate::encode::ImageFormat;
 use crate::engine::{EncodedFrame, FrameRequest, FrameTicket};
 
@@ -59,6 +59,7 @@ const REVALIDATE: HeaderValue = HeaderValue::from_static("no-cache");
 )]
 pub async fn frame(
     State(app): State<Arc<App>>,
+    Extension(Caller(client)): Extension<Caller>,
     Segments(id): Segments<String>,
     method: Method,
     uri: Uri,
@@ -94,7 +95,7 @@ pub async fn frame(
         return Ok(response);
     }
 
-    let ticket = app.engine.submit(request.clone())?;
+    let ticket = app.engine.submit_for(client, request.clone())?;
     let frame = wait(&app, ticket).await?;
     app.metrics.frame(&frame);
     let mut response = Response::new(Body::from(frame.bytes.clone()));

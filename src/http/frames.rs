@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use axum::body::Body;
-use axum::extract::State;
+use axum::extract::{Extension, State};
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::Response;
 use bytes::Bytes;
@@ -22,9 +22,9 @@ use utoipa::ToSchema;
 use super::frame::{bake, choose_format, missing, receipt_headers, wait};
 use super::params::FrameParams;
 use super::problem::{Kind, PROBLEM_JSON, Problem};
-use super::{App, Segments, body};
+use super::{App, Caller, Segments, body};
 use crate::encode::ImageFormat;
-use crate::engine::{EncodedFrame, EngineError, FrameTicket};
+use crate::engine::{Client, EncodedFrame, EngineError, FrameTicket};
 
 /// Bytes of the request.
 const MAX_BODY_BYTES: u64 = 16 << 20;
@@ -62,6 +62,7 @@ pub struct FramesRequest {
 )]
 pub async fn frames(
     State(app): State<Arc<App>>,
+    Extension(Caller(client)): Extension<Caller>,
     Segments(id): Segments<String>,
     headers: HeaderMap,
     body: Body,
@@ -77,7 +78,8 @@ pub async fn frames(
     app.engine.scene(&id).map_err(|error| missing(&app, &id, error.into()))?;
     let boundary = boundary();
     let content_type = format!("multipart/mixed; boundary={boundary}");
-    let batch = Batch { app, id, defaults, headers: image_ranges(&headers), poses: request.poses };
+    let headers = image_ranges(&headers);
+    let batch = Batch { app, client, id, defaults, headers, poses: request.poses };
     let mut response = Response::new(Body::from_stream(parts(batch, boundary)));
     let content_type = HeaderValue::from_str(&content_type).map_err(Problem::internal)?;
     response.headers_mut().insert(header::CONTENT_TYPE, content_type);
@@ -110,6 +112,7 @@ fn boundary() -> String {
 
 struct Batch {
     app: Arc<App>,
+    client: Client,
     id: String,
     defaults: FrameParams,
     headers: HeaderMap,
@@ -141,7 +144,7 @@ impl Batch {
             if let Err(problem) = bake(&self.app, &request).await {
                 return Some(Err(problem));
             }
-            match self.app.engine.submit(request) {
+            match self.app.engine.submit_for(self.client, request) {
                 Ok(ticket) => return Some(Ok(ticket)),
                 Err(EngineError::Busy { retry_after }) if turn.elapsed() < MAX_QUEUEING => {
                     if !wait_for_place {

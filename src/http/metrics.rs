@@ -9,7 +9,7 @@ use prometheus_client::encoding::{
 };
 use prometheus_client::metrics::counter::{ConstCounter, Counter};
 use prometheus_client::metrics::family::Family;
-use prometheus_client::metrics::gauge::ConstGauge;
+use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::registry::{Registry, Unit};
 
@@ -31,6 +31,9 @@ pub struct Metrics {
     requests: Family<RequestLabels, Counter>,
     pub not_modified: Counter,
     pub frames_sent: Counter,
+    pub streams_open: Gauge,
+    pub stream_frames: Counter,
+    pub poses_overtaken: Counter,
     image_bytes: Counter,
     upload_bytes: Counter,
     total_seconds: Histogram,
@@ -47,6 +50,9 @@ impl Metrics {
             requests: Family::default(),
             not_modified: Counter::default(),
             frames_sent: Counter::default(),
+            streams_open: Gauge::default(),
+            stream_frames: Counter::default(),
+            poses_overtaken: Counter::default(),
             image_bytes: Counter::default(),
             upload_bytes: Counter::default(),
             total_seconds: seconds(),
@@ -68,6 +74,17 @@ impl Metrics {
             "frames_sent",
             "Frames sent, coalesced ones included",
             metrics.frames_sent.clone(),
+        );
+        registry.register("streams_open", "Streams open", metrics.streams_open.clone());
+        registry.register(
+            "stream_frames",
+            "Frames sent on streams, which are among the frames sent",
+            metrics.stream_frames.clone(),
+        );
+        registry.register(
+            "stream_poses_overtaken",
+            "Poses of streams that were not drawn because a newer one had come",
+            metrics.poses_overtaken.clone(),
         );
         let bytes = |registry: &mut Registry, name: &str, help: &str, counter: &Counter| {
             registry.register_with_unit(name, help, Unit::Bytes, counter.clone());
@@ -154,6 +171,7 @@ impl Collector for EngineCollector {
             ("engine_batches", "Submissions to the GPU", stats.batches),
             ("engine_coalesced", "Jobs that shared another's frame", stats.coalesced),
             ("engine_cancelled", "Jobs abandoned before submission", stats.cancelled),
+            ("engine_overtaken", "Jobs that a newer one replaced", stats.overtaken),
             ("engine_expired", "Jobs dropped for their deadline", stats.expired),
             ("engine_refused", "Jobs refused because the queue was full", stats.refused),
             ("engine_failed", "Jobs that failed", stats.failed),

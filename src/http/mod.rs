@@ -6,8 +6,11 @@
 //!                                              frame   params → engine.etag → 304
 //!                                                                  └→ engine.submit → image + receipt
 //!                                              frames  the same, pose after pose, as multipart/mixed
+//!                                              stream  WebSocket: poses in, the newest one's frame out
 //!                                              upload  body → disk → engine.load → 201, or 202
 //! ```
+//!
+//! Who asks takes turns with all others: by its key, or by its address where there are no keys ([`Caller`]).
 //!
 //! A frame's entity tag is known before any GPU work, so the path to a 304 is short: one middleware,
 //! no spans, one look at the engine. A client that goes away drops the handler's future, and with it
@@ -28,8 +31,11 @@ mod registry;
 mod scenes;
 pub mod server;
 mod service;
+mod stream;
 mod upload;
 
+use std::hash::{BuildHasher, RandomState};
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -37,7 +43,9 @@ use std::time::Duration;
 
 use axum::Router;
 use axum::body::HttpBody;
-use axum::extract::{DefaultBodyLimit, FromRequestParts, MatchedPath, Path, Request, State};
+use axum::extract::{
+    ConnectInfo, DefaultBodyLimit, FromRequestParts, MatchedPath, Path, Request, State,
+};
 use axum::http::header;
 use axum::http::request::Parts;
 use axum::middleware::Next;
@@ -50,8 +58,9 @@ pub use names::slug;
 pub use openapi::{openapi_json, openapi_yaml};
 pub use params::{DEFAULT_FOV_DEG, DEFAULT_QUALITY, DEFAULT_SIDE};
 pub use problem::{Problem, nearest};
+pub use stream::StreamLimits;
 
-use crate::engine::Engine;
+use crate::engine::{Client, Engine};
 
 /// How the HTTP side is set up.
 #[derive(Clone, Debug)]
@@ -71,6 +80,7 @@ pub struct Settings {
     pub read_timeout: Duration,
     /// How long answers in flight may take when the server stops.
     pub drain: Duration,
+    pub streams: stream::StreamLimits,
 }
 
 /// What every handler shares.
@@ -79,6 +89,9 @@ pub struct App {
     pub(crate) settings: Settings,
     pub(crate) metrics: metrics::Metrics,
     pub(crate) registry: registry::Registry,
+    pub(crate) streams: stream::Streams,
+    /// Keys the numbers of callers, so that nobody chooses one that is another's.
+    callers: RandomState,
     phase: AtomicU8,
 }
 
@@ -96,6 +109,8 @@ impl App {
         Arc::new(App {
             metrics: metrics::Metrics::new(&engine),
             registry: registry::Registry::default(),
+            streams: stream::Streams::new(settings.streams),
+            callers: RandomState::new(),
             phase: AtomicU8::new(0),
             engine,
             settings,
@@ -113,11 +128,18 @@ impl App {
     pub fn set_phase(&self, phase: Phase) {
         // Phases only go forward: a scene that finishes loading does not undo a drain.
         self.phase.fetch_max(phase as u8, Ordering::Relaxed);
+        if phase == Phase::Draining {
+            self.streams.drain();
+        }
     }
 }
 
+/// Who sent a request, as far as taking turns and limits go; put beside every request that has passed the access rules.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Caller(pub Client);
+
 /// Every route, as the counters and the access rules name them.
-const ROUTES: [&str; 13] = [
+const ROUTES: [&str; 14] = [
     "/",
     "/healthz",
     "/readyz",
@@ -130,8 +152,11 @@ const ROUTES: [&str; 13] = [
     "/v1/scenes/{id}/nodes/{node}",
     "/v1/scenes/{id}/frame",
     "/v1/scenes/{id}/frames",
+    STREAM,
     UNMATCHED,
 ];
+
+const STREAM: &str = "/v1/scenes/{id}/stream";
 
 const UNMATCHED: &str = "unmatched";
 
@@ -151,6 +176,7 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/v1/scenes/{id}/nodes/{node}", patch(scenes::patch_node))
         .route("/v1/scenes/{id}/frame", get(frame::frame))
         .route("/v1/scenes/{id}/frames", post(frames::frames))
+        .route(STREAM, get(stream::stream))
         .fallback(service::unknown_route)
         .method_not_allowed_fallback(service::method_not_allowed)
         // Each handler bounds its own body, while it reads.
@@ -181,9 +207,21 @@ async fn gate(State(app): State<Arc<App>>, request: Request, next: Next) -> Resp
         let (body, rest) = body::share(whole);
         (Request::from_parts(parts, body), Some(rest))
     };
-    let response = match app.settings.access.check(&method, request.uri(), route, request.headers())
-    {
-        Ok(()) => next.run(request).await,
+    let mut request = request;
+    let checked =
+        app.settings.access.check(&method, request.uri(), route, request.headers()).map(|key| {
+            let address = request.extensions().get::<ConnectInfo<SocketAddr>>();
+            match (key, address) {
+                (Some(key), _) => Client::Caller(app.callers.hash_one(key)),
+                (None, Some(from)) => Client::Caller(app.callers.hash_one(from.0.ip())),
+                (None, None) => Client::Unnamed,
+            }
+        });
+    let response = match checked {
+        Ok(client) => {
+            request.extensions_mut().insert(Caller(client));
+            next.run(request).await
+        }
         Err(problem) => problem.into_response(),
     };
     if let (Some(rest), true) = (rest, response.status().as_u16() >= 400) {

@@ -13,7 +13,7 @@ use utoipa::{Modify, OpenApi};
 
 use super::access;
 use super::problem::{Kind, PROBLEM_JSON, ProblemDocument};
-use super::{frame, frames, scenes, service, upload};
+use super::{frame, frames, scenes, service, stream, upload};
 use crate::engine::Receipt;
 
 #[derive(OpenApi)]
@@ -28,6 +28,7 @@ use crate::engine::Receipt;
     paths(
         frame::frame,
         frames::frames,
+        stream::stream,
         scenes::list,
         upload::create,
         scenes::show,
@@ -41,7 +42,7 @@ use crate::engine::Receipt;
         service::openapi,
         service::viewer,
     ),
-    components(schemas(Receipt, ProblemDocument)),
+    components(schemas(Receipt, ProblemDocument, stream::FrameHeader, stream::PoseFields)),
     tags(
         (name = "frames", description = "Images of scenes"),
         (name = "scenes", description = "What can be drawn"),
@@ -114,6 +115,14 @@ fn problems(path: &str, method: &str) -> &'static [Kind] {
             SceneTooLarge,
             OutOfGpuMemory,
             ShuttingDown,
+        ],
+        ("/v1/scenes/{id}/stream", _) => &[
+            UnknownScene,
+            SceneLoading,
+            UpgradeRequired,
+            BadParameter,
+            UnknownParameter,
+            Unavailable,
         ],
         ("/v1/scenes", "post") => &[
             RequestTimeout,

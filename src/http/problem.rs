@@ -25,6 +25,7 @@ pub enum Kind {
     MethodNotAllowed,
     NotAcceptable,
     RequestTimeout,
+    UpgradeRequired,
     SceneExists,
     SceneLoading,
     BodyTooLarge,
@@ -54,13 +55,14 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind, in the order of the documentation.
-    pub const ALL: [Kind; 31] = [
+    pub const ALL: [Kind; 32] = [
         Kind::UnknownRoute,
         Kind::UnknownScene,
         Kind::UnknownNode,
         Kind::MethodNotAllowed,
         Kind::NotAcceptable,
         Kind::RequestTimeout,
+        Kind::UpgradeRequired,
         Kind::SceneExists,
         Kind::SceneLoading,
         Kind::BodyTooLarge,
@@ -103,6 +105,9 @@ impl Kind {
             }
             RequestTimeout => {
                 (408, "urn:pointillist:problem:request-timeout", "the request body stalled")
+            }
+            UpgradeRequired => {
+                (426, "urn:pointillist:problem:upgrade-required", "this speaks WebSocket")
             }
             SceneExists => (409, "urn:pointillist:problem:scene-exists", "the scene exists"),
             SceneLoading => {
@@ -286,6 +291,9 @@ impl IntoResponse for Problem {
         if let Some(after_ms) = self.retry_after_ms {
             headers.insert(header::RETRY_AFTER, retry_after_seconds(after_ms).into());
         }
+        if self.kind == Kind::UpgradeRequired {
+            headers.insert(header::UPGRADE, HeaderValue::from_static("websocket"));
+        }
         if self.status() == 401 {
             headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
         }
@@ -313,6 +321,7 @@ impl From<EngineError> for Problem {
             EngineError::Busy { retry_after } => {
                 Problem::new(Kind::Busy, text).retry_after(retry_after)
             }
+            EngineError::Overtaken => Problem::new(Kind::Busy, text),
             EngineError::DeadlineExceeded => Problem::new(Kind::DeadlineExceeded, text)
                 .at("deadline_ms")
                 .retry_after(Duration::from_secs(1)),

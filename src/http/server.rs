@@ -3,7 +3,8 @@
 //! ```text
 //! listen ─► Starting ──scenes loaded──► Serving ──SIGTERM, SIGINT──► Draining ─► exit
 //!           /healthz 200                /readyz 200                  no new connections; answers in
-//!           /readyz  503                                             flight end within `drain`
+//!           /readyz  503                                             flight end within `drain`, streams
+//!                                                                    are closed with 1001
 //! a render thread that panicked: /healthz and /readyz 503, and the watchdog is no longer patted
 //! ```
 //!
@@ -88,6 +89,7 @@ pub async fn serve(
     handle.graceful_shutdown(Some(app.settings.drain));
     let drained = async {
         let _ = (&mut server).await;
+        app.streams.closed().await;
         let engine = app.engine.clone();
         let _ = tokio::task::spawn_blocking(move || engine.drain()).await;
     };
@@ -127,7 +129,7 @@ async fn run(
         .max_concurrent_streams(MAX_STREAMS)
         .keep_alive_interval(read_timeout)
         .keep_alive_timeout(read_timeout);
-    server.serve(router(app).into_make_service()).await
+    server.serve(router(app).into_make_service_with_connect_info::<SocketAddr>()).await
 }
 
 /// Loads one after the other: each may need most of the memory.

@@ -123,6 +123,13 @@ pub struct ServerLimits {
     max_connections: usize,
     /// Longest wait for a frame, in milliseconds.
     frame_timeout_ms: u64,
+    /// Streams at the same time: of all clients, and of one.
+    max_streams: usize,
+    max_streams_per_client: usize,
+    /// A stream on which nothing came from its client for so long is closed.
+    stream_idle_ms: u64,
+    /// Bytes of one message of a stream's client.
+    max_stream_message_bytes: usize,
 }
 
 /// The limits in force; what is beyond them is refused with 413, 422 or 507.
@@ -134,11 +141,16 @@ pub struct ServerLimits {
 )]
 pub async fn limits(State(app): State<Arc<App>>) -> Json<ServerLimits> {
     let settings = &app.settings;
+    let ms = |duration: Duration| u64::try_from(duration.as_millis()).unwrap_or(u64::MAX);
     Json(ServerLimits {
         engine: app.engine.limits(),
         max_upload_bytes: settings.max_upload_bytes,
         max_connections: settings.max_connections,
-        frame_timeout_ms: u64::try_from(settings.frame_timeout.as_millis()).unwrap_or(u64::MAX),
+        frame_timeout_ms: ms(settings.frame_timeout),
+        max_streams: settings.streams.most,
+        max_streams_per_client: settings.streams.most_per_client,
+        stream_idle_ms: ms(settings.streams.idle),
+        max_stream_message_bytes: super::stream::MAX_MESSAGE_BYTES,
     })
 }
 

@@ -119,3 +119,57 @@ fn dropping_the_engine_keeps_promises_too() {
     drop(studio);
     assert!(tickets.into_iter().all(|ticket| ticket.wait().is_ok()));
 }
+
+#[test]
+fn a_seat_draws_the_newest_and_answers_those_before() {
+    let studio = Studio::new();
+    studio.load_two();
+    let mut overtaken = 0;
+    // The render thread may take the seat's request before it is replaced, but not ten times.
+    for round in 0..10 {
+        let mut seat = studio.engine.seat();
+        let busy = studio.keep_busy("cloud");
+        let before = studio.engine.stats();
+        let mut last = seat.ask(orbit("solid", 0, 64)).unwrap();
+        for number in 1..20 {
+            let Some(newer) = seat.replace(orbit("solid", number, 64)).unwrap() else { break };
+            let older = std::mem::replace(&mut last, newer).wait();
+            assert!(matches!(older, Err(EngineError::Overtaken)), "{older:?}");
+            overtaken += 1;
+        }
+        assert!(last.wait().is_ok());
+        assert!(seat.replace(orbit("solid", 30, 64)).unwrap().is_none(), "nothing waits");
+        assert!(busy.into_iter().all(|ticket| ticket.wait().is_ok()));
+        let after = studio.engine.stats();
+        assert_eq!(after.overtaken, overtaken, "round {round}: from {}", before.overtaken);
+        assert_eq!(after.cancelled, before.cancelled);
+        if overtaken >= 19 {
+            return;
+        }
+    }
+    panic!("only {overtaken} were replaced");
+}
+
+#[test]
+fn whoever_shares_an_overtaken_frame_still_gets_it() {
+    let studio = Studio::new();
+    studio.load_two();
+    for _ in 0..10 {
+        let (mut seat, mut other) = (studio.engine.seat(), studio.engine.seat());
+        let busy = studio.keep_busy("cloud");
+        let mine = seat.ask(orbit("solid", 0, 64)).unwrap();
+        let shared =
+            [studio.submit(&orbit("solid", 0, 64)), other.ask(orbit("solid", 0, 64)).unwrap()];
+        let replaced = seat.replace(orbit("solid", 1, 64)).unwrap();
+        let was_replaced = replaced.is_some();
+        drop(mine);
+        assert!(replaced.is_none_or(|ticket| ticket.wait().is_ok()));
+        assert!(shared.into_iter().all(|ticket| ticket.wait().is_ok()));
+        assert!(busy.into_iter().all(|ticket| ticket.wait().is_ok()));
+        assert_eq!(studio.engine.stats().overtaken, 0, "somebody wanted it");
+        if was_replaced {
+            return;
+        }
+    }
+    panic!("nothing was ever replaced");
+}

@@ -18,6 +18,7 @@ fn answers_are_documented() {
     let json = "application/json";
     let frame = "/v1/scenes/{id}/frame";
     let frames = "/v1/scenes/{id}/frames";
+    let stream = "/v1/scenes/{id}/stream";
     let node = "/v1/scenes/{id}/nodes/{node}";
     for (method, route, path, content_type, body) in [
         ("GET", "/", "/", "", ""),
@@ -35,6 +36,9 @@ fn answers_are_documented() {
         ("GET", frame, "/v1/scenes/grid/frame?w=8&h=8&output=depth&format=pfm", "", ""),
         ("GET", frame, "/v1/scenes/grid/frame?x=8", "", ""),
         ("GET", frame, "/v1/scenes/none/frame", "", ""),
+        ("GET", stream, "/v1/scenes/grid/stream", "", ""),
+        ("GET", stream, "/v1/scenes/grid/stream?deadline_ms=5", "", ""),
+        ("GET", stream, "/v1/scenes/none/stream", "", ""),
         ("POST", frames, "/v1/scenes/grid/frames", json, "{\"poses\":[{}],\"w\":8,\"h\":8}"),
         ("POST", frames, "/v1/scenes/grid/frames", "text/plain", "{}"),
         ("POST", frames, "/v1/scenes/grid/frames", json, "{}"),

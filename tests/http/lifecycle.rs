@@ -132,7 +132,7 @@ fn overriding(folder: &std::path::Path, args: &[&str]) -> String {
 #[test]
 fn a_server_that_can_never_draw_again_says_so() {
     use pointillist::engine::{Engine, EngineConfig, Readiness};
-    use pointillist::http::{App, Phase, Settings, access::Access, router};
+    use pointillist::http::{App, Phase, Settings, StreamLimits, access::Access, router};
     use std::time::Duration;
     use tower::ServiceExt;
 
@@ -147,6 +147,7 @@ fn a_server_that_can_never_draw_again_says_so() {
         frame_timeout: Duration::from_secs(10),
         read_timeout: Duration::from_secs(10),
         drain: Duration::from_secs(1),
+        streams: StreamLimits { most: 4, most_per_client: 4, idle: Duration::from_secs(10) },
     };
     let app = App::new(engine.clone(), settings);
     app.set_phase(Phase::Serving);

@@ -13,4 +13,5 @@ mod errors;
 mod frames;
 mod lifecycle;
 mod load;
+mod stream;
 mod uploads;

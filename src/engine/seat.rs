@@ -1,0 +1,61 @@
+//! A place in the queue for one who wants the newest frame only: its request can be exchanged until the render thread takes it.
+//!
+//! ```text
+//! ask ──▶ waits ──taken──▶ is drawn ──▶ reply
+//!           │ replace: the newer one has the old one's turn, the old one is answered `Overtaken`
+//! ```
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Weak};
+
+use super::job::Job;
+use super::queue::Client;
+use super::resolve::resolve;
+use super::{Engine, EngineError, FrameRequest, FrameTicket};
+
+/// One client's place, which takes turns with all other clients.
+pub struct Seat {
+    engine: Engine,
+    client: Client,
+    /// What was asked for last. Weak, so that an idle seat does not hold a scene that is gone.
+    last: Weak<Job>,
+}
+
+impl Seat {
+    pub(super) fn new(engine: &Engine) -> Self {
+        static NEXT: AtomicU64 = AtomicU64::new(0);
+        let client = Client::Stream(NEXT.fetch_add(1, Ordering::Relaxed));
+        Self { engine: engine.clone(), client, last: Weak::new() }
+    }
+
+    /// Queues a request behind what this seat has asked for already.
+    ///
+    /// # Errors
+    /// As [`Engine::submit`].
+    pub fn ask(&mut self, request: FrameRequest) -> Result<FrameTicket, EngineError> {
+        let shared = self.engine.shared();
+        let resolved = resolve(shared, &request)?;
+        let (job, receiver) = shared.enqueue(self.client, resolved, request)?;
+        self.last = Arc::downgrade(&job);
+        Ok(FrameTicket { receiver })
+    }
+
+    /// Puts a request in the place of the last one, whose ticket is then worth nothing more; `None` when that one is being
+    /// drawn already, or shares a frame that somebody else asked for first.
+    ///
+    /// # Errors
+    /// Whatever is wrong with the request; the last one waits on then.
+    pub fn replace(&mut self, request: FrameRequest) -> Result<Option<FrameTicket>, EngineError> {
+        let Some(last) = self.last.upgrade() else { return Ok(None) };
+        let shared = self.engine.shared();
+        if !shared.is_waiting(self.client, &last) {
+            return Ok(None);
+        }
+        let resolved = resolve(shared, &request)?;
+        let Some((job, receiver)) = shared.replace(self.client, &last, resolved, request)? else {
+            return Ok(None);
+        };
+        self.last = Arc::downgrade(&job);
+        Ok(Some(FrameTicket { receiver }))
+    }
+}

@@ -1,0 +1,174 @@
+//! Which pose is to be drawn next, and how well. Pure: it is told the time.
+//!
+//! ```text
+//! set ──▶ new ──▶ moving frame asked for ──REST, nothing newer──▶ still frame asked for
+//!          └─── moving: false, or nothing newer for REST ────────────▲
+//! again (the scene changed): back to new
+//! ```
+
+use std::time::{Duration, Instant};
+
+use super::wire::Quality;
+
+/// A pose that nothing followed for so long is at rest.
+pub const REST: Duration = Duration::from_millis(200);
+
+/// The newest pose, and what became of it. `P` is whatever describes it.
+#[derive(Debug)]
+pub struct Course<P> {
+    aim: Option<Aim<P>>,
+    /// Poses that a newer one followed before a frame of them was begun.
+    overtaken: u64,
+}
+
+#[derive(Debug)]
+struct Aim<P> {
+    seq: u64,
+    pose: P,
+    arrived: Instant,
+    may_move: bool,
+    /// The best frame asked for.
+    asked: Option<Quality>,
+}
+
+impl<P> Course<P> {
+    pub fn new() -> Self {
+        Self { aim: None, overtaken: 0 }
+    }
+
+    /// Takes a newer pose; the last is overtaken if it was not asked for.
+    pub fn set(&mut self, seq: u64, pose: P, moving: Option<bool>, now: Instant) {
+        if self.aim.as_ref().is_some_and(|aim| aim.asked.is_none()) {
+            self.overtaken += 1;
+        }
+        let may_move = moving != Some(false);
+        self.aim = Some(Aim { seq, pose, arrived: now, may_move, asked: None });
+    }
+
+    /// What is to be asked for now: which pose, and how well.
+    pub fn wanted(&self, now: Instant) -> Option<(u64, &P, Quality)> {
+        let aim = self.aim.as_ref()?;
+        let may_move = aim.may_move && now < aim.arrived + REST;
+        let quality = match (aim.asked, may_move) {
+            (None, true) => Quality::Moving,
+            (None | Some(Quality::Moving), false) => Quality::Still,
+            _ => return None,
+        };
+        Some((aim.seq, &aim.pose, quality))
+    }
+
+    /// When something will be wanted though nothing comes.
+    pub fn wake_at(&self, now: Instant) -> Option<Instant> {
+        let aim = self.aim.as_ref()?;
+        let rests = aim.arrived + REST;
+        (aim.may_move && aim.asked != Some(Quality::Still) && rests > now).then_some(rests)
+    }
+
+    /// What was wanted has been asked for. Nothing better will be, if it is `Still`.
+    pub fn asked(&mut self, quality: Quality) {
+        if let Some(aim) = &mut self.aim {
+            aim.asked = Some(quality);
+        }
+    }
+
+    /// A frame of pose `seq` that had been asked for will not come, because a newer request took its place.
+    pub fn replaced(&mut self, seq: u64) {
+        if self.aim.as_ref().is_none_or(|aim| aim.seq != seq) {
+            self.overtaken += 1;
+        }
+    }
+
+    /// The pose is to be drawn once more.
+    pub fn again(&mut self) {
+        if let Some(aim) = &mut self.aim {
+            aim.asked = None;
+        }
+    }
+
+    /// The pose cannot be drawn.
+    pub fn give_up(&mut self) {
+        self.aim = None;
+    }
+
+    pub fn overtaken(&self) -> u64 {
+        self.overtaken
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use proptest::test_runner::RngSeed;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    #[test]
+    fn moving_then_still() {
+        let start = Instant::now();
+        let mut course = Course::new();
+        assert!(course.wanted(start).is_none());
+        course.set(1, 'a', None, start);
+        assert_eq!(course.wanted(start), Some((1, &'a', Quality::Moving)));
+        course.asked(Quality::Moving);
+        assert!(course.wanted(start + 10 * MS).is_none());
+        assert_eq!(course.wake_at(start + 10 * MS), Some(start + REST));
+        assert_eq!(course.wanted(start + REST), Some((1, &'a', Quality::Still)));
+        course.asked(Quality::Still);
+        assert!(course.wanted(start + 9 * REST).is_none());
+        assert!(course.wake_at(start + 9 * REST).is_none());
+        course.again();
+        assert_eq!(course.wanted(start + 9 * REST), Some((1, &'a', Quality::Still)));
+    }
+
+    #[test]
+    fn what_is_said_to_rest_is_drawn_well_at_once() {
+        let start = Instant::now();
+        let mut course = Course::new();
+        course.set(1, (), Some(false), start);
+        assert_eq!(course.wanted(start).map(|wanted| wanted.2), Some(Quality::Still));
+        assert!(course.wake_at(start).is_none());
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 300, rng_seed: RngSeed::Fixed(0x51ea_0002), ..ProptestConfig::default() })]
+        /// Whatever comes and whenever frames are asked for: never an older pose than the newest, each pose at most once moving
+        /// and once still, the last one still in the end, and each is either drawn or counted as overtaken.
+        #[test]
+        fn the_newest_pose_wins(steps in prop::collection::vec((0u64..150, 0u8..6), 1..120)) {
+            let mut now = Instant::now();
+            let mut course = Course::new();
+            let mut newest = 0;
+            let mut asked: Vec<(u64, Quality)> = Vec::new();
+            for (ms, what) in steps {
+                now += Duration::from_millis(ms);
+                match what {
+                    0..3 => {
+                        newest += 1;
+                        let moving = [None, Some(true), Some(false)][usize::from(what)];
+                        course.set(newest, (), moving, now);
+                    }
+                    _ => if let Some((seq, (), quality)) = course.wanted(now) {
+                        prop_assert_eq!(seq, newest);
+                        prop_assert!(!asked.contains(&(seq, quality)));
+                        asked.push((seq, quality));
+                        course.asked(quality);
+                    }
+                }
+            }
+            while course.wanted(now).is_some() || course.wake_at(now).is_some() {
+                if let Some((seq, (), quality)) = course.wanted(now) {
+                    asked.push((seq, quality));
+                    course.asked(quality);
+                }
+                now = course.wake_at(now).unwrap_or(now);
+            }
+            let mut drawn: Vec<u64> = asked.iter().map(|asked| asked.0).collect();
+            drawn.dedup();
+            prop_assert_eq!(drawn.len() as u64 + course.overtaken(), newest);
+            if newest > 0 {
+                prop_assert_eq!(asked.last(), Some(&(newest, Quality::Still)));
+            }
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! `GET /v1/scenes/{id}/stream`: a WebSocket on which poses come in and frames go out.
+//!
+//! ```text
+//! reader ─▶ session ──▶ course (which pose, how well; pure)
+//!             │   └───▶ pacing (how many, how large; pure)
+//!             ├─ ask, replace ─▶ the engine's seat ─▶ frames
+//!             └─▶ outbox ─▶ writer
+//! ```
+//!
+//! The newest pose wins: a stream has one frame being drawn and one waiting at most, and a newer pose takes the place of the one
+//! that waits, with its turn. Acknowledgements open the window ([`pacing`]); without them there are no more frames.
+
+mod course;
+mod outbox;
+mod pacing;
+mod places;
+mod session;
+mod wire;
+
+use std::sync::Arc;
+
+use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
+use axum::extract::{Extension, State};
+use axum::http::Uri;
+use axum::response::Response;
+
+pub use places::{StreamLimits, Streams};
+pub use wire::{Close, FrameHeader, MAX_MESSAGE_BYTES, PoseFields};
+
+use super::frame::missing;
+use super::params::FrameParams;
+use super::problem::{Kind, Problem};
+use super::{App, Caller, Segments};
+use places::Place;
+use session::Session;
+
+/// The subprotocol that is chosen when a client offers it.
+const PROTOCOL: &str = "pointillist";
+
+/// Poses in, frames out, over a WebSocket.
+///
+/// **The client sends** JSON text. A pose is `{"seq": 7, …}` with any parameter of a frame but `deadline_ms`, named and written as in
+/// `POST …/frames` (schema `StreamPose`); what it leaves out stays as the last pose had it. `{"ack": n}` acknowledges frame `n` and all
+/// before it, once it has been decoded: without acknowledgements at most eight frames come, and at the start two. `{"ping": x}` is answered with
+/// `{"event": "pong", "ping": x}`. Parameters in the address are the first pose, with `seq` 0, so that a client that comes back is
+/// sent a frame at once.
+///
+/// **The server sends** frames as one binary message each: a little-endian u32, the length of the header; the header, JSON (schema
+/// `StreamFrame`); the image. Frames come in the order of their poses; a pose that a newer one has overtaken is not drawn.
+/// While the pose moves (`"moving": true`, or left out and the last pose less than 200 ms ago) frames are smaller and colours are JPEG where a
+/// format that a browser shows was asked for, so that they come 30 times a second by what engine and link were measured to do: the header says
+/// `"quality": "moving"`, and how small. When it rests, or `"moving": false` says so, one frame comes as it was asked for,
+/// `"quality": "still"`; without `format` colours are JPEG.
+///
+/// Text messages of the server are `{"event": "scene", "scene": …, "revision": r}`, first and whenever the scene changed, after which the
+/// pose is drawn again unasked; `{"event": "deleted", …}`; `{"event": "pong", …}`; and `{"event": "problem", …}`, a `Problem` with the `seq` of the
+/// pose, if it is about one. After a problem the stream goes on, with the settings as they were.
+///
+/// **It closes** with 1001 (the server stops), 1003 (a binary message), 1009 (a message over `max_stream_message_bytes`), 1011 (nothing can be
+/// drawn any more), 4404 (the scene was deleted), 4408 (nothing received for `stream_idle_ms`) or 4429 (too many streams).
+///
+/// Pages cannot set headers on a WebSocket: their key may come as a subprotocol, `new WebSocket(url, ["pointillist",
+/// "pointillist.key.KEY"])`. Without keys, pages of other origins than the server's and those of `--cors-origin` are refused.
+#[utoipa::path(
+    get,
+    path = "/v1/scenes/{id}/stream",
+    tag = "frames",
+    params(("id" = String, Path, description = "A scene that `GET /v1/scenes` lists"), FrameParams),
+    responses((status = 101, description = "A WebSocket from here on")),
+)]
+pub async fn stream(
+    State(app): State<Arc<App>>,
+    Extension(Caller(client)): Extension<Caller>,
+    Segments(id): Segments<String>,
+    uri: Uri,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+) -> Result<Response, Problem> {
+    let first = uri.query().filter(|query| !query.is_empty());
+    let first = first.map(|query| FrameParams::from_query(Some(query))).transpose()?;
+    if first.as_ref().is_some_and(|first| first.deadline_ms.is_some()) {
+        return Err(Problem::new(Kind::Unavailable, "deadline_ms: a stream draws the newest pose")
+            .at("deadline_ms")
+            .accepted("leave it out"));
+    }
+    app.engine.scene(&id).map_err(|error| missing(&app, &id, error.into()))?;
+    let upgrade = upgrade.map_err(|rejection| {
+        Problem::new(Kind::UpgradeRequired, rejection.body_text())
+            .at("Upgrade")
+            .accepted("a WebSocket handshake over HTTP/1.1, version 13")
+    })?;
+    // A message over the limit is to be answered with a close code, which one over the socket's own limit is not.
+    let upgrade = upgrade.protocols([PROTOCOL]).max_message_size(4 * MAX_MESSAGE_BYTES);
+    Ok(upgrade.on_upgrade(move |socket| async move {
+        match Place::take(&app, client) {
+            Some(place) => Session::start(app, id, socket).run(first, place).await,
+            None => outbox::refuse(socket, Close::TooMany).await,
+        }
+    }))
+}

@@ -1,0 +1,115 @@
+//! What waits to be written, and the task that writes it, so that a session reads on while a large frame is under way.
+//!
+//! It is bounded: a session asks for frames only while few are unwritten ([`Outbox::has_room_for_frames`]), and reads only while
+//! there is room for what it may have to say about it ([`Outbox::may_read`]).
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use axum::extract::ws::{Message, WebSocket};
+use futures::stream::{SplitSink, SplitStream};
+use futures::{SinkExt, StreamExt};
+use tokio::sync::mpsc;
+use tokio::task::JoinHandle;
+
+use super::wire::Close;
+
+/// Messages that wait, of which this many places are kept for what has to be said whatever was read.
+const PLACES: usize = 32;
+const KEPT: usize = 16;
+/// Frames that are finished and not written: one that is being written and one behind it.
+const MOST_FRAMES: usize = 2;
+/// How long a client has to answer a close.
+const CLOSING: Duration = Duration::from_secs(2);
+
+pub struct Outbox {
+    sender: mpsc::Sender<Message>,
+    unwritten_frames: Arc<AtomicUsize>,
+    writer: JoinHandle<()>,
+}
+
+impl Outbox {
+    pub fn start(sink: SplitSink<WebSocket, Message>) -> Self {
+        let (sender, receiver) = mpsc::channel(PLACES);
+        let unwritten_frames = Arc::new(AtomicUsize::new(0));
+        let writer = tokio::spawn(write(sink, receiver, unwritten_frames.clone()));
+        Self { sender, unwritten_frames, writer }
+    }
+
+    /// Whether `asked` more frames will find room.
+    pub fn has_room_for_frames(&self, asked: usize) -> bool {
+        self.unwritten_frames.load(Ordering::Relaxed) + asked <= MOST_FRAMES
+    }
+
+    pub fn may_read(&self) -> bool {
+        self.sender.capacity() >= KEPT
+    }
+
+    /// Waits until [`Outbox::may_read`].
+    pub async fn room(&self) {
+        // A writer that ended is seen by `ended`.
+        let _ = self.sender.reserve_many(KEPT).await;
+    }
+
+    /// Hands a message to the writer. False when it cannot be: the stream is over.
+    pub fn push(&self, message: Message) -> bool {
+        if matches!(message, Message::Binary(_)) {
+            self.unwritten_frames.fetch_add(1, Ordering::Relaxed);
+        }
+        self.sender.try_send(message).is_ok()
+    }
+
+    /// Waits until nothing can be written any more.
+    pub async fn ended(&self) {
+        self.sender.closed().await;
+    }
+
+    /// Writes what waits and then the close, and waits for the client's; neither for long.
+    pub async fn close(self, close: Close, source: SplitStream<WebSocket>) {
+        let Outbox { sender, mut writer, .. } = self;
+        let closing = async {
+            if sender.send(close.message()).await.is_ok() {
+                drop(sender);
+                let _ = (&mut writer).await;
+            }
+            drained(source).await;
+        };
+        let _ = tokio::time::timeout(CLOSING, closing).await;
+        writer.abort();
+    }
+
+    /// The client has closed: what is left of the handshake, and no more frames.
+    pub async fn closed(self, source: SplitStream<WebSocket>) {
+        self.writer.abort();
+        let _ = tokio::time::timeout(CLOSING, drained(source)).await;
+    }
+}
+
+/// Reads to the end: reading is also what sends the answer to a close.
+async fn drained(mut source: SplitStream<WebSocket>) {
+    while let Some(Ok(_)) = source.next().await {}
+}
+
+async fn write(
+    mut sink: SplitSink<WebSocket, Message>,
+    mut receiver: mpsc::Receiver<Message>,
+    unwritten_frames: Arc<AtomicUsize>,
+) {
+    while let Some(message) = receiver.recv().await {
+        let is_frame = matches!(message, Message::Binary(_));
+        let is_last = matches!(message, Message::Close(_));
+        if sink.send(message).await.is_err() || is_last {
+            return;
+        }
+        if is_frame {
+            unwritten_frames.fetch_sub(1, Ordering::Relaxed);
+        }
+    }
+}
+
+/// Closes a socket before anything was said on it.
+pub async fn refuse(socket: WebSocket, close: Close) {
+    let (sink, source) = socket.split();
+    Outbox::start(sink).close(close, source).await;
+}

@@ -1,0 +1,207 @@
+//! How many frames may be on their way, and how good they are while the pose moves. Pure: it is told the time.
+//!
+//! Two stages lie between a pose and its picture: the engine draws and encodes, the link carries and the client decodes, then
+//! acknowledges. For each the time of a frame in it is measured as what it adds to the frame before, and at most what it takes by
+//! itself:
+//!
+//! ```text
+//! engine   from when it was asked for, or the frame before was finished, whichever is later
+//! link     the lesser of: since the acknowledgement before; from sending to acknowledgement, less the least that ever took
+//! ```
+//!
+//! The slower stage decides the size of moving frames, by pixels that would meet [`TARGET`]; a slow link lowers the quality of JPEGs
+//! first. The window is what fills the link at that pace and no more, so that a pose never waits behind pictures that are under
+//! way; a client that does not acknowledge gets a window's worth of frames and no more. It is in frames, and in bytes of what the
+//! link was measured to carry in [`AHEAD`].
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+/// The pace that moving frames are made for.
+pub const TARGET: Duration = Duration::from_millis(33);
+/// Frames on their way, at least and at most.
+pub const MIN_WINDOW: usize = 2;
+pub const MAX_WINDOW: usize = 8;
+/// What is on its way takes the link this long at most, if it is more than one frame.
+const AHEAD: Duration = Duration::from_millis(500);
+/// Before the link was measured.
+const FIRST_BYTES: u64 = 4 << 20;
+const LEAST_BYTES: u64 = 64 << 10;
+/// Least share of the pixels asked for; below it a picture is of no use.
+const LEAST_PIXELS: f64 = 1.0 / 16.0;
+const BEST_JPEG: f64 = 80.0;
+const WORST_JPEG: f64 = 40.0;
+/// The least time on the link is that of the last one to two of these: paths change.
+const BASE_PERIOD: Duration = Duration::from_secs(10);
+
+/// A frame that has not been acknowledged.
+#[derive(Clone, Copy, Debug)]
+struct Sent {
+    number: u64,
+    bytes: u64,
+    at: Instant,
+    /// Of the pixels asked for, if it is a moving frame.
+    share: Option<f64>,
+}
+
+#[derive(Debug)]
+pub struct Pacer {
+    unacked: VecDeque<Sent>,
+    last_sent: u64,
+    last_drawn_at: Option<Instant>,
+    last_acked_at: Option<Instant>,
+    base: Base,
+    /// What a moving frame takes of the link, averaged.
+    link: Option<Duration>,
+    /// What the last frame took of it.
+    last_took: Option<Duration>,
+    bytes_per_second: Option<f64>,
+    /// Share of the pixels that each stage allows.
+    drawn_pixels: f64,
+    link_pixels: f64,
+    jpeg_quality: f64,
+}
+
+impl Pacer {
+    pub fn new() -> Self {
+        Self {
+            unacked: VecDeque::new(),
+            last_sent: 0,
+            last_drawn_at: None,
+            last_acked_at: None,
+            base: Base::default(),
+            link: None,
+            last_took: None,
+            bytes_per_second: None,
+            // Carefully at first: the first frame is to be there at once.
+            drawn_pixels: 0.25,
+            link_pixels: 0.25,
+            jpeg_quality: 70.0,
+        }
+    }
+
+    /// Whether one more frame may be asked for while `asked` are and have not come.
+    pub fn may_ask(&self, asked: usize) -> bool {
+        let on_the_way = self.unacked.len() + asked;
+        let bytes: u64 = self.unacked.iter().map(|sent| sent.bytes).sum();
+        on_the_way == 0 || (on_the_way < self.window() && bytes <= self.window_bytes())
+    }
+
+    /// Frames that may be asked for or on their way.
+    pub fn window(&self) -> usize {
+        let pace = self.link.unwrap_or(TARGET).max(TARGET);
+        let fill = self.base.least().unwrap_or_default().as_secs_f64() / pace.as_secs_f64();
+        // Where the link is quick, one more waits at the engine while another is drawn, and a third is being acknowledged.
+        let is_quick = self.last_took.is_some_and(|took| took < TARGET / 2);
+        (MIN_WINDOW + usize::from(is_quick) + fill as usize).min(MAX_WINDOW)
+    }
+
+    fn window_bytes(&self) -> u64 {
+        match self.bytes_per_second {
+            Some(rate) => ((rate * AHEAD.as_secs_f64()) as u64).max(LEAST_BYTES),
+            None => FIRST_BYTES,
+        }
+    }
+
+    /// What width and height of a moving frame are multiplied with.
+    pub fn scale(&self) -> f64 {
+        self.drawn_pixels.min(self.link_pixels).sqrt()
+    }
+
+    /// Of a moving frame.
+    pub fn jpeg_quality(&self) -> u8 {
+        self.jpeg_quality.round() as u8
+    }
+
+    /// A frame came from the engine; a moving one had `share` of the pixels asked for.
+    pub fn drawn(&mut self, asked: Instant, done: Instant, share: Option<f64>) {
+        let began = self.last_drawn_at.map_or(asked, |last| last.max(asked));
+        self.last_drawn_at = Some(done);
+        if let Some(share) = share {
+            let took = done.saturating_duration_since(began);
+            self.drawn_pixels = toward(self.drawn_pixels, share, took);
+        }
+    }
+
+    /// A frame was handed to the socket; numbers go up.
+    pub fn sent(&mut self, number: u64, bytes: u64, now: Instant, share: Option<f64>) {
+        self.last_sent = number;
+        self.unacked.push_back(Sent { number, bytes, at: now, share });
+    }
+
+    /// The client has frame `number` and all before it.
+    ///
+    /// # Errors
+    /// The last number there was, when `number` is beyond it.
+    pub fn acked(&mut self, number: u64, now: Instant) -> Result<(), u64> {
+        if number > self.last_sent {
+            return Err(self.last_sent);
+        }
+        while let Some(sent) = self.unacked.front().copied().filter(|sent| sent.number <= number) {
+            self.unacked.pop_front();
+            // What is acknowledged along with a later frame came at a time that is not known.
+            if sent.number == number {
+                self.arrived(sent, now);
+            }
+        }
+        Ok(())
+    }
+
+    fn arrived(&mut self, sent: Sent, now: Instant) {
+        let took = now.saturating_duration_since(sent.at);
+        self.base.add(took, now);
+        let own = took.saturating_sub(self.base.least().unwrap_or(took));
+        let since = self.last_acked_at.map(|last| now.saturating_duration_since(last));
+        self.last_acked_at = Some(now);
+        let took = since.map_or(own, |since| since.min(own));
+        self.last_took = Some(took);
+        if sent.bytes >= LEAST_BYTES / 4 {
+            let rate = sent.bytes as f64 / took.max(Duration::from_millis(1)).as_secs_f64();
+            self.bytes_per_second =
+                Some(self.bytes_per_second.map_or(rate, |old| 0.7 * old + 0.3 * rate));
+        }
+        let Some(share) = sent.share else { return };
+        self.link = Some(self.link.map_or(took, |old| old.mul_f64(0.7) + took.mul_f64(0.3)));
+        if took > TARGET && self.jpeg_quality > WORST_JPEG {
+            self.jpeg_quality = (self.jpeg_quality - 10.0).max(WORST_JPEG);
+            return;
+        }
+        if took < TARGET / 2 {
+            self.jpeg_quality = (self.jpeg_quality + 2.0).min(BEST_JPEG);
+        }
+        self.link_pixels = toward(self.link_pixels, share, took);
+    }
+}
+
+/// Moves a share of pixels toward what would take [`TARGET`], if `pixels` took `took`. Growth goes by small steps, because what
+/// there is no frame of is guessed.
+fn toward(share: f64, pixels: f64, took: Duration) -> f64 {
+    let ratio = TARGET.as_secs_f64() / took.as_secs_f64().max(1e-4);
+    let aim = (pixels * ratio.clamp(0.25, 1.5)).clamp(LEAST_PIXELS, 1.0);
+    (share.powf(0.6) * aim.powf(0.4)).clamp(LEAST_PIXELS, 1.0)
+}
+
+/// The least time from sending to acknowledgement: what distance alone takes.
+#[derive(Debug, Default)]
+struct Base {
+    since: Option<Instant>,
+    now: Option<Duration>,
+    before: Option<Duration>,
+}
+
+impl Base {
+    fn add(&mut self, took: Duration, at: Instant) {
+        if self.since.is_none_or(|since| at.saturating_duration_since(since) > BASE_PERIOD) {
+            self.since = Some(at);
+            self.before = self.now.take();
+        }
+        self.now = Some(self.now.map_or(took, |least| least.min(took)));
+    }
+
+    fn least(&self) -> Option<Duration> {
+        [self.now, self.before].into_iter().flatten().min()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,211 @@
+use super::*;
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+
+fn ms(ms: f64) -> Duration {
+    Duration::from_secs_f64(ms / 1000.0)
+}
+
+/// An engine, a link and a decoder with times of their own, and a pose that always moves.
+struct Bench {
+    /// Of a frame of all pixels.
+    draw_ms: f64,
+    /// There and back.
+    distance_ms: f64,
+    bytes_per_ms: f64,
+    decode_ms: f64,
+    full_bytes: f64,
+}
+
+/// What came of it in the last second: frames, and the longest from asking to acknowledgement.
+struct Seen {
+    frames: usize,
+    scale: f64,
+    jpeg_quality: u8,
+    oldest_ms: f64,
+    most_on_the_way: usize,
+}
+
+impl Bench {
+    /// Asks for a frame whenever it may, for `seconds`, in steps of a millisecond.
+    fn run(&self, seconds: usize) -> Seen {
+        let start = Instant::now();
+        let mut pacer = Pacer::new();
+        let (mut draws, mut flights) = (VecDeque::new(), VecDeque::new());
+        let (mut engine_free, mut link_free, mut decoder_free) = (0.0f64, 0.0f64, 0.0f64);
+        let mut number = 0;
+        let mut seen =
+            Seen { frames: 0, scale: 0.0, jpeg_quality: 0, oldest_ms: 0.0, most_on_the_way: 0 };
+        for step in 0..seconds * 1000 {
+            let now_ms = step as f64;
+            let now = start + ms(now_ms);
+            let is_last = step >= (seconds - 1) * 1000;
+            while let Some(&(done, asked, share)) =
+                draws.front().filter(|draw: &&(f64, f64, f64)| draw.0 <= now_ms)
+            {
+                draws.pop_front();
+                pacer.drawn(start + ms(asked), start + ms(done), Some(share));
+                number += 1;
+                let bytes: f64 = self.full_bytes * share * f64::from(pacer.jpeg_quality()) / 80.0;
+                pacer.sent(number, bytes as u64, now, Some(share));
+                link_free = link_free.max(now_ms) + bytes / self.bytes_per_ms;
+                decoder_free =
+                    decoder_free.max(link_free + self.distance_ms / 2.0) + self.decode_ms * share;
+                flights.push_back((decoder_free + self.distance_ms / 2.0, number, asked));
+            }
+            while let Some(&(at, acked, asked)) =
+                flights.front().filter(|flight: &&(f64, u64, f64)| flight.0 <= now_ms)
+            {
+                flights.pop_front();
+                pacer.acked(acked, now).unwrap();
+                if is_last {
+                    seen.frames += 1;
+                    seen.oldest_ms = seen.oldest_ms.max(at - asked);
+                }
+            }
+            if draws.len() < 2 && pacer.may_ask(draws.len()) {
+                let share = pacer.scale().powi(2);
+                engine_free = engine_free.max(now_ms) + self.draw_ms * share;
+                draws.push_back((engine_free, now_ms, share));
+            }
+            seen.most_on_the_way = seen.most_on_the_way.max(draws.len() + flights.len());
+        }
+        seen.scale = pacer.scale();
+        seen.jpeg_quality = pacer.jpeg_quality();
+        seen
+    }
+}
+
+#[test]
+fn a_fast_engine_on_a_fast_link_draws_at_full_size() {
+    let bench = Bench {
+        draw_ms: 5.0,
+        distance_ms: 2.0,
+        bytes_per_ms: 1e5,
+        decode_ms: 2.0,
+        full_bytes: 2e5,
+    };
+    let seen = bench.run(4);
+    assert!(seen.scale > 0.95 && seen.jpeg_quality >= 78, "{} {}", seen.scale, seen.jpeg_quality);
+    assert!(seen.frames >= 30, "{}", seen.frames);
+}
+
+#[test]
+fn a_slow_engine_draws_smaller_frames() {
+    let bench = Bench {
+        draw_ms: 200.0,
+        distance_ms: 2.0,
+        bytes_per_ms: 1e5,
+        decode_ms: 2.0,
+        full_bytes: 2e5,
+    };
+    let seen = bench.run(6);
+    assert!((0.3..0.5).contains(&seen.scale), "{}", seen.scale);
+    assert!((22..45).contains(&seen.frames), "{}", seen.frames);
+    assert!(seen.oldest_ms < 150.0, "{}", seen.oldest_ms);
+}
+
+#[test]
+fn a_slow_link_gets_less_and_no_queue() {
+    // A megabyte a second for frames of 400 KB.
+    let bench = Bench {
+        draw_ms: 5.0,
+        distance_ms: 40.0,
+        bytes_per_ms: 1e3,
+        decode_ms: 2.0,
+        full_bytes: 4e5,
+    };
+    let seen = bench.run(8);
+    assert!(seen.jpeg_quality <= 60 && seen.scale < 0.6, "{} {}", seen.jpeg_quality, seen.scale);
+    assert!(seen.frames >= 15, "{}", seen.frames);
+    assert!(seen.oldest_ms < 300.0, "{}", seen.oldest_ms);
+}
+
+#[test]
+fn a_slow_decoder_counts_as_a_slow_link() {
+    let bench = Bench {
+        draw_ms: 5.0,
+        distance_ms: 2.0,
+        bytes_per_ms: 1e5,
+        decode_ms: 150.0,
+        full_bytes: 2e5,
+    };
+    let seen = bench.run(8);
+    assert!(seen.scale < 0.7 && seen.frames >= 15, "{} {}", seen.scale, seen.frames);
+    assert!(seen.oldest_ms < 300.0, "{}", seen.oldest_ms);
+}
+
+#[test]
+fn a_long_link_is_kept_full() {
+    let bench = Bench {
+        draw_ms: 5.0,
+        distance_ms: 150.0,
+        bytes_per_ms: 1e5,
+        decode_ms: 2.0,
+        full_bytes: 2e5,
+    };
+    let seen = bench.run(6);
+    assert!(seen.scale > 0.9, "distance is not slowness: {}", seen.scale);
+    assert!(seen.frames >= 25, "{}", seen.frames);
+}
+
+#[test]
+fn acknowledgements_are_cumulative_and_checked() {
+    let now = Instant::now();
+    let mut pacer = Pacer::new();
+    for number in 1..=2 {
+        pacer.sent(number, 1000, now, Some(0.25));
+    }
+    assert!(!pacer.may_ask(0));
+    assert_eq!(pacer.acked(3, now), Err(2));
+    assert_eq!(pacer.acked(2, now + ms(5.0)), Ok(()));
+    assert_eq!((pacer.unacked.len(), pacer.may_ask(1)), (0, true));
+    assert_eq!(pacer.acked(1, now + ms(6.0)), Ok(()), "again, which changes nothing");
+}
+
+#[test]
+fn a_large_still_is_waited_for() {
+    let now = Instant::now();
+    let mut pacer = Pacer::new();
+    pacer.sent(1, FIRST_BYTES + 1, now, None);
+    assert!(!pacer.may_ask(0), "a moving frame would stand behind it");
+    pacer.acked(1, now + ms(900.0)).unwrap();
+    assert!(pacer.may_ask(0));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 400, rng_seed: RngSeed::Fixed(0x51ea_0003), ..ProptestConfig::default() })]
+    /// Whatever is drawn, sent and acknowledged whenever: the window bounds what is on the way, numbers stay in their ranges, and
+    /// once all is acknowledged a frame may be asked for.
+    #[test]
+    fn bounds_hold(steps in prop::collection::vec((0u64..400, 0u8..4, 0u64..5_000_000), 1..150)) {
+        let mut now = Instant::now();
+        let mut pacer = Pacer::new();
+        let (mut sent, mut acked) = (0, 0);
+        for (passed_ms, what, bytes) in steps {
+            let before = now;
+            now += Duration::from_millis(passed_ms);
+            match what {
+                0 if acked < sent => {
+                    acked += 1 + bytes % (sent - acked);
+                    prop_assert!(pacer.acked(acked, now).is_ok());
+                }
+                1 => prop_assert!(pacer.acked(sent + 1 + bytes, now).is_err()),
+                _ if pacer.may_ask(0) => {
+                    sent += 1;
+                    let share = (what == 2).then(|| pacer.scale().powi(2));
+                    pacer.drawn(before, now, share);
+                    pacer.sent(sent, bytes, now, share);
+                }
+                _ => prop_assert!(!pacer.unacked.is_empty()),
+            }
+            prop_assert_eq!(pacer.unacked.len() as u64, sent - acked);
+            prop_assert!(pacer.unacked.len() <= MAX_WINDOW);
+            prop_assert!((MIN_WINDOW..=MAX_WINDOW).contains(&pacer.window()));
+            prop_assert!((0.25..=1.0).contains(&pacer.scale()));
+            prop_assert!((40..=80).contains(&pacer.jpeg_quality()));
+        }
+        prop_assert!(pacer.acked(sent, now).is_ok());
+        prop_assert!(pacer.may_ask(0) && !pacer.may_ask(MAX_WINDOW));
+    }
+}

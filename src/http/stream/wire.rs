@@ -1,0 +1,305 @@
+//! What goes over the socket, and with which codes it is closed.
+//!
+//! ```text
+//! client ─▶ server   text     {"seq": 7, "eye": [0, 1, 9], "target": [0, 0, 0], "moving": true}
+//!                             {"ack": 12}      {"ping": 1}
+//! server ─▶ client   binary   u32 little-endian: bytes of the header │ header, JSON │ image
+//!                    text     {"event": "scene", …}  {"event": "deleted", …}  {"event": "pong", …}
+//!                             {"event": "problem", "type": …, "parameter": …, "accepted": …}
+//! ```
+
+use axum::extract::ws::{CloseFrame, Message};
+use bytes::{BufMut, Bytes, BytesMut};
+use serde::Serialize;
+use serde_json::Value;
+use utoipa::ToSchema;
+
+use crate::encode::ImageFormat;
+use crate::engine::Receipt;
+use crate::http::params::FrameParams;
+use crate::http::problem::{Kind, Problem};
+
+/// Bytes of one message of the client.
+pub const MAX_MESSAGE_BYTES: usize = 64 << 10;
+
+/// Why the server closes a stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Close {
+    /// It drains.
+    GoingAway,
+    /// A binary message came.
+    NotText,
+    /// A message was over [`MAX_MESSAGE_BYTES`].
+    TooLarge,
+    /// It cannot draw any more.
+    Failed,
+    /// The scene was deleted.
+    Deleted,
+    /// Nothing came from the client for too long.
+    Idle,
+    /// There are as many streams as there may be.
+    TooMany,
+}
+
+impl Close {
+    #[cfg(test)]
+    pub const ALL: [Close; 7] = [
+        Close::GoingAway,
+        Close::NotText,
+        Close::TooLarge,
+        Close::Failed,
+        Close::Deleted,
+        Close::Idle,
+        Close::TooMany,
+    ];
+
+    /// Code (RFC 6455 §7.4; 4000 and above are this protocol's own) and reason.
+    pub fn facts(self) -> (u16, &'static str) {
+        match self {
+            Close::GoingAway => (1001, "the server is shutting down"),
+            Close::NotText => (1003, "messages of a client are JSON text"),
+            Close::TooLarge => (1009, "the message is too large"),
+            Close::Failed => (1011, "the server cannot draw any more"),
+            Close::Deleted => (4404, "the scene was deleted"),
+            Close::Idle => (4408, "nothing was received for too long"),
+            Close::TooMany => (4429, "too many streams"),
+        }
+    }
+
+    pub fn message(self) -> Message {
+        let (code, reason) = self.facts();
+        Message::Close(Some(CloseFrame { code, reason: reason.into() }))
+    }
+}
+
+/// A message of the client, taken apart; it may be several things at once.
+#[derive(Debug, Default)]
+pub struct Incoming {
+    /// The number of a frame; those before it are acknowledged with it.
+    pub ack: Option<u64>,
+    pub ping: Option<Value>,
+    pub pose: Option<PoseMessage>,
+}
+
+/// What to show from now on.
+#[derive(Debug)]
+pub struct PoseMessage {
+    pub seq: u64,
+    pub moving: Option<bool>,
+    pub params: FrameParams,
+}
+
+/// The fields of a pose that a frame's query does not have.
+#[derive(serde::Deserialize, ToSchema)]
+#[schema(as = StreamPose)]
+#[expect(dead_code, reason = "read as JSON; here it stands for the contract")]
+pub struct PoseFields {
+    /// The client's own number for the pose; frames that show it repeat it.
+    seq: u64,
+    /// `true`: another will follow, so a quick frame is wanted; `false`: none will, so a good one is. Where it is left out, a quick
+    /// frame comes first and a good one when nothing has followed for a moment.
+    moving: Option<bool>,
+    #[serde(flatten)]
+    parameters: FrameParams,
+}
+
+impl Incoming {
+    /// # Errors
+    /// What cannot be used, by its name.
+    pub fn read(text: &str) -> Result<Incoming, Problem> {
+        const MESSAGE: &str = "a pose with `seq`, or `ack`, or `ping`";
+        let unreadable = |why: String| {
+            Problem::new(Kind::BadBody, why).accepted(format!("a JSON object: {MESSAGE}"))
+        };
+        let value: Value =
+            serde_json::from_str(text).map_err(|error| unreadable(error.to_string()))?;
+        let Value::Object(mut fields) = value else {
+            return Err(unreadable("the message is no object".to_owned()));
+        };
+        let ack = fields.remove("ack").map(|ack| whole("ack", &ack)).transpose()?;
+        let ping = fields.remove("ping");
+        let seq = fields.remove("seq").map(|seq| whole("seq", &seq)).transpose()?;
+        let moving = match fields.remove("moving") {
+            None => None,
+            Some(Value::Bool(moving)) => Some(moving),
+            Some(_) => {
+                return Err(Problem::parameter("moving", "is no truth value", "true or false"));
+            }
+        };
+        if fields.contains_key("deadline_ms") {
+            let what = "deadline_ms: a stream draws the newest pose, and no other late";
+            return Err(Problem::new(Kind::Unavailable, what)
+                .at("deadline_ms")
+                .accepted("leave it out"));
+        }
+        let has_pose = moving.is_some() || !fields.is_empty();
+        let params = FrameParams::from_json(Value::Object(fields), "")?;
+        let pose = match seq {
+            Some(seq) => Some(PoseMessage { seq, moving, params }),
+            None if has_pose => {
+                return Err(Problem::parameter("seq", "missing", "a whole number for the pose"));
+            }
+            None if ack.is_none() && ping.is_none() => {
+                return Err(unreadable("the message is empty".to_owned()));
+            }
+            None => None,
+        };
+        Ok(Incoming { ack, ping, pose })
+    }
+}
+
+fn whole(name: &str, value: &Value) -> Result<u64, Problem> {
+    value
+        .as_u64()
+        .ok_or_else(|| Problem::parameter(name, "is no such number", "a whole number, 0 or more"))
+}
+
+/// How good a frame is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Quality {
+    /// Smaller or compressed harder than was asked for, because the pose may still change.
+    Moving,
+    /// As was asked for.
+    Still,
+}
+
+/// What stands before the image of a frame.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = StreamFrame)]
+pub struct FrameHeader<'a> {
+    /// Counts the frames of this stream from 1: what is acknowledged.
+    pub frame: u64,
+    /// Of the pose that is shown.
+    pub seq: u64,
+    /// Of the scene that is shown.
+    pub revision: u64,
+    pub quality: Quality,
+    /// Width and height as a share of what was asked for; 1 when still.
+    pub scale: f64,
+    pub format: ImageFormat,
+    /// Of a JPEG, 1 to 100.
+    pub jpeg_quality: Option<u8>,
+    pub width: u32,
+    pub height: u32,
+    pub content_type: &'a str,
+    /// Bytes of the image.
+    pub bytes: usize,
+    /// Poses of this stream so far that were not drawn because a newer one had come.
+    pub overtaken: u64,
+    pub receipt: &'a Receipt,
+}
+
+impl FrameHeader<'_> {
+    /// The binary message.
+    pub fn message(&self, image: &[u8]) -> Message {
+        // Strings and numbers only: cannot fail.
+        let header = serde_json::to_vec(self).unwrap_or_default();
+        Message::Binary(pack(&header, image))
+    }
+}
+
+fn pack(header: &[u8], image: &[u8]) -> Bytes {
+    let mut message = BytesMut::with_capacity(4 + header.len() + image.len());
+    message.put_u32_le(u32::try_from(header.len()).unwrap_or(u32::MAX));
+    message.put_slice(header);
+    message.put_slice(image);
+    message.freeze()
+}
+
+/// A text message of the server.
+#[derive(Debug, Serialize)]
+#[serde(tag = "event", rename_all = "lowercase")]
+pub enum Event<'a> {
+    /// The scene that is shown, first of all and whenever it changes.
+    Scene {
+        scene: &'a str,
+        revision: u64,
+    },
+    /// It is no more; the stream is closed.
+    Deleted {
+        scene: &'a str,
+    },
+    Pong {
+        ping: Value,
+    },
+    /// A message that was not understood, or a pose that could not be drawn.
+    Problem {
+        #[serde(skip_serializing_if = "Option::is_none")]
+        seq: Option<u64>,
+        #[serde(flatten)]
+        problem: Problem,
+    },
+}
+
+impl Event<'_> {
+    pub fn message(&self) -> Message {
+        // Strings and numbers only: cannot fail.
+        Message::text(serde_json::to_string(self).unwrap_or_default())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fault(text: &str) -> (u16, Option<String>) {
+        let problem = Incoming::read(text).unwrap_err();
+        (problem.status(), problem.parameter)
+    }
+
+    #[test]
+    fn messages_of_a_client() {
+        let pose = Incoming::read(r#"{"seq": 7, "eye": [0, 1, 2], "moving": true}"#).unwrap();
+        let pose = pose.pose.unwrap();
+        assert_eq!(
+            (pose.seq, pose.moving, pose.params.eye),
+            (7, Some(true), Some([0.0, 1.0, 2.0]))
+        );
+        let both = Incoming::read(r#"{"ack": 3, "ping": "x"}"#).unwrap();
+        assert_eq!((both.ack, both.ping, both.pose.is_none()), (Some(3), Some("x".into()), true));
+        assert!(Incoming::read(r#"{"seq": 0}"#).unwrap().pose.is_some(), "the same again");
+    }
+
+    #[test]
+    fn what_cannot_be_used_is_named() {
+        let named = |status, name: &str| (status, Some(name.to_owned()));
+        assert_eq!(fault(r#"{"eye": [0, 0, 1]}"#), named(422, "seq"));
+        assert_eq!(fault(r#"{"seq": -1}"#), named(422, "seq"));
+        assert_eq!(fault(r#"{"ack": "1"}"#), named(422, "ack"));
+        assert_eq!(fault(r#"{"seq": 1, "moving": 1}"#), named(422, "moving"));
+        assert_eq!(fault(r#"{"seq": 1, "eyes": [0, 0, 1]}"#), named(422, "eyes"));
+        assert_eq!(fault(r#"{"seq": 1, "eye": [0, 1]}"#), named(422, "eye"));
+        assert_eq!(fault(r#"{"seq": 1, "deadline_ms": 5}"#), named(422, "deadline_ms"));
+        for text in ["", "[]", "{}", "1", "{\"seq\": 1"] {
+            assert_eq!(fault(text), (422, None), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_frame_is_length_header_image() {
+        let message = pack(br#"{"a":1}"#, b"image");
+        assert_eq!(&message[..4], [7, 0, 0, 0]);
+        assert_eq!(&message[4..], br#"{"a":1}image"#);
+    }
+
+    #[test]
+    fn problems_keep_their_members() {
+        let problem = Problem::parameter("eye", "bad", "three numbers");
+        let Message::Text(text) = Event::Problem { seq: Some(4), problem }.message() else {
+            panic!()
+        };
+        let value: Value = serde_json::from_str(&text).unwrap();
+        assert_eq!((&value["event"], &value["seq"]), (&"problem".into(), &4.into()));
+        assert_eq!((&value["parameter"], &value["status"]), (&"eye".into(), &422.into()));
+    }
+
+    #[test]
+    fn close_codes_differ_and_fit() {
+        let mut codes: Vec<u16> = Close::ALL.iter().map(|close| close.facts().0).collect();
+        codes.dedup();
+        assert_eq!(codes.len(), Close::ALL.len());
+        // A control frame holds 125 bytes, two of them the code's.
+        assert!(Close::ALL.iter().all(|close| close.facts().1.len() <= 123));
+    }
+}

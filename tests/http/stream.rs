@@ -1,0 +1,453 @@
+//! Streams: poses in, frames out, over a WebSocket.
+
+use std::net::{SocketAddr, TcpStream};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use tungstenite::protocol::frame::coding::CloseCode;
+use tungstenite::{Message, WebSocket};
+
+use super::client::raw;
+use super::daemon::{Daemon, eventually, wall_ply};
+
+/// A client of one stream.
+struct Stream {
+    socket: WebSocket<TcpStream>,
+}
+
+/// What came.
+#[derive(Debug)]
+enum Came {
+    Frame {
+        header: Value,
+        image: Vec<u8>,
+    },
+    Event(Value),
+    /// The code of a close; 0 where the connection ended without.
+    Close(u16),
+}
+
+impl Stream {
+    fn open(daemon: &Daemon, path: &str) -> Stream {
+        Stream::connect(daemon.address, path, &[]).unwrap_or_else(|status| panic!("{status}"))
+    }
+
+    /// The stream, or the status that refuses it.
+    fn connect(address: SocketAddr, path: &str, headers: &[(&str, &str)]) -> Result<Stream, u16> {
+        let mut request = tungstenite::http::Request::get(format!("ws://{address}{path}"))
+            .header("Host", address.to_string())
+            .header("Connection", "Upgrade")
+            .header("Upgrade", "websocket")
+            .header("Sec-WebSocket-Version", "13")
+            .header("Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ==");
+        for (name, value) in headers {
+            request = request.header(*name, *value);
+        }
+        let socket = raw(address, b"");
+        // An acknowledgement must not wait for that of the segment before it.
+        socket.set_nodelay(true).unwrap();
+        match tungstenite::client::client(request.body(()).unwrap(), socket) {
+            Ok((socket, _)) => Ok(Stream { socket }),
+            Err(tungstenite::HandshakeError::Failure(tungstenite::Error::Http(response))) => {
+                Err(response.status().as_u16())
+            }
+            Err(error) => panic!("{error}"),
+        }
+    }
+
+    fn send(&mut self, message: Value) {
+        self.socket.send(Message::text(message.to_string())).unwrap();
+    }
+
+    fn patience(&mut self, patience: Duration) {
+        self.socket.get_mut().set_read_timeout(Some(patience)).unwrap();
+    }
+
+    /// What comes next, or `None` when nothing does within the patience.
+    fn try_next(&mut self) -> Option<Came> {
+        loop {
+            return Some(match self.socket.read() {
+                Ok(Message::Binary(bytes)) => {
+                    let length = u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize;
+                    let header = serde_json::from_slice(&bytes[4..4 + length]).unwrap();
+                    Came::Frame { header, image: bytes[4 + length..].to_vec() }
+                }
+                Ok(Message::Text(text)) => Came::Event(serde_json::from_str(&text).unwrap()),
+                Ok(Message::Close(frame)) => {
+                    Came::Close(frame.map_or(0, |f| CloseCode::into(f.code)))
+                }
+                Ok(_) => continue,
+                Err(tungstenite::Error::Io(error))
+                    if matches!(
+                        error.kind(),
+                        std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut
+                    ) =>
+                {
+                    return None;
+                }
+                Err(_) => Came::Close(0),
+            });
+        }
+    }
+
+    fn next(&mut self) -> Came {
+        self.try_next().expect("nothing came")
+    }
+
+    /// The next frame, whose header is checked; not acknowledged.
+    fn frame_unacked(&mut self) -> (Value, Vec<u8>) {
+        loop {
+            match self.next() {
+                Came::Frame { header, image } => {
+                    assert_eq!(header["bytes"], image.len());
+                    assert_eq!(header["revision"], header["receipt"]["revision"]);
+                    assert_eq!(header["width"], header["receipt"]["camera"]["width"]);
+                    return (header, image);
+                }
+                Came::Event(event) if event["event"] == "scene" => {}
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+
+    fn frame(&mut self) -> Value {
+        let (header, _) = self.frame_unacked();
+        self.send(json!({"ack": header["frame"]}));
+        header
+    }
+
+    /// Frames up to the first that satisfies `is_it`.
+    fn frames_until(&mut self, is_it: impl Fn(&Value) -> bool) -> Vec<Value> {
+        let mut frames = vec![self.frame()];
+        while !is_it(&frames[frames.len() - 1]) {
+            frames.push(self.frame());
+        }
+        frames
+    }
+
+    fn event(&mut self) -> Value {
+        loop {
+            match self.next() {
+                Came::Event(event) => return event,
+                Came::Frame { header, .. } => self.send(json!({"ack": header["frame"]})),
+                Came::Close(code) => panic!("closed with {code}"),
+            }
+        }
+    }
+
+    /// The code that the stream is closed with.
+    fn closed(&mut self) -> u16 {
+        loop {
+            if let Came::Close(code) = self.next() {
+                return code;
+            }
+        }
+    }
+}
+
+const GRID: &str = "/v1/scenes/grid/stream";
+
+fn pose(seq: u64, x: f64) -> Value {
+    json!({"seq": seq, "eye": [x, 0, 3], "target": [0, 0, 0], "w": 320, "h": 240})
+}
+
+#[test]
+fn a_moving_frame_and_then_a_still_one() {
+    let daemon = Daemon::start(&[]);
+    let mut stream = Stream::open(&daemon, GRID);
+    assert_eq!(stream.event(), json!({"event": "scene", "scene": "grid", "revision": 1}));
+    let mut first = pose(7, 0.2);
+    first["format"] = "png".into();
+    stream.send(first);
+    let (header, image) = stream.frame_unacked();
+    assert_eq!(
+        (&header["seq"], &header["frame"], &header["revision"]),
+        (&7.into(), &1.into(), &1.into())
+    );
+    assert_eq!((&header["quality"], &header["format"]), (&"moving".into(), &"jpeg".into()));
+    assert!(
+        header["scale"].as_f64().unwrap() <= 1.0 && header["jpeg_quality"].is_u64(),
+        "{header}"
+    );
+    assert!(image.starts_with(&[0xff, 0xd8]), "a JPEG");
+    stream.send(json!({"ack": 1}));
+    let (still, image) = stream.frame_unacked();
+    assert_eq!(
+        (&still["seq"], &still["quality"], &still["scale"]),
+        (&7.into(), &"still".into(), &1.0.into())
+    );
+    assert_eq!((&still["width"], &still["content_type"]), (&320.into(), &"image/png".into()));
+    // The same bytes as a plain frame's: the still one is what was asked for.
+    let query = "/v1/scenes/grid/frame?eye=0.2,0,3&target=0,0,0&w=320&h=240&format=png";
+    assert_eq!(daemon.client().get(query).body, image);
+    stream.send(json!({"ack": 2}));
+    stream.patience(Duration::from_millis(500));
+    assert!(stream.try_next().is_none(), "nothing better is to be had");
+    // Settings stay; what is said to rest comes as it was asked for, at once.
+    stream.patience(Duration::from_secs(60));
+    stream.send(json!({"seq": 8, "eye": [0.5, 0, 3], "target": [0, 0, 0], "moving": false}));
+    let header = stream.frame();
+    assert_eq!(
+        (&header["seq"], &header["quality"], &header["width"]),
+        (&8.into(), &"still".into(), &320.into())
+    );
+    let metrics = daemon.client();
+    assert_eq!(metrics.metric("pointillist_stream_frames_total"), 3.0);
+    assert_eq!(metrics.metric("pointillist_streams_open"), 1.0);
+}
+
+#[test]
+fn the_newest_pose_wins_and_none_is_lost_count_of() {
+    const POSES: u64 = 60;
+    let daemon = Daemon::start_in(
+        |root| std::fs::write(root.join("grid.ply"), wall_ply(500)).unwrap(),
+        &["--max-batch", "1"],
+    );
+    let mut stream = Stream::open(&daemon, GRID);
+    stream.send(json!({"seq": 0, "w": 1600, "h": 1200, "moving": false}));
+    stream.frame();
+    for seq in 1..=POSES {
+        let x = seq as f64 * 0.01;
+        stream.send(json!({"seq": seq, "eye": [x, 0, 3], "target": [0, 0, 0], "moving": false}));
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let frames = stream.frames_until(|frame| frame["seq"] == POSES);
+    let drawn: Vec<u64> = frames.iter().map(|frame| frame["seq"].as_u64().unwrap()).collect();
+    assert!(drawn.is_sorted(), "{drawn:?}");
+    let overtaken = frames[frames.len() - 1]["overtaken"].as_u64().unwrap();
+    assert_eq!(drawn.len() as u64 + overtaken, POSES, "{drawn:?}");
+    assert!(overtaken > POSES / 4, "only {overtaken} were overtaken: {drawn:?}");
+    // What was overtaken was not drawn for nothing.
+    let client = daemon.client();
+    assert_eq!(client.metric("pointillist_engine_frames_total"), drawn.len() as f64 + 1.0);
+    assert_eq!(client.metric("pointillist_stream_poses_overtaken_total"), overtaken as f64);
+    assert_eq!(client.metric("pointillist_engine_queued"), 0.0);
+}
+
+#[test]
+fn without_acknowledgements_no_more_frames_come() {
+    let daemon = Daemon::start(&[]);
+    let mut stream = Stream::open(&daemon, GRID);
+    let mut unacked = Vec::new();
+    stream.patience(Duration::from_millis(400));
+    for seq in 1..=20 {
+        stream.send(pose(seq, seq as f64 * 0.02));
+        while let Some(came) = stream.try_next() {
+            if let Came::Frame { header, .. } = came {
+                unacked.push(header);
+            }
+        }
+        if seq == 4 {
+            break;
+        }
+    }
+    assert_eq!(unacked.len(), 2, "{unacked:?}");
+    stream.send(json!({"ack": 2}));
+    stream.patience(Duration::from_secs(60));
+    assert_eq!(stream.frame()["seq"], 4, "the newest, not those between");
+    stream.send(json!({"ack": 99}));
+    let problem = stream.event();
+    assert_eq!((&problem["event"], &problem["parameter"]), (&"problem".into(), &"ack".into()));
+}
+
+#[test]
+fn errors_name_the_parameter_and_the_stream_goes_on() {
+    let daemon = Daemon::start(&[]);
+    let mut stream = Stream::open(&daemon, GRID);
+    stream.event();
+    for (message, parameter, kind) in [
+        (json!({"seq": 1, "eye": [1, 2]}), "eye", "bad-body"),
+        (json!({"seq": 2, "eyes": [1, 2, 3]}), "eyes", "unknown-parameter"),
+        (json!({"seq": 3, "camera": "back"}), "camera", "bad-parameter"),
+        (json!({"seq": 4, "w": 100_000}), "w", "over-limit"),
+        (json!({"seq": 5, "deadline_ms": 9}), "deadline_ms", "unavailable-parameter"),
+        (json!({"eye": [0, 0, 3]}), "seq", "bad-parameter"),
+    ] {
+        stream.send(message.clone());
+        let problem = stream.event();
+        assert_eq!(problem["event"], "problem", "{problem}");
+        assert_eq!(problem["parameter"], parameter, "{problem}");
+        assert_eq!(problem["type"], format!("urn:pointillist:problem:{kind}"));
+        assert_eq!(problem["status"], 422, "{problem}");
+    }
+    stream.socket.send(Message::text("nonsense")).unwrap();
+    assert_eq!(stream.event()["event"], "problem");
+    stream.send(json!({"ping": [1, "a"]}));
+    assert_eq!(stream.event(), json!({"event": "pong", "ping": [1, "a"]}));
+    // What was refused has left nothing behind.
+    stream.send(json!({"seq": 9, "camera": "front", "w": 64, "h": 64, "moving": false}));
+    let header = stream.frame();
+    assert_eq!((&header["seq"], &header["width"]), (&9.into(), &64.into()));
+}
+
+#[test]
+fn edits_and_deletion_under_a_stream_are_told() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let mut stream = Stream::open(&daemon, GRID);
+    stream.event();
+    stream.send(
+        json!({"seq": 1, "camera": "front", "w": 64, "h": 64, "format": "png", "moving": false}),
+    );
+    let (before, first) = stream.frame_unacked();
+    stream.send(json!({"ack": before["frame"]}));
+    let body = json!({"translate": [0.5, 0, 0]}).to_string();
+    let json = [("content-type", "application/json")];
+    let node = "/v1/scenes/grid/nodes/wall";
+    assert_eq!(client.send("PATCH", node, &json, Some(body.as_bytes())).status, 200);
+    assert_eq!(stream.event(), json!({"event": "scene", "scene": "grid", "revision": 2}));
+    let (after, second) = stream.frame_unacked();
+    assert_eq!((&after["seq"], &after["revision"]), (&1.into(), &2.into()));
+    assert_ne!(first, second);
+    assert_eq!(client.send("DELETE", "/v1/scenes/grid", &[], None).status, 204);
+    assert_eq!(stream.event(), json!({"event": "deleted", "scene": "grid"}));
+    assert_eq!(stream.closed(), 4404);
+    assert_eq!(Stream::connect(daemon.address, GRID, &[]).err(), Some(404));
+    eventually("its place", || client.metric("pointillist_streams_open") == 0.0);
+}
+
+#[test]
+fn who_comes_back_is_sent_a_frame_at_once() {
+    let daemon = Daemon::start(&[]);
+    for _ in 0..2 {
+        let mut stream = Stream::open(&daemon, "/v1/scenes/grid/stream?camera=front&w=128&h=96");
+        assert_eq!(stream.frame()["seq"], 0);
+        let still = stream.frames_until(|frame| frame["quality"] == "still");
+        assert_eq!(still[still.len() - 1]["width"], 128);
+        stream.socket.close(None).unwrap();
+        assert_eq!(stream.closed(), 0, "its own close comes back");
+    }
+    let refused = |path: &str| Stream::connect(daemon.address, path, &[]).err();
+    assert_eq!(refused("/v1/scenes/grid/stream?w=x"), Some(422));
+    assert_eq!(refused("/v1/scenes/none/stream"), Some(404));
+    eventually("free places", || daemon.client().metric("pointillist_streams_open") == 0.0);
+}
+
+#[test]
+fn a_client_that_goes_away_frees_its_place() {
+    let daemon = Daemon::start(&["--max-streams", "2", "--max-streams-per-client", "2"]);
+    let client = daemon.client();
+    let streams: Vec<Stream> = (0..2)
+        .map(|x| {
+            let mut stream = Stream::open(&daemon, GRID);
+            stream.send(
+                json!({"seq": 1, "eye": [x, 0, 3], "target": [0, 0, 0], "w": 1500, "h": 1500}),
+            );
+            stream
+        })
+        .collect();
+    let mut third = Stream::open(&daemon, GRID);
+    assert_eq!(third.closed(), 4429);
+    // Without a close: as a cable that is pulled, whose end the system reports.
+    drop(streams);
+    eventually("free places", || client.metric("pointillist_streams_open") == 0.0);
+    eventually("an empty queue", || client.metric("pointillist_engine_queued") == 0.0);
+    let mut stream = Stream::open(&daemon, GRID);
+    stream.send(pose(1, 0.0));
+    assert_eq!(stream.frame()["seq"], 1);
+}
+
+#[test]
+fn streams_are_closed_with_a_reason() {
+    let mut daemon = Daemon::start(&["--stream-idle-seconds", "1"]);
+    let mut idle = Stream::open(&daemon, "/v1/scenes/grid/stream?w=64&h=64");
+    let began = Instant::now();
+    assert_eq!(idle.closed(), 4408);
+    assert!(began.elapsed() > Duration::from_millis(900));
+    let mut pinging = Stream::open(&daemon, GRID);
+    for ping in 0..5 {
+        std::thread::sleep(Duration::from_millis(400));
+        pinging.send(json!({"ping": ping}));
+    }
+    let mut binary = Stream::open(&daemon, GRID);
+    binary.socket.send(Message::binary(vec![1, 2, 3])).unwrap();
+    assert_eq!(binary.closed(), 1003);
+    let mut large = Stream::open(&daemon, GRID);
+    large.send(json!({"ping": "x".repeat(70_000)}));
+    assert_eq!(large.closed(), 1009);
+    pinging.send(json!({"ping": 9}));
+    daemon.signal();
+    assert_eq!(pinging.closed(), 1001);
+    assert_eq!(daemon.wait().code(), Some(0), "{}", daemon.log());
+}
+
+#[test]
+fn who_may_open_a_stream() {
+    // Of `r-1`.
+    let hash = "a5fa777a3dc67268caea6eea038ba14177e360dba84e1db44e738dbae137e7ef";
+    let daemon = Daemon::start(&[]);
+    let open = |headers: &[(&str, &str)]| Stream::connect(daemon.address, GRID, headers).err();
+    assert_eq!(open(&[]), None);
+    assert_eq!(open(&[("Origin", "https://evil.example")]), Some(403));
+    assert_eq!(open(&[("Origin", &format!("http://{}", daemon.address))]), None);
+    let keyed = Daemon::start_in(
+        |root| std::fs::write(root.join("keys"), format!("eye read {hash}\n")).unwrap(),
+        &[],
+    );
+    let keys = keyed.root().join("keys").to_str().unwrap().to_owned();
+    let keyed = keyed.restart(&["--api-keys", &keys]);
+    let open = |protocol: &str| {
+        Stream::connect(keyed.address, GRID, &[("Sec-WebSocket-Protocol", protocol)]).err()
+    };
+    assert_eq!(open("pointillist"), Some(401));
+    assert_eq!(open("pointillist, pointillist.key.wrong"), Some(401));
+    assert_eq!(open("pointillist, pointillist.key.r-1"), None);
+}
+
+/// Four streams that always have a newer pose, and one client that keeps six plain requests waiting: five clients, five shares.
+#[test]
+fn clients_share_the_device_and_the_plain_api_still_answers() {
+    const STREAMS: usize = 4;
+    const TIME: Duration = Duration::from_secs(5);
+    let daemon = Daemon::start(&["--max-batch", "4"]);
+    let until = Instant::now() + TIME;
+    let plain = AtomicUsize::new(0);
+    let counts: Vec<usize> = std::thread::scope(|scope| {
+        let streams: Vec<_> = (0..STREAMS)
+            .map(|number| {
+                let daemon = &daemon;
+                scope.spawn(move || count_frames(daemon, number, until))
+            })
+            .collect();
+        for thread in 0..6 {
+            let (daemon, plain) = (&daemon, &plain);
+            scope.spawn(move || {
+                let client = daemon.client();
+                while Instant::now() < until {
+                    let x = plain.fetch_add(1, Ordering::Relaxed) as f64 * 0.001;
+                    let query = format!("eye={x},{thread},3&target=0,0,0&w=400&h=400&format=jpeg");
+                    assert_eq!(client.get(&format!("/v1/scenes/grid/frame?{query}")).status, 200);
+                }
+            });
+        }
+        streams.into_iter().map(|stream| stream.join().unwrap()).collect()
+    });
+    let plain = plain.into_inner();
+    let fair = (counts.iter().sum::<usize>() + plain) as f64 / (STREAMS + 1) as f64;
+    println!("frames of each stream {counts:?}, plain {plain}");
+    for count in counts.into_iter().chain([plain]) {
+        let share = count as f64 / fair;
+        assert!((0.5..2.0).contains(&share), "{share:.2} of a fair share");
+    }
+}
+
+/// Sends a new pose every few milliseconds, and gives the number of frames until `until`.
+fn count_frames(daemon: &Daemon, number: usize, until: Instant) -> usize {
+    let mut stream = Stream::open(daemon, GRID);
+    stream.patience(Duration::from_millis(4));
+    stream.send(json!({"seq": 0, "camera": "front", "w": 400, "h": 400, "moving": false}));
+    let (mut seq, mut count) = (0, 0);
+    while Instant::now() < until {
+        seq += 1;
+        let eye = json!([seq as f64 * 0.001 + number as f64, 0.1, 3]);
+        stream.send(json!({"seq": seq, "eye": eye, "target": [0, 0, 0], "moving": false}));
+        while let Some(came) = stream.try_next() {
+            if let Came::Frame { header, .. } = came {
+                stream.send(json!({"ack": header["frame"]}));
+                count += 1;
+            }
+        }
+    }
+    count
+}
