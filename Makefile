@@ -17,7 +17,7 @@ setup: ## find or install a linker and a Vulkan driver
 	@scripts/setup.sh
 
 build: setup ## the release binary, target/release/pointillist
-	cargo build --release --locked
+	cargo build --release --locked $$(scripts/features.sh)
 
 run: build ## the daemon on 127.0.0.1:8080 with the scenes in scenes/ (PORT=, HOST=, ROOT=, ARGS=)
 	@scripts/demo-scenes.sh target/release/pointillist
@@ -31,7 +31,7 @@ fmt: ## format the code
 
 lint: setup ## formatting and lints alone
 	cargo fmt --check
-	cargo clippy --all-targets --locked -- -D warnings
+	cargo clippy --all-targets --locked $$(scripts/features.sh) -- -D warnings
 
 bench: setup ## speed and memory, beside VTK on the same machine (BENCH_QUICK=1, BENCH_RECORD=1)
 	@scripts/bench.sh

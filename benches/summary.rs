@@ -10,8 +10,8 @@ use common::folder;
 use common::report::{number, render, verdict};
 use serde_json::{Value, json};
 
-const BENCHES: [&str; 8] =
-    ["points", "statue", "triangles", "splats", "lod", "pops", "daemon", "memory"];
+const BENCHES: [&str; 9] =
+    ["points", "statue", "triangles", "splats", "lod", "pops", "daemon", "stream", "memory"];
 
 fn main() -> anyhow::Result<()> {
     let mut results = Vec::new();

@@ -63,10 +63,13 @@ tests() { # NAME COMMAND…
 }
 
 export CARGO_TERM_COLOR=never
+# What this machine can build, the same as `make build` makes.
+read -ra features <<<"$(scripts/features.sh)"
+[ "${#features[@]}" -gt 0 ] || skip "video" "no C++ compiler; tests of the built-in H.264 coder are left out"
 
 check "cargo fmt" cargo fmt --check
-check "cargo clippy" cargo clippy --quiet --all-targets --locked -- -D warnings
-check "cargo doc" env RUSTDOCFLAGS="-D warnings -A rustdoc::private-intra-doc-links" cargo doc --quiet --no-deps --locked --document-private-items
+check "cargo clippy" cargo clippy --quiet --all-targets --locked "${features[@]}" -- -D warnings
+check "cargo doc" env RUSTDOCFLAGS="-D warnings -A rustdoc::private-intra-doc-links" cargo doc --quiet --no-deps --locked "${features[@]}" --document-private-items
 
 if browser_said=$(scripts/setup-browser.sh 2>&1); then
     echo "$browser_said"
@@ -80,10 +83,10 @@ data=${POINTILLIST_DATA:-../shared/data}
 [ -d "$data" ] || skip "real data" "no folder $data (POINTILLIST_DATA); tests that read real files skip themselves"
 
 if cargo nextest --version >/dev/null 2>&1; then
-    tests "cargo nextest" cargo nextest run --locked --no-fail-fast --success-output never
-    tests "cargo test doc" cargo test --locked --doc
+    tests "cargo nextest" cargo nextest run --locked "${features[@]}" --no-fail-fast --success-output never
+    tests "cargo test doc" cargo test --locked "${features[@]}" --doc
 else
-    tests "cargo test" cargo test --locked --no-fail-fast
+    tests "cargo test" cargo test --locked "${features[@]}" --no-fail-fast
 fi
 
 if command -v shellcheck >/dev/null 2>&1; then

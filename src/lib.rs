@@ -3,7 +3,8 @@
 //! One request's journey, top to bottom; a module imports only from the floors below it:
 //!
 //! 1. [`cli`] parses a command line, [`http`] translates a request into a job;
-//! 2. [`engine`] admits, coalesces and batches jobs, and alone owns the device; [`film`] has it draw a camera path, frame by frame;
+//! 2. [`engine`] admits, coalesces and batches jobs, and alone owns the device; [`film`] has it draw a camera path, frame by frame, and
+//!    [`jobs`] such films that nobody waits for;
 //! 3. [`encode`] turns pixels into PNG, JPEG, WebP, QOI, EXR, PFM or raw bytes;
 //! 4. [`passes`] records the passes that [`plan`] found necessary;
 //! 5. [`residency`] holds what [`bake`] made of the [`assets`] that a [`scene`] names in GPU memory;
@@ -25,6 +26,7 @@ pub mod film;
 pub mod generate;
 pub mod gpu;
 pub mod http;
+pub mod jobs;
 pub mod load;
 pub mod math;
 pub mod oracle;

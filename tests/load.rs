@@ -209,6 +209,47 @@ fn keys_are_sent() {
     assert!(!json.to_string().contains("\"key\""), "a key is no part of a report");
 }
 
+#[test]
+fn streams_beside_requests_are_measured() {
+    let daemon = Daemon::start(&[]);
+    let url = format!("http://{}", daemon.address);
+    let streams = ["--streams", "3", "--pose-rate", "25", "--rate", "10", "--duration", "2"];
+    let folder = tempfile::tempdir().unwrap();
+    let out = ["-o", folder.path().to_str().unwrap()];
+    let json = report(&url, &[&SMALL[..], &streams, &out].concat());
+    assert_eq!((&json["client"], &json["run"]["streams"]), (&"request, stream".into(), &3.into()));
+    let point = &json["points"][0];
+    assert!(point["counts"]["frames"].as_u64().unwrap() > 0, "{point}");
+    let beside = &point["streams"];
+    let count = |name: &str| beside[name].as_u64().unwrap_or_else(|| panic!("{name}: {beside}"));
+    // Evenly spaced: 25 a second for two seconds, of three.
+    assert_eq!((count("poses"), count("lost"), count("broken"), count("problems")), (150, 0, 0, 0));
+    assert_eq!(beside["latency"]["answered"], 150, "{beside}");
+    let drawn = beside["drawn"]["answered"].as_u64().unwrap();
+    assert_eq!(drawn + count("overtaken"), 150, "every pose was drawn or overtaken: {beside}");
+    assert!(count("frames") > 0 && count("least_frames") > 0, "{beside}");
+    assert!(ms(&beside["latency"]["p50_ns"]) > 0.0, "{beside}");
+    let metrics = daemon.client();
+    assert!(metrics.metric("pointillist_stream_frames_total") >= count("frames") as f64);
+    daemon::eventually("closed streams", || metrics.metric("pointillist_streams_open") == 0.0);
+    let svg = std::fs::read_to_string(folder.path().join("load.svg")).unwrap();
+    assert!(svg.contains("stream p99") && svg.contains("3 streams of 25.0 poses/s"), "{svg}");
+}
+
+#[test]
+fn streams_that_are_refused_count_as_lost() {
+    let daemon = Daemon::start(&["--max-streams-per-client", "1"]);
+    let url = format!("http://{}", daemon.address);
+    let streams = ["--streams", "3", "--pose-rate", "20", "--rate", "5", "--duration", "1"];
+    let json = report(&url, &[&SMALL[..], &streams, &["--timeout", "5"]].concat());
+    let beside = &json["points"][0]["streams"];
+    assert_eq!((&beside["broken"], &beside["poses"]), (&2.into(), &60.into()), "{beside}");
+    assert_eq!((&beside["lost"], &beside["latency"]["p90_ns"]), (&40.into(), &Value::Null));
+    assert!(json["warnings"].to_string().contains("4429"), "{json}");
+    let said = complaint(&url, &["--streams", "1", "--param", "deadline_ms=9"]);
+    assert!(said.contains("deadline_ms"), "{said}");
+}
+
 /// A server of frames that are a few bytes, which treats the requests for them as `frame` says.
 struct Server {
     address: SocketAddr,

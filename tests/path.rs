@@ -12,7 +12,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use pointillist::encode::ImageFormat;
-use pointillist::engine::{Engine, EngineConfig, FrameRequest, NodePatch, Pose};
+use pointillist::engine::{Client, Engine, EngineConfig, FrameRequest, NodePatch, Pose};
 use pointillist::film::{self, Event, Film, FilmError, Report, shots::Shots};
 use pointillist::plan::{Output, Settings};
 use pointillist::scene::random::SplitMix64;
@@ -129,6 +129,8 @@ impl Studio {
             },
             shots: Shots::new(&path, None, None, None).unwrap(),
             folder: &self.at(folder),
+            origin: Client::Unnamed.into(),
+            most_pixels: film::MOST_PIXELS,
         };
         film::run(&film, &AtomicBool::new(stop), tell)
     }
@@ -398,6 +400,7 @@ fn what_is_wrong_is_named() {
             "--from: 121 is beyond the path's last frame, 120",
         ),
         (&["--path", "fly", "-o", "f", "--fps", "0"], "--fps: 0 is not in"),
+        (&["--path", "fly", "-o", "f", "--keep-frames"], "go with a video"),
         (&["--path", "fly", "-o", "f", "--format", "pfm"], "format: pfm cannot hold color"),
         (
             &["--path", "fly", "-o", "f", "--max-error-px", "2"],
@@ -414,6 +417,60 @@ fn what_is_wrong_is_named() {
     let args = ["path", "cloud.ply", "--path", "fly", "-o", "f"];
     let told = text(&studio.command(&args).output().unwrap());
     assert!(told.contains("the scene names no paths"), "{told}");
+}
+
+/// A video is as resumable as its frames, which go when it is finished.
+#[cfg(feature = "video")]
+#[test]
+fn a_path_becomes_a_video() {
+    use pointillist::film::video::mp4::Summary;
+    let studio = Studio::new();
+    // Killed while frames are drawn, and while nothing is left to draw.
+    let mut child = studio.fly("fly.mp4", &["--fps", "60"]).stderr(Stdio::null()).spawn().unwrap();
+    wait_for(&mut child, &studio.at("fly.mp4.frames"), 20);
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let kept = studio.records("fly.mp4.frames").len();
+    let told = studio.flown("fly.mp4", &["--fps", "60", "--keep-frames"]);
+    assert!(told.contains("241 frames, 4.02 s") && told.contains("kept"), "{told}");
+    assert!(kept > 0 && studio.check("fly.mp4.frames") == 241, "{kept}");
+    let video = |name: &str| Summary::read(&studio.at(name)).unwrap().unwrap();
+    let found = video("fly.mp4");
+    assert_eq!((found.frames, found.width, found.height), (241, 64, 48));
+    assert!((found.duration_s() - 241.0 / 60.0).abs() < 1e-3);
+    // Once more, from the frames that are there; then they are removed, and nothing else is.
+    fs::write(studio.at("fly.mp4.frames/notes.txt"), "remember the milk").unwrap();
+    let told = studio.flown("fly.mp4", &["--fps", "60", "--bitrate-kbps", "100"]);
+    assert!(told.contains("0 frames drawn, 241 kept"), "{told}");
+    assert_eq!(names(&studio.at("fly.mp4.frames")).len(), 1);
+    assert_eq!(video("fly.mp4").frames, 241);
+    studio.flown("part.MP4", &["--from", "10", "--to", "29"]);
+    assert_eq!(video("part.MP4").frames, 20);
+    assert!(!studio.at("part.MP4.frames").exists());
+    for (args, expected) in [
+        (&["--size", "65x48"][..], "--size: 65 is odd"),
+        (&["--to", "0"], "--to: a video has at least two frames"),
+        (&["--bitrate-kbps", "1"], "--bitrate-kbps: 1 is not in"),
+        (&["--output", "depth"], "--output: a video shows"),
+    ] {
+        let line = [&["path", "scene.json", "--path", "fly", "-o", "no.mp4"], args].concat();
+        let output = studio.command(&line).output().unwrap();
+        let told = text(&output);
+        assert!(!output.status.success() && told.contains(expected), "{args:?}: {told}");
+    }
+    assert!(!studio.at("no.mp4.frames").exists());
+}
+
+/// Without a coder, what to do about it is told before anything is drawn; with `ffmpeg`, that is one.
+#[cfg(not(feature = "video"))]
+#[test]
+fn a_video_needs_a_coder() {
+    let studio = Studio::new();
+    let output = studio.fly("fly.mp4", &[]).env("PATH", studio.at("nowhere")).output().unwrap();
+    let told = text(&output);
+    assert!(!output.status.success(), "{told}");
+    assert!(told.contains("--features video") && told.contains("ffmpeg"), "{told}");
+    assert!(!studio.at("fly.mp4.frames").exists());
 }
 
 /// Neither a queue that others fill nor a device that is lost costs a frame or changes one.

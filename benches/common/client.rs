@@ -60,6 +60,20 @@ impl Connection {
         Ok(self.stream.write_all(request.as_bytes())?)
     }
 
+    /// Posts a JSON document, and receives the answer.
+    ///
+    /// # Errors
+    /// As [`Self::send`] and [`Self::receive`].
+    pub fn post(&mut self, path: &str, body: &serde_json::Value) -> anyhow::Result<Answer> {
+        let body = body.to_string();
+        let request = format!(
+            "POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n{body}",
+            body.len()
+        );
+        self.stream.write_all(request.as_bytes())?;
+        self.receive()
+    }
+
     /// Receives one answer to its end.
     ///
     /// # Errors

@@ -36,6 +36,7 @@ impl Daemon {
             .args(args)
             .env_remove("POINTILLIST_CONFIG")
             .env("POINTILLIST_NO_CACHE", "true")
+            .env("POINTILLIST_NO_JOBS", if args.contains(&"--state") { "false" } else { "true" })
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(File::create(&log)?)

@@ -11,6 +11,7 @@ pub mod files;
 pub mod peer;
 pub mod report;
 pub mod shots;
+pub mod stream;
 
 use std::path::PathBuf;
 

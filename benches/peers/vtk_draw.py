@@ -20,6 +20,12 @@ compilation) and `--warmup` more are outside; `first_ms` gives the first frame a
 or `--encode-png` the whole image is read back and encoded into memory within the timed part, as a
 server would have to.
 
+With `--remote Q` a frame is what a remote view of trame or ParaViewWeb does for it on the server: `vtkWebApplication` draws, reads back,
+encodes a JPEG of that quality and gives its bytes. The network, and Python's part in it, are left out.
+
+A `.json` in the PLY's place is a scene of copies: a list of `{"file": …, "matrices": [[16 numbers, column by column], …]}`, each file
+drawn by one `vtkGlyph3DMapper`. Matrices turn, scale evenly and move.
+
 With `--interactive` the frames come on request, so that another program's can be timed in between: one line
 `{"ready": …}` when all is loaded and warm, then for each line on standard input, a number of degrees, one
 line with that frame's milliseconds; the summary follows the end of the input.
@@ -145,6 +151,51 @@ def load(path, mode, coloring):
     return data, colors is not None
 
 
+def glyphs(path):
+    """One actor a file of a scene of copies, the box around them, and how many triangles are drawn."""
+    with open(path) as file:
+        parts = json.load(file)
+    actors, corners, triangles = [], [], 0
+    for part in parts:
+        data, has_colors = load(part["file"], "surface", "file")
+        matrices = np.array(part["matrices"], dtype=float).reshape(-1, 4, 4).transpose(0, 2, 1)
+        scales = np.linalg.norm(matrices[:, :3, 0], axis=1)
+        # w, x, y, z; the turns of scenes are far from half a turn's degenerate case, which `max` keeps finite.
+        turns = matrices[:, :3, :3] / scales[:, None, None]
+        w = 0.5 * np.sqrt(np.maximum(1 + turns[:, 0, 0] + turns[:, 1, 1] + turns[:, 2, 2], 1e-12))
+        x = (turns[:, 2, 1] - turns[:, 1, 2]) / (4 * w)
+        y = (turns[:, 0, 2] - turns[:, 2, 0]) / (4 * w)
+        z = (turns[:, 1, 0] - turns[:, 0, 1]) / (4 * w)
+        half = np.trace(turns, axis1=1, axis2=2) < -0.999
+        # Half turns in these scenes are about the upright axis.
+        w[half], x[half], y[half], z[half] = 0.0, 0.0, 1.0, 0.0
+        places = vtk.vtkPolyData()
+        points = vtk.vtkPoints()
+        points.SetData(numpy_to_vtk(np.ascontiguousarray(matrices[:, :3, 3]), deep=True))
+        places.SetPoints(points)
+        for name, values in (("turn", np.stack([w, x, y, z], axis=1)), ("scale", scales)):
+            array = numpy_to_vtk(np.ascontiguousarray(values.astype("f4")), deep=True)
+            array.SetName(name)
+            places.GetPointData().AddArray(array)
+        mapper = vtk.vtkGlyph3DMapper()
+        mapper.SetInputData(places)
+        mapper.SetSourceData(data)
+        mapper.SetOrientationArray("turn")
+        mapper.SetOrientationModeToQuaternion()
+        mapper.SetScaleArray("scale")
+        mapper.SetScaleModeToScaleByMagnitude()
+        # Colours are the mesh's own, not those of the places.
+        mapper.SetScalarVisibility(False)
+        actor = vtk.vtkActor()
+        actor.SetMapper(mapper)
+        actor.GetProperty().SetInterpolationToPhong()
+        actors.append(actor)
+        corners += [matrices[:, :3, 3].min(axis=0), matrices[:, :3, 3].max(axis=0)]
+        triangles += data.GetNumberOfPolys() * len(matrices)
+    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    return actors, np.stack([low, high], axis=1), triangles
+
+
 def make_actor(data, has_colors, args):
     mode = args.mode
     if mode in ("points", "surface"):
@@ -193,8 +244,21 @@ def set_camera(camera, eye, target, up, degrees):
     camera.SetViewUp(*up)
 
 
-def encoder(window, jpeg_quality, encode_png):
-    """A function that reads the frame back and returns the encoded length, or None when neither is wanted."""
+def encoder(window, jpeg_quality, encode_png, remote_quality):
+    """A function that reads the frame back and returns the encoded length, or None when nothing of that is wanted."""
+    if remote_quality is not None:
+        from vtkmodules.vtkWebCore import vtkWebApplication
+
+        application = vtkWebApplication()
+        application.SetImageEncoding(application.ENCODING_NONE)
+        application.SetImageCompression(application.COMPRESSION_JPEG)
+
+        def still():
+            # Draws by itself; unchanged windows are not drawn again.
+            application.InvalidateCache(window)
+            return application.StillRenderToBuffer(window, remote_quality).GetNumberOfTuples()
+
+        return still
     if jpeg_quality is None and not encode_png:
         return None
     grab = vtk.vtkWindowToImageFilter()
@@ -260,6 +324,7 @@ def parse_arguments():
     parser.add_argument("--interactive", action="store_true", help="draw frames as standard input asks")
     parser.add_argument("--jpeg", type=int, metavar="Q", help="time readback and JPEG encoding too")
     parser.add_argument("--encode-png", action="store_true", help="time readback and PNG encoding too")
+    parser.add_argument("--remote", type=int, metavar="Q", help="time what a remote view does for a frame")
     parser.add_argument("--png", help="write the unturned frame here")
     return parser.parse_args()
 
@@ -270,10 +335,16 @@ def main():
         kind = {"egl": "vtkEGLRenderWindow", "osmesa": "vtkOSOpenGLRenderWindow"}[args.window]
         os.environ["VTK_DEFAULT_OPENGL_WINDOW"] = kind
     began = time.perf_counter()
-    data, has_colors = load(args.ply, args.mode, args.colors)
+    if args.ply.endswith(".json"):
+        actors, low_high, triangles = glyphs(args.ply)
+        data, has_colors, points = None, False, 0
+    else:
+        data, has_colors = load(args.ply, args.mode, args.colors)
+        actors = [make_actor(data, has_colors, args)]
+        low_high = np.array(data.GetBounds()).reshape(3, 2)
+        points, triangles = data.GetNumberOfPoints(), data.GetNumberOfPolys()
     load_ms = (time.perf_counter() - began) * 1e3
 
-    low_high = np.array(data.GetBounds()).reshape(3, 2)
     target = args.target or list(low_high.mean(axis=1))
     if args.eye:
         eye = args.eye
@@ -283,7 +354,8 @@ def main():
 
     renderer = vtk.vtkRenderer()
     renderer.SetBackground(0, 0, 0)
-    renderer.AddActor(make_actor(data, has_colors, args))
+    for actor in actors:
+        renderer.AddActor(actor)
     vtk.vtkObject.GlobalWarningDisplayOff()  # no "bad X server" line: having none is the point
     window = vtk.vtkRenderWindow()
     window.SetOffScreenRendering(1)
@@ -292,13 +364,14 @@ def main():
     window.AddRenderer(renderer)
     camera = renderer.GetActiveCamera()
     camera.SetViewAngle(args.fov)
-    encode = encoder(window, args.jpeg, args.encode_png)
+    encode = encoder(window, args.jpeg, args.encode_png, args.remote)
 
     def frame(degrees):
         started = time.perf_counter()
         set_camera(camera, eye, target, args.up, degrees)
         renderer.ResetCameraClippingRange()
-        window.Render()
+        if args.remote is None:
+            window.Render()
         if encode:
             encode()
         else:
@@ -324,8 +397,6 @@ def main():
         times = [frame((args.warmup + 1 + index) * args.step) for index in range(args.frames)]
 
     median = statistics.median(times)
-    points = data.GetNumberOfPoints()
-    triangles = data.GetNumberOfPolys()
     gl = {}
     for line in window.ReportCapabilities().splitlines():
         key, _, value = line.partition(":")
@@ -342,7 +413,7 @@ def main():
         "lighting": args.lighting,
         "spheres": args.spheres,
         "colors": args.colors if has_colors else "none",
-        "encode": "jpeg" if args.jpeg is not None else "png" if args.encode_png else None,
+        "encode": "remote" if args.remote is not None else "jpeg" if args.jpeg is not None else "png" if args.encode_png else None,
         "width": args.size[0],
         "height": args.size[1],
         "points": points,

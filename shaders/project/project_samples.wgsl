@@ -61,7 +61,7 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
         if z > NEAREST && x >= 0.0 && y >= 0.0 && x < size.x && y < size.y {
             if TREE {
                 let image = vec2<f32>(x, y);
-                if !node_is_drawn(first + i, unit, z * ray_through(image)) {
+                if !node_is_drawn(first + i, unit, z * ray_through(image), UNTILTED) {
                     continue;
                 }
                 drawn++;

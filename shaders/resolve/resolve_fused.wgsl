@@ -47,17 +47,14 @@ fn resolve_fused(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
             words = layers[column.pixel];
         }
         column.mine = (words.y | words.w) != 0u;
-        if any_lane(column.mine) {
-            if column.mine {
-                let sums = fused(words);
-                let color = srgb_from_linear(sums.rgb / max(sums.a, 1.0));
-                pixels[column.pixel] = pack4x8unorm(vec4<f32>(color, 1.0));
-                // What triangles have there lies behind.
-                visibility[column.pixel] = vec2<u32>(0u);
-                resolved++;
-            }
-        }
-        if column.inside && !column.mine && visibility[column.pixel].y == 0u {
+        if column.mine {
+            let sums = fused(words);
+            let color = srgb_from_linear(sums.rgb / max(sums.a, 1.0));
+            pixels[column.pixel] = pack4x8unorm(vec4<f32>(color, 1.0));
+            // What triangles have there lies behind.
+            visibility[column.pixel] = vec2<u32>(0u);
+            resolved++;
+        } else if column.inside && visibility[column.pixel].y == 0u {
             pixels[column.pixel] = frame.background;
         }
         column_step(&column);

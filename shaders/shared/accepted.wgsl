@@ -8,6 +8,9 @@ fn accepted(z: f32, far: f32) -> f32 {
 // What f32 may lose of a place in camera space, in parts of its distance.
 const DEPTH_SLACK: f32 = 4e-6;
 
+// In the split error mode: the least part of a node's error that is seen of it, from wherever.
+const SIDEWAYS: f32 = 0.5;
+
 // Pixels beside the image that what is drawn may reach into it from.
 fn lod_margin() -> f32 {
     return frame.lod_scale * max(frame.focal_px.x, frame.focal_px.y) + frame.splat_cutoff * frame.splat_lowpass_px;

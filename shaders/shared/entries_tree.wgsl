@@ -13,6 +13,8 @@
 
 // 0: errors, 1: sizes.
 override MEASURE: u32 = 0u;
+// Errors are those of the angle that a node is seen at.
+override SPLIT: bool = false;
 
 const NOBODY: Entry = Entry(0xffffffffu, 0u);
 
@@ -87,7 +89,7 @@ fn walk_next(walk: ptr<function, Walk>) -> Entry {
 // it is farther from the eye.
 fn chunk_is_wanted(chunk: Chunk, scale: f32, low: f32, high: f32, far: f32) -> bool {
     let parent = select(chunk.error_parent, chunk.size_parent, MEASURE == 1u);
-    let least = select(chunk.error_least, chunk.size_least, MEASURE == 1u);
+    let least = select(chunk.error_least, chunk.size_least, MEASURE == 1u) * select(1.0, SIDEWAYS, SPLIT);
     let delta = scale * chunk.delta_most + DEPTH_SLACK * far;
     return scale * parent > accepted(low - delta, far + delta) && scale * least <= accepted(high + DEPTH_SLACK * far, high);
 }

@@ -28,5 +28,5 @@ fn parent_limit(chunk: Chunk, at: Placed, unit: f32) -> u32 {
         return 0xffffffffu;
     }
     // Two more for rounding of the logarithm.
-    return u32(clamp(ceil(128.0 * log2(unit / least)) + 2.0, 1.0, 1e6));
+    return u32(clamp(ceil(64.0 * log2(unit / least)) + 2.0, 1.0, 1e6));
 }

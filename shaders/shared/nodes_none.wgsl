@@ -2,6 +2,8 @@
 @group(1) @binding(1) var<storage, read> kernels: array<u32>;
 
 const TREE: bool = false;
+const SPLIT: bool = false;
+const UNTILTED: f32 = 2.0;
 const KERNEL_WORDS: u32 = 1u;
 
 fn is_in_prefix(sample: u32, limit: u32) -> bool {
@@ -20,6 +22,6 @@ fn painted(sample: u32, own: u32) -> u32 {
     return own;
 }
 
-fn node_is_drawn(sample: u32, unit: f32, centre: vec3<f32>) -> bool {
+fn node_is_drawn(sample: u32, unit: f32, centre: vec3<f32>, cosine: f32) -> bool {
     return true;
 }

@@ -5,11 +5,15 @@ const KERNEL_WORDS: u32 = 3u;
 
 // 0: errors, 1: sizes.
 override MEASURE: u32 = 0u;
+// Errors are those of the angle that a node is seen at; src/bake/tree/tilt.rs says how, and has the same numbers.
+override SPLIT: bool = false;
 
 // Of each node its kernel, then its two words.
 @group(1) @binding(1) var<storage, read> kernels: array<u32>;
 
-const NO_CODE: u32 = 0xfffu;
+const CODE_BITS: u32 = 11u;
+const CODE: u32 = 0x7ffu;
+const NO_CODE: u32 = CODE;
 const NO_PARENT: u32 = 0u;
 
 // Nodes show how high they stand above the leaves (Dachsbacher et al. 2003, Fig. 1).
@@ -20,7 +24,7 @@ fn painted(sample: u32, own: u32) -> u32 {
     if !LEVELS {
         return own;
     }
-    let level = (kernels[sample * KERNEL_WORDS + 2u] >> 24u) & 31u;
+    let level = (kernels[sample * KERNEL_WORDS + 2u] >> 22u) & 31u;
     // Hues of neighbours lie well apart.
     let hue = fract(f32(level) * 0.381966 + 0.02) * 6.0;
     let color = clamp(abs((vec3<f32>(hue) + vec3<f32>(0.0, 4.0, 2.0)) % 6.0 - 3.0) - 1.0, vec3<f32>(0.0), vec3<f32>(1.0));
@@ -29,38 +33,62 @@ fn painted(sample: u32, own: u32) -> u32 {
 
 // Whether a node's parent has a smaller code.
 fn is_in_prefix(sample: u32, limit: u32) -> bool {
-    return ((kernels[sample * KERNEL_WORDS + 1u + MEASURE] >> 12u) & 0xfffu) < limit;
+    return ((kernels[sample * KERNEL_WORDS + 1u + MEASURE] >> CODE_BITS) & CODE) < limit;
 }
 
 // In chunks that are sorted: whether no node from this one on has a parent with a smaller code, in either measure.
 fn is_behind_prefix(sample: u32, limit: u32) -> bool {
-    let error = (kernels[sample * KERNEL_WORDS + 1u] >> 12u) & 0xfffu;
-    let size = (kernels[sample * KERNEL_WORDS + 2u] >> 12u) & 0xfffu;
+    let error = (kernels[sample * KERNEL_WORDS + 1u] >> CODE_BITS) & CODE;
+    let size = (kernels[sample * KERNEL_WORDS + 2u] >> CODE_BITS) & CODE;
     return min(error, size) >= limit;
 }
 
 // Sine of the widest angle between a node's normal and those of the leaves below it; cone_sine of src/bake/tree/sequence.rs.
 fn cone_sine(sample: u32) -> f32 {
-    let code = kernels[sample * KERNEL_WORDS + 2u] >> 29u;
+    let code = (kernels[sample * KERNEL_WORDS + 2u] >> 27u) & 7u;
     return select(f32(code * code) / 48.0, 2.0, code == 7u);
 }
 
 // Of a code, in units of its base.
 fn code_value(code: u32) -> f32 {
-    return select(exp2(f32(code) * -0.0078125), 0.0, code == NO_CODE);
+    return select(exp2(f32(code) * -0.015625), 0.0, code == NO_CODE);
 }
 
-// `unit`: the base of the node's codes in camera space; `centre`: the node's, there.
-fn node_is_drawn(sample: u32, unit: f32, centre: vec3<f32>) -> bool {
-    let first = kernels[sample * KERNEL_WORDS + 1u];
-    var word = first;
-    if MEASURE == 1u {
-        word = kernels[sample * KERNEL_WORDS + 2u];
-    }
-    let parent = (word >> 12u) & 0xfffu;
-    let delta = unit * exp2(f32(first >> 24u) * -0.125);
+// How far the parent is, at most, in units of the base: from twice its size on in quarters of an octave, or as large as any.
+fn parent_way(words: vec2<u32>) -> f32 {
+    let code = (words.x >> 22u) & 15u;
+    let size = (words.y >> CODE_BITS) & CODE;
+    return select(exp2(1.25 - 0.25 * f32(code) - 0.015625 * f32(size)), 1.0, code == 0u);
+}
+
+// A cosine for what is seen alike from all sides.
+const UNTILTED: f32 = 2.0;
+const TURN_SLACK: f32 = 0.004;
+
+// Which part of an error is seen at an angle of this cosine, or at most at one that is `turn` away from it.
+fn share_seen(code: u32, cosine: f32, turn: f32) -> f32 {
+    let sine = sqrt(max(1.0 - cosine * cosine, 0.0));
+    let share = min(exp2(0.5 * f32(code) - 8.0) * (sine + turn) + max(cosine, SIDEWAYS) + turn, 1.0);
+    return select(share, 1.0, code == 15u);
+}
+
+// `unit`: the base of the node's codes in camera space; `centre`: the node's, there; `cosine`: of the angle between its normal and
+// the way to the eye, or UNTILTED.
+fn node_is_drawn(sample: u32, unit: f32, centre: vec3<f32>, cosine: f32) -> bool {
+    let at = sample * KERNEL_WORDS;
+    let words = vec2<u32>(kernels[at + 1u], kernels[at + 2u]);
+    let word = select(words.x, words.y, MEASURE == 1u);
+    let parent = (word >> CODE_BITS) & CODE;
+    let delta = unit * parent_way(words);
     let far = length(centre);
     let slack = DEPTH_SLACK * far;
-    return unit * code_value(word & 0xfffu) <= accepted(centre.z, far)
-        && (parent == NO_PARENT || unit * code_value(parent) > accepted(centre.z - delta - slack, far + delta + slack));
+    var own_value = unit * code_value(word & CODE);
+    var parent_value = unit * code_value(parent);
+    if SPLIT {
+        own_value *= share_seen((words.x >> 26u) & 15u, cosine, 0.0);
+        let code = (words.x >> 30u) | ((words.y >> 30u) << 2u);
+        parent_value *= share_seen(code, cosine, delta / max(far, NEAREST) + TURN_SLACK);
+    }
+    return own_value <= accepted(centre.z, far)
+        && (parent == NO_PARENT || parent_value > accepted(centre.z - delta - slack, far + delta + slack));
 }

@@ -25,6 +25,18 @@ struct SplatSlot {
     orientation: f32,
     // Longest column of the map from stored coordinates to camera space.
     scale: f32,
+    // The map turns and scales, and does nothing else.
+    is_even: bool,
+}
+
+// Whether three axes are as long as each other, and at right angles. Chunks of one instance differ by powers of two, and so agree.
+fn keeps_angles(x: vec3<f32>, y: vec3<f32>, z: vec3<f32>) -> bool {
+    let one = dot(x, x);
+    let off = max(
+        max(abs(dot(y, y) - one), abs(dot(z, z) - one)),
+        max(abs(dot(x, y)), max(abs(dot(y, z)), abs(dot(z, x)))),
+    );
+    return off <= 1e-3 * one;
 }
 
 fn splat_slot(index: u32) -> SplatSlot {
@@ -50,6 +62,9 @@ fn splat_slot(index: u32) -> SplatSlot {
     // Cells may be so small that their squares, or the volume of three, are none in f32.
     let sizes = max(abs(x), max(abs(y), abs(z)));
     let most = max(max(sizes.x, max(sizes.y, sizes.z)), 1e-37);
+    if SPLIT {
+        slot.is_even = keeps_angles(x / most, y / most, z / most);
+    }
     slot.scale = most * sqrt(max(dot(x / most, x / most), max(dot(y / most, y / most), dot(z / most, z / most))));
     slot.orientation = f32(min(chunks[chunk].vertex_first, 1u)) * sign(dot(cross(x / most, y / most), z / most));
     return slot;
@@ -84,10 +99,25 @@ fn facing_axes(slot: SplatSlot, p: vec3<f32>, axes: Tangents) -> Tangents {
     return Tangents(with_intrinsics(own.u * radius), with_intrinsics(own.v * radius));
 }
 
+// Cosine of the angle between a sample's normal and the way to the eye; UNTILTED where that is not asked, or has no answer.
+fn tilt_cosine(slot: SplatSlot, sample: u32, centre: vec3<f32>) -> f32 {
+    if !SPLIT {
+        return UNTILTED;
+    }
+    let normal = attributes[sample].y;
+    if normal == NO_NORMAL || !slot.is_even {
+        return UNTILTED;
+    }
+    let across = camera_vector(taken(slot, octahedral_decode(normal))) / slot.scale;
+    let way = centre / max(max(abs(centre.x), abs(centre.y)), max(abs(centre.z), 1e-37));
+    return min(abs(dot(across, way)) * inverseSqrt(max(dot(across, across) * dot(way, way), 1e-37)), 1.0);
+}
+
 fn splat_of(slot: SplatSlot, sample: u32) -> Splat {
     let at = slot.first + sample;
     let p = splat_centre(slot, sample);
-    if !node_is_drawn(at, slot.unit, camera_vector(p)) {
+    let centre = camera_vector(p);
+    if !node_is_drawn(at, slot.unit, centre, tilt_cosine(slot, at, centre)) {
         var nothing: Splat;
         nothing.way = NOTHING;
         return nothing;
@@ -101,7 +131,6 @@ fn splat_of(slot: SplatSlot, sample: u32) -> Splat {
         let u = camera_vector(image.u);
         let v = camera_vector(image.v);
         let across = cross(u, v);
-        let centre = camera_vector(p);
         // Of all leaves below, as seen from anywhere on the disk.
         let reach = cone_sine(at) * length(centre) + 2.0 * frame.splat_cutoff * max(length(u), length(v));
         if dot(across, centre) * orientation > length(across) * reach {

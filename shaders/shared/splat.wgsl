@@ -339,7 +339,9 @@ fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: ve
     forms.t = vec3<f32>(0.0, -ju.y, ju.x) * inverse_area;
     forms.n = vec3<f32>(1.0, 0.0, 0.0) - slopes.x * forms.s - slopes.y * forms.t;
     splat.inverse = w * forms.n;
-    let relative = (reach + pixel_reach) * w;
+    // Far beyond its disk a splat's plane says nothing of where the surface is: the filter adds no more than the disk's own radius.
+    // Else the undersides of what is smaller than a pixel, drawn out upwards, would be before all else.
+    let relative = (reach + min(pixel_reach, f * longest)) * w;
     splat.least = w / (1.0 + relative);
     splat.most = select(FARTHEST, w / (1.0 - relative), relative < 1.0);
     splat.clip = clip_forms(lines, forms, spread, spread_t);

@@ -46,9 +46,7 @@ enum Format {
 /// # Errors
 /// See [`AssetError`]; nothing is returned in part.
 pub fn read(path: &Path, options: &ReadOptions) -> Result<Asset, AssetError> {
-    let name = path
-        .file_name()
-        .map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned());
+    let name = display_name(path);
     let input = Input::open(path, &name, options)?;
     let asset = match recognise(&input.origin.head, &name) {
         Format::Ply => ply::read_from(input, options),
@@ -80,6 +78,29 @@ pub fn read(path: &Path, options: &ReadOptions) -> Result<Asset, AssetError> {
     }?;
     options.progress.report(1.0);
     Ok(asset)
+}
+
+/// What errors call a file.
+pub(super) fn display_name(path: &Path) -> String {
+    path.file_name()
+        .map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned())
+}
+
+/// The formats whose points can be had some at a time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum InBlocks {
+    Ply,
+    Las,
+}
+
+/// Which of them an opened file has.
+pub(super) fn in_blocks(input: &Input) -> Option<InBlocks> {
+    match recognise(&input.origin.head, &input.origin.name) {
+        Format::Ply => Some(InBlocks::Ply),
+        // What is compressed once more would have to be unpacked first.
+        Format::Las if input.origin.exact => Some(InBlocks::Las),
+        _ => None,
+    }
 }
 
 /// The formats that hold samples only.

@@ -20,7 +20,7 @@ use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
-use super::points::{self, colors_from_words, io_error, malformed, skipped_warning};
+use super::points::{self, WordColors, io_error, malformed, skipped_warning};
 use super::{Asset, AssetError, Geometry, PointCloud, ReadOptions};
 use header::Header;
 use record::{Columns, Layout};
@@ -49,7 +49,30 @@ fn read_seekable<R: Read + Seek + Send + Sync>(
     options: &ReadOptions,
 ) -> Result<Asset, AssetError> {
     let mut warnings = Vec::new();
-    let header = Header::read(&mut reader, name, &mut warnings)?;
+    let header = open(&mut reader, name, options, &mut warnings)?;
+    let layout = Layout::of(&header);
+    let mut columns = Columns::default();
+    if !header.is_compressed {
+        columns.reserve(header.points as usize, &layout);
+    }
+    each_part(reader, &header, &layout, name, options, &mut |part, place| {
+        let reserved = columns.try_reserve(part.positions.len(), &layout);
+        reserved.map_err(|reason| malformed(name, place, reason))?;
+        columns.append(part);
+        Ok(())
+    })?;
+    options.progress.report(1.0);
+    finish(columns, &header, warnings, name)
+}
+
+/// The header, checked against the file and the options.
+fn open<R: Read + Seek>(
+    reader: &mut R,
+    name: &str,
+    options: &ReadOptions,
+    warnings: &mut Vec<String>,
+) -> Result<Header, AssetError> {
+    let header = Header::read(reader, name, warnings)?;
     points::check_count(name, header.points, options)?;
     let bytes = header.points.saturating_mul(header.record_bytes as u64);
     if header.is_compressed && bytes > options.max_decompressed_bytes {
@@ -60,28 +83,38 @@ fn read_seekable<R: Read + Seek + Send + Sync>(
             limit: options.max_decompressed_bytes,
         });
     }
-    let layout = Layout::of(&header);
-    let columns = if header.is_compressed {
-        compressed::read(reader, &header, &layout, name, options)?
+    Ok(header)
+}
+
+/// What is done with some of the points, in the file's order, and where they are.
+type Visit<'a> = dyn FnMut(Columns, String) -> Result<(), AssetError> + Send + 'a;
+
+fn each_part<R: Read + Seek + Send + Sync>(
+    mut reader: R,
+    header: &Header,
+    layout: &Layout,
+    name: &str,
+    options: &ReadOptions,
+    visit: &mut Visit,
+) -> Result<(), AssetError> {
+    if header.is_compressed {
+        compressed::each_part(reader, header, layout, name, options, visit)
     } else {
-        read_plain(&mut reader, &header, &layout, name, options)?
-    };
-    options.progress.report(1.0);
-    finish(columns, &header, warnings, name)
+        each_plain(&mut reader, header, layout, name, options, visit)
+    }
 }
 
 /// Records as they are; [`Header::read`] has checked that the file can hold them.
-fn read_plain<R: Read + Seek>(
+fn each_plain<R: Read + Seek>(
     reader: &mut R,
     header: &Header,
     layout: &Layout,
     name: &str,
     options: &ReadOptions,
-) -> Result<Columns, AssetError> {
+    visit: &mut Visit,
+) -> Result<(), AssetError> {
     let start = SeekFrom::Start(header.points_offset);
     reader.seek(start).map_err(|source| io_error(name, source))?;
-    let mut columns = Columns::default();
-    columns.reserve(header.points as usize, layout);
     let mut buffer = Vec::new();
     let mut point = 0;
     while point < header.points {
@@ -90,11 +123,74 @@ fn read_plain<R: Read + Seek>(
         reader
             .read_exact(&mut buffer)
             .map_err(|error| malformed(name, format!("point {point}"), error.to_string()))?;
-        columns.extend(&buffer, layout);
+        let mut part = Columns::default();
+        part.reserve(batch as usize, layout);
+        part.extend(&buffer, layout);
+        visit(part, format!("point {point}"))?;
         point += batch;
         options.progress.report(point as f32 / header.points as f32);
     }
-    Ok(columns)
+    Ok(())
+}
+
+/// The points that the header announces.
+pub(super) fn announced(path: &Path, name: &str, options: &ReadOptions) -> Result<u64, AssetError> {
+    let mut file = File::open(path).map_err(|source| io_error(name, source))?;
+    Ok(open(&mut file, name, options, &mut Vec::new())?.points)
+}
+
+/// What only a whole file tells of its points.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Facts {
+    is_compressed: bool,
+    colors: WordColors,
+    has_intensity: bool,
+    has_classes: bool,
+}
+
+impl Facts {
+    pub(super) fn format(&self) -> &'static str {
+        if self.is_compressed { "laz" } else { "las" }
+    }
+
+    fn add(&mut self, columns: &Columns) {
+        self.colors.add(&columns.rgb);
+        self.has_intensity |= columns.intensity.iter().any(|&value| value != 0);
+        self.has_classes |= columns.classes.iter().any(|&class| class != 0);
+    }
+
+    fn cloud(&self, columns: Columns) -> PointCloud {
+        PointCloud {
+            colors: self.colors.colors(&columns.rgb),
+            positions: columns.positions,
+            intensity: self.has_intensity.then_some(columns.intensity),
+            classification: self.has_classes.then_some(columns.classes),
+            ..PointCloud::default()
+        }
+    }
+}
+
+/// Calls `visit` with the points, some at a time. What colours are depends on the whole file: give what a first call has found to
+/// a second one. Memory: that of some [`BATCH`]es, or chunks of a LAZ file.
+///
+/// # Errors
+/// As [`read`]; those of `visit`.
+pub(super) fn each(
+    path: &Path,
+    name: &str,
+    options: &ReadOptions,
+    known: Option<&Facts>,
+    visit: &mut (dyn FnMut(PointCloud) -> Result<(), AssetError> + Send),
+) -> Result<Facts, AssetError> {
+    let file = File::open(path).map_err(|source| io_error(name, source))?;
+    let mut reader = BufReader::with_capacity(1 << 18, file);
+    let header = open(&mut reader, name, options, &mut Vec::new())?;
+    let mut facts = Facts { is_compressed: header.is_compressed, ..Facts::default() };
+    each_part(reader, &header, &Layout::of(&header), name, options, &mut |part, _| {
+        facts.add(&part);
+        visit(known.unwrap_or(&facts).cloud(part))
+    })?;
+    Ok(facts)
 }
 
 fn finish(
@@ -112,21 +208,13 @@ fn finish(
     }
     warnings.extend(skipped_warning(columns.withheld, "flagged as withheld"));
     warnings.extend(skipped_warning(columns.not_finite, "no finite position"));
-    fn unless_zero<T: PartialEq + Default>(column: Vec<T>) -> Option<Vec<T>> {
-        column.iter().any(|value| *value != T::default()).then_some(column)
-    }
-    let cloud = PointCloud {
-        positions: columns.positions,
-        colors: colors_from_words(&columns.rgb),
-        intensity: unless_zero(columns.intensity),
-        classification: unless_zero(columns.classes),
-        ..PointCloud::default()
-    };
-    let format = if header.is_compressed { "laz" } else { "las" };
-    let mut asset = Asset::single(format, name, Geometry::Points(cloud));
+    let mut facts = Facts { is_compressed: header.is_compressed, ..Facts::default() };
+    facts.add(&columns);
+    let cloud = facts.cloud(columns);
+    let mut asset = Asset::single(facts.format(), name, Geometry::Points(cloud));
     asset.warnings = warnings;
     Ok(asset)
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

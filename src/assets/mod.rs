@@ -7,6 +7,7 @@
 //! No reader allocates more than the file's length can justify, whatever its header says, and every
 //! error names the file, the element and the property at fault.
 
+mod blocks;
 mod dispatch;
 pub mod e57;
 mod fault;
@@ -23,7 +24,7 @@ pub mod ptx;
 mod quiet;
 pub mod stl;
 mod texture;
-mod tidy;
+pub(crate) mod tidy;
 mod tokens;
 pub mod xyz;
 
@@ -31,6 +32,7 @@ use std::path::PathBuf;
 
 use glam::{DAffine3, DVec3, Vec2, Vec3};
 
+pub use self::blocks::{PointBlocks, Survey};
 pub use self::dispatch::{FORMATS, is_supported_extension, read};
 use crate::math::{Bounds, Camera};
 
@@ -84,6 +86,13 @@ pub struct PointCloud {
     pub kernels: Option<Vec<Kernel>>,
     /// [`Clip::NONE`] where a sample keeps its whole kernel.
     pub clips: Option<Vec<Clip>>,
+}
+
+impl PointCloud {
+    /// Whether a clip line cuts something off a sample.
+    pub fn is_clipped(&self, sample: usize) -> bool {
+        self.clips.as_ref().is_some_and(|clips| clips[sample].lines.iter().any(Option::is_some))
+    }
 }
 
 /// A sample's reconstruction kernel: an elliptical Gaussian in its tangent plane (Zwicker 2004, §3).

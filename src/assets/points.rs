@@ -208,24 +208,41 @@ pub(super) fn colors(count: usize, rgb: impl Fn(usize) -> [f32; 3]) -> Vec<[u8; 
         .collect()
 }
 
-/// Colours from 16-bit integer fields (LAS), or `None` when all are zero, which means no colour.
-/// A maximum of 1 in integer fields is taken for black, not for full intensity.
-pub(super) fn colors_from_words(words: &[[u16; 3]]) -> Option<Vec<[u8; 4]>> {
-    let (max, bits) = words
-        .iter()
-        .flatten()
-        .fold((0u16, 0u16), |(max, bits), &word| (max.max(word), bits | word));
-    let range = match max {
-        0 => return None,
-        1..=255 => ColorRange::Byte,
-        _ if bits & 0xff == 0 => ColorRange::HighByte,
-        _ => ColorRange::Word,
-    };
-    let color = |rgb: &[u16; 3]| {
-        let [r, g, b] = rgb.map(|word| range.byte(f32::from(word)));
-        [r, g, b, 255]
-    };
-    Some(words.iter().map(color).collect())
+/// What 16-bit integer colour fields (LAS) of a file hold, all together.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct WordColors {
+    max: u16,
+    bits: u16,
+}
+
+impl WordColors {
+    pub(super) fn add(&mut self, words: &[[u16; 3]]) {
+        for &word in words.iter().flatten() {
+            self.max = self.max.max(word);
+            self.bits |= word;
+        }
+    }
+
+    /// How they are to be read, or `None` when all are zero, which means no colour. A maximum of 1 in integer fields is taken for
+    /// black, not for full intensity.
+    fn range(self) -> Option<ColorRange> {
+        match self.max {
+            0 => None,
+            1..=255 => Some(ColorRange::Byte),
+            _ if self.bits & 0xff == 0 => Some(ColorRange::HighByte),
+            _ => Some(ColorRange::Word),
+        }
+    }
+
+    /// Some of the file's colours.
+    pub(super) fn colors(self, words: &[[u16; 3]]) -> Option<Vec<[u8; 4]>> {
+        let range = self.range()?;
+        let color = |rgb: &[u16; 3]| {
+            let [r, g, b] = rgb.map(|word| range.byte(f32::from(word)));
+            [r, g, b, 255]
+        };
+        Some(words.iter().map(color).collect())
+    }
 }
 
 /// The smallest and the largest finite value, `None` without any.
@@ -277,6 +294,12 @@ pub(super) fn skipped_warning(count: u64, why: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn colors_from_words(words: &[[u16; 3]]) -> Option<Vec<[u8; 4]>> {
+        let mut all = WordColors::default();
+        all.add(words);
+        all.colors(words)
+    }
 
     #[test]
     fn color_ranges_are_recognised() {

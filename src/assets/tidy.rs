@@ -22,22 +22,17 @@ impl Odd {
 /// Colours as bytes from floats. A file with any channel above 1 counts from 0 to 255, others from 0
 /// to 1; not-a-number becomes white.
 pub(crate) fn colors_from_floats(values: &[[f32; 4]], warnings: &mut Vec<String>) -> Vec<[u8; 4]> {
-    let bytes = values.iter().flatten().any(|channel| channel.is_finite() && *channel > 1.0);
-    let scale = if bytes { 1.0 } else { 255.0 };
+    let bytes = values.iter().any(counts_to_255);
     let mut bad = Odd::default();
     let colors = values
         .iter()
         .enumerate()
         .map(|(index, color)| {
-            let [r, g, b, a] = *color;
+            let [r, g, b, _] = *color;
             if !(r.is_finite() && g.is_finite() && b.is_finite()) {
                 bad.count(index);
-                return [255; 4];
             }
-            let byte = |channel: f32| (channel * scale).round() as u8;
-            // Alpha that the file does not give is 1 whatever the scale.
-            let alpha = if a.is_nan() { 255 } else { byte(a) };
-            [byte(r), byte(g), byte(b), alpha]
+            color_from_floats(*color, bytes)
         })
         .collect();
     if let Some(first) = bad.first {
@@ -47,6 +42,32 @@ pub(crate) fn colors_from_floats(values: &[[f32; 4]], warnings: &mut Vec<String>
         ));
     }
     colors
+}
+
+/// Whether a colour can only be one of those that count from 0 to 255.
+pub(crate) fn counts_to_255(color: &[f32; 4]) -> bool {
+    color.iter().any(|channel| channel.is_finite() && *channel > 1.0)
+}
+
+/// A colour of a file whose colours count from 0 to 255 (`bytes`) or to 1.
+pub(crate) fn color_from_floats([r, g, b, a]: [f32; 4], bytes: bool) -> [u8; 4] {
+    if !(r.is_finite() && g.is_finite() && b.is_finite()) {
+        return [255; 4];
+    }
+    let scale = if bytes { 1.0 } else { 255.0 };
+    let byte = |channel: f32| (channel * scale).round() as u8;
+    // Alpha that the file does not give is 1 whatever the scale.
+    let alpha = if a.is_nan() { 255 } else { byte(a) };
+    [byte(r), byte(g), byte(b), alpha]
+}
+
+/// A normal at unit length; zero stays zero, not-a-number becomes zero.
+pub(crate) fn unit_normal(normal: Vec3) -> Vec3 {
+    if !normal.is_finite() {
+        return Vec3::ZERO;
+    }
+    let wide = normal.as_dvec3();
+    (wide / wide.length().max(f64::MIN_POSITIVE)).as_vec3()
 }
 
 /// Scales normals to unit length in place; zero stays zero, not-a-number becomes zero. `None` when
@@ -60,12 +81,9 @@ pub(crate) fn unit_normals(
     for (index, normal) in normals.iter_mut().enumerate() {
         if !normal.is_finite() {
             bad.count(index);
-            *normal = Vec3::ZERO;
-        } else {
-            let wide = normal.as_dvec3();
-            *normal = (wide / wide.length().max(f64::MIN_POSITIVE)).as_vec3();
-            any |= *normal != Vec3::ZERO;
         }
+        *normal = unit_normal(*normal);
+        any |= *normal != Vec3::ZERO;
     }
     if let Some(first) = bad.first {
         let count = bad.count;
@@ -78,17 +96,25 @@ pub(crate) fn unit_normals(
 
 /// Intensities over 0..=65535: the file's smallest value becomes 0, its largest 65535.
 pub(crate) fn spread_intensity(values: &[f32]) -> Vec<u16> {
-    let finite = values.iter().copied().filter(|value| value.is_finite());
-    let (low, high) =
-        finite.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+    let range = values.iter().fold(NO_RANGE, |range, &value| widened(range, value));
+    values.iter().map(|&value| intensity_within(range, value)).collect()
+}
+
+/// The range of nothing.
+pub(crate) const NO_RANGE: [f32; 2] = [f32::INFINITY, f32::NEG_INFINITY];
+
+/// A range that holds a value as well, if it is finite.
+pub(crate) fn widened([low, high]: [f32; 2], value: f32) -> [f32; 2] {
+    if value.is_finite() { [low.min(value), high.max(value)] } else { [low, high] }
+}
+
+/// An intensity over 0..=65535, of a file with this range.
+pub(crate) fn intensity_within([low, high]: [f32; 2], value: f32) -> u16 {
     let range = f64::from(high) - f64::from(low);
-    let place = |value: f32| {
-        if !value.is_finite() || range <= 0.0 {
-            return 0;
-        }
-        ((f64::from(value) - f64::from(low)) / range * 65535.0).round() as u16
-    };
-    values.iter().map(|value| place(*value)).collect()
+    if !value.is_finite() || range <= 0.0 {
+        return 0;
+    }
+    ((f64::from(value) - f64::from(low)) / range * 65535.0).round() as u16
 }
 
 fn keep<T>(values: &mut Option<Vec<T>>, kept: &[bool]) {

@@ -22,8 +22,10 @@ use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
-use self::entry::{Entry, Refusal};
+use self::entry::{Entry, Refusal, SpilledEntry};
+use super::external::{Spill, Spilled, disk_bytes};
 use super::pack::PackedGeometry;
+use super::tree::TreeStatistics;
 
 /// Of an entry's bytes and of what they mean. It must be raised with every change of either: of the layout, of the records of
 /// [`super::pack`] and of the codes of [`super::tree`]. What is baked from the same input has a version of its own in the key
@@ -42,6 +44,7 @@ const ABANDONED: Duration = Duration::from_secs(24 * 60 * 60);
 pub struct BakeCache {
     folder: PathBuf,
     max_bytes: u64,
+    bake_bytes: Option<u64>,
 }
 
 /// An entry in the folder.
@@ -54,7 +57,7 @@ struct Found {
 impl BakeCache {
     /// Does not touch the disk. `max_bytes`: of all entries together.
     pub fn new(folder: impl Into<PathBuf>, max_bytes: u64) -> BakeCache {
-        BakeCache { folder: folder.into(), max_bytes }
+        BakeCache { folder: folder.into(), max_bytes, bake_bytes: None }
     }
 
     /// Where entries are; it may not be there yet.
@@ -65,6 +68,31 @@ impl BakeCache {
     /// Of all entries together.
     pub fn max_bytes(&self) -> u64 {
         self.max_bytes
+    }
+
+    /// What building may take of memory, in bytes: what takes more is built with temporary files in this folder.
+    #[must_use]
+    pub fn with_bake_bytes(self, bytes: Option<u64>) -> BakeCache {
+        BakeCache { bake_bytes: bytes, ..self }
+    }
+
+    /// What building may take of memory: as it was given, else half of what is free now, where the system tells that.
+    pub fn bake_bytes(&self) -> Option<u64> {
+        self.bake_bytes.or_else(|| {
+            let info = fs::read_to_string("/proc/meminfo").ok()?;
+            let free = info.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+            let kib: u64 = free.trim().strip_suffix("kB")?.trim().parse().ok()?;
+            Some(kib * 512)
+        })
+    }
+
+    /// Room for the temporary files that building the tree of so many samples takes at most.
+    ///
+    /// # Errors
+    /// A folder that cannot be made.
+    pub fn spill(&self, samples: u64) -> io::Result<Spill> {
+        fs::create_dir_all(&self.folder)?;
+        Ok(Spill::new(&self.folder, disk_bytes(samples)))
     }
 
     /// The user's cache folder: `$XDG_CACHE_HOME/pointillist`, else `$HOME/.cache/pointillist`; none where neither variable is an
@@ -97,6 +125,14 @@ impl BakeCache {
         }
     }
 
+    /// The figures of the point tree that is there for this key, where it is the only geometry of a whole and undamaged entry of
+    /// [`FORMAT_VERSION`]. It is not read into memory; what is in its place otherwise stays.
+    pub fn figures(&self, key: &[u8; 32]) -> Option<TreeStatistics> {
+        let path = self.path(key);
+        let found = open(&path).and_then(|(mut file, bytes)| entry::figures(&mut file, bytes, key));
+        found.ok().inspect(|_| touch(&path))
+    }
+
     /// Puts an entry in place of what is there for this key, if anything, and makes room for it. One that is larger than
     /// `max_bytes` by itself is not written; whether it was.
     ///
@@ -106,8 +142,27 @@ impl BakeCache {
     pub fn store(&self, key: &[u8; 32], geometries: &[PackedGeometry]) -> io::Result<bool> {
         let entry = Entry::of(geometries)
             .map_err(|refusal| io::Error::new(io::ErrorKind::InvalidInput, refusal))?;
-        if entry.bytes() > self.max_bytes {
-            tracing::debug!(bytes = entry.bytes(), "a baked geometry is too large to be kept");
+        self.write(key, entry.bytes(), |out| entry.write(out, key))
+    }
+
+    /// As [`BakeCache::store`], of a single point tree that lies in files.
+    ///
+    /// # Errors
+    /// As [`BakeCache::store`].
+    pub fn store_spilled(&self, key: &[u8; 32], tree: &Spilled) -> io::Result<bool> {
+        let entry = SpilledEntry::of(tree)
+            .map_err(|refusal| io::Error::new(io::ErrorKind::InvalidInput, refusal))?;
+        self.write(key, entry.bytes(), |out| entry.write(out, key))
+    }
+
+    fn write(
+        &self,
+        key: &[u8; 32],
+        bytes: u64,
+        write: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>,
+    ) -> io::Result<bool> {
+        if bytes > self.max_bytes {
+            tracing::debug!(bytes, "a baked geometry is too large to be kept");
             return Ok(false);
         }
         fs::create_dir_all(&self.folder)?;
@@ -117,7 +172,7 @@ impl BakeCache {
             .suffix(WRITING_SUFFIX)
             .tempfile_in(&self.folder)?;
         let mut out = BufWriter::new(file.as_file_mut());
-        entry.write(&mut out, key)?;
+        write(&mut out)?;
         out.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()?;
         let path = self.path(key);
         file.persist(&path).map_err(|error| error.error)?;
@@ -199,13 +254,19 @@ fn user_folder(xdg: Option<OsString>, home: Option<OsString>) -> Option<PathBuf>
 }
 
 fn read(path: &Path, key: &[u8; 32]) -> Result<Vec<PackedGeometry>, Refusal> {
+    let (mut file, bytes) = open(path)?;
+    entry::read(&mut file, bytes, key)
+}
+
+/// An entry's file and its length.
+fn open(path: &Path) -> Result<(File, u64), Refusal> {
     // Before it is opened: a pipe would keep us waiting.
     if !fs::symlink_metadata(path)?.is_file() {
         return Err(Refusal::Foreign);
     }
-    let mut file = File::open(path)?;
+    let file = File::open(path)?;
     let bytes = file.metadata()?.len();
-    entry::read(&mut file, bytes, key)
+    Ok((file, bytes))
 }
 
 /// Notes that an entry is in use. Where that fails it only goes earlier.

@@ -46,50 +46,84 @@ pub fn fill_colors(cloud: &mut PointCloud) {
     }
     let intensity = cloud.intensity.as_deref().filter(|values| values.len() == count);
     let classes = cloud.classification.as_deref().filter(|classes| classes.len() == count);
-    let colors = intensity
-        .and_then(greys)
-        .or_else(|| classes.and_then(class_colors))
-        .unwrap_or_else(|| vec![NEUTRAL; count]);
-    cloud.colors = Some(colors);
+    let mut counts = Counts::default();
+    counts.add(intensity.unwrap_or(&[]), classes.unwrap_or(&[]));
+    let palette = counts.palette();
+    let color = |i: usize| {
+        palette.color(intensity.map_or(0, |values| values[i]), classes.map_or(0, |c| c[i]))
+    };
+    cloud.colors = Some((0..count).map(color).collect());
 }
 
-/// Greys between two percentiles of the intensity, or `None` if all points have the same.
-fn greys(intensity: &[u16]) -> Option<Vec<[u8; 4]>> {
-    let mut histogram = vec![0u64; 1 << 16];
-    intensity.iter().for_each(|&value| histogram[usize::from(value)] += 1);
-    let percentile = |fraction: f64| {
-        let rank = ((intensity.len() as f64 - 1.0) * fraction).round() as u64;
-        let mut below = 0;
-        histogram.iter().position(|&count| {
-            below += count;
-            below > rank
-        })
-    };
-    let [mut low, mut high] = [percentile(STRETCH[0])?, percentile(STRETCH[1])?];
-    if low == high {
-        // Nearly all points agree: the few others still differ.
-        low = histogram.iter().position(|&count| count > 0)?;
-        high = histogram.iter().rposition(|&count| count > 0)?;
-    }
-    if low == high {
-        return None;
-    }
-    let extent = (high - low) as f64;
-    let grey = |&value: &u16| {
-        let level = (f64::from(value) - low as f64) / extent * 255.0;
-        let level = level.clamp(0.0, 255.0).round() as u8;
-        [level, level, level, 255]
-    };
-    Some(intensity.iter().map(grey).collect())
+/// How often each intensity and each class is there.
+#[derive(Clone, Debug)]
+pub(super) struct Counts {
+    intensities: Vec<u64>,
+    classes: Vec<u64>,
 }
 
-/// A colour for each class, or `None` if there is only one.
-fn class_colors(classes: &[u8]) -> Option<Vec<[u8; 4]>> {
-    let first = classes.first()?;
-    if classes.iter().all(|class| class == first) {
-        return None;
+impl Default for Counts {
+    fn default() -> Counts {
+        Counts { intensities: vec![0; 1 << 16], classes: vec![0; 1 << 8] }
     }
-    Some(classes.iter().map(|&class| class_color(class)).collect())
+}
+
+impl Counts {
+    pub(super) fn add(&mut self, intensities: &[u16], classes: &[u8]) {
+        intensities.iter().for_each(|&value| self.intensities[usize::from(value)] += 1);
+        classes.iter().for_each(|&class| self.classes[usize::from(class)] += 1);
+    }
+
+    /// How points are coloured that have no colours.
+    pub(super) fn palette(&self) -> Palette {
+        if let Some([low, high]) = self.stretch() {
+            return Palette::Greys { low, extent: high - low };
+        }
+        let several = self.classes.iter().filter(|&&count| count > 0).count() > 1;
+        if several { Palette::Classes } else { Palette::Neutral }
+    }
+
+    /// Two percentiles of the intensity, or `None` if all points have the same.
+    fn stretch(&self) -> Option<[f64; 2]> {
+        let total: u64 = self.intensities.iter().sum();
+        let percentile = |fraction: f64| {
+            let rank = ((total as f64 - 1.0) * fraction).round() as u64;
+            let mut below = 0;
+            self.intensities.iter().position(|&count| {
+                below += count;
+                below > rank
+            })
+        };
+        let [mut low, mut high] = [percentile(STRETCH[0])?, percentile(STRETCH[1])?];
+        if low == high {
+            // Nearly all points agree: the few others still differ.
+            low = self.intensities.iter().position(|&count| count > 0)?;
+            high = self.intensities.iter().rposition(|&count| count > 0)?;
+        }
+        (low != high).then_some([low as f64, high as f64])
+    }
+}
+
+/// Colours of points without any.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Palette {
+    Greys { low: f64, extent: f64 },
+    Classes,
+    Neutral,
+}
+
+impl Palette {
+    pub(super) fn color(self, intensity: u16, class: u8) -> [u8; 4] {
+        match self {
+            Palette::Greys { low, extent } => {
+                let level = (f64::from(intensity) - low) / extent * 255.0;
+                let level = level.clamp(0.0, 255.0).round() as u8;
+                [level, level, level, 255]
+            }
+            Palette::Classes => class_color(class),
+            Palette::Neutral => NEUTRAL,
+        }
+    }
 }
 
 fn class_color(class: u8) -> [u8; 4] {

@@ -15,6 +15,7 @@ use super::rasterise::{RasteriseOptions, rasterise_mesh};
 use super::sample::SampleError;
 use super::sample::color::Colors;
 use super::tree::Measures;
+use crate::assets::tidy::weld_key;
 use crate::assets::{Material, Mesh, MeshPart, PointCloud, Texture};
 
 /// A mesh, prepared for a point tree.
@@ -36,12 +37,7 @@ const ROUNDED: f32 = 1.02;
 /// Whether a mesh is the surface of solids, none of which is inside out: every edge has as many triangles on one side as on the other,
 /// and whatever hangs together has a volume that is inside. Vertices at one place are one.
 pub fn is_watertight(mesh: &Mesh) -> bool {
-    let mut places: Vec<[u64; 3]> = mesh
-        .positions
-        .iter()
-        // Negative zero is zero.
-        .map(|p| p.to_array().map(|c| (c + 0.0).to_bits()))
-        .collect();
+    let mut places: Vec<[u64; 3]> = mesh.positions.iter().map(|p| weld_key(*p)).collect();
     let of_vertex = places.clone();
     places.par_sort_unstable();
     places.dedup();

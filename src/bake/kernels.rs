@@ -219,8 +219,12 @@ fn axes([xx, xy, yy]: [f32; 3]) -> (Vec2, f32) {
     (axis.try_normalize().unwrap_or(Vec2::X), ((mean + spread) / least).sqrt())
 }
 
+pub(super) fn longest_axis(kernel: &Kernel) -> f32 {
+    kernel.v.as_dvec3().length().max(kernel.u.as_dvec3().length()) as f32
+}
+
 /// The standard deviations that a cloud's kernels may have.
-struct Bounds {
+pub(super) struct Bounds {
     median: f32,
     least: f32,
     most: f32,
@@ -228,10 +232,12 @@ struct Bounds {
 
 impl Bounds {
     fn of(kernels: &[Kernel]) -> Self {
-        let lengths: Vec<f32> = evenly(kernels)
-            .map(|k| k.v.as_dvec3().length().max(k.u.as_dvec3().length()) as f32)
-            .collect();
-        let median = median_of(&lengths).unwrap_or(LONE);
+        Bounds::of_some(&evenly(kernels).map(longest_axis).collect::<Vec<f32>>())
+    }
+
+    /// Those of a cloud of whose kernels these are the longest axes, evenly spread.
+    pub(super) fn of_some(lengths: &[f32]) -> Self {
+        let median = median_of(lengths).unwrap_or(LONE);
         // Between these, squares of lengths are ordinary numbers.
         let most = (median * LARGEST).clamp(TINY, f32::MAX.sqrt() * 1e-3);
         let least = (median * SMALLEST).clamp(TINY, most);
@@ -239,7 +245,7 @@ impl Bounds {
     }
 
     /// Gives a stray the median and keeps all others near it.
-    fn apply(&self, kernel: Kernel, normal: Vec3) -> Kernel {
+    pub(super) fn apply(&self, kernel: Kernel, normal: Vec3) -> Kernel {
         // So short that f32 has not kept the direction.
         let is_vague = |axis: Vec3| axis.as_dvec3().length() < 1e-30;
         if !is_kernel(&kernel) || is_vague(kernel.u) || is_vague(kernel.v) {

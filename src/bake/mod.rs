@@ -13,12 +13,14 @@
 //! - [`prepare`] applies these as a file needs them, the same for the GPU and for the reference renderer;
 //! - [`hybrid`] samples meshes for point trees, which keep the triangles for where they are the better;
 //! - [`tree`] builds point trees, from which a frame takes the detail that it can show;
+//! - [`external`] builds the point trees of files that do not fit into memory;
 //! - [`pack`] puts geometry into the records that the GPU reads;
 //! - [`cache`] keeps what was baked in a folder.
 
 pub mod assemble;
 pub mod cache;
 pub mod csg;
+pub mod external;
 pub mod hybrid;
 pub mod pack;
 pub mod prepare;

@@ -17,7 +17,7 @@ use super::kernels::fit;
 use super::neighbors::{MAX_NEIGHBORS, Neighbors, PointTree};
 use crate::assets::{Kernel, PointCloud};
 
-const NORMAL_NEIGHBORS: usize = 12;
+pub(super) const NORMAL_NEIGHBORS: usize = 12;
 const RADIUS_NEIGHBORS: usize = 6;
 /// A cloud whose shortest extent is below this fraction of the next is flat.
 const FLAT_RATIO: f64 = 1.0 / 3.0;
@@ -200,12 +200,17 @@ pub(super) fn median_of(lengths: &[f32]) -> Option<f32> {
 
 /// Up to about [`SAMPLES`] elements, evenly spread.
 pub(super) fn evenly<T>(all: &[T]) -> impl Iterator<Item = &T> {
-    all.iter().step_by(all.len().div_ceil(SAMPLES).max(1))
+    all.iter().step_by(stride(all.len()))
+}
+
+/// Of so many elements every how-manieth is taken for them all.
+pub(super) fn stride(count: usize) -> usize {
+    count.div_ceil(SAMPLES).max(1)
 }
 
 /// Which way normals look.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Outward {
+pub(super) enum Outward {
     /// Away from the middle, in local coordinates.
     From(Vec3),
     /// Along an axis.
@@ -215,7 +220,7 @@ enum Outward {
 /// The coordinates of the tree: f32 about the cloud's median, where most points are, so that
 /// neither a place far from the origin nor a few stray points cost precision.
 #[derive(Clone, Copy, Debug)]
-struct Frame {
+pub(super) struct Frame {
     origin: DVec3,
     /// Length of a local unit.
     size: f64,
@@ -225,9 +230,14 @@ struct Frame {
 impl Frame {
     /// The frame of the points of `finite`, `None` without any.
     fn of(positions: &[DVec3], finite: &[u32]) -> Option<Self> {
+        let some: Vec<DVec3> = evenly(finite).map(|&index| positions[index as usize]).collect();
+        Frame::of_some(&some)
+    }
+
+    /// The frame of a cloud of which these are evenly spread ([`stride`]).
+    pub(super) fn of_some(some: &[DVec3]) -> Option<Self> {
         let quantiles = |axis: usize| {
-            let mut values: Vec<f64> =
-                evenly(finite).map(|&index| positions[index as usize][axis]).collect();
+            let mut values: Vec<f64> = some.iter().map(|position| position[axis]).collect();
             values.sort_unstable_by(f64::total_cmp);
             let at = |fraction: f64| {
                 values.get(((values.len() as f64 - 1.0) * fraction).round() as usize).copied()
@@ -251,20 +261,20 @@ impl Frame {
         Some(frame)
     }
 
-    fn to_local(self, position: DVec3) -> [f32; 3] {
+    pub(super) fn to_local(self, position: DVec3) -> [f32; 3] {
         // Halves keep differences of huge coordinates finite.
         let local = (position * 0.5 - self.origin * 0.5) / (self.size * 0.5);
         local.clamp(DVec3::splat(-MAX_COORDINATE), DVec3::splat(MAX_COORDINATE)).as_vec3().into()
     }
 
     /// A kernel of the tree's coordinates in the units of the positions.
-    fn kernel(&self, kernel: Kernel) -> Kernel {
+    pub(super) fn kernel(&self, kernel: Kernel) -> Kernel {
         let scaled = |axis: Vec3| (axis.as_dvec3() * self.size).as_vec3();
         Kernel { u: scaled(kernel.u), v: scaled(kernel.v) }
     }
 
     /// The direction of least variance, looking outward.
-    fn normal(&self, neighbors: &Neighbors) -> Vec3 {
+    pub(super) fn normal(&self, neighbors: &Neighbors) -> Vec3 {
         let normal = least_direction(neighbors.offsets(), neighbors.len()).as_vec3();
         let outward = match self.outward {
             Outward::Along(axis) => axis,

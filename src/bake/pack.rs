@@ -11,12 +11,15 @@ mod kernel;
 mod texture;
 mod unpack;
 
+pub(super) use kernel::lengths as kernel_lengths;
 pub use texture::{PackedTexture, pack_texture, unpack_texture};
+pub(super) use unpack::unpack_kernel;
 pub use unpack::{unpack_mesh, unpack_samples};
 
 use glam::{DVec3, I64Vec3, IVec3, Vec3};
 use rayon::prelude::*;
 
+use super::colors::NEUTRAL;
 use crate::assets::{Clip, Kernel, Material, Mesh, PointCloud};
 use crate::math::Bounds;
 
@@ -173,8 +176,9 @@ impl Grid {
 
     /// The nearest grid point.
     pub fn quantise(&self, position: DVec3) -> IVec3 {
-        let cells = ((position - self.origin) / self.step).round();
-        IVec3::new(cells.x as i32, cells.y as i32, cells.z as i32)
+        // Of a power of two the inverse is exact.
+        let cells = (position - self.origin) * (1.0 / self.step);
+        IVec3::new(nearest(cells.x), nearest(cells.y), nearest(cells.z))
     }
 
     /// The position of a grid point.
@@ -183,8 +187,15 @@ impl Grid {
     }
 }
 
+/// The nearest whole number, away from zero between two. Without an instruction for it, `round` is a call.
+fn nearest(value: f64) -> i32 {
+    let whole = value as i32;
+    let rest = value - f64::from(whole);
+    whole.saturating_add(i32::from(rest >= 0.5) - i32::from(rest <= -0.5))
+}
+
 /// Spreads the lower 21 bits of `v`, two zeros after each.
-pub(super) fn spread(v: u64) -> u64 {
+pub fn spread(v: u64) -> u64 {
     let mut x = v & 0x1f_ffff;
     x = (x | x << 32) & 0x001f_0000_0000_ffff;
     x = (x | x << 16) & 0x001f_0000_ff00_00ff;
@@ -212,7 +223,7 @@ pub fn octahedral(normal: Vec3) -> u32 {
     } else {
         (n.x, n.y)
     };
-    let snorm = |v: f32| (v.clamp(-1.0, 1.0) * 32767.0).round() as i16 as u16;
+    let snorm = |v: f32| nearest(f64::from(v.clamp(-1.0, 1.0) * 32767.0)) as i16 as u16;
     u32::from(snorm(x)) | u32::from(snorm(y)) << 16
 }
 
@@ -251,9 +262,7 @@ pub fn pack_samples(cloud: &PointCloud) -> Result<PackedSamples, PackError> {
     let longest = longest.fold(0.0f32, |most, (u, v)| most.max(u).max(v));
     let bounds = Bounds::of(cloud.positions.iter().copied());
     let grid = Grid::with_detail(&bounds, f64::from(longest) * KERNEL_DETAIL)?;
-    let clipped = |index: usize| {
-        cloud.clips.as_ref().is_some_and(|clips| clips[index].lines.iter().any(Option::is_some))
-    };
+    let clipped = |index: usize| cloud.is_clipped(index);
     let mut order: Vec<(bool, u64, u32)> = cloud
         .positions
         .par_iter()
@@ -263,9 +272,43 @@ pub fn pack_samples(cloud: &PointCloud) -> Result<PackedSamples, PackError> {
     order.par_sort_unstable();
     let clipped_first = order.partition_point(|&(clipped, ..)| !clipped);
     let (plain, with_lines) = order.split_at(clipped_first);
-    let chunks = plain.par_chunks(CHUNK).chain(with_lines.par_chunks(CHUNK));
-    let packed: Vec<PackedRun> = chunks.map(|run| pack_run(cloud, &grid, run)).collect();
-    Ok(joined(grid, packed, clipped_first as u32))
+    let pack = |run: &[(bool, u64, u32)], clipped| {
+        let samples = run.iter().map(|&(.., i)| Sample::of(cloud, &grid, i as usize)).collect();
+        pack_run(&grid, samples, clipped, cloud.oriented)
+    };
+    let mut runs: Vec<PackedRun> = plain.par_chunks(CHUNK).map(|run| pack(run, false)).collect();
+    runs.par_extend(with_lines.par_chunks(CHUNK).map(|run| pack(run, true)));
+    Ok(joined(grid, runs, clipped_first as u32))
+}
+
+/// A sample on its way into a chunk.
+pub(super) struct Sample<'a> {
+    pub(super) cell: IVec3,
+    pub(super) color: [u8; 4],
+    pub(super) normal: Vec3,
+    pub(super) shape: Shape,
+    /// Of those with clip lines.
+    pub(super) clip: Option<&'a Clip>,
+}
+
+/// A sample's kernel, in the units of positions.
+pub(super) enum Shape {
+    Ellipse(Kernel),
+    /// Across the normal, with this standard deviation.
+    Circle(f32),
+}
+
+impl<'a> Sample<'a> {
+    fn of(cloud: &'a PointCloud, grid: &Grid, index: usize) -> Sample<'a> {
+        let kernel = cloud.kernels.as_ref().map_or(Kernel::default(), |kernels| kernels[index]);
+        Sample {
+            cell: grid.quantise(cloud.positions[index]),
+            color: cloud.colors.as_ref().map_or(NEUTRAL, |colors| colors[index]),
+            normal: cloud.normals.as_ref().map_or(Vec3::ZERO, |normals| normals[index]),
+            shape: Shape::Ellipse(kernel),
+            clip: cloud.clips.as_ref().map(|clips| &clips[index]),
+        }
+    }
 }
 
 /// Chunks, one behind the other.
@@ -295,75 +338,83 @@ pub(super) fn joined(grid: Grid, runs: Vec<PackedRun>, clipped_first: u32) -> Pa
 pub(super) struct PackedRun {
     pub(super) chunk: PackedChunk,
     pub(super) positions: Vec<[u32; 2]>,
-    attributes: Vec<[u32; 2]>,
-    kernels: Vec<u32>,
+    pub(super) attributes: Vec<[u32; 2]>,
+    pub(super) kernels: Vec<u32>,
     clips: Vec<[u32; 2]>,
 }
 
-/// `run`: whether with clip lines, in no matter what order, and which.
-pub(super) fn pack_run(cloud: &PointCloud, grid: &Grid, run: &[(bool, u64, u32)]) -> PackedRun {
-    let indices = || run.iter().map(|&(.., i)| i as usize);
-    let cells: Vec<IVec3> = indices().map(|i| grid.quantise(cloud.positions[i])).collect();
-    let low = cells.iter().copied().fold(IVec3::MAX, IVec3::min);
-    let high = cells.iter().copied().fold(IVec3::MIN, IVec3::max);
+/// Packs up to [`CHUNK`] samples, all of them with clip lines or (not `clipped`) none.
+pub(super) fn pack_run(
+    grid: &Grid,
+    samples: Vec<Sample>,
+    clipped: bool,
+    oriented: bool,
+) -> PackedRun {
+    let low = samples.iter().map(|sample| sample.cell).fold(IVec3::MAX, IVec3::min);
+    let high = samples.iter().map(|sample| sample.cell).fold(IVec3::MIN, IVec3::max);
     let longest = (high - low).max_element() as u32;
     // The greatest coordinate must stay below 2^21 after rounding to the nearest step.
     let mut shift = (32 - longest.leading_zeros()).saturating_sub(21);
     if round_shift(longest as i32, shift) >= 1 << 21 {
         shift += 1;
     }
-    let positions = cells
-        .iter()
-        .map(|&cell| {
-            let q = (cell - low).to_array().map(|v| u64::from(round_shift(v, shift)));
-            let word = q[0] | q[1] << 21 | q[2] << 42;
-            [word as u32, (word >> 32) as u32]
-        })
-        .collect();
-    let attributes: Vec<[u32; 2]> = indices()
-        .map(|i| {
-            let color = cloud.colors.as_ref().map_or([204, 204, 204, 255], |colors| colors[i]);
-            let normal = cloud.normals.as_ref().map_or(NO_NORMAL, |normals| octahedral(normals[i]));
-            [rgba_word(color), normal]
-        })
-        .collect();
+    let place = |cell: IVec3| {
+        let q = (cell - low).to_array().map(|v| u64::from(round_shift(v, shift)));
+        let word = q[0] | q[1] << 21 | q[2] << 42;
+        [word as u32, (word >> 32) as u32]
+    };
+    let attributes: Vec<[u32; 2]> =
+        samples.iter().map(|sample| [rgba_word(sample.color), octahedral(sample.normal)]).collect();
     // In the units of the stored coordinates.
-    let scale = 1.0 / (grid.step * f64::from(1u32 << shift));
-    let kernel = |i: usize| -> Kernel {
-        let stored = cloud.kernels.as_ref().map_or(Kernel::default(), |kernels| kernels[i]);
-        Kernel { u: stored.u * scale as f32, v: stored.v * scale as f32 }
-    };
-    let kernel_base = indices()
-        .map(|i| kernel::lengths(&kernel(i)))
-        .fold(0.0f32, |most, (u, v)| most.max(u).max(v));
-    let normals = || attributes.iter().map(|attribute| octahedral_decode(attribute[1]));
-    let kernels = indices()
-        .zip(normals())
-        .map(|(i, normal)| kernel::kernel_word(&kernel(i), normal, kernel_base))
+    let scale = (1.0 / (grid.step * f64::from(1u32 << shift))) as f32;
+    let scaled = |kernel: &Kernel| Kernel { u: kernel.u * scale, v: kernel.v * scale };
+    let lengths: Vec<(f32, f32)> = samples
+        .iter()
+        .map(|sample| match &sample.shape {
+            Shape::Ellipse(kernel) => kernel::lengths(&scaled(kernel)),
+            Shape::Circle(deviation) => {
+                let length = deviation * scale;
+                if length.is_finite() { (length, length) } else { (0.0, 0.0) }
+            }
+        })
         .collect();
-    let clip = |i: usize| cloud.clips.as_ref().map_or(Clip::NONE, |clips| clips[i]);
-    let clips = if run.first().is_some_and(|&(clipped, ..)| clipped) {
-        indices()
-            .zip(normals())
-            .map(|(i, normal)| kernel::clip_words(&clip(i), &kernel(i), normal))
-            .collect()
-    } else {
-        Vec::new()
-    };
+    let kernel_base = lengths.iter().fold(0.0f32, |most, &(u, v)| most.max(u).max(v));
+    let each = || samples.iter().zip(&attributes);
+    let kernels =
+        each().zip(&lengths).map(|((sample, &[_, normal]), &lengths)| match &sample.shape {
+            Shape::Ellipse(kernel) => {
+                let normal = octahedral_decode(normal);
+                kernel::kernel_word(&scaled(kernel), lengths, normal, kernel_base)
+            }
+            Shape::Circle(_) => kernel::circle_word(lengths.0, kernel_base),
+        });
+    let clips = each().filter(|_| clipped).map(|(sample, &[_, normal])| {
+        let kernel = match &sample.shape {
+            Shape::Ellipse(kernel) => scaled(kernel),
+            Shape::Circle(_) => Kernel::default(),
+        };
+        kernel::clip_words(sample.clip.unwrap_or(&Clip::NONE), &kernel, octahedral_decode(normal))
+    });
     let chunk = PackedChunk {
         origin: low,
         extent: high - low + IVec3::splat(1 << shift >> 1),
         first: 0,
-        count: run.len() as u32,
+        count: samples.len() as u32,
         shift,
         vertex_first: 0,
         vertex_count: 0,
         material: 0,
         kernel_base,
-        sides: if cloud.oriented { Sides::Oriented } else { Sides::Unknown },
+        sides: if oriented { Sides::Oriented } else { Sides::Unknown },
         range: NodeRange::default(),
     };
-    PackedRun { chunk, positions, attributes, kernels, clips }
+    PackedRun {
+        chunk,
+        positions: samples.iter().map(|sample| place(sample.cell)).collect(),
+        kernels: kernels.collect(),
+        clips: clips.collect(),
+        attributes,
+    }
 }
 
 fn round_shift(v: i32, shift: u32) -> u32 {

@@ -14,7 +14,7 @@ use super::colors::NEUTRAL;
 use super::{estimate_kernels, fill_colors, smooth_normals};
 use crate::assets::{Geometry, Placement};
 use crate::math::Bounds;
-use crate::scene::{self, Scene, SceneError, SceneLimits};
+use crate::scene::{self, Instance, Scene, SceneError, SceneLimits};
 
 /// Angle between faces, in degrees, above which a mesh without normals keeps its edge.
 const CREASE_DEG: f64 = 35.0;
@@ -143,7 +143,15 @@ pub fn placed<'a, P: Borrow<Vec<Placement>>>(
     description: &Scene,
     placements: &'a [P],
 ) -> impl Iterator<Item = PlacedGeometry> + use<'a, P> {
-    description.instances().into_iter().flat_map(move |instance| {
+    placed_instances(description.instances(), placements)
+}
+
+/// As [`placed`], of some of a scene's instances.
+pub fn placed_instances<'a, P: Borrow<Vec<Placement>>>(
+    instances: Vec<Instance>,
+    placements: &'a [P],
+) -> impl Iterator<Item = PlacedGeometry> + use<'a, P> {
+    instances.into_iter().flat_map(move |instance| {
         let here: &Vec<Placement> = placements[instance.asset].borrow();
         here.iter().map(move |placement| PlacedGeometry {
             asset: instance.asset,

@@ -4,13 +4,14 @@ use std::io::IsTerminal;
 use std::path::Path;
 use std::time::Instant;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use clap::Args;
 use comfy_table::{CellAlignment, Table, presets};
 use serde::Serialize;
 
 use super::local::{SceneFile, progress_bar, show_baking};
 use crate::bake::cache::BakeCache;
+use crate::bake::external::Memory;
 use crate::engine::{BakeEvent, BakeSource, BakedAsset, bake_file};
 
 /// What to bake, and where to.
@@ -18,9 +19,28 @@ use crate::engine::{BakeEvent, BakeSource, BakedAsset, bake_file};
 pub struct BakeArgs {
     #[command(flatten)]
     file: SceneFile,
+    /// What this may take of memory: a number of bytes, or of K, M or G; as --bake-memory-mib, which it goes before
+    #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+    memory: Option<u64>,
     /// JSON on standard output
     #[arg(long)]
     json: bool,
+}
+
+/// "512M" as bytes; K, M and G are powers of 1024, with or without "iB" or "B".
+fn parse_bytes(text: &str) -> Result<u64, String> {
+    let wrong = || format!("`{text}` is no size; accepted: a number, or one with K, M or G (512M)");
+    let upper = text.trim().to_ascii_uppercase();
+    let digits = upper.bytes().take_while(u8::is_ascii_digit).count();
+    let (number, unit) = upper.split_at(digits);
+    let shift = match unit.strip_suffix("IB").or(unit.strip_suffix('B')).unwrap_or(unit) {
+        "" => 0,
+        "K" => 10,
+        "M" => 20,
+        "G" => 30,
+        _ => return Err(wrong()),
+    };
+    number.parse::<u64>().ok().and_then(|n| n.checked_mul(1 << shift)).ok_or_else(wrong)
 }
 
 /// Everything that is told.
@@ -41,7 +61,16 @@ pub fn run(args: &BakeArgs) -> anyhow::Result<()> {
     super::local::init_log();
     let began = Instant::now();
     let bar = progress_bar();
-    let (path, config) = args.file.config(&bar)?;
+    let (path, mut config) = args.file.config(&bar)?;
+    if let Some(bytes) = args.memory {
+        ensure!(bytes >= Memory::LEAST, "--memory: must be at least {}M", Memory::LEAST >> 20);
+        let cache = config.bake_cache.take();
+        ensure!(
+            cache.is_some(),
+            "--memory needs a cache, for temporary files: give --cache FOLDER"
+        );
+        config.bake_cache = cache.map(|cache| cache.with_bake_bytes(Some(bytes)));
+    }
     let cache = config.bake_cache.as_ref();
     match cache {
         // Now rather than after minutes of building.
@@ -172,4 +201,26 @@ fn table(assets: &[BakedAsset]) -> String {
         column.set_cell_alignment(CellAlignment::Right);
     }
     format!("{table}\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_understood() {
+        for (text, bytes) in [
+            ("77", 77),
+            ("512M", 512 << 20),
+            ("2g", 2 << 30),
+            ("64 MiB", 0),
+            ("3KiB", 3072),
+            ("9B", 9),
+        ] {
+            assert_eq!(parse_bytes(text).unwrap_or(0), bytes, "{text}");
+        }
+        for text in ["", "M", "1.5G", "-3", "99999999999G", "5T5"] {
+            assert!(parse_bytes(text).unwrap_err().contains("512M"), "{text}");
+        }
+    }
 }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::ensure;
 
 use crate::bake::cache::BakeCache;
+use crate::bake::external::Memory;
 
 const DEFAULT_MAX_MIB: u64 = 4096;
 
@@ -20,7 +21,13 @@ pub struct CacheArgs {
     /// What that folder may take, in MiB; what was used the longest ago goes first [default: 4096]
     #[arg(long, env = "POINTILLIST_CACHE_MAX_MIB", value_name = "MIB")]
     pub cache_max_mib: Option<u64>,
+    /// What building point trees may take of memory, in MiB; what takes more is built with temporary files in that folder [default: half of what is free]
+    #[arg(long, env = "POINTILLIST_BAKE_MEMORY_MIB", value_name = "MIB")]
+    pub bake_memory_mib: Option<u64>,
 }
+
+/// The least that building can be held to, in MiB.
+const LEAST_BAKE_MIB: u64 = Memory::LEAST >> 20;
 
 impl CacheArgs {
     /// The cache asked for; none where it is not wanted, or where no folder is given and the user has none for caches. Does not touch
@@ -31,11 +38,20 @@ impl CacheArgs {
     pub fn open(&self) -> anyhow::Result<Option<BakeCache>> {
         let mib = self.cache_max_mib.unwrap_or(DEFAULT_MAX_MIB);
         ensure!(mib >= 1, "--cache-max-mib {mib}: must be at least 1");
+        let memory = self.bake_memory_mib.unwrap_or(LEAST_BAKE_MIB);
+        ensure!(
+            memory >= LEAST_BAKE_MIB,
+            "--bake-memory-mib {memory}: must be at least {LEAST_BAKE_MIB}"
+        );
         if self.no_cache == Some(true) {
             return Ok(None);
         }
         let folder = self.cache.clone().or_else(BakeCache::default_folder);
-        Ok(folder.map(|folder| BakeCache::new(folder, mib.saturating_mul(1 << 20))))
+        let bake_bytes = self.bake_memory_mib.map(|mib| mib.saturating_mul(1 << 20));
+        let cache = |folder| {
+            BakeCache::new(folder, mib.saturating_mul(1 << 20)).with_bake_bytes(bake_bytes)
+        };
+        Ok(folder.map(cache))
     }
 }
 
@@ -61,6 +77,10 @@ mod tests {
         let cache = opened(&["--cache", "/c", "--no-cache=false"]).unwrap().unwrap();
         assert_eq!(cache.max_bytes(), 4 << 30);
         assert!(opened(&["--cache", "/c", "--no-cache"]).unwrap().is_none());
+        let cache = opened(&["--cache", "/c", "--bake-memory-mib", "100"]).unwrap().unwrap();
+        assert_eq!(cache.bake_bytes(), Some(100 << 20));
+        let refused = opened(&["--bake-memory-mib=63"]).unwrap_err().to_string();
+        assert!(refused.contains("64"), "{refused}");
         let refused = opened(&["--cache-max-mib=0"]).unwrap_err().to_string();
         assert!(refused.contains("--cache-max-mib"), "{refused}");
     }

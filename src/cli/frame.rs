@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use super::local::ID;
 use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
-use crate::plan::{Lod, MaxError, Output, Paint, Reconstruct, Settings};
+use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings};
 use crate::scene::{Blend, Filter, Shading};
 
 /// Size, settings and quality of frames.
@@ -21,6 +21,9 @@ pub struct FrameArgs {
     /// What --lod spt may be wrong by, in pixels [default: 1]
     #[arg(long, value_name = "PX")]
     max_error_px: Option<f32>,
+    /// How splats of --lod spt measure that
+    #[arg(long, value_enum, default_value = "unified")]
+    error_mode: ErrorModeChoice,
     /// Colours tell how high in its tree each node stands; goes with --lod spt
     #[arg(long)]
     levels: bool,
@@ -53,6 +56,14 @@ enum LodChoice {
     Full,
     /// What --max-error-px asks for, from sequential point trees (Dachsbacher et al. 2003)
     Spt,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum ErrorModeChoice {
+    /// As large as from any side
+    Unified,
+    /// By the angle to the surface: fewer nodes, and ends of surfaces up to twice as far off where they are seen at an angle
+    Split,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -107,6 +118,13 @@ impl FrameArgs {
             ReconstructChoice::Splats => Reconstruct::Splats,
             ReconstructChoice::Fuzzy => Reconstruct::Fuzzy,
         };
+        let error_mode = match self.error_mode {
+            ErrorModeChoice::Unified => ErrorMode::Unified,
+            ErrorModeChoice::Split if lod == Lod::Full || reconstruct == Reconstruct::Points => {
+                bail!("--error-mode split goes with --lod spt and --reconstruct splats or fuzzy")
+            }
+            ErrorModeChoice::Split => ErrorMode::Split,
+        };
         let of_kernels = self.filter.is_some() || self.prefilter.is_some();
         if of_kernels && reconstruct == Reconstruct::Points {
             bail!("--filter and --prefilter go with --reconstruct splats or fuzzy");
@@ -123,6 +141,7 @@ impl FrameArgs {
             settings: Settings {
                 lod,
                 max_error,
+                error_mode,
                 paint: if self.levels { Paint::Levels } else { Paint::Colors },
                 reconstruct,
                 filter: self.filter,
@@ -172,6 +191,8 @@ mod tests {
         assert_eq!(plain.settings, Settings::default());
         for (line, expected) in [
             (&["--levels"][..], "--levels goes with"),
+            (&["--error-mode", "split"], "--error-mode split goes with"),
+            (&["--lod", "spt", "--error-mode", "split"], "--error-mode split goes with"),
             (&["--max-error-px", "2"], "--max-error-px goes with"),
             (&["--lod", "spt", "--max-error-px", "0"], "--max-error-px: 0 is not in"),
             (&["--filter", "exact"], "--filter and --prefilter go with"),

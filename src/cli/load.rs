@@ -17,8 +17,10 @@ use crate::load::report::{Generator, Report, three_digits};
 use crate::load::request::{Connections, RequestClient};
 use crate::load::run::{Event, Outcomes, Rates, RunSettings, run as run_steps};
 use crate::load::schedule::Spacing;
+use crate::load::streams::StreamClients;
 use crate::load::wire::{SceneAnswer, Target, percent_encoded};
 use crate::load::{drive::Client, plot, tally::Outcome};
+use crate::scene::random::SplitMix64;
 
 /// Rates beyond this are no longer kept by one thread.
 const MOST_PER_S: f64 = 200_000.0;
@@ -28,8 +30,9 @@ const DAY_S: f64 = 86_400.0;
 #[derive(Args, Clone, Debug)]
 #[command(
     after_help = "Requests are sent when they are due, whatever became of earlier ones, and latency counts from then on. \
-Each has another pose along a path around the scene or between its cameras. Every frame is a request of its own; streams \
-are not among what is measured. On the daemon's own machine, the generator takes CPU time from it."
+Each has another pose along a path around the scene or between its cameras. With --streams, clients of streams move beside \
+them; a pose's latency counts from when it was due to the first frame that shows it or a newer one. On the daemon's own machine, \
+the generator takes CPU time from it."
 )]
 pub struct LoadArgs {
     /// The daemon's address: http://HOST:PORT
@@ -58,6 +61,12 @@ pub struct LoadArgs {
     /// Highest 99th percentile of latency with which a daemon counts as keeping up, in milliseconds
     #[arg(long, value_name = "MS", default_value_t = 1000.0, value_parser = positive)]
     max_p99_ms: f64,
+    /// Streams beside the requests: clients that follow a path, a pose at a time, and acknowledge frames
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=10_000))]
+    streams: u32,
+    /// Poses that each stream sends per second
+    #[arg(long, value_name = "R", default_value_t = 30.0, value_parser = rate, requires = "streams")]
+    pose_rate: f64,
     /// Other numbers give other arrivals and other poses
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -217,6 +226,8 @@ impl LoadArgs {
             timeout_s: self.timeout,
             connections_at_most: self.connections as usize,
             demands: Demands::new(Duration::from_secs_f64(self.max_p99_ms / 1e3)),
+            streams: self.streams as usize,
+            poses_per_s: self.pose_rate,
         })
     }
 }
@@ -274,27 +285,34 @@ async fn measure(
     target: &Target,
     settings: RunSettings,
 ) -> anyhow::Result<Report> {
-    let connections = Connections::new(target, args.key.as_deref()).await?;
+    let connections = Arc::new(Connections::new(target, args.key.as_deref()).await?);
     let scene = find_scene(&connections, &target.prefix, args.frame.scene.as_deref()).await?;
+    let streams = Arc::new(stream_clients(args, target, &scene)?);
     let client = Arc::new(RequestClient {
-        connections,
+        connections: connections.clone(),
         prefix: target.prefix.clone(),
         scene: scene.id.clone(),
         poses: Poses::new(args.frame.poses, &scene, args.seed)?,
         parameters: args.frame.query(),
     });
     try_once(client.as_ref(), settings.timeout_s).await?;
+    streams.try_once(&connections).await?;
     let stop = Arc::new(AtomicBool::new(false));
     stop_on_interrupt(stop.clone());
     let shown = Shown::new();
-    let outcomes = run_steps(client.clone(), &settings, stop, |event| shown.tell(&event)).await?;
+    let beside = async |step| {
+        let (streams, connections, stop) = (streams.clone(), connections.clone(), stop.clone());
+        if streams.count == 0 { None } else { Some(streams.run(connections, step, stop).await) }
+    };
+    let tell = |event: Event<'_>| shown.tell(&event);
+    let outcomes = run_steps(client.clone(), beside, &settings, stop.clone(), tell).await?;
     shown.bar.finish_and_clear();
     let Outcomes { points, knee, interrupted, adapter, settings: settings_used } = outcomes;
     Ok(Report {
         target: target.authority(),
         scene: scene.id,
         revision: scene.revision,
-        client: "request",
+        client: if args.streams == 0 { "request" } else { "request, stream" },
         poses: args.frame.poses,
         parameters: client.parameters.clone(),
         adapter,
@@ -308,6 +326,28 @@ async fn measure(
         warnings: Vec::new(),
     }
     .finish())
+}
+
+/// The streams of a run, each with a path of its own.
+fn stream_clients(
+    args: &LoadArgs,
+    target: &Target,
+    scene: &SceneAnswer,
+) -> anyhow::Result<StreamClients> {
+    let paths = 0..u64::from(args.streams);
+    // None is that of the requests.
+    let seeds = paths.map(|number| SplitMix64::stream(args.seed, number + 1).next_u64());
+    let poses: Result<Vec<Poses>, _> =
+        seeds.map(|seed| Poses::new(args.frame.poses, scene, seed)).collect();
+    Ok(StreamClients {
+        count: args.streams as usize,
+        poses_per_s: args.pose_rate,
+        prefix: target.prefix.clone(),
+        scene: scene.id.clone(),
+        poses: poses?,
+        parameters: args.frame.query(),
+        timeout: Duration::from_secs_f64(args.timeout),
+    })
 }
 
 /// The scene asked for, or the only one that is ready.
@@ -463,6 +503,9 @@ mod tests {
             &["--duration", "0"],
             &["--connections", "0"],
             &["--param", "w"],
+            &["--streams", "-1"],
+            &["--streams", "2", "--pose-rate", "0"],
+            &["--pose-rate", "30"],
         ] {
             assert!(parsed(line).is_err(), "{line:?}");
         }

@@ -105,6 +105,12 @@ pub fn show_baking(bar: &ProgressBar, event: &BakeEvent) {
             bar.set_position(*done);
             bar.set_message(format!("baking {asset}"));
         }
+        BakeEvent::Phase { phase, done } => {
+            // As many steps as the bar has for reading.
+            bar.set_length(1000);
+            bar.set_position((done * 1000.0) as u64);
+            bar.set_message(phase.name());
+        }
         BakeEvent::Finished(asset) => bar.inc(asset.samples + asset.triangles),
     }
 }

@@ -1,4 +1,4 @@
-//! `pointillist path`: a camera path to numbered frames, in as many runs as it takes.
+//! `pointillist path`: a camera path to numbered frames, or to a video of them, in as many runs as it takes.
 
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::frame::FrameArgs;
 use super::local::{ID, SceneArgs, progress_bar, show_baking};
 use crate::encode::ImageFormat;
-use crate::engine::{Engine, FrameRequest, Pose, Receipt, SceneInfo};
+use crate::engine::{Client, Engine, FrameRequest, Pose, Receipt, SceneInfo};
+use crate::film::video::{Coder, Reel, VideoError, encode};
 use crate::film::{self, Event, Film, FilmError, Report, shots::Shots};
 use crate::http::server::stop_signal;
 use crate::scene::{CameraPath, SceneLimits, load_path};
@@ -27,9 +28,16 @@ pub struct PathArgs {
     /// A path that the scene names, or a file that holds one (.json)
     #[arg(long, value_name = "NAME_OR_FILE")]
     path: String,
-    /// Folder for frame-00000.png and so on and frames.jsonl, which tells of each; made where it is not there
-    #[arg(short = 'o', long = "out", value_name = "FOLDER")]
-    folder: PathBuf,
+    /// Folder for frame-00000.png and so on and frames.jsonl, which tells of each, made where it is not there; or a video (.mp4), whose
+    /// frames lie in a folder beside it (.mp4.frames) until it is finished
+    #[arg(short = 'o', long = "out", value_name = "FOLDER_OR_MP4")]
+    out: PathBuf,
+    /// Leave the frames of a finished video where they are
+    #[arg(long)]
+    keep_frames: bool,
+    /// Kilobits a second of the video [default: by its size and rate]
+    #[arg(long, value_name = "N")]
+    bitrate_kbps: Option<u32>,
     /// Format of the frames
     #[arg(long, value_enum, default_value = "png")]
     format: FormatChoice,
@@ -80,6 +88,7 @@ pub fn run(args: PathArgs) -> anyhow::Result<()> {
     super::local::init_log();
     // The pose is each frame's own.
     let request = args.frame.request(Pose::Fit, args.format.format())?;
+    let target = Target::new(&args)?;
     let (engine, info) = args.scene.load(|_| ())?;
     for warning in &info.warnings {
         eprintln!("warning: {warning}");
@@ -89,15 +98,26 @@ pub fn run(args: PathArgs) -> anyhow::Result<()> {
         FilmError::BadRange { parameter, reason } => anyhow::anyhow!("--{parameter}: {reason}"),
         other => anyhow::anyhow!("--path {}: {other}", args.path),
     })?;
+    let reel = Reel::new(&request, &shots, args.bitrate_kbps);
+    if let Some(video) = &target.video {
+        reel.check(&video.coder).map_err(named)?;
+    }
     bake(&engine, &request)?;
     let stop = stop_when_told()?;
-    let film = Film { engine: &engine, request, shots, folder: &args.folder };
+    let film = Film {
+        engine: &engine,
+        request,
+        shots,
+        folder: &target.folder,
+        origin: Client::Unnamed.into(),
+        most_pixels: film::MOST_PIXELS,
+    };
     let began = Instant::now();
     let mut telling = Telling::new();
     let report = film::run(&film, &stop, |event| telling.hear(&event));
     telling.bar.finish_and_clear();
     let report = report?;
-    eprintln!("{}: {}", args.folder.display(), telling.summary(&report, began.elapsed()));
+    eprintln!("{}: {}", target.folder.display(), telling.summary(&report, began.elapsed()));
     if let Some(first) = report.left_over.first() {
         eprintln!(
             "warning: {} files of earlier runs are no frames of this path as it is drawn now, {first} among them; \
@@ -112,6 +132,103 @@ pub fn run(args: PathArgs) -> anyhow::Result<()> {
             report.missing
         );
     }
+    match &target.video {
+        None => Ok(()),
+        Some(video) => {
+            make(video, &reel, &film, &stop)?;
+            if args.keep_frames { Ok(()) } else { remove_frames(&target.folder) }
+        }
+    }
+}
+
+/// Where frames go, and what is made of them.
+struct Target {
+    folder: PathBuf,
+    video: Option<VideoFile>,
+}
+
+struct VideoFile {
+    out: PathBuf,
+    coder: Coder,
+}
+
+impl Target {
+    fn new(args: &PathArgs) -> anyhow::Result<Target> {
+        if !is_video(&args.out) {
+            const VIDEOS: [&str; 8] = ["avi", "mkv", "mov", "webm", "m4v", "mpg", "gif", "ogv"];
+            let extension = args.out.extension().and_then(|extension| extension.to_str());
+            if let Some(other) =
+                extension.filter(|own| VIDEOS.contains(&own.to_ascii_lowercase().as_str()))
+            {
+                bail!(
+                    "-o {}: a video is an .mp4, not an .{other}; any other name is a folder's",
+                    args.out.display()
+                );
+            }
+            if args.keep_frames || args.bitrate_kbps.is_some() {
+                bail!("--keep-frames and --bitrate-kbps go with a video, as in -o film.mp4");
+            }
+            return Ok(Target { folder: args.out.clone(), video: None });
+        }
+        let coder = Coder::find()?;
+        let mut folder = args.out.clone().into_os_string();
+        folder.push(".frames");
+        Ok(Target {
+            folder: folder.into(),
+            video: Some(VideoFile { out: args.out.clone(), coder }),
+        })
+    }
+}
+
+/// Whether a name is that of a video rather than of a folder.
+fn is_video(out: &Path) -> bool {
+    out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mp4")) && !out.is_dir()
+}
+
+/// An error in the words of the command line.
+fn named(error: VideoError) -> anyhow::Error {
+    match error {
+        VideoError::Unfit { parameter, reason } => {
+            let option = match parameter {
+                "w" | "h" => "size".to_owned(),
+                other => other.replace('_', "-"),
+            };
+            anyhow::anyhow!("--{option}: {reason}")
+        }
+        other => other.into(),
+    }
+}
+
+/// Makes the video of frames that are all there.
+fn make(video: &VideoFile, reel: &Reel, film: &Film<'_>, stop: &AtomicBool) -> anyhow::Result<()> {
+    let bar = progress_bar();
+    bar.set_length(reel.frames);
+    bar.set_message("coding");
+    let records = film::records(film.folder)?;
+    let wanted = records.range(film.shots.wanted()).map(|(_, record)| record);
+    let began = Instant::now();
+    let made = encode(&video.coder, reel, film.folder, wanted, &video.out, stop, |coded| {
+        bar.set_position(coded)
+    });
+    bar.finish_and_clear();
+    made.map_err(named)
+        .context("the frames are all there; the same command makes the video of them")?;
+    let bytes = std::fs::metadata(&video.out).map_or(0, |found| found.len());
+    let seconds = began.elapsed().as_secs_f64();
+    let length_s = reel.frames as f64 / reel.fps;
+    eprintln!(
+        "{}: {}, {length_s:.2} s, {bytes} bytes, coded in {seconds:.2} s",
+        video.out.display(),
+        frames(reel.frames)
+    );
+    Ok(())
+}
+
+/// Removes what a run has put into the folder beside a video, and the folder where nothing else is in it.
+fn remove_frames(folder: &Path) -> anyhow::Result<()> {
+    film::remove(folder)?;
+    // Somebody's own file stays, and so does the folder then.
+    let _ = std::fs::remove_dir(folder);
     Ok(())
 }
 
@@ -214,7 +331,7 @@ impl Telling {
 
     fn hear(&mut self, event: &Event<'_>) {
         match event {
-            Event::Surveyed { kept, to_draw } => {
+            Event::Surveyed { kept, to_draw, .. } => {
                 (self.total, self.done) = (kept + to_draw, *kept);
                 self.began = Instant::now();
                 self.told = self.began;
@@ -268,6 +385,8 @@ fn frames(count: u64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::*;
     use clap::Parser;
 
@@ -283,7 +402,7 @@ mod tests {
             ["path", "s.json", "--path", "fly", "-o", "frames", "--format", "jpeg", "--from", "3"];
         let args = Line::parse_from(line).args;
         assert_eq!((args.format.format(), args.from, args.to), (ImageFormat::Jpeg, Some(3), None));
-        assert_eq!(args.folder, Path::new("frames"));
+        assert_eq!(args.out, Path::new("frames"));
         assert!(Line::try_parse_from(["path", "s.json", "-o", "frames"]).is_err());
     }
 
@@ -291,7 +410,7 @@ mod tests {
     fn summaries() {
         let mut telling = Telling::new();
         let receipt = Receipt { views: 4, gpu_ns: Some(8_000_000_000), ..Receipt::default() };
-        telling.hear(&Event::Surveyed { kept: 3, to_draw: 2 });
+        telling.hear(&Event::Surveyed { kept: 3, to_draw: 2, records: &BTreeMap::new() });
         (0..2).for_each(|_| telling.count(&receipt));
         let report = Report { kept: 3, drawn: 2, ..Report::default() };
         let text = telling.summary(&report, Duration::from_secs(4));

@@ -19,7 +19,8 @@ use crate::assets::ReadOptions;
 use crate::engine::{Engine, EngineConfig};
 use crate::http::access::{Access, parse_keys};
 use crate::http::server::{StartScenes, serve};
-use crate::http::{App, Settings, StreamLimits, nearest};
+use crate::http::{App, Settings, StreamLimits, WatchLimits, nearest};
+use crate::jobs::{self, Jobs, StateError};
 
 /// Settings of the daemon; what is `None` was not given.
 #[derive(Args, Clone, Debug, Default, PartialEq, Deserialize)]
@@ -50,9 +51,18 @@ pub struct ServeArgs {
     /// What that folder may take, in MiB; what was used the longest ago goes first [default: 4096]
     #[arg(long, env = "POINTILLIST_CACHE_MAX_MIB", value_name = "MIB")]
     pub cache_max_mib: Option<u64>,
+    /// What building point trees may take of memory, in MiB; what takes more is built with temporary files in that folder [default: half of what is free]
+    #[arg(long, env = "POINTILLIST_BAKE_MEMORY_MIB", value_name = "MIB")]
+    pub bake_memory_mib: Option<u64>,
     /// Frames that may wait; more are refused with 503 [default: 256]
     #[arg(long, env = "POINTILLIST_QUEUE", value_name = "N")]
     pub queue: Option<usize>,
+    /// Seconds of the device's time that may wait, by what such frames have cost; more is refused with 503 [default: 30]
+    #[arg(long, env = "POINTILLIST_QUEUE_SECONDS", value_name = "S")]
+    pub queue_seconds: Option<f64>,
+    /// Of the device's time, what frames of jobs get however many others there are: 0.01 to 0.5 [default: 0.1]
+    #[arg(long, env = "POINTILLIST_JOB_SHARE", value_name = "SHARE")]
+    pub job_share: Option<f64>,
     /// Frames in one submission to the GPU [default: 16]
     #[arg(long, env = "POINTILLIST_MAX_BATCH", value_name = "N")]
     pub max_batch: Option<usize>,
@@ -95,6 +105,33 @@ pub struct ServeArgs {
     /// Origin whose pages may read answers (`https://app.example`, or `*`); may be repeated
     #[arg(long, env = "POINTILLIST_CORS_ORIGIN", value_name = "ORIGIN", value_delimiter = ',')]
     pub cors_origin: Vec<String>,
+    /// Folder that jobs and their frames are kept in; no two daemons share one [default: `pointillist` in the user's state folder]
+    #[arg(long, env = "POINTILLIST_STATE", value_name = "FOLDER")]
+    pub state: Option<PathBuf>,
+    /// Take on no jobs, whatever --state says
+    #[arg(long, env = "POINTILLIST_NO_JOBS", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
+    pub no_jobs: Option<bool>,
+    /// Jobs that may be queued or running; more are refused with 429 [default: 64]
+    #[arg(long, env = "POINTILLIST_JOB_QUEUE", value_name = "N")]
+    pub job_queue: Option<usize>,
+    /// Jobs whose frames are drawn at the same time; they share what jobs get of the device [default: 4]
+    #[arg(long, env = "POINTILLIST_JOB_RUNNERS", value_name = "N")]
+    pub job_runners: Option<usize>,
+    /// What jobs may take on the disk, all together, in MiB [default: 10240]
+    #[arg(long, env = "POINTILLIST_JOB_DISK_MIB", value_name = "MIB")]
+    pub job_disk_mib: Option<u64>,
+    /// Answers that follow jobs, as events or as frames, at the same time [default: 256]
+    #[arg(long, env = "POINTILLIST_MAX_WATCHERS", value_name = "N")]
+    pub max_watchers: Option<usize>,
+    /// The same of one client [default: 32]
+    #[arg(long, env = "POINTILLIST_MAX_WATCHERS_PER_CLIENT", value_name = "N")]
+    pub max_watchers_per_client: Option<usize>,
+    /// How long such an answer may wait for its job before it ends and the client has to come again, in seconds [default: 3600]
+    #[arg(long, env = "POINTILLIST_WATCH_SECONDS", value_name = "S")]
+    pub watch_seconds: Option<u64>,
+    /// How long a job is kept after it ended, and how long one waits for its scene, in seconds [default: 604800, a week]
+    #[arg(long, env = "POINTILLIST_JOB_TTL_SECONDS", value_name = "S")]
+    pub job_ttl_seconds: Option<u64>,
     /// How long answers in flight may take after SIGTERM, in seconds [default: 20]
     #[arg(long, env = "POINTILLIST_DRAIN_SECONDS", value_name = "S")]
     pub drain_seconds: Option<u64>,
@@ -127,13 +164,15 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     let has_keys = matches!(access, Access::Keys(_));
     let settings = settings(&args, root.clone(), access)?;
     let start = start_scenes(&args, &root)?;
+    let jobs_config = jobs_config(&args)?;
     let listener =
         TcpListener::bind(address).with_context(|| format!("cannot listen on {address}"))?;
     let engine = Engine::start(engine_config(&args, root)?)?;
     tracing::info!(adapter = engine.adapter(), "engine started");
 
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
-    let app = App::new(engine, settings);
+    let jobs = open_jobs(&engine, jobs_config, args.state.is_some())?;
+    let app = App::new(engine, settings, jobs);
     let result = runtime.block_on(serve(app, listener, start, |engine, address| {
         announce(engine, address, has_keys);
     }));
@@ -164,11 +203,14 @@ fn announce(engine: &Engine, address: SocketAddr, has_keys: bool) {
 
 fn init_log(format: LogFormat) {
     use tracing_subscriber::EnvFilter;
+    use tracing_subscriber::fmt::format::FmtSpan;
     let filter = EnvFilter::try_from_env("POINTILLIST_LOG")
         .unwrap_or_else(|_| EnvFilter::new("info,wgpu_core=warn,wgpu_hal=warn,naga=warn"));
     let log = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_ansi(std::io::stderr().is_terminal())
+        // With how long it took. There are spans at debug level alone.
+        .with_span_events(FmtSpan::CLOSE)
         .with_writer(std::io::stderr);
     let result = match format {
         LogFormat::Text => log.with_target(false).try_init(),
@@ -226,7 +268,10 @@ impl ServeArgs {
             cache: self.cache.or(lower.cache),
             no_cache: self.no_cache.or(lower.no_cache),
             cache_max_mib: self.cache_max_mib.or(lower.cache_max_mib),
+            bake_memory_mib: self.bake_memory_mib.or(lower.bake_memory_mib),
             queue: self.queue.or(lower.queue),
+            queue_seconds: self.queue_seconds.or(lower.queue_seconds),
+            job_share: self.job_share.or(lower.job_share),
             max_batch: self.max_batch.or(lower.max_batch),
             encoder_threads: self.encoder_threads.or(lower.encoder_threads),
             max_pixels: self.max_pixels.or(lower.max_pixels),
@@ -241,6 +286,15 @@ impl ServeArgs {
             api_keys: self.api_keys.or(lower.api_keys),
             insecure: self.insecure.or(lower.insecure),
             cors_origin: list(self.cors_origin, lower.cors_origin),
+            state: self.state.or(lower.state),
+            no_jobs: self.no_jobs.or(lower.no_jobs),
+            job_queue: self.job_queue.or(lower.job_queue),
+            job_runners: self.job_runners.or(lower.job_runners),
+            job_disk_mib: self.job_disk_mib.or(lower.job_disk_mib),
+            max_watchers: self.max_watchers.or(lower.max_watchers),
+            max_watchers_per_client: self.max_watchers_per_client.or(lower.max_watchers_per_client),
+            watch_seconds: self.watch_seconds.or(lower.watch_seconds),
+            job_ttl_seconds: self.job_ttl_seconds.or(lower.job_ttl_seconds),
             drain_seconds: self.drain_seconds.or(lower.drain_seconds),
             log_format: self.log_format.or(lower.log_format),
             force_32_bit: self.force_32_bit.or(lower.force_32_bit),
@@ -316,6 +370,16 @@ fn settings(args: &ServeArgs, root: PathBuf, access: Access) -> anyhow::Result<S
             most_per_client: number("max-streams-per-client", args.max_streams_per_client, 16, 1)?,
             idle: seconds("stream-idle-seconds", args.stream_idle_seconds, 60, 1)?,
         },
+        watches: WatchLimits {
+            most: number("max-watchers", args.max_watchers, 256, 0)?,
+            most_per_client: number(
+                "max-watchers-per-client",
+                args.max_watchers_per_client,
+                32,
+                1,
+            )?,
+            longest: seconds("watch-seconds", args.watch_seconds, 3600, 1)?,
+        },
     })
 }
 
@@ -325,13 +389,21 @@ fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig
         cache: args.cache.clone(),
         no_cache: args.no_cache,
         cache_max_mib: args.cache_max_mib,
+        bake_memory_mib: args.bake_memory_mib,
     };
+    let queue_s = number("queue-seconds", args.queue_seconds, 30.0, 0.1)?;
+    let queue_time = Duration::try_from_secs_f64(queue_s)
+        .with_context(|| format!("--queue-seconds {queue_s}: too many"))?;
+    let job_share = number("job-share", args.job_share, default.job_share, 0.01)?;
+    ensure!(job_share <= 0.5, "--job-share {job_share}: must be at most 0.5");
     let budget_mib = args.gpu_budget_mib.map(|mib| number("gpu-budget-mib", Some(mib), 1, 1));
     Ok(EngineConfig {
         read: ReadOptions { root: Some(root), ..ReadOptions::default() },
         gpu_budget_bytes: budget_mib.transpose()?.map(|mib| mib.saturating_mul(1 << 20)),
         bake_cache: cache.open()?,
         queue_capacity: number("queue", args.queue, default.queue_capacity, 1)?,
+        queue_time,
+        job_share,
         max_batch: number("max-batch", args.max_batch, default.max_batch, 1)?,
         encoder_threads: number(
             "encoder-threads",
@@ -345,6 +417,65 @@ fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig
         ..default
     })
 }
+
+/// Where jobs are kept and what they may take; or why there are none.
+fn jobs_config(args: &ServeArgs) -> anyhow::Result<Result<jobs::Config, String>> {
+    let mib = number("job-disk-mib", args.job_disk_mib, 10_240, 1)?;
+    let ttl_seconds = number("job-ttl-seconds", args.job_ttl_seconds, 7 * 24 * 3600, 1)?;
+    let most_unfinished = number("job-queue", args.job_queue, 64, 1)?;
+    let drawing = number("job-runners", args.job_runners, 4, 1)?;
+    ensure!(drawing <= 64, "--job-runners {drawing}: must be at most 64");
+    if args.no_jobs == Some(true) {
+        return Ok(Err("this server takes on no jobs (--no-jobs)".to_owned()));
+    }
+    let Some(folder) = args.state.clone().or_else(jobs::store::default_folder) else {
+        return Ok(Err(
+            "this server has no folder for jobs: it was given none, and neither XDG_STATE_HOME nor HOME is set"
+                .to_owned(),
+        ));
+    };
+    Ok(Ok(jobs::Config {
+        folder,
+        limits: jobs::Limits {
+            most_unfinished,
+            most: most_unfinished.saturating_add(MOST_ENDED_JOBS),
+            ttl_ms: ttl_seconds.saturating_mul(1000),
+            // Each of these uses all cores for most of its time.
+            slots: jobs::Slots { baking: 2, drawing, coding: 2 },
+        },
+        most_bytes: mib.saturating_mul(1 << 20),
+    }))
+}
+
+/// Takes the state folder. Where nobody asked for it by name, a daemon without jobs is better than none.
+fn open_jobs(
+    engine: &Engine,
+    config: Result<jobs::Config, String>,
+    is_asked_for: bool,
+) -> anyhow::Result<Result<Jobs, String>> {
+    let config = match config {
+        Ok(config) => config,
+        Err(reason) => return Ok(Err(reason)),
+    };
+    match Jobs::open(engine.clone(), config) {
+        Ok(jobs) => Ok(Ok(jobs)),
+        Err(error) if is_asked_for => Err(anyhow::anyhow!("--state: {error}")),
+        Err(error) => {
+            tracing::warn!(%error, "no jobs are taken on");
+            // Where the server keeps its files is its own affair.
+            let reason = match error {
+                StateError::Locked { .. } => {
+                    "the state folder is another daemon's, which is running"
+                }
+                _ => "the state folder cannot be used; the server's log says why",
+            };
+            Ok(Err(reason.to_owned()))
+        }
+    }
+}
+
+/// Ended jobs that are kept at most.
+const MOST_ENDED_JOBS: usize = 1000;
 
 /// The scenes asked for, or every scene file directly in the root, or every asset file where there is none.
 fn start_scenes(args: &ServeArgs, root: &Path) -> anyhow::Result<StartScenes> {
@@ -493,11 +624,18 @@ mod tests {
             let args = flags(line);
             let root = PathBuf::from("/");
             let access = Access::Open { cors_origins: Vec::new(), only_loopback: true };
-            engine_config(&args, root.clone()).is_err() || settings(&args, root, access).is_err()
+            engine_config(&args, root.clone()).is_err()
+                || settings(&args, root, access).is_err()
+                || jobs_config(&args).is_err()
         };
         assert!(!refused(&[]));
         for flag in [
             "--queue=0",
+            "--queue-seconds=0",
+            "--queue-seconds=1e30",
+            "--job-share=0",
+            "--job-share=0.6",
+            "--job-share=NaN",
             "--max-batch=0",
             "--gpu-budget-mib=0",
             "--cache-max-mib=0",
@@ -505,6 +643,13 @@ mod tests {
             "--max-streams-per-client=0",
             "--stream-idle-seconds=0",
             "--cors-origin=x",
+            "--job-queue=0",
+            "--job-runners=0",
+            "--job-runners=65",
+            "--job-disk-mib=0",
+            "--job-ttl-seconds=0",
+            "--max-watchers-per-client=0",
+            "--watch-seconds=0",
         ] {
             assert!(refused(&[flag]), "{flag}");
         }

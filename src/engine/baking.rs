@@ -2,19 +2,27 @@
 //!
 //! An entry's key is the hash of all that its trees depend on ([`super::keys::tree_key`]). Trees over a scene's instances are made
 //! in no time and are not cached. A cache that cannot be written costs a warning and the next process the time to build.
+//! What is too large for the memory that baking may take is built with temporary files beside the cache ([`large`]).
+
+mod large;
 
 use std::collections::HashSet;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
 use serde::Serialize;
 
+use self::large::{bake_apart, build_large, large_assets};
+use super::bakes::Watch;
 use super::keys::tree_key;
 use super::library::{AssetCache, Loaded, check_path, load};
-use super::trees::{asset_tree, bake, tree_error};
+use super::trees::{Halt, asset_tree, bake};
 use super::{EngineConfig, EngineError};
 use crate::bake::cache::BakeCache;
-use crate::bake::pack::{PackError, PackedGeometry};
+use crate::bake::external::Phase;
+use crate::bake::pack::PackedGeometry;
+use crate::bake::prepare;
 use crate::bake::tree::TreeStatistics;
 use crate::residency::model::AssetModel;
 
@@ -57,11 +65,16 @@ pub struct BakedAsset {
 /// How far baking has come.
 #[derive(Clone, Copy, Debug)]
 pub enum BakeEvent<'a> {
-    /// Samples and triangles of the scene's assets together, each asset counted once.
+    /// Samples and triangles of the scene's assets together, each asset counted once; or assets, where some are not read as a whole.
     Started {
         asset: &'a str,
         done: u64,
         total: u64,
+    },
+    /// Within an asset that is built with temporary files: how far a phase of it is, in parts of 1.
+    Phase {
+        phase: Phase,
+        done: f64,
     },
     Finished(&'a BakedAsset),
 }
@@ -69,16 +82,26 @@ pub enum BakeEvent<'a> {
 /// Bakes the assets of the scene file or asset file at `path` (below the configuration's root), one after the other, for the cache:
 /// nothing is kept in memory. Needs no GPU.
 ///
+/// Files of points that would take more memory than the cache allows ([`BakeCache::bake_bytes`]) are not read as a whole.
+///
 /// # Errors
-/// A scene that is refused; a geometry that no tree can be built of.
+/// A scene that is refused; a geometry that no tree can be built of; temporary files that cannot be written.
 pub fn bake_file(
     path: &Path,
     config: &EngineConfig,
-    tell: impl FnMut(BakeEvent),
+    tell: impl FnMut(BakeEvent) + Send,
 ) -> Result<Vec<BakedAsset>, EngineError> {
     let path = check_path(path, &config.root)?;
-    let loaded = load("scene", &path, config, &AssetCache::default())?;
-    loaded.bake_each(config.bake_cache.as_ref(), false, tell)
+    let cache = config.bake_cache.as_ref();
+    let description = prepare::describe(&path, &config.root, &config.scene)
+        .map_err(|error| EngineError::Scene(Arc::new(error)))?;
+    let large = large_assets(&description, &config.read, cache)?;
+    match cache {
+        Some(cache) if !large.is_empty() => {
+            bake_apart(&path, &description, &large, config, cache, tell)
+        }
+        _ => load("scene", &path, config, &AssetCache::default())?.bake_each(cache, false, tell),
+    }
 }
 
 impl Loaded {
@@ -112,8 +135,7 @@ impl Loaded {
                 let (tree, source) = asset_tree(asset, cache)?;
                 figures(name, asset, &tree, source, began)
             } else {
-                let (tree, source) =
-                    bake(asset, cache).map_err(|error| tree_error(asset, &error))?;
+                let (tree, source) = bake(asset, cache)?;
                 figures(name, asset, &tree, source, began)
             };
             tell(BakeEvent::Finished(&told));
@@ -163,8 +185,9 @@ fn figures(
 pub(super) fn read_or_build(
     asset: &AssetModel,
     cache: Option<&BakeCache>,
-    build: impl FnOnce() -> Result<Vec<PackedGeometry>, PackError>,
-) -> Result<(Vec<PackedGeometry>, BakeSource), PackError> {
+    watch: &Watch<'_>,
+    build: impl FnOnce() -> Result<Vec<PackedGeometry>, Halt>,
+) -> Result<(Vec<PackedGeometry>, BakeSource), Halt> {
     // What has nothing to draw needs no entry.
     let Some(cache) = cache.filter(|_| asset.counts() != (0, 0)) else {
         return Ok((build()?, BakeSource::Built));
@@ -177,6 +200,9 @@ pub(super) fn read_or_build(
                 tracing::warn!(asset = asset.name, reason, "cached point trees are built anew");
             }
         }
+    }
+    if let Some(built) = build_large(asset, cache, &key, watch)? {
+        return Ok((built, BakeSource::Stored));
     }
     let built = build()?;
     let source = match cache.store(&key, &built) {

@@ -7,8 +7,10 @@ use std::time::Instant;
 use parking_lot::Mutex;
 use tokio::sync::oneshot;
 
-use super::queue::{Client, Waiting};
+use super::queue::cost::CostKey;
+use super::queue::{Client, Granted, Waiting};
 use super::receipt::CameraReceipt;
+use super::trace::{FrameSpans, Origin, RequestId};
 use super::{EncodedFrame, EngineError, FrameRequest};
 use crate::math::View;
 use crate::plan::{FramePlan, MaxError, Reconstruct};
@@ -52,6 +54,19 @@ pub struct Job {
     pub resolved: Resolved,
     pub request: FrameRequest,
     pub enqueued: Instant,
+    /// Whoever asked first calls it so.
+    pub request_id: RequestId,
+    /// All that is done for it.
+    pub span: tracing::Span,
+    pub cost_key: CostKey,
+    /// Device time, estimated.
+    pub cost_ns: u64,
+    /// Its time in the queue, until it is taken.
+    queue_span: Mutex<Option<tracing::Span>>,
+    /// In whose lane it waits or waited.
+    lane: Mutex<Client>,
+    /// What was charged for it, from when it is taken to when that is settled.
+    charged: Mutex<Option<(Client, u64)>>,
     waiters: Mutex<Waiters>,
     attempts: AtomicU32,
     redraws: AtomicU32,
@@ -62,41 +77,90 @@ pub struct Job {
     too_full: AtomicBool,
 }
 
+struct Waiter {
+    origin: Origin,
+    sender: oneshot::Sender<Reply>,
+}
+
 struct Waiters {
-    /// With who it is that waits.
-    senders: Vec<(Client, oneshot::Sender<Reply>)>,
+    senders: Vec<Waiter>,
     /// The latest that anybody would still take it; `None`: any time.
     deadline: Option<Instant>,
     answered: bool,
 }
 
 impl Job {
+    /// `cost_ns`: device time that it is estimated to take.
     pub fn new(
-        client: Client,
+        origin: Origin,
         resolved: Resolved,
         request: FrameRequest,
+        (cost_key, cost_ns): (CostKey, u64),
     ) -> (Arc<Job>, oneshot::Receiver<Reply>) {
         let (sender, receiver) = oneshot::channel();
-        let senders = vec![(client, sender)];
-        let waiters = Waiters { senders, deadline: request.deadline, answered: false };
+        let FrameSpans { frame, queue } = FrameSpans::open(&origin, &request, cost_ns);
         let job = Job {
-            resolved,
-            request,
             enqueued: Instant::now(),
-            waiters: Mutex::new(waiters),
+            request_id: origin.request_id.clone(),
+            span: frame,
+            cost_key,
+            cost_ns,
+            queue_span: Mutex::new(Some(queue)),
+            lane: Mutex::new(origin.client),
+            charged: Mutex::new(None),
+            waiters: Mutex::new(Waiters {
+                senders: vec![Waiter { origin, sender }],
+                deadline: request.deadline,
+                answered: false,
+            }),
             attempts: AtomicU32::new(0),
             redraws: AtomicU32::new(0),
             alone: AtomicBool::new(false),
             halvings: AtomicU32::new(0),
             too_full: AtomicBool::new(false),
+            resolved,
+            request,
         };
         (Arc::new(job), receiver)
+    }
+
+    /// In whose lane it waits or waited.
+    pub fn lane(&self) -> Client {
+        *self.lane.lock()
+    }
+
+    pub fn set_lane(&self, client: Client) {
+        *self.lane.lock() = client;
+    }
+
+    /// It is being drawn from now on.
+    pub fn taken(&self, client: Client, charged_ns: u64) {
+        self.queue_span.lock().take();
+        *self.charged.lock() = Some((client, charged_ns));
+    }
+
+    /// What was charged for it, and to whom, if it is under way.
+    pub fn charged(&self) -> Option<(Client, u64)> {
+        *self.charged.lock()
+    }
+
+    /// It is under way no more.
+    pub fn settle(&self) -> Option<(Client, u64)> {
+        self.charged.lock().take()
+    }
+
+    /// It waits again.
+    pub fn granted(self: Arc<Self>) -> Granted<Arc<Job>> {
+        let (client, cost_ns) = self.settle().unwrap_or((self.lane(), self.cost_ns));
+        let queue = FrameSpans::queue(&self.span, &self.request_id, self.cost_ns);
+        *self.queue_span.lock() = Some(queue);
+        Granted { client, cost_ns, job: self }
     }
 
     /// One more waits for the same frame; `None` when it has been answered already.
     pub fn join(
         &self,
-        client: Client,
+        origin: Origin,
         deadline: Option<Instant>,
     ) -> Option<oneshot::Receiver<Reply>> {
         let mut waiters = self.waiters.lock();
@@ -104,7 +168,13 @@ impl Job {
             return None;
         }
         let (sender, receiver) = oneshot::channel();
-        waiters.senders.push((client, sender));
+        tracing::debug!(
+            parent: &self.span,
+            request_id = %origin.request_id,
+            shares = %self.request_id,
+            "shares a frame that is under way",
+        );
+        waiters.senders.push(Waiter { origin, sender });
         waiters.deadline = waiters.deadline.zip(deadline).map(|(a, b)| a.max(b));
         Some(receiver)
     }
@@ -112,8 +182,8 @@ impl Job {
     /// Somebody else than `client` who waits for it.
     pub fn waiter_beside(&self, client: Client) -> Option<Client> {
         let waiters = self.waiters.lock();
-        let live = waiters.senders.iter().filter(|(_, sender)| !sender.is_closed());
-        live.map(|(other, _)| *other).find(|other| *other != client)
+        let live = waiters.senders.iter().filter(|waiter| !waiter.sender.is_closed());
+        live.map(|waiter| waiter.origin.client).find(|other| *other != client)
     }
 
     /// Answers everybody. The first to have asked gets the frame as it is; the others' receipts say that they shared it.
@@ -123,20 +193,15 @@ impl Job {
             waiters.answered = true;
             std::mem::take(&mut waiters.senders)
         };
-        let shared = (senders.len() > 1).then(|| {
-            reply.as_ref().map_err(Clone::clone).map(|frame| {
-                let mut frame = EncodedFrame::clone(frame);
-                frame.receipt.coalesced = true;
-                Arc::new(frame)
-            })
-        });
-        let mut first = Some(reply);
-        for (_, sender) in senders {
-            let reply = first.take().or_else(|| shared.clone());
-            if let Some(reply) = reply {
-                // A receiver that is gone has cancelled.
-                let _ = sender.send(reply);
+        for (number, Waiter { origin, sender }) in senders.into_iter().enumerate() {
+            let mut reply = reply.clone();
+            if let (true, Ok(frame)) = (number > 0, &mut reply) {
+                let receipt = &mut Arc::make_mut(frame).receipt;
+                receipt.coalesced = true;
+                receipt.request_id = origin.request_id.as_str().to_owned();
             }
+            // A receiver that is gone has cancelled.
+            let _ = sender.send(reply);
         }
     }
 
@@ -201,7 +266,7 @@ impl Job {
 
 impl Waiting for Arc<Job> {
     fn is_abandoned(&self) -> bool {
-        self.waiters.lock().senders.iter().all(|(_, sender)| sender.is_closed())
+        self.waiters.lock().senders.iter().all(|waiter| waiter.sender.is_closed())
     }
 
     fn deadline(&self) -> Option<Instant> {

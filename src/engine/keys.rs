@@ -10,11 +10,13 @@ use sha2::{Digest, Sha256};
 use super::EngineError;
 use super::library::asset_error;
 use crate::assets::{AssetError, Material};
+use crate::bake::external::{SpillFile, Spilled};
 use crate::bake::pack::{
     Grid, NodeRange, PackedAsset, PackedChunk, PackedGeometry, PackedMesh, PackedSamples,
     PackedTexture,
 };
 use crate::bake::tree::BAKING_VERSION;
+use crate::math::Bounds;
 use crate::residency::model::AssetModel;
 use crate::scene::{AssetSource, FileSource, Scene};
 
@@ -106,6 +108,38 @@ pub fn tree_key(asset: &AssetModel) -> [u8; 32] {
         numbers(&mut hasher, &[bounds.min.to_array(), bounds.max.to_array()].concat());
     }
     hasher.finalize().into()
+}
+
+/// The key that [`tree_key`] gives an asset of nothing but these samples, in this box.
+pub fn spilled_tree_key(samples: &Spilled, bounds: &Bounds) -> std::io::Result<[u8; 32]> {
+    let mut hasher = Sha256::new_with_prefix(b"point trees\0");
+    hasher.update(BAKING_VERSION.to_le_bytes());
+    for count in [1u64, 0, 0] {
+        hasher.update(count.to_le_bytes());
+    }
+    let Spilled { grid, chunks, positions, attributes, kernels, nodes } = samples;
+    hasher.update(b"samples");
+    digest_grid(&mut hasher, grid);
+    digest_chunks(&mut hasher, chunks);
+    spilled_words(&mut hasher, positions)?;
+    spilled_words(&mut hasher, attributes)?;
+    spilled_words(&mut hasher, kernels)?;
+    words(&mut hasher, &[]);
+    words(&mut hasher, &[positions.count() as u32]);
+    spilled_words(&mut hasher, nodes)?;
+    numbers(&mut hasher, &[bounds.min.to_array(), bounds.max.to_array()].concat());
+    Ok(hasher.finalize().into())
+}
+
+fn spilled_words<R: bytemuck::Pod>(
+    hasher: &mut Sha256,
+    file: &SpillFile<R>,
+) -> std::io::Result<()> {
+    hasher.update((file.count() * size_of::<R>() as u64 / 4).to_le_bytes());
+    file.each_block(|block| {
+        hasher.update(bytemuck::cast_slice(block));
+        Ok(())
+    })
 }
 
 /// Adds all of an asset's packed contents, lists with their lengths in front. Records are taken apart by all their names, so that no

@@ -1,11 +1,13 @@
 //! Loaded scenes in host memory: reading, baking, packing, and the changes made to them later.
 
 use std::collections::{BTreeMap, HashMap};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock, Weak};
 
 use glam::DVec3;
+use parking_lot::Mutex;
 use sha2::{Digest, Sha256};
 
 use super::keys::{AssetKey, AssetKeys, digest_file, digest_packed};
@@ -19,7 +21,9 @@ use crate::bake::prepare::{self, AssetTraits};
 use crate::bake::tree::Above;
 use crate::math::{Bounds, Camera};
 use crate::plan::SceneFacts;
+use crate::residency::instances::{Instances, RunMeter};
 use crate::residency::model::{AssetModel, Extent, ModelInstance, SceneModel};
+use crate::residency::once::MadeOnce;
 use crate::scene::{AssetRef, CameraPath, Light, Node, Scene};
 
 static NEXT_UID: AtomicU64 = AtomicU64::new(1);
@@ -38,8 +42,12 @@ pub struct Loaded {
     /// Hash of the description and of every file's content.
     pub digest: [u8; 32],
     description: Scene,
+    /// The top-level nodes of each run of instances, the same in all revisions.
+    nodes: Arc<[Range<usize>]>,
     /// See [`Loaded::trees`].
-    pub(super) trees: OnceLock<Result<TreeScene, EngineError>>,
+    pub(super) trees: MadeOnce<Result<TreeScene, EngineError>>,
+    /// Those of the last revision that had some, until there are new ones.
+    pub(super) trees_before: Mutex<Option<TreeScene>>,
     /// For each asset: where its geometries stand.
     placements: Vec<Arc<Vec<Placement>>>,
 }
@@ -69,7 +77,7 @@ pub struct Library {
 /// Assets by content, so that scenes that draw the same file share it.
 #[derive(Default)]
 pub struct AssetCache {
-    assets: parking_lot::Mutex<HashMap<[u8; 32], CachedAsset>>,
+    assets: Mutex<HashMap<[u8; 32], CachedAsset>>,
 }
 
 impl Library {
@@ -164,7 +172,25 @@ pub fn load(
     if description.lights.iter().any(|light| matches!(light, Light::Sun { shadows: true, .. })) {
         warnings.push("lights ask for shadows, which this version does not draw".to_owned());
     }
-    build(id, 1, description, assets, placements, warnings, hasher.finalize().into(), config)
+    let digest = hasher.finalize().into();
+    let id = id.to_owned();
+    let parts = Parts { id, revision: 1, description, assets, placements, warnings, digest };
+    build(parts, config, None)
+}
+
+/// Reads one of the assets that a scene file or a bare asset draws, by itself.
+pub fn load_one(
+    path: &Path,
+    description: &Scene,
+    index: usize,
+    config: &EngineConfig,
+) -> Result<Arc<AssetModel>, EngineError> {
+    let mut options = config.read.clone();
+    options.root.get_or_insert_with(|| config.root.clone());
+    let mut assembler = Assembler::new(path, description, &options);
+    let key = AssetKeys::default().of(description, index)?;
+    let reference = &description.assets[index];
+    Ok(pack_asset(reference, assembler.asset(index)?, key.digest)?.model)
 }
 
 impl From<AssembleError> for EngineError {
@@ -249,7 +275,7 @@ fn pack_asset(
         has_normals: traits.has_normals,
         normals_estimated: traits.normals_estimated,
         beside: Vec::new(),
-        tree: OnceLock::new(),
+        tree: MadeOnce::default(),
     };
     Ok(ReadAsset {
         model: Arc::new(model),
@@ -260,39 +286,82 @@ fn pack_asset(
     })
 }
 
-#[expect(clippy::too_many_arguments, reason = "the parts of a loaded scene, each used once")]
-fn build(
-    id: &str,
+/// What a scene consists of, as read.
+struct Parts {
+    id: String,
     revision: u64,
     description: Scene,
     assets: Vec<Arc<AssetModel>>,
     placements: Vec<Arc<Vec<Placement>>>,
     warnings: Vec<String>,
     digest: [u8; 32],
-    config: &EngineConfig,
-) -> Result<Loaded, EngineError> {
-    let mut instances = Vec::new();
-    for placed in prepare::placed(&description, &placements) {
-        let number = instances.len() as u64 + 1;
-        if number > config.scene.max_instances {
-            return Err(EngineError::OverLimit {
-                what: "instances",
-                found: number,
-                limit: config.scene.max_instances,
-            });
+}
+
+/// Instances of a run of top-level nodes, at most, unless it is one node.
+const RUN: u64 = 4096;
+
+/// The instances of a description in runs. Of `before`, the scene's last revision, runs stay that do not have the changed node.
+fn unfold(
+    parts: &Parts,
+    nodes: &[Range<usize>],
+    before: Option<(&Instances, usize)>,
+    most: u64,
+) -> Result<Instances, EngineError> {
+    let unfolding = parts.description.unfolding();
+    let meter = RunMeter::new(&parts.assets);
+    let mut next = 1u64;
+    let mut runs = Vec::with_capacity(nodes.len());
+    for (index, nodes) in nodes.iter().enumerate() {
+        let kept = before.filter(|(_, changed)| !nodes.contains(changed));
+        let kept = kept.and_then(|(before, _)| before.runs().get(index));
+        let run = match kept {
+            Some(run) if run.members.first().is_none_or(|first| u64::from(first.id) == next) => {
+                run.clone()
+            }
+            // What comes before has become more or less.
+            Some(run) => Arc::new(run.numbered_from(next as u32)),
+            None => {
+                let instances = unfolding.instances(nodes.clone());
+                let placed = prepare::placed_instances(instances, &parts.placements);
+                let members = placed.zip(next..).map(|(placed, id)| ModelInstance {
+                    asset: placed.asset,
+                    geometry: placed.geometry,
+                    world_from_geometry: placed.world_from_geometry,
+                    material: placed.material,
+                    id: id as u32,
+                    above: Above::NOTHING,
+                });
+                // One more than there may be is enough to know.
+                let room = usize::try_from((most + 2).saturating_sub(next)).unwrap_or(usize::MAX);
+                Arc::new(meter.run(members.take(room).collect()))
+            }
+        };
+        next += run.members.len() as u64;
+        if next - 1 > most {
+            let (what, found) = ("instances", next - 1);
+            return Err(EngineError::OverLimit { what, found, limit: most });
         }
-        instances.push(ModelInstance {
-            asset: placed.asset,
-            geometry: placed.geometry,
-            world_from_geometry: placed.world_from_geometry,
-            material: placed.material,
-            id: number as u32,
-            above: Above::NOTHING,
-        });
+        runs.push(run);
     }
+    Ok(Instances::new(runs))
+}
+
+/// A scene to be drawn, made of its parts: wholly, or as one node of `before` was changed.
+fn build(
+    parts: Parts,
+    config: &EngineConfig,
+    before: Option<(&Loaded, usize)>,
+) -> Result<Loaded, EngineError> {
+    let nodes = match before {
+        Some((loaded, _)) => loaded.nodes.clone(),
+        None => parts.description.node_runs(RUN).into(),
+    };
+    let known = before.map(|(loaded, changed)| (&loaded.model.instances, changed));
+    let instances = unfold(&parts, &nodes, known, config.scene.max_instances)?;
+    let Parts { id, revision, description, assets, placements, warnings, digest } = parts;
     let model = SceneModel {
         uid: next_uid(),
-        id: id.to_owned(),
+        id,
         name: description.name.clone(),
         revision,
         assets,
@@ -315,21 +384,18 @@ fn build(
         info,
         digest,
         description,
-        trees: OnceLock::new(),
+        nodes,
+        trees: MadeOnce::default(),
+        trees_before: Mutex::new(before.and_then(|(loaded, _)| loaded.latest_trees())),
         placements,
     })
 }
 
 fn facts(model: &SceneModel) -> SceneFacts {
-    let drawn = |wanted: fn(&PackedGeometry) -> bool| {
-        model.instances.iter().any(|instance| {
-            let geometry = model.geometry(instance);
-            wanted(geometry) && !geometry.chunks().is_empty()
-        })
-    };
+    let counts = model.counts();
     SceneFacts {
-        has_samples: drawn(|geometry| matches!(geometry, PackedGeometry::Samples(_))),
-        has_triangles: drawn(|geometry| matches!(geometry, PackedGeometry::Mesh(_))),
+        has_samples: counts.samples > 0,
+        has_triangles: counts.triangles > 0,
         lights: model.lights.len() as u32,
         casts_shadows: model
             .lights
@@ -426,16 +492,16 @@ impl Loaded {
         let mut hasher = Sha256::new();
         hasher.update(self.digest);
         hasher.update(format!("{node}{patch:?}"));
-        build(
-            &self.model.id,
-            self.model.revision + 1,
+        let parts = Parts {
+            id: self.model.id.clone(),
+            revision: self.model.revision + 1,
             description,
-            self.model.assets.clone(),
-            self.placements.clone(),
-            self.info.warnings.clone(),
-            hasher.finalize().into(),
-            config,
-        )
+            assets: self.model.assets.clone(),
+            placements: self.placements.clone(),
+            warnings: self.info.warnings.clone(),
+            digest: hasher.finalize().into(),
+        };
+        build(parts, config, Some((self, index)))
     }
 
     /// A camera path that the scene names.

@@ -1,10 +1,13 @@
 //! Jobs in, encoded frames with receipts out (floor 5). One thread owns the device.
 
+pub mod bakes;
 mod baking;
+mod crowd;
 mod group;
 mod job;
 mod keys;
 mod library;
+mod observe;
 pub mod queue;
 pub mod receipt;
 mod renderer;
@@ -12,6 +15,7 @@ mod request;
 mod resolve;
 mod seat;
 mod shared;
+mod trace;
 mod trees;
 mod worker;
 
@@ -23,12 +27,15 @@ use std::time::Duration;
 use bytes::Bytes;
 use serde::Serialize;
 
+pub use bakes::BakeTicket;
 pub use baking::{BakeEvent, BakeSource, BakedAsset, bake_file};
-pub use queue::Client;
+pub use observe::Observer;
+pub use queue::{Class, Client};
 pub use receipt::Receipt;
 pub use renderer::Renderer;
 pub use request::{FrameRequest, Pose};
 pub use seat::Seat;
+pub use trace::{Origin, RequestId};
 
 use crate::assets::{AssetError, ReadOptions};
 use crate::bake::cache::BakeCache;
@@ -39,6 +46,9 @@ use crate::scene::{CameraPath, SceneError, SceneLimits};
 
 use self::shared::Shared;
 
+/// Of the device's time, what jobs get at least.
+pub const DEFAULT_JOB_SHARE: f64 = 0.1;
+
 /// How the engine is set up.
 #[derive(Clone)]
 pub struct EngineConfig {
@@ -48,6 +58,10 @@ pub struct EngineConfig {
     pub gpu_budget_bytes: Option<u64>,
     /// Jobs that may wait; more are refused with [`EngineError::Busy`].
     pub queue_capacity: usize,
+    /// Device time that may wait, by what frames like those that wait have cost; more is refused likewise.
+    pub queue_time: Duration,
+    /// Of the device's time, what frames of jobs ([`Client::Job`]) get however many others there are; above 0, below 1.
+    pub job_share: f64,
     /// Frames recorded into one submission.
     pub max_batch: usize,
     pub encoder_threads: usize,
@@ -95,8 +109,9 @@ pub enum EngineError {
     /// Of a [`Seat`]'s request that a newer one took the place of.
     #[error("a newer request took this one's place")]
     Overtaken,
-    #[error("the deadline passed before the frame was begun")]
-    DeadlineExceeded,
+    /// Or would, by what is queued before the frame and what such frames have cost.
+    #[error("the deadline passes before the frame can be had")]
+    DeadlineExceeded { retry_after: Duration },
     #[error("the GPU was lost; scenes are being rebuilt")]
     DeviceLost { retry_after: Duration },
     #[error("shutting down")]
@@ -244,11 +259,15 @@ pub struct EngineStats {
     pub overtaken: u64,
     pub expired: u64,
     pub refused: u64,
+    /// Jobs refused because what was queued before them left no time until their deadline.
+    pub hopeless: u64,
     pub failed: u64,
     pub queued: u64,
     pub device_losses: u64,
     pub evictions: u64,
     pub uploads: u64,
+    /// Records of instances written to the GPU: after an edit those that it moved, and their neighbours.
+    pub instances_written: u64,
     pub gpu_bytes_resident: u64,
     pub gpu_ns: u64,
     pub encode_ns: u64,
@@ -321,6 +340,8 @@ impl EngineConfig {
             root: root.into(),
             gpu_budget_bytes: None,
             queue_capacity: 256,
+            queue_time: Duration::from_secs(30),
+            job_share: DEFAULT_JOB_SHARE,
             max_batch: 16,
             encoder_threads: cores.clamp(1, 8),
             max_pixels: 1 << 24,
@@ -495,13 +516,25 @@ impl Engine {
     /// # Errors
     /// An unknown scene, or a geometry that no tree can be built of.
     pub fn bake(&self, request: &FrameRequest) -> Result<(), EngineError> {
+        self.begin_bake(request)?.map_or(Ok(()), BakeTicket::wait)
+    }
+
+    /// The same for who waits in another way, with all others who wait for it; `None` when everything is there. It is given up when
+    /// nobody waits any more.
+    ///
+    /// # Errors
+    /// An unknown scene.
+    pub fn begin_bake(&self, request: &FrameRequest) -> Result<Option<BakeTicket>, EngineError> {
         let loaded = self.shared().library.read().get(&request.scene);
         let loaded =
             loaded.ok_or_else(|| EngineError::UnknownScene { id: request.scene.clone() })?;
-        if request.settings.lod == Lod::Spt {
-            loaded.trees(self.shared().config.bake_cache.as_ref())?;
-        }
-        Ok(())
+        let is_needed = request.settings.lod == Lod::Spt && !loaded.has_trees();
+        Ok(is_needed.then(|| self.shared().bakes.join(loaded)))
+    }
+
+    /// Bakes that are under way for [`Engine::begin_bake`], also such as are being given up.
+    pub fn bakes_running(&self) -> usize {
+        self.shared().bakes.running()
     }
 
     /// Builds or reads the point trees of all of a scene's assets, keeps them for frames, and tells what they are. Blocks, for a
@@ -527,23 +560,29 @@ impl Engine {
         self.submit_for(Client::Unnamed, request)
     }
 
-    /// Queues a frame for `client`, who takes turns with the others.
+    /// Queues a frame for a client, who shares the device with the others; as an [`Origin`], under a name.
     ///
     /// # Errors
     /// As [`Engine::submit`].
     pub fn submit_for(
         &self,
-        client: Client,
+        origin: impl Into<Origin>,
         request: FrameRequest,
     ) -> Result<FrameTicket, EngineError> {
         let resolved = resolve::resolve(self.shared(), &request)?;
-        let (_, receiver) = self.shared().enqueue(client, resolved, request)?;
+        let (_, receiver) = self.shared().enqueue(origin.into(), resolved, request)?;
         Ok(FrameTicket { receiver })
     }
 
-    /// A place in the queue for one who wants the newest frame only.
-    pub fn seat(&self) -> Seat {
-        Seat::new(self)
+    /// A place in the queue for one who wants the newest frame only, and shares the device's time with the other seats of the
+    /// client `of`.
+    pub fn seat(&self, of: Client) -> Seat {
+        Seat::new(self, of)
+    }
+
+    /// Has batches and frames told from now on to the first that asks for it; whether that is this one.
+    pub fn observe(&self, observer: Arc<dyn Observer>) -> bool {
+        self.shared().observer.set(observer).is_ok()
     }
 
     /// Changes whenever a scene is loaded, patched or removed.

@@ -9,6 +9,9 @@ use crate::plan::UsedSettings;
 /// give are `null`, never invented.
 #[derive(Clone, Debug, Default, Serialize, ToSchema)]
 pub struct Receipt {
+    /// Of the request, as in `X-Request-Id`: by it logs tell how the frame was made. Of one of several frames of a request
+    /// with its number, as in `4bf92f35/7`.
+    pub request_id: String,
     pub scene: String,
     pub revision: u64,
     pub adapter: String,

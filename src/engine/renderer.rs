@@ -50,6 +50,8 @@ pub struct InFlight {
     pub began: Instant,
     record: Duration,
     submitted: Instant,
+    /// From recording to landing.
+    span: tracing::Span,
 }
 
 /// Frames that the same dispatches draw: their pixels one behind the other, then their counters.
@@ -103,7 +105,7 @@ const SHARED_BYTES: u64 = 128 << 20;
 const STATS_BYTES: u64 = size_of::<GpuStats>() as u64;
 
 impl InFlight {
-    fn jobs(&self) -> impl Iterator<Item = &Arc<Job>> {
+    pub fn jobs(&self) -> impl Iterator<Item = &Arc<Job>> {
         self.groups.iter().flat_map(|group| &group.jobs)
     }
 }
@@ -233,6 +235,8 @@ impl Renderer {
         jobs: Vec<Arc<Job>>,
     ) -> Result<InFlight, (Vec<Arc<Job>>, EngineError)> {
         let began = Instant::now();
+        let span = batch_span(&jobs);
+        let entered = span.enter();
         let mut timer = self.timers.pop().unwrap_or_else(|| Timer::new(&self.gpu));
         timer.reset();
         let mut encoder = self
@@ -305,7 +309,8 @@ impl Renderer {
         }
         let fault = self.fault.lock().take();
         let record = submitted - began;
-        Ok(InFlight { groups, timer, stamps, index, fault, began, record, submitted })
+        drop(entered);
+        Ok(InFlight { groups, timer, stamps, index, fault, began, record, submitted, span })
     }
 
     /// Views of a job's scene that may be drawn together: what each needs of a buffer must fit it as often.
@@ -336,6 +341,7 @@ impl Renderer {
             walk_stride: self.scratch.walk_stride(),
             large_units_limit: self.large_units_limit,
             max_error_px: first.resolved.max_error.px(),
+            error_mode: first.request.settings.error_mode,
             paint: first.request.settings.paint,
             entry_capacity: self.scratch.entry_capacity(),
         }
@@ -434,6 +440,7 @@ impl Renderer {
             _ => None,
         };
         let (began, submitted, record) = (flight.began, flight.submitted, flight.record);
+        let _entered = flight.span.enter();
         for group in flight.groups {
             // Buffers of what never began would show an older frame.
             let read = if never_begun { None } else { group.read() };
@@ -494,6 +501,7 @@ impl Renderer {
             }
             let now = Instant::now();
             let (pass_ns, gpu_ns) = self.durations(&group.spans, stamps.as_deref());
+            tell_passes(&group.jobs, &pass_ns);
             let since = now - submitted;
             for (job, (image, stats)) in group.jobs.into_iter().zip(frames) {
                 if stats.sums_full != 0 {
@@ -567,6 +575,32 @@ impl Renderer {
             }
         }
         (passes, (last >= first).then(|| ns(last - first)).flatten())
+    }
+}
+
+/// The span of a submission, with the names of its frames.
+fn batch_span(jobs: &[Arc<Job>]) -> tracing::Span {
+    tracing::debug_span!(parent: None, "batch", size = jobs.len(), frames = %Names(jobs))
+}
+
+/// Tells what each pass of frames that were drawn together took.
+fn tell_passes(jobs: &[Arc<Job>], pass_ns: &[(Pass, Option<u64>)]) {
+    for (pass, gpu_ns) in pass_ns {
+        let (name, views, frames) = (pass.name(), jobs.len(), Names(jobs));
+        tracing::debug!(pass = name, gpu_ns, views, %frames, "drawn");
+    }
+}
+
+/// The names of frames, which are written only when somebody reads them.
+struct Names<'a>(&'a [Arc<Job>]);
+
+impl std::fmt::Display for Names<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        for (number, job) in self.0.iter().enumerate() {
+            let space = if number == 0 { "" } else { " " };
+            write!(f, "{space}{}", job.request_id)?;
+        }
+        Ok(())
     }
 }
 

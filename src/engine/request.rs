@@ -20,7 +20,8 @@ pub struct FrameRequest {
     pub format: ImageFormat,
     /// 1..=100, for the lossy formats.
     pub quality: u8,
-    /// Work not begun by then is dropped with [`super::EngineError::DeadlineExceeded`].
+    /// Work not begun by then is dropped with [`super::EngineError::DeadlineExceeded`]; what cannot be had by then, by what is
+    /// queued before it, is refused with the same at once.
     pub deadline: Option<Instant>,
 }
 

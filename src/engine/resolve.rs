@@ -245,7 +245,7 @@ fn entity_tag(
     hasher.update([request.settings.lod as u8, request.settings.reconstruct as u8]);
     if request.settings.lod == Lod::Spt {
         hasher.update(request.settings.max_error.px().to_le_bytes());
-        hasher.update([request.settings.paint as u8]);
+        hasher.update([request.settings.paint as u8, request.settings.error_mode as u8]);
     }
     if let Some(splats) = splats {
         // The scene's part in it is in the digest.

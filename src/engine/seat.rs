@@ -11,9 +11,10 @@ use std::sync::{Arc, Weak};
 use super::job::Job;
 use super::queue::Client;
 use super::resolve::resolve;
+use super::trace::{Origin, RequestId};
 use super::{Engine, EngineError, FrameRequest, FrameTicket};
 
-/// One client's place, which takes turns with all other clients.
+/// One stream's place, which shares the device with all other clients.
 pub struct Seat {
     engine: Engine,
     client: Client,
@@ -22,9 +23,16 @@ pub struct Seat {
 }
 
 impl Seat {
-    pub(super) fn new(engine: &Engine) -> Self {
+    pub(super) fn new(engine: &Engine, of: Client) -> Self {
         static NEXT: AtomicU64 = AtomicU64::new(0);
-        let client = Client::Stream(NEXT.fetch_add(1, Ordering::Relaxed));
+        let number = NEXT.fetch_add(1, Ordering::Relaxed);
+        let of = match of {
+            Client::Caller(of) | Client::Stream { of, .. } => of,
+            // Nobody's: a client of its own.
+            Client::Unnamed | Client::Job(_) => number,
+        };
+        let client = Client::Stream { of, number };
+        engine.shared().open_streams.fetch_add(1, Ordering::Relaxed);
         Self { engine: engine.clone(), client, last: Weak::new() }
     }
 
@@ -33,9 +41,22 @@ impl Seat {
     /// # Errors
     /// As [`Engine::submit`].
     pub fn ask(&mut self, request: FrameRequest) -> Result<FrameTicket, EngineError> {
+        self.ask_as(RequestId::fresh(), request)
+    }
+
+    /// The same, under a name.
+    ///
+    /// # Errors
+    /// As [`Engine::submit`].
+    pub fn ask_as(
+        &mut self,
+        request_id: RequestId,
+        request: FrameRequest,
+    ) -> Result<FrameTicket, EngineError> {
         let shared = self.engine.shared();
         let resolved = resolve(shared, &request)?;
-        let (job, receiver) = shared.enqueue(self.client, resolved, request)?;
+        let origin = Origin { client: self.client, request_id };
+        let (job, receiver) = shared.enqueue(origin, resolved, request)?;
         self.last = Arc::downgrade(&job);
         Ok(FrameTicket { receiver })
     }
@@ -46,16 +67,35 @@ impl Seat {
     /// # Errors
     /// Whatever is wrong with the request; the last one waits on then.
     pub fn replace(&mut self, request: FrameRequest) -> Result<Option<FrameTicket>, EngineError> {
+        self.replace_as(RequestId::fresh(), request)
+    }
+
+    /// The same, under a name.
+    ///
+    /// # Errors
+    /// As [`Seat::replace`].
+    pub fn replace_as(
+        &mut self,
+        request_id: RequestId,
+        request: FrameRequest,
+    ) -> Result<Option<FrameTicket>, EngineError> {
         let Some(last) = self.last.upgrade() else { return Ok(None) };
         let shared = self.engine.shared();
         if !shared.is_waiting(self.client, &last) {
             return Ok(None);
         }
         let resolved = resolve(shared, &request)?;
-        let Some((job, receiver)) = shared.replace(self.client, &last, resolved, request)? else {
+        let origin = Origin { client: self.client, request_id };
+        let Some((job, receiver)) = shared.replace(origin, &last, resolved, request)? else {
             return Ok(None);
         };
         self.last = Arc::downgrade(&job);
         Ok(Some(FrameTicket { receiver }))
+    }
+}
+
+impl Drop for Seat {
+    fn drop(&mut self) {
+        self.engine.shared().open_streams.fetch_sub(1, Ordering::Relaxed);
     }
 }

@@ -1,16 +1,21 @@
 //! What the render thread, the encoders and the callers share.
 
 use std::collections::{HashMap, HashSet};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use parking_lot::{Condvar, Mutex, RwLock};
 use tokio::sync::{oneshot, watch};
 
+use super::bakes::Bakes;
 use super::job::{Job, Reply, Resolved};
 use super::library::{AssetCache, Library};
-use super::queue::{Client, Queue, Taken, expected_wait};
+use super::observe::Observer;
+use super::queue::cost::{CostKey, Costs};
+use super::queue::{Class, Client, Granted, Moment, Queue, Shares, Taken, lateness};
+use super::trace::Origin;
 use super::{EngineConfig, EngineError, EngineStats, FrameRequest, Readiness};
 use crate::residency::model::SceneModel;
 
@@ -44,10 +49,12 @@ pub struct Stats {
     pub overtaken: AtomicU64,
     pub expired: AtomicU64,
     pub refused: AtomicU64,
+    pub hopeless: AtomicU64,
     pub failed: AtomicU64,
     pub device_losses: AtomicU64,
     pub evictions: AtomicU64,
     pub uploads: AtomicU64,
+    pub instances_written: AtomicU64,
     pub gpu_bytes_resident: AtomicU64,
     pub gpu_ns: AtomicU64,
     pub encode_ns: AtomicU64,
@@ -55,6 +62,7 @@ pub struct Stats {
 
 struct State {
     queue: Queue<Arc<Job>>,
+    costs: Costs,
     /// Every job that has not been answered, by its key.
     by_key: HashMap<String, Arc<Job>>,
     /// A scene was removed and the render thread has not looked yet.
@@ -82,6 +90,56 @@ impl State {
         }
         Ok(())
     }
+
+    /// How late a frame would be that is admitted now.
+    fn lateness(
+        &self,
+        client: Client,
+        deadline: Option<Instant>,
+        cost_ns: u64,
+        now: Instant,
+    ) -> Option<Duration> {
+        deadline?;
+        let wait_ns = self.queue.ahead_ns(client, deadline, cost_ns, now);
+        let (wait, own) = (self.costs.duration(wait_ns), self.costs.duration(cost_ns));
+        lateness(deadline, now, wait, own)
+    }
+
+    /// How long all takes that waits beside a frame of `class`.
+    fn backlog(&self, class: Class) -> Duration {
+        at_least(self.costs.duration(self.queue.backlog_ns(class)))
+    }
+
+    /// Has a job that waits in no lane wait in that of `client`, before all others.
+    fn hand_over(&mut self, client: Client, job: &Arc<Job>) {
+        job.set_lane(client);
+        self.queue.hand_over(client, job.clone(), job.cost_ns, Instant::now());
+    }
+}
+
+/// A time to come again that is worth the way.
+fn at_least(wait: Duration) -> Duration {
+    wait.max(Duration::from_millis(50))
+}
+
+/// What frames have in common that cost about the same.
+fn cost_key(request: &FrameRequest) -> CostKey {
+    let FrameRequest { scene, width, height, settings, output, .. } = request;
+    let mut hasher = DefaultHasher::new();
+    scene.hash(&mut hasher);
+    let discriminants = [
+        Some(*output as u8),
+        Some(settings.lod as u8),
+        Some(settings.reconstruct as u8),
+        settings.filter.map(|filter| filter as u8),
+        settings.prefilter.map(u8::from),
+        settings.blend.map(|blend| blend as u8),
+        settings.shading.map(|shading| shading as u8),
+        Some(settings.error_mode as u8),
+    ];
+    (discriminants, settings.max_error.px().to_bits()).hash(&mut hasher);
+    let pixels = u64::from(*width) * u64::from(*height);
+    CostKey { kind: hasher.finish(), pixels }
 }
 
 pub struct Shared {
@@ -92,6 +150,7 @@ pub struct Shared {
     /// Held while a scene is patched.
     pub patching: Mutex<()>,
     pub cache: AssetCache,
+    pub bakes: Arc<Bakes>,
     pub stats: Stats,
     /// Counts changes of scenes: loaded, patched, removed.
     pub changes: watch::Sender<u64>,
@@ -99,8 +158,9 @@ pub struct Shared {
     wake: Condvar,
     adapter: RwLock<Adapter>,
     resident: RwLock<HashSet<String>>,
-    /// Measured time of a frame, averaged.
-    frame_ns: AtomicU64,
+    /// Streams that may ask for frames.
+    pub open_streams: AtomicUsize,
+    pub observer: OnceLock<Arc<dyn Observer>>,
     lose: AtomicBool,
     spoil: AtomicBool,
     break_thread: AtomicBool,
@@ -115,8 +175,11 @@ const STALL: Duration = Duration::from_secs(20);
 
 impl Shared {
     pub fn new(config: EngineConfig) -> Self {
-        let queue = Queue::new(config.queue_capacity);
+        let capacity_ns = u64::try_from(config.queue_time.as_nanos()).unwrap_or(u64::MAX);
+        let (capacity, jobs) = (config.queue_capacity, config.job_share);
+        let queue = Queue::new(Shares { capacity, capacity_ns, jobs });
         Self {
+            bakes: Bakes::new(config.bake_cache.clone()),
             config,
             library: RwLock::default(),
             loading: Mutex::default(),
@@ -126,6 +189,7 @@ impl Shared {
             changes: watch::Sender::new(0),
             state: Mutex::new(State {
                 queue,
+                costs: Costs::default(),
                 by_key: HashMap::new(),
                 removed: false,
                 stopping: false,
@@ -135,7 +199,8 @@ impl Shared {
             wake: Condvar::new(),
             adapter: RwLock::default(),
             resident: RwLock::default(),
-            frame_ns: AtomicU64::new(20_000_000),
+            open_streams: AtomicUsize::new(0),
+            observer: OnceLock::new(),
             lose: AtomicBool::new(false),
             spoil: AtomicBool::new(false),
             break_thread: AtomicBool::new(false),
@@ -145,28 +210,33 @@ impl Shared {
     /// Queues a resolved request, or joins it to an equal one that has not been answered. Gives the job beside.
     pub fn enqueue(
         &self,
-        client: Client,
+        origin: Origin,
         resolved: Resolved,
         request: FrameRequest,
     ) -> Result<Queued, EngineError> {
+        let cost_key = cost_key(&request);
+        let now = Instant::now();
         let mut state = self.state.lock();
         state.check_open()?;
-        if let Some(joined) = self.join(&state, client, &resolved, &request) {
+        if let Some(joined) = self.join(&mut state, &origin, &resolved, &request) {
             return Ok(joined);
         }
+        let client = origin.client;
+        let cost_ns = state.costs.estimate_ns(cost_key);
+        if let Some(late) = state.lateness(client, request.deadline, cost_ns, now) {
+            self.stats.hopeless.fetch_add(1, Ordering::Relaxed);
+            return Err(EngineError::DeadlineExceeded { retry_after: at_least(late) });
+        }
         let key = resolved.key.clone();
-        let (job, receiver) = Job::new(client, resolved, request);
-        let (admitted, dropped) = state.queue.admit(client, job.clone());
+        let (job, receiver) = Job::new(origin, resolved, request, (cost_key, cost_ns));
+        let (admitted, dropped) = state.queue.admit(client, job.clone(), cost_ns, now);
         for gone in dropped {
             self.forget(&mut state, &gone);
             self.stats.cancelled.fetch_add(1, Ordering::Relaxed);
         }
         if admitted.is_err() {
             self.stats.refused.fetch_add(1, Ordering::Relaxed);
-            let per_frame = Duration::from_nanos(self.frame_ns.load(Ordering::Relaxed));
-            return Err(EngineError::Busy {
-                retry_after: expected_wait(state.queue.len(), per_frame),
-            });
+            return Err(EngineError::Busy { retry_after: state.backlog(client.class()) });
         }
         state.by_key.insert(key, job.clone());
         drop(state);
@@ -179,22 +249,24 @@ impl Shared {
         self.state.lock().queue.holds(client, |other| Arc::ptr_eq(job, other))
     }
 
-    /// Has a request take the place of `old`, which `client` waits for; `None` when that waits in the queue no more. Whoever else
+    /// Has a request take the place of `old`, which its client waits for; `None` when that waits in the queue no more. Whoever else
     /// waits for `old` still gets it.
     pub fn replace(
         &self,
-        client: Client,
+        origin: Origin,
         old: &Arc<Job>,
         resolved: Resolved,
         request: FrameRequest,
     ) -> Result<Option<Queued>, EngineError> {
         let is_old = |job: &Arc<Job>| Arc::ptr_eq(job, old);
+        let client = origin.client;
+        let cost_key = cost_key(&request);
         let mut state = self.state.lock();
         state.check_open()?;
         if !state.queue.holds(client, is_old) {
             return Ok(None);
         }
-        let joined = self.join(&state, client, &resolved, &request);
+        let joined = self.join(&mut state, &origin, &resolved, &request);
         if joined.as_ref().is_some_and(|(job, _)| is_old(job)) {
             return Ok(joined);
         }
@@ -205,8 +277,9 @@ impl Shared {
             }
             None => {
                 let key = resolved.key.clone();
-                let (job, receiver) = Job::new(client, resolved, request);
-                if state.queue.replace(client, is_old, job.clone()).is_err() {
+                let cost_ns = state.costs.estimate_ns(cost_key);
+                let (job, receiver) = Job::new(origin, resolved, request, (cost_key, cost_ns));
+                if state.queue.replace(client, is_old, job.clone(), cost_ns).is_err() {
                     return Ok(None);
                 }
                 state.by_key.insert(key, job.clone());
@@ -214,7 +287,7 @@ impl Shared {
             }
         };
         if let Some(other) = old.waiter_beside(client) {
-            state.queue.hand_over(other, old.clone());
+            state.hand_over(other, old);
         } else {
             self.forget(&mut state, old);
             self.stats.overtaken.fetch_add(1, Ordering::Relaxed);
@@ -224,18 +297,26 @@ impl Shared {
         Ok(Some(new))
     }
 
-    /// Joins a request to an equal one that has not been answered.
+    /// Joins a request to an equal one that has not been answered. One that waits as a job's comes forward for whoever is more
+    /// urgent.
     fn join(
         &self,
-        state: &State,
-        client: Client,
+        state: &mut State,
+        origin: &Origin,
         resolved: &Resolved,
         request: &FrameRequest,
     ) -> Option<Queued> {
-        let job = state.by_key.get(&resolved.key)?;
-        let receiver = job.join(client, request.deadline)?;
+        let job = state.by_key.get(&resolved.key)?.clone();
+        let receiver = job.join(origin.clone(), request.deadline)?;
         self.stats.coalesced.fetch_add(1, Ordering::Relaxed);
-        Some((job.clone(), receiver))
+        let lane = job.lane();
+        if lane.class() == Class::Job && origin.client.class() != Class::Job {
+            let is_it = |other: &Arc<Job>| Arc::ptr_eq(other, &job);
+            if state.queue.remove(lane, is_it).is_some() {
+                state.hand_over(origin.client, &job);
+            }
+        }
+        Some((job, receiver))
     }
 
     /// Takes `job` out of the register, unless a later one of the same key is there.
@@ -257,33 +338,72 @@ impl Shared {
         job.answer(reply);
     }
 
-    /// The next jobs to draw. Waits up to `patience` for some when `may_wait`.
-    pub fn next_batch(&self, may_wait: bool, patience: Duration) -> Batch {
+    /// The next jobs to draw. Waits up to `patience` for some when nothing is `flying`.
+    pub fn next_batch(&self, flying: Flying, patience: Duration) -> Batch {
         let mut state = self.state.lock();
+        state.queue.set_flying_ns(flying.cost_ns);
+        let may_wait = flying.flights == 0;
         if may_wait && state.queue.is_empty() && !state.stopping && !state.removed {
             state.busy_since = None;
             self.wake.wait_for(&mut state, patience);
         }
         state.removed = false;
-        let Taken { batch, expired, abandoned } =
-            state.queue.take(self.config.max_batch, Instant::now());
+        let moment = Moment {
+            now: Instant::now(),
+            flying_ns: flying.cost_ns,
+            are_jobs_flying: flying.has_jobs,
+            are_streams_open: self.open_streams.load(Ordering::Relaxed) > 0,
+        };
+        let Taken { batch, expired, abandoned } = state.queue.take(self.config.max_batch, moment);
         for job in expired.iter().chain(&abandoned) {
             self.forget(&mut state, job);
         }
         let stopping = state.stopping && state.queue.is_empty() && batch.is_empty();
+        let retry_after = expired.first().map(|job| state.backlog(job.lane().class()));
         drop(state);
         self.stats.cancelled.fetch_add(abandoned.len() as u64, Ordering::Relaxed);
         self.stats.expired.fetch_add(expired.len() as u64, Ordering::Relaxed);
         for job in expired {
-            job.answer(Err(EngineError::DeadlineExceeded));
+            let retry_after = retry_after.unwrap_or_default();
+            job.answer(Err(EngineError::DeadlineExceeded { retry_after }));
         }
-        Batch { batch, stopping }
+        let taken = |Granted { client, cost_ns, job }: Granted<Arc<Job>>| {
+            job.taken(client, cost_ns);
+            job
+        };
+        Batch { batch: batch.into_iter().map(taken).collect(), stopping }
     }
 
     pub fn put_back(&self, jobs: Vec<Arc<Job>>) {
         if !jobs.is_empty() {
-            self.state.lock().queue.put_back(jobs);
+            let granted = jobs.into_iter().map(Job::granted).collect();
+            self.state.lock().queue.put_back(granted, Instant::now());
         }
+    }
+
+    /// A job that was taken has had nothing of the device.
+    pub fn refund(&self, job: &Job) {
+        if let Some((client, charged_ns)) = job.settle() {
+            self.state.lock().queue.settle(client, charged_ns, 0);
+        }
+    }
+
+    /// Puts right what clients were charged for jobs that are under way no more, by the device time that each took, and folds
+    /// in that their submission `took` so long.
+    pub fn settle(&self, jobs: &[(Arc<Job>, Option<u64>)], took: Duration) {
+        let mut state = self.state.lock();
+        let State { queue, costs, .. } = &mut *state;
+        let mut cost_ns = 0;
+        for (job, measured_ns) in jobs {
+            let Some((client, charged_ns)) = job.settle() else { continue };
+            let measured_ns = *measured_ns;
+            queue.settle(client, charged_ns, measured_ns.unwrap_or(charged_ns));
+            cost_ns += measured_ns.unwrap_or(charged_ns);
+            if let Some(ns) = measured_ns {
+                costs.measured(job.cost_key, ns);
+            }
+        }
+        costs.landed(cost_ns, took);
     }
 
     pub fn take_all(&self) -> Vec<Arc<Job>> {
@@ -415,15 +535,6 @@ impl Shared {
         resident.contains(id) || resident.contains(&SceneModel::tree_id(id))
     }
 
-    /// Folds in that `frames` took `frame` each. The mean forgets with a time constant of eight
-    /// frames, however many come at once.
-    pub fn measured(&self, frame: Duration, frames: u32) {
-        let old = self.frame_ns.load(Ordering::Relaxed) as f64;
-        let kept = 0.875f64.powi(frames.min(64) as i32);
-        let new = frame.as_nanos() as f64;
-        self.frame_ns.store((old * kept + new * (1.0 - kept)) as u64, Ordering::Relaxed);
-    }
-
     pub fn snapshot(&self) -> EngineStats {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         EngineStats {
@@ -434,16 +545,29 @@ impl Shared {
             overtaken: read(&self.stats.overtaken),
             expired: read(&self.stats.expired),
             refused: read(&self.stats.refused),
+            hopeless: read(&self.stats.hopeless),
             failed: read(&self.stats.failed),
             queued: self.state.lock().queue.len() as u64,
             device_losses: read(&self.stats.device_losses),
             evictions: read(&self.stats.evictions),
             uploads: read(&self.stats.uploads),
+            instances_written: read(&self.stats.instances_written),
             gpu_bytes_resident: read(&self.stats.gpu_bytes_resident),
             gpu_ns: read(&self.stats.gpu_ns),
             encode_ns: read(&self.stats.encode_ns),
         }
     }
+}
+
+/// What is under way when a batch is taken.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Flying {
+    /// Submissions.
+    pub flights: usize,
+    /// Device time of their frames, as estimated.
+    pub cost_ns: u64,
+    /// Whether frames of jobs are among them.
+    pub has_jobs: bool,
 }
 
 /// What [`Shared::next_batch`] found.

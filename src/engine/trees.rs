@@ -3,50 +3,91 @@
 //! A tree is built from an asset's packed samples when a frame first asks for it, or read from the cache on disk
 //! ([`super::baking`]), and kept with the asset, so that scenes and revisions share it. The scene of trees is a scene of its own to the GPU ([`SceneModel::trees`]): it comes and goes by itself.
 
-use std::collections::HashMap;
 use std::sync::{Arc, OnceLock};
 
-use glam::{DAffine3, DMat3, DVec3, Vec3};
-
 use super::EngineError;
+use super::bakes::{Abandoned, Watch};
 use super::baking::{BakeSource, read_or_build};
+use super::crowd::{Crowd, Crowded};
 use super::library::{Loaded, asset_error, next_uid};
-use crate::assets::{AssetError, MeshPart, PointCloud, Texture};
+use crate::assets::{AssetError, MeshPart, Texture};
 use crate::bake::cache::BakeCache;
 use crate::bake::hybrid::{hybrid_mesh, is_watertight};
 use crate::bake::pack::{
     PackError, PackedAsset, PackedGeometry, PackedMesh, PackedSamples, pack_hybrid, unpack_mesh,
     unpack_samples, unpack_texture,
 };
-use crate::bake::tree::{Above, Measures, Root, build_crowd, build_tree, build_tree_within};
-use crate::bake::{CUTOFF, circle};
+use crate::bake::tree::{build_tree, build_tree_within};
 use crate::math::Bounds;
 use crate::plan::SceneFacts;
-use crate::residency::model::{AssetModel, ModelInstance, SceneModel};
-use crate::scene::color::{linear_from_srgb, srgb_from_linear};
+use crate::residency::instances::{Instances, RunMeter};
+use crate::residency::model::{AssetModel, SceneModel};
+use crate::residency::once::MadeOnce;
 
 /// A scene of trees, and what a plan depends on in it.
 #[derive(Clone)]
 pub struct TreeScene {
     pub model: Arc<SceneModel>,
     pub facts: SceneFacts,
+    /// The trees over its instances, where there are enough of them.
+    pub crowd: Option<Arc<Crowd>>,
 }
+
+/// Why there are no trees of an asset.
+#[derive(Debug)]
+pub(super) enum Halt {
+    Pack(PackError),
+    Abandoned,
+}
+
+impl From<PackError> for Halt {
+    fn from(error: PackError) -> Halt {
+        Halt::Pack(error)
+    }
+}
+
+impl From<Abandoned> for Halt {
+    fn from(_: Abandoned) -> Halt {
+        Halt::Abandoned
+    }
+}
+
+/// The trees of an asset, and where they came from.
+type Grown = (Arc<AssetModel>, BakeSource);
 
 /// The trees of an asset, made by whoever asks first, and where they came from.
 pub(super) fn asset_tree(
     asset: &AssetModel,
     cache: Option<&BakeCache>,
-) -> Result<(Arc<AssetModel>, BakeSource), EngineError> {
+) -> Result<Grown, EngineError> {
+    match asset_tree_watched(asset, cache, &Watch::NONE) {
+        Ok(grown) => grown,
+        // Nobody could have told it to stop.
+        Err(Abandoned) => Err(EngineError::Internal("baking was given up".into())),
+    }
+}
+
+fn asset_tree_watched(
+    asset: &AssetModel,
+    cache: Option<&BakeCache>,
+    watch: &Watch<'_>,
+) -> Result<Result<Grown, EngineError>, Abandoned> {
     let mut source = BakeSource::Kept;
-    let tree = asset.tree.get_or_init(|| {
-        let (tree, made) = bake(asset, cache)?;
-        source = made;
-        Ok(Arc::new(tree))
-    });
-    match tree {
+    let tree = asset.tree.get_or_try(
+        || watch.check(),
+        || match bake_watched(asset, cache, watch) {
+            Ok((tree, made)) => {
+                source = made;
+                Ok(Ok(Arc::new(tree)))
+            }
+            Err(Halt::Pack(error)) => Ok(Err(error)),
+            Err(Halt::Abandoned) => Err(Abandoned),
+        },
+    )?;
+    Ok(match tree {
         Ok(tree) => Ok((tree.clone(), source)),
         Err(error) => Err(tree_error(asset, error)),
-    }
+    })
 }
 
 pub(super) fn tree_error(asset: &AssetModel, error: &PackError) -> EngineError {
@@ -61,9 +102,20 @@ pub(super) fn tree_error(asset: &AssetModel, error: &PackError) -> EngineError {
 pub(super) fn bake(
     asset: &AssetModel,
     cache: Option<&BakeCache>,
-) -> Result<(AssetModel, BakeSource), PackError> {
+) -> Result<(AssetModel, BakeSource), EngineError> {
+    bake_watched(asset, cache, &Watch::NONE).map_err(|halt| match halt {
+        Halt::Pack(error) => tree_error(asset, &error),
+        Halt::Abandoned => EngineError::Internal("baking was given up".into()),
+    })
+}
+
+fn bake_watched(
+    asset: &AssetModel,
+    cache: Option<&BakeCache>,
+    watch: &Watch<'_>,
+) -> Result<(AssetModel, BakeSource), Halt> {
     let began = std::time::Instant::now();
-    let (geometries, source) = read_or_build(asset, cache, || build(asset))?;
+    let (geometries, source) = read_or_build(asset, cache, watch, || build(asset, watch))?;
     let mut bounds = asset.bounds.clone();
     let mut beside = vec![None; asset.packed.geometries.len()];
     for (index, geometry) in asset.packed.geometries.iter().enumerate() {
@@ -83,7 +135,7 @@ pub(super) fn bake(
         packed,
         bounds,
         beside,
-        tree: OnceLock::new(),
+        tree: MadeOnce::default(),
         ..*asset
     };
     let (nodes, _) = tree.counts();
@@ -94,11 +146,14 @@ pub(super) fn bake(
 }
 
 /// For each geometry its tree, and behind them the triangles of each mesh.
-fn build(asset: &AssetModel) -> Result<Vec<PackedGeometry>, PackError> {
-    let mut geometries = Vec::with_capacity(asset.packed.geometries.len());
+fn build(asset: &AssetModel, watch: &Watch<'_>) -> Result<Vec<PackedGeometry>, Halt> {
+    let count = asset.packed.geometries.len();
+    let mut geometries = Vec::with_capacity(count);
     let mut meshes = Vec::new();
     let textures: Vec<Texture> = asset.packed.textures.iter().map(unpack_texture).collect();
     for (index, geometry) in asset.packed.geometries.iter().enumerate() {
+        watch.check()?;
+        watch.tell(index as f64 / count as f64);
         geometries.push(match geometry {
             PackedGeometry::Samples(samples) => {
                 PackedGeometry::Samples(build_tree(&unpack_samples(samples), None)?)
@@ -110,6 +165,7 @@ fn build(asset: &AssetModel) -> Result<Vec<PackedGeometry>, PackError> {
             }
         });
     }
+    watch.check()?;
     geometries.extend(meshes);
     Ok(geometries)
 }
@@ -155,15 +211,77 @@ impl Loaded {
     /// # Errors
     /// A geometry that cannot be packed with its disks.
     pub fn trees(&self, cache: Option<&BakeCache>) -> Result<TreeScene, EngineError> {
-        self.trees.get_or_init(|| self.make_trees(cache)).clone()
+        match self.trees_watched(cache, &Watch::NONE) {
+            Ok(trees) => trees,
+            // Nobody could have told it to stop.
+            Err(Abandoned) => Err(EngineError::Internal("baking was given up".into())),
+        }
     }
 
-    fn make_trees(&self, cache: Option<&BakeCache>) -> Result<TreeScene, EngineError> {
-        let trees = self.model.assets.iter().map(|asset| Ok(asset_tree(asset, cache)?.0));
-        let mut assets = trees.collect::<Result<Vec<_>, EngineError>>()?;
-        let mut instances = self.model.instances.clone();
-        if instances.len() >= LEAST_CROWD {
-            instances = self.crowd(&mut assets, &instances)?;
+    /// The same, given up when `watch` says so, and with its progress told.
+    pub fn trees_watched(
+        &self,
+        cache: Option<&BakeCache>,
+        watch: &Watch<'_>,
+    ) -> Result<Result<TreeScene, EngineError>, Abandoned> {
+        let make = || match self.asset_trees(cache, watch)? {
+            Ok(assets) => Ok(self.make_trees(assets)),
+            Err(error) => Ok(Err(error)),
+        };
+        self.trees.get_or_try(|| watch.check(), make).cloned()
+    }
+
+    /// The trees of all assets.
+    fn asset_trees(
+        &self,
+        cache: Option<&BakeCache>,
+        watch: &Watch<'_>,
+    ) -> Result<Result<Vec<Arc<AssetModel>>, EngineError>, Abandoned> {
+        let size = |asset: &AssetModel| {
+            let (samples, triangles) = asset.counts();
+            (samples + triangles) as f64
+        };
+        let total = self.model.assets.iter().map(|asset| size(asset)).sum::<f64>().max(1.0);
+        let (mut done, mut trees) = (0.0, Vec::with_capacity(self.model.assets.len()));
+        for asset in &self.model.assets {
+            let part = size(asset) / total;
+            match asset_tree_watched(asset, cache, &watch.part(done, part))? {
+                Ok((tree, _)) => trees.push(tree),
+                Err(error) => return Ok(Err(error)),
+            }
+            done += part;
+            watch.tell(done);
+        }
+        Ok(Ok(trees))
+    }
+
+    fn make_trees(&self, mut assets: Vec<Arc<AssetModel>>) -> Result<TreeScene, EngineError> {
+        let before = self.trees_before.lock().take();
+        let count = self.model.instances.len();
+        let instances;
+        let mut crowd = None;
+        if count < LEAST_CROWD {
+            // Of trees the same instances add up to other sums.
+            let meter = RunMeter::new(&assets);
+            let run = meter.run(self.model.instances.iter().copied().collect());
+            instances = Instances::new(vec![Arc::new(run)]);
+        } else {
+            let began = std::time::Instant::now();
+            let before = before.and_then(|before| before.crowd);
+            let (over, crowded) = Crowd::over(&self.model, &assets, before.as_deref())?;
+            let elapsed_ms = began.elapsed().as_millis() as u64;
+            let Crowded { nodes, blocks, made, .. } = crowded;
+            tracing::info!(
+                scene = self.model.id,
+                instances = count,
+                nodes,
+                blocks,
+                made,
+                elapsed_ms,
+                "trees over instances built"
+            );
+            (assets, instances) = (crowded.assets, crowded.instances);
+            crowd = Some(Arc::new(over));
         }
         let model = SceneModel {
             uid: next_uid(),
@@ -176,107 +294,15 @@ impl Loaded {
         };
         let has_samples = model.counts().samples > 0;
         let facts = SceneFacts { trees: true, has_samples, ..self.facts };
-        Ok(TreeScene { model: Arc::new(model), facts })
+        Ok(TreeScene { model: Arc::new(model), facts, crowd })
     }
 
-    /// Sorts instances by place and puts a tree over them, an asset and an instance of its own: from afar whole groups of them
-    /// are a few nodes.
-    fn crowd(
-        &self,
-        assets: &mut Vec<Arc<AssetModel>>,
-        instances: &[ModelInstance],
-    ) -> Result<Vec<ModelInstance>, EngineError> {
-        let began = std::time::Instant::now();
-        let mut known: HashMap<(usize, usize), Option<Root>> = HashMap::new();
-        let mut roots = PointCloud { oriented: true, ..PointCloud::default() };
-        let (mut normals, mut colors, mut kernels) = (Vec::new(), Vec::new(), Vec::new());
-        let (mut stands, mut owners) = (Vec::new(), Vec::new());
-        for (number, instance) in instances.iter().enumerate() {
-            let packed = &assets[instance.asset].packed.geometries[instance.geometry];
-            let key = (instance.asset, instance.geometry);
-            let root = known.entry(key).or_insert_with(|| match packed {
-                PackedGeometry::Samples(tree) => Root::of(tree),
-                PackedGeometry::Mesh(_) => None,
-            });
-            let Some(root) = root else { continue };
-            let map = &instance.world_from_geometry;
-            let position = map.transform_point3(root.position);
-            let scale = stretch(&map.matrix3) as f32;
-            if !(position.is_finite() && scale.is_finite()) {
-                continue;
-            }
-            roots.positions.push(position);
-            let normal = turned(&map.matrix3, root.normal);
-            normals.push(normal);
-            colors.push(self.painted(instance, root.color));
-            kernels.push(circle(normal, root.radius * scale / CUTOFF));
-            let Measures { error, size } = root.measures;
-            stands.push(Measures { error: error * scale, size: size * scale });
-            owners.push(number);
+    /// The trees of this revision, or else of the last one before that had some.
+    pub fn latest_trees(&self) -> Option<TreeScene> {
+        match self.trees.get() {
+            Some(Ok(trees)) => Some(trees.clone()),
+            _ => self.trees_before.lock().clone(),
         }
-        roots.normals = Some(normals);
-        roots.colors = Some(colors);
-        roots.kernels = Some(kernels);
-        let (packed, above) = build_crowd(&roots, &stands).map_err(|error| {
-            EngineError::Internal(format!("a tree over the instances cannot be built: {error}"))
-        })?;
-        let mut sorted = Vec::with_capacity(instances.len() + 1);
-        let mut seen = vec![false; instances.len()];
-        for (root, above) in above {
-            let number = owners[root as usize];
-            seen[number] = true;
-            sorted.push(ModelInstance { above, ..instances[number] });
-        }
-        // What is not a tree stands by itself.
-        sorted.extend(seen.iter().zip(instances).filter(|(seen, _)| !**seen).map(|(_, i)| *i));
-        let nodes = packed.nodes.len() as u64;
-        if nodes > 0 {
-            let bounds = Bounds::of(roots.positions.iter().copied());
-            sorted.push(ModelInstance {
-                asset: assets.len(),
-                geometry: 0,
-                world_from_geometry: DAffine3::IDENTITY,
-                material: None,
-                id: 0,
-                above: Above::NOTHING,
-            });
-            assets.push(Arc::new(AssetModel {
-                uid: next_uid(),
-                name: "instances".to_owned(),
-                format: "crowd",
-                packed: PackedAsset {
-                    geometries: vec![PackedGeometry::Samples(packed)],
-                    materials: Vec::new(),
-                    textures: Vec::new(),
-                },
-                bounds: vec![bounds],
-                has_colors: true,
-                has_normals: true,
-                normals_estimated: false,
-                beside: Vec::new(),
-                tree: OnceLock::new(),
-            }));
-        }
-        let elapsed_ms = began.elapsed().as_millis() as u64;
-        tracing::info!(
-            scene = self.model.id,
-            instances = owners.len(),
-            nodes,
-            elapsed_ms,
-            "tree over instances built"
-        );
-        Ok(sorted)
-    }
-
-    /// The color of an instance's root under its material.
-    fn painted(&self, instance: &ModelInstance, color: [u8; 4]) -> [u8; 4] {
-        let material = instance.material.and_then(|index| self.model.materials.get(index));
-        let Some(base) = material.and_then(|material| material.base_color) else { return color };
-        let channel = |i: usize| {
-            let linear = linear_from_srgb(f64::from(color[i]) / 255.0) * f64::from(base[i]);
-            (srgb_from_linear(linear.clamp(0.0, 1.0)) * 255.0).round() as u8
-        };
-        [channel(0), channel(1), channel(2), color[3]]
     }
 }
 
@@ -287,19 +313,3 @@ const MAX_SAMPLES: u64 = 1 << 28;
 
 /// Scenes of fewer instances have no tree over them.
 const LEAST_CROWD: usize = 16;
-
-/// The longest that a map makes a unit vector: its largest singular value, from above.
-fn stretch(map: &DMat3) -> f64 {
-    let square = map.transpose() * *map;
-    // Gershgorin's circles; exact for what turns and scales evenly.
-    let row = |v: DVec3| v.abs().element_sum();
-    row(square.x_axis).max(row(square.y_axis)).max(row(square.z_axis)).sqrt()
-}
-
-/// A unit normal under a map; zero stays zero.
-fn turned(map: &DMat3, normal: Vec3) -> Vec3 {
-    let (x, y, z) = (map.x_axis, map.y_axis, map.z_axis);
-    let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
-    let sign = map.determinant().signum();
-    (cofactors * normal.as_dvec3() * sign).try_normalize().map_or(Vec3::ZERO, |n| n.as_vec3())
-}

@@ -13,11 +13,13 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use super::job::Job;
+use super::queue::Class;
 use super::receipt::{
     InstanceCounts, PassReceipt, Receipt, SampleCounts, SplatCounts, TriangleCounts,
 };
 use super::renderer::{Drawn, InFlight, Renderer};
-use super::shared::{Adapter, Phase, Shared};
+use super::shared::{Adapter, Flying, Phase, Shared};
+use super::trace::FrameSpans;
 use super::{EncodedFrame, EngineError};
 use crate::gpu::{GpuError, GpuOptions};
 use crate::plan::{Pass, UsedSettings};
@@ -136,7 +138,7 @@ fn serve(shared: &Arc<Shared>, renderer: &mut Renderer, encoders: &flume::Sender
     let mut last_landed = Instant::now();
     loop {
         assert!(!shared.is_to_break(), "told to break");
-        let work = shared.next_batch(flights.is_empty(), IDLE);
+        let work = shared.next_batch(flying(&flights), IDLE);
         // The batch just taken is refused: a device may die between any two commands.
         if shared.take_lose_request() {
             renderer.gpu.device.destroy();
@@ -153,6 +155,7 @@ fn serve(shared: &Arc<Shared>, renderer: &mut Renderer, encoders: &flume::Sender
                     Ok(flight) => flights.push_back(flight),
                     Err((jobs, error)) => {
                         for job in jobs {
+                            shared.refund(&job);
                             shared.answer(&job, Err(error.clone()));
                         }
                     }
@@ -189,6 +192,17 @@ fn serve(shared: &Arc<Shared>, renderer: &mut Renderer, encoders: &flume::Sender
     }
 }
 
+/// What is under way.
+fn flying(flights: &VecDeque<InFlight>) -> Flying {
+    let mut flying = Flying { flights: flights.len(), ..Flying::default() };
+    let charged = flights.iter().flat_map(InFlight::jobs).filter_map(|job| job.charged());
+    for (client, cost_ns) in charged {
+        flying.cost_ns += cost_ns;
+        flying.has_jobs |= client.class() == Class::Job;
+    }
+    flying
+}
+
 /// Brings the scenes of a batch to the GPU. Jobs of other scenes than the first wait for the next batch when bringing theirs
 /// might push the first one out.
 fn make_resident(shared: &Shared, renderer: &mut Renderer, batch: Vec<Arc<Job>>) -> Vec<Arc<Job>> {
@@ -202,7 +216,10 @@ fn make_resident(shared: &Shared, renderer: &mut Renderer, batch: Vec<Arc<Job>>)
         }
         match renderer.ensure(model) {
             Ok(()) => ready.push(job),
-            Err(error) => shared.answer(&job, Err(error)),
+            Err(error) => {
+                shared.refund(&job);
+                shared.answer(&job, Err(error));
+            }
         }
     }
     shared.put_back(later);
@@ -221,11 +238,24 @@ fn land(
     let began = flight.began.max(*last_landed);
     let landed = renderer.land(flight);
     *last_landed = Instant::now();
-    let frames = landed.drawn.len() as u32;
+    let took = began.elapsed();
     shared.stats.batches.fetch_add(1, Ordering::Relaxed);
-    if frames > 0 {
-        shared.measured(began.elapsed() / frames, frames);
+    if let Some(observer) = shared.observer.get() {
+        observer.batch(landed.drawn.len());
     }
+    let frames = landed.drawn.len().max(1) as u32;
+    let costs: Vec<(Arc<Job>, Option<u64>)> = landed
+        .drawn
+        .iter()
+        .map(|drawn| {
+            let share_ns = drawn.gpu_ns.map(|ns| ns / u64::from(drawn.views.max(1)));
+            // An adapter that cannot tell leaves what passed on the clock.
+            let ns = share_ns.unwrap_or((took / frames).as_nanos() as u64);
+            (drawn.job.clone(), Some(ns))
+        })
+        .chain(landed.failed.iter().map(|(job, _)| (job.clone(), None)))
+        .collect();
+    shared.settle(&costs, took);
     for drawn in landed.drawn {
         if let Err(flume::SendError(drawn)) = encoders.send(drawn) {
             shared.answer(&drawn.job, Err(EngineError::ShuttingDown));
@@ -261,12 +291,16 @@ fn publish(shared: &Shared, renderer: &mut Renderer) {
     stats.gpu_bytes_resident.store(renderer.residency.used(), Ordering::Relaxed);
     stats.evictions.store(renderer.residency.evictions(), Ordering::Relaxed);
     stats.uploads.store(renderer.residency.uploads(), Ordering::Relaxed);
+    let written = renderer.residency.instances_written();
+    stats.instances_written.store(written, Ordering::Relaxed);
 }
 
 /// Encodes a frame, writes its receipt and answers whoever waits.
 fn finish(shared: &Shared, drawn: Drawn) {
     let began = Instant::now();
     let request = &drawn.job.request;
+    let span = FrameSpans::encode(&drawn.job.span, &drawn.job.request_id, request.format);
+    let entered = span.enter();
     let encoded = crate::encode::encode(&drawn.image, request.format, request.quality);
     let encode = began.elapsed();
     let reply = match encoded {
@@ -282,6 +316,9 @@ fn finish(shared: &Shared, drawn: Drawn) {
             shared.stats.encode_ns.fetch_add(receipt.encode_ns, Ordering::Relaxed);
             let share_ns = receipt.gpu_share_ns().unwrap_or(0);
             shared.stats.gpu_ns.fetch_add(share_ns, Ordering::Relaxed);
+            if let Some(observer) = shared.observer.get() {
+                observer.frame(drawn.job.lane().class(), &receipt);
+            }
             Ok(Arc::new(EncodedFrame {
                 bytes: encoded.bytes.into(),
                 content_type: encoded.content_type,
@@ -290,6 +327,8 @@ fn finish(shared: &Shared, drawn: Drawn) {
         }
         Err(error) => Err(EngineError::Internal(error.to_string())),
     };
+    drop(entered);
+    drop(span);
     shared.answer(&drawn.job, reply);
 }
 
@@ -327,6 +366,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         })
         .collect();
     Receipt {
+        request_id: job.request_id.as_str().to_owned(),
         scene: job.request.scene.clone(),
         revision: resolved.model.revision,
         adapter: shared.adapter().name,
@@ -335,6 +375,8 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         camera: resolved.camera.clone(),
         settings: UsedSettings {
             lod: job.request.settings.lod,
+            error_mode: (resolved.model.trees && drawing.splats.is_some())
+                .then_some(job.request.settings.error_mode),
             paint: resolved.model.trees.then_some(job.request.settings.paint),
             reconstruct: drawing.reconstruct,
             instead_because: drawing.instead_because,

@@ -5,10 +5,8 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::io::{self, Read, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-
-use sha2::{Digest, Sha256};
 
 use super::manifest::{self, Header, Record};
 use super::{FilmError, MANIFEST};
@@ -81,7 +79,8 @@ impl Folder {
         let is_candidate = fs::symlink_metadata(&path)
             .is_ok_and(|found| found.is_file() && found.len() == record.bytes);
         // What cannot be read is drawn again, and what cannot be written then is an error.
-        is_candidate && digest(&path).is_ok_and(|digest| digest == record.sha256)
+        let sum = || File::open(&path).and_then(manifest::digest);
+        is_candidate && sum().is_ok_and(|(_, sha256)| sha256 == record.sha256)
     }
 
     pub fn holds(&self, file: &str) -> bool {
@@ -150,16 +149,37 @@ impl Folder {
     }
 }
 
-fn digest(path: &Path) -> io::Result<String> {
-    let mut hasher = Sha256::new();
-    let mut file = File::open(path)?;
-    let mut buffer = vec![0; 1 << 16];
-    loop {
-        match file.read(&mut buffer)? {
-            0 => return Ok(manifest::digits(&hasher.finalize())),
-            read => hasher.update(&buffer[..read]),
+/// What the manifest of a folder tells of, without taking the folder for this process.
+///
+/// # Errors
+/// A manifest that cannot be read, or that is none.
+pub fn records(folder: &Path) -> Result<BTreeMap<u64, Record>, FilmError> {
+    let file = folder.join(MANIFEST);
+    let text = fs::read(&file).map_err(failed(&file))?;
+    manifest::parse(&text).map_err(|reason| FilmError::Foreign { file, reason })
+}
+
+/// Removes everything that runs have put into a folder, and nothing else.
+///
+/// # Errors
+/// [`FilmError::Locked`]; a file that cannot be removed.
+pub fn remove(folder: &Path) -> Result<(), FilmError> {
+    // Removes what was being written as well.
+    let held = Folder::open(folder)?;
+    for record in held.records()?.values() {
+        let file = folder.join(&record.file);
+        match fs::remove_file(&file) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                return Err(failed(&file)(error));
+            }
+            _ => {}
         }
     }
+    for name in [MANIFEST, LOCK] {
+        let file = folder.join(name);
+        fs::remove_file(&file).map_err(failed(&file))?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -1,9 +1,11 @@
-//! The manifest of a folder of frames: lines of JSON, the first about all frames, each other about one. Pure.
+//! The manifest of a folder of frames: lines of JSON, the first about all frames, each other about one; and files held against it.
 //!
 //! A run adds lines at the end, so that what is cut off by a crash is the last one alone; a later line of the same frame counts. What
 //! is written anew is in the order of the frames.
 
 use std::collections::BTreeMap;
+use std::io::{self, Read};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -103,6 +105,41 @@ pub fn checksum(bytes: &[u8]) -> String {
     digits(&Sha256::digest(bytes))
 }
 
+/// Length and checksum of what `reader` gives.
+///
+/// # Errors
+/// Those of the reader.
+pub fn digest(mut reader: impl Read) -> io::Result<(u64, String)> {
+    let (mut hasher, mut length) = (Sha256::new(), 0);
+    let mut buffer = vec![0; 1 << 16];
+    loop {
+        match reader.read(&mut buffer) {
+            Ok(0) => return Ok((length, digits(&hasher.finalize()))),
+            Ok(read) => {
+                hasher.update(&buffer[..read]);
+                length += read as u64;
+            }
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+/// The content of a record's file in `folder`; `None` when that is not what the record says, or not there.
+///
+/// # Errors
+/// A file that is there and cannot be read.
+pub fn read_sound(folder: &Path, record: &Record) -> io::Result<Option<Vec<u8>>> {
+    match std::fs::read(folder.join(&record.file)) {
+        Ok(bytes) => {
+            let is_sound = bytes.len() as u64 == record.bytes && checksum(&bytes) == record.sha256;
+            Ok(is_sound.then_some(bytes))
+        }
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
 /// Bytes as hexadecimal digits.
 pub fn digits(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
@@ -152,6 +189,8 @@ mod tests {
             checksum(b"abc"),
             "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
         );
+        let long = vec![7; 100_000];
+        assert_eq!(digest(&long[..]).unwrap(), (100_000, checksum(&long)));
     }
 
     #[test]

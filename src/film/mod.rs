@@ -14,19 +14,21 @@
 //! others, and at its end the manifest is the same, byte for byte, as if there had been a single run.
 //!
 //! What to do is decided by functions of what was found ([`shots`], [`manifest`], [`survey`]); [`folder`] alone touches files, and
-//! [`mod@run`] the engine.
+//! [`mod@run`] the engine. [`video`] makes one file of the frames.
 
 pub mod folder;
 pub mod manifest;
 pub mod run;
 pub mod shots;
 pub mod survey;
+pub mod video;
 
 use std::io;
 use std::path::PathBuf;
 
+pub use folder::{records, remove};
 pub use manifest::{Header, Record};
-pub use run::{Event, Film, Report, run};
+pub use run::{Event, Film, MOST_PIXELS, Report, run};
 
 use crate::engine::EngineError;
 use crate::math::CameraError;

@@ -13,10 +13,12 @@ use super::folder::Folder;
 use super::manifest::{self, Header, Record};
 use super::shots::{Shots, file_name};
 use super::survey::{self, Slot};
-use crate::engine::{EncodedFrame, Engine, EngineError, FrameRequest, FrameTicket, Pose, Receipt};
+use crate::engine::{
+    Client, EncodedFrame, Engine, EngineError, FrameRequest, FrameTicket, Origin, Pose, Receipt,
+};
 
-/// Pixels of all frames that are with the engine at a time.
-const MOST_PIXELS: u64 = 1 << 26;
+/// Pixels of all frames that are with the engine at a time, of a film that is drawn alone.
+pub const MOST_PIXELS: u64 = 1 << 26;
 /// Finished frames that wait to be written at most.
 const UNWRITTEN: usize = 4;
 /// Times in a row that the engine may put off before that is an error, and how long each of them lasts at most.
@@ -30,12 +32,18 @@ pub struct Film<'a> {
     pub request: FrameRequest,
     pub shots: Shots,
     pub folder: &'a Path,
+    /// Whose turn on the device the frames take, and what they are named after. As [`Client::Job`], a full queue is waited for however
+    /// long it is full.
+    pub origin: Origin,
+    /// Of all frames that are with the engine at a time: [`MOST_PIXELS`], or a share of them.
+    pub most_pixels: u64,
 }
 
 /// What a run tells while it goes on.
 pub enum Event<'a> {
     /// Once, before anything is drawn: of the frames asked for, how many are good as they are, and how many are to be drawn.
-    Surveyed { kept: u64, to_draw: u64 },
+    /// `records` tells of all that are good, also of such as were not asked for.
+    Surveyed { kept: u64, to_draw: u64, records: &'a BTreeMap<u64, Record> },
     /// A frame is in its place.
     Drawn { record: &'a Record, receipt: &'a Receipt },
 }
@@ -75,7 +83,7 @@ pub fn run(
     found.left_over.retain(|file| folder.holds(file));
     let asked = film.shots.wanted().count() as u64;
     let to_draw = found.draw.len() as u64;
-    tell(Event::Surveyed { kept: asked - to_draw, to_draw });
+    tell(Event::Surveyed { kept: asked - to_draw, to_draw, records: &found.kept });
 
     let header = film.header(&scene.name);
     let mut finished = found.kept;
@@ -88,8 +96,9 @@ pub fn run(
         flight: VecDeque::new(),
         window: film.window(),
         refusals: 0,
+        stop,
     };
-    let ended = draw(drawing, stop, |slot, frame| {
+    let ended = draw(drawing, |slot, frame| {
         let record = slot.record(&frame);
         folder.put(&record.file, &frame.bytes)?;
         folder.note(&record)?;
@@ -113,7 +122,6 @@ pub fn run(
 /// it.
 fn draw<'a>(
     mut drawing: Drawing<'a>,
-    stop: &AtomicBool,
     mut keep: impl FnMut(&Slot, Arc<EncodedFrame>) -> Result<(), FilmError> + Send,
 ) -> Result<(), FilmError> {
     std::thread::scope(|scope| {
@@ -121,7 +129,7 @@ fn draw<'a>(
         let writer =
             scope.spawn(move || receiver.iter().try_for_each(|(slot, frame)| keep(slot, frame)));
         let mut drawn = Ok(());
-        while !stop.load(Ordering::Relaxed) {
+        while !drawing.is_stopped() {
             match drawing.next() {
                 Ok(Some(frame)) => {
                     // Nobody listens any more where a frame could not be written.
@@ -182,13 +190,17 @@ impl Film<'_> {
     fn window(&self) -> (usize, usize) {
         let limits = self.engine.limits();
         let pixels = u64::from(self.request.width) * u64::from(self.request.height);
-        window(pixels, limits.max_batch, limits.queue_capacity)
+        window(self.most_pixels / pixels.max(1), limits.max_batch, limits.queue_capacity)
+    }
+
+    fn origin(&self, number: u64) -> Origin {
+        Origin { client: self.origin.client, request_id: self.origin.request_id.part(number) }
     }
 }
 
-/// See [`Film::window`].
-fn window(pixels: u64, max_batch: usize, queue_capacity: usize) -> (usize, usize) {
-    let most = (MOST_PIXELS / pixels.max(1)).min(2 * max_batch as u64) as usize;
+/// See [`Film::window`]: of frames of which so many have room.
+fn window(room: u64, max_batch: usize, queue_capacity: usize) -> (usize, usize) {
+    let most = room.min(2 * max_batch as u64) as usize;
     let most = most.min(queue_capacity).max(2);
     (most, most / 2)
 }
@@ -218,16 +230,22 @@ struct Drawing<'a> {
     window: (usize, usize),
     /// Times in a row that the engine put off.
     refusals: u32,
+    stop: &'a AtomicBool,
 }
 
 impl<'a> Drawing<'a> {
-    /// The next frame, and keeps the engine busy meanwhile; `None` after the last.
+    fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// The next frame, and keeps the engine busy meanwhile; `None` after the last, and when told to stop while the engine puts off.
     fn next(&mut self) -> Result<Option<(&'a Slot, Arc<EncodedFrame>)>, FilmError> {
-        loop {
+        while !self.is_stopped() {
             self.send()?;
             // Whatever is left to send was sent, or waits for those in flight.
             let Some((slot, ticket)) = self.flight.pop_front() else { return Ok(None) };
             let frame = slot.number;
+            self.check_scene(frame)?;
             match ticket.wait() {
                 Ok(drawn) if drawn.receipt.revision != self.revision => {
                     return Err(FilmError::SceneChanged { frame });
@@ -242,6 +260,20 @@ impl<'a> Drawing<'a> {
                 }
             }
         }
+        Ok(None)
+    }
+
+    /// Frames that are on their way show what the scene was: after an edit none of them is worth waiting for.
+    fn check_scene(&self, frame: u64) -> Result<(), FilmError> {
+        let id = &self.film.request.scene;
+        match self.film.engine.scene_mark(id) {
+            Some(mark) if mark.revision == self.revision => Ok(()),
+            Some(_) => Err(FilmError::SceneChanged { frame }),
+            None => {
+                let error = EngineError::UnknownScene { id: id.clone() };
+                Err(FilmError::Frame { frame, error })
+            }
+        }
     }
 
     /// Sends frames to the engine, where it has few of them.
@@ -251,9 +283,11 @@ impl<'a> Drawing<'a> {
             return Ok(());
         }
         while self.flight.len() < most
+            && !self.is_stopped()
             && let Some(slot) = self.queue.pop_front()
         {
-            match self.film.engine.submit(self.film.request(slot.number)) {
+            let origin = self.film.origin(slot.number);
+            match self.film.engine.submit_for(origin, self.film.request(slot.number)) {
                 Ok(ticket) => self.flight.push_back((slot, ticket)),
                 Err(error) => {
                     self.queue.push_front(slot);
@@ -270,11 +304,13 @@ impl<'a> Drawing<'a> {
 
     /// Waits a while, where the engine may draw the frame later.
     fn put_off(&mut self, frame: u64, error: EngineError) -> Result<(), FilmError> {
+        let is_patient = matches!(self.film.origin.client, Client::Job(_));
+        let counts = !(is_patient && matches!(error, EngineError::Busy { .. }));
         let (EngineError::Busy { retry_after } | EngineError::DeviceLost { retry_after }) = error
         else {
             return Err(FilmError::Frame { frame, error });
         };
-        self.refusals += 1;
+        self.refusals += u32::from(counts);
         if self.refusals > MOST_REFUSALS {
             return Err(FilmError::Frame { frame, error });
         }
@@ -289,10 +325,10 @@ mod tests {
 
     #[test]
     fn small_frames_fill_batches_and_large_ones_stay_few() {
-        assert_eq!(window(64 * 48, 16, 256), (32, 16));
-        assert_eq!(window(1 << 24, 16, 256), (4, 2));
-        assert_eq!(window(1 << 30, 16, 256), (2, 1));
-        assert_eq!(window(64 * 48, 16, 8), (8, 4));
-        assert_eq!(window(64 * 48, 16, 1), (2, 1));
+        assert_eq!(window(20_000, 16, 256), (32, 16));
+        assert_eq!(window(4, 16, 256), (4, 2));
+        assert_eq!(window(0, 16, 256), (2, 1));
+        assert_eq!(window(20_000, 16, 8), (8, 4));
+        assert_eq!(window(20_000, 16, 1), (2, 1));
     }
 }

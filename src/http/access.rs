@@ -22,11 +22,11 @@ use super::problem::{Kind, Problem};
 /// What a key allows; each includes those before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Scope {
-    /// Frames, scenes, limits, metrics.
+    /// Frames, scenes, limits, metrics, and what jobs the key has made when it was allowed to.
     Read,
-    /// Adding, changing and removing scenes too.
+    /// Adding, changing and removing scenes, and jobs of its own, too.
     Write,
-    /// Everything.
+    /// Everything, others' jobs included.
     Admin,
 }
 
@@ -97,7 +97,7 @@ fn parse_hash(hex: &str) -> Option<[u8; 32]> {
 /// The scope that a request needs; `None` for what anybody may see.
 pub fn needed(method: &Method, route: &str) -> Option<Scope> {
     match route {
-        "/" | "/healthz" | "/readyz" | "/openapi.yaml" => None,
+        "/" | "/viewer/{file}" | "/healthz" | "/readyz" | "/openapi.yaml" => None,
         // Renders, and changes nothing.
         "/v1/scenes/{id}/frames" => Some(Scope::Read),
         _ if method == Method::GET || method == Method::HEAD => Some(Scope::Read),
@@ -109,15 +109,14 @@ pub fn needed(method: &Method, route: &str) -> Option<Scope> {
 pub const KEY_PROTOCOL: &str = "pointillist.key.";
 
 impl Access {
-    /// Whether a request may pass: by the name it calls the server, then by who sends it. Gives the name of the key, if keys are
-    /// asked for.
+    /// Whether a request may pass: by the name it calls the server, then by who sends it. Gives the key, if keys are asked for.
     pub fn check(
         &self,
         method: &Method,
         uri: &Uri,
         route: &str,
         headers: &HeaderMap,
-    ) -> Result<Option<&str>, Problem> {
+    ) -> Result<Option<&ApiKey>, Problem> {
         if matches!(self, Access::Open { only_loopback: true, .. }) {
             check_host(uri, headers)?;
         }
@@ -129,7 +128,7 @@ impl Access {
         method: &Method,
         route: &str,
         headers: &HeaderMap,
-    ) -> Result<Option<&str>, Problem> {
+    ) -> Result<Option<&ApiKey>, Problem> {
         let Some(scope) = needed(method, route) else { return Ok(None) };
         match self {
             Access::Open { cors_origins, .. } => {
@@ -145,7 +144,7 @@ impl Access {
                 if scope > Scope::Read && is_foreign(headers, cors_origins) {
                     return Err(Problem::new(
                         Kind::Forbidden,
-                        "a page of another origin may not change scenes",
+                        "a page of another origin may not change anything",
                     )
                     .at("Origin")
                     .accepted("an origin given with --cors-origin"));
@@ -201,7 +200,7 @@ fn check_key<'a>(
     scope: Scope,
     route: &str,
     headers: &HeaderMap,
-) -> Result<&'a str, Problem> {
+) -> Result<&'a ApiKey, Problem> {
     const HOW: &str = "Authorization: Bearer KEY";
     let unauthorized =
         |detail| Problem::new(Kind::Unauthorized, detail).at("Authorization").accepted(HOW);
@@ -227,7 +226,7 @@ fn check_key<'a>(
             Kind::Forbidden,
             format!("the key's scope is {:?}, this needs {scope:?}", granted.scope).to_lowercase(),
         )),
-        Some(granted) => Ok(&granted.name),
+        Some(granted) => Ok(granted),
     }
 }
 
@@ -303,7 +302,7 @@ mod tests {
         let offered = HeaderValue::from_static("pointillist, pointillist.key.r-1");
         headers.insert(header::SEC_WEBSOCKET_PROTOCOL, offered);
         let check = |route| access.check(&Method::GET, &Uri::default(), route, &headers);
-        assert_eq!(check(STREAM).unwrap(), Some("eye"));
+        assert_eq!(check(STREAM).unwrap().map(|key| key.name.as_str()), Some("eye"));
         assert_eq!(check("/v1/scenes").unwrap_err().status(), 401);
         let wrong = HeaderValue::from_static("pointillist.key.r-2");
         headers.insert(header::SEC_WEBSOCKET_PROTOCOL, wrong);

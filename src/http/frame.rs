@@ -11,7 +11,7 @@ use axum::response::{IntoResponse, Response};
 use super::problem::{Kind, Problem};
 use super::{App, Caller, Segments, conditional, headers};
 use crate::encode::ImageFormat;
-use crate::engine::{EncodedFrame, FrameRequest, FrameTicket};
+use crate::engine::{EncodedFrame, FrameRequest, FrameTicket, Origin, RequestId};
 
 use super::params::FrameParams;
 
@@ -50,7 +50,7 @@ const REVALIDATE: HeaderValue = HeaderValue::from_static("no-cache");
             ),
             headers(
                 ("ETag" = String, description = "Strong, known before rendering"),
-                ("Server-Timing" = String, description = "Milliseconds of queue, batch, each pass, readback, encode, total"),
+                ("Server-Timing" = String, description = "Milliseconds of queue, batch, each pass, readback, encode-wait, encode, and their total"),
                 ("Pointillist-Receipt" = String, description = "A `Receipt` as one line of JSON, ASCII only"),
             ),
         ),
@@ -60,6 +60,7 @@ const REVALIDATE: HeaderValue = HeaderValue::from_static("no-cache");
 pub async fn frame(
     State(app): State<Arc<App>>,
     Extension(Caller(client)): Extension<Caller>,
+    Extension(request_id): Extension<RequestId>,
     Segments(id): Segments<String>,
     method: Method,
     uri: Uri,
@@ -95,7 +96,7 @@ pub async fn frame(
         return Ok(response);
     }
 
-    let ticket = app.engine.submit_for(client, request.clone())?;
+    let ticket = app.engine.submit_for(Origin { client, request_id }, request.clone())?;
     let frame = wait(&app, ticket).await?;
     app.metrics.frame(&frame);
     let mut response = Response::new(Body::from(frame.bytes.clone()));
@@ -113,14 +114,12 @@ pub async fn frame(
     Ok(response)
 }
 
-/// Has the engine build what the request needs and is not there, which may take seconds.
+/// Has the engine build what the request needs and is not there, which may take seconds. It is given up when nobody waits for it.
 pub async fn bake(app: &Arc<App>, request: &FrameRequest) -> Result<(), Problem> {
-    if !app.engine.must_bake(request) {
-        return Ok(());
+    match app.engine.begin_bake(request)? {
+        Some(ticket) => Ok(ticket.await?),
+        None => Ok(()),
     }
-    let (app, request) = (app.clone(), request.clone());
-    let baked = tokio::task::spawn_blocking(move || app.engine.bake(&request)).await;
-    Ok(baked.map_err(|error| Problem::internal(format!("baking failed: {error}")))??)
 }
 
 /// The format, and whether `Accept` had a say in it.

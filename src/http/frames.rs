@@ -24,7 +24,7 @@ use super::params::FrameParams;
 use super::problem::{Kind, PROBLEM_JSON, Problem};
 use super::{App, Caller, Segments, body};
 use crate::encode::ImageFormat;
-use crate::engine::{Client, EncodedFrame, EngineError, FrameTicket};
+use crate::engine::{Client, EncodedFrame, EngineError, FrameTicket, Origin, RequestId};
 
 /// Bytes of the request.
 const MAX_BODY_BYTES: u64 = 16 << 20;
@@ -47,7 +47,7 @@ pub struct FramesRequest {
 /// Frames for many poses, streamed in order.
 ///
 /// Each part has its own `Content-Type`, `Content-Length`, `Pointillist-Receipt` and
-/// `Server-Timing`. A pose that cannot be drawn becomes a part of type `application/problem+json`;
+/// `Server-Timing`; its receipt's `request_id` is the request's with the pose's number from 0, as in `4bf92f35/7`. A pose that cannot be drawn becomes a part of type `application/problem+json`;
 /// the others are drawn all the same. `deadline_ms` runs from the moment a pose's turn comes.
 #[utoipa::path(
     post,
@@ -63,6 +63,7 @@ pub struct FramesRequest {
 pub async fn frames(
     State(app): State<Arc<App>>,
     Extension(Caller(client)): Extension<Caller>,
+    Extension(request_id): Extension<RequestId>,
     Segments(id): Segments<String>,
     headers: HeaderMap,
     body: Body,
@@ -79,7 +80,8 @@ pub async fn frames(
     let boundary = boundary();
     let content_type = format!("multipart/mixed; boundary={boundary}");
     let headers = image_ranges(&headers);
-    let batch = Batch { app, client, id, defaults, headers, poses: request.poses };
+    let poses = request.poses;
+    let batch = Batch { app, client, request_id, id, defaults, headers, poses };
     let mut response = Response::new(Body::from_stream(parts(batch, boundary)));
     let content_type = HeaderValue::from_str(&content_type).map_err(Problem::internal)?;
     response.headers_mut().insert(header::CONTENT_TYPE, content_type);
@@ -105,7 +107,7 @@ fn image_ranges(headers: &HeaderMap) -> HeaderMap {
 }
 
 /// A boundary that no client can know beforehand, and so cannot have drawn into an image.
-fn boundary() -> String {
+pub(super) fn boundary() -> String {
     let random = || RandomState::new().build_hasher().finish();
     format!("pointillist-{:016x}{:016x}", random(), random())
 }
@@ -113,6 +115,7 @@ fn boundary() -> String {
 struct Batch {
     app: Arc<App>,
     client: Client,
+    request_id: RequestId,
     id: String,
     defaults: FrameParams,
     headers: HeaderMap,
@@ -129,9 +132,15 @@ impl Batch {
         Ok((params, format))
     }
 
+    /// What pose `index` is called.
+    fn name(&self, index: usize) -> RequestId {
+        self.request_id.part(index as u64)
+    }
+
     /// Queues a pose; `None` when there is no place now and `wait_for_place` is false.
     async fn submit(
         &self,
+        index: usize,
         (params, format): &(FrameParams, ImageFormat),
         wait_for_place: bool,
     ) -> Option<Result<FrameTicket, Problem>> {
@@ -144,7 +153,8 @@ impl Batch {
             if let Err(problem) = bake(&self.app, &request).await {
                 return Some(Err(problem));
             }
-            match self.app.engine.submit_for(self.client, request) {
+            let origin = Origin { client: self.client, request_id: self.name(index) };
+            match self.app.engine.submit_for(origin, request) {
                 Ok(ticket) => return Some(Ok(ticket)),
                 Err(EngineError::Busy { retry_after }) if turn.elapsed() < MAX_QUEUEING => {
                     if !wait_for_place {
@@ -179,7 +189,7 @@ fn parts(
                         continue;
                     }
                 };
-                match batch.submit(&pose, pending.is_empty()).await {
+                match batch.submit(next, &pose, pending.is_empty()).await {
                     Some(queued) => {
                         pending.push_back(queued);
                         next += 1;
@@ -198,21 +208,18 @@ fn parts(
             if let Ok(frame) = &result {
                 batch.app.metrics.frame(frame);
             }
-            let (head, content) = part(&boundary, index, result);
-            yield Ok(head);
+            let result = result.map_err(|problem| problem.named(batch.name(index)));
+            let (head, content) = part(index as u64, result);
+            yield Ok(Bytes::from(format!("\r\n--{boundary}\r\n{head}")));
             yield Ok(content);
         }
         yield Ok(Bytes::from(format!("\r\n--{boundary}--\r\n")));
     }
 }
 
-/// A part's delimiter and header, and its content.
-fn part(
-    boundary: &str,
-    index: usize,
-    result: Result<Arc<EncodedFrame>, Problem>,
-) -> (Bytes, Bytes) {
-    let mut head = format!("\r\n--{boundary}\r\nPointillist-Pose: {index}\r\n");
+/// A part's header, and its content.
+pub fn part(index: u64, result: Result<Arc<EncodedFrame>, Problem>) -> (String, Bytes) {
+    let mut head = format!("Pointillist-Pose: {index}\r\n");
     // Writing to a string cannot fail.
     let content = match result {
         Ok(frame) => {
@@ -227,7 +234,7 @@ fn part(
         }
     };
     let _ = write!(head, "{}: {}\r\n\r\n", header::CONTENT_LENGTH, content.len());
-    (Bytes::from(head), content)
+    (head, content)
 }
 
 #[cfg(test)]
@@ -244,9 +251,8 @@ mod tests {
     #[test]
     fn a_failed_pose_is_a_problem_part() {
         let problem = Problem::parameter("poses[2].eye", "bad", "three numbers");
-        let (head, content) = part("b", 2, Err(problem));
-        let head = std::str::from_utf8(&head).unwrap();
-        assert!(head.starts_with("\r\n--b\r\nPointillist-Pose: 2\r\n"), "{head}");
+        let (head, content) = part(2, Err(problem));
+        assert!(head.starts_with("Pointillist-Pose: 2\r\n"), "{head}");
         assert!(head.contains("content-type: application/problem+json\r\n"));
         assert!(head.ends_with(&format!("content-length: {}\r\n\r\n", content.len())));
     }

@@ -7,30 +7,34 @@ use axum::http::HeaderValue;
 use crate::engine::Receipt;
 
 /// `Server-Timing`: queue, batch (recording, with the numbers of frames that shared it and its passes), each GPU
-/// pass by its name, readback, encode, total; milliseconds. Passes that did not run are left out.
+/// pass by its name, readback, encode-wait, encode, total; milliseconds. Those before the total add up to it, but for what lies between
+/// passes. Passes that did not run, and times that the adapter cannot give, are left out: their time is in the readback's then.
 pub fn server_timing(receipt: &Receipt) -> Option<HeaderValue> {
-    let mut line = String::with_capacity(256);
-    entry(&mut line, "queue", receipt.queue_ns);
-    entry(&mut line, "batch", receipt.record_ns);
-    // Writing to a string cannot fail.
-    let _ =
-        write!(line, ";desc=\"{} frames, {} drawn together\"", receipt.batch_size, receipt.views);
+    let mut line = String::with_capacity(512);
+    entry(&mut line, "queue", receipt.queue_ns, format_args!("waiting for the GPU"));
+    let Receipt { batch_size, views, .. } = receipt;
+    let batch = format_args!("recording {batch_size} frames, {views} drawn together");
+    entry(&mut line, "batch", receipt.record_ns, batch);
     for pass in receipt.passes.iter().filter(|pass| pass.ran) {
         if let Some(gpu_ns) = pass.gpu_ns {
-            entry(&mut line, pass.name, gpu_ns);
+            let name = pass.name;
+            entry(&mut line, name, gpu_ns, format_args!("GPU: {name}"));
         }
     }
-    entry(&mut line, "readback", receipt.readback_ns);
-    entry(&mut line, "encode", receipt.encode_ns);
-    entry(&mut line, "total", receipt.total_ns);
+    entry(&mut line, "readback", receipt.readback_ns, format_args!("from the GPU to memory"));
+    let wait_ns = receipt.encode_wait_ns;
+    entry(&mut line, "encode-wait", wait_ns, format_args!("waiting for an encoder"));
+    entry(&mut line, "encode", receipt.encode_ns, format_args!("encoding the image"));
+    entry(&mut line, "total", receipt.total_ns, format_args!("all of it"));
     HeaderValue::from_str(&line).ok()
 }
 
-fn entry(line: &mut String, name: &str, ns: u64) {
-    if !line.is_empty() {
-        line.push_str(", ");
-    }
-    let _ = write!(line, "{name};dur={}.{:03}", ns / 1_000_000, ns / 1000 % 1000);
+/// A metric: a token, a duration, and what a browser shows in its place, a quoted string.
+fn entry(line: &mut String, name: &str, ns: u64, words: std::fmt::Arguments<'_>) {
+    let comma = if line.is_empty() { "" } else { ", " };
+    let (ms, us) = (ns / 1_000_000, ns / 1000 % 1000);
+    // Writing to a string cannot fail.
+    let _ = write!(line, "{comma}{name};dur={ms}.{us:03};desc=\"{words}\"");
 }
 
 /// `Pointillist-Receipt`: the receipt as one line of JSON.
@@ -93,8 +97,12 @@ mod tests {
         };
         assert_eq!(
             server_timing(&r).unwrap(),
-            "queue;dur=0.020, batch;dur=1.500;desc=\"4 frames, 2 drawn together\", project_points;dur=0.812, \
-             readback;dur=0.000, encode;dur=0.000, total;dur=12.000"
+            "queue;dur=0.020;desc=\"waiting for the GPU\", \
+             batch;dur=1.500;desc=\"recording 4 frames, 2 drawn together\", \
+             project_points;dur=0.812;desc=\"GPU: project_points\", \
+             readback;dur=0.000;desc=\"from the GPU to memory\", \
+             encode-wait;dur=0.000;desc=\"waiting for an encoder\", \
+             encode;dur=0.000;desc=\"encoding the image\", total;dur=12.000;desc=\"all of it\""
         );
     }
 }

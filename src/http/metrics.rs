@@ -1,6 +1,8 @@
-//! `/metrics`: what the server counts itself, and the engine's counters read at scrape time.
+//! `/metrics`: what the server counts itself, the stages that the engine tells of every frame, and the engine's counters read
+//! at scrape time.
 
 use std::fmt;
+use std::sync::Arc;
 
 use axum::http::Method;
 use prometheus_client::collector::Collector;
@@ -11,9 +13,10 @@ use prometheus_client::metrics::counter::{ConstCounter, Counter};
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
-use prometheus_client::registry::{Registry, Unit};
+use prometheus_client::registry::{Metric, Registry, Unit};
 
-use crate::engine::{EncodedFrame, Engine, Readiness};
+use crate::engine::{Class, EncodedFrame, Engine, Observer, Readiness, Receipt};
+use crate::jobs::Jobs;
 
 /// Content type of the exposition.
 pub const OPENMETRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -25,9 +28,117 @@ struct RequestLabels {
     status: u16,
 }
 
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct ClassLabel {
+    class: &'static str,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct PassLabel {
+    pass: &'static str,
+}
+
+/// Histograms with a label.
+type Histograms<L> = Family<L, Histogram, fn() -> Histogram>;
+
+/// A registry, and each metric that is put into it.
+struct Shelf(Registry);
+
+impl Shelf {
+    /// Registers a metric and gives it.
+    fn put<M: Metric + Clone>(&mut self, name: &str, help: &str, metric: M) -> M {
+        self.0.register(name, help, metric.clone());
+        metric
+    }
+
+    fn bytes(&mut self, name: &str, help: &str) -> Counter {
+        let counter = Counter::default();
+        self.0.register_with_unit(name, help, Unit::Bytes, counter.clone());
+        counter
+    }
+
+    fn seconds<M: Metric + Clone>(&mut self, name: &str, help: &str, metric: M) -> M {
+        self.0.register_with_unit(name, help, Unit::Seconds, metric.clone());
+        metric
+    }
+}
+
+/// Of 0.1 ms to about 26 s.
+fn seconds_histogram() -> Histogram {
+    Histogram::new(exponential_buckets(1e-4, 2.0, 19))
+}
+
+fn by_label<L: Clone + Eq + std::hash::Hash>() -> Histograms<L> {
+    Family::new_with_constructor(seconds_histogram)
+}
+
+/// What each stage of a frame takes, told by the engine.
+struct Stages {
+    queue: Histograms<ClassLabel>,
+    batch: Histogram,
+    passes: Histograms<PassLabel>,
+    gpu: Histograms<ClassLabel>,
+    readback: Histogram,
+    encode: Histogram,
+    total: Histograms<ClassLabel>,
+}
+
+impl Stages {
+    fn new(shelf: &mut Shelf) -> Self {
+        let sizes = Histogram::new(exponential_buckets(1.0, 2.0, 7));
+        Self {
+            queue: shelf.seconds("frame_queue", "A frame's wait for the GPU, by class", by_label()),
+            batch: shelf.put("batch_frames", "Frames of a submission to the GPU", sizes),
+            passes: shelf.seconds(
+                "frame_pass",
+                "GPU time of a pass for a frame, its share where several were drawn together",
+                by_label(),
+            ),
+            gpu: shelf.seconds(
+                "frame_gpu",
+                "GPU time of all passes for a frame, its share likewise, by class",
+                by_label(),
+            ),
+            readback: shelf.seconds(
+                "frame_readback",
+                "From submission to memory, less the GPU time",
+                seconds_histogram(),
+            ),
+            encode: shelf.seconds("frame_encode", "Encoding time of a frame", seconds_histogram()),
+            total: shelf.seconds(
+                "frame_total",
+                "From a frame's request to its encoded image, by class",
+                by_label(),
+            ),
+        }
+    }
+}
+
+impl Observer for Stages {
+    fn batch(&self, frames: usize) {
+        self.batch.observe(frames as f64);
+    }
+
+    fn frame(&self, class: Class, receipt: &Receipt) {
+        let class = ClassLabel { class: class.name() };
+        self.queue.get_or_create(&class).observe(seconds_of(receipt.queue_ns));
+        self.total.get_or_create(&class).observe(seconds_of(receipt.total_ns));
+        self.readback.observe(seconds_of(receipt.readback_ns));
+        self.encode.observe(seconds_of(receipt.encode_ns));
+        if let Some(share_ns) = receipt.gpu_share_ns() {
+            self.gpu.get_or_create(&class).observe(seconds_of(share_ns));
+        }
+        for pass in receipt.passes.iter().filter(|pass| pass.ran) {
+            let Some(gpu_ns) = pass.gpu_ns else { continue };
+            let share_ns = gpu_ns / u64::from(receipt.views.max(1));
+            self.passes.get_or_create(&PassLabel { pass: pass.name }).observe(seconds_of(share_ns));
+        }
+    }
+}
+
 /// The server's own counters, with the registry that knows them.
 pub struct Metrics {
-    registry: Registry,
+    shelf: Shelf,
     requests: Family<RequestLabels, Counter>,
     pub not_modified: Counter,
     pub frames_sent: Counter,
@@ -36,79 +147,42 @@ pub struct Metrics {
     pub poses_overtaken: Counter,
     image_bytes: Counter,
     upload_bytes: Counter,
-    total_seconds: Histogram,
-    gpu_seconds: Histogram,
-    encode_seconds: Histogram,
 }
 
 impl Metrics {
-    pub fn new(engine: &Engine) -> Self {
-        // 0.1 ms to about 26 s.
-        let seconds = || Histogram::new(exponential_buckets(1e-4, 2.0, 19));
-        let mut metrics = Self {
-            registry: Registry::with_prefix("pointillist"),
-            requests: Family::default(),
-            not_modified: Counter::default(),
-            frames_sent: Counter::default(),
-            streams_open: Gauge::default(),
-            stream_frames: Counter::default(),
-            poses_overtaken: Counter::default(),
-            image_bytes: Counter::default(),
-            upload_bytes: Counter::default(),
-            total_seconds: seconds(),
-            gpu_seconds: seconds(),
-            encode_seconds: seconds(),
-        };
-        let registry = &mut metrics.registry;
-        registry.register(
-            "http_requests",
-            "Answers by route, method and status",
-            metrics.requests.clone(),
-        );
-        registry.register(
-            "not_modified",
-            "Frames answered 304 without rendering",
-            metrics.not_modified.clone(),
-        );
-        registry.register(
-            "frames_sent",
-            "Frames sent, coalesced ones included",
-            metrics.frames_sent.clone(),
-        );
-        registry.register("streams_open", "Streams open", metrics.streams_open.clone());
-        registry.register(
-            "stream_frames",
-            "Frames sent on streams, which are among the frames sent",
-            metrics.stream_frames.clone(),
-        );
-        registry.register(
+    /// Counts what the engine tells from now on.
+    pub fn new(engine: &Engine, jobs: Option<&Jobs>) -> Self {
+        let mut shelf = Shelf(Registry::with_prefix("pointillist"));
+        let requests = Family::default();
+        let requests = shelf.put("http_requests", "Answers by route, method and status", requests);
+        let mut counter = |name, help| shelf.put(name, help, Counter::default());
+        let not_modified = counter("not_modified", "Frames answered 304 without rendering");
+        let frames_sent = counter("frames_sent", "Frames sent, coalesced ones included");
+        let stream_frames =
+            counter("stream_frames", "Frames sent on streams, which are among the frames sent");
+        let poses_overtaken = counter(
             "stream_poses_overtaken",
             "Poses of streams that were not drawn because a newer one had come",
-            metrics.poses_overtaken.clone(),
         );
-        let bytes = |registry: &mut Registry, name: &str, help: &str, counter: &Counter| {
-            registry.register_with_unit(name, help, Unit::Bytes, counter.clone());
-        };
-        bytes(registry, "images", "Encoded images sent", &metrics.image_bytes);
-        bytes(registry, "uploads", "Bytes of scenes and assets received", &metrics.upload_bytes);
-        let seconds = |registry: &mut Registry, name: &str, help: &str, histogram: &Histogram| {
-            registry.register_with_unit(name, help, Unit::Seconds, histogram.clone());
-        };
-        seconds(
-            registry,
-            "frame_total",
-            "From a frame's request to its encoded image",
-            &metrics.total_seconds,
-        );
-        seconds(
-            registry,
-            "frame_gpu",
-            "GPU time of a frame's passes, its share where several were drawn together",
-            &metrics.gpu_seconds,
-        );
-        seconds(registry, "frame_encode", "Encoding time of a frame", &metrics.encode_seconds);
-        registry.register_collector(Box::new(EngineCollector(engine.clone())));
-        metrics
+        let streams_open = shelf.put("streams_open", "Streams open", Gauge::default());
+        let image_bytes = shelf.bytes("images", "Encoded images sent");
+        let upload_bytes = shelf.bytes("uploads", "Bytes of scenes and assets received");
+        engine.observe(Arc::new(Stages::new(&mut shelf)));
+        shelf.0.register_collector(Box::new(EngineCollector(engine.clone())));
+        if let Some(jobs) = jobs {
+            shelf.0.register_collector(Box::new(JobCollector(jobs.clone())));
+        }
+        Self {
+            shelf,
+            requests,
+            not_modified,
+            frames_sent,
+            streams_open,
+            stream_frames,
+            poses_overtaken,
+            image_bytes,
+            upload_bytes,
+        }
     }
 
     /// Counts an answer.
@@ -129,11 +203,6 @@ impl Metrics {
     pub fn frame(&self, frame: &EncodedFrame) {
         self.frames_sent.inc();
         self.image_bytes.inc_by(frame.bytes.len() as u64);
-        self.total_seconds.observe(seconds_of(frame.receipt.total_ns));
-        self.encode_seconds.observe(seconds_of(frame.receipt.encode_ns));
-        if let Some(share_ns) = frame.receipt.gpu_share_ns() {
-            self.gpu_seconds.observe(seconds_of(share_ns));
-        }
     }
 
     /// Counts bytes of an upload.
@@ -144,7 +213,7 @@ impl Metrics {
     /// The OpenMetrics text.
     pub fn exposition(&self) -> Result<String, fmt::Error> {
         let mut text = String::new();
-        exposition::encode(&mut text, &self.registry)?;
+        exposition::encode(&mut text, &self.shelf.0)?;
         Ok(text)
     }
 }
@@ -165,7 +234,7 @@ impl fmt::Debug for EngineCollector {
 impl Collector for EngineCollector {
     fn encode(&self, mut encoder: DescriptorEncoder) -> Result<(), fmt::Error> {
         let stats = self.0.stats();
-        let ready = i64::from(self.0.readiness() == Readiness::Ready);
+        let is_ready = self.0.readiness() == Readiness::Ready;
         for (name, help, value) in [
             ("engine_frames", "Frames rendered", stats.frames),
             ("engine_batches", "Submissions to the GPU", stats.batches),
@@ -174,37 +243,115 @@ impl Collector for EngineCollector {
             ("engine_overtaken", "Jobs that a newer one replaced", stats.overtaken),
             ("engine_expired", "Jobs dropped for their deadline", stats.expired),
             ("engine_refused", "Jobs refused because the queue was full", stats.refused),
+            ("engine_hopeless", "Jobs refused because their deadline was too near", stats.hopeless),
             ("engine_failed", "Jobs that failed", stats.failed),
             ("engine_device_losses", "Times the GPU was lost", stats.device_losses),
             ("engine_evictions", "Scenes evicted from the GPU", stats.evictions),
-            ("engine_uploads", "Scenes uploaded to the GPU", stats.uploads),
+            ("engine_uploads", "Assets uploaded to the GPU", stats.uploads),
+            (
+                "engine_instances_written",
+                "Instances written to the GPU, by scenes that came and by edits",
+                stats.instances_written,
+            ),
         ] {
-            let counter = ConstCounter::new(value);
-            let metric = encoder.encode_descriptor(name, help, None, counter.metric_type())?;
-            counter.encode(metric)?;
+            write(&mut encoder, name, help, None, &ConstCounter::new(value))?;
         }
         for (name, help, ns) in [
             ("engine_gpu", "GPU time of all passes", stats.gpu_ns),
             ("engine_encode", "Encoding time of all frames", stats.encode_ns),
         ] {
             let counter = ConstCounter::new(seconds_of(ns));
-            let unit = Some(&Unit::Seconds);
-            let metric = encoder.encode_descriptor(name, help, unit, counter.metric_type())?;
-            counter.encode(metric)?;
+            write(&mut encoder, name, help, Some(&Unit::Seconds), &counter)?;
         }
         for (name, help, value) in [
-            ("engine_queued", "Jobs waiting", i64::try_from(stats.queued).unwrap_or(i64::MAX)),
-            (
-                "engine_resident_bytes",
-                "Scene data on the GPU",
-                i64::try_from(stats.gpu_bytes_resident).unwrap_or(i64::MAX),
-            ),
-            ("engine_ready", "Whether frames can be had now", ready),
+            ("engine_queued", "Jobs waiting", stats.queued),
+            ("engine_resident_bytes", "Scene data on the GPU", stats.gpu_bytes_resident),
+            ("engine_ready", "Whether frames can be had now", u64::from(is_ready)),
         ] {
-            let gauge = ConstGauge::new(value);
-            let metric = encoder.encode_descriptor(name, help, None, gauge.metric_type())?;
-            gauge.encode(metric)?;
+            let gauge = ConstGauge::new(i64::try_from(value).unwrap_or(i64::MAX));
+            write(&mut encoder, name, help, None, &gauge)?;
         }
         Ok(())
+    }
+}
+
+/// Counts jobs when scraped.
+struct JobCollector(Jobs);
+
+impl fmt::Debug for JobCollector {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("JobCollector")
+    }
+}
+
+impl Collector for JobCollector {
+    fn encode(&self, mut encoder: DescriptorEncoder) -> Result<(), fmt::Error> {
+        let counts = self.0.counts();
+        let gauge = |value: u64| ConstGauge::new(i64::try_from(value).unwrap_or(i64::MAX));
+        let kind = gauge(0).metric_type();
+        let mut jobs = encoder.encode_descriptor("jobs", "Jobs by state", None, kind)?;
+        for (state, count) in counts.by_state {
+            gauge(count).encode(jobs.encode_family(&[("state", state)])?)?;
+        }
+        let drawn = ConstCounter::new(counts.drawn);
+        let help = "Frames drawn by jobs, which are among the frames rendered";
+        drawn.encode(encoder.encode_descriptor(
+            "job_frames",
+            help,
+            None,
+            drawn.metric_type(),
+        )?)?;
+        let bytes = gauge(counts.bytes);
+        let help = "What jobs take on the disk";
+        bytes.encode(encoder.encode_descriptor("jobs_disk", help, Some(&Unit::Bytes), kind)?)
+    }
+}
+
+fn write(
+    encoder: &mut DescriptorEncoder<'_>,
+    name: &str,
+    help: &str,
+    unit: Option<&Unit>,
+    metric: &impl EncodeMetric,
+) -> Result<(), fmt::Error> {
+    let encoder = encoder.encode_descriptor(name, help, unit, metric.metric_type())?;
+    metric.encode(encoder)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::receipt::PassReceipt;
+
+    #[test]
+    fn every_stage_is_counted_with_its_label() {
+        let mut shelf = Shelf(Registry::with_prefix("p"));
+        let stages = Stages::new(&mut shelf);
+        let pass = |name, gpu_ns| PassReceipt { name, ran: true, gpu_ns, why: None };
+        let receipt = Receipt {
+            views: 4,
+            gpu_ns: Some(8_000_000),
+            passes: vec![pass("project_samples", Some(4_000_000)), pass("shade", None)],
+            queue_ns: 1_000_000,
+            total_ns: 16_000_000,
+            ..Receipt::default()
+        };
+        stages.frame(Class::Interactive, &receipt);
+        stages.frame(Class::Job, &receipt);
+        stages.batch(4);
+        let mut text = String::new();
+        exposition::encode(&mut text, &shelf.0).unwrap();
+        for line in [
+            "p_frame_queue_seconds_sum{class=\"interactive\"} 0.001",
+            "p_frame_total_seconds_count{class=\"job\"} 1",
+            "p_frame_pass_seconds_sum{pass=\"project_samples\"} 0.002",
+            "p_frame_gpu_seconds_sum{class=\"job\"} 0.002",
+            "p_frame_readback_seconds_count 2",
+            "p_frame_encode_seconds_count 2",
+            "p_batch_frames_sum 4.0",
+        ] {
+            assert!(text.contains(line), "{line}: {text}");
+        }
+        assert!(!text.contains("pass=\"shade\""), "what was not measured is not counted");
     }
 }

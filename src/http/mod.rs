@@ -7,13 +7,17 @@
 //!                                                                  └→ engine.submit → image + receipt
 //!                                              frames  the same, pose after pose, as multipart/mixed
 //!                                              stream  WebSocket: poses in, the newest one's frame out
+//!                                              mjpeg   a path's frames in their time, as an <img> shows them
 //!                                              upload  body → disk → engine.load → 201, or 202
+//!                                              jobs    films, drawn without anybody waiting; files and events
 //! ```
 //!
-//! Who asks takes turns with all others: by its key, or by its address where there are no keys ([`Caller`]).
+//! Who asks shares the device with all others: by its key, or by its address where there are no keys ([`Caller`]).
+//!
+//! Every request has a name ([`naming`]): answers, receipts, problems and log lines carry it.
 //!
 //! A frame's entity tag is known before any GPU work, so the path to a 304 is short: one middleware,
-//! no spans, one look at the engine. A client that goes away drops the handler's future, and with it
+//! a span only at debug level, one look at the engine. A client that goes away drops the handler's future, and with it
 //! the ticket, which frees the job's place in the queue.
 
 pub mod access;
@@ -21,11 +25,16 @@ mod body;
 mod conditional;
 mod frame;
 mod frames;
+mod headcount;
 mod headers;
+mod jobs;
 mod metrics;
+mod mjpeg;
 mod names;
+mod naming;
 mod openapi;
 mod params;
+mod paths;
 mod problem;
 mod registry;
 mod scenes;
@@ -33,6 +42,7 @@ pub mod server;
 mod service;
 mod stream;
 mod upload;
+mod viewer;
 
 use std::hash::{BuildHasher, RandomState};
 use std::net::SocketAddr;
@@ -46,14 +56,16 @@ use axum::body::HttpBody;
 use axum::extract::{
     ConnectInfo, DefaultBodyLimit, FromRequestParts, MatchedPath, Path, Request, State,
 };
-use axum::http::header;
 use axum::http::request::Parts;
+use axum::http::{HeaderName, HeaderValue, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, patch, post};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::cors::{AllowOrigin, CorsLayer};
+use tracing::Instrument;
 
+pub use jobs::WatchLimits;
 pub use names::slug;
 pub use openapi::{openapi_json, openapi_yaml};
 pub use params::{DEFAULT_FOV_DEG, DEFAULT_QUALITY, DEFAULT_SIDE};
@@ -61,6 +73,7 @@ pub use problem::{Problem, nearest};
 pub use stream::StreamLimits;
 
 use crate::engine::{Client, Engine};
+use crate::jobs::Jobs;
 
 /// How the HTTP side is set up.
 #[derive(Clone, Debug)]
@@ -81,6 +94,7 @@ pub struct Settings {
     /// How long answers in flight may take when the server stops.
     pub drain: Duration,
     pub streams: stream::StreamLimits,
+    pub watches: WatchLimits,
 }
 
 /// What every handler shares.
@@ -90,8 +104,14 @@ pub struct App {
     pub(crate) metrics: metrics::Metrics,
     pub(crate) registry: registry::Registry,
     pub(crate) streams: stream::Streams,
+    /// Who watches jobs.
+    pub(crate) watchers: headcount::Headcount,
+    /// Or why there are none.
+    pub(crate) jobs: Result<Jobs, String>,
     /// Keys the numbers of callers, so that nobody chooses one that is another's.
     callers: RandomState,
+    /// Whose pages may read `Server-Timing`.
+    timing_origins: Option<HeaderValue>,
     phase: AtomicU8,
 }
 
@@ -105,12 +125,17 @@ pub enum Phase {
 }
 
 impl App {
-    pub fn new(engine: Engine, settings: Settings) -> Arc<App> {
+    pub fn new(engine: Engine, settings: Settings, jobs: Result<Jobs, String>) -> Arc<App> {
         Arc::new(App {
-            metrics: metrics::Metrics::new(&engine),
+            metrics: metrics::Metrics::new(&engine, jobs.as_ref().ok()),
+            jobs,
             registry: registry::Registry::default(),
             streams: stream::Streams::new(settings.streams),
+            watchers: settings.watches.headcount(),
             callers: RandomState::new(),
+            timing_origins: (!settings.cors_origins.is_empty())
+                .then(|| HeaderValue::from_str(&settings.cors_origins.join(", ")).ok())
+                .flatten(),
             phase: AtomicU8::new(0),
             engine,
             settings,
@@ -130,17 +155,30 @@ impl App {
         self.phase.fetch_max(phase as u8, Ordering::Relaxed);
         if phase == Phase::Draining {
             self.streams.drain();
+            if let Ok(jobs) = &self.jobs {
+                jobs.pause();
+            }
         }
     }
 }
 
-/// Who sent a request, as far as taking turns and limits go; put beside every request that has passed the access rules.
+/// Who sent a request, as far as shares and limits go; put beside every request that has passed the access rules.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Caller(pub Client);
 
+/// The key that a request came with, where keys are asked for; put beside [`Caller`].
+#[derive(Clone, Debug)]
+pub(crate) struct Owner {
+    /// The key's.
+    pub name: Option<String>,
+    /// May do what is others' to do. So may everybody where there are no keys.
+    pub is_admin: bool,
+}
+
 /// Every route, as the counters and the access rules name them.
-const ROUTES: [&str; 14] = [
+const ROUTES: [&str; 26] = [
     "/",
+    "/viewer/{file}",
     "/healthz",
     "/readyz",
     "/metrics",
@@ -152,7 +190,18 @@ const ROUTES: [&str; 14] = [
     "/v1/scenes/{id}/nodes/{node}",
     "/v1/scenes/{id}/frame",
     "/v1/scenes/{id}/frames",
+    "/v1/scenes/{id}/mjpeg",
+    "/v1/scenes/{id}/paths/{name}",
     STREAM,
+    "/v1/jobs",
+    "/v1/jobs/{id}",
+    "/v1/jobs/{id}/cancel",
+    "/v1/jobs/{id}/resume",
+    "/v1/jobs/{id}/events",
+    "/v1/jobs/{id}/frames",
+    "/v1/jobs/{id}/frames/{n}",
+    "/v1/jobs/{id}/multipart",
+    "/v1/jobs/{id}/video.mp4",
     UNMATCHED,
 ];
 
@@ -160,11 +209,14 @@ const STREAM: &str = "/v1/scenes/{id}/stream";
 
 const UNMATCHED: &str = "unmatched";
 
+const TIMING_ALLOW_ORIGIN: HeaderName = HeaderName::from_static("timing-allow-origin");
+
 /// The routes with everything around them.
 pub fn router(app: Arc<App>) -> Router {
     let cors = cors(&app.settings.cors_origins);
     let router = Router::new()
-        .route("/", get(service::viewer))
+        .route("/", get(viewer::page))
+        .route("/viewer/{file}", get(viewer::file))
         .route("/healthz", get(service::healthz))
         .route("/readyz", get(service::readyz))
         .route("/metrics", get(service::metrics))
@@ -176,13 +228,24 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/v1/scenes/{id}/nodes/{node}", patch(scenes::patch_node))
         .route("/v1/scenes/{id}/frame", get(frame::frame))
         .route("/v1/scenes/{id}/frames", post(frames::frames))
+        .route("/v1/scenes/{id}/mjpeg", get(mjpeg::mjpeg))
+        .route("/v1/scenes/{id}/paths/{name}", get(paths::show))
         .route(STREAM, get(stream::stream))
+        .route("/v1/jobs", get(jobs::list).post(jobs::create::create))
+        .route("/v1/jobs/{id}", get(jobs::show).delete(jobs::remove))
+        .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
+        .route("/v1/jobs/{id}/resume", post(jobs::resume))
+        .route("/v1/jobs/{id}/events", get(jobs::events::events))
+        .route("/v1/jobs/{id}/frames", get(jobs::frames::manifest))
+        .route("/v1/jobs/{id}/frames/{n}", get(jobs::frames::frame))
+        .route("/v1/jobs/{id}/multipart", get(jobs::frames::multipart))
+        .route("/v1/jobs/{id}/video.mp4", get(jobs::video::video))
         .fallback(service::unknown_route)
         .method_not_allowed_fallback(service::method_not_allowed)
         // Each handler bounds its own body, while it reads.
         .layer(DefaultBodyLimit::disable())
-        .layer(axum::middleware::from_fn_with_state(app.clone(), gate))
-        .layer(CatchPanicLayer::custom(panicked));
+        .layer(CatchPanicLayer::custom(panicked))
+        .layer(axum::middleware::from_fn_with_state(app.clone(), gate));
     let router = match cors {
         Some(cors) => router.layer(cors),
         None => router,
@@ -190,13 +253,28 @@ pub fn router(app: Arc<App>) -> Router {
     router.with_state(app)
 }
 
-/// Access and counters, around every handler.
-async fn gate(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
+/// A name, access and counters, around every handler.
+async fn gate(State(app): State<Arc<App>>, mut request: Request, next: Next) -> Response {
     let matched = request.extensions().get::<MatchedPath>().map(MatchedPath::as_str);
     let route = matched
         .and_then(|path| ROUTES.iter().find(|route| **route == path))
         .copied()
         .unwrap_or(UNMATCHED);
+    let method = request.method().clone();
+    let id = naming::of(request.headers());
+    request.extensions_mut().insert(id.clone());
+    let span = tracing::debug_span!("request", request_id = %id, %method, route);
+    let answer = answer(&app, route, request, next).instrument(span);
+    let mut response = naming::within(id.clone(), answer).await;
+    let headers = response.headers_mut();
+    headers.extend(naming::header(&id).map(|value| (naming::REQUEST_ID, value)));
+    headers.extend(app.timing_origins.clone().map(|value| (TIMING_ALLOW_ORIGIN, value)));
+    app.metrics.answered(route, &method, response.status().as_u16());
+    response
+}
+
+/// The answer of whoever is allowed to ask.
+async fn answer(app: &App, route: &'static str, request: Request, next: Next) -> Response {
     let method = request.method().clone();
     // A client that waits for `100 Continue` sends nothing that would have to be read after a refusal.
     let expects = request.headers().contains_key(header::EXPECT);
@@ -211,15 +289,18 @@ async fn gate(State(app): State<Arc<App>>, request: Request, next: Next) -> Resp
     let checked =
         app.settings.access.check(&method, request.uri(), route, request.headers()).map(|key| {
             let address = request.extensions().get::<ConnectInfo<SocketAddr>>();
-            match (key, address) {
-                (Some(key), _) => Client::Caller(app.callers.hash_one(key)),
+            let client = match (key, address) {
+                (Some(key), _) => Client::Caller(app.callers.hash_one(&key.name)),
                 (None, Some(from)) => Client::Caller(app.callers.hash_one(from.0.ip())),
                 (None, None) => Client::Unnamed,
-            }
+            };
+            let is_admin = key.is_none_or(|key| key.scope == access::Scope::Admin);
+            (client, Owner { name: key.map(|key| key.name.clone()), is_admin })
         });
     let response = match checked {
-        Ok(client) => {
+        Ok((client, owner)) => {
             request.extensions_mut().insert(Caller(client));
+            request.extensions_mut().insert(owner);
             next.run(request).await
         }
         Err(problem) => problem.into_response(),
@@ -227,7 +308,6 @@ async fn gate(State(app): State<Arc<App>>, request: Request, next: Next) -> Resp
     if let (Some(rest), true) = (rest, response.status().as_u16() >= 400) {
         rest.linger().await;
     }
-    app.metrics.answered(route, &method, response.status().as_u16());
     response
 }
 
@@ -241,7 +321,7 @@ fn panicked(cause: Box<dyn std::any::Any + Send + 'static>) -> Response {
 }
 
 fn cors(origins: &[String]) -> Option<CorsLayer> {
-    use axum::http::{HeaderName, HeaderValue, Method};
+    use axum::http::Method;
     if origins.is_empty() {
         return None;
     }
@@ -254,13 +334,23 @@ fn cors(origins: &[String]) -> Option<CorsLayer> {
         CorsLayer::new()
             .allow_origin(allowed)
             .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::PATCH, Method::DELETE])
-            .allow_headers([header::AUTHORIZATION, header::CONTENT_TYPE, header::IF_NONE_MATCH])
+            .allow_headers([
+                header::AUTHORIZATION,
+                header::CONTENT_TYPE,
+                header::IF_NONE_MATCH,
+                header::RANGE,
+                HeaderName::from_static("idempotency-key"),
+                HeaderName::from_static("last-event-id"),
+                naming::REQUEST_ID,
+            ])
             .expose_headers([
                 header::ETAG,
                 header::RETRY_AFTER,
+                header::CONTENT_RANGE,
                 header::LOCATION,
                 HeaderName::from_static("server-timing"),
                 frame::RECEIPT_HEADER,
+                naming::REQUEST_ID,
             ]),
     )
 }

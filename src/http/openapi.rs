@@ -13,7 +13,7 @@ use utoipa::{Modify, OpenApi};
 
 use super::access;
 use super::problem::{Kind, PROBLEM_JSON, ProblemDocument};
-use super::{frame, frames, scenes, service, stream, upload};
+use super::{frame, frames, jobs, mjpeg, paths, scenes, service, stream, upload, viewer};
 use crate::engine::Receipt;
 
 #[derive(OpenApi)]
@@ -22,30 +22,48 @@ use crate::engine::Receipt;
         title = "Pointillist",
         description = "A headless render server: a camera pose goes in, a frame and its receipt come out.\n\n\
             Every failure is `application/problem+json` with a stable `type`. Nothing is silently clamped: \
-            what cannot be used is refused, with what would be accepted.",
+            what cannot be used is refused, with what would be accepted.\n\n\
+            Every answer has `X-Request-Id`: the request's own, if that is 1 to 128 letters, digits and `-_.:/+=@~`, or a new one. \
+            Receipts and problems repeat it as `request_id`, and with `POINTILLIST_LOG=pointillist=debug` the log tells a frame's \
+            whole way by it.",
         license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0"),
     ),
     paths(
         frame::frame,
         frames::frames,
         stream::stream,
+        mjpeg::mjpeg,
         scenes::list,
         upload::create,
         scenes::show,
         scenes::remove,
         scenes::patch_node,
+        paths::show,
+        jobs::list,
+        jobs::create::create,
+        jobs::show,
+        jobs::remove,
+        jobs::cancel,
+        jobs::resume,
+        jobs::events::events,
+        jobs::frames::manifest,
+        jobs::frames::frame,
+        jobs::frames::multipart,
+        jobs::video::video,
         service::limits,
         service::scene_schema,
         service::healthz,
         service::readyz,
         service::metrics,
         service::openapi,
-        service::viewer,
+        viewer::page,
+        viewer::file,
     ),
     components(schemas(Receipt, ProblemDocument, stream::FrameHeader, stream::PoseFields)),
     tags(
         (name = "frames", description = "Images of scenes"),
         (name = "scenes", description = "What can be drawn"),
+        (name = "jobs", description = "Camera paths, drawn without anybody waiting"),
         (name = "service", description = "The server itself"),
     ),
     modifiers(&Problems, &Keys),
@@ -124,6 +142,25 @@ fn problems(path: &str, method: &str) -> &'static [Kind] {
             UnknownParameter,
             Unavailable,
         ],
+        ("/v1/scenes/{id}/mjpeg", _) => &[
+            UnknownScene,
+            SceneLoading,
+            BadParameter,
+            UnknownParameter,
+            Unavailable,
+            OverLimit,
+            AssetRefused,
+            SceneRefused,
+            UnsupportedAsset,
+            SceneTooLarge,
+            Busy,
+            FrameTimeout,
+            DeviceLost,
+            ShuttingDown,
+            OutOfGpuMemory,
+        ],
+        ("/v1/scenes/{id}/paths/{name}", _) => &[UnknownScene, UnknownPath, SceneLoading],
+        ("/viewer/{file}", _) => &[UnknownRoute],
         ("/v1/scenes", "post") => &[
             RequestTimeout,
             SceneExists,
@@ -159,6 +196,49 @@ fn problems(path: &str, method: &str) -> &'static [Kind] {
             ShuttingDown,
             OutOfGpuMemory,
         ],
+        ("/v1/jobs", "post") => &[
+            JobsOff,
+            UnknownScene,
+            SceneLoading,
+            RequestTimeout,
+            BodyTooLarge,
+            UnsupportedMediaType,
+            BadParameter,
+            UnknownParameter,
+            Unavailable,
+            BadBody,
+            OverLimit,
+            KeyReused,
+            TooManyJobs,
+            ShuttingDown,
+            OutOfGpuMemory,
+            OutOfJobDisk,
+            OutOfDisk,
+        ],
+        ("/v1/jobs", _) => &[JobsOff],
+        ("/v1/jobs/{id}", "get") => &[JobsOff, UnknownJob],
+        ("/v1/jobs/{id}", _) => &[JobsOff, UnknownJob, OutOfDisk],
+        ("/v1/jobs/{id}/cancel", _) => &[JobsOff, UnknownJob, JobState, OutOfDisk],
+        ("/v1/jobs/{id}/resume", _) => {
+            &[JobsOff, UnknownJob, JobState, TooManyJobs, OutOfJobDisk, OutOfDisk]
+        }
+        ("/v1/jobs/{id}/events", _) => &[JobsOff, UnknownJob, Busy],
+        ("/v1/jobs/{id}/frames", _) => &[JobsOff, UnknownJob, OutOfDisk],
+        ("/v1/jobs/{id}/frames/{n}", _) => &[
+            JobsOff,
+            UnknownJob,
+            UnknownFrame,
+            FrameNotDrawn,
+            JobFileDamaged,
+            RangeNotSatisfiable,
+            OutOfDisk,
+        ],
+        ("/v1/jobs/{id}/multipart", _) => {
+            &[JobsOff, UnknownJob, UnknownFrame, BadParameter, UnknownParameter, Busy]
+        }
+        ("/v1/jobs/{id}/video.mp4", _) => {
+            &[JobsOff, UnknownJob, NoVideo, JobFileDamaged, RangeNotSatisfiable, OutOfDisk]
+        }
         ("/healthz" | "/readyz", _) => &[NotReady],
         _ => &[],
     }
@@ -279,8 +359,11 @@ mod tests {
         let text = openapi_yaml().unwrap();
         for kind in Kind::ALL {
             // What no operation is behind cannot be documented with one.
-            if !matches!(kind, Kind::UnknownRoute | Kind::MethodNotAllowed) {
-                assert!(text.contains(kind.facts().1), "{kind:?}");
+            let (_, urn, _) = kind.facts();
+            // What only a job's `error` can be stands there, without what all have in common.
+            let short = urn.rsplit(':').next().unwrap();
+            if kind != Kind::MethodNotAllowed {
+                assert!(text.contains(urn) || text.contains(&format!("`{short}`")), "{kind:?}");
             }
         }
     }

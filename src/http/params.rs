@@ -15,7 +15,7 @@ use super::problem::{Kind, Problem, nearest};
 use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
 use crate::math::{Camera, View};
-use crate::plan::{Lod, MaxError, Output, Paint, Reconstruct, Settings};
+use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings};
 use crate::scene::{Blend, Filter, Shading};
 
 /// Width and height of a frame that names none.
@@ -82,6 +82,10 @@ pub struct FrameParams {
     #[param(minimum = 0.05, maximum = 64)]
     #[schema(minimum = 0.05, maximum = 64)]
     pub max_error_px: Option<f32>,
+    /// How splats of `lod=spt` measure that; `split` needs `reconstruct=splats` or `fuzzy`.
+    #[param(value_type = Option<ErrorMode>)]
+    #[schema(value_type = Option<ErrorMode>)]
+    pub error_mode: Option<String>,
     /// What the colours of samples show; `levels` needs `lod=spt`.
     #[param(value_type = Option<Paint>)]
     #[schema(value_type = Option<Paint>)]
@@ -104,14 +108,15 @@ pub struct FrameParams {
     #[param(value_type = Option<Shading>)]
     #[schema(value_type = Option<Shading>)]
     pub shading: Option<String>,
-    /// Milliseconds until the frame is worthless; work not begun by then is dropped.
+    /// Milliseconds until the frame is worthless; work not begun by then is dropped, and what cannot be had
+    /// by then, by what is queued before it and what such frames have cost, is refused at once, with a time to come again.
     #[param(exclusive_minimum = 0.0)]
     #[schema(exclusive_minimum = 0.0)]
     pub deadline_ms: Option<f64>,
 }
 
 /// Every parameter of this version.
-const NAMES: [&str; 21] = [
+pub const NAMES: [&str; 22] = [
     "camera",
     "eye",
     "target",
@@ -126,6 +131,7 @@ const NAMES: [&str; 21] = [
     "output",
     "lod",
     "max_error_px",
+    "error_mode",
     "paint",
     "reconstruct",
     "filter",
@@ -212,7 +218,8 @@ impl FrameParams {
         Ok(params)
     }
 
-    fn set(&mut self, name: &str, value: &str) -> Result<(), Problem> {
+    /// Takes one pair of a query; the name is one that [`check_name`] lets pass.
+    pub fn set(&mut self, name: &str, value: &str) -> Result<(), Problem> {
         const SIDE: &str = "a whole number of pixels, at least 1";
         const DEGREES: &str = "degrees between 0 and 180";
         match name {
@@ -232,6 +239,7 @@ impl FrameParams {
             "max_error_px" => {
                 once(&mut self.max_error_px, name, number(name, value, "0.05 to 64")?)
             }
+            "error_mode" => once(&mut self.error_mode, name, value.to_owned()),
             "paint" => once(&mut self.paint, name, value.to_owned()),
             "reconstruct" => once(&mut self.reconstruct, name, value.to_owned()),
             "filter" => once(&mut self.filter, name, value.to_owned()),
@@ -267,13 +275,7 @@ impl FrameParams {
     /// replaces that of the defaults, only `up`, `fov` and `proj` are inherited by their own kind.
     /// Who asks for points inherits nothing that only splats have, who asks for full detail no accepted error.
     pub fn or(self, defaults: &FrameParams) -> FrameParams {
-        let posed = self.camera.is_some()
-            || self.eye.is_some()
-            || self.target.is_some()
-            || self.up.is_some()
-            || self.fov.is_some()
-            || self.view.is_some()
-            || self.proj.is_some();
+        let posed = self.pose_parameter().is_some();
         let empty = FrameParams::default();
         let by_eye =
             self.eye.is_some() || self.target.is_some() || self.up.is_some() || self.fov.is_some();
@@ -286,6 +288,7 @@ impl FrameParams {
         let splats = if other(&["splats"]) { &empty } else { defaults };
         let whole = self.lod.as_deref().is_some_and(|word| word == "full");
         let detail = if whole { &empty } else { defaults };
+        let split = if other(&["splats", "fuzzy"]) { &empty } else { detail };
         FrameParams {
             camera: self.camera.or_else(|| camera.camera.clone()),
             eye: self.eye.or(eye.eye),
@@ -300,6 +303,7 @@ impl FrameParams {
             quality: self.quality.or(defaults.quality),
             output: self.output.or_else(|| defaults.output.clone()),
             max_error_px: self.max_error_px.or(detail.max_error_px),
+            error_mode: self.error_mode.or_else(|| split.error_mode.clone()),
             paint: self.paint.or_else(|| detail.paint.clone()),
             lod: self.lod.or_else(|| defaults.lod.clone()),
             reconstruct: self.reconstruct.or_else(|| defaults.reconstruct.clone()),
@@ -309,6 +313,21 @@ impl FrameParams {
             shading: self.shading.or_else(|| splats.shading.clone()),
             deadline_ms: self.deadline_ms.or(defaults.deadline_ms),
         }
+    }
+
+    /// A parameter that says where the frame is seen from, if there is one.
+    pub fn pose_parameter(&self) -> Option<&'static str> {
+        [
+            ("camera", self.camera.is_some()),
+            ("eye", self.eye.is_some()),
+            ("target", self.target.is_some()),
+            ("up", self.up.is_some()),
+            ("fov", self.fov.is_some()),
+            ("view", self.view.is_some()),
+            ("proj", self.proj.is_some()),
+        ]
+        .into_iter()
+        .find_map(|(name, is_given)| is_given.then_some(name))
     }
 
     /// The output asked for.
@@ -411,10 +430,25 @@ impl FrameParams {
                 "together with `lod=spt`, or `colors`",
             ));
         }
+        let error_mode: ErrorMode = choice("error_mode", self.error_mode.as_deref())?;
+        if error_mode == ErrorMode::Split
+            && (lod == Lod::Full || reconstruct == Reconstruct::Points)
+        {
+            let reason = match lod {
+                Lod::Full => "full detail has no error",
+                Lod::Spt => "points are chosen by their size, whatever they are seen at",
+            };
+            return Err(Problem::parameter(
+                "error_mode",
+                reason,
+                "together with `lod=spt` and `reconstruct=splats` or `fuzzy`, or `unified`",
+            ));
+        }
         Ok(Settings {
             paint,
             lod,
             max_error,
+            error_mode,
             reconstruct,
             filter: chosen("filter", self.filter.as_deref())?,
             prefilter: self.prefilter,
@@ -481,14 +515,14 @@ impl FrameParams {
     }
 }
 
-fn once<T>(slot: &mut Option<T>, name: &str, value: T) -> Result<(), Problem> {
+pub fn once<T>(slot: &mut Option<T>, name: &str, value: T) -> Result<(), Problem> {
     match slot.replace(value) {
         None => Ok(()),
         Some(_) => Err(Problem::parameter(name, "given twice", "once")),
     }
 }
 
-fn number<T: std::str::FromStr>(name: &str, value: &str, accepted: &str) -> Result<T, Problem> {
+pub fn number<T: std::str::FromStr>(name: &str, value: &str, accepted: &str) -> Result<T, Problem> {
     value.parse().map_err(|_| {
         Problem::parameter(name, format!("`{}` cannot be used", shown(value)), accepted)
     })

@@ -11,8 +11,9 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
 
+use super::naming;
 use crate::assets::AssetError;
-use crate::engine::EngineError;
+use crate::engine::{EngineError, RequestId};
 use crate::math::CameraError;
 use crate::scene::SceneError;
 
@@ -22,6 +23,7 @@ pub enum Kind {
     UnknownRoute,
     UnknownScene,
     UnknownNode,
+    UnknownPath,
     MethodNotAllowed,
     NotAcceptable,
     RequestTimeout,
@@ -50,15 +52,32 @@ pub enum Kind {
     NotReady,
     OutOfGpuMemory,
     OutOfDisk,
+    UnknownJob,
+    UnknownFrame,
+    FrameNotDrawn,
+    NoVideo,
+    JobState,
+    SceneChanged,
+    JobRecovered,
+    RangeNotSatisfiable,
+    JobRefused,
+    KeyReused,
+    TooManyJobs,
+    JobFailed,
+    VideoFailed,
+    JobsOff,
+    OutOfJobDisk,
+    JobFileDamaged,
     Internal,
 }
 
 impl Kind {
     /// Every kind, in the order of the documentation.
-    pub const ALL: [Kind; 32] = [
+    pub const ALL: [Kind; 49] = [
         Kind::UnknownRoute,
         Kind::UnknownScene,
         Kind::UnknownNode,
+        Kind::UnknownPath,
         Kind::MethodNotAllowed,
         Kind::NotAcceptable,
         Kind::RequestTimeout,
@@ -87,6 +106,22 @@ impl Kind {
         Kind::NotReady,
         Kind::OutOfGpuMemory,
         Kind::OutOfDisk,
+        Kind::UnknownJob,
+        Kind::UnknownFrame,
+        Kind::FrameNotDrawn,
+        Kind::NoVideo,
+        Kind::JobState,
+        Kind::SceneChanged,
+        Kind::JobRecovered,
+        Kind::RangeNotSatisfiable,
+        Kind::JobRefused,
+        Kind::KeyReused,
+        Kind::TooManyJobs,
+        Kind::JobFailed,
+        Kind::VideoFailed,
+        Kind::JobsOff,
+        Kind::OutOfJobDisk,
+        Kind::JobFileDamaged,
         Kind::Internal,
     ];
 
@@ -97,6 +132,7 @@ impl Kind {
             UnknownRoute => (404, "urn:pointillist:problem:unknown-route", "no such resource"),
             UnknownScene => (404, "urn:pointillist:problem:unknown-scene", "no such scene"),
             UnknownNode => (404, "urn:pointillist:problem:unknown-node", "no such node"),
+            UnknownPath => (404, "urn:pointillist:problem:unknown-path", "no such camera path"),
             MethodNotAllowed => {
                 (405, "urn:pointillist:problem:method-not-allowed", "method not allowed")
             }
@@ -162,7 +198,51 @@ impl Kind {
             OutOfGpuMemory => {
                 (507, "urn:pointillist:problem:out-of-gpu-memory", "not enough GPU memory")
             }
-            OutOfDisk => (507, "urn:pointillist:problem:storage", "the upload cannot be stored"),
+            OutOfDisk => (507, "urn:pointillist:problem:storage", "the disk cannot be used"),
+            UnknownJob => (404, "urn:pointillist:problem:unknown-job", "no such job"),
+            UnknownFrame => {
+                (404, "urn:pointillist:problem:unknown-frame", "the job has no such frame")
+            }
+            FrameNotDrawn => {
+                (404, "urn:pointillist:problem:frame-not-drawn", "the frame is not there yet")
+            }
+            NoVideo => (404, "urn:pointillist:problem:no-video", "there is no video"),
+            JobState => {
+                (409, "urn:pointillist:problem:job-state", "the job's state does not allow it")
+            }
+            SceneChanged => (
+                409,
+                "urn:pointillist:problem:scene-changed",
+                "the scene changed while a job drew it",
+            ),
+            JobRecovered => (
+                409,
+                "urn:pointillist:problem:job-recovered",
+                "the job's record was lost and found again",
+            ),
+            RangeNotSatisfiable => {
+                (416, "urn:pointillist:problem:range-not-satisfiable", "the range is not there")
+            }
+            JobRefused => {
+                (422, "urn:pointillist:problem:job-refused", "the job does not fit its scene")
+            }
+            KeyReused => {
+                (422, "urn:pointillist:problem:key-reused", "the idempotency key was used before")
+            }
+            TooManyJobs => (429, "urn:pointillist:problem:too-many-jobs", "too many jobs"),
+            JobFailed => (500, "urn:pointillist:problem:job-failed", "the job could not be drawn"),
+            VideoFailed => {
+                (500, "urn:pointillist:problem:video-failed", "the video could not be made")
+            }
+            JobsOff => (503, "urn:pointillist:problem:jobs-off", "this server draws no jobs"),
+            OutOfJobDisk => {
+                (507, "urn:pointillist:problem:job-quota", "jobs are over their share of the disk")
+            }
+            JobFileDamaged => (
+                410,
+                "urn:pointillist:problem:job-file-damaged",
+                "a file of the job is damaged or missing",
+            ),
             Internal => (500, "urn:pointillist:problem:internal", "internal error"),
         }
     }
@@ -185,6 +265,8 @@ pub struct Problem {
     pub accepted: Option<String>,
     /// When trying again is worthwhile.
     pub retry_after_ms: Option<u64>,
+    /// Of the request that it answers; `None`: the one that is being answered when this is sent.
+    pub request_id: Option<RequestId>,
 }
 
 /// An error as the client sees it (RFC 9457).
@@ -208,19 +290,31 @@ pub struct ProblemDocument {
     /// When trying again is worthwhile, by the measured cost of what is queued.
     #[serde(skip_serializing_if = "Option::is_none")]
     retry_after_ms: Option<u64>,
+    /// By it the server's log tells more.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<String>)]
+    request_id: Option<RequestId>,
 }
 
 impl From<Problem> for ProblemDocument {
     fn from(problem: Problem) -> Self {
         let (status, r#type, title) = problem.kind.facts();
         let Problem { detail, parameter, accepted, retry_after_ms, .. } = problem;
-        Self { r#type, title, status, detail, parameter, accepted, retry_after_ms }
+        let request_id = problem.request_id.or_else(naming::current);
+        Self { r#type, title, status, detail, parameter, accepted, retry_after_ms, request_id }
     }
 }
 
 impl Problem {
     pub fn new(kind: Kind, detail: impl Into<String>) -> Self {
-        Self { kind, detail: detail.into(), parameter: None, accepted: None, retry_after_ms: None }
+        Self {
+            kind,
+            detail: detail.into(),
+            parameter: None,
+            accepted: None,
+            retry_after_ms: None,
+            request_id: None,
+        }
     }
 
     /// A parameter that cannot be used as given.
@@ -238,7 +332,9 @@ impl Problem {
 
     /// Logs `inner` and keeps it from the client.
     pub fn internal(inner: impl std::fmt::Display) -> Self {
-        tracing::error!(error = %inner, "internal error");
+        let request_id = naming::current();
+        let request_id = request_id.as_ref().map(RequestId::as_str);
+        tracing::error!(request_id, error = %inner, "internal error");
         Self::new(Kind::Internal, "the server failed; its log says how")
     }
 
@@ -254,6 +350,12 @@ impl Problem {
 
     pub fn retry_after(mut self, after: Duration) -> Self {
         self.retry_after_ms = Some(u64::try_from(after.as_millis()).unwrap_or(u64::MAX));
+        self
+    }
+
+    /// Of a request that is not the one being answered, or of a part of it.
+    pub fn named(mut self, request_id: RequestId) -> Self {
+        self.request_id = Some(request_id);
         self
     }
 
@@ -322,9 +424,11 @@ impl From<EngineError> for Problem {
                 Problem::new(Kind::Busy, text).retry_after(retry_after)
             }
             EngineError::Overtaken => Problem::new(Kind::Busy, text),
-            EngineError::DeadlineExceeded => Problem::new(Kind::DeadlineExceeded, text)
-                .at("deadline_ms")
-                .retry_after(Duration::from_secs(1)),
+            EngineError::DeadlineExceeded { retry_after } => {
+                Problem::new(Kind::DeadlineExceeded, text)
+                    .at("deadline_ms")
+                    .retry_after(retry_after)
+            }
             EngineError::DeviceLost { retry_after } => {
                 Problem::new(Kind::DeviceLost, text).retry_after(retry_after)
             }

@@ -16,6 +16,7 @@ use super::problem::{Kind, Problem, ProblemDocument};
 use super::registry::Entry;
 use super::{App, Segments, body, frame, upload};
 use crate::engine::{NodePatch, SceneInfo};
+use crate::scene::{LARGEST_COORDINATE, LARGEST_SCALE};
 
 /// A scene, or what became of it.
 #[derive(Serialize, ToSchema)]
@@ -210,6 +211,9 @@ impl NodeChange {
                     "either of the two",
                 ));
             }
+            let places = matrix.iter().skip(12).take(3);
+            within(places, LARGEST_COORDINATE, "matrix")?;
+            within(matrix.iter().take(12), LARGEST_SCALE, "matrix")?;
             return affine(DMat4::from_cols_array(&matrix)).map(Some);
         }
         if !parts {
@@ -223,7 +227,9 @@ impl NodeChange {
         if scale.min_element() == 0.0 || scale.x * scale.y * scale.z == 0.0 {
             return Err(Problem::parameter("scale", "must not be 0", "numbers other than 0"));
         }
+        within(scale.to_array().iter(), LARGEST_SCALE, "scale")?;
         let translate = self.translate.map_or(DVec3::ZERO, DVec3::from);
+        within(translate.to_array().iter(), LARGEST_COORDINATE, "translate")?;
         Ok(Some(DAffine3::from_scale_rotation_translation(scale, self.rotation()?, translate)))
     }
 
@@ -250,6 +256,21 @@ impl NodeChange {
                 Ok(quaternion / length)
             }
             (None, None) => Ok(DQuat::IDENTITY),
+        }
+    }
+}
+
+/// The bounds that a scene file has, too.
+fn within<'a>(
+    mut numbers: impl Iterator<Item = &'a f64>,
+    most: f64,
+    name: &'static str,
+) -> Result<(), Problem> {
+    match numbers.find(|number| !(-most..=most).contains(*number)) {
+        None => Ok(()),
+        Some(number) => {
+            let accepted = format!("numbers from {:e} to {most:e}", -most);
+            Err(Problem::parameter(name, format!("{number:e} is out of range"), accepted))
         }
     }
 }
@@ -296,6 +317,11 @@ mod tests {
         assert_eq!(at(json!({"scale": 0})), "scale");
         assert_eq!(at(json!({"scale": [1, 0, 1]})), "scale");
         assert_eq!(at(json!({"translate": [1, 2]})), "translate");
+        assert_eq!(at(json!({"translate": [1e300, 0, 0]})), "translate");
+        assert_eq!(at(json!({"scale": 1e30})), "scale");
+        let mut far = DMat4::IDENTITY.to_cols_array();
+        far[12] = -1e13;
+        assert_eq!(at(json!({"matrix": far})), "matrix");
         assert_eq!(at(json!({"quaternion": [0, 0, 0, 0]})), "quaternion");
         assert_eq!(at(json!({"rotate": [0,0,0], "quaternion": [0,0,0,1]})), "quaternion");
         assert_eq!(at(json!({"matrix": vec![0.0; 16]})), "matrix");

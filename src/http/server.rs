@@ -4,13 +4,14 @@
 //! listen ─► Starting ──scenes loaded──► Serving ──SIGTERM, SIGINT──► Draining ─► exit
 //!           /healthz 200                /readyz 200                  no new connections; answers in
 //!           /readyz  503                                             flight end within `drain`, streams
-//!                                                                    are closed with 1001
+//!                                                                    are closed with 1001, jobs pause
 //! a render thread that panicked: /healthz and /readyz 503, and the watchdog is no longer patted
 //! ```
 //!
 //! A connection has to produce the head of a request within `read_timeout`, an idle one is closed
 //! after the same time, and one that takes no bytes of its answer for [`STALLED_WRITE`] is dropped.
-//! Beyond `max_connections` a connection is told so and closed, at the cost of one small write.
+//! Beyond `max_connections` a connection is told so and closed, at the cost of one small write; a few of them at a time are read
+//! first, since who asks whether the server is well should hear that it is.
 
 use std::future::Future;
 use std::net::{SocketAddr, TcpListener};
@@ -20,15 +21,18 @@ use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Duration;
 
+use axum::response::{IntoResponse, Response};
 use axum_server::Handle;
 use axum_server::accept::Accept;
+use hyper::header::CONTENT_LENGTH;
 use hyper_util::rt::TokioTimer;
-use tokio::io::{AsyncRead, AsyncWrite, AsyncWriteExt, ReadBuf};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, Sleep};
 
-use super::{App, Phase, router, upload};
+use super::problem::{Kind, Problem};
+use super::{App, Phase, router, service, upload};
 use crate::engine::{Engine, Readiness};
 
 /// A client that reads nothing of its answer for this long is given up.
@@ -65,6 +69,10 @@ pub async fn serve(
     let handle = Handle::new();
     let mut stop = Box::pin(stop_signal()?);
     let mut server = tokio::spawn(run(app.clone(), listener, handle.clone()));
+    if let Ok(jobs) = &app.jobs {
+        // Those whose scenes are not loaded yet wait for them.
+        jobs.start()?;
+    }
 
     let loading = load_scenes(&app, start);
     tokio::select! {
@@ -90,8 +98,15 @@ pub async fn serve(
     let drained = async {
         let _ = (&mut server).await;
         app.streams.closed().await;
-        let engine = app.engine.clone();
-        let _ = tokio::task::spawn_blocking(move || engine.drain()).await;
+        let (engine, jobs) = (app.engine.clone(), app.jobs.clone());
+        let _ = tokio::task::spawn_blocking(move || {
+            // Jobs before the engine: they note how far they have come.
+            if let Ok(jobs) = &jobs {
+                jobs.wait();
+            }
+            engine.drain();
+        })
+        .await;
     };
     // The grace of connections, and as much again for the engine's last jobs.
     let patience = app.settings.drain * 2 + Duration::from_secs(1);
@@ -112,8 +127,12 @@ async fn run(
 ) -> std::io::Result<()> {
     let settings = &app.settings;
     let read_timeout = settings.read_timeout;
-    let acceptor =
-        Doorkeeper { places: Arc::new(Semaphore::new(settings.max_connections)), read_timeout };
+    let acceptor = Doorkeeper {
+        app: app.clone(),
+        places: Arc::new(Semaphore::new(settings.max_connections)),
+        probes: Arc::new(Semaphore::new(PROBES)),
+        read_timeout,
+    };
     let mut server = axum_server::from_tcp(listener)?.handle(handle).acceptor(acceptor);
     let builder = server.http_builder();
     builder
@@ -207,9 +226,17 @@ async fn watchdog(app: Arc<App>) {
 /// Lets connections in, as many as there are places.
 #[derive(Clone)]
 struct Doorkeeper {
+    app: Arc<App>,
     places: Arc<Semaphore>,
+    /// For those who find no place and may ask how the server is.
+    probes: Arc<Semaphore>,
     read_timeout: Duration,
 }
+
+/// Connections beyond all places that are read from at the same time, and how much.
+const PROBES: usize = 16;
+const PROBE_BYTES: usize = 2048;
+const PROBE_READ: Duration = Duration::from_millis(300);
 
 impl<S: Send + 'static> Accept<TcpStream, S> for Doorkeeper {
     type Stream = Guarded;
@@ -218,10 +245,21 @@ impl<S: Send + 'static> Accept<TcpStream, S> for Doorkeeper {
 
     fn accept(&self, mut stream: TcpStream, service: S) -> Self::Future {
         let place = self.places.clone().try_acquire_owned();
-        let read_timeout = self.read_timeout;
+        let Doorkeeper { app, probes, read_timeout, .. } = self.clone();
         Box::pin(async move {
             let Ok(place) = place else {
-                let _ = tokio::time::timeout(Duration::from_secs(1), turn_away(&mut stream)).await;
+                let answer = async {
+                    let probe = probes.try_acquire_owned().ok();
+                    let answer = match probe {
+                        Some(_) => {
+                            let read = probed(&app, &mut stream);
+                            tokio::time::timeout(PROBE_READ, read).await.ok().flatten()
+                        }
+                        None => None,
+                    };
+                    turn_away(&mut stream, answer).await
+                };
+                let _ = tokio::time::timeout(Duration::from_secs(1), answer).await;
                 return Err(std::io::Error::other("no place left"));
             };
             stream.set_nodelay(true)?;
@@ -230,19 +268,41 @@ impl<S: Send + 'static> Accept<TcpStream, S> for Doorkeeper {
     }
 }
 
-async fn turn_away(stream: &mut TcpStream) -> std::io::Result<()> {
-    use super::problem::{Kind, PROBLEM_JSON, Problem};
-    use axum::response::IntoResponse;
-    let problem =
-        Problem::new(Kind::Busy, "too many connections").retry_after(Duration::from_secs(1));
-    let body = problem.to_json();
-    debug_assert_eq!(problem.into_response().status(), 503);
-    let answer = format!(
-        "HTTP/1.1 503 Service Unavailable\r\nContent-Type: {PROBLEM_JSON}\r\nRetry-After: 1\r\n\
-         Content-Length: {}\r\nConnection: close\r\n\r\n{body}",
-        body.len()
-    );
-    stream.write_all(answer.as_bytes()).await?;
+/// The answer to a probe, if the connection begins with one.
+async fn probed(app: &Arc<App>, stream: &mut TcpStream) -> Option<Response> {
+    let mut head = Vec::new();
+    // The whole head: what is closed with bytes unread is reset, and the answer may be lost with it.
+    while !head.windows(4).any(|end| end == b"\r\n\r\n") {
+        if head.len() >= PROBE_BYTES || stream.read_buf(&mut head).await.ok()? == 0 {
+            return None;
+        }
+    }
+    let state = axum::extract::State(app.clone());
+    Some(if head.starts_with(b"GET /healthz ") {
+        service::healthz(state).await.into_response()
+    } else if head.starts_with(b"GET /readyz ") {
+        service::readyz(state).await.into_response()
+    } else {
+        return None;
+    })
+}
+
+/// Answers, by default that there is no place, and closes.
+async fn turn_away(stream: &mut TcpStream, answer: Option<Response>) -> std::io::Result<()> {
+    let answer = answer.unwrap_or_else(|| {
+        let problem = Problem::new(Kind::Busy, "too many connections");
+        problem.retry_after(Duration::from_secs(1)).into_response()
+    });
+    let (head, body) = answer.into_parts();
+    let body = axum::body::to_bytes(body, PROBE_BYTES).await.unwrap_or_default();
+    let mut answer = format!("HTTP/1.1 {}\r\n", head.status).into_bytes();
+    for (name, value) in head.headers.iter().filter(|(name, _)| *name != CONTENT_LENGTH) {
+        answer.extend([name.as_str().as_bytes(), b": ", value.as_bytes(), b"\r\n"].concat());
+    }
+    let rest = format!("content-length: {}\r\nconnection: close\r\n\r\n", body.len());
+    answer.extend(rest.as_bytes());
+    answer.extend(body);
+    stream.write_all(&answer).await?;
     stream.shutdown().await
 }
 

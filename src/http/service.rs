@@ -1,4 +1,4 @@
-//! What a server offers beside frames: health, readiness, metrics, limits, its contract, the viewer.
+//! What a server offers beside frames: health, readiness, metrics, limits, its contract.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,23 +14,8 @@ use super::problem::{Kind, Problem, nearest};
 use super::{App, Phase, ROUTES, metrics as exposition};
 use crate::engine::{Limits, Readiness};
 
-/// The viewer, one page without further files.
-const VIEWER: &str = include_str!("../viewer/index.html");
 const OPENAPI: &str = include_str!("../../openapi.yaml");
 
-/// The viewer page.
-#[utoipa::path(
-    get,
-    path = "/",
-    tag = "service",
-    responses((status = 200, description = "The viewer", body = String, content_type = "text/html")),
-)]
-pub async fn viewer() -> Response {
-    const HTML: HeaderValue = HeaderValue::from_static("text/html; charset=utf-8");
-    ([(header::CONTENT_TYPE, HTML), (header::CACHE_CONTROL, NO_CACHE)], VIEWER).into_response()
-}
-
-const NO_CACHE: HeaderValue = HeaderValue::from_static("no-cache");
 const PLAIN: [(HeaderName, HeaderValue); 2] = [
     (header::CONTENT_TYPE, HeaderValue::from_static("text/plain; charset=utf-8")),
     (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
@@ -130,6 +115,31 @@ pub struct ServerLimits {
     stream_idle_ms: u64,
     /// Bytes of one message of a stream's client.
     max_stream_message_bytes: usize,
+    /// Of jobs, where this server draws any.
+    jobs: Option<JobLimits>,
+}
+
+/// What jobs may take.
+#[derive(Serialize, ToSchema)]
+pub struct JobLimits {
+    /// Jobs that are queued or running.
+    max_unfinished: usize,
+    /// Jobs at all.
+    max_kept: usize,
+    /// Frames of one path.
+    max_frames: u64,
+    /// Bytes of all jobs on the disk, and how many there are now.
+    max_bytes: u64,
+    bytes: u64,
+    /// How long a job is kept after it ended, and how long one waits for its scene.
+    ttl_ms: u64,
+    /// Jobs whose frames are drawn at the same time.
+    max_drawing: usize,
+    /// Answers that follow jobs (`events`, `multipart`) at the same time: of all clients, and of one.
+    max_watchers: usize,
+    max_watchers_per_client: usize,
+    /// How long such an answer may wait before it ends and the client has to come again.
+    watch_ms: u64,
 }
 
 /// The limits in force; what is beyond them is refused with 413, 422 or 507.
@@ -151,6 +161,21 @@ pub async fn limits(State(app): State<Arc<App>>) -> Json<ServerLimits> {
         max_streams_per_client: settings.streams.most_per_client,
         stream_idle_ms: ms(settings.streams.idle),
         max_stream_message_bytes: super::stream::MAX_MESSAGE_BYTES,
+        jobs: app.jobs.as_ref().ok().map(|jobs| {
+            let config = jobs.config();
+            JobLimits {
+                max_unfinished: config.limits.most_unfinished,
+                max_kept: config.limits.most,
+                max_frames: crate::film::shots::MOST_FRAMES,
+                max_bytes: config.most_bytes,
+                bytes: jobs.used_bytes(),
+                ttl_ms: config.limits.ttl_ms,
+                max_drawing: config.limits.slots.drawing,
+                max_watchers: settings.watches.most,
+                max_watchers_per_client: settings.watches.most_per_client,
+                watch_ms: ms(settings.watches.longest),
+            }
+        }),
     })
 }
 

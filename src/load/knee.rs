@@ -6,20 +6,24 @@
 //!     └──does not──► ÷ factor … ──keeps up──► bisect
 //! ```
 //!
-//! A rate is kept up with when nearly all of its requests become frames, in time, and frames arrive as fast as requests do.
+//! A rate is kept up with when nearly all of its requests become frames, in time, and frames arrive as fast as requests do; and
+//! when streams beside the requests are as well off.
 //! Rates are compared by their ratio: bisection takes the geometric mean.
 
 use std::time::Duration;
 
 use serde::Serialize;
 
+use super::following::StreamPoint;
 use super::tally::Point;
 
 /// When a server counts as keeping up.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Demands {
-    /// Share of the requests that must become frames, and of their rate that throughput must reach.
+    /// Share of the requests that must become frames, and of their rate that throughput must reach; of the poses of streams that
+    /// some frame must follow.
     pub share: f64,
+    /// From when a request or a pose was due.
     pub p99_at_most_ns: u64,
 }
 
@@ -41,6 +45,10 @@ pub enum Verdict {
     FallsBehind,
     /// The 99th percentile of latency is beyond its bound.
     Slow,
+    /// Streams beside the requests were not opened, broke off, or got no frame for too many poses.
+    StreamsStarve,
+    /// The 99th percentile of latency of streams is beyond its bound.
+    StreamsSlow,
     /// There was no request to judge by.
     Idle,
 }
@@ -52,13 +60,23 @@ impl Verdict {
             Verdict::Unanswered => "leaves requests without a frame",
             Verdict::FallsBehind => "falls behind",
             Verdict::Slow => "slow",
+            Verdict::StreamsStarve => "leaves streams without frames",
+            Verdict::StreamsSlow => "slow for streams",
             Verdict::Idle => "no requests",
         }
     }
 }
 
-/// Judges a step by `demands`.
+/// Judges a step by `demands`: its requests, and its streams if it had any.
 pub fn judge(point: &Point, demands: &Demands) -> Verdict {
+    let of_streams = point.streams.as_ref().and_then(|streams| judge_streams(streams, demands));
+    match (judge_requests(point, demands), of_streams) {
+        (Verdict::KeepsUp | Verdict::Idle, Some(verdict)) => verdict,
+        (verdict, _) => verdict,
+    }
+}
+
+fn judge_requests(point: &Point, demands: &Demands) -> Verdict {
     let requests = point.requests as f64;
     if point.requests == 0 {
         return Verdict::Idle;
@@ -67,15 +85,28 @@ pub fn judge(point: &Point, demands: &Demands) -> Verdict {
     if frames < demands.share * requests {
         return Verdict::Unanswered;
     }
-    // Requests under way at the window's two ends differ by chance; a random count's own deviation is its root.
+    // Frames that arrive within the window are other ones than those that were due in it: those under way at its begin, and not
+    // those at its end. On the average offered × latency are (Little 1961), and their number varies by its root at either end.
+    let mean_s = point.latency.mean_ns.unwrap_or(0) as f64 * 1e-9;
+    let by_chance = 1.0 + 2.0 * (point.offered_per_s * mean_s).sqrt();
     let arrived = point.throughput_per_s / point.offered_per_s * requests;
-    if arrived < demands.share * requests - requests.sqrt() {
+    if arrived < demands.share * requests - by_chance {
         return Verdict::FallsBehind;
     }
     match point.latency.p99_ns {
         Some(p99_ns) if p99_ns <= demands.p99_at_most_ns => Verdict::KeepsUp,
         _ => Verdict::Slow,
     }
+}
+
+/// What is wrong with streams, if anything is.
+fn judge_streams(streams: &StreamPoint, demands: &Demands) -> Option<Verdict> {
+    let followed = streams.poses.saturating_sub(streams.lost) as f64;
+    if streams.broken > 0 || followed < demands.share * streams.poses as f64 {
+        return Some(Verdict::StreamsStarve);
+    }
+    let is_slow = streams.latency.p99_ns.is_none_or(|p99_ns| p99_ns > demands.p99_at_most_ns);
+    (streams.poses > 0 && is_slow).then_some(Verdict::StreamsSlow)
 }
 
 /// How rates are tried.
@@ -255,6 +286,58 @@ mod tests {
                 assert!(seen.iter().all(|(_, throughput, _)| *throughput < 201.0), "{seen:?}");
             }
         }
+    }
+
+    #[test]
+    fn streams_are_judged_beside_requests() {
+        use super::super::following::{Following, StreamTally};
+        use super::super::wire::FrameAnswer;
+        let demands = Demands::new(Duration::from_millis(250));
+        let service = Duration::from_millis(5);
+        let mut point = simulated(50.0, service, 16, Duration::from_secs(10), 1);
+        assert_eq!(judge(&point, &demands), Verdict::KeepsUp);
+        // A hundred poses, a frame for so many of them after so long.
+        let streams = |followed: u64, took_ms: u64, broken: bool| {
+            let mut tally = StreamTally::new(1, Duration::ZERO, Duration::from_secs(10));
+            let mut following = Following::default();
+            for seq in 1..=100 {
+                let due = Duration::from_millis(seq * 30);
+                following.due(seq, due);
+                if seq <= followed {
+                    let frame = FrameAnswer::of(seq, "moving");
+                    let at = due + Duration::from_millis(took_ms);
+                    tally.frame(&mut following, &frame, 1000, at);
+                }
+            }
+            if broken {
+                tally.broken("closed".to_owned());
+            }
+            tally.ended(&following);
+            Some(tally.point())
+        };
+        for (followed, took_ms, broken, verdict) in [
+            (100, 30, false, Verdict::KeepsUp),
+            (100, 30, true, Verdict::StreamsStarve),
+            (90, 30, false, Verdict::StreamsStarve),
+            (0, 30, false, Verdict::StreamsStarve),
+            (100, 300, false, Verdict::StreamsSlow),
+        ] {
+            point.streams = streams(followed, took_ms, broken);
+            assert_eq!(judge(&point, &demands), verdict, "{followed} {took_ms} {broken}");
+        }
+        let mut idle = simulated(1e-9, service, 1, service, 1);
+        idle.streams = streams(0, 0, true);
+        assert_eq!(judge(&idle, &demands), Verdict::StreamsStarve, "streams alone");
+    }
+
+    /// Ten seconds of fifty requests, a tenth of which come to nothing in time.
+    #[test]
+    fn few_requests_are_no_excuse() {
+        let demands = Demands::new(Duration::from_secs(1));
+        let mut point = simulated(2.5, Duration::from_millis(5), 16, Duration::from_secs(1), 1);
+        assert_eq!(judge(&point, &demands), Verdict::KeepsUp);
+        point.throughput_per_s *= 0.87;
+        assert_eq!(judge(&point, &demands), Verdict::FallsBehind);
     }
 
     #[test]

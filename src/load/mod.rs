@@ -2,16 +2,17 @@
 //!
 //! ```text
 //!  schedule ──due times──► drive ──a task each──► request ──GET, pose from poses──► daemon
-//!      ▲                     │                                                        │
+//!      ▲                     │ streams ──poses, acknowledgements over WebSockets──────►│
 //!      │                     └──────── sample ◄── answer, receipt ◄───────────────────┘
 //!      │                                 │
 //!  knee ◄── point ◄── tally (histograms) ◄┘          report, plot ◄── points
 //! ```
 //!
-//! It knows the daemon by its HTTP contract alone ([`wire`]). [`schedule`], [`poses`], [`histogram`], [`tally`], [`knee`],
-//! [`report`] and [`plot`] are pure; clocks, tasks and sockets are in [`drive`] and [`request`], and [`mod@run`] strings steps together.
+//! It knows the daemon by its HTTP contract alone ([`wire`]). [`schedule`], [`poses`], [`histogram`], [`tally`], [`following`], [`knee`],
+//! [`report`] and [`plot`] are pure; clocks, tasks and sockets are in [`drive`], [`request`] and [`streams`], and [`mod@run`] strings steps together.
 
 pub mod drive;
+pub mod following;
 pub mod histogram;
 pub mod knee;
 pub mod plot;
@@ -20,5 +21,6 @@ pub mod report;
 pub mod request;
 pub mod run;
 pub mod schedule;
+pub mod streams;
 pub mod tally;
 pub mod wire;

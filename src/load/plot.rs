@@ -60,11 +60,15 @@ const fn line(
 }
 
 fn latency_ms(point: &Point, pick: fn(&Percentiles) -> Option<u64>) -> Option<f64> {
-    match pick(&point.latency) {
+    percentile_ms(&point.latency, pick)
+}
+
+fn percentile_ms(percentiles: &Percentiles, pick: fn(&Percentiles) -> Option<u64>) -> Option<f64> {
+    match pick(percentiles) {
         // A logarithm of nothing is not to be had; no answer takes less than a microsecond.
         Some(ns) => Some((ns as f64 / 1e6).max(1e-3)),
         // Among requests that were never answered: beyond any axis.
-        None => (point.latency.endless > 0).then_some(f64::INFINITY),
+        None => (percentiles.endless > 0).then_some(f64::INFINITY),
     }
 }
 
@@ -72,9 +76,17 @@ fn share(point: &Point, count: u64) -> Option<f64> {
     (point.requests > 0).then(|| 100.0 * count as f64 / point.requests as f64)
 }
 
-const THROUGHPUT_LINES: [Line; 1] =
-    [line("a", "none", "frames", |point| Some(point.throughput_per_s))];
-const LATENCY_LINES: [Line; 4] = [
+fn pose_ms(point: &Point, pick: fn(&Percentiles) -> Option<u64>) -> Option<f64> {
+    point.streams.as_ref().and_then(|streams| percentile_ms(&streams.latency, pick))
+}
+
+const THROUGHPUT_LINES: [Line; 2] = [
+    line("a", "none", "frames", |point| Some(point.throughput_per_s)),
+    line("e", "4 2", "on streams", |point| Some(point.streams.as_ref()?.frames_per_s)),
+];
+const LATENCY_LINES: [Line; 6] = [
+    line("e", "12 3", "stream p99", |point| pose_ms(point, |latency| latency.p99_ns)),
+    line("e", "4 2", "stream p50", |point| pose_ms(point, |latency| latency.p50_ns)),
     line("d", "1 4", "p99.9", |point| latency_ms(point, |latency| latency.p99_9_ns)),
     line("c", "8 3 2 3", "p99", |point| latency_ms(point, |latency| latency.p99_ns)),
     line("b", "7 3", "p95", |point| latency_ms(point, |latency| latency.p95_ns)),
@@ -181,7 +193,8 @@ fn shortened(text: &str) -> String {
 pub fn svg(report: &Report) -> String {
     let points = &report.points;
     let most_offered = most(points, |point| Some(point.offered_per_s));
-    let most_arrived = most(points, |point| Some(point.throughput_per_s));
+    let most_arrived = THROUGHPUT_LINES.iter().map(|line| most(points, line.value));
+    let most_arrived = most_arrived.fold(0.0, f64::max);
     let x = Axis::linear(most_offered, LEFT, RIGHT);
     let mut out = String::with_capacity(16 << 10);
     let _ = writeln!(
@@ -226,8 +239,12 @@ fn heading(out: &mut String, report: &Report) {
     let run = &report.run;
     let (arrivals, duration) = (format!("{:?}", run.spacing).to_lowercase(), run.duration_s);
     let subject = shortened(&report.subject());
-    let how =
-        shortened(&format!("{} · {arrivals} arrivals, {duration} s a step", report.adapter()));
+    let streams = match run.streams {
+        0 => String::new(),
+        count => format!(", {count} streams of {} poses/s", three_digits(run.poses_per_s)),
+    };
+    let how = format!("{} · {arrivals} arrivals{streams}, {duration} s a step", report.adapter());
+    let how = shortened(&how);
     for (y, class, id, text) in [
         (30.0, "title", " id=\"title\"", "Frames under load"),
         (52.0, "soft", " id=\"subject\"", subject.as_str()),
@@ -448,6 +465,19 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn streams_have_lines_where_there_are_any() {
+        use super::super::report::tests::point_with_stream;
+        let has =
+            |points, label: &str| texts(&svg(&report(points))).iter().any(|text| text == label);
+        for label in ["stream p50", "stream p99", "on streams"] {
+            assert!(!has(vec![point(40, 40)], label), "{label}");
+            assert!(has(vec![point_with_stream(40, 40)], label), "{label}");
+        }
+        let svg = svg(&report(vec![point(20, 20), point_with_stream(40, 40)]));
+        assert!(svg.contains("<title>stream p50 10.0</title>"), "{svg}");
     }
 
     /// A percentile among requests that never came stands at the end of the axis, which says so.

@@ -5,6 +5,7 @@ use std::fmt;
 use comfy_table::{CellAlignment, Table, presets};
 use serde::Serialize;
 
+use super::following::StreamPoint;
 use super::knee::Verdict;
 use super::poses::PathKind;
 use super::run::RunSettings;
@@ -56,7 +57,7 @@ pub struct Report {
     pub target: String,
     pub scene: String,
     pub revision: u64,
-    /// How frames are asked for. There is one way: a request each.
+    /// How frames are asked for: by a request each, and on streams beside those.
     pub client: &'static str,
     pub poses: PathKind,
     /// Query parameters beside the pose.
@@ -89,6 +90,54 @@ pub fn three_digits(value: f64) -> String {
         v if v >= 0.9995 => format!("{value:.2}"),
         _ => format!("{value:.3}"),
     }
+}
+
+/// A percentile of poses' latency, likewise.
+fn pose_ms(point: &StreamPoint, ns: Option<u64>) -> String {
+    match ns {
+        None if point.latency.endless > 0 => "lost".to_owned(),
+        ns => ms(ns),
+    }
+}
+
+/// Columns of what streams got, beside the rate of the requests.
+const STREAM_HEADER: [&str; 15] = [
+    "offered/s",
+    "streams",
+    "poses/s",
+    "frames/s",
+    "p50 ms",
+    "p90",
+    "p99",
+    "max",
+    "overtaken",
+    "lost",
+    "scale",
+    "least–most frames",
+    "GPU ms",
+    "queue ms",
+    "MB/s",
+];
+
+fn stream_cells(offered_per_s: f64, point: &StreamPoint) -> [String; STREAM_HEADER.len()] {
+    let p = &point.latency;
+    [
+        three_digits(offered_per_s),
+        point.streams.to_string(),
+        three_digits(point.poses_per_s),
+        three_digits(point.frames_per_s),
+        pose_ms(point, p.p50_ns),
+        pose_ms(point, p.p90_ns),
+        pose_ms(point, p.p99_ns),
+        pose_ms(point, p.max_ns),
+        point.overtaken.to_string(),
+        point.lost.to_string(),
+        point.scale_mean.map_or("–".to_owned(), three_digits),
+        format!("{}–{}", point.least_frames, point.most_frames),
+        ms(point.gpu_p50_ns),
+        ms(point.queue_p50_ns),
+        three_digits(point.bytes_per_s / 1e6),
+    ]
 }
 
 /// A percentile of latency: `lost` where it falls among requests that were never answered.
@@ -167,7 +216,17 @@ impl JudgedPoint {
                 line += &format!(", {count} {what}");
             }
         }
-        format!("{line}: {}", self.verdict.words())
+        line = format!("{line}: {}", self.verdict.words());
+        if let Some(streams) = &point.streams {
+            line += &format!(
+                "; {} streams: {} frames/s, pose to frame p50 {}, p99 {} (ms)",
+                streams.streams,
+                three_digits(streams.frames_per_s),
+                pose_ms(streams, streams.latency.p50_ns),
+                pose_ms(streams, streams.latency.p99_ns)
+            );
+        }
+        line
     }
 }
 
@@ -191,9 +250,11 @@ impl Report {
     }
 }
 
+/// A generator that is later than this is worth a word.
+const LATE_NS: u64 = 10_000_000;
+
 /// What a point's reader should know.
 fn warnings(point: &Point) -> Vec<String> {
-    const LATE_NS: u64 = 10_000_000;
     let at = format!("at {}/s", three_digits(point.rate_per_s));
     let mut warnings = Vec::new();
     if let (Some(late_ns), Some(p99_ns)) = (point.begun_late_p99_ns, point.latency.p99_ns)
@@ -220,7 +281,58 @@ fn warnings(point: &Point) -> Vec<String> {
     if let Some(failure) = &point.first_failure {
         warnings.push(format!("{at}: {failure}"));
     }
+    if let Some(streams) = &point.streams {
+        warnings.extend(stream_warnings(&at, streams));
+    }
     warnings
+}
+
+fn stream_warnings(at: &str, streams: &StreamPoint) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if let (Some(late_ns), Some(p99_ns)) = (streams.sent_late_p99_ns, streams.latency.p99_ns)
+        && late_ns > LATE_NS
+        && late_ns > p99_ns / 10
+    {
+        let late = ms(Some(late_ns));
+        warnings
+            .push(format!("{at} poses were sent {late} ms late (p99), which is in their latency"));
+    }
+    if streams.broken > 0 {
+        warnings.push(format!(
+            "{at} {} of {} streams were not opened or broke off; their poses count as lost",
+            streams.broken, streams.streams
+        ));
+    }
+    if streams.problems > 0 {
+        warnings.push(format!("{at} streams told of {} problems", streams.problems));
+    }
+    if let Some(failure) = &streams.first_failure {
+        warnings.push(format!("{at}, on a stream: {failure}"));
+    }
+    warnings
+}
+
+impl Report {
+    /// The table of what streams got, if there were any.
+    fn fmt_streams(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let beside = self.points.iter().filter_map(|judged| {
+            Some((judged.point.offered_per_s, judged.point.streams.as_ref()?))
+        });
+        let mut beside = beside.peekable();
+        if beside.peek().is_none() {
+            return Ok(());
+        }
+        let mut table = Table::new();
+        table.load_style(presets::NOTHING).set_header(STREAM_HEADER);
+        for (offered_per_s, point) in beside {
+            table.add_row(stream_cells(offered_per_s, point));
+        }
+        for column in table.column_iter_mut() {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+        writeln!(f, "streams, from when a pose was due to a frame that shows it or a newer one\n")?;
+        writeln!(f, "{table}\n")
+    }
 }
 
 impl fmt::Display for Report {
@@ -235,6 +347,7 @@ impl fmt::Display for Report {
             column.set_cell_alignment(CellAlignment::Right);
         }
         writeln!(f, "{table}\n")?;
+        self.fmt_streams(f)?;
         if let Some(knee) = &self.knee {
             writeln!(f, "{knee}")?;
         }
@@ -297,6 +410,46 @@ pub mod tests {
         JudgedPoint { verdict, point: tally.point(requests as f64) }
     }
 
+    /// The same with a stream beside it, of whose ten poses every second was drawn, 10 ms after it was due.
+    pub fn point_with_stream(requests: u64, frames: u64) -> JudgedPoint {
+        use super::super::following::{Following, StreamTally};
+        use super::super::wire::FrameAnswer;
+        let mut judged = point(requests, frames);
+        let mut tally = StreamTally::new(1, Duration::ZERO, Duration::from_secs(1));
+        let mut stream = Following::default();
+        for seq in 1..=10u64 {
+            let due = Duration::from_millis(50 * seq);
+            stream.due(seq, due);
+            if seq % 2 == 0 {
+                let receipt = crate::engine::Receipt::default();
+                let header = serde_json::json!({
+                    "frame": seq, "seq": seq, "quality": "moving", "scale": 1.0, "receipt": receipt,
+                });
+                let frame: FrameAnswer = serde_json::from_value(header).unwrap();
+                tally.frame(&mut stream, &frame, 1000, due + Duration::from_millis(10));
+            }
+        }
+        tally.ended(&stream);
+        judged.point.streams = Some(tally.point());
+        judged
+    }
+
+    #[test]
+    fn streams_have_a_table_of_their_own() {
+        let text = report(vec![point(40, 40)]).to_string();
+        assert!(!text.contains("overtaken"), "{text}");
+        let report = report(vec![point_with_stream(40, 40)]);
+        let text = report.to_string();
+        let row = text.lines().skip_while(|line| !line.contains("overtaken")).nth(1).unwrap();
+        let cells: Vec<&str> = row.split_whitespace().collect();
+        assert_eq!(cells[..3], ["40.0", "1", "10.0"], "{text}");
+        assert!(cells.contains(&"5–5") && cells.contains(&"10.0"), "{text}");
+        let json = serde_json::to_value(&report).unwrap();
+        let streams = &json["points"][0]["streams"];
+        assert_eq!((&streams["overtaken"], &streams["frames"]), (&5.into(), &5.into()));
+        assert!(report.points[0].line().contains("1 streams: 5.00 frames/s"));
+    }
+
     pub fn report(points: Vec<JudgedPoint>) -> Report {
         let knee =
             Knee { keeps_up_to_per_s: Some(80.0), is_bounded: true, most_throughput_per_s: 95.0 };
@@ -319,6 +472,8 @@ pub mod tests {
                 timeout_s: 10.0,
                 connections_at_most: 8,
                 demands: Demands::new(Duration::from_secs(1)),
+                streams: 0,
+                poses_per_s: 30.0,
             },
             points,
             knee: Some(knee),

@@ -5,6 +5,7 @@
 //! servers may close what is idle whenever they like.
 
 use std::net::SocketAddr;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
@@ -21,7 +22,7 @@ use tokio::net::TcpStream;
 use super::drive::Client;
 use super::poses::Poses;
 use super::tally::{Answer, Outcome};
-use super::wire::{ReceiptAnswer, Target, complaint, frame_path};
+use super::wire::{ReceiptAnswer, Target, complaint, resource_path};
 
 const RECEIPT: &str = "pointillist-receipt";
 /// Of a body that is neither frame nor refusal, so much is kept to say what went wrong.
@@ -32,6 +33,7 @@ type Sender = SendRequest<Empty<Bytes>>;
 /// Connections to one daemon.
 pub struct Connections {
     address: SocketAddr,
+    authority: String,
     headers: HeaderMap,
     idle: Mutex<Vec<Sender>>,
     opened: AtomicU64,
@@ -86,7 +88,8 @@ impl Connections {
             match opened.await {
                 Ok(Ok(_)) => {
                     let (idle, opened) = (Mutex::new(Vec::new()), AtomicU64::new(0));
-                    return Ok(Self { address, headers, idle, opened });
+                    let authority = target.authority();
+                    return Ok(Self { address, authority, headers, idle, opened });
                 }
                 Ok(Err(error)) => refusal = error.to_string(),
                 Err(_) => refusal = "no answer for 5 s".to_owned(),
@@ -100,10 +103,29 @@ impl Connections {
         self.opened.load(Ordering::Relaxed)
     }
 
+    /// What the header `Host` says.
+    pub fn authority(&self) -> &str {
+        &self.authority
+    }
+
+    /// What every request carries.
+    pub fn headers(&self) -> HeaderMap {
+        self.headers.clone()
+    }
+
+    /// A connection to the daemon that nothing was sent on.
+    ///
+    /// # Errors
+    /// In the system's words.
+    pub async fn connect(&self) -> Result<TcpStream, String> {
+        let stream = TcpStream::connect(self.address).await.map_err(|error| words(&error))?;
+        stream.set_nodelay(true).map_err(|error| words(&error))?;
+        Ok(stream)
+    }
+
     async fn open(&self) -> Result<Sender, Fault> {
         let fault = |error: &dyn std::error::Error| Fault::NotConnected(words(error));
-        let stream = TcpStream::connect(self.address).await.map_err(|error| fault(&error))?;
-        stream.set_nodelay(true).map_err(|error| fault(&error))?;
+        let stream = self.connect().await.map_err(Fault::NotConnected)?;
         let (sender, connection) =
             handshake(TokioIo::new(stream)).await.map_err(|error| fault(&error))?;
         self.opened.fetch_add(1, Ordering::Relaxed);
@@ -209,7 +231,7 @@ impl From<Read> for Answer {
 
 /// Asks for each frame with a request of its own.
 pub struct RequestClient {
-    pub connections: Connections,
+    pub connections: Arc<Connections>,
     /// Where the daemon's paths begin.
     pub prefix: String,
     pub scene: String,
@@ -221,7 +243,7 @@ pub struct RequestClient {
 impl Client for RequestClient {
     async fn frame(&self, number: u64) -> Outcome {
         let pose = self.poses.pose(number);
-        let path = frame_path(&self.prefix, &self.scene, &pose, &self.parameters);
+        let path = resource_path(&self.prefix, &self.scene, "frame", &pose, &self.parameters);
         let keep = |status| if status < 400 { 0 } else { COMPLAINT_BYTES };
         match self.connections.get(&path, keep).await {
             Ok(read) => Outcome::Answered(read.into()),

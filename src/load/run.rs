@@ -7,10 +7,11 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::drive::{Client, Finished, Step, run_step};
+use super::following::StreamPoint;
 use super::knee::{Demands, Search, SearchSettings, Verdict, judge};
 use super::report::{JudgedPoint, Knee};
 use super::schedule::Spacing;
-use super::tally::Tally;
+use super::tally::{Point, Tally};
 use crate::scene::random::SplitMix64;
 
 /// At which rates requests are sent.
@@ -34,6 +35,9 @@ pub struct RunSettings {
     pub timeout_s: f64,
     pub connections_at_most: usize,
     pub demands: Demands,
+    /// Streams beside the requests, and poses that each sends per second.
+    pub streams: usize,
+    pub poses_per_s: f64,
 }
 
 /// What happens during a run.
@@ -55,12 +59,14 @@ pub struct Outcomes {
     pub settings: serde_json::Value,
 }
 
-/// Runs until the rates are through, the knee is found, or `stop` is set; the step under way then is left out.
+/// Runs until the rates are through, the knee is found, or `stop` is set; the step under way then is left out. `streams` runs
+/// those that are beside the requests of a step.
 ///
 /// # Errors
 /// See [`run_step`].
 pub async fn run<C: Client>(
     client: Arc<C>,
+    streams: impl AsyncFn(Step) -> Option<StreamPoint>,
     settings: &RunSettings,
     stop: Arc<AtomicBool>,
     mut tell: impl FnMut(Event<'_>),
@@ -77,13 +83,15 @@ pub async fn run<C: Client>(
     while let Some(rate_per_s) = rates.next_rate() {
         let step = step(settings, rate_per_s, outcomes.points.len(), first_number);
         tell(Event::Began { rate_per_s, sends_for: step.warmup + step.duration });
-        let Finished { tally, requests } = run_step(client.clone(), step, stop.clone()).await?;
+        let (finished, beside) =
+            tokio::join!(run_step(client.clone(), step, stop.clone()), streams(step));
+        let Finished { tally, requests } = finished?;
         if stop.load(Ordering::Relaxed) {
             outcomes.interrupted = true;
             break;
         }
         first_number += requests;
-        let point = judged(&tally, rate_per_s, &settings.demands);
+        let point = judged(&tally, rate_per_s, beside, &settings.demands);
         if outcomes.adapter.is_none() {
             (outcomes.adapter, outcomes.settings) = tally.first_receipt();
         }
@@ -109,8 +117,13 @@ fn step(settings: &RunSettings, rate_per_s: f64, index: usize, first_number: u64
     }
 }
 
-fn judged(tally: &Tally, rate_per_s: f64, demands: &Demands) -> JudgedPoint {
-    let point = tally.point(rate_per_s);
+fn judged(
+    tally: &Tally,
+    rate_per_s: f64,
+    streams: Option<StreamPoint>,
+    demands: &Demands,
+) -> JudgedPoint {
+    let point = Point { streams, ..tally.point(rate_per_s) };
     JudgedPoint { verdict: judge(&point, demands), point }
 }
 
@@ -199,6 +212,8 @@ mod tests {
             timeout_s: 5.0,
             connections_at_most: 100,
             demands: Demands::new(Duration::from_secs(1)),
+            streams: 0,
+            poses_per_s: 30.0,
         }
     }
 
@@ -212,10 +227,16 @@ mod tests {
         let (told, mut ended) = (stop.clone(), 0);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         runtime
-            .block_on(run(client, settings, stop, |event| {
-                ended += usize::from(matches!(event, Event::Ended(_)));
-                told.store(ended >= stop_after, Ordering::Relaxed);
-            }))
+            .block_on(run(
+                client,
+                async |_| None,
+                settings,
+                stop,
+                |event| {
+                    ended += usize::from(matches!(event, Event::Ended(_)));
+                    told.store(ended >= stop_after, Ordering::Relaxed);
+                },
+            ))
             .unwrap()
     }
 

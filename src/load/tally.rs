@@ -19,6 +19,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
+use super::following::StreamPoint;
 use super::histogram::Histogram;
 use super::wire::ReceiptAnswer;
 
@@ -105,7 +106,7 @@ pub struct Percentiles {
 }
 
 impl Percentiles {
-    fn of(histogram: &Histogram, endless: u64) -> Self {
+    pub fn of(histogram: &Histogram, endless: u64) -> Self {
         let at = |share| histogram.quantile_with_endless(share, endless);
         Self {
             answered: histogram.count(),
@@ -164,6 +165,8 @@ pub struct Point {
     pub receipts: Receipts,
     /// The first failure in its own words.
     pub first_failure: Option<String>,
+    /// What streams beside the requests got; `null` where there are none.
+    pub streams: Option<StreamPoint>,
 }
 
 /// Adds up a step.
@@ -189,7 +192,7 @@ pub struct Tally {
     settings: serde_json::Value,
 }
 
-fn ns(time: Duration) -> u64 {
+pub fn ns(time: Duration) -> u64 {
     u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }
 
@@ -322,6 +325,7 @@ impl Tally {
                 views_max: self.views.max(),
             },
             first_failure: self.first_failure.clone(),
+            streams: None,
         }
     }
 }

@@ -61,16 +61,17 @@ pub fn percent_encoded(text: &str) -> String {
     encoded
 }
 
-/// The path and query of a frame. `parameters` are those that stay the same from request to request.
-pub fn frame_path(
+/// The path and query of a `frame` or a `stream`. `parameters` are those that stay the same from request to request.
+pub fn resource_path(
     prefix: &str,
     scene: &str,
+    resource: &str,
     pose: &Camera,
     parameters: &[(String, String)],
 ) -> String {
     let vector = |v: glam::DVec3| format!("{},{},{}", v.x, v.y, v.z);
     let mut path = format!(
-        "{prefix}/v1/scenes/{}/frame?eye={}&target={}&up={}&fov={}",
+        "{prefix}/v1/scenes/{}/{resource}?eye={}&target={}&up={}&fov={}",
         percent_encoded(scene),
         vector(pose.eye),
         vector(pose.target),
@@ -128,6 +129,36 @@ pub struct ReceiptAnswer {
     pub settings: serde_json::Value,
 }
 
+/// Of a stream's frame, what is added up.
+#[derive(Clone, Debug, Deserialize)]
+pub struct FrameAnswer {
+    pub frame: u64,
+    pub seq: u64,
+    pub quality: String,
+    pub scale: f64,
+    pub receipt: ReceiptAnswer,
+}
+
+impl FrameAnswer {
+    /// Reads the header of a binary message.
+    pub fn read(message: &[u8]) -> Option<Self> {
+        let (length, rest) = message.split_first_chunk::<4>()?;
+        let header = rest.get(..u32::from_le_bytes(*length) as usize)?;
+        serde_json::from_slice(header).ok()
+    }
+}
+
+#[cfg(test)]
+impl FrameAnswer {
+    pub fn of(seq: u64, quality: &str) -> FrameAnswer {
+        let receipt = crate::engine::Receipt { views: 2, gpu_ns: Some(800), ..Default::default() };
+        let header = serde_json::json!({
+            "frame": 1, "seq": seq, "quality": quality, "scale": 0.5, "receipt": receipt,
+        });
+        serde_json::from_value(header).unwrap()
+    }
+}
+
 /// What went wrong, in the words of a problem document, or as much of the body as fits a line.
 pub fn complaint(status: u16, body: &[u8]) -> String {
     let problem: Option<serde_json::Value> = serde_json::from_slice(body).ok();
@@ -175,7 +206,7 @@ mod tests {
         let parameters =
             [("w".to_owned(), "64".to_owned()), ("filter".to_owned(), "a b&c".to_owned())];
         assert_eq!(
-            frame_path("/p", "my scene", &pose, &parameters),
+            resource_path("/p", "my scene", "frame", &pose, &parameters),
             "/p/v1/scenes/my%20scene/frame?eye=411950.08,-0.0000001,3&target=0,0,0&up=0,0,1&fov=42.5&w=64&filter=a%20b%26c"
         );
     }

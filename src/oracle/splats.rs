@@ -125,7 +125,9 @@ impl SeenSplat {
             shape(settings.splats.filter, &disk, cutoff, lowpass_px)
         };
         let inverse_depths = (!crossing).then(|| {
-            let (far, near) = (centre.z + reach + lowpass, centre.z - reach - lowpass);
+            // What the filter adds to a disk is no longer its plane, farther out than its own radius.
+            let beyond = reach + lowpass.min(cutoff * u.length().max(v.length()));
+            let (far, near) = (centre.z + beyond, centre.z - beyond);
             [1.0 / far, if near > 0.0 { 1.0 / near } else { MOST_INVERSE_DEPTH }]
         });
         let depth_offset = match settings.splats.blend {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::slabs::Slabs;
 use crate::math::View;
-use crate::plan::{FramePlan, Output, Paint, Pass};
+use crate::plan::{ErrorMode, FramePlan, Output, Paint, Pass};
 use crate::residency::layout::{GpuFrame, two_floats};
 use crate::residency::model::{Extent, SceneModel};
 use crate::residency::{GROUP, ResidentScene};
@@ -36,6 +36,8 @@ pub struct FrameTask {
     pub large_units_limit: u32,
     /// What may be wrong by how many pixels, where the scene is one of point trees.
     pub max_error_px: f32,
+    /// How splats measure that.
+    pub error_mode: ErrorMode,
     /// What the colours of samples show.
     pub paint: Paint,
     /// Entries that such a frame may list.
@@ -94,6 +96,11 @@ impl FrameTask {
         u32::from(self.splats.is_none())
     }
 
+    /// Whether nodes are drawn by the angle that they are seen at: it says nothing of what is one pixel each.
+    pub fn splits_errors(&self) -> bool {
+        self.splats.is_some() && self.error_mode == ErrorMode::Split
+    }
+
     /// How many views there are.
     pub fn count(&self) -> u32 {
         self.views.len() as u32
@@ -122,7 +129,7 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         principal_px: view.principal_px.as_vec2().to_array(),
         size_px: [view.width, view.height],
         entry_count: entries,
-        instance_count: scene.instance_count,
+        instance_count: scene.instance_end,
         background: srgb8(task.model.background),
         light_count: scene.light_count,
         small_triangle_px: task.small_triangle_px.min(MOST_SMALL_TRIANGLE_PX) as i32,
@@ -131,7 +138,7 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         view: number,
         views: task.count(),
         first_pixel: number * view.width * view.height,
-        first_instance: number * scene.instance_count,
+        first_instance: number * scene.instance_end,
         first_entry: number * entries,
         first_group: number * (entries / GROUP as u32 + 1),
         first_slot: number * slots,

@@ -103,7 +103,7 @@ impl Scratch {
     pub fn largest(scene: &ResidentScene, (width, height): (u32, u32), bytes: u64) -> u64 {
         let bytes = [
             u64::from(width) * u64::from(height) * bytes,
-            u64::from(scene.instance_count) * size_of::<GpuPlaced>() as u64,
+            u64::from(scene.instance_end) * size_of::<GpuPlaced>() as u64,
             u64::from(scene.entries(ENTRIES_INITIAL).1) * size_of::<GpuSlot>() as u64,
         ];
         bytes.into_iter().max().unwrap_or(0)
@@ -123,7 +123,7 @@ impl Scratch {
         self.visibility.reserve(gpu, pixels.next_multiple_of(2) * 8);
         self.pixels.reserve(gpu, pixels * 4);
         self.stats.reserve(gpu, views * size_of::<GpuStats>() as u64);
-        let instances = views * u64::from(scene.instance_count);
+        let instances = views * u64::from(scene.instance_end);
         self.placed.reserve(gpu, instances * size_of::<GpuPlaced>() as u64);
         self.seen.reserve(gpu, instances * 4);
         let (entries, slots) = scene.entries(self.entry_capacity);

@@ -7,7 +7,7 @@ mod settings;
 
 use serde::Serialize;
 
-pub use settings::{Lod, MaxError, Output, Paint, Reconstruct, Settings, UsedSettings};
+pub use settings::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings, UsedSettings};
 
 use crate::scene::{Blend, Shading, Splats};
 

@@ -10,6 +10,8 @@ pub struct Settings {
     pub lod: Lod,
     /// What `lod` may cost; full detail costs nothing.
     pub max_error: MaxError,
+    /// How splats measure it.
+    pub error_mode: ErrorMode,
     pub paint: Paint,
     pub reconstruct: Reconstruct,
     pub filter: Option<Filter>,
@@ -96,6 +98,9 @@ impl std::hash::Hash for MaxError {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct UsedSettings {
     pub lod: Lod,
+    /// Only of point trees that are drawn as splats.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub error_mode: Option<ErrorMode>,
     /// Only of point trees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub paint: Option<Paint>,
@@ -119,6 +124,20 @@ pub enum Lod {
     Full,
     /// What the accepted error asks for, from sequential point trees (Dachsbacher et al. 2003).
     Spt,
+}
+
+/// How the error of a point tree's node is seen (Dachsbacher et al. 2003, §3.4).
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum ErrorMode {
+    /// As large as from any side: what is accepted is kept everywhere.
+    #[default]
+    Unified,
+    /// By the angle to the surface: fewer nodes. Where a surface ends and is seen at an angle, it may reach sideways up to twice as
+    /// far beyond its end as is accepted.
+    Split,
 }
 
 /// What the colours of samples show.

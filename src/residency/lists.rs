@@ -1,12 +1,13 @@
 //! A scene's instances, and where a frame finds their chunks.
 
-use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use super::layout::{
     GpuChunkRun, GpuEntry, GpuInstance, GpuInstanceGroup, GpuSegment, INSTANCE_GROUP,
     MOST_SEGMENTS, two_floats,
 };
-use super::model::{ModelInstance, SceneModel, gpu_instance};
+use super::model::{AssetModel, ModelInstance, SceneModel, gpu_instance};
+use super::slots::Slots;
 use super::{
     FullLists, GROUP, Lists, Page, PageKind, Piece, Residency, ResidencyError, TreeLists,
     group_entries,
@@ -16,12 +17,29 @@ use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
 use crate::math::Bounds;
 
-/// Lists, instances whose materials count from 1 within the scene, and the pages of the segments.
-type Listed = (Lists, Vec<GpuInstance>, Vec<Page>);
+/// What of a scene's revision before is made use of in the next.
+pub(super) struct Previous {
+    pub instances: Buffer,
+    pub slots: Slots,
+}
 
-/// Records of instances. The materials' final numbers are not known here.
-fn record(model: &SceneModel, instance: &ModelInstance) -> GpuInstance {
-    let material = instance.material.map_or(0, |material| material as u32 + 1);
+/// Instances with what finds their chunks.
+pub(super) struct Listed {
+    pub lists: Lists,
+    pub instances: Buffer,
+    /// Of a scene of point trees.
+    pub slots: Option<Slots>,
+    /// All numbers of instances are less.
+    pub instance_end: u32,
+    /// Of the segments.
+    pub pages: Vec<Page>,
+    /// Records of instances that were written.
+    pub written: u64,
+}
+
+/// The record of an instance of a scene whose materials begin at `material_start`.
+fn record(model: &SceneModel, instance: &ModelInstance, material_start: u32) -> GpuInstance {
+    let material = instance.material.map_or(0, |material| material_start + material as u32 + 1);
     let grid = model.geometry(instance).grid();
     gpu_instance(grid, &instance.world_from_geometry, material, instance.id)
 }
@@ -30,16 +48,26 @@ fn record(model: &SceneModel, instance: &ModelInstance) -> GpuInstance {
 const NO_PAGE: Page = Page { kind: PageKind::Samples, index: 0 };
 
 impl Residency {
-    pub(super) fn lists(&self, gpu: &Gpu, model: &SceneModel) -> Result<Listed, ResidencyError> {
-        if model.trees { self.list_trees(gpu, model) } else { Ok(self.list_all(gpu, model)) }
+    pub(super) fn lists(
+        &self,
+        gpu: &Gpu,
+        model: &SceneModel,
+        material_start: u32,
+        previous: Option<Previous>,
+    ) -> Result<Listed, ResidencyError> {
+        if model.trees {
+            self.list_trees(gpu, model, material_start, previous)
+        } else {
+            Ok(self.list_all(gpu, model, material_start))
+        }
     }
 
     /// Lists every chunk of every instance.
-    pub(super) fn list_all(&self, gpu: &Gpu, model: &SceneModel) -> Listed {
+    fn list_all(&self, gpu: &Gpu, model: &SceneModel, material_start: u32) -> Listed {
         let mut listed = Vec::new();
         let mut instances = Vec::with_capacity(model.instances.len());
         for (number, instance) in model.instances.iter().enumerate() {
-            instances.push(record(model, instance));
+            instances.push(record(model, instance, material_start));
             let Some(asset) = self.assets.get(&model.assets[instance.asset].uid) else { continue };
             for piece in &asset.geometries[instance.geometry].pieces {
                 for chunk in piece.first_chunk..piece.first_chunk + piece.chunk_count {
@@ -61,32 +89,114 @@ impl Residency {
             entry_count: entries.len() as u32,
             chunk_count,
         };
-        (Lists::Full(lists), instances, pages)
+        Listed {
+            lists: Lists::Full(lists),
+            instances: Buffer::with_data(gpu, "instances", &instances),
+            slots: None,
+            instance_end: instances.len() as u32,
+            pages,
+            written: instances.len() as u64,
+        }
     }
 
-    /// Lists instances in groups of neighbours, in the order of the model, and the chunks of each geometry page by page.
+    /// Lists instances in groups of neighbours, in the order of the model, and the chunks of each geometry page by page. What
+    /// `previous` has of the instances stays as it is.
     ///
     /// # Errors
-    /// More segments than shaders go through.
-    pub(super) fn list_trees(
+    /// More segments than shaders go through; more instances than a shader binds.
+    fn list_trees(
         &self,
         gpu: &Gpu,
         model: &SceneModel,
+        material_start: u32,
+        previous: Option<Previous>,
     ) -> Result<Listed, ResidencyError> {
-        let mut numbers: BTreeMap<(usize, usize), u32> = BTreeMap::new();
-        for instance in &model.instances {
-            let next = numbers.len() as u32;
-            numbers.entry((instance.asset, instance.geometry)).or_insert(next);
-        }
-        let pieces_of = |&(asset, geometry): &(usize, usize)| {
-            let resident = self.assets.get(&model.assets[asset].uid);
-            let drawn = model.assets[asset].drawn_with(geometry);
-            drawn.flat_map(move |geometry| {
-                resident.map_or(&[][..], |resident| &resident.geometries[geometry].pieces)
-            })
+        let geometries = Geometries::of(model);
+        let (pieces, pages) = self.list_pieces(gpu, model, &geometries)?;
+        let instances = &model.instances;
+        let most_bytes = gpu.max_binding_bytes();
+        let kept = previous.and_then(|mut kept| kept.slots.keep(instances).then_some(kept));
+        let mut kept = kept.unwrap_or_else(|| {
+            let slots = Slots::for_instances(instances, most_bytes);
+            Previous { instances: Buffer::storage(gpu, "instances", slots.bytes()), slots }
+        });
+        let full = ResidencyError::OverBinding {
+            what: "instances",
+            needed: kept.slots.bytes(),
+            limit: most_bytes,
         };
-        let runs: Vec<Vec<(Segment, GpuChunkRun)>> =
-            numbers.keys().map(|key| runs_of(pieces_of(key))).collect();
+        if kept.slots.bytes() > most_bytes {
+            return Err(full);
+        }
+        let mut written = 0;
+        for run in instances.runs() {
+            if kept.slots.has(run) {
+                continue;
+            }
+            let groups = run.members.chunks(INSTANCE_GROUP);
+            let groups = groups.map(|members| geometries.group(model, members)).collect();
+            let records: Vec<GpuInstance> = run
+                .members
+                .iter()
+                .map(|instance| GpuInstance {
+                    geometry: geometries.number(instance) as u32,
+                    error_parent: instance.above.error,
+                    size_parent: instance.above.size,
+                    delta: instance.above.delta,
+                    ..record(model, instance, material_start)
+                })
+                .collect();
+            let Some(groups) = kept.slots.place(run, groups) else { return Err(full) };
+            let mut rest = &records[..];
+            // Groups that stand one behind the other are written at once.
+            for groups in groups.chunk_by(|a, b| b.first == a.first + INSTANCE_GROUP as u32) {
+                let count: u32 = groups.iter().map(|group| group.count).sum();
+                let (records, behind) = rest.split_at(count as usize);
+                let at = u64::from(groups[0].first) * size_of::<GpuInstance>() as u64;
+                let bytes = bytemuck::cast_slice(records);
+                gpu.queue.write_buffer(kept.instances.raw(), at, bytes);
+                rest = behind;
+            }
+            written += records.len() as u64;
+        }
+        let groups = kept.slots.listed(instances);
+        let lists = TreeLists {
+            groups: Buffer::with_data(gpu, "instance_groups", &groups),
+            pieces: Buffer::with_data(gpu, "pieces", &pieces),
+            geometries: Buffer::with_data(gpu, "geometries", &geometries.halves),
+            group_count: groups.len() as u32,
+        };
+        Ok(Listed {
+            lists: Lists::Trees(lists),
+            instances: kept.instances,
+            instance_end: kept.slots.end(),
+            slots: Some(kept.slots),
+            pages,
+            written,
+        })
+    }
+
+    /// The chunks of each geometry by segment, and the page of each segment.
+    fn list_pieces(
+        &self,
+        gpu: &Gpu,
+        model: &SceneModel,
+        geometries: &Geometries,
+    ) -> Result<(Vec<GpuChunkRun>, Vec<Page>), ResidencyError> {
+        let pieces_of = |asset: &Arc<AssetModel>, geometry: usize| {
+            let resident = self.assets.get(&asset.uid);
+            let drawn = asset.drawn_with(geometry);
+            runs_of(drawn.flat_map(move |geometry| {
+                resident.map_or(&[][..], |resident| &resident.geometries[geometry].pieces)
+            }))
+        };
+        let runs: Vec<Vec<(Segment, GpuChunkRun)>> = model
+            .assets
+            .iter()
+            .flat_map(|asset| {
+                (0..asset.packed.geometries.len()).map(move |geometry| pieces_of(asset, geometry))
+            })
+            .collect();
         let mut segments: Vec<Segment> =
             runs.iter().flatten().map(|&(segment, _)| segment).collect();
         segments.sort_unstable();
@@ -101,46 +211,75 @@ impl Residency {
                 limit: MOST_SEGMENTS as u64 * gpu.max_binding_bytes(),
             });
         }
-        let mut pieces = vec![GpuChunkRun::default(); numbers.len() * segments.len()];
-        let mut geometries = vec![[0f32; 4]; numbers.len()];
-        for ((key, &number), runs) in numbers.iter().zip(&runs) {
+        let mut pieces = vec![GpuChunkRun::default(); geometries.halves.len() * segments.len()];
+        for (number, runs) in runs.iter().enumerate() {
             for (segment, run) in runs {
                 let place = segments.binary_search(segment).unwrap_or(0);
-                pieces[number as usize * segments.len() + place] = *run;
+                pieces[number * segments.len() + place] = *run;
             }
-            let asset = &model.assets[key.0];
-            let halves = asset
-                .drawn_with(key.1)
-                .map(|geometry| half_extent(&asset.packed.geometries[geometry]));
-            geometries[number as usize] = halves
-                .fold([0.0; 4], |a, b| std::array::from_fn(|axis| f32::max(a[axis], b[axis])));
         }
-        let halves: BTreeMap<(usize, usize), [f32; 4]> =
-            numbers.iter().map(|(&key, &number)| (key, geometries[number as usize])).collect();
-        let instances: Vec<GpuInstance> = model
-            .instances
-            .iter()
-            .map(|instance| GpuInstance {
-                geometry: numbers[&(instance.asset, instance.geometry)],
-                error_parent: instance.above.error,
-                size_parent: instance.above.size,
-                delta: instance.above.delta,
-                ..record(model, instance)
-            })
-            .collect();
-        let groups: Vec<GpuInstanceGroup> = model
-            .instances
-            .chunks(INSTANCE_GROUP)
-            .enumerate()
-            .map(|(number, members)| group(model, &halves, number * INSTANCE_GROUP, members))
-            .collect();
-        let lists = TreeLists {
-            groups: Buffer::with_data(gpu, "instance_groups", &groups),
-            pieces: Buffer::with_data(gpu, "pieces", &pieces),
-            geometries: Buffer::with_data(gpu, "geometries", &geometries),
-            group_count: groups.len() as u32,
-        };
-        Ok((Lists::Trees(lists), instances, segments.into_iter().map(|(page, _)| page).collect()))
+        Ok((pieces, segments.into_iter().map(|(page, _)| page).collect()))
+    }
+}
+
+/// The geometries of a scene's assets as shaders count them: asset by asset, so that they keep their numbers while the assets before
+/// them are the same.
+struct Geometries {
+    /// Number of each asset's first.
+    first: Vec<usize>,
+    /// Half the size of each with what is drawn beside it, in cells.
+    halves: Vec<[f32; 4]>,
+}
+
+impl Geometries {
+    fn of(model: &SceneModel) -> Geometries {
+        let mut out = Geometries { first: Vec::new(), halves: Vec::new() };
+        for asset in &model.assets {
+            out.first.push(out.halves.len());
+            for geometry in 0..asset.packed.geometries.len() {
+                let drawn = asset.drawn_with(geometry);
+                let halves = drawn.map(|drawn| half_extent(&asset.packed.geometries[drawn]));
+                out.halves.push(
+                    halves.fold([0.0; 4], |a, b| {
+                        std::array::from_fn(|axis| f32::max(a[axis], b[axis]))
+                    }),
+                );
+            }
+        }
+        out
+    }
+
+    fn number(&self, instance: &ModelInstance) -> usize {
+        self.first[instance.asset] + instance.geometry
+    }
+
+    /// What neighbouring instances have in common; where they stand is not known here.
+    fn group(&self, model: &SceneModel, members: &[ModelInstance]) -> GpuInstanceGroup {
+        let mut bounds = Bounds::EMPTY;
+        let (mut error_parent, mut size_parent, mut delta_most) = (0f32, 0f32, 0f32);
+        for member in members {
+            let grid = model.geometry(member).grid();
+            let [x, y, z, _] = self.halves[self.number(member)].map(|v| f64::from(v) * grid.step);
+            let half = glam::DVec3::new(x, y, z);
+            let local = Bounds { min: grid.origin - half, max: grid.origin + half };
+            bounds = bounds.union(local.transformed(&member.world_from_geometry));
+            error_parent = error_parent.max(member.above.error);
+            size_parent = size_parent.max(member.above.size);
+            delta_most = delta_most.max(member.above.delta);
+        }
+        let split = bounds.centre().to_array().map(two_floats);
+        // Rounded up, whatever the middle lost.
+        let half = (bounds.extent() * 0.500_001).as_vec3();
+        GpuInstanceGroup {
+            centre_hi: [split[0].0, split[1].0, split[2].0, 0.0],
+            centre_lo: [split[0].1, split[1].1, split[2].1, 0.0],
+            half: half.to_array(),
+            size_parent,
+            first: 0,
+            count: members.len() as u32,
+            error_parent,
+            delta_most,
+        }
     }
 }
 
@@ -175,42 +314,6 @@ fn half_extent(geometry: &PackedGeometry) -> [f32; 4] {
     // The grid's reach has room for the leaves' disks; those of inner nodes are less than the accepted error beyond.
     let disks = (geometry.grid().reach as f32 - half.max_element()).max(0.0);
     [half.x + disks, half.y + disks, half.z + disks, 0.0]
-}
-
-fn group(
-    model: &SceneModel,
-    halves: &BTreeMap<(usize, usize), [f32; 4]>,
-    first: usize,
-    members: &[ModelInstance],
-) -> GpuInstanceGroup {
-    let mut bounds = Bounds::EMPTY;
-    let (mut error_parent, mut size_parent, mut delta_most) = (0f32, 0f32, 0f32);
-    for member in members {
-        let geometry = model.geometry(member);
-        let grid = geometry.grid();
-        let [x, y, z, _] =
-            halves[&(member.asset, member.geometry)].map(|v| f64::from(v) * grid.step);
-        let half = glam::DVec3::new(x, y, z);
-        let local = Bounds { min: grid.origin - half, max: grid.origin + half };
-        bounds = bounds.union(local.transformed(&member.world_from_geometry));
-        error_parent = error_parent.max(member.above.error);
-        size_parent = size_parent.max(member.above.size);
-        delta_most = delta_most.max(member.above.delta);
-    }
-    let centre = bounds.centre();
-    let split = centre.to_array().map(two_floats);
-    // Rounded up, whatever the middle lost.
-    let half = (bounds.extent() * 0.500_001).as_vec3();
-    GpuInstanceGroup {
-        centre_hi: [split[0].0, split[1].0, split[2].0, 0.0],
-        centre_lo: [split[0].1, split[1].1, split[2].1, 0.0],
-        half: half.to_array(),
-        size_parent,
-        first: first as u32,
-        count: members.len() as u32,
-        error_parent,
-        delta_most,
-    }
 }
 
 #[cfg(test)]

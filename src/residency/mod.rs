@@ -12,9 +12,12 @@
 
 pub mod arena;
 mod evict;
+pub mod instances;
 pub mod layout;
 mod lists;
 pub mod model;
+pub mod once;
+mod slots;
 mod upload;
 
 use std::collections::{HashMap, HashSet};
@@ -24,6 +27,7 @@ use self::arena::Arena;
 use self::evict::Holding;
 use self::layout::{GpuChunk, GpuEntry, GpuMaterial, GpuSegment, GpuTexture};
 use self::model::SceneModel;
+use self::slots::Slots;
 use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
 
@@ -159,11 +163,13 @@ pub struct ResidentScene {
     /// Clock of the last call of [`Residency::ensure`] for it.
     last_used: u64,
     pub instances: Buffer,
+    slots: Option<Slots>,
     pub lists: Lists,
     pub lights: Buffer,
     /// The page of each segment, in order.
     pub pages: Vec<Page>,
-    pub instance_count: u32,
+    /// All numbers of instances are less.
+    pub instance_end: u32,
     pub light_count: u32,
     /// Samples of all instances.
     pub sample_count: u64,
@@ -171,8 +177,13 @@ pub struct ResidentScene {
     pub alpha_cut: bool,
     pub looks: Looks,
     asset_uids: Vec<u64>,
-    material_start: u32,
-    material_length: u32,
+    materials: SceneMaterials,
+}
+
+/// Materials that a scene's nodes name, in the table.
+struct SceneMaterials {
+    start: u32,
+    overrides: Vec<GpuMaterial>,
 }
 
 impl ResidentScene {
@@ -219,6 +230,7 @@ pub struct Residency {
     clock: u64,
     evictions: u64,
     uploads: u64,
+    instances_written: u64,
 }
 
 /// Pages of texels that a shader binds.
@@ -250,6 +262,7 @@ impl Residency {
             clock: 0,
             evictions: 0,
             uploads: 0,
+            instances_written: 0,
         }
     }
 
@@ -268,6 +281,11 @@ impl Residency {
 
     pub fn uploads(&self) -> u64 {
         self.uploads
+    }
+
+    /// Records of instances that were written, of all scenes and revisions.
+    pub fn instances_written(&self) -> u64 {
+        self.instances_written
     }
 
     /// Identifiers of the resident scenes, in no order.
@@ -324,10 +342,10 @@ impl Residency {
         let missing = !self.is_current(model);
         if missing {
             self.check(gpu, model)?;
-            self.forget_scene(&model.id);
+            let previous = self.take_scene(&model.id);
             // What only the scene of that name before drew would take room from others.
             self.drop_unused_assets(&uids(model));
-            if let Err(error) = self.bring(gpu, model) {
+            if let Err(error) = self.bring(gpu, model, previous) {
                 self.drop_unused_assets(&HashSet::new());
                 return Err(error);
             }
@@ -338,8 +356,35 @@ impl Residency {
         Ok(missing)
     }
 
-    /// Uploads what is missing and lists the instances.
-    fn bring(&mut self, gpu: &Gpu, model: &Arc<SceneModel>) -> Result<(), ResidencyError> {
+    /// Uploads what is missing and lists the instances, with what can stay of the revision before.
+    fn bring(
+        &mut self,
+        gpu: &Gpu,
+        model: &Arc<SceneModel>,
+        mut previous: Option<ResidentScene>,
+    ) -> Result<(), ResidencyError> {
+        let scene = match self.bring_assets(gpu, model) {
+            Ok(()) => loop {
+                match self.build_scene(gpu, model, previous.take()) {
+                    Ok(scene) => break scene,
+                    Err(error) if !self.evict_one(model) => return Err(error),
+                    Err(_) => {}
+                }
+            },
+            Err(error) => {
+                if let Some(scene) = previous {
+                    self.release_materials(&scene.materials);
+                }
+                return Err(error);
+            }
+        };
+        self.used += scene.bytes;
+        self.scenes.insert(model.id.clone(), scene);
+        Ok(())
+    }
+
+    /// Uploads the assets that are missing, and makes room for the lists.
+    fn bring_assets(&mut self, gpu: &Gpu, model: &Arc<SceneModel>) -> Result<(), ResidencyError> {
         let mut afresh = false;
         let mut next = 0;
         while let Some(asset) = model.assets.get(next) {
@@ -363,17 +408,7 @@ impl Residency {
                 }
             }
         }
-        self.make_room(model, model.list_bytes())?;
-        let scene = loop {
-            match self.build_scene(gpu, model) {
-                Ok(scene) => break scene,
-                Err(error) if !self.evict_one(model) => return Err(error),
-                Err(_) => {}
-            }
-        };
-        self.used += scene.bytes;
-        self.scenes.insert(model.id.clone(), scene);
-        Ok(())
+        self.make_room(model, model.list_bytes())
     }
 
     /// Whether `model` could ever be resident here.
@@ -410,10 +445,16 @@ impl Residency {
     }
 
     fn forget_scene(&mut self, id: &str) {
-        if let Some(scene) = self.scenes.remove(id) {
-            self.used -= scene.bytes;
-            self.materials.release(scene.material_start, scene.material_length);
+        if let Some(scene) = self.take_scene(id) {
+            self.release_materials(&scene.materials);
         }
+    }
+
+    /// A scene that is no longer resident; its materials are still in the table.
+    fn take_scene(&mut self, id: &str) -> Option<ResidentScene> {
+        let scene = self.scenes.remove(id)?;
+        self.used -= scene.bytes;
+        Some(scene)
     }
 
     /// Evicts the scenes used the longest ago, never the assets of `model`, until `bytes` more fit the budget.
@@ -503,7 +544,11 @@ pub fn check_fits(
     // A frame of point trees lists what it needs.
     let listed = if model.trees || part == Part::Stored { 0 } else { counts.chunks };
     let slots = listed * size_of::<layout::GpuSlot>() as u64;
-    let instances = counts.instances * size_of::<layout::GpuInstance>() as u64;
+    let instances = if model.trees {
+        slots::groups_of(&model.instances) as u64 * slots::SLOT_BYTES
+    } else {
+        counts.instances * size_of::<layout::GpuInstance>() as u64
+    };
     let chunks = distinct_assets(model)
         .flat_map(|asset| &asset.packed.geometries)
         .map(|geometry| geometry.chunks().len() as u64 * size_of::<GpuChunk>() as u64)

@@ -5,7 +5,10 @@ use std::sync::{Arc, OnceLock};
 
 use glam::{DAffine3, DMat3, DVec3};
 
-use super::layout::{GpuEntry, GpuInstance, GpuInstanceGroup, INSTANCE_GROUP, two_floats};
+use super::instances::Instances;
+use super::layout::{GpuEntry, GpuInstance, INSTANCE_GROUP, two_floats};
+use super::once::MadeOnce;
+use super::slots;
 use crate::bake::pack::{Grid, PackError, PackedAsset, PackedChunk, PackedGeometry};
 use crate::bake::prepare::AssetTraits;
 use crate::bake::tree::Above;
@@ -29,7 +32,7 @@ pub struct AssetModel {
     /// samples.
     pub beside: Vec<Option<usize>>,
     /// The asset as point trees, once a frame has asked for it.
-    pub tree: OnceLock<Result<Arc<AssetModel>, PackError>>,
+    pub tree: MadeOnce<Result<Arc<AssetModel>, PackError>>,
 }
 
 /// Where a scene's samples are and how wide they are, in world units.
@@ -63,7 +66,7 @@ pub struct SceneModel {
     pub name: String,
     pub revision: u64,
     pub assets: Vec<Arc<AssetModel>>,
-    pub instances: Vec<ModelInstance>,
+    pub instances: Instances,
     pub materials: Vec<MaterialSpec>,
     pub lights: Vec<Light>,
     /// Linear RGB, straight alpha.
@@ -85,6 +88,18 @@ pub struct ModelCounts {
     pub triangles: u64,
     pub instances: u64,
     pub chunks: u64,
+}
+
+impl ModelCounts {
+    /// Both together.
+    pub fn with(&self, other: &ModelCounts) -> ModelCounts {
+        ModelCounts {
+            samples: self.samples + other.samples,
+            triangles: self.triangles + other.triangles,
+            instances: self.instances + other.instances,
+            chunks: self.chunks + other.chunks,
+        }
+    }
 }
 
 impl AssetModel {
@@ -113,7 +128,7 @@ impl AssetModel {
     }
 
     /// Of each geometry the longest axis of a kernel in a median chunk, in its own units, and how many samples there are.
-    fn kernels(&self) -> Vec<(f64, f64)> {
+    pub(super) fn kernels(&self) -> Vec<(f64, f64)> {
         let of = |geometry: &PackedGeometry| {
             let PackedGeometry::Samples(cloud) = geometry else { return (0.0, 0.0) };
             let longest =
@@ -171,50 +186,12 @@ impl SceneModel {
 
     /// Totals over all instances, added up once.
     pub fn counts(&self) -> ModelCounts {
-        *self.totals.get_or_init(|| self.add_up())
-    }
-
-    fn add_up(&self) -> ModelCounts {
-        let mut counts =
-            ModelCounts { instances: self.instances.len() as u64, ..Default::default() };
-        for instance in &self.instances {
-            let asset = &self.assets[instance.asset];
-            for geometry in asset.drawn_with(instance.geometry) {
-                let geometry = &asset.packed.geometries[geometry];
-                counts.chunks += geometry.chunks().len() as u64;
-                match geometry {
-                    PackedGeometry::Samples(samples) => {
-                        counts.samples += samples.positions.len() as u64
-                    }
-                    PackedGeometry::Mesh(mesh) => counts.triangles += mesh.triangles.len() as u64,
-                }
-            }
-        }
-        counts
+        *self.totals.get_or_init(|| self.instances.totals())
     }
 
     /// Where its samples are and how wide.
     pub fn extent(&self) -> Extent {
-        let kernels: Vec<Vec<(f64, f64)>> =
-            self.assets.iter().map(|asset| asset.kernels()).collect();
-        let (mut sum, mut count) = (0.0, 0.0);
-        for instance in &self.instances {
-            let (kernel, samples) = kernels[instance.asset][instance.geometry];
-            let map = instance.world_from_geometry.matrix3;
-            let scale = map.x_axis.length().max(map.y_axis.length()).max(map.z_axis.length());
-            sum += samples * kernel * scale;
-            count += samples;
-        }
-        let kernel = if count > 0.0 && f64::is_finite(sum) { sum / count } else { 0.0 };
-        Extent { bounds: self.bounds(), kernel }
-    }
-
-    /// World-space box around every instance.
-    pub fn bounds(&self) -> Bounds {
-        self.instances.iter().fold(Bounds::EMPTY, |all, instance| {
-            let local = &self.assets[instance.asset].bounds[instance.geometry];
-            all.union(local.transformed(&instance.world_from_geometry))
-        })
+        Extent { bounds: self.instances.bounds(), kernel: self.instances.mean_kernel() }
     }
 
     /// Bytes of everything that the scene needs on the GPU, shared assets counted once.
@@ -242,11 +219,13 @@ impl SceneModel {
             + counts.chunks * size_of::<GpuEntry>() as u64
     }
 
-    /// Bytes of its instances and of groups of them.
+    /// Bytes of its instances and of groups of them, where it is one of point trees or becomes one.
     pub fn group_bytes(&self) -> u64 {
-        let instances = self.counts().instances;
-        let groups = instances.div_ceil(INSTANCE_GROUP as u64);
-        instances * size_of::<GpuInstance>() as u64 + groups * size_of::<GpuInstanceGroup>() as u64
+        slots::bytes(if self.trees {
+            slots::groups_of(&self.instances)
+        } else {
+            self.instances.len().div_ceil(INSTANCE_GROUP)
+        })
     }
 }
 

@@ -4,10 +4,11 @@ use std::sync::Arc;
 
 use super::arena::Arena;
 use super::layout::*;
+use super::lists::Previous;
 use super::model::{AssetModel, SceneModel};
 use super::{
     Looks, Page, PageKind, Piece, Residency, ResidencyError, ResidentAsset, ResidentGeometry,
-    ResidentScene, SAMPLE_PAGES, TEXEL_PAGES,
+    ResidentScene, SAMPLE_PAGES, SceneMaterials, TEXEL_PAGES,
 };
 use crate::assets::Material;
 use crate::bake::pack::{
@@ -436,32 +437,34 @@ impl Residency {
         self.materials.release(asset.material_start, asset.material_length);
     }
 
-    /// The scene's own buffers; its assets are resident already.
+    /// The scene's own buffers; its assets are resident already. Of the revision before, `previous`, what has not changed stays.
     pub(super) fn build_scene(
         &mut self,
         gpu: &Gpu,
         model: &SceneModel,
+        previous: Option<ResidentScene>,
     ) -> Result<ResidentScene, ResidencyError> {
         let overrides: Vec<GpuMaterial> = model.materials.iter().map(gpu_override).collect();
-        // Only here can it fail, before anything is allocated.
-        let material_length = overrides.len() as u32;
-        let material_start =
-            self.materials.allocate(gpu, material_length).ok_or(ResidencyError::OverBinding {
-                what: "materials of all resident scenes",
-                needed: u64::from(material_length) * 48,
-                limit: gpu.max_binding_bytes(),
-            })?;
-        self.materials.write(gpu, 0, material_start, &overrides);
-        let (lists, mut instances, pages) = match self.lists(gpu, model) {
-            Ok(lists) => lists,
+        let (materials, previous) = match previous {
+            Some(scene) if scene.materials.overrides == overrides => {
+                let ResidentScene { materials, instances, slots, .. } = scene;
+                (materials, slots.map(|slots| Previous { instances, slots }))
+            }
+            other => {
+                if let Some(scene) = other {
+                    self.release_materials(&scene.materials);
+                }
+                (self.upload_materials(gpu, overrides)?, None)
+            }
+        };
+        let listed = match self.lists(gpu, model, materials.start, previous) {
+            Ok(listed) => listed,
             Err(error) => {
-                self.materials.release(material_start, material_length);
+                self.release_materials(&materials);
                 return Err(error);
             }
         };
-        for record in &mut instances {
-            record.material += if record.material == 0 { 0 } else { material_start };
-        }
+        self.instances_written += listed.written;
         let lights: Vec<GpuLight> = model.lights.iter().map(gpu_light).collect();
         let lights_buffer = Buffer::new(
             gpu,
@@ -476,11 +479,12 @@ impl Residency {
             model_uid: model.uid,
             bytes: model.list_bytes(),
             last_used: self.clock,
-            instances: Buffer::with_data(gpu, "instances", &instances),
-            lists,
+            instances: listed.instances,
+            slots: listed.slots,
+            lists: listed.lists,
             lights: lights_buffer,
-            pages,
-            instance_count: instances.len() as u32,
+            pages: listed.pages,
+            instance_end: listed.instance_end,
             light_count: lights.len() as u32,
             sample_count: model.counts().samples,
             alpha_cut: model.assets.iter().any(|asset| {
@@ -488,8 +492,27 @@ impl Residency {
             }),
             looks: looks(model),
             asset_uids: model.assets.iter().map(|asset| asset.uid).collect(),
-            material_start,
-            material_length,
+            materials,
         })
+    }
+
+    /// Materials of a scene's own, in the table.
+    fn upload_materials(
+        &mut self,
+        gpu: &Gpu,
+        overrides: Vec<GpuMaterial>,
+    ) -> Result<SceneMaterials, ResidencyError> {
+        let length = overrides.len() as u32;
+        let start = self.materials.allocate(gpu, length).ok_or(ResidencyError::OverBinding {
+            what: "materials of all resident scenes",
+            needed: u64::from(length) * size_of::<GpuMaterial>() as u64,
+            limit: gpu.max_binding_bytes(),
+        })?;
+        self.materials.write(gpu, 0, start, &overrides);
+        Ok(SceneMaterials { start, overrides })
+    }
+
+    pub(super) fn release_materials(&mut self, materials: &SceneMaterials) {
+        self.materials.release(materials.start, materials.overrides.len() as u32);
     }
 }

@@ -4,6 +4,8 @@
 //! copy (x fastest, z slowest). Subtrees that draw nothing are cut off beforehand, so that the work
 //! is proportional to the number of instances times the depth, whatever a file repeats.
 
+use std::ops::Range;
+
 use glam::{DAffine3, DMat3, DVec3};
 
 use super::random::SplitMix64;
@@ -20,24 +22,40 @@ impl Scene {
     ///
     /// Meant for scenes that validation let pass; prototypes that contain themselves draw nothing.
     pub fn instances(&self) -> Vec<Instance> {
-        let Ok(order) = graph::topological_order(self) else { return Vec::new() };
-        let counts = graph::count_prototypes(self, &order, true);
-        let prototypes: Vec<Vec<Kept>> =
-            self.prototypes.iter().map(|p| keep(&p.children, &counts)).collect();
-        let total = graph::count_nodes(&self.nodes, &counts, true);
-        let mut walk = Walk {
-            up: self.up,
-            prototypes: &prototypes,
-            found: Vec::with_capacity(usize::try_from(total).unwrap_or(0).min(1 << 20)),
-            top: 0,
+        self.unfolding().instances(0..self.nodes.len())
+    }
+
+    /// What it takes to unfold top-level nodes, some at a time.
+    pub fn unfolding(&self) -> Unfolding<'_> {
+        let Ok(order) = graph::topological_order(self) else {
+            return Unfolding { scene: self, counts: None, prototypes: Vec::new() };
         };
+        let counts = graph::count_prototypes(self, &order, true);
+        let prototypes = self.prototypes.iter().map(|p| keep(&p.children, &counts)).collect();
+        Unfolding { scene: self, counts: Some(counts), prototypes }
+    }
+
+    /// Top-level nodes in runs: a run ends where it has `most` instances or more, hidden ones counted, so that no edit of
+    /// a node moves the ends. Each run is not empty; together they are all nodes, in order.
+    pub fn node_runs(&self, most: u64) -> Vec<Range<usize>> {
+        let Ok(order) = graph::topological_order(self) else {
+            return std::iter::once(0..self.nodes.len()).filter(|run| !run.is_empty()).collect();
+        };
+        let counts = graph::count_prototypes(self, &order, false);
+        let mut runs = Vec::new();
+        let (mut first, mut found) = (0, 0u64);
         for (index, node) in self.nodes.iter().enumerate() {
-            walk.top = index;
-            for kept in keep(std::slice::from_ref(node), &counts) {
-                walk.visit(&kept, DAffine3::IDENTITY, None);
+            found = found.saturating_add(graph::count_nodes(
+                std::slice::from_ref(node),
+                &counts,
+                false,
+            ));
+            if found >= most || index + 1 == self.nodes.len() {
+                runs.push(first..index + 1);
+                (first, found) = (index + 1, 0);
             }
         }
-        walk.found
+        runs
     }
 
     /// The number of [`Scene::instances`], saturating, without unfolding them.
@@ -63,6 +81,36 @@ fn keep<'a>(nodes: &'a [Node], prototype_counts: &[u64]) -> Vec<Kept<'a>> {
             Draws::Prototype(index) => prototype_counts[index] > 0 || !kept.children.is_empty(),
         })
         .collect()
+}
+
+/// Unfolds top-level nodes of a scene; see [`Scene::unfolding`].
+pub struct Unfolding<'a> {
+    scene: &'a Scene,
+    /// Instances of each prototype; `None` where some contains itself.
+    counts: Option<Vec<u64>>,
+    prototypes: Vec<Vec<Kept<'a>>>,
+}
+
+impl Unfolding<'_> {
+    /// The instances of these top-level nodes, as in [`Scene::instances`].
+    pub fn instances(&self, nodes: Range<usize>) -> Vec<Instance> {
+        let Some(counts) = &self.counts else { return Vec::new() };
+        let chosen = self.scene.nodes.get(nodes.clone()).unwrap_or_default();
+        let total = graph::count_nodes(chosen, counts, true);
+        let mut walk = Walk {
+            up: self.scene.up,
+            prototypes: &self.prototypes,
+            found: Vec::with_capacity(usize::try_from(total).unwrap_or(0).min(1 << 20)),
+            top: 0,
+        };
+        for (index, node) in nodes.zip(chosen) {
+            walk.top = index;
+            for kept in keep(std::slice::from_ref(node), counts) {
+                walk.visit(&kept, DAffine3::IDENTITY, None);
+            }
+        }
+        walk.found
+    }
 }
 
 struct Walk<'a> {

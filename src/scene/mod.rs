@@ -27,6 +27,7 @@ pub use assets::{AssetRef, AssetSource, CsgOperation, FileSource, MeshSampling, 
 pub use load::{load, load_path, parse, parse_path};
 pub use path::{CameraPath, Ease, Interpolation, PathKey, PathSampler};
 pub use splats::{Blend, Filter, Shading, Splats};
+pub use validate::{LARGEST_COORDINATE, LARGEST_SCALE};
 pub use wire::{json_schema, path_json_schema};
 
 use glam::{DAffine3, DVec3};

@@ -8,7 +8,7 @@ use std::process::{Child, Command, Stdio};
 pub struct Daemon {
     child: Child,
     pub url: String,
-    _root: tempfile::TempDir,
+    root: tempfile::TempDir,
 }
 
 impl Daemon {
@@ -16,10 +16,28 @@ impl Daemon {
     pub fn start() -> Daemon {
         let root = tempfile::tempdir().expect("a folder for the scene");
         write_scene(root.path());
+        Daemon::spawn(root, "127.0.0.1:0")
+    }
+
+    /// Ends it, as a crash does.
+    pub fn kill(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+
+    /// Starts again on the same root and at the same address, after [`Daemon::kill`].
+    pub fn start_again(&mut self) {
+        let root = std::mem::replace(&mut self.root, tempfile::tempdir().expect("a folder"));
+        let address = self.url.trim_start_matches("http://").to_owned();
+        *self = Daemon::spawn(root, &address);
+    }
+
+    fn spawn(root: tempfile::TempDir, address: &str) -> Daemon {
         let mut child = Command::new(env!("CARGO_BIN_EXE_pointillist"))
-            .args(["serve", "--listen", "127.0.0.1:0", "--root"])
+            .args(["serve", "--listen", address, "--root"])
             .arg(root.path())
             .env("POINTILLIST_NO_CACHE", "true")
+            .env("POINTILLIST_NO_JOBS", "true")
             .stdout(Stdio::piped())
             .spawn()
             .expect("the daemon starts");
@@ -29,7 +47,7 @@ impl Daemon {
             line.split_once("listening on ").map(|(_, url)| url.trim().to_owned())
         });
         std::thread::spawn(move || lines.for_each(drop));
-        Daemon { child, url: url.expect("the daemon says where it listens"), _root: root }
+        Daemon { child, url: url.expect("the daemon says where it listens"), root }
     }
 
     /// Removes the scene behind the viewer's back.
@@ -37,12 +55,25 @@ impl Daemon {
         let answer = ureq::delete(format!("{}/v1/scenes/ball", self.url)).call();
         assert!(answer.is_ok(), "{answer:?}");
     }
+
+    /// Moves the ball behind the viewer's back.
+    pub fn move_ball(&self, x: f64) {
+        let answer = ureq::patch(format!("{}/v1/scenes/ball/nodes/ball", self.url))
+            .send_json(serde_json::json!({ "translate": [x, 0, 0] }));
+        assert!(answer.is_ok(), "{answer:?}");
+    }
+
+    /// A file beside the scene's, for uploads.
+    pub fn file(&self, name: &str, text: &str) -> String {
+        let path = self.root.path().join(name);
+        std::fs::write(&path, text).expect("the file can be written");
+        path.to_str().expect("a name in UTF-8").to_owned()
+    }
 }
 
 impl Drop for Daemon {
     fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        self.kill();
     }
 }
 
@@ -66,7 +97,9 @@ fn write_scene(root: &std::path::Path) {
     let scene = r#"{ "pointillist": 1, "name": "Ball",
         "assets": { "ball": { "file": "ball.ply" }, "floor": { "file": "floor.obj" } },
         "nodes": [ { "name": "ball", "asset": "ball" }, { "name": "floor", "asset": "floor" } ],
-        "cameras": { "front": { "eye": [0, 0.8, 5], "target": [0, -0.1, 0], "fov": 40 } } }"#;
+        "cameras": { "front": { "eye": [0, 0.8, 5], "target": [0, -0.1, 0], "fov": 40 } },
+        "paths": { "round": { "fps": 10, "keys": [ { "t": 0, "eye": [0, 1, 5], "target": [0, 0, 0] },
+            { "t": 0.6, "eye": [5, 1, 0], "target": [0, 0, 0] }, { "t": 1, "eye": [0, 1, -5], "target": [0, 0, 0] } ] } } }"#;
     for (name, text) in [("ball.ply", ply.as_str()), ("floor.obj", floor), ("ball.json", scene)] {
         std::fs::write(root.join(name), text).expect("the scene can be written");
     }

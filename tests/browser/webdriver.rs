@@ -149,6 +149,40 @@ impl Browser {
         );
     }
 
+    /// Presses a key and keeps it down, or lets it go.
+    pub fn hold(&self, key: char, is_down: bool) {
+        let kind = if is_down { "keyDown" } else { "keyUp" };
+        self.post(
+            "actions",
+            json!({ "actions": [{ "type": "key", "id": "keys", "actions": [{ "type": kind, "value": key }] }] }),
+        );
+    }
+
+    /// Gives files to an `<input type="file">`, as its dialogue would.
+    pub fn choose_files(&self, selector: &str, files: &[&str]) {
+        let element = self.post("element", json!({ "using": "css selector", "value": selector }));
+        let id = element.as_object().and_then(|element| element.values().next());
+        let id = id.and_then(Value::as_str).expect("an element's id");
+        self.post(&format!("element/{id}/value"), json!({ "text": files.join("\n") }));
+    }
+
+    /// A script that every page runs before its own.
+    pub fn before_pages(&self, script: &str) {
+        self.post(
+            "goog/cdp/execute",
+            json!({ "cmd": "Page.addScriptToEvaluateOnNewDocument", "params": { "source": script } }),
+        );
+    }
+
+    /// What the page is told of the user's wishes, such as `prefers-reduced-motion`.
+    pub fn emulate_media(&self, feature: &str, value: &str) {
+        let params = json!({ "features": [{ "name": feature, "value": value }] });
+        self.post(
+            "goog/cdp/execute",
+            json!({ "cmd": "Emulation.setEmulatedMedia", "params": params }),
+        );
+    }
+
     /// A screen of another size and density, as a phone has it.
     pub fn emulate(&self, width: u32, height: u32, density: f64) {
         let metrics = json!({ "width": width, "height": height, "deviceScaleFactor": density, "mobile": true });

@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use pointillist::bake::cache::BakeCache;
-use pointillist::engine::BakeSource;
+use pointillist::engine::{BakeSource, EngineError, FrameRequest};
 use pointillist::plan::Lod;
+use serde_json::json;
 
-use super::studio::{Studio, front, same};
+use super::studio::{Studio, eventually, front, same, wall};
 
 /// A frame of both scenes of a fresh engine, and where their trees came from.
 fn frames(cache: Option<&Path>) -> (Vec<Vec<u8>>, Vec<BakeSource>) {
@@ -64,4 +65,55 @@ fn the_cache_changes_no_frame() {
     for (file, bytes) in files.iter().zip(&bytes) {
         same(&std::fs::read(file).unwrap(), bytes, &file.display().to_string());
     }
+}
+
+/// A scene of many assets, each of which takes a while to bake.
+fn orchard(studio: &Studio) -> FrameRequest {
+    let (mut assets, mut nodes) = (json!({}), Vec::new());
+    for number in 0..16 {
+        let file = format!("wall{number}.ply");
+        studio.write(&file, wall(120 + number, |x, y| [x as u8, y as u8, 90]));
+        assets[&file] = json!({ "file": file });
+        nodes.push(json!({ "asset": file, "translate": [0, 0, number] }));
+    }
+    let cameras = json!({ "front": { "eye": [0, 0, 40], "target": [0, 0, 0], "fov": 45 } });
+    studio.load_json("many", &json!({ "assets": assets, "nodes": nodes, "cameras": cameras }));
+    let mut request = front("many", 64, 48);
+    request.settings.lod = Lod::Spt;
+    request
+}
+
+#[test]
+fn who_waits_for_the_same_bake_waits_together_and_nobody_bakes_for_nobody() {
+    let studio = Studio::new();
+    let request = orchard(&studio);
+    let engine = &studio.engine;
+    let join = || engine.begin_bake(&request).unwrap().unwrap();
+    let (mut first, second) = (join(), join());
+    assert_eq!(engine.bakes_running(), 1);
+    let mut seen = 0.0;
+    let stopped = first.wait_while(|done| {
+        assert!((0.0..=1.0).contains(&done) && done >= seen, "{done} after {seen}");
+        seen = done;
+        done == 0.0
+    });
+    assert!(stopped.is_none(), "{stopped:?}");
+    drop(first);
+    assert_eq!(engine.bakes_running(), 1, "the other one waits still");
+    assert!(engine.must_bake(&request));
+    drop(second);
+    eventually("the end of the bake", || engine.bakes_running() == 0);
+    assert!(engine.must_bake(&request), "it was given up");
+    // What was given up is begun anew, by tasks as well as by threads.
+    let ticket = join();
+    std::thread::scope(|scope| {
+        let waiting = scope.spawn(|| join().wait());
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        runtime.block_on(ticket).unwrap();
+        waiting.join().unwrap().unwrap();
+    });
+    assert!(!engine.must_bake(&request) && engine.begin_bake(&request).unwrap().is_none());
+    assert!(!studio.bytes(&request).is_empty());
+    let unknown = front("none", 8, 8);
+    assert!(matches!(engine.begin_bake(&unknown), Err(EngineError::UnknownScene { .. })));
 }

@@ -9,6 +9,7 @@
 
 mod baking;
 mod changes;
+mod crowds;
 mod determinism;
 mod extremes;
 mod large_triangles;

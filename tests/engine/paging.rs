@@ -95,7 +95,7 @@ fn textured(uid: u64, texels: &[u32], materials: usize) -> Arc<SceneModel> {
         name: String::new(),
         revision: 1,
         assets: vec![Arc::new(asset)],
-        instances: Vec::new(),
+        instances: Default::default(),
         materials: Vec::new(),
         lights: Vec::new(),
         background: [0.0; 4],

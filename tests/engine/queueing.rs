@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use pointillist::engine::{EngineError, FrameRequest, Readiness};
+use pointillist::engine::{Client, EngineError, FrameRequest, Readiness};
 
 use super::studio::{Studio, eventually, front, orbit};
 
@@ -40,7 +40,7 @@ fn late_frames_are_not_drawn() {
     let before = studio.engine.stats();
     for _ in 0..3 {
         let reply = studio.submit(&late).wait();
-        assert!(matches!(reply, Err(EngineError::DeadlineExceeded)), "{reply:?}");
+        assert!(matches!(reply, Err(EngineError::DeadlineExceeded { .. })), "{reply:?}");
     }
     let after = studio.engine.stats();
     assert_eq!(after.expired - before.expired, 3);
@@ -56,8 +56,10 @@ fn late_frames_are_not_drawn() {
 fn the_most_patient_of_those_who_share_a_frame_decides() {
     let studio = Studio::new();
     studio.load_two();
-    let hurried = FrameRequest { deadline: Some(Instant::now()), ..front("solid", 61, 60) };
     let busy = studio.keep_busy("cloud");
+    // Nothing was measured yet: the engine does not know how long those take.
+    let soon = Instant::now() + Duration::from_millis(150);
+    let hurried = FrameRequest { deadline: Some(soon), ..front("solid", 61, 60) };
     let tickets = [studio.submit(&hurried), studio.submit(&front("solid", 61, 60))];
     let [_, patient] = tickets.map(|ticket| ticket.wait());
     assert!(patient.is_ok());
@@ -127,7 +129,7 @@ fn a_seat_draws_the_newest_and_answers_those_before() {
     let mut overtaken = 0;
     // The render thread may take the seat's request before it is replaced, but not ten times.
     for round in 0..10 {
-        let mut seat = studio.engine.seat();
+        let mut seat = studio.engine.seat(Client::Unnamed);
         let busy = studio.keep_busy("cloud");
         let before = studio.engine.stats();
         let mut last = seat.ask(orbit("solid", 0, 64)).unwrap();
@@ -155,7 +157,8 @@ fn whoever_shares_an_overtaken_frame_still_gets_it() {
     let studio = Studio::new();
     studio.load_two();
     for _ in 0..10 {
-        let (mut seat, mut other) = (studio.engine.seat(), studio.engine.seat());
+        let (mut seat, mut other) =
+            (studio.engine.seat(Client::Unnamed), studio.engine.seat(Client::Unnamed));
         let busy = studio.keep_busy("cloud");
         let mine = seat.ask(orbit("solid", 0, 64)).unwrap();
         let shared =
@@ -172,4 +175,69 @@ fn whoever_shares_an_overtaken_frame_still_gets_it() {
         }
     }
     panic!("nothing was ever replaced");
+}
+
+#[test]
+fn what_cannot_be_had_in_time_is_refused_at_once() {
+    let studio = Studio::with(|config| config.max_batch = 1);
+    studio.load_two();
+    let waiting: Vec<_> =
+        (0..30).map(|number| studio.submit(&orbit("solid", number, 1200))).collect();
+    let deadline = Some(Instant::now() + Duration::from_millis(1));
+    let hurried = FrameRequest { deadline, ..orbit("solid", 99, 60) };
+    // Another client: among its own frames the most urgent one would be the next, which it costs nobody anything to try.
+    match studio.engine.submit_for(Client::Caller(1), hurried).err() {
+        Some(EngineError::DeadlineExceeded { retry_after }) => {
+            assert!(
+                retry_after > Duration::from_millis(1) && retry_after < Duration::from_secs(60)
+            );
+        }
+        other => panic!("{other:?}"),
+    }
+    let stats = studio.engine.stats();
+    assert_eq!((stats.hopeless, stats.expired), (1, 0));
+    let patient = Some(Instant::now() + Duration::from_secs(600));
+    let patient = studio.submit(&FrameRequest { deadline: patient, ..orbit("solid", 98, 60) });
+    assert!(patient.wait().is_ok());
+    assert!(waiting.into_iter().all(|ticket| ticket.wait().is_ok()));
+}
+
+#[test]
+fn requests_come_before_jobs() {
+    const FRAMES: u32 = 60;
+    let studio = Studio::with(|config| config.max_batch = 1);
+    studio.load_two();
+    let job: Vec<_> = (0..FRAMES)
+        .map(|number| {
+            studio.engine.submit_for(Client::Job(1), orbit("solid", number, 200)).unwrap()
+        })
+        .collect();
+    let asked: Vec<_> =
+        (100..104).map(|number| studio.submit(&orbit("solid", number, 200))).collect();
+    let before = studio.engine.stats().frames;
+    assert!(asked.into_iter().all(|ticket| ticket.wait().is_ok()));
+    let drawn = studio.engine.stats().frames - before;
+    // The four, what was under way, and a tenth of the device's time.
+    assert!(drawn <= 4 + 4 + 2, "{drawn} frames were drawn before");
+    assert!(job.into_iter().all(|ticket| ticket.wait().is_ok()), "and jobs after");
+}
+
+#[test]
+fn a_jobs_frame_comes_forward_for_who_asks_for_the_same() {
+    const FRAMES: u32 = 60;
+    let studio = Studio::with(|config| config.max_batch = 1);
+    studio.load_two();
+    let job: Vec<_> = (0..FRAMES)
+        .map(|number| {
+            studio.engine.submit_for(Client::Job(1), orbit("solid", number, 200)).unwrap()
+        })
+        .collect();
+    let same = studio.submit(&orbit("solid", FRAMES - 1, 200)).wait().unwrap();
+    assert!(same.receipt.coalesced);
+    let drawn = studio.engine.stats().frames;
+    assert!(drawn < u64::from(FRAMES), "{drawn} frames were drawn before");
+    let frames: Vec<_> = job.into_iter().map(|ticket| ticket.wait().unwrap()).collect();
+    let last = &frames[frames.len() - 1].receipt;
+    assert!(!last.coalesced && last.request_id != same.receipt.request_id);
+    assert_eq!(studio.engine.stats().frames, u64::from(FRAMES), "none was drawn twice");
 }

@@ -99,6 +99,14 @@ impl Client {
         Reply { status: response.status().as_u16(), headers, body }
     }
 
+    /// Asks for something whose body comes little by little: its content type and the body.
+    pub fn open(&self, path: &str) -> (String, Box<dyn Read + Send>) {
+        let response = self.agent.get(format!("{}{path}", self.base)).call().unwrap();
+        assert_eq!(response.status(), 200, "{path}");
+        let kind = response.headers()["content-type"].to_str().unwrap().to_owned();
+        (kind, Box::new(response.into_body().into_reader()))
+    }
+
     pub fn post_json(&self, path: &str, body: &Value) -> Reply {
         let body = body.to_string();
         let json = [("content-type", "application/json")];

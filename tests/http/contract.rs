@@ -19,7 +19,12 @@ fn answers_are_documented() {
     let frame = "/v1/scenes/{id}/frame";
     let frames = "/v1/scenes/{id}/frames";
     let stream = "/v1/scenes/{id}/stream";
+    let mjpeg = "/v1/scenes/{id}/mjpeg";
+    let path = "/v1/scenes/{id}/paths/{name}";
     let node = "/v1/scenes/{id}/nodes/{node}";
+    // A film of two frames.
+    let film = r#"{"scene": "grid", "w": 8, "h": 8, "fps": 1, "path": {"keys": [
+        {"t": 0, "eye": [0, 0, 3], "target": [0, 0, 0]}, {"t": 1, "eye": [1, 0, 3], "target": [0, 0, 0]}]}}"#;
     for (method, route, path, content_type, body) in [
         ("GET", "/", "/", "", ""),
         ("GET", "/healthz", "/healthz", "", ""),
@@ -36,6 +41,15 @@ fn answers_are_documented() {
         ("GET", frame, "/v1/scenes/grid/frame?w=8&h=8&output=depth&format=pfm", "", ""),
         ("GET", frame, "/v1/scenes/grid/frame?x=8", "", ""),
         ("GET", frame, "/v1/scenes/none/frame", "", ""),
+        ("GET", "/viewer/{file}", "/viewer/app.js", "", ""),
+        ("GET", "/viewer/{file}", "/viewer/style.css", "", ""),
+        ("GET", "/viewer/{file}", "/viewer/none.js", "", ""),
+        ("GET", path, "/v1/scenes/grid/paths/past", "", ""),
+        ("GET", path, "/v1/scenes/grid/paths/none", "", ""),
+        ("GET", path, "/v1/scenes/none/paths/past", "", ""),
+        ("GET", mjpeg, "/v1/scenes/grid/mjpeg?path=past&w=8&h=8", "", ""),
+        ("GET", mjpeg, "/v1/scenes/grid/mjpeg?path=none", "", ""),
+        ("GET", mjpeg, "/v1/scenes/none/mjpeg", "", ""),
         ("GET", stream, "/v1/scenes/grid/stream", "", ""),
         ("GET", stream, "/v1/scenes/grid/stream?deadline_ms=5", "", ""),
         ("GET", stream, "/v1/scenes/none/stream", "", ""),
@@ -47,6 +61,23 @@ fn answers_are_documented() {
         ("POST", "/v1/scenes", "/v1/scenes?name=b.ply", "application/octet-stream", "ply"),
         ("PATCH", node, "/v1/scenes/grid/nodes/wall", json, "{\"visible\":false}"),
         ("PATCH", node, "/v1/scenes/grid/nodes/none", json, "{\"visible\":false}"),
+        ("GET", "/v1/jobs", "/v1/jobs", "", ""),
+        ("POST", "/v1/jobs", "/v1/jobs", json, film),
+        ("POST", "/v1/jobs", "/v1/jobs", json, "{}"),
+        ("POST", "/v1/jobs", "/v1/jobs", "text/plain", "{}"),
+        ("POST", "/v1/jobs", "/v1/jobs", json, "{\"scene\": \"none\", \"path\": \"p\"}"),
+        ("GET", "/v1/jobs/{id}", "/v1/jobs/1", "", ""),
+        ("GET", "/v1/jobs/{id}", "/v1/jobs/2", "", ""),
+        ("GET", "/v1/jobs/{id}/events", "/v1/jobs/1/events", "", ""),
+        ("GET", "/v1/jobs/{id}/frames", "/v1/jobs/1/frames", "", ""),
+        ("GET", "/v1/jobs/{id}/frames/{n}", "/v1/jobs/1/frames/0", "", ""),
+        ("GET", "/v1/jobs/{id}/frames/{n}", "/v1/jobs/1/frames/99", "", ""),
+        ("GET", "/v1/jobs/{id}/multipart", "/v1/jobs/1/multipart", "", ""),
+        ("GET", "/v1/jobs/{id}/video.mp4", "/v1/jobs/1/video.mp4", "", ""),
+        ("POST", "/v1/jobs/{id}/cancel", "/v1/jobs/1/cancel", "", ""),
+        ("POST", "/v1/jobs/{id}/resume", "/v1/jobs/2/resume", "", ""),
+        ("DELETE", "/v1/jobs/{id}", "/v1/jobs/1", "", ""),
+        ("DELETE", "/v1/jobs/{id}", "/v1/jobs/1", "", ""),
         ("DELETE", "/v1/scenes/{id}", "/v1/scenes/a", "", ""),
         ("DELETE", "/v1/scenes/{id}", "/v1/scenes/a", "", ""),
     ] {

@@ -39,7 +39,7 @@ pub fn wall_ply(side: usize) -> String {
     text
 }
 
-/// A scene of `file` with a node `wall` and a camera `front`.
+/// A scene of `file` with a node `wall`, a camera `front` and a path `past` of half a second.
 pub fn grid_scene(file: &str) -> serde_json::Value {
     serde_json::json!({
         "pointillist": 1,
@@ -47,7 +47,19 @@ pub fn grid_scene(file: &str) -> serde_json::Value {
         "assets": { "g": { "file": file } },
         "nodes": [{ "name": "wall", "asset": "g" }],
         "cameras": { "front": { "eye": [0, 0, 3], "target": [0, 0, 0], "fov": 45 } },
+        "paths": { "past": { "fps": 20, "keys": [
+            { "t": 1, "eye": [-1, 0, 3], "target": [0, 0, 0] }, { "t": 1.5, "eye": [1, 0, 3], "target": [0, 0, 0], "fov": 50 } ] } },
     })
+}
+
+/// A folder whose `root` holds that scene.
+fn grid_folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path().join("root");
+    std::fs::create_dir(&root).unwrap();
+    std::fs::write(root.join("grid.ply"), grid_ply()).unwrap();
+    std::fs::write(root.join("grid.json"), grid_scene("grid.ply").to_string()).unwrap();
+    folder
 }
 
 impl Daemon {
@@ -58,30 +70,104 @@ impl Daemon {
 
     /// The same, after `prepare` has seen its root.
     pub fn start_in(prepare: impl FnOnce(&Path), args: &[&str]) -> Daemon {
+        let folder = grid_folder();
+        prepare(&folder.path().join("root"));
+        Daemon::spawn(folder, args, &[])
+    }
+
+    /// A daemon with the scene `grid` and a JSON log of everything that is ours.
+    pub fn start_talkative(args: &[&str]) -> Daemon {
+        Daemon::start_talkative_in(|_| {}, args)
+    }
+
+    /// The same, after `prepare` has seen its root.
+    pub fn start_talkative_in(prepare: impl FnOnce(&Path), args: &[&str]) -> Daemon {
+        let folder = grid_folder();
+        prepare(&folder.path().join("root"));
+        let args = [&["--log-format", "json"], args].concat();
+        Daemon::spawn(folder, &args, &[("POINTILLIST_LOG", "warn,pointillist=debug")])
+    }
+
+    /// One whose state folder is a file system of its own, of so many bytes, that goes when it ends.
+    pub fn start_on_small_disk(prepare: impl FnOnce(&Path), size: &str) -> Daemon {
+        let folder = grid_folder();
+        prepare(&folder.path().join("root"));
+        std::fs::create_dir(folder.path().join("state")).unwrap();
+        let script = format!(
+            "mount -t tmpfs -o size={size} tmpfs \"$POINTILLIST_STATE\" && exec \"$0\" \"$@\""
+        );
+        let mut command = Command::new("unshare");
+        command.args(["--user", "--map-root-user", "--mount", "sh", "-c", &script]);
+        command.arg(env!("CARGO_BIN_EXE_pointillist"));
+        Daemon::spawn_as(command, folder, &[], &[])
+    }
+
+    /// Its process.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// One that keeps its state where a user's own daemon does, below `states`.
+    pub fn start_with_user_state(states: &Path, args: &[&str]) -> Daemon {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path().join("root");
         std::fs::create_dir(&root).unwrap();
         std::fs::write(root.join("grid.ply"), grid_ply()).unwrap();
-        std::fs::write(root.join("grid.json"), grid_scene("grid.ply").to_string()).unwrap();
-        prepare(&root);
-        Daemon::spawn(folder, args)
+        let states = states.to_str().unwrap();
+        Daemon::spawn(folder, args, &[("XDG_STATE_HOME", states)])
     }
 
     /// Starts again on the same root.
     pub fn restart(mut self, args: &[&str]) -> Daemon {
         assert!(self.terminate().success());
-        let folder = std::mem::replace(&mut self.folder, tempfile::tempdir().unwrap());
-        Daemon::spawn(folder, args)
+        self.start_again(args)
     }
 
-    fn spawn(folder: tempfile::TempDir, args: &[&str]) -> Daemon {
+    /// Kills it and starts it again on the same root.
+    pub fn kill_and_restart(mut self, args: &[&str]) -> Daemon {
+        self.kill();
+        self.start_again(args)
+    }
+
+    fn start_again(mut self, args: &[&str]) -> Daemon {
+        let folder = std::mem::replace(&mut self.folder, tempfile::tempdir().unwrap());
+        Daemon::spawn(folder, args, &[])
+    }
+
+    /// SIGKILL, at once.
+    pub fn kill(&mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+
+    /// Where it keeps its jobs.
+    pub fn state(&self) -> PathBuf {
+        self.folder.path().join("state")
+    }
+
+    fn spawn(folder: tempfile::TempDir, args: &[&str], environment: &[(&str, &str)]) -> Daemon {
+        Daemon::spawn_as(Command::new(env!("CARGO_BIN_EXE_pointillist")), folder, args, environment)
+    }
+
+    fn spawn_as(
+        mut command: Command,
+        folder: tempfile::TempDir,
+        args: &[&str],
+        environment: &[(&str, &str)],
+    ) -> Daemon {
         let log = std::fs::File::create(folder.path().join("log")).unwrap();
-        let mut child = Command::new(env!("CARGO_BIN_EXE_pointillist"))
+        if environment.iter().any(|(name, _)| *name == "XDG_STATE_HOME") {
+            command.env_remove("POINTILLIST_STATE");
+        } else {
+            command.env("POINTILLIST_STATE", folder.path().join("state"));
+        }
+        let mut child = command
             .args(["serve", "--listen", "127.0.0.1:0", "--root"])
             .arg(folder.path().join("root"))
             .args(args)
             .env_remove("POINTILLIST_CONFIG")
             .env("POINTILLIST_NO_CACHE", "true")
+            .envs(environment.iter().copied())
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(log)

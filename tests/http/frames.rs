@@ -387,12 +387,23 @@ fn level_of_detail_and_its_receipt() {
     // Each detail is a frame of its own, and equal ones are equal.
     let tag =
         |query: &str| client.get(&format!("{FRAME}{query}")).header("etag").map(str::to_owned);
-    let queries = ["", "&lod=spt", "&lod=spt&max_error_px=2", "&lod=spt&paint=levels"];
+    let queries = [
+        "",
+        "&lod=spt",
+        "&lod=spt&max_error_px=2",
+        "&lod=spt&paint=levels",
+        "&lod=spt&reconstruct=splats",
+        "&lod=spt&reconstruct=splats&error_mode=split",
+    ];
     let tags: Vec<_> = queries.iter().map(|query| tag(query)).collect();
     for (index, one) in tags.iter().enumerate() {
         assert!(one.is_some() && !tags[..index].contains(one), "{}", queries[index]);
     }
     assert_eq!(tag("&lod=spt&max_error_px=1"), tags[1]);
+    assert_eq!(tag("&lod=spt&reconstruct=splats&error_mode=unified"), tags[4]);
+    assert_eq!(receipt["settings"]["error_mode"], Value::Null);
+    let split = client.get(&format!("{FRAME}{}", queries[5]));
+    assert_eq!(split.receipt()["settings"]["error_mode"], "split");
     let full = client.get(FRAME);
     assert_eq!(full.receipt()["max_error_px"], Value::Null);
     assert_eq!(full.receipt()["samples"]["accepted"], Value::Null);

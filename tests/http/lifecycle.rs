@@ -81,6 +81,7 @@ fn complaint(folder: &std::path::Path, args: &[&str]) -> String {
         .args(["serve", "--listen", "127.0.0.1:0", "--root"])
         .arg(folder)
         .args(args)
+        .env("POINTILLIST_NO_JOBS", "true")
         .stdin(Stdio::null())
         .output()
         .unwrap();
@@ -120,7 +121,7 @@ fn what_cannot_work_is_refused_at_the_start() {
 /// The same for flags that [`complaint`] gives itself.
 fn overriding(folder: &std::path::Path, args: &[&str]) -> String {
     let mut command = Command::new(env!("CARGO_BIN_EXE_pointillist"));
-    command.arg("serve").args(args).stdin(Stdio::null());
+    command.arg("serve").args(args).env("POINTILLIST_NO_JOBS", "true").stdin(Stdio::null());
     if args[0] != "--root" {
         command.arg("--root").arg(folder);
     }
@@ -132,7 +133,9 @@ fn overriding(folder: &std::path::Path, args: &[&str]) -> String {
 #[test]
 fn a_server_that_can_never_draw_again_says_so() {
     use pointillist::engine::{Engine, EngineConfig, Readiness};
-    use pointillist::http::{App, Phase, Settings, StreamLimits, access::Access, router};
+    use pointillist::http::{
+        App, Phase, Settings, StreamLimits, WatchLimits, access::Access, router,
+    };
     use std::time::Duration;
     use tower::ServiceExt;
 
@@ -148,8 +151,9 @@ fn a_server_that_can_never_draw_again_says_so() {
         read_timeout: Duration::from_secs(10),
         drain: Duration::from_secs(1),
         streams: StreamLimits { most: 4, most_per_client: 4, idle: Duration::from_secs(10) },
+        watches: WatchLimits { most: 4, most_per_client: 4, longest: Duration::from_secs(10) },
     };
-    let app = App::new(engine.clone(), settings);
+    let app = App::new(engine.clone(), settings, Err("no jobs in this test".to_owned()));
     app.set_phase(Phase::Serving);
     let router = router(app);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();

@@ -98,7 +98,18 @@ fn connections_have_limits() {
     std::thread::sleep(Duration::from_millis(100));
     let mut turned_away = raw(daemon.address, b"");
     let answer = read_to_close(&mut turned_away);
-    assert!(answer.starts_with("HTTP/1.1 503 ") && answer.contains("Retry-After: 1"), "{answer}");
+    assert!(answer.starts_with("HTTP/1.1 503 ") && answer.contains("retry-after: 1"), "{answer}");
+    assert!(answer.contains("too many connections"), "{answer}");
+    // Who asks how the daemon is hears that.
+    for (path, word) in [("/healthz", "ok"), ("/readyz", "ready")] {
+        let mut probe =
+            raw(daemon.address, format!("GET {path} HTTP/1.1\r\nHost: x\r\n\r\n").as_bytes());
+        let answer = read_to_close(&mut probe);
+        assert!(
+            answer.starts_with("HTTP/1.1 200 ") && answer.trim_end().ends_with(word),
+            "{answer}"
+        );
+    }
     // Those that say nothing, or not enough, lose their places.
     for mut stream in held {
         assert_eq!(read_to_close(&mut stream), "");

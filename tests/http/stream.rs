@@ -12,8 +12,8 @@ use super::client::raw;
 use super::daemon::{Daemon, eventually, wall_ply};
 
 /// A client of one stream.
-struct Stream {
-    socket: WebSocket<TcpStream>,
+pub struct Stream {
+    pub socket: WebSocket<TcpStream>,
 }
 
 /// What came.
@@ -29,12 +29,16 @@ enum Came {
 }
 
 impl Stream {
-    fn open(daemon: &Daemon, path: &str) -> Stream {
+    pub fn open(daemon: &Daemon, path: &str) -> Stream {
         Stream::connect(daemon.address, path, &[]).unwrap_or_else(|status| panic!("{status}"))
     }
 
     /// The stream, or the status that refuses it.
-    fn connect(address: SocketAddr, path: &str, headers: &[(&str, &str)]) -> Result<Stream, u16> {
+    pub fn connect(
+        address: SocketAddr,
+        path: &str,
+        headers: &[(&str, &str)],
+    ) -> Result<Stream, u16> {
         let mut request = tungstenite::http::Request::get(format!("ws://{address}{path}"))
             .header("Host", address.to_string())
             .header("Connection", "Upgrade")
@@ -56,7 +60,7 @@ impl Stream {
         }
     }
 
-    fn send(&mut self, message: Value) {
+    pub fn send(&mut self, message: Value) {
         self.socket.send(Message::text(message.to_string())).unwrap();
     }
 
@@ -111,7 +115,7 @@ impl Stream {
         }
     }
 
-    fn frame(&mut self) -> Value {
+    pub fn frame(&mut self) -> Value {
         let (header, _) = self.frame_unacked();
         self.send(json!({"ack": header["frame"]}));
         header
@@ -126,7 +130,7 @@ impl Stream {
         frames
     }
 
-    fn event(&mut self) -> Value {
+    pub fn event(&mut self) -> Value {
         loop {
             match self.next() {
                 Came::Event(event) => return event,
@@ -137,7 +141,7 @@ impl Stream {
     }
 
     /// The code that the stream is closed with.
-    fn closed(&mut self) -> u16 {
+    pub fn closed(&mut self) -> u16 {
         loop {
             if let Came::Close(code) = self.next() {
                 return code;
@@ -146,9 +150,9 @@ impl Stream {
     }
 }
 
-const GRID: &str = "/v1/scenes/grid/stream";
+pub const GRID: &str = "/v1/scenes/grid/stream";
 
-fn pose(seq: u64, x: f64) -> Value {
+pub fn pose(seq: u64, x: f64) -> Value {
     json!({"seq": seq, "eye": [x, 0, 3], "target": [0, 0, 0], "w": 320, "h": 240})
 }
 
@@ -229,23 +233,29 @@ fn the_newest_pose_wins_and_none_is_lost_count_of() {
 fn without_acknowledgements_no_more_frames_come() {
     let daemon = Daemon::start(&[]);
     let mut stream = Stream::open(&daemon, GRID);
-    let mut unacked = Vec::new();
-    stream.patience(Duration::from_millis(400));
-    for seq in 1..=20 {
-        stream.send(pose(seq, seq as f64 * 0.02));
-        while let Some(came) = stream.try_next() {
-            if let Came::Frame { header, .. } = came {
-                unacked.push(header);
+    let mut seq = 0;
+    // So many poses, and the frames that come meanwhile.
+    let mut move_on = |stream: &mut Stream, poses: usize| {
+        let mut came_now = 0;
+        stream.patience(Duration::from_millis(400));
+        for _ in 0..poses {
+            seq += 1;
+            stream.send(pose(seq, seq as f64 * 0.02));
+            while let Some(came) = stream.try_next() {
+                came_now += u64::from(matches!(came, Came::Frame { .. }));
             }
         }
-        if seq == 4 {
-            break;
-        }
-    }
-    assert_eq!(unacked.len(), 2, "{unacked:?}");
-    stream.send(json!({"ack": 2}));
-    stream.patience(Duration::from_secs(60));
+        stream.patience(Duration::from_secs(60));
+        came_now
+    };
+    assert_eq!(move_on(&mut stream, 4), 1, "the link is not known");
+    stream.send(json!({"ack": 1}));
     assert_eq!(stream.frame()["seq"], 4, "the newest, not those between");
+    // This client answers pings late, so that it seems to be far away.
+    let under_way = 1 + move_on(&mut stream, 12);
+    assert!((2..=8).contains(&under_way), "{under_way}");
+    stream.send(json!({"ack": 1 + under_way}));
+    assert_eq!(stream.frame()["seq"], 16);
     stream.send(json!({"ack": 99}));
     let problem = stream.event();
     assert_eq!((&problem["event"], &problem["parameter"]), (&"problem".into(), &"ack".into()));
@@ -450,4 +460,21 @@ fn count_frames(daemon: &Daemon, number: usize, until: Instant) -> usize {
         }
     }
     count
+}
+
+#[test]
+fn a_pose_may_begin_from_nothing() {
+    let daemon = Daemon::start(&[]);
+    let mut stream = Stream::open(&daemon, GRID);
+    stream.send(json!({"seq": 1, "camera": "front", "w": 64, "h": 48, "reconstruct": "splats",
+        "filter": "affine", "moving": false}));
+    assert_eq!(stream.frame()["receipt"]["settings"]["filter"], "affine");
+    stream.send(json!({"seq": 2, "camera": "front", "moving": false}));
+    assert_eq!(stream.frame()["receipt"]["settings"]["filter"], "affine", "as before");
+    stream.send(
+        json!({"seq": 3, "w": 64, "h": 48, "reconstruct": "splats", "moving": false, "reset": true}),
+    );
+    let receipt = &stream.frame()["receipt"];
+    assert_eq!(receipt["settings"]["filter"], "perspective", "as the scene has it");
+    assert_ne!(receipt["camera"]["eye"], json!([0.0, 0.0, 3.0]), "the whole scene");
 }

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 
 use super::header::Header;
 use super::record::{Columns, Layout};
-use super::{AssetError, ReadOptions, io_error, malformed};
+use super::{AssetError, ReadOptions, Visit, io_error, malformed};
 use crate::assets::points::unsupported;
 use crate::assets::quiet;
 
@@ -48,21 +48,22 @@ struct Chunk {
     points: u64,
 }
 
-/// Decompresses every point.
-pub(super) fn read<R: Read + Seek + Send + Sync>(
+/// Decompresses every point, some at a time.
+pub(super) fn each_part<R: Read + Seek + Send + Sync>(
     mut reader: R,
     header: &Header,
     layout: &Layout,
     name: &str,
     options: &ReadOptions,
-) -> Result<Columns, AssetError> {
+    visit: &mut Visit,
+) -> Result<(), AssetError> {
     let scheme = Scheme::of(header, name)?;
     let seek = |reader: &mut R, at| {
         reader.seek(SeekFrom::Start(at)).map_err(|source| io_error(name, source))
     };
     if scheme.arrangement == Arrangement::Pointwise {
         seek(&mut reader, header.points_offset)?;
-        return read_stream(reader, &scheme, u64::MAX, header, layout, name);
+        return read_stream(reader, &scheme, u64::MAX, header, layout, name, visit);
     }
     let start = header.points_offset + 8;
     match find_chunk_table(&mut reader, header, name)? {
@@ -70,14 +71,14 @@ pub(super) fn read<R: Read + Seek + Send + Sync>(
             let chunks = read_chunk_table(&mut reader, table_at, &scheme, header)
                 .map_err(|reason| malformed(name, "chunk table", reason))?;
             seek(&mut reader, start)?;
-            read_chunks(reader, &chunks, &scheme, header, layout, name, options)
+            read_chunks(reader, &chunks, &scheme, header, layout, name, options, visit)
         }
         None if scheme.arrangement == Arrangement::Chunked
             && !scheme.vlr.uses_variable_size_chunks() =>
         {
             seek(&mut reader, start)?;
             let chunk_points = u64::from(scheme.vlr.chunk_size());
-            read_stream(reader, &scheme, chunk_points, header, layout, name)
+            read_stream(reader, &scheme, chunk_points, header, layout, name, visit)
         }
         None => Err(malformed(name, "chunk table", "is missing")),
     }
@@ -203,6 +204,7 @@ fn read_chunk_table<R: Read + Seek>(
 }
 
 /// Decompresses groups of chunks, those of a group in parallel, in order.
+#[expect(clippy::too_many_arguments, reason = "what a file is, each used once")]
 fn read_chunks<R: Read>(
     mut reader: R,
     chunks: &[Chunk],
@@ -211,8 +213,8 @@ fn read_chunks<R: Read>(
     layout: &Layout,
     name: &str,
     options: &ReadOptions,
-) -> Result<Columns, AssetError> {
-    let mut columns = Columns::default();
+    visit: &mut Visit,
+) -> Result<(), AssetError> {
     let (mut first, mut done) = (0, 0);
     for group in chunks.chunks(2 * rayon::current_num_threads()) {
         let mut packed = Vec::with_capacity(group.len());
@@ -228,18 +230,15 @@ fn read_chunks<R: Read>(
             })
             .collect();
         for (index, part) in parts.into_iter().enumerate() {
-            let append = part.and_then(|part| {
-                columns.try_reserve(part.positions.len(), layout)?;
-                columns.append(part);
-                Ok(())
-            });
-            append.map_err(|reason| malformed(name, format!("chunk {}", first + index), reason))?;
+            let place = format!("chunk {}", first + index);
+            let part = part.map_err(|reason| malformed(name, place.as_str(), reason))?;
+            visit(part, place)?;
         }
         first += group.len();
         done += group.iter().map(|chunk| chunk.points).sum::<u64>();
         options.progress.report(done as f32 / header.points.max(1) as f32);
     }
-    Ok(columns)
+    Ok(())
 }
 
 fn decompress_chunk(
@@ -262,17 +261,20 @@ fn decompress_chunk(
             Box::new(SequentialPointRecordDecompressor::new(Cursor::new(bytes)))
         };
     decoder.set_fields_from(items).map_err(|error| error.to_string())?;
-    decompress_points(&mut *decoder, points, header, layout, &mut columns)?;
+    decompress_points(&mut *decoder, points, header, |records| {
+        columns.try_reserve(records.len() / header.record_bytes, layout)?;
+        columns.extend(records, layout);
+        Ok(())
+    })?;
     Ok(columns)
 }
 
-/// Appends `points` points; memory grows only with what is really decompressed.
+/// Gives the records of `points` points to `take`, some at a time; memory grows only with what is really decompressed.
 fn decompress_points<R>(
     decoder: &mut dyn RecordDecompressor<R>,
     points: u64,
     header: &Header,
-    layout: &Layout,
-    columns: &mut Columns,
+    mut take: impl FnMut(&[u8]) -> Result<(), String>,
 ) -> Result<(), String> {
     if decoder.record_size() != header.record_bytes {
         let (found, expected) = (decoder.record_size(), header.record_bytes);
@@ -287,8 +289,7 @@ fn decompress_points<R>(
             std::io::ErrorKind::UnexpectedEof => format!("ends with {left} points to come"),
             _ => error.to_string(),
         })?;
-        columns.try_reserve(batch as usize, layout)?;
-        columns.extend(records, layout);
+        take(records)?;
         left -= batch;
     }
     Ok(())
@@ -324,22 +325,35 @@ fn read_stream<R: Read>(
     header: &Header,
     layout: &Layout,
     name: &str,
-) -> Result<Columns, AssetError> {
-    let mut columns = Columns::default();
+    visit: &mut Visit,
+) -> Result<(), AssetError> {
+    let mut refused = None;
     let decompress = || {
         let mut decoder = SequentialPointRecordDecompressor::new(reader);
         let mut left = header.points;
         while left > 0 {
             decoder.set_fields_from(scheme.vlr.items()).map_err(|error| error.to_string())?;
             let points = chunk_points.min(left);
-            decompress_points(&mut decoder, points, header, layout, &mut columns)?;
+            decompress_points(&mut decoder, points, header, |records| {
+                let mut part = Columns::default();
+                part.try_reserve(records.len() / header.record_bytes, layout)?;
+                part.extend(records, layout);
+                visit(part, "point data".to_owned()).map_err(|error| {
+                    refused = Some(error);
+                    String::new()
+                })
+            })?;
             decoder.reset();
             left -= points;
         }
         Ok(())
     };
-    guarded(decompress).map_err(|reason| malformed(name, "point data", reason))?;
-    Ok(columns)
+    let done = guarded(decompress);
+    match (done, refused) {
+        (_, Some(error)) => Err(error),
+        (Err(reason), None) => Err(malformed(name, "point data", reason)),
+        (Ok(()), None) => Ok(()),
+    }
 }
 
 /// Runs the decoder; a panic of its is damage that it does not report.

@@ -25,7 +25,13 @@ fn position(i: usize) -> DVec3 {
 }
 
 /// `count` points, written by the `las` crate; the second one is withheld.
-fn file(version: (u8, u8), format: u8, is_compressed: bool, count: usize, color: u16) -> Vec<u8> {
+pub(crate) fn file(
+    version: (u8, u8),
+    format: u8,
+    is_compressed: bool,
+    count: usize,
+    color: u16,
+) -> Vec<u8> {
     let mut format = Format::new(format).unwrap();
     format.is_compressed = is_compressed;
     format.extra_bytes = 2;

@@ -20,13 +20,16 @@ use glam::DVec3;
 
 use self::body::{Body, Wanted};
 use self::header::{Element, Header, Kind};
+pub(super) use self::vertices::Facts;
 use self::vertices::{Finished, Vertices};
 use super::input::{Input, Origin};
 use super::polygon::Triangulator;
 use super::texture::{self, TextureBudget};
 use super::tokens::Lines;
-use super::{Asset, AssetError, Geometry, Material, Mesh, MeshPart, ReadOptions, tidy};
+use super::{Asset, AssetError, Geometry, Material, Mesh, MeshPart, PointCloud, ReadOptions, tidy};
 
+/// Points that are given at a time.
+const BLOCK: usize = 1 << 16;
 const INDEX_LISTS: [&str; 2] = ["vertex_indices", "vertex_index"];
 
 /// Reads the file at `path`, gzipped or not; `name` begins every error.
@@ -46,21 +49,9 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
     let Input { reader, origin } = input;
     let file = origin.name.as_str();
     let mut lines = Lines::new(reader, file);
-    let header = header::read(&mut lines, file)?;
-    refuse_splats(&header, file)?;
-    let Some(vertex) = header.element("vertex") else {
-        return Err(AssetError::malformed(file, "header", "declares no vertex element"));
-    };
-    let max_vertices = options.max_vertices.min(u64::from(u32::MAX));
-    AssetError::check_limit(file, "vertices", vertex.count, max_vertices)?;
-    for element in &header.elements {
-        let place = format!("element {}", element.name);
-        origin.check_count(&place, element.count, element.min_bytes(header.encoding))?;
-    }
-    let vertices = Vertices::new(vertex, origin.reserve(vertex.count)).map_err(|missing| {
-        let reason = format!("the vertex element has no scalar property {missing}");
-        AssetError::malformed(file, "header", reason)
-    })?;
+    let header = checked_header(&mut lines, &origin, options)?;
+    let vertex = vertex_element(&header, file)?;
+    let vertices = columns(vertex, origin.reserve(vertex.count), file)?;
     let mut parts = Parts {
         file,
         vertices,
@@ -81,6 +72,89 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
     }
     parts.cut_rings()?;
     parts.finish(&header, &origin, options)
+}
+
+fn checked_header<R: BufRead>(
+    lines: &mut Lines<'_, R>,
+    origin: &Origin,
+    options: &ReadOptions,
+) -> Result<Header, AssetError> {
+    let file = origin.name.as_str();
+    let header = header::read(lines, file)?;
+    refuse_splats(&header, file)?;
+    let vertex = vertex_element(&header, file)?;
+    let max_vertices = options.max_vertices.min(u64::from(u32::MAX));
+    AssetError::check_limit(file, "vertices", vertex.count, max_vertices)?;
+    for element in &header.elements {
+        let place = format!("element {}", element.name);
+        origin.check_count(&place, element.count, element.min_bytes(header.encoding))?;
+    }
+    Ok(header)
+}
+
+fn vertex_element<'h>(header: &'h Header, file: &str) -> Result<&'h Element, AssetError> {
+    let missing = || AssetError::malformed(file, "header", "declares no vertex element");
+    header.element("vertex").ok_or_else(missing)
+}
+
+fn columns(vertex: &Element, reserve: usize, file: &str) -> Result<Vertices, AssetError> {
+    Vertices::new(vertex, reserve).map_err(|missing| {
+        let reason = format!("the vertex element has no scalar property {missing}");
+        AssetError::malformed(file, "header", reason)
+    })
+}
+
+/// The vertices that the header announces; `None` where the file has faces, and so is a mesh.
+pub(super) fn announced(input: Input, options: &ReadOptions) -> Result<Option<u64>, AssetError> {
+    let Input { reader, origin } = input;
+    let header = checked_header(&mut Lines::new(reader, &origin.name), &origin, options)?;
+    let vertex = vertex_element(&header, &origin.name)?;
+    let has_faces = |element: &Element| {
+        let name = element.name.to_ascii_lowercase();
+        element.count > 0 && (name == "face" || name == "tristrips")
+    };
+    Ok((!header.elements.iter().any(has_faces)).then_some(vertex.count))
+}
+
+/// Calls `visit` with the points of a file without faces, [`BLOCK`] at a time. What colours, normals and intensities are depends on
+/// the whole file: give what a first call has found to a second one.
+///
+/// # Errors
+/// As [`read`]; those of `visit`.
+pub(super) fn each(
+    input: Input,
+    options: &ReadOptions,
+    known: Option<&Facts>,
+    visit: &mut dyn FnMut(PointCloud) -> Result<(), AssetError>,
+) -> Result<Facts, AssetError> {
+    let Input { reader, origin } = input;
+    let file = origin.name.as_str();
+    let mut lines = Lines::new(reader, file);
+    let header = checked_header(&mut lines, &origin, options)?;
+    let vertex = vertex_element(&header, file)?;
+    let mut facts = Facts::default();
+    let mut give = |block: Vertices| {
+        facts.add(&block);
+        visit(known.unwrap_or(&facts).cloud(block))
+    };
+    let mut body = Body::new(lines, header.encoding, file);
+    for element in &header.elements {
+        if !std::ptr::eq(element, vertex) {
+            body.each(element, &Wanted::nothing(element), |_, _| Ok(()))?;
+            continue;
+        }
+        let mut block = columns(vertex, BLOCK, file)?;
+        let wanted = block.wanted();
+        body.each(element, &wanted, |_, row| {
+            block.push(row);
+            if block.len() < BLOCK {
+                return Ok(());
+            }
+            give(std::mem::replace(&mut block, columns(vertex, BLOCK, file)?))
+        })?;
+        give(block)?;
+    }
+    Ok(facts)
 }
 
 fn mesh_asset(

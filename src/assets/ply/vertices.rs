@@ -120,6 +120,11 @@ impl Vertices {
         Wanted { slots: self.slots.clone(), values: SLOTS, list: None }
     }
 
+    /// How many there are so far.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
     pub fn push(&mut self, row: &Row) {
         let v = row.values.as_slice();
         let vector = |at: usize| DVec3::new(v[at], v[at + 1], v[at + 2]);
@@ -182,6 +187,73 @@ impl Vertices {
             intensity: self.intensity.map(|values| tidy::spread_intensity(&values)),
             classification: self.classes,
             radii,
+        }
+    }
+}
+
+/// What only a whole file tells of its vertices.
+#[derive(Clone, Debug)]
+pub(in crate::assets) struct Facts {
+    has_normals: bool,
+    counts_to_255: bool,
+    intensity: [f32; 2],
+    has_odd_radii: bool,
+}
+
+impl Default for Facts {
+    fn default() -> Facts {
+        Facts {
+            has_normals: false,
+            counts_to_255: false,
+            intensity: tidy::NO_RANGE,
+            has_odd_radii: false,
+        }
+    }
+}
+
+impl Facts {
+    pub(super) fn add(&mut self, vertices: &Vertices) {
+        let normals = vertices.normals.iter().flatten();
+        self.has_normals =
+            self.has_normals || normals.copied().any(|n| tidy::unit_normal(n) != Vec3::ZERO);
+        if let Colors::Floats(colors) = &vertices.colors {
+            self.counts_to_255 = self.counts_to_255 || colors.iter().any(tidy::counts_to_255);
+        }
+        for &value in vertices.intensity.iter().flatten() {
+            self.intensity = tidy::widened(self.intensity, value);
+        }
+        let is_radius = |radius: &f32| *radius > 0.0 && radius.is_finite();
+        self.has_odd_radii |= !vertices.radii.iter().flatten().all(is_radius);
+    }
+
+    /// Some of the file's vertices as points; those without a place are left out.
+    pub(super) fn cloud(&self, vertices: Vertices) -> PointCloud {
+        let Vertices { positions, normals, colors, intensity: raw, classes, radii, .. } = vertices;
+        let has_place: Vec<bool> = positions.iter().map(|position| position.is_finite()).collect();
+        fn kept<T>(values: Vec<T>, has_place: &[bool]) -> Vec<T> {
+            values.into_iter().zip(has_place).filter_map(|(v, keep)| keep.then_some(v)).collect()
+        }
+        let colors = match colors {
+            Colors::None => None,
+            Colors::Bytes(colors, _) => Some(colors),
+            Colors::Floats(colors) => {
+                let color = |c: [f32; 4]| tidy::color_from_floats(c, self.counts_to_255);
+                Some(colors.into_iter().map(color).collect())
+            }
+        };
+        let normals = normals.filter(|_| self.has_normals);
+        let intensity = |value: f32| tidy::intensity_within(self.intensity, value);
+        PointCloud {
+            colors: colors.map(|colors| kept(colors, &has_place)),
+            normals: normals.map(|normals| {
+                kept(normals, &has_place).into_iter().map(tidy::unit_normal).collect()
+            }),
+            intensity: raw
+                .map(|values| kept(values, &has_place).into_iter().map(intensity).collect()),
+            classification: classes.map(|classes| kept(classes, &has_place)),
+            radii: radii.filter(|_| !self.has_odd_radii).map(|radii| kept(radii, &has_place)),
+            positions: kept(positions, &has_place),
+            ..PointCloud::default()
         }
     }
 }

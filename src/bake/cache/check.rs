@@ -24,6 +24,17 @@ fn check_grid(grid: &Grid) -> Result<(), &'static str> {
     holds(grid.reach >= 0, "its grid reaches nowhere")
 }
 
+/// The same of a point tree without clip lines whose samples, nodes and attributes lie in files and are `count` each.
+pub(super) fn check_spilled(
+    grid: &Grid,
+    chunks: &[PackedChunk],
+    count: u64,
+) -> Result<(), &'static str> {
+    check_grid(grid)?;
+    check_chunks(chunks, count as usize)?;
+    holds(chunks.iter().all(|chunk| chunk.shift < u32::BITS), "a chunk's steps are out of range")
+}
+
 fn check_samples(samples: &PackedSamples) -> Result<(), &'static str> {
     let count = samples.positions.len();
     holds(samples.attributes.len() == count, "there are not as many attributes as positions")?;

@@ -18,12 +18,14 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use sha2::{Digest, Sha256};
 
 use super::FORMAT_VERSION;
-use super::check::check;
+use super::check::{check, check_spilled};
 use super::record::{
     HEADER_WORDS, RECORD_WORDS, Record, Sections, TRAILER_BYTES, chunk_from_words, chunk_to_words,
     file_bytes, halves, whole, words_of,
 };
+use crate::bake::external::Spilled;
 use crate::bake::pack::{PackedChunk, PackedGeometry, PackedMesh, PackedSamples};
+use crate::bake::tree::TreeStatistics;
 
 const MAGIC: [u8; 8] = *b"PTLSBAKE";
 /// Words that are written at once.
@@ -77,17 +79,7 @@ impl<'a> Entry<'a> {
     }
 
     pub(super) fn write(&self, out: impl Write, key: &[u8; 32]) -> io::Result<()> {
-        let mut writer = Writer { out, hasher: Sha256::new(), block: Vec::with_capacity(BLOCK) };
-        let mut header = [0; HEADER_WORDS];
-        header[..2].copy_from_slice(&words_of(&MAGIC));
-        header[2] = FORMAT_VERSION;
-        header[3] = self.table.len() as u32;
-        header[4..12].copy_from_slice(&words_of(key));
-        header[12..].copy_from_slice(&halves(self.bytes()));
-        writer.put(&header)?;
-        for record in &self.table {
-            writer.put(&record.to_words())?;
-        }
+        let mut writer = Writer::begin(out, key, &self.table)?;
         for geometry in self.geometries {
             for chunk in geometry.chunks() {
                 writer.put(&chunk_to_words(chunk))?;
@@ -116,9 +108,50 @@ impl<'a> Entry<'a> {
                 }
             }
         }
-        let Writer { mut out, hasher, .. } = writer;
-        out.write_all(&hasher.finalize())?;
-        out.flush()
+        writer.finish()
+    }
+}
+
+/// A point tree without clip lines that lies in files, as the only geometry of an entry.
+pub(super) struct SpilledEntry<'a> {
+    tree: &'a Spilled,
+    table: [Record; 1],
+}
+
+impl<'a> SpilledEntry<'a> {
+    /// # Errors
+    /// A tree that [`read`] would refuse.
+    pub(super) fn of(tree: &'a Spilled) -> Result<SpilledEntry<'a>, Refusal> {
+        let invalid = |what| Refusal::Invalid { geometry: 0, what };
+        check_spilled(&tree.grid, &tree.chunks, tree.len()).map_err(invalid)?;
+        let Spilled { grid, chunks, positions, attributes, kernels, nodes } = tree;
+        let sections = Sections::Samples {
+            chunks: chunks.len() as u32,
+            positions: positions.count() as u32,
+            attributes: attributes.count() as u32,
+            kernels: kernels.count() as u32,
+            clips: 0,
+            nodes: nodes.count() as u32,
+            clipped_first: positions.count() as u32,
+        };
+        Ok(SpilledEntry { tree, table: [Record { grid: *grid, sections }] })
+    }
+
+    /// Bytes of the file.
+    pub(super) fn bytes(&self) -> u64 {
+        file_bytes(&self.table)
+    }
+
+    pub(super) fn write(&self, out: impl Write, key: &[u8; 32]) -> io::Result<()> {
+        let mut writer = Writer::begin(out, key, &self.table)?;
+        for chunk in &self.tree.chunks {
+            writer.put(&chunk_to_words(chunk))?;
+        }
+        self.tree.positions.each_block(|words| writer.put(words.as_flattened()))?;
+        self.tree.attributes.each_block(|words| writer.put(words.as_flattened()))?;
+        self.tree.kernels.each_block(|words| writer.put(words))?;
+        self.tree.nodes.each_block(|words| writer.put(words.as_flattened()))?;
+        writer.finish()
     }
 }
 
@@ -130,6 +163,28 @@ struct Writer<W> {
 }
 
 impl<W: Write> Writer<W> {
+    /// Writes header and table.
+    fn begin(out: W, key: &[u8; 32], table: &[Record]) -> io::Result<Writer<W>> {
+        let mut writer = Writer { out, hasher: Sha256::new(), block: Vec::with_capacity(BLOCK) };
+        let mut header = [0; HEADER_WORDS];
+        header[..2].copy_from_slice(&words_of(&MAGIC));
+        header[2] = FORMAT_VERSION;
+        header[3] = table.len() as u32;
+        header[4..12].copy_from_slice(&words_of(key));
+        header[12..].copy_from_slice(&halves(file_bytes(table)));
+        writer.put(&header)?;
+        for record in table {
+            writer.put(&record.to_words())?;
+        }
+        Ok(writer)
+    }
+
+    /// Writes the trailer.
+    fn finish(mut self) -> io::Result<()> {
+        self.out.write_all(&self.hasher.finalize())?;
+        self.out.flush()
+    }
+
     fn put(&mut self, words: &[u32]) -> io::Result<()> {
         for part in words.chunks(BLOCK) {
             self.block.clear();
@@ -157,11 +212,12 @@ pub(super) fn read(
     })
 }
 
-fn read_whole(
+/// Whether the file is whole and of this key; how many geometries it says it has.
+pub(super) fn verify(
     source: &mut (impl Read + Seek),
     bytes: u64,
     key: &[u8; 32],
-) -> Result<Vec<PackedGeometry>, Refusal> {
+) -> Result<u32, Refusal> {
     let header_bytes = 4 * HEADER_WORDS as u64;
     if bytes < header_bytes + TRAILER_BYTES {
         return Err(Refusal::Length { found: bytes });
@@ -187,8 +243,49 @@ fn read_whole(
     if trailer != hash {
         return Err(Refusal::Checksum);
     }
+    Ok(header[3])
+}
+
+/// The figures of the only geometry of an entry, a point tree, of which little is in memory at a time.
+pub(super) fn figures(
+    source: &mut (impl Read + Seek),
+    bytes: u64,
+    key: &[u8; 32],
+) -> Result<TreeStatistics, Refusal> {
+    let count = verify(source, bytes, key)?;
+    source.seek(SeekFrom::Start(4 * HEADER_WORDS as u64))?;
+    let mut words = [[0; RECORD_WORDS]];
+    if count != 1 {
+        return Err(Refusal::Table);
+    }
+    read_words(source, words.as_flattened_mut())?;
+    let table = Record::from_words(&words[0]).map(|record| [record]);
+    let table = table.filter(|table| file_bytes(table) == bytes).ok_or(Refusal::Table)?;
+    let [Record { grid, sections }] = table;
+    let Sections::Samples { chunks, clips, nodes, .. } = sections else {
+        return Err(Refusal::Table);
+    };
+    let chunks = read_chunks(source, chunks)?.ok_or(Refusal::Table)?;
+    source.seek(SeekFrom::Start(bytes - TRAILER_BYTES - 8 * u64::from(nodes)))?;
+    let mut statistics = TreeStatistics::default();
+    let mut left = nodes;
+    while left > 0 {
+        let block: Vec<[u32; 2]> = read_arrays(source, left.min(BLOCK as u32))?;
+        statistics.add(&block);
+        left -= block.len() as u32;
+    }
+    statistics.finish(&grid, &chunks, u64::from(clips));
+    Ok(statistics)
+}
+
+fn read_whole(
+    source: &mut (impl Read + Seek),
+    bytes: u64,
+    key: &[u8; 32],
+) -> Result<Vec<PackedGeometry>, Refusal> {
+    let count = verify(source, bytes, key)?;
+    let header_bytes = 4 * HEADER_WORDS as u64;
     source.seek(SeekFrom::Start(header_bytes))?;
-    let count = header[3];
     if u64::from(count) * 4 * RECORD_WORDS as u64 > bytes - header_bytes - TRAILER_BYTES {
         return Err(Refusal::Table);
     }

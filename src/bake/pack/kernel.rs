@@ -6,7 +6,7 @@
 //! (Duff et al. 2017, "Building an orthonormal basis, revisited"), decoded as the shader decodes it. A clip line takes 16 bits
 //! for its direction and 16 for its offset.
 
-use std::f32::consts::{FRAC_PI_2, TAU};
+use std::f32::consts::TAU;
 
 use glam::{Vec2, Vec3};
 
@@ -48,27 +48,36 @@ fn length_code(length: f32, base: f32) -> u32 {
     1 + (below.round() as u32).min(LENGTH_MASK - 1)
 }
 
-/// The stored angle of a kernel's first axis against the normal's own frame.
+/// The stored angle of a kernel's first axis against the normal's own frame: the tangent of its half.
 fn angle_parameter(kernel: &Kernel, normal: Vec3) -> i32 {
-    if normal == Vec3::ZERO || lengths(kernel).0 == 0.0 {
-        return 0;
-    }
-    let (t, b) = frame(normal);
-    let mut angle = kernel.u.dot(b).atan2(kernel.u.dot(t));
-    // Of a direction and its opposite one lies within a quarter turn.
-    if angle > FRAC_PI_2 {
-        angle -= TAU / 2.0;
-    } else if angle < -FRAC_PI_2 {
-        angle += TAU / 2.0;
-    }
-    ((angle * 0.5).tan().clamp(-1.0, 1.0) * ANGLE_STEPS).round() as i32
+    if normal == Vec3::ZERO || lengths(kernel).0 == 0.0 { 0 } else { turn(kernel, normal) }
 }
 
-/// A kernel's word. `normal` as the GPU decodes it, or zero; `base` is the longest axis of the chunk in the units of `kernel`.
-pub fn kernel_word(kernel: &Kernel, normal: Vec3, base: f32) -> u32 {
-    let (u, v) = lengths(kernel);
-    let angle = (angle_parameter(kernel, normal) + ANGLE_STEPS as i32) as u32;
-    length_code(u, base) | length_code(v, base) << 11 | angle << 22
+/// As [`angle_parameter`], of a first axis and a normal that have a direction.
+fn turn(kernel: &Kernel, normal: Vec3) -> i32 {
+    let (t, b) = frame(normal);
+    let (x, y) = (f64::from(kernel.u.dot(t)), f64::from(kernel.u.dot(b)));
+    // Of a direction and its opposite one lies within a quarter turn.
+    let (x, y) = if x < 0.0 { (-x, -y) } else { (x, y) };
+    let below = x + (x * x + y * y).sqrt();
+    if below > 0.0 {
+        ((y / below).clamp(-1.0, 1.0) * f64::from(ANGLE_STEPS)).round() as i32
+    } else {
+        0
+    }
+}
+
+/// A kernel's word. `lengths` are its own ([`lengths`]); `normal` as the GPU decodes it, or zero; `base` is the longest axis of the
+/// chunk in the units of `kernel`.
+pub fn kernel_word(kernel: &Kernel, (u, v): (f32, f32), normal: Vec3, base: f32) -> u32 {
+    let angle = if normal == Vec3::ZERO || u == 0.0 { 0 } else { turn(kernel, normal) };
+    length_code(u, base) | length_code(v, base) << 11 | ((angle + ANGLE_STEPS as i32) as u32) << 22
+}
+
+/// The word of a circular kernel, in whatever direction its axes look.
+pub fn circle_word(radius: f32, base: f32) -> u32 {
+    let code = length_code(radius, base);
+    code | code << 11 | (ANGLE_STEPS as u32) << 22
 }
 
 /// The unit axes that the GPU gives a kernel.
@@ -140,6 +149,10 @@ mod tests {
         }
     }
 
+    fn word_of(kernel: &Kernel, normal: Vec3) -> u32 {
+        kernel_word(kernel, lengths(kernel), normal, 1.0)
+    }
+
     proptest! {
         #[test]
         fn kernels_survive_but_for_rounding(
@@ -152,7 +165,7 @@ mod tests {
             let (t, b) = frame(n);
             let direction = angle.cos() * t + angle.sin() * b;
             let kernel = Kernel { u: direction * long, v: n.cross(direction) * long * ratio };
-            let found = decoded(kernel_word(&kernel, n, 1.0), n, 1.0);
+            let found = decoded(word_of(&kernel, n), n, 1.0);
             let turned = if found.u.dot(kernel.u) < 0.0 { -1.0 } else { 1.0 };
             prop_assert!((found.u * turned - kernel.u).length() < 0.006 * long);
             prop_assert!((found.v * turned - kernel.v).length() < 0.006 * long * ratio);
@@ -172,7 +185,7 @@ mod tests {
             let [low, high] = clip_words(&clip, &kernel, n);
             prop_assert!(low <= high);
             let word = if low == NO_LINE { high } else { low };
-            let stored = decoded(kernel_word(&kernel, n, 1.0), n, 1.0);
+            let stored = decoded(word_of(&kernel, n), n, 1.0);
             let direction = (word >> 16) as f32 / 65536.0 * TAU;
             let found = (word as u16 as i16) as f32 / 32767.0 * OFFSET_RANGE;
             // A point on the line, and one well inside.
@@ -189,13 +202,13 @@ mod tests {
     #[test]
     fn what_is_no_kernel_is_nothing() {
         let n = Vec3::Z;
-        assert_eq!(kernel_word(&Kernel::default(), n, 1.0) & 0x3f_ffff, 0);
+        assert_eq!(word_of(&Kernel::default(), n) & 0x3f_ffff, 0);
         let broken = Kernel { u: Vec3::NAN, v: Vec3::X };
-        assert_eq!(kernel_word(&broken, n, 1.0) & LENGTH_MASK, 0);
+        assert_eq!(word_of(&broken, n) & LENGTH_MASK, 0);
         let flat = Kernel { u: Vec3::X, v: Vec3::ZERO };
-        assert_eq!(kernel_word(&flat, n, 1.0) & 0x3f_ffff, 1);
+        assert_eq!(word_of(&flat, n) & 0x3f_ffff, 1);
         let tiny = Kernel { u: Vec3::X, v: Vec3::Y * 1e-30 };
-        assert_eq!(kernel_word(&tiny, n, 1.0) >> 11 & LENGTH_MASK, LENGTH_MASK, "the shortest");
+        assert_eq!(word_of(&tiny, n) >> 11 & LENGTH_MASK, LENGTH_MASK, "the shortest");
         assert_eq!(clip_words(&Clip::NONE, &flat, n), [NO_LINE; 2]);
     }
 

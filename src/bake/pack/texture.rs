@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use super::rgba_word;
+use crate::assets::tidy::{linear_from_srgb, srgb_byte_from_linear};
 use crate::assets::{Filter, Texture, Wrap};
 
 /// A texture with all its levels, largest first, as sRGB8 words.
@@ -39,7 +40,7 @@ pub fn pack_texture(texture: &Texture) -> PackedTexture {
                     }
                     sum[3] += f32::from(texel[3]);
                 }
-                let byte = |v: f32| (srgb_from_linear(v * 0.25) * 255.0).round() as u8;
+                let byte = |v: f32| srgb_byte_from_linear(v * 0.25);
                 [byte(sum[0]), byte(sum[1]), byte(sum[2]), (sum[3] * 0.25).round() as u8]
             })
             .collect();
@@ -60,14 +61,6 @@ pub fn pack_texture(texture: &Texture) -> PackedTexture {
         nearest: texture.filter == Filter::Nearest,
         texels,
     }
-}
-
-fn linear_from_srgb(c: f32) -> f32 {
-    if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
-}
-
-fn srgb_from_linear(c: f32) -> f32 {
-    if c <= 0.003_130_8 { c * 12.92 } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 }
 }
 
 /// The largest level of a packed texture.

@@ -4,7 +4,7 @@ use glam::{IVec3, Vec2, Vec3};
 
 use super::kernel::{self, NO_LINE};
 use super::{NO_NORMAL, PackedMesh, PackedSamples, Sides, octahedral_decode};
-use crate::assets::{Clip, ClipLine, Mesh, MeshPart, PointCloud};
+use crate::assets::{Clip, ClipLine, Kernel, Mesh, MeshPart, PointCloud};
 
 /// The samples of packed samples, in their order.
 pub fn unpack_samples(packed: &PackedSamples) -> PointCloud {
@@ -23,9 +23,7 @@ pub fn unpack_samples(packed: &PackedSamples) -> PointCloud {
         let range = chunk.first as usize..(chunk.first + chunk.count) as usize;
         for index in range {
             cloud.positions.push(packed.grid.position(chunk.cell(packed.positions[index])));
-            let normal = packed.attributes[index][1];
-            let axes = if normal == NO_NORMAL { Vec3::Z } else { octahedral_decode(normal) };
-            kernels.push(kernel::decode(packed.kernels[index], axes, base));
+            kernels.push(unpack_kernel(packed.kernels[index], packed.attributes[index][1], base));
         }
     }
     cloud.kernels = Some(kernels);
@@ -35,6 +33,12 @@ pub fn unpack_samples(packed: &PackedSamples) -> PointCloud {
         cloud.clips = Some(vec![Clip::NONE; plain].into_iter().chain(clips).collect());
     }
     cloud
+}
+
+/// The kernel of a sample with this normal; `base` is the longest axis of its chunk.
+pub(in crate::bake) fn unpack_kernel(word: u32, normal: u32, base: f32) -> Kernel {
+    let axes = if normal == NO_NORMAL { Vec3::Z } else { octahedral_decode(normal) };
+    kernel::decode(word, axes, base)
 }
 
 fn line(word: u32) -> Option<ClipLine> {
@@ -79,8 +83,6 @@ pub fn unpack_mesh(packed: &PackedMesh) -> Mesh {
 #[cfg(test)]
 mod tests {
     use glam::DVec3;
-
-    use crate::assets::Kernel;
 
     use super::super::pack_samples;
     use super::*;

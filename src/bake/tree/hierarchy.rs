@@ -1,153 +1,219 @@
-//! The octree, from the finest level up.
+//! The octree: its leaves along a Morton curve, merged cell by cell.
+
+use std::ops::Range;
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::super::pack::spread;
 use super::Measures;
-use super::node::Node;
+use super::node::{NO_NODE, Node};
+use super::stack::{CHILDREN, Stack, shared_level};
 use crate::assets::{Kernel, PointCloud};
 use crate::math::Bounds;
 
 /// Levels of the octree: bits of a Morton code's coordinate.
 const LEVELS: u32 = 21;
-/// Members of a level that a thread takes at least.
-const PIECE: usize = 1 << 14;
-/// Children of a node at most.
-const CHILDREN: usize = 8;
+/// Leaves that a thread takes at most, unless they share a cell of the finest level.
+const PIECE: usize = 1 << 12;
 
-/// Nodes, the leaves first, in the order of their codes; and which sample each leaf is.
+/// Nodes, the leaves first, in the order of their codes, then the others, each as soon as all below it are there; and which sample
+/// each leaf is.
 pub struct Tree {
     pub nodes: Vec<Node>,
     pub samples: Vec<u32>,
+    /// For each node that is no leaf, the last leaf below it.
+    ends: Vec<u32>,
 }
 
-/// A node that has no parent yet, and the code of its cell.
-type Open = (u64, u32);
+impl Tree {
+    /// All nodes from `first` on, each behind what is below it and before what lies farther along the curve.
+    pub fn along_the_curve(&self, first: usize) -> Vec<u32> {
+        let mut order = Vec::with_capacity(self.nodes.len() - first);
+        let mut ends = self.ends.iter().zip(self.samples.len() as u32..).peekable();
+        for leaf in 0..self.samples.len() as u32 {
+            if leaf as usize >= first {
+                order.push(leaf);
+            }
+            while let Some((_, node)) = ends.next_if(|(end, _)| **end == leaf) {
+                order.push(node);
+            }
+        }
+        order
+    }
+}
 
-fn codes(cloud: &PointCloud, bounds: &Bounds) -> Vec<Open> {
-    let extent = bounds.extent().max_element();
-    let scale = if extent > 0.0 { f64::from((1u32 << LEVELS) - 1) / extent } else { 0.0 };
-    let code = |position: &DVec3| {
-        let cell = ((*position - bounds.min) * scale).to_array().map(|v| v as u64);
-        spread(cell[0]) | spread(cell[1]) << 1 | spread(cell[2]) << 2
-    };
-    let mut codes: Vec<Open> = cloud
-        .positions
+/// The codes of positions in a box, and which they are, in order.
+fn codes(positions: &[DVec3], bounds: &Bounds) -> Vec<(u64, u32)> {
+    let cells = Cells::of(bounds);
+    let mut codes: Vec<(u64, u32)> = positions
         .par_iter()
         .enumerate()
-        .map(|(index, position)| (code(position), index as u32))
+        .map(|(index, &position)| (cells.code(position), index as u32))
         .collect();
     codes.par_sort_unstable();
     codes
 }
 
+/// The octree's finest cells.
+pub struct Cells {
+    origin: DVec3,
+    scale: f64,
+}
+
+impl Cells {
+    /// Of a box.
+    pub fn of(bounds: &Bounds) -> Cells {
+        let extent = bounds.extent().max_element();
+        let scale = if extent > 0.0 { f64::from((1u32 << LEVELS) - 1) / extent } else { 0.0 };
+        Cells { origin: bounds.min, scale }
+    }
+
+    /// The place of the cell that holds a position along a Morton curve.
+    pub fn code(&self, position: DVec3) -> u64 {
+        let cell = ((position - self.origin) * self.scale).to_array().map(|v| u64::from(v as u32));
+        spread(cell[0]) | spread(cell[1]) << 1 | spread(cell[2]) << 2
+    }
+}
+
 pub fn build(cloud: &PointCloud, stands: Option<&[Measures]>, bounds: &Bounds) -> Tree {
-    let mut open = codes(cloud, bounds);
-    let samples: Vec<u32> = open.iter().map(|&(_, sample)| sample).collect();
-    let mut nodes: Vec<Node> = samples
-        .par_iter()
-        .map(|&sample| {
-            let i = sample as usize;
-            Node::leaf(
-                cloud.positions[i],
-                cloud.normals.as_ref().map_or(Vec3::ZERO, |normals| normals[i]),
-                cloud.colors.as_ref().map_or(super::super::colors::NEUTRAL, |colors| colors[i]),
-                &cloud.kernels.as_ref().map_or(Kernel::default(), |kernels| kernels[i]),
-                cloud
-                    .clips
-                    .as_ref()
-                    .is_some_and(|clips| clips[i].lines.iter().any(Option::is_some)),
-                stands.map_or(Measures::default(), |stands| stands[i]),
-            )
-        })
-        .collect();
-    open.par_iter_mut().enumerate().for_each(|(leaf, open)| open.1 = leaf as u32);
-    // Samples in one cell of the finest level may be more than eight.
-    while some_share_a_cell(&open) {
-        open = merge(&mut nodes, open, 0);
+    let codes = codes(&cloud.positions, bounds);
+    let samples: Vec<u32> = codes.iter().map(|&(_, sample)| sample).collect();
+    let mut nodes: Vec<Node> = Vec::with_capacity(2 * samples.len());
+    let leaf = |&sample: &u32| {
+        let i = sample as usize;
+        Node::leaf(
+            cloud.positions[i],
+            cloud.normals.as_ref().map_or(Vec3::ZERO, |normals| normals[i]),
+            cloud.colors.as_ref().map_or(super::super::colors::NEUTRAL, |colors| colors[i]),
+            &cloud.kernels.as_ref().map_or(Kernel::default(), |kernels| kernels[i]),
+            cloud.is_clipped(i),
+            stands.map_or(Measures::default(), |stands| stands[i]),
+        )
+    };
+    nodes.par_extend(samples.par_iter().map(leaf));
+    let pieces = pieces(&codes);
+    let mut rest = &mut nodes[..];
+    let mut leaves = Vec::with_capacity(pieces.len());
+    for piece in &pieces {
+        let (own, behind) = std::mem::take(&mut rest).split_at_mut(piece.len());
+        leaves.push(own);
+        rest = behind;
     }
-    for level in 1..=LEVELS {
-        if open.len() < 2 {
-            break;
-        }
-        open = merge(&mut nodes, open, 3 * level);
-    }
-    Tree { nodes, samples }
-}
-
-fn some_share_a_cell(open: &[Open]) -> bool {
-    open.par_windows(2).any(|pair| pair[0].0 == pair[1].0)
-}
-
-struct Merged {
-    nodes: Vec<Node>,
-    open: Vec<Open>,
-    /// Children of this piece's nodes, and the number of each's parent among them.
-    parents: Vec<(u32, u32)>,
-}
-
-/// Merges what shares a cell, up to eight at a time; what is alone stays.
-fn merge(nodes: &mut Vec<Node>, open: Vec<Open>, shift: u32) -> Vec<Open> {
-    let same = |a: &Open, b: &Open| a.0 >> shift == b.0 >> shift;
-    let mut pieces = Vec::new();
-    let mut begin = 0;
-    while begin < open.len() {
-        let mut end = (begin + PIECE).min(open.len());
-        while end < open.len() && same(&open[end - 1], &open[end]) {
-            end += 1;
-        }
-        pieces.push(&open[begin..end]);
-        begin = end;
-    }
-    let known: &[Node] = nodes;
-    let merged: Vec<Merged> = pieces
+    let branches: Vec<Branch> = leaves
         .into_par_iter()
-        .map(|piece| {
-            let mut out = Merged {
-                nodes: Vec::new(),
-                open: Vec::with_capacity(piece.len()),
-                parents: Vec::new(),
-            };
-            for run in piece.chunk_by(same) {
-                for run in run.chunks(CHILDREN) {
-                    let &[(code, only)] = run else {
-                        out.add(known, run);
-                        continue;
-                    };
-                    out.open.push((code, only));
+        .zip(&pieces)
+        .map(|(leaves, piece)| Branch::above(leaves, &codes[piece.clone()]))
+        .collect();
+    let ends = join(&codes, &pieces, branches, &mut nodes);
+    Tree { nodes, samples, ends }
+}
+
+/// Leaves that fill a cell each.
+fn pieces(codes: &[(u64, u32)]) -> Vec<Range<usize>> {
+    let mut pieces = Vec::new();
+    let mut open = vec![(0..codes.len(), LEVELS)];
+    while let Some((range, level)) = open.pop() {
+        if range.len() <= PIECE || level == 0 {
+            pieces.extend((!range.is_empty()).then_some(range));
+            continue;
+        }
+        // The eight cells within, the first on top.
+        let mut end = range.end;
+        while end > range.start {
+            let cell = codes[end - 1].0 >> (3 * (level - 1));
+            let within = &codes[range.start..end];
+            let begin =
+                range.start + within.partition_point(|&(code, _)| code >> (3 * (level - 1)) < cell);
+            open.push((begin..end, level - 1));
+            end = begin;
+        }
+    }
+    pieces
+}
+
+/// What is above the leaves of a piece, numbered from the piece's first leaf on.
+struct Branch {
+    nodes: Vec<Node>,
+    ends: Vec<u32>,
+    root: u32,
+}
+
+impl Branch {
+    fn above(leaves: &mut [Node], codes: &[(u64, u32)]) -> Branch {
+        let count = leaves.len() as u32;
+        let mut nodes: Vec<Node> = Vec::with_capacity(leaves.len());
+        let (mut ends, mut end) = (Vec::with_capacity(leaves.len()), 0);
+        let mut merge = |members: &[u32], end: u32| {
+            let number = count + nodes.len() as u32;
+            let node = above(members, |member| {
+                leaves.get(member as usize).unwrap_or_else(|| &nodes[(member - count) as usize])
+            });
+            for &member in members {
+                match leaves.get_mut(member as usize) {
+                    Some(leaf) => leaf.parent = number,
+                    None => nodes[(member - count) as usize].parent = number,
                 }
             }
-            out
-        })
-        .collect();
-    let mut still_open = Vec::with_capacity(merged.iter().map(|piece| piece.open.len()).sum());
-    for piece in merged {
-        let first = nodes.len() as u32;
-        for (child, parent) in piece.parents {
-            nodes[child as usize].parent = first + parent;
+            nodes.push(node);
+            ends.push(end);
+            number
+        };
+        let mut stack = Stack::new();
+        let mut last = None;
+        for (leaf, &(code, _)) in codes.iter().enumerate() {
+            let level = last.map_or(0, |last| shared_level(last, code));
+            stack.advance(level, &mut |members: &[u32]| merge(members, end));
+            stack.put(leaf as u32);
+            (last, end) = (Some(code), leaf as u32);
         }
-        nodes.extend(piece.nodes);
-        still_open.extend(piece.open.into_iter().map(|(code, node)| {
-            // See [`Merged::add`].
-            (code & !FRESH, if code & FRESH == 0 { node } else { first + node })
-        }));
+        let root = stack.finish(&mut |members: &[u32]| merge(members, end)).unwrap_or(0);
+        Branch { nodes, ends, root }
     }
-    still_open
 }
 
-/// Codes have 63 bits; the uppermost marks nodes of a piece until they have their final numbers.
-const FRESH: u64 = 1 << 63;
-
-impl Merged {
-    fn add(&mut self, known: &[Node], run: &[Open]) {
-        let mut children = [&known[run[0].1 as usize]; CHILDREN];
-        for (child, &(_, node)) in children.iter_mut().zip(run) {
-            *child = &known[node as usize];
-        }
-        let number = self.nodes.len() as u32;
-        self.nodes.push(Node::above(&children[..run.len()]));
-        self.parents.extend(run.iter().map(|&(_, child)| (child, number)));
-        self.open.push((run[0].0 | FRESH, number));
+/// The node above some.
+fn above<'a>(members: &[u32], node: impl Fn(u32) -> &'a Node) -> Node {
+    let mut children = [node(members[0]); CHILDREN];
+    for (child, &member) in children.iter_mut().zip(members) {
+        *child = node(member);
     }
+    Node::above(&children[..members.len().min(CHILDREN)])
+}
+
+/// Puts branches behind the leaves, and above them what joins them; where each of these ends.
+fn join(
+    codes: &[(u64, u32)],
+    pieces: &[Range<usize>],
+    branches: Vec<Branch>,
+    nodes: &mut Vec<Node>,
+) -> Vec<u32> {
+    let mut ends = Vec::with_capacity(branches.iter().map(|branch| branch.ends.len()).sum());
+    let merge = |members: &[u32], end: u32, nodes: &mut Vec<Node>, ends: &mut Vec<u32>| {
+        let number = nodes.len() as u32;
+        nodes.push(above(members, |member| &nodes[member as usize]));
+        ends.push(end);
+        members.iter().for_each(|&member| nodes[member as usize].parent = number);
+        number
+    };
+    let (mut stack, mut last) = (Stack::new(), 0);
+    for (piece, branch) in pieces.iter().zip(branches) {
+        let begin = piece.start as u32;
+        let level = shared_level(codes[last as usize].0, codes[piece.start].0);
+        stack.advance(level, &mut |members: &[u32]| merge(members, last, nodes, &mut ends));
+        let (local, global) = (piece.len() as u32, nodes.len() as u32);
+        let place = |node: u32| if node < local { begin + node } else { global + node - local };
+        for leaf in &mut nodes[piece.clone()] {
+            leaf.parent = if leaf.parent == NO_NODE { NO_NODE } else { place(leaf.parent) };
+        }
+        nodes.extend(branch.nodes.into_iter().map(|node| Node {
+            parent: if node.parent == NO_NODE { NO_NODE } else { place(node.parent) },
+            ..node
+        }));
+        ends.extend(branch.ends.iter().map(|end| begin + end));
+        stack.put(place(branch.root));
+        last = piece.end as u32 - 1;
+    }
+    stack.finish(&mut |members: &[u32]| merge(members, last, nodes, &mut ends));
+    ends
 }

@@ -1,8 +1,9 @@
 //! Sequential point trees (Dachsbacher, Vogelgsang, Stamminger 2003): samples → a hierarchy of disks, laid out as a list that is
 //! selected from without walking a tree.
 //!
-//! 1. *Hierarchy* ([`hierarchy`]). Samples, sorted along a Morton curve, are merged octree cell by octree cell, from the finest
-//!    level up; cells with a single member pass through. An inner node is a disk with its children's mean normal and colour.
+//! 1. *Hierarchy* ([`hierarchy`]). Samples, sorted along a Morton curve, are merged octree cell by octree cell, each as soon as
+//!    all of it has been seen ([`stack`]); cells with a single member pass through. An inner node is a disk with its children's mean
+//!    normal and colour.
 //! 2. *Errors* ([`node`]). What may be seen of the difference between a node's disk and the leaves below it. Errors do not
 //!    decrease on the way up.
 //! 3. *Sequence* ([`sequence`]). Nodes are sorted by their parents' errors, descending, and cut into chunks. Where `T(z)` is the
@@ -16,21 +17,38 @@
 //!    ancestor-or-self. A view needs the chunks with `e_parent > T(z_near − δ)`.
 //!
 //! Beyond the paper: errors are bounds with respect to the leaves and not to the children alone (each level passes on what it
-//! added), so that a promised error is kept; the sequence is sorted by place within bands of half an octave of `e_parent`, so
-//! that chunks can be culled by the frustum, which the paper's order forbids (§3.7); each node carries two measures, its
+//! added), so that a promised error is kept; the sequence keeps the curve's order within bands of half an octave of `e_parent`, so
+//! that chunks can be culled by the frustum, which the paper's order forbids (§3.7), and sorting is dealing out to bands; each node carries two measures, its
 //! error for disks that overlap and its size for samples that are drawn as one pixel each.
 //!
-//! A node's two words: of the error, then of the size, its own code (12 bits), its parent's (12 bits); and 8 bits above, of `δ` in
-//! the first, of the level in the second. A code `c` stands for `base · 2^(−c/128)`, with 0 in a parent's place for no parent and
-//! 4095 for none at all; `δ` counts in eighths of an octave below `base`; the level has 5 bits, and the 3 above them say how far
-//! the leaves' normals are from the node's ([`cone_sine`]). Rounding makes errors and distances larger, never
-//! smaller, and the same number has the same code in both places.
+//! A node's two words, from the lowest bit on: of the error, then of the size, its own code (11 bits) and its parent's (11 bits). Then
+//! in the first `δ` (4 bits), the node's tilt (4) and two bits of its parent's, in the second the level (5), how far the leaves'
+//! normals are from the node's (3, [`cone_sine`]) and the other two. A code `c` stands for `base · 2^(−c/64)`, with 0 in a parent's
+//! place for no parent and 2047 for none at all; `δ` counts in quarters of an octave below twice the parent's size. Rounding makes
+//! errors and distances larger, never smaller, and the same number has the same code in both places. [`tilt`] is what errors are
+//! by the angle that a node is seen at, and why a child knows its parent's.
+
+/// What trees are made of, for those who make them otherwise.
+pub(in crate::bake) mod parts {
+    pub use super::hierarchy::Cells;
+    pub use super::node::{Node, kernel_length};
+    pub use super::sequence::{
+        Codes, Cutter, Tilts, base_from, delta_bits, measures_of, range_of, reach_behind,
+        way_length, words,
+    };
+    pub use super::stack::{CHILDREN, Stack, shared_level};
+}
 
 mod hierarchy;
 mod node;
 mod sequence;
+mod stack;
+mod tilt;
 
-pub use sequence::{NO_PARENT, NONE, SORTED, cone_sine, decode, decode_delta};
+pub use sequence::{
+    CODE, CODE_BITS, LEVEL_SHIFT, NO_PARENT, NONE, SORTED, cone_sine, decode, decode_delta,
+};
+pub use tilt::{SIDEWAYS, UNTILTED, share_seen};
 
 use glam::{DVec3, Vec3};
 
@@ -43,7 +61,10 @@ use crate::math::Bounds;
 
 /// Of what is built from the same asset: a part of the key that trees are cached by. It must be raised whenever the trees of some
 /// asset change, whichever file that happens in: of this folder, [`super::hybrid`], `bake/rasterise.rs`, [`super::pack`].
-pub const BAKING_VERSION: u32 = 3;
+pub const BAKING_VERSION: u32 = 5;
+/// Hash of what this version bakes of the assets of `tree/version.rs`, whose test fails where trees have changed and this has not.
+#[cfg(test)]
+const BAKING_DIGEST: &str = "9f410d7d3adfd3a6";
 
 /// Builds the tree above samples with normals and kernels; what they lack is drawn as a facing disk, or not at all.
 ///
@@ -77,8 +98,9 @@ pub fn build_tree_within(
     Ok(packed)
 }
 
-/// The tree above leaves that are trees themselves, and drawn as such: it has none of its own. For each leaf, in an order in
-/// which neighbours in space are neighbours: its number, and what stands above it.
+/// The tree above leaves that are trees themselves. Each leaf has a node here as well, which is drawn where the root of its tree would
+/// be: from afar thousands of them are a chunk of nodes and not as many instances. For each leaf, in an order in which neighbours in
+/// space are neighbours: its number, and what stands above what its own tree draws, which is this node.
 ///
 /// # Errors
 /// See [`PackError`].
@@ -86,17 +108,20 @@ pub fn build_crowd(
     roots: &PointCloud,
     stands: &[Measures],
 ) -> Result<(PackedSamples, Vec<(u32, Above)>), PackError> {
-    let (tree, grid) = raise(roots, Some(stands), Bounds::EMPTY)?;
-    let (packed, _) = sequence::sequence(roots, &tree, grid, tree.samples.len());
+    let (mut tree, grid) = raise(roots, Some(stands), Bounds::EMPTY)?;
+    // Whether what is below is in play is asked of the errors from all sides.
+    tree.nodes.iter_mut().for_each(node::Node::see_alike);
+    let (packed, _) = sequence::sequence(roots, &tree, grid, 0);
     let (base, step) = (sequence::base_of(&tree, grid), grid.step as f32);
     // Shaders compute these anew, and may round otherwise.
     let up = |value: f32| (value * 1.001).min(f32::MAX);
     let above = tree.samples.iter().zip(&tree.nodes).map(|(&sample, leaf)| {
-        let above = tree.nodes.get(leaf.parent as usize).map_or(Above::NOTHING, |parent| Above {
-            error: up(sequence::rounded(parent.error, base, step)),
-            size: up(sequence::rounded(parent.size, base, step)),
-            delta: up((leaf.position - parent.position).length() as f32 + 4.0 * step),
-        });
+        let measures = sequence::measures_of(leaf, step);
+        let above = Above {
+            error: up(sequence::rounded(measures.error, base, step)),
+            size: up(sequence::rounded(measures.size, base, step)),
+            delta: up(4.0 * step),
+        };
         (sample, above)
     });
     Ok((packed, above.collect()))
@@ -136,16 +161,40 @@ fn raise(
     Ok((hierarchy::build(cloud, stands, &bounds), grid))
 }
 
-/// Whether a node is drawn, as shaders decide it. `word`: of its error, or of its size; `delta` is in the former. `base` in camera
-/// units, `z` its depth, `lod` the error that may be accepted at depth 1.
-pub fn is_drawn(word: u32, delta: u32, base: f32, lod: f32, z: f32) -> bool {
-    let accepted = lod * z.max(0.0);
-    let near = z * (1.0 - SLACK * z.signum()) - decode_delta(delta, base);
-    let (own, parent) = (word & 0xfff, word >> 12 & 0xfff);
-    decode(own, base) <= accepted && (parent == NO_PARENT || decode(parent, base) > lod * near)
+/// A node as an eye sees it, in camera units.
+#[derive(Clone, Copy, Debug)]
+pub struct Seen {
+    /// Depth along the viewing axis.
+    pub z: f32,
+    /// Distance from the eye.
+    pub far: f32,
+    /// Of the angle between its normal and the way to the eye; [`UNTILTED`] where errors are the same from all sides.
+    pub cosine: f32,
+}
+
+/// Whether a node is drawn, as shaders decide it. `measure`: 0 by its error, 1 by its size; `base` in camera units, `lod` the error
+/// that may be accepted at depth 1 of the viewing axis.
+pub fn is_drawn(words: [u32; 2], measure: usize, base: f32, lod: f32, seen: Seen) -> bool {
+    let accepted = |z: f32, far: f32| {
+        let near = z.max(0.0);
+        lod * near * (near / far.max(f32::MIN_POSITIVE))
+    };
+    let Seen { z, far, cosine } = seen;
+    let (own, parent) = (words[measure] & CODE, words[measure] >> CODE_BITS & CODE);
+    let [own_tilt, parent_tilt] = tilt::of_words(words);
+    let share = share_seen(own_tilt, cosine, 0.0);
+    if decode(own, base) * share > accepted(z, far) {
+        return false;
+    }
+    let (delta, slack) = (decode_delta(words, base), SLACK * far);
+    let turn = delta / far.max(f32::MIN_POSITIVE) + tilt::SLACK;
+    let share = share_seen(parent_tilt, cosine, turn);
+    let least = accepted(z - delta - slack, far + delta + slack);
+    parent == NO_PARENT || decode(parent, base) * share > least
 }
 
 /// The root of a tree: its disk and its measures.
+#[derive(Clone, Debug)]
 pub struct Root {
     pub position: DVec3,
     /// Zero where the disk faces the eye.
@@ -158,7 +207,8 @@ pub struct Root {
 impl Root {
     /// `None` of an empty tree.
     pub fn of(tree: &PackedSamples) -> Option<Root> {
-        let roots = tree.nodes.iter().position(|[error, _]| error >> 12 & 0xfff == NO_PARENT)?;
+        let roots =
+            tree.nodes.iter().position(|[error, _]| error >> CODE_BITS & CODE == NO_PARENT)?;
         let chunk = tree.chunks.iter().rfind(|chunk| chunk.first as usize <= roots)?;
         let cloud = unpack_samples(&PackedSamples {
             chunks: vec![PackedChunk { first: 0, count: 1, ..*chunk }],
@@ -170,7 +220,7 @@ impl Root {
             ..PackedSamples { grid: tree.grid, ..PackedSamples::default() }
         });
         let step = tree.grid.step as f32;
-        let value = |word: u32| decode(word & 0xfff, chunk.range.base) * step;
+        let value = |word: u32| decode(word & CODE, chunk.range.base) * step;
         let [error, size] = tree.nodes[roots];
         Some(Root {
             position: cloud.positions[0],
@@ -204,29 +254,36 @@ pub struct TreeStatistics {
 
 impl TreeStatistics {
     pub fn of(samples: &PackedSamples) -> TreeStatistics {
-        let (mut levels, mut errors) = (Vec::new(), vec![0; 33]);
-        for [error, size] in &samples.nodes {
-            let level = (size >> 24 & 31) as usize;
-            if levels.len() <= level {
-                levels.resize(level + 1, 0);
+        let mut statistics = TreeStatistics::default();
+        statistics.add(&samples.nodes);
+        statistics.finish(&samples.grid, &samples.chunks, samples.clips.len() as u64);
+        statistics
+    }
+
+    /// Counts some nodes, by their words.
+    pub(in crate::bake) fn add(&mut self, nodes: &[[u32; 2]]) {
+        self.errors.resize(33, 0);
+        for [error, size] in nodes {
+            let level = (size >> LEVEL_SHIFT & 31) as usize;
+            if self.levels.len() <= level {
+                self.levels.resize(level + 1, 0);
             }
-            levels[level] += 1;
-            let code = error & 0xfff;
-            errors[if code == NONE { 32 } else { (code / 128) as usize }] += 1;
+            self.levels[level] += 1;
+            let code = error & CODE;
+            self.errors[if code == NONE { 32 } else { (code / 64) as usize }] += 1;
         }
-        let leaves = levels.first().copied().unwrap_or(0);
-        let count = samples.nodes.len() as u64;
-        TreeStatistics {
-            leaves,
-            inner: count - leaves,
-            levels,
-            errors,
-            base: samples.chunks.iter().map(|chunk| chunk.range.base).fold(0.0, f32::max)
-                * samples.grid.step as f32,
-            chunks: samples.chunks.len() as u64,
-            bytes: count * (super::pack::SAMPLE_BYTES + super::pack::NODE_BYTES)
-                + samples.clips.len() as u64 * super::pack::CLIP_BYTES,
-        }
+    }
+
+    /// Once all nodes have been counted.
+    pub(in crate::bake) fn finish(&mut self, grid: &Grid, chunks: &[PackedChunk], clips: u64) {
+        let count: u64 = self.levels.iter().sum();
+        self.leaves = self.levels.first().copied().unwrap_or(0);
+        self.inner = count - self.leaves;
+        self.base =
+            chunks.iter().map(|chunk| chunk.range.base).fold(0.0, f32::max) * grid.step as f32;
+        self.chunks = chunks.len() as u64;
+        self.bytes = count * (super::pack::SAMPLE_BYTES + super::pack::NODE_BYTES)
+            + clips * super::pack::CLIP_BYTES;
     }
 
     /// Both together. Errors stay in octaves below the base of the tree that each is in.
@@ -248,3 +305,5 @@ impl TreeStatistics {
 
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod version;

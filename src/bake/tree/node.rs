@@ -23,6 +23,10 @@ pub struct Node {
     /// No leaf's normal is farther from the normal, in radians; π where it is not known.
     pub cone: f32,
     pub error: f32,
+    /// What of the error is the same from all sides: contrast of colours, and what leaves stand for.
+    pub even: f32,
+    /// All of it is.
+    pub alike: bool,
     /// As the error, for those who draw one pixel a node: how far leaves are from the centre, and what they stand for.
     pub size: f32,
     /// Area of the leaves.
@@ -101,6 +105,8 @@ impl Node {
             spread: if is_clipped { radius } else { 0.0 },
             cone: if normal == Vec3::ZERO { PI } else { 0.0 },
             error: known(stands.error),
+            even: known(stands.error),
+            alike: false,
             size: known(stands.size),
             // Samples without a size count, too.
             weight: (radius * radius).max(f32::MIN_POSITIVE),
@@ -139,6 +145,8 @@ impl Node {
             spread: 0.0,
             cone: PI,
             error: 0.0,
+            even: 0.0,
+            alike: false,
             size: 0.0,
             weight: total.min(f64::from(f32::MAX)) as f32,
             color,
@@ -157,13 +165,19 @@ impl Node {
         }
         let contrast = ((variance.sqrt() - FAINT) / (STRONG - FAINT)).clamp(0.0, 1.0);
         let own = (node.lift * node.lift + node.spread * node.spread).sqrt();
-        let own = own.max(node.radius * contrast);
-        node.error = children.iter().fold(own, |most, child| most.max(child.error));
+        let even = node.radius * contrast;
+        node.even = children.iter().fold(even, |most, child| most.max(child.even));
+        node.error = children.iter().fold(own.max(even), |most, child| most.max(child.error));
         // A ball's leaves are no farther from its centre than its radius, a disk's may also lie above it.
         let reach = if normal == Vec3::ZERO { 0.0 } else { node.lift };
         let own = node.radius.hypot(reach);
         node.size = children.iter().fold(own, |most, child| most.max(child.size));
         node
+    }
+
+    /// Makes errors what they are from all sides, from whichever it is seen.
+    pub fn see_alike(&mut self) {
+        self.alike = true;
     }
 
     fn enclose_in_a_ball(&mut self, children: &[&Node]) {
@@ -217,19 +231,20 @@ impl Node {
         self.lift = 0.5 * (high - low);
         let raise = 0.5 * (high + low);
         // The farthest from what lies below: between children as well as beyond them.
-        let mut extents = [f32::MIN; 8];
-        for (extent, child) in extents.iter_mut().zip(children) {
+        let at: [Vec2; PLACES.len()] = PLACES.map(|place| centre + place * self.radius);
+        let mut least = [f32::MAX; PLACES.len()];
+        for ((place, _), child) in places.iter().zip(children) {
             // A disk seen at an angle holds a circle that is smaller by it.
             let seen = if child.normal == Vec3::ZERO { 1.0 } else { child.normal.dot(self.normal) };
-            *extent = child.radius * seen.abs() - child.spread;
+            let extent = child.radius * seen.abs() - child.spread;
+            for (least, at) in least.iter_mut().zip(&at) {
+                let (x, y) = (at.x - place.x, at.y - place.y);
+                let way = (x * x + y * y).sqrt() - extent;
+                // Rather than `min`, which minds NaN: four lanes at a time.
+                *least = if way < *least { way } else { *least };
+            }
         }
-        let farthest = PLACES.iter().map(|place| {
-            let at = centre + *place * self.radius;
-            let ways = places.iter().zip(&extents);
-            ways.fold(f32::MAX, |least, ((child, _), extent)| {
-                least.min((at - *child).length() - extent)
-            })
-        });
+        let farthest = least.into_iter();
         self.spread = (BETWEEN * farthest.fold(0.0, f32::max)).min(2.0 * self.radius);
         self.position += (a * centre.x + b * centre.y + self.normal * raise).as_dvec3();
     }

@@ -1,24 +1,34 @@
 //! The hierarchy as a list: order, chunks, codes.
 
-use glam::{DVec3, IVec3};
+use glam::IVec3;
 use rayon::prelude::*;
 
 use super::super::CUTOFF;
-use super::super::kernels::circle;
 use super::super::pack::{
-    CHUNK, Grid, NodeRange, PackedRun, PackedSamples, joined, morton, pack_run,
+    CHUNK, Grid, NodeRange, PackedChunk, PackedRun, PackedSamples, Sample, Shape, joined, pack_run,
 };
 use super::hierarchy::Tree;
 use super::node::Node;
-use crate::assets::{Clip, Kernel, PointCloud};
+use super::{Measures, tilt};
+use crate::assets::{Kernel, PointCloud};
 
+/// Bits of a code, and a word of them.
+pub const CODE_BITS: u32 = 11;
+pub const CODE: u32 = (1 << CODE_BITS) - 1;
+/// Where `δ` is in the first word, and the level and the cone in the second.
+const DELTA_SHIFT: u32 = 2 * CODE_BITS;
+pub const LEVEL_SHIFT: u32 = 2 * CODE_BITS;
+const CONE_SHIFT: u32 = LEVEL_SHIFT + 5;
 /// The code of an error or size of nothing at all.
-pub const NONE: u32 = 0xfff;
+pub const NONE: u32 = CODE;
 /// In a parent's place: there is none.
 pub const NO_PARENT: u32 = 0;
 /// Steps of an octave, of errors and sizes and of distances.
-const STEPS: f32 = 128.0;
-const DELTA_STEPS: f32 = 8.0;
+pub(super) const STEPS: f32 = 64.0;
+const DELTA_STEPS: f32 = 4.0;
+/// Sizes of nodes above leaves are no less, in cells, so that twice the size holds the way to those below and what the grid rounds.
+/// Where a chunk's own coordinates are coarser than that, the way may be more, and has the code of what is as long as any.
+const LEAST_SIZE: f32 = 2.0;
 /// Stands for what no error reaches.
 const INFINITE: f32 = 1e30;
 /// Nodes of the first chunks: what is seen from afar shall not cost a whole chunk's test.
@@ -44,39 +54,91 @@ pub fn decode(code: u32, base: f32) -> f32 {
     if code == NONE { 0.0 } else { base * (-(code as f32) / STEPS).exp2() }
 }
 
-pub(super) fn delta_code(value: f32, base: f32) -> u32 {
-    if value <= 0.0 {
-        return 255;
-    }
-    ((base / value).log2() * DELTA_STEPS).floor().clamp(0.0, 255.0) as u32
+/// The largest code of a way that is no less than `value`; `size` is the parent's code.
+pub(super) fn delta_code(value: f32, size: u32, base: f32) -> u32 {
+    let least = |code: &u32| delta_of(*code, size, base) >= value;
+    (1..16).rev().find(least).unwrap_or(0)
 }
 
-/// The sine of a cone's half angle, of its code; the last says nothing.
-pub fn cone_sine(code: u32) -> f32 {
+/// Of a code and the parent's code of its size: from twice that on, or as large as any.
+fn delta_of(code: u32, size: u32, base: f32) -> f32 {
+    match code {
+        0 => base,
+        code => 2.0 * decode(size, base) * (-((code - 1) as f32) / DELTA_STEPS).exp2(),
+    }
+}
+
+/// The sine of a cone's half angle, of a node's second word; the largest code says nothing.
+pub fn cone_sine(size: u32) -> f32 {
+    sine_of(size >> CONE_SHIFT & 7)
+}
+
+fn sine_of(code: u32) -> f32 {
     if code == 7 { 2.0 } else { (code * code) as f32 / 48.0 }
 }
 
 fn cone_code(cone: f32) -> u32 {
     let sine = if cone < std::f32::consts::FRAC_PI_2 { cone.sin() } else { 2.0 };
-    (0..7).find(|&code| sine <= cone_sine(code)).unwrap_or(7)
+    (0..7).find(|&code| sine <= sine_of(code)).unwrap_or(7)
 }
 
-/// The distance of a code.
-pub fn decode_delta(code: u32, base: f32) -> f32 {
-    base * (-(code as f32) / DELTA_STEPS).exp2()
+/// How far a node's parent is, of its words; 0 where there is none.
+pub fn decode_delta([error, size]: [u32; 2], base: f32) -> f32 {
+    let size = size >> CODE_BITS & CODE;
+    if size == NO_PARENT { 0.0 } else { delta_of(error >> DELTA_SHIFT & 15, size, base) }
 }
 
-struct Codes {
-    error: u32,
-    size: u32,
-    error_parent: u32,
-    size_parent: u32,
+/// What is coded of a node's measures.
+pub fn measures_of(node: &Node, step: f32) -> Measures {
+    let least = if node.level > 0 { LEAST_SIZE * step } else { 0.0 };
+    Measures { error: node.error, size: node.size.max(least) }
 }
 
-/// Twice what any node has, so that no code of a node is that of no parent; in cells.
+/// What codes count from, in cells, of the largest measure: twice that, so that no code of a node is that of no parent.
+pub fn base_from(most: f32, step: f32) -> f32 {
+    2.0 * (most / step).max(LEAST_SIZE)
+}
+
+/// Of a node: its error and size, and its parent's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Codes {
+    pub error: u16,
+    pub size: u16,
+    pub error_parent: u16,
+    pub size_parent: u16,
+}
+
+/// Bands of both measures of a parent.
+const BANDS: usize = 1 << 11;
+
+impl Codes {
+    /// Of an error and a size, and of the parent's, if there is one.
+    pub fn of(own: Measures, parent: Option<Measures>, base: f32, step: f32) -> Codes {
+        let code = |value: f32| code(value / step, base) as u16;
+        let none = NO_PARENT as u16;
+        Codes {
+            error: code(own.error),
+            size: code(own.size),
+            error_parent: parent.map_or(none, |parent| code(parent.error)),
+            size_parent: parent.map_or(none, |parent| code(parent.size)),
+        }
+    }
+
+    /// Half octaves of the parent's error, octaves of its size.
+    pub fn band(self) -> u16 {
+        self.error_parent / 32 * 32 + self.size_parent / 64
+    }
+
+    /// What the first nodes are sorted by.
+    fn first_of_parents(self) -> u16 {
+        self.error_parent.min(self.size_parent)
+    }
+}
+
+/// What a tree's codes count from, in cells.
 pub fn base_of(tree: &Tree, grid: Grid) -> f32 {
     let measures = tree.nodes.par_iter().map(|node| node.error.max(node.size));
-    2.0 * measures.reduce(|| 0.0, f32::max) / grid.step as f32
+    base_from(measures.reduce(|| 0.0, f32::max), grid.step as f32)
 }
 
 /// What a measure of a tree's node is once it has been packed.
@@ -84,31 +146,35 @@ pub fn rounded(value: f32, base: f32, step: f32) -> f32 {
     decode(code(value / step, base), base) * step
 }
 
-/// All nodes as samples: leaves keep their kernels and clip lines, the others are disks.
-fn cloud_of(cloud: &PointCloud, tree: &Tree) -> PointCloud {
-    let leaf = |index: usize| tree.samples.get(index).map(|&sample| sample as usize);
-    let nodes = || tree.nodes.par_iter().enumerate();
-    let color = |(index, node): (usize, &Node)| {
-        let alpha = leaf(index).and_then(|i| Some(cloud.colors.as_ref()?[i][3])).unwrap_or(255);
-        let [r, g, b] = node.color.round().to_array().map(|v| v as u8);
-        [r, g, b, alpha]
-    };
-    let kernel = |(index, node): (usize, &Node)| {
-        leaf(index)
-            .map(|i| cloud.kernels.as_ref().map_or(Kernel::default(), |kernels| kernels[i]))
-            .unwrap_or_else(|| circle(node.normal, node.radius / CUTOFF))
-    };
-    let clips = cloud.clips.as_ref().map(|clips| {
-        nodes().map(|(index, _)| leaf(index).map_or(Clip::NONE, |i| clips[i])).collect()
-    });
-    PointCloud {
-        positions: tree.nodes.par_iter().map(|node| node.position).collect(),
-        colors: Some(nodes().map(color).collect()),
-        normals: Some(tree.nodes.par_iter().map(|node| node.normal).collect()),
-        oriented: cloud.oriented,
-        kernels: Some(nodes().map(kernel).collect()),
-        clips,
-        ..PointCloud::default()
+/// A tree whose nodes are samples: leaves keep their kernels and clip lines, the others are disks.
+struct Nodes<'a> {
+    cloud: &'a PointCloud,
+    tree: &'a Tree,
+    grid: Grid,
+}
+
+impl Nodes<'_> {
+    fn is_clipped(&self, node: u32) -> bool {
+        let sample = self.tree.samples.get(node as usize);
+        self.cloud.clips.is_some() && sample.is_some_and(|&i| self.cloud.is_clipped(i as usize))
+    }
+
+    fn sample(&self, index: u32) -> Sample<'_> {
+        let node = &self.tree.nodes[index as usize];
+        let leaf = self.tree.samples.get(index as usize).map(|&sample| sample as usize);
+        let color = |i: usize| Some(self.cloud.colors.as_ref()?[i][3]);
+        let [r, g, b] = node.color.to_array().map(|v| (v + 0.5) as u8);
+        let kernel = |i: usize| match &self.cloud.kernels {
+            Some(kernels) => Shape::Ellipse(kernels[i]),
+            None => Shape::Ellipse(Kernel::default()),
+        };
+        Sample {
+            cell: self.grid.quantise(node.position),
+            color: [r, g, b, leaf.and_then(color).unwrap_or(u8::MAX)],
+            normal: node.normal,
+            shape: leaf.map_or(Shape::Circle(node.radius / CUTOFF), kernel),
+            clip: leaf.and_then(|i| Some(&self.cloud.clips.as_ref()?[i])),
+        }
     }
 }
 
@@ -121,139 +187,231 @@ pub fn sequence(
     grid: Grid,
     first: usize,
 ) -> (PackedSamples, Vec<u32>) {
-    let all = cloud_of(cloud, tree);
-    let nodes = &tree.nodes;
-    let step = grid.step as f32;
     let base = base_of(tree, grid);
-    let own: Vec<(u32, u32)> = nodes
-        .par_iter()
-        .map(|node| (code(node.error / step, base), code(node.size / step, base)))
-        .collect();
-    let codes: Vec<Codes> = nodes
-        .par_iter()
-        .zip(&own)
-        .map(|(node, &(error, size))| {
-            let above = own.get(node.parent as usize).copied();
-            let (error_parent, size_parent) = above.unwrap_or((NO_PARENT, NO_PARENT));
-            Codes { error, size, error_parent, size_parent }
-        })
-        .collect();
-    drop(own);
-    let clipped = |index: usize| {
-        all.clips.as_ref().is_some_and(|clips| clips[index].lines.iter().any(Option::is_some))
+    let codes = codes_of(tree, base, grid.step as f32);
+    let nodes = Nodes { cloud, tree, grid };
+    let band = |node: u32| {
+        let behind = if nodes.is_clipped(node) { BANDS } else { 0 };
+        behind + usize::from(codes[node as usize].band())
     };
-    let mut order: Vec<(bool, u32, u64, u32)> = (first..nodes.len())
-        .into_par_iter()
-        .map(|index| {
-            let codes = &codes[index];
-            let band = ((codes.error_parent / 64) << 8) | (codes.size_parent / 128);
-            let place = morton(grid.quantise(all.positions[index]));
-            (clipped(index), band, place, index as u32)
-        })
+    let order = in_bands(&tree.along_the_curve(first), 2 * BANDS, band);
+    let clipped_first = order.partition_point(|&node| !nodes.is_clipped(node));
+    let (plain, with_lines) = order.split_at(clipped_first);
+    let lists: Vec<(bool, Vec<u32>)> = [(false, plain), (true, with_lines)]
+        .into_iter()
+        .flat_map(|(clipped, nodes)| cut(nodes, &codes).into_iter().map(move |run| (clipped, run)))
         .collect();
-    order.par_sort_unstable();
-    let clipped_first = order.partition_point(|&(clipped, ..)| !clipped);
-    let runs: Vec<PackedRun> = {
-        let (plain, with_lines) = order.split_at_mut(clipped_first);
-        let mut cuts = cut(plain, &codes);
-        cuts.extend(cut(with_lines, &codes));
-        let lists: Vec<Vec<(bool, u64, u32)>> = cuts
-            .into_par_iter()
-            .map(|run| run.iter().map(|&(clipped, _, place, i)| (clipped, place, i)).collect())
-            .collect();
-        lists.par_iter().map(|run| pack_run(&all, &grid, run)).collect()
+    let pack = |(clipped, run): &(bool, Vec<u32>)| {
+        let samples = run.iter().map(|&node| nodes.sample(node)).collect();
+        pack_run(&grid, samples, *clipped, cloud.oriented)
     };
+    let runs: Vec<PackedRun> = lists.par_iter().map(pack).collect();
+    let order: Vec<u32> = lists.into_iter().flat_map(|(_, run)| run).collect();
     let mut out = joined(grid, runs, clipped_first as u32);
-    drop(all);
     // Where the GPU finds each node: the way to a parent is between those places.
-    let mut cells = vec![IVec3::ZERO; nodes.len()];
+    let mut cells = vec![IVec3::ZERO; tree.nodes.len()];
     for chunk in &out.chunks {
         let range = chunk.first as usize..(chunk.first + chunk.count) as usize;
-        for (place, &(.., node)) in out.positions[range.clone()].iter().zip(&order[range]) {
+        for (place, &node) in out.positions[range.clone()].iter().zip(&order[range]) {
             cells[node as usize] = chunk.cell(*place);
         }
     }
     out.nodes = order
         .par_iter()
-        .map(|&(.., index)| {
-            let (codes, node) = (&codes[index as usize], &nodes[index as usize]);
-            let delta = cells.get(node.parent as usize).map_or(255, |&parent| {
-                let way: DVec3 = (cells[index as usize] - parent).as_dvec3();
-                delta_code(way.length() as f32 * 1.001, base)
-            });
-            [
-                codes.error | codes.error_parent << 12 | delta << 24,
-                codes.size
-                    | codes.size_parent << 12
-                    | u32::from(node.level).min(31) << 24
-                    | cone_code(node.cone) << 29,
-            ]
+        .map(|&index| {
+            let node = &tree.nodes[index as usize];
+            let parent = cells.get(node.parent as usize);
+            let length = parent.map_or(0.0, |&parent| way_length(cells[index as usize] - parent));
+            let codes = codes[index as usize];
+            let tilts = Tilts::of(node, tree.nodes.get(node.parent as usize));
+            let [error, size] = words(codes, node, tilts);
+            [error | delta_bits(length, u32::from(codes.size_parent), base), size]
         })
         .collect();
     set_ranges(&mut out, base);
-    (out, order.into_iter().map(|(.., node)| node).collect())
+    (out, order)
 }
 
-/// Cuts nodes, in order, into chunks; what has the largest parents comes first, in small ones.
-fn cut<'a>(
-    order: &'a mut [(bool, u32, u64, u32)],
-    codes: &[Codes],
-) -> Vec<&'a [(bool, u32, u64, u32)]> {
-    let mut head = FIRST_CHUNKS.iter().sum::<usize>().min(order.len());
-    // Bands differ in order only within: the first nodes are strictly sorted.
-    while head < order.len() && head < 2 * CHUNK && order[head].1 == order[head - 1].1 {
-        head += 1;
+fn codes_of(tree: &Tree, base: f32, step: f32) -> Vec<Codes> {
+    let code = |value: f32| code(value / step, base) as u16;
+    let own: Vec<(u16, u16)> = tree
+        .nodes
+        .par_iter()
+        .map(|node| measures_of(node, step))
+        .map(|own| (code(own.error), code(own.size)))
+        .collect();
+    tree.nodes
+        .par_iter()
+        .zip(&own)
+        .map(|(node, &(error, size))| {
+            let above = own.get(node.parent as usize).copied();
+            let (error_parent, size_parent) = above.unwrap_or((NO_PARENT as u16, NO_PARENT as u16));
+            Codes { error, size, error_parent, size_parent }
+        })
+        .collect()
+}
+
+/// Codes of a node's tilt and of its parent's.
+#[derive(Clone, Copy)]
+pub struct Tilts {
+    own: u32,
+    parent: u32,
+}
+
+impl Tilts {
+    pub fn of(node: &Node, parent: Option<&Node>) -> Tilts {
+        let parent = parent.map_or(tilt::ALIKE, |parent| tilt::seen_from(parent, node.normal));
+        Tilts { own: tilt::of_node(node), parent }
     }
-    order[..head].sort_unstable_by_key(|&(.., index)| {
-        let codes = &codes[index as usize];
-        (codes.error_parent.min(codes.size_parent), index)
-    });
-    let mut cuts = Vec::new();
-    let mut rest: &[_] = order;
-    for size in FIRST_CHUNKS {
-        let (chunk, behind) = rest.split_at(size.min(rest.len()));
-        if !chunk.is_empty() {
-            cuts.push(chunk);
-        }
-        rest = behind;
+}
+
+/// A node's words but for the way to its parent.
+pub fn words(codes: Codes, node: &Node, tilts: Tilts) -> [u32; 2] {
+    let Codes { error, size, error_parent, size_parent } = codes;
+    let [first, second] = tilt::bits(tilts.own, tilts.parent);
+    [
+        u32::from(error) | u32::from(error_parent) << CODE_BITS | first,
+        u32::from(size)
+            | u32::from(size_parent) << CODE_BITS
+            | u32::from(node.level).min(31) << LEVEL_SHIFT
+            | cone_code(node.cone) << CONE_SHIFT
+            | second,
+    ]
+}
+
+/// The length of a way, in cells, and a little.
+pub fn way_length(way: IVec3) -> f32 {
+    way.as_dvec3().length() as f32 * 1.001
+}
+
+/// What the first word says of a way of this length to a parent of that size.
+pub fn delta_bits(length: f32, size_parent: u32, base: f32) -> u32 {
+    if size_parent == NO_PARENT { 0 } else { delta_code(length, size_parent, base) << DELTA_SHIFT }
+}
+
+/// The same nodes sorted by their bands, of which there are `count`; within them as they were.
+fn in_bands(nodes: &[u32], count: usize, band: impl Fn(u32) -> usize) -> Vec<u32> {
+    let mut begins = vec![0; count + 1];
+    nodes.iter().for_each(|&node| begins[band(node) + 1] += 1);
+    for band in 0..count {
+        begins[band + 1] += begins[band];
     }
-    while !rest.is_empty() {
-        let mut end = 1;
-        while end < rest.len() && end < CHUNK {
-            if end >= LEAST_CHUNK && rest[end].1 != rest[end - 1].1 {
-                break;
+    let mut sorted = vec![0; nodes.len()];
+    for &node in nodes {
+        let place = &mut begins[band(node)];
+        sorted[*place] = node;
+        *place += 1;
+    }
+    sorted
+}
+
+fn cut(order: &[u32], codes: &[Codes]) -> Vec<Vec<u32>> {
+    let (mut cutter, mut chunks) = (Cutter::new(), Vec::with_capacity(order.len() / CHUNK + 2));
+    for &node in order {
+        cutter.push(node, codes[node as usize], &mut |chunk| chunks.push(chunk));
+    }
+    cutter.finish(&mut |chunk| chunks.push(chunk));
+    chunks
+}
+
+/// Cuts nodes, which come in order, into chunks; what has the largest parents comes first, in small ones.
+pub struct Cutter<T> {
+    /// The first ones, until all are there that they are to be sorted with.
+    head: Option<Vec<(T, Codes)>>,
+    /// How many more chunks have a size of their own.
+    firsts: usize,
+    chunk: Vec<T>,
+    /// Of what came last.
+    band: u16,
+}
+
+impl<T> Cutter<T> {
+    pub fn new() -> Cutter<T> {
+        Cutter { head: Some(Vec::new()), firsts: FIRST_CHUNKS.len(), chunk: Vec::new(), band: 0 }
+    }
+
+    /// Takes the next node; `give` gets what is a chunk by then.
+    pub fn push(&mut self, node: T, codes: Codes, give: &mut impl FnMut(Vec<T>)) {
+        if let Some(head) = &mut self.head {
+            // Bands differ in order only within: the first nodes are strictly sorted.
+            let all = FIRST_CHUNKS.iter().sum::<usize>();
+            let alike = head.last().is_some_and(|(_, last)| last.band() == codes.band());
+            if head.len() < all || (head.len() < 2 * CHUNK && alike) {
+                head.push((node, codes));
+                return;
             }
-            end += 1;
+            self.sort_head(give);
         }
-        let (chunk, behind) = rest.split_at(end);
-        cuts.push(chunk);
-        rest = behind;
+        self.add(node, codes, give);
     }
-    cuts
+
+    pub fn finish(mut self, give: &mut impl FnMut(Vec<T>)) {
+        self.sort_head(give);
+        if !self.chunk.is_empty() {
+            give(self.chunk);
+        }
+    }
+
+    fn sort_head(&mut self, give: &mut impl FnMut(Vec<T>)) {
+        let mut head = self.head.take().unwrap_or_default();
+        head.sort_by_key(|(_, codes)| codes.first_of_parents());
+        head.into_iter().for_each(|(node, codes)| self.add(node, codes, give));
+    }
+
+    fn add(&mut self, node: T, codes: Codes, give: &mut impl FnMut(Vec<T>)) {
+        let most = match self.firsts {
+            0 => CHUNK,
+            left => FIRST_CHUNKS[FIRST_CHUNKS.len() - left],
+        };
+        let is_other = self.firsts == 0 && codes.band() != self.band;
+        if self.chunk.len() >= most || (is_other && self.chunk.len() >= LEAST_CHUNK) {
+            give(std::mem::take(&mut self.chunk));
+            self.firsts = self.firsts.saturating_sub(1);
+        }
+        self.band = codes.band();
+        self.chunk.push(node);
+    }
 }
 
 /// What the nodes of each chunk have in common.
 fn set_ranges(samples: &mut PackedSamples, base: f32) {
-    let parent = |code: u32| if code == NO_PARENT { INFINITE } else { decode(code, base) };
     for chunk in &mut samples.chunks {
         let nodes = &samples.nodes[chunk.first as usize..(chunk.first + chunk.count) as usize];
-        let mut range =
-            NodeRange { base, error_least: INFINITE, size_least: INFINITE, ..NodeRange::default() };
-        for [error, size] in nodes {
-            range.error_parent = range.error_parent.max(parent(error >> 12 & 0xfff));
-            range.size_parent = range.size_parent.max(parent(size >> 12 & 0xfff));
-            range.error_least = range.error_least.min(decode(error & 0xfff, base));
-            range.size_least = range.size_least.min(decode(size & 0xfff, base));
-            range.delta_most = range.delta_most.max(decode_delta(error >> 24, base));
-        }
-        chunk.range = range;
+        chunk.range = range_of(nodes, base);
     }
     // Those with clip lines are another list.
-    let mut behind = NodeRange::default();
-    for chunk in samples.chunks.iter_mut().rev() {
-        if chunk.first + chunk.count == samples.clipped_first {
-            behind = NodeRange::default();
+    let plain = samples.chunks.partition_point(|chunk| chunk.first < samples.clipped_first);
+    let (plain, with_lines) = samples.chunks.split_at_mut(plain);
+    reach_behind(plain);
+    reach_behind(with_lines);
+}
+
+/// What some nodes, by their words, have in common.
+pub fn range_of(nodes: &[[u32; 2]], base: f32) -> NodeRange {
+    let parent = |code: u32| if code == NO_PARENT { INFINITE } else { decode(code, base) };
+    // Of codes the larger ones stand for less.
+    let (mut own, mut above, mut delta) = ([0; 2], [NONE; 2], 0.0f32);
+    for words in nodes {
+        for (measure, word) in words.iter().enumerate() {
+            own[measure] = own[measure].max(word & CODE);
+            above[measure] = above[measure].min(word >> CODE_BITS & CODE);
         }
+        delta = delta.max(decode_delta(*words, base));
+    }
+    NodeRange {
+        base,
+        error_parent: parent(above[0]),
+        size_parent: parent(above[1]),
+        error_least: decode(own[0], base),
+        size_least: decode(own[1], base),
+        delta_most: delta,
+    }
+}
+
+/// Makes ranges those of the chunks behind them, too.
+pub fn reach_behind(chunks: &mut [PackedChunk]) {
+    let mut behind = NodeRange::default();
+    for chunk in chunks.iter_mut().rev() {
         let range = &mut chunk.range;
         range.error_parent = range.error_parent.max(behind.error_parent);
         range.size_parent = range.size_parent.max(behind.size_parent);

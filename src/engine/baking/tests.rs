@@ -238,6 +238,7 @@ fn files_are_baked_without_a_gpu_and_told_in_order() {
     let baked = bake_file(&stage.path(), &stage.config, |event| {
         told.push(match event {
             BakeEvent::Started { asset, done, total } => format!("{asset} {done} {total}"),
+            BakeEvent::Phase { phase, .. } => phase.name().to_owned(),
             BakeEvent::Finished(asset) => format!("{} {:?}", asset.name, asset.source),
         });
     });
@@ -259,4 +260,45 @@ fn files_are_baked_without_a_gpu_and_told_in_order() {
     assert!(again.iter().all(|asset| asset.source == BakeSource::Cached));
     let json = serde_json::to_value(&again[0]).unwrap();
     assert_eq!((&json["source"], &json["tree"]["leaves"]), (&"cached".into(), &3000.into()));
+}
+
+/// What takes more memory than it may is built with temporary files: from the file, or from the samples in memory.
+#[test]
+fn large_assets_become_the_same_entries() {
+    let mut stage = Stage::new();
+    let (built, _) = stage.trees();
+    let sound: Vec<Vec<u8>> = stage.files().iter().map(|f| std::fs::read(f).unwrap()).collect();
+    let names = |stage: &Stage| -> Vec<_> {
+        stage.files().iter().map(|file| file.file_name().unwrap().to_owned()).collect()
+    };
+    let expected = names(&stage);
+    let clear = |stage: &Stage| stage.files().iter().for_each(|f| std::fs::remove_file(f).unwrap());
+    stage.config.bake_cache =
+        stage.config.bake_cache.take().map(|cache| cache.with_bake_bytes(Some(1)));
+    clear(&stage);
+    assert_eq!(stage.trees(), (built.clone(), STORED.to_vec()));
+    clear(&stage);
+    let mut phases = Vec::new();
+    let baked = bake_file(&stage.path(), &stage.config, |event| {
+        if let BakeEvent::Phase { phase, .. } = event {
+            phases.push(phase);
+        }
+    });
+    let baked = baked.unwrap();
+    assert!(baked.iter().all(|asset| asset.source == BakeSource::Stored));
+    phases.dedup();
+    assert_eq!(phases, Phase::ALL);
+    assert_eq!(names(&stage), expected);
+    for (file, bytes) in stage.files().iter().zip(&sound) {
+        assert_eq!(&std::fs::read(file).unwrap(), bytes);
+    }
+    let again = bake_file(&stage.path(), &stage.config, |_| ()).unwrap();
+    for (again, first) in again.iter().zip(&baked) {
+        assert_eq!(again.source, BakeSource::Cached);
+        assert_eq!(format!("{:?}", again.tree), format!("{:?}", first.tree));
+        assert_eq!((again.samples, again.triangles), (first.samples, first.triangles));
+    }
+    // Whoever changes the file meanwhile gets an error, or another asset, but never a wrong one.
+    std::fs::write(stage.folder.path().join("cloud.ply"), "ply\nbroken").unwrap();
+    assert!(bake_file(&stage.path(), &stage.config, |_| ()).is_err());
 }

@@ -71,6 +71,10 @@ fn values_are_checked() {
         ("max_error_px=1", "max_error_px"),
         ("lod=spt&max_error_px=0", "max_error_px"),
         ("lod=spt&max_error_px=nan", "max_error_px"),
+        ("error_mode=split", "error_mode"),
+        ("lod=spt&error_mode=split", "error_mode"),
+        ("reconstruct=splats&error_mode=split", "error_mode"),
+        ("lod=spt&reconstruct=splats&error_mode=both", "error_mode"),
         ("paint=levels", "paint"),
         ("lod=spt&paint=red", "paint"),
         ("reconstruct=disks", "reconstruct"),
@@ -123,6 +127,7 @@ fn settings_of_splats_in_both_notations() {
     let expected = Settings {
         lod: Lod::Full,
         max_error: Default::default(),
+        error_mode: Default::default(),
         paint: Default::default(),
         reconstruct: Reconstruct::Splats,
         filter: Some(Filter::Exact),

@@ -24,15 +24,16 @@ use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{Extension, State};
 use axum::http::Uri;
 use axum::response::Response;
+use tracing::Instrument;
 
-pub use places::{StreamLimits, Streams};
+pub use places::{Place, StreamLimits, Streams};
 pub use wire::{Close, FrameHeader, MAX_MESSAGE_BYTES, PoseFields};
 
 use super::frame::missing;
 use super::params::FrameParams;
 use super::problem::{Kind, Problem};
-use super::{App, Caller, Segments};
-use places::Place;
+use super::{App, Caller, Segments, naming};
+use crate::engine::RequestId;
 use session::Session;
 
 /// The subprotocol that is chosen when a client offers it.
@@ -41,7 +42,7 @@ const PROTOCOL: &str = "pointillist";
 /// Poses in, frames out, over a WebSocket.
 ///
 /// **The client sends** JSON text. A pose is `{"seq": 7, …}` with any parameter of a frame but `deadline_ms`, named and written as in
-/// `POST …/frames` (schema `StreamPose`); what it leaves out stays as the last pose had it. `{"ack": n}` acknowledges frame `n` and all
+/// `POST …/frames` (schema `StreamPose`); what it leaves out stays as the last pose had it, or with `"reset": true` as it is in a frame's query. `{"ack": n}` acknowledges frame `n` and all
 /// before it, once it has been decoded: without acknowledgements at most eight frames come, and at the start two. `{"ping": x}` is answered with
 /// `{"event": "pong", "ping": x}`. Parameters in the address are the first pose, with `seq` 0, so that a client that comes back is
 /// sent a frame at once.
@@ -51,7 +52,8 @@ const PROTOCOL: &str = "pointillist";
 /// While the pose moves (`"moving": true`, or left out and the last pose less than 200 ms ago) frames are smaller and colours are JPEG where a
 /// format that a browser shows was asked for, so that they come 30 times a second by what engine and link were measured to do: the header says
 /// `"quality": "moving"`, and how small. When it rests, or `"moving": false` says so, one frame comes as it was asked for,
-/// `"quality": "still"`; without `format` colours are JPEG.
+/// `"quality": "still"`; without `format` colours are JPEG. A receipt's `request_id` is the handshake's `X-Request-Id` with the number that
+/// the frame has when nothing fails before it, as in `4bf92f35/12`.
 ///
 /// Text messages of the server are `{"event": "scene", "scene": …, "revision": r}`, first and whenever the scene changed, after which the
 /// pose is drawn again unasked; `{"event": "deleted", …}`; `{"event": "pong", …}`; and `{"event": "problem", …}`, a `Problem` with the `seq` of the
@@ -72,6 +74,7 @@ const PROTOCOL: &str = "pointillist";
 pub async fn stream(
     State(app): State<Arc<App>>,
     Extension(Caller(client)): Extension<Caller>,
+    Extension(request_id): Extension<RequestId>,
     Segments(id): Segments<String>,
     uri: Uri,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
@@ -92,9 +95,11 @@ pub async fn stream(
     // A message over the limit is to be answered with a close code, which one over the socket's own limit is not.
     let upgrade = upgrade.protocols([PROTOCOL]).max_message_size(4 * MAX_MESSAGE_BYTES);
     Ok(upgrade.on_upgrade(move |socket| async move {
-        match Place::take(&app, client) {
-            Some(place) => Session::start(app, id, socket).run(first, place).await,
-            None => outbox::refuse(socket, Close::TooMany).await,
-        }
+        let Some(place) = Place::take(&app, client) else {
+            return outbox::refuse(socket, Close::TooMany).await;
+        };
+        let span = tracing::debug_span!("stream", connection = %request_id, scene = id);
+        let session = Session::start(app, id, request_id.clone(), client, socket).run(first, place);
+        naming::within(request_id, session.instrument(span)).await;
     }))
 }

@@ -6,8 +6,11 @@
 //!
 //! ```text
 //! engine   from when it was asked for, or the frame before was finished, whichever is later
-//! link     the lesser of: since the acknowledgement before; from sending to acknowledgement, less the least that ever took
+//! link     the lesser of: since the acknowledgement before; from sending to acknowledgement, less the distance
 //! ```
+//!
+//! The distance is what a ping takes that goes out while nothing else is on its way; the least that a frame took would hold the
+//! time of its own bytes, and on a slow link be mistaken for distance. Until a client has answered a ping there is none.
 //!
 //! The slower stage decides the size of moving frames, by pixels that would meet [`TARGET`]; a slow link lowers the quality of JPEGs
 //! first. The window is what fills the link at that pace and no more, so that a pose never waits behind pictures that are under
@@ -24,15 +27,18 @@ pub const MIN_WINDOW: usize = 2;
 pub const MAX_WINDOW: usize = 8;
 /// What is on its way takes the link this long at most, if it is more than one frame.
 const AHEAD: Duration = Duration::from_millis(500);
-/// Before the link was measured.
-const FIRST_BYTES: u64 = 4 << 20;
-const LEAST_BYTES: u64 = 64 << 10;
+/// The same in bytes, before the link was measured: one frame, unless it is small.
+const FIRST_BYTES: u64 = 16 << 10;
+/// And at least.
+const LEAST_BYTES: u64 = 8 << 10;
+/// Frames of fewer bytes say nothing of the link's rate.
+const TELLING_BYTES: u64 = 2 << 10;
 /// Least share of the pixels asked for; below it a picture is of no use.
 const LEAST_PIXELS: f64 = 1.0 / 16.0;
 const BEST_JPEG: f64 = 80.0;
 const WORST_JPEG: f64 = 40.0;
-/// The least time on the link is that of the last one to two of these: paths change.
-const BASE_PERIOD: Duration = Duration::from_secs(10);
+/// A distance is measured anew after this long: paths change.
+const PING_PERIOD: Duration = Duration::from_secs(5);
 
 /// A frame that has not been acknowledged.
 #[derive(Clone, Copy, Debug)]
@@ -50,7 +56,10 @@ pub struct Pacer {
     last_sent: u64,
     last_drawn_at: Option<Instant>,
     last_acked_at: Option<Instant>,
-    base: Base,
+    distance: Option<Duration>,
+    /// When the last ping went out, and whether it has been answered.
+    pinged_at: Option<Instant>,
+    is_answered: bool,
     /// What a moving frame takes of the link, averaged.
     link: Option<Duration>,
     /// What the last frame took of it.
@@ -69,7 +78,9 @@ impl Pacer {
             last_sent: 0,
             last_drawn_at: None,
             last_acked_at: None,
-            base: Base::default(),
+            distance: None,
+            pinged_at: None,
+            is_answered: true,
             link: None,
             last_took: None,
             bytes_per_second: None,
@@ -84,13 +95,15 @@ impl Pacer {
     pub fn may_ask(&self, asked: usize) -> bool {
         let on_the_way = self.unacked.len() + asked;
         let bytes: u64 = self.unacked.iter().map(|sent| sent.bytes).sum();
-        on_the_way == 0 || (on_the_way < self.window() && bytes <= self.window_bytes())
+        // The first frame is alone: what the link takes for it is not known.
+        let is_known = self.last_acked_at.is_some();
+        on_the_way == 0 || (is_known && on_the_way < self.window() && bytes <= self.window_bytes())
     }
 
     /// Frames that may be asked for or on their way.
     pub fn window(&self) -> usize {
         let pace = self.link.unwrap_or(TARGET).max(TARGET);
-        let fill = self.base.least().unwrap_or_default().as_secs_f64() / pace.as_secs_f64();
+        let fill = self.distance.unwrap_or_default().as_secs_f64() / pace.as_secs_f64();
         // Where the link is quick, one more waits at the engine while another is drawn, and a third is being acknowledged.
         let is_quick = self.last_took.is_some_and(|took| took < TARGET / 2);
         (MIN_WINDOW + usize::from(is_quick) + fill as usize).min(MAX_WINDOW)
@@ -123,6 +136,25 @@ impl Pacer {
         }
     }
 
+    /// Whether a ping should go out before the next frame; it then has.
+    pub fn ping(&mut self, now: Instant) -> bool {
+        let is_due =
+            self.pinged_at.is_none_or(|at| now.saturating_duration_since(at) >= PING_PERIOD);
+        let goes = is_due && self.unacked.is_empty();
+        if goes {
+            (self.pinged_at, self.is_answered) = (Some(now), false);
+        }
+        goes
+    }
+
+    /// The last ping was answered.
+    pub fn ponged(&mut self, now: Instant) {
+        if let Some(at) = self.pinged_at.filter(|_| !self.is_answered) {
+            self.is_answered = true;
+            self.distance = Some(now.saturating_duration_since(at));
+        }
+    }
+
     /// A frame was handed to the socket; numbers go up.
     pub fn sent(&mut self, number: u64, bytes: u64, now: Instant, share: Option<f64>) {
         self.last_sent = number;
@@ -149,13 +181,14 @@ impl Pacer {
 
     fn arrived(&mut self, sent: Sent, now: Instant) {
         let took = now.saturating_duration_since(sent.at);
-        self.base.add(took, now);
-        let own = took.saturating_sub(self.base.least().unwrap_or(took));
+        // No farther than the way of something that went there and came back.
+        self.distance = self.distance.map(|distance| distance.min(took));
+        let own = took.saturating_sub(self.distance.unwrap_or_default());
         let since = self.last_acked_at.map(|last| now.saturating_duration_since(last));
         self.last_acked_at = Some(now);
         let took = since.map_or(own, |since| since.min(own));
         self.last_took = Some(took);
-        if sent.bytes >= LEAST_BYTES / 4 {
+        if sent.bytes >= TELLING_BYTES {
             let rate = sent.bytes as f64 / took.max(Duration::from_millis(1)).as_secs_f64();
             self.bytes_per_second =
                 Some(self.bytes_per_second.map_or(rate, |old| 0.7 * old + 0.3 * rate));
@@ -164,7 +197,9 @@ impl Pacer {
         self.link = Some(self.link.map_or(took, |old| old.mul_f64(0.7) + took.mul_f64(0.3)));
         if took > TARGET && self.jpeg_quality > WORST_JPEG {
             self.jpeg_quality = (self.jpeg_quality - 10.0).max(WORST_JPEG);
-            return;
+            if took < TARGET * 2 {
+                return;
+            }
         }
         if took < TARGET / 2 {
             self.jpeg_quality = (self.jpeg_quality + 2.0).min(BEST_JPEG);
@@ -179,28 +214,6 @@ fn toward(share: f64, pixels: f64, took: Duration) -> f64 {
     let ratio = TARGET.as_secs_f64() / took.as_secs_f64().max(1e-4);
     let aim = (pixels * ratio.clamp(0.25, 1.5)).clamp(LEAST_PIXELS, 1.0);
     (share.powf(0.6) * aim.powf(0.4)).clamp(LEAST_PIXELS, 1.0)
-}
-
-/// The least time from sending to acknowledgement: what distance alone takes.
-#[derive(Debug, Default)]
-struct Base {
-    since: Option<Instant>,
-    now: Option<Duration>,
-    before: Option<Duration>,
-}
-
-impl Base {
-    fn add(&mut self, took: Duration, at: Instant) {
-        if self.since.is_none_or(|since| at.saturating_duration_since(since) > BASE_PERIOD) {
-            self.since = Some(at);
-            self.before = self.now.take();
-        }
-        self.now = Some(self.now.map_or(took, |least| least.min(took)));
-    }
-
-    fn least(&self) -> Option<Duration> {
-        [self.now, self.before].into_iter().flatten().min()
-    }
 }
 
 #[cfg(test)]

@@ -8,7 +8,6 @@ use axum::extract::ws::{Message, WebSocket};
 use futures::StreamExt;
 use futures::stream::SplitStream;
 use tokio::sync::watch;
-use tokio::task::JoinHandle;
 
 use super::course::Course;
 use super::outbox::Outbox;
@@ -16,7 +15,10 @@ use super::pacing::Pacer;
 use super::places::Place;
 use super::wire::{Close, Event, FrameHeader, Incoming, MAX_MESSAGE_BYTES, PoseMessage, Quality};
 use crate::encode::ImageFormat;
-use crate::engine::{EncodedFrame, EngineError, FrameRequest, FrameTicket, SceneMark, Seat};
+use crate::engine::{
+    BakeTicket, Client, EncodedFrame, EngineError, FrameRequest, FrameTicket, RequestId, SceneMark,
+    Seat,
+};
 use crate::http::App;
 use crate::http::params::FrameParams;
 use crate::http::problem::{Kind, Problem};
@@ -30,6 +32,8 @@ const LEAST_SIDE: u32 = 64;
 pub struct Session {
     app: Arc<App>,
     id: String,
+    /// What the connection is called.
+    name: RequestId,
     mark: Option<SceneMark>,
     source: SplitStream<WebSocket>,
     outbox: Outbox,
@@ -40,7 +44,7 @@ pub struct Session {
     pacer: Pacer,
     asked: VecDeque<Asked>,
     frames: u64,
-    baking: Option<JoinHandle<Result<(), EngineError>>>,
+    baking: Option<BakeTicket>,
     /// The engine takes nothing before.
     retry_at: Option<Instant>,
     heard_at: Instant,
@@ -83,13 +87,19 @@ enum End {
 }
 
 impl Session {
-    pub fn start(app: Arc<App>, id: String, socket: WebSocket) -> Self {
+    pub fn start(
+        app: Arc<App>,
+        id: String,
+        name: RequestId,
+        client: Client,
+        socket: WebSocket,
+    ) -> Self {
         let (sink, source) = socket.split();
         Self {
             mark: None,
             source,
             outbox: Outbox::start(sink),
-            seat: app.engine.seat(),
+            seat: app.engine.seat(client),
             settings: FrameParams::default(),
             course: Course::new(),
             pacer: Pacer::new(),
@@ -103,6 +113,7 @@ impl Session {
             counted_overtaken: 0,
             app,
             id,
+            name,
         }
     }
 
@@ -113,9 +124,9 @@ impl Session {
             Err(end) => end,
         };
         self.count_overtaken();
-        let Session { outbox, source, seat, asked, .. } = self;
+        let Session { outbox, source, seat, asked, baking, .. } = self;
         // Cancels what waits, before the close is waited for.
-        drop((asked, seat));
+        drop((asked, seat, baking));
         match end {
             End::Close(close) => outbox.close(close, source).await,
             End::Closed | End::Gone => outbox.closed(source).await,
@@ -126,7 +137,7 @@ impl Session {
     fn begin(&mut self, first: Option<FrameParams>) -> Result<(), End> {
         self.look_at_scene()?;
         if let Some(params) = first {
-            self.pose(PoseMessage { seq: 0, moving: None, params })?;
+            self.pose(PoseMessage { seq: 0, moving: None, reset: false, params })?;
         }
         Ok(())
     }
@@ -159,9 +170,7 @@ impl Session {
         };
         let baked = async {
             match &mut self.baking {
-                Some(baking) => (&mut *baking).await.unwrap_or_else(|error| {
-                    Err(EngineError::Internal(format!("baking failed: {error}")))
-                }),
+                Some(baking) => baking.await,
                 None => std::future::pending().await,
             }
         };
@@ -230,7 +239,11 @@ impl Session {
             Message::Text(text) => text,
             Message::Binary(_) => return Err(End::Close(Close::NotText)),
             Message::Close(_) => return Err(End::Closed),
-            Message::Ping(_) | Message::Pong(_) => return Ok(()),
+            Message::Pong(_) => {
+                self.pacer.ponged(Instant::now());
+                return Ok(());
+            }
+            Message::Ping(_) => return Ok(()),
         };
         match Incoming::read(&text) {
             Ok(incoming) => self.incoming(incoming),
@@ -254,8 +267,8 @@ impl Session {
 
     /// Takes a pose, or says what is wrong with it and leaves all as it is.
     fn pose(&mut self, message: PoseMessage) -> Result<(), End> {
-        let PoseMessage { seq, moving, params } = message;
-        let params = params.or(&self.settings);
+        let PoseMessage { seq, moving, reset, params } = message;
+        let params = if reset { params } else { params.or(&self.settings) };
         let checked = still_request(&self.id, &params).and_then(|request| {
             // What has to be baked is looked at when it has been.
             if !self.app.engine.must_bake(&request) {
@@ -295,10 +308,13 @@ impl Session {
                 return self.tell(&Event::Problem { seq: Some(seq), problem });
             }
         };
-        if self.app.engine.must_bake(&request) {
-            let app = self.app.clone();
-            self.baking = Some(tokio::task::spawn_blocking(move || app.engine.bake(&request)));
-            return Ok(());
+        match self.app.engine.begin_bake(&request) {
+            Ok(None) => {}
+            Ok(baking) => {
+                self.baking = baking;
+                return Ok(());
+            }
+            Err(error) => return self.failed(Some(seq), error),
         }
         let (format, jpeg_quality) = (request.format, jpeg_quality(&request));
         let ticket = match self.place(request) {
@@ -313,8 +329,9 @@ impl Session {
 
     /// Queues a request; `None` when that has to wait for frames or acknowledgements.
     fn place(&mut self, request: FrameRequest) -> Result<Option<FrameTicket>, EngineError> {
+        let number = self.frames + self.asked.len() as u64;
         if !self.asked.is_empty()
-            && let Some(ticket) = self.seat.replace(request.clone())?
+            && let Some(ticket) = self.seat.replace_as(self.name.part(number), request.clone())?
         {
             if let Some(old) = self.asked.pop_back() {
                 self.course.replaced(old.seq);
@@ -325,7 +342,10 @@ impl Session {
         let has_room = asked < MOST_ASKED
             && self.pacer.may_ask(asked)
             && self.outbox.has_room_for_frames(asked + 1);
-        if has_room { self.seat.ask(request).map(Some) } else { Ok(None) }
+        if !has_room {
+            return Ok(None);
+        }
+        self.seat.ask_as(self.name.part(number + 1), request).map(Some)
     }
 
     /// Sends what the engine has finished.
@@ -355,7 +375,16 @@ impl Session {
             overtaken: self.course.overtaken(),
             receipt: &frame.receipt,
         };
+        tracing::debug!(
+            request_id = frame.receipt.request_id,
+            frame = self.frames,
+            seq = asked.seq,
+            "frame sent",
+        );
         let message = header.message(&frame.bytes);
+        if self.pacer.ping(now) {
+            self.push(Message::Ping(axum::body::Bytes::new()))?;
+        }
         self.pacer.sent(self.frames, frame.bytes.len() as u64, now, share);
         self.app.metrics.frame(&frame);
         self.app.metrics.stream_frames.inc();

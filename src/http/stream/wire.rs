@@ -86,6 +86,8 @@ pub struct Incoming {
 pub struct PoseMessage {
     pub seq: u64,
     pub moving: Option<bool>,
+    /// What is left out is as it is where nothing was said, instead of as before.
+    pub reset: bool,
     pub params: FrameParams,
 }
 
@@ -99,6 +101,8 @@ pub struct PoseFields {
     /// `true`: another will follow, so a quick frame is wanted; `false`: none will, so a good one is. Where it is left out, a quick
     /// frame comes first and a good one when nothing has followed for a moment.
     moving: Option<bool>,
+    /// `true`: what this message leaves out is as it is in a frame's query, and not as the pose before had it.
+    reset: Option<bool>,
     #[serde(flatten)]
     parameters: FrameParams,
 }
@@ -119,23 +123,25 @@ impl Incoming {
         let ack = fields.remove("ack").map(|ack| whole("ack", &ack)).transpose()?;
         let ping = fields.remove("ping");
         let seq = fields.remove("seq").map(|seq| whole("seq", &seq)).transpose()?;
-        let moving = match fields.remove("moving") {
-            None => None,
-            Some(Value::Bool(moving)) => Some(moving),
-            Some(_) => {
-                return Err(Problem::parameter("moving", "is no truth value", "true or false"));
-            }
+        let mut flag = |name: &str| match fields.remove(name) {
+            None => Ok(None),
+            Some(Value::Bool(value)) => Ok(Some(value)),
+            Some(_) => Err(Problem::parameter(name, "is no truth value", "true or false")),
         };
+        let (moving, reset) = (flag("moving")?, flag("reset")?);
         if fields.contains_key("deadline_ms") {
             let what = "deadline_ms: a stream draws the newest pose, and no other late";
             return Err(Problem::new(Kind::Unavailable, what)
                 .at("deadline_ms")
                 .accepted("leave it out"));
         }
-        let has_pose = moving.is_some() || !fields.is_empty();
+        let has_pose = moving.is_some() || reset.is_some() || !fields.is_empty();
         let params = FrameParams::from_json(Value::Object(fields), "")?;
         let pose = match seq {
-            Some(seq) => Some(PoseMessage { seq, moving, params }),
+            Some(seq) => {
+                let reset = reset.unwrap_or_default();
+                Some(PoseMessage { seq, moving, reset, params })
+            }
             None if has_pose => {
                 return Err(Problem::parameter("seq", "missing", "a whole number for the pose"));
             }
@@ -268,6 +274,8 @@ mod tests {
         assert_eq!(fault(r#"{"seq": -1}"#), named(422, "seq"));
         assert_eq!(fault(r#"{"ack": "1"}"#), named(422, "ack"));
         assert_eq!(fault(r#"{"seq": 1, "moving": 1}"#), named(422, "moving"));
+        assert_eq!(fault(r#"{"seq": 1, "reset": 1}"#), named(422, "reset"));
+        assert_eq!(fault(r#"{"reset": true}"#), named(422, "seq"));
         assert_eq!(fault(r#"{"seq": 1, "eyes": [0, 0, 1]}"#), named(422, "eyes"));
         assert_eq!(fault(r#"{"seq": 1, "eye": [0, 1]}"#), named(422, "eye"));
         assert_eq!(fault(r#"{"seq": 1, "deadline_ms": 5}"#), named(422, "deadline_ms"));

@@ -1,19 +1,10 @@
 //! Sums of splats that one thread walks.
 
-use super::{choices, constants};
+use super::scatter;
 use crate::gpu::shader::ShaderError;
-use crate::passes::recorder::{Call, Launch, Recorder, Segment};
+use crate::passes::recorder::{Recorder, Segment};
 use crate::plan::Pass;
 
 pub fn record(recorder: &mut Recorder, segment: Segment) -> Result<(), ShaderError> {
-    let mut constants = constants(recorder, segment, false);
-    constants.push(recorder.lanes());
-    recorder.compute(Call {
-        pass: Pass::BlendSplats,
-        root: "reconstruct/blend_splats",
-        choices: choices(recorder, segment),
-        constants,
-        segments: &[segment],
-        launch: Launch::Indirect,
-    })
+    scatter(recorder, segment, Pass::BlendSplats, "reconstruct/blend_splats")
 }

@@ -7,9 +7,11 @@ pub mod fuse_walked;
 
 use super::frame::output_number;
 use super::pipelines::Constants;
-use super::recorder::{Recorder, Segment};
+use super::project::{band_constant, walk};
+use super::recorder::{Call, Launch, Recorder, Segment};
 use super::scratch::LAYERS_BYTES;
 use super::shaders::Choices;
+use crate::gpu::shader::ShaderError;
 use crate::plan::{Output, Paint, Pass};
 use crate::scene::{Blend, Filter, Shading, Splats};
 
@@ -47,8 +49,11 @@ pub fn is_tree(recorder: &Recorder, segment: Segment) -> bool {
 
 /// Overrides of `shared/nodes_tree`, where a pass is made of it.
 pub fn node_constants(recorder: &Recorder, segment: Segment) -> Constants {
-    let measure = is_tree(recorder, segment).then_some(("MEASURE", recorder.task.measure()));
-    measure.into_iter().collect()
+    if !is_tree(recorder, segment) {
+        return Constants::new();
+    }
+    let split = u32::from(recorder.task.splits_errors());
+    vec![("MEASURE", recorder.task.measure()), ("SPLIT", split)]
 }
 
 /// Overrides of `shared/nodes_tree` for passes that see colours.
@@ -78,6 +83,32 @@ pub fn clear_layers(recorder: &mut Recorder) {
     let pixels = u64::from(recorder.task.count()) * u64::from(width) * u64::from(height);
     let layers = recorder.context.scratch.layers.buffer().raw();
     recorder.encoder.clear_buffer(layers, 0, Some(pixels * LAYERS_BYTES));
+}
+
+/// Records a pass in which a thread walks a splat.
+fn scatter(
+    recorder: &mut Recorder,
+    segment: Segment,
+    pass: Pass,
+    root: &'static str,
+) -> Result<(), ShaderError> {
+    let mut constants = constants(recorder, segment, false);
+    constants.push(recorder.lanes());
+    let (choices, segments) = (choices(recorder, segment), &[segment]);
+    recorder.compute(Call { pass, root, choices, constants, segments, launch: Launch::Indirect })
+}
+
+/// Records a pass over the list of large splats.
+fn walk_listed(
+    recorder: &mut Recorder,
+    segment: Segment,
+    pass: Pass,
+    root: &'static str,
+) -> Result<(), ShaderError> {
+    let mut constants = constants(recorder, segment, true);
+    constants.push(band_constant(recorder));
+    let (choices, segments, launch) = (choices(recorder, segment), &[segment], walk(recorder));
+    recorder.compute(Call { pass, root, choices, constants, segments, launch })
 }
 
 fn choices(recorder: &Recorder, segment: Segment) -> Choices {

@@ -8,6 +8,6 @@ use crate::plan::Pass;
 pub const INSTANCES: u32 = 64;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
-    let groups = recorder.scene.instance_count.div_ceil(INSTANCES);
+    let groups = recorder.scene.instance_end.div_ceil(INSTANCES);
     recorder.over_lists(Pass::Place, "select/place", groups, Listed::Place, Vec::new())
 }

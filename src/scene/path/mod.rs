@@ -43,7 +43,9 @@ pub struct PathKey {
 }
 
 /// How positions go from key to key.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, utoipa::ToSchema,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum Interpolation {
     /// On a smooth curve through all keys, without loops and cusps between them.
@@ -64,7 +66,9 @@ impl Interpolation {
 }
 
 /// How time passes between a key and the next.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, utoipa::ToSchema,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum Ease {
     /// The speed goes over from one part of the path to the next without a jump.

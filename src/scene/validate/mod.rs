@@ -32,8 +32,8 @@ pub(super) enum Reason {
 type Valid<T> = Result<T, Reason>;
 
 /// Lengths and coordinates beyond this are mistakes: f64 keeps a tenth of a millimetre there.
-const LARGEST_COORDINATE: f64 = 1e12;
-const LARGEST_SCALE: f64 = 1e9;
+pub const LARGEST_COORDINATE: f64 = 1e12;
+pub const LARGEST_SCALE: f64 = 1e9;
 const DEFAULT_FOV_DEG: f64 = 40.0;
 const LARGEST_INTENSITY: f64 = 1e6;
 

@@ -15,11 +15,13 @@ struct Bench {
     bytes_per_ms: f64,
     decode_ms: f64,
     full_bytes: f64,
+    answers_pings: bool,
 }
 
-/// What came of it in the last second: frames, and the longest from asking to acknowledgement.
+/// What came of it in the last second: frames, and the longest from asking to acknowledgement, then and ever.
 struct Seen {
     frames: usize,
+    oldest_ever_ms: f64,
     scale: f64,
     jpeg_quality: u8,
     oldest_ms: f64,
@@ -34,8 +36,15 @@ impl Bench {
         let (mut draws, mut flights) = (VecDeque::new(), VecDeque::new());
         let (mut engine_free, mut link_free, mut decoder_free) = (0.0f64, 0.0f64, 0.0f64);
         let mut number = 0;
-        let mut seen =
-            Seen { frames: 0, scale: 0.0, jpeg_quality: 0, oldest_ms: 0.0, most_on_the_way: 0 };
+        let mut pong_at = f64::INFINITY;
+        let mut seen = Seen {
+            frames: 0,
+            oldest_ever_ms: 0.0,
+            scale: 0.0,
+            jpeg_quality: 0,
+            oldest_ms: 0.0,
+            most_on_the_way: 0,
+        };
         for step in 0..seconds * 1000 {
             let now_ms = step as f64;
             let now = start + ms(now_ms);
@@ -46,6 +55,9 @@ impl Bench {
                 draws.pop_front();
                 pacer.drawn(start + ms(asked), start + ms(done), Some(share));
                 number += 1;
+                if pacer.ping(now) && self.answers_pings {
+                    pong_at = link_free.max(now_ms) + self.distance_ms;
+                }
                 let bytes: f64 = self.full_bytes * share * f64::from(pacer.jpeg_quality()) / 80.0;
                 pacer.sent(number, bytes as u64, now, Some(share));
                 link_free = link_free.max(now_ms) + bytes / self.bytes_per_ms;
@@ -53,11 +65,16 @@ impl Bench {
                     decoder_free.max(link_free + self.distance_ms / 2.0) + self.decode_ms * share;
                 flights.push_back((decoder_free + self.distance_ms / 2.0, number, asked));
             }
+            if now_ms >= pong_at {
+                pacer.ponged(now);
+                pong_at = f64::INFINITY;
+            }
             while let Some(&(at, acked, asked)) =
                 flights.front().filter(|flight: &&(f64, u64, f64)| flight.0 <= now_ms)
             {
                 flights.pop_front();
                 pacer.acked(acked, now).unwrap();
+                seen.oldest_ever_ms = seen.oldest_ever_ms.max(at - asked);
                 if is_last {
                     seen.frames += 1;
                     seen.oldest_ms = seen.oldest_ms.max(at - asked);
@@ -84,6 +101,7 @@ fn a_fast_engine_on_a_fast_link_draws_at_full_size() {
         bytes_per_ms: 1e5,
         decode_ms: 2.0,
         full_bytes: 2e5,
+        answers_pings: true,
     };
     let seen = bench.run(4);
     assert!(seen.scale > 0.95 && seen.jpeg_quality >= 78, "{} {}", seen.scale, seen.jpeg_quality);
@@ -98,6 +116,7 @@ fn a_slow_engine_draws_smaller_frames() {
         bytes_per_ms: 1e5,
         decode_ms: 2.0,
         full_bytes: 2e5,
+        answers_pings: true,
     };
     let seen = bench.run(6);
     assert!((0.3..0.5).contains(&seen.scale), "{}", seen.scale);
@@ -114,11 +133,53 @@ fn a_slow_link_gets_less_and_no_queue() {
         bytes_per_ms: 1e3,
         decode_ms: 2.0,
         full_bytes: 4e5,
+        answers_pings: true,
     };
     let seen = bench.run(8);
     assert!(seen.jpeg_quality <= 60 && seen.scale < 0.6, "{} {}", seen.jpeg_quality, seen.scale);
     assert!(seen.frames >= 15, "{}", seen.frames);
     assert!(seen.oldest_ms < 300.0, "{}", seen.oldest_ms);
+}
+
+#[test]
+fn a_very_slow_link_never_has_old_frames_on_it() {
+    // 60 and 20 kilobytes a second, for frames of 120 KB, with and without a client that answers pings.
+    for (bytes_per_ms, answers_pings) in [(60.0, true), (60.0, false), (20.0, true)] {
+        let bench = Bench {
+            draw_ms: 10.0,
+            distance_ms: 60.0,
+            bytes_per_ms,
+            decode_ms: 2.0,
+            full_bytes: 1.2e5,
+            answers_pings,
+        };
+        let seen = bench.run(20);
+        // The first frame is of a quarter of the pixels, whatever the link; nothing takes much longer than it.
+        let first_ms = 0.25 * 1.2e5 * 70.0 / 80.0 / bytes_per_ms + 100.0;
+        assert!(seen.oldest_ever_ms < 1.2 * first_ms, "{} of {first_ms}", seen.oldest_ever_ms);
+        assert!(seen.oldest_ms < 3.0 * 0.0625 * 1.2e5 / bytes_per_ms + 100.0, "{}", seen.oldest_ms);
+        assert_eq!((seen.jpeg_quality, seen.scale), (40, 0.25), "as small as may be");
+    }
+}
+
+#[test]
+fn a_path_that_became_longer_is_no_slow_link() {
+    let start = Instant::now();
+    let mut pacer = Pacer::new();
+    // Pinged once, 10 ms away; from then on 200 ms away, with a rest now and then.
+    let mut now = start;
+    for number in 1..60 {
+        let distance = ms(if number < 4 { 10.0 } else { 200.0 });
+        if pacer.ping(now) {
+            pacer.ponged(now + distance);
+        }
+        let share = pacer.scale().powi(2);
+        pacer.drawn(now, now, Some(share));
+        pacer.sent(number, 50_000, now, Some(share));
+        pacer.acked(number, now + distance + ms(4.0)).unwrap();
+        now += distance + ms(150.0);
+    }
+    assert!(pacer.scale() > 0.9 && pacer.jpeg_quality() >= 70, "{}", pacer.scale());
 }
 
 #[test]
@@ -129,6 +190,7 @@ fn a_slow_decoder_counts_as_a_slow_link() {
         bytes_per_ms: 1e5,
         decode_ms: 150.0,
         full_bytes: 2e5,
+        answers_pings: true,
     };
     let seen = bench.run(8);
     assert!(seen.scale < 0.7 && seen.frames >= 15, "{} {}", seen.scale, seen.frames);
@@ -143,6 +205,7 @@ fn a_long_link_is_kept_full() {
         bytes_per_ms: 1e5,
         decode_ms: 2.0,
         full_bytes: 2e5,
+        answers_pings: true,
     };
     let seen = bench.run(6);
     assert!(seen.scale > 0.9, "distance is not slowness: {}", seen.scale);

@@ -1,0 +1,93 @@
+//! A client of one stream that reads frames and nothing else.
+
+use std::net::{SocketAddr, TcpStream};
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use serde_json::{Value, json};
+use tungstenite::{Message, WebSocket};
+
+pub struct Stream {
+    socket: WebSocket<TcpStream>,
+    seq: u64,
+}
+
+impl Stream {
+    /// Opens a stream.
+    ///
+    /// # Errors
+    /// The daemon refuses.
+    pub fn open(address: SocketAddr, path: &str) -> anyhow::Result<Stream> {
+        let socket = TcpStream::connect(address)?;
+        socket.set_nodelay(true)?;
+        socket.set_read_timeout(Some(Duration::from_secs(120)))?;
+        let url = format!("ws://{address}{path}");
+        let (socket, _) = tungstenite::client::client(url, socket)
+            .map_err(|error| anyhow::anyhow!("{path}: {error}"))?;
+        Ok(Stream { socket, seq: 0 })
+    }
+
+    /// A number for the next pose.
+    pub fn next_seq(&mut self) -> u64 {
+        self.seq += 1;
+        self.seq
+    }
+
+    /// Sends a message.
+    ///
+    /// # Errors
+    /// The stream is gone.
+    pub fn send(&mut self, message: &Value) -> anyhow::Result<()> {
+        Ok(self.socket.send(Message::text(message.to_string()))?)
+    }
+
+    /// Tells that a frame, whose header this is, was taken.
+    ///
+    /// # Errors
+    /// The stream is gone.
+    pub fn acknowledge(&mut self, frame: &Value) -> anyhow::Result<()> {
+        self.send(&json!({ "ack": frame["frame"] }))
+    }
+
+    /// The header of the first frame that shows the pose `seq`; frames before it are acknowledged.
+    ///
+    /// # Errors
+    /// A problem that the daemon tells of; the stream is gone.
+    pub fn frame_of(&mut self, seq: u64) -> anyhow::Result<Value> {
+        self.frame_where(|shown| shown == seq)
+    }
+
+    /// The header of the first frame that shows the pose `seq` or a later one.
+    ///
+    /// # Errors
+    /// As [`Self::frame_of`].
+    pub fn frame_from(&mut self, seq: u64) -> anyhow::Result<Value> {
+        self.frame_where(|shown| shown >= seq)
+    }
+
+    fn frame_where(&mut self, is_it: impl Fn(u64) -> bool) -> anyhow::Result<Value> {
+        loop {
+            match self.socket.read()? {
+                Message::Binary(bytes) => {
+                    let (length, rest) =
+                        bytes.split_first_chunk::<4>().context("a frame without a header")?;
+                    let length = u32::from_le_bytes(*length) as usize;
+                    let header = rest.get(..length).context("a header that is cut off")?;
+                    let header: Value = serde_json::from_slice(header)?;
+                    if header["seq"].as_u64().is_some_and(&is_it) {
+                        return Ok(header);
+                    }
+                    self.acknowledge(&header)?;
+                }
+                Message::Text(text) => {
+                    let event: Value = serde_json::from_str(&text)?;
+                    if event["event"] == "problem" {
+                        bail!("{event}");
+                    }
+                }
+                Message::Close(reason) => bail!("closed: {reason:?}"),
+                _ => {}
+            }
+        }
+    }
+}

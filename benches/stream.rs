@@ -1,0 +1,478 @@
+//! What a live view gets: how long a pose waits for its pixels, how eight clients share the device, how fast a camera path is filmed,
+//! what many requests at a time gain, and frames a second beside a remote view of VTK's (what trame and ParaViewWeb serve).
+//!
+//! Client and daemon share the machine. The client of a stream does no more than read: it neither decodes nor draws.
+
+mod common;
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail, ensure};
+use common::daemon::Daemon;
+use common::drawing::Orbit;
+use common::peer::Vtk;
+use common::report::{Bound, Report, number};
+use common::stream::Stream;
+use common::{median, median_ratio, ms, pick, quantile};
+use glam::DVec3;
+use pointillist::bake::assemble::Assembler;
+use pointillist::bake::prepare;
+use pointillist::film::shots::Shots;
+use pointillist::scene::SceneLimits;
+use serde_json::{Value, json};
+
+/// An instanced square of 17 600 copies.
+const SCENE: &str = "plaza";
+const SIZE: [u32; 2] = [640, 480];
+const QUALITY: u32 = 85;
+const FOV_DEG: f64 = 50.0;
+
+fn main() -> anyhow::Result<()> {
+    let scenes = Path::new("scenes");
+    let state = common::folder().join("state");
+    let _ = std::fs::remove_dir_all(&state);
+    let state = state.to_str().context("a folder whose name is no text")?;
+    let args = ["--max-streams", "32", "--state", state];
+    let daemon = Daemon::start(scenes, &["plaza.json"], &args)?;
+    let mut probe = daemon.connect()?;
+    // Trees are built before anything is timed.
+    let answer = probe.get(&frame_path(0.0), "")?;
+    ensure!(answer.status == 200, "the first frame was answered with {}", answer.status);
+    let adapter = answer.receipt()?["adapter"].as_str().context("no adapter")?.to_owned();
+    let mut report = Report::new("stream", &adapter);
+    let parts = std::env::var("BENCH_STREAM")
+        .unwrap_or_else(|_| "latency clients saturation film remote".into());
+    for part in parts.split_whitespace() {
+        match part {
+            "latency" => latency(&mut report, &daemon)?,
+            "clients" => clients(&mut report, &daemon)?,
+            "saturation" => saturation(&mut report, &daemon)?,
+            "film" => film(&mut report, &daemon, &adapter)?,
+            "remote" => remote(&mut report, &daemon)?,
+            other => bail!(
+                "BENCH_STREAM knows latency, clients, saturation, film and remote, not {other}"
+            ),
+        }
+    }
+    drop(daemon);
+    report.finish()
+}
+
+/// On a circle above the square.
+fn orbit() -> Orbit {
+    Orbit { eye: DVec3::new(40.0, 12.0, 60.0), target: DVec3::new(0.0, 1.0, 0.0), fov_deg: FOV_DEG }
+}
+
+fn eye_and_target(degrees: f64) -> [[f64; 3]; 2] {
+    let camera = orbit().at(degrees);
+    [camera.eye.to_array(), camera.target.to_array()]
+}
+
+fn settings_query() -> String {
+    format!("w={}&h={}&format=jpeg&quality={QUALITY}&lod=spt", SIZE[0], SIZE[1])
+}
+
+fn frame_path(degrees: f64) -> String {
+    let [eye, target] =
+        eye_and_target(degrees).map(|v| v.map(|number| number.to_string()).join(","));
+    format!("/v1/scenes/{SCENE}/frame?eye={eye}&target={target}&fov={FOV_DEG}&{}", settings_query())
+}
+
+fn open(address: SocketAddr) -> anyhow::Result<Stream> {
+    Stream::open(address, &format!("/v1/scenes/{SCENE}/stream?{}", settings_query()))
+}
+
+fn pose(seq: u64, degrees: f64, moving: bool) -> Value {
+    let [eye, target] = eye_and_target(degrees);
+    json!({ "seq": seq, "eye": eye, "target": target, "fov": FOV_DEG, "moving": moving })
+}
+
+/// One client: the time from sending a pose to having its frame, as parts of what passes and encoder took for it.
+fn latency(report: &mut Report, daemon: &Daemon) -> anyhow::Result<()> {
+    let mut stream = open(daemon.address)?;
+    let (warm, count) = pick((10, 100), (2, 4));
+    let mut rows = Vec::new();
+    for (name, moving) in [("at rest, as asked for", false), ("moving", true)] {
+        let (mut waits, mut works, mut ratios) = (Vec::new(), Vec::new(), Vec::new());
+        for number in 0..warm + count {
+            let seq = stream.next_seq();
+            let began = Instant::now();
+            stream.send(&pose(seq, f64::from(number) * 0.4, moving))?;
+            let frame = stream.frame_of(seq)?;
+            let waited = began.elapsed().as_secs_f64() * 1e3;
+            stream.acknowledge(&frame)?;
+            if number < warm {
+                continue;
+            }
+            let of = |name: &str| frame["receipt"][name].as_u64().map(ms);
+            let gpu = of("gpu_ns").context("this adapter has no timestamps")?;
+            let work = gpu + of("encode_ns").context("no encode_ns")?;
+            waits.push(waited);
+            works.push(work);
+            ratios.push(waited / work);
+        }
+        let ratio = median(&ratios);
+        report.value(
+            &format!("pose_to_pixels_over_work_{}", if moving { "moving" } else { "still" }),
+            ratio,
+        );
+        rows.push(vec![
+            name.to_owned(),
+            number(median(&waits)),
+            number(quantile(&waits, 0.95)),
+            number(median(&works)),
+            number(ratio),
+        ]);
+        if !moving {
+            let what = "pose to pixels at 640×480, median over what passes and encoder took";
+            report.target(what, Some(ratio), Bound::AtMost(1.5), "×");
+        }
+    }
+    report.table(
+        "One stream, one pose at a time, ms",
+        &["frames", "pose to pixels", "p95", "GPU + encode", "×"],
+        &rows,
+    );
+    Ok(())
+}
+
+/// Eight streams that move all the time, one of them with frames of four times the pixels, as splats, and one of thumbnails; and
+/// somebody who always has eight requests under way.
+fn clients(report: &mut Report, daemon: &Daemon) -> anyhow::Result<()> {
+    const CLIENTS: usize = 8;
+    let seconds = pick(8.0, 0.5);
+    let stop = AtomicBool::new(false);
+    let ask = |client: usize| match client {
+        0 => ("1280×960, splats", "w=1280&h=960&reconstruct=splats&"),
+        1 => ("160×120", "w=160&h=120&"),
+        _ => ("640×480", "w=640&h=480&"),
+    };
+    let mut counts: Vec<(String, u64, f64)> = Vec::new();
+    let mut share = f64::NAN;
+    std::thread::scope(|scope| -> anyhow::Result<()> {
+        let mut running = Vec::new();
+        let stop = &stop;
+        for client in 0..CLIENTS {
+            running.push(scope.spawn(move || {
+                let (name, size) = ask(client);
+                let (frames, device_ms) = watch(daemon, size, 45.0 * client as f64, stop)?;
+                anyhow::Ok((format!("stream, {name}"), frames, device_ms))
+            }));
+        }
+        running.push(scope.spawn(move || {
+            let (frames, device_ms) = flood(daemon, stop)?;
+            anyhow::Ok(("eight requests under way".to_owned(), frames, device_ms))
+        }));
+        // All are connected and warm.
+        std::thread::sleep(Duration::from_secs_f64(0.5 * seconds));
+        let (began, before) = (Instant::now(), daemon.metric(GPU_SECONDS)?);
+        std::thread::sleep(Duration::from_secs_f64(seconds));
+        let busy = daemon.metric(GPU_SECONDS)? - before;
+        share = busy / began.elapsed().as_secs_f64();
+        stop.store(true, Ordering::Relaxed);
+        for client in running {
+            counts.push(client.join().map_err(|_| anyhow::anyhow!("a client panicked"))??);
+        }
+        Ok(())
+    })?;
+    let device = counts.iter().map(|(.., device_ms)| *device_ms);
+    let mean = device.clone().sum::<f64>() / counts.len() as f64;
+    let least = device.fold(f64::MAX, f64::min) / mean;
+    let rows: Vec<Vec<String>> = counts
+        .iter()
+        .map(|(name, frames, device_ms)| {
+            vec![name.clone(), frames.to_string(), number(*device_ms), number(device_ms / mean)]
+        })
+        .collect();
+    report.table(
+        "Unlike clients that want all they can get",
+        &["client", "frames", "device ms", "of an equal share"],
+        &rows,
+    );
+    report.target(
+        "the device is busy with eight streams",
+        Some(100.0 * share),
+        Bound::AtLeast(90.0),
+        "%",
+    );
+    report.target(
+        "least device time of a client, of an equal share",
+        Some(least),
+        Bound::AtLeast(0.5),
+        "",
+    );
+    Ok(())
+}
+
+/// A stream with two poses under way until `stop`: its frames, and what they took of the device in ms.
+fn watch(
+    daemon: &Daemon,
+    size: &str,
+    mut degrees: f64,
+    stop: &AtomicBool,
+) -> anyhow::Result<(u64, f64)> {
+    let rest = format!("format=jpeg&quality={QUALITY}&lod=spt");
+    let mut stream =
+        Stream::open(daemon.address, &format!("/v1/scenes/{SCENE}/stream?{size}{rest}"))?;
+    let (mut frames, mut device_ms) = (0u64, 0.0);
+    let mut next = |stream: &mut Stream| {
+        degrees += 0.4;
+        let seq = stream.next_seq();
+        // At rest, so that none of them gets smaller frames than the others.
+        stream.send(&pose(seq, degrees, false)).map(|()| seq)
+    };
+    let mut waiting = next(&mut stream)?;
+    while !stop.load(Ordering::Relaxed) {
+        let then = next(&mut stream)?;
+        // The newer one wins where the first has not been begun.
+        let frame = stream.frame_from(waiting)?;
+        stream.acknowledge(&frame)?;
+        waiting = if frame["seq"].as_u64() == Some(then) { next(&mut stream)? } else { then };
+        frames += 1;
+        device_ms += device_ms_of(&frame["receipt"]);
+    }
+    Ok((frames, device_ms))
+}
+
+/// The same of requests, eight at a time.
+fn flood(daemon: &Daemon, stop: &AtomicBool) -> anyhow::Result<(u64, f64)> {
+    let mut pool = (0..8).map(|_| daemon.connect()).collect::<Result<Vec<_>, _>>()?;
+    let (mut frames, mut device_ms, mut degrees) = (0u64, 0.0, 0.0);
+    let mut next = || {
+        degrees += 0.37;
+        frame_path(degrees)
+    };
+    for connection in &mut pool {
+        connection.send(&next(), "")?;
+    }
+    while !stop.load(Ordering::Relaxed) {
+        for connection in &mut pool {
+            let answer = connection.receive()?;
+            ensure!(answer.status == 200, "a frame was answered with {}", answer.status);
+            frames += 1;
+            device_ms += device_ms_of(&answer.receipt()?);
+            connection.send(&next(), "")?;
+        }
+    }
+    Ok((frames, device_ms))
+}
+
+/// A frame's part of the device's time, from its receipt.
+fn device_ms_of(receipt: &Value) -> f64 {
+    let together = receipt["views"].as_u64().unwrap_or(1).max(1);
+    ms(receipt["gpu_ns"].as_u64().unwrap_or(0)) / together as f64
+}
+
+const GPU_SECONDS: &str = "pointillist_engine_gpu_seconds_total";
+
+/// Requests one at a time, and sixteen under way, in turns.
+fn saturation(report: &mut Report, daemon: &Daemon) -> anyhow::Result<()> {
+    let seconds = pick(2.0, 0.2);
+    let mut degrees = 0.0;
+    let mut rate = |connections: usize| -> anyhow::Result<f64> {
+        let mut pool = (0..connections).map(|_| daemon.connect()).collect::<Result<Vec<_>, _>>()?;
+        let mut next = || {
+            degrees += 0.37;
+            frame_path(degrees)
+        };
+        let began = Instant::now();
+        for connection in &mut pool {
+            connection.send(&next(), "")?;
+        }
+        let (mut count, mut open) = (0u32, true);
+        while open {
+            open = began.elapsed().as_secs_f64() < seconds;
+            for connection in &mut pool {
+                let answer = connection.receive()?;
+                ensure!(answer.status == 200, "a frame was answered with {}", answer.status);
+                count += 1;
+                if open {
+                    connection.send(&next(), "")?;
+                }
+            }
+        }
+        Ok(f64::from(count) / began.elapsed().as_secs_f64())
+    };
+    let (mut alone, mut many) = (Vec::new(), Vec::new());
+    for _ in 0..pick(5, 1) {
+        alone.push(rate(1)?);
+        many.push(rate(16)?);
+    }
+    let gain = median_ratio(&many, &alone);
+    report.value("frames_per_s_one_at_a_time", median(&alone));
+    report.value("frames_per_s_sixteen_under_way", median(&many));
+    report.target(
+        "sixteen requests under way against one, frames/s",
+        Some(gain),
+        Bound::AtLeast(1.5),
+        "×",
+    );
+    Ok(())
+}
+
+/// A job of 300 frames, and what its frames take when nothing else goes on: every tenth of them, one at a time, before and after.
+fn film(report: &mut Report, daemon: &Daemon, adapter: &str) -> anyhow::Result<()> {
+    const PATH: &str = "approach";
+    let frames = pick(300u32, 12);
+    let probes = pick(30u32, 3);
+    let scene = prepare::describe(
+        Path::new("scenes/plaza.json"),
+        Path::new("scenes"),
+        &SceneLimits::default(),
+    )?;
+    let path = scene.paths.iter().find(|(name, _)| name == PATH).context("no such path")?;
+    let fps = f64::from(frames - 1) / path.1.duration_s();
+    let shots = Shots::new(&path.1, Some(fps), None, None)?;
+    let frames = shots.count();
+    let work = || -> anyhow::Result<[f64; 2]> {
+        // Its own: one that rests while the job is drawn is closed.
+        let mut connection = daemon.connect()?;
+        let (mut device_ms, mut encode_ms) = (0.0, 0.0);
+        for number in 0..probes {
+            let pose = shots.shot(u64::from(number) * (frames - 1) / u64::from(probes - 1)).camera;
+            let v = |v: DVec3| v.to_array().map(|number| number.to_string()).join(",");
+            let (eye, target, up) = (v(pose.eye), v(pose.target), v(pose.up));
+            let place = format!("eye={eye}&target={target}&up={up}&fov={}", pose.fov_deg);
+            let size = format!("w={}&h={}&format=jpeg&quality={QUALITY}", SIZE[0], SIZE[1]);
+            let frame = format!("/v1/scenes/{SCENE}/frame?{place}&{size}&lod=spt");
+            let receipt = connection.get(&frame, "")?.receipt()?;
+            device_ms += ms(receipt["gpu_ns"].as_u64().context("no timestamps")?);
+            encode_ms += ms(receipt["encode_ns"].as_u64().context("no encode_ns")?);
+        }
+        Ok([device_ms, encode_ms].map(|ms| ms * 1e-3 * frames as f64 / f64::from(probes)))
+    };
+    work()?;
+    let before = work()?;
+    let mut client = daemon.connect()?;
+    let began = Instant::now();
+    let job = client.post(
+        "/v1/jobs",
+        &json!({ "scene": SCENE, "path": PATH, "w": SIZE[0], "h": SIZE[1], "fps": fps, "format": "jpeg",
+            "quality": QUALITY, "lod": "spt", "want": ["frames"] }),
+    )?;
+    ensure!(job.status == 201, "{}", String::from_utf8_lossy(&job.body));
+    let job: Value = serde_json::from_slice(&job.body)?;
+    let place = format!("/v1/jobs/{}", job["id"].as_str().context("a job without a name")?);
+    let (done, elapsed) = loop {
+        let job: Value = serde_json::from_slice(&client.get(&place, "")?.body)?;
+        match job["state"].as_str() {
+            Some("done") => {
+                break (job["frames"]["done"].as_u64().unwrap_or(0), began.elapsed().as_secs_f64());
+            }
+            Some("queued" | "running") => std::thread::sleep(Duration::from_millis(5)),
+            _ => bail!("{job}"),
+        }
+    };
+    ensure!(done == frames, "{done} of {frames} frames");
+    let after = work()?;
+    let [device_s, encode_s] = [0, 1].map(|at| 0.5 * (before[at] + after[at]));
+    let cores = std::thread::available_parallelism().map_or(1, usize::from) as f64;
+    // On a CPU adapter passes and encoder share the cores, on a GPU each has its own.
+    let is_cpu = adapter.contains("llvmpipe");
+    let allowed_s = match is_cpu {
+        true => device_s + encode_s / cores,
+        false => device_s.max(encode_s / cores),
+    };
+    report.table(
+        "A job: a camera path as JPEGs, beside the same frames one at a time",
+        &["frames", "seconds", "frames/s", "GPU s alone", "encode s alone", "of what these allow"],
+        &[vec![
+            done.to_string(),
+            number(elapsed),
+            number(done as f64 / elapsed),
+            number(device_s),
+            number(encode_s),
+            number(allowed_s / elapsed),
+        ]],
+    );
+    let what = "rate of a job of 300 frames, of what its passes and encoding allow";
+    report.target(what, Some(allowed_s / elapsed), Bound::AtLeast(0.9), "");
+    Ok(())
+}
+
+/// The same square in VTK, each kind of mesh a glyph mapper, drawn and encoded as a remote view does; in turns.
+fn remote(report: &mut Report, daemon: &Daemon) -> anyhow::Result<()> {
+    let file = copies()?;
+    let (width, height) = (SIZE[0], SIZE[1]);
+    let (size, remote) = (format!("--size={width}x{height}"), format!("--remote={QUALITY}"));
+    let Some(mut vtk) = Vtk::start(&file, &orbit(), width, &[&size, &remote])? else {
+        report.target(
+            "frames/s of a stream against a remote view of VTK's",
+            None,
+            Bound::AtLeast(8.0),
+            "×",
+        );
+        return Ok(());
+    };
+    let mut stream = open(daemon.address)?;
+    let (mut ours, mut theirs, mut drawn) = (Vec::new(), Vec::new(), Vec::new());
+    let (warm, count) = pick((3, 20), (1, 2));
+    for number in 0..warm + count {
+        let degrees = f64::from(number) * 0.5;
+        let peer = vtk.frame_ms(degrees)?;
+        let seq = stream.next_seq();
+        let began = Instant::now();
+        stream.send(&pose(seq, degrees, false))?;
+        let frame = stream.frame_of(seq)?;
+        let waited = began.elapsed().as_secs_f64() * 1e3;
+        stream.acknowledge(&frame)?;
+        if number >= warm {
+            ours.push(waited);
+            theirs.push(peer);
+            drawn.push(frame["bytes"].as_f64().unwrap_or(f64::NAN));
+        }
+    }
+    let summary = vtk.finish()?;
+    let ratio = median_ratio(&theirs, &ours);
+    report.table(
+        "The same square at 640×480, one frame at a time",
+        &["view", "ms a frame", "frames/s"],
+        &[
+            vec!["a stream, whole way".into(), number(median(&ours)), number(1e3 / median(&ours))],
+            vec![
+                "VTK, server's side alone".into(),
+                number(median(&theirs)),
+                number(1e3 / median(&theirs)),
+            ],
+        ],
+    );
+    report.value("remote_view_peer", summary);
+    report.value("stream_jpeg_bytes", median(&drawn));
+    report.target(
+        "frames/s of a stream against a remote view of VTK's",
+        Some(ratio),
+        Bound::AtLeast(8.0),
+        "×",
+    );
+    Ok(())
+}
+
+/// The square's copies for VTK: each file with its matrices.
+fn copies() -> anyhow::Result<PathBuf> {
+    let (path, root) = (Path::new("scenes/plaza.json"), Path::new("scenes"));
+    let limits = SceneLimits::default();
+    let scene = prepare::describe(path, root, &limits)?;
+    let mut assembler = Assembler::new(path, &scene, &Default::default());
+    let mut placements = Vec::new();
+    let mut files = Vec::new();
+    for (index, reference) in scene.assets.iter().enumerate() {
+        placements.push(assembler.asset(index)?.asset.placements);
+        files.push(root.join(format!("plaza-{}.ply", reference.name)));
+    }
+    let mut matrices: Vec<Vec<[f64; 16]>> = vec![Vec::new(); files.len()];
+    for placed in prepare::placed(&scene, &placements) {
+        matrices[placed.asset].push(glam::DMat4::from(placed.world_from_geometry).to_cols_array());
+    }
+    let parts: Vec<Value> = files
+        .iter()
+        .zip(matrices)
+        .map(|(file, matrices)| json!({ "file": file, "matrices": matrices }))
+        .collect();
+    let out = common::folder().join("plaza-copies.json");
+    std::fs::create_dir_all(common::folder())?;
+    std::fs::write(&out, serde_json::to_vec(&parts)?)?;
+    Ok(out)
+}

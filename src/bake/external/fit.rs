@@ -1,0 +1,364 @@
+//! Second phase: normals and kernels, from neighbours, a piece of the points at a time.
+//!
+//! Beside a piece's own points those within a reach of its box are in memory: the reach of most neighbourhoods, as a sample of them
+//! tells. A neighbourhood that fits into that reach is complete. The others, of strays and of places much sparser than the rest,
+//! wait, and are completed from each piece that may hold a nearer point. So neighbours are those of the whole cloud, and there is
+//! no seam.
+
+use std::io;
+
+use bytemuck::{Pod, Zeroable};
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::super::kernels::{Bounds, circle, fit, longest_axis};
+use super::super::neighbors::{Neighbors, PointTree};
+use super::super::normals::{NORMAL_NEIGHBORS, stride};
+use super::points::{Place, Point, Points};
+use super::spill::SpillFile;
+use super::{Phase, Work};
+use crate::assets::Kernel;
+
+/// What neighbours tell of a point.
+#[derive(Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Fitted {
+    normal: [f32; 3],
+    u: [f32; 3],
+    v: [f32; 3],
+}
+
+/// What neighbours tell of each point, in the order of the points' file, and the bounds that kernels have.
+pub(super) struct Fits {
+    file: Option<SpillFile<Fitted>>,
+    bounds: Option<Bounds>,
+}
+
+/// Neighbourhoods whose reach is taken as a measure for all.
+const SAMPLED: usize = 512;
+/// Of those this share fits into the reach, and more than that.
+const QUANTILE: f64 = 0.95;
+const GENEROUS: f32 = 1.5;
+/// Rounding.
+const SLACK: f32 = 1.0001;
+
+impl Fits {
+    pub(super) fn of(points: &Points, work: &Work) -> io::Result<Fits> {
+        let lacks_kernels = points.lacks_kernels;
+        if !points.lacks_normals && !lacks_kernels {
+            return Ok(Fits { file: None, bounds: None });
+        }
+        let mut file = work.spill.file()?;
+        let mut waiting = Vec::new();
+        let most = (work.memory.to_merge() / 2 / size_of::<Waiting>()).max(100);
+        for (number, piece) in points.pieces.iter().enumerate() {
+            let Found { fitted, strays } = near(points, number, work)?;
+            file.extend(&fitted)?;
+            drop(fitted);
+            for Stray { slot, farthest } in strays {
+                let at = piece.range.start + u64::from(slot);
+                waiting.push(Waiting::new(points, at, farthest)?);
+                if waiting.len() >= most {
+                    complete(points, std::mem::take(&mut waiting), &mut file)?;
+                }
+            }
+            work.tell(Phase::Neighbors, piece.range.end as f64 / points.file.count() as f64);
+        }
+        complete(points, waiting, &mut file)?;
+        let bounds = if lacks_kernels { Some(bounds(points, &file)?) } else { None };
+        Ok(Fits { file: Some(file), bounds })
+    }
+
+    /// Calls `take` with each point in the file's order, its normal and its kernel.
+    pub(super) fn each(
+        &self,
+        points: &Points,
+        bytes: usize,
+        mut take: impl FnMut(&Point, Vec3, Kernel) -> io::Result<()>,
+    ) -> io::Result<()> {
+        let all = 0..points.file.count();
+        let mut walk = points.file.walk(all.clone(), bytes);
+        let mut fits = self.file.as_ref().map(|file| file.walk(all, bytes));
+        while let Some(point) = walk.next()? {
+            let fitted = match &mut fits {
+                Some(fits) => fits.next()?,
+                None => None,
+            };
+            let (normal, kernel) = self.settle(&point, fitted.unwrap_or_default());
+            take(&point, normal, kernel)?;
+        }
+        Ok(())
+    }
+
+    /// The normal and kernel of one point.
+    pub(super) fn one(&self, points: &Points, at: u64) -> io::Result<(Point, Vec3, Kernel)> {
+        let mut point = [Point::zeroed()];
+        points.file.read(at, &mut point)?;
+        let mut fitted = [Fitted::default()];
+        if let Some(file) = &self.file {
+            file.read(at, &mut fitted)?;
+        }
+        let (normal, kernel) = self.settle(&point[0], fitted[0]);
+        Ok((point[0], normal, kernel))
+    }
+
+    /// What a file gives goes before what neighbours tell.
+    fn settle(&self, point: &Point, fitted: Fitted) -> (Vec3, Kernel) {
+        let given = point.normal();
+        let normal = if given == Vec3::ZERO { Vec3::from(fitted.normal) } else { given };
+        let kernel = match (point.deviation(), &self.bounds) {
+            (Some(deviation), _) => circle(normal, deviation),
+            (None, Some(bounds)) => bounds.apply(fitted.kernel(), normal),
+            (None, None) => fitted.kernel(),
+        };
+        (normal, kernel)
+    }
+}
+
+impl Fitted {
+    fn kernel(&self) -> Kernel {
+        Kernel { u: self.u.into(), v: self.v.into() }
+    }
+
+    /// From the neighbours of a point with this normal, if it is not zero.
+    fn of(points: &Points, neighbors: &Neighbors, given: Vec3) -> Fitted {
+        let normal = if points.lacks_normals { points.frame.normal(neighbors) } else { Vec3::ZERO };
+        let own = if given == Vec3::ZERO { normal } else { given };
+        let kernel = match points.lacks_kernels {
+            true => points.frame.kernel(fit(neighbors, own)),
+            false => Kernel::default(),
+        };
+        Fitted { normal: normal.into(), u: kernel.u.into(), v: kernel.v.into() }
+    }
+}
+
+/// Bounds of all kernels, from some.
+fn bounds(points: &Points, file: &SpillFile<Fitted>) -> io::Result<Bounds> {
+    let step = stride(points.file.count() as usize) as u32;
+    let mut lengths = Vec::new();
+    let mut at = 0;
+    points.file.each_block(|block| {
+        for point in block {
+            if point.index.is_multiple_of(step) {
+                let mut fitted = [Fitted::default()];
+                file.read(at, &mut fitted)?;
+                lengths.push(longest_axis(&fitted[0].kernel()));
+            }
+            at += 1;
+        }
+        Ok(())
+    })?;
+    Ok(Bounds::of_some(&lengths))
+}
+
+/// A point in the coordinates of the frame.
+#[derive(Clone, Copy)]
+struct Local {
+    place: [f32; 3],
+    /// In the file as it was read.
+    index: u32,
+    /// In its piece, of the piece's own points.
+    slot: Option<u32>,
+}
+
+/// What is known of a piece's points, and which of them are not complete.
+struct Found {
+    fitted: Vec<Fitted>,
+    strays: Vec<Stray>,
+}
+
+/// A point whose neighbours may lie outside of what was in memory, though none is farther than this, squared.
+struct Stray {
+    slot: u32,
+    farthest: f32,
+}
+
+fn near(points: &Points, number: usize, work: &Work) -> io::Result<Found> {
+    let piece = &points.pieces[number];
+    let places = points.places.load(piece.range.clone())?;
+    let count = places.len();
+    let mut local: Vec<Local> = places
+        .into_iter()
+        .zip(0..)
+        .map(|(Place { at, index }, slot)| Local { place: at, index, slot: Some(slot) })
+        .collect();
+    let mut given = Vec::new();
+    if points.oriented {
+        let mut walk = points.file.walk(piece.range.clone(), 1 << 18);
+        while let Some(point) = walk.next()? {
+            given.push(point.normal());
+        }
+    }
+    local.par_sort_unstable_by_key(|point| point.index);
+    let alone = points.pieces.len() == 1;
+    let mut reach = f32::INFINITY;
+    if !alone {
+        reach = usual_reach(&local);
+        let (margin, left) = margin(points, number, reach, work)?;
+        reach = left;
+        local.extend(margin);
+        // Those at one distance are told apart by their order.
+        local.par_sort_unstable_by_key(|point| point.index);
+    }
+    let tree = PointTree::new(local.iter().map(|point| point.place));
+    let found = tree.map_neighbors(NORMAL_NEIGHBORS, |neighbors| {
+        let slot = local[tree.order()[neighbors.place] as usize].slot?;
+        let farthest = match neighbors.len() == NORMAL_NEIGHBORS {
+            true => neighbors.distances_squared().last().unwrap_or(f32::INFINITY),
+            false => f32::INFINITY,
+        };
+        if alone || farthest * SLACK <= reach {
+            let given = given.get(slot as usize).copied().unwrap_or(Vec3::ZERO);
+            Some((Fitted::of(points, &neighbors, given), None))
+        } else {
+            Some((Fitted::default(), Some(farthest)))
+        }
+    });
+    let mut out = Found { fitted: vec![Fitted::default(); count], strays: Vec::new() };
+    for (&id, found) in tree.order().iter().zip(found) {
+        let (Some(slot), Some((fitted, farthest))) = (local[id as usize].slot, found) else {
+            continue;
+        };
+        out.fitted[slot as usize] = fitted;
+        out.strays.extend(farthest.map(|farthest| Stray { slot, farthest }));
+    }
+    Ok(out)
+}
+
+/// A little more than the squared reach of most neighbourhoods within a piece.
+fn usual_reach(local: &[Local]) -> f32 {
+    let tree = PointTree::new(local.iter().map(|point| point.place));
+    let places = local.iter().step_by(local.len().div_ceil(SAMPLED).max(1));
+    let mut reaches: Vec<f32> = places
+        .map(|point| {
+            let mut found = Vec::new();
+            // It finds the point itself, too.
+            tree.nearest(point.place, NORMAL_NEIGHBORS + 1, &mut found);
+            found.last().map_or(0.0, |&(distance, _)| distance)
+        })
+        .collect();
+    reaches.sort_unstable_by(f32::total_cmp);
+    let at = ((reaches.len() as f64 - 1.0) * QUANTILE) as usize;
+    reaches.get(at).map_or(0.0, |reach| reach * GENEROUS * GENEROUS)
+}
+
+/// Other pieces' points within a squared reach of a piece's box, or within the smaller one that is returned, where those would be
+/// too many.
+fn margin(
+    points: &Points,
+    number: usize,
+    mut reach: f32,
+    work: &Work,
+) -> io::Result<(Vec<Local>, f32)> {
+    let piece = &points.pieces[number];
+    let most = work.memory.of_pieces();
+    let mut margin: Vec<Local> = Vec::new();
+    for (other, behind) in points.pieces.iter().enumerate() {
+        if other == number || piece.gap_squared(behind) > reach {
+            continue;
+        }
+        let mut walk = points.places.walk(behind.range.clone(), 1 << 18);
+        while let Some(Place { at, index }) = walk.next()? {
+            if piece.distance_squared(at) > reach {
+                continue;
+            }
+            margin.push(Local { place: at, index, slot: None });
+            while margin.len() > most {
+                // Too many at one place: nothing is complete.
+                reach = if reach > f32::MIN_POSITIVE { reach * 0.25 } else { -1.0 };
+                margin.retain(|point| piece.distance_squared(point.place) <= reach);
+            }
+        }
+    }
+    Ok((margin, reach))
+}
+
+/// A stray that is looked for neighbours for.
+struct Waiting {
+    /// Place in the points' file.
+    at: u64,
+    place: [f32; 3],
+    index: u32,
+    /// No neighbour is farther, squared.
+    farthest: f32,
+    found: Nearest,
+}
+
+impl Waiting {
+    fn new(points: &Points, at: u64, farthest: f32) -> io::Result<Waiting> {
+        let mut place = [Place::zeroed()];
+        points.places.read(at, &mut place)?;
+        let [Place { at: place, index }] = place;
+        Ok(Waiting { at, place, index, farthest, found: Nearest::default() })
+    }
+}
+
+/// The nearest so far, nearest first.
+#[derive(Clone, Copy, Default)]
+struct Nearest {
+    count: usize,
+    found: [(f32, u32, [f32; 3]); NORMAL_NEIGHBORS],
+}
+
+impl Nearest {
+    fn known(&self) -> &[(f32, u32, [f32; 3])] {
+        &self.found[..self.count]
+    }
+
+    fn add(&mut self, distance: f32, index: u32, place: [f32; 3]) {
+        let before = |other: &&(f32, u32, [f32; 3])| (other.0, other.1) < (distance, index);
+        let at = self.known().iter().take_while(before).count();
+        if at < NORMAL_NEIGHBORS {
+            self.count = (self.count + 1).min(NORMAL_NEIGHBORS);
+            self.found[at..self.count].rotate_right(1);
+            self.found[at] = (distance, index, place);
+        }
+    }
+}
+
+/// Finds the neighbours of those that wait, in all pieces, and writes what they tell.
+fn complete(
+    points: &Points,
+    mut waiting: Vec<Waiting>,
+    file: &mut SpillFile<Fitted>,
+) -> io::Result<()> {
+    for piece in &points.pieces {
+        let wanted =
+            |point: &Waiting| piece.distance_squared(point.place) <= point.farthest * SLACK;
+        if !waiting.iter().any(wanted) {
+            continue;
+        }
+        let mut local = points.places.load(piece.range.clone())?;
+        local.par_sort_unstable_by_key(|place| place.index);
+        let tree = PointTree::new(local.iter().map(|place| place.at));
+        waiting.par_iter_mut().filter(|point| wanted(point)).for_each(|point| {
+            let mut near = Vec::new();
+            tree.nearest(point.place, NORMAL_NEIGHBORS + 1, &mut near);
+            for (distance, id) in near {
+                let Place { at, index } = local[id as usize];
+                if index != point.index {
+                    point.found.add(distance, index, at);
+                }
+            }
+            if let Some(&(farthest, ..)) = point.found.known().get(NORMAL_NEIGHBORS - 1) {
+                point.farthest = farthest;
+            }
+        });
+    }
+    for point in waiting {
+        let mut all: Vec<(u32, [f32; 3])> =
+            point.found.known().iter().map(|&(_, index, place)| (index, place)).collect();
+        all.push((point.index, point.place));
+        all.sort_unstable_by_key(|&(index, _)| index);
+        let tree = PointTree::new(all.iter().map(|&(_, place)| place));
+        let mut own = [Point::zeroed()];
+        points.file.read(point.at, &mut own)?;
+        let found = tree.map_neighbors(NORMAL_NEIGHBORS, |neighbors| {
+            let is_own = all[tree.order()[neighbors.place] as usize].0 == point.index;
+            is_own.then(|| Fitted::of(points, &neighbors, own[0].normal()))
+        });
+        let fitted = found.into_iter().flatten().next().unwrap_or_default();
+        file.put(point.at, &fitted)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,195 @@
+//! Third phase: samples as the GPU holds them, a chunk at a time.
+
+use std::io;
+
+use bytemuck::{Pod, Zeroable};
+use rayon::prelude::*;
+
+use super::super::pack::{
+    CHUNK, Grid, KERNEL_DETAIL, PackedChunk, PackedRun, PackedSamples, Sample, Shape,
+    kernel_lengths, morton, pack_run,
+};
+use super::fit::Fits;
+use super::points::Points;
+use super::sort::{Sortable, Sorter};
+use super::spill::{Spill, SpillFile};
+use super::{BakeFault, Phase, Work};
+use crate::math::Bounds;
+
+/// Packed samples without clip lines, in files: as [`PackedSamples`].
+pub struct Spilled {
+    pub grid: Grid,
+    pub chunks: Vec<PackedChunk>,
+    pub positions: SpillFile<[u32; 2]>,
+    pub attributes: SpillFile<[u32; 2]>,
+    pub kernels: SpillFile<u32>,
+    /// Of point trees.
+    pub nodes: SpillFile<[u32; 2]>,
+}
+
+impl Spilled {
+    fn new(grid: Grid, spill: &Spill) -> io::Result<Spilled> {
+        Ok(Spilled {
+            grid,
+            chunks: Vec::new(),
+            positions: spill.file()?,
+            attributes: spill.file()?,
+            kernels: spill.file()?,
+            nodes: spill.file()?,
+        })
+    }
+
+    pub fn len(&self) -> u64 {
+        self.positions.count()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    fn add(&mut self, run: &PackedRun) -> io::Result<()> {
+        self.chunks.push(PackedChunk { first: self.len() as u32, ..run.chunk });
+        self.positions.extend(&run.positions)?;
+        self.attributes.extend(&run.attributes)?;
+        self.kernels.extend(&run.kernels)
+    }
+
+    /// One chunk by itself.
+    pub(super) fn load(&self, chunk: &PackedChunk) -> io::Result<PackedSamples> {
+        let range = u64::from(chunk.first)..u64::from(chunk.first + chunk.count);
+        Ok(PackedSamples {
+            grid: self.grid,
+            chunks: vec![PackedChunk { first: 0, ..*chunk }],
+            positions: self.positions.load(range.clone())?,
+            attributes: self.attributes.load(range.clone())?,
+            kernels: self.kernels.load(range)?,
+            clips: Vec::new(),
+            clipped_first: chunk.count,
+            nodes: Vec::new(),
+        })
+    }
+}
+
+/// Packs chunks some at a time, and hands them on with whom they came for.
+pub(super) struct Packer<T> {
+    pub(super) out: Spilled,
+    oriented: bool,
+    chunks: Vec<Vec<(T, Sample<'static>)>>,
+}
+
+/// Chunks that are packed at a time.
+const BATCH: usize = 32;
+
+impl<T: Send + Sync> Packer<T> {
+    pub(super) fn new(grid: Grid, oriented: bool, spill: &Spill) -> io::Result<Packer<T>> {
+        Ok(Packer { out: Spilled::new(grid, spill)?, oriented, chunks: Vec::new() })
+    }
+
+    /// `given` gets each chunk with its place in the list, and what its samples are of.
+    pub(super) fn push(
+        &mut self,
+        chunk: Vec<(T, Sample<'static>)>,
+        given: &mut impl FnMut(&PackedRun, u32, Vec<T>) -> io::Result<()>,
+    ) -> io::Result<()> {
+        self.chunks.push(chunk);
+        if self.chunks.len() < BATCH { Ok(()) } else { self.flush(given) }
+    }
+
+    pub(super) fn flush(
+        &mut self,
+        given: &mut impl FnMut(&PackedRun, u32, Vec<T>) -> io::Result<()>,
+    ) -> io::Result<()> {
+        let (grid, oriented) = (self.out.grid, self.oriented);
+        let runs: Vec<(PackedRun, Vec<T>)> = std::mem::take(&mut self.chunks)
+            .into_par_iter()
+            .map(|chunk| {
+                let (of, samples) = chunk.into_iter().unzip();
+                (pack_run(&grid, samples, false, oriented), of)
+            })
+            .collect();
+        for (run, of) in runs {
+            let first = self.out.len() as u32;
+            self.out.add(&run)?;
+            given(&run, first, of)?;
+        }
+        Ok(())
+    }
+}
+
+/// Where a point comes once more is known of the grid.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct Moved {
+    place: u64,
+    at: u32,
+    index: u32,
+}
+
+impl Sortable for Moved {
+    type Key = (u64, u32);
+
+    fn key(&self) -> (u64, u32) {
+        (self.place, self.index)
+    }
+}
+
+/// Packs points with what their neighbours have told.
+pub(super) fn pack(
+    points: &Points,
+    fits: &Fits,
+    bounds: &Bounds,
+    work: &Work,
+) -> Result<Spilled, BakeFault> {
+    let mut longest = 0.0f32;
+    fits.each(points, work.memory.to_merge() / 2, |_, _, kernel| {
+        let (u, v) = kernel_lengths(&kernel);
+        longest = longest.max(u).max(v);
+        Ok(())
+    })?;
+    let grid = Grid::with_detail(bounds, f64::from(longest) * KERNEL_DETAIL)?;
+    let mut packer = Packer::new(grid, points.oriented, work.spill)?;
+    let mut chunk = Vec::with_capacity(CHUNK);
+    let total = points.file.count();
+    let mut done = 0;
+    let mut add = |sample: Sample<'static>| {
+        chunk.push(((), sample));
+        done += 1;
+        if chunk.len() == CHUNK || done == total {
+            work.tell(Phase::Pack, done as f64 / total as f64);
+            packer.push(std::mem::take(&mut chunk), &mut |_, _, _| Ok(()))?;
+        }
+        Ok(())
+    };
+    let sample = |point: &super::points::Point, normal, kernel| Sample {
+        cell: grid.quantise(point.position()),
+        color: points.color(point),
+        normal,
+        shape: Shape::Ellipse(kernel),
+        clip: None,
+    };
+    if grid == points.grid {
+        fits.each(points, work.memory.to_merge() / 2, |point, normal, kernel| {
+            add(sample(point, normal, kernel))
+        })?;
+    } else {
+        // Kernels so long that cells are larger for them: the curve runs otherwise.
+        let mut sorter = Sorter::new(work.spill, work.memory.to_sort(), work.memory.to_merge());
+        let mut at = 0;
+        points.file.each_block(|block| {
+            for point in block {
+                let place = morton(grid.quantise(point.position()));
+                sorter.push(Moved { place, at, index: point.index })?;
+                at += 1;
+            }
+            Ok(())
+        })?;
+        let sorted = sorter.finish()?;
+        let mut walk = sorted.walk()?;
+        while let Some(moved) = walk.next()? {
+            let (point, normal, kernel) = fits.one(points, u64::from(moved.at))?;
+            add(sample(&point, normal, kernel))?;
+        }
+    }
+    packer.flush(&mut |_, _, _| Ok(()))?;
+    Ok(packer.out)
+}

@@ -1,0 +1,181 @@
+//! Which points are in memory at a time: those of neighbouring cells of the curve, up to a number.
+//!
+//! A piece that was any stretch of the curve could have a box that holds half of all points: the curve leaps. Its cells' boxes hold
+//! little else.
+
+use std::io;
+use std::ops::Range;
+
+use super::points::Place;
+use super::spill::SpillFile;
+
+/// Levels of the curve's cells.
+const LEVELS: u32 = 21;
+
+/// Points that are neighbours along the curve and in space.
+pub(super) struct Piece {
+    pub(super) range: Range<u64>,
+    boxes: Vec<Extent>,
+}
+
+/// A box by its lower and its upper corner.
+#[derive(Clone, Copy)]
+struct Extent([[f32; 3]; 2]);
+
+impl Extent {
+    fn distance_squared(&self, other: &Extent) -> f32 {
+        let ([min, max], [low, high]) = (self.0, other.0);
+        (0..3).fold(0.0, |sum, axis| {
+            let gap = (min[axis] - high[axis]).max(low[axis] - max[axis]).max(0.0);
+            sum + gap * gap
+        })
+    }
+}
+
+impl Piece {
+    /// Squared distance of a place from the nearest of its boxes.
+    pub(super) fn distance_squared(&self, place: [f32; 3]) -> f32 {
+        let place = Extent([place; 2]);
+        self.boxes.iter().fold(f32::INFINITY, |least, own| least.min(own.distance_squared(&place)))
+    }
+
+    /// Squared distance between the boxes of two.
+    pub(super) fn gap_squared(&self, other: &Piece) -> f32 {
+        let pairs = self.boxes.iter().flat_map(|a| other.boxes.iter().map(move |b| (a, b)));
+        pairs.fold(f32::INFINITY, |least, (a, b)| least.min(a.distance_squared(b)))
+    }
+}
+
+/// Cuts `count` points, whose codes ascend, into pieces of up to `most`.
+pub(super) fn cut(
+    count: u64,
+    most: u64,
+    code: impl Fn(u64) -> io::Result<u64>,
+    places: &SpillFile<Place>,
+) -> io::Result<Vec<Piece>> {
+    let mut groups = Vec::new();
+    split(0..count, LEVELS, most, &code, &mut groups)?;
+    let mut pieces = Vec::with_capacity(groups.len());
+    for cells in groups {
+        let range = cells[0].start..cells[cells.len() - 1].end;
+        let boxes: io::Result<Vec<Extent>> =
+            cells.into_iter().map(|cell| box_of(cell, places)).collect();
+        pieces.push(Piece { range, boxes: boxes? });
+    }
+    Ok(pieces)
+}
+
+/// Adds the groups of cells that a cell of a level is divided into.
+fn split(
+    range: Range<u64>,
+    level: u32,
+    most: u64,
+    code: &impl Fn(u64) -> io::Result<u64>,
+    groups: &mut Vec<Vec<Range<u64>>>,
+) -> io::Result<()> {
+    if range.end - range.start <= most {
+        groups.push(vec![range]);
+        return Ok(());
+    }
+    if level == 0 {
+        // Nothing tells them apart any more.
+        let mut begin = range.start;
+        while begin < range.end {
+            let end = range.end.min(begin + most);
+            let cell = begin..end;
+            groups.push(vec![cell]);
+            begin = end;
+        }
+        return Ok(());
+    }
+    let (mut group, mut held) = (Vec::new(), 0);
+    let mut begin = range.start;
+    while begin < range.end {
+        let shift = 3 * (level - 1);
+        let end = end_of(begin..range.end, code(begin)? >> shift, shift, code)?;
+        let size = end - begin;
+        if held + size > most && !group.is_empty() {
+            groups.push(std::mem::take(&mut group));
+            held = 0;
+        }
+        if size > most {
+            split(begin..end, level - 1, most, code, groups)?;
+        } else {
+            group.push(begin..end);
+            held += size;
+        }
+        begin = end;
+    }
+    groups.extend((!group.is_empty()).then_some(group));
+    Ok(())
+}
+
+/// Where the points of a cell end.
+fn end_of(
+    range: Range<u64>,
+    cell: u64,
+    shift: u32,
+    code: &impl Fn(u64) -> io::Result<u64>,
+) -> io::Result<u64> {
+    let (mut low, mut high) = (range.start, range.end);
+    while low < high {
+        let middle = low + (high - low) / 2;
+        if code(middle)? >> shift > cell { high = middle } else { low = middle + 1 }
+    }
+    Ok(low)
+}
+
+fn box_of(range: Range<u64>, places: &SpillFile<Place>) -> io::Result<Extent> {
+    let mut found = Extent([[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]]);
+    let mut walk = places.walk(range, 1 << 18);
+    while let Some(Place { at, .. }) = walk.next()? {
+        let [min, max] = &mut found.0;
+        for axis in 0..3 {
+            min[axis] = min[axis].min(at[axis]);
+            max[axis] = max[axis].max(at[axis]);
+        }
+    }
+    Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::spill::Spill;
+    use super::*;
+
+    #[test]
+    fn pieces_hold_all_points_once_and_lie_apart() {
+        let folder = tempfile::tempdir().unwrap();
+        let spill = Spill::new(folder.path(), u64::MAX);
+        let mut places = spill.file().unwrap();
+        // A square of 128 × 128, along the curve; its last corner is a place for a thousand more.
+        let mut codes: Vec<(u64, [f32; 3])> = (0..128 * 128u32)
+            .map(|i| {
+                let at = glam::IVec3::new((i % 128) as i32, (i / 128) as i32, 0);
+                (super::super::super::pack::morton(at * 512), at.as_vec3().to_array())
+            })
+            .collect();
+        codes.sort_by_key(|&(code, _)| code);
+        codes.extend(vec![codes[128 * 128 - 1]; 1000]);
+        for (index, &(_, at)) in (0..).zip(&codes) {
+            places.push(Place { at, index }).unwrap();
+        }
+        places.flush().unwrap();
+        let count = codes.len() as u64;
+        let pieces = cut(count, 300, |at| Ok(codes[at as usize].0), &places).unwrap();
+        let mut next = 0;
+        for piece in &pieces {
+            assert_eq!(piece.range.start, next);
+            assert!((1..=300).contains(&(piece.range.end - next)));
+            for &(_, at) in &codes[piece.range.start as usize..piece.range.end as usize] {
+                assert_eq!(piece.distance_squared(at), 0.0);
+            }
+            // A stretch of the curve in its middle would have all of them in its box.
+            let within = codes.iter().filter(|(_, at)| piece.distance_squared(*at) == 0.0).count();
+            assert!(within <= 300 || codes[next as usize].1 == [127.0, 127.0, 0.0], "{within}");
+            next = piece.range.end;
+        }
+        assert_eq!(next, count);
+        assert!(pieces[0].gap_squared(&pieces[pieces.len() - 1]) > 1000.0);
+    }
+}

@@ -1,0 +1,130 @@
+//! That trees do not change unnoticed: what is built of a few assets, against what this version built of them.
+
+use glam::{DVec3, Vec2, Vec3};
+use sha2::{Digest, Sha256};
+
+use super::*;
+use crate::assets::{Clip, ClipLine, Kernel, Mesh};
+use crate::bake::hybrid::hybrid_mesh;
+use crate::bake::kernels::circle;
+use crate::bake::pack::{PackedMesh, pack_hybrid};
+use crate::scene::random::SplitMix64;
+
+/// Places on a wavy sheet; only what every machine computes alike.
+fn sheet(side: usize) -> (Vec<DVec3>, Vec<Vec3>) {
+    let at = |i: usize| {
+        let [x, y] = [i % side, i / side].map(|v| 2.0 * v as f64 / (side - 1) as f64 - 1.0);
+        let z = 0.4 * x * (1.0 - y * y) + 0.2 * x * x * y;
+        let slope = DVec3::new(-0.4 * (1.0 - y * y) - 0.4 * x * y, 0.8 * x * y - 0.2 * x * x, 1.0);
+        (DVec3::new(x, y, z), (slope / slope.length()).as_vec3())
+    };
+    (0..side * side).map(at).unzip()
+}
+
+fn colors(count: usize) -> Vec<[u8; 4]> {
+    (0..count).map(|i| [(i / 7) as u8, if i % 40 < 20 { 30 } else { 220 }, 90, 255]).collect()
+}
+
+/// A scan with oblong kernels, some of them cut.
+fn scan() -> PackedSamples {
+    let (positions, normals) = sheet(48);
+    let count = positions.len();
+    let kernel = |(i, &n): (usize, &Vec3)| {
+        let Kernel { u, v } = circle(n, 0.016);
+        Kernel { u: u * (1.0 + (i % 5) as f32 * 0.25), v }
+    };
+    let line = |i: usize| {
+        (i.is_multiple_of(11)).then_some(ClipLine { normal: Vec2::new(0.6, -0.8), offset: -0.25 })
+    };
+    let cloud = PointCloud {
+        kernels: Some(normals.iter().enumerate().map(kernel).collect()),
+        clips: Some((0..count).map(|i| Clip { lines: [line(i), None], either: false }).collect()),
+        colors: Some(colors(count)),
+        oriented: true,
+        positions,
+        normals: Some(normals),
+        ..PointCloud::default()
+    };
+    build_tree(&cloud, None).unwrap()
+}
+
+/// Samples anywhere, many at one place, of all sizes, some that face the eye.
+fn scattered() -> PackedSamples {
+    let mut numbers = SplitMix64::new(11);
+    let mut next = || (numbers.next_u64() >> 40) as f32 / (1 << 24) as f32;
+    let mut cloud = PointCloud::default();
+    let (mut normals, mut kernels) = (Vec::new(), Vec::new());
+    for i in 0..3000 {
+        let place = DVec3::new(next().into(), f64::from(next()) * 0.3, f64::from(next()) * 9.0);
+        let again = (1..25).contains(&(i % 60));
+        cloud.positions.push(if again { cloud.positions[i - i % 60] } else { place });
+        let n = Vec3::new(next() - 0.5, next() - 0.5, next() - 0.5).normalize_or_zero();
+        normals.push(if i % 9 == 0 { Vec3::ZERO } else { n });
+        kernels.push(circle(normals[i], 0.1 * next() * next() * next()));
+    }
+    cloud.colors = Some(colors(cloud.positions.len()));
+    cloud.normals = Some(normals);
+    cloud.kernels = Some(kernels);
+    build_tree(&cloud, None).unwrap()
+}
+
+fn mesh() -> (PackedSamples, PackedMesh) {
+    const SIDE: u32 = 20;
+    let (positions, normals) = sheet(SIDE as usize);
+    let quad = |i: u32| {
+        let at = i / (SIDE - 1) * SIDE + i % (SIDE - 1);
+        [[at, at + 1, at + SIDE + 1], [at, at + SIDE + 1, at + SIDE]]
+    };
+    let mesh = Mesh {
+        triangles: (0..(SIDE - 1) * (SIDE - 1)).flat_map(quad).collect(),
+        colors: Some(colors(positions.len())),
+        normals: Some(normals),
+        positions,
+        ..Mesh::default()
+    };
+    let hybrid = hybrid_mesh(&mesh, &[], &[], 1 << 20).unwrap();
+    let bounds = Bounds::of(mesh.positions.iter().copied());
+    let tree = build_tree_within(&hybrid.samples, Some(&hybrid.stands), bounds, false).unwrap();
+    let triangles = pack_hybrid(&mesh, tree.grid, &hybrid.sides).unwrap();
+    (tree, triangles)
+}
+
+fn add_chunks(hash: &mut Sha256, grid: &Grid, chunks: &[PackedChunk]) {
+    hash.update(format!("{grid:?}"));
+    for chunk in chunks {
+        hash.update(format!("{chunk:?}"));
+    }
+}
+
+fn add_samples(hash: &mut Sha256, samples: &PackedSamples) {
+    add_chunks(hash, &samples.grid, &samples.chunks);
+    for pairs in [&samples.positions, &samples.attributes, &samples.clips, &samples.nodes] {
+        hash.update(bytemuck::cast_slice(pairs));
+    }
+    hash.update(bytemuck::cast_slice(&samples.kernels));
+}
+
+/// On other systems functions such as the logarithm may round otherwise.
+#[test]
+#[cfg_attr(
+    not(all(target_arch = "x86_64", target_os = "linux", target_env = "gnu")),
+    ignore = "digests are of x86-64 with glibc"
+)]
+fn trees_change_with_their_version() {
+    let mut hash = Sha256::new();
+    hash.update(BAKING_VERSION.to_le_bytes());
+    add_samples(&mut hash, &scan());
+    add_samples(&mut hash, &scattered());
+    let (tree, triangles) = mesh();
+    add_samples(&mut hash, &tree);
+    add_chunks(&mut hash, &triangles.grid, &triangles.chunks);
+    hash.update(bytemuck::cast_slice(&triangles.vertices));
+    hash.update(bytemuck::cast_slice(&triangles.triangles));
+    let found: String = hash.finalize()[..8].iter().map(|byte| format!("{byte:02x}")).collect();
+    assert_eq!(
+        found, BAKING_DIGEST,
+        "point trees are not those of BAKING_VERSION {BAKING_VERSION}, which users have in their caches. If they were \
+         meant to change: raise BAKING_VERSION, run the tests of pictures (twin, golden), run this test again and make \
+         BAKING_DIGEST what it then finds. If not, something changed that should not have"
+    );
+}

@@ -1,0 +1,604 @@
+//! Trees over a scene's instances: from afar whole groups of them are a few nodes, and an edit makes anew only the trees over what it
+//! moved.
+//!
+//! ```text
+//! instances ──▶ roots of their trees, along a Morton curve of a cube about the origin
+//!           ──▶ blocks: cells of that cube's octree, split while they hold more than BLOCK   (a bucket PR octree, Samet 1990)
+//!           ──▶ a tree over each block, and one over the blocks
+//! ```
+//!
+//! Which instances a block holds depends on where they are and not on how they came there, so an edited scene has the trees of one that
+//! was loaded like that. A block in whose cell nothing has come, gone or moved keeps its tree, and what the GPU has of it.
+
+use std::collections::HashMap;
+use std::ops::Range;
+use std::sync::Arc;
+
+use glam::{DAffine3, DMat3, DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::EngineError;
+use super::library::next_uid;
+use crate::assets::PointCloud;
+use crate::bake::pack::{PackedAsset, PackedGeometry, PackedSamples, spread};
+use crate::bake::tree::{Above, Measures, Root, build_crowd};
+use crate::bake::{CUTOFF, circle};
+use crate::math::Bounds;
+use crate::residency::instances::{InstanceRun, Instances, RunMeter};
+use crate::residency::model::{AssetModel, ModelInstance, SceneModel};
+use crate::residency::once::MadeOnce;
+use crate::scene::color::{linear_from_srgb, srgb_from_linear};
+
+/// Instances of a block at most, unless they are at one place.
+const BLOCK: usize = 4096;
+/// Levels of the octree: bits of a key's coordinate.
+const LEVELS: u32 = 42;
+/// Key of what is not a tree, or nowhere: it is drawn by itself.
+const LOOSE: u128 = u128::MAX;
+
+/// An instance and where it is. Equal keys are in the order of the scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Member {
+    key: u128,
+    run: u32,
+    index: u32,
+}
+
+/// A cell of the octree and what stands over its instances.
+struct Block {
+    /// The least key of the cell, and its depth.
+    cell: (u128, u32),
+    /// `None` over a single instance, which is `lone`.
+    over: Option<Over>,
+    root: Root,
+}
+
+struct Over {
+    tree: Arc<AssetModel>,
+    /// For each instance of the run its place among the block's members.
+    order: Vec<u32>,
+    run: Arc<InstanceRun>,
+}
+
+/// The trees over the instances of one revision of a scene.
+pub struct Crowd {
+    /// Of the scene as it is loaded.
+    instances: Instances,
+    /// The cube reaches from −2ᵉ to 2ᵉ along each axis.
+    exponent: i32,
+    members: Vec<Member>,
+    blocks: Vec<Arc<Block>>,
+}
+
+/// What a crowd adds to a scene of trees.
+pub struct Crowded {
+    /// The scene's own, and behind them the trees over blocks, and over all.
+    pub assets: Vec<Arc<AssetModel>>,
+    pub instances: Instances,
+    /// Nodes of the trees that were added, and blocks of which had to be made.
+    pub nodes: u64,
+    pub blocks: usize,
+    pub made: usize,
+}
+
+/// What it takes to see instances as roots: their scene, its assets as trees, the root of each geometry.
+struct Roots<'a> {
+    model: &'a SceneModel,
+    meter: RunMeter<'a>,
+    of_geometry: Vec<Vec<Option<Root>>>,
+}
+
+impl Crowd {
+    /// The trees over the instances of `model`, whose assets as trees are `assets`. `before` is the crowd of an earlier revision.
+    ///
+    /// # Errors
+    /// Positions that no tree can be built over.
+    pub fn over(
+        model: &SceneModel,
+        assets: &[Arc<AssetModel>],
+        before: Option<&Crowd>,
+    ) -> Result<(Crowd, Crowded), EngineError> {
+        let roots = Roots::of(model, assets);
+        let exponent = exponent(&model.instances.bounds());
+        let runs = model.instances.runs();
+        let before = before.filter(|before| {
+            before.exponent == exponent && before.instances.runs().len() == runs.len()
+        });
+        let changes = match before {
+            Some(before) => Changes::since(before, &roots, exponent),
+            None => Changes::all(&roots, exponent),
+        };
+        let members = changes.merged(before.map_or(&[][..], |before| &before.members));
+        let placed = members.partition_point(|member| member.key != LOOSE);
+        let known: HashMap<(u128, u32), &Arc<Block>> = before
+            .iter()
+            .flat_map(|before| &before.blocks)
+            .map(|block| (block.cell, block))
+            .collect();
+        let cells = cells(&members[..placed]);
+        let blocks = cells
+            .par_iter()
+            .map(|(cell, range)| {
+                let members = &members[range.clone()];
+                let keys = keys_of(*cell);
+                match known.get(cell) {
+                    Some(block) if !changes.touches(&keys) => {
+                        let numbered = changes.renumbers(&keys);
+                        let kept = || Arc::clone(block);
+                        let block =
+                            if numbered { block.numbered(&roots, members).into() } else { kept() };
+                        Ok((block, false))
+                    }
+                    _ => Ok((Arc::new(roots.block(*cell, members)?), true)),
+                }
+            })
+            .collect::<Result<Vec<(Arc<Block>, bool)>, EngineError>>()?;
+        let made = blocks.iter().filter(|(_, made)| *made).count();
+        let blocks: Vec<Arc<Block>> = blocks.into_iter().map(|(block, _)| block).collect();
+        let lone: Vec<Option<Member>> = cells
+            .iter()
+            .map(|(_, range)| (range.len() == 1).then(|| members[range.start]))
+            .collect();
+        let loose = &members[placed..];
+        let crowded = crowded(&roots, assets, &blocks, &lone, loose, made)?;
+        Ok((Crowd { instances: model.instances.clone(), exponent, members, blocks }, crowded))
+    }
+}
+
+/// Puts a tree over the blocks, and all that is drawn into one list.
+fn crowded(
+    roots: &Roots<'_>,
+    assets: &[Arc<AssetModel>],
+    blocks: &[Arc<Block>],
+    lone: &[Option<Member>],
+    loose: &[Member],
+    made: usize,
+) -> Result<Crowded, EngineError> {
+    let mut assets = assets.to_vec();
+    let mut runs: Vec<Arc<InstanceRun>> = Vec::with_capacity(blocks.len() + 1);
+    let (top, above) = tree_over(blocks.iter().map(|block| block.root.clone()))?;
+    let mut nodes = 0;
+    let mut last: Vec<ModelInstance> = Vec::new();
+    for (block, above) in above {
+        let index = block as usize;
+        match (&blocks[index].over, lone[index]) {
+            (Some(over), _) => {
+                last.push(ModelInstance { above, ..over_all(assets.len()) });
+                nodes += over.tree.counts().0;
+                assets.push(over.tree.clone());
+            }
+            (None, Some(member)) => last.push(ModelInstance { above, ..*roots.instance(member) }),
+            (None, None) => {}
+        }
+    }
+    runs.extend(blocks.iter().filter_map(|block| Some(block.over.as_ref()?.run.clone())));
+    last.extend(loose.iter().map(|&member| *roots.instance(member)));
+    if !top.nodes.is_empty() {
+        last.push(over_all(assets.len()));
+        nodes += top.nodes.len() as u64;
+        let bounds = Bounds::of(blocks.iter().map(|block| block.root.position));
+        assets.push(Arc::new(tree_asset(top, bounds)));
+    }
+    runs.push(Arc::new(RunMeter::new(&assets).run(last)));
+    Ok(Crowded { assets, instances: Instances::new(runs), nodes, blocks: blocks.len(), made })
+}
+
+/// An instance of a tree over others, which is in world space.
+fn over_all(asset: usize) -> ModelInstance {
+    ModelInstance {
+        asset,
+        geometry: 0,
+        world_from_geometry: DAffine3::IDENTITY,
+        material: None,
+        id: 0,
+        above: Above::NOTHING,
+    }
+}
+
+fn tree_asset(packed: PackedSamples, bounds: Bounds) -> AssetModel {
+    AssetModel {
+        uid: next_uid(),
+        name: "instances".to_owned(),
+        format: "crowd",
+        packed: PackedAsset {
+            geometries: vec![PackedGeometry::Samples(packed)],
+            materials: Vec::new(),
+            textures: Vec::new(),
+        },
+        bounds: vec![bounds],
+        has_colors: true,
+        has_normals: true,
+        normals_estimated: false,
+        beside: Vec::new(),
+        tree: MadeOnce::default(),
+    }
+}
+
+/// The tree over others' roots, and what of it stands above each.
+fn tree_over(
+    members: impl ExactSizeIterator<Item = Root>,
+) -> Result<(PackedSamples, Vec<(u32, Above)>), EngineError> {
+    let count = members.len();
+    let mut cloud = PointCloud { oriented: true, ..PointCloud::default() };
+    let (mut normals, mut colors) = (Vec::with_capacity(count), Vec::with_capacity(count));
+    let (mut kernels, mut stands) = (Vec::with_capacity(count), Vec::with_capacity(count));
+    for root in members {
+        cloud.positions.push(root.position);
+        normals.push(root.normal);
+        colors.push(root.color);
+        kernels.push(circle(root.normal, root.radius / CUTOFF));
+        stands.push(root.measures);
+    }
+    cloud.normals = Some(normals);
+    cloud.colors = Some(colors);
+    cloud.kernels = Some(kernels);
+    build_crowd(&cloud, &stands).map_err(|error| {
+        EngineError::Internal(format!("a tree over the instances cannot be built: {error}"))
+    })
+}
+
+impl Block {
+    /// The same with its instances' numbers as they are now.
+    fn numbered(&self, roots: &Roots<'_>, members: &[Member]) -> Block {
+        let over = self.over.as_ref().map(|over| {
+            let places = over.order.iter().zip(&over.run.members);
+            let instances = places.map(|(&place, old)| ModelInstance {
+                above: old.above,
+                ..*roots.instance(members[place as usize])
+            });
+            let members = instances.collect();
+            Over {
+                tree: over.tree.clone(),
+                order: over.order.clone(),
+                run: Arc::new(InstanceRun { members, ..*over.run }),
+            }
+        });
+        Block { over, root: self.root.clone(), ..*self }
+    }
+}
+
+impl<'a> Roots<'a> {
+    fn of(model: &'a SceneModel, assets: &'a [Arc<AssetModel>]) -> Roots<'a> {
+        let root = |geometry: &PackedGeometry| match geometry {
+            PackedGeometry::Samples(tree) => Root::of(tree),
+            PackedGeometry::Mesh(_) => None,
+        };
+        let of_asset = |asset: &Arc<AssetModel>| asset.packed.geometries.iter().map(root).collect();
+        let of_geometry = assets.iter().map(of_asset).collect();
+        Roots { model, meter: RunMeter::new(assets), of_geometry }
+    }
+
+    fn instance(&self, member: Member) -> &'a ModelInstance {
+        &self.model.instances.runs()[member.run as usize].members[member.index as usize]
+    }
+
+    /// The root of an instance's tree in world space; `None` of what is not a tree, or nowhere.
+    fn root(&self, instance: &ModelInstance) -> Option<Root> {
+        let root = self.of_geometry[instance.asset][instance.geometry].as_ref()?;
+        let map = &instance.world_from_geometry;
+        let position = map.transform_point3(root.position);
+        let scale = stretch(&map.matrix3) as f32;
+        if !(position.is_finite() && scale.is_finite()) {
+            return None;
+        }
+        let Measures { error, size } = root.measures;
+        Some(Root {
+            position,
+            normal: turned(&map.matrix3, root.normal),
+            color: self.painted(instance, root.color),
+            radius: root.radius * scale,
+            measures: Measures { error: error * scale, size: size * scale },
+        })
+    }
+
+    /// The color of an instance's root under its material.
+    fn painted(&self, instance: &ModelInstance, color: [u8; 4]) -> [u8; 4] {
+        let material = instance.material.and_then(|index| self.model.materials.get(index));
+        let Some(base) = material.and_then(|material| material.base_color) else { return color };
+        let channel = |i: usize| {
+            let linear = linear_from_srgb(f64::from(color[i]) / 255.0) * f64::from(base[i]);
+            (srgb_from_linear(linear.clamp(0.0, 1.0)) * 255.0).round() as u8
+        };
+        [channel(0), channel(1), channel(2), color[3]]
+    }
+
+    /// Members of a run of the scene.
+    fn members(&self, run: usize, exponent: i32) -> Vec<Member> {
+        let instances = &self.model.instances.runs()[run].members;
+        let member = |(index, instance): (usize, &ModelInstance)| {
+            let key = self.root(instance).map_or(LOOSE, |root| key(root.position, exponent));
+            Member { key, run: run as u32, index: index as u32 }
+        };
+        instances.par_iter().enumerate().map(member).collect()
+    }
+
+    /// Builds the tree over a block.
+    fn block(&self, cell: (u128, u32), members: &[Member]) -> Result<Block, EngineError> {
+        let internal = || EngineError::Internal("an instance without a tree in a block".to_owned());
+        let all: Option<Vec<Root>> =
+            members.iter().map(|&member| self.root(self.instance(member))).collect();
+        let all = all.ok_or_else(internal)?;
+        if let [root] = &all[..] {
+            return Ok(Block { cell, over: None, root: root.clone() });
+        }
+        let bounds = Bounds::of(all.iter().map(|root| root.position));
+        let (packed, above) = tree_over(all.into_iter())?;
+        let root = Root::of(&packed).ok_or_else(internal)?;
+        let (mut order, mut drawn) = (Vec::new(), Vec::new());
+        for (place, above) in above {
+            order.push(place);
+            drawn.push(ModelInstance { above, ..*self.instance(members[place as usize]) });
+        }
+        let tree = Arc::new(tree_asset(packed, bounds));
+        let run = Arc::new(self.meter.run(drawn));
+        Ok(Block { cell, over: Some(Over { tree, order, run }), root })
+    }
+}
+
+/// The longest that a map makes a unit vector: its largest singular value, from above.
+fn stretch(map: &DMat3) -> f64 {
+    let square = map.transpose() * *map;
+    // Gershgorin's circles; exact for what turns and scales evenly.
+    let row = |v: DVec3| v.abs().element_sum();
+    row(square.x_axis).max(row(square.y_axis)).max(row(square.z_axis)).sqrt()
+}
+
+/// A unit normal under a map; zero stays zero.
+fn turned(map: &DMat3, normal: Vec3) -> Vec3 {
+    let (x, y, z) = (map.x_axis, map.y_axis, map.z_axis);
+    let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
+    let sign = map.determinant().signum();
+    (cofactors * normal.as_dvec3() * sign).try_normalize().map_or(Vec3::ZERO, |n| n.as_vec3())
+}
+
+/// Of the cube about the origin that holds twice the box, so that small moves do not change it.
+fn exponent(bounds: &Bounds) -> i32 {
+    let most = bounds.min.abs().max(bounds.max.abs()).max_element();
+    if most > 0.0 && most.is_finite() { most.log2().floor() as i32 + 2 } else { 0 }
+}
+
+/// Place along a Morton curve through the cube from −2ᵉ to 2ᵉ; what is outside is at its faces.
+fn key(position: DVec3, exponent: i32) -> u128 {
+    let side = f64::exp2(f64::from(LEVELS - 1));
+    let cells = (position / f64::exp2(f64::from(exponent)) + 1.0) * side;
+    let bits = cells.to_array().map(|cell| {
+        let cell = (cell.max(0.0) as u64).min((1 << LEVELS) - 1);
+        u128::from(spread(cell)) | u128::from(spread(cell >> 21)) << 63
+    });
+    bits[0] | bits[1] << 1 | bits[2] << 2
+}
+
+/// Keys in a cell.
+fn keys_of((first, depth): (u128, u32)) -> Range<u128> {
+    first..first + (1 << (3 * (LEVELS - depth)))
+}
+
+type Cell = ((u128, u32), Range<usize>);
+
+/// The cells that hold at most [`BLOCK`] members and whose parents hold more, and which members those are.
+fn cells(members: &[Member]) -> Vec<Cell> {
+    let mut found = Vec::new();
+    let mut open = vec![((0u128, 0u32), 0..members.len())];
+    while let Some((cell, range)) = open.pop() {
+        if range.is_empty() {
+            continue;
+        }
+        if range.len() <= BLOCK || cell.1 == LEVELS {
+            found.push((cell, range));
+            continue;
+        }
+        let depth = cell.1 + 1;
+        let width = 1u128 << (3 * (LEVELS - depth));
+        let mut end = range.end;
+        // The last first, so that the first is taken first.
+        for child in (0..8).rev() {
+            let first = cell.0 + width * child;
+            let inside = &members[range.start..end];
+            let begin = range.start + inside.partition_point(|member| member.key < first);
+            open.push(((first, depth), begin..end));
+            end = begin;
+        }
+    }
+    found
+}
+
+/// What one revision of a scene has other than another.
+struct Changes {
+    /// In order, as the others.
+    removed: Vec<Member>,
+    added: Vec<Member>,
+    /// Keys of both.
+    touched: Vec<u128>,
+    /// Keys of instances that have other numbers now, and are where they were.
+    renumbered: Vec<u128>,
+}
+
+impl Changes {
+    fn all(roots: &Roots<'_>, exponent: i32) -> Changes {
+        let runs = 0..roots.model.instances.runs().len();
+        let added = runs.flat_map(|run| roots.members(run, exponent)).collect();
+        Changes::new(Vec::new(), added, Vec::new())
+    }
+
+    fn since(before: &Crowd, roots: &Roots<'_>, exponent: i32) -> Changes {
+        let (mut removed, mut added, mut renumbered) = (Vec::new(), Vec::new(), Vec::new());
+        let runs = before.instances.runs().iter().zip(roots.model.instances.runs());
+        for (number, (old, new)) in runs.enumerate() {
+            if Arc::ptr_eq(old, new) {
+                continue;
+            }
+            let key_of = |instance: &ModelInstance| {
+                roots.root(instance).map_or(LOOSE, |root| key(root.position, exponent))
+            };
+            let now = roots.members(number, exponent);
+            if old.members.len() != new.members.len() {
+                let members = old.members.iter().enumerate();
+                removed.extend(members.map(|(index, instance)| Member {
+                    key: key_of(instance),
+                    run: number as u32,
+                    index: index as u32,
+                }));
+                added.extend(now);
+                continue;
+            }
+            for (member, (old, new)) in now.into_iter().zip(old.members.iter().zip(&new.members)) {
+                if *old == *new {
+                    continue;
+                }
+                if (ModelInstance { id: old.id, ..*new }) == *old {
+                    renumbered.push(member.key);
+                } else {
+                    removed.push(Member { key: key_of(old), ..member });
+                    added.push(member);
+                }
+            }
+        }
+        Changes::new(removed, added, renumbered)
+    }
+
+    fn new(mut removed: Vec<Member>, mut added: Vec<Member>, mut renumbered: Vec<u128>) -> Changes {
+        removed.par_sort_unstable();
+        added.par_sort_unstable();
+        renumbered.par_sort_unstable();
+        let mut touched: Vec<u128> =
+            removed.iter().chain(&added).map(|member| member.key).collect();
+        touched.par_sort_unstable();
+        Changes { removed, added, touched, renumbered }
+    }
+
+    /// Members as they are after the changes.
+    fn merged(&self, before: &[Member]) -> Vec<Member> {
+        let mut merged = Vec::with_capacity(before.len() + self.added.len());
+        let mut removed = self.removed.iter().peekable();
+        let mut added = self.added.iter().peekable();
+        for member in before {
+            while let Some(next) = added.next_if(|next| *next < member) {
+                merged.push(*next);
+            }
+            if removed.next_if_eq(&member).is_none() {
+                merged.push(*member);
+            }
+        }
+        merged.extend(added);
+        merged
+    }
+
+    fn touches(&self, keys: &Range<u128>) -> bool {
+        holds(&self.touched, keys)
+    }
+
+    fn renumbers(&self, keys: &Range<u128>) -> bool {
+        holds(&self.renumbered, keys)
+    }
+}
+
+/// Whether one of `sorted` is in the range.
+fn holds(sorted: &[u128], range: &Range<u128>) -> bool {
+    let next = sorted.partition_point(|key| *key < range.start);
+    sorted.get(next).is_some_and(|key| *key < range.end)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn keys_are_in_order_along_each_axis_and_end_at_the_faces() {
+        let at = |x: f64| key(DVec3::new(x, 0.0, 0.0), 3);
+        let places = [-f64::MAX, -8.0, -7.9, -1e-9, 0.0, 1e-9, 3.0, 7.999, 8.0, f64::MAX];
+        assert!(places.windows(2).all(|pair| at(pair[0]) <= at(pair[1])));
+        assert_eq!(at(-8.0), at(-f64::MAX));
+        assert_eq!(at(8.0), at(f64::MAX));
+        assert!(at(-1e-9) < at(1e-9));
+        // Axes do not get into each other's way.
+        let corner = key(DVec3::splat(f64::MAX), 3);
+        assert_eq!(corner, (1 << (3 * LEVELS)) - 1);
+        assert!(keys_of((0, 0)).contains(&corner));
+    }
+
+    #[test]
+    fn a_cube_is_twice_as_large_as_what_it_holds() {
+        let of = |low: f64, high: f64| {
+            exponent(&Bounds { min: DVec3::splat(low), max: DVec3::splat(high) })
+        };
+        assert_eq!(of(-1.0, 1.5), 2);
+        assert_eq!(of(-3.0, 1.5), 3);
+        assert_eq!(of(0.0, 0.0), 0);
+        assert_eq!(exponent(&Bounds::EMPTY), 0);
+        assert!(of(0.0, f64::MAX) > 1000);
+        assert_eq!(key(DVec3::splat(1e300), of(0.0, f64::MAX)), key(DVec3::ZERO, 1026));
+    }
+
+    fn member(key: u128, index: u32) -> Member {
+        Member { key, run: 0, index }
+    }
+
+    #[test]
+    fn cells_split_where_they_hold_too_many() {
+        // All of one place are one block, however many.
+        let same: Vec<Member> = (0..2 * BLOCK as u32).map(|index| member(77, index)).collect();
+        let found = cells(&same);
+        assert_eq!(found.len(), 1);
+        assert_eq!(found[0].0, (77, LEVELS));
+        // One more than a block holds, one of them elsewhere.
+        let mut apart = same[..BLOCK].to_vec();
+        apart.push(member(1 << 125, 9));
+        let found = cells(&apart);
+        assert_eq!(found, [((0, 1), 0..BLOCK), ((1 << 125, 1), BLOCK..BLOCK + 1)]);
+        assert!(cells(&[]).is_empty());
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
+
+        /// What a cell holds is in its range of keys, all cells together hold all, and its parent holds too many.
+        #[test]
+        fn cells_are_a_partition(
+            clusters in prop::collection::vec((0u128..1 << 126, 0u32..90, 1usize..3000), 1..8),
+        ) {
+            let mut members = Vec::new();
+            for (number, &(base, bits, count)) in clusters.iter().enumerate() {
+                for index in 0..count as u32 {
+                    let spread = u128::from(index).wrapping_mul(0x9e37_79b9_7f4a_7c15_f39c_c060_5ced_c835) >> (128 - bits.max(1));
+                    members.push(Member { key: (base ^ spread) % (1 << 126), run: number as u32, index });
+                }
+            }
+            members.sort_unstable();
+            let found = cells(&members);
+            let mut next = 0;
+            for ((first, depth), range) in &found {
+                prop_assert_eq!(range.start, next);
+                next = range.end;
+                let keys = keys_of((*first, *depth));
+                prop_assert!(members[range.clone()].iter().all(|member| keys.contains(&member.key)));
+                prop_assert!(!range.is_empty() && (range.len() <= BLOCK || *depth == LEVELS));
+                if *depth > 0 {
+                    let width = keys_of((0, depth - 1)).end;
+                    let parent = first / width * width..(first / width + 1) * width;
+                    let inside = members.iter().filter(|member| parent.contains(&member.key)).count();
+                    prop_assert!(inside > BLOCK);
+                }
+            }
+            prop_assert_eq!(next, members.len());
+        }
+
+        #[test]
+        fn merging_is_removing_and_adding(
+            before in prop::collection::btree_set((0u128..200, 0u32..4), 0..80),
+            after in prop::collection::btree_set((0u128..200, 0u32..4), 0..80),
+        ) {
+            let list = |set: &std::collections::BTreeSet<(u128, u32)>| -> Vec<Member> {
+                set.iter().map(|&(key, index)| member(key, index)).collect()
+            };
+            let removed = list(&before.difference(&after).copied().collect());
+            let added = list(&after.difference(&before).copied().collect());
+            let changes = Changes::new(removed.clone(), added.clone(), Vec::new());
+            prop_assert_eq!(changes.merged(&list(&before)), list(&after));
+            for range in [0u128..50, 50..51, 51..200] {
+                let inside = |members: &[Member]| members.iter().any(|m| range.contains(&m.key));
+                prop_assert_eq!(changes.touches(&range), inside(&removed) || inside(&added));
+            }
+        }
+    }
+}

@@ -1,0 +1,264 @@
+//! A folder's frames to one H.264 video in an MP4 file.
+//!
+//! ```text
+//! manifest ──► frame by frame: read, check, decode to RGB ──► coder ──► OUT.part ──► count samples ──► OUT
+//!                                                             │
+//!                                                  built in (feature `video`): openh264 and muxide
+//!                                                  or else `ffmpeg`, a process that is fed raw pixels
+//! ```
+//!
+//! Frames are drawn first and coded afterwards, so that a video is never the reason to draw one twice, and whatever ends the coding
+//! leaves the frames as they are. The file comes into its place whole, and only when it holds as many samples as there are frames.
+//!
+//! H.264 as every player takes it has one chroma sample for 2 × 2 pixels: sides are even, or refused before anything is drawn.
+
+mod ffmpeg;
+#[cfg(feature = "video")]
+mod h264;
+pub mod mp4;
+mod pixels;
+
+#[cfg(test)]
+mod tests;
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::manifest::Record;
+use super::shots::Shots;
+use crate::encode::ImageFormat;
+use crate::plan::Output;
+
+/// Where nothing else is asked for, a pixel of a frame gets so many bits.
+const BITS_PER_PIXEL: f64 = 0.2;
+/// Kilobits a second that can be asked for.
+pub const KBPS_RANGE: [u32; 2] = [50, 500_000];
+/// Sides that the built-in coder takes: the longer and the shorter at most, and either at least.
+const BUILT_IN_SIDES: [u32; 2] = [3840, 2160];
+const LEAST_SIDE: u32 = 16;
+
+/// Why there is no video.
+#[derive(Debug, thiserror::Error)]
+pub enum VideoError {
+    #[error(
+        "this build has no H.264 coder and there is no `ffmpeg` on the PATH: build with `--features video` (needs a C++ compiler), \
+         or install ffmpeg"
+    )]
+    NoCoder,
+    /// A choice that no video can be made with; `parameter` is `w`, `h`, `output`, `format`, `bitrate_kbps` or `to`.
+    #[error("{parameter}: {reason}")]
+    Unfit { parameter: &'static str, reason: String },
+    #[error("{}: {error}", file.display())]
+    Io { file: PathBuf, error: io::Error },
+    /// A frame that is not as the manifest says.
+    #[error("{}: {reason}; draw the frames again", file.display())]
+    Frame { file: PathBuf, reason: String },
+    #[error("the H.264 coder failed: {0}")]
+    Coder(String),
+    #[error("ffmpeg failed ({status}): {said}")]
+    Ffmpeg { status: String, said: String },
+    /// The file does not hold what was put in.
+    #[error("the video holds {found} frames instead of {frames}")]
+    Miscounted { found: String, frames: u64 },
+    #[error("told to stop")]
+    Stopped,
+}
+
+/// What makes the video.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Coder {
+    /// openh264, part of this program.
+    #[cfg(feature = "video")]
+    BuiltIn,
+    /// This program of another package.
+    Ffmpeg(PathBuf),
+}
+
+impl Coder {
+    /// The one to use: what is built in, or else `ffmpeg`.
+    ///
+    /// # Errors
+    /// [`VideoError::NoCoder`].
+    pub fn find() -> Result<Coder, VideoError> {
+        #[cfg(feature = "video")]
+        return Ok(Coder::BuiltIn);
+        #[cfg(not(feature = "video"))]
+        ffmpeg::find(std::env::var_os("PATH").as_deref())
+            .map(Coder::Ffmpeg)
+            .ok_or(VideoError::NoCoder)
+    }
+}
+
+/// What a video is made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reel {
+    pub width: u32,
+    pub height: u32,
+    pub fps: f64,
+    pub output: Output,
+    pub format: ImageFormat,
+    /// Frames of the video.
+    pub frames: u64,
+    /// `None`: by size and rate.
+    pub bitrate_kbps: Option<u32>,
+}
+
+impl Reel {
+    /// The reel of the frames that are wanted of a path.
+    pub fn new(
+        request: &crate::engine::FrameRequest,
+        shots: &Shots,
+        bitrate_kbps: Option<u32>,
+    ) -> Reel {
+        Reel {
+            width: request.width,
+            height: request.height,
+            fps: shots.fps(),
+            output: request.output,
+            format: request.format,
+            frames: shots.wanted().count() as u64,
+            bitrate_kbps,
+        }
+    }
+
+    /// Bits a second that the coder aims at.
+    pub fn bits_per_second(&self) -> u32 {
+        let [least, most] = KBPS_RANGE.map(|kbps| f64::from(kbps) * 1000.0);
+        let by_size = f64::from(self.width) * f64::from(self.height) * self.fps * BITS_PER_PIXEL;
+        let asked = self.bitrate_kbps.map(|kbps| f64::from(kbps) * 1000.0);
+        asked.unwrap_or(by_size).clamp(least, most) as u32
+    }
+
+    /// Bytes that the video will have, roughly.
+    pub fn expected_bytes(&self) -> u64 {
+        (f64::from(self.bits_per_second()) / 8.0 * self.frames as f64 / self.fps) as u64
+    }
+
+    /// Whether a video can be made of such frames, which is known before they are drawn.
+    ///
+    /// # Errors
+    /// [`VideoError::Unfit`], which names the parameter.
+    pub fn check(&self, coder: &Coder) -> Result<(), VideoError> {
+        let unfit = |parameter, reason: String| Err(VideoError::Unfit { parameter, reason });
+        for (parameter, side) in [("w", self.width), ("h", self.height)] {
+            if side % 2 == 1 {
+                let near = [side - 1, side + 1];
+                let reason = format!(
+                    "{side} is odd, which H.264 (4:2:0) cannot have; {} or {} would do",
+                    near[0], near[1]
+                );
+                return unfit(parameter, reason);
+            }
+            if side < LEAST_SIDE {
+                return unfit(
+                    parameter,
+                    format!("{side} is less than a video's least side, {LEAST_SIDE}"),
+                );
+            }
+        }
+        #[cfg(feature = "video")]
+        if *coder == Coder::BuiltIn {
+            let [longest, shortest] = BUILT_IN_SIDES;
+            let (long, short) = (self.width.max(self.height), self.width.min(self.height));
+            if long > longest || short > shortest {
+                let parameter = if self.width == long && long > longest { "w" } else { "h" };
+                let reason = format!(
+                    "{} × {} is more than a video can have, {longest} × {shortest}",
+                    self.width, self.height
+                );
+                return unfit(parameter, reason);
+            }
+        }
+        #[cfg(not(feature = "video"))]
+        let _ = (coder, BUILT_IN_SIDES);
+        if !matches!(self.output, Output::Color | Output::Normal) {
+            return unfit("output", "a video shows color or normal".to_owned());
+        }
+        if matches!(self.format, ImageFormat::Exr | ImageFormat::Pfm) {
+            return unfit(
+                "format",
+                "a video is made of png, jpeg, webp, qoi or raw frames".to_owned(),
+            );
+        }
+        if self.frames < 2 {
+            let text = "a video has at least two frames, and what is asked for is one: of a path with a single key, or a single number";
+            return unfit("to", text.to_owned());
+        }
+        let [least, most] = KBPS_RANGE;
+        match self.bitrate_kbps {
+            Some(kbps) if !(least..=most).contains(&kbps) => {
+                unfit("bitrate_kbps", format!("{kbps} is not in {least} to {most}"))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Takes frames one after the other, RGB8 of the reel's size.
+trait Sink {
+    fn push(&mut self, rgb: &[u8]) -> Result<(), VideoError>;
+    /// Ends the file.
+    fn finish(self: Box<Self>) -> Result<(), VideoError>;
+}
+
+/// Makes the video `out` of the frames in `folder` that `records` tell of, in their order. `tell` hears how many are coded.
+///
+/// # Errors
+/// A reel that [`Reel::check`] refuses, a frame that is missing or damaged, a coder that fails, a file that cannot be written; there is no
+/// `out` then, or the one that was there before. [`VideoError::Stopped`] when `stop` becomes true.
+pub fn encode<'a>(
+    coder: &Coder,
+    reel: &Reel,
+    folder: &Path,
+    records: impl IntoIterator<Item = &'a Record>,
+    out: &Path,
+    stop: &AtomicBool,
+    mut tell: impl FnMut(u64),
+) -> Result<(), VideoError> {
+    reel.check(coder)?;
+    let part = part_of(out);
+    // What is not finished goes, however this ends; a kill leaves it to the next run to overwrite.
+    let _unfinished = Unfinished(&part);
+    let mut sink: Box<dyn Sink> = match coder {
+        #[cfg(feature = "video")]
+        Coder::BuiltIn => Box::new(h264::Writer::new(reel, &part)?),
+        Coder::Ffmpeg(program) => Box::new(ffmpeg::Process::start(program, reel, &part)?),
+    };
+    let mut coded = 0;
+    for record in records {
+        if stop.load(Ordering::Relaxed) {
+            return Err(VideoError::Stopped);
+        }
+        sink.push(&pixels::read(folder, record, reel)?)?;
+        coded += 1;
+        tell(coded);
+    }
+    sink.finish()?;
+    let failed = |error| VideoError::Io { file: out.to_owned(), error };
+    let found = mp4::Summary::read(&part).map_err(failed)?;
+    if coded != reel.frames || found.as_ref().is_none_or(|found| found.frames != coded) {
+        let found = found
+            .map_or_else(|| "no readable number of".to_owned(), |found| found.frames.to_string());
+        return Err(VideoError::Miscounted { found, frames: reel.frames });
+    }
+    fs::File::open(&part).and_then(|file| file.sync_all()).map_err(failed)?;
+    fs::rename(&part, out).map_err(failed)
+}
+
+/// The name of a video that is being written.
+pub fn part_of(out: &Path) -> PathBuf {
+    let mut name = out.as_os_str().to_owned();
+    name.push(".part");
+    PathBuf::from(name)
+}
+
+struct Unfinished<'a>(&'a Path);
+
+impl Drop for Unfinished<'_> {
+    fn drop(&mut self) {
+        // After the renaming there is nothing of that name.
+        let _ = fs::remove_file(self.0);
+    }
+}

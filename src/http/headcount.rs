@@ -1,0 +1,70 @@
+//! How many of something there may be, in all and of one client.
+
+use std::collections::HashMap;
+
+use parking_lot::Mutex;
+use tokio::sync::watch;
+
+use crate::engine::Client;
+
+/// Those that are there.
+pub struct Headcount {
+    most: usize,
+    most_per_client: usize,
+    by_client: Mutex<HashMap<Client, usize>>,
+    open: watch::Sender<usize>,
+}
+
+impl Headcount {
+    pub fn new(most: usize, most_per_client: usize) -> Self {
+        Self { most, most_per_client, by_client: Mutex::default(), open: watch::Sender::new(0) }
+    }
+
+    /// Counts one more, if there may be one more.
+    pub fn take(&self, client: Client) -> bool {
+        let mut by_client = self.by_client.lock();
+        let own = by_client.get(&client).copied().unwrap_or(0);
+        if *self.open.borrow() >= self.most || own >= self.most_per_client {
+            return false;
+        }
+        by_client.insert(client, own + 1);
+        self.open.send_modify(|open| *open += 1);
+        true
+    }
+
+    pub fn give_back(&self, client: Client) {
+        let mut by_client = self.by_client.lock();
+        if let Some(own) = by_client.get_mut(&client) {
+            *own -= 1;
+            if *own == 0 {
+                by_client.remove(&client);
+            }
+        }
+        self.open.send_modify(|open| *open -= 1);
+    }
+
+    /// How many there are.
+    pub fn open(&self) -> watch::Receiver<usize> {
+        self.open.subscribe()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_of_all_and_of_each() {
+        let places = Headcount::new(3, 2);
+        let [a, b] = [1, 2].map(Client::Caller);
+        assert!(places.take(a) && places.take(a) && !places.take(a));
+        assert!(places.take(b) && !places.take(b), "three in all");
+        places.give_back(a);
+        assert!(places.take(b) && !places.take(a));
+        for client in [a, b, b] {
+            places.give_back(client);
+        }
+        assert!(places.by_client.lock().is_empty());
+        assert_eq!(*places.open().borrow(), 0);
+    }
+}

@@ -1,0 +1,321 @@
+//! `POST /v1/jobs`: everything that can be known to fail is refused here, before the job is one.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{Extension, State};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use serde_json::{Map, Value};
+use utoipa::ToSchema;
+
+use super::jobs;
+use super::wire::{JobState, film_problem, job_problem, video_problem};
+use crate::encode::{self, ImageFormat};
+use crate::engine::RequestId;
+use crate::film::video::{Coder, Reel};
+use crate::http::frame::missing;
+use crate::http::params::{self, FrameParams, unknown_name};
+use crate::http::problem::{Kind, Problem};
+use crate::http::{App, Owner, Phase, body};
+use crate::jobs::{FrameSpec, Origin, PathChoice, Repeat, Spec, Want, find_shots};
+
+/// Bytes of the request: some thousand keys of a path.
+const MAX_BODY_BYTES: u64 = 256 << 10;
+const MAX_KEY_BYTES: usize = 255;
+
+/// A film to draw. Beside these, any parameter that a frame's query may have, but for its pose and `deadline_ms`.
+#[derive(Deserialize, ToSchema)]
+pub struct JobRequest {
+    /// A scene that `GET /v1/scenes` lists.
+    scene: String,
+    /// A path that the scene names, or what a path file holds: `{"keys": […]}`.
+    #[schema(value_type = Object)]
+    path: Value,
+    /// Frames a second; as the path has it where none is given.
+    #[schema(minimum = 0.001, maximum = 1000.0)]
+    fps: Option<f64>,
+    /// Number of the first frame; 0 where none is given.
+    from: Option<u64>,
+    /// Number of the last frame; the path's last where none is given.
+    to: Option<u64>,
+    /// What is wanted: `frames`, `video` or both; `["frames"]` where nothing is given. Frames of a video alone are removed when it
+    /// is made.
+    want: Option<Vec<Wanted>>,
+    /// Of the video, in kilobits a second; by its size where none is given.
+    #[schema(minimum = 50, maximum = 500_000)]
+    bitrate_kbps: Option<u32>,
+    #[serde(flatten)]
+    #[schema(value_type = FrameParams)]
+    frame: Map<String, Value>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Wanted {
+    Frames,
+    Video,
+}
+
+const NAMES: [&str; 7] = ["scene", "path", "fps", "from", "to", "want", "bitrate_kbps"];
+/// Parameters of a frame that a path gives, or that mean nothing where nobody waits.
+const NOT_HERE: [(&str, &str); 8] = [
+    ("camera", "the path says where frames are seen from"),
+    ("eye", "the path says where frames are seen from"),
+    ("target", "the path says where frames are seen from"),
+    ("up", "the path says where frames are seen from"),
+    ("fov", "the path says where frames are seen from"),
+    ("view", "the path says where frames are seen from"),
+    ("proj", "the path says where frames are seen from"),
+    ("deadline_ms", "nobody waits for the frames of a job"),
+];
+const SYNONYMS: [(&str, &str); 5] = [
+    ("rate", "fps"),
+    ("bitrate", "bitrate_kbps"),
+    ("start", "from"),
+    ("end", "to"),
+    ("wants", "want"),
+];
+
+/// Takes on a job: a camera path, drawn frame by frame, to be fetched as frames, as one stream or as a video.
+///
+/// The job is on the disk when this answers, and goes on by itself after whatever ended the server. With an `Idempotency-Key` that was used
+/// for the same job before, that job is answered: a client may repeat a request whose answer it did not get.
+#[utoipa::path(
+    post,
+    path = "/v1/jobs",
+    tag = "jobs",
+    params(("Idempotency-Key" = Option<String>, Header, description = "1 to 255 visible ASCII characters; known for as long as the job is")),
+    request_body(content = JobRequest, content_type = "application/json"),
+    responses((
+        status = 201,
+        description = "The job, or the one that the same request has made before",
+        body = JobState,
+        headers(("Location" = String, description = "The job's address")),
+    )),
+)]
+pub async fn create(
+    State(app): State<Arc<App>>,
+    Extension(owner): Extension<Owner>,
+    Extension(request_id): Extension<RequestId>,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<Response, Problem> {
+    let jobs = jobs(&app)?;
+    let patience = app.settings.read_timeout;
+    let value: Value = body::json(&headers, body, MAX_BODY_BYTES, patience).await?;
+    let spec = spec(value)?;
+    let key = idempotency_key(&headers)?;
+    if app.phase() == Phase::Draining {
+        return Err(crate::engine::EngineError::ShuttingDown.into());
+    }
+    let repeat = key.map(|key| Repeat {
+        owner: owner.name.clone().unwrap_or_default(),
+        key,
+        fingerprint: spec.fingerprint(),
+    });
+    // What was taken on once needs no second look, which it might not pass any more.
+    let known = repeat.as_ref().is_some_and(|repeat| jobs.is_known(repeat));
+    if !known {
+        check(&app, &spec)?;
+    }
+    let origin = Origin { owner: owner.name, request_id: Some(request_id.to_string()) };
+    let worker = jobs.clone();
+    let created = tokio::task::spawn_blocking(move || {
+        let (id, _) = worker.create(spec, origin, repeat)?;
+        worker.view(id)
+    });
+    let view =
+        created.await.map_err(Problem::internal)?.map_err(|error| job_problem(&jobs, "", error))?;
+    let location = HeaderValue::from_str(&format!("/v1/jobs/{}", view.record.id))
+        .map_err(Problem::internal)?;
+    Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(JobState::new(&view)))
+        .into_response())
+}
+
+/// The key of a request that may be repeated.
+fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
+    const NAME: &str = "Idempotency-Key";
+    let fail = |reason: &str| {
+        Err(Problem::parameter(
+            NAME,
+            reason,
+            format!("1 to {MAX_KEY_BYTES} visible ASCII characters, once"),
+        ))
+    };
+    let mut values = headers.get_all(NAME).iter();
+    let Some(value) = values.next() else { return Ok(None) };
+    if values.next().is_some() {
+        return fail("given twice");
+    }
+    let bytes = value.as_bytes();
+    if bytes.is_empty() || bytes.len() > MAX_KEY_BYTES {
+        return fail("has no usable length");
+    }
+    match value.to_str() {
+        Ok(key) => Ok(Some(key.to_owned())),
+        Err(_) => fail("holds a character that is not visible ASCII"),
+    }
+}
+
+/// What a body asks for, as far as can be told without looking at a scene.
+fn spec(value: Value) -> Result<Spec, Problem> {
+    let Some(object) = value.as_object() else {
+        return Err(Problem::new(Kind::BadBody, "the body is no object").accepted(NAMES.join(", ")));
+    };
+    for name in object.keys() {
+        if let Some((_, why)) = NOT_HERE.iter().find(|(known, _)| known == name) {
+            return Err(Problem::parameter(name, format!("a job has none: {why}"), "leave it out"));
+        }
+        if NAMES.contains(&name.as_str()) || params::check_name(name).is_ok() {
+            continue;
+        }
+        let unavailable =
+            params::check_name(name).err().filter(|problem| problem.kind == Kind::Unavailable);
+        let mut known = NAMES.to_vec();
+        known.extend(
+            params::NAMES.iter().filter(|name| !NOT_HERE.iter().any(|(not, _)| not == *name)),
+        );
+        return Err(unavailable.unwrap_or_else(|| unknown_name(name, &known, &SYNONYMS)));
+    }
+    let request: JobRequest = serde_path_to_error::deserialize(value).map_err(|error| {
+        let path = error.path().to_string();
+        let problem = Problem::new(Kind::BadBody, error.inner().to_string());
+        if path == "." { problem } else { problem.at(path) }
+    })?;
+    let path = match &request.path {
+        Value::String(name) => PathChoice::Named(name.clone()),
+        Value::Object(_) => PathChoice::Inline(request.path.to_string().into()),
+        _ => {
+            let accepted = "the name of a path of the scene, or an object with `keys`";
+            return Err(Problem::parameter("path", "is neither a name nor a path", accepted));
+        }
+    };
+    let want = request.want.unwrap_or_else(|| vec![Wanted::Frames]);
+    let want = Want {
+        frames: want.contains(&Wanted::Frames),
+        video: want.contains(&Wanted::Video),
+        bitrate_kbps: request.bitrate_kbps,
+    };
+    if !want.frames && !want.video {
+        return Err(Problem::parameter("want", "nothing is wanted", "`frames`, `video`, or both"));
+    }
+    if want.bitrate_kbps.is_some() && !want.video {
+        return Err(Problem::parameter(
+            "bitrate_kbps",
+            "frames have none",
+            "together with `video` in `want`, or left out",
+        ));
+    }
+    let params = FrameParams::from_json(Value::Object(request.frame), "")?;
+    let format = params.format()?.unwrap_or(ImageFormat::Png);
+    let request_of_frames = params.request(&request.scene, format, Instant::now())?;
+    Ok(Spec {
+        scene: request.scene,
+        path,
+        fps: request.fps,
+        from: request.from,
+        to: request.to,
+        frame: FrameSpec::new(&request_of_frames),
+        want,
+    })
+}
+
+/// Whether a job can be drawn, as far as can be told without drawing.
+fn check(app: &App, spec: &Spec) -> Result<(), Problem> {
+    let request = spec.request();
+    app.engine
+        .scene(&spec.scene)
+        .map_err(|error| missing(app, &spec.scene, error.into()).at("scene"))?;
+    encode::accepts(request.format, request.output)
+        .map_err(|error| Problem::new(Kind::BadParameter, error.to_string()).at("format"))?;
+    let shots = find_shots(&app.engine, spec).map_err(film_problem)?;
+    // What is baked when the job begins cannot be asked before.
+    if !app.engine.must_bake(&request) {
+        app.engine.etag(&request).map_err(|error| missing(app, &spec.scene, error.into()))?;
+    }
+    if spec.want.video {
+        let coder = Coder::find().map_err(video_problem)?;
+        Reel::new(&request, &shots, spec.want.bitrate_kbps).check(&coder).map_err(video_problem)?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn refused(value: Value) -> (u16, String, String) {
+        let problem = spec(value).unwrap_err();
+        (problem.status(), problem.parameter.unwrap_or_default(), problem.detail)
+    }
+
+    #[test]
+    fn bodies_become_specs() {
+        let made =
+            spec(json!({"scene": "s", "path": "fly", "w": 64, "h": 48, "to": 9, "format": "jpeg"}))
+                .unwrap();
+        assert_eq!((made.path.clone(), made.to), (PathChoice::Named("fly".to_owned()), Some(9)));
+        assert_eq!((made.frame.width, made.frame.format), (64, ImageFormat::Jpeg));
+        assert_eq!(made.want, Want { frames: true, video: false, bitrate_kbps: None });
+        let keys = json!({"keys": [{"t": 0, "eye": [0, 0, 1], "target": [0, 0, 0]}]});
+        let made =
+            spec(json!({"scene": "s", "path": keys, "want": ["video"], "bitrate_kbps": 900}))
+                .unwrap();
+        assert_eq!(made.want, Want { frames: false, video: true, bitrate_kbps: Some(900) });
+        let PathChoice::Inline(text) = made.path else { panic!() };
+        assert_eq!(serde_json::from_str::<Value>(&text).unwrap(), keys);
+    }
+
+    #[test]
+    fn what_cannot_be_is_named() {
+        for (value, parameter, words) in [
+            (json!([]), "", "no object"),
+            (json!({"path": "p"}), "", "missing field `scene`"),
+            (json!({"scene": "s"}), "", "missing field `path`"),
+            (json!({"scene": "s", "path": 3}), "path", "neither a name nor a path"),
+            (json!({"scene": "s", "path": "p", "eye": [0, 0, 1]}), "eye", "the path says where"),
+            (json!({"scene": "s", "path": "p", "deadline_ms": 5}), "deadline_ms", "nobody waits"),
+            (json!({"scene": "s", "path": "p", "wnat": ["video"]}), "wnat", "did you mean `want`?"),
+            (json!({"scene": "s", "path": "p", "width": 64}), "width", "no parameter `width`"),
+            (json!({"scene": "s", "path": "p", "budget_ms": 64}), "budget_ms", "not available"),
+            (json!({"scene": "s", "path": "p", "want": []}), "want", "nothing is wanted"),
+            (json!({"scene": "s", "path": "p", "want": ["gif"]}), "want[0]", "unknown variant"),
+            (
+                json!({"scene": "s", "path": "p", "bitrate_kbps": 900}),
+                "bitrate_kbps",
+                "frames have none",
+            ),
+            (json!({"scene": "s", "path": "p", "fps": "fast"}), "fps", "invalid type"),
+            (json!({"scene": "s", "path": "p", "w": 0}), "w", "must not be 0"),
+            (json!({"scene": "s", "path": "p", "format": "gif"}), "format", "not available"),
+            (json!({"scene": "s", "path": "p", "from": -1}), "from", "invalid value"),
+        ] {
+            let shown = value.to_string();
+            let (status, at, detail) = refused(value);
+            assert_eq!((status, at.as_str()), (422, parameter), "{shown}: {detail}");
+            assert!(detail.contains(words), "{shown}: {detail}");
+        }
+    }
+
+    #[test]
+    fn keys_of_repeated_requests() {
+        let key = |values: &[&str]| {
+            let mut headers = HeaderMap::new();
+            for value in values {
+                headers
+                    .append("Idempotency-Key", HeaderValue::from_bytes(value.as_bytes()).unwrap());
+            }
+            idempotency_key(&headers).map_err(|problem| problem.status())
+        };
+        assert_eq!(key(&[]), Ok(None));
+        assert_eq!(key(&["a-1"]), Ok(Some("a-1".to_owned())));
+        for bad in [&[""][..], &["a", "b"], &["é"], &[&"x".repeat(256)]] {
+            assert_eq!(key(bad), Err(422), "{bad:?}");
+        }
+    }
+}

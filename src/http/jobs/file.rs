@@ -1,0 +1,181 @@
+//! Files as answers: entity tags, and byte ranges as RFC 9110 §14 has them, one at a time.
+
+use std::path::Path;
+
+use axum::body::Body;
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
+use tokio::io::{AsyncReadExt, AsyncSeekExt};
+use tokio_util::io::ReaderStream;
+
+use super::wire::job_storage;
+use crate::http::conditional::none_match_hits;
+use crate::http::problem::{Kind, Problem};
+
+/// Bytes that are read at a time.
+const CHUNK: usize = 64 << 10;
+
+/// Where an answer's bytes are.
+pub enum Content<'a> {
+    Memory(Bytes),
+    File(&'a Path),
+}
+
+/// A file that does not change under its tag.
+pub struct Served<'a> {
+    pub content: Content<'a>,
+    pub bytes: u64,
+    /// SHA-256 of what is in it.
+    pub sha256: &'a str,
+    pub content_type: HeaderValue,
+}
+
+/// Which bytes of `length` a request wants.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Wanted {
+    All,
+    /// From the first to the last of them, both included.
+    Part(u64, u64),
+    /// What is not there.
+    None,
+}
+
+/// What a `Range` header means for so many bytes. What is no single range of bytes is ignored, as the standard has it.
+fn wanted(range: Option<&str>, length: u64) -> Wanted {
+    let Some(set) = range.and_then(|range| range.trim().strip_prefix("bytes=")) else {
+        return Wanted::All;
+    };
+    let Some((first, last)) = set.trim().split_once('-') else { return Wanted::All };
+    let (first, last) = (first.trim(), last.trim());
+    let is_number = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
+    if !is_number(first) || !is_number(last) {
+        return Wanted::All;
+    }
+    // What has more digits than a number is beyond every file's end.
+    let number = |text: &str| text.parse::<u64>().unwrap_or(u64::MAX);
+    let part = |first, last| if first < length { Wanted::Part(first, last) } else { Wanted::None };
+    match (first.is_empty(), last.is_empty()) {
+        (true, true) => Wanted::All,
+        (true, false) if number(last) == 0 => Wanted::None,
+        (true, false) => part(length.saturating_sub(number(last)), length.saturating_sub(1)),
+        (false, true) => part(number(first), length.saturating_sub(1)),
+        (false, false) if number(last) < number(first) => Wanted::All,
+        (false, false) => part(number(first), number(last).min(length.saturating_sub(1))),
+    }
+}
+
+/// Answers with a file, or the part of it that is asked for.
+///
+/// # Errors
+/// 416; a file that cannot be read.
+pub async fn serve(
+    served: &Served<'_>,
+    method: &Method,
+    request: &HeaderMap,
+) -> Result<Response, Problem> {
+    let etag = format!("\"{}\"", served.sha256);
+    let tag = HeaderValue::from_str(&etag).map_err(Problem::internal)?;
+    let common = |response: &mut Response| {
+        let headers = response.headers_mut();
+        headers.insert(header::ETAG, tag.clone());
+        headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
+        headers.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
+    };
+    if none_match_hits(request, &etag) {
+        let mut response = StatusCode::NOT_MODIFIED.into_response();
+        common(&mut response);
+        return Ok(response);
+    }
+    let text = |name| request.get(name).and_then(|value: &HeaderValue| value.to_str().ok());
+    // A range of another version is worth nothing: the whole of this one is.
+    let is_same = text(header::IF_RANGE).is_none_or(|known| known.trim() == etag);
+    let range = if *method == Method::GET && is_same { text(header::RANGE) } else { None };
+    let (first, count, status) = match wanted(range, served.bytes) {
+        Wanted::All => (0, served.bytes, StatusCode::OK),
+        Wanted::Part(first, last) => (first, last - first + 1, StatusCode::PARTIAL_CONTENT),
+        Wanted::None => {
+            let detail = format!("the range begins beyond the end of {} bytes", served.bytes);
+            let problem = Problem::new(Kind::RangeNotSatisfiable, detail).at("Range");
+            let mut response = problem
+                .accepted(format!("bytes=0-{}", served.bytes.saturating_sub(1)))
+                .into_response();
+            let whole = HeaderValue::from_str(&format!("bytes */{}", served.bytes))
+                .map_err(Problem::internal)?;
+            response.headers_mut().insert(header::CONTENT_RANGE, whole);
+            return Ok(response);
+        }
+    };
+    let body = if *method == Method::HEAD {
+        Body::empty()
+    } else {
+        match &served.content {
+            Content::Memory(bytes) => Body::from(part(bytes, first, count)),
+            Content::File(file) => body(file, first, count).await?,
+        }
+    };
+    let mut response = Response::new(body);
+    *response.status_mut() = status;
+    common(&mut response);
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_TYPE, served.content_type.clone());
+    headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    headers.insert(header::CONTENT_LENGTH, count.into());
+    if status == StatusCode::PARTIAL_CONTENT {
+        let range = format!("bytes {first}-{}/{}", first + count - 1, served.bytes);
+        headers.insert(
+            header::CONTENT_RANGE,
+            HeaderValue::from_str(&range).map_err(Problem::internal)?,
+        );
+    }
+    Ok(response)
+}
+
+fn part(bytes: &Bytes, first: u64, count: u64) -> Bytes {
+    let at = |place: u64| usize::try_from(place).unwrap_or(usize::MAX).min(bytes.len());
+    bytes.slice(at(first)..at(first.saturating_add(count)))
+}
+
+async fn body(file: &Path, first: u64, count: u64) -> Result<Body, Problem> {
+    let open = async {
+        let mut file = tokio::fs::File::open(file).await?;
+        file.seek(std::io::SeekFrom::Start(first)).await?;
+        std::io::Result::Ok(file)
+    };
+    let opened = open.await.map_err(|error| job_storage(&error))?;
+    Ok(Body::from_stream(ReaderStream::with_capacity(opened.take(count), CHUNK)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges() {
+        let of = |range: &str| wanted(Some(range), 100);
+        assert_eq!(wanted(None, 100), Wanted::All);
+        assert_eq!(of("bytes=0-"), Wanted::Part(0, 99));
+        assert_eq!(of("bytes=10-19"), Wanted::Part(10, 19));
+        assert_eq!(of("bytes=10-1000"), Wanted::Part(10, 99));
+        assert_eq!(of("bytes=-10"), Wanted::Part(90, 99));
+        assert_eq!(of("bytes=-1000"), Wanted::Part(0, 99));
+        assert_eq!(of("bytes=99999999999999999999-"), Wanted::None);
+        for beyond in ["bytes=100-", "bytes=100-200", "bytes=-0"] {
+            assert_eq!(of(beyond), Wanted::None, "{beyond}");
+        }
+        for ignored in [
+            "",
+            "bytes=",
+            "bytes=-",
+            "bytes=5-4",
+            "bytes=0-1,3-4",
+            "lines=0-1",
+            "bytes=a-b",
+            "bytes=+1-2",
+        ] {
+            assert_eq!(of(ignored), Wanted::All, "{ignored}");
+        }
+        assert_eq!(wanted(Some("bytes=0-"), 0), Wanted::None);
+        assert_eq!(wanted(Some("bytes=-5"), 0), Wanted::None);
+    }
+}

@@ -1,0 +1,199 @@
+//! `/v1/jobs`: films that are drawn without anybody waiting. Translation only; [`crate::jobs`] does the work.
+//!
+//! | file | answers |
+//! |---|---|
+//! | [`create`] | `POST /v1/jobs`: from a body to a [`Spec`](crate::jobs::Spec) |
+//! | here | what is there, and what may be done to it: list, show, cancel, resume, delete |
+//! | [`wire`] | a job as JSON, and its refusals and failures as problems |
+//! | [`events`] | progress as server-sent events |
+//! | [`frames`] | finished frames: one, the manifest, all in one stream |
+//! | [`video`] | the video |
+//! | [`watchers`] | how many may follow jobs, and for how long |
+//! | [`file`](mod@file) | files as answers: entity tags and byte ranges |
+//!
+//! A job is its key's: another one's needs a key for everything ([`blocking`] sees to that, and lists show none else). Without keys all
+//! jobs are everybody's.
+//!
+//! What changes a job waits for the disk, and so runs on a blocking thread.
+
+pub mod create;
+pub mod events;
+pub mod file;
+pub mod frames;
+pub mod video;
+mod watchers;
+pub mod wire;
+
+pub use watchers::WatchLimits;
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::{Extension, State};
+use axum::http::StatusCode;
+
+use self::wire::{JobList, JobState, job_problem};
+use super::problem::{Kind, Problem};
+use super::{App, Owner, Segments};
+use crate::jobs::{JobError, JobId, Jobs};
+
+/// The jobs of this server.
+///
+/// # Errors
+/// 503 where it has none.
+fn jobs(app: &App) -> Result<Jobs, Problem> {
+    app.jobs.clone().map_err(|reason| {
+        Problem::new(Kind::JobsOff, reason).accepted("a daemon with --state FOLDER")
+    })
+}
+
+/// A job's number, as addresses have it.
+///
+/// # Errors
+/// 404: what is no number is no job.
+fn job_id(text: &str) -> Result<JobId, Problem> {
+    let is_plain = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    text.parse().ok().filter(|_| is_plain).ok_or_else(|| wire::unknown_job(text))
+}
+
+/// Does something with jobs on a thread that may block, for the job of an address, if it is `owner`'s.
+async fn blocking<T: Send + 'static>(
+    app: &Arc<App>,
+    owner: &Owner,
+    id: &str,
+    work: impl FnOnce(&Jobs, JobId) -> Result<T, JobError> + Send + 'static,
+) -> Result<T, Problem> {
+    let (jobs, number) = (jobs(app)?, job_id(id)?);
+    let found = jobs.owner(number).map_err(|error| job_problem(&jobs, id, error))?;
+    if !owner.is_theirs(found.as_deref()) {
+        return Err(Problem::new(Kind::Forbidden, format!("job {number} is another key's"))
+            .at("Authorization")
+            .accepted("the key that made it, or one whose scope is admin"));
+    }
+    let worker = jobs.clone();
+    tokio::task::spawn_blocking(move || work(&worker, number))
+        .await
+        .map_err(Problem::internal)?
+        .map_err(|error| job_problem(&jobs, &number.to_string(), error))
+}
+
+impl Owner {
+    /// Whether this one may use what `owner` has made.
+    fn is_theirs(&self, owner: Option<&str>) -> bool {
+        self.is_admin || owner.is_some() && owner == self.name.as_deref()
+    }
+}
+
+/// Every job that is known and the key's own, the newest first; with an admin key, or without keys, all.
+#[utoipa::path(
+    get,
+    path = "/v1/jobs",
+    tag = "jobs",
+    responses((status = 200, description = "The jobs", body = JobList)),
+)]
+pub async fn list(
+    State(app): State<Arc<App>>,
+    Extension(owner): Extension<Owner>,
+) -> Result<Json<JobList>, Problem> {
+    let jobs = jobs(&app)?;
+    let mut views =
+        tokio::task::spawn_blocking(move || jobs.list()).await.map_err(Problem::internal)?;
+    views.retain(|view| owner.is_theirs(view.record.owner.as_deref()));
+    Ok(Json(JobList::new(&views)))
+}
+
+/// A job: its state, how many frames are there, how fast they come, what went wrong, and where everything is.
+#[utoipa::path(
+    get,
+    path = "/v1/jobs/{id}",
+    tag = "jobs",
+    params(("id" = String, Path, description = "The job")),
+    responses((status = 200, description = "The job", body = JobState)),
+)]
+pub async fn show(
+    State(app): State<Arc<App>>,
+    Extension(owner): Extension<Owner>,
+    Segments(id): Segments<String>,
+) -> Result<Json<JobState>, Problem> {
+    let view = blocking(&app, &owner, &id, |jobs, id| jobs.view(id)).await?;
+    Ok(Json(JobState::new(&view)))
+}
+
+/// Ends a job that is queued or running. What is drawn stays, and the job can be resumed. Done twice, it is as it was.
+#[utoipa::path(
+    post,
+    path = "/v1/jobs/{id}/cancel",
+    tag = "jobs",
+    params(("id" = String, Path, description = "The job")),
+    responses((status = 200, description = "The job, which is cancelled", body = JobState)),
+)]
+pub async fn cancel(
+    State(app): State<Arc<App>>,
+    Extension(owner): Extension<Owner>,
+    Segments(id): Segments<String>,
+) -> Result<Json<JobState>, Problem> {
+    let view = blocking(&app, &owner, &id, |jobs, id| jobs.cancel(id).and_then(|()| jobs.view(id)))
+        .await?;
+    Ok(Json(JobState::new(&view)))
+}
+
+/// Queues a job again that has ended. Frames that are there, undamaged, and show the scene as it is now are kept, the others drawn. So is a
+/// job that was done looked through, and what has become damaged or lost of it is made again.
+#[utoipa::path(
+    post,
+    path = "/v1/jobs/{id}/resume",
+    tag = "jobs",
+    params(("id" = String, Path, description = "The job")),
+    responses((status = 200, description = "The job, which is queued", body = JobState)),
+)]
+pub async fn resume(
+    State(app): State<Arc<App>>,
+    Extension(owner): Extension<Owner>,
+    Segments(id): Segments<String>,
+) -> Result<Json<JobState>, Problem> {
+    let view = blocking(&app, &owner, &id, |jobs, id| jobs.resume(id).and_then(|()| jobs.view(id)))
+        .await?;
+    Ok(Json(JobState::new(&view)))
+}
+
+/// Forgets a job in whatever state it is, and removes its frames and its video.
+#[utoipa::path(
+    delete,
+    path = "/v1/jobs/{id}",
+    tag = "jobs",
+    params(("id" = String, Path, description = "The job")),
+    responses((status = 204, description = "It is gone")),
+)]
+pub async fn remove(
+    State(app): State<Arc<App>>,
+    Extension(owner): Extension<Owner>,
+    Segments(id): Segments<String>,
+) -> Result<StatusCode, Problem> {
+    blocking(&app, &owner, &id, |jobs, id| jobs.remove(id)).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn jobs_are_their_keys_own() {
+        let owner =
+            |name: Option<&str>, is_admin| Owner { name: name.map(str::to_owned), is_admin };
+        let (ann, admin, anybody) =
+            (owner(Some("ann"), false), owner(Some("root"), true), owner(None, true));
+        for (by, is_anns) in [(Some("ann"), true), (Some("bob"), false), (None, false)] {
+            assert_eq!(ann.is_theirs(by), is_anns, "{by:?}");
+            assert!(admin.is_theirs(by) && anybody.is_theirs(by));
+        }
+    }
+
+    #[test]
+    fn numbers_of_jobs() {
+        assert_eq!(job_id("17").ok(), Some(17));
+        for other in ["", "x", "-1", "+1", "1.5", "99999999999999999999999"] {
+            assert_eq!(job_id(other).map_err(|problem| problem.status()), Err(404), "{other}");
+        }
+    }
+}

@@ -1,0 +1,74 @@
+//! `GET /v1/jobs/{id}/video.mp4`.
+
+use std::sync::Arc;
+
+use axum::extract::{Extension, State};
+use axum::http::{HeaderMap, HeaderValue, Method};
+use axum::response::Response;
+
+use super::blocking;
+use super::file::{Content, Served, serve};
+use super::wire::{JobState, StateName, damaged};
+use crate::http::problem::{Kind, Problem};
+use crate::http::{App, Owner, Segments};
+
+/// The film as a video: H.264 in MP4, playable from its beginning while it comes. Ranges are answered, so that players can seek.
+#[utoipa::path(
+    get,
+    path = "/v1/jobs/{id}/video.mp4",
+    tag = "jobs",
+    params(
+        ("id" = String, Path, description = "The job"),
+        ("Range" = Option<String>, Header, description = "`bytes=FIRST-LAST`, one range"),
+        ("If-Range" = Option<String>, Header, description = "The entity tag that the range is of"),
+        ("If-None-Match" = Option<String>, Header, description = "Entity tags that the client has"),
+    ),
+    responses(
+        (
+            status = 200,
+            description = "The video",
+            body = Vec<u8>,
+            content_type = "video/mp4",
+            headers(("ETag" = String, description = "Its SHA-256"), ("Accept-Ranges" = String, description = "`bytes`")),
+        ),
+        (status = 206, description = "The part of it that was asked for", body = Vec<u8>, content_type = "video/mp4"),
+        (status = 304, description = "The client has it already"),
+    ),
+)]
+pub async fn video(
+    State(app): State<Arc<App>>,
+    Extension(owner): Extension<Owner>,
+    Segments(id): Segments<String>,
+    method: Method,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let (view, file, length) = blocking(&app, &owner, &id, |jobs, id| {
+        let file = jobs.place(id).video();
+        let length = std::fs::metadata(&file).ok().map(|found| found.len());
+        Ok((jobs.view(id)?, file, length))
+    })
+    .await?;
+    let Some(video) = &view.record.made.video else {
+        return Err(no_video(&JobState::new(&view), view.record.spec.want.video));
+    };
+    // Long as it may be it is not read through for each range of it.
+    if length != Some(video.bytes) {
+        return Err(damaged(&id, "the video"));
+    }
+    let served = Served {
+        content: Content::File(&file),
+        bytes: video.bytes,
+        sha256: &video.sha256,
+        content_type: HeaderValue::from_static("video/mp4"),
+    };
+    serve(&served, &method, &headers).await
+}
+
+fn no_video(job: &JobState, is_wanted: bool) -> Problem {
+    let detail = match (is_wanted, job.state()) {
+        (false, _) => "the job makes no video: `video` is not in its `want`",
+        (true, StateName::Queued | StateName::Running) => "the video is not made yet",
+        (true, _) => "the video was not made: the job has ended before",
+    };
+    Problem::new(Kind::NoVideo, detail)
+}

@@ -1,0 +1,382 @@
+//! A job as JSON, and what can go wrong with one as problems.
+
+use serde::Serialize;
+use serde_json::Value;
+use utoipa::ToSchema;
+
+use crate::film::FilmError;
+use crate::film::video::VideoError;
+use crate::http::problem::{Kind, Problem, ProblemDocument};
+use crate::jobs::book::Failure;
+use crate::jobs::{
+    FailureKind, FrameSpec, JobError, Jobs, PathChoice, Refusal, Stage, State, StateError, View,
+};
+
+/// A job.
+#[derive(Serialize, ToSchema)]
+pub struct JobState {
+    id: String,
+    state: StateName,
+    /// What a running job is at: `baking`, `frames` or `video`; `null` while it gets ready, and while it waits for its turn at the next
+    /// of them.
+    stage: Option<&'static str>,
+    /// How much of what the frames need is baked, of 1; while it is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    baked: Option<f64>,
+    /// Name of the key that made it; `null` where there were no keys.
+    owner: Option<String>,
+    /// What the request is called that made it. Its frames are named after the job, as in `job-7/42`.
+    request_id: Option<String>,
+    scene: String,
+    /// The path's name in the scene, or the path itself; of the latter, lists have only the number of `keys`.
+    #[schema(value_type = Object)]
+    path: Value,
+    /// Frames a second of the film; `null` until the job has begun, where none were asked for.
+    fps: Option<f64>,
+    want: Vec<&'static str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    bitrate_kbps: Option<u32>,
+    settings: JobSettings,
+    frames: JobFrames,
+    /// Frames a second that come of late, in the running job; of its stage `video`, those that go into it.
+    frames_per_second: Option<f64>,
+    /// Seconds that the rest of the stage takes at that rate.
+    eta_seconds: Option<f64>,
+    /// What a queued job waits for, beside its turn.
+    waits_for: Option<String>,
+    /// Why it failed. Its type is `urn:pointillist:problem:` and one of `scene-changed`, `unknown-scene` (it was waited for in vain),
+    /// `job-refused`, `job-quota`, `storage`, `job-failed`, `video-failed`, `job-recovered`, `internal`.
+    #[schema(value_type = Option<ProblemDocument>)]
+    error: Option<Problem>,
+    /// On the disk, by all its files.
+    bytes: u64,
+    /// Of `frames.jsonl`, which has a line with a checksum for each frame; once all are there.
+    manifest_sha256: Option<String>,
+    video: Option<JobVideo>,
+    /// Milliseconds since 1970.
+    created_ms: u64,
+    /// When it came into its state.
+    since_ms: u64,
+    /// When an ended job will be forgotten.
+    expires_ms: Option<u64>,
+    links: JobLinks,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum StateName {
+    /// Its turn comes, when what it waits for is there.
+    Queued,
+    Running,
+    Done,
+    /// Can be resumed.
+    Failed,
+    /// Can be resumed.
+    Cancelled,
+}
+
+/// Frames of a job.
+#[derive(Serialize, ToSchema)]
+pub struct JobFrames {
+    /// Those that are there.
+    done: u64,
+    /// Those that are wanted; `null` until the job has begun.
+    total: Option<u64>,
+    /// Numbers of the first and of the last one that were asked for.
+    from: Option<u64>,
+    to: Option<u64>,
+    /// Those that are in the video so far, while it is made.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    coded: Option<u64>,
+}
+
+/// How frames are drawn; what is `null` is as the scene has it.
+#[derive(Serialize, ToSchema)]
+pub struct JobSettings {
+    w: u32,
+    h: u32,
+    format: crate::encode::ImageFormat,
+    quality: u8,
+    output: crate::plan::Output,
+    lod: crate::plan::Lod,
+    max_error_px: f32,
+    error_mode: crate::plan::ErrorMode,
+    paint: crate::plan::Paint,
+    reconstruct: crate::plan::Reconstruct,
+    filter: Option<crate::scene::Filter>,
+    prefilter: Option<bool>,
+    blend: Option<crate::scene::Blend>,
+    shading: Option<crate::scene::Shading>,
+}
+
+/// A finished video.
+#[derive(Serialize, ToSchema)]
+pub struct JobVideo {
+    bytes: u64,
+    sha256: String,
+}
+
+/// Addresses of what belongs to a job.
+#[derive(Serialize, ToSchema)]
+pub struct JobLinks {
+    #[serde(rename = "self")]
+    this: String,
+    scene: String,
+    events: String,
+    /// The manifest.
+    frames: String,
+    /// With the number of a frame for `{n}`.
+    frame: String,
+    multipart: String,
+    /// Where a video is wanted.
+    video: Option<String>,
+}
+
+#[derive(Serialize, ToSchema)]
+pub struct JobList {
+    jobs: Vec<JobState>,
+}
+
+impl JobList {
+    pub fn new(views: &[View]) -> JobList {
+        JobList { jobs: views.iter().map(JobState::brief).collect() }
+    }
+}
+
+impl JobSettings {
+    fn new(frame: &FrameSpec) -> JobSettings {
+        JobSettings {
+            w: frame.width,
+            h: frame.height,
+            format: frame.format,
+            quality: frame.quality,
+            output: frame.output,
+            lod: frame.lod,
+            max_error_px: frame.max_error_px,
+            error_mode: frame.error_mode,
+            paint: frame.paint,
+            reconstruct: frame.reconstruct,
+            filter: frame.filter,
+            prefilter: frame.prefilter,
+            blend: frame.blend,
+            shading: frame.shading,
+        }
+    }
+}
+
+impl JobState {
+    /// One of many: without what may be long.
+    fn brief(view: &View) -> JobState {
+        let mut job = JobState::new(view);
+        if let Some(keys) = job.path.get("keys").and_then(Value::as_array).map(Vec::len) {
+            job.path = serde_json::json!({ "keys": keys });
+        }
+        job
+    }
+
+    pub fn new(view: &View) -> JobState {
+        let record = &view.record;
+        let spec = &record.spec;
+        let this = format!("/v1/jobs/{}", record.id);
+        let to = |what: &str| format!("{this}/{what}");
+        let (state, waits_for, error) = match &record.state {
+            State::Queued { waits_for } => (StateName::Queued, waits_for.clone(), None),
+            State::Running => (StateName::Running, None, None),
+            State::Done => (StateName::Done, None, None),
+            State::Failed(failure) => (StateName::Failed, None, Some(failure_problem(failure))),
+            State::Cancelled => (StateName::Cancelled, None, None),
+        };
+        let wanted = [("frames", spec.want.frames), ("video", spec.want.video)];
+        JobState {
+            id: record.id.to_string(),
+            state,
+            stage: match view.stage {
+                Stage::None => None,
+                Stage::Baking => Some("baking"),
+                Stage::Frames => Some("frames"),
+                Stage::Video => Some("video"),
+            },
+            baked: (view.stage == Stage::Baking).then_some(view.baked),
+            owner: record.owner.clone(),
+            request_id: record.request_id.clone(),
+            scene: spec.scene.clone(),
+            path: match &spec.path {
+                PathChoice::Named(name) => Value::String(name.clone()),
+                PathChoice::Inline(text) => serde_json::from_str(text).unwrap_or_default(),
+            },
+            fps: record.made.fps.or(spec.fps),
+            want: wanted
+                .iter()
+                .filter(|(_, is_wanted)| *is_wanted)
+                .map(|(name, _)| *name)
+                .collect(),
+            bitrate_kbps: spec.want.bitrate_kbps,
+            settings: JobSettings::new(&spec.frame),
+            frames: JobFrames {
+                done: view.done,
+                total: view.total,
+                from: spec.from,
+                to: spec.to,
+                coded: (view.stage == Stage::Video).then_some(view.coded),
+            },
+            frames_per_second: view.rate,
+            eta_seconds: view.eta_s,
+            waits_for,
+            error,
+            bytes: view.bytes,
+            manifest_sha256: record.made.manifest_sha256.clone(),
+            video: record
+                .made
+                .video
+                .as_ref()
+                .map(|video| JobVideo { bytes: video.bytes, sha256: video.sha256.clone() }),
+            created_ms: record.created_ms,
+            since_ms: record.since_ms,
+            expires_ms: view.expires_ms,
+            links: JobLinks {
+                scene: format!("/v1/scenes/{}", spec.scene),
+                events: to("events"),
+                frames: to("frames"),
+                frame: to("frames/{n}"),
+                multipart: to("multipart"),
+                video: spec.want.video.then(|| to("video.mp4")),
+                this,
+            },
+        }
+    }
+
+    /// Whether nothing more happens by itself.
+    pub fn has_ended(&self) -> bool {
+        !matches!(self.state, StateName::Queued | StateName::Running)
+    }
+
+    pub fn state(&self) -> StateName {
+        self.state
+    }
+}
+
+pub fn unknown_job(id: &str) -> Problem {
+    let shown: String = id.chars().take(64).collect();
+    Problem::new(Kind::UnknownJob, format!("there is no job `{shown}`"))
+        .accepted("an id that GET /v1/jobs lists")
+}
+
+/// What is told of a job that failed.
+fn failure_problem(failure: &Failure) -> Problem {
+    let kind = match failure.kind {
+        FailureKind::SceneChanged => Kind::SceneChanged,
+        FailureKind::SceneGone => Kind::UnknownScene,
+        FailureKind::Refused => Kind::JobRefused,
+        FailureKind::DiskQuota => Kind::OutOfJobDisk,
+        FailureKind::Storage => Kind::OutOfDisk,
+        FailureKind::Engine => Kind::JobFailed,
+        FailureKind::Video => Kind::VideoFailed,
+        FailureKind::Recovered => Kind::JobRecovered,
+        FailureKind::Internal => Kind::Internal,
+    };
+    let problem = Problem::new(kind, failure.detail.clone());
+    problem.accepted("POST to the job's /resume, when what is wrong is mended")
+}
+
+/// What is told of something that cannot be done for job `id`.
+pub fn job_problem(jobs: &Jobs, id: &str, error: JobError) -> Problem {
+    match error {
+        JobError::Refused(refusal) => match refusal {
+            Refusal::Unknown => unknown_job(id),
+            Refusal::State { state, accepted } => {
+                Problem::new(Kind::JobState, format!("job {id} is {state}")).accepted(accepted)
+            }
+            Refusal::KeyReused { id } => Problem::new(
+                Kind::KeyReused,
+                format!("the key was used for job {id}, which is another one"),
+            )
+            .at("Idempotency-Key")
+            .accepted("a key of its own for each job, or the same request again"),
+            Refusal::TooManyUnfinished { limit } => Problem::new(
+                Kind::TooManyJobs,
+                format!("{limit} jobs are queued or running, which is the limit"),
+            )
+            .accepted("fewer jobs at a time, or a cancelled one")
+            .retry_after(jobs.retry_after()),
+            Refusal::TooMany { limit } => Problem::new(
+                Kind::TooManyJobs,
+                format!("{limit} jobs are kept, which is the limit"),
+            )
+            .accepted("DELETE jobs that have ended")
+            .retry_after(jobs.retry_after()),
+        },
+        JobError::Full { used, limit } => Problem::new(
+            Kind::OutOfJobDisk,
+            format!("jobs take {used} bytes on the disk, of {limit} that they may"),
+        )
+        .accepted("DELETE jobs that have ended, or a daemon with a larger --job-disk-mib"),
+        JobError::State(StateError::Io { error, .. }) | JobError::Io { error, .. } => {
+            job_storage(&error)
+        }
+        JobError::State(error) => Problem::internal(error),
+    }
+}
+
+/// A file of a job that is not what the manifest, or the job, says of it.
+pub fn damaged(id: &str, what: &str) -> Problem {
+    Problem::new(
+        Kind::JobFileDamaged,
+        format!("{what} of job {id} is damaged or missing on the disk"),
+    )
+    .accepted(format!("POST /v1/jobs/{id}/resume, which makes it again"))
+}
+
+/// A file of a job that cannot be read or written.
+pub fn job_storage(error: &std::io::Error) -> Problem {
+    tracing::error!(%error, "a job's file cannot be used");
+    let detail = match error.kind() {
+        std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => {
+            "the disk of the state folder is full"
+        }
+        std::io::ErrorKind::ReadOnlyFilesystem | std::io::ErrorKind::PermissionDenied => {
+            "the state folder is not writable"
+        }
+        _ => "the state folder cannot be used",
+    };
+    Problem::new(Kind::OutOfDisk, detail)
+}
+
+/// What is told of a path that cannot be drawn.
+pub fn film_problem(error: FilmError) -> Problem {
+    match error {
+        FilmError::Engine(error) | FilmError::Frame { error, .. } => {
+            // Of the path that the request holds, in words of a scene's file.
+            let is_path = matches!(error, crate::engine::EngineError::Scene(_));
+            let problem = Problem::from(error);
+            if !is_path {
+                return problem;
+            }
+            let place = match problem.parameter.as_deref() {
+                None | Some("" | "$" | ".") => "path".to_owned(),
+                Some(place) => format!("path.{}", place.trim_start_matches("$.")),
+            };
+            Problem { kind: Kind::BadParameter, parameter: Some(place), ..problem }
+        }
+        FilmError::BadRange { parameter, reason } => Problem::parameter(
+            parameter,
+            reason,
+            "frames that the path has; fps from 0.001 to 1000",
+        ),
+        FilmError::Path(error) => Problem::parameter("path", error, "a path that can be followed"),
+        other => Problem::internal(other),
+    }
+}
+
+/// What is told of a video that cannot be made.
+pub fn video_problem(error: VideoError) -> Problem {
+    let text = error.to_string();
+    match error {
+        VideoError::Unfit { parameter, reason } => {
+            Problem::parameter(parameter, reason, "what a video can have")
+        }
+        VideoError::NoCoder => {
+            Problem::new(Kind::Unavailable, text).at("want").accepted("`[\"frames\"]`")
+        }
+        _ => Problem::internal(text),
+    }
+}

@@ -1,0 +1,247 @@
+//! `GET /v1/scenes/{id}/mjpeg`: a film for any `<img>`, as `multipart/x-mixed-replace`.
+//!
+//! ```text
+//! timeline (which frame is due; pure) ─▶ the engine's seat ─▶ part ─▶ part ─▶ …
+//!                                          │ a frame that waits there is exchanged when the next one is due
+//! ```
+//!
+//! The body is drawn as it is read: a client that does not read has nothing drawn for it, and goes on with the frame that is due
+//! when it reads again. Without a path it shows one view, and again whenever the scene changes.
+
+mod screening;
+mod timeline;
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use axum::body::Body;
+use axum::extract::{Extension, State};
+use axum::http::{HeaderName, HeaderValue, Method, Uri, header};
+use axum::response::Response;
+use bytes::Bytes;
+use futures::Stream;
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+use self::screening::{Screening, Show};
+use self::timeline::Timeline;
+use super::frame::missing;
+use super::frames::{boundary, part};
+use super::params::{FrameParams, check_name, number, once, pairs};
+use super::problem::{Kind, Problem};
+use super::{App, Caller, Segments};
+use crate::encode::ImageFormat;
+use crate::engine::{EncodedFrame, FrameRequest, Origin, RequestId};
+use crate::scene::CameraPath;
+
+/// Frames a second that can be asked for.
+const FPS_RANGE: [f64; 2] = [0.1, 120.0];
+/// Of a view that does not move: how soon a change of the scene is shown after the one before.
+const DEFAULT_FPS: f64 = 30.0;
+
+/// What a frame's query does not have.
+#[derive(Debug, Default, PartialEq, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+pub struct ScreeningParams {
+    /// A camera path that the scene names. Without one, the view of `camera`, or of a pose, is shown, and again whenever the scene changes.
+    path: Option<String>,
+    /// Frames a second, 0.1 to 120; the path's own where it is not given.
+    #[param(minimum = 0.1, maximum = 120)]
+    fps: Option<f64>,
+    /// Whether the path begins again at its end, where otherwise the answer ends with its last frame.
+    r#loop: Option<bool>,
+}
+
+/// A film for `<img>`.
+///
+/// Each part is a JPEG with its `Pointillist-Receipt`, and with `Pointillist-Pose`, its frame's number. Frame `n` of a path is what it shows
+/// `n / fps` seconds after its first key. Frames that cannot be drawn or sent in their time are left out, so that the film takes as
+/// long as the path. It ends with the path's last frame unless it loops, when the scene is deleted, and when the server stops; it
+/// counts as one of the streams that `GET /v1/limits` allows.
+#[utoipa::path(
+    get,
+    path = "/v1/scenes/{id}/mjpeg",
+    tag = "frames",
+    params(("id" = String, Path, description = "A scene that `GET /v1/scenes` lists"), ScreeningParams, FrameParams),
+    responses((
+        status = 200,
+        description = "A JPEG a part, each to be shown in place of the one before",
+        body = Vec<u8>,
+        content_type = "multipart/x-mixed-replace",
+    )),
+)]
+pub async fn mjpeg(
+    State(app): State<Arc<App>>,
+    Extension(Caller(client)): Extension<Caller>,
+    Extension(request_id): Extension<RequestId>,
+    Segments(id): Segments<String>,
+    method: Method,
+    uri: Uri,
+) -> Result<Response, Problem> {
+    let (wanted, params) = ScreeningParams::from_query(uri.query())?;
+    let request = params.request(&id, ImageFormat::Jpeg, Instant::now())?;
+    let mark = app.engine.scene_mark(&id);
+    let show = wanted.show(&app, &request).map_err(|problem| missing(&app, &id, problem))?;
+    let mut screening =
+        Screening::new(app.clone(), Origin { client, request_id }, request, show, mark)?;
+    // Whatever is wrong is said before the first byte: the first frame is drawn here.
+    let first = match method {
+        Method::HEAD => None,
+        _ => Some(screening.first().await.map_err(|problem| missing(&app, &id, problem))?),
+    };
+    let boundary = boundary();
+    let content_type = format!("multipart/x-mixed-replace; boundary={boundary}");
+    let mut response = Response::new(Body::from_stream(parts(screening, first, boundary)));
+    let headers = response.headers_mut();
+    let content_type = HeaderValue::from_str(&content_type).map_err(Problem::internal)?;
+    headers.insert(header::CONTENT_TYPE, content_type);
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    // nginx would keep frames back until it has a buffer full of them.
+    headers.insert(HeaderName::from_static("x-accel-buffering"), HeaderValue::from_static("no"));
+    Ok(response)
+}
+
+impl ScreeningParams {
+    fn from_query(query: Option<&str>) -> Result<(Self, FrameParams), Problem> {
+        const FRAMES_PER_SECOND: &str = "0.1 to 120 frames a second";
+        let (mut wanted, mut params) = (ScreeningParams::default(), FrameParams::default());
+        for (name, value) in pairs(query)? {
+            match name.as_str() {
+                "path" => once(&mut wanted.path, &name, value)?,
+                "fps" => once(&mut wanted.fps, &name, number(&name, &value, FRAMES_PER_SECOND)?)?,
+                "loop" => once(&mut wanted.r#loop, &name, number(&name, &value, "true or false")?)?,
+                _ => {
+                    check_name(&name).map_err(|problem| match problem.kind {
+                        Kind::UnknownParameter => {
+                            let known = problem.accepted.clone().unwrap_or_default();
+                            problem.accepted(format!("path, fps, loop, {known}"))
+                        }
+                        _ => problem,
+                    })?;
+                    params.set(&name, &value)?;
+                }
+            }
+        }
+        wanted.check(&params)?;
+        Ok((wanted, params))
+    }
+
+    fn check(&self, params: &FrameParams) -> Result<(), Problem> {
+        if params.deadline_ms.is_some() {
+            let what = "deadline_ms: frames that are late are left out";
+            return Err(Problem::new(Kind::Unavailable, what)
+                .at("deadline_ms")
+                .accepted("leave it out"));
+        }
+        if params.format()?.is_some_and(|format| format != ImageFormat::Jpeg) {
+            let accepted = "jpeg, or left out";
+            return Err(Problem::parameter("format", "the frames are JPEGs", accepted));
+        }
+        if let Some(fps) = self.fps {
+            check_fps(fps, "")?;
+        }
+        if self.path.is_some() {
+            if let Some(name) = params.pose_parameter() {
+                let reason = "cannot be given together with `path`";
+                return Err(Problem::parameter(name, reason, "either of the two"));
+            }
+        } else if self.r#loop.is_some() {
+            let reason = "only a path has an end to begin again at";
+            return Err(Problem::parameter("loop", reason, "together with `path`, or left out"));
+        }
+        Ok(())
+    }
+
+    /// What is to be shown.
+    fn show(&self, app: &App, request: &FrameRequest) -> Result<Show, Problem> {
+        let Some(name) = &self.path else {
+            app.engine.scene(&request.scene)?;
+            let fps = self.fps.unwrap_or(DEFAULT_FPS);
+            return Ok(Show::View { least: Duration::from_secs_f64(1.0 / fps) });
+        };
+        let path: CameraPath = app.engine.camera_path(&request.scene, name)?;
+        let fps = self.fps.unwrap_or(path.fps);
+        check_fps(fps, "the path's own ")?;
+        let timeline = Timeline::new(fps, path.frame_count(fps), self.r#loop.unwrap_or_default());
+        Ok(Show::Path {
+            timeline,
+            fps,
+            start_s: path.frame_time_s(0, fps),
+            sampler: path.sampler()?,
+        })
+    }
+}
+
+fn check_fps(fps: f64, whose: &str) -> Result<(), Problem> {
+    let [least, most] = FPS_RANGE;
+    if (least..=most).contains(&fps) {
+        return Ok(());
+    }
+    let reason = format!("{whose}{fps} is out of range");
+    Err(Problem::parameter("fps", reason, format!("{least} to {most} frames a second")))
+}
+
+/// The answer's body. A part ends with the next one's delimiter, because only then a browser shows it.
+fn parts(
+    mut screening: Screening,
+    first: Option<Arc<EncodedFrame>>,
+    boundary: String,
+) -> impl Stream<Item = Result<Bytes, std::convert::Infallible>> {
+    async_stream::stream! {
+        let delimiter = Bytes::from(format!("\r\n--{boundary}"));
+        // The first line of all has none before it that would have to end.
+        yield Ok(delimiter.slice(2..));
+        let mut next = first;
+        while let Some(frame) = next {
+            let (head, content) = part(screening.frame_number(), Ok(frame));
+            yield Ok(Bytes::from(format!("\r\n{head}")));
+            yield Ok(content);
+            yield Ok(delimiter.clone());
+            next = screening.next().await;
+        }
+        yield Ok(Bytes::from_static(b"--\r\n"));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(query: &str) -> (u16, String, String) {
+        let problem = ScreeningParams::from_query(Some(query)).unwrap_err();
+        let accepted = problem.accepted.clone().unwrap_or_default();
+        (problem.status(), problem.parameter.clone().unwrap_or_default(), accepted)
+    }
+
+    #[test]
+    fn parameters_of_a_screening_and_of_its_frames() {
+        let query = "path=fly&fps=12.5&loop=true&w=64&h=48&reconstruct=splats&format=jpeg";
+        let (wanted, params) = ScreeningParams::from_query(Some(query)).unwrap();
+        let expected =
+            ScreeningParams { path: Some("fly".into()), fps: Some(12.5), r#loop: Some(true) };
+        assert_eq!((wanted, params.w), (expected, Some(64)));
+        assert_eq!(ScreeningParams::from_query(None).unwrap().0, ScreeningParams::default());
+    }
+
+    #[test]
+    fn what_cannot_be_shown_is_named() {
+        for (query, parameter, accepted) in [
+            ("fps=0", "fps", "0.1 to 120"),
+            ("fps=NaN", "fps", "0.1 to 120"),
+            ("fps=x", "fps", "0.1 to 120"),
+            ("loop=true", "loop", "together with `path`"),
+            ("path=a&loop=yes", "loop", "true or false"),
+            ("path=a&path=b", "path", "once"),
+            ("path=a&camera=front", "camera", "either"),
+            ("path=a&eye=0,0,1", "eye", "either"),
+            ("format=png", "format", "jpeg"),
+            ("deadline_ms=4", "deadline_ms", "leave it out"),
+            ("lop=true", "lop", "path, fps, loop, camera"),
+        ] {
+            let (status, at, would_be) = refused(query);
+            assert_eq!((status, at.as_str()), (422, parameter), "{query}");
+            assert!(would_be.contains(accepted), "{query}: {would_be}");
+        }
+    }
+}

@@ -1,0 +1,288 @@
+//! A screening: a film that is shown as it is drawn, and kept nowhere. Waits until a frame is due, has it drawn, and copes with a busy engine.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tokio::sync::watch;
+
+use super::timeline::{Next, Timeline};
+use crate::engine::{
+    EncodedFrame, EngineError, FrameRequest, FrameTicket, Origin, Pose, RequestId, SceneMark, Seat,
+};
+use crate::http::App;
+use crate::http::frame::{bake, wait};
+use crate::http::problem::{Kind, Problem};
+use crate::http::stream::Place;
+use crate::scene::PathSampler;
+
+/// A picture that does not change is sent again so often, so that nobody on the way takes the connection for dead.
+const REPEAT: Duration = Duration::from_secs(15);
+
+/// What is to be shown.
+pub enum Show {
+    Path {
+        timeline: Timeline,
+        fps: f64,
+        start_s: f64,
+        sampler: PathSampler,
+    },
+    /// One view, and again when the scene has changed, `least` after it was shown.
+    View {
+        least: Duration,
+    },
+}
+
+/// A film that is being shown.
+pub struct Screening {
+    app: Arc<App>,
+    seat: Seat,
+    /// Frames are named after it.
+    name: RequestId,
+    request: FrameRequest,
+    show: Show,
+    mark: Option<SceneMark>,
+    changes: watch::Receiver<u64>,
+    draining: watch::Receiver<bool>,
+    /// When tick 0, or the view, was shown.
+    began: Instant,
+    /// The tick that is shown; of a view, how often it was drawn anew.
+    shown: u64,
+    last: Option<Arc<EncodedFrame>>,
+    /// Among the streams.
+    _place: Place,
+}
+
+/// Why there are no more frames.
+enum End {
+    /// The path's, the scene's or the server's.
+    Over,
+    Failed(EngineError),
+}
+
+impl Screening {
+    /// # Errors
+    /// There are as many streams as there may be.
+    pub fn new(
+        app: Arc<App>,
+        origin: Origin,
+        request: FrameRequest,
+        show: Show,
+        mark: Option<SceneMark>,
+    ) -> Result<Screening, Problem> {
+        let place = Place::take(&app, origin.client).ok_or_else(|| {
+            Problem::new(Kind::Busy, "too many streams are open")
+                .accepted(
+                    "fewer at a time: `max_streams` and `max_streams_per_client` of GET /v1/limits",
+                )
+                .retry_after(Duration::from_secs(1))
+        })?;
+        Ok(Screening {
+            seat: app.engine.seat(origin.client),
+            name: origin.request_id,
+            request,
+            show,
+            mark,
+            changes: app.engine.changes(),
+            draining: app.streams.draining(),
+            began: Instant::now(),
+            shown: 0,
+            last: None,
+            _place: place,
+            app,
+        })
+    }
+
+    /// The first frame, from which on time counts.
+    pub async fn first(&mut self) -> Result<Arc<EncodedFrame>, Problem> {
+        let request = self.wanted(0);
+        bake(&self.app, &request).await?;
+        let ticket = self.seat.ask_as(self.name_of(0), request)?;
+        let frame = wait(&self.app, ticket).await?;
+        self.began = Instant::now();
+        self.sent(&frame);
+        Ok(frame)
+    }
+
+    /// The request for a tick.
+    fn wanted(&self, tick: u64) -> FrameRequest {
+        let mut request = self.request.clone();
+        if let Show::Path { timeline, fps, start_s, sampler } = &self.show {
+            let t = start_s + timeline.frame(tick) as f64 / fps;
+            request.pose = Pose::Camera(sampler.at(t));
+        }
+        request
+    }
+
+    /// What of the path is shown; of a view, how often it was drawn anew.
+    pub fn frame_number(&self) -> u64 {
+        self.number_at(self.shown)
+    }
+
+    fn number_at(&self, tick: u64) -> u64 {
+        match &self.show {
+            Show::Path { timeline, .. } => timeline.frame(tick),
+            Show::View { .. } => tick,
+        }
+    }
+
+    fn name_of(&self, tick: u64) -> RequestId {
+        self.name.part(self.number_at(tick))
+    }
+
+    fn sent(&mut self, frame: &Arc<EncodedFrame>) {
+        self.app.metrics.frame(frame);
+        self.app.metrics.stream_frames.inc();
+        self.last = Some(frame.clone());
+    }
+
+    /// The next frame, when it is due.
+    pub async fn next(&mut self) -> Option<Arc<EncodedFrame>> {
+        let result = match self.show {
+            Show::Path { timeline, .. } => self.next_of_path(timeline).await,
+            Show::View { least } => self.next_of_view(least).await,
+        };
+        match result {
+            Ok(frame) => {
+                self.sent(&frame);
+                Some(frame)
+            }
+            Err(End::Over) => None,
+            Err(End::Failed(error)) => {
+                tracing::warn!(scene = self.request.scene, %error, "a screening ended before its end");
+                None
+            }
+        }
+    }
+
+    async fn next_of_path(&mut self, timeline: Timeline) -> Result<Arc<EncodedFrame>, End> {
+        loop {
+            match timeline.next(self.shown, self.began.elapsed()) {
+                Next::End => return Err(End::Over),
+                Next::WaitUntil(due) => self.pause(due).await?,
+                Next::Draw(tick) => {
+                    let (tick, frame) = self.draw(tick, Some(timeline)).await?;
+                    self.shown = tick;
+                    return Ok(frame);
+                }
+            }
+        }
+    }
+
+    /// Waits until so long after the beginning.
+    async fn pause(&mut self, due: Duration) -> Result<(), End> {
+        let Some(until) = self.began.checked_add(due) else { return Err(End::Over) };
+        tokio::select! {
+            _ = self.draining.wait_for(|draining| *draining) => Err(End::Over),
+            () = tokio::time::sleep_until(until.into()) => Ok(()),
+        }
+    }
+
+    async fn next_of_view(&mut self, least: Duration) -> Result<Arc<EncodedFrame>, End> {
+        let shown_at = Instant::now();
+        loop {
+            let mark = self.app.engine.scene_mark(&self.request.scene);
+            if mark.is_none() {
+                return Err(End::Over);
+            }
+            if mark != self.mark {
+                self.mark = mark;
+                let due = shown_at.saturating_duration_since(self.began) + least;
+                self.pause(due).await?;
+                let (_, frame) = self.draw(0, None).await?;
+                self.shown += 1;
+                return Ok(frame);
+            }
+            tokio::select! {
+                biased;
+                _ = self.draining.wait_for(|draining| *draining) => return Err(End::Over),
+                _ = self.changes.changed() => {}
+                () = tokio::time::sleep_until((shown_at + REPEAT).into()) => {
+                    if let Some(last) = &self.last {
+                        return Ok(last.clone());
+                    }
+                }
+            }
+        }
+    }
+
+    /// Draws a tick, or a later one if that becomes due while the request waits at the engine.
+    async fn draw(
+        &mut self,
+        mut tick: u64,
+        timeline: Option<Timeline>,
+    ) -> Result<(u64, Arc<EncodedFrame>), End> {
+        let mut ticket = self.ask(tick).await?;
+        let mut late_at = Instant::now() + self.app.settings.frame_timeout;
+        loop {
+            let next = timeline.map(|timeline| timeline.next(tick, self.began.elapsed()));
+            if let Some(Next::Draw(newer)) = next
+                && let Some(newer_ticket) = self
+                    .seat
+                    .replace_as(self.name_of(newer), self.wanted(newer))
+                    .map_err(End::Failed)?
+            {
+                (ticket, tick) = (newer_ticket, newer);
+            }
+            let due = match next {
+                Some(Next::WaitUntil(due)) => self.began.checked_add(due),
+                // It is being drawn already, and the newer one comes after it.
+                _ => None,
+            };
+            let wake_at = due.map_or(late_at, |due| due.min(late_at));
+            let reply = tokio::select! {
+                biased;
+                _ = self.draining.wait_for(|draining| *draining) => return Err(End::Over),
+                reply = &mut ticket => Some(reply),
+                () = tokio::time::sleep_until(wake_at.into()) => None,
+            };
+            match reply {
+                Some(Ok(frame)) => return Ok((tick, frame)),
+                Some(Err(error)) => {
+                    self.recover(error).await?;
+                    ticket = self.ask(tick).await?;
+                }
+                None if Instant::now() >= late_at => {
+                    // Dropping a ticket cancels what waits.
+                    ticket = self.ask(tick).await?;
+                    late_at = Instant::now() + self.app.settings.frame_timeout;
+                }
+                None => {}
+            }
+        }
+    }
+
+    /// Queues a tick's request; waits for a place in the queue, and for what has to be baked.
+    async fn ask(&mut self, tick: u64) -> Result<FrameTicket, End> {
+        loop {
+            let request = self.wanted(tick);
+            match self.app.engine.begin_bake(&request) {
+                Ok(None) => {}
+                Ok(Some(ticket)) => tokio::select! {
+                    _ = self.draining.wait_for(|draining| *draining) => return Err(End::Over),
+                    baked = ticket => baked.map_err(End::Failed)?,
+                },
+                Err(error) => {
+                    self.recover(error).await?;
+                    continue;
+                }
+            }
+            match self.seat.ask_as(self.name_of(tick), request) {
+                Ok(ticket) => return Ok(ticket),
+                Err(error) => self.recover(error).await?,
+            }
+        }
+    }
+
+    /// Waits where waiting helps.
+    async fn recover(&mut self, error: EngineError) -> Result<(), End> {
+        const LEAST_PAUSE: Duration = Duration::from_millis(5);
+        match error {
+            EngineError::Busy { retry_after } | EngineError::DeviceLost { retry_after } => {
+                let pause = retry_after.clamp(LEAST_PAUSE, Duration::from_secs(1));
+                self.pause(self.began.elapsed() + pause).await
+            }
+            EngineError::UnknownScene { .. } | EngineError::ShuttingDown => Err(End::Over),
+            error => Err(End::Failed(error)),
+        }
+    }
+}

@@ -1,0 +1,192 @@
+//! The viewer: one page and the files that it names, all in the binary.
+//!
+//! Everything is revalidated by its hash, so that a newer daemon never runs with an older page's scripts. Nothing but these files and
+//! this server's answers is let into the page ([`POLICY`]). A debug build with `POINTILLIST_VIEWER=src/viewer` reads the files from
+//! that folder instead.
+
+use std::borrow::Cow;
+use std::fmt::Write;
+
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use sha2::{Digest, Sha256};
+
+use super::problem::{Kind, Problem, nearest};
+use super::{Segments, conditional};
+
+const HTML: &str = "text/html; charset=utf-8";
+const CSS: &str = "text/css; charset=utf-8";
+const JS: &str = "text/javascript; charset=utf-8";
+
+/// What the page may load and run, and from where.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' blob: data:; \
+                      base-uri 'none'; form-action 'none'; frame-ancestors 'self'";
+
+struct File {
+    name: &'static str,
+    text: &'static str,
+}
+
+macro_rules! files {
+    ($($name:literal),* $(,)?) => {
+        [$(File { name: $name, text: include_str!(concat!("../viewer/", $name)) }),*]
+    };
+}
+
+/// The page first.
+static FILES: [File; 18] = files![
+    "index.html",
+    "style.css",
+    "api.js",
+    "app.js",
+    "chart.js",
+    "controls.js",
+    "film.js",
+    "link.js",
+    "message.js",
+    "path.js",
+    "player.js",
+    "pose.js",
+    "receipt.js",
+    "recorder.js",
+    "requests.js",
+    "scenes.js",
+    "settings.js",
+    "upload.js",
+];
+
+/// The viewer page.
+#[utoipa::path(
+    get,
+    path = "/",
+    tag = "service",
+    responses(
+        (status = 200, description = "The viewer", body = String, content_type = "text/html"),
+        (status = 304, description = "The client has this version already"),
+    ),
+)]
+pub async fn page(headers: HeaderMap) -> Result<Response, Problem> {
+    answer(&FILES[0], &headers)
+}
+
+/// A file of the viewer page.
+#[utoipa::path(
+    get,
+    path = "/viewer/{file}",
+    tag = "service",
+    params(("file" = String, Path, description = "A script or style sheet that the page names")),
+    responses(
+        (status = 200, description = "The file", content(
+            (String = "text/html"), (String = "text/css"), (String = "text/javascript"),
+        )),
+        (status = 304, description = "The client has this version already"),
+    ),
+)]
+pub async fn file(
+    Segments(name): Segments<String>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    match FILES.iter().find(|file| file.name == name) {
+        Some(file) => answer(file, &headers),
+        None => {
+            let shown: String = name.chars().take(64).collect();
+            let problem = Problem::new(
+                Kind::UnknownRoute,
+                format!("the viewer has no file `{}`", shown.escape_debug()),
+            );
+            Err(match nearest(&shown, FILES.iter().map(|file| file.name)) {
+                Some(meant) => problem.accepted(format!("/viewer/{meant}")),
+                None => problem.accepted("the files that the page at / names"),
+            })
+        }
+    }
+}
+
+impl File {
+    fn media_type(&self) -> &'static str {
+        match self.name.rsplit_once('.') {
+            Some((_, "css")) => CSS,
+            Some((_, "js")) => JS,
+            _ => HTML,
+        }
+    }
+
+    fn text(&self) -> Cow<'static, str> {
+        #[cfg(debug_assertions)]
+        if let Some(folder) = std::env::var_os("POINTILLIST_VIEWER")
+            && let Ok(text) = std::fs::read_to_string(std::path::Path::new(&folder).join(self.name))
+        {
+            return Cow::Owned(text);
+        }
+        Cow::Borrowed(self.text)
+    }
+}
+
+fn answer(file: &File, headers: &HeaderMap) -> Result<Response, Problem> {
+    const NO_CACHE: HeaderValue = HeaderValue::from_static("no-cache");
+    let text = file.text();
+    let etag = entity_tag(&text);
+    let tag = HeaderValue::from_str(&etag).map_err(Problem::internal)?;
+    let validators = [(header::ETAG, tag), (header::CACHE_CONTROL, NO_CACHE)];
+    if conditional::none_match_hits(headers, &etag) {
+        return Ok((StatusCode::NOT_MODIFIED, validators).into_response());
+    }
+    let facts: [(HeaderName, HeaderValue); 4] = [
+        (header::CONTENT_TYPE, HeaderValue::from_static(file.media_type())),
+        (header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY)),
+        (header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff")),
+        (header::REFERRER_POLICY, HeaderValue::from_static("no-referrer")),
+    ];
+    Ok((validators, facts, text.into_owned()).into_response())
+}
+
+fn entity_tag(text: &str) -> String {
+    let digest: [u8; 32] = Sha256::digest(text.as_bytes()).into();
+    let mut tag = String::from("\"");
+    for byte in &digest[..12] {
+        // Writing to a string cannot fail.
+        let _ = write!(tag, "{byte:02x}");
+    }
+    tag.push('"');
+    tag
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    /// Files that a text names, as `./name.js` in scripts or `/viewer/name.css` in the page.
+    fn named(text: &str) -> BTreeSet<&str> {
+        text.split(['"', '\''])
+            .filter_map(|word| word.strip_prefix("./").or_else(|| word.strip_prefix("/viewer/")))
+            .collect()
+    }
+
+    #[test]
+    fn every_file_that_is_named_is_served_and_the_other_way_round() {
+        let known: BTreeSet<&str> = FILES.iter().map(|file| file.name).collect();
+        let mut all: BTreeSet<&str> = FILES.iter().flat_map(|file| named(file.text)).collect();
+        assert!(all.insert("index.html"));
+        assert_eq!(known, all);
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/src/viewer");
+        let there = std::fs::read_dir(folder).unwrap().count();
+        assert_eq!(there, FILES.len(), "files in {folder}");
+        assert_eq!(FILES[0].name, "index.html");
+    }
+
+    #[test]
+    fn the_page_has_nothing_that_its_policy_forbids() {
+        for file in &FILES {
+            assert!(!file.text.contains("style=\""), "{}", file.name);
+            assert!(!file.text.contains("://cdn"), "{}", file.name);
+            assert!(file.text.lines().count() < 600, "{} has grown too long", file.name);
+        }
+        let page = FILES[0].text;
+        assert!(!page.contains("onclick=") && !page.contains("<style"), "inline code or style");
+        for script in page.split("<script").skip(1) {
+            assert!(script.contains("src=\"/viewer/"), "an inline script");
+        }
+    }
+}

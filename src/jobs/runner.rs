@@ -1,0 +1,419 @@
+//! Works on jobs: each thread takes a phase of one at a time, whichever is next by the book.
+//!
+//! | phase | what | stops |
+//! |---|---|---|
+//! | baking | waits for the engine's bake ([`crate::engine::bakes`]) with all others who do | at its next step, if nobody else waits |
+//! | drawing | `film`: many frames of a job are with the engine at once; jobs share the device as clients of it | after the frame at hand |
+//! | coding | the video of the frames that are there | after the frame at hand |
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use glam::DVec3;
+
+use super::book::{Failure, FailureKind, JobId, Made, Need, Outcome, Phase, Record, Video};
+use super::live::{Live, Stage, Stop};
+use super::shared::Shared;
+use super::spec::{PathChoice, Spec};
+use super::store::Place;
+use super::{JobError, now_ms};
+use crate::engine::{Client, Engine, EngineError, Origin, RequestId};
+use crate::film::shots::Shots;
+use crate::film::video::{self, Coder, Reel, VideoError};
+use crate::film::{self, Event, Film, FilmError, Record as FrameRecord};
+use crate::scene::{CameraPath, parse_path};
+
+/// How often a runner with nothing to do looks whether a scene has come that a job waits for.
+const LOOK_EVERY: Duration = Duration::from_millis(250);
+
+/// What a job lacks.
+pub(super) fn need(engine: &Engine) -> impl Fn(&Spec) -> Need + '_ {
+    |spec| {
+        if engine.scene_mark(&spec.scene).is_none() {
+            return Need::Missing(not_loaded(&spec.scene));
+        }
+        if engine.must_bake(&spec.request()) { Need::Bake } else { Need::Nothing }
+    }
+}
+
+fn not_loaded(scene: &str) -> String {
+    format!("scene `{scene}` is not loaded")
+}
+
+/// A runner's thread: until the daemon stops.
+pub(super) fn run(shared: &Shared) {
+    while let Some((record, phase, live)) = next(shared) {
+        let id = record.id;
+        let made = record.made.clone();
+        let mut run =
+            Run { shared, live: &live, place: shared.store.place(id), record, made, drawn: 0 };
+        let request_id = run.record.request_id.as_deref();
+        tracing::info!(job = id, request_id, scene = run.record.spec.scene, ?phase, "job goes on");
+        let outcome = catch_unwind(AssertUnwindSafe(|| run.run(phase))).unwrap_or_else(|_| {
+            let detail = "working on it failed; the log says how";
+            Outcome::Failed(failure(FailureKind::Internal, detail))
+        });
+        tracing::info!(job = id, ?phase, drawn = run.drawn, ?outcome, "job rests");
+        let (made, drawn) = (run.made, run.drawn);
+        let_go(shared, id, &live, outcome, made, drawn);
+    }
+}
+
+/// Waits for a job whose turn it is; `None` when the daemon stops.
+fn next(shared: &Shared) -> Option<(Record, Phase, Arc<Live>)> {
+    let mut book = shared.book.lock();
+    loop {
+        if shared.stopping.load(Ordering::Relaxed) {
+            return None;
+        }
+        let Some((id, phase)) = book.next(now_ms(), need(&shared.engine)) else {
+            shared.wake.wait_for(&mut book, LOOK_EVERY);
+            continue;
+        };
+        let live = shared.live(id).ok()?;
+        // Within the lock: who stops it from here on stops this run.
+        live.rearm();
+        if shared.stopping.load(Ordering::Relaxed) {
+            live.stop(Stop::Paused);
+        }
+        // Not written: whether it was queued or running when a process ended is the same to the next one.
+        let record = book.get(id).ok()?.clone();
+        live.changed();
+        return Some((record, phase, live));
+    }
+}
+
+/// Notes how a run ended, and lets others have the job.
+fn let_go(shared: &Shared, id: JobId, live: &Live, outcome: Outcome, made: Made, drawn: u64) {
+    *live.drawing.write() = None;
+    shared.recount(id, live);
+    let is_known = {
+        let mut book = shared.book.lock();
+        live.progress.lock().stage = Stage::None;
+        let is_known = book.left(id, outcome, made, drawn, now_ms());
+        // Within the lock: nobody sees the new state with the old version.
+        live.changed();
+        is_known
+    };
+    if is_known && shared.keep(id).is_ok() && shared.drop_unwanted(id) {
+        shared.recount(id, live);
+        live.changed();
+    }
+    shared.release(id, live.bytes());
+    shared.wake.notify_all();
+}
+
+fn failure(kind: FailureKind, detail: impl Into<String>) -> Failure {
+    Failure { kind, detail: detail.into() }
+}
+
+/// The path of a job as its scene has it now.
+///
+/// # Errors
+/// A scene that is not there, a name that it does not have, a text that is no path.
+pub fn find_path(
+    engine: &Engine,
+    scene: &str,
+    choice: &PathChoice,
+) -> Result<CameraPath, EngineError> {
+    match choice {
+        PathChoice::Named(name) => engine.camera_path(scene, name),
+        PathChoice::Inline(text) => {
+            let up = DVec3::from_array(engine.scene(scene)?.up);
+            parse_path(text, "path", up).map_err(|error| EngineError::Scene(Arc::new(error)))
+        }
+    }
+}
+
+/// The shots of a job.
+///
+/// # Errors
+/// As [`find_path`], or a range that the path does not have.
+pub fn find_shots(engine: &Engine, spec: &Spec) -> Result<Shots, FilmError> {
+    let path = find_path(engine, &spec.scene, &spec.path)?;
+    Shots::new(&path, spec.fps, spec.from, spec.to)
+}
+
+/// One run of a job.
+struct Run<'a> {
+    shared: &'a Shared,
+    live: &'a Live,
+    place: Place,
+    record: Record,
+    made: Made,
+    drawn: u64,
+}
+
+impl Run<'_> {
+    fn run(&mut self, phase: Phase) -> Outcome {
+        let worked = match phase {
+            Phase::Baking => self.bake(),
+            Phase::Drawing => self.draw(),
+            Phase::Coding => self.code(),
+        };
+        worked.unwrap_or_else(|outcome| outcome)
+    }
+
+    fn bake(&mut self) -> Result<Outcome, Outcome> {
+        let live = self.live;
+        let request = self.record.spec.request();
+        let ticket = self.shared.engine.begin_bake(&request);
+        let ticket = ticket.map_err(|error| self.film_failed(error.into()))?;
+        let Some(mut ticket) = ticket else { return Ok(Outcome::Next(Phase::Drawing)) };
+        live.progress.lock().begin(Stage::Baking, Instant::now());
+        let mut told = -1.0;
+        let baked = ticket.wait_while(|done| {
+            if done != told {
+                told = done;
+                live.progress.lock().baked = done;
+                live.changed();
+            }
+            !live.stop.load(Ordering::Relaxed)
+        });
+        match baked {
+            None => Err(self.stopped()),
+            Some(Err(error)) => Err(self.film_failed(error.into())),
+            Some(Ok(())) => Ok(Outcome::Next(Phase::Drawing)),
+        }
+    }
+
+    /// Draws what is missing.
+    fn draw(&mut self) -> Result<Outcome, Outcome> {
+        self.shared.manifests.lock().retain(|known| known.0 != self.record.id);
+        let before = std::mem::take(&mut self.made);
+        if self.is_whole_video(&before) {
+            self.made = before;
+            return Ok(Outcome::Done);
+        }
+        let reel = self.film()?;
+        let manifest = self.place.manifest();
+        let text = std::fs::read(&manifest).map_err(|error| self.storage(&manifest, &error))?;
+        self.made.manifest_sha256 = Some(film::manifest::checksum(&text));
+        if !self.record.spec.want.video {
+            return Ok(Outcome::Done);
+        }
+        // Of the same frames the same video: it may be there.
+        if self.made.manifest_sha256 == before.manifest_sha256 && self.has_video(&before) {
+            self.made.video = before.video;
+            return Ok(Outcome::Done);
+        }
+        *self.live.reel.lock() = Some(reel);
+        Ok(Outcome::Next(Phase::Coding))
+    }
+
+    /// Whether a job of which only the video is wanted was done, and is as it was.
+    fn is_whole_video(&self, made: &Made) -> bool {
+        !self.record.spec.want.frames && self.has_video(made)
+    }
+
+    /// Whether the video is there as an earlier run has made it.
+    fn has_video(&self, made: &Made) -> bool {
+        made.video.as_ref().is_some_and(|video| {
+            let found = File::open(self.place.video()).and_then(film::manifest::digest);
+            found.is_ok_and(|found| found == (video.bytes, video.sha256.clone()))
+        })
+    }
+
+    /// Draws what is missing; what a video of it would be.
+    fn film(&mut self) -> Result<Reel, Outcome> {
+        let (shared, live) = (self.shared, self.live);
+        let spec = &self.record.spec;
+        self.place
+            .prepare(&self.record)
+            .map_err(|error| self.storage(&self.place.frames(), &error))?;
+        let request = spec.request();
+        let shots = find_shots(&shared.engine, spec).map_err(|error| self.film_failed(error))?;
+        let reel = Reel::new(&request, &shots, spec.want.bitrate_kbps);
+        (self.made.total, self.made.fps) = (Some(reel.frames), Some(reel.fps));
+        shared.check_quota().map_err(|error| full(&error))?;
+        if shared.engine.must_bake(&request) {
+            // The scene was edited since it was baked.
+            return Err(Outcome::Next(Phase::Baking));
+        }
+
+        // Of files that will be replaced, what they take is given back when they are.
+        let mut sizes: HashMap<String, u64> = self.place.sizes().into_iter().collect();
+        let folder = self.place.frames();
+        let most_pixels = film::MOST_PIXELS / shared.config.limits.slots.drawing.max(1) as u64;
+        let origin = self.origin();
+        let film =
+            Film { engine: &shared.engine, request, shots, folder: &folder, origin, most_pixels };
+        let mut drawn = 0;
+        let report = film::run(&film, &live.stop, |event| match event {
+            Event::Surveyed { kept, to_draw, records } => {
+                let mut progress = live.progress.lock();
+                (progress.done, progress.total, progress.drawn) = (kept, Some(kept + to_draw), 0);
+                progress.coded = 0;
+                progress.begin(Stage::Frames, Instant::now());
+                drop(progress);
+                let wanted = film.shots.wanted();
+                let there = records.range(wanted).map(|(number, record)| (*number, record.clone()));
+                *live.drawing.write() = Some(there.collect());
+                live.changed();
+            }
+            Event::Drawn { record, .. } => {
+                drawn += 1;
+                let before = sizes.insert(record.file.clone(), record.bytes).unwrap_or(0);
+                self.frame_drawn(record, before, drawn);
+            }
+        });
+        self.drawn = drawn;
+        self.made.done = live.progress.lock().done;
+        let report = report.map_err(|error| self.film_failed(error))?;
+        if report.missing > 0 {
+            return Err(self.stopped());
+        }
+        Ok(reel)
+    }
+
+    /// Frames of job 7 are named `job-7/0` and so on, wherever they go.
+    fn origin(&self) -> Origin {
+        let id = self.record.id;
+        let name = RequestId::parse(&format!("job-{id}")).unwrap_or_else(RequestId::fresh);
+        Origin { client: Client::Job(id), request_id: name }
+    }
+
+    /// Notes a frame that has come instead of a file of `before` bytes.
+    fn frame_drawn(&self, record: &FrameRecord, before: u64, drawn: u64) {
+        let (shared, live) = (self.shared, self.live);
+        shared.drawn.fetch_add(1, Ordering::Relaxed);
+        let used = shared.grow(live, record.bytes, before);
+        if let Some(frames) = &mut *live.drawing.write() {
+            frames.insert(record.frame, record.clone());
+        }
+        let mut progress = live.progress.lock();
+        (progress.done, progress.drawn) = (progress.done + 1, drawn);
+        progress.step(Instant::now());
+        drop(progress);
+        live.changed();
+        if used > shared.config.most_bytes {
+            live.stop(Stop::Full);
+        }
+    }
+
+    /// Makes the video.
+    fn code(&mut self) -> Result<Outcome, Outcome> {
+        let (shared, live) = (self.shared, self.live);
+        let Some(reel) = live.reel.lock().take() else {
+            return Ok(Outcome::Next(Phase::Drawing));
+        };
+        let (used, limit) = (shared.used.load(Ordering::Relaxed), shared.config.most_bytes);
+        let expected = reel.expected_bytes();
+        if used.saturating_add(expected) > limit {
+            let detail = format!(
+                "jobs take {used} bytes on the disk, of {limit} that they may, and the video about {expected} more"
+            );
+            return Err(Outcome::Failed(failure(FailureKind::DiskQuota, detail)));
+        }
+        let file = self.place.video();
+        let before = std::fs::metadata(&file).map_or(0, |found| found.len());
+        live.progress.lock().begin(Stage::Video, Instant::now());
+        let frames = shared.frames(self.record.id).map_err(|error| match error {
+            JobError::Io { file, error } => self.storage(&file, &error),
+            other => {
+                Outcome::Failed(failure(FailureKind::Storage, self.outward(&other.to_string())))
+            }
+        })?;
+        let first = self.record.spec.from.unwrap_or(0);
+        let frames = frames.range(first..first + reel.frames).map(|(_, record)| record);
+        let coder = Coder::find().map_err(|error| self.video_failed(error))?;
+        let folder = self.place.frames();
+        let coded = video::encode(&coder, &reel, &folder, frames, &file, &live.stop, |coded| {
+            let mut progress = live.progress.lock();
+            progress.coded = coded;
+            progress.step(Instant::now());
+            drop(progress);
+            live.changed();
+        });
+        coded.map_err(|error| self.video_failed(error))?;
+        let digest = File::open(&file).and_then(film::manifest::digest);
+        let (bytes, sha256) = digest.map_err(|error| self.storage(&file, &error))?;
+        shared.grow(live, bytes, before);
+        self.made.video = Some(Video { bytes, sha256 });
+        Ok(Outcome::Done)
+    }
+
+    /// What a run that was told to stop has come to.
+    fn stopped(&self) -> Outcome {
+        match self.live.why() {
+            Some(Stop::Full) => {
+                let (used, limit) =
+                    (self.shared.used.load(Ordering::Relaxed), self.shared.config.most_bytes);
+                full(&JobError::Full { used, limit })
+            }
+            // Where it was cancelled, its state says so already.
+            Some(Stop::Cancelled | Stop::Paused) | None => Outcome::Paused,
+        }
+    }
+
+    fn film_failed(&self, error: FilmError) -> Outcome {
+        let kind = match &error {
+            FilmError::Engine(inner) | FilmError::Frame { error: inner, .. } => match inner {
+                EngineError::UnknownScene { id } => return Outcome::Waits(not_loaded(id)),
+                EngineError::ShuttingDown => return Outcome::Paused,
+                EngineError::BadParameter { .. }
+                | EngineError::OverLimit { .. }
+                | EngineError::OutOfGpuMemory { .. }
+                | EngineError::OverBinding { .. }
+                | EngineError::Asset(_)
+                | EngineError::Scene(_) => FailureKind::Refused,
+                _ => FailureKind::Engine,
+            },
+            FilmError::Path(_) | FilmError::BadRange { .. } => FailureKind::Refused,
+            FilmError::SceneChanged { .. } => {
+                let detail =
+                    format!("{error}; resume the job to draw all of it as the scene is then");
+                return Outcome::Failed(failure(FailureKind::SceneChanged, detail));
+            }
+            FilmError::Io { file, error } => return self.storage(file, error),
+            FilmError::Foreign { .. } | FilmError::Locked { .. } => FailureKind::Storage,
+        };
+        Outcome::Failed(failure(kind, self.outward(&error.to_string())))
+    }
+
+    fn video_failed(&self, error: VideoError) -> Outcome {
+        match error {
+            VideoError::Stopped => self.stopped(),
+            VideoError::Io { file, error } => self.storage(&file, &error),
+            error => Outcome::Failed(failure(FailureKind::Video, self.outward(&error.to_string()))),
+        }
+    }
+
+    fn storage(&self, file: &Path, error: &io::Error) -> Outcome {
+        let detail = self.outward(&format!("{}: {error}", file.display()));
+        tracing::error!(job = self.record.id, file = %file.display(), %error, "a job's file cannot be used");
+        Outcome::Failed(failure(FailureKind::Storage, detail))
+    }
+
+    /// Without the name of the folder, which is nobody's business.
+    fn outward(&self, text: &str) -> String {
+        let prefix =
+            format!("{}{}", self.shared.store.folder().display(), std::path::MAIN_SEPARATOR);
+        text.replace(&prefix, "")
+    }
+}
+
+fn full(error: &JobError) -> Outcome {
+    let detail = format!("{error}; remove jobs or raise --job-disk-mib, and resume this one");
+    Outcome::Failed(failure(FailureKind::DiskQuota, detail))
+}
+
+impl Shared {
+    /// Notes that a job has written a file of so many bytes, instead of one of `before` bytes; what all jobs take then.
+    fn grow(&self, live: &Live, bytes: u64, before: u64) -> u64 {
+        live.bytes.fetch_add(bytes, Ordering::Relaxed);
+        live.bytes.fetch_sub(before, Ordering::Relaxed);
+        self.used.fetch_add(bytes, Ordering::Relaxed) + bytes - self.used_less(before)
+    }
+
+    fn used_less(&self, before: u64) -> u64 {
+        self.used.fetch_sub(before, Ordering::Relaxed);
+        before
+    }
+}

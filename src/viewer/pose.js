@@ -1,0 +1,84 @@
+// Poses and how they move. Nothing here knows the page: a pose goes in, a new one comes out.
+// A pose is {eye, target, up, fov}: three arrays of three numbers, and degrees.
+
+export const add = (a, b) => a.map((v, i) => v + b[i]);
+export const sub = (a, b) => a.map((v, i) => v - b[i]);
+export const mul = (a, s) => a.map(v => v * s);
+export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+export const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+export const norm = a => Math.hypot(...a);
+export const unit = a => mul(a, 1 / norm(a));
+
+// Rodrigues' formula; the axis has unit length.
+const turn = (v, axis, angle) => {
+  const c = Math.cos(angle), s = Math.sin(angle);
+  return add(add(mul(v, c), mul(cross(axis, v), s)), mul(axis, dot(axis, v) * (1 - c)));
+};
+
+// How near to straight up or down a turn may come, in radians.
+const POLE = 0.01;
+
+const anyAcross = v => unit(cross(v, Math.abs(v[0]) < 0.7 * norm(v) ? [1, 0, 0] : [0, 1, 0]));
+
+// Right, up and forward of the view, all of unit length.
+export function axes(pose) {
+  const forward = unit(sub(pose.target, pose.eye)), side = cross(forward, unit(pose.up));
+  const right = norm(side) > 1e-6 ? unit(side) : anyAcross(forward);
+  return { right, up: cross(right, forward), forward };
+}
+
+// An angle that leads from `from` by `by`, and stays away from both poles.
+const pitched = (from, by) => Math.max(POLE, Math.min(Math.PI - POLE, from + by)) - from;
+const angleFromUp = (v, up) => Math.acos(Math.max(-1, Math.min(1, dot(unit(v), up))));
+
+// Around the target, angles in radians.
+export function orbit(pose, yaw, pitch) {
+  const offset = sub(pose.eye, pose.target), up = unit(pose.up), { right } = axes(pose);
+  const lifted = turn(offset, right, pitched(angleFromUp(offset, up), pitch));
+  return { ...pose, eye: add(pose.target, turn(lifted, up, yaw)) };
+}
+
+// Around the eye.
+export function look(pose, yaw, pitch) {
+  const ahead = sub(pose.target, pose.eye), up = unit(pose.up), { right } = axes(pose);
+  const lifted = turn(ahead, right, -pitched(angleFromUp(ahead, up), -pitch));
+  return { ...pose, target: add(pose.eye, turn(lifted, up, yaw)) };
+}
+
+// Fractions of the view's height.
+export function pan(pose, dx, dy) {
+  const { right, up } = axes(pose);
+  const height = 2 * norm(sub(pose.eye, pose.target)) * Math.tan(pose.fov * Math.PI / 360);
+  return shifted(pose, add(mul(right, -dx * height), mul(up, dy * height)));
+}
+
+// Multiplies the distance to the target, within what a scene of this extent can be seen from.
+export function dolly(pose, factor, extent) {
+  const offset = sub(pose.eye, pose.target), distance = norm(offset);
+  const wanted = Math.max(extent * 1e-5, Math.min(extent * 1e3, distance * factor));
+  return { ...pose, eye: add(pose.target, mul(offset, wanted / distance)) };
+}
+
+// Along the view's own axes: [right, up, forward], in scene units. What is looked at moves along.
+export function fly(pose, [x, y, z]) {
+  const { right, up, forward } = axes(pose);
+  return shifted(pose, add(add(mul(right, x), mul(up, y)), mul(forward, z)));
+}
+
+function shifted(pose, by) {
+  return { ...pose, eye: add(pose.eye, by), target: add(pose.target, by) };
+}
+
+// Of a scene's box; of one without, how far off a pose looks.
+export function extentOf(bounds, pose) {
+  const size = bounds ? norm(sub(bounds[1], bounds[0])) : 0;
+  return size || (pose ? norm(sub(pose.eye, pose.target)) : 1);
+}
+
+// A pose from the parameters of an address, or null.
+export function poseFrom(params) {
+  const triple = name => (params.get(name) || '').split(',').map(Number);
+  const pose = { eye: triple('eye'), target: triple('target'), up: triple('up'), fov: Number(params.get('fov')) };
+  const isGood = [pose.eye, pose.target, pose.up].every(v => v.length === 3 && v.every(Number.isFinite));
+  return isGood && pose.fov > 0 && pose.fov < 180 && norm(sub(pose.eye, pose.target)) > 0 ? pose : null;
+}

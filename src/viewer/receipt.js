@@ -1,0 +1,105 @@
+// What a frame's receipt says: one line of status, the table of steps, and the facts.
+
+import { $, bytes, count, ms, rows } from './message.js';
+import { addFrame, colorOf, stepsOf } from './chart.js';
+
+// info is a frame's header with `elapsedMs`; full is its size at rest.
+export function report(info, full, poses) {
+  status(info, full);
+  const { receipt } = info;
+  if (!receipt) {
+    $('passes').tBodies[0].replaceChildren();
+    $('legend').hidden = true;
+    return rows($('frame'), [['receipt', 'none came with the frame'], ['size', bytes(info.bytes)]]);
+  }
+  addFrame(receipt, info.quality === 'still');
+  timings(receipt);
+  facts(info, poses);
+}
+
+function status(info, [w, h]) {
+  const isStill = info.quality === 'still', state = document.createElement('b');
+  state.className = info.quality;
+  state.textContent = isStill ? 'still, refined' : 'moving';
+  const format = info.format === 'jpeg' ? `JPEG, quality ${info.jpeg_quality}` : `${(info.format || 'image').toUpperCase()}, lossless`;
+  const reduced = isStill ? '' : `, declared lower quality than the ${w} × ${h} at rest`;
+  const server = info.receipt ? `${ms(info.receipt.total_ns)} ms on the server` : '';
+  const elapsed = info.elapsedMs == null ? '' : `${server ? ', ' : ''}${info.elapsedMs.toFixed(0)} ms from pose to picture`;
+  const revision = info.revision == null ? '' : ` Revision ${info.revision}.`;
+  // Only what stays is read out.
+  $('status').setAttribute('aria-live', isStill ? 'polite' : 'off');
+  $('status').replaceChildren(state, `: ${info.width} × ${info.height} ${format}${reduced}. ${server}${elapsed}.${revision}`);
+}
+
+function facts(info, poses) {
+  const { receipt } = info, { samples, splats, triangles, instances } = receipt;
+  const rounded = v => v.map(x => Number(x.toPrecision(6))).join(', ');
+  rows($('frame'), [
+    ['adapter', receipt.adapter], ['scene', `${receipt.scene}, revision ${receipt.revision}`],
+    ['size', bytes(info.bytes)],
+    ...(info.overtaken != null ? [['poses', `${count(poses)} sent, ${count(info.overtaken)} overtaken by newer ones`]] : []),
+    ['in its batch', `${count(receipt.batch_size)}, ${count(receipt.views)} drawn together` + (receipt.coalesced ? ', shared with an identical request' : '')],
+    ['samples', `${count(samples.stored)} stored, ${count(samples.tested)} tested, ${count(samples.drawn)} drawn`],
+    ...(receipt.settings.filter ? [['drawn as', splatsInWords(receipt.settings)]] : []),
+    ...(receipt.settings.instead_because ? [['instead', receipt.settings.instead_because]] : []),
+    ['triangles', `${count(triangles.stored)} stored, ${count(triangles.tested)} tested, ${count(triangles.rasterised)} rasterised`],
+    ['instances', `${count(instances.stored)} stored, ${count(instances.drawn)} drawn`],
+    ...(splats.clipped || splats.rasterised || splats.scattered ? [['splats', `${count(splats.scattered)} scattered, ${count(splats.rasterised)} rasterised, ${count(splats.clipped)} clipped`]] : []),
+    ...(receipt.holes_filled ? [['holes filled', count(receipt.holes_filled)]] : []),
+    ...(receipt.estimated_error_px != null ? [['error', `${receipt.estimated_error_px.toFixed(2)} px`]] : []),
+    ['on the GPU', bytes(receipt.gpu_bytes)],
+    ['eye', rounded(receipt.camera.eye)], ['target', rounded(receipt.camera.target)],
+  ]);
+}
+
+const splatsInWords = s => `splats: ${s.filter} filter, prefilter ${s.prefilter ? 'on' : 'off'}, ${s.blend}, `
+  + (s.blend === 'opaque' ? 'lit at each pixel' : s.shading === 'splat' ? 'each lit alone' : 'lit at each pixel');
+
+function timings(receipt) {
+  const steps = stepsOf(receipt), total = receipt.total_ns || 1;
+  const last = document.createElement('tr'), head = document.createElement('th'), cell = document.createElement('td');
+  last.className = 'total';
+  head.scope = 'row';
+  head.textContent = 'total';
+  cell.className = 'ms';
+  cell.textContent = ms(receipt.total_ns);
+  last.append(head, cell);
+  $('passes').tHead.hidden = false;
+  $('passes').tBodies[0].replaceChildren(...steps.map(step => row(step, total)), last);
+  const known = steps.reduce((sum, [, ns]) => sum + (ns || 0), 0);
+  $('legend').hidden = false;
+  $('explained').textContent = `The steps explain ${Math.min(100, 100 * known / total).toFixed(0)} % of the total.`;
+}
+
+function row([name, ns, isHost, pass], total) {
+  const line = document.createElement('tr'), head = document.createElement('th'), cell = document.createElement('td');
+  head.scope = 'row';
+  cell.className = 'ms';
+  if (pass) line.dataset.pass = name;
+  line.dataset.step = name;
+  if (pass && !pass.ran) {
+    line.className = 'skipped';
+    const why = document.createElement('small');
+    why.textContent = pass.why || 'no reason given';
+    head.append(name, why);
+    cell.textContent = 'skipped';
+  } else {
+    const swatch = document.createElement('span');
+    swatch.className = 'swatch';
+    swatch.style.backgroundColor = colorOf(name, isHost);
+    head.append(swatch, name);
+    if (isHost) line.className = 'host';
+    if (ns != null) head.append(meter(name, ns, isHost, total));
+    cell.textContent = ms(ns);
+  }
+  line.append(head, cell);
+  return line;
+}
+
+function meter(name, ns, isHost, total) {
+  const bar = document.createElement('span');
+  bar.className = 'meter';
+  bar.style.backgroundColor = colorOf(name, isHost);
+  bar.style.width = Math.min(100, 100 * ns / total) + '%';
+  return bar;
+}

@@ -1,0 +1,253 @@
+// The camera path's panel: keys from the poses that are seen, their times and eases, playing, saving and loading.
+
+import { getJson, hasKey, sceneUrl } from './api.js';
+import { motionUrl } from './film.js';
+import { $, complain, option } from './message.js';
+import { DEFAULT_FOV, DEFAULT_FPS, EASES, defaultEase, documentOf, durationOf, faultOf, startOf } from './path.js';
+import { Player } from './player.js';
+
+const EASE_WORDS = { smooth: 'smooth', linear: 'even', in: 'from rest', out: 'to rest', in_out: 'rest to rest', hold: 'cut' };
+const KEY_SECONDS = 2;
+
+const rounded = seconds => Math.round(seconds * 1000) / 1000;
+const empty = () => ({ fps: DEFAULT_FPS, interpolation: 'catmull_rom', ease: 'smooth', keys: [] });
+
+export class Recorder {
+  // view: {scene(), pose(), show(pose, moving), settings()}. `onShow` is called when the path has changed.
+  constructor(view) {
+    this.view = view;
+    this.path = empty();
+    this.name = null; // of the scene's path that this is, unchanged
+    this.onShow = () => {};
+    this.player = new Player(() => this.path, {
+      pose: (pose, moving) => view.show(pose, moving),
+      changed: () => this.showTime(),
+    });
+    $('ease').replaceChildren(...EASES.map(ease => option(ease, EASE_WORDS[ease])));
+    $('key-add').addEventListener('click', () => this.add());
+    $('play').addEventListener('click', () => this.toggle());
+    $('stop').addEventListener('click', () => { this.player.pause(); this.player.seek(0, false); });
+    $('loop').addEventListener('change', () => { this.player.loops = $('loop').checked; });
+    $('time').addEventListener('input', () => this.player.seek(Number($('time').value), true));
+    $('time').addEventListener('change', () => this.player.seek(Number($('time').value), false));
+    $('duration').addEventListener('change', () => this.stretch());
+    $('ease').addEventListener('change', () => this.change(path => { path.ease = $('ease').value; }));
+    $('interpolation').addEventListener('change', () => this.changeCurve());
+    $('fps').addEventListener('change', () => this.change(path => { path.fps = Math.max(1, Math.min(120, Number($('fps').value) || DEFAULT_FPS)); }));
+    $('path-save').addEventListener('click', () => this.save());
+    $('path-load').addEventListener('click', () => $('path-file').click());
+    $('path-file').addEventListener('change', () => this.loadFiles());
+    $('path-clear').addEventListener('click', () => this.set(empty()));
+    $('named').addEventListener('change', () => this.loadNamed($('named').value));
+    this.show();
+  }
+
+  // The paths that a scene has by itself.
+  ofScene(scene) {
+    this.player.pause(false);
+    $('named-label').hidden = scene.paths.length === 0;
+    $('named').replaceChildren(option('', 'choose …'), ...scene.paths.map(name => option(name, name)));
+    // Poses of another scene lead nowhere here, unless it is the same one, or was empty.
+    if (this.sceneId !== scene.id && this.path.keys.length > 0) this.set(empty());
+    this.sceneId = scene.id;
+  }
+
+  // --- changes -----------------------------------------------------------------------------------
+  set(path, name = null) {
+    this.player.pause(false);
+    this.player.at = 0;
+    this.path = path;
+    this.name = name;
+    this.show();
+  }
+
+  change(how) {
+    how(this.path);
+    this.name = null;
+    this.player.pause();
+    this.show();
+  }
+
+  add() {
+    const pose = this.view.pose();
+    if (!pose) return;
+    const { eye, target, up, fov } = pose;
+    this.change(path => {
+      const last = path.keys[path.keys.length - 1];
+      path.keys.push({ t: last ? rounded(last.t + KEY_SECONDS) : 0, eye, target, up, fov });
+    });
+    this.player.at = durationOf(this.path);
+    $('paths').open = true;
+    this.show();
+  }
+
+  // Keys are in the order of their times: another time may be another place.
+  retime(index, input) {
+    const t = Number(input.value), key = this.path.keys[index];
+    const isTaken = this.path.keys.some((other, i) => i !== index && other.t === t);
+    input.setAttribute('aria-invalid', String(!Number.isFinite(t) || input.value === '' || isTaken));
+    if (input.getAttribute('aria-invalid') === 'true') {
+      const detail = isTaken ? `Another key is at ${t} s already.` : 'A key needs a time in seconds.';
+      return complain({ title: 'The key stays where it was', detail });
+    }
+    this.change(path => {
+      key.t = t;
+      path.keys.sort((a, b) => a.t - b.t);
+    });
+    this.focusOn(this.path.keys.indexOf(key), 'input');
+  }
+
+  // What is seen changes places, the times stay.
+  swap(index, other, action) {
+    this.change(({ keys }) => {
+      const [a, b] = [keys[index], keys[other]];
+      [keys[index], keys[other]] = [{ ...b, t: a.t }, { ...a, t: b.t }];
+    });
+    this.focusOn(other, `[data-action="${action}"]`);
+  }
+
+  remove(index) {
+    this.change(path => { path.keys.splice(index, 1); });
+    if (this.path.keys.length === 0) $('key-add').focus();
+    else this.focusOn(Math.min(index, this.path.keys.length - 1), '[data-action="delete"]');
+  }
+
+  stretch() {
+    const wanted = Number($('duration').value), now = durationOf(this.path), start = startOf(this.path);
+    if (!(wanted > 0) || now <= 0) return this.show();
+    this.change(path => { for (const key of path.keys) key.t = rounded(start + (key.t - start) * wanted / now); });
+  }
+
+  changeCurve() {
+    this.change(path => {
+      const wasUsual = path.ease === defaultEase(path.interpolation);
+      path.interpolation = $('interpolation').value;
+      if (wasUsual) path.ease = defaultEase(path.interpolation);
+    });
+  }
+
+  toggle() {
+    if (this.player.isPlaying) this.player.pause(); else this.player.play();
+  }
+
+  // --- files -------------------------------------------------------------------------------------
+  save() {
+    const text = JSON.stringify(documentOf(this.path), null, 2) + '\n';
+    const link = document.createElement('a');
+    link.href = URL.createObjectURL(new Blob([text], { type: 'application/json' }));
+    link.download = `${this.view.scene().id}-path.json`;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  }
+
+  async loadFiles() {
+    const [file] = $('path-file').files;
+    $('path-file').value = '';
+    if (file) this.load(await file.text(), file.name);
+  }
+
+  // Takes the text of a path file; says what is wrong with it otherwise.
+  load(text, name, sceneName = null) {
+    let path = null, fault = null;
+    try { path = JSON.parse(text); } catch (error) { fault = error.message; }
+    fault = fault || faultOf(path);
+    if (fault) return complain({ title: `${name} is no camera path`, detail: fault });
+    const up = this.view.scene() ? this.view.scene().up : [0, 1, 0], interpolation = path.interpolation || 'catmull_rom';
+    const ease = path.ease || defaultEase(interpolation);
+    const keys = path.keys.map(({ ease: own, ...key }) => ({ up, fov: DEFAULT_FOV, ...key, ...(own && own !== ease ? { ease: own } : {}) }));
+    this.set({ fps: path.fps || DEFAULT_FPS, interpolation, ease, keys }, sceneName);
+    $('paths').open = true;
+    this.player.seek(0, false);
+  }
+
+  async loadNamed(name) {
+    if (!name) return;
+    try {
+      const path = await getJson(sceneUrl(this.sceneId, `/paths/${encodeURIComponent(name)}`));
+      if ($('named').value === name) this.load(JSON.stringify(path), name, name);
+    } catch (problem) {
+      complain(problem);
+    }
+  }
+
+  // --- what is seen ------------------------------------------------------------------------------
+  show() {
+    const { path } = this, { keys } = path, duration = durationOf(path), isEmpty = keys.length === 0;
+    this.player.at = Math.min(this.player.at, duration);
+    $('keys').hidden = isEmpty;
+    $('no-keys').hidden = !isEmpty;
+    $('keys').tBodies[0].replaceChildren(...keys.map((key, index) => this.row(key, index)));
+    for (const id of ['path-save', 'path-clear', 'stop']) $(id).disabled = isEmpty;
+    $('play').disabled = $('time').disabled = $('duration').disabled = keys.length < 2;
+    $('time').max = duration;
+    $('duration').value = keys.length < 2 ? '' : rounded(duration);
+    $('ease').value = path.ease;
+    $('interpolation').value = path.interpolation;
+    $('fps').value = path.fps;
+    $('path-summary').textContent = isEmpty ? '' : `${keys.length} ${keys.length === 1 ? 'key' : 'keys'}, ${rounded(duration)} s`;
+    if (!this.name) $('named').value = '';
+    const isFilm = this.name && !hasKey();
+    $('film-link').hidden = !isFilm;
+    if (isFilm) $('mjpeg').href = motionUrl(this.sceneId, this.name, this.view.settings());
+    this.showTime();
+    this.onShow();
+  }
+
+  showTime() {
+    const { at, isPlaying } = this.player, t = startOf(this.path) + at;
+    $('time').value = at;
+    $('time-shown').textContent = `${at.toFixed(1)} s`;
+    $('play').textContent = isPlaying ? 'Pause' : 'Play';
+    $('play').dataset.playing = isPlaying;
+    const current = this.path.keys.findLastIndex(key => key.t <= t + 1e-6);
+    [...$('keys').tBodies[0].rows].forEach((row, i) => row.classList.toggle('current', i === current));
+  }
+
+  row(key, index) {
+    const row = document.createElement('tr'), last = this.path.keys.length - 1, number = index + 1;
+    const head = document.createElement('th');
+    head.scope = 'row';
+    head.append(button('go', String(number), `Show key ${number}`, () => this.player.seek(key.t - startOf(this.path), false)));
+    const time = document.createElement('input');
+    Object.assign(time, { type: 'number', step: '0.1', value: key.t });
+    time.setAttribute('aria-label', `Seconds of key ${number}`);
+    time.addEventListener('change', () => this.retime(index, time));
+    const ease = document.createElement('select');
+    ease.append(option('', `as path`), ...EASES.map(name => option(name, EASE_WORDS[name])));
+    ease.value = key.ease || '';
+    ease.disabled = index === last;
+    ease.setAttribute('aria-label', `Ease from key ${number} on`);
+    ease.addEventListener('change', () => this.change(() => { if (ease.value) key.ease = ease.value; else delete key.ease; }));
+    const up = button('up', '↑', `Key ${number} earlier`, () => this.swap(index, index - 1, 'up'));
+    const down = button('down', '↓', `Key ${number} later`, () => this.swap(index, index + 1, 'down'));
+    up.disabled = index === 0;
+    down.disabled = index === last;
+    const remove = button('delete', '✕', `Delete key ${number}`, () => this.remove(index));
+    row.append(head, cell(time), cell(ease), cell(up, ' ', down, ' ', remove));
+    return row;
+  }
+
+  // The table was built anew: the focus goes to what stands where it was.
+  focusOn(index, selector) {
+    const row = $('keys').tBodies[0].rows[index], wanted = row && row.querySelector(selector);
+    if (!wanted) return;
+    (wanted.disabled ? row.querySelector('[data-action="go"]') : wanted).focus();
+  }
+}
+
+function cell(...content) {
+  const td = document.createElement('td');
+  td.append(...content);
+  return td;
+}
+
+function button(action, text, label, act) {
+  const made = document.createElement('button');
+  made.type = 'button';
+  made.textContent = text;
+  made.dataset.action = action;
+  made.setAttribute('aria-label', label);
+  made.title = label;
+  made.addEventListener('click', act);
+  return made;
+}

@@ -1,0 +1,110 @@
+// Frames by requests, where there can be no stream. At most one is in flight, and the newest pose wins. While it moves, frames are
+// JPEGs sized so that one comes in about TARGET_MS; when it rests, one comes as the settings want it.
+
+import { isPassing, queryText, reach, sceneUrl } from './api.js';
+
+const TARGET_MS = 70;
+const SCALES = [1, 0.75, 0.5, 0.35, 0.25];
+// This long without a change, and the pose counts as at rest.
+const REST_MS = 160;
+const MOVING_QUALITY = 75;
+
+// The address of a frame with these parameters.
+export function frameUrl(id, params) {
+  const query = new URLSearchParams();
+  for (const [name, value] of Object.entries(params)) query.set(name, Array.isArray(value) ? value.join(',') : value);
+  return sceneUrl(id, '/frame?') + queryText(query);
+}
+
+export class Requests {
+  constructor(wanted, came, failed) {
+    this.wanted = wanted;
+    this.came = came;
+    this.failed = failed;
+    this.isRunning = false;
+    this.scale = 2;
+    this.timer = 0;
+    this.flight = null;
+  }
+
+  start(seq) {
+    this.isRunning = true;
+    this.show(seq, undefined);
+  }
+
+  stop() {
+    this.isRunning = false;
+    clearTimeout(this.timer);
+    if (this.flight) this.flight.abort.abort();
+    this.flight = null;
+  }
+
+  show(seq, moving) {
+    this.seq = seq;
+    this.restsAt = performance.now() + (moving === false ? 0 : REST_MS);
+    this.best = null;
+    // A full frame of a pose that is no longer wanted is not worth waiting for; a small one is.
+    if (this.flight && this.flight.isStill) this.flight.abort.abort();
+    this.pump();
+  }
+
+  pump(delay = 0) {
+    clearTimeout(this.timer);
+    if (this.isRunning) this.timer = setTimeout(() => this.step(), delay);
+  }
+
+  step() {
+    if (!this.isRunning || this.flight || document.hidden || this.best === 'still') return;
+    const rest = this.restsAt - performance.now();
+    if (rest <= 0) this.request(true);
+    else if (this.best === null) this.request(false);
+    else this.pump(rest);
+  }
+
+  async request(isStill) {
+    const wanted = this.wanted();
+    if (!wanted) return;
+    const flight = this.flight = { seq: this.seq, isStill, abort: new AbortController() };
+    const began = performance.now(), scale = isStill ? 1 : SCALES[this.scale];
+    let failure = null;
+    try {
+      const params = isStill ? wanted.params : this.smaller(wanted.params, scale);
+      const response = await reach(frameUrl(wanted.id, params), { signal: flight.abort.signal });
+      const image = await response.blob(), picture = await createImageBitmap(image);
+      if (flight.abort.signal.aborted) return picture.close();
+      const elapsedMs = performance.now() - began;
+      const receipt = JSON.parse(response.headers.get('Pointillist-Receipt') || 'null');
+      const { w: width, h: height, format, quality } = params;
+      if (flight.seq === this.seq) this.best = isStill ? 'still' : 'moving';
+      this.adapt(isStill, elapsedMs);
+      this.came({
+        picture, receipt, elapsedMs, width, height, scale, format, jpeg_quality: format === 'jpeg' ? quality : null, seq: flight.seq,
+        revision: receipt ? receipt.revision : null, quality: isStill ? 'still' : 'moving', bytes: image.size,
+      });
+    } catch (error) {
+      if (error.name !== 'AbortError') failure = error;
+    } finally {
+      if (this.flight === flight) this.flight = null;
+    }
+    if (failure) this.recover(failure); else this.pump();
+  }
+
+  smaller(params, scale) {
+    const side = full => Math.max(1, Math.round(full * scale));
+    const lossy = !params.output || params.output === 'color' ? { format: 'jpeg', quality: MOVING_QUALITY } : {};
+    return { ...params, w: side(params.w), h: side(params.h), ...lossy };
+  }
+
+  adapt(isStill, elapsedMs) {
+    if (isStill) { if (elapsedMs < TARGET_MS) this.scale = 0; return; }
+    if (elapsedMs > TARGET_MS * 1.4 && this.scale < SCALES.length - 1) this.scale++;
+    else if (elapsedMs < TARGET_MS * 0.5 && this.scale > 0) this.scale--;
+  }
+
+  recover(problem) {
+    // This pose and these settings will not do; wait for others, unless waiting helps.
+    if (isPassing(problem) && problem.status !== 0) this.pump(problem.retry_after_ms || 2000);
+    else this.best = 'still';
+    this.failed(problem);
+  }
+}

@@ -1,0 +1,95 @@
+//! A phone's width, and fingers.
+
+use super::daemon::Daemon;
+use super::page::{driver_or_skip, still_picture};
+use super::webdriver::Browser;
+
+fn eye_distance(browser: &Browser) -> f64 {
+    browser.number("const { eye, target } = viewer.pose; return Math.hypot(...eye.map((v, i) => v - target[i]))")
+}
+
+/// Nothing is wider than the screen, and no control is cut off at its side.
+fn nothing_overflows(browser: &Browser) {
+    let wide = browser.script(
+        "const all = [...document.querySelectorAll('body *')].filter(e => e.checkVisibility() && !e.closest('.unseen')); \
+         return all.filter(e => e.getBoundingClientRect().right > innerWidth + 1).map(e => e.outerHTML.slice(0, 90))",
+    );
+    assert_eq!(wide, serde_json::json!([]), "wider than the screen");
+    assert!(browser.number("return document.documentElement.scrollWidth - innerWidth") <= 0.0);
+}
+
+#[test]
+fn fits_a_phone_and_follows_fingers() {
+    let Some(driver) = driver_or_skip() else { return };
+    let daemon = Daemon::start();
+    let browser = Browser::start(&driver, 800, 900);
+    browser.emulate(390, 844, 2.0);
+    browser.open(&daemon.url);
+
+    let first = still_picture(&browser);
+    nothing_overflows(&browser);
+    let width = browser.script("return viewer.canvas.width");
+    assert_eq!(width, 780, "as wide as the screen, in its own pixels");
+    browser.shoot("phone.png");
+
+    browser.drag("touch", 0, &[(150, 300), (190, 310), (260, 330)]);
+    let orbited = still_picture(&browser);
+    assert_ne!(orbited, first, "one finger orbits");
+    let before = eye_distance(&browser);
+    browser.pinch((195, 320), 40, 120);
+    assert_ne!(still_picture(&browser), orbited, "two fingers zoom");
+    assert!(eye_distance(&browser) < 0.6 * before, "spreading them brings the eye nearer");
+
+    // The same fingers look about and move on when flying, and the pad's buttons are held.
+    browser.click("#fly");
+    let pose = browser.script("return viewer.pose");
+    browser.drag("touch", 0, &[(150, 300), (190, 310), (260, 330)]);
+    still_picture(&browser);
+    let looked = browser.script("return viewer.pose");
+    assert_eq!(looked["eye"], pose["eye"], "a finger looks about from where one is");
+    assert_ne!(looked["target"], pose["target"]);
+    let at = browser.script(
+        "const r = document.querySelector('[data-fly=forward]').getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]",
+    );
+    let at = (at[0].as_f64().unwrap() as i64, at[1].as_f64().unwrap() as i64);
+    browser.drag("touch", 0, &[at, at, at]);
+    still_picture(&browser);
+    assert_ne!(browser.script("return viewer.pose.eye"), looked["eye"], "the pad flies");
+    nothing_overflows(&browser);
+    browser.shoot("phone-fly.png");
+    browser.click("#fly");
+
+    // Everything unfolded, with a path of two keys.
+    browser.script("for (const d of document.querySelectorAll('details')) d.open = true");
+    browser.click("#key-add");
+    browser.click("[data-fly=right]");
+    browser.click("#key-add");
+    still_picture(&browser);
+    nothing_overflows(&browser);
+    browser.script("document.getElementById('paths').scrollIntoView(); scrollBy(0, -430)");
+    browser.shoot("phone-path.png");
+    browser.script("scrollTo(0, 1e6)");
+    browser.shoot("phone-below.png");
+    assert_eq!(browser.console_errors(), Vec::<String>::new());
+}
+
+#[test]
+fn a_narrow_old_phone_still_has_everything() {
+    let Some(driver) = driver_or_skip() else { return };
+    let daemon = Daemon::start();
+    let browser = Browser::start(&driver, 800, 900);
+    browser.emulate(320, 568, 2.0);
+    browser.emulate_media("prefers-reduced-motion", "reduce");
+    browser.open(&daemon.url);
+    still_picture(&browser);
+    browser.script("for (const d of document.querySelectorAll('details')) d.open = true");
+    browser.click("#key-add");
+    browser.click("#fly");
+    nothing_overflows(&browser);
+    browser.shoot("phone-narrow.png");
+    let moves = browser.script(
+        "return [...document.querySelectorAll('body *')].filter(e => parseFloat(getComputedStyle(e).transitionDuration) > 0 \
+         || getComputedStyle(e).animationName !== 'none').length",
+    );
+    assert_eq!(moves, 0, "who wants less motion has none beside the picture's");
+}

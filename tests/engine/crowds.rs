@@ -1,0 +1,195 @@
+//! Trees over instances: a scene that was edited is drawn as one that was loaded like that, and only what an edit touches is made anew.
+
+use glam::{DAffine3, DVec3};
+use pointillist::engine::{FrameRequest, NodePatch, Pose};
+use pointillist::math::Camera;
+use pointillist::plan::{Lod, MaxError, Output, Reconstruct, Settings};
+use pointillist::scene::random::SplitMix64;
+use serde_json::{Value, json};
+
+use super::studio::{Disk, Studio, disk_sphere, disks, front, mesh, same, sphere};
+
+/// Nodes of 40 × 40 instances in rows of [`ROW`].
+const NODES: usize = 18;
+const ROW: usize = 6;
+const SIDE: usize = 40;
+const INSTANCES: u64 = (NODES * SIDE * SIDE) as u64;
+
+#[derive(Clone, Copy)]
+struct Place {
+    at: DVec3,
+    visible: bool,
+}
+
+fn places() -> Vec<Place> {
+    let at = |node: usize| DVec3::new((node % ROW) as f64 * 14.0, 0.0, (node / ROW) as f64 * 14.0);
+    (0..NODES).map(|node| Place { at: at(node), visible: true }).collect()
+}
+
+fn scene(places: &[Place]) -> Value {
+    let nodes: Vec<Value> = places
+        .iter()
+        .enumerate()
+        .map(|(number, place)| {
+            json!({
+                "name": format!("n{number}"),
+                "asset": if number % 2 == 0 { "a" } else { "b" },
+                "translate": place.at.to_array(),
+                "visible": place.visible,
+                "repeat": { "grid": [SIDE, 1, SIDE], "step": [0.3, 0, 0.3] },
+            })
+        })
+        .collect();
+    json!({
+        "assets": { "a": { "file": "a.ply" }, "b": { "file": "b.ply" } },
+        "nodes": nodes,
+    })
+}
+
+fn studio() -> Studio {
+    let studio = Studio::new();
+    let ball = |color: [u8; 3]| -> Vec<Disk> { disk_sphere(10, 0.15, |_| color) };
+    studio.write("a.ply", disks(&ball([250, 120, 10])));
+    studio.write("b.ply", disks(&ball([30, 120, 220])));
+    studio
+}
+
+/// From near, where many instances are seen one by one, and from afar.
+fn looks(studio: &Studio, scene: &str) -> Vec<Vec<u8>> {
+    let centre = DVec3::new(35.0, 0.0, 14.0);
+    let mut found = Vec::new();
+    for (eye, side) in [(DVec3::new(-9.0, 3.0, 8.0), 120), (DVec3::new(30.0, 90.0, 120.0), 100)] {
+        for (reconstruct, output) in [
+            (Reconstruct::Points, Output::Id),
+            (Reconstruct::Splats, Output::Color),
+            (Reconstruct::Points, Output::Depth),
+        ] {
+            let max_error = MaxError::new(2.0).unwrap();
+            let settings =
+                Settings { lod: Lod::Spt, max_error, reconstruct, ..Settings::default() };
+            let camera = Camera { eye, target: centre, up: DVec3::Y, fov_deg: 50.0 };
+            let request = front(scene, side, side);
+            let pose = Pose::Camera(camera);
+            found.push(studio.bytes(&FrameRequest { pose, output, settings, ..request }));
+        }
+    }
+    found
+}
+
+fn compare(studio: &Studio, places: &[Place], what: &str) {
+    studio.load_json("fresh", &scene(places));
+    let (edited, fresh) = (looks(studio, "edited"), looks(studio, "fresh"));
+    for (number, (edited, fresh)) in edited.iter().zip(&fresh).enumerate() {
+        same(edited, fresh, &format!("{what}, look {number}"));
+    }
+    studio.engine.remove("fresh").unwrap();
+}
+
+fn moved(at: DVec3) -> NodePatch {
+    NodePatch { world_from_node: Some(DAffine3::from_translation(at)), ..NodePatch::default() }
+}
+
+/// Moves by little and by much, hides and shows, also several times between two frames.
+#[test]
+fn edits_in_any_order_end_at_the_scene_as_it_is() {
+    let studio = studio();
+    let mut places = places();
+    studio.load_json("edited", &scene(&places));
+    let first = looks(&studio, "edited");
+    let mut random = SplitMix64::new(11);
+    for round in 0..6 {
+        for _ in 0..1 + round % 3 {
+            let node = (random.range(0.0, NODES as f64) as usize).min(NODES - 1);
+            let patch = if random.chance(0.3) {
+                places[node].visible = !places[node].visible;
+                NodePatch { visible: Some(places[node].visible), ..NodePatch::default() }
+            } else {
+                let far = if random.chance(0.5) { 1.0 } else { 40.0 };
+                let by = DVec3::new(random.range(-far, far), 0.0, random.range(-far, far));
+                places[node].at += by;
+                moved(places[node].at)
+            };
+            studio.engine.patch("edited", &format!("n{node}"), &patch).unwrap();
+        }
+        compare(&studio, &places, &format!("round {round}"));
+    }
+    // And back again.
+    for (node, place) in self::places().into_iter().enumerate() {
+        let patch = NodePatch { visible: Some(true), ..moved(place.at) };
+        studio.engine.patch("edited", &format!("n{node}"), &patch).unwrap();
+    }
+    assert!(looks(&studio, "edited") == first, "as at first");
+}
+
+#[test]
+fn an_edit_writes_what_it_moved_and_its_neighbours() {
+    let studio = studio();
+    let mut places = places();
+    studio.load_json("edited", &scene(&places));
+    looks(&studio, "edited");
+    let before = studio.engine.stats();
+    assert!(before.instances_written >= INSTANCES);
+    for step in 1..=8 {
+        places[0].at.y = 0.1 * f64::from(step);
+        studio.engine.patch("edited", "n0", &moved(places[0].at)).unwrap();
+        looks(&studio, "edited");
+    }
+    let after = studio.engine.stats();
+    let (written, uploads) =
+        (after.instances_written - before.instances_written, after.uploads - before.uploads);
+    // A node has 1600 instances in one or a few blocks of up to 4096, of which there are seven or more.
+    assert!(written >= 8 * 1600, "{written}");
+    assert!(written < 8 * INSTANCES / 2, "{written} of {INSTANCES} in eight edits");
+    assert!(uploads < 8 * 8, "{uploads} trees");
+    compare(&studio, &places, "after eight steps");
+    // Hiding the last node changes nobody's number.
+    let before = studio.engine.stats().instances_written;
+    let last = NODES - 1;
+    places[last].visible = false;
+    let hide = NodePatch { visible: Some(false), ..NodePatch::default() };
+    studio.engine.patch("edited", &format!("n{last}"), &hide).unwrap();
+    compare(&studio, &places, "one hidden");
+    let written = studio.engine.stats().instances_written - before;
+    // The scene to compare with was written whole.
+    assert!(written < INSTANCES + INSTANCES / 2, "{written}");
+}
+
+/// Instances of what has no samples are drawn by themselves, beside the trees.
+#[test]
+fn a_crowd_with_some_that_are_nowhere() {
+    let studio = Studio::new();
+    studio.write("ball.ply", sphere(8));
+    // A triangle without an area has no samples.
+    studio.write("none.ply", mesh(&[DVec3::ZERO, DVec3::X, DVec3::X], &[[0, 1, 2]]));
+    let scene = |x: f64| {
+        json!({
+            "assets": { "ball": { "file": "ball.ply" }, "none": { "file": "none.ply" } },
+            "nodes": [
+                { "asset": "none", "repeat": { "grid": [5, 1, 5], "step": [1, 0, 1] } },
+                { "name": "balls", "asset": "ball", "scale": 0.2, "translate": [x, 0, 0],
+                  "repeat": { "grid": [6, 1, 6], "step": [1, 0, 1] } },
+                { "name": "flat", "asset": "ball", "scale": [0.5, 0.001, 0.5], "translate": [0, 1, 0] },
+            ],
+        })
+    };
+    studio.load_json("edited", &scene(0.0));
+    studio.load_json("fresh", &scene(0.7));
+    let first = looks(&studio, "edited");
+    studio
+        .engine
+        .patch(
+            "edited",
+            "balls",
+            &NodePatch {
+                world_from_node: Some(DAffine3::from_scale_rotation_translation(
+                    DVec3::splat(0.2),
+                    glam::DQuat::IDENTITY,
+                    DVec3::new(0.7, 0.0, 0.0),
+                )),
+                ..NodePatch::default()
+            },
+        )
+        .unwrap();
+    let (edited, fresh) = (looks(&studio, "edited"), looks(&studio, "fresh"));
+    assert!(edited == fresh && edited != first);
+}

@@ -1,0 +1,151 @@
+//! Files that something else has damaged, and a disk that is full.
+
+use std::fs;
+use std::path::PathBuf;
+
+use serde_json::json;
+
+use super::{body, checksum, create, ended, files, job, manifest, parts_and_problem, post, studio};
+use crate::daemon::{Daemon, eventually};
+
+#[test]
+fn damaged_frames_are_not_sent_and_made_again() {
+    let daemon = studio(&[]);
+    let client = daemon.client();
+    let id = create(&client, json!({"to": 9}));
+    let made = ended(&client, &id, "done");
+    let before = files(&daemon, &id);
+    let file = |number: usize| {
+        daemon.state().join("jobs").join(&id).join(format!("frames/frame-{number:05}.png"))
+    };
+    let mut flipped = before["frame-00003.png"].0.clone();
+    *flipped.last_mut().unwrap() ^= 1;
+    fs::write(file(3), flipped).unwrap();
+    fs::write(file(5), &before["frame-00005.png"].0[..50]).unwrap();
+    fs::remove_file(file(7)).unwrap();
+    for number in [3, 5, 7] {
+        let problem = client.get(&format!("/v1/jobs/{id}/frames/{number}")).problem();
+        assert_eq!(
+            (&problem["status"], &problem["type"]),
+            (&json!(410), &json!("urn:pointillist:problem:job-file-damaged")),
+            "{number}: {problem}"
+        );
+        assert!(problem["detail"].as_str().unwrap().contains(&format!("frame {number} of job")));
+        assert!(problem["accepted"].as_str().unwrap().contains("/resume"), "{problem}");
+    }
+    let ranged = [("range", "bytes=0-3")];
+    let part = client.send("GET", &format!("/v1/jobs/{id}/frames/4"), &ranged, None);
+    assert_eq!((part.status, &part.body[..]), (206, &before["frame-00004.png"].0[..4]));
+    // The stream ends where it cannot go on.
+    let (sent, problem) = parts_and_problem(&client.get(&format!("/v1/jobs/{id}/multipart")));
+    assert_eq!((sent, &problem["status"]), (3, &json!(410)));
+
+    // What is good stays the file that it is, and the manifest what it was.
+    assert_eq!(post(&client, &format!("/v1/jobs/{id}/resume")).status, 200);
+    let again = ended(&client, &id, "done");
+    assert_eq!(again["manifest_sha256"], made["manifest_sha256"]);
+    let after = files(&daemon, &id);
+    assert_eq!(after.len(), before.len());
+    for (number, record) in manifest(&client, &id).iter().enumerate() {
+        let name = record["file"].as_str().unwrap();
+        assert!(after[name].0 == before[name].0, "{name}");
+        assert_eq!(after[name].1 == before[name].1, ![3, 5, 7].contains(&number), "{name}");
+        let sent = client.get(&format!("/v1/jobs/{id}/frames/{number}"));
+        assert_eq!(record["sha256"], checksum(&sent.body));
+    }
+    // One that is whole is done again at once.
+    assert_eq!(post(&client, &format!("/v1/jobs/{id}/resume")).status, 200);
+    ended(&client, &id, "done");
+    assert_eq!(files(&daemon, &id), after);
+}
+
+#[cfg(feature = "video")]
+#[test]
+fn damaged_videos_are_not_sent_and_made_again() {
+    let daemon = studio(&[]);
+    let client = daemon.client();
+    let both = create(&client, json!({"want": ["frames", "video"], "to": 9}));
+    let alone = create(&client, json!({"want": ["video"], "to": 9}));
+    for id in [both, alone] {
+        let made = ended(&client, &id, "done");
+        let file = daemon.state().join("jobs").join(&id).join("video.mp4");
+        let bytes = fs::read(&file).unwrap();
+        // Looked through, it is as it was: nothing is drawn.
+        let drawn = client.metric("pointillist_job_frames_total");
+        assert_eq!(post(&client, &format!("/v1/jobs/{id}/resume")).status, 200);
+        assert_eq!(ended(&client, &id, "done")["video"], made["video"]);
+        assert_eq!(client.metric("pointillist_job_frames_total"), drawn);
+        fs::write(&file, &bytes[..bytes.len() / 2]).unwrap();
+        let video = || client.get(&format!("/v1/jobs/{id}/video.mp4"));
+        assert_eq!(video().problem()["type"], "urn:pointillist:problem:job-file-damaged");
+        assert_eq!(post(&client, &format!("/v1/jobs/{id}/resume")).status, 200);
+        assert_eq!(ended(&client, &id, "done")["frames"]["done"], 10);
+        assert_eq!(video().status, 200);
+    }
+}
+
+/// A daemon whose state is on a disk of a few MiB that is its alone, and that disk as others see it. `None` where the system does not
+/// let us have one.
+fn on_small_disk() -> Option<(Daemon, PathBuf)> {
+    let can = std::process::Command::new("unshare")
+        .args(["--user", "--map-root-user", "--mount", "mount", "-t", "tmpfs", "tmpfs", "/mnt"])
+        .output();
+    if !can.is_ok_and(|output| output.status.success()) {
+        return None;
+    }
+    let daemon = Daemon::start_on_small_disk(super::name_path, "8m");
+    let disk = PathBuf::from(format!("/proc/{}/root", daemon.id()))
+        .join(daemon.state().strip_prefix("/").unwrap());
+    Some((daemon, disk))
+}
+
+#[test]
+fn a_full_disk_is_told_and_gone_with_its_cause() {
+    let Some((daemon, disk)) = on_small_disk() else {
+        eprintln!("SKIPPED: no disk of its own can be mounted here (unshare --user --mount)");
+        return;
+    };
+    let client = daemon.client();
+    let small = || json!({"to": 3});
+    let first = create(&client, small());
+    ended(&client, &first, "done");
+    // Somebody else fills the disk.
+    let filler = disk.join("filler");
+    let fill = || {
+        use std::io::Write;
+        let mut file = fs::File::options().create(true).append(true).open(&filler).unwrap();
+        while file.write_all(&[0; 4096]).is_ok() {}
+    };
+    fill();
+    for _ in 0..2 {
+        let refused = client.post_json("/v1/jobs", &body(small()));
+        let problem = refused.problem();
+        assert_eq!(
+            (&problem["status"], &problem["type"]),
+            (&json!(507), &json!("urn:pointillist:problem:storage")),
+            "{problem}"
+        );
+        assert!(problem["detail"].as_str().unwrap().contains("is full"), "{problem}");
+    }
+    assert_eq!(post(&client, &format!("/v1/jobs/{first}/resume")).status, 507);
+    assert_eq!(job(&client, &first)["state"], "done", "it is as it was");
+    assert_eq!(client.get("/v1/jobs").json()["jobs"].as_array().unwrap().len(), 1);
+    // Room is made by removing what is there, which needs none.
+    let gone = client.send("DELETE", &format!("/v1/jobs/{first}"), &[], None);
+    assert_eq!(gone.status, 204, "{}", gone.text());
+    assert_eq!(client.get("/v1/jobs").json(), json!({"jobs": []}));
+    eventually("room", || client.get("/v1/limits").json()["jobs"]["bytes"] == 0);
+    // And by whoever has filled it; no restart is needed.
+    fs::remove_file(&filler).unwrap();
+    let second = create(&client, small());
+    ended(&client, &second, "done");
+    eventually("the rest of the removal", || !disk.join("jobs").join(&first).exists());
+    // A job that fills it by itself fails, and makes room when it goes.
+    let third = create(&client, json!({"fps": 1000, "format": "raw", "w": 256, "h": 256}));
+    let failed = ended(&client, &third, "failed");
+    assert_eq!(failed["error"]["type"], "urn:pointillist:problem:storage", "{failed}");
+    assert_eq!(client.send("DELETE", &format!("/v1/jobs/{third}"), &[], None).status, 204);
+    let last = create(&client, small());
+    ended(&client, &last, "done");
+    assert_eq!(client.get("/readyz").status, 200);
+}
