@@ -11,7 +11,7 @@ use std::path::Path;
 
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use pointillist::gpu::shader::{self, Composed};
-use pointillist::passes::shaders::{self, Choices, FRAGMENTS, Visibility};
+use pointillist::passes::shaders::{self, Choices, FRAGMENTS, Portion, Visibility};
 
 /// What is asked of the device where 64-bit atomics are used.
 const WIDE: Capabilities =
@@ -57,6 +57,11 @@ fn compositions(root: &str) -> Vec<(String, Choices, Composed)> {
     all = all
         .into_iter()
         .flat_map(|c| visibilities.iter().map(move |&visibility| Choices { visibility, ..c }))
+        .collect();
+    let portions = if asks("PORTION") { Portion::ALL.to_vec() } else { vec![Portion::All] };
+    all = all
+        .into_iter()
+        .flat_map(|c| portions.iter().map(move |&portion| Choices { portion, ..c }))
         .collect();
     all = widen(all, "VOTE", |choices, side| choices.subgroups = side);
     all = widen(all, "ALPHA", |choices, side| choices.alpha_cut = side);
@@ -118,15 +123,19 @@ fn every_composition_is_valid() {
             checked += 1;
         }
     }
-    // Samples: three ways to write, as they are or of point trees; triangles: the same ways, with and without alpha; splats'
+    // Samples: three ways to write, as they are or of point trees, in three portions; triangles: the same ways, with and without alpha,
+    // a thread each in three portions with and without votes, and from a list by thread and by rasteriser; splats'
     // depths: those of samples, with and without clip lines. Sums: clip lines, width, normals, lights, trees; in a single pass: clip
     // lines, lights, trees. Each of these a thread a splat, with and without votes, and from a list. Passes over pixels: with and
     // without votes, and of samples with and without trees. Lists: of everything, or of trees.
     let (depths, sums, single) = (12, 32, 8);
     let over_pixels = 6 * 2;
     let lists = 3 * 2;
-    let others = 6;
-    assert_eq!(checked, 6 + 3 * 6 + 3 * (depths + sums + single) + over_pixels + lists + others);
+    let others = 9;
+    assert_eq!(
+        checked,
+        3 * 6 + 6 * (3 * 2 + 2) + 3 * (depths + sums + single) + over_pixels + lists + others
+    );
 }
 
 #[test]

@@ -15,16 +15,16 @@ struct SegmentUse {
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
 @group(2) @binding(1) var<storage, read> runs: array<Run>;
 @group(2) @binding(2) var<uniform> segment: SegmentUse;
+//!include PORTION
 
 @compute @workgroup_size(LANES)
 fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     begin_view(group.z);
-    let index = group.y * DISPATCH_ROW + group.x;
-    let run = runs[frame.first_run + segment.index];
-    if index >= run.count {
+    let turn = turn_of(group.y * DISPATCH_ROW + group.x);
+    if turn.parts == 0u {
         return;
     }
-    let slot_index = run.first_slot + index;
+    let slot_index = turn.slot;
     let at = frame.first_slot + slot_index;
     let row_x = slots[at].row_x;
     let row_y = slots[at].row_y;
@@ -38,7 +38,7 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
     var looked_at = 0u;
     let size = vec2<f32>(frame.size_px);
     let width = frame.size_px.x;
-    for (var i = lane; i < count; i += LANES) {
+    for (var i = next_element(lane, turn.parts, lane, count); i < count; i = next_element(i + LANES, turn.parts, lane, count)) {
         if TREE {
             looked_at++;
             if !is_in_prefix(first + i, limit) {

@@ -7,6 +7,9 @@
 //!include shared/mesh
 //!include shared/triangle
 //!include shared/list
+//!include shared/lanes
+//!include VOTE
+//!include PORTION
 //!include ALPHA
 
 const COUNTS: bool = FIRST_HALF;
@@ -22,37 +25,6 @@ fn bias(edge: vec2<i32>) -> i32 {
     return select(-1, 0, edge.y < 0 || (edge.y == 0 && edge.x > 0));
 }
 
-fn walk(p: array<vec2<i32>, 3>, low: vec2<i32>, high: vec2<i32>, plane: Plane, id: u32, texel: AlphaTest) {
-    // Relative to the first pixel's centre, so that products stay below 2^31.
-    let base = low * 256 + vec2<i32>(128);
-    let a = p[0] - base;
-    let b = p[1] - base;
-    let c = p[2] - base;
-    let ab = b - a;
-    let bc = c - b;
-    let ca = a - c;
-    var row = vec3<i32>(
-        ab.y * a.x - ab.x * a.y + bias(ab),
-        bc.y * b.x - bc.x * b.y + bias(bc),
-        ca.y * c.x - ca.x * c.y + bias(ca),
-    );
-    let step_x = vec3<i32>(ab.y, bc.y, ca.y) * -256;
-    let step_y = vec3<i32>(ab.x, bc.x, ca.x) * 256;
-    for (var y = low.y; y <= high.y; y++) {
-        var e = row;
-        for (var x = low.x; x <= high.x; x++) {
-            if (e.x | e.y | e.z) >= 0 {
-                let ray = ray_through(vec2<f32>(f32(x), f32(y)) + vec2<f32>(0.5));
-                if alpha_passes(texel, ray) {
-                    visibility_write(frame.first_pixel + u32(y) * frame.size_px.x + u32(x), plane_inverse_depth(plane, ray), id);
-                }
-            }
-            e += step_x;
-        }
-        row += step_y;
-    }
-}
-
 fn list_triangle(id: u32, bounds: ImageBounds) {
     let last = vec2<f32>(frame.size_px) - vec2<f32>(1.0);
     let low = vec2<u32>(clamp(bounds.least - vec2<f32>(1.0), vec2<f32>(0.0), last));
@@ -63,67 +35,100 @@ fn list_triangle(id: u32, bounds: ImageBounds) {
     }
 }
 
-fn triangle(slot_index: u32, at: Placed, chunk: Chunk, one_sided: f32, index: u32) {
+// On lavapipe all loops of a thread, and of those that go with it, share 65535 rounds, and what comes after is never done: a
+// triangle for which there are none left is listed.
+const ROUNDS: u32 = 60000u;
+
+// Returns the rounds that the walk took at most. A CPU's vector of threads takes every way together: what is dear stands once.
+fn triangle(slot_index: u32, at: Placed, chunk: Chunk, one_sided: f32, index: u32, rounds: u32) -> u32 {
     let id = (slot_index << SLOT_SHIFT) | index;
     let corners = corner_words(chunk.first + index, chunk.vertex_first);
     let a = vertex_camera(at, corners.x);
     let b = vertex_camera(at, corners.y);
     let c = vertex_camera(at, corners.z);
-    // All behind the eye.
-    if max(a.z, max(b.z, c.z)) <= NEAREST {
-        return;
-    }
-    // Seen from behind: the normal points away from the eye.
-    if one_sided * facing(a, b, c) > 0.0 {
-        return;
-    }
     let bounds = image_bounds(a, b, c);
     let size = vec2<f32>(frame.size_px);
-    if any(bounds.most < vec2<f32>(-1.0)) || any(bounds.least > size + vec2<f32>(1.0)) {
-        return;
-    }
-    if !bounds.snaps {
-        list_triangle(id, bounds);
-        return;
-    }
-    var p = array<vec2<i32>, 3>(snap(image_position(a)), snap(image_position(b)), snap(image_position(c)));
-    let ab = p[1] - p[0];
-    let ac = p[2] - p[0];
+    // Not all behind the eye, nor seen from behind (the normal points away from the eye), nor beside the image.
+    let seen = max(a.z, max(b.z, c.z)) > NEAREST
+        && !(one_sided * facing(a, b, c) > 0.0)
+        && !any(bounds.most < vec2<f32>(-1.0)) && !any(bounds.least > size + vec2<f32>(1.0));
+    let pa = snap(image_position(a));
+    var pb = snap(image_position(b));
+    var pc = snap(image_position(c));
     // First and last pixel whose centre the box may hold.
-    let snapped_least = min(p[0], min(p[1], p[2]));
-    let snapped_most = max(p[0], max(p[1], p[2]));
+    let snapped_least = min(pa, min(pb, pc));
+    let snapped_most = max(pa, max(pb, pc));
     let low = max((snapped_least + vec2<i32>(127)) >> vec2<u32>(8u), vec2<i32>(0));
     let high = min((snapped_most - vec2<i32>(128)) >> vec2<u32>(8u), vec2<i32>(frame.size_px) - vec2<i32>(1));
-    if any(high < low) {
-        return;
-    }
     let box = snapped_most - snapped_least;
-    if max(box.x, box.y) > frame.small_triangle_px * 256 {
+    let holds = all(high >= low);
+    let longest = u32(frame.small_triangle_px) + 1u;
+    let small = bounds.snaps && max(box.x, box.y) <= frame.small_triangle_px * 256;
+    let pixels = vec2<u32>(high - low + vec2<i32>(1));
+    let wanted = select(0u, pixels.x * pixels.y, seen && small && holds);
+    // Of the search and of what it finds.
+    let most = most_of_lanes(wanted, longest * longest) + 2u;
+    let walks = rounds + most <= ROUNDS;
+    if seen && select(!bounds.snaps || holds, holds && !walks, small) {
         list_triangle(id, bounds);
-        return;
     }
-    let area = ab.x * ac.y - ab.y * ac.x;
-    if area == 0 {
-        return;
-    }
+    let ab0 = pb - pa;
+    let ac0 = pc - pa;
+    // Beyond the walk's size this overflows, and is not asked.
+    let area = ab0.x * ac0.y - ab0.y * ac0.x;
     if area < 0 {
-        let swap = p[1];
-        p[1] = p[2];
-        p[2] = swap;
+        let swap = pb;
+        pb = pc;
+        pc = swap;
     }
-    walk(p, low, high, triangle_plane(a, b, c), id, alpha_test(chunk, slots[frame.first_slot + slot_index].instance, corners, a, b, c));
+    let plane = triangle_plane(a, b, c);
+    let texel = alpha_test(chunk, slots[frame.first_slot + slot_index].instance, corners, a, b, c);
+    // Relative to the first pixel's centre, so that products stay below 2^31.
+    let base = low * 256 + vec2<i32>(128);
+    let ra = pa - base;
+    let rb = pb - base;
+    let rc = pc - base;
+    let ab = rb - ra;
+    let bc = rc - rb;
+    let ca = ra - rc;
+    var row = vec3<i32>(
+        ab.y * ra.x - ab.x * ra.y + bias(ab),
+        bc.y * rb.x - bc.x * rb.y + bias(bc),
+        ca.y * rc.x - ca.x * rc.y + bias(ca),
+    );
+    let step_x = vec3<i32>(ab.y, bc.y, ca.y) * -256;
+    let step_y = vec3<i32>(ab.x, bc.x, ca.x) * 256;
+    var x = low.x;
+    var y = select(high.y + 1, low.y, wanted != 0u && walks && area != 0);
+    var e = row;
+    loop {
+        if y > high.y {
+            break;
+        }
+        let ray = ray_through(vec2<f32>(f32(x), f32(y)) + vec2<f32>(0.5));
+        if (e.x | e.y | e.z) >= 0 && alpha_passes(texel, ray) {
+            visibility_write(frame.first_pixel + u32(y) * frame.size_px.x + u32(x), plane_inverse_depth(plane, ray), id);
+        }
+        x++;
+        e += step_x;
+        if x > high.x {
+            x = low.x;
+            y++;
+            row += step_y;
+            e = row;
+        }
+    }
+    return most;
 }
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(LANES)
 fn project_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     begin_view(group.z);
-    let index = group.y * DISPATCH_ROW + group.x;
-    let run = runs[frame.first_run + segment.index];
-    if index >= run.count {
+    let turn = turn_of(group.y * DISPATCH_ROW + group.x);
+    if turn.parts == 0u {
         return;
     }
-    let slot_index = run.first_slot + index;
-    let slot = slots[frame.first_slot + slot_index];
+    let slot = slots[frame.first_slot + turn.slot];
     let chunk = chunks[slot.chunk];
     let instance = slot.instance;
     let at = placed[frame.first_instance + instance];
@@ -132,7 +137,10 @@ fn project_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_inv
     if (material.flags & MATERIAL_DOUBLE_SIDED) == 0u {
         one_sided = select(1.0, -1.0, instances[instance].mirrored != 0u);
     }
-    for (var i = lane; i < chunk.count; i += 64u) {
-        triangle(slot_index, at, chunk, one_sided, i);
+    var rounds = 0u;
+    var i = next_element(lane, turn.parts, lane, chunk.count);
+    while i < chunk.count {
+        rounds += triangle(turn.slot, at, chunk, one_sided, i, rounds);
+        i = next_element(i + LANES, turn.parts, lane, chunk.count);
     }
 }

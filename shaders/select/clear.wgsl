@@ -5,6 +5,8 @@
 @group(0) @binding(1) var<storage, read_write> visibility: array<vec4<u32>>;
 @group(0) @binding(4) var<storage, read_write> stats: array<u32>;
 @group(2) @binding(1) var<storage, read_write> dispatches: array<u32>;
+@group(2) @binding(2) var<storage, read_write> portions: array<u32>;
+@group(2) @binding(3) var<storage, read_write> depths: array<u32>;
 @group(2) @binding(4) var<storage, read_write> large: array<u32, 4>;
 
 // Pairs of pixels a thread takes, 64 apart.
@@ -27,6 +29,12 @@ fn clear(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         }
         for (var i = lane; i < arrayLength(&dispatches); i += 64u) {
             dispatches[i] = 0u;
+        }
+        for (var i = lane; i < arrayLength(&portions); i += 64u) {
+            portions[i] = 0u;
+        }
+        for (var i = lane; i < arrayLength(&depths); i += 64u) {
+            depths[i] = 0u;
         }
     }
     if group.x == 0u && group.y == 0u && lane < 4u {

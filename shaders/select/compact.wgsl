@@ -2,6 +2,7 @@
 //!include shared/frame
 //!include shared/scene
 //!include shared/frustum
+//!include shared/portions
 //!include LIST
 
 @group(1) @binding(1) var<storage, read> chunks: array<Chunk>;
@@ -11,6 +12,16 @@
 @group(2) @binding(3) var<storage, read_write> slots: array<Slot>;
 @group(2) @binding(4) var<storage, read_write> seen: array<atomic<u32>>;
 @group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
+@group(2) @binding(7) var<storage, read> depths: array<u32>;
+@group(2) @binding(8) var<storage, read> segments: array<Segment>;
+@group(2) @binding(9) var<storage, read> runs: array<Run>;
+@group(2) @binding(10) var<storage, read_write> portions: array<Portion>;
+@group(2) @binding(11) var<storage, read_write> turns: array<u32>;
+
+// What is hidden by what is nearer is looked for.
+override HIDES: bool = false;
+// Samples are splats, all of which are drawn.
+override SPLATS: bool = false;
 
 const NOT_VISIBLE: u32 = 0xffffffffu;
 const GROUP: u32 = 32u;
@@ -38,6 +49,29 @@ fn sample_slot(entry: Entry, chunk: Chunk, at: Placed) -> Slot {
     return slot;
 }
 
+// Lists a slot with what is drawn first, from its run's begin on, or with what is asked later, from the end on.
+fn list_turn(group: u32, slot: u32, bin: u32, is_near: bool) {
+    // The segment that the group is in.
+    var low = 0u;
+    var high = frame.segment_count;
+    while low + 1u < high {
+        let middle = (low + high) / 2u;
+        if segments[middle].first_group <= group {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    let run = runs[frame.first_run + low];
+    var place = 0u;
+    if is_near {
+        place = atomicAdd(&portions[frame.first_run + low].near, 1u);
+    } else {
+        place = run.count - 1u - atomicAdd(&portions[frame.first_run + low].far, 1u);
+    }
+    turns[frame.first_slot + run.first_slot + place] = select(slot | (bin << TURN_SHIFT), slot, is_near);
+}
+
 @compute @workgroup_size(64)
 fn compact(@builtin(global_invocation_id) invocation: vec3<u32>) {
     begin_view(invocation.z);
@@ -51,17 +85,27 @@ fn compact(@builtin(global_invocation_id) invocation: vec3<u32>) {
     }
     let entry = entries[index];
     let chunk = chunks[entry.chunk];
+    let own = group_counts[frame.first_group + index / GROUP] + rank;
+    // Of what may be hidden, who asks that counts it.
+    var counted = chunk.count;
+    if HIDES {
+        let bounds = box_bounds(grid_box(placed[frame.first_instance + entry.instance], chunk.origin, chunk.extent));
+        let bin = depth_bin(bounds.near);
+        let is_near = bin < depths[frame.view * DEPTHS_WORDS + DEPTH_BINS];
+        list_turn(index / GROUP, own, bin, is_near);
+        counted = select(0u, chunk.count, is_near || (SPLATS && chunk.shift != TRIANGLES));
+    }
     var slot: Slot;
     if chunk.shift == TRIANGLES {
-        let old = atomicAdd(&stats[frame.view].triangles_tested_lo, chunk.count);
-        if old + chunk.count < old {
+        let old = atomicAdd(&stats[frame.view].triangles_tested_lo, counted);
+        if old + counted < old {
             atomicAdd(&stats[frame.view].triangles_tested_hi, 1u);
         }
     } else {
         slot = sample_slot(entry, chunk, placed[frame.first_instance + entry.instance]);
         if COUNTS_SAMPLES {
-            let old = atomicAdd(&stats[frame.view].samples_tested_lo, chunk.count);
-            if old + chunk.count < old {
+            let old = atomicAdd(&stats[frame.view].samples_tested_lo, counted);
+            if old + counted < old {
                 atomicAdd(&stats[frame.view].samples_tested_hi, 1u);
             }
         }
@@ -70,7 +114,7 @@ fn compact(@builtin(global_invocation_id) invocation: vec3<u32>) {
     slot.chunk = entry.chunk;
     slot.first = chunk.first;
     slot.count = chunk.count;
-    slots[frame.first_slot + group_counts[frame.first_group + index / GROUP] + rank] = slot;
+    slots[frame.first_slot + own] = slot;
     if atomicExchange(&seen[frame.first_instance + entry.instance], 1u) == 0u {
         atomicAdd(&stats[frame.view].instances_drawn, 1u);
     }

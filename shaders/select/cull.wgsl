@@ -3,12 +3,17 @@
 //!include shared/frame
 //!include shared/scene
 //!include shared/frustum
+//!include shared/portions
 //!include ENTRIES
 
 @group(1) @binding(1) var<storage, read> chunks: array<Chunk>;
 @group(2) @binding(0) var<storage, read> placed: array<Placed>;
 @group(2) @binding(1) var<storage, read_write> ranks: array<u32>;
 @group(2) @binding(2) var<storage, read_write> group_counts: array<u32>;
+@group(2) @binding(3) var<storage, read_write> depths: array<atomic<u32>>;
+
+// What is hidden by what is nearer is looked for.
+override HIDES: bool = false;
 
 const NOT_VISIBLE: u32 = 0xffffffffu;
 // Chunks of triangles carry this shift.
@@ -33,6 +38,17 @@ fn is_wanted(entry: Entry) -> bool {
         && box_is_seen(centre, x, y, z, radius, frame.splat_cutoff * frame.splat_lowpass_px);
 }
 
+// Adds a chunk to what begins at its depth.
+fn note_depth(entry: Entry, index: u32) {
+    let chunk = chunks[entry.chunk];
+    let bounds = box_bounds(grid_box(placed[frame.first_instance + entry.instance], chunk.origin, chunk.extent));
+    // Fractions of a part count as often as they add up to one.
+    let parts = u32(cover_of(bounds) * f32(COVER_ONE) + fract(f32(index & 0xffffu) * 0.618034));
+    if parts > 0u {
+        atomicAdd(&depths[frame.view * DEPTHS_WORDS + depth_bin(bounds.near)], parts);
+    }
+}
+
 // One thread a group of entries: no barrier, which costs more than the work on a CPU adapter.
 const GROUP: u32 = 32u;
 
@@ -53,6 +69,9 @@ fn cull(@builtin(global_invocation_id) invocation: vec3<u32>) {
             if is_wanted(entry) {
                 mine = rank;
                 rank++;
+                if HIDES {
+                    note_depth(entry, first + k);
+                }
             }
         }
         ranks[frame.first_entry + first + k] = mine;

@@ -4,18 +4,41 @@
 //!include shared/scene
 
 //!include shared/chosen
+//!include shared/portions
 
 @group(2) @binding(3) var<storage, read> segments: array<Segment>;
 @group(2) @binding(4) var<storage, read> sizes: Sizes;
 @group(2) @binding(0) var<storage, read_write> group_counts: array<u32>;
 @group(2) @binding(1) var<storage, read_write> dispatches: array<Dispatch>;
 @group(2) @binding(2) var<storage, read_write> runs: array<Run>;
+@group(2) @binding(5) var<storage, read_write> depths: array<u32>;
+
+// What is hidden by what is nearer is looked for.
+override HIDES: bool = false;
+// Near is what covers the image so often, in parts of it.
+override NEAR_COVER: u32 = 2000u;
+override GROW: u32 = 6u;
 
 var<workgroup> partial: array<u32, 64>;
 
 @compute @workgroup_size(64)
 fn scan(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     begin_view(group.z);
+    if HIDES && lane == 0u {
+        let first = frame.view * DEPTHS_WORDS;
+        var cover = 0u;
+        var bin = 0u;
+        var end = NEAR_COVER;
+        for (var turn = 0u; turn < TURNS; turn++) {
+            while bin < DEPTH_BINS && cover < end {
+                cover += depths[first + bin];
+                bin++;
+            }
+            depths[first + DEPTH_BINS + turn] = bin;
+            end = end * GROW / 4u;
+        }
+        depths[first + DEPTH_BINS + TURNS] = DEPTH_BINS;
+    }
     let base = frame.first_group;
     let share = (sizes.group_count + 63u) / 64u;
     let first = min(lane * share, sizes.group_count);

@@ -405,6 +405,7 @@ fn facts(model: &SceneModel) -> SceneFacts {
             asset.packed.materials.iter().any(|material| material.alpha_cutoff.is_some())
         }),
         trees: false,
+        chunks: counts.chunks,
     }
 }
 

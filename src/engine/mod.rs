@@ -76,6 +76,9 @@ pub struct EngineConfig {
     /// For measurements: boxes of triangles with a longer side than this go to the rasteriser; `None`: the measured best.
     #[doc(hidden)]
     pub small_triangle_px: Option<u32>,
+    /// For tests and measurements: chunks that lie behind others are drawn as well.
+    #[doc(hidden)]
+    pub draw_hidden: bool,
     /// For measurements: boxes of splats with a longer side than this go to walk_splats; `None`: the measured best.
     #[doc(hidden)]
     pub small_splat_px: Option<u32>,
@@ -349,6 +352,7 @@ impl EngineConfig {
             force_32_bit: false,
             max_binding_bytes: None,
             small_triangle_px: None,
+            draw_hidden: false,
             small_splat_px: None,
             rasterise: None,
             large_units_limit: None,

@@ -88,7 +88,7 @@ pub struct PassReceipt {
 pub struct SampleCounts {
     /// In the scene, instances counted.
     pub stored: u64,
-    /// In chunks that met the frustum and, of point trees, the accepted error; each was projected.
+    /// In chunks that met the frustum and, of point trees, the accepted error, and were not hidden by what is nearer; each was projected.
     pub tested: Option<u64>,
     /// Nodes of point trees that the accepted error asked for, and that lie in the image; `null` at full detail.
     pub accepted: Option<u64>,
@@ -109,6 +109,7 @@ pub struct SplatCounts {
 #[derive(Clone, Copy, Debug, Default, Serialize, ToSchema)]
 pub struct TriangleCounts {
     pub stored: u64,
+    /// In parts of chunks that met the frustum and were not hidden by what is nearer.
     pub tested: Option<u64>,
     /// Left to rasterise_triangles or walk_triangles for their size or because they meet the camera plane.
     pub rasterised: Option<u64>,

@@ -102,6 +102,7 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
             atomics_64: adapter.atomics_64,
             atomic_sums_64: adapter.atomic_sums_64,
             rasterises: adapter.rasterises,
+            draws_hidden: shared.config.draw_hidden,
         };
         let plan = plan(&facts, request.output, splats.as_ref(), &adapter);
         Drawing { plan, reconstruct: settings.reconstruct, instead_because, splats }

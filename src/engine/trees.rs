@@ -292,8 +292,9 @@ impl Loaded {
             totals: OnceLock::new(),
             ..SceneModel::clone(&self.model)
         };
-        let has_samples = model.counts().samples > 0;
-        let facts = SceneFacts { trees: true, has_samples, ..self.facts };
+        let counts = model.counts();
+        let (has_samples, chunks) = (counts.samples > 0, counts.chunks);
+        let facts = SceneFacts { trees: true, has_samples, chunks, ..self.facts };
         Ok(TreeScene { model: Arc::new(model), facts, crowd })
     }
 

@@ -44,7 +44,7 @@ pub struct FrameTask {
     pub entry_capacity: u32,
 }
 
-/// Beyond it the sixteen triangles of a thread might take more rounds of loops than lavapipe lets a thread have: 65535.
+/// Beyond it a few triangles would take all the rounds of loops that lavapipe lets a thread have: 65535.
 pub const MOST_SMALL_TRIANGLE_PX: u32 = 60;
 /// Linear RGB and straight alpha → sRGB8 word.
 fn srgb8(color: [f32; 4]) -> u32 {
@@ -89,6 +89,11 @@ impl FrameTask {
             (true, false) => 2,
             (true, true) => 4,
         }
+    }
+
+    /// Whether what is near is drawn first, and then only what it does not hide.
+    pub fn hides(&self) -> bool {
+        self.plan.runs(Pass::CullHidden)
     }
 
     /// By which of a node's measures detail is chosen: sizes where samples are drawn as points.

@@ -2,7 +2,8 @@
 
 use super::frame::FrameTask;
 use super::recorder::{Context, PassSpan, Recorder};
-use super::shaders::Visibility;
+use super::select::cull_hidden::TURNS;
+use super::shaders::{Portion, Visibility};
 use super::uniforms::GroupUniforms;
 use super::{project, reconstruct, resolve, select, shade};
 use crate::gpu::shader::ShaderError;
@@ -42,15 +43,21 @@ pub fn record(
     select::cull::record(recorder)?;
     select::scan::record(recorder)?;
     select::compact::record(recorder)?;
+    if task.hides() {
+        select::launch_portions::record(recorder, false)?;
+    }
     for &half in halves {
-        if plan.runs(project::project_samples::pass(half)) {
-            project::project_samples::record(recorder, half)?;
-        }
-        if plan.runs(project::project_splats::pass(half)) {
-            project_splats(recorder, half)?;
-        }
-        if plan.runs(project::project_triangles::pass(half)) {
-            project_triangles(recorder, half)?;
+        // What is hidden is known once depths are.
+        let late = if half == Visibility::Id { 1 } else { TURNS };
+        let first = if task.hides() { Portion::Near } else { Portion::All };
+        project(recorder, half, first)?;
+        for turn in 1..=if task.hides() { late } else { 0 } {
+            if half != Visibility::Id {
+                select::depth_pyramid::record(recorder)?;
+                select::cull_hidden::record(recorder, turn)?;
+            }
+            select::launch_portions::record(recorder, half == Visibility::Id)?;
+            project(recorder, half, Portion::Late)?;
         }
     }
     if plan.runs(Pass::BlendSplats) {
@@ -73,6 +80,22 @@ pub fn record(
         shade::record(recorder)?;
     }
     Ok(std::mem::take(&mut recorder.spans))
+}
+
+/// Into the visibility buffer.
+fn project(recorder: &mut Recorder, half: Visibility, portion: Portion) -> Result<(), ShaderError> {
+    let plan = &recorder.task.plan;
+    if plan.runs(project::project_samples::pass(half)) {
+        project::project_samples::record(recorder, half, portion)?;
+    }
+    // All splats at once: a surface is blended of what lies behind its front as well.
+    if plan.runs(project::project_splats::pass(half)) && portion != Portion::Late {
+        project_splats(recorder, half)?;
+    }
+    if plan.runs(project::project_triangles::pass(half)) {
+        project_triangles(recorder, half, portion)?;
+    }
+    Ok(())
 }
 
 /// Segment by segment, as triangles.
@@ -106,11 +129,15 @@ fn fuse_splats(recorder: &mut Recorder) -> Result<(), ShaderError> {
 }
 
 /// Segment by segment: the list of large triangles is the segment's own, its ids mean vertices of one page.
-fn project_triangles(recorder: &mut Recorder, half: Visibility) -> Result<(), ShaderError> {
+fn project_triangles(
+    recorder: &mut Recorder,
+    half: Visibility,
+    portion: Portion,
+) -> Result<(), ShaderError> {
     let rasterise = project::rasterise_triangles::pass(half);
     for segment in recorder.segments(&[PageKind::Triangles]) {
         recorder.empty_list();
-        project::project_triangles::record(recorder, half, segment)?;
+        project::project_triangles::record(recorder, half, portion, segment)?;
         if recorder.task.plan.runs(rasterise) {
             project::rasterise_triangles::record(recorder, half, segment)?;
         } else {

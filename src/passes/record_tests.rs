@@ -8,12 +8,13 @@ use crate::passes::frame::output_number;
 use crate::passes::project::LANES;
 use crate::passes::recorder::DISPATCH_ROW;
 use crate::passes::resolve::TILE;
-use crate::passes::select::{clear, compact, cull, place};
+use crate::passes::scratch::{DEPTHS_BYTES, MOST_ENTRIES};
+use crate::passes::select::{clear, compact, cull, cull_hidden, depth_pyramid, place};
 use crate::passes::shaders::{Choices, composed};
 use crate::passes::slabs::SLABS;
 use crate::plan::Output;
-use crate::residency::GROUP;
 use crate::residency::layout::*;
+use crate::residency::{GROUP, PART};
 
 /// The module of a root, whichever way it is composed.
 fn module(root: &str) -> Module {
@@ -70,6 +71,21 @@ fn direct_dispatches_cover_what_they_must() {
     assert_eq!(scalar(&module_of_cull, "GROUP") * threads(&module_of_cull), cull::ENTRIES);
     assert_eq!(threads(&module("select/place")), place::INSTANCES);
     assert_eq!(threads(&module("select/compact")), compact::ENTRIES);
+}
+
+#[test]
+fn what_is_hidden_is_asked_of_as_many() {
+    let ask = module("select/cull_hidden");
+    assert_eq!(scalar(&ask, "TURNS"), cull_hidden::TURNS);
+    assert_eq!(scalar(&ask, "PART") as usize, PART);
+    assert_eq!(scalar(&ask, "BLOCK_PX"), depth_pyramid::BLOCK_PX);
+    assert_eq!(scalar(&ask, "BLOCK_WORDS"), depth_pyramid::BLOCK_WORDS);
+    assert_eq!(4 * u64::from(scalar(&ask, "DEPTHS_WORDS")), DEPTHS_BYTES);
+    assert!(scalar(&ask, "DEPTHS_WORDS") > scalar(&ask, "DEPTH_BINS") + cull_hidden::TURNS);
+    // A place in the list of what is far has a slot below and a bin of depth above.
+    assert_eq!(scalar(&ask, "TURN_SLOT"), (1 << scalar(&ask, "TURN_SHIFT")) - 1);
+    assert!(MOST_ENTRIES - 1 <= scalar(&ask, "TURN_SLOT"));
+    assert!(scalar(&ask, "DEPTH_BINS") < 1 << (32 - scalar(&ask, "TURN_SHIFT")));
 }
 
 #[test]

@@ -7,7 +7,7 @@ use super::bindings::Names;
 use super::frame::FrameTask;
 use super::pipelines::{Constants, Pipelines};
 use super::scratch::Scratch;
-use super::shaders::{Choices, Visibility};
+use super::shaders::{Choices, Portion, Visibility};
 use super::uniforms::GroupUniforms;
 use crate::gpu::Gpu;
 use crate::gpu::bind::BindCache;
@@ -38,6 +38,9 @@ pub struct Context<'a> {
     pub timer: &'a mut Timer,
 }
 
+/// Overrides that passes over lists have where the scene is one of point trees.
+const OF_TREES: [&str; 2] = ["MEASURE", "SPLIT"];
+
 /// A group being recorded.
 pub struct Recorder<'a, 'c> {
     pub context: &'a mut Context<'c>,
@@ -57,6 +60,12 @@ pub enum Launch {
     Direct([u32; 3]),
     /// As `scan` has written it for the segment.
     Indirect,
+    /// As `launch_portions` has written it for the segment.
+    Near,
+    Asked,
+    Late,
+    /// As it has written it for the hierarchical depth buffer.
+    Pyramid,
     /// As `list_groups` or `list_entries` has written it, behind the segments'.
     Listed(Listed),
 }
@@ -99,6 +108,20 @@ impl Recorder<'_, '_> {
         ("LANES", if self.context.gpu.is_cpu { 8 } else { 64 })
     }
 
+    /// Whether what is hidden by what is nearer is looked for, as an override.
+    pub fn hides(&self) -> (&'static str, u32) {
+        ("HIDES", u32::from(self.task.hides()))
+    }
+
+    /// How a pass is launched over a segment's slots.
+    pub fn launch(portion: Portion) -> Launch {
+        match portion {
+            Portion::All => Launch::Indirect,
+            Portion::Near => Launch::Near,
+            Portion::Late => Launch::Late,
+        }
+    }
+
     /// Entries of a view, padding included.
     pub fn entries(&self) -> u32 {
         self.scene.entries(self.task.entry_capacity).0
@@ -138,14 +161,19 @@ impl Recorder<'_, '_> {
                     recorded.dispatch_workgroups(x, y, z);
                 }
                 Launch::Direct(_) => {}
-                Launch::Indirect | Launch::Listed(_) => {
+                _ => {
                     let dispatches = self.context.scratch.dispatches.buffer();
+                    let (own, count) = (segment.unwrap_or(0), self.scene.pages.len());
                     let number = match launch {
                         Launch::Listed(listed) => {
                             dispatches.size() as usize / size_of::<GpuDispatch>() - LOD_LAUNCHES
                                 + listed as usize
                         }
-                        _ => segment.unwrap_or(0),
+                        Launch::Near => count + own,
+                        Launch::Asked => 2 * count + own,
+                        Launch::Late => 3 * count + own,
+                        Launch::Pyramid => 4 * count,
+                        Launch::Indirect | Launch::Direct(_) => own,
                     };
                     let offset = (number * size_of::<GpuDispatch>()) as u64;
                     recorded.dispatch_workgroups_indirect(dispatches.raw(), offset);
@@ -165,13 +193,14 @@ impl Recorder<'_, '_> {
         root: &'static str,
         groups: u32,
         views: u32,
+        constants: Constants,
     ) -> Result<(), ShaderError> {
         let size = [groups.min(DISPATCH_ROW), groups.div_ceil(DISPATCH_ROW), views];
         self.compute(Call {
             pass,
             root,
             choices: Choices::default(),
-            constants: Vec::new(),
+            constants,
             segments: &[None],
             launch: Launch::Direct(size),
         })
@@ -188,7 +217,8 @@ impl Recorder<'_, '_> {
         constants: Constants,
     ) -> Result<(), ShaderError> {
         if !self.scene.has_trees() {
-            return self.rows(pass, root, groups, self.task.count());
+            let own = constants.into_iter().filter(|(name, _)| !OF_TREES.contains(name)).collect();
+            return self.rows(pass, root, groups, self.task.count(), own);
         }
         self.compute(Call {
             pass,

@@ -1,5 +1,6 @@
 //! Buffers that every frame uses and none keeps.
 
+use super::select::depth_pyramid::{BLOCK_PX, BLOCK_WORDS};
 use crate::gpu::Gpu;
 use crate::gpu::buffer;
 use crate::residency::layout::{
@@ -26,6 +27,12 @@ pub struct Scratch {
     pub runs: buffer::Scratch,
     pub dispatches: buffer::Scratch,
     pub large: buffer::Scratch,
+    /// Of frames that look for what is hidden: see `shared/portions` and `shared/pyramid`.
+    pub depths: buffer::Scratch,
+    pub portions: buffer::Scratch,
+    pub turns: buffer::Scratch,
+    pub late: buffer::Scratch,
+    pub pyramid: buffer::Scratch,
     /// Of scenes of point trees: which groups of instances are in play, what is chosen of each, and the entries listed from that.
     pub group_flags: buffer::Scratch,
     pub listed: buffer::Scratch,
@@ -47,6 +54,11 @@ pub struct Scratch {
 /// Bytes that each pixel takes where splats are blended in a single pass: two words.
 pub const LAYERS_BYTES: u64 = 16;
 
+/// Launches of a segment: all of its slots, those that are near, those that are asked, those that are left of these.
+const PORTION_LAUNCHES: usize = 4;
+/// Of a view's record of depths, and of a segment's of portions; as in `shared/portions`.
+pub const DEPTHS_BYTES: u64 = 520 * 4;
+const PORTION_BYTES: u64 = 16;
 /// Large triangles that there is room for at first; a frame with more is drawn again with room enough.
 const LARGE_INITIAL: u32 = 1 << 18;
 /// Likewise for the entries that a frame of point trees lists.
@@ -55,7 +67,7 @@ const ENTRIES_INITIAL: u32 = 1 << 15;
 const STRIDE_INITIAL: u32 = 64;
 const MOST_STRIDE: u32 = 1 << 15;
 /// Slots have numbers of 22 bits.
-const MOST_ENTRIES: u32 = 1 << 22;
+pub const MOST_ENTRIES: u32 = 1 << 22;
 
 impl Scratch {
     pub fn new(gpu: &Gpu) -> Self {
@@ -80,6 +92,11 @@ impl Scratch {
             runs: make("runs"),
             dispatches: indirect("dispatches"),
             large: indirect("large"),
+            depths: make("depths"),
+            portions: make("portions"),
+            turns: make("turns"),
+            late: make("late"),
+            pyramid: make("pyramid"),
             group_flags: make("group_flags"),
             listed: make("listed"),
             chosen: make("chosen"),
@@ -131,8 +148,14 @@ impl Scratch {
         self.group_counts.reserve(gpu, views * (u64::from(entries) / GROUP as u64 + 1) * 4);
         self.slots.reserve(gpu, views * u64::from(slots) * size_of::<GpuSlot>() as u64);
         self.runs.reserve(gpu, views * (scene.pages.len() * size_of::<GpuRun>()) as u64);
+        self.depths.reserve(gpu, views * DEPTHS_BYTES);
+        self.portions.reserve(gpu, views * scene.pages.len() as u64 * PORTION_BYTES);
+        self.turns.reserve(gpu, views * u64::from(slots) * 4);
+        self.late.reserve(gpu, views * u64::from(slots) * 8);
+        let blocks = u64::from(width.div_ceil(BLOCK_PX)) * u64::from(height.div_ceil(BLOCK_PX));
+        self.pyramid.reserve(gpu, views * blocks * u64::from(BLOCK_WORDS) * 4);
         // Shaders find what is behind the segments' from the end.
-        let launches = (scene.pages.len() + LOD_LAUNCHES) as u64;
+        let launches = (scene.pages.len() * PORTION_LAUNCHES + 1 + LOD_LAUNCHES) as u64;
         self.dispatches.reserve(gpu, launches * size_of::<GpuDispatch>() as u64);
         if scene.has_trees() {
             let (groups, segments) = (u64::from(scene.instance_groups()), scene.pages.len() as u64);

@@ -63,6 +63,12 @@ fragments![
     "shared/slabs",
     "shared/scatter",
     "shared/walk_splat",
+    "shared/portions",
+    "shared/pyramid",
+    "shared/turns",
+    "shared/portion_all",
+    "shared/portion_near",
+    "shared/portion_late",
     "shared/clip_none",
     "shared/clip_lines",
     "shared/sums_64",
@@ -97,6 +103,9 @@ fragments![
     "select/cull",
     "select/scan",
     "select/compact",
+    "select/launch_portions",
+    "select/depth_pyramid",
+    "select/cull_hidden",
     "project/project_samples",
     "project/project_triangles",
     "project/rasterise_triangles",
@@ -137,6 +146,29 @@ impl Visibility {
     }
 }
 
+/// Which of a segment's visible slots a pass draws.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Portion {
+    #[default]
+    All,
+    /// Those that are drawn first.
+    Near,
+    /// Those of the others that are not hidden by them.
+    Late,
+}
+
+impl Portion {
+    pub const ALL: [Portion; 3] = [Portion::All, Portion::Near, Portion::Late];
+
+    fn fragment(self) -> &'static str {
+        match self {
+            Portion::All => "shared/portion_all",
+            Portion::Near => "shared/portion_near",
+            Portion::Late => "shared/portion_late",
+        }
+    }
+}
+
 /// Which fragments stand for the names in capitals that a module includes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Choices {
@@ -158,6 +190,8 @@ pub struct Choices {
     pub trees: bool,
     /// `NODES`: samples are nodes of point trees.
     pub nodes: bool,
+    /// `PORTION`: which slots are drawn.
+    pub portion: Portion,
 }
 
 impl Default for Choices {
@@ -172,12 +206,13 @@ impl Default for Choices {
             lit: false,
             trees: false,
             nodes: false,
+            portion: Portion::All,
         }
     }
 }
 
 impl Choices {
-    fn aliases(&self) -> [(&'static str, &'static str); 11] {
+    fn aliases(&self) -> [(&'static str, &'static str); 12] {
         let either = |choice, yes, no| if choice { yes } else { no };
         [
             ("VOTE", either(self.subgroups, "shared/vote_subgroup", "shared/vote_alone")),
@@ -198,6 +233,7 @@ impl Choices {
             ("LIST", either(self.trees, "shared/list_tree", "shared/list_full")),
             ("MEMBERS", either(self.trees, "shared/members_listed", "shared/members_all")),
             ("NODES", either(self.nodes, "shared/nodes_tree", "shared/nodes_none")),
+            ("PORTION", self.portion.fragment()),
         ]
     }
 }

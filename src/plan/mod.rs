@@ -23,7 +23,12 @@ pub struct SceneFacts {
     pub alpha_cut: bool,
     /// Its assets are point trees, from which a frame takes the detail that it shows.
     pub trees: bool,
+    /// Chunks, instances counted.
+    pub chunks: u64,
 }
+
+/// From so many chunks on it pays to ask which of them are hidden.
+pub const MANY_CHUNKS: u64 = 128;
 
 /// What a plan depends on in the adapter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -33,6 +38,8 @@ pub struct AdapterFacts {
     pub atomic_sums_64: bool,
     /// Large triangles go to the rasteriser rather than to a walk in compute.
     pub rasterises: bool,
+    /// What is hidden is drawn as well: for tests and measurements.
+    pub draws_hidden: bool,
 }
 
 /// Every pass, by the one name that it has everywhere.
@@ -48,6 +55,9 @@ pub enum Pass {
     Cull,
     Scan,
     Compact,
+    LaunchPortions,
+    DepthPyramid,
+    CullHidden,
     ProjectSamples,
     /// Second half of [`Pass::ProjectSamples`] without 64-bit atomics.
     ProjectSamplesId,
@@ -75,7 +85,7 @@ pub enum Pass {
 
 impl Pass {
     /// All passes in the order in which they run.
-    pub const ALL: [Pass; 31] = [
+    pub const ALL: [Pass; 34] = [
         Pass::Clear,
         Pass::CullGroups,
         Pass::ListGroups,
@@ -85,6 +95,9 @@ impl Pass {
         Pass::Cull,
         Pass::Scan,
         Pass::Compact,
+        Pass::LaunchPortions,
+        Pass::DepthPyramid,
+        Pass::CullHidden,
         Pass::ShadowMap,
         Pass::ProjectSamples,
         Pass::ProjectSplats,
@@ -120,6 +133,9 @@ impl Pass {
             Pass::Cull => "cull",
             Pass::Scan => "scan",
             Pass::Compact => "compact",
+            Pass::LaunchPortions => "launch_portions",
+            Pass::DepthPyramid => "depth_pyramid",
+            Pass::CullHidden => "cull_hidden",
             Pass::ProjectSamples => "project_samples",
             Pass::ProjectSamplesId => "project_samples_id",
             Pass::ProjectSplats => "project_splats",
@@ -196,6 +212,11 @@ pub fn plan(
             Pass::CullGroups | Pass::ListGroups | Pass::SelectChunks | Pass::ListEntries => {
                 (!scene.trees).then_some("the level of detail is full")
             }
+            Pass::LaunchPortions | Pass::DepthPyramid | Pass::CullHidden => no_points
+                .and(triangles)
+                .map(|_| "nothing is drawn that can be hidden")
+                .or((scene.chunks < MANY_CHUNKS).then_some("the scene is of few chunks"))
+                .or(adapter.draws_hidden.then_some("what is hidden is to be drawn")),
             Pass::ProjectSamples => no_points,
             Pass::ProjectSplats | Pass::WalkSplats => points.or(single),
             Pass::ProjectSplatsId | Pass::WalkSplatsId => points.or(single).or(wide),
@@ -237,8 +258,12 @@ mod tests {
 
     const OF_TREES: [Pass; 4] =
         [Pass::CullGroups, Pass::ListGroups, Pass::SelectChunks, Pass::ListEntries];
-    const WIDE: AdapterFacts =
-        AdapterFacts { atomics_64: true, atomic_sums_64: true, rasterises: true };
+    const WIDE: AdapterFacts = AdapterFacts {
+        atomics_64: true,
+        atomic_sums_64: true,
+        rasterises: true,
+        draws_hidden: false,
+    };
 
     #[test]
     fn a_scan_without_lights_runs_no_triangle_or_shade_pass() {
@@ -255,8 +280,13 @@ mod tests {
 
     #[test]
     fn without_wide_atomics_every_projection_runs_twice() {
-        let facts =
-            SceneFacts { has_samples: true, has_triangles: true, lights: 1, ..Default::default() };
+        let facts = SceneFacts {
+            has_samples: true,
+            has_triangles: true,
+            lights: 1,
+            chunks: MANY_CHUNKS,
+            ..Default::default()
+        };
         let plan = plan(&facts, Output::Color, None, &AdapterFacts::default());
         for pass in Pass::ALL {
             let other = matches!(
@@ -267,6 +297,21 @@ mod tests {
                 || OF_TREES.contains(&pass);
             assert_eq!(plan.runs(pass), !other, "{pass:?}");
         }
+    }
+
+    #[test]
+    fn what_is_hidden_is_looked_for_where_it_pays() {
+        let asks = |facts: SceneFacts, splats: Option<&Splats>, adapter: &AdapterFacts| {
+            plan(&facts, Output::Color, splats, adapter).runs(Pass::CullHidden)
+        };
+        let points = SceneFacts { has_samples: true, chunks: MANY_CHUNKS, ..Default::default() };
+        let few = SceneFacts { chunks: MANY_CHUNKS - 1, ..points };
+        assert!(asks(points, None, &WIDE) && !asks(few, None, &WIDE));
+        assert!(!asks(points, None, &AdapterFacts { draws_hidden: true, ..WIDE }));
+        let splats = Splats::default();
+        assert!(!asks(points, Some(&splats), &WIDE));
+        // Triangles among splats can be hidden.
+        assert!(asks(SceneFacts { has_triangles: true, ..points }, Some(&splats), &WIDE));
     }
 
     #[test]

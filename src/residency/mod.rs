@@ -17,6 +17,7 @@ pub mod layout;
 mod lists;
 pub mod model;
 pub mod once;
+mod parts;
 mod slots;
 mod upload;
 
@@ -27,6 +28,8 @@ use self::arena::Arena;
 use self::evict::Holding;
 use self::layout::{GpuChunk, GpuEntry, GpuMaterial, GpuSegment, GpuTexture};
 use self::model::SceneModel;
+pub use self::parts::PART;
+use self::parts::PartBoxes;
 use self::slots::Slots;
 use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
@@ -76,6 +79,10 @@ pub enum ResidencyError {
     #[error("{what}: {needed} bytes in one binding, this adapter allows {limit}")]
     OverBinding { what: &'static str, needed: u64, limit: u64 },
 }
+
+/// Bytes of the boxes of a chunk's parts, more than those of its record.
+const PARTS_BYTES: u64 = size_of::<PartBoxes>() as u64;
+const _: () = assert!(PARTS_BYTES >= size_of::<GpuChunk>() as u64);
 
 /// A run of chunks in one page.
 struct Piece {
@@ -252,7 +259,7 @@ impl Residency {
             ],
             meshes: vec![upload::mesh_page(gpu)],
             texels: (0..TEXEL_PAGES).map(|_| Arena::new(gpu, "texels", &[4])).collect(),
-            chunks: Arena::new(gpu, "chunks", &[size_of::<GpuChunk>() as u64]),
+            chunks: Arena::new(gpu, "chunks", &[size_of::<GpuChunk>() as u64, PARTS_BYTES]),
             materials,
             textures: Arena::new(gpu, "textures", &[size_of::<GpuTexture>() as u64]),
             assets: HashMap::new(),
@@ -309,6 +316,11 @@ impl Residency {
 
     pub fn chunk_table(&self) -> &Buffer {
         self.chunks.buffer(0)
+    }
+
+    /// Boxes of the parts of chunks.
+    pub fn part_table(&self) -> &Buffer {
+        self.chunks.buffer(1)
     }
 
     pub fn material_table(&self) -> &Buffer {
@@ -551,7 +563,7 @@ pub fn check_fits(
     };
     let chunks = distinct_assets(model)
         .flat_map(|asset| &asset.packed.geometries)
-        .map(|geometry| geometry.chunks().len() as u64 * size_of::<GpuChunk>() as u64)
+        .map(|geometry| geometry.chunks().len() as u64 * PARTS_BYTES)
         .sum();
     let materials =
         distinct_assets(model).map(|asset| asset.packed.materials.len() as u64).sum::<u64>()

@@ -2,13 +2,16 @@
 
 use std::sync::Arc;
 
+use rayon::prelude::*;
+
 use super::arena::Arena;
 use super::layout::*;
 use super::lists::Previous;
 use super::model::{AssetModel, SceneModel};
+use super::parts::{PartBoxes, part_boxes};
 use super::{
-    Looks, Page, PageKind, Piece, Residency, ResidencyError, ResidentAsset, ResidentGeometry,
-    ResidentScene, SAMPLE_PAGES, SceneMaterials, TEXEL_PAGES,
+    Looks, PARTS_BYTES, Page, PageKind, Piece, Residency, ResidencyError, ResidentAsset,
+    ResidentGeometry, ResidentScene, SAMPLE_PAGES, SceneMaterials, TEXEL_PAGES,
 };
 use crate::assets::Material;
 use crate::bake::pack::{
@@ -265,7 +268,7 @@ impl Residency {
     ) -> Result<ResidentGeometry, ResidencyError> {
         let chunks = geometry.chunks();
         let chunk_length = chunks.len() as u32;
-        let bytes = u64::from(chunk_length) * size_of::<GpuChunk>() as u64;
+        let bytes = u64::from(chunk_length) * PARTS_BYTES;
         let chunk_start =
             self.chunks.allocate(gpu, chunk_length).ok_or(ResidencyError::OverBinding {
                 what: "chunks of all resident assets",
@@ -295,6 +298,9 @@ impl Residency {
                 .collect();
             let first_chunk = chunk_start + from as u32;
             self.chunks.write(gpu, 0, first_chunk, &records);
+            let parts: Vec<PartBoxes> =
+                chunks[from..end].par_iter().map(|chunk| part_boxes(geometry, chunk)).collect();
+            self.chunks.write(gpu, 1, first_chunk, &parts);
             out.pieces.push(Piece { first_chunk, ..piece });
             from = end;
         }

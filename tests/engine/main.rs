@@ -12,6 +12,7 @@ mod changes;
 mod crowds;
 mod determinism;
 mod extremes;
+mod hidden;
 mod large_triangles;
 mod limits;
 mod loss;

@@ -2,8 +2,8 @@
 
 use crate::gpu::shader::ShaderError;
 use crate::passes::reconstruct::{is_tree, node_constants};
-use crate::passes::recorder::{Call, Launch, Recorder};
-use crate::passes::shaders::{Choices, Visibility};
+use crate::passes::recorder::{Call, Recorder};
+use crate::passes::shaders::{Choices, Portion, Visibility};
 use crate::plan::Pass;
 use crate::residency::SAMPLE_PAGES;
 
@@ -11,7 +11,11 @@ pub fn pass(half: Visibility) -> Pass {
     if half == Visibility::Id { Pass::ProjectSamplesId } else { Pass::ProjectSamples }
 }
 
-pub fn record(recorder: &mut Recorder, half: Visibility) -> Result<(), ShaderError> {
+pub fn record(
+    recorder: &mut Recorder,
+    half: Visibility,
+    portion: Portion,
+) -> Result<(), ShaderError> {
     // A scene's samples are either all nodes of trees or none.
     let segments = recorder.segments(SAMPLE_PAGES);
     let first = segments.first().copied().flatten();
@@ -23,10 +27,11 @@ pub fn record(recorder: &mut Recorder, half: Visibility) -> Result<(), ShaderErr
         choices: Choices {
             visibility: half,
             nodes: is_tree(recorder, first),
+            portion,
             ..Choices::default()
         },
         constants,
         segments: &segments,
-        launch: Launch::Indirect,
+        launch: Recorder::launch(portion),
     })
 }

@@ -1,8 +1,8 @@
 //! Triangles of a few pixels; larger ones are listed.
 
 use crate::gpu::shader::ShaderError;
-use crate::passes::recorder::{Call, Launch, Recorder, Segment};
-use crate::passes::shaders::{Choices, Visibility};
+use crate::passes::recorder::{Call, Recorder, Segment};
+use crate::passes::shaders::{Choices, Portion, Visibility};
 use crate::plan::Pass;
 
 pub fn pass(half: Visibility) -> Pass {
@@ -12,6 +12,7 @@ pub fn pass(half: Visibility) -> Pass {
 pub fn record(
     recorder: &mut Recorder,
     half: Visibility,
+    portion: Portion,
     segment: Segment,
 ) -> Result<(), ShaderError> {
     recorder.compute(Call {
@@ -20,10 +21,11 @@ pub fn record(
         choices: Choices {
             visibility: half,
             alpha_cut: recorder.scene.alpha_cut,
+            portion,
             ..Choices::default()
         },
-        constants: Vec::new(),
+        constants: vec![recorder.lanes()],
         segments: &[segment],
-        launch: Launch::Indirect,
+        launch: Recorder::launch(portion),
     })
 }

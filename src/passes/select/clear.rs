@@ -10,5 +10,5 @@ pub const PIXELS: u32 = 2 * 16 * 64;
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let (width, height) = recorder.task.size();
     let (groups, views) = ((recorder.task.count() * width * height).div_ceil(PIXELS), 1);
-    recorder.rows(Pass::Clear, "select/clear", groups, views)
+    recorder.rows(Pass::Clear, "select/clear", groups, views, Vec::new())
 }

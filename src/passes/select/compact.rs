@@ -9,5 +9,7 @@ pub const ENTRIES: u32 = 64;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let groups = recorder.entries().div_ceil(ENTRIES);
-    recorder.over_lists(Pass::Compact, "select/compact", groups, Listed::Compact, Vec::new())
+    let splats = ("SPLATS", u32::from(recorder.task.splats.is_some()));
+    let constants = vec![recorder.hides(), splats];
+    recorder.over_lists(Pass::Compact, "select/compact", groups, Listed::Compact, constants)
 }

@@ -12,6 +12,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let constants = vec![
         ("MEASURE", recorder.task.measure()),
         ("SPLIT", u32::from(recorder.task.splits_errors())),
+        recorder.hides(),
     ];
     recorder.over_lists(Pass::Cull, "select/cull", groups, Listed::Cull, constants)
 }

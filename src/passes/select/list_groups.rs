@@ -5,5 +5,5 @@ use crate::passes::recorder::Recorder;
 use crate::plan::Pass;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
-    recorder.rows(Pass::ListGroups, "select/list_groups", 1, 1)
+    recorder.rows(Pass::ListGroups, "select/list_groups", 1, 1, Vec::new())
 }

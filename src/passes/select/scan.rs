@@ -6,5 +6,5 @@ use crate::plan::Pass;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let (groups, views) = (1, recorder.task.count());
-    recorder.rows(Pass::Scan, "select/scan", groups, views)
+    recorder.rows(Pass::Scan, "select/scan", groups, views, vec![recorder.hides()])
 }

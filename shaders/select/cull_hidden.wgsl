@@ -1,0 +1,167 @@
+// Which of the far slots lie wholly behind what has been drawn: a thread takes a slot and asks for each of its parts. The others are listed, with
+// the parts that are not hidden.
+//!include shared/frame
+//!include shared/scene
+//!include shared/portions
+//!include shared/pyramid
+//!include shared/turns
+
+struct SegmentUse {
+    index: u32,
+}
+
+@group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
+// Of each chunk's sixteen parts, the corners of the box in parts of 255 of the chunk's.
+@group(1) @binding(3) var<storage, read> parts: array<array<vec2<u32>, 16>>;
+@group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
+@group(2) @binding(0) var<storage, read> slots: array<Slot>;
+@group(2) @binding(1) var<storage, read> runs: array<Run>;
+@group(2) @binding(2) var<uniform> segment: SegmentUse;
+@group(2) @binding(3) var<storage, read> placed: array<Placed>;
+@group(2) @binding(4) var<storage, read> pyramid: array<u32>;
+@group(2) @binding(5) var<storage, read_write> portions: array<Portion>;
+@group(2) @binding(6) var<storage, read> turns: array<u32>;
+@group(2) @binding(8) var<storage, read> depths: array<u32>;
+@group(2) @binding(7) var<storage, read_write> late: array<vec2<u32>>;
+
+// Samples count themselves as they are tested.
+override COUNTS_SAMPLES: bool = false;
+// Which turn this is, from 1 on.
+override TURN: u32 = 1u;
+
+// Chunks of triangles carry this shift.
+const TRIANGLES: u32 = 0xffffffffu;
+// Tiles, or blocks, that are looked at in each direction at most.
+const MOST_ACROSS: u32 = 6u;
+
+// Whether every pixel within bounds shows something nearer.
+fn is_hidden(bounds: BoxBounds) -> bool {
+    let size = vec2<f32>(frame.size_px);
+    if any(bounds.most < vec2<f32>(0.0)) || any(bounds.least > size) {
+        return true;
+    }
+    if bounds.near == 0.0 {
+        return false;
+    }
+    let low = vec2<u32>(clamp(bounds.least, vec2<f32>(0.0), size - vec2<f32>(1.0)));
+    let high = vec2<u32>(clamp(bounds.most, vec2<f32>(0.0), size - vec2<f32>(1.0)));
+    // Rounding of 1/z, here and where it was written.
+    let nearest = bitcast<u32>(1.00001 / bounds.near);
+    let by_tiles = all(high / TILE_PX - low / TILE_PX < vec2<u32>(MOST_ACROSS));
+    let unit = select(BLOCK_PX, TILE_PX, by_tiles);
+    let first = low / unit;
+    let last = high / unit;
+    if any(last - first >= vec2<u32>(MOST_ACROSS)) {
+        return false;
+    }
+    var at = first;
+    loop {
+        var word = 0u;
+        if by_tiles {
+            let tile = at % BLOCK_TILES;
+            word = block_record(at / BLOCK_TILES) + 1u + tile.y * BLOCK_TILES + tile.x;
+        } else {
+            word = block_record(at);
+        }
+        if pyramid[word] <= nearest {
+            return false;
+        }
+        at.x++;
+        if at.x > last.x {
+            at = vec2<u32>(first.x, at.y + 1u);
+        }
+        if at.y > last.y {
+            break;
+        }
+    }
+    return true;
+}
+
+// A corner of a part's box in its chunk's, from 0 to 1.
+fn corner_of(word: u32) -> vec3<f32> {
+    return vec3<f32>(vec3<u32>(word, word >> 8u, word >> 16u) & vec3<u32>(255u)) / 255.0;
+}
+
+fn count(counter: u32, chunk: Chunk, elements: u32) {
+    if chunk.shift == TRIANGLES {
+        let old = atomicAdd(&stats[counter].triangles_tested_lo, elements);
+        if old + elements < old {
+            atomicAdd(&stats[counter].triangles_tested_hi, 1u);
+        }
+    } else if COUNTS_SAMPLES {
+        let old = atomicAdd(&stats[counter].samples_tested_lo, elements);
+        if old + elements < old {
+            atomicAdd(&stats[counter].samples_tested_hi, 1u);
+        }
+    }
+}
+
+// Lists a slot with what is drawn in this turn if any of it is shown.
+fn ask(run: Run, slot_index: u32) {
+    let slot = slots[frame.first_slot + slot_index];
+    let chunk = chunks[slot.chunk];
+    let at = placed[frame.first_instance + slot.instance];
+    let whole = grid_box(at, chunk.origin, chunk.extent);
+    var left = select((chunk.count + PART - 1u) / PART, 0u, is_hidden(box_bounds(whole)));
+    var shown = 0u;
+    var elements = 0u;
+    // The last first.
+    while left > 0u {
+        left--;
+        let words = parts[slot.chunk][left];
+        let low = corner_of(words.x);
+        let high = corner_of(words.y);
+        // From the chunk's middle, in half its edges.
+        let middle = low + high - vec3<f32>(1.0);
+        let size = high - low;
+        let part = Box(
+            whole.centre + whole.x * middle.x + whole.y * middle.y + whole.z * middle.z,
+            whole.x * size.x,
+            whole.y * size.y,
+            whole.z * size.z,
+            whole.slack,
+        );
+        if !is_hidden(box_bounds(part)) {
+            shown |= 1u << left;
+            elements += min(chunk.count - left * PART, PART);
+        }
+    }
+    if shown != 0u {
+        count(frame.view, chunk, elements);
+        let place = atomicAdd(&portions[frame.first_run + segment.index].late, 1u);
+        late[frame.first_slot + run.first_slot + place] = vec2<u32>(slot_index, shown);
+    }
+}
+
+@compute @workgroup_size(64)
+fn cull_hidden(@builtin(global_invocation_id) invocation: vec3<u32>) {
+    begin_view(invocation.z);
+    let own = frame.first_run + segment.index;
+    let far = atomicLoad(&portions[own].far);
+    let run = runs[own];
+    let ends = frame.view * DEPTHS_WORDS + DEPTH_BINS + TURN;
+    let begin = depths[ends - 1u];
+    let end = depths[ends];
+    var index = (invocation.x + invocation.y * DISPATCH_ROW * 64u) * ASKED_EACH;
+    let stop = min(index + ASKED_EACH, far);
+    loop {
+        // On to the next whose turn it is, before anything dear is done: see shared/resolve.
+        var word = NO_TURN;
+        loop {
+            if index >= stop {
+                break;
+            }
+            word = turns[frame.first_slot + run.first_slot + run.count - 1u - index];
+            index++;
+            let bin = word >> TURN_SHIFT;
+            if bin >= begin && bin < end {
+                break;
+            }
+            word = NO_TURN;
+        }
+        if word == NO_TURN {
+            break;
+        }
+        ask(run, word & TURN_SLOT);
+    }
+}

@@ -1,0 +1,44 @@
+// The hierarchical depth buffer of what has been drawn so far (Greene, Kass & Miller 1993). A thread takes a block.
+//!include shared/frame
+//!include shared/scene
+//!include shared/pyramid
+//!include shared/portions
+
+@group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
+@group(2) @binding(0) var<storage, read_write> pyramid: array<u32>;
+@group(2) @binding(1) var<storage, read_write> portions: array<Portion>;
+
+@compute @workgroup_size(64)
+fn depth_pyramid(@builtin(global_invocation_id) invocation: vec3<u32>) {
+    begin_view(invocation.z);
+    let blocks = pyramid_blocks();
+    let index = invocation.x + invocation.y * DISPATCH_ROW * 64u;
+    if index >= blocks.x * blocks.y {
+        return;
+    }
+    // What is listed from now on is drawn in the next turn.
+    if index == 0u {
+        // See shade for why the bound is no uniform alone.
+        let segments = min(frame.segment_count, arrayLength(&portions));
+        for (var segment = 0u; segment < segments; segment++) {
+            let own = frame.first_run + segment;
+            atomicStore(&portions[own].before, atomicLoad(&portions[own].late));
+        }
+    }
+    let block = vec2<u32>(index % blocks.x, index / blocks.x);
+    let record = block_record(block);
+    // Numbers that are not negative sort as their bits do.
+    var whole = 0xffffffffu;
+    for (var tile = 0u; tile < BLOCK_TILES * BLOCK_TILES; tile++) {
+        let corner = block * BLOCK_PX + vec2<u32>(tile % BLOCK_TILES, tile / BLOCK_TILES) * TILE_PX;
+        var least = 0xffffffffu;
+        for (var k = 0u; k < TILE_PX * TILE_PX; k++) {
+            // Beyond the image its last row and column go on.
+            let at = min(corner + vec2<u32>(k % TILE_PX, k / TILE_PX), frame.size_px - vec2<u32>(1u));
+            least = min(least, visibility[frame.first_pixel + at.y * frame.size_px.x + at.x].y);
+        }
+        pyramid[record + 1u + tile] = least;
+        whole = min(whole, least);
+    }
+    pyramid[record] = whole;
+}

@@ -1,0 +1,18 @@
+// A slot, and which of the sixteen parts of its chunk are drawn; none where there is no slot.
+struct Turn {
+    slot: u32,
+    parts: u32,
+}
+
+const ALL_PARTS: u32 = 0xffffu;
+// Elements of a part.
+const PART: u32 = 64u;
+
+// The first element from `index` on that is drawn and is this thread's: those of a chunk of `count` that are `lane` and every some behind.
+fn next_element(index: u32, parts: u32, lane: u32, count: u32) -> u32 {
+    var at = index;
+    while at < count && ((parts >> (at / PART)) & 1u) == 0u {
+        at = (at / PART + 1u) * PART + lane;
+    }
+    return at;
+}

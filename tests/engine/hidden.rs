@@ -1,0 +1,128 @@
+//! What lies behind other things is not drawn, and no pixel tells.
+
+use glam::DVec3;
+use pointillist::engine::{FrameRequest, Pose};
+use pointillist::math::Camera;
+use pointillist::plan::{Lod, MaxError, Reconstruct, Settings};
+use serde_json::json;
+
+use super::studio::{OUTPUTS, Studio, cloud, front, same, sphere};
+
+/// Rows of balls and clouds one behind the other, and a wall that closes the view here and there.
+fn load(studio: &Studio) {
+    studio.write("ball.ply", sphere(24));
+    let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
+    let on_ball = (0..4000).map(|i| {
+        let y = 1.0 - 2.0 * (f64::from(i) + 0.5) / 4000.0;
+        let around = golden * f64::from(i);
+        let flat = (1.0 - y * y).sqrt();
+        let place = DVec3::new(flat * around.cos(), y, flat * around.sin());
+        (place, [(i % 251) as u8, (i % 83) as u8, 120])
+    });
+    studio.write("cloud.ply", cloud(on_ball));
+    studio.load_json(
+        "rows",
+        &json!({
+            "assets": { "ball": { "file": "ball.ply" }, "cloud": { "file": "cloud.ply" } },
+            "nodes": [
+                { "asset": "ball", "scale": 0.7, "repeat": { "grid": [12, 2, 12], "step": [1.5, 1.5, 1.5] } },
+                { "asset": "cloud", "scale": 0.6, "translate": [0.75, 0, 0.75],
+                  "repeat": { "grid": [12, 2, 12], "step": [1.5, 1.5, 1.5] } },
+            ],
+            "lights": [{ "kind": "headlight" }, { "kind": "ambient" }],
+        }),
+    );
+}
+
+fn views() -> Vec<FrameRequest> {
+    let looks = [
+        // Along the rows, among them, from above, from within a ball, and past everything.
+        ([0.3, 0.2, 14.0], [0.1, 0.0, -9.0], 50.0),
+        ([1.1, -0.4, 2.2], [-4.0, 0.3, -7.0], 80.0),
+        ([5.0, 25.0, 9.0], [0.0, 0.0, 0.0], 40.0),
+        ([0.75, 0.75, 0.75], [8.0, 0.75, 0.75], 70.0),
+        ([0.0, 2.0, 30.0], [0.0, 40.0, 0.0], 60.0),
+    ];
+    let view = |(eye, target, fov_deg): ([f64; 3], [f64; 3], f64)| {
+        let camera = Camera { eye: eye.into(), target: target.into(), up: DVec3::Y, fov_deg };
+        FrameRequest { pose: Pose::Camera(camera), ..front("rows", 170, 131) }
+    };
+    looks.into_iter().map(view).collect()
+}
+
+fn settings() -> Vec<Settings> {
+    let spt = |px, reconstruct| {
+        let max_error = MaxError::new(px).unwrap();
+        Settings { lod: Lod::Spt, max_error, reconstruct, ..Settings::default() }
+    };
+    let splats = Settings { reconstruct: Reconstruct::Splats, ..Settings::default() };
+    let points = Reconstruct::Points;
+    vec![
+        Settings::default(),
+        splats,
+        spt(0.5, points),
+        spt(2.0, points),
+        spt(1.0, Reconstruct::Splats),
+    ]
+}
+
+#[test]
+fn frames_are_those_that_draw_what_is_hidden() {
+    for force_32_bit in [false, true] {
+        let [hides, draws] = [false, true].map(|draw_hidden| {
+            let studio = Studio::with(|config| {
+                config.force_32_bit = force_32_bit;
+                config.draw_hidden = draw_hidden;
+            });
+            load(&studio);
+            studio
+        });
+        let mut fewer = 0;
+        for (number, view) in views().into_iter().enumerate() {
+            for settings in settings() {
+                for output in OUTPUTS {
+                    let request = FrameRequest { settings, output, ..view.clone() };
+                    let (found, all) = (hides.frame(&request), draws.frame(&request));
+                    let what = format!("view {number}, {settings:?}, {output:?}, {force_32_bit}");
+                    same(&found.bytes, &all.bytes, &what);
+                    let tested = [&found, &all].map(|frame| frame.receipt.triangles.tested);
+                    assert!(tested[0] <= tested[1], "{what}: {tested:?}");
+                    fewer += usize::from(2 * tested[0].unwrap() < tested[1].unwrap());
+                    let tested = [&found, &all].map(|frame| frame.receipt.samples.tested);
+                    assert!(tested[0] <= tested[1], "{what}: {tested:?}");
+                }
+            }
+        }
+        // Along the rows most is hidden, at any level of detail.
+        assert!(fewer >= 16, "in {fewer} frames less than half was drawn");
+    }
+}
+
+#[test]
+fn a_wall_hides_what_is_behind_it() {
+    let studio = Studio::new();
+    load(&studio);
+    let mut scene = json!({
+        "assets": { "ball": { "file": "ball.ply" }, "wall": { "file": "wall.obj" } },
+        "nodes": [
+            { "asset": "ball", "scale": 0.7, "repeat": { "grid": [14, 14, 3], "step": [1.5, 1.5, 1.5] } },
+            { "name": "wall", "asset": "wall", "translate": [0, 0, 6] },
+        ],
+    });
+    studio.write("wall.obj", "v -9 -9 0\nv 9 -9 0\nv 9 9 0\nv -9 9 0\nf 1 2 3 4\n");
+    studio.load_json("walled", &scene);
+    scene["nodes"].as_array_mut().unwrap().pop();
+    studio.load_json("open", &scene);
+    let camera = Camera {
+        eye: DVec3::new(0.0, 0.0, 16.0),
+        target: DVec3::ZERO,
+        up: DVec3::Y,
+        fov_deg: 60.0,
+    };
+    let tested = |id: &str| {
+        let request = FrameRequest { pose: Pose::Camera(camera), ..front(id, 160, 160) };
+        studio.frame(&request).receipt.triangles.tested.unwrap()
+    };
+    let (walled, open) = (tested("walled"), tested("open"));
+    assert!(open > 100_000 && walled < open / 4, "{walled} of {open}");
+}
