@@ -41,8 +41,9 @@ static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
 });
 
 fn engine(force_32_bit: bool, rasterise: bool) -> Engine {
-    let rasterise = Some(rasterise);
-    Engine::start(EngineConfig { force_32_bit, rasterise, ..EngineConfig::new(&*FOLDER) }).unwrap()
+    let (draw_hidden, rasterise) = (rasterise, Some(rasterise));
+    let config = EngineConfig::new(&*FOLDER);
+    Engine::start(EngineConfig { force_32_bit, rasterise, draw_hidden, ..config }).unwrap()
 }
 
 fn engines() -> [&'static Engine; 3] {
@@ -64,7 +65,7 @@ fn remove_old(runs: &Path) {
 static WIDE: LazyLock<Engine> = LazyLock::new(|| engine(false, false));
 /// Without.
 static NARROW: LazyLock<Engine> = LazyLock::new(|| engine(true, false));
-/// With the adapter's rasteriser for large triangles in place of the walk in compute.
+/// With the adapter's rasteriser for large triangles in place of the walk in compute, and all that is hidden.
 static RASTERISING: LazyLock<Engine> = LazyLock::new(|| engine(false, true));
 
 /// Where pictures of failures go.
@@ -166,7 +167,7 @@ impl Case {
         panic!("{}: the second engine has 64-bit atomics: {:?}", self.id, narrow.receipt.passes);
     }
 
-    /// The frames of every engine: with 64-bit atomics, without, and with the rasteriser.
+    /// The frames of every engine: with 64-bit atomics, without, and with the rasteriser and all that is hidden.
     pub fn each(&self, view: &View) -> [Frames; 3] {
         self.each_with(view, Settings::default())
     }

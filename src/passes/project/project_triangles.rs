@@ -15,6 +15,8 @@ pub fn record(
     portion: Portion,
     segment: Segment,
 ) -> Result<(), ShaderError> {
+    // Threads that cannot vote would keep account of more rounds than they take.
+    let lanes = if recorder.context.gpu.subgroups { recorder.lanes() } else { ("LANES", 64) };
     recorder.compute(Call {
         pass: pass(half),
         root: "project/project_triangles",
@@ -24,7 +26,7 @@ pub fn record(
             portion,
             ..Choices::default()
         },
-        constants: vec![recorder.lanes()],
+        constants: vec![lanes],
         segments: &[segment],
         launch: Recorder::launch(portion),
     })
