@@ -64,11 +64,11 @@ fn compare(studio: &Studio, what: &str, slack: f64) {
 
 #[test]
 fn a_far_crowd_covers_as_much_as_it_does_in_a_larger_frame() {
-    for (what, asset) in [("balls", sphere(12)), ("crowns", crown())] {
+    for (what, asset, slack) in [("balls", sphere(12), 0.06), ("crowns", crown(), 0.15)] {
         let studio = Studio::new();
         studio.write("g.ply", asset);
         studio.load_json("field", &field(&json!([])));
-        compare(&studio, what, 0.1);
+        compare(&studio, what, slack);
     }
 }
 
@@ -79,7 +79,7 @@ fn a_far_crowd_is_lit_as_it_is_in_a_larger_frame() {
     studio.write("g.ply", sphere(12));
     for direction in [[-1, -1, -1], [1, -1, 0], [0, -1, 3]] {
         studio.load_json("field", &field(&json!([{ "kind": "sun", "direction": direction }])));
-        compare(&studio, &format!("{direction:?}"), 0.13);
+        compare(&studio, &format!("{direction:?}"), 0.1);
         studio.engine.remove("field").unwrap();
     }
 }

@@ -36,8 +36,8 @@ const BESIDE: f32 = 0.9;
 const STEPS: f32 = 8.0;
 const CODES: u32 = 63;
 /// Parts of a disk that the nodes above cover, from which on it counts as covered by [`AROUND`]. Of a whole surface a cell covers at
-/// most 2/π of the circle around it.
-const FULL: [f32; 3] = [0.15, 0.3, 0.45];
+/// most 2/π of the circle around it, and of the disk that holds its leaves' disks less.
+const FULL: [f32; 3] = [0.1, 0.2, 0.3];
 /// What `f` is by its code.
 pub const AROUND: [f32; 4] = [0.0, 0.5, 0.8, 1.0];
 /// The code of what is never thinned.
