@@ -1,6 +1,7 @@
 // One pixel a sample: a workgroup takes a slot's chunk, its threads take turns at its samples.
 //!include shared/frame
 //!include shared/scene
+//!include shared/octahedral
 //!include VISIBILITY
 //!include NODES
 
@@ -11,6 +12,8 @@ struct SegmentUse {
 //!include shared/lanes
 
 @group(1) @binding(0) var<storage, read> positions: array<vec2<u32>>;
+@group(1) @binding(3) var<storage, read> instances: array<Instance>;
+@group(1) @binding(6) var<storage, read> attributes: array<vec2<u32>>;
 @group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
 @group(2) @binding(1) var<storage, read> runs: array<Run>;
@@ -34,6 +37,10 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
     let unit = slots[at].unit;
     let limit = slots[at].limit;
     let sorted = slots[at].sorted != 0u;
+    var key = 0u;
+    if TREE {
+        key = instance_key(slots[at].instance);
+    }
     var drawn = 0u;
     var looked_at = 0u;
     let size = vec2<f32>(frame.size_px);
@@ -61,8 +68,18 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
         if z > NEAREST && x >= 0.0 && y >= 0.0 && x < size.x && y < size.y {
             if TREE {
                 let image = vec2<f32>(x, y);
-                if !node_is_drawn(first + i, unit, z * ray_through(image), UNTILTED) {
+                let centre = z * ray_through(image);
+                if !node_is_drawn(first + i, unit, centre, UNTILTED) {
                     continue;
+                }
+                let own = attributes[first + i];
+                if !is_whole(own.x) {
+                    let n = octahedral_decode(own.y);
+                    let across = vec3<f32>(dot(row_x.xyz, n), dot(row_y.xyz, n), dot(row_z.xyz, n));
+                    let seen = foreshortened(vec3<f32>((across.xy - frame.principal_px * across.z) / frame.focal_px, across.z), centre);
+                    if !is_kept(first + i, own.x, unit, centre, seen, 1.0, word, key) {
+                        continue;
+                    }
                 }
                 drawn++;
             }

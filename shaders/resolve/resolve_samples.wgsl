@@ -48,7 +48,7 @@ fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
             pixels[pixel] = normal_word(n);
             return;
         }
-        normals[pixel] = octahedral_encode(n);
+        normals[pixel] = select(octahedral_encode(n), BALL, is_ball(packed));
     }
     pixels[pixel] = sample_color(painted(sample, packed.x), instances[instance].material);
 }

@@ -17,11 +17,20 @@
 
 // Pixels are lit once all is blended; otherwise splats were lit, or there are no lights.
 override DEFERRED: bool = true;
+// What looks everywhere is lit as a ball.
+override BALLS: bool = false;
+
+// What rounding leaves of normals that are not known.
+const LEAST_NORMAL: f32 = 1e-4;
+
+fn is_ball(sums: vec3<u32>, inverse_weight: f32) -> bool {
+    let n = fma(vec3<f32>(sums), vec3<f32>(2.0 * inverse_weight), vec3<f32>(-1.0));
+    return dot(n, n) >= LEAST_NORMAL && dot(n, n) < LONGEST_BALL * LONGEST_BALL;
+}
 
 fn blended_normal(sums: vec3<u32>, inverse_weight: f32, at: vec2<u32>) -> vec3<f32> {
     let n = fma(vec3<f32>(sums), vec3<f32>(2.0 * inverse_weight), vec3<f32>(-1.0));
-    // What rounding leaves of normals that are not known.
-    if dot(n, n) < 1e-4 {
+    if dot(n, n) < LEAST_NORMAL {
         return vec3<f32>(0.0);
     }
     return facing_normal(n, world_from_camera(ray_through(pixel_centre(at))));
@@ -56,7 +65,11 @@ fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
     }
     let third = sums_2[pixel];
     let fourth = sums_3[pixel];
-    normals[pixel] = octahedral_encode(blended_normal(vec3<u32>(third.xy, fourth.x), inverse_weight, at));
+    let sums = vec3<u32>(third.xy, fourth.x);
+    normals[pixel] = octahedral_encode(blended_normal(sums, inverse_weight, at));
+    if BALLS && is_ball(sums, inverse_weight) {
+        normals[pixel] = BALL;
+    }
     let share = clamp(f32(fourth.y) * inverse_weight, 1e-6, 1.0);
     visibility[pixel].y = bitcast<u32>(bitcast<f32>(word.y & ~FACING_BITS) / share);
 }

@@ -37,7 +37,12 @@ fn light_up(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
     let albedo = linear_from_srgb(unpack4x8unorm(pixels[pixel]).rgb);
     let ray = world_from_camera(ray_through(vec2<f32>(at) + vec2<f32>(0.5)));
     let from_eye = ray / bitcast<f32>(word.y);
-    let color = all_lights(albedo, material, octahedral_decode(packed), from_eye);
+    var color: vec3<f32>;
+    if packed == BALL {
+        color = ball_lights(albedo, material, from_eye);
+    } else {
+        color = all_lights(albedo, material, octahedral_decode(packed), from_eye);
+    }
     pixels[pixel] = pack4x8unorm(vec4<f32>(srgb_from_linear(color), 1.0));
 }
 

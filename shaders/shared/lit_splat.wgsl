@@ -5,7 +5,7 @@ const LIT: bool = true;
 // Some material is unlit, shines or is overridden: splats have to ask theirs.
 override MATERIALS: bool = true;
 
-fn lit(color: vec3<f32>, normal: vec3<f32>, over_plus_one: u32, slot: SplatSlot, sample: u32) -> vec3<f32> {
+fn lit(color: vec3<f32>, normal: vec3<f32>, ball: bool, over_plus_one: u32, slot: SplatSlot, sample: u32) -> vec3<f32> {
     var material: Material;
     if MATERIALS {
         material = materials[0];
@@ -13,9 +13,12 @@ fn lit(color: vec3<f32>, normal: vec3<f32>, over_plus_one: u32, slot: SplatSlot,
     if OVERRIDES {
         material = effective_material(material, over_plus_one);
     }
-    if (material.flags & MATERIAL_UNLIT) != 0u || all(normal == vec3<f32>(0.0)) {
+    if (material.flags & MATERIAL_UNLIT) != 0u || (all(normal == vec3<f32>(0.0)) && !ball) {
         return color;
     }
     let from_eye = world_from_camera(camera_vector(splat_centre(slot, sample)));
+    if ball {
+        return clamp(ball_lights(color, material, from_eye), vec3<f32>(0.0), vec3<f32>(1.0));
+    }
     return clamp(all_lights(color, material, normal, from_eye), vec3<f32>(0.0), vec3<f32>(1.0));
 }

@@ -25,3 +25,23 @@ fn painted(sample: u32, own: u32) -> u32 {
 fn node_is_drawn(sample: u32, unit: f32, centre: vec3<f32>, cosine: f32) -> bool {
     return true;
 }
+
+fn instance_key(instance: u32) -> u32 {
+    return 0u;
+}
+
+fn is_ball(own: vec2<u32>) -> bool {
+    return false;
+}
+
+fn is_whole(own: u32) -> bool {
+    return true;
+}
+
+fn foreshortened(across: vec3<f32>, centre: vec3<f32>) -> f32 {
+    return 1.0;
+}
+
+fn is_kept(sample: u32, own: u32, unit: f32, centre: vec3<f32>, seen: f32, drawn_px: f32, place: vec2<u32>, key: u32) -> bool {
+    return true;
+}

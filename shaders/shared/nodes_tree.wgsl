@@ -92,3 +92,55 @@ fn node_is_drawn(sample: u32, unit: f32, centre: vec3<f32>, cosine: f32) -> bool
     return own_value <= accepted(centre.z, far)
         && (parent == NO_PARENT || parent_value > accepted(centre.z - delta - slack, far + delta + slack));
 }
+
+// How often a node is drawn that covers less of the image than what it is drawn as; src/bake/tree/coverage.rs says how, and has the
+// same numbers.
+const ALWAYS: u32 = 255u;
+const WHOLE: u32 = 3u;
+
+fn mixed(value: u32) -> u32 {
+    var x = value;
+    x = (x ^ (x >> 16u)) * 0x7feb352du;
+    x = (x ^ (x >> 15u)) * 0x846ca68bu;
+    return x ^ (x >> 16u);
+}
+
+// Of an instance, wherever in memory it is, so that copies are not thinned alike.
+fn instance_key(instance: u32) -> u32 {
+    let place = bitcast<vec3<u32>>(instances[instance].origin_hi);
+    return mixed(mixed(mixed(place.x ^ instances[instance].id) ^ place.y) ^ place.z);
+}
+
+// Without a normal, and yet no sample that has none: normals of leaves below cancel. `own`: colour and normal.
+fn is_ball(own: vec2<u32>) -> bool {
+    return own.y == NO_NORMAL && (own.x >> 24u) != ALWAYS;
+}
+
+fn is_whole(own: u32) -> bool {
+    return (own >> 30u) == WHOLE;
+}
+
+// What is seen of a disk whose normal in camera space is `across`, of any length, or zero.
+fn foreshortened(across: vec3<f32>, centre: vec3<f32>) -> f32 {
+    let most = max(max(abs(across.x), abs(across.y)), abs(across.z));
+    let n = across / max(most, 1e-37);
+    return select(min(abs(dot(n, centre)) / max(length(n) * length(centre), 1e-37), 1.0), 1.0, most == 0.0);
+}
+
+// Whether a node of colour word `own` is one of those that are drawn of its kind. `seen`: the cosine it is seen at; `drawn_px`: the
+// area in the image that it is drawn as; `place`: its stored position.
+fn is_kept(sample: u32, own: u32, unit: f32, centre: vec3<f32>, seen: f32, drawn_px: f32, place: vec2<u32>, key: u32) -> bool {
+    let extent = unit * code_value(kernels[sample * KERNEL_WORDS + 2u] & CODE);
+    // About the eye there is no area in the image.
+    if extent >= centre.z {
+        return true;
+    }
+    let size = extent / centre.z;
+    let part = exp2(-0.125 * f32((own >> 24u) & 63u));
+    let area_px = 3.1415927 * part * size * size * frame.focal_px.x * frame.focal_px.y * length(centre) / centre.z;
+    let share = area_px * seen / drawn_px;
+    let around = (own >> 30u) & 3u;
+    let left = select(0.2, 0.5, around == 1u);
+    let probability = select(1.0 - pow(left, share / (1.0 - left)), share, around == 0u);
+    return f32(mixed(mixed(place.x ^ key) ^ place.y) >> 8u) * 5.9604645e-8 < probability;
+}

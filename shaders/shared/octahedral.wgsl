@@ -1,5 +1,6 @@
-// Unit vectors in two signed 16-bit numbers (octahedral map); NO_NORMAL stands for none.
+// Unit vectors in two signed 16-bit numbers (octahedral map); NO_NORMAL stands for none, BALL for all of them alike.
 const NO_NORMAL: u32 = 0x80008000u;
+const BALL: u32 = 0x80000000u;
 
 fn octahedral_decode(packed: u32) -> vec3<f32> {
     if packed == NO_NORMAL {

@@ -64,3 +64,31 @@ fn all_lights(albedo: vec3<f32>, material: Material, n: vec3<f32>, from_eye: vec
     }
     return color;
 }
+
+// What looks everywhere, as the mean over what is seen of a ball: the phase function of a Lambertian sphere (Schönberg 1929) over π; of
+// highlights, a ball reflects alike in all directions.
+fn phong_ball(light: Light, albedo: vec3<f32>, material: Material, from_eye: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
+    let l = arriving(light, from_eye, to_eye);
+    let c = clamp(dot(l.xyz, to_eye), -1.0, 1.0);
+    let mean = 0.21220659 * (sqrt(1.0 - c * c) + (3.1415927 - acos(c)) * c);
+    var reflected = albedo * select(mean, 1.0, light.kind == 0u);
+    if SPECULAR && light.kind != 0u {
+        reflected += material.specular * (0.5 / (material.shininess + 1.0));
+    }
+    return reflected * light.color.rgb * l.w;
+}
+
+fn ball_lights(albedo: vec3<f32>, material: Material, from_eye: vec3<f32>) -> vec3<f32> {
+    let to_eye = -from_eye / max(length(from_eye), 1e-30);
+    var color = vec3<f32>(0.0);
+    for (var i = 0u; i < FEW_LIGHTS; i++) {
+        color += phong_ball(few_lights[i], albedo, material, from_eye, to_eye);
+    }
+    if FEW_LIGHTS == 0u {
+        let count = min(frame.light_count, arrayLength(&lights));
+        for (var i = 0u; i < count; i++) {
+            color += phong_ball(lights[i], albedo, material, from_eye, to_eye);
+        }
+    }
+    return color;
+}

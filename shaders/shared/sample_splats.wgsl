@@ -2,6 +2,7 @@
 //!include NODES
 @group(1) @binding(0) var<storage, read> positions: array<vec2<u32>>;
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
+@group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(1) @binding(6) var<storage, read> attributes: array<vec2<u32>>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
 
@@ -19,6 +20,8 @@ struct SplatSlot {
     // Nodes whose parents have this code or a larger one are not drawn; codes do not decrease.
     limit: u32,
     sorted: bool,
+    // Of the instance.
+    key: u32,
     // Backs are never seen.
     one_sided: bool,
     // 0 where normals do not tell outside from inside, −1 where the instance mirrors, else 1.
@@ -52,6 +55,7 @@ fn splat_slot(index: u32) -> SplatSlot {
     if TREE {
         slot.limit = slots[at].limit;
         slot.sorted = slots[at].sorted != 0u;
+        slot.key = instance_key(slot.instance);
     }
     slot.one_sided = TREE && slots[at].one_sided != 0u;
     let chunk = slots[at].chunk;
@@ -113,6 +117,18 @@ fn tilt_cosine(slot: SplatSlot, sample: u32, centre: vec3<f32>) -> f32 {
     return min(abs(dot(across, way)) * inverseSqrt(max(dot(across, across) * dot(way, way), 1e-37)), 1.0);
 }
 
+// Radius in pixels of disks that count as no larger: what covers so much of the image is drawn, however coarsely.
+const MOST_THINNED_PX: f32 = 2.0;
+
+// The area in the image of a node's disk, widened by the filter and cut off, where it is seen at an angle of this cosine.
+fn drawn_px(slot: SplatSlot, axis: vec3<f32>, centre: vec3<f32>, seen: f32) -> f32 {
+    let focal_px = max(frame.focal_px.x, frame.focal_px.y);
+    let deviation = min(slot.scale * length(axis) * focal_px / max(centre.z, NEAREST), MOST_THINNED_PX / frame.splat_cutoff);
+    let lowpass = select(0.0, frame.splat_lowpass_px * frame.splat_lowpass_px, PREFILTER);
+    let widened = vec2<f32>(deviation, deviation * seen) * vec2<f32>(deviation, deviation * seen) + lowpass;
+    return 3.1415927 * frame.splat_cutoff * frame.splat_cutoff * max(sqrt(widened.x * widened.y), 1e-30);
+}
+
 fn splat_of(slot: SplatSlot, sample: u32) -> Splat {
     let at = slot.first + sample;
     let p = splat_centre(slot, sample);
@@ -124,6 +140,15 @@ fn splat_of(slot: SplatSlot, sample: u32) -> Splat {
     }
     let normal = attributes[at].y;
     let axes = kernel_axes(kernels[at * KERNEL_WORDS], slot.kernel_base, octahedral_decode(normal));
+    if !is_whole(attributes[at].x) {
+        let seen = foreshortened(camera_vector(taken(slot, octahedral_decode(normal))), centre);
+        let drawn = drawn_px(slot, axes.u, centre, seen);
+        if !is_kept(at, attributes[at].x, slot.unit, centre, seen, drawn, positions[at], slot.key) {
+            var thinned: Splat;
+            thinned.way = NOTHING;
+            return thinned;
+        }
+    }
     var image = Tangents(taken(slot, axes.u), taken(slot, axes.v));
     var lines = clip_words(at);
     var orientation = slot.orientation;

@@ -3,7 +3,6 @@
 override OVERRIDES: bool = true;
 // Colour frames that a shade pass follows: normals are blended too.
 override DEFERRED: bool = true;
-@group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
 
 // What the samples of a slot have in common.
@@ -16,7 +15,7 @@ struct PaintSlot {
 struct Paint {
     // Linear light.
     color: vec3<f32>,
-    // n · ½ + ½ in world space, towards the eye.
+    // n · ½ + ½ in world space, towards the eye; short of what looks everywhere.
     normal: vec3<f32>,
 }
 
@@ -55,9 +54,12 @@ fn paint_of(slot: SplatSlot, shared_paint: PaintSlot, sample: u32) -> Paint {
         let towards = world_from_camera(camera_vector(splat_centre(slot, sample)));
         normal = facing_normal(turned(shared_paint.normals, octahedral_decode(packed.y)), towards);
         paint.normal = fma(normal, vec3<f32>(0.5), vec3<f32>(0.5));
+        if OUTPUT == OUTPUT_COLOR && is_ball(packed) {
+            paint.normal = fma(facing_normal(-towards, towards), vec3<f32>(0.5 * BALL_NORMAL), vec3<f32>(0.5));
+        }
     }
     if OUTPUT == OUTPUT_COLOR {
-        paint.color = lit(albedo(painted(slot.first + sample, packed.x), shared_paint.material), normal, shared_paint.material, slot, sample);
+        paint.color = lit(albedo(painted(slot.first + sample, packed.x), shared_paint.material), normal, is_ball(packed), shared_paint.material, slot, sample);
     }
     return paint;
 }

@@ -138,14 +138,16 @@ pub fn hybrid_mesh(
     let rasterised = rasterise_mesh(&small, materials, textures, &options)?;
     let mut samples = rasterised.cloud;
     samples.radii = None;
-    let stand = |side: f64| {
+    let stand = |side: f64, area: f32| {
         let error = side.max(spacing) as f32;
-        Measures { error, size: error }
+        Measures { error, size: error, area }
     };
+    let areas = areas(&small, &rasterised.triangles);
     let mut stands: Vec<Measures> = rasterised
         .triangles
         .iter()
-        .map(|&triangle| stand(sides[numbers[triangle as usize] as usize]))
+        .zip(areas)
+        .map(|(&triangle, area)| stand(sides[numbers[triangle as usize] as usize], area))
         .collect();
     let colors = Colors::of(mesh, materials, textures);
     for (number, &triangle) in mesh.triangles.iter().enumerate() {
@@ -162,15 +164,35 @@ pub fn hybrid_mesh(
         samples.colors.get_or_insert_default().push(color);
         samples.normals.get_or_insert_default().push(outward(mesh, triangle, normal));
         samples.kernels.get_or_insert_default().push(circle(normal, reach as f32 / CUTOFF));
-        stands.push(stand(sides[number]));
+        stands.push(stand(sides[number], area_of(corners) as f32));
     }
     let limit = max_samples;
     let count = samples.positions.len() as u64;
     if count > limit {
         return Err(SampleError::TooMany { count, limit });
     }
-    let sides = sides.iter().map(|&side| stand(side).error * ROUNDED).collect();
+    let sides = sides.iter().map(|&side| stand(side, 0.0).error * ROUNDED).collect();
     Ok(HybridMesh { samples: PointCloud { oriented: true, ..samples }, stands, sides })
+}
+
+fn area_of([a, b, c]: [DVec3; 3]) -> f64 {
+    0.5 * (b - a).cross(c - a).length()
+}
+
+/// What each sample has of its triangle's area; that of triangles without samples is shared out to all.
+fn areas(mesh: &Mesh, triangles: &[u32]) -> Vec<f32> {
+    let area = |triangle| corners(mesh, triangle).map_or(0.0, area_of);
+    let areas: Vec<f64> = mesh.triangles.iter().map(|&triangle| area(triangle)).collect();
+    let mut counts = vec![0u32; areas.len()];
+    triangles.iter().for_each(|&triangle| counts[triangle as usize] += 1);
+    let sampled = areas.iter().zip(&counts).filter(|(_, count)| **count > 0);
+    let sampled: f64 = sampled.map(|(area, _)| area).sum();
+    let more = if sampled > 0.0 { areas.iter().sum::<f64>() / sampled } else { 1.0 };
+    let share = |&triangle: &u32| {
+        let triangle = triangle as usize;
+        (more * areas[triangle] / f64::from(counts[triangle])) as f32
+    };
+    triangles.iter().map(share).collect()
 }
 
 /// The face's normal on the side that its vertices' normals look to.

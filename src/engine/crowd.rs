@@ -281,13 +281,17 @@ impl<'a> Roots<'a> {
         if !(position.is_finite() && scale.is_finite()) {
             return None;
         }
-        let Measures { error, size } = root.measures;
+        let Measures { error, size, area } = root.measures;
         Some(Root {
             position,
             normal: turned(&map.matrix3, root.normal),
             color: self.painted(instance, root.color),
             radius: root.radius * scale,
-            measures: Measures { error: error * scale, size: size * scale },
+            measures: Measures {
+                error: error * scale,
+                size: size * scale,
+                area: area * scale * scale,
+            },
         })
     }
 

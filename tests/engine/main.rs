@@ -9,6 +9,7 @@
 
 mod baking;
 mod changes;
+mod coverage;
 mod crowds;
 mod determinism;
 mod extremes;

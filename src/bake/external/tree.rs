@@ -15,8 +15,8 @@ use super::super::pack::{
     octahedral_decode, unpack_kernel,
 };
 use super::super::tree::parts::{
-    Cells, Codes, Cutter, Node, Stack, Tilts, base_from, delta_bits, kernel_length, measures_of,
-    range_of, reach_behind, shared_level, way_length, words,
+    Cells, Codes, Cutter, Matter, Node, Stack, Tilts, around_point, base_from, byte, delta_bits,
+    kernel_length, measures_of, range_of, reach_behind, shared_level, way_length, words,
 };
 use super::super::tree::{CODE, CODE_BITS, Measures, TreeStatistics};
 use super::pack::{Packer, Spilled};
@@ -117,6 +117,7 @@ impl Leaf {
             &self.kernel(),
             false,
             Measures::default(),
+            Matter::Points,
         )
     }
 }
@@ -277,7 +278,8 @@ fn ranked(
         let codes = Codes::of(measures_of(node, step), above, base, step);
         let tilts = Tilts::of(node, parent.map(|(_, parent)| parent));
         let [r, g, b] = node.color.to_array().map(|v| (v + 0.5) as u8);
-        let alpha = leaf.map_or(u8::MAX, |leaf| leaf.color.to_le_bytes()[3]);
+        let around = Node { around: around_point(parent.is_none()), ..*node };
+        let alpha = byte(&around, measures_of(node, step).size);
         let kernel = match leaf {
             Some(leaf) => leaf.kernel(),
             None => Kernel { u: Vec3::new(node.radius / CUTOFF, 0.0, 0.0), v: Vec3::ZERO },

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use super::super::pack::spread;
 use super::Measures;
+use super::coverage::{self, Matter};
 use super::node::{NO_NODE, Node};
 use super::stack::{CHILDREN, Stack, shared_level};
 use crate::assets::{Kernel, PointCloud};
@@ -76,7 +77,12 @@ impl Cells {
     }
 }
 
-pub fn build(cloud: &PointCloud, stands: Option<&[Measures]>, bounds: &Bounds) -> Tree {
+pub fn build(
+    cloud: &PointCloud,
+    stands: Option<&[Measures]>,
+    bounds: &Bounds,
+    matter: Matter,
+) -> Tree {
     let codes = codes(&cloud.positions, bounds);
     let samples: Vec<u32> = codes.iter().map(|&(_, sample)| sample).collect();
     let mut nodes: Vec<Node> = Vec::with_capacity(2 * samples.len());
@@ -89,6 +95,7 @@ pub fn build(cloud: &PointCloud, stands: Option<&[Measures]>, bounds: &Bounds) -
             &cloud.kernels.as_ref().map_or(Kernel::default(), |kernels| kernels[i]),
             cloud.is_clipped(i),
             stands.map_or(Measures::default(), |stands| stands[i]),
+            matter,
         )
     };
     nodes.par_extend(samples.par_iter().map(leaf));
@@ -106,6 +113,7 @@ pub fn build(cloud: &PointCloud, stands: Option<&[Measures]>, bounds: &Bounds) -
         .map(|(leaves, piece)| Branch::above(leaves, &codes[piece.clone()]))
         .collect();
     let ends = join(&codes, &pieces, branches, &mut nodes);
+    coverage::look_around(&mut nodes);
     Tree { nodes, samples, ends }
 }
 

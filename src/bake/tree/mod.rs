@@ -30,6 +30,7 @@
 
 /// What trees are made of, for those who make them otherwise.
 pub(in crate::bake) mod parts {
+    pub use super::coverage::{Matter, around_point, byte};
     pub use super::hierarchy::Cells;
     pub use super::node::{Node, kernel_length};
     pub use super::sequence::{
@@ -39,12 +40,15 @@ pub(in crate::bake) mod parts {
     pub use super::stack::{CHILDREN, Stack, shared_level};
 }
 
+mod coverage;
 mod hierarchy;
 mod node;
 mod sequence;
 mod stack;
 mod tilt;
 
+use coverage::Matter;
+pub use coverage::{EXACT, probability};
 pub use sequence::{
     CODE, CODE_BITS, LEVEL_SHIFT, NO_PARENT, NONE, SORTED, cone_sine, decode, decode_delta,
 };
@@ -61,10 +65,10 @@ use crate::math::Bounds;
 
 /// Of what is built from the same asset: a part of the key that trees are cached by. It must be raised whenever the trees of some
 /// asset change, whichever file that happens in: of this folder, [`super::hybrid`], `bake/rasterise.rs`, [`super::pack`].
-pub const BAKING_VERSION: u32 = 5;
+pub const BAKING_VERSION: u32 = 6;
 /// Hash of what this version bakes of the assets of `tree/version.rs`, whose test fails where trees have changed and this has not.
 #[cfg(test)]
-const BAKING_DIGEST: &str = "9f410d7d3adfd3a6";
+const BAKING_DIGEST: &str = "c60504712ea6186c";
 
 /// Builds the tree above samples with normals and kernels; what they lack is drawn as a facing disk, or not at all.
 ///
@@ -90,7 +94,12 @@ pub fn build_tree_within(
     also: Bounds,
     closed: bool,
 ) -> Result<PackedSamples, PackError> {
-    let (tree, grid) = raise(cloud, stands, also)?;
+    let matter = match (stands, closed) {
+        (None, _) => Matter::Points,
+        (Some(_), true) => Matter::Closed,
+        (Some(_), false) => Matter::Open,
+    };
+    let (tree, grid) = raise(cloud, stands, also, matter)?;
     let (mut packed, _) = sequence::sequence(cloud, &tree, grid, 0);
     if closed && cloud.oriented {
         packed.chunks.iter_mut().for_each(|chunk| chunk.sides = Sides::Closed);
@@ -108,7 +117,7 @@ pub fn build_crowd(
     roots: &PointCloud,
     stands: &[Measures],
 ) -> Result<(PackedSamples, Vec<(u32, Above)>), PackError> {
-    let (mut tree, grid) = raise(roots, Some(stands), Bounds::EMPTY)?;
+    let (mut tree, grid) = raise(roots, Some(stands), Bounds::EMPTY, Matter::Crowd)?;
     // Whether what is below is in play is asked of the errors from all sides.
     tree.nodes.iter_mut().for_each(node::Node::see_alike);
     let (packed, _) = sequence::sequence(roots, &tree, grid, 0);
@@ -127,11 +136,13 @@ pub fn build_crowd(
     Ok((packed, above.collect()))
 }
 
-/// An error, and what stands for it where samples are drawn as one pixel each, in units of the positions.
+/// An error, and what stands for it where samples are drawn as one pixel each, in units of the positions; the area that is there, 0 of
+/// what is as large as its kernel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Measures {
     pub error: f32,
     pub size: f32,
+    pub area: f32,
 }
 
 /// The node above a tree as a whole: its measures, and the way to its centre, in world units.
@@ -151,6 +162,7 @@ fn raise(
     cloud: &PointCloud,
     stands: Option<&[Measures]>,
     also: Bounds,
+    matter: Matter,
 ) -> Result<(hierarchy::Tree, Grid), PackError> {
     finite(&cloud.positions)?;
     let longest = cloud.kernels.iter().flatten().map(node::kernel_length).fold(0.0f32, f32::max);
@@ -158,7 +170,7 @@ fn raise(
     // Nodes lie within the leaves' disks, at most a disk outside of the box.
     let grown = bounds.grown(f64::from(2.0 * super::CUTOFF * longest));
     let grid = Grid::with_detail(&grown.union(also), f64::from(longest) * KERNEL_DETAIL)?;
-    Ok((hierarchy::build(cloud, stands, &bounds), grid))
+    Ok((hierarchy::build(cloud, stands, &bounds, matter), grid))
 }
 
 /// A node as an eye sees it, in camera units.
@@ -222,12 +234,16 @@ impl Root {
         let step = tree.grid.step as f32;
         let value = |word: u32| decode(word & CODE, chunk.range.base) * step;
         let [error, size] = tree.nodes[roots];
+        let radius = super::CUTOFF * cloud.kernels.map_or(0.0, |k| node::kernel_length(&k[0]));
+        let [_, _, _, byte] = tree.attributes[roots][0].to_le_bytes();
+        let disk = coverage::OWN * std::f32::consts::PI * radius * radius;
+        let area = coverage::area(byte, value(size)).unwrap_or(disk);
         Some(Root {
             position: cloud.positions[0],
             normal: cloud.normals.map_or(Vec3::ZERO, |normals| normals[0]),
             color: cloud.colors.map_or([255; 4], |colors| colors[0]),
-            radius: super::CUTOFF * cloud.kernels.map_or(0.0, |k| node::kernel_length(&k[0])),
-            measures: Measures { error: value(error), size: value(size) },
+            radius,
+            measures: Measures { error: value(error), size: value(size), area },
         })
     }
 }

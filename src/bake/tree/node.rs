@@ -7,6 +7,7 @@ use glam::{DVec3, Vec2, Vec3};
 use super::super::CUTOFF;
 use super::super::kernels::tangents;
 use super::Measures;
+use super::coverage::{self, Matter};
 use crate::assets::Kernel;
 
 #[derive(Clone, Copy, Debug)]
@@ -31,6 +32,15 @@ pub struct Node {
     pub size: f32,
     /// Area of the leaves.
     pub weight: f32,
+    /// That area as seen along the normal.
+    pub flat: f32,
+    /// What is seen of it, on the average over all directions.
+    pub mean: f32,
+    pub matter: Matter,
+    /// No leaf has a normal: nodes are drawn as these are, unlit.
+    pub blank: bool,
+    /// How much there is around it, see [`coverage`].
+    pub around: u8,
     /// sRGB, 0..=255.
     pub color: Vec3,
     /// Mean square of the leaves' differences from the colour, of one channel.
@@ -43,7 +53,7 @@ pub struct Node {
 pub const NO_NODE: u32 = u32::MAX;
 
 /// Shorter sums of normals, in parts of what they would be were all alike, say nothing.
-const LEAST_NORMAL: f32 = 0.1;
+const LEAST_NORMAL: f32 = 0.4;
 /// Standard deviations of colour, of 255, from which on it counts, and at which a node's error is its radius: what is averaged over
 /// a disk may be off by that (§3.9 takes the diameter, but there errors are those of both sides).
 const FAINT: f32 = 4.0;
@@ -84,6 +94,12 @@ pub fn kernel_length(kernel: &Kernel) -> f32 {
     if length.is_finite() { length } else { 0.0 }
 }
 
+/// What a kernel stands for by itself.
+fn kernel_area(kernel: &Kernel) -> f32 {
+    let area = coverage::OWN * PI * CUTOFF * CUTOFF * kernel.u.length() * kernel.v.length();
+    if area.is_finite() { area } else { 0.0 }
+}
+
 impl Node {
     /// A sample as it is, which may stand for something finer.
     pub fn leaf(
@@ -93,9 +109,16 @@ impl Node {
         kernel: &Kernel,
         is_clipped: bool,
         stands: Measures,
+        matter: Matter,
     ) -> Node {
         let radius = CUTOFF * kernel_length(kernel);
         let known = |measure: f32| if measure > 0.0 { measure } else { 0.0 };
+        let area = match known(stands.area) {
+            0.0 => kernel_area(kernel),
+            area => area,
+        };
+        // Samples without a size count, too.
+        let weight = area.clamp(f32::MIN_POSITIVE, f32::MAX);
         Node {
             position,
             normal,
@@ -108,8 +131,12 @@ impl Node {
             even: known(stands.error),
             alike: false,
             size: known(stands.size),
-            // Samples without a size count, too.
-            weight: (radius * radius).max(f32::MIN_POSITIVE),
+            weight,
+            flat: weight,
+            mean: weight * matter.share(normal),
+            matter,
+            blank: normal == Vec3::ZERO && matter != Matter::Crowd,
+            around: coverage::WHOLE,
             color: Vec3::new(f32::from(color[0]), f32::from(color[1]), f32::from(color[2])),
             variance: 0.0,
             parent: NO_NODE,
@@ -149,6 +176,11 @@ impl Node {
             alike: false,
             size: 0.0,
             weight: total.min(f64::from(f32::MAX)) as f32,
+            flat: 0.0,
+            mean: 0.0,
+            matter: children[0].matter,
+            blank: children.iter().all(|child| child.blank),
+            around: coverage::WHOLE,
             color,
             variance,
             parent: NO_NODE,
@@ -158,11 +190,14 @@ impl Node {
             node.enclose_in_a_ball(children);
         } else {
             node.enclose_in_a_disk(children);
+            node.flat = children.iter().map(|child| child.seen_along(normal)).sum();
             node.cone = children.iter().fold(0.0, |most, child| {
                 let cosine = child.normal.dot(normal).clamp(-1.0, 1.0);
                 most.max(cosine.acos() + child.cone)
             });
         }
+        let areas = children.iter().map(|child| child.mean).sum();
+        node.mean = node.matter.joined(areas, node.radius);
         let contrast = ((variance.sqrt() - FAINT) / (STRONG - FAINT)).clamp(0.0, 1.0);
         let own = (node.lift * node.lift + node.spread * node.spread).sqrt();
         let even = node.radius * contrast;
@@ -173,6 +208,14 @@ impl Node {
         let own = node.radius.hypot(reach);
         node.size = children.iter().fold(own, |most, child| most.max(child.size));
         node
+    }
+
+    /// The area of its leaves, seen along a direction.
+    fn seen_along(&self, direction: Vec3) -> f32 {
+        if self.normal == Vec3::ZERO {
+            return coverage::seen(self);
+        }
+        self.flat * self.normal.dot(direction).abs()
     }
 
     /// Makes errors what they are from all sides, from whichever it is seen.

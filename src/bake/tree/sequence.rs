@@ -9,7 +9,7 @@ use super::super::pack::{
 };
 use super::hierarchy::Tree;
 use super::node::Node;
-use super::{Measures, tilt};
+use super::{Measures, coverage, tilt};
 use crate::assets::{Kernel, PointCloud};
 
 /// Bits of a code, and a word of them.
@@ -91,7 +91,7 @@ pub fn decode_delta([error, size]: [u32; 2], base: f32) -> f32 {
 /// What is coded of a node's measures.
 pub fn measures_of(node: &Node, step: f32) -> Measures {
     let least = if node.level > 0 { LEAST_SIZE * step } else { 0.0 };
-    Measures { error: node.error, size: node.size.max(least) }
+    Measures { error: node.error, size: node.size.max(least), area: 0.0 }
 }
 
 /// What codes count from, in cells, of the largest measure: twice that, so that no code of a node is that of no parent.
@@ -162,7 +162,7 @@ impl Nodes<'_> {
     fn sample(&self, index: u32) -> Sample<'_> {
         let node = &self.tree.nodes[index as usize];
         let leaf = self.tree.samples.get(index as usize).map(|&sample| sample as usize);
-        let color = |i: usize| Some(self.cloud.colors.as_ref()?[i][3]);
+        let size = measures_of(node, self.grid.step as f32).size;
         let [r, g, b] = node.color.to_array().map(|v| (v + 0.5) as u8);
         let kernel = |i: usize| match &self.cloud.kernels {
             Some(kernels) => Shape::Ellipse(kernels[i]),
@@ -170,7 +170,7 @@ impl Nodes<'_> {
         };
         Sample {
             cell: self.grid.quantise(node.position),
-            color: [r, g, b, leaf.and_then(color).unwrap_or(u8::MAX)],
+            color: [r, g, b, coverage::byte(node, size)],
             normal: node.normal,
             shape: leaf.map_or(Shape::Circle(node.radius / CUTOFF), kernel),
             clip: leaf.and_then(|i| Some(&self.cloud.clips.as_ref()?[i])),

@@ -1,6 +1,7 @@
 use glam::{DVec3, Vec2, Vec3};
 use proptest::prelude::*;
 
+use super::coverage::Matter;
 use super::hierarchy::{self, Tree};
 use super::node::{NO_NODE, Node};
 use super::*;
@@ -58,7 +59,7 @@ fn scattered(count: usize, seed: u64) -> PointCloud {
 }
 
 fn tree_of(cloud: &PointCloud) -> Tree {
-    hierarchy::build(cloud, None, &Bounds::of(cloud.positions.iter().copied()))
+    hierarchy::build(cloud, None, &Bounds::of(cloud.positions.iter().copied()), Matter::Points)
 }
 
 fn packed(cloud: &PointCloud, tree: &Tree) -> (PackedSamples, Vec<u32>) {
@@ -410,4 +411,82 @@ proptest! {
         let drawn = camera.drawn(&packed, &order, measure);
         prop_assert_eq!(uncovered(&tree, &drawn), None, "a leaf has no drawn ancestor");
     }
+}
+
+/// A level sheet of triangles, and the unit sphere.
+fn meshes() -> [(bool, crate::assets::Mesh); 2] {
+    let side = 40u32;
+    let at =
+        |i: u32| DVec3::new(f64::from(i % side), f64::from(i / side), 0.003 * f64::from(i % 7));
+    let quad = |i: u32| {
+        let at = i / (side - 1) * side + i % (side - 1);
+        [[at, at + 1, at + side + 1], [at, at + side + 1, at + side]]
+    };
+    let sheet = crate::assets::Mesh {
+        positions: (0..side * side).map(at).collect(),
+        triangles: (0..(side - 1) * (side - 1)).flat_map(quad).collect(),
+        ..Default::default()
+    };
+    let (rings, columns) = (24u32, 48u32);
+    let on_sphere = |i: u32| {
+        let theta = f64::from(i / columns) / f64::from(rings) * std::f64::consts::PI;
+        let phi = f64::from(i % columns) / f64::from(columns) * std::f64::consts::TAU;
+        DVec3::new(theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos())
+    };
+    let quad = |i: u32| {
+        let (ring, column) = (i / columns * columns, i % columns);
+        let [a, b] = [ring + column, ring + (column + 1) % columns];
+        [[a, a + columns, b], [b, a + columns, b + columns]]
+    };
+    let sphere = crate::assets::Mesh {
+        positions: (0..(rings + 1) * columns).map(on_sphere).collect(),
+        triangles: (0..rings * columns).flat_map(quad).collect(),
+        ..Default::default()
+    };
+    [(false, sheet), (true, sphere)]
+}
+
+fn mesh_tree((closed, mesh): &(bool, crate::assets::Mesh)) -> PackedSamples {
+    let hybrid = crate::bake::hybrid::hybrid_mesh(mesh, &[], &[], 1 << 20).unwrap();
+    let bounds = Bounds::of(mesh.positions.iter().copied());
+    build_tree_within(&hybrid.samples, Some(&hybrid.stands), bounds, *closed).unwrap()
+}
+
+/// Whatever error is accepted, and however small its nodes then are: of a surface only the root is ever thinned.
+#[test]
+fn whole_surfaces_are_not_thinned() {
+    let scan = build_tree(&sphere(4000, 2.0), None).unwrap();
+    let meshes = meshes();
+    for tree in [scan, mesh_tree(&meshes[0]), mesh_tree(&meshes[1])] {
+        for ([error, _], [color, _]) in tree.nodes.iter().zip(&tree.attributes) {
+            let [_, _, _, byte] = color.to_le_bytes();
+            let is_root = error >> CODE_BITS & CODE == NO_PARENT;
+            assert!(is_root || probability(byte, 0.01) == 1.0, "{byte}");
+            assert!(!is_root || probability(byte, 0.01) < 0.011, "{byte}");
+        }
+    }
+}
+
+#[test]
+fn a_root_knows_what_its_leaves_cover() {
+    let [sheet, ball] = meshes();
+    let near = |found: f32, expected: f32| (found / expected - 1.0).abs() < 0.1;
+    let area = |tree: &PackedSamples| Root::of(tree).unwrap().measures.area;
+    let found = [area(&mesh_tree(&sheet)), area(&mesh_tree(&ball))];
+    assert!(near(found[0], 39.0 * 39.0) && near(found[1], std::f32::consts::PI), "{found:?}");
+    // The same of a scan, as far as its kernels tell.
+    let found = area(&build_tree(&sphere(4000, 2.0), None).unwrap());
+    assert!((0.7..1.5).contains(&(found / (4.0 * std::f32::consts::PI))), "{found}");
+}
+
+#[test]
+fn what_covers_little_is_drawn_seldom() {
+    for share in [0.0, 0.01, 0.3, 0.9, 1.0, 7.0] {
+        let of = |around: u8| probability(around << 6, share);
+        assert_eq!(of(0), share.min(1.0));
+        assert!((1..3).all(|around| (0.0..=1.0).contains(&of(around))), "{share}");
+        assert!((0..3).all(|around| of(around) <= of(around + 1) || share > 0.3), "{share}");
+        assert_eq!(of(3), 1.0);
+    }
+    assert_eq!(probability(EXACT, 0.0), 1.0);
 }

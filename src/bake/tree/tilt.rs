@@ -123,7 +123,15 @@ mod tests {
     fn node(normal: Vec3, lift: f32, spread: f32, even: f32) -> Node {
         let stands = super::super::Measures::default();
         let kernel = crate::assets::Kernel::default();
-        let leaf = Node::leaf(glam::DVec3::ZERO, normal, [0; 4], &kernel, false, stands);
+        let leaf = Node::leaf(
+            glam::DVec3::ZERO,
+            normal,
+            [0; 4],
+            &kernel,
+            false,
+            stands,
+            super::super::coverage::Matter::Open,
+        );
         let error = lift.hypot(spread).max(even);
         Node { lift, spread, even, error, level: 1, ..leaf }
     }

@@ -9,6 +9,7 @@ use crate::plan::Pass;
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let mut constants = constants(recorder);
     constants.push(("DEFERRED", u32::from(recorder.task.is_deferred())));
+    constants.push(("BALLS", u32::from(recorder.task.model.trees)));
     recorder.compute(Call {
         pass: Pass::ResolveSplats,
         root: "resolve/resolve_splats",

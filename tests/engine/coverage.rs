@@ -1,0 +1,123 @@
+//! What is smaller than a pixel covers as much of a frame, and is as bright, as in one that shows it larger.
+
+use std::collections::BTreeSet;
+
+use glam::DVec3;
+use pointillist::engine::{FrameRequest, Pose};
+use pointillist::math::Camera;
+use pointillist::plan::{Lod, MaxError, Output, Reconstruct, Settings};
+use pointillist::scene::color::linear_from_srgb;
+use pointillist::scene::random::SplitMix64;
+use serde_json::{Value, json};
+
+use super::studio::{Studio, front, ids, mesh, sphere};
+
+fn spt(px: f32, reconstruct: Reconstruct) -> Settings {
+    let max_error = MaxError::new(px).unwrap();
+    Settings { lod: Lod::Spt, max_error, reconstruct, ..Settings::default() }
+}
+
+/// Triangles that look anywhere, loosely in a ball: the crown of a tree.
+fn crown() -> String {
+    let mut random = SplitMix64::new(5);
+    let (mut positions, mut triangles) = (Vec::new(), Vec::new());
+    while triangles.len() < 150 {
+        let mut vector = || DVec3::from([0; 3].map(|_| random.range(-1.0, 1.0)));
+        let (at, u, v) = (vector(), vector(), vector());
+        if at.length() < 1.0 {
+            let first = positions.len() as u32;
+            positions.extend([at, at + 0.25 * u, at + 0.25 * v]);
+            triangles.push([first, first + 1, first + 2]);
+        }
+    }
+    mesh(&positions, &triangles)
+}
+
+/// Copies with gaps between them, from far above.
+fn field(lights: &Value) -> Value {
+    let repeat = json!({ "grid": [130, 1, 130], "step": [2.6, 0, 2.6] });
+    json!({
+        "assets": { "g": { "file": "g.ply" } },
+        "nodes": [{ "asset": "g", "scale": 0.6, "repeat": repeat }],
+        "lights": lights,
+        "background": "#000000",
+        "cameras": { "front": { "eye": [0, 330, 300], "target": [0, 0, 0], "fov": 45 } },
+    })
+}
+
+/// Mean of all pixels in linear light.
+fn brightness(studio: &Studio, settings: Settings, scale: u32) -> f64 {
+    let request = FrameRequest { settings, ..front("field", 160 * scale, 120 * scale) };
+    let bytes = studio.bytes(&request);
+    let greens = bytes.chunks_exact(4).map(|pixel| linear_from_srgb(f64::from(pixel[1]) / 255.0));
+    greens.sum::<f64>() / (bytes.len() / 4) as f64
+}
+
+fn compare(studio: &Studio, what: &str, slack: f64) {
+    let truth = brightness(studio, Settings::default(), 8);
+    for reconstruct in [Reconstruct::Points, Reconstruct::Splats, Reconstruct::Fuzzy] {
+        let found = brightness(studio, spt(1.0, reconstruct), 1) / truth;
+        println!("{what}, {reconstruct:?}: {found:.3}");
+        assert!((found - 1.0).abs() < slack, "{what}, {reconstruct:?}: {found:.3}");
+    }
+}
+
+#[test]
+fn a_far_crowd_covers_as_much_as_it_does_in_a_larger_frame() {
+    for (what, asset, slack) in [("balls", sphere(12), 0.06), ("crowns", crown(), 0.15)] {
+        let studio = Studio::new();
+        studio.write("g.ply", asset);
+        studio.load_json("field", &field(&json!([])));
+        compare(&studio, what, slack);
+    }
+}
+
+/// Balls from afar, whose normals cancel, are as bright under a sun as what is seen of them.
+#[test]
+fn a_far_crowd_is_lit_as_it_is_in_a_larger_frame() {
+    let studio = Studio::new();
+    studio.write("g.ply", sphere(12));
+    for direction in [[-1, -1, -1], [1, -1, 0], [0, -1, 3]] {
+        studio.load_json("field", &field(&json!([{ "kind": "sun", "direction": direction }])));
+        compare(&studio, &format!("{direction:?}"), 0.1);
+        studio.engine.remove("field").unwrap();
+    }
+}
+
+/// Objects far smaller than a pixel appear one by one as the eye comes nearer; none of them goes again.
+#[test]
+fn what_has_appeared_stays() {
+    let studio = Studio::new();
+    studio.write("sphere.ply", sphere(8));
+    let repeat = json!({ "grid": [5, 3, 1], "step": [14, 14, 0] });
+    let scene = json!({
+        "assets": { "g": { "file": "sphere.ply" } },
+        "nodes": [{ "asset": "g", "repeat": repeat }],
+    });
+    studio.load_json("few", &scene);
+    let mut counts = Vec::new();
+    for reconstruct in [Reconstruct::Points, Reconstruct::Splats] {
+        let mut before = BTreeSet::new();
+        for distance in [2400.0, 1600.0, 1100.0, 800.0, 600.0, 450.0, 350.0, 250.0, 160.0] {
+            let eye = DVec3::new(0.0, 0.0, distance);
+            let camera = Camera { eye, target: DVec3::ZERO, up: DVec3::Y, fov_deg: 40.0 };
+            let request = FrameRequest {
+                pose: Pose::Camera(camera),
+                settings: spt(1.0, reconstruct),
+                output: Output::Id,
+                ..front("few", 200, 200)
+            };
+            let bytes = studio.bytes(&request);
+            let seen: BTreeSet<u32> = ids(&bytes).into_iter().filter(|&id| id != 0).collect();
+            assert!(
+                seen.is_superset(&before),
+                "{reconstruct:?} from {distance}: {before:?} {seen:?}"
+            );
+            assert!(bytes == studio.bytes(&request));
+            counts.push(seen.len());
+            before = seen;
+        }
+        assert_eq!(before.len(), 15, "{counts:?}");
+    }
+    assert!(counts[0] < 5 && counts[3] > 1 && counts[3] < 14, "{counts:?}");
+}
