@@ -3,7 +3,7 @@
 use glam::DVec3;
 use pointillist::engine::{FrameRequest, Pose};
 use pointillist::math::Camera;
-use pointillist::plan::{Lod, MaxError, Reconstruct, Settings};
+use pointillist::plan::{Lod, MaxError, Output, Reconstruct, Settings};
 use serde_json::json;
 
 use super::studio::{OUTPUTS, Studio, cloud, front, same, sphere};
@@ -80,7 +80,9 @@ fn frames_are_those_that_draw_what_is_hidden() {
         let mut fewer = 0;
         for (number, view) in views().into_iter().enumerate() {
             for settings in settings() {
-                for output in OUTPUTS {
+                // Ids tell of anything that is missing.
+                let outputs = if number == 0 { &OUTPUTS[..] } else { &[Output::Id] };
+                for &output in outputs {
                     let request = FrameRequest { settings, output, ..view.clone() };
                     let (found, all) = (hides.frame(&request), draws.frame(&request));
                     let what = format!("view {number}, {settings:?}, {output:?}, {force_32_bit}");
@@ -94,7 +96,7 @@ fn frames_are_those_that_draw_what_is_hidden() {
             }
         }
         // Along the rows most is hidden, at any level of detail.
-        assert!(fewer >= 16, "in {fewer} frames less than half was drawn");
+        assert!(fewer >= 12, "in {fewer} frames less than half was drawn");
     }
 }
 
