@@ -20,6 +20,26 @@ struct SegmentUse {
 @group(2) @binding(2) var<uniform> segment: SegmentUse;
 //!include PORTION
 
+// Where a sample is in the image.
+struct Place {
+    image: vec2<f32>,
+    z: f32,
+    inverse: f32,
+}
+
+fn place_of(word: vec2<u32>, row_x: vec4<f32>, row_y: vec4<f32>, row_z: vec4<f32>) -> Place {
+    let q = vec3<f32>(
+        f32(word.x & 0x1fffffu),
+        f32(((word.x >> 21u) | (word.y << 11u)) & 0x1fffffu),
+        f32((word.y >> 10u) & 0x1fffffu),
+    );
+    let z = fma(row_z.x, q.x, fma(row_z.y, q.y, fma(row_z.z, q.z, row_z.w)));
+    let inverse = 1.0 / z;
+    let x = fma(row_x.x, q.x, fma(row_x.y, q.y, fma(row_x.z, q.z, row_x.w))) * inverse;
+    let y = fma(row_y.x, q.x, fma(row_y.y, q.y, fma(row_y.z, q.z, row_y.w))) * inverse;
+    return Place(vec2<f32>(x, y), z, inverse);
+}
+
 @compute @workgroup_size(LANES)
 fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     begin_view(group.z);
@@ -45,46 +65,53 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
     var looked_at = 0u;
     let size = vec2<f32>(frame.size_px);
     let width = frame.size_px.x;
-    for (var i = next_element(lane, turn.parts, lane, count); i < count; i = next_element(i + LANES, turn.parts, lane, count)) {
-        if TREE {
-            looked_at++;
-            if !is_in_prefix(first + i, limit) {
-                if sorted && is_behind_prefix(first + i, limit) {
-                    break;
-                }
-                continue;
-            }
-        }
-        let word = positions[first + i];
-        let q = vec3<f32>(
-            f32(word.x & 0x1fffffu),
-            f32(((word.x >> 21u) | (word.y << 11u)) & 0x1fffffu),
-            f32((word.y >> 10u) & 0x1fffffu),
-        );
-        let z = fma(row_z.x, q.x, fma(row_z.y, q.y, fma(row_z.z, q.z, row_z.w)));
-        let inverse = 1.0 / z;
-        let x = fma(row_x.x, q.x, fma(row_x.y, q.y, fma(row_x.z, q.z, row_x.w))) * inverse;
-        let y = fma(row_y.x, q.x, fma(row_y.y, q.y, fma(row_y.z, q.z, row_y.w))) * inverse;
-        if z > NEAREST && x >= 0.0 && y >= 0.0 && x < size.x && y < size.y {
+    // Most nodes are not drawn: those that are, of up to 32, are gathered before anything dear is done for them.
+    var start = lane;
+    while start < count {
+        let stop = min(count, start + select(count, 32u * LANES, TREE));
+        let base = start;
+        var gathered = 0u;
+        for (var i = next_element(start, turn.parts, lane, stop); i < stop; i = next_element(i + LANES, turn.parts, lane, stop)) {
+            let sample = first + i;
             if TREE {
-                let image = vec2<f32>(x, y);
-                let centre = z * ray_through(image);
-                if !node_is_drawn(first + i, unit, centre, UNTILTED) {
+                looked_at++;
+                if !is_in_prefix(sample, limit) {
+                    if sorted && is_behind_prefix(sample, limit) {
+                        start = count;
+                        break;
+                    }
                     continue;
                 }
-                let own = attributes[first + i];
-                if !is_whole(own.x) {
-                    let n = octahedral_decode(own.y);
-                    let across = vec3<f32>(dot(row_x.xyz, n), dot(row_y.xyz, n), dot(row_z.xyz, n));
-                    let seen = foreshortened(vec3<f32>((across.xy - frame.principal_px * across.z) / frame.focal_px, across.z), centre);
-                    if !is_kept(first + i, own.x, unit, centre, seen, 1.0, word, key) {
-                        continue;
-                    }
-                }
-                drawn++;
             }
-            visibility_write(frame.first_pixel + u32(y) * width + u32(x), inverse, (slot_index << SLOT_SHIFT) | i);
+            let at = place_of(positions[sample], row_x, row_y, row_z);
+            if at.z > NEAREST && all(at.image >= vec2<f32>(0.0)) && all(at.image < size) {
+                if !TREE {
+                    visibility_write(frame.first_pixel + u32(at.image.y) * width + u32(at.image.x), at.inverse, (slot_index << SLOT_SHIFT) | i);
+                } else if node_is_drawn(sample, unit, at.z * ray_through(at.image), UNTILTED) {
+                    gathered |= 1u << ((i - base) / LANES);
+                }
+            }
         }
+        while gathered != 0u {
+            let i = base + firstTrailingBit(gathered) * LANES;
+            gathered &= gathered - 1u;
+            let word = positions[first + i];
+            let at = place_of(word, row_x, row_y, row_z);
+            let own = attributes[first + i];
+            var kept = true;
+            if !is_whole(own.x) {
+                let n = octahedral_decode(own.y);
+                let across = vec3<f32>(dot(row_x.xyz, n), dot(row_y.xyz, n), dot(row_z.xyz, n));
+                let centre = at.z * ray_through(at.image);
+                let seen = foreshortened(vec3<f32>((across.xy - frame.principal_px * across.z) / frame.focal_px, across.z), centre);
+                kept = is_kept(first + i, own.x, unit, centre, seen, 1.0, word, key);
+            }
+            if kept {
+                drawn++;
+                visibility_write(frame.first_pixel + u32(at.image.y) * width + u32(at.image.x), at.inverse, (slot_index << SLOT_SHIFT) | i);
+            }
+        }
+        start += select(count, 32u * LANES, TREE);
     }
     if TREE && FIRST_HALF {
         let old = atomicAdd(&stats[frame.view].samples_tested_lo, looked_at);

@@ -102,6 +102,8 @@ const PATIENCE: Duration = Duration::from_secs(600);
 /// Bytes that views drawn together may need of any one buffer. It keeps the memory that scratch takes in proportion: a
 /// frame of 4096² needs as much.
 const SHARED_BYTES: u64 = 128 << 20;
+/// The same of a CPU adapter, whose caches it should not outgrow by far: large frames gain nothing by going together.
+const SHARED_BYTES_CPU: u64 = 4 << 20;
 const STATS_BYTES: u64 = size_of::<GpuStats>() as u64;
 
 impl InFlight {
@@ -319,7 +321,8 @@ impl Renderer {
         let size = (job.request.width, job.request.height);
         let bytes = if job.drawing().plan.runs(Pass::ResolveFused) { LAYERS_BYTES } else { 8 };
         let largest = Scratch::largest(scene, size, bytes);
-        let room = self.gpu.max_binding_bytes().min(SHARED_BYTES) / largest.max(1);
+        let shared = if self.gpu.is_cpu { SHARED_BYTES_CPU } else { SHARED_BYTES };
+        let room = self.gpu.max_binding_bytes().min(shared) / largest.max(1);
         room.clamp(1, u64::from(MOST_VIEWS)) as usize
     }
 
