@@ -371,7 +371,8 @@ fn film(report: &mut Report, daemon: &Daemon, adapter: &str) -> anyhow::Result<(
             Some("done") => {
                 break (job["frames"]["done"].as_u64().unwrap_or(0), began.elapsed().as_secs_f64());
             }
-            Some("queued" | "running") => std::thread::sleep(Duration::from_millis(5)),
+            // Asking costs time, too.
+            Some("queued" | "running") => std::thread::sleep(Duration::from_millis(50)),
             _ => bail!("{job}"),
         }
     };
