@@ -203,9 +203,7 @@ impl Node {
         let even = node.radius * contrast;
         node.even = children.iter().fold(even, |most, child| most.max(child.even));
         node.error = children.iter().fold(own.max(even), |most, child| most.max(child.error));
-        // A ball's leaves are no farther from its centre than its radius, a disk's may also lie above it.
-        let reach = if normal == Vec3::ZERO { 0.0 } else { node.lift };
-        let own = node.radius.hypot(reach);
+        let own = node.reach();
         node.size = children.iter().fold(own, |most, child| most.max(child.size));
         node
     }
@@ -223,18 +221,23 @@ impl Node {
         self.alike = true;
     }
 
+    /// No leaf is farther from the centre: leaves lie in a ball, or in a cylinder about the disk.
+    fn reach(&self) -> f32 {
+        if self.normal == Vec3::ZERO { self.radius } else { self.radius.hypot(self.lift) }
+    }
+
     fn enclose_in_a_ball(&mut self, children: &[&Node]) {
         for step in 0..4 {
             let far = children.iter().map(|child| {
                 let way = (child.position - self.position).as_vec3();
-                (way.length() + child.radius, way)
+                (way.length() + child.reach(), way)
             });
             let (_, way) = far.fold((-1.0, Vec3::ZERO), |a, b| if b.0 > a.0 { b } else { a });
             self.position += (way / (step as f32 + 2.0)).as_dvec3();
         }
         self.radius = children.iter().fold(0.0, |most, child| {
             let way = (child.position - self.position).as_vec3().length();
-            most.max(way + child.radius + child.lift)
+            most.max(way + child.reach())
         });
         // A disk that faces the eye shows none of the shape within, and is as wide as all of it.
         self.lift = self.radius;
