@@ -5,11 +5,8 @@
 //!include VISIBILITY
 //!include NODES
 
-struct SegmentUse {
-    index: u32,
-}
-
 //!include shared/lanes
+//!include shared/tested
 
 @group(1) @binding(0) var<storage, read> positions: array<vec2<u32>>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;
@@ -28,11 +25,7 @@ struct Place {
 }
 
 fn place_of(word: vec2<u32>, row_x: vec4<f32>, row_y: vec4<f32>, row_z: vec4<f32>) -> Place {
-    let q = vec3<f32>(
-        f32(word.x & 0x1fffffu),
-        f32(((word.x >> 21u) | (word.y << 11u)) & 0x1fffffu),
-        f32((word.y >> 10u) & 0x1fffffu),
-    );
+    let q = sample_cell(word);
     let z = fma(row_z.x, q.x, fma(row_z.y, q.y, fma(row_z.z, q.z, row_z.w)));
     let inverse = 1.0 / z;
     let x = fma(row_x.x, q.x, fma(row_x.y, q.y, fma(row_x.z, q.z, row_x.w))) * inverse;
@@ -114,10 +107,7 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
         start += select(count, 32u * LANES, TREE);
     }
     if TREE && FIRST_HALF {
-        let old = atomicAdd(&stats[frame.view].samples_tested_lo, looked_at);
-        if old + looked_at < old {
-            atomicAdd(&stats[frame.view].samples_tested_hi, 1u);
-        }
+        count_samples(looked_at);
         if drawn != 0u {
             atomicAdd(&stats[frame.view].nodes_drawn, drawn);
         }

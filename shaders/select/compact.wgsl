@@ -3,6 +3,7 @@
 //!include shared/scene
 //!include shared/frustum
 //!include shared/portions
+//!include shared/tested
 //!include LIST
 
 @group(1) @binding(1) var<storage, read> chunks: array<Chunk>;
@@ -25,12 +26,10 @@ override SPLATS: bool = false;
 
 const NOT_VISIBLE: u32 = 0xffffffffu;
 const GROUP: u32 = 32u;
-// Chunks of triangles carry this shift.
-const TRIANGLES: u32 = 0xffffffffu;
 // Sides::Closed.
 const CLOSED: u32 = 2u;
 
-fn sample_slot(entry: Entry, chunk: Chunk, at: Placed) -> Slot {
+fn sample_slot(chunk: Chunk, at: Placed, box: Box) -> Slot {
     let corner = grid_to_camera(at, chunk.origin);
     let scale = f32(1u << chunk.shift);
     let x = vec3<f32>(at.axis_x.x, at.axis_y.x, at.axis_z.x) * scale;
@@ -44,7 +43,7 @@ fn sample_slot(entry: Entry, chunk: Chunk, at: Placed) -> Slot {
     slot.row_z = vec4<f32>(z, corner.z);
     slot.unit = chunk.node_base * stretch(at);
     slot.one_sided = u32(chunk.vertex_first == CLOSED && at.position.w == 1.0);
-    slot.limit = parent_limit(chunk, at, slot.unit);
+    slot.limit = parent_limit(chunk, at, box, slot.unit);
     slot.sorted = chunk.sorted & u32(LISTS_SORTED);
     return slot;
 }
@@ -85,29 +84,24 @@ fn compact(@builtin(global_invocation_id) invocation: vec3<u32>) {
     }
     let entry = entries[index];
     let chunk = chunks[entry.chunk];
+    let at = placed[frame.first_instance + entry.instance];
+    let box = grid_box(at, chunk.origin, chunk.extent);
     let own = group_counts[frame.first_group + index / GROUP] + rank;
     // Of what may be hidden, who asks that counts it.
     var counted = chunk.count;
     if HIDES {
-        let bounds = box_bounds(grid_box(placed[frame.first_instance + entry.instance], chunk.origin, chunk.extent));
-        let bin = depth_bin(bounds.near);
+        let bin = depth_bin(box_bounds(box).near);
         let is_near = bin < depths[frame.view * DEPTHS_WORDS + DEPTH_BINS];
         list_turn(index / GROUP, own, bin, is_near);
         counted = select(0u, chunk.count, is_near || (SPLATS && chunk.shift != TRIANGLES));
     }
     var slot: Slot;
     if chunk.shift == TRIANGLES {
-        let old = atomicAdd(&stats[frame.view].triangles_tested_lo, counted);
-        if old + counted < old {
-            atomicAdd(&stats[frame.view].triangles_tested_hi, 1u);
-        }
+        count_triangles(counted);
     } else {
-        slot = sample_slot(entry, chunk, placed[frame.first_instance + entry.instance]);
+        slot = sample_slot(chunk, at, box);
         if COUNTS_SAMPLES {
-            let old = atomicAdd(&stats[frame.view].samples_tested_lo, counted);
-            if old + counted < old {
-                atomicAdd(&stats[frame.view].samples_tested_hi, 1u);
-            }
+            count_samples(counted);
         }
     }
     slot.instance = entry.instance;

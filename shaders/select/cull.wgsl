@@ -16,32 +16,20 @@
 override HIDES: bool = false;
 
 const NOT_VISIBLE: u32 = 0xffffffffu;
-// Chunks of triangles carry this shift.
-const TRIANGLES: u32 = 0xffffffffu;
 const NO_INSTANCE: u32 = 0xffffffffu;
 
-fn is_wanted(entry: Entry) -> bool {
-    let chunk = chunks[entry.chunk];
-    let at = placed[frame.first_instance + entry.instance];
-    let half = chunk.extent * 0.5;
-    let x = at.axis_x.xyz * half.x;
-    let y = at.axis_y.xyz * half.y;
-    let z = at.axis_z.xyz * half.z;
-    let centre = grid_to_camera(at, chunk.origin) + x + y + z;
-    let scale = stretch(at);
+fn is_wanted(chunk: Chunk, box: Box, scale: f32) -> bool {
     // Splats reach beyond their centres, and the low-pass filter widens them in the image. Both are 0 for points.
     let base = select(chunk.kernel_base * exp2(f32(chunk.shift)), 0.0, chunk.shift == TRIANGLES);
     let radius = 1.01 * frame.splat_cutoff * frame.splat_width * base * scale;
-    let deep = abs(x.z) + abs(y.z) + abs(z.z);
-    let far = length(centre) + length(x) + length(y) + length(z);
-    return chunk_is_wanted(chunk, scale, centre.z - deep, centre.z + deep, far)
-        && box_is_seen(centre, x, y, z, radius, frame.splat_cutoff * frame.splat_lowpass_px);
+    let deep = box_deep(box);
+    return chunk_is_wanted(chunk, scale, box.centre.z - deep, box.centre.z + deep, box_far(box))
+        && box_is_seen(box.centre, box.x, box.y, box.z, radius, frame.splat_cutoff * frame.splat_lowpass_px);
 }
 
 // Adds a chunk to what begins at its depth.
-fn note_depth(entry: Entry, index: u32) {
-    let chunk = chunks[entry.chunk];
-    let bounds = box_bounds(grid_box(placed[frame.first_instance + entry.instance], chunk.origin, chunk.extent));
+fn note_depth(box: Box, index: u32) {
+    let bounds = box_bounds(box);
     // Fractions of a part count as often as they add up to one.
     let parts = u32(cover_of(bounds) * f32(COVER_ONE) + fract(f32(index & 0xffffu) * 0.618034));
     if parts > 0u {
@@ -66,11 +54,14 @@ fn cull(@builtin(global_invocation_id) invocation: vec3<u32>) {
         let entry = walk_next(&walk);
         var mine = NOT_VISIBLE;
         if entry.instance != NO_INSTANCE {
-            if is_wanted(entry) {
+            let chunk = chunks[entry.chunk];
+            let at = placed[frame.first_instance + entry.instance];
+            let box = grid_box(at, chunk.origin, chunk.extent);
+            if is_wanted(chunk, box, stretch(at)) {
                 mine = rank;
                 rank++;
                 if HIDES {
-                    note_depth(entry, first + k);
+                    note_depth(box, first + k);
                 }
             }
         }

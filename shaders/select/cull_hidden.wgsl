@@ -1,14 +1,12 @@
-// Which of the far slots lie wholly behind what has been drawn: a thread takes a slot and asks for each of its parts. The others are listed, with
-// the parts that are not hidden.
+// Which of the far slots whose turn it is lie wholly behind what has been drawn: a thread goes through a few and asks for each of their
+// parts. The others are listed, with the parts that are not hidden.
 //!include shared/frame
 //!include shared/scene
+//!include shared/frustum
 //!include shared/portions
+//!include shared/tested
 //!include shared/pyramid
 //!include shared/turns
-
-struct SegmentUse {
-    index: u32,
-}
 
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
 // Of each chunk's sixteen parts, the corners of the box in parts of 255 of the chunk's.
@@ -21,16 +19,14 @@ struct SegmentUse {
 @group(2) @binding(4) var<storage, read> pyramid: array<u32>;
 @group(2) @binding(5) var<storage, read_write> portions: array<Portion>;
 @group(2) @binding(6) var<storage, read> turns: array<u32>;
-@group(2) @binding(8) var<storage, read> depths: array<u32>;
 @group(2) @binding(7) var<storage, read_write> late: array<vec2<u32>>;
+@group(2) @binding(8) var<storage, read> depths: array<u32>;
 
 // Samples count themselves as they are tested.
 override COUNTS_SAMPLES: bool = false;
 // Which turn this is, from 1 on.
 override TURN: u32 = 1u;
 
-// Chunks of triangles carry this shift.
-const TRIANGLES: u32 = 0xffffffffu;
 // Tiles, or blocks, that are looked at in each direction at most.
 const MOST_ACROSS: u32 = 6u;
 
@@ -82,20 +78,6 @@ fn corner_of(word: u32) -> vec3<f32> {
     return vec3<f32>(vec3<u32>(word, word >> 8u, word >> 16u) & vec3<u32>(255u)) / 255.0;
 }
 
-fn count(counter: u32, chunk: Chunk, elements: u32) {
-    if chunk.shift == TRIANGLES {
-        let old = atomicAdd(&stats[counter].triangles_tested_lo, elements);
-        if old + elements < old {
-            atomicAdd(&stats[counter].triangles_tested_hi, 1u);
-        }
-    } else if COUNTS_SAMPLES {
-        let old = atomicAdd(&stats[counter].samples_tested_lo, elements);
-        if old + elements < old {
-            atomicAdd(&stats[counter].samples_tested_hi, 1u);
-        }
-    }
-}
-
 // Lists a slot with what is drawn in this turn if any of it is shown.
 fn ask(run: Run, slot_index: u32) {
     let slot = slots[frame.first_slot + slot_index];
@@ -127,7 +109,11 @@ fn ask(run: Run, slot_index: u32) {
         }
     }
     if shown != 0u {
-        count(frame.view, chunk, elements);
+        if chunk.shift == TRIANGLES {
+            count_triangles(elements);
+        } else if COUNTS_SAMPLES {
+            count_samples(elements);
+        }
         let place = atomicAdd(&portions[frame.first_run + segment.index].late, 1u);
         late[frame.first_slot + run.first_slot + place] = vec2<u32>(slot_index, shown);
     }

@@ -3,18 +3,13 @@
 //!include shared/scene
 //!include shared/portions
 //!include shared/pyramid
+//!include shared/launch
 
 @group(2) @binding(0) var<storage, read_write> portions: array<Portion>;
 @group(2) @binding(1) var<storage, read_write> dispatches: array<Dispatch>;
 
 // All that is not hidden is drawn in one turn.
 override WHOLE: bool = false;
-
-fn launch(at: u32, groups: u32) {
-    atomicStore(&dispatches[at].groups_x, min(groups, DISPATCH_ROW));
-    atomicStore(&dispatches[at].groups_y, (groups + DISPATCH_ROW - 1u) / DISPATCH_ROW);
-    atomicStore(&dispatches[at].groups_z, frame.views);
-}
 
 @compute @workgroup_size(1)
 fn launch_portions() {
@@ -36,11 +31,11 @@ fn launch_portions() {
             }
             late = max(late, atomicLoad(&portions[at].late) - atomicLoad(&portions[at].before));
         }
-        launch(segments + segment, near);
-        launch(2u * segments + segment, (far + 64u * ASKED_EACH - 1u) / (64u * ASKED_EACH));
-        launch(3u * segments + segment, late);
+        set_launch(segments + segment, near, views);
+        set_launch(2u * segments + segment, (far + 64u * ASKED_EACH - 1u) / (64u * ASKED_EACH), views);
+        set_launch(3u * segments + segment, late, views);
         asked = max(asked, far);
     }
     let blocks = pyramid_blocks();
-    launch(4u * segments, select(0u, (blocks.x * blocks.y + 63u) / 64u, asked > 0u));
+    set_launch(4u * segments, select(0u, (blocks.x * blocks.y + 63u) / 64u, asked > 0u), views);
 }

@@ -68,7 +68,7 @@ fn list_entries(@builtin(local_invocation_index) lane: u32) {
             segments[segment] = Segment(0u, 0u);
         }
         let launches = arrayLength(&dispatches) - LOD_LAUNCHES;
-        set_launch(launches + LAUNCH_CULL, (sizes.group_count + 31u) / 32u);
-        set_launch(launches + LAUNCH_COMPACT, (sizes.group_count + 1u) / 2u);
+        set_launch(launches + LAUNCH_CULL, (sizes.group_count + 31u) / 32u, 1u);
+        set_launch(launches + LAUNCH_COMPACT, (sizes.group_count + 1u) / 2u, 1u);
     }
 }

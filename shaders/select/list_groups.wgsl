@@ -38,7 +38,7 @@ fn list_groups(@builtin(local_invocation_index) lane: u32) {
         listed[0] = running;
         // Behind the segments' own.
         let launches = arrayLength(&dispatches) - LOD_LAUNCHES;
-        set_launch(launches + LAUNCH_PLACE, (running * INSTANCE_GROUP + 63u) / 64u);
-        set_launch(launches + LAUNCH_SELECT, (running + 63u) / 64u);
+        set_launch(launches + LAUNCH_PLACE, (running * INSTANCE_GROUP + 63u) / 64u, 1u);
+        set_launch(launches + LAUNCH_SELECT, (running + 63u) / 64u, 1u);
     }
 }

@@ -16,8 +16,7 @@
 // What is hidden by what is nearer is looked for.
 override HIDES: bool = false;
 // Near is what covers the image so often, in parts of it.
-override NEAR_COVER: u32 = 2000u;
-override GROW: u32 = 6u;
+const NEAR_COVER: u32 = 2u * COVER_ONE;
 
 var<workgroup> partial: array<u32, 64>;
 
@@ -35,7 +34,7 @@ fn scan(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
                 bin++;
             }
             depths[first + DEPTH_BINS + turn] = bin;
-            end = end * GROW / 4u;
+            end += end / 2u;
         }
         depths[first + DEPTH_BINS + TURNS] = DEPTH_BINS;
     }

@@ -1,7 +1,70 @@
-// Boxes beside the view frustum.
+// Boxes in camera space: where they are, and whether they lie beside the view frustum.
 
 // Of the terms' magnitude: what f32 may lose while they are summed.
 const SLACK: f32 = 4e-6;
+
+// Half edges of a box in camera space, and its middle.
+struct Box {
+    centre: vec3<f32>,
+    x: vec3<f32>,
+    y: vec3<f32>,
+    z: vec3<f32>,
+    // What f32 may lose of a place in it.
+    slack: f32,
+}
+
+// Of a chunk.
+fn grid_box(at: Placed, origin: vec3<i32>, extent: vec3<f32>) -> Box {
+    let half = extent * 0.5;
+    let x = at.axis_x.xyz * half.x;
+    let y = at.axis_y.xyz * half.y;
+    let z = at.axis_z.xyz * half.z;
+    let centre = grid_to_camera(at, origin) + x + y + z;
+    let far_off = abs(centre) + abs(x) + abs(y) + abs(z);
+    return Box(centre, x, y, z, SLACK * (far_off.x + far_off.y + far_off.z));
+}
+
+// No place of a box is farther from the eye.
+fn box_far(box: Box) -> f32 {
+    return length(box.centre) + length(box.x) + length(box.y) + length(box.z);
+}
+
+// Half of what it takes up in depth.
+fn box_deep(box: Box) -> f32 {
+    return abs(box.x.z) + abs(box.y.z) + abs(box.z.z);
+}
+
+// Where a box is: nearest depth, and its bounds in the image in pixels. Of boxes that surround the eye, 0 and everything.
+struct BoxBounds {
+    near: f32,
+    least: vec2<f32>,
+    most: vec2<f32>,
+}
+
+fn box_bounds(box: Box) -> BoxBounds {
+    let reach = abs(box.x) + abs(box.y) + abs(box.z);
+    let near = box.centre.z - reach.z - box.slack;
+    let far = box.centre.z + reach.z + box.slack;
+    if !(near > NEAREST) {
+        return BoxBounds(0.0, vec2<f32>(0.0), vec2<f32>(frame.size_px));
+    }
+    let low = box.centre.xy - reach.xy - box.slack;
+    let high = box.centre.xy + reach.xy + box.slack;
+    let least = low / select(vec2<f32>(near), vec2<f32>(far), low > vec2<f32>(0.0));
+    let most = high / select(vec2<f32>(far), vec2<f32>(near), high > vec2<f32>(0.0));
+    return BoxBounds(
+        near,
+        fma(frame.focal_px, least, frame.principal_px) - vec2<f32>(1.0),
+        fma(frame.focal_px, most, frame.principal_px) + vec2<f32>(1.0),
+    );
+}
+
+// The part of the image within bounds.
+fn cover_of(bounds: BoxBounds) -> f32 {
+    let size = vec2<f32>(frame.size_px);
+    let sides = clamp(bounds.most, vec2<f32>(0.0), size) - clamp(bounds.least, vec2<f32>(0.0), size);
+    return sides.x * sides.y / (size.x * size.y);
+}
 
 // False when the box, and all within `radius` of it, lies on the negative side of a plane through the eye.
 fn reaches(normal: vec3<f32>, centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>, radius: f32) -> bool {

@@ -1,10 +1,6 @@
 // What passes do that go through a segment and list what is too large for one thread. The file that includes this says whether
 // they count it: `COUNTS`.
 //!include shared/large
-struct SegmentUse {
-    index: u32,
-}
-
 struct LargeList {
     // As an indirect draw's arguments: three to an entry.
     vertex_count: atomic<u32>,

@@ -9,6 +9,6 @@ fn entry_count() -> u32 {
 const COUNTS_SAMPLES: bool = true;
 const LISTS_SORTED: bool = false;
 
-fn parent_limit(chunk: Chunk, at: Placed, unit: f32) -> u32 {
+fn parent_limit(chunk: Chunk, at: Placed, box: Box, unit: f32) -> u32 {
     return 0xffffffffu;
 }

@@ -14,14 +14,9 @@ const COUNTS_SAMPLES: bool = false;
 const LISTS_SORTED: bool = true;
 
 // Nodes whose parents have this code or a larger one can be accepted wherever in the chunk's box they are.
-fn parent_limit(chunk: Chunk, at: Placed, unit: f32) -> u32 {
-    let half = chunk.extent * 0.5;
-    let x = at.axis_x.xyz * half.x;
-    let y = at.axis_y.xyz * half.y;
-    let z = at.axis_z.xyz * half.z;
-    let centre = grid_to_camera(at, chunk.origin) + x + y + z;
-    let far = length(centre) + length(x) + length(y) + length(z);
-    let near = centre.z - abs(x.z) - abs(y.z) - abs(z.z);
+fn parent_limit(chunk: Chunk, at: Placed, box: Box, unit: f32) -> u32 {
+    let far = box_far(box);
+    let near = box.centre.z - box_deep(box);
     let delta = stretch(at) * chunk.delta_most + 2.0 * DEPTH_SLACK * far;
     let least = accepted(near - delta, far + delta);
     if !(least > 0.0) || !(unit > 0.0) {

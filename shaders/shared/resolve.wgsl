@@ -1,12 +1,6 @@
 // What every resolve pass shares: which pixels are its own, and what it writes there.
 //!include VOTE
 //!include shared/column
-struct SegmentUse {
-    index: u32,
-    // 1 for the frame's first resolve, which also writes the background.
-    first: u32,
-}
-
 //!include shared/outputs
 // A shade pass follows and wants normals.
 override SHADED: bool = true;

@@ -80,12 +80,7 @@ fn taken(slot: SplatSlot, v: vec3<f32>) -> vec3<f32> {
 
 // The centre's place in the image, times z, and z.
 fn splat_centre(slot: SplatSlot, sample: u32) -> vec3<f32> {
-    let word = positions[slot.first + sample];
-    let q = vec3<f32>(
-        f32(word.x & 0x1fffffu),
-        f32(((word.x >> 21u) | (word.y << 11u)) & 0x1fffffu),
-        f32((word.y >> 10u) & 0x1fffffu),
-    );
+    let q = sample_cell(positions[slot.first + sample]);
     return vec3<f32>(
         fma(slot.row_x.x, q.x, fma(slot.row_x.y, q.y, fma(slot.row_x.z, q.z, slot.row_x.w))),
         fma(slot.row_y.x, q.x, fma(slot.row_y.y, q.y, fma(slot.row_y.z, q.z, slot.row_y.w))),

@@ -5,16 +5,9 @@
 // keep account of theirs, and list what they have none left for.
 //!include shared/list
 //!include shared/lanes
+//!include shared/tested
 //!include VOTE
 const ROUNDS: u32 = 60000u;
-
-// Of point trees, samples that were looked at.
-fn count_tested(count: u32) {
-    let old = atomicAdd(&stats[frame.view].samples_tested_lo, count);
-    if old + count < old {
-        atomicAdd(&stats[frame.view].samples_tested_hi, 1u);
-    }
-}
 
 fn mark_full() {
     atomicMax(&stats[frame.view].sums_full, 1u);
@@ -92,7 +85,7 @@ fn scatter(group: vec3<u32>, lane: u32) {
     }
     if COUNTS {
         if TREE {
-            count_tested(looked_at);
+            count_samples(looked_at);
         }
         if scattered != 0u {
             atomicAdd(&stats[frame.view].splats_scattered, scattered);

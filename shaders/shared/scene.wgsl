@@ -67,6 +67,9 @@ struct Chunk {
     range_unused: u32,
 }
 
+// `shift` of chunks of triangles.
+const TRIANGLES: u32 = 0xffffffffu;
+
 // Some 32 instances of a scene of point trees, neighbours in space.
 struct InstanceGroup {
     // Middle of the box around them, as the sum of two floats an axis; half its size.
@@ -119,6 +122,13 @@ struct Slot {
 struct Segment {
     first_group: u32,
     end_group: u32,
+}
+
+// Which segment a pass draws.
+struct SegmentUse {
+    index: u32,
+    // 1 for the frame's first resolve, which also writes the background.
+    first: u32,
 }
 
 // Where a segment's visible slots lie among those of a view.
@@ -180,6 +190,15 @@ const SLOT_MASK: u32 = 1023u;
 const DISPATCH_ROW: u32 = 32768u;
 // Nearer than this is at the eye and not drawn; it also keeps 1/z finite.
 const NEAREST: f32 = 1e-30;
+
+// A sample's place in its chunk, in steps of 2^shift cells: 21 bits an axis.
+fn sample_cell(word: vec2<u32>) -> vec3<f32> {
+    return vec3<f32>(
+        f32(word.x & 0x1fffffu),
+        f32(((word.x >> 21u) | (word.y << 11u)) & 0x1fffffu),
+        f32((word.y >> 10u) & 0x1fffffu),
+    );
+}
 
 fn grid_to_camera(placed: Placed, grid: vec3<i32>) -> vec3<f32> {
     let d = vec3<f32>(grid - placed.anchor.xyz);

@@ -47,16 +47,21 @@ pub fn record(
         select::launch_portions::record(recorder, false)?;
     }
     for &half in halves {
-        // What is hidden is known once depths are.
-        let late = if half == Visibility::Id { 1 } else { TURNS };
-        let first = if task.hides() { Portion::Near } else { Portion::All };
-        project(recorder, half, first)?;
-        for turn in 1..=if task.hides() { late } else { 0 } {
-            if half != Visibility::Id {
-                select::depth_pyramid::record(recorder)?;
-                select::cull_hidden::record(recorder, turn)?;
-            }
-            select::launch_portions::record(recorder, half == Visibility::Id)?;
+        if !task.hides() {
+            project(recorder, half, Portion::All)?;
+            continue;
+        }
+        project(recorder, half, Portion::Near)?;
+        if half == Visibility::Id {
+            // What is hidden is known from the depths.
+            select::launch_portions::record(recorder, true)?;
+            project(recorder, half, Portion::Late)?;
+            continue;
+        }
+        for turn in 1..=TURNS {
+            select::depth_pyramid::record(recorder)?;
+            select::cull_hidden::record(recorder, turn)?;
+            select::launch_portions::record(recorder, false)?;
             project(recorder, half, Portion::Late)?;
         }
     }

@@ -38,9 +38,6 @@ pub struct Context<'a> {
     pub timer: &'a mut Timer,
 }
 
-/// Overrides that passes over lists have where the scene is one of point trees.
-const OF_TREES: [&str; 2] = ["MEASURE", "SPLIT"];
-
 /// A group being recorded.
 pub struct Recorder<'a, 'c> {
     pub context: &'a mut Context<'c>,
@@ -217,8 +214,7 @@ impl Recorder<'_, '_> {
         constants: Constants,
     ) -> Result<(), ShaderError> {
         if !self.scene.has_trees() {
-            let own = constants.into_iter().filter(|(name, _)| !OF_TREES.contains(name)).collect();
-            return self.rows(pass, root, groups, self.task.count(), own);
+            return self.rows(pass, root, groups, self.task.count(), constants);
         }
         self.compute(Call {
             pass,

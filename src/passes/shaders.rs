@@ -66,6 +66,7 @@ fragments![
     "shared/portions",
     "shared/pyramid",
     "shared/turns",
+    "shared/tested",
     "shared/portion_all",
     "shared/portion_near",
     "shared/portion_late",

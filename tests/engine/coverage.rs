@@ -5,17 +5,12 @@ use std::collections::BTreeSet;
 use glam::DVec3;
 use pointillist::engine::{FrameRequest, Pose};
 use pointillist::math::Camera;
-use pointillist::plan::{Lod, MaxError, Output, Reconstruct, Settings};
+use pointillist::plan::{Output, Reconstruct, Settings};
 use pointillist::scene::color::linear_from_srgb;
 use pointillist::scene::random::SplitMix64;
 use serde_json::{Value, json};
 
-use super::studio::{Studio, front, ids, mesh, sphere};
-
-fn spt(px: f32, reconstruct: Reconstruct) -> Settings {
-    let max_error = MaxError::new(px).unwrap();
-    Settings { lod: Lod::Spt, max_error, reconstruct, ..Settings::default() }
-}
+use super::studio::{Studio, front, ids, mesh, sphere, spt};
 
 /// Triangles that look anywhere, loosely in a ball: the crown of a tree.
 fn crown() -> String {

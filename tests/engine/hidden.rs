@@ -3,10 +3,10 @@
 use glam::DVec3;
 use pointillist::engine::{FrameRequest, Pose};
 use pointillist::math::Camera;
-use pointillist::plan::{Lod, MaxError, Output, Reconstruct, Settings};
+use pointillist::plan::{Output, Reconstruct, Settings};
 use serde_json::json;
 
-use super::studio::{OUTPUTS, Studio, cloud, front, same, sphere};
+use super::studio::{OUTPUTS, Studio, cloud, front, same, sphere, spt};
 
 /// Rows of balls and clouds one behind the other, and a wall that closes the view here and there.
 fn load(studio: &Studio) {
@@ -51,10 +51,6 @@ fn views() -> Vec<FrameRequest> {
 }
 
 fn settings() -> Vec<Settings> {
-    let spt = |px, reconstruct| {
-        let max_error = MaxError::new(px).unwrap();
-        Settings { lod: Lod::Spt, max_error, reconstruct, ..Settings::default() }
-    };
     let splats = Settings { reconstruct: Reconstruct::Splats, ..Settings::default() };
     let points = Reconstruct::Points;
     vec![

@@ -11,7 +11,7 @@ use pointillist::engine::{
     EncodedFrame, Engine, EngineConfig, EngineError, FrameRequest, FrameTicket, Pose, SceneInfo,
 };
 use pointillist::math::Camera;
-use pointillist::plan::{Output, Settings};
+use pointillist::plan::{Lod, MaxError, Output, Reconstruct, Settings};
 use serde_json::{Value, json};
 
 pub struct Studio {
@@ -130,6 +130,12 @@ pub fn front(scene: &str, width: u32, height: u32) -> FrameRequest {
         quality: 90,
         deadline: None,
     }
+}
+
+/// Level of detail from point trees.
+pub fn spt(px: f32, reconstruct: Reconstruct) -> Settings {
+    let max_error = MaxError::new(px).unwrap();
+    Settings { lod: Lod::Spt, max_error, reconstruct, ..Settings::default() }
 }
 
 /// The whole of a scene, as `output`, raw.

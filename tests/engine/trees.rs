@@ -11,20 +11,15 @@ use pointillist::bake::tree::{SIDEWAYS, Seen, UNTILTED, build_tree, is_drawn};
 use pointillist::engine::{FrameRequest, NodePatch, Pose};
 use pointillist::generate::{Kind, Parameters, generate, write};
 use pointillist::math::Camera;
-use pointillist::plan::{ErrorMode, Lod, MaxError, Output, Reconstruct, Settings};
+use pointillist::plan::{ErrorMode, Output, Reconstruct, Settings};
 use serde_json::{Value, json};
 
 use super::studio::{
     Disk, OUTPUTS, Studio, covered, depths, disk_sphere, disks, fit, front, ids, mesh, same,
-    sphere, sphere_mesh,
+    sphere, sphere_mesh, spt,
 };
 
 const WAYS: [Reconstruct; 2] = [Reconstruct::Points, Reconstruct::Splats];
-
-fn spt(px: f32, reconstruct: Reconstruct) -> Settings {
-    let max_error = MaxError::new(px).unwrap();
-    Settings { lod: Lod::Spt, max_error, reconstruct, ..Settings::default() }
-}
 
 fn split(px: f32) -> Settings {
     Settings { error_mode: ErrorMode::Split, ..spt(px, Reconstruct::Splats) }

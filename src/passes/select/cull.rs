@@ -9,10 +9,10 @@ pub const ENTRIES: u32 = 32 * 32;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let groups = recorder.entries().div_ceil(ENTRIES);
-    let constants = vec![
-        ("MEASURE", recorder.task.measure()),
-        ("SPLIT", u32::from(recorder.task.splits_errors())),
-        recorder.hides(),
-    ];
+    let mut constants = vec![recorder.hides()];
+    if recorder.scene.has_trees() {
+        constants.push(("MEASURE", recorder.task.measure()));
+        constants.push(("SPLIT", u32::from(recorder.task.splits_errors())));
+    }
     recorder.over_lists(Pass::Cull, "select/cull", groups, Listed::Cull, constants)
 }
