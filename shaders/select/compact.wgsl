@@ -3,6 +3,7 @@
 //!include shared/scene
 //!include shared/frustum
 //!include shared/portions
+//!include shared/turns
 //!include shared/tested
 //!include LIST
 
@@ -18,11 +19,12 @@
 @group(2) @binding(9) var<storage, read> runs: array<Run>;
 @group(2) @binding(10) var<storage, read_write> portions: array<Portion>;
 @group(2) @binding(11) var<storage, read_write> turns: array<u32>;
+@group(2) @binding(12) var<storage, read_write> turn_slots: array<vec2<u32>>;
 
 // What is hidden by what is nearer is looked for.
 override HIDES: bool = false;
-// Samples are splats, all of which are drawn.
-override SPLATS: bool = false;
+// Samples are drawn wherever they are.
+override UNASKED: bool = false;
 
 const NOT_VISIBLE: u32 = 0xffffffffu;
 const GROUP: u32 = 32u;
@@ -48,7 +50,7 @@ fn sample_slot(chunk: Chunk, at: Placed, box: Box) -> Slot {
     return slot;
 }
 
-// Lists a slot with what is drawn first, from its run's begin on, or with what is asked later, from the end on.
+// Lists a slot with what is drawn first, or with what is asked later.
 fn list_turn(group: u32, slot: u32, bin: u32, is_near: bool) {
     // The segment that the group is in.
     var low = 0u;
@@ -62,13 +64,12 @@ fn list_turn(group: u32, slot: u32, bin: u32, is_near: bool) {
         }
     }
     let run = runs[frame.first_run + low];
-    var place = 0u;
+    let first = frame.first_slot + run.first_slot;
     if is_near {
-        place = atomicAdd(&portions[frame.first_run + low].near, 1u);
+        turn_slots[first + atomicAdd(&portions[frame.first_run + low].listed, 1u)] = vec2<u32>(slot, ALL_PARTS);
     } else {
-        place = run.count - 1u - atomicAdd(&portions[frame.first_run + low].far, 1u);
+        turns[first + atomicAdd(&portions[frame.first_run + low].far, 1u)] = slot | (bin << TURN_SHIFT);
     }
-    turns[frame.first_slot + run.first_slot + place] = select(slot | (bin << TURN_SHIFT), slot, is_near);
 }
 
 @compute @workgroup_size(64)
@@ -91,9 +92,9 @@ fn compact(@builtin(global_invocation_id) invocation: vec3<u32>) {
     var counted = chunk.count;
     if HIDES {
         let bin = depth_bin(box_bounds(box).near);
-        let is_near = bin < depths[frame.view * DEPTHS_WORDS + DEPTH_BINS];
+        let is_near = bin < depths[frame.view * DEPTHS_WORDS + DEPTH_ENDS];
         list_turn(index / GROUP, own, bin, is_near);
-        counted = select(0u, chunk.count, is_near || (SPLATS && chunk.shift != TRIANGLES));
+        counted = select(0u, chunk.count, is_near || (UNASKED && chunk.shift != TRIANGLES));
     }
     var slot: Slot;
     if chunk.shift == TRIANGLES {

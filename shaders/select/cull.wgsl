@@ -33,7 +33,12 @@ fn note_depth(box: Box, index: u32) {
     // Fractions of a part count as often as they add up to one.
     let parts = u32(cover_of(bounds) * f32(COVER_ONE) + fract(f32(index & 0xffffu) * 0.618034));
     if parts > 0u {
-        atomicAdd(&depths[frame.view * DEPTHS_WORDS + depth_bin(bounds.near)], parts);
+        let at = frame.view * DEPTHS_WORDS + depth_bin(bounds.near);
+        let rows = vec2<u32>(clamp(vec2<f32>(bounds.least.y, bounds.most.y), vec2<f32>(0.0), vec2<f32>(f32(frame.size_px.y))));
+        atomicAdd(&depths[at], parts);
+        // From the last row, so that nothing is 0.
+        atomicMax(&depths[at + DEPTH_TOPS], frame.size_px.y - rows.x);
+        atomicMax(&depths[at + DEPTH_BOTTOMS], rows.y);
     }
 }
 

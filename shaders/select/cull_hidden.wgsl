@@ -8,8 +8,9 @@
 //!include shared/pyramid
 //!include shared/turns
 
+@group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
-// Of each chunk's sixteen parts, the corners of the box in parts of 255 of the chunk's.
+// Of each chunk's sixteen parts, the corners of the box in parts of 255 of the chunk's, and how much shorter kernel axes are.
 @group(1) @binding(3) var<storage, read> parts: array<array<vec2<u32>, 16>>;
 @group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
@@ -19,16 +20,22 @@
 @group(2) @binding(4) var<storage, read> pyramid: array<u32>;
 @group(2) @binding(5) var<storage, read_write> portions: array<Portion>;
 @group(2) @binding(6) var<storage, read> turns: array<u32>;
-@group(2) @binding(7) var<storage, read_write> late: array<vec2<u32>>;
+@group(2) @binding(7) var<storage, read_write> turn_slots: array<vec2<u32>>;
 @group(2) @binding(8) var<storage, read> depths: array<u32>;
 
 // Samples count themselves as they are tested.
 override COUNTS_SAMPLES: bool = false;
 // Which turn this is, from 1 on.
 override TURN: u32 = 1u;
+// Asked are those that have been drawn.
+override AGAIN: bool = false;
+// Samples are drawn as splats.
+override SPLATS: bool = false;
 
 // Tiles, or blocks, that are looked at in each direction at most.
 const MOST_ACROSS: u32 = 6u;
+// Pixels, where it is no more.
+const MOST_PIXELS: u32 = 8u;
 
 // Whether every pixel within bounds shows something nearer.
 fn is_hidden(bounds: BoxBounds) -> bool {
@@ -43,23 +50,26 @@ fn is_hidden(bounds: BoxBounds) -> bool {
     let high = vec2<u32>(clamp(bounds.most, vec2<f32>(0.0), size - vec2<f32>(1.0)));
     // Rounding of 1/z, here and where it was written.
     let nearest = bitcast<u32>(1.00001 / bounds.near);
+    let by_pixels = all(high - low < vec2<u32>(MOST_PIXELS));
     let by_tiles = all(high / TILE_PX - low / TILE_PX < vec2<u32>(MOST_ACROSS));
-    let unit = select(BLOCK_PX, TILE_PX, by_tiles);
+    let unit = select(select(BLOCK_PX, TILE_PX, by_tiles), 1u, by_pixels);
     let first = low / unit;
     let last = high / unit;
-    if any(last - first >= vec2<u32>(MOST_ACROSS)) {
+    if !by_pixels && any(last - first >= vec2<u32>(MOST_ACROSS)) {
         return false;
     }
     var at = first;
     loop {
-        var word = 0u;
-        if by_tiles {
+        var shown = 0u;
+        if by_pixels {
+            shown = visibility[frame.first_pixel + at.y * frame.size_px.x + at.x].y;
+        } else if by_tiles {
             let tile = at % BLOCK_TILES;
-            word = block_record(at / BLOCK_TILES) + 1u + tile.y * BLOCK_TILES + tile.x;
+            shown = pyramid[block_record(at / BLOCK_TILES) + 1u + tile.y * BLOCK_TILES + tile.x];
         } else {
-            word = block_record(at);
+            shown = pyramid[block_record(at)];
         }
-        if pyramid[word] <= nearest {
+        if shown <= nearest {
             return false;
         }
         at.x++;
@@ -73,21 +83,38 @@ fn is_hidden(bounds: BoxBounds) -> bool {
     return true;
 }
 
+// Bounds of what is drawn of a box, where that is splats that reach so many pixels beyond their own outlines.
+fn drawn_bounds(box: Box, filter_px: f32) -> BoxBounds {
+    let bounds = box_bounds(box);
+    return BoxBounds(bounds.near, bounds.least - vec2<f32>(filter_px), bounds.most + vec2<f32>(filter_px));
+}
+
+// How far splats may reach from their centres in camera space, of a chunk's longest kernel axis: nearer to the eye by that of their disks and
+// by no more for the filter, and sideways the outlines of all filters lie within twice their disks.
+fn splat_reach(chunk: Chunk, at: Placed) -> f32 {
+    return 2.02 * frame.splat_cutoff * frame.splat_width * chunk.kernel_base * exp2(f32(chunk.shift)) * stretch(at);
+}
+
+// The longest kernel axis of a part, in parts of its chunk's.
+fn longest_of(words: vec2<u32>) -> f32 {
+    return exp2((1.0 - 8.0 * f32(words.x >> 24u)) * 0.0078125);
+}
+
 // A corner of a part's box in its chunk's, from 0 to 1.
 fn corner_of(word: u32) -> vec3<f32> {
     return vec3<f32>(vec3<u32>(word, word >> 8u, word >> 16u) & vec3<u32>(255u)) / 255.0;
 }
 
-// Lists a slot with what is drawn in this turn if any of it is shown.
-fn ask(run: Run, slot_index: u32) {
-    let slot = slots[frame.first_slot + slot_index];
-    let chunk = chunks[slot.chunk];
+// Of a slot's parts those that are not hidden.
+fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
     let at = placed[frame.first_instance + slot.instance];
     let whole = grid_box(at, chunk.origin, chunk.extent);
-    var left = select((chunk.count + PART - 1u) / PART, 0u, is_hidden(box_bounds(whole)));
+    let is_splats = SPLATS && chunk.shift != TRIANGLES;
+    let reach = select(0.0, splat_reach(chunk, at), is_splats);
+    let filter_px = select(0.0, frame.splat_cutoff * frame.splat_lowpass_px, is_splats);
+    let widened = Box(whole.centre, whole.x, whole.y, whole.z, whole.slack + reach);
+    var left = select((chunk.count + PART - 1u) / PART, 0u, is_hidden(drawn_bounds(widened, filter_px)));
     var shown = 0u;
-    var elements = 0u;
-    // The last first.
     while left > 0u {
         left--;
         let words = parts[slot.chunk][left];
@@ -101,22 +128,40 @@ fn ask(run: Run, slot_index: u32) {
             whole.x * size.x,
             whole.y * size.y,
             whole.z * size.z,
-            whole.slack,
+            fma(reach, longest_of(words), whole.slack),
         );
-        if !is_hidden(box_bounds(part)) {
+        if !is_hidden(drawn_bounds(part, filter_px)) {
             shown |= 1u << left;
-            elements += min(chunk.count - left * PART, PART);
         }
     }
-    if shown != 0u {
-        if chunk.shift == TRIANGLES {
-            count_triangles(elements);
-        } else if COUNTS_SAMPLES {
-            count_samples(elements);
-        }
-        let place = atomicAdd(&portions[frame.first_run + segment.index].late, 1u);
-        late[frame.first_slot + run.first_slot + place] = vec2<u32>(slot_index, shown);
+    return shown;
+}
+
+// Lists a slot with what is drawn in this turn if any of it is shown.
+fn ask(run: Run, slot_index: u32) {
+    let slot = slots[frame.first_slot + slot_index];
+    let chunk = chunks[slot.chunk];
+    let shown = shown_parts(slot, chunk);
+    if shown == 0u {
+        return;
     }
+    // The last part may be shorter.
+    let last = (chunk.count - 1u) / PART;
+    let elements = countOneBits(shown) * PART - select(0u, (last + 1u) * PART - chunk.count, (shown >> last) == 1u);
+    if chunk.shift == TRIANGLES {
+        count_triangles(elements);
+    } else if COUNTS_SAMPLES {
+        count_samples(elements);
+    }
+    let place = atomicAdd(&portions[frame.first_run + segment.index].listed, 1u);
+    turn_slots[frame.first_slot + run.first_slot + place] = vec2<u32>(slot_index, shown);
+}
+
+// Takes from a slot that has been drawn what turned out to be hidden by what was drawn later.
+fn ask_again(at: u32) {
+    let word = turn_slots[at];
+    let slot = slots[frame.first_slot + word.x];
+    turn_slots[at].y = word.y & shown_parts(slot, chunks[slot.chunk]);
 }
 
 @compute @workgroup_size(64)
@@ -125,7 +170,19 @@ fn cull_hidden(@builtin(global_invocation_id) invocation: vec3<u32>) {
     let own = frame.first_run + segment.index;
     let far = atomicLoad(&portions[own].far);
     let run = runs[own];
-    let ends = frame.view * DEPTHS_WORDS + DEPTH_BINS + TURN;
+    if AGAIN {
+        let listed = atomicLoad(&portions[own].listed);
+        let first = (invocation.x + invocation.y * DISPATCH_ROW * 64u) * ASKED_EACH;
+        // All are drawn next.
+        if first == 0u {
+            atomicStore(&portions[own].before, 0u);
+        }
+        for (var index = first; index < min(first + ASKED_EACH, listed); index++) {
+            ask_again(frame.first_slot + run.first_slot + index);
+        }
+        return;
+    }
+    let ends = frame.view * DEPTHS_WORDS + DEPTH_ENDS + TURN;
     let begin = depths[ends - 1u];
     let end = depths[ends];
     var index = (invocation.x + invocation.y * DISPATCH_ROW * 64u) * ASKED_EACH;
@@ -137,7 +194,7 @@ fn cull_hidden(@builtin(global_invocation_id) invocation: vec3<u32>) {
             if index >= stop {
                 break;
             }
-            word = turns[frame.first_slot + run.first_slot + run.count - 1u - index];
+            word = turns[frame.first_slot + run.first_slot + index];
             index++;
             let bin = word >> TURN_SHIFT;
             if bin >= begin && bin < end {

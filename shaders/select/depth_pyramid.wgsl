@@ -22,7 +22,7 @@ fn depth_pyramid(@builtin(global_invocation_id) invocation: vec3<u32>) {
         let segments = min(frame.segment_count, arrayLength(&portions));
         for (var segment = 0u; segment < segments; segment++) {
             let own = frame.first_run + segment;
-            atomicStore(&portions[own].before, atomicLoad(&portions[own].late));
+            atomicStore(&portions[own].before, atomicLoad(&portions[own].listed));
         }
     }
     let block = vec2<u32>(index % blocks.x, index / blocks.x);

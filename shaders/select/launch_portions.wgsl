@@ -1,4 +1,4 @@
-// How the passes are launched that draw near slots, ask far ones and draw what is left of these: enough for the view with the most.
+// How the passes are launched that draw the slots whose turn it is and ask far ones: enough for the view with the most.
 //!include shared/frame
 //!include shared/scene
 //!include shared/portions
@@ -8,7 +8,7 @@
 @group(2) @binding(0) var<storage, read_write> portions: array<Portion>;
 @group(2) @binding(1) var<storage, read_write> dispatches: array<Dispatch>;
 
-// All that is not hidden is drawn in one turn.
+// All that was listed is drawn in one turn, or asked again.
 override WHOLE: bool = false;
 
 @compute @workgroup_size(1)
@@ -19,23 +19,21 @@ fn launch_portions() {
     let views = min(frame.views, arrayLength(&portions));
     var asked = 0u;
     for (var segment = 0u; segment < segments; segment++) {
-        var near = 0u;
         var far = 0u;
-        var late = 0u;
+        var listed = 0u;
         for (var view = 0u; view < views; view++) {
             let at = view * segments + segment;
-            near = max(near, atomicLoad(&portions[at].near));
             far = max(far, atomicLoad(&portions[at].far));
             if WHOLE {
                 atomicStore(&portions[at].before, 0u);
+                far = max(far, atomicLoad(&portions[at].listed));
             }
-            late = max(late, atomicLoad(&portions[at].late) - atomicLoad(&portions[at].before));
+            listed = max(listed, atomicLoad(&portions[at].listed) - atomicLoad(&portions[at].before));
         }
-        set_launch(segments + segment, near, views);
-        set_launch(2u * segments + segment, (far + 64u * ASKED_EACH - 1u) / (64u * ASKED_EACH), views);
-        set_launch(3u * segments + segment, late, views);
+        set_launch(segments + segment, (far + 64u * ASKED_EACH - 1u) / (64u * ASKED_EACH), views);
+        set_launch(2u * segments + segment, listed, views);
         asked = max(asked, far);
     }
     let blocks = pyramid_blocks();
-    set_launch(4u * segments, select(0u, (blocks.x * blocks.y + 63u) / 64u, asked > 0u), views);
+    set_launch(3u * segments, select(0u, (blocks.x * blocks.y + 63u) / 64u, asked > 0u), views);
 }

@@ -15,8 +15,14 @@
 
 // What is hidden by what is nearer is looked for.
 override HIDES: bool = false;
-// Near is what covers the image so often, in parts of it.
-const NEAR_COVER: u32 = 2u * COVER_ONE;
+// Near is what covers the image so often, where it does.
+const NEAR_LAYERS: f32 = 2.0;
+
+// How often what begins in a part of an octave of depth covers the rows that it is in.
+fn layers_of(at: u32) -> f32 {
+    let rows = max(depths[at + DEPTH_TOPS] + depths[at + DEPTH_BOTTOMS], frame.size_px.y + 1u) - frame.size_px.y;
+    return f32(depths[at]) / f32(COVER_ONE) * f32(frame.size_px.y) / f32(rows);
+}
 
 var<workgroup> partial: array<u32, 64>;
 
@@ -25,18 +31,24 @@ fn scan(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     begin_view(group.z);
     if HIDES && lane == 0u {
         let first = frame.view * DEPTHS_WORDS;
-        var cover = 0u;
+        var layers = 0.0;
+        for (var bin = 0u; bin < DEPTH_BINS; bin++) {
+            layers += layers_of(first + bin);
+        }
+        let behind = max(layers - NEAR_LAYERS, 0.0);
         var bin = 0u;
-        var end = NEAR_COVER;
+        layers = 0.0;
         for (var turn = 0u; turn < TURNS; turn++) {
-            while bin < DEPTH_BINS && cover < end {
-                cover += depths[first + bin];
+            // Later turns hold more: much of what is far is hidden.
+            let share = f32(turn) / f32(TURNS);
+            let end = NEAR_LAYERS + behind * share * share;
+            while bin < DEPTH_BINS && layers < end {
+                layers += layers_of(first + bin);
                 bin++;
             }
-            depths[first + DEPTH_BINS + turn] = bin;
-            end += end / 2u;
+            depths[first + DEPTH_ENDS + turn] = bin;
         }
-        depths[first + DEPTH_BINS + TURNS] = DEPTH_BINS;
+        depths[first + DEPTH_ENDS + TURNS] = DEPTH_BINS;
     }
     let base = frame.first_group;
     let share = (sizes.group_count + 63u) / 64u;

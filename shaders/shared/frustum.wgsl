@@ -9,7 +9,7 @@ struct Box {
     x: vec3<f32>,
     y: vec3<f32>,
     z: vec3<f32>,
-    // What f32 may lose of a place in it.
+    // What f32 may lose of a place in it, and what is drawn around it.
     slack: f32,
 }
 
@@ -41,6 +41,9 @@ struct BoxBounds {
     most: vec2<f32>,
 }
 
+// What snapping to parts of pixels and f32 may move.
+const BOUNDS_SLACK_PX: f32 = 0.0625;
+
 fn box_bounds(box: Box) -> BoxBounds {
     let reach = abs(box.x) + abs(box.y) + abs(box.z);
     let near = box.centre.z - reach.z - box.slack;
@@ -54,8 +57,8 @@ fn box_bounds(box: Box) -> BoxBounds {
     let most = high / select(vec2<f32>(far), vec2<f32>(near), high > vec2<f32>(0.0));
     return BoxBounds(
         near,
-        fma(frame.focal_px, least, frame.principal_px) - vec2<f32>(1.0),
-        fma(frame.focal_px, most, frame.principal_px) + vec2<f32>(1.0),
+        fma(frame.focal_px, least, frame.principal_px) - vec2<f32>(BOUNDS_SLACK_PX),
+        fma(frame.focal_px, most, frame.principal_px) + vec2<f32>(BOUNDS_SLACK_PX),
     );
 }
 

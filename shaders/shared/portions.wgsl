@@ -1,20 +1,24 @@
 // Occlusion culling (after Greene, Kass & Miller 1993): what is near is drawn first, then, turn by turn from near to far, what does not
 // lie as a whole behind all that. The order changes no pixel: the visibility buffer keeps the nearest, whoever came first.
 
-// Of a segment, how many of its visible slots are drawn first, how many are asked whether they are hidden, and how many of these are
-// drawn.
+// Of a segment, how many of its visible slots are asked whether they are hidden, and how many are listed as drawn: those that are near,
+// and those that turned out not to be hidden.
 struct Portion {
-    near: atomic<u32>,
     far: atomic<u32>,
-    late: atomic<u32>,
-    // Of the last, those before this turn.
+    listed: atomic<u32>,
+    // Of these, those before this turn.
     before: atomic<u32>,
+    unused: u32,
 }
 
 // A view's record of depths: what begins in each eighth of an octave of depth covers, in parts of the image; and where
 // near and each turn of what is far end.
 const DEPTH_BINS: u32 = 512u;
-const DEPTHS_WORDS: u32 = 520u;
+// Where its ends begin, and the first and last row of pixels that what begins in each part covers.
+const DEPTH_ENDS: u32 = 512u;
+const DEPTH_TOPS: u32 = 520u;
+const DEPTH_BOTTOMS: u32 = 1032u;
+const DEPTHS_WORDS: u32 = 1544u;
 // Of a far slot in the list: the slot, and from this bit on where its depth is among the bins.
 const TURN_SHIFT: u32 = 22u;
 const TURN_SLOT: u32 = 0x3fffffu;

@@ -124,15 +124,17 @@ fn drawn_px(slot: SplatSlot, axis: vec3<f32>, centre: vec3<f32>, seen: f32) -> f
     return 3.1415927 * frame.splat_cutoff * frame.splat_cutoff * max(sqrt(widened.x * widened.y), 1e-30);
 }
 
+// Whether a node of a point tree is as detailed as is asked, and its parent is not.
+fn splat_is_chosen(slot: SplatSlot, sample: u32) -> bool {
+    let at = slot.first + sample;
+    let centre = camera_vector(splat_centre(slot, sample));
+    return node_is_drawn(at, slot.unit, centre, tilt_cosine(slot, at, centre));
+}
+
 fn splat_of(slot: SplatSlot, sample: u32) -> Splat {
     let at = slot.first + sample;
     let p = splat_centre(slot, sample);
     let centre = camera_vector(p);
-    if !node_is_drawn(at, slot.unit, centre, tilt_cosine(slot, at, centre)) {
-        var nothing: Splat;
-        nothing.way = NOTHING;
-        return nothing;
-    }
     let normal = attributes[at].y;
     let axes = kernel_axes(kernels[at * KERNEL_WORDS], slot.kernel_base, octahedral_decode(normal));
     if !is_whole(attributes[at].x) {

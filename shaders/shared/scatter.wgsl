@@ -7,6 +7,7 @@
 //!include shared/lanes
 //!include shared/tested
 //!include VOTE
+//!include PORTION
 const ROUNDS: u32 = 60000u;
 
 fn mark_full() {
@@ -15,12 +16,11 @@ fn mark_full() {
 
 fn scatter(group: vec3<u32>, lane: u32) {
     begin_view(group.z);
-    let index = group.y * DISPATCH_ROW + group.x;
-    let run = runs[frame.first_run + segment.index];
-    if index >= run.count {
+    let turn = turn_of(group.y * DISPATCH_ROW + group.x);
+    if turn.parts == 0u {
         return;
     }
-    let slot = splat_slot(run.first_slot + index);
+    let slot = splat_slot(turn.slot);
     let count = slots[frame.first_slot + slot.index].count;
     let shared_paint = paint_slot(slot);
     let limit = frame.splat_cutoff * frame.splat_cutoff;
@@ -31,57 +31,74 @@ fn scatter(group: vec3<u32>, lane: u32) {
     var looked_at = 0u;
     var rounds = 0u;
     let longest = u32(frame.small_splat_px) + 1u;
-    for (var i = lane; i < count; i += LANES) {
-        looked_at++;
-        var splat: Splat;
-        splat.way = NOTHING;
-        if TREE && !is_in_prefix(slot.first + i, slot.limit) {
-            if slot.sorted && is_behind_prefix(slot.first + i, slot.limit) {
-                break;
+    // Many nodes are not drawn: those that are, of up to 32, are gathered before anything dear is done for them.
+    var start = lane;
+    while start < count {
+        let base = start;
+        let stop = min(count, start + 32u * LANES);
+        var gathered = 0u;
+        for (var i = next_element(start, turn.parts, lane, stop); i < stop; i = next_element(i + LANES, turn.parts, lane, stop)) {
+            looked_at++;
+            if TREE {
+                let sample = slot.first + i;
+                if !is_in_prefix(sample, slot.limit) {
+                    if slot.sorted && is_behind_prefix(sample, slot.limit) {
+                        start = count;
+                        break;
+                    }
+                    continue;
+                }
+                if !splat_is_chosen(slot, i) {
+                    continue;
+                }
             }
-        } else {
-            splat = splat_of(slot, i);
+            gathered |= 1u << ((i - base) / LANES);
         }
-        let box = vec2<u32>(splat.high - splat.low + vec2<i32>(1));
-        let pixels = select(0u, box.x * box.y, splat.way == SMALL);
-        let full = rounds + most_of_lanes(pixels, longest * longest) > ROUNDS;
-        if splat.way == LARGE {
-            if all(splat.high >= splat.low) {
+        start += 32u * LANES;
+        rounds += 32u;
+        while gathered != 0u {
+            let i = base + firstTrailingBit(gathered) * LANES;
+            gathered &= gathered - 1u;
+            let splat = splat_of(slot, i);
+            let box = vec2<u32>(splat.high - splat.low + vec2<i32>(1));
+            let pixels = select(0u, box.x * box.y, splat.way == SMALL);
+            let full = rounds + most_of_lanes(pixels, longest * longest) > ROUNDS;
+            if splat.way == LARGE && all(splat.high >= splat.low) {
                 list_large(splat.id, vec2<u32>(splat.low), vec2<u32>(splat.high));
                 listed++;
                 crossing += u32(splat.crosses);
             }
-        }
-        if splat.way == SMALL && full {
-            list_entry(splat.id, vec2<u32>(splat.low), vec2<u32>(splat.high));
-            listed++;
-        }
-        var taken = 0u;
-        if splat.way == SMALL && !full {
-            scattered++;
-            let paint = paint_of(slot, shared_paint, i);
-            var at = splat.low;
-            // One loop over both directions: threads of a vector end together where their boxes are alike in area.
-            loop {
-                let d = vec2<f32>(at) + vec2<f32>(0.5) - splat.centre;
-                let q = splat_distance(splat, d);
-                var done = true;
-                if q <= limit && clip_keeps(splat.clip, d) {
-                    done = emit(splat, paint, frame.first_pixel + u32(at.y) * width + u32(at.x), d, q);
-                }
-                taken++;
-                if done {
-                    at.x++;
-                }
-                if at.x > splat.high.x {
-                    at = vec2<i32>(splat.low.x, at.y + 1);
-                }
-                if at.y > splat.high.y {
-                    break;
+            if splat.way == SMALL && full {
+                list_entry(splat.id, vec2<u32>(splat.low), vec2<u32>(splat.high));
+                listed++;
+            }
+            var taken = 0u;
+            if splat.way == SMALL && !full {
+                scattered++;
+                let paint = paint_of(slot, shared_paint, i);
+                var at = splat.low;
+                // One loop over both directions: threads of a vector end together where their boxes are alike in area.
+                loop {
+                    let d = vec2<f32>(at) + vec2<f32>(0.5) - splat.centre;
+                    let q = splat_distance(splat, d);
+                    var done = true;
+                    if q <= limit && clip_keeps(splat.clip, d) {
+                        done = emit(splat, paint, frame.first_pixel + u32(at.y) * width + u32(at.x), d, q);
+                    }
+                    taken++;
+                    if done {
+                        at.x++;
+                    }
+                    if at.x > splat.high.x {
+                        at = vec2<i32>(splat.low.x, at.y + 1);
+                    }
+                    if at.y > splat.high.y {
+                        break;
+                    }
                 }
             }
+            rounds += most_of_lanes(taken, longest * longest) + frame.light_count + 1u;
         }
-        rounds += most_of_lanes(taken, longest * longest) + frame.light_count + 1u;
     }
     if COUNTS {
         if TREE {

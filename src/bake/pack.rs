@@ -12,6 +12,7 @@ mod texture;
 mod unpack;
 
 pub(super) use kernel::lengths as kernel_lengths;
+pub use kernel::longer_axis;
 pub use texture::{PackedTexture, pack_texture, unpack_texture};
 pub(super) use unpack::unpack_kernel;
 pub use unpack::{unpack_mesh, unpack_samples};

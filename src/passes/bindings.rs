@@ -60,7 +60,7 @@ impl<'a> Names<'a> {
             "depths" => scratch.depths.buffer(),
             "portions" => scratch.portions.buffer(),
             "turns" => scratch.turns.buffer(),
-            "late" => scratch.late.buffer(),
+            "turn_slots" => scratch.turn_slots.buffer(),
             "pyramid" => scratch.pyramid.buffer(),
             "instances" => &scene.instances,
             "group_flags" => scratch.group_flags.buffer(),

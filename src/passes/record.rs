@@ -51,21 +51,26 @@ pub fn record(
             project(recorder, half, Portion::All)?;
             continue;
         }
-        project(recorder, half, Portion::Near)?;
         if half == Visibility::Id {
             // What is hidden is known from the depths.
             select::launch_portions::record(recorder, true)?;
-            project(recorder, half, Portion::Late)?;
+            project(recorder, half, Portion::Turn)?;
             continue;
         }
+        project(recorder, half, Portion::Turn)?;
         for turn in 1..=TURNS {
             select::depth_pyramid::record(recorder)?;
             select::cull_hidden::record(recorder, turn)?;
             select::launch_portions::record(recorder, false)?;
-            project(recorder, half, Portion::Late)?;
+            project(recorder, half, Portion::Turn)?;
         }
     }
     if plan.runs(Pass::BlendSplats) {
+        if task.hides() {
+            select::launch_portions::record(recorder, true)?;
+            select::depth_pyramid::record(recorder)?;
+            select::cull_hidden::record_again(recorder)?;
+        }
         blend_splats(recorder)?;
     }
     if plan.runs(Pass::FuseSplats) {
@@ -93,9 +98,8 @@ fn project(recorder: &mut Recorder, half: Visibility, portion: Portion) -> Resul
     if plan.runs(project::project_samples::pass(half)) {
         project::project_samples::record(recorder, half, portion)?;
     }
-    // All splats at once: a surface is blended of what lies behind its front as well.
-    if plan.runs(project::project_splats::pass(half)) && portion != Portion::Late {
-        project_splats(recorder, half)?;
+    if plan.runs(project::project_splats::pass(half)) {
+        project_splats(recorder, half, portion)?;
     }
     if plan.runs(project::project_triangles::pass(half)) {
         project_triangles(recorder, half, portion)?;
@@ -104,10 +108,14 @@ fn project(recorder: &mut Recorder, half: Visibility, portion: Portion) -> Resul
 }
 
 /// Segment by segment, as triangles.
-fn project_splats(recorder: &mut Recorder, half: Visibility) -> Result<(), ShaderError> {
+fn project_splats(
+    recorder: &mut Recorder,
+    half: Visibility,
+    portion: Portion,
+) -> Result<(), ShaderError> {
     for segment in recorder.segments(SAMPLE_PAGES) {
         recorder.empty_list();
-        project::project_splats::record(recorder, half, segment)?;
+        project::project_splats::record(recorder, half, portion, segment)?;
         project::walk_splats::record(recorder, half, segment)?;
     }
     Ok(())

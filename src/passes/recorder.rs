@@ -58,9 +58,8 @@ pub enum Launch {
     /// As `scan` has written it for the segment.
     Indirect,
     /// As `launch_portions` has written it for the segment.
-    Near,
     Asked,
-    Late,
+    Turn,
     /// As it has written it for the hierarchical depth buffer.
     Pyramid,
     /// As `list_groups` or `list_entries` has written it, behind the segments'.
@@ -114,8 +113,7 @@ impl Recorder<'_, '_> {
     pub fn launch(portion: Portion) -> Launch {
         match portion {
             Portion::All => Launch::Indirect,
-            Portion::Near => Launch::Near,
-            Portion::Late => Launch::Late,
+            Portion::Turn => Launch::Turn,
         }
     }
 
@@ -166,10 +164,9 @@ impl Recorder<'_, '_> {
                             dispatches.size() as usize / size_of::<GpuDispatch>() - LOD_LAUNCHES
                                 + listed as usize
                         }
-                        Launch::Near => count + own,
-                        Launch::Asked => 2 * count + own,
-                        Launch::Late => 3 * count + own,
-                        Launch::Pyramid => 4 * count,
+                        Launch::Asked => count + own,
+                        Launch::Turn => 2 * count + own,
+                        Launch::Pyramid => 3 * count,
                         Launch::Indirect | Launch::Direct(_) => own,
                     };
                     let offset = (number * size_of::<GpuDispatch>()) as u64;

@@ -31,7 +31,7 @@ pub struct Scratch {
     pub depths: buffer::Scratch,
     pub portions: buffer::Scratch,
     pub turns: buffer::Scratch,
-    pub late: buffer::Scratch,
+    pub turn_slots: buffer::Scratch,
     pub pyramid: buffer::Scratch,
     /// Of scenes of point trees: which groups of instances are in play, what is chosen of each, and the entries listed from that.
     pub group_flags: buffer::Scratch,
@@ -54,10 +54,10 @@ pub struct Scratch {
 /// Bytes that each pixel takes where splats are blended in a single pass: two words.
 pub const LAYERS_BYTES: u64 = 16;
 
-/// Launches of a segment: all of its slots, those that are near, those that are asked, those that are left of these.
-const PORTION_LAUNCHES: usize = 4;
+/// Launches of a segment: all of its slots, those that are asked, those whose turn it is to be drawn.
+const PORTION_LAUNCHES: usize = 3;
 /// Of a view's record of depths, and of a segment's of portions; as in `shared/portions`.
-pub const DEPTHS_BYTES: u64 = 520 * 4;
+pub const DEPTHS_BYTES: u64 = 1544 * 4;
 const PORTION_BYTES: u64 = 16;
 /// Large triangles that there is room for at first; a frame with more is drawn again with room enough.
 const LARGE_INITIAL: u32 = 1 << 18;
@@ -95,7 +95,7 @@ impl Scratch {
             depths: make("depths"),
             portions: make("portions"),
             turns: make("turns"),
-            late: make("late"),
+            turn_slots: make("turn_slots"),
             pyramid: make("pyramid"),
             group_flags: make("group_flags"),
             listed: make("listed"),
@@ -151,7 +151,7 @@ impl Scratch {
         self.depths.reserve(gpu, views * DEPTHS_BYTES);
         self.portions.reserve(gpu, views * scene.pages.len() as u64 * PORTION_BYTES);
         self.turns.reserve(gpu, views * u64::from(slots) * 4);
-        self.late.reserve(gpu, views * u64::from(slots) * 8);
+        self.turn_slots.reserve(gpu, views * u64::from(slots) * 8);
         let blocks = u64::from(width.div_ceil(BLOCK_PX)) * u64::from(height.div_ceil(BLOCK_PX));
         self.pyramid.reserve(gpu, views * blocks * u64::from(BLOCK_WORDS) * 4);
         // Shaders find what is behind the segments' from the end.

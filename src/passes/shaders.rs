@@ -68,8 +68,7 @@ fragments![
     "shared/turns",
     "shared/tested",
     "shared/portion_all",
-    "shared/portion_near",
-    "shared/portion_late",
+    "shared/portion_turn",
     "shared/clip_none",
     "shared/clip_lines",
     "shared/sums_64",
@@ -152,20 +151,17 @@ impl Visibility {
 pub enum Portion {
     #[default]
     All,
-    /// Those that are drawn first.
-    Near,
-    /// Those of the others that are not hidden by them.
-    Late,
+    /// Those whose turn it is: what is near first, then what turns out not to be hidden.
+    Turn,
 }
 
 impl Portion {
-    pub const ALL: [Portion; 3] = [Portion::All, Portion::Near, Portion::Late];
+    pub const ALL: [Portion; 2] = [Portion::All, Portion::Turn];
 
     fn fragment(self) -> &'static str {
         match self {
             Portion::All => "shared/portion_all",
-            Portion::Near => "shared/portion_near",
-            Portion::Late => "shared/portion_late",
+            Portion::Turn => "shared/portion_turn",
         }
     }
 }

@@ -212,7 +212,8 @@ pub fn plan(
             Pass::CullGroups | Pass::ListGroups | Pass::SelectChunks | Pass::ListEntries => {
                 (!scene.trees).then_some("the level of detail is full")
             }
-            Pass::LaunchPortions | Pass::DepthPyramid | Pass::CullHidden => no_points
+            Pass::LaunchPortions | Pass::DepthPyramid | Pass::CullHidden => samples
+                .or(single)
                 .and(triangles)
                 .map(|_| "nothing is drawn that can be hidden")
                 .or((scene.chunks < MANY_CHUNKS).then_some("the scene is of few chunks"))
@@ -309,6 +310,8 @@ mod tests {
         assert!(asks(points, None, &WIDE) && !asks(few, None, &WIDE));
         assert!(!asks(points, None, &AdapterFacts { draws_hidden: true, ..WIDE }));
         let splats = Splats::default();
+        assert!(asks(points, Some(&splats), &WIDE));
+        let splats = Splats { blend: Blend::Interleaved, ..splats };
         assert!(!asks(points, Some(&splats), &WIDE));
         // Triangles among splats can be hidden.
         assert!(asks(SceneFacts { has_triangles: true, ..points }, Some(&splats), &WIDE));

@@ -2,14 +2,15 @@
 
 use glam::{IVec3, UVec3};
 
-use crate::bake::pack::{CHUNK, PackedChunk, PackedGeometry};
+use crate::bake::pack::{CHUNK, PackedChunk, PackedGeometry, longer_axis};
 
 /// Elements of a part, neighbours along a curve through space; as in `shared/turns`.
 pub const PART: usize = 64;
 /// Parts of a chunk.
 pub const PARTS: usize = CHUNK / PART;
 
-/// Of each part the corners of its box, in parts of 255 of the chunk's, a byte an axis from x on; of none, zeros.
+/// Of each part the corners of its box, in parts of 255 of the chunk's, a byte an axis from x on, and in the first word's last byte how much shorter
+/// its longest kernel axis is than the chunk's, in sixteenths of an octave; of none, zeros.
 pub type PartBoxes = [[u32; 2]; PARTS];
 
 /// The boxes of a chunk's parts: of its samples' positions, or of its triangles.
@@ -18,8 +19,12 @@ pub fn part_boxes(geometry: &PackedGeometry, chunk: &PackedChunk) -> PartBoxes {
     let mut boxes = PartBoxes::default();
     match geometry {
         PackedGeometry::Samples(samples) => {
-            for (own, part) in boxes.iter_mut().zip(samples.positions[range].chunks(PART)) {
+            for (own, part) in boxes.iter_mut().zip(samples.positions[range.clone()].chunks(PART)) {
                 *own = words(chunk, part.iter().map(|&word| chunk.cell(word)));
+            }
+            let kernels = samples.kernels.get(range).unwrap_or_default();
+            for (own, part) in boxes.iter_mut().zip(kernels.chunks(PART)) {
+                own[0] |= shortness(part) << 24;
             }
         }
         PackedGeometry::Mesh(mesh) => {
@@ -36,6 +41,15 @@ pub fn part_boxes(geometry: &PackedGeometry, chunk: &PackedChunk) -> PartBoxes {
         }
     }
     boxes
+}
+
+/// Of kernels, how much shorter the longest axis is than the chunk's.
+fn shortness(kernels: &[u32]) -> u32 {
+    kernels
+        .iter()
+        .filter_map(|&word| longer_axis(word))
+        .min()
+        .map_or(255, |code| (code / 8).min(255))
 }
 
 fn words(chunk: &PackedChunk, cells: impl Iterator<Item = IVec3>) -> [u32; 2] {
@@ -57,11 +71,11 @@ fn words(chunk: &PackedChunk, cells: impl Iterator<Item = IVec3>) -> [u32; 2] {
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
+    use glam::{DVec3, Vec3, Vec3Swizzles};
 
     use super::*;
-    use crate::assets::{Mesh, PointCloud};
-    use crate::bake::pack::{pack_mesh, pack_samples};
+    use crate::assets::{Kernel, Mesh, PointCloud};
+    use crate::bake::pack::{pack_mesh, pack_samples, unpack_samples};
     use crate::scene::random::SplitMix64;
 
     fn scattered(count: usize, seed: u64) -> Vec<DVec3> {
@@ -120,6 +134,45 @@ mod tests {
         let cloud = PointCloud { positions: vec![DVec3::ONE; 3], ..PointCloud::default() };
         let samples = pack_samples(&cloud).unwrap();
         let boxes = part_boxes(&PackedGeometry::Samples(samples.clone()), &samples.chunks[0]);
-        assert_eq!(boxes, PartBoxes::default());
+        // No kernel is of any length.
+        assert_eq!(boxes[0], [255 << 24, 0]);
+        assert_eq!(boxes[1..], PartBoxes::default()[1..]);
+    }
+
+    #[test]
+    fn no_kernel_is_longer_than_its_part_says() {
+        let positions = scattered(3000, 3);
+        let mut numbers = SplitMix64::new(4);
+        let mut axis = |of: f64| {
+            let length = of * (numbers.next_u64() % 1000) as f64 * 1e-3;
+            Vec3::new(length as f32, 0.0, 0.0)
+        };
+        // Longer from sample to sample along the first axis, as neighbours are.
+        let kernels = positions.iter().map(|at| {
+            let of = (0.2 * at.x).exp2();
+            Kernel { u: axis(of), v: axis(of).zxy() }
+        });
+        let cloud = PointCloud {
+            kernels: Some(kernels.collect()),
+            normals: Some(vec![Vec3::Z; positions.len()]),
+            positions,
+            ..PointCloud::default()
+        };
+        let samples = pack_samples(&cloud).unwrap();
+        let (lengths, mut shorter) = (unpack_samples(&samples).kernels.unwrap(), 0);
+        for chunk in &samples.chunks {
+            let boxes = part_boxes(&PackedGeometry::Samples(samples.clone()), chunk);
+            let step = samples.grid.step * f64::from(1u32 << chunk.shift);
+            for i in 0..chunk.count as usize {
+                let code = boxes[i / PART][0] >> 24;
+                let most = f64::from(chunk.kernel_base)
+                    * step
+                    * ((1.0 - 8.0 * f64::from(code)) / 128.0).exp2();
+                let kernel = &lengths[chunk.first as usize + i];
+                assert!(f64::from(kernel.u.length().max(kernel.v.length())) <= 1.0001 * most);
+            }
+            shorter += boxes.iter().filter(|words| (8..255).contains(&(words[0] >> 24))).count();
+        }
+        assert!(shorter > 3, "{shorter} parts have shorter kernels than their chunks");
     }
 }

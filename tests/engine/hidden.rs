@@ -3,7 +3,8 @@
 use glam::DVec3;
 use pointillist::engine::{FrameRequest, Pose};
 use pointillist::math::Camera;
-use pointillist::plan::{Output, Reconstruct, Settings};
+use pointillist::plan::{ErrorMode, Output, Reconstruct, Settings};
+use pointillist::scene::{Blend, Filter, Shading};
 use serde_json::json;
 
 use super::studio::{OUTPUTS, Studio, cloud, front, same, sphere, spt};
@@ -53,12 +54,17 @@ fn views() -> Vec<FrameRequest> {
 fn settings() -> Vec<Settings> {
     let splats = Settings { reconstruct: Reconstruct::Splats, ..Settings::default() };
     let points = Reconstruct::Points;
+    let small = spt(1.0, Reconstruct::Splats);
     vec![
         Settings::default(),
         splats,
+        Settings { filter: Some(Filter::Exact), blend: Some(Blend::Opaque), ..splats },
+        Settings { reconstruct: Reconstruct::Fuzzy, ..splats },
         spt(0.5, points),
         spt(2.0, points),
-        spt(1.0, Reconstruct::Splats),
+        small,
+        Settings { filter: Some(Filter::Affine), shading: Some(Shading::Splat), ..small },
+        Settings { error_mode: ErrorMode::Split, prefilter: Some(false), ..small },
     ]
 }
 

@@ -74,6 +74,11 @@ pub fn kernel_word(kernel: &Kernel, (u, v): (f32, f32), normal: Vec3, base: f32)
     length_code(u, base) | length_code(v, base) << 11 | ((angle + ANGLE_STEPS as i32) as u32) << 22
 }
 
+/// The code of a kernel's longer axis, of its word: steps of 1/128 octave below the chunk's longest, from 1 on; `None` of no extent.
+pub fn longer_axis(word: u32) -> Option<u32> {
+    [word & LENGTH_MASK, word >> 11 & LENGTH_MASK].into_iter().filter(|&code| code > 0).min()
+}
+
 /// The word of a circular kernel, in whatever direction its axes look.
 pub fn circle_word(radius: f32, base: f32) -> u32 {
     let code = length_code(radius, base);

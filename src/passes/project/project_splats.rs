@@ -2,8 +2,8 @@
 
 use crate::gpu::shader::ShaderError;
 use crate::passes::reconstruct::{is_clipped, is_tree, node_constants, splat_constants};
-use crate::passes::recorder::{Call, Launch, Recorder, Segment};
-use crate::passes::shaders::{Choices, Visibility};
+use crate::passes::recorder::{Call, Recorder, Segment};
+use crate::passes::shaders::{Choices, Portion, Visibility};
 use crate::plan::Pass;
 
 pub fn pass(half: Visibility) -> Pass {
@@ -13,6 +13,7 @@ pub fn pass(half: Visibility) -> Pass {
 pub fn record(
     recorder: &mut Recorder,
     half: Visibility,
+    portion: Portion,
     segment: Segment,
 ) -> Result<(), ShaderError> {
     let splats = recorder.task.splats.unwrap_or_default();
@@ -26,10 +27,11 @@ pub fn record(
             visibility: half,
             clipped: is_clipped(recorder, segment),
             nodes: is_tree(recorder, segment),
+            portion,
             ..Choices::default()
         },
         constants,
         segments: &[segment],
-        launch: Launch::Indirect,
+        launch: Recorder::launch(portion),
     })
 }

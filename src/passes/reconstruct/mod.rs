@@ -8,9 +8,9 @@ pub mod fuse_walked;
 use super::frame::output_number;
 use super::pipelines::Constants;
 use super::project::{band_constant, walk};
-use super::recorder::{Call, Launch, Recorder, Segment};
+use super::recorder::{Call, Recorder, Segment};
 use super::scratch::LAYERS_BYTES;
-use super::shaders::Choices;
+use super::shaders::{Choices, Portion};
 use crate::gpu::shader::ShaderError;
 use crate::plan::{Output, Paint, Pass};
 use crate::scene::{Blend, Filter, Shading, Splats};
@@ -94,8 +94,12 @@ fn scatter(
 ) -> Result<(), ShaderError> {
     let mut constants = constants(recorder, segment, false);
     constants.push(recorder.lanes());
-    let (choices, segments) = (choices(recorder, segment), &[segment]);
-    recorder.compute(Call { pass, root, choices, constants, segments, launch: Launch::Indirect })
+    // Blended are all that the visible surface was looked for among.
+    let asked = recorder.task.hides() && pass == Pass::BlendSplats;
+    let portion = if asked { Portion::Turn } else { Portion::All };
+    let choices = Choices { portion, ..choices(recorder, segment) };
+    let (segments, launch) = (&[segment], Recorder::launch(portion));
+    recorder.compute(Call { pass, root, choices, constants, segments, launch })
 }
 
 /// Records a pass over the list of large splats.

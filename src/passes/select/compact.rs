@@ -9,7 +9,7 @@ pub const ENTRIES: u32 = 64;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let groups = recorder.entries().div_ceil(ENTRIES);
-    let splats = ("SPLATS", u32::from(recorder.task.splats.is_some()));
-    let constants = vec![recorder.hides(), splats];
+    let unasked = ("UNASKED", u32::from(recorder.task.plan.runs(Pass::FuseSplats)));
+    let constants = vec![recorder.hides(), unasked];
     recorder.over_lists(Pass::Compact, "select/compact", groups, Listed::Compact, constants)
 }

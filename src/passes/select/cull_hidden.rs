@@ -1,7 +1,7 @@
 //! Which far slots lie wholly behind what has been drawn.
 
 use crate::gpu::shader::ShaderError;
-use crate::passes::recorder::{Call, Launch, Recorder};
+use crate::passes::recorder::{Call, Launch, Recorder, Segment};
 use crate::passes::shaders::Choices;
 use crate::plan::Pass;
 use crate::residency::{PageKind, SAMPLE_PAGES};
@@ -10,16 +10,31 @@ use crate::residency::{PageKind, SAMPLE_PAGES};
 pub const TURNS: u32 = 7;
 
 pub fn record(recorder: &mut Recorder, turn: u32) -> Result<(), ShaderError> {
-    // Splats are drawn wherever they are.
-    let samples = if recorder.task.splats.is_some() { &[][..] } else { SAMPLE_PAGES };
+    // Splats that are blended in a single pass are drawn wherever they are.
+    let samples = if recorder.task.plan.runs(Pass::FuseSplats) { &[][..] } else { SAMPLE_PAGES };
     let segments = recorder.segments(&[samples, &[PageKind::Triangles]].concat());
+    asked(recorder, &segments, ("TURN", turn))
+}
+
+/// Asks samples that have been drawn once more, now that all that may hide them has been drawn, too.
+pub fn record_again(recorder: &mut Recorder) -> Result<(), ShaderError> {
+    let segments = recorder.segments(SAMPLE_PAGES);
+    asked(recorder, &segments, ("AGAIN", 1))
+}
+
+fn asked(
+    recorder: &mut Recorder,
+    segments: &[Segment],
+    which: (&'static str, u32),
+) -> Result<(), ShaderError> {
+    let splats = ("SPLATS", u32::from(recorder.task.splats.is_some()));
     let counts = ("COUNTS_SAMPLES", u32::from(!recorder.scene.has_trees()));
     recorder.compute(Call {
         pass: Pass::CullHidden,
         root: "select/cull_hidden",
         choices: Choices::default(),
-        constants: vec![counts, ("TURN", turn)],
-        segments: &segments,
+        constants: vec![counts, splats, which],
+        segments,
         launch: Launch::Asked,
     })
 }
