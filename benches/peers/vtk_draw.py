@@ -256,7 +256,7 @@ def encoder(window, jpeg_quality, encode_png, remote_quality):
         def still():
             # Draws by itself; unchanged windows are not drawn again.
             application.InvalidateCache(window)
-            return application.StillRenderToBuffer(window, remote_quality).GetNumberOfTuples()
+            return application.StillRenderToBuffer(window, 0, remote_quality).GetNumberOfTuples()
 
         return still
     if jpeg_quality is None and not encode_png:
