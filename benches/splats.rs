@@ -10,7 +10,7 @@ use std::path::PathBuf;
 
 use common::drawing::{Drawing, Orbit, STEP_DEG, gpu_ms, pass_medians, pass_ns};
 use common::files::Wall;
-use common::peer::Vtk;
+use common::peer::Peer;
 use common::report::{Bound, Report, number};
 use common::{files, median, median_ratio, ms, pick};
 use glam::DVec3;
@@ -119,7 +119,7 @@ fn beside_vtk(report: &mut Report) -> anyhow::Result<()> {
         for (name, mode, more) in PEERS {
             let radius = format!("--radius={radius}");
             let args: Vec<&str> = [mode, &radius].into_iter().chain(more.iter().copied()).collect();
-            peers.push((name, Vtk::start(&file, &orbit, side, &args)?, Vec::new()));
+            peers.push((name, Peer::vtk(&file, &orbit, side, &args)?, Vec::new()));
         }
         let mut times: Vec<Vec<f64>> = vec![Vec::new(); ways.len()];
         let mut covered = 0.0;

@@ -1,5 +1,5 @@
 //! What a live view gets: how long a pose waits for its pixels, how eight clients share the device, how fast a camera path is filmed,
-//! what many requests at a time gain, and frames a second beside a remote view of VTK's (what trame and ParaViewWeb serve).
+//! what many requests at a time gain, and frames a second beside a remote view of trame.
 //!
 //! Client and daemon share the machine. The client of a stream does no more than read: it neither decodes nor draws.
 
@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail, ensure};
 use common::daemon::Daemon;
 use common::drawing::Orbit;
-use common::peer::Vtk;
+use common::peer::Peer;
 use common::report::{Bound, Report, number};
 use common::stream::Stream;
 use common::{median, median_ratio, ms, pick, quantile};
@@ -403,48 +403,73 @@ fn film(report: &mut Report, daemon: &Daemon, adapter: &str) -> anyhow::Result<(
     Ok(())
 }
 
-/// The same square in VTK, each kind of mesh a glyph mapper, drawn and encoded as a remote view does; in turns.
+/// The same square in a remote view of trame, drawn by VTK with a glyph mapper for each kind of mesh; and what VTK needs of that on the
+/// server's side alone, without trame and network. In turns.
 fn remote(report: &mut Report, daemon: &Daemon) -> anyhow::Result<()> {
     let file = copies()?;
     let mut rows = Vec::new();
     for (name, orbit) in [("from above", orbit()), ("at eye height", walk())] {
-        let measured = beside_vtk(report, daemon, &file, name, &orbit)?;
-        let ratio = measured.as_ref().map(|(ours, theirs)| median_ratio(theirs, ours));
-        let what = format!("frames/s of a stream against a remote view of VTK's, {name}");
+        let Beside { ours, trame, vtk } = beside_peers(report, daemon, &file, name, &orbit)?;
+        let ratio = (!trame.is_empty()).then(|| median_ratio(&trame, &ours));
+        let what = format!("frames/s of a stream against a remote view of trame, {name}");
         report.target(&what, ratio, Bound::AtLeast(8.0), "×");
-        for (who, ms) in measured.into_iter().flat_map(|(ours, theirs)| {
-            [("a stream, whole way", median(&ours)), ("VTK, server's side alone", median(&theirs))]
-        }) {
-            rows.push(vec![format!("{name}: {who}"), number(ms), number(1e3 / ms)]);
+        for (who, times) in [
+            ("a stream, whole way", &ours),
+            ("trame, whole way", &trame),
+            ("VTK, server's side alone", &vtk),
+        ] {
+            if times.is_empty() {
+                continue;
+            }
+            let ms = median(times);
+            rows.push(vec![
+                format!("{name}: {who}"),
+                number(ms),
+                number(1e3 / ms),
+                number(median_ratio(times, &ours)),
+            ]);
         }
     }
     report.table(
         "The same square at 640×480, one frame at a time",
-        &["view", "ms a frame", "frames/s"],
+        &["view", "ms a frame", "frames/s", "× the stream's"],
         &rows,
     );
     Ok(())
 }
 
-/// Milliseconds of frames of a stream and of VTK's; `None` where VTK is not installed.
-fn beside_vtk(
+/// Milliseconds of frames in turns; empty where the peer is not installed.
+struct Beside {
+    ours: Vec<f64>,
+    trame: Vec<f64>,
+    vtk: Vec<f64>,
+}
+
+fn beside_peers(
     report: &mut Report,
     daemon: &Daemon,
     file: &Path,
     name: &str,
     orbit: &Orbit,
-) -> anyhow::Result<Option<(Vec<f64>, Vec<f64>)>> {
+) -> anyhow::Result<Beside> {
     let (width, height) = (SIZE[0], SIZE[1]);
-    let (size, remote) = (format!("--size={width}x{height}"), format!("--remote={QUALITY}"));
-    let Some(mut vtk) = Vtk::start(file, orbit, width, &[&size, &remote])? else {
-        return Ok(None);
-    };
+    let size = format!("--size={width}x{height}");
+    let (quality, remote) = (format!("--quality={QUALITY}"), format!("--remote={QUALITY}"));
+    let mut trame = Peer::trame(file, orbit, width, &[&size, &quality])?;
+    let mut vtk = Peer::vtk(file, orbit, width, &[&size, &remote])?;
     let mut stream = open(daemon.address)?;
-    let (mut ours, mut theirs, mut drawn) = (Vec::new(), Vec::new(), Vec::new());
+    let mut beside = Beside { ours: Vec::new(), trame: Vec::new(), vtk: Vec::new() };
+    let mut bytes = Vec::new();
     let (warm, count) = pick((3, 20), (1, 2));
     for number in 0..warm + count {
         let degrees = f64::from(number) * 0.5;
-        let peer = vtk.frame_ms(degrees)?;
+        for (peer, times) in [(&mut trame, &mut beside.trame), (&mut vtk, &mut beside.vtk)] {
+            let Some(peer) = peer else { continue };
+            let ms = peer.frame_ms(degrees)?;
+            if number >= warm {
+                times.push(ms);
+            }
+        }
         let seq = stream.next_seq();
         let began = Instant::now();
         stream.send(&pose_on(orbit, seq, degrees, false))?;
@@ -452,16 +477,18 @@ fn beside_vtk(
         let waited = began.elapsed().as_secs_f64() * 1e3;
         stream.acknowledge(&frame)?;
         if number >= warm {
-            ours.push(waited);
-            theirs.push(peer);
-            drawn.push(frame["bytes"].as_f64().unwrap_or(f64::NAN));
+            beside.ours.push(waited);
+            bytes.push(frame["bytes"].as_f64().unwrap_or(f64::NAN));
         }
     }
-    let summary = vtk.finish()?;
     let name = name.replace(' ', "_");
-    report.value(&format!("remote_view_peer_{name}"), summary);
-    report.value(&format!("stream_jpeg_bytes_{name}"), median(&drawn));
-    Ok(Some((ours, theirs)))
+    for (peer, what) in [(trame, "trame"), (vtk, "vtk")] {
+        if let Some(peer) = peer {
+            report.value(&format!("remote_view_{what}_{name}"), peer.finish()?);
+        }
+    }
+    report.value(&format!("stream_jpeg_bytes_{name}"), median(&bytes));
+    Ok(beside)
 }
 
 /// The square's copies for VTK: each file with its matrices.

@@ -8,7 +8,7 @@ mod common;
 use std::path::Path;
 
 use common::drawing::{Drawing, Orbit, STEP_DEG, pass_ns};
-use common::peer::Vtk;
+use common::peer::Peer;
 use common::report::{Report, number};
 use common::{crossing_px, files, median, median_ratio, ms, pick};
 use glam::DVec3;
@@ -184,8 +184,8 @@ fn beside_vtk(name: &str, file: &Path, report: &mut Report) -> anyhow::Result<Ve
     for warm in 0..3 {
         ours.receipt(orbit.at(f64::from(warm) - 10.0))?;
     }
-    let mut drawn = Vtk::start(file, &orbit, SIZE, &["--mode=surface"])?;
-    let mut encoded = Vtk::start(file, &orbit, SIZE, &["--mode=surface", "--jpeg=85"])?;
+    let mut drawn = Peer::vtk(file, &orbit, SIZE, &["--mode=surface"])?;
+    let mut encoded = Peer::vtk(file, &orbit, SIZE, &["--mode=surface", "--jpeg=85"])?;
     let (mut gpu, mut jpeg, mut peer, mut peer_jpeg) = (vec![], vec![], vec![], vec![]);
     for frame in 0..pick(11, 2) {
         let degrees = f64::from(frame) * STEP_DEG + 5.0;

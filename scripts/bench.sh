@@ -13,7 +13,7 @@ if [ "$#" -gt 0 ]; then benches=("$@"); else benches=(points statue triangles sp
 
 # As in scripts/run.sh: no complaints about a Wayland server that is not there.
 export NODEVICE_SELECT=${NODEVICE_SELECT-1}
-benches/peers/install.sh || echo "!! SKIPPED: the comparison with VTK, which could not be installed"
+benches/peers/install.sh || echo "!! SKIPPED: what VTK or trame is needed for and missing; not all could be installed"
 
 # Everything is built before anything is timed.
 cargo bench --locked --no-run

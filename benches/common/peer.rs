@@ -1,7 +1,7 @@
-//! VTK, drawing frames on request (`benches/peers/vtk_draw.py --interactive`).
+//! VTK, drawing frames on request (`benches/peers/vtk_draw.py --interactive`), and trame, showing them (`trame_view.py`).
 
 use std::io::{BufRead, BufReader, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use anyhow::{Context, bail};
@@ -38,7 +38,7 @@ pub fn take_turns(
     args: &[&str],
     frames: u32,
 ) -> anyhow::Result<Turns> {
-    let mut vtk = Vtk::start(file, orbit, size, args)?;
+    let mut vtk = Peer::vtk(file, orbit, size, args)?;
     let mut turns = Turns { receipts: Vec::new(), peer_ms: Vec::new() };
     for frame in 0..frames {
         let degrees = f64::from(frame) * STEP_DEG + 5.0;
@@ -53,7 +53,9 @@ pub fn take_turns(
     Ok(turns)
 }
 
-pub struct Vtk {
+/// A process that answers each pose with a frame's milliseconds.
+pub struct Peer {
+    name: &'static str,
     child: Child,
     input: Option<ChildStdin>,
     output: BufReader<ChildStdout>,
@@ -62,31 +64,65 @@ pub struct Vtk {
     pub first_ms: f64,
 }
 
-/// Python with VTK, where `benches/peers/install.sh` put it.
-fn python() -> Option<PathBuf> {
-    let python = PathBuf::from("target/peers/venv/bin/python");
-    if !python.exists() {
-        println!("!! SKIPPED: VTK; benches/peers/install.sh brings it");
-        return None;
+/// Where `benches/peers/install.sh` puts the peers.
+const PYTHON: &str = "target/peers/venv/bin/python";
+
+/// Whether Python is there and has a module; says so where not.
+fn is_installed(name: &str, module: &str) -> bool {
+    let find =
+        format!("import importlib.util as u, sys; sys.exit(u.find_spec('{module}') is None)");
+    let found = Path::new(PYTHON).exists()
+        && Command::new(PYTHON).args(["-c", &find]).status().is_ok_and(|status| status.success());
+    if !found {
+        println!("!! SKIPPED: {name}; benches/peers/install.sh brings it");
     }
-    Some(python)
+    found
 }
 
-impl Vtk {
+impl Peer {
     /// Loads a file and draws until warm; `None` when VTK is not installed.
     ///
     /// # Errors
     /// VTK fails.
-    pub fn start(
+    pub fn vtk(
         file: &Path,
         orbit: &Orbit,
         size: u32,
         args: &[&str],
-    ) -> anyhow::Result<Option<Vtk>> {
-        let Some(python) = python() else { return Ok(None) };
+    ) -> anyhow::Result<Option<Peer>> {
+        match is_installed("VTK", "vtkmodules") {
+            true => Peer::start("VTK", "vtk_draw.py", file, orbit, size, args).map(Some),
+            false => Ok(None),
+        }
+    }
+
+    /// The same of a remote view of trame's: its frames are those that a client of it has got.
+    ///
+    /// # Errors
+    /// trame fails.
+    pub fn trame(
+        file: &Path,
+        orbit: &Orbit,
+        size: u32,
+        args: &[&str],
+    ) -> anyhow::Result<Option<Peer>> {
+        match is_installed("trame", "trame_vtk") {
+            true => Peer::start("trame", "trame_view.py", file, orbit, size, args).map(Some),
+            false => Ok(None),
+        }
+    }
+
+    fn start(
+        name: &'static str,
+        script: &str,
+        file: &Path,
+        orbit: &Orbit,
+        size: u32,
+        args: &[&str],
+    ) -> anyhow::Result<Peer> {
         let vector = |v: glam::DVec3| format!("{},{},{}", v.x, v.y, v.z);
-        let mut child = Command::new(python)
-            .arg("benches/peers/vtk_draw.py")
+        let mut child = Command::new(PYTHON)
+            .arg(Path::new("benches/peers").join(script))
             .arg(file)
             .arg(format!("--eye={}", vector(orbit.eye)))
             .arg(format!("--target={}", vector(orbit.target)))
@@ -97,27 +133,29 @@ impl Vtk {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
-            .context("starting VTK")?;
+            .with_context(|| format!("starting {name}"))?;
         let (Some(input), Some(output)) = (child.stdin.take(), child.stdout.take()) else {
-            bail!("VTK has no pipes");
+            bail!("{name} has no pipes");
         };
-        let mut vtk = Vtk {
+        let mut peer = Peer {
+            name,
             child,
             input: Some(input),
             output: BufReader::new(output),
             load_ms: 0.0,
             first_ms: 0.0,
         };
-        let ready: Value = serde_json::from_str(&vtk.line()?).context("VTK did not start")?;
-        vtk.load_ms = ready["load_ms"].as_f64().unwrap_or(f64::NAN);
-        vtk.first_ms = ready["first_ms"].as_f64().unwrap_or(f64::NAN);
-        Ok(Some(vtk))
+        let ready: Value =
+            serde_json::from_str(&peer.line()?).with_context(|| format!("{name} did not start"))?;
+        peer.load_ms = ready["load_ms"].as_f64().unwrap_or(f64::NAN);
+        peer.first_ms = ready["first_ms"].as_f64().unwrap_or(f64::NAN);
+        Ok(peer)
     }
 
     fn line(&mut self) -> anyhow::Result<String> {
         let mut line = String::new();
         if self.output.read_line(&mut line)? == 0 {
-            bail!("VTK ended: {}", self.child.wait()?);
+            bail!("{} ended: {}", self.name, self.child.wait()?);
         }
         Ok(line)
     }
@@ -125,9 +163,9 @@ impl Vtk {
     /// Draws with the camera turned; milliseconds.
     ///
     /// # Errors
-    /// VTK has ended.
+    /// The peer has ended.
     pub fn frame_ms(&mut self, degrees: f64) -> anyhow::Result<f64> {
-        let input = self.input.as_mut().context("VTK is finished")?;
+        let input = self.input.as_mut().context("the peer is finished")?;
         writeln!(input, "{degrees}")?;
         Ok(self.line()?.trim().parse()?)
     }
@@ -135,7 +173,7 @@ impl Vtk {
     /// What was drawn and how; needs one frame at least.
     ///
     /// # Errors
-    /// VTK fails.
+    /// The peer fails.
     pub fn finish(mut self) -> anyhow::Result<Value> {
         self.input = None;
         let summary = serde_json::from_str(&self.line()?)?;
@@ -144,7 +182,7 @@ impl Vtk {
     }
 }
 
-impl Drop for Vtk {
+impl Drop for Peer {
     fn drop(&mut self) {
         if let Ok(None) = self.child.try_wait() {
             let _ = self.child.kill();

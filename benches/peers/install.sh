@@ -6,7 +6,9 @@ set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
 venv=${1:-$here/target/peers/venv}
 
-if [ -x "$venv/bin/python" ] && "$venv/bin/python" -c 'import numpy, vtk' 2>/dev/null; then
+# All that the scripts import: an environment of an earlier time may have VTK and no trame.
+imports='import aiohttp, numpy, PIL, vtk, trame.app, trame.widgets.vtk, trame_server.client'
+if [ -x "$venv/bin/python" ] && "$venv/bin/python" -c "$imports" 2>/dev/null; then
     echo "peers: already installed in $venv"
     exit 0
 fi
@@ -29,8 +31,10 @@ if ! "$python" -m venv "$venv"; then
     exit 1
 fi
 # VTK from 9.4 on chooses an off-screen window (EGL, else OSMesa) by itself when there is no X server.
-"$venv/bin/pip" install --quiet --disable-pip-version-check 'numpy>=1.26' 'vtk>=9.4'
+# trame brings wslink; aiohttp is what both ends of its WebSocket are made with, pillow decodes what its client gets.
+"$venv/bin/pip" install --quiet --disable-pip-version-check 'numpy>=1.26' 'vtk>=9.4' \
+    'trame>=3.6' 'trame-vtk>=2.8' aiohttp pillow
 "$venv/bin/python" - <<'PY'
-import numpy, vtk
-print(f"peers: vtk {vtk.vtkVersion().GetVTKVersion()}, numpy {numpy.__version__}")
+from importlib.metadata import version
+print("peers: " + ", ".join(f"{name} {version(name)}" for name in ("vtk", "numpy", "trame", "trame-vtk")))
 PY

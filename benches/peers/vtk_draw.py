@@ -20,8 +20,9 @@ compilation) and `--warmup` more are outside; `first_ms` gives the first frame a
 or `--encode-png` the whole image is read back and encoded into memory within the timed part, as a
 server would have to.
 
-With `--remote Q` a frame is what a remote view of trame or ParaViewWeb does for it on the server: `vtkWebApplication` draws, reads back,
-encodes a JPEG of that quality and gives its bytes. The network, and Python's part in it, are left out.
+With `--remote Q` a frame is what a remote view of trame or ParaViewWeb does for it on the server: `vtkWebApplication` draws, reads back
+and has a JPEG of that quality encoded. It encodes in a thread of its own and is not waited for: the bytes it gives are those of the frame
+before. The network, and Python's part in it, are left out; `trame_view.py` has them, and waits.
 
 A `.json` in the PLY's place is a scene of copies: a list of `{"file": …, "matrices": [[16 numbers, column by column], …]}`, each file
 drawn by one `vtkGlyph3DMapper`. Matrices turn, scale evenly and move.
@@ -228,20 +229,89 @@ def make_actor(data, has_colors, args):
     return actor
 
 
-def set_camera(camera, eye, target, up, degrees):
-    """Turns the eye about the target's up axis by `degrees`."""
+def turned(eye, target, up, degrees):
+    """The eye, turned about the target's up axis by `degrees`."""
     eye, target, up = (np.asarray(v, dtype=float) for v in (eye, target, up))
     axis = up / np.linalg.norm(up)
     angle = math.radians(degrees)
     offset = eye - target
-    turned = (
+    offset = (
         offset * math.cos(angle)
         + np.cross(axis, offset) * math.sin(angle)
         + axis * np.dot(axis, offset) * (1 - math.cos(angle))
     )
-    camera.SetPosition(*(target + turned))
-    camera.SetFocalPoint(*target)
-    camera.SetViewUp(*up)
+    return (target + offset).tolist()
+
+
+class Scene:
+    """What is drawn, in a window off screen; nothing is drawn yet."""
+
+    def __init__(self, args):
+        if args.window:
+            kind = {"egl": "vtkEGLRenderWindow", "osmesa": "vtkOSOpenGLRenderWindow"}[args.window]
+            os.environ["VTK_DEFAULT_OPENGL_WINDOW"] = kind
+        began = time.perf_counter()
+        if args.ply.endswith(".json"):
+            actors, low_high, self.triangles = glyphs(args.ply)
+            self.has_colors, self.points = False, 0
+        else:
+            data, self.has_colors = load(args.ply, args.mode, args.colors)
+            actors = [make_actor(data, self.has_colors, args)]
+            low_high = np.array(data.GetBounds()).reshape(3, 2)
+            self.points, self.triangles = data.GetNumberOfPoints(), data.GetNumberOfPolys()
+        self.load_ms = (time.perf_counter() - began) * 1e3
+
+        self.args = args
+        self.target = args.target or list(low_high.mean(axis=1))
+        if args.eye:
+            self.eye = args.eye
+        else:
+            radius = 0.5 * np.linalg.norm(low_high[:, 1] - low_high[:, 0])
+            back = radius / math.sin(math.radians(args.fov) / 2)
+            self.eye = [self.target[0], self.target[1], self.target[2] + back]
+
+        self.renderer = vtk.vtkRenderer()
+        self.renderer.SetBackground(0, 0, 0)
+        for actor in actors:
+            self.renderer.AddActor(actor)
+        vtk.vtkObject.GlobalWarningDisplayOff()  # no "bad X server" line: having none is the point
+        self.window = vtk.vtkRenderWindow()
+        self.window.SetOffScreenRendering(1)
+        self.window.SetMultiSamples(args.multisamples)
+        self.window.SetSize(*args.size)
+        self.window.AddRenderer(self.renderer)
+        self.renderer.GetActiveCamera().SetViewAngle(args.fov)
+
+    def look(self, eye, target, up):
+        """Moves the camera."""
+        camera = self.renderer.GetActiveCamera()
+        camera.SetPosition(*eye)
+        camera.SetFocalPoint(*target)
+        camera.SetViewUp(*up)
+        self.renderer.ResetCameraClippingRange()
+
+    def described(self):
+        """What a summary tells of it; a frame has been drawn."""
+        args, gl = self.args, {}
+        for line in self.window.ReportCapabilities().splitlines():
+            key, _, value = line.partition(":")
+            gl[key.strip()] = value.strip()
+        return {
+            "version": vtk.vtkVersion().GetVTKVersion(),
+            "window": self.window.GetClassName(),
+            "renderer": gl.get("OpenGL renderer string"),
+            "file": args.ply,
+            "mode": args.mode,
+            "multisamples": self.window.GetMultiSamples(),
+            "point_size": args.point_size,
+            "lighting": args.lighting,
+            "spheres": args.spheres,
+            "colors": args.colors if self.has_colors else "none",
+            "width": args.size[0],
+            "height": args.size[1],
+            "points": self.points,
+            "triangles": self.triangles,
+        }
 
 
 def encoder(window, jpeg_quality, encode_png, remote_quality):
@@ -256,7 +326,7 @@ def encoder(window, jpeg_quality, encode_png, remote_quality):
         def still():
             # Draws by itself; unchanged windows are not drawn again.
             application.InvalidateCache(window)
-            return application.StillRenderToBuffer(window, remote_quality).GetNumberOfTuples()
+            return application.StillRenderToBuffer(window, 0, remote_quality).GetNumberOfTuples()
 
         return still
     if jpeg_quality is None and not encode_png:
@@ -294,8 +364,9 @@ def write_png(window, path):
     return vtk_to_numpy(grab.GetOutput().GetPointData().GetScalars())
 
 
-def parse_arguments():
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+def scene_arguments(description):
+    """A parser of what is drawn, and of the frames that are timed."""
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument("ply")
     parser.add_argument(
         "--mode", default="points", choices=["points", "point-gaussian", "splats", "gaussians", "surface"]
@@ -322,6 +393,11 @@ def parse_arguments():
     )
     parser.add_argument("--window", choices=["egl", "osmesa"], help="default: VTK chooses")
     parser.add_argument("--interactive", action="store_true", help="draw frames as standard input asks")
+    return parser
+
+
+def parse_arguments():
+    parser = scene_arguments(__doc__.split("\n\n")[0])
     parser.add_argument("--jpeg", type=int, metavar="Q", help="time readback and JPEG encoding too")
     parser.add_argument("--encode-png", action="store_true", help="time readback and PNG encoding too")
     parser.add_argument("--remote", type=int, metavar="Q", help="time what a remote view does for a frame")
@@ -329,103 +405,65 @@ def parse_arguments():
     return parser.parse_args()
 
 
+def timed(args, frame, load_ms, first_ms):
+    """Milliseconds of frames, as the arguments or standard input ask for them; `frame` draws at a number of degrees."""
+    for index in range(args.warmup):
+        frame((index + 1) * args.step)
+    if not args.interactive:
+        return [frame((args.warmup + 1 + index) * args.step) for index in range(args.frames)]
+    print(json.dumps({"ready": True, "load_ms": round(load_ms, 1), "first_ms": round(first_ms, 1)}), flush=True)
+    times = []
+    for line in sys.stdin:
+        times.append(frame(float(line)))
+        print(f"{times[-1]:.3f}", flush=True)
+    return times
+
+
+def summarized(times, scene, load_ms, first_ms):
+    """What a summary tells of frames of a scene that `Scene.described` tells of."""
+    median = statistics.median(times)
+    return {
+        "frames": len(times),
+        "median_ms": round(median, 3),
+        "min_ms": round(min(times), 3),
+        "max_ms": round(max(times), 3),
+        "points_per_s": round(scene["points"] / median * 1e3),
+        "triangles_per_s": round(scene["triangles"] / median * 1e3),
+        "load_ms": round(load_ms, 1),
+        "first_ms": round(first_ms, 1),
+    }
+
+
 def main():
     args = parse_arguments()
-    if args.window:
-        kind = {"egl": "vtkEGLRenderWindow", "osmesa": "vtkOSOpenGLRenderWindow"}[args.window]
-        os.environ["VTK_DEFAULT_OPENGL_WINDOW"] = kind
-    began = time.perf_counter()
-    if args.ply.endswith(".json"):
-        actors, low_high, triangles = glyphs(args.ply)
-        data, has_colors, points = None, False, 0
-    else:
-        data, has_colors = load(args.ply, args.mode, args.colors)
-        actors = [make_actor(data, has_colors, args)]
-        low_high = np.array(data.GetBounds()).reshape(3, 2)
-        points, triangles = data.GetNumberOfPoints(), data.GetNumberOfPolys()
-    load_ms = (time.perf_counter() - began) * 1e3
-
-    target = args.target or list(low_high.mean(axis=1))
-    if args.eye:
-        eye = args.eye
-    else:
-        radius = 0.5 * np.linalg.norm(low_high[:, 1] - low_high[:, 0])
-        eye = [target[0], target[1], target[2] + radius / math.sin(math.radians(args.fov) / 2)]
-
-    renderer = vtk.vtkRenderer()
-    renderer.SetBackground(0, 0, 0)
-    for actor in actors:
-        renderer.AddActor(actor)
-    vtk.vtkObject.GlobalWarningDisplayOff()  # no "bad X server" line: having none is the point
-    window = vtk.vtkRenderWindow()
-    window.SetOffScreenRendering(1)
-    window.SetMultiSamples(args.multisamples)
-    window.SetSize(*args.size)
-    window.AddRenderer(renderer)
-    camera = renderer.GetActiveCamera()
-    camera.SetViewAngle(args.fov)
-    encode = encoder(window, args.jpeg, args.encode_png, args.remote)
+    scene = Scene(args)
+    encode = encoder(scene.window, args.jpeg, args.encode_png, args.remote)
 
     def frame(degrees):
         started = time.perf_counter()
-        set_camera(camera, eye, target, args.up, degrees)
-        renderer.ResetCameraClippingRange()
+        scene.look(turned(scene.eye, scene.target, args.up, degrees), scene.target, args.up)
         if args.remote is None:
-            window.Render()
+            scene.window.Render()
         if encode:
             encode()
         else:
-            window.WaitForCompletion()
+            scene.window.WaitForCompletion()
         return (time.perf_counter() - started) * 1e3
 
     first_ms = frame(0.0)
     covered = None
     if args.png:
-        image = write_png(window, args.png)
+        image = write_png(scene.window, args.png)
         covered = int((image[:, :3].max(axis=1) > 0).sum())
-    for index in range(args.warmup):
-        frame((index + 1) * args.step)
-    if args.interactive:
-        print(json.dumps({"ready": True, "load_ms": round(load_ms, 1), "first_ms": round(first_ms, 1)}), flush=True)
-        times = []
-        for line in sys.stdin:
-            times.append(frame(float(line)))
-            print(f"{times[-1]:.3f}", flush=True)
-        if not times:
-            return
-    else:
-        times = [frame((args.warmup + 1 + index) * args.step) for index in range(args.frames)]
-
-    median = statistics.median(times)
-    gl = {}
-    for line in window.ReportCapabilities().splitlines():
-        key, _, value = line.partition(":")
-        gl[key.strip()] = value.strip()
+    times = timed(args, frame, scene.load_ms, first_ms)
+    if not times:
+        return
+    described = scene.described()
     print(json.dumps({
         "peer": "vtk",
-        "version": vtk.vtkVersion().GetVTKVersion(),
-        "window": window.GetClassName(),
-        "renderer": gl.get("OpenGL renderer string"),
-        "file": args.ply,
-        "mode": args.mode,
-        "multisamples": window.GetMultiSamples(),
-        "point_size": args.point_size,
-        "lighting": args.lighting,
-        "spheres": args.spheres,
-        "colors": args.colors if has_colors else "none",
+        **described,
         "encode": "remote" if args.remote is not None else "jpeg" if args.jpeg is not None else "png" if args.encode_png else None,
-        "width": args.size[0],
-        "height": args.size[1],
-        "points": points,
-        "triangles": triangles,
-        "frames": len(times),
-        "median_ms": round(median, 3),
-        "min_ms": round(min(times), 3),
-        "max_ms": round(max(times), 3),
-        "points_per_s": round(points / median * 1e3),
-        "triangles_per_s": round(triangles / median * 1e3),
-        "load_ms": round(load_ms, 1),
-        "first_ms": round(first_ms, 1),
+        **summarized(times, described, scene.load_ms, first_ms),
         "covered_pixels": covered,
     }))
 
