@@ -173,10 +173,6 @@ fn cull_hidden(@builtin(global_invocation_id) invocation: vec3<u32>) {
     if AGAIN {
         let listed = atomicLoad(&portions[own].listed);
         let first = (invocation.x + invocation.y * DISPATCH_ROW * 64u) * ASKED_EACH;
-        // All are drawn next.
-        if first == 0u {
-            atomicStore(&portions[own].before, 0u);
-        }
         for (var index = first; index < min(first + ASKED_EACH, listed); index++) {
             ask_again(frame.first_slot + run.first_slot + index);
         }

@@ -2,11 +2,9 @@
 //!include shared/frame
 //!include shared/scene
 //!include shared/pyramid
-//!include shared/portions
 
 @group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 @group(2) @binding(0) var<storage, read_write> pyramid: array<u32>;
-@group(2) @binding(1) var<storage, read_write> portions: array<Portion>;
 
 @compute @workgroup_size(64)
 fn depth_pyramid(@builtin(global_invocation_id) invocation: vec3<u32>) {
@@ -15,15 +13,6 @@ fn depth_pyramid(@builtin(global_invocation_id) invocation: vec3<u32>) {
     let index = invocation.x + invocation.y * DISPATCH_ROW * 64u;
     if index >= blocks.x * blocks.y {
         return;
-    }
-    // What is listed from now on is drawn in the next turn.
-    if index == 0u {
-        // See shade for why the bound is no uniform alone.
-        let segments = min(frame.segment_count, arrayLength(&portions));
-        for (var segment = 0u; segment < segments; segment++) {
-            let own = frame.first_run + segment;
-            atomicStore(&portions[own].before, atomicLoad(&portions[own].listed));
-        }
     }
     let block = vec2<u32>(index % blocks.x, index / blocks.x);
     let record = block_record(block);

@@ -1,4 +1,5 @@
-// How the passes are launched that draw the slots whose turn it is and ask far ones: enough for the view with the most.
+// Whose turn it is: what was listed since the last. How the passes are launched that draw these slots and ask far ones: enough for the view
+// with the most.
 //!include shared/frame
 //!include shared/scene
 //!include shared/portions
@@ -24,11 +25,14 @@ fn launch_portions() {
         for (var view = 0u; view < views; view++) {
             let at = view * segments + segment;
             far = max(far, atomicLoad(&portions[at].far));
+            let begin = select(portions[at].end, 0u, WHOLE);
+            let end = atomicLoad(&portions[at].listed);
+            portions[at].begin = begin;
+            portions[at].end = end;
+            listed = max(listed, end - begin);
             if WHOLE {
-                atomicStore(&portions[at].before, 0u);
-                far = max(far, atomicLoad(&portions[at].listed));
+                far = max(far, end);
             }
-            listed = max(listed, atomicLoad(&portions[at].listed) - atomicLoad(&portions[at].before));
         }
         set_launch(segments + segment, (far + 64u * ASKED_EACH - 1u) / (64u * ASKED_EACH), views);
         set_launch(2u * segments + segment, listed, views);

@@ -7,8 +7,8 @@
 
 fn turn_of(index: u32) -> Turn {
     let own = frame.first_run + segment.index;
-    let place = atomicLoad(&portions[own].before) + index;
-    if place >= atomicLoad(&portions[own].listed) {
+    let place = portions[own].begin + index;
+    if place >= portions[own].end {
         return Turn(0u, 0u);
     }
     let word = turn_slots[frame.first_slot + runs[own].first_slot + place];

@@ -6,9 +6,9 @@
 struct Portion {
     far: atomic<u32>,
     listed: atomic<u32>,
-    // Of these, those before this turn.
-    before: atomic<u32>,
-    unused: u32,
+    // Of these, whose turn it is.
+    begin: u32,
+    end: u32,
 }
 
 // A view's record of depths: what begins in each eighth of an octave of depth covers, in parts of the image; and where

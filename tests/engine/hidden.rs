@@ -58,11 +58,11 @@ fn settings() -> Vec<Settings> {
     vec![
         Settings::default(),
         splats,
-        Settings { filter: Some(Filter::Exact), blend: Some(Blend::Opaque), ..splats },
-        Settings { reconstruct: Reconstruct::Fuzzy, ..splats },
         spt(0.5, points),
         spt(2.0, points),
         small,
+        Settings { filter: Some(Filter::Exact), blend: Some(Blend::Opaque), ..splats },
+        Settings { reconstruct: Reconstruct::Fuzzy, ..splats },
         Settings { filter: Some(Filter::Affine), shading: Some(Shading::Splat), ..small },
         Settings { error_mode: ErrorMode::Split, prefilter: Some(false), ..small },
     ]
@@ -81,7 +81,8 @@ fn frames_are_those_that_draw_what_is_hidden() {
         });
         let mut fewer = 0;
         for (number, view) in views().into_iter().enumerate() {
-            for settings in settings() {
+            // Every filter once.
+            for settings in settings().into_iter().take(if number == 0 { usize::MAX } else { 5 }) {
                 // Ids tell of anything that is missing.
                 let outputs = if number == 0 { &OUTPUTS[..] } else { &[Output::Id] };
                 for &output in outputs {
