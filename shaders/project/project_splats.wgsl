@@ -11,6 +11,7 @@
 //!include shared/scatter
 
 const COUNTS: bool = FIRST_HALF;
+const NARROW: bool = true;
 
 @compute @workgroup_size(LANES)
 fn project_splats(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {

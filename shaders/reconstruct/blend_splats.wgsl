@@ -17,6 +17,7 @@
 
 // What is counted, project_splats has counted.
 const COUNTS: bool = false;
+const NARROW: bool = false;
 
 @compute @workgroup_size(LANES)
 fn blend_splats(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {

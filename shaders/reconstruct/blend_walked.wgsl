@@ -16,6 +16,8 @@
 //!include shared/walk
 //!include shared/walk_splat
 
+const NARROW: bool = false;
+
 @compute @workgroup_size(8)
 fn blend_walked(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     walk_list(group, groups.x, lane);

@@ -14,6 +14,7 @@
 //!include shared/scatter
 
 const COUNTS: bool = true;
+const NARROW: bool = true;
 
 @compute @workgroup_size(LANES)
 fn fuse_splats(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {

@@ -111,7 +111,8 @@ fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
     let whole = grid_box(at, chunk.origin, chunk.extent);
     let is_splats = SPLATS && chunk.shift != TRIANGLES;
     let reach = select(0.0, splat_reach(chunk, at), is_splats);
-    let filter_px = select(0.0, frame.splat_cutoff * frame.splat_lowpass_px, is_splats);
+    // A splat fills a pixel at least.
+    let filter_px = select(0.0, max(frame.splat_cutoff * frame.splat_lowpass_px, 1.0), is_splats);
     let widened = Box(whole.centre, whole.x, whole.y, whole.z, whole.slack + reach);
     var left = select((chunk.count + PART - 1u) / PART, 0u, is_hidden(drawn_bounds(widened, filter_px)));
     var shown = 0u;

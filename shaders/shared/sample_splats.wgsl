@@ -115,13 +115,11 @@ fn tilt_cosine(slot: SplatSlot, sample: u32, centre: vec3<f32>) -> f32 {
 // Radius in pixels of disks that count as no larger: what covers so much of the image is drawn, however coarsely.
 const MOST_THINNED_PX: f32 = 2.0;
 
-// The area in the image of a node's disk, widened by the filter and cut off, where it is seen at an angle of this cosine.
+// The area in the image of a node's disk, cut off, where it is seen at an angle of this cosine; no less than a pixel, which it fills.
 fn drawn_px(slot: SplatSlot, axis: vec3<f32>, centre: vec3<f32>, seen: f32) -> f32 {
     let focal_px = max(frame.focal_px.x, frame.focal_px.y);
     let deviation = min(slot.scale * length(axis) * focal_px / max(centre.z, NEAREST), MOST_THINNED_PX / frame.splat_cutoff);
-    let lowpass = select(0.0, frame.splat_lowpass_px * frame.splat_lowpass_px, PREFILTER);
-    let widened = vec2<f32>(deviation, deviation * seen) * vec2<f32>(deviation, deviation * seen) + lowpass;
-    return 3.1415927 * frame.splat_cutoff * frame.splat_cutoff * max(sqrt(widened.x * widened.y), 1e-30);
+    return max(3.1415927 * frame.splat_cutoff * frame.splat_cutoff * deviation * deviation * seen, 1.0);
 }
 
 // Whether a node of a point tree is as detailed as is asked, and its parent is not.

@@ -23,7 +23,6 @@ fn scatter(group: vec3<u32>, lane: u32) {
     let slot = splat_slot(turn.slot);
     let count = slots[frame.first_slot + slot.index].count;
     let shared_paint = paint_slot(slot);
-    let limit = frame.splat_cutoff * frame.splat_cutoff;
     let width = frame.size_px.x;
     var scattered = 0u;
     var listed = 0u;
@@ -82,7 +81,7 @@ fn scatter(group: vec3<u32>, lane: u32) {
                     let d = vec2<f32>(at) + vec2<f32>(0.5) - splat.centre;
                     let q = splat_distance(splat, d);
                     var done = true;
-                    if q <= limit && clip_keeps(splat.clip, d) {
+                    if splat_meets(splat, d, q) && clip_keeps(splat.clip, d) {
                         done = emit(splat, paint, frame.first_pixel + u32(at.y) * width + u32(at.x), d, q);
                     }
                     taken++;

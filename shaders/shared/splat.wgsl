@@ -22,6 +22,10 @@ override GENERAL: bool = true;
 // Splats are blended, and so have a depth offset.
 override WEIGHTED: bool = true;
 
+// What is visible is asked of disks as they are, and of the pixel that a disk's centre is in: with what the filter adds everything would be a
+// pixel larger all around, and hide what is beside it. Blended are all that the filter reaches. The file that includes this says whether
+// disks are drawn without it: `NARROW`.
+
 const AFFINE: u32 = 0u;
 const EXACT: u32 = 2u;
 
@@ -61,6 +65,9 @@ struct Splat {
     s: vec3<f32>,
     t: vec3<f32>,
     n: vec3<f32>,
+    // The same of s and t without the filter, where disks are drawn so.
+    own_s: vec3<f32>,
+    own_t: vec3<f32>,
     // 1/z, and its bounds.
     inverse: vec3<f32>,
     least: f32,
@@ -81,15 +88,35 @@ struct KernelForms {
     n: vec3<f32>,
 }
 
-fn splat_distance(splat: Splat, d: vec2<f32>) -> f32 {
-    let s = linear(splat.s, d);
-    let t = linear(splat.t, d);
+fn distance_of(splat: Splat, s_form: vec3<f32>, t_form: vec3<f32>, d: vec2<f32>) -> f32 {
+    let s = linear(s_form, d);
+    let t = linear(t_form, d);
     let q = fma(s, s, t * t);
     if GENERAL {
         let n = linear(splat.n, d);
         return select(FARTHEST, q / (n * n), n > 0.0);
     }
     return q;
+}
+
+// With the filter.
+fn splat_distance(splat: Splat, d: vec2<f32>) -> f32 {
+    return distance_of(splat, splat.s, splat.t, d);
+}
+
+// What a distance counts in weights: no more than at the cutoff.
+fn splat_weight(splat: Splat, q: f32) -> f32 {
+    return max(round(splat.amplitude * exp(-0.5 * min(q, frame.splat_cutoff * frame.splat_cutoff)) * frame.weight_one), 1.0);
+}
+
+// Whether a splat is drawn at an offset from its centre, `q` being the squared distance there.
+fn splat_meets(splat: Splat, d: vec2<f32>, q: f32) -> bool {
+    let holds_centre = !splat.crosses && all(d > vec2<f32>(-0.5)) && all(d <= vec2<f32>(0.5));
+    var own = q;
+    if NARROW {
+        own = distance_of(splat, splat.own_s, splat.own_t, d);
+    }
+    return holds_centre || own <= frame.splat_cutoff * frame.splat_cutoff;
 }
 
 fn splat_inverse(splat: Splat, d: vec2<f32>) -> f32 {
@@ -189,12 +216,15 @@ fn outline(jx: vec2<f32>, jy: vec2<f32>, slopes: vec2<f32>, affine: bool) -> Ell
     return e;
 }
 
-// Forms of s and t whose squares add up to the distance in an ellipse widened by the low-pass filter.
-fn set_ellipse(splat: ptr<function, Splat>, e: Ellipse) {
-    var lowpass = 0.0;
-    if PREFILTER {
-        lowpass = frame.splat_lowpass_px * frame.splat_lowpass_px;
-    }
+// Forms of s and t whose squares add up to the distance in an ellipse, and half the sides of its box in standard deviations.
+struct EllipseForms {
+    s: vec3<f32>,
+    t: vec3<f32>,
+    extent: vec2<f32>,
+}
+
+// `lowpass`: the variance that the filter adds.
+fn ellipse_forms(e: Ellipse, lowpass: f32) -> EllipseForms {
     let xx = e.xx + lowpass;
     let yy = e.yy + lowpass;
     let determinant = fma(lowpass, e.xx + e.yy + lowpass, e.determinant);
@@ -202,13 +232,33 @@ fn set_ellipse(splat: ptr<function, Splat>, e: Ellipse) {
     let l_x = max(sqrt(xx), THINNEST);
     let l_y = max(sqrt(determinant) / l_x, THINNEST);
     let lean = e.xy / (l_x * l_x);
-    (*splat).s = vec3<f32>(-e.shift.x, 1.0, 0.0) / l_x;
-    (*splat).t = vec3<f32>(fma(lean, e.shift.x, -e.shift.y), -lean, 1.0) / l_y;
-    (*splat).n = vec3<f32>(1.0, 0.0, 0.0);
+    return EllipseForms(
+        vec3<f32>(-e.shift.x, 1.0, 0.0) / l_x,
+        vec3<f32>(fma(lean, e.shift.x, -e.shift.y), -lean, 1.0) / l_y,
+        sqrt(vec2<f32>(xx, yy)),
+    );
+}
+
+// As the filter widens it, and as it is.
+fn set_ellipse(splat: ptr<function, Splat>, e: Ellipse) {
+    var lowpass = 0.0;
     if PREFILTER {
-        (*splat).amplitude = max(sqrt(e.determinant / determinant), LEAST_AMPLITUDE);
+        lowpass = frame.splat_lowpass_px * frame.splat_lowpass_px;
+        let widened = fma(lowpass, e.xx + e.yy + lowpass, e.determinant);
+        (*splat).amplitude = max(sqrt(e.determinant / widened), LEAST_AMPLITUDE);
     }
-    set_box(splat, (*splat).centre + e.shift, frame.splat_cutoff * sqrt(vec2<f32>(xx, yy)));
+    let forms = ellipse_forms(e, lowpass);
+    (*splat).s = forms.s;
+    (*splat).t = forms.t;
+    (*splat).n = vec3<f32>(1.0, 0.0, 0.0);
+    var extent = forms.extent;
+    if NARROW {
+        let own = ellipse_forms(e, 0.0);
+        (*splat).own_s = own.s;
+        (*splat).own_t = own.t;
+        extent = own.extent;
+    }
+    set_box(splat, (*splat).centre + e.shift, frame.splat_cutoff * extent);
 }
 
 // Extends a box by the points of an edge before the eye. Where it meets the camera plane its image runs off to infinity.
@@ -251,6 +301,8 @@ fn crossing_splat(splat: ptr<function, Splat>, p_in: vec3<f32>, u_in: vec3<f32>,
     let forms = KernelForms(vec3<f32>(dot(s, c), s.xy), vec3<f32>(dot(t, c), t.xy), vec3<f32>(dot(n, c), n.xy));
     (*splat).s = forms.s;
     (*splat).t = forms.t;
+    (*splat).own_s = forms.s;
+    (*splat).own_t = forms.t;
     (*splat).n = forms.n;
     (*splat).inverse = forms.n / size;
     (*splat).least = NEAREST;
@@ -308,6 +360,10 @@ fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: ve
     var spread = vec2<f32>(1.0, 0.0);
     var spread_t = 1.0;
     var exact = FILTER == EXACT;
+    let own_ju = ju;
+    let own_jv = jv;
+    let own_slopes = slopes;
+    let own_area = area;
     if FILTER == EXACT && PREFILTER {
         // Object-space EWA (Ren, Pfister & Zwicker 2002): the low-pass filter taken to the tangent plane at the centre.
         let lowpass = frame.splat_lowpass_px * frame.splat_lowpass_px;
@@ -320,13 +376,13 @@ fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: ve
             let wide = vec2<f32>(fma(l_u, slopes.x, l_uv * slopes.y), l_v * slopes.y);
             exact = f * f * dot(wide, wide) < 1.0 - GAP;
             if exact {
+                splat.amplitude = max(1.0 / (l_u * l_v), LEAST_AMPLITUDE);
                 slopes = wide;
                 ju = l_u * ju + l_uv * jv;
                 jv = l_v * jv;
                 area *= l_u * l_v;
                 spread = vec2<f32>(l_u, l_uv);
                 spread_t = l_v;
-                splat.amplitude = max(1.0 / (l_u * l_v), LEAST_AMPLITUDE);
             }
         } else {
             exact = false;
@@ -345,17 +401,28 @@ fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: ve
     splat.least = w / (1.0 + relative);
     splat.most = select(FARTHEST, w / (1.0 - relative), relative < 1.0);
     splat.clip = clip_forms(lines, forms, spread, spread_t);
+    if NARROW {
+        ju = own_ju;
+        jv = own_jv;
+        slopes = own_slopes;
+    }
     let ellipse = outline(vec2<f32>(ju.x, jv.x), vec2<f32>(ju.y, jv.y), slopes, FILTER == AFFINE);
     if exact {
-        if flat {
-            return splat;
-        }
-        splat.s = forms.s;
+        // Seen edge-on it covers nothing but the pixel of its centre.
+        let nowhere = vec3<f32>(1.0 / THINNEST, 0.0, 0.0);
+        splat.s = select(forms.s, nowhere, flat);
         splat.t = forms.t;
+        splat.own_s = select(vec3<f32>(0.0, own_jv.y, -own_jv.x) / own_area, nowhere, flat);
+        splat.own_t = select(vec3<f32>(0.0, -own_ju.y, own_ju.x) / own_area, nowhere, flat);
         splat.n = forms.n;
         set_box(&splat, centre + ellipse.shift, f * sqrt(vec2<f32>(ellipse.xx, ellipse.yy)));
     } else {
         set_ellipse(&splat, ellipse);
+    }
+    let own = floor(centre);
+    if all(own >= vec2<f32>(0.0)) && all(own < vec2<f32>(frame.size_px)) {
+        splat.low = min(splat.low, vec2<i32>(own));
+        splat.high = max(splat.high, vec2<i32>(own));
     }
     let side = splat.high - splat.low;
     if min(side.x, side.y) >= 0 {

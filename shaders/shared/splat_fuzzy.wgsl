@@ -16,7 +16,7 @@ fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) -> bool {
     if HIDES && inverse < bitcast<f32>(visibility[pixel].y) {
         return true;
     }
-    let weight = max(round(splat.amplitude * exp(-0.5 * q) * frame.weight_one), 1.0);
+    let weight = splat_weight(splat, q);
     let slab = slab_of(inverse);
     let tag = slab_tag(slab, splat.facing);
     let c = vec3<u32>(round(paint.color * weight * vec3<f32>(RED_GREEN_STEPS, RED_GREEN_STEPS, BLUE_STEPS)));

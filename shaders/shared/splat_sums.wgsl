@@ -41,7 +41,7 @@ fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) -> bool {
     if inverse < visible || ((kept | splat.facing) & FACING_BITS) == FACING_BITS {
         return true;
     }
-    let weight = max(round(splat.amplitude * exp(-0.5 * q) * frame.weight_one), 1.0);
+    let weight = splat_weight(splat, q);
     let carry = carry_of(weight, pixel, inverse);
     if OUTPUT == OUTPUT_DEPTH {
         weigh(pixel, 0u, u32(weight));

@@ -1,6 +1,6 @@
 //! Splats where they overlap (Zwicker et al. 2004, §6, in its three steps).
 //!
-//! 1. *Visibility.* Each covering splat reaches a depth that lies its offset behind its own at the pixel. The least of these,
+//! 1. *Visibility.* Each splat that is seen at a pixel reaches a depth that lies its offset behind its own there. The least of these,
 //!    and of the depth of the triangle that the pixel would show otherwise, wins; ties go to the lower instance, then to the
 //!    lower index. A pixel that a triangle wins shows no splats.
 //! 2. *Sums.* All covering splats up to the depth that the winner reaches are one surface: their colours, normals and
@@ -205,6 +205,9 @@ impl<'a> Band<'a> {
         };
         let mut winners: Vec<Winner<'a>> = self.hits.iter().map(of_hit).collect();
         self.for_each_touch(|pixel, splat, touch| {
+            if !touch.is_seen {
+                return;
+            }
             let reach = touch.depth + splat.seen.offset;
             let best = &mut winners[pixel];
             if reach < best.reach || (reach == best.reach && splat.rank < best.rank) {

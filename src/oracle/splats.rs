@@ -9,7 +9,8 @@
 //! - where it meets the camera plane, only its exact intersection with each ray makes sense, without any filter;
 //! - wholly behind, it is not drawn.
 //!
-//! [`SeenSplat::at`] then says with which depth and weight it covers a pixel. A pixel's ray `r` meets the disk's
+//! [`SeenSplat::at`] then says with which depth and weight it covers a pixel, and whether it is seen there: where its disk is as it is, without
+//! what the filter adds, and at the pixel that its centre is in. A pixel's ray `r` meets the disk's
 //! plane where `λ r = p + s·t_u + t·t_v`. Divided by the depth λ, these are three linear equations for `s/λ`, `t/λ` and `1/λ`
 //! (the paper's `u = x M⁻¹`), whose solution stays finite on the plane's horizon and beyond, where a low-pass filter
 //! still has weight. Whatever is not a number covers nothing.
@@ -61,12 +62,16 @@ pub struct Touch {
     pub depth: f64,
     /// Its Gaussian's value.
     pub weight: f64,
+    /// Its disk itself covers the pixel, or has its centre there.
+    pub is_seen: bool,
 }
 
 /// A splat in one view.
 #[derive(Clone, Debug)]
 pub struct SeenSplat {
     centre: DVec3,
+    /// Of a regular splat.
+    centre_px: Option<DVec2>,
     tangents: [DVec3; 2],
     /// The plane does not hold the eye, or nearly so.
     has_plane: bool,
@@ -137,6 +142,7 @@ impl SeenSplat {
         };
         let seen = Self {
             centre,
+            centre_px: (!crossing).then_some(disk.centre_px),
             tangents,
             has_plane: has_plane(centre, tangents),
             shape,
@@ -158,20 +164,30 @@ impl SeenSplat {
         let plane = self.plane_coordinates(camera_from_view(ray));
         // Kernel coordinates before the eye.
         let hit = || plane.filter(|at| at.z > 0.0).map(|at| at.truncate() / at.z);
-        let squared = match &self.shape {
-            Shape::Disk => hit()?.length_squared(),
+        let in_plane = || hit().map_or(f64::INFINITY, DVec2::length_squared);
+        // With the filter, and without.
+        let (squared, own) = match &self.shape {
+            Shape::Disk => (in_plane(), in_plane()),
             Shape::WidenedDisk { affine, jacobian } => {
-                affine.squared_distance(*jacobian * hit()?, self.lowpass_px)
+                let widened = |at| affine.squared_distance(*jacobian * at, self.lowpass_px);
+                (hit().map_or(f64::INFINITY, widened), in_plane())
             }
             Shape::Image(gaussian) => {
-                gaussian.squared_distance(pixel - gaussian.centre_px, self.lowpass_px)
+                let away = pixel - gaussian.centre_px;
+                (
+                    gaussian.squared_distance(away, self.lowpass_px),
+                    gaussian.squared_distance(away, 0.0),
+                )
             }
         };
-        let covered = squared <= self.squared_cutoff && self.keeps(plane);
+        let holds_centre = self.centre_px.is_some_and(|at| at.floor() == pixel.floor());
+        let is_seen = own <= self.squared_cutoff || holds_centre;
+        let covered = (squared <= self.squared_cutoff || holds_centre) && self.keeps(plane);
         let depth = 1.0 / self.inverse_depth(plane);
-        let weight = self.amplitude * (-0.5 * squared).exp();
+        // Not a number, a distance counts as any that is covered.
+        let weight = self.amplitude * (-0.5 * squared.min(self.squared_cutoff)).exp();
         let sound = depth > 0.0 && depth.is_finite() && weight.is_finite();
-        (covered && sound).then_some(Touch { depth, weight })
+        (covered && sound).then_some(Touch { depth, weight, is_seen })
     }
 
     /// `(s/λ, t/λ, 1/λ)` where the ray meets the disk's plane; `None` for a plane through the eye.

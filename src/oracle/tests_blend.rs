@@ -3,7 +3,7 @@
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 
 use super::tests::{item, quad};
-use super::tests_splats::{FILTERS, between, cloud, draw, sharp, view};
+use super::tests_splats::{FILTERS, between, centre_of, cloud, draw, seen, sharp, touch, view};
 use super::visibility::pixel_ray;
 use super::*;
 use crate::assets::PointCloud;
@@ -215,8 +215,9 @@ fn the_depth_of_a_filtered_pixel_stays_near_the_splat() {
     // Seen at 0.6°, the plane goes through all depths within few rows; the splat stays within R + F·σ·z/f of its own.
     let disk = [DVec3::NEG_Z, DVec3::X * 0.02, DVec3::new(0.0, 0.0002, 0.02)];
     let splats = Splats { prefilter: true, lowpass_px: 2.0, ..sharp(Filter::Perspective) };
-    let frame = draw_cloud(splats, cloud(&[disk]));
-    let depths: Vec<f64> = frame.depth.iter().copied().filter(|depth| depth.is_finite()).collect();
+    let splat = seen(splats, &cloud(&[disk])).unwrap();
+    let depths: Vec<f64> =
+        (0..64 * 48).filter_map(|i| Some(touch(&splat, centre_of(i))?.depth)).collect();
     let (low, high) = depths.iter().fold((9.0f64, 0.0f64), |(a, b), &d| (a.min(d), b.max(d)));
     assert_near(&[low, high], &[1.0 - 0.08, 1.0 + 0.08]);
 }
@@ -272,10 +273,25 @@ fn neither_the_order_of_samples_nor_the_number_of_threads_matters() {
 
 #[test]
 fn supersampling_keeps_the_filter_as_wide_in_pixels() {
-    let geometry = Geometry::Points(cloud(&[circle(0.3, 1.0, 1.0)]));
+    let samples = cloud(&[circle(0.3, 1.0, 1.0)]);
+    let geometry = Geometry::Points(samples.clone());
     for filter in FILTERS {
         for (prefilter, variance) in [(false, 1.0), (true, 1.25)] {
-            let splats = Some(Splats { prefilter, ..sharp(filter) });
+            let splats = Splats { prefilter, ..sharp(filter) };
+            // Blended over the filter's reach, seen over its own.
+            let scene = super::tests::scene(vec![item(&geometry)]);
+            let finer = visibility::finer(&view(), 8);
+            let prepared = Prepared::new(&scene, &finer);
+            let settings = splats::Settings::new(&splats, 8);
+            let splat =
+                splats::SeenSplat::new(&finer, &settings, &prepared.items[0], &samples, 0).unwrap();
+            let pixels = (0..48 * 8).flat_map(|y| (0..64 * 8).map(move |x| (x, y)));
+            let centre = |(x, y): (usize, usize)| DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+            let touched =
+                pixels.filter(|&at| splat.at(centre(at), pixel_ray(&finer, at.0, at.1)).is_some());
+            let share = touched.count() as f64 / 64.0 / (std::f64::consts::PI * 4.0 * variance);
+            assert!((share - 1.0).abs() < 0.01, "{filter:?} {share}");
+            let splats = Some(splats);
             let clear = OracleScene {
                 splats,
                 background: [0.0; 4],
@@ -283,7 +299,7 @@ fn supersampling_keeps_the_filter_as_wide_in_pixels() {
             };
             let fine = render(&clear, &view(), 8);
             let area: f64 = fine.color.iter().map(|color| color[3]).sum();
-            let expected = std::f64::consts::PI * 4.0 * variance;
+            let expected = std::f64::consts::PI * 4.0;
             assert!((area / expected - 1.0).abs() < 0.01, "{filter:?} {area} {expected}");
             let coarse = render(&clear, &view(), 1);
             assert_eq!((fine.depth, fine.id), (coarse.depth, coarse.id));

@@ -721,7 +721,7 @@ struct Counts {
     crossing: [u64; 2],
 }
 
-/// By the affine filter without low-pass filter: the box of the linear approximation's ellipse.
+/// By the affine filter without low-pass filter: the box of the linear approximation's ellipse, and the pixel of its centre.
 fn count(list: &[Disk], camera: &Camera, [width, height]: [u32; 2]) -> Counts {
     let view = camera.view(width, height).unwrap();
     let size = DVec2::new(f64::from(width), f64::from(height));
@@ -745,9 +745,13 @@ fn count(list: &[Disk], camera: &Camera, [width, height]: [u32; 2]) -> Counts {
                 let high = (centre + extent + slack - 0.5).floor().min(size - 1.0);
                 low.cmple(high).all()
             };
+            // However small, it fills the pixel that its centre is in.
+            let centred = |slack: f64| {
+                centre.cmpge(DVec2::splat(-slack)).all() && centre.cmple(size + slack).all()
+            };
             let slack = 2e-3 * (1.0 + extent.max_element());
-            counts.regular[0] += u64::from(!doubtful && meets(-slack));
-            counts.regular[1] += u64::from(meets(slack) || doubtful);
+            counts.regular[0] += u64::from(!doubtful && (meets(-slack) || centred(-slack)));
+            counts.regular[1] += u64::from(meets(slack) || centred(slack) || doubtful);
             counts.crossing[1] += u64::from(doubtful);
         } else if p.z > -reach {
             let n = u.cross(v);

@@ -55,7 +55,9 @@ fn check(case: &Case, views: &[View], reconstruct: Reconstruct, least_db: f64) {
             let limit = f64::from(px * sideways) + PIXEL_PX;
             let fits = beyond <= limit && short <= limit;
             assert!(fits, "{} {number}, {px} px: {beyond} beyond, {short} short", case.id);
-            assert!(px > 0.5 || db >= least_db, "{} {number}, {px} px: {db} dB", case.id);
+            // As many less as more may be wrong.
+            let least_db = least_db - 6.0 * f64::from(px / 0.5).log2();
+            assert!(db >= least_db, "{} {number}, {px} px: {db} dB", case.id);
         }
     }
 }
@@ -64,9 +66,9 @@ fn check(case: &Case, views: &[View], reconstruct: Reconstruct, least_db: f64) {
 fn outlines_are_as_near_to_the_oracles_as_promised() {
     let town = Case::committed("town");
     let centre = DVec3::new(412_000.0, 5_653_000.0, 116.0);
-    check(&town, &poses(centre, [40.0, 400.0], 6), Reconstruct::Splats, 33.0);
+    check(&town, &poses(centre, [40.0, 400.0], 6), Reconstruct::Splats, 32.0);
     let part = Case::committed("part");
-    check(&part, &poses(DVec3::ZERO, [2.5, 40.0], 6), Reconstruct::Splats, 34.0);
+    check(&part, &poses(DVec3::ZERO, [2.5, 40.0], 6), Reconstruct::Splats, 42.0);
     let ball = case("trees-ball", &ball(6000, 5), json!({}));
-    check(&ball, &poses(DVec3::ZERO, [1.5, 30.0], 6), Reconstruct::Splats, 26.0);
+    check(&ball, &poses(DVec3::ZERO, [1.5, 30.0], 6), Reconstruct::Splats, 42.0);
 }
