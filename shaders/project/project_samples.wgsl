@@ -33,6 +33,11 @@ fn place_of(word: vec2<u32>, row_x: vec4<f32>, row_y: vec4<f32>, row_z: vec4<f32
     return Place(vec2<f32>(x, y), z, inverse);
 }
 
+// Without the intrinsics.
+fn camera_column(x: f32, y: f32, z: f32) -> vec3<f32> {
+    return vec3<f32>((vec2<f32>(x, y) - frame.principal_px * z) / frame.focal_px, z);
+}
+
 @compute @workgroup_size(LANES)
 fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     begin_view(group.z);
@@ -51,8 +56,14 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
     let limit = slots[at].limit;
     let sorted = slots[at].sorted != 0u;
     var key = 0u;
+    var areas: Areas;
     if TREE {
         key = instance_key(slots[at].instance);
+        areas = areas_of(
+            camera_column(row_x.x, row_y.x, row_z.x),
+            camera_column(row_x.y, row_y.y, row_z.y),
+            camera_column(row_x.z, row_y.z, row_z.z),
+        );
     }
     var drawn = 0u;
     var looked_at = 0u;
@@ -93,10 +104,8 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
             let own = attributes[first + i];
             var kept = true;
             if !is_whole(own.x) {
-                let n = octahedral_decode(own.y);
-                let across = vec3<f32>(dot(row_x.xyz, n), dot(row_y.xyz, n), dot(row_z.xyz, n));
                 let centre = at.z * ray_through(at.image);
-                let seen = foreshortened(vec3<f32>((across.xy - frame.principal_px * across.z) / frame.focal_px, across.z), centre);
+                let seen = seen_area(areas, octahedral_decode(own.y), centre);
                 kept = is_kept(first + i, own.x, unit, centre, seen, 1.0, word, key);
             }
             if kept {

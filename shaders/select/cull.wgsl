@@ -20,8 +20,10 @@ const NO_INSTANCE: u32 = 0xffffffffu;
 
 fn is_wanted(chunk: Chunk, box: Box, scale: f32) -> bool {
     // Splats reach beyond their centres, and the low-pass filter widens them in the image. Both are 0 for points.
-    let base = select(chunk.kernel_base * exp2(f32(chunk.shift)), 0.0, chunk.shift == TRIANGLES);
-    let radius = 1.01 * frame.splat_cutoff * frame.splat_width * base * scale;
+    var radius = 0.0;
+    if chunk.shift != TRIANGLES {
+        radius = splat_reach(chunk, scale);
+    }
     let deep = box_deep(box);
     return chunk_is_wanted(chunk, scale, box.centre.z - deep, box.centre.z + deep, box_far(box))
         && box_is_seen(box.centre, box.x, box.y, box.z, radius, frame.splat_cutoff * frame.splat_lowpass_px);

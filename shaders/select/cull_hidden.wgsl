@@ -89,12 +89,6 @@ fn drawn_bounds(box: Box, filter_px: f32) -> BoxBounds {
     return BoxBounds(bounds.near, bounds.least - vec2<f32>(filter_px), bounds.most + vec2<f32>(filter_px));
 }
 
-// How far splats may reach from their centres in camera space, of a chunk's longest kernel axis: nearer to the eye by that of their disks and
-// by no more for the filter, and sideways the outlines of all filters lie within twice their disks.
-fn splat_reach(chunk: Chunk, at: Placed) -> f32 {
-    return 2.02 * frame.splat_cutoff * frame.splat_width * chunk.kernel_base * exp2(f32(chunk.shift)) * stretch(at);
-}
-
 // The longest kernel axis of a part, in parts of its chunk's.
 fn longest_of(words: vec2<u32>) -> f32 {
     return exp2((1.0 - 8.0 * f32(words.x >> 24u)) * 0.0078125);
@@ -110,7 +104,7 @@ fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
     let at = placed[frame.first_instance + slot.instance];
     let whole = grid_box(at, chunk.origin, chunk.extent);
     let is_splats = SPLATS && chunk.shift != TRIANGLES;
-    let reach = select(0.0, splat_reach(chunk, at), is_splats);
+    let reach = select(0.0, splat_reach(chunk, stretch(at)), is_splats);
     // A splat fills a pixel at least.
     let filter_px = select(0.0, max(frame.splat_cutoff * frame.splat_lowpass_px, 1.0), is_splats);
     let widened = Box(whole.centre, whole.x, whole.y, whole.z, whole.slack + reach);

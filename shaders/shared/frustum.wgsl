@@ -1,4 +1,5 @@
 // Boxes in camera space: where they are, and whether they lie beside the view frustum.
+//!include shared/stretch
 
 // Of the terms' magnitude: what f32 may lose while they are summed.
 const SLACK: f32 = 4e-6;
@@ -88,18 +89,9 @@ fn box_is_seen(centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>, radi
         && reaches(vec3<f32>(0.0, -f.y, s.y - c.y + margin), centre, x, y, z, radius);
 }
 
-// An upper bound of what an instance's map does to lengths: its longest column where columns are orthogonal, more where they
-// are not (Gershgorin's circles of the map's squares).
-fn stretch(at: Placed) -> f32 {
-    let sizes = max(abs(at.axis_x.xyz), max(abs(at.axis_y.xyz), abs(at.axis_z.xyz)));
-    // Squares of small numbers would be none in f32.
-    let most = max(sizes.x, max(sizes.y, sizes.z));
-    let unit = 1.0 / max(most, 1e-37);
-    let x = at.axis_x.xyz * unit;
-    let y = at.axis_y.xyz * unit;
-    let z = at.axis_z.xyz * unit;
-    let xy = abs(dot(x, y));
-    let yz = abs(dot(y, z));
-    let zx = abs(dot(z, x));
-    return most * sqrt(max(dot(x, x) + xy + zx, max(dot(y, y) + yz + xy, dot(z, z) + zx + yz)));
+// How far splats may reach from their centres in camera space, of a chunk's longest kernel axis and an instance's stretch. Nearer to the eye
+// that is by their disk's radius R and by no more for the filter. Sideways a perspective outline lies within R; the exact filter widens
+// disks by √2 at most, and the affine outline, R (1 + |x/z|) / z on either side of x/z, lies within 2 R wherever all of that is before the eye.
+fn splat_reach(chunk: Chunk, scale: f32) -> f32 {
+    return 2.02 * frame.splat_cutoff * frame.splat_width * chunk.kernel_base * exp2(f32(chunk.shift)) * scale;
 }

@@ -1,4 +1,5 @@
 // Samples of an asset as it is: all are drawn.
+//!include shared/stretch
 @group(1) @binding(1) var<storage, read> kernels: array<u32>;
 
 const TREE: bool = false;
@@ -36,10 +37,6 @@ fn is_ball(own: vec2<u32>) -> bool {
 
 fn is_whole(own: u32) -> bool {
     return true;
-}
-
-fn foreshortened(across: vec3<f32>, centre: vec3<f32>) -> f32 {
-    return 1.0;
 }
 
 fn is_kept(sample: u32, own: u32, unit: f32, centre: vec3<f32>, seen: f32, drawn_px: f32, place: vec2<u32>, key: u32) -> bool {

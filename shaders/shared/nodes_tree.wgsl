@@ -1,5 +1,6 @@
 // Nodes of a point tree: which of them are drawn (Dachsbacher et al. 2003, §3.6). `crate::bake::tree` says what the words are.
 //!include shared/accepted
+//!include shared/stretch
 const TREE: bool = true;
 const KERNEL_WORDS: u32 = 3u;
 
@@ -120,14 +121,7 @@ fn is_whole(own: u32) -> bool {
     return (own >> 30u) == WHOLE;
 }
 
-// What is seen of a disk whose normal in camera space is `across`, of any length, or zero.
-fn foreshortened(across: vec3<f32>, centre: vec3<f32>) -> f32 {
-    let most = max(max(abs(across.x), abs(across.y)), abs(across.z));
-    let n = across / max(most, 1e-37);
-    return select(min(abs(dot(n, centre)) / max(length(n) * length(centre), 1e-37), 1.0), 1.0, most == 0.0);
-}
-
-// Whether a node of colour word `own` is one of those that are drawn of its kind. `seen`: the cosine it is seen at; `drawn_px`: the
+// Whether a node of colour word `own` is one of those that are drawn of its kind. `seen`: what is seen of its area, see `seen_area`; `drawn_px`: the
 // area in the image that it is drawn as; `place`: its stored position.
 fn is_kept(sample: u32, own: u32, unit: f32, centre: vec3<f32>, seen: f32, drawn_px: f32, place: vec2<u32>, key: u32) -> bool {
     let extent = unit * code_value(kernels[sample * KERNEL_WORDS + 2u] & CODE);

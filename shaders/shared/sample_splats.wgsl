@@ -26,6 +26,8 @@ struct SplatSlot {
     one_sided: bool,
     // 0 where normals do not tell outside from inside, −1 where the instance mirrors, else 1.
     orientation: f32,
+    // Of point trees: what the map makes of areas.
+    areas: Areas,
     // Longest column of the map from stored coordinates to camera space.
     scale: f32,
     // The map turns and scales, and does nothing else.
@@ -66,6 +68,9 @@ fn splat_slot(index: u32) -> SplatSlot {
     // Cells may be so small that their squares, or the volume of three, are none in f32.
     let sizes = max(abs(x), max(abs(y), abs(z)));
     let most = max(max(sizes.x, max(sizes.y, sizes.z)), 1e-37);
+    if TREE {
+        slot.areas = areas_of(x, y, z);
+    }
     if SPLIT {
         slot.is_even = keeps_angles(x / most, y / most, z / most);
     }
@@ -115,7 +120,7 @@ fn tilt_cosine(slot: SplatSlot, sample: u32, centre: vec3<f32>) -> f32 {
 // Radius in pixels of disks that count as no larger: what covers so much of the image is drawn, however coarsely.
 const MOST_THINNED_PX: f32 = 2.0;
 
-// The area in the image of a node's disk, cut off, where it is seen at an angle of this cosine; no less than a pixel, which it fills.
+// The area in the image of a node's disk, cut off, of which so much is seen; no less than a pixel, which it fills.
 fn drawn_px(slot: SplatSlot, axis: vec3<f32>, centre: vec3<f32>, seen: f32) -> f32 {
     let focal_px = max(frame.focal_px.x, frame.focal_px.y);
     let deviation = min(slot.scale * length(axis) * focal_px / max(centre.z, NEAREST), MOST_THINNED_PX / frame.splat_cutoff);
@@ -136,8 +141,9 @@ fn splat_of(slot: SplatSlot, sample: u32) -> Splat {
     let normal = attributes[at].y;
     let axes = kernel_axes(kernels[at * KERNEL_WORDS], slot.kernel_base, octahedral_decode(normal));
     if !is_whole(attributes[at].x) {
-        let seen = foreshortened(camera_vector(taken(slot, octahedral_decode(normal))), centre);
-        let drawn = drawn_px(slot, axes.u, centre, seen);
+        let seen = seen_area(slot.areas, octahedral_decode(normal), centre);
+        // Without a normal it is drawn as a disk that faces the eye, stretched evenly.
+        let drawn = drawn_px(slot, axes.u, centre, select(seen, 1.0, normal == NO_NORMAL));
         if !is_kept(at, attributes[at].x, slot.unit, centre, seen, drawn, positions[at], slot.key) {
             var thinned: Splat;
             thinned.way = NOTHING;

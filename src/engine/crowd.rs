@@ -282,15 +282,16 @@ impl<'a> Roots<'a> {
             return None;
         }
         let Measures { error, size, area } = root.measures;
+        let (normal, area_scale) = area_under(&map.matrix3, root.normal);
         Some(Root {
             position,
-            normal: turned(&map.matrix3, root.normal),
+            normal,
             color: self.painted(instance, root.color),
             radius: root.radius * scale,
             measures: Measures {
                 error: error * scale,
                 size: size * scale,
-                area: area * scale * scale,
+                area: area * area_scale as f32,
             },
         })
     }
@@ -347,12 +348,32 @@ fn stretch(map: &DMat3) -> f64 {
     row(square.x_axis).max(row(square.y_axis)).max(row(square.z_axis)).sqrt()
 }
 
-/// A unit normal under a map; zero stays zero.
-fn turned(map: &DMat3, normal: Vec3) -> Vec3 {
+/// What a map makes of areas with a direction.
+fn cofactors(map: &DMat3) -> DMat3 {
     let (x, y, z) = (map.x_axis, map.y_axis, map.z_axis);
-    let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
+    DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y))
+}
+
+/// A map that flattens by more than this makes a plate of a ball.
+const FLAT: f64 = 2.0;
+
+/// The unit normal of areas under a map, and how much larger they get. Areas without a normal look everywhere alike: they stay so, with the
+/// mean over the axes, unless the map makes plates of them, which have one.
+fn area_under(map: &DMat3, normal: Vec3) -> (Vec3, f64) {
+    let cofactors = cofactors(map);
     let sign = map.determinant().signum();
-    (cofactors * normal.as_dvec3() * sign).try_normalize().map_or(Vec3::ZERO, |n| n.as_vec3())
+    let unit = |area: DVec3| area.try_normalize().map_or(Vec3::ZERO, |n| n.as_vec3());
+    if normal != Vec3::ZERO {
+        let area = cofactors * normal.as_dvec3() * sign;
+        return (unit(area), area.length());
+    }
+    let mut areas = [cofactors.x_axis, cofactors.y_axis, cofactors.z_axis];
+    areas.sort_by(|a, b| b.length().total_cmp(&a.length()));
+    let [most, second, least] = areas.map(DVec3::length);
+    if most > FLAT * second {
+        return (unit(areas[0]), most);
+    }
+    (Vec3::ZERO, (most + second + least) / 3.0)
 }
 
 /// Of the cube about the origin that holds twice the box, so that small moves do not change it.

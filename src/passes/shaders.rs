@@ -86,6 +86,7 @@ fragments![
     "shared/launch",
     "shared/lanes",
     "shared/frustum",
+    "shared/stretch",
     "shared/entries_full",
     "shared/entries_tree",
     "shared/list_full",

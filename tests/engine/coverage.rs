@@ -30,13 +30,17 @@ fn crown() -> String {
 
 /// Copies with gaps between them, from far above.
 fn field(lights: &Value) -> Value {
+    stretched_field(lights, [0.6; 3], [0.0, 330.0, 300.0])
+}
+
+fn stretched_field(lights: &Value, scale: [f64; 3], eye: [f64; 3]) -> Value {
     let repeat = json!({ "grid": [130, 1, 130], "step": [2.6, 0, 2.6] });
     json!({
         "assets": { "g": { "file": "g.ply" } },
-        "nodes": [{ "asset": "g", "scale": 0.6, "repeat": repeat }],
+        "nodes": [{ "asset": "g", "scale": scale, "repeat": repeat }],
         "lights": lights,
         "background": "#000000",
-        "cameras": { "front": { "eye": [0, 330, 300], "target": [0, 0, 0], "fov": 45 } },
+        "cameras": { "front": { "eye": eye, "target": [0, 0, 0], "fov": 45 } },
     })
 }
 
@@ -64,6 +68,20 @@ fn a_far_crowd_covers_as_much_as_it_does_in_a_larger_frame() {
         studio.write("g.ply", asset);
         studio.load_json("field", &field(&json!([])));
         compare(&studio, what, slack);
+    }
+}
+
+/// Plates and poles, from above and from the side.
+#[test]
+fn a_far_crowd_of_stretched_copies_covers_as_much() {
+    let studio = Studio::new();
+    studio.write("g.ply", sphere(12));
+    for scale in [[0.6, 0.06, 0.6], [0.06, 0.6, 0.06]] {
+        for eye in [[0.0, 330.0, 300.0], [0.0, 60.0, 420.0]] {
+            studio.load_json("field", &stretched_field(&json!([]), scale, eye));
+            compare(&studio, &format!("{scale:?} from {eye:?}"), 0.35);
+            studio.engine.remove("field").unwrap();
+        }
     }
 }
 
