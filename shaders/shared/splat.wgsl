@@ -38,7 +38,8 @@ const SMALL: u32 = 1u;
 const LARGE: u32 = 2u;
 
 // Weights do not fall below this share of the kernel's own: what many tiny splats add up to keeps its digits.
-const LEAST_AMPLITUDE: f32 = 0.125;
+// In a single pass, which has four bits for them and covers disks as they are, half of it.
+const LEAST_AMPLITUDE: f32 = select(0.125, 0.5, NARROW);
 const FARTHEST: f32 = 1e30;
 const GAP: f32 = 0.0000019073486;
 // Standard deviations below this many pixels are as good as none.

@@ -19,7 +19,10 @@ fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) -> bool {
     let weight = splat_weight(splat, q);
     let slab = slab_of(inverse);
     let tag = slab_tag(slab, splat.facing);
-    let c = vec3<u32>(round(paint.color * weight * vec3<f32>(RED_GREEN_STEPS, RED_GREEN_STEPS, BLUE_STEPS)));
+    let shares = paint.color * weight * vec3<f32>(RED_GREEN_STEPS, RED_GREEN_STEPS, BLUE_STEPS);
+    // Rounded to the nearest, what is dark would be black.
+    let carry = select(vec3<f32>(0.5), vec3<f32>(carry_of(weight, pixel, inverse)), shares < vec3<f32>(1.5));
+    let c = vec3<u32>(floor(shares + carry));
     let low = c.b | (c.g << 13u) | (c.r << 27u);
     let high = (c.r >> 5u) | (u32(weight) << 9u);
     let share = (u64(high) << 32u) | u64(low);

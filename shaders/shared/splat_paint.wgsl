@@ -63,3 +63,14 @@ fn paint_of(slot: SplatSlot, shared_paint: PaintSlot, sample: u32) -> Paint {
     }
     return paint;
 }
+
+// Weights below this have so few steps that rounding to the nearest would make what is dark black: of a crowd of splats far
+// smaller than a pixel, or where so many overlap that weights had to be made smaller.
+const LIGHT: f32 = 256.0;
+
+// What is added before rounding down: a half, and of light weights anything up to 1, by the place that is painted, so that
+// sums are right on the average and the same each time.
+fn carry_of(weight: f32, pixel: u32, inverse: f32) -> f32 {
+    let hash = (bitcast<u32>(inverse) ^ (pixel * 0x85ebca6bu)) * 0x9e3779b1u;
+    return select(0.5, f32((hash ^ (hash >> 15u)) >> 8u) * 5.9604645e-8, weight < LIGHT);
+}

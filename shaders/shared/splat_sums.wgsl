@@ -10,19 +10,8 @@ override CROWDED: bool = true;
 
 @group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 
-// Weights below this have so few steps that rounding to the nearest would make what is dark black: of a crowd of splats far
-// smaller than a pixel, or where so many overlap that weights had to be made smaller.
-const LIGHT: f32 = 256.0;
-
 fn fixed(v: vec3<f32>, weight: f32, carry: f32) -> vec3<u32> {
     return vec3<u32>(floor(fma(v, vec3<f32>(weight), vec3<f32>(carry))));
-}
-
-// What is added before rounding down: a half, and of light weights anything up to 1, by the place that is painted, so that
-// sums are right on the average and the same each time.
-fn carry_of(weight: f32, pixel: u32, inverse: f32) -> f32 {
-    let hash = (bitcast<u32>(inverse) ^ (pixel * 0x85ebca6bu)) * 0x9e3779b1u;
-    return select(0.5, f32((hash ^ (hash >> 15u)) >> 8u) * 5.9604645e-8, weight < LIGHT);
 }
 
 // The weight, and what shares its word. That it does not fit is the same in every order of splats.
