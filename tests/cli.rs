@@ -90,7 +90,7 @@ fn bake_fills_the_cache() {
     let second = shell.run(&["bake", "cloud.ply"]);
     let (told, lines) = (second.stdout, String::from_utf8(second.stderr).unwrap());
     let told = String::from_utf8(told).unwrap();
-    assert!(told.contains("M samples/s") && told.contains("caches/pointillist"), "{told}");
+    assert!(told.contains("M leaves/s") && told.contains("caches/pointillist"), "{told}");
     assert!(lines.contains("2500 samples") && lines.contains("cache"), "{lines}");
 
     let named = shell.json(&["bake", "cloud.ply", "--json", "--cache", "here/there"]);

@@ -92,6 +92,7 @@ pub fn run(args: &BakeArgs) -> anyhow::Result<()> {
     bar.finish_and_clear();
     let assets = baked?;
     let elapsed = began.elapsed();
+    let kept = cache.map_or(Ok(()), |cache| check_kept(&assets, cache));
     if args.json {
         let told = Baking {
             assets: &assets,
@@ -101,15 +102,18 @@ pub fn run(args: &BakeArgs) -> anyhow::Result<()> {
         println!("{}", serde_json::to_string_pretty(&told)?);
     } else {
         print!("{}", table(&assets));
-        let folder = cache
-            .map_or("kept nowhere".into(), |cache| format!("kept in {}", cache.folder().display()));
+        let folder = match (cache, &kept) {
+            (None, _) => "kept nowhere".to_owned(),
+            (Some(cache), Ok(())) => format!("kept in {}", cache.folder().display()),
+            (Some(cache), Err(_)) => format!("not all kept in {}", cache.folder().display()),
+        };
         println!(
             "\n{:.1} MB of point trees, {folder}; {:.2} s in all",
             bytes(&assets) as f64 / 1e6,
             elapsed.as_secs_f64()
         );
     }
-    cache.map_or(Ok(()), |cache| check_kept(&assets, cache))
+    kept
 }
 
 /// # Errors
@@ -154,9 +158,10 @@ fn seconds(asset: &BakedAsset) -> f64 {
     asset.elapsed_ns as f64 / 1e9
 }
 
-/// Millions of leaves a second: of a cloud its samples, of a mesh those that it was turned into.
-fn rate(asset: &BakedAsset) -> f64 {
-    asset.tree.leaves as f64 / 1e6 / seconds(asset).max(1e-9)
+/// Millions of leaves a second: of a cloud its samples, of a mesh those that it was turned into; `None` of what was not built now.
+fn built_rate(asset: &BakedAsset) -> Option<f64> {
+    let is_built = !matches!(asset.source, BakeSource::Cached | BakeSource::Kept);
+    is_built.then(|| asset.tree.leaves as f64 / 1e6 / seconds(asset).max(1e-9))
 }
 
 fn origin(source: &BakeSource) -> &'static str {
@@ -171,13 +176,13 @@ fn origin(source: &BakeSource) -> &'static str {
 }
 
 fn line(asset: &BakedAsset) -> String {
+    let rate = built_rate(asset).map_or_else(String::new, |rate| format!(", {rate:.2} M leaves/s"));
     format!(
-        "{}: {}, {} nodes, {:.2} s, {:.2} M samples/s, {}",
+        "{}: {}, {} nodes, {:.2} s{rate}, {}",
         asset.name,
         super::render::contents(asset.samples, asset.triangles, 0),
         nodes(asset),
         seconds(asset),
-        rate(asset),
         origin(&asset.source)
     )
 }
@@ -185,7 +190,7 @@ fn line(asset: &BakedAsset) -> String {
 fn table(assets: &[BakedAsset]) -> String {
     let mut table = Table::new();
     table.load_style(presets::NOTHING);
-    table.set_header(["asset", "samples", "triangles", "nodes", "s", "M samples/s", "from"]);
+    table.set_header(["asset", "samples", "triangles", "nodes", "s", "M leaves/s", "from"]);
     for asset in assets {
         table.add_row([
             asset.name.clone(),
@@ -193,7 +198,7 @@ fn table(assets: &[BakedAsset]) -> String {
             asset.triangles.to_string(),
             nodes(asset).to_string(),
             format!("{:.2}", seconds(asset)),
-            format!("{:.2}", rate(asset)),
+            built_rate(asset).map_or_else(|| "-".to_owned(), |rate| format!("{rate:.2}")),
             origin(&asset.source).to_owned(),
         ]);
     }
