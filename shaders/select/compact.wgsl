@@ -14,7 +14,7 @@
 @group(2) @binding(3) var<storage, read_write> slots: array<Slot>;
 @group(2) @binding(4) var<storage, read_write> seen: array<atomic<u32>>;
 @group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
-@group(2) @binding(7) var<storage, read> depths: array<u32>;
+@group(2) @binding(7) var<storage, read_write> depths: array<atomic<u32>>;
 @group(2) @binding(8) var<storage, read> segments: array<Segment>;
 @group(2) @binding(9) var<storage, read> runs: array<Run>;
 @group(2) @binding(10) var<storage, read_write> portions: array<Portion>;
@@ -69,6 +69,12 @@ fn list_turn(group: u32, slot: u32, bin: u32, is_near: bool) {
         turn_slots[first + atomicAdd(&portions[frame.first_run + low].listed, 1u)] = vec2<u32>(slot, ALL_PARTS);
     } else {
         turns[first + atomicAdd(&portions[frame.first_run + low].far, 1u)] = slot | (bin << TURN_SHIFT);
+        let record = frame.view * DEPTHS_WORDS;
+        var turn = 1u;
+        while turn < TURNS && bin >= atomicLoad(&depths[record + DEPTH_ENDS + turn]) {
+            turn++;
+        }
+        atomicAdd(&depths[record + DEPTH_ASKED + turn], 1u);
     }
 }
 
@@ -92,7 +98,7 @@ fn compact(@builtin(global_invocation_id) invocation: vec3<u32>) {
     var counted = chunk.count;
     if HIDES {
         let bin = depth_bin(box_bounds(box).near);
-        let is_near = bin < depths[frame.view * DEPTHS_WORDS + DEPTH_ENDS];
+        let is_near = bin < atomicLoad(&depths[frame.view * DEPTHS_WORDS + DEPTH_ENDS]);
         list_turn(index / GROUP, own, bin, is_near);
         counted = select(0u, chunk.count, is_near || (UNASKED && chunk.shift != TRIANGLES));
     }

@@ -25,8 +25,6 @@
 
 // Samples count themselves as they are tested.
 override COUNTS_SAMPLES: bool = false;
-// Which turn this is, from 1 on.
-override TURN: u32 = 1u;
 // Asked are those that have been drawn.
 override AGAIN: bool = false;
 // Samples are drawn as splats.
@@ -173,7 +171,8 @@ fn cull_hidden(@builtin(global_invocation_id) invocation: vec3<u32>) {
         }
         return;
     }
-    let ends = frame.view * DEPTHS_WORDS + DEPTH_ENDS + TURN;
+    let record = frame.view * DEPTHS_WORDS;
+    let ends = record + DEPTH_ENDS + clamp(depths[record + DEPTH_TURN], 1u, TURNS);
     let begin = depths[ends - 1u];
     let end = depths[ends];
     var index = (invocation.x + invocation.y * DISPATCH_ROW * 64u) * ASKED_EACH;

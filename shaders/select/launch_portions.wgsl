@@ -8,6 +8,7 @@
 
 @group(2) @binding(0) var<storage, read_write> portions: array<Portion>;
 @group(2) @binding(1) var<storage, read_write> dispatches: array<Dispatch>;
+@group(2) @binding(2) var<storage, read_write> depths: array<u32>;
 
 // All that was listed is drawn in one turn, or asked again.
 override WHOLE: bool = false;
@@ -18,13 +19,21 @@ fn launch_portions() {
     // See shade for why bounds are no uniforms alone.
     let segments = min(frame.segment_count, arrayLength(&dispatches));
     let views = min(frame.views, arrayLength(&portions));
+    // What the next turn asks, of all views.
+    var next = 0u;
+    for (var view = 0u; view < views && !WHOLE; view++) {
+        let record = view * DEPTHS_WORDS;
+        let turn = depths[record + DEPTH_TURN] + 1u;
+        depths[record + DEPTH_TURN] = turn;
+        next += depths[record + DEPTH_ASKED + min(turn, TURNS + 1u)];
+    }
     var asked = 0u;
     for (var segment = 0u; segment < segments; segment++) {
         var far = 0u;
         var listed = 0u;
         for (var view = 0u; view < views; view++) {
             let at = view * segments + segment;
-            far = max(far, atomicLoad(&portions[at].far));
+            far = max(far, select(0u, atomicLoad(&portions[at].far), next > 0u));
             let begin = select(portions[at].end, 0u, WHOLE);
             let end = atomicLoad(&portions[at].listed);
             portions[at].begin = begin;

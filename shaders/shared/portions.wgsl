@@ -18,7 +18,10 @@ const DEPTH_BINS: u32 = 512u;
 const DEPTH_ENDS: u32 = 512u;
 const DEPTH_TOPS: u32 = 520u;
 const DEPTH_BOTTOMS: u32 = 1032u;
-const DEPTHS_WORDS: u32 = 1544u;
+// Which turn it is, from 1 on once near is drawn; and how many slots each asks.
+const DEPTH_TURN: u32 = 1544u;
+const DEPTH_ASKED: u32 = 1545u;
+const DEPTHS_WORDS: u32 = 1560u;
 // Of a far slot in the list: the slot, and from this bit on where its depth is among the bins.
 const TURN_SHIFT: u32 = 22u;
 const TURN_SLOT: u32 = 0x3fffffu;

@@ -58,9 +58,9 @@ pub fn record(
             continue;
         }
         project(recorder, half, Portion::Turn)?;
-        for turn in 1..=TURNS {
+        for _ in 0..TURNS {
             select::depth_pyramid::record(recorder)?;
-            select::cull_hidden::record(recorder, turn)?;
+            select::cull_hidden::record(recorder)?;
             select::launch_portions::record(recorder, false)?;
             project(recorder, half, Portion::Turn)?;
         }

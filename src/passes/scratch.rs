@@ -57,7 +57,7 @@ pub const LAYERS_BYTES: u64 = 16;
 /// Launches of a segment: all of its slots, those that are asked, those whose turn it is to be drawn.
 const PORTION_LAUNCHES: usize = 3;
 /// Of a view's record of depths, and of a segment's of portions; as in `shared/portions`.
-pub const DEPTHS_BYTES: u64 = 1544 * 4;
+pub const DEPTHS_BYTES: u64 = 1560 * 4;
 const PORTION_BYTES: u64 = 16;
 /// Large triangles that there is room for at first; a frame with more is drawn again with room enough.
 const LARGE_INITIAL: u32 = 1 << 18;

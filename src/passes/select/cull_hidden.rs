@@ -9,31 +9,27 @@ use crate::residency::{PageKind, SAMPLE_PAGES};
 /// Turns in which what is far is asked; as in the shader.
 pub const TURNS: u32 = 7;
 
-pub fn record(recorder: &mut Recorder, turn: u32) -> Result<(), ShaderError> {
+pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     // Splats that are blended in a single pass are drawn wherever they are.
     let samples = if recorder.task.plan.runs(Pass::FuseSplats) { &[][..] } else { SAMPLE_PAGES };
     let segments = recorder.segments(&[samples, &[PageKind::Triangles]].concat());
-    asked(recorder, &segments, ("TURN", turn))
+    asked(recorder, &segments, false)
 }
 
 /// Asks samples that have been drawn once more, now that all that may hide them has been drawn, too.
 pub fn record_again(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let segments = recorder.segments(SAMPLE_PAGES);
-    asked(recorder, &segments, ("AGAIN", 1))
+    asked(recorder, &segments, true)
 }
 
-fn asked(
-    recorder: &mut Recorder,
-    segments: &[Segment],
-    which: (&'static str, u32),
-) -> Result<(), ShaderError> {
+fn asked(recorder: &mut Recorder, segments: &[Segment], again: bool) -> Result<(), ShaderError> {
     let splats = ("SPLATS", u32::from(recorder.task.splats.is_some()));
     let counts = ("COUNTS_SAMPLES", u32::from(!recorder.scene.has_trees()));
     recorder.compute(Call {
         pass: Pass::CullHidden,
         root: "select/cull_hidden",
         choices: Choices::default(),
-        constants: vec![counts, splats, which],
+        constants: vec![counts, splats, ("AGAIN", u32::from(again))],
         segments,
         launch: Launch::Asked,
     })
