@@ -90,10 +90,7 @@ impl Peer {
         size: u32,
         args: &[&str],
     ) -> anyhow::Result<Option<Peer>> {
-        match is_installed("VTK", "vtkmodules") {
-            true => Peer::start("VTK", "vtk_draw.py", file, orbit, size, args).map(Some),
-            false => Ok(None),
-        }
+        Peer::start(["VTK", "vtkmodules", "vtk_draw.py"], file, orbit, size, args)
     }
 
     /// The same of a remote view of trame's: its frames are those that a client of it has got.
@@ -106,20 +103,19 @@ impl Peer {
         size: u32,
         args: &[&str],
     ) -> anyhow::Result<Option<Peer>> {
-        match is_installed("trame", "trame_vtk") {
-            true => Peer::start("trame", "trame_view.py", file, orbit, size, args).map(Some),
-            false => Ok(None),
-        }
+        Peer::start(["trame", "trame_vtk", "trame_view.py"], file, orbit, size, args)
     }
 
     fn start(
-        name: &'static str,
-        script: &str,
+        [name, module, script]: [&'static str; 3],
         file: &Path,
         orbit: &Orbit,
         size: u32,
         args: &[&str],
-    ) -> anyhow::Result<Peer> {
+    ) -> anyhow::Result<Option<Peer>> {
+        if !is_installed(name, module) {
+            return Ok(None);
+        }
         let vector = |v: glam::DVec3| format!("{},{},{}", v.x, v.y, v.z);
         let mut child = Command::new(PYTHON)
             .arg(Path::new("benches/peers").join(script))
@@ -149,7 +145,7 @@ impl Peer {
             serde_json::from_str(&peer.line()?).with_context(|| format!("{name} did not start"))?;
         peer.load_ms = ready["load_ms"].as_f64().unwrap_or(f64::NAN);
         peer.first_ms = ready["first_ms"].as_f64().unwrap_or(f64::NAN);
-        Ok(peer)
+        Ok(Some(peer))
     }
 
     fn line(&mut self) -> anyhow::Result<String> {

@@ -33,11 +33,6 @@ fn place_of(word: vec2<u32>, row_x: vec4<f32>, row_y: vec4<f32>, row_z: vec4<f32
     return Place(vec2<f32>(x, y), z, inverse);
 }
 
-// Without the intrinsics.
-fn camera_column(x: f32, y: f32, z: f32) -> vec3<f32> {
-    return vec3<f32>((vec2<f32>(x, y) - frame.principal_px * z) / frame.focal_px, z);
-}
-
 @compute @workgroup_size(LANES)
 fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     begin_view(group.z);
@@ -60,9 +55,9 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
     if TREE {
         key = instance_key(slots[at].instance);
         areas = areas_of(
-            camera_column(row_x.x, row_y.x, row_z.x),
-            camera_column(row_x.y, row_y.y, row_z.y),
-            camera_column(row_x.z, row_y.z, row_z.z),
+            camera_vector(vec3<f32>(row_x.x, row_y.x, row_z.x)),
+            camera_vector(vec3<f32>(row_x.y, row_y.y, row_z.y)),
+            camera_vector(vec3<f32>(row_x.z, row_y.z, row_z.z)),
         );
     }
     var drawn = 0u;
@@ -70,9 +65,10 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
     let size = vec2<f32>(frame.size_px);
     let width = frame.size_px.x;
     // Most nodes are not drawn: those that are, of up to 32, are gathered before anything dear is done for them.
+    let block = select(count, 32u * LANES, TREE);
     var start = lane;
     while start < count {
-        let stop = min(count, start + select(count, 32u * LANES, TREE));
+        let stop = min(count, start + block);
         let base = start;
         var gathered = 0u;
         for (var i = next_element(start, turn.parts, lane, stop); i < stop; i = next_element(i + LANES, turn.parts, lane, stop)) {
@@ -113,7 +109,7 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
                 visibility_write(frame.first_pixel + u32(at.image.y) * width + u32(at.image.x), at.inverse, (slot_index << SLOT_SHIFT) | i);
             }
         }
-        start += select(count, 32u * LANES, TREE);
+        start += block;
     }
     if TREE && FIRST_HALF {
         count_samples(looked_at);

@@ -15,7 +15,7 @@
 
 // What is hidden by what is nearer is looked for.
 override HIDES: bool = false;
-// Near is what covers the image so often, where it does.
+// Near is what covers the rows that it is in so often.
 const NEAR_LAYERS: f32 = 2.0;
 
 // How often what begins in a part of an octave of depth covers the rows that it is in.

@@ -87,3 +87,8 @@ fn world_from_camera(v: vec3<f32>) -> vec3<f32> {
 fn ray_through(pixel: vec2<f32>) -> vec3<f32> {
     return vec3<f32>((pixel - frame.principal_px) / frame.focal_px, 1.0);
 }
+
+// Length in camera space of what the intrinsics were multiplied with.
+fn camera_vector(t: vec3<f32>) -> vec3<f32> {
+    return vec3<f32>((t.xy - frame.principal_px * t.z) / frame.focal_px, t.z);
+}

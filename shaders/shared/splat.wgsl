@@ -145,11 +145,6 @@ fn facing_of(volume: f32, orientation: f32) -> u32 {
     return select(select(FACING_BACK, FACING_FRONT, volume * orientation < 0.0), 0u, orientation == 0.0);
 }
 
-// Length in camera space of what the intrinsics were multiplied with.
-fn camera_vector(t: vec3<f32>) -> vec3<f32> {
-    return vec3<f32>((t.xy - frame.principal_px * t.z) / frame.focal_px, t.z);
-}
-
 fn with_intrinsics(v: vec3<f32>) -> vec3<f32> {
     return vec3<f32>(fma(frame.focal_px, v.xy, frame.principal_px * v.z), v.z);
 }
@@ -217,11 +212,13 @@ fn outline(jx: vec2<f32>, jy: vec2<f32>, slopes: vec2<f32>, affine: bool) -> Ell
     return e;
 }
 
-// Forms of s and t whose squares add up to the distance in an ellipse, and half the sides of its box in standard deviations.
+// Forms of s and t whose squares add up to the distance in an ellipse, half the sides of its box in standard deviations, and the determinant of
+// its variance.
 struct EllipseForms {
     s: vec3<f32>,
     t: vec3<f32>,
     extent: vec2<f32>,
+    determinant: f32,
 }
 
 // `lowpass`: the variance that the filter adds.
@@ -237,6 +234,7 @@ fn ellipse_forms(e: Ellipse, lowpass: f32) -> EllipseForms {
         vec3<f32>(-e.shift.x, 1.0, 0.0) / l_x,
         vec3<f32>(fma(lean, e.shift.x, -e.shift.y), -lean, 1.0) / l_y,
         sqrt(vec2<f32>(xx, yy)),
+        determinant,
     );
 }
 
@@ -245,10 +243,11 @@ fn set_ellipse(splat: ptr<function, Splat>, e: Ellipse) {
     var lowpass = 0.0;
     if PREFILTER {
         lowpass = frame.splat_lowpass_px * frame.splat_lowpass_px;
-        let widened = fma(lowpass, e.xx + e.yy + lowpass, e.determinant);
-        (*splat).amplitude = max(sqrt(e.determinant / widened), LEAST_AMPLITUDE);
     }
     let forms = ellipse_forms(e, lowpass);
+    if PREFILTER {
+        (*splat).amplitude = max(sqrt(e.determinant / forms.determinant), LEAST_AMPLITUDE);
+    }
     (*splat).s = forms.s;
     (*splat).t = forms.t;
     (*splat).n = vec3<f32>(1.0, 0.0, 0.0);
