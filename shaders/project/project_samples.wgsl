@@ -98,9 +98,12 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
             let word = positions[first + i];
             let at = place_of(word, row_x, row_y, row_z);
             let own = attributes[first + i];
-            var kept = true;
-            if !is_whole(own.x) {
-                let centre = at.z * ray_through(at.image);
+            let centre = at.z * ray_through(at.image);
+            var kept: bool;
+            if is_whole(own.x) {
+                let beside = at.z * ray_through(floor(at.image) + vec2<f32>(0.5)) - centre;
+                kept = covers_pixel(first + i, own, unit, centre, beside, areas);
+            } else {
                 let seen = seen_area(areas, octahedral_decode(own.y), centre);
                 kept = is_kept(first + i, own.x, unit, centre, seen, 1.0, word, key);
             }

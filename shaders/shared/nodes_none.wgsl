@@ -42,3 +42,7 @@ fn is_whole(own: u32) -> bool {
 fn is_kept(sample: u32, own: u32, unit: f32, centre: vec3<f32>, seen: f32, drawn_px: f32, place: vec2<u32>, key: u32) -> bool {
     return true;
 }
+
+fn covers_pixel(sample: u32, own: vec2<u32>, unit: f32, centre: vec3<f32>, beside: vec3<f32>, areas: Areas) -> bool {
+    return true;
+}

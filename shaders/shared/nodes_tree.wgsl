@@ -138,3 +138,36 @@ fn is_kept(sample: u32, own: u32, unit: f32, centre: vec3<f32>, seen: f32, drawn
     let probability = select(1.0 - pow(left, share / (1.0 - left)), share, around == 0u);
     return f32(mixed(mixed(place.x ^ key) ^ place.y) >> 8u) * 5.9604645e-8 < probability;
 }
+
+// Nodes of this byte and those above fill the pixel that they are in; FILLS of src/bake/tree/coverage.rs.
+const FILLS: u32 = 254u;
+
+// Whether a whole node, in camera space at `centre`, is drawn in the pixel that it is in, whose centre is `beside` it there. Nodes of a
+// mesh that reach no pixel but their own are drawn only where the ray through its centre meets their disk, thickened as normals
+// below it turn: as triangles are, so that outlines do not grow by half a pixel. Every point of a surface is in the disk of a node,
+// and so is a pixel's centre; that node is in the same pixel: no gap opens.
+fn covers_pixel(sample: u32, own: vec2<u32>, unit: f32, centre: vec3<f32>, beside: vec3<f32>, areas: Areas) -> bool {
+    let extent = unit * code_value(kernels[sample * KERNEL_WORDS + 2u] & CODE);
+    let far = length(centre);
+    let reach_px = extent * far * max(frame.focal_px.x, frame.focal_px.y);
+    if (own.x >> 24u) >= FILLS || reach_px >= 0.5 * centre.z * centre.z {
+        return true;
+    }
+    let way = centre / far;
+    let along = dot(beside, way);
+    if dot(beside, beside) - along * along > extent * extent {
+        return false;
+    }
+    let n = octahedral_decode(own.y);
+    let mapped = areas.x * n.x + areas.y * n.y + areas.z * n.z;
+    let size = length(mapped);
+    // Without a normal, or flattened by its map: a ball.
+    if !(size > 0.0) {
+        return true;
+    }
+    let normal = mapped / size;
+    let cosine = dot(normal, way);
+    let side = normal - cosine * way;
+    let sine = length(side);
+    return abs(dot(beside, side)) <= extent * sine * (abs(cosine) + cone_sine(sample) * sine);
+}

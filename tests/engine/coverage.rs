@@ -134,3 +134,41 @@ fn what_has_appeared_stays() {
     }
     assert!(counts[0] < 5 && counts[3] > 1 && counts[3] < 14, "{counts:?}");
 }
+
+/// A small error as points: outlines are those of triangles, not of every pixel that they touch, and nothing is missing.
+#[test]
+fn points_of_a_mesh_reach_no_farther_than_its_triangles() {
+    let studio = Studio::new();
+    studio.write("g.ply", sphere(80));
+    let scale = [1.0, 0.7, 0.4];
+    let scene = json!({
+        "assets": { "g": { "file": "g.ply" } },
+        "nodes": [{ "asset": "g", "scale": scale, "rotate": [30, 20, 40] }],
+    });
+    studio.load_json("one", &scene);
+    let mut sums = [0usize; 3];
+    for number in 0..12 {
+        let seen = |settings| {
+            let eye = DVec3::new(0.2, 0.1, 1.0).normalize() * (180.0 + 3.7 * f64::from(number));
+            let camera = Camera { eye, target: DVec3::ZERO, up: DVec3::Y, fov_deg: 5.0 };
+            let request = FrameRequest {
+                pose: Pose::Camera(camera),
+                settings,
+                output: Output::Id,
+                ..front("one", 96, 96)
+            };
+            ids(&studio.bytes(&request)).iter().map(|&id| id != 0).collect::<Vec<_>>()
+        };
+        let whole = seen(Settings::default());
+        for (sum, px) in sums[1..].iter_mut().zip([0.25, 0.5]) {
+            let found = seen(spt(px, Reconstruct::Points));
+            *sum += found.iter().filter(|&&is_seen| is_seen).count();
+            let missing = (0..found.len()).filter(|&at| whole[at] && !found[at]).count();
+            assert!(missing <= 1, "{number}, {px} px: {missing} pixels are missing");
+        }
+        sums[0] += whole.iter().filter(|&&is_seen| is_seen).count();
+    }
+    let [small, large] = [1, 2].map(|at| sums[at] as f64 / sums[0] as f64);
+    println!("{:?} pixels: {small:.3} and {large:.3}", sums);
+    assert!(small < 1.02 && large < 1.05, "{small} and {large}");
+}

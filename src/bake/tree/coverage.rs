@@ -14,7 +14,8 @@
 //! them is, since what is cut off a surface at the border of a cell covers little of its own disk.
 //!
 //! Stored in the alpha byte of a node's colour: `f` (2 bits) and the covered part of a disk as large as the node's size, in eighths of an
-//! octave (6 bits). [`EXACT`] stands for what is drawn always, and does not stand for others: leaves of scans.
+//! octave (6 bits). [`EXACT`] stands for what is drawn always, and does not stand for others: leaves of scans. [`FILLS`] stands for
+//! what does, and is never thinned.
 //!
 //! Areas are what is seen along the normal; of a node without one the mean over all directions. That is half of a sheet's area, a quarter
 //! of a closed surface's, whose other half is hidden (Cauchy). Leaves that hang together loosely hide each other as random ones do.
@@ -32,9 +33,12 @@ pub const OWN: f32 = 0.5;
 /// Of the pairs of leaves in a ball, those in different octants hide each other 1.75 times less than all do; and balls are about twice
 /// as large as what leaves fill of them.
 const BESIDE: f32 = 0.9;
-/// Codes of an octave, and how many there are; the last of a full surface would be [`EXACT`].
+/// The byte of what is never thinned and stands for several points of a scan or things of a crowd. They fill the pixels that they are
+/// in, where disks of a mesh are drawn only at pixels whose centres they cover.
+const FILLS: u8 = 254;
+/// Codes of an octave, and how many there are; the last two of a full surface would be [`FILLS`] and [`EXACT`].
 const STEPS: f32 = 8.0;
-const CODES: u32 = 63;
+const CODES: u32 = 62;
 /// Parts of a disk that the nodes above cover, from which on it counts as covered by [`AROUND`]. Of a whole surface a cell covers at
 /// most 2/π of the circle around it, and of the disk that holds its leaves' disks less.
 const FULL: [f32; 3] = [0.1, 0.2, 0.3];
@@ -130,6 +134,9 @@ pub fn byte(node: &Node, size: f32) -> u8 {
     let is_thinned = size > 0.0 && !node.blank;
     if !is_thinned {
         return EXACT;
+    }
+    if matches!(node.matter, Matter::Points | Matter::Crowd) && node.around >= WHOLE {
+        return FILLS;
     }
     let part = seen(node) / (PI * size * size);
     let code = (-part.log2() * STEPS).round().clamp(0.0, (CODES - 1) as f32) as u8;
