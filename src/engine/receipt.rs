@@ -31,7 +31,9 @@ pub struct Receipt {
     pub queue_ns: u64,
     /// CPU time from a job leaving the queue to its submission, shared by the batch.
     pub record_ns: u64,
-    /// From submission to the pixels being in host memory, less `gpu_ns` where that is known. Other frames of the batch that
+    /// From submission to the GPU being through with what was submitted before.
+    pub device_wait_ns: u64,
+    /// From then on to the pixels being in host memory, less `gpu_ns` where that is known. Other frames of the batch that
     /// were drawn before count here.
     pub readback_ns: u64,
     /// From the pixels being in host memory to an encoder taking them up.

@@ -80,6 +80,8 @@ pub struct Drawn {
     pub views: u32,
     pub queue: Duration,
     pub record: Duration,
+    /// From its submission to that of others before it having ended.
+    pub device_wait: Duration,
     pub readback: Duration,
     pub gpu_bytes: u64,
     pub landed: Instant,
@@ -409,8 +411,8 @@ impl Renderer {
         }
     }
 
-    /// Waits for a submission and brings its frames to host memory.
-    pub fn land(&mut self, flight: InFlight) -> Landed {
+    /// Waits for a submission and brings its frames to host memory. The one before it had landed `before`.
+    pub fn land(&mut self, flight: InFlight, before: Instant) -> Landed {
         let mut waited = self.wait(&flight, Some(&flight.index));
         // The callbacks of mappings run within polls.
         let pending =
@@ -506,6 +508,9 @@ impl Renderer {
             let (pass_ns, gpu_ns) = self.durations(&group.spans, stamps.as_deref());
             tell_passes(&group.jobs, &pass_ns);
             let since = now - submitted;
+            let gpu = Duration::from_nanos(gpu_ns.unwrap_or(0));
+            let rest = since.saturating_sub(gpu);
+            let device_wait = before.saturating_duration_since(submitted).min(rest);
             for (job, (image, stats)) in group.jobs.into_iter().zip(frames) {
                 if stats.sums_full != 0 {
                     job.lighten();
@@ -519,7 +524,8 @@ impl Renderer {
                 landed.drawn.push(Drawn {
                     queue: began.saturating_duration_since(job.enqueued),
                     record,
-                    readback: since.saturating_sub(Duration::from_nanos(gpu_ns.unwrap_or(0))),
+                    device_wait,
+                    readback: rest - device_wait,
                     job,
                     image,
                     stats,

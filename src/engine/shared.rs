@@ -354,7 +354,18 @@ impl Shared {
             are_jobs_flying: flying.has_jobs,
             are_streams_open: self.open_streams.load(Ordering::Relaxed) > 0,
         };
-        let Taken { batch, expired, abandoned } = state.queue.take(self.config.max_batch, moment);
+        let max = self.config.max_batch;
+        let mut found = state.queue.take(max, moment);
+        if let Some(held_for) = found.held_for.filter(|_| !state.stopping) {
+            state.busy_since = None;
+            self.wake.wait_for(&mut state, held_for.min(patience));
+            let Taken { batch, expired, abandoned, .. } =
+                state.queue.take(max, Moment { now: Instant::now(), ..moment });
+            found.batch = batch;
+            found.expired.extend(expired);
+            found.abandoned.extend(abandoned);
+        }
+        let Taken { batch, expired, abandoned, .. } = found;
         for job in expired.iter().chain(&abandoned) {
             self.forget(&mut state, job);
         }
@@ -394,8 +405,10 @@ impl Shared {
         let mut state = self.state.lock();
         let State { queue, costs, .. } = &mut *state;
         let mut cost_ns = 0;
+        let now = Instant::now();
         for (job, measured_ns) in jobs {
             let Some((client, charged_ns)) = job.settle() else { continue };
+            queue.landed(client, now);
             let measured_ns = *measured_ns;
             queue.settle(client, charged_ns, measured_ns.unwrap_or(charged_ns));
             cost_ns += measured_ns.unwrap_or(charged_ns);

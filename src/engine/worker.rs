@@ -236,7 +236,7 @@ fn land(
 ) -> (Vec<Arc<Job>>, bool) {
     // Not what it waited behind the one before.
     let began = flight.began.max(*last_landed);
-    let landed = renderer.land(flight);
+    let landed = renderer.land(flight, *last_landed);
     *last_landed = Instant::now();
     let took = began.elapsed();
     shared.stats.batches.fetch_add(1, Ordering::Relaxed);
@@ -388,6 +388,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         gpu_ns: drawn.gpu_ns,
         queue_ns: drawn.queue.as_nanos() as u64,
         record_ns: drawn.record.as_nanos() as u64,
+        device_wait_ns: drawn.device_wait.as_nanos() as u64,
         readback_ns: drawn.readback.as_nanos() as u64,
         samples: SampleCounts {
             stored: counts.samples,

@@ -11,12 +11,16 @@ use axum::response::{IntoResponse, Response};
 use super::problem::{Kind, Problem};
 use super::{App, Caller, Segments, conditional, headers};
 use crate::encode::ImageFormat;
-use crate::engine::{EncodedFrame, FrameRequest, FrameTicket, Origin, RequestId};
+use crate::engine::{EncodedFrame, EngineError, FrameRequest, FrameTicket, Origin, RequestId};
 
 use super::params::FrameParams;
 
 pub const RECEIPT_HEADER: HeaderName = HeaderName::from_static("pointillist-receipt");
 pub const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
+/// How long a point tree goes on being built for whom it came too late.
+const BAKE_AFTER_DEADLINE: Duration = Duration::from_secs(60);
+/// When who was late may come again.
+const RETRY_LATE: Duration = Duration::from_secs(1);
 const REVALIDATE: HeaderValue = HeaderValue::from_static("no-cache");
 
 /// A frame.
@@ -50,7 +54,7 @@ const REVALIDATE: HeaderValue = HeaderValue::from_static("no-cache");
             ),
             headers(
                 ("ETag" = String, description = "Strong, known before rendering"),
-                ("Server-Timing" = String, description = "Milliseconds of queue, batch, each pass, readback, encode-wait, encode, and their total"),
+                ("Server-Timing" = String, description = "Milliseconds of queue, batch, each pass, device-wait, readback, encode-wait, encode, and their total"),
                 ("Pointillist-Receipt" = String, description = "A `Receipt` as one line of JSON, ASCII only"),
             ),
         ),
@@ -97,7 +101,7 @@ pub async fn frame(
     }
 
     let ticket = app.engine.submit_for(Origin { client, request_id }, request.clone())?;
-    let frame = wait(&app, ticket).await?;
+    let frame = wait(&app, ticket, request.deadline).await?;
     app.metrics.frame(&frame);
     let mut response = Response::new(Body::from(frame.bytes.clone()));
     let headers = response.headers_mut();
@@ -114,11 +118,18 @@ pub async fn frame(
     Ok(response)
 }
 
-/// Has the engine build what the request needs and is not there, which may take seconds. It is given up when nobody waits for it.
+/// Has the engine build what the request needs and is not there, which may take seconds. It is given up when nobody waits for it, but
+/// not at once after a deadline: who had one will be back.
 pub async fn bake(app: &Arc<App>, request: &FrameRequest) -> Result<(), Problem> {
-    match app.engine.begin_bake(request)? {
-        Some(ticket) => Ok(ticket.await?),
-        None => Ok(()),
+    let Some(ticket) = app.engine.begin_bake(request)? else { return Ok(()) };
+    let Some(deadline) = request.deadline else { return Ok(ticket.await?) };
+    let mut ticket = Box::pin(ticket);
+    match tokio::time::timeout_at(deadline.into(), &mut ticket).await {
+        Ok(result) => Ok(result?),
+        Err(_) => {
+            tokio::spawn(tokio::time::timeout(BAKE_AFTER_DEADLINE, ticket));
+            Err(EngineError::DeadlineExceeded { retry_after: RETRY_LATE }.into())
+        }
     }
 }
 
@@ -148,11 +159,20 @@ pub fn missing(app: &App, id: &str, problem: Problem) -> Problem {
     }
 }
 
-/// Awaits a frame, but not for ever. Dropping the future drops the ticket.
-pub async fn wait(app: &App, ticket: FrameTicket) -> Result<Arc<EncodedFrame>, Problem> {
+/// Awaits a frame, but not for ever, nor beyond its deadline. Dropping the future drops the ticket.
+pub async fn wait(
+    app: &App,
+    ticket: FrameTicket,
+    deadline: Option<Instant>,
+) -> Result<Arc<EncodedFrame>, Problem> {
     let limit = app.settings.frame_timeout;
-    match tokio::time::timeout(limit, ticket).await {
+    let end = Instant::now() + limit;
+    let is_due_before = deadline.is_some_and(|deadline| deadline < end);
+    match tokio::time::timeout_at(deadline.map_or(end, |due| due.min(end)).into(), ticket).await {
         Ok(result) => Ok(result?),
+        Err(_) if is_due_before => {
+            Err(EngineError::DeadlineExceeded { retry_after: RETRY_LATE }.into())
+        }
         Err(_) => Err(Problem::new(
             Kind::FrameTimeout,
             format!("no frame within {} seconds", limit.as_secs()),

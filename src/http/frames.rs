@@ -112,6 +112,9 @@ pub(super) fn boundary() -> String {
     format!("pointillist-{:016x}{:016x}", random(), random())
 }
 
+/// A frame, and by when it is wanted.
+type Promised = (FrameTicket, Option<Instant>);
+
 struct Batch {
     app: Arc<App>,
     client: Client,
@@ -143,7 +146,7 @@ impl Batch {
         index: usize,
         (params, format): &(FrameParams, ImageFormat),
         wait_for_place: bool,
-    ) -> Option<Result<FrameTicket, Problem>> {
+    ) -> Option<Result<Promised, Problem>> {
         let turn = Instant::now();
         loop {
             let request = match params.request(&self.id, *format, turn) {
@@ -154,8 +157,9 @@ impl Batch {
                 return Some(Err(problem));
             }
             let origin = Origin { client: self.client, request_id: self.name(index) };
+            let deadline = request.deadline;
             match self.app.engine.submit_for(origin, request) {
-                Ok(ticket) => return Some(Ok(ticket)),
+                Ok(ticket) => return Some(Ok((ticket, deadline))),
                 Err(EngineError::Busy { retry_after }) if turn.elapsed() < MAX_QUEUEING => {
                     if !wait_for_place {
                         return None;
@@ -176,7 +180,7 @@ fn parts(
 ) -> impl Stream<Item = Result<Bytes, std::convert::Infallible>> {
     async_stream::stream! {
         let window = (2 * batch.app.engine.limits().max_batch).max(1);
-        let mut pending: VecDeque<Result<FrameTicket, Problem>> = VecDeque::new();
+        let mut pending: VecDeque<Result<Promised, Problem>> = VecDeque::new();
         let mut held: Option<(FrameParams, ImageFormat)> = None;
         let mut next = 0;
         for index in 0..batch.poses.len() {
@@ -202,7 +206,7 @@ fn parts(
             }
             let Some(front) = pending.pop_front() else { break };
             let result = match front {
-                Ok(ticket) => wait(&batch.app, ticket).await,
+                Ok((ticket, deadline)) => wait(&batch.app, ticket, deadline).await,
                 Err(problem) => Err(problem),
             };
             if let Ok(frame) = &result {

@@ -7,7 +7,7 @@ use axum::http::HeaderValue;
 use crate::engine::Receipt;
 
 /// `Server-Timing`: queue, batch (recording, with the numbers of frames that shared it and its passes), each GPU
-/// pass by its name, readback, encode-wait, encode, total; milliseconds. Those before the total add up to it, but for what lies between
+/// pass by its name, device-wait, readback, encode-wait, encode, total; milliseconds. Those before the total add up to it, but for what lies between
 /// passes. Passes that did not run, and times that the adapter cannot give, are left out: their time is in the readback's then.
 pub fn server_timing(receipt: &Receipt) -> Option<HeaderValue> {
     let mut line = String::with_capacity(512);
@@ -21,6 +21,8 @@ pub fn server_timing(receipt: &Receipt) -> Option<HeaderValue> {
             entry(&mut line, name, gpu_ns, format_args!("GPU: {name}"));
         }
     }
+    let wait_ns = receipt.device_wait_ns;
+    entry(&mut line, "device-wait", wait_ns, format_args!("behind frames submitted before"));
     entry(&mut line, "readback", receipt.readback_ns, format_args!("from the GPU to memory"));
     let wait_ns = receipt.encode_wait_ns;
     entry(&mut line, "encode-wait", wait_ns, format_args!("waiting for an encoder"));
@@ -100,6 +102,7 @@ mod tests {
             "queue;dur=0.020;desc=\"waiting for the GPU\", \
              batch;dur=1.500;desc=\"recording 4 frames, 2 drawn together\", \
              project_points;dur=0.812;desc=\"GPU: project_points\", \
+             device-wait;dur=0.000;desc=\"behind frames submitted before\", \
              readback;dur=0.000;desc=\"from the GPU to memory\", \
              encode-wait;dur=0.000;desc=\"waiting for an encoder\", \
              encode;dur=0.000;desc=\"encoding the image\", total;dur=12.000;desc=\"all of it\""

@@ -78,6 +78,7 @@ struct Stages {
     batch: Histogram,
     passes: Histograms<PassLabel>,
     gpu: Histograms<ClassLabel>,
+    device_wait: Histogram,
     readback: Histogram,
     encode: Histogram,
     total: Histograms<ClassLabel>,
@@ -99,9 +100,14 @@ impl Stages {
                 "GPU time of all passes for a frame, its share likewise, by class",
                 by_label(),
             ),
+            device_wait: shelf.seconds(
+                "frame_device_wait",
+                "From submission to the GPU being through with what was submitted before",
+                seconds_histogram(),
+            ),
             readback: shelf.seconds(
                 "frame_readback",
-                "From submission to memory, less the GPU time",
+                "From then on to memory, less the GPU time",
                 seconds_histogram(),
             ),
             encode: shelf.seconds("frame_encode", "Encoding time of a frame", seconds_histogram()),
@@ -123,6 +129,7 @@ impl Observer for Stages {
         let class = ClassLabel { class: class.name() };
         self.queue.get_or_create(&class).observe(seconds_of(receipt.queue_ns));
         self.total.get_or_create(&class).observe(seconds_of(receipt.total_ns));
+        self.device_wait.observe(seconds_of(receipt.device_wait_ns));
         self.readback.observe(seconds_of(receipt.readback_ns));
         self.encode.observe(seconds_of(receipt.encode_ns));
         if let Some(share_ns) = receipt.gpu_share_ns() {
@@ -346,6 +353,7 @@ mod tests {
             "p_frame_total_seconds_count{class=\"job\"} 1",
             "p_frame_pass_seconds_sum{pass=\"project_samples\"} 0.002",
             "p_frame_gpu_seconds_sum{class=\"job\"} 0.002",
+            "p_frame_device_wait_seconds_count 2",
             "p_frame_readback_seconds_count 2",
             "p_frame_encode_seconds_count 2",
             "p_batch_frames_sum 4.0",

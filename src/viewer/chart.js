@@ -4,7 +4,7 @@ import { $ } from './message.js';
 
 const FRAMES = 120;
 const PASS_COLORS = ['#4f9ddb', '#7ad0a6', '#e07f6a', '#b58be0', '#e0c15a', '#5fc7d4', '#e58fc0', '#98b84a', '#8f9cf0', '#d99a5b'];
-const HOST_COLORS = { queue: '#8a949d', record: '#c58b3b', readback: '#a9774a', encode: '#d8b27a' };
+const HOST_COLORS = { queue: '#8a949d', record: '#c58b3b', 'device wait': '#6f7a84', readback: '#a9774a', encode: '#d8b27a' };
 const REST_COLOR = '#454d55';
 
 const passColors = new Map();
@@ -23,7 +23,7 @@ export function stepsOf(receipt) {
   return [
     ['queue', receipt.queue_ns, true], ['record', receipt.record_ns, true],
     ...receipt.passes.map(pass => [pass.name, pass.ran ? pass.gpu_ns : undefined, false, pass]),
-    ['readback', receipt.readback_ns, true], ['encode', receipt.encode_ns, true],
+    ['device wait', receipt.device_wait_ns, true], ['readback', receipt.readback_ns, true], ['encode', receipt.encode_ns, true],
   ];
 }
 

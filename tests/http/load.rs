@@ -151,3 +151,21 @@ fn revalidation_is_cheap() {
     assert!(rate > 500.0, "{rate:.0} a second");
     assert_eq!(daemon.client().metric("pointillist_engine_frames_total"), 1.0);
 }
+
+/// Nobody waits beyond a deadline: not for a frame that is being drawn, nor for point trees, which are there when they come again.
+#[test]
+fn deadlines_hold_while_frames_are_drawn_and_trees_are_built() {
+    let daemon = Daemon::start(&["--no-cache"]);
+    let client = daemon.client();
+    let slow = "/v1/scenes/grid/frame?eye=3,1,3&target=0,0,0&w=4096&h=4096&format=png";
+    let tree = "/v1/scenes/grid/frame?w=32&h=32&lod=spt";
+    let late = |path: &str| {
+        let reply = client.get(&format!("{path}&deadline_ms=1"));
+        assert_eq!(reply.status, 503, "{}", reply.text());
+        assert_eq!(reply.problem()["type"], "urn:pointillist:problem:deadline-exceeded");
+        assert!(reply.header("retry-after").is_some());
+    };
+    late(slow);
+    late(tree);
+    eventually("the trees are there", || client.get(&format!("{tree}&deadline_ms=2000")).status == 200);
+}

@@ -165,7 +165,14 @@ fn stages_add_up_to_the_total() {
         let sum: f64 = parts.iter().map(|(_, ms)| ms).sum();
         assert!(sum <= last.1 + 0.05, "{sum} of {}: {timing}", last.1);
         let ns = |name: &str| receipt[name].as_u64().unwrap();
-        let named = ["queue_ns", "record_ns", "readback_ns", "encode_wait_ns", "encode_ns"];
+        let named = [
+            "queue_ns",
+            "record_ns",
+            "device_wait_ns",
+            "readback_ns",
+            "encode_wait_ns",
+            "encode_ns",
+        ];
         let sum_ns = named.iter().map(|name| ns(name)).sum::<u64>()
             + receipt["gpu_ns"].as_u64().unwrap_or(0);
         let total_ns = ns("total_ns");
@@ -191,7 +198,7 @@ fn histograms_tell_every_stage_by_class() {
         }
     }
     for line in
-        ["frame_readback_seconds_count ", "frame_encode_seconds_count ", "batch_frames_count "]
+        ["frame_device_wait_seconds_count ", "frame_readback_seconds_count ", "frame_encode_seconds_count ", "batch_frames_count "]
     {
         assert!(has(&format!("pointillist_{line}")), "{line}\n{text}");
     }

@@ -17,18 +17,21 @@
 //! While several clients are about (waiting, or among those that the last few batches were for), none has more of a batch than
 //! one frame, or [`SHARE_NS`] of small ones: a client that has only one frame waiting at a time, as a stream has, would otherwise
 //! wait for many of a client that has a hundred. For the same reason batches are short in time while there are streams, those of
-//! jobs before all, and no batch of jobs follows another while a stream waits or one of them is under way: a stream's frame
-//! waits for one batch of jobs at most. Nor does a batch of jobs that is not their turn go in behind a stream's frame while that is
-//! under way: the next pose often comes meanwhile, and would find the device taken.
+//! jobs before all, and no batch of jobs follows another under way while others are about: their frames wait for one batch of jobs at
+//! most. Nor does a batch of jobs that is not their turn go in behind the frame of a stream, or of anybody who asks for one after
+//! the other, while that is under way, nor in the pause after it, unless it ends before the next is expected ([`habits`]): a
+//! frame cannot be interrupted, and the next pose would find the device taken.
 //!
 //! Costs are estimates ([`cost`]), put right when a frame was measured ([`Queue::settle`]).
 
 pub mod cost;
+mod habits;
 mod lanes;
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
+use habits::Habits;
 pub use lanes::Granted;
 use lanes::Lanes;
 
@@ -129,6 +132,8 @@ pub struct Taken<J> {
     pub expired: Vec<J>,
     /// Nobody waits for them.
     pub abandoned: Vec<J>,
+    /// Nothing was taken, since somebody is about to ask: for so long jobs wait for that.
+    pub held_for: Option<Duration>,
 }
 
 /// Frames of a batch hold this many pixels together at most, unless there is only one: results of a batch come back
@@ -163,6 +168,10 @@ pub struct Queue<J> {
     credit_ns: i64,
     /// Whether the last batch was of jobs.
     were_jobs_last: bool,
+    /// Of streams and requests.
+    habits: Habits,
+    /// Since when the device is idle because jobs wait for somebody to ask.
+    held_since: Option<Instant>,
     batches: u64,
     /// Under way when the last batch had been taken.
     flying_ns: u64,
@@ -179,6 +188,8 @@ impl<J: Waiting> Queue<J> {
             jobs: Lanes::default(),
             credit_ns: 0,
             were_jobs_last: false,
+            habits: Habits::default(),
+            held_since: None,
             batches: 0,
             flying_ns: 0,
         }
@@ -216,8 +227,18 @@ impl<J: Waiting> Queue<J> {
         if !self.has_room(client, cost_ns) {
             return (Err(job), dropped);
         }
+        if client.class() != Class::Job {
+            self.habits.asked(client, now);
+        }
         self.side(client.class()).push(client, job, cost_ns, now);
         (Ok(()), dropped)
+    }
+
+    /// A client's frame is drawn, and will be on its way to it.
+    pub fn landed(&mut self, client: Client, now: Instant) {
+        if client.class() != Class::Job {
+            self.habits.landed(client, now);
+        }
     }
 
     fn has_room(&self, client: Client, cost_ns: u64) -> bool {
@@ -296,7 +317,9 @@ impl<J: Waiting> Queue<J> {
         let class = client.class();
         self.side(class).correct(client, charged_ns, measured_ns);
         if class == Class::Job {
-            self.credit_ns = self.credit_ns.saturating_sub(more_ns);
+            // No more than for one frame: how dear it is was known to nobody.
+            let most = MOST_DEBT_NS.max(signed(measured_ns));
+            self.credit_ns = self.credit_ns.saturating_sub(more_ns).max(-most);
         } else if !self.jobs.is_empty() {
             self.earn(more_ns as f64);
         }
@@ -308,10 +331,9 @@ impl<J: Waiting> Queue<J> {
         self.credit_ns = self.credit_ns.saturating_add((ns * share / (1.0 - share)) as i64);
     }
 
-    /// Jobs were given `ns` of the device.
-    fn spend(&mut self, ns: u64) {
+    /// Jobs were given `ns` of the device, which nobody else wanted or not.
+    fn spend(&mut self, ns: u64, is_left_over: bool) {
         let left = self.credit_ns.saturating_sub(signed(ns));
-        let is_left_over = self.first.is_empty() && self.returned.is_empty();
         let least = if is_left_over { self.credit_ns.min(-MOST_DEBT_NS) } else { i64::MIN };
         self.credit_ns = left.max(least);
     }
@@ -325,19 +347,29 @@ impl<J: Waiting> Queue<J> {
             side.forget(oldest, batch, is_idle);
             side.count_parts(oldest);
         }
-        let mut taken = Taken { batch: Vec::new(), expired: Vec::new(), abandoned: Vec::new() };
+        let mut taken =
+            Taken { batch: Vec::new(), expired: Vec::new(), abandoned: Vec::new(), held_for: None };
         let max = max.max(1);
         self.take_returned(max, moment.now, &mut taken);
         let is_stream = |client: Client| client.class() == Class::Interactive;
         let is_watched = moment.are_streams_open || self.first.about(oldest).any(is_stream);
         let are_others_about = is_watched || self.first.about(oldest).next().is_some();
-        // One batch of jobs is what a stream's next frame may have to wait for.
-        let may_jobs = !(is_watched && moment.are_jobs_flying);
+        // One batch of jobs is what somebody's next frame may have to wait for.
+        let is_one_enough = is_watched || are_others_about && self.first.is_empty();
+        let may_jobs = !(is_one_enough && moment.are_jobs_flying);
         let was_their_turn = is_watched && self.were_jobs_last;
+        let expected = self.habits.expected(moment.now);
+        if let Some(since) = self.held_since.take() {
+            // The device was kept for others.
+            self.earn(moment.now.saturating_duration_since(since).as_nanos() as f64);
+        }
         let is_jobs_turn = may_jobs && !was_their_turn && self.credit_ns > 0;
         let mut of_jobs = false;
         if taken.batch.is_empty() && is_jobs_turn {
-            of_jobs = self.take_jobs(max, are_others_about, moment.now, &mut taken);
+            let is_left_over =
+                self.first.is_empty() && self.returned.is_empty() && expected.is_none();
+            let room = Room { max, are_others_about, is_left_over, free: None };
+            of_jobs = self.take_jobs(room, moment.now, &mut taken);
         }
         if !of_jobs && self.returned.is_empty() {
             let limit_ns = if is_watched { INTERACTIVE_BATCH_NS } else { BATCH_NS };
@@ -348,9 +380,17 @@ impl<J: Waiting> Queue<J> {
                 self.earn(ns as f64);
             }
         }
-        let is_followed = moment.flying_ns > 0 && self.first.about(oldest).any(is_stream);
+        let follows = |client| is_stream(client) || self.habits.is_quick(client);
+        let is_followed = moment.flying_ns > 0 && self.first.about(oldest).any(follows);
         if taken.batch.is_empty() && may_jobs && !is_followed {
-            of_jobs = self.take_jobs(max, are_others_about, moment.now, &mut taken);
+            let free = expected.map(|expected| expected.free);
+            let room = Room { max, are_others_about, is_left_over: true, free };
+            of_jobs = self.take_jobs(room, moment.now, &mut taken);
+            let is_held = taken.batch.is_empty() && !self.jobs.is_empty();
+            if let Some(expected) = expected.filter(|_| is_held && is_idle) {
+                taken.held_for = Some(expected.until);
+                self.held_since = Some(moment.now);
+            }
         }
         if !taken.batch.is_empty() {
             self.batches = batch;
@@ -390,18 +430,21 @@ impl<J: Waiting> Queue<J> {
     }
 
     /// Whether there were any.
-    fn take_jobs(
-        &mut self,
-        max: usize,
-        are_others_about: bool,
-        now: Instant,
-        taken: &mut Taken<J>,
-    ) -> bool {
+    fn take_jobs(&mut self, room: Room, now: Instant, taken: &mut Taken<J>) -> bool {
+        let Room { max, are_others_about, is_left_over, free } = room;
+        let free_ns = free.map_or(u64::MAX, |free| free.as_nanos() as u64);
+        let next = self.jobs.next(&[]).and_then(|(client, _)| self.jobs.front(client));
+        // Those that nobody waits for any more, or are late, are taken out in any case.
+        let is_alive = |job: &J| !job.is_abandoned() && !is_late(job, now);
+        if next.is_some_and(|(job, cost_ns)| is_alive(job) && cost_ns > free_ns) {
+            return false;
+        }
         let limit_ns = if are_others_about { JOB_BATCH_NS } else { BATCH_NS };
         // All of them have frames waiting all the while: their times alone make their shares equal.
+        let limit_ns = limit_ns.min(free_ns);
         let frame = Frame { max, limit_ns, is_alone: true, batch: self.batches + 1, now };
         let ns = compose(&mut self.jobs, frame, taken);
-        self.spend(ns);
+        self.spend(ns, is_left_over);
         ns > 0
     }
 
@@ -448,6 +491,17 @@ impl<J: Waiting> Queue<J> {
         jobs.extend(self.jobs.drain());
         jobs
     }
+}
+
+/// What a batch of jobs may hold.
+#[derive(Clone, Copy)]
+struct Room {
+    max: usize,
+    are_others_about: bool,
+    /// Whether nobody else wants the time.
+    is_left_over: bool,
+    /// Until somebody else may ask.
+    free: Option<Duration>,
 }
 
 /// What a batch may hold.

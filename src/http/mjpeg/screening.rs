@@ -97,7 +97,7 @@ impl Screening {
         let request = self.wanted(0);
         bake(&self.app, &request).await?;
         let ticket = self.seat.ask_as(self.name_of(0), request)?;
-        let frame = wait(&self.app, ticket).await?;
+        let frame = wait(&self.app, ticket, None).await?;
         self.began = Instant::now();
         self.sent(&frame);
         Ok(frame)

@@ -1,0 +1,165 @@
+//! When clients ask again. Who draws a frame, looks at it and asks for the next leaves the device idle in between for a moment, and a
+//! frame of a job begun then would keep the next one waiting (anticipatory scheduling: S. Iyer, P. Druschel, SOSP 2001).
+//!
+//! ```text
+//! client   frame ▓▓▓▓│·pause·│▓▓▓▓│·pause·│▓▓▓▓          A: frames of jobs that end by then may be drawn
+//! jobs               └ A ┘B  └ ...                       B: wait, for twice the pause and PATIENCE at most
+//! ```
+//!
+//! Pauses are from a frame's landing to its client's next asking, encoding and the way there and back with them; exponentially
+//! weighted means.
+
+use std::collections::HashMap;
+use std::time::{Duration, Instant};
+
+use super::Client;
+
+/// A client that pauses for longer is not waited for.
+pub const MOST_PAUSE: Duration = Duration::from_millis(80);
+/// Beside twice its pause, for how long a client is waited for.
+pub const PATIENCE: Duration = Duration::from_millis(2);
+/// What is taken for the pause of a client that has not asked twice.
+const FIRST_PAUSE: Duration = Duration::from_millis(4);
+/// Of a pause, what counts at most: who came back after long was away.
+const LONGEST: Duration = Duration::from_secs(1);
+/// For so long a client is remembered that asks for nothing.
+const MEMORY: Duration = Duration::from_secs(10);
+/// When more clients than these are known, those that may be are forgotten.
+const MOST_CLIENTS: usize = 256;
+
+#[derive(Clone, Copy, Debug)]
+struct Habit {
+    pause: Duration,
+    /// When a frame landed after which it has not asked for another.
+    landed: Option<Instant>,
+    /// When it asked or got a frame last.
+    seen: Instant,
+}
+
+/// What is expected of those that have just got a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Expected {
+    /// Until one of them may ask.
+    pub free: Duration,
+    /// Until one of them is waited for no longer.
+    pub until: Duration,
+}
+
+/// The clients that somebody waits for frame by frame.
+#[derive(Debug, Default)]
+pub struct Habits {
+    clients: HashMap<Client, Habit>,
+}
+
+impl Habits {
+    /// A client asks for a frame.
+    pub fn asked(&mut self, client: Client, now: Instant) {
+        self.forget(now);
+        let first = Habit { pause: FIRST_PAUSE, landed: None, seen: now };
+        let habit = self.clients.entry(client).or_insert(first);
+        habit.seen = now;
+        if let Some(landed) = habit.landed.take() {
+            let pause = now.saturating_duration_since(landed).min(LONGEST);
+            habit.pause = (habit.pause * 3 + pause) / 4;
+        }
+    }
+
+    /// A client's frame is drawn.
+    pub fn landed(&mut self, client: Client, now: Instant) {
+        if let Some(habit) = self.clients.get_mut(&client) {
+            habit.landed = Some(now);
+            habit.seen = now;
+        }
+    }
+
+    /// Whether a client asks again soon after a frame, as far as is known.
+    pub fn is_quick(&self, client: Client) -> bool {
+        self.clients.get(&client).is_some_and(|habit| habit.pause <= MOST_PAUSE)
+    }
+
+    /// Who is waited for now.
+    pub fn expected(&self, now: Instant) -> Option<Expected> {
+        let waited_for = self.clients.values().filter_map(|habit| {
+            let since = now.saturating_duration_since(habit.landed?);
+            let until = (habit.pause * 2 + PATIENCE).checked_sub(since)?;
+            let is_waited_for = habit.pause <= MOST_PAUSE && until > Duration::ZERO;
+            is_waited_for.then(|| Expected { free: habit.pause.saturating_sub(since), until })
+        });
+        waited_for.reduce(|a, b| Expected { free: a.free.min(b.free), until: a.until.min(b.until) })
+    }
+
+    fn forget(&mut self, now: Instant) {
+        if self.clients.len() >= MOST_CLIENTS {
+            self.clients.retain(|_, habit| now.saturating_duration_since(habit.seen) < MEMORY);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    #[test]
+    fn who_asks_after_each_frame_is_waited_for() {
+        let (mut habits, start, who) = (Habits::default(), Instant::now(), Client::Caller(1));
+        habits.landed(who, start);
+        assert_eq!(habits.expected(start), None, "it was never heard of");
+        let mut now = start;
+        for _ in 0..30 {
+            habits.asked(who, now);
+            assert_eq!(habits.expected(now), None, "it has asked");
+            now += 20 * MS;
+            habits.landed(who, now);
+            now += 10 * MS;
+        }
+        assert!(habits.is_quick(who));
+        now -= 10 * MS;
+        let Expected { free, until } = habits.expected(now + 4 * MS).unwrap();
+        assert!(free > 5 * MS && free < 7 * MS, "{free:?}");
+        assert!(until > 17 * MS && until < 19 * MS, "{until:?}");
+        assert_eq!(habits.expected(now + 15 * MS).unwrap().free, Duration::ZERO);
+        assert_eq!(habits.expected(now + 23 * MS), None, "it is away");
+    }
+
+    #[test]
+    fn who_asks_now_and_then_is_not() {
+        let (mut habits, mut now, who) = (Habits::default(), Instant::now(), Client::Caller(1));
+        for _ in 0..20 {
+            habits.asked(who, now);
+            habits.landed(who, now);
+            now += 300 * MS;
+        }
+        assert!(!habits.is_quick(who));
+        habits.landed(who, now);
+        assert_eq!(habits.expected(now), None);
+    }
+
+    #[test]
+    fn the_first_of_several_decides() {
+        let (mut habits, start) = (Habits::default(), Instant::now());
+        for (number, pause) in [(1, 40), (2, 10)] {
+            let mut now = start;
+            for _ in 0..40 {
+                habits.asked(Client::Caller(number), now);
+                habits.landed(Client::Caller(number), now);
+                now += pause * MS;
+            }
+            habits.asked(Client::Caller(number), now);
+            habits.landed(Client::Caller(number), start);
+        }
+        let expected = habits.expected(start).unwrap();
+        assert!(expected.free < 11 * MS && expected.until < 23 * MS, "{expected:?}");
+    }
+
+    #[test]
+    fn clients_without_end_are_forgotten() {
+        let (mut habits, mut now) = (Habits::default(), Instant::now());
+        for number in 0..20_000 {
+            habits.asked(Client::Caller(number), now);
+            now += 20 * MS;
+        }
+        assert!(habits.clients.len() < 1000, "{}", habits.clients.len());
+    }
+}
