@@ -23,6 +23,8 @@ pub struct Demands {
     /// Share of the requests that must become frames, and of their rate that throughput must reach; of the poses of streams that
     /// some frame must follow.
     pub share: f64,
+    /// Frames that a stream must get for each pose: with fewer it is a slide show, however soon each pose is followed by some frame.
+    pub stream_frames: f64,
     /// From when a request or a pose was due.
     pub p99_at_most_ns: u64,
 }
@@ -30,7 +32,7 @@ pub struct Demands {
 impl Demands {
     pub fn new(p99_at_most: Duration) -> Self {
         let p99_at_most_ns = u64::try_from(p99_at_most.as_nanos()).unwrap_or(u64::MAX);
-        Self { share: 0.95, p99_at_most_ns }
+        Self { share: 0.95, stream_frames: 1.0 / 3.0, p99_at_most_ns }
     }
 }
 
@@ -47,6 +49,8 @@ pub enum Verdict {
     Slow,
     /// Streams beside the requests were not opened, broke off, or got no frame for too many poses.
     StreamsStarve,
+    /// Streams beside the requests got frames for too few of their poses.
+    StreamsSkip,
     /// The 99th percentile of latency of streams is beyond its bound.
     StreamsSlow,
     /// There was no request to judge by.
@@ -61,6 +65,7 @@ impl Verdict {
             Verdict::FallsBehind => "falls behind",
             Verdict::Slow => "slow",
             Verdict::StreamsStarve => "leaves streams without frames",
+            Verdict::StreamsSkip => "shows streams too few of their poses",
             Verdict::StreamsSlow => "slow for streams",
             Verdict::Idle => "no requests",
         }
@@ -104,6 +109,9 @@ fn judge_streams(streams: &StreamPoint, demands: &Demands) -> Option<Verdict> {
     let followed = streams.poses.saturating_sub(streams.lost) as f64;
     if streams.broken > 0 || followed < demands.share * streams.poses as f64 {
         return Some(Verdict::StreamsStarve);
+    }
+    if (streams.frames as f64) < demands.stream_frames * streams.poses as f64 {
+        return Some(Verdict::StreamsSkip);
     }
     let is_slow = streams.latency.p99_ns.is_none_or(|p99_ns| p99_ns > demands.p99_at_most_ns);
     (streams.poses > 0 && is_slow).then_some(Verdict::StreamsSlow)
@@ -297,13 +305,13 @@ mod tests {
         let mut point = simulated(50.0, service, 16, Duration::from_secs(10), 1);
         assert_eq!(judge(&point, &demands), Verdict::KeepsUp);
         // A hundred poses, a frame for so many of them after so long.
-        let streams = |followed: u64, took_ms: u64, broken: bool| {
+        let streams = |followed: u64, every: u64, took_ms: u64, broken: bool| {
             let mut tally = StreamTally::new(1, Duration::ZERO, Duration::from_secs(10));
             let mut following = Following::default();
             for seq in 1..=100 {
                 let due = Duration::from_millis(seq * 30);
                 following.due(seq, due);
-                if seq <= followed {
+                if seq <= followed && seq % every == 0 {
                     let frame = FrameAnswer::of(seq, "moving");
                     let at = due + Duration::from_millis(took_ms);
                     tally.frame(&mut following, &frame, 1000, at);
@@ -315,18 +323,21 @@ mod tests {
             tally.ended(&following);
             Some(tally.point())
         };
-        for (followed, took_ms, broken, verdict) in [
-            (100, 30, false, Verdict::KeepsUp),
-            (100, 30, true, Verdict::StreamsStarve),
-            (90, 30, false, Verdict::StreamsStarve),
-            (0, 30, false, Verdict::StreamsStarve),
-            (100, 300, false, Verdict::StreamsSlow),
+        for (followed, every, took_ms, broken, verdict) in [
+            (100, 1, 30, false, Verdict::KeepsUp),
+            (100, 2, 30, false, Verdict::KeepsUp),
+            (100, 5, 30, false, Verdict::StreamsSkip),
+            (100, 1, 30, true, Verdict::StreamsStarve),
+            (90, 1, 30, false, Verdict::StreamsStarve),
+            (0, 1, 30, false, Verdict::StreamsStarve),
+            (100, 1, 300, false, Verdict::StreamsSlow),
         ] {
-            point.streams = streams(followed, took_ms, broken);
-            assert_eq!(judge(&point, &demands), verdict, "{followed} {took_ms} {broken}");
+            point.streams = streams(followed, every, took_ms, broken);
+            let what = format!("{followed} {every} {took_ms} {broken}");
+            assert_eq!(judge(&point, &demands), verdict, "{what}");
         }
         let mut idle = simulated(1e-9, service, 1, service, 1);
-        idle.streams = streams(0, 0, true);
+        idle.streams = streams(0, 1, 0, true);
         assert_eq!(judge(&idle, &demands), Verdict::StreamsStarve, "streams alone");
     }
 
