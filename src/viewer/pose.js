@@ -52,10 +52,13 @@ export function pan(pose, dx, dy) {
   return shifted(pose, add(mul(right, -dx * height), mul(up, dy * height)));
 }
 
+// Farther than so many extents from what is looked at, a scene is a dot.
+const FARTHEST = 100;
+
 // Multiplies the distance to the target, within what a scene of this extent can be seen from.
 export function dolly(pose, factor, extent) {
   const offset = sub(pose.eye, pose.target), distance = norm(offset);
-  const wanted = Math.max(extent * 1e-5, Math.min(extent * 1e3, distance * factor));
+  const wanted = Math.max(extent * 1e-5, Math.min(Math.max(distance, extent * FARTHEST), distance * factor));
   return { ...pose, eye: add(pose.target, mul(offset, wanted / distance)) };
 }
 
@@ -75,10 +78,9 @@ export function extentOf(bounds, pose) {
   return size || (pose ? norm(sub(pose.eye, pose.target)) : 1);
 }
 
-// A pose from the parameters of an address, or null.
-export function poseFrom(params) {
-  const triple = name => (params.get(name) || '').split(',').map(Number);
-  const pose = { eye: triple('eye'), target: triple('target'), up: triple('up'), fov: Number(params.get('fov')) };
-  const isGood = [pose.eye, pose.target, pose.up].every(v => v.length === 3 && v.every(Number.isFinite));
-  return isGood && pose.fov > 0 && pose.fov < 180 && norm(sub(pose.eye, pose.target)) > 0 ? pose : null;
+// Whether two poses show the same.
+export function isSame(a, b) {
+  const scale = norm(sub(a.eye, a.target)) * 1e-9;
+  return norm(sub(a.eye, b.eye)) <= scale && norm(sub(a.target, b.target)) <= scale
+    && norm(sub(unit(a.up), unit(b.up))) < 1e-9 && Math.abs(a.fov - b.fov) < 1e-9;
 }
