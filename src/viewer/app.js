@@ -13,7 +13,7 @@ import { Jobs } from './jobs.js';
 import { Link } from './link.js';
 import { $, complain, fault, numberIn, option, quiet, tell } from './message.js';
 import { sampler } from './path.js';
-import { isSame } from './pose.js';
+import { isOutOfSight, isSame } from './pose.js';
 import { report } from './receipt.js';
 import { Recorder } from './recorder.js';
 import { frameUrl } from './requests.js';
@@ -64,6 +64,7 @@ function setPose(next, moving) {
   pose = next;
   if (document.activeElement !== $('fov')) showFov();
   showCamera();
+  $('lost').hidden = !scene?.bounds || !isOutOfSight(pose, scene.bounds, fullSize());
   changed(moving);
 }
 
@@ -123,6 +124,7 @@ function adopt(info, isNewest) {
   if (pose || !isNewest || !info.receipt?.camera) return;
   const { eye, target, up, fov_deg: fov } = info.receipt.camera;
   pose = whole = { eye, target, up, fov };
+  $('lost').hidden = true;
   showFov();
 }
 
@@ -261,6 +263,7 @@ async function remove(id) {
 function nothing(isLoading) {
   const failed = scenes.all().find(other => other.state === 'failed');
   canvas.dataset.state = 'empty';
+  paper.clearRect(0, 0, canvas.width, canvas.height);
   linkState('empty', 'no scene');
   $('status').textContent = isLoading ? 'The scenes are being loaded …'
     : failed ? `Scene ${failed.id} could not be loaded: ${failed.problem.detail}`
@@ -276,7 +279,7 @@ function choose(id, given = {}) {
   store.keepScene(id);
   quiet('scene', 'frame', 'address', 'edit');
   const asked = given.asked ? address.read(given.asked, scene) : { faults: [] };
-  if (asked.faults.length > 0) complain({ title: 'Not all of the address could be used', detail: asked.faults.join('; ') }, 'address');
+  if (asked.faults.length > 0) complain({ title: 'Not all of the address could be used', detail: asked.faults.join('\n') }, 'address');
   if (given.asked) settings.restore(given.asked);
   settings.ofScene(scene);
   scenes.show(scene, choose, remove);

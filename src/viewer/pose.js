@@ -52,6 +52,8 @@ export function pan(pose, dx, dy) {
   return shifted(pose, add(mul(right, -dx * height), mul(up, dy * height)));
 }
 
+// A scene that is no larger than this is looked for in vain.
+const DOT_PX = 12;
 // Farther than so many extents from what is looked at, a scene is a dot.
 const FARTHEST = 100;
 
@@ -76,6 +78,18 @@ function shifted(pose, by) {
 export function extentOf(bounds, pose) {
   const size = bounds ? norm(sub(bounds[1], bounds[0])) : 0;
   return size || (pose ? norm(sub(pose.eye, pose.target)) : 1);
+}
+
+// Whether a box lies beside the view, behind it, or is but a dot in it of a picture so many pixels wide and high.
+export function isOutOfSight(pose, [low, high], [width, height]) {
+  const { right, up, forward } = axes(pose), slope = Math.tan(pose.fov * Math.PI / 360), wide = slope * width / height;
+  const corners = Array.from({ length: 8 }, (_, i) => {
+    const way = sub([0, 1, 2].map(axis => (i >> axis & 1 ? high : low)[axis]), pose.eye);
+    return [dot(way, right), dot(way, up), dot(way, forward)];
+  });
+  const outside = [([,, z]) => z <= 0, ([x,, z]) => x > z * wide, ([x,, z]) => -x > z * wide, ([, y, z]) => y > z * slope, ([, y, z]) => -y > z * slope];
+  const distance = norm(sub(mul(add(low, high), 0.5), pose.eye)), extent = norm(sub(high, low));
+  return outside.some(test => corners.every(test)) || (extent > 0 && extent / distance / slope / 2 * height < DOT_PX);
 }
 
 // Whether two poses show the same.

@@ -50,7 +50,7 @@ export class Recorder {
     this.player.pause(false);
     $('named-label').hidden = scene.paths.length === 0;
     $('named').replaceChildren(option('', 'choose …'), ...scene.paths.map(name => option(name, name)));
-    if (this.sceneId === scene.id) return;
+    if (this.sceneId === scene.id) return this.show();
     // Poses of another scene lead nowhere here: each has the path that was recorded for it.
     this.sceneId = scene.id;
     this.restore(store.pathOf(scene.id));

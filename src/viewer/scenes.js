@@ -33,8 +33,8 @@ const size = ([low, high]) => high.map((v, i) => Number((v - low[i]).toPrecision
 function inWords(scene) {
   if (scene.state === 'loading') return `being loaded for ${Math.round(scene.loading_ms / 1000)} s`;
   if (scene.state === 'failed') return `could not be loaded: ${scene.problem.detail}`;
-  const counts = [[scene.samples, 'samples'], [scene.triangles, 'triangles'], [scene.instances, scene.instances === 1 ? 'instance' : 'instances']];
-  const shown = counts.filter(([n]) => n > 0).map(([n, what]) => `${short(n)} ${what}`);
+  const counts = [[scene.samples, 'sample'], [scene.triangles, 'triangle'], [scene.instances, 'instance']];
+  const shown = counts.filter(([n]) => n > 0).map(([n, what]) => `${short(n)} ${n === 1 ? what : what + 's'}`);
   return [...shown, scene.bounds ? size(scene.bounds) : 'empty'].join(', ');
 }
 

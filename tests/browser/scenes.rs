@@ -66,6 +66,21 @@ fn scenes_far_off_stay_in_sight() {
     browser.shoot("wide-far.png");
     let far = browser.number("return Math.hypot(...viewer.pose.eye)");
     assert!(far > 100.0, "and is far off: {far}");
+    let lost = || browser.script("return document.getElementById('lost').checkVisibility()");
+    assert_eq!(lost(), true, "what leads back is pointed at");
+    browser.click("#back");
+    still_picture(&browser);
+    assert_eq!(lost(), false);
+    // Beside the view, behind it, and half in it.
+    for (pose, is_lost) in [
+        ("40, 0, 5], [40, 0, 0", true),
+        ("0, 0, -5], [0, 0, -9", true),
+        ("2, 0, 5], [2, 0, 0", false),
+        ("0, 0, 0], [0, 0, -1", false),
+    ] {
+        browser.script(&format!("const [eye, target] = [[{pose}]]; viewer.controls.view.move({{ ...viewer.pose, eye, target }}, false)"));
+        assert_eq!(lost(), is_lost, "{pose}");
+    }
 }
 
 #[test]
