@@ -3,24 +3,35 @@
 
 // As the daemon has them (src/http/names.rs): files that other files name.
 const COMPANIONS = ['mtl', 'png', 'jpg', 'jpeg', 'webp', 'bmp', 'tga', 'bin', 'gif', 'hdr', 'txt'];
+// And what it reads (src/assets/dispatch.rs).
+const MODELS = ['ply', 'las', 'laz', 'obj', 'stl', 'gltf', 'glb', 'xyz', 'pts', 'csv', 'ptx', 'pcd', 'off', 'e57'];
 // Formats whose files name others.
 const NAMING = ['obj', 'gltf'];
 // Of one upload, as the daemon takes them.
 const MOST_FILES = 256;
+// Of one drop: whoever drops more has hardly meant it.
+const MOST_SCENES = 32;
 // A camera path is text of this size at most.
 const PATH_BYTES = 1 << 20;
 
 const extension = name => name.includes('.') ? name.slice(name.lastIndexOf('.') + 1).toLowerCase() : '';
 const baseName = path => path.slice(path.lastIndexOf('/') + 1);
 const isHidden = name => name.startsWith('.') || name.startsWith('__MACOSX');
+const formatOf = name => extension(name.toLowerCase().replace(/\.gz$/, ''));
 
 // The files of a drop, those of its folders included: {files, folders}, the latter by name.
 export async function filesOf(transfer) {
   // Entries are there only until the event is over: they are all taken before anything is waited for.
   const entries = [...transfer.items].map(item => item.webkitGetAsEntry?.()).filter(Boolean);
   if (!entries.some(entry => entry.isDirectory)) return { files: [...transfer.files], folders: [] };
-  const files = [];
-  for (const entry of entries) await collect(entry, files);
+  const files = [], inside = [];
+  for (const entry of entries) await collect(entry, entry.isDirectory ? inside : files);
+  // Whatever else lies in a folder was not meant: read-me files, records of other programs.
+  const useful = [];
+  for (const file of inside) if (await isOfUse(file)) useful.push(file);
+  // Pictures and notes are of use to models alone; points may be text.
+  const isShown = useful.some(file => ['json', ...MODELS].includes(formatOf(file.name))) || useful.every(file => extension(file.name) === 'txt');
+  if (isShown) files.push(...useful);
   return { files, folders: entries.filter(entry => entry.isDirectory).map(entry => entry.name) };
 }
 
@@ -36,6 +47,12 @@ async function collect(entry, files) {
   }
 }
 
+async function isOfUse(file) {
+  if (extension(file.name) !== 'json') return [...MODELS, ...COMPANIONS].includes(formatOf(file.name));
+  const value = await parsed(file);
+  return Array.isArray(value?.nodes) || isPathDocument(value);
+}
+
 // Why a file cannot be sent, in words; null where it can. A folder that comes as a file, and one that was moved away, cannot be read.
 export async function unreadable(file) {
   try {
@@ -46,11 +63,13 @@ export async function unreadable(file) {
   }
 }
 
-// What is to be sent, in order: {paths, uploads}, of which each is a list of files, the one to load first where that is known.
+// What is to be sent, in order: {paths, uploads, fault}. An upload is a list of files, the one to load first; `fault` says why they are not taken.
 export async function sorted(files) {
   const paths = [], rest = [];
   for (const file of files) (await isPath(file) ? paths : rest).push(file);
-  return { paths, uploads: await groups(rest) };
+  const uploads = await groups(rest);
+  const fault = uploads.length > MOST_SCENES ? `They would be ${uploads.length} scenes; ${MOST_SCENES} at a time are taken.` : null;
+  return { paths, uploads, fault };
 }
 
 async function groups(files) {
@@ -95,11 +114,16 @@ async function flattened(model, companions) {
 }
 
 async function isPath(file) {
-  if (extension(file.name) !== 'json' || file.size > PATH_BYTES) return false;
+  return extension(file.name) === 'json' && file.size <= PATH_BYTES && isPathDocument(await parsed(file));
+}
+
+const isPathDocument = value => Array.isArray(value?.keys) && value.nodes === undefined;
+
+// Null where it is no JSON: the daemon says what is wrong with it.
+async function parsed(file) {
   try {
-    const value = JSON.parse(await file.text());
-    return Array.isArray(value.keys) && value.nodes === undefined;
+    return JSON.parse(await file.text());
   } catch {
-    return false; // the daemon says what is wrong with it
+    return null;
   }
 }

@@ -64,7 +64,7 @@ export class Reel {
     Object.assign($('reel-frame'), { min: this.first, max: this.last, value: this.first });
     $('reel-image').hidden = !isShown;
     $('reel-play').disabled = !isShown || job.frames.done < 2;
-    $('reel-text').textContent = isShown ? '' : `No browser shows ${job.settings.format.toUpperCase()}; the frames can be downloaded.`;
+    this.say(isShown ? '' : `No browser shows ${job.settings.format.toUpperCase()}; the frames can be downloaded.`);
     downloadLink($('reel-list'), job.links.frames, `${job.scene}-${job.id}-frames.jsonl`);
     $('reel').hidden = false;
     $('jobs').open = true;
@@ -88,21 +88,32 @@ export class Reel {
     $('reel-shown').textContent = `${number}`;
     downloadLink($('reel-one'), url, name);
     if (image.hidden) return true;
-    let shown = null;
+    let src = url;
+    const shown = new Image();
     try {
+      if (hasKey()) src = URL.createObjectURL(await (await reach(url)).blob());
       // Decoded aside, so that the picture before stays until it is there.
-      shown = new Image();
-      shown.src = hasKey() ? URL.createObjectURL(await (await reach(url)).blob()) : url;
+      shown.src = src;
       await shown.decode();
     } catch (problem) {
-      if (ticket === this.asked) $('reel-text').textContent = `Frame ${number} cannot be shown: ${problem.detail || 'it is not there'}.`;
+      if (ticket === this.asked) this.say(`Frame ${number} cannot be shown: ${problem.detail || 'it is not there'}.`, true);
       return false;
     }
-    if (ticket !== this.asked || this.job !== job) return false;
+    if (ticket !== this.asked || this.job !== job) {
+      URL.revokeObjectURL(src);
+      return false;
+    }
     this.free();
-    image.src = shown.src;
+    image.src = src;
     image.alt = `Frame ${number}`;
+    if (this.isOfFrame) this.say('');
     return true;
+  }
+
+  // isOfFrame: it is over with the next frame that is shown.
+  say(text, isOfFrame = false) {
+    this.isOfFrame = isOfFrame;
+    $('reel-text').textContent = text;
   }
 
   free() {
@@ -130,7 +141,7 @@ export class Reel {
   }
 
   async pack() {
-    const { job, first, last } = this, total = last - first + 1, say = text => { if (this.job === job) $('reel-text').textContent = text; };
+    const { job, first, last } = this, total = last - first + 1, say = text => { if (this.job === job) this.say(text); };
     if (job.bytes > MOST_BYTES * 0.99 || total > MOST_FILES) return say(`${count(total)} frames are more than an archive made here holds; ${job.links.multipart} sends them all.`);
     if (this.isPacking) return;
     this.isPacking = true;

@@ -48,7 +48,7 @@ async function dropped(transfer, on) {
   }
   if (found.files.length > 0) return take(found.files, on);
   const [name] = found.folders;
-  complain(name ? { title: `There is no file in the folder ${name}`, detail: 'Nothing was sent.' }
+  complain(name ? { title: `Nothing in the folder ${name} can be shown`, detail: 'It holds no model, no scene and no camera path.' }
     : { title: 'No file was dropped', detail: 'Nothing was sent.' }, 'drop');
 }
 
@@ -56,7 +56,8 @@ async function take(files, on) {
   quiet('drop');
   const faults = (await Promise.all(files.map(unreadable))).filter(Boolean);
   if (faults.length > 0) return complain({ title: 'Nothing was sent', detail: faults.join(' ') }, 'drop');
-  const { paths, uploads } = await sorted(files);
+  const { paths, uploads, fault } = await sorted(files);
+  if (fault) return complain({ title: 'Nothing was sent', detail: fault }, 'drop');
   queue.push(...uploads);
   if (!isSending) await work(on);
   for (const path of paths) on.path(await path.text(), path.name);

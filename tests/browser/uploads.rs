@@ -116,7 +116,9 @@ fn folders_are_looked_through() {
         "mtllib stuff/red.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n",
     );
     daemon.file("model/stuff/red.mtl", "newmtl red\nKd 1 0 0\n");
-    daemon.file("model/.hidden", "nothing of a scene");
+    for other in [".hidden", "README.md", "package.json"] {
+        daemon.file(&format!("model/{other}"), "{}");
+    }
     let folder = folder.trim_end_matches("/shape.obj");
     browser.drop_from_disk((400, 400), &[folder]);
     shows(&browser, "shape");
@@ -124,9 +126,15 @@ fn folders_are_looked_through() {
     let warnings = browser.script("return viewer.scene.warnings");
     assert_eq!(warnings, serde_json::json!([]), "its material came with it");
 
-    let empty = daemon.file("empty/.hidden", "");
-    browser.drop_from_disk((400, 400), &[empty.trim_end_matches("/.hidden")]);
-    browser.message("There is no file in the folder empty");
+    let empty = daemon.file("empty/photo.png", "of use to a model alone");
+    browser.drop_from_disk((400, 400), &[empty.trim_end_matches("/photo.png")]);
+    browser.message("Nothing in the folder empty can be shown");
+    for number in 0..33 {
+        daemon.file(&format!("many/{number}.ply"), PLY);
+    }
+    let many = daemon.file("many/33.ply", PLY);
+    browser.drop_from_disk((400, 400), &[many.trim_end_matches("/33.ply")]);
+    browser.message("34 scenes; 32 at a time");
     // Where a browser tells nothing of folders, they come as files that cannot be read.
     browser.script(
         "const data = new DataTransfer(), folder = new File([], 'Textured'); \
