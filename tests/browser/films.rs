@@ -4,6 +4,7 @@ use serde_json::json;
 
 use super::daemon::Daemon;
 use super::page::{PATIENCE, driver_or_skip, opened_at, still_picture};
+use super::phone::nothing_overflows;
 use super::webdriver::{Browser, decode_base64};
 
 const TEXT: &str = "return document.getElementById('film-text').textContent";
@@ -108,6 +109,13 @@ fn frames_are_looked_at_played_and_downloaded() {
     assert_eq!(entries[10].1, last, "what is in it are the daemon's frames");
     let list = browser.text("return document.getElementById('reel-list').href");
     assert!(list.starts_with(&daemon.url) && list.ends_with("/frames"), "{list}");
+    browser.script("for (const d of document.querySelectorAll('details')) d.open = true");
+    for width in [390, 320] {
+        browser.emulate(width, 640, 2.0);
+        nothing_overflows(&browser);
+    }
+    browser.script("document.getElementById('job-list').scrollIntoView(); scrollBy(0, -420)");
+    browser.shoot("phone-films.png");
     assert_eq!(browser.console_errors(), Vec::<String>::new());
 }
 

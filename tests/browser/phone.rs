@@ -9,7 +9,7 @@ fn eye_distance(browser: &Browser) -> f64 {
 }
 
 /// Nothing is wider than the screen, and no control is cut off at its side.
-fn nothing_overflows(browser: &Browser) {
+pub fn nothing_overflows(browser: &Browser) {
     let wide = browser.script(
         "const all = [...document.querySelectorAll('body *')].filter(e => e.checkVisibility() && !e.closest('.unseen')); \
          return all.filter(e => e.getBoundingClientRect().right > innerWidth + 1).map(e => e.outerHTML.slice(0, 90))",
