@@ -34,14 +34,17 @@ macro_rules! files {
 }
 
 /// The page first.
-static FILES: [File; 18] = files![
+static FILES: [File; 24] = files![
     "index.html",
     "style.css",
+    "address.js",
     "api.js",
     "app.js",
     "chart.js",
     "controls.js",
+    "files.js",
     "film.js",
+    "jobs.js",
     "link.js",
     "message.js",
     "path.js",
@@ -49,10 +52,13 @@ static FILES: [File; 18] = files![
     "pose.js",
     "receipt.js",
     "recorder.js",
+    "reel.js",
     "requests.js",
     "scenes.js",
     "settings.js",
+    "store.js",
     "upload.js",
+    "zip.js",
 ];
 
 /// The viewer page.

@@ -4,27 +4,34 @@
 //   settings ────────────────────▶ │      │
 //   scenes, upload ─scene──────────┘      └──frames──▶ canvas, receipt, chart
 
+import * as address from './address.js';
 import * as api from './api.js';
 import * as chart from './chart.js';
 import { Controls } from './controls.js';
 import { Films } from './film.js';
+import { Jobs } from './jobs.js';
 import { Link } from './link.js';
-import { $, complain, complainOfFrame, option, quiet, quietWaiting, tell } from './message.js';
+import { $, complain, fault, numberIn, option, quiet, tell } from './message.js';
 import { sampler } from './path.js';
-import { poseFrom } from './pose.js';
+import { isOutOfSight, isSame } from './pose.js';
 import { report } from './receipt.js';
 import { Recorder } from './recorder.js';
 import { frameUrl } from './requests.js';
 import * as scenes from './scenes.js';
 import * as settings from './settings.js';
+import * as store from './store.js';
 import * as upload from './upload.js';
 
 const POLL_MS = 1500, RETURN_MS = 3000, NEWS_MS = 8000;
+// Stands in the list of cameras for a view that is none of them: no camera can be called so.
+const FREE = '\0';
 
 const canvas = $('canvas'), paper = canvas.getContext('2d');
 let limits = { max_side: 8192, max_pixels: 1 << 25 };
 let scene = null;
 let pose = null;       // {eye, target, up, fov}; null: whatever the server thinks shows the whole scene
+let whole = null;      // what the server thought
+let camera = '';       // the one chosen last, which Reset goes back to; '' is the whole scene
 let gone = null;       // {id, pose} of a scene that was deleted, in case it comes back
 let frames = 0, pollTimer = 0, newsTimer = 0;
 
@@ -43,7 +50,7 @@ function parameters() {
 
 const link = new Link(() => scene && { id: scene.id, params: parameters() }, {
   frame: drawn, scene: edited, gone: wentAway, state: linkState, denied,
-  problem: problem => { canvas.dataset.state = 'error'; complainOfFrame(problem); },
+  problem: problem => { canvas.dataset.state = 'error'; complain(problem, 'frame'); },
 });
 
 // moving: as Link.show has it.
@@ -55,8 +62,22 @@ function changed(moving) {
 
 function setPose(next, moving) {
   pose = next;
-  if (document.activeElement !== $('fov')) $('fov').value = Number(pose.fov.toFixed(2));
+  if (document.activeElement !== $('fov')) showFov();
+  showCamera();
+  $('lost').hidden = !scene?.bounds || !isOutOfSight(pose, scene.bounds, fullSize());
   changed(moving);
+}
+
+function showFov() {
+  $('fov').value = Number(pose.fov.toFixed(2));
+  fault($('fov'), null);
+}
+
+// A view that has left its camera is called free, so that the same camera can be chosen again.
+function showCamera() {
+  if (!scene) return;
+  const at = !pose || (whole && isSame(pose, whole)) ? '' : scene.cameras.find(other => isSame(pose, other))?.name ?? FREE;
+  if ($('camera').value !== at) $('camera').value = at;
 }
 
 // --- what comes ----------------------------------------------------------------------------------
@@ -70,8 +91,11 @@ function drawn(info, isNewest) {
   canvas.dataset.state = isStill && isNewest ? 'still' : 'moving';
   canvas.dataset.frames = ++frames;
   canvas.dataset.revision = info.revision ?? '';
-  quietWaiting(isStill && isNewest);
-  if (isStill && isNewest) remember();
+  quiet('link');
+  if (!isStill || !isNewest) return;
+  // A problem of a frame is over when a frame is there.
+  quiet('frame');
+  remember();
 }
 
 function draw(picture, w, h) {
@@ -99,16 +123,14 @@ function colorIds(w, h) {
 function adopt(info, isNewest) {
   if (pose || !isNewest || !info.receipt?.camera) return;
   const { eye, target, up, fov_deg: fov } = info.receipt.camera;
-  pose = { eye, target, up, fov };
-  $('fov').value = Number(fov.toFixed(2));
+  pose = whole = { eye, target, up, fov };
+  $('lost').hidden = true;
+  showFov();
 }
 
-// The address keeps the view, so that a reload or whoever is sent it sees the same.
 function remember() {
   if (!pose || !scene) return;
-  const query = new URLSearchParams({ scene: scene.id, eye: pose.eye.join(','), target: pose.target.join(','), up: pose.up.join(','), fov: pose.fov });
-  for (const [name, value] of Object.entries(settings.chosen())) query.set(name, value);
-  history.replaceState(null, '', '#' + api.queryText(query));
+  address.write(scene, camera, pose);
   $('link').href = frameUrl(scene.id, parameters());
   $('link').hidden = false;
 }
@@ -116,27 +138,27 @@ function remember() {
 // --- how the link fares --------------------------------------------------------------------------
 function linkState(name, words, delayMs) {
   $('link-state').dataset.link = name;
-  $('link-state').textContent = words;
+  $('link-state').textContent = $('link-state').title = words;
   if (name === 'waiting') {
     canvas.dataset.state = 'error';
     const seconds = Math.max(1, Math.round(delayMs / 1000));
     const why = words[0].toUpperCase() + words.slice(1);
     const detail = `${why}. Trying again in ${seconds} s; the view stays where it is.`;
-    tell('wait', { title: 'Not connected', detail }, [['Try now', () => link.again()]]);
+    tell('wait', { title: 'Not connected', detail }, [['Try now', () => link.again()]], 'link');
   }
   if (name === 'stream') {
     // What is on the screen may be of before.
     canvas.dataset.state = 'waiting';
-    quietWaiting();
+    quiet('link');
   }
 }
 
 function edited(revision) {
   if (scene.revision === revision) return;
   refreshScene();
-  tell('news', { title: 'The scene was changed', detail: `This is revision ${revision}.` }, [['Dismiss', quiet]]);
+  tell('news', { title: 'The scene was changed', detail: `This is revision ${revision}.` }, [['Dismiss', () => quiet('edit')]], 'edit');
   clearTimeout(newsTimer);
-  newsTimer = setTimeout(() => { if ($('message').className === 'news') quiet(); }, NEWS_MS);
+  newsTimer = setTimeout(() => quiet('edit'), NEWS_MS);
 }
 
 async function refreshScene() {
@@ -155,13 +177,14 @@ async function refreshScene() {
 function wentAway(problem) {
   link.close();
   gone = { id: scene.id, pose };
-  const name = scene.name || scene.id;
+  const name = scenes.fullName(scene);
   scene = null;
   canvas.dataset.state = 'gone';
   $('link-state').dataset.link = 'gone';
   $('link-state').textContent = 'no scene';
   $('status').textContent = `${name} is not there any more; the picture is the last one of it.`;
-  complain(problem || { title: `The scene ${name} was deleted`, detail: `There is no scene ${gone.id} on the server any more. Choose another, or add a file.` });
+  quiet('frame', 'edit');
+  complain(problem || { title: `The scene ${name} was deleted`, detail: 'The picture is the last one of it. Choose another scene, or add a file.' }, 'scene');
   loadScenes();
 }
 
@@ -169,13 +192,13 @@ function denied(problem) {
   $('login').hidden = false;
   $('key').focus();
   linkState('denied', problem.status === 401 ? 'needs a key' : 'not allowed');
-  complain(problem);
+  complain(problem, 'key');
 }
 
 // --- scenes and cameras --------------------------------------------------------------------------
 async function list() {
   await scenes.refresh();
-  scenes.show(scene, choose);
+  scenes.show(scene, choose, remove);
 }
 
 async function loadScenes() {
@@ -183,6 +206,7 @@ async function loadScenes() {
   try {
     limits = await api.getJson('/v1/limits');
     films.offer(Boolean(limits.jobs));
+    jobs.offer(Boolean(limits.jobs));
     await list();
   } catch (problem) {
     if (problem.status === 401 || problem.status === 403) return denied(problem);
@@ -191,15 +215,19 @@ async function loadScenes() {
     return;
   }
   $('login').hidden = !api.hasKey();
-  quietWaiting();
+  quiet('link');
   const isLoading = scenes.all().some(other => other.state === 'loading');
   if (scene) { if (isLoading) pollTimer = setTimeout(loadScenes, POLL_MS); return; }
   if (gone) {
-    if (scenes.find(gone.id)) { quiet(); return choose(gone.id, { pose: gone.pose }); }
+    if (scenes.find(gone.id)) return choose(gone.id, { pose: gone.pose });
   } else if (scenes.usable().length > 0) {
-    const asked = new URLSearchParams(location.hash.slice(1) || location.search.slice(1));
-    choose((scenes.find(asked.get('scene')) || scenes.usable()[0]).id, { asked });
-    return unknown(asked.get('scene'));
+    const asked = address.asked(), id = asked.get('scene'), wanted = id || store.lastScene();
+    const isWaitedFor = scenes.all().some(other => other.id === wanted && other.state === 'loading');
+    if (!isWaitedFor) {
+      choose((scenes.find(wanted) || scenes.greeting()).id, { asked });
+      return unknown(id);
+    }
+    $('status').textContent = `Scene ${wanted} is being loaded …`;
   } else {
     nothing(isLoading);
   }
@@ -208,12 +236,34 @@ async function loadScenes() {
 
 // An address may name a scene that is not there (any more).
 function unknown(id) {
-  if (id && !scenes.find(id)) complain({ title: `There is no scene ${id}`, detail: 'The address names it, but the server does not have it. Choose another, or add a file.' });
+  if (id && !scenes.find(id)) complain({ title: `There is no scene ${id}`, detail: 'The address names it, but the server does not have it. Choose another, or add a file.' }, 'scene');
+}
+
+async function remove(id) {
+  const isShown = scene?.id === id;
+  // It would tell of the end of the scene.
+  if (isShown) link.close();
+  try {
+    await api.reach(api.sceneUrl(id), { method: 'DELETE' });
+  } catch (problem) {
+    complain(problem, 'scene');
+    if (isShown) link.open();
+    return;
+  }
+  store.keepPath(id, null);
+  if (isShown) {
+    scene = null;
+    canvas.dataset.state = 'gone';
+    // It names what is gone.
+    history.replaceState(null, '', location.pathname);
+  }
+  loadScenes();
 }
 
 function nothing(isLoading) {
   const failed = scenes.all().find(other => other.state === 'failed');
   canvas.dataset.state = 'empty';
+  paper.clearRect(0, 0, canvas.width, canvas.height);
   linkState('empty', 'no scene');
   $('status').textContent = isLoading ? 'The scenes are being loaded …'
     : failed ? `Scene ${failed.id} could not be loaded: ${failed.problem.detail}`
@@ -226,42 +276,52 @@ function choose(id, given = {}) {
   if (!found) return;
   scene = found;
   gone = null;
+  store.keepScene(id);
+  quiet('scene', 'frame', 'address', 'edit');
+  const asked = given.asked ? address.read(given.asked, scene) : { faults: [] };
+  if (asked.faults.length > 0) complain({ title: 'Not all of the address could be used', detail: asked.faults.join('\n') }, 'address');
   if (given.asked) settings.restore(given.asked);
   settings.ofScene(scene);
-  scenes.show(scene, choose);
+  scenes.show(scene, choose, remove);
   scenes.facts(scene);
   chart.clear();
   films.show();
   recorder.ofScene(scene);
-  canvas.setAttribute('aria-label', 'Rendered scene ' + (scene.name || id));
-  $('camera').replaceChildren(option('', 'whole scene'), ...scene.cameras.map(camera => option(camera.name, camera.name)));
+  canvas.setAttribute('aria-label', 'Rendered scene ' + scenes.fullName(scene));
+  const free = option(FREE, 'free view');
+  free.hidden = true;
+  $('camera').replaceChildren(free, option('', 'whole scene'), ...scene.cameras.map(other => option(other.name, other.name)));
   $('status').textContent = 'Waiting for the first frame …';
-  pose = given.pose || (given.asked && poseFrom(given.asked)) || null;
-  if (pose) { $('camera').value = ''; $('fov').value = pose.fov; canvas.dataset.state = 'waiting'; }
-  else chooseCamera(scene.cameras.length ? scene.cameras[0].name : '');
+  whole = null;
+  camera = asked.camera ?? scene.cameras[0]?.name ?? '';
+  if (given.pose || asked.pose) setPose(given.pose || asked.pose, false); else chooseCamera(camera);
   link.open();
 }
 
 function chooseCamera(name) {
-  const camera = scene && scene.cameras.find(other => other.name === name);
-  $('camera').value = camera ? name : '';
+  if (!scene) return;
+  const found = scene.cameras.find(other => other.name === name);
+  camera = found ? name : '';
   recorder.player.pause(false);
-  if (camera) return setPose({ eye: camera.eye, target: camera.target, up: camera.up, fov: camera.fov });
+  // Nothing follows what was chosen: it is to be drawn well at once.
+  if (found) return setPose({ eye: found.eye, target: found.target, up: found.up, fov: found.fov }, false);
   pose = null;
-  changed();
+  showCamera();
+  changed(false);
 }
 
 // --- the parts -----------------------------------------------------------------------------------
 const recorder = new Recorder({
   scene: () => scene, pose: () => pose, show: setPose, settings: settings.parameters,
 });
-const films = new Films({ scene: () => scene, recorder, settings: settings.parameters });
+const jobs = new Jobs();
+const films = new Films({ scene: () => scene, recorder, settings: settings.parameters, jobs });
 const controls = new Controls(canvas, {
   pose: () => pose,
   bounds: () => scene && scene.bounds,
   // A hand on the picture takes it from the path.
   move: (next, moving) => { recorder.player.pause(false); setPose(next, moving); },
-  reset: () => chooseCamera($('camera').value),
+  reset: () => chooseCamera(camera),
   keys: { KeyK: () => recorder.add(), KeyP: () => recorder.toggle() },
 });
 
@@ -275,21 +335,21 @@ upload.watch({
 $('scene').addEventListener('change', () => choose($('scene').value));
 $('camera').addEventListener('change', () => chooseCamera($('camera').value));
 $('fov').addEventListener('change', () => {
-  const fov = Number($('fov').value), isGood = fov >= 1 && fov <= 170;
-  $('fov').setAttribute('aria-invalid', String(!isGood));
-  if (isGood && pose) setPose({ ...pose, fov }, false);
+  if (!pose) return;
+  const fov = numberIn($('fov'), [1, 170], ' degrees', `the view keeps ${Number(pose.fov.toFixed(2))}`);
+  if (fov) setPose({ ...pose, fov }, false);
 });
 $('login').addEventListener('submit', event => {
   event.preventDefault();
   api.useKey($('key').value);
-  quiet();
+  quiet('key');
   if (scene) link.open(); else loadScenes();
 });
 $('scenes').addEventListener('toggle', () => { if ($('scenes').open) list().catch(() => {}); });
 addEventListener('hashchange', () => {
-  const asked = new URLSearchParams(location.hash.slice(1));
-  if (scenes.find(asked.get('scene'))) choose(asked.get('scene'), { asked });
-  else unknown(asked.get('scene'));
+  const asked = address.asked(), id = asked.get('scene') ?? scene?.id;
+  if (scenes.find(id)) choose(id, { asked });
+  else unknown(id);
 });
 
 async function copy(text, what) {

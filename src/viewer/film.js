@@ -1,35 +1,66 @@
-// Films: the camera path drawn by the daemon, frame by frame at full quality, as a job that goes on without this page.
+// Films: the camera path drawn by the daemon, frame by frame at full quality, as a job that goes on without this page. The page
+// keeps the job's name, so that after a reload it is followed again.
 
 import { getJson, hasKey, reach, sceneUrl } from './api.js';
-import { $, complain, count } from './message.js';
+import { inWords, isUnderWay, shareOf } from './jobs.js';
+import { $, complain, quiet } from './message.js';
 import { documentOf } from './path.js';
+import { downloadLink, hasFrames, jobUrl } from './reel.js';
+import * as store from './store.js';
 
 const POLL_MS = 700;
 const FAILED_MS = 3000;
 
 export class Films {
-  // view: {scene(), recorder, settings()}.
+  // view: {scene(), recorder, settings(), jobs}.
   constructor(view) {
     this.view = view;
     this.job = null;
+    this.isOffered = false;
     $('film-start').addEventListener('click', () => this.start());
     $('film-cancel').addEventListener('click', () => this.cancel());
-    $('film-result').addEventListener('click', event => this.fetched(event));
+    $('film-frames').addEventListener('click', () => view.jobs.reel.open(this.job.id));
     view.recorder.onShow = () => this.show();
+    view.jobs.onGone = id => this.gone(id);
+    view.jobs.onList = list => this.listed(list);
   }
 
   // Whether the daemon draws such jobs, as /v1/limits says.
   offer(isThere) {
     $('film').hidden = !isThere;
+    if (isThere && !this.isOffered) this.restore();
+    this.isOffered = isThere;
     this.show();
   }
 
-  get isRunning() { return Boolean(this.job) && ['queued', 'running'].includes(this.job.state); }
+  // The film of before a reload.
+  async restore() {
+    const id = store.film();
+    if (!id || this.job) return;
+    try {
+      const job = await getJson(jobUrl(id));
+      if (this.job) return;
+      this.came(job);
+      if (!this.isRunning) return;
+      $('paths').open = true;
+      this.follow(id);
+    } catch (problem) {
+      // It was deleted, or its time was over.
+      if (problem.status === 404) store.keepFilm(null);
+    }
+  }
+
+  get isRunning() { return Boolean(this.job) && isUnderWay(this.job); }
 
   show() {
-    const isEmpty = this.view.recorder.path.keys.length < 2;
+    const isEmpty = this.view.recorder.path.keys.length < 2, { job } = this;
     $('film-start').disabled = isEmpty || this.isRunning || !this.view.scene();
     $('film-cancel').hidden = $('film-progress').hidden = !this.isRunning;
+    const isDone = job?.state === 'done';
+    $('film-frames').hidden = !isDone || !hasFrames(job);
+    $('film-result').hidden = !isDone || !job.links.video;
+    if (isDone && job.links.video) downloadLink($('film-result'), job.links.video, `${job.scene}-${job.id}.mp4`);
+    if (job) this.say(this.view.scene()?.id === job.scene ? inWords(job) : `${job.scene}: ${inWords(job)}`);
   }
 
   async start() {
@@ -40,22 +71,25 @@ export class Films {
       scene: this.view.scene().id, path: recorder.name || documentOf(recorder.path), want: [isVideo ? 'video' : 'frames'],
       w, h, fps: recorder.path.fps, ...settings, ...(isVideo ? {} : { format, ...(quality ? { quality } : {}) }),
     };
-    $('film-result').hidden = true;
+    this.job = null;
+    this.show();
     this.say('Sending …');
+    quiet('film');
     try {
       const options = { method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify(body) };
       this.came(await (await reach('/v1/jobs', options)).json());
+      store.keepFilm(this.job.id);
       this.follow(this.job.id);
     } catch (problem) {
       this.say('');
-      complain(problem);
+      complain(problem, 'film');
     }
   }
 
   // The daemon tells by itself; a page with a key cannot listen, and asks.
   follow(id) {
     if (hasKey()) return this.ask(id);
-    const events = new EventSource(`/v1/jobs/${encodeURIComponent(id)}/events`);
+    const events = new EventSource(jobUrl(id, '/events'));
     const told = event => {
       this.came(JSON.parse(event.data));
       if (!this.isRunning) events.close();
@@ -70,7 +104,7 @@ export class Films {
     while (this.isRunning && this.job.id === id) {
       let pause = POLL_MS;
       try {
-        this.came(await getJson(`/v1/jobs/${encodeURIComponent(id)}`));
+        this.came(await getJson(jobUrl(id)));
       } catch (problem) {
         if (problem.status === 404) return this.gone(id);
         pause = FAILED_MS;
@@ -79,60 +113,41 @@ export class Films {
     }
   }
 
+  // Somebody resumed it.
+  listed(list) {
+    const job = list.find(one => one.id === this.job?.id);
+    if (!job || !isUnderWay(job) || this.isRunning) return;
+    this.came(job);
+    this.follow(job.id);
+  }
+
   // Somebody deleted it.
   gone(id) {
     if (this.job?.id !== id) return;
     this.job = null;
-    this.say('The job was deleted.');
+    store.keepFilm(null);
     this.show();
+    this.say('The film was deleted.');
+    this.view.jobs.refresh();
   }
 
   came(job) {
+    const before = this.job?.state, progress = $('film-progress');
     this.job = job;
-    const { done, total, coded } = job.frames, isCoding = job.stage === 'video';
-    const made = isCoding ? coded : done, progress = $('film-progress');
-    if (total) progress.value = made / total; else progress.removeAttribute('value');
-    const rest = job.eta_seconds == null ? '' : `, ${Math.ceil(job.eta_seconds)} s to go`;
-    this.say({
-      queued: job.waits_for ? `Waiting: ${job.waits_for}` : 'Waiting for its turn',
-      running: total ? `${count(made)} of ${count(total)} frames ${isCoding ? 'coded' : 'drawn'}${rest}` : 'Getting ready …',
-      done: `Done: ${count(total)} frames.`,
-      failed: 'It failed.',
-      cancelled: 'Cancelled.',
-    }[job.state] || job.state);
-    if (job.state === 'failed' && job.error) complain(job.error);
-    if (job.state === 'done') this.result(job);
+    if (job.frames.total) progress.value = shareOf(job); else progress.removeAttribute('value');
+    if (job.state !== before) this.view.jobs.refresh();
+    // What had failed before the page was opened is told in its place alone.
+    if (before && job.state === 'failed' && job.error) complain(job.error, 'film');
     this.show();
-  }
-
-  result(job) {
-    const link = $('film-result'), { video } = job.links;
-    link.href = video || job.links.frames;
-    link.textContent = video ? 'Download the video' : 'List of the frames';
-    link.download = video ? `${job.scene}.mp4` : `${job.scene}-frames.jsonl`;
-    link.hidden = false;
-  }
-
-  // A link cannot carry a key: with one, the file is fetched and then saved.
-  async fetched(event) {
-    const link = $('film-result');
-    if (!hasKey() || link.protocol === 'blob:') return;
-    event.preventDefault();
-    try {
-      link.href = URL.createObjectURL(await (await reach(link.href)).blob());
-      link.click();
-    } catch (problem) {
-      complain(problem);
-    }
   }
 
   async cancel() {
     if (!this.isRunning) return;
     try {
-      const answer = await reach(`/v1/jobs/${encodeURIComponent(this.job.id)}/cancel`, { method: 'POST' });
+      const answer = await reach(jobUrl(this.job.id, '/cancel'), { method: 'POST' });
       if (answer.status === 200) this.came(await answer.json());
     } catch (problem) {
-      complain(problem);
+      complain(problem, 'film');
     }
   }
 

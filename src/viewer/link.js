@@ -102,7 +102,8 @@ export class Link {
       this.heardAt = performance.now();
       this.requests.stop();
       this.on.state('stream', 'streaming');
-      this.moving = undefined;
+      // A page that has just opened moves nothing, unless a hand is on the picture already.
+      if (!this.moving) this.moving = false;
       this.seq++;
       this.flush();
     };
@@ -214,7 +215,7 @@ export class Link {
   // Frames by requests from now on, until the stream, which is tried again later, is open.
   fall(why) {
     this.on.state('requests', `by requests: ${why}`);
-    if (!this.requests.isRunning) this.requests.start(this.seq);
+    if (!this.requests.isRunning) this.requests.start(this.seq, this.moving || false);
     clearTimeout(this.timer);
     this.timer = setTimeout(() => { this.refusals = 1; this.connect(); }, REQUESTS_MS);
   }

@@ -1,25 +1,31 @@
-// What is told the user: problems with what would be accepted, waiting, and news. One at a time, over the picture.
+// What is told the user over the picture: problems with what would be accepted, waiting, and news. Each is about something, and is
+// there until that has changed or somebody has put it away: what one thing has to say never hides what another said.
 
 export const $ = id => document.getElementById(id);
 
-// kind: 'problem', 'wait' (it is being tried again) or 'news'. `actions` are [words, what they do].
-export function tell(kind, problem, actions = []) {
-  const box = $('message'), head = document.createElement('strong');
+// What is said about a thing, by `of`; a Map keeps the order.
+const boxes = new Map();
+
+// kind: 'problem', 'wait' (it is being tried again) or 'news'. `of`: what it is about, whose last message this one replaces.
+// `actions` are [words, what they do].
+export function tell(kind, problem, actions = [], of = kind) {
+  const box = document.createElement('div'), head = document.createElement('strong');
   box.className = kind;
-  box.dataset.of = '';
-  const title = problem.title || 'Something went wrong', capital = title[0].toUpperCase() + title.slice(1);
-  head.textContent = problem.status ? `${capital} (${problem.status})` : capital;
+  box.dataset.of = of;
+  box.setAttribute('role', 'alert');
+  head.textContent = titleOf(problem);
   const where = problem.parameter && !(problem.detail || '').startsWith(problem.parameter) ? `At: ${problem.parameter}` : null;
   const lines = [problem.detail || problem.message, where, problem.accepted && `Accepted: ${problem.accepted}`];
-  const buttons = actions.map(([words, act]) => {
-    const button = document.createElement('button');
-    button.type = 'button';
-    button.textContent = words;
-    button.addEventListener('click', act);
-    return button;
-  });
-  box.replaceChildren(head, ...lines.filter(Boolean).map(paragraph), ...buttons);
-  box.hidden = false;
+  box.append(head, ...lines.filter(Boolean).map(paragraph), ...actions.map(([words, act]) => button(words, act)));
+  // In its place, so that what is said again and again does not move the others.
+  if (boxes.has(of)) boxes.get(of).replaceWith(box); else $('message').prepend(box);
+  boxes.set(of, box);
+  $('message').hidden = false;
+}
+
+// What the server says begins in lower case; what is said here may begin with a file's name, which is left as it is.
+function titleOf({ title = 'Something went wrong', status }) {
+  return status ? `${title[0].toUpperCase() + title.slice(1)} (${status})` : title;
 }
 
 function paragraph(text) {
@@ -28,20 +34,47 @@ function paragraph(text) {
   return p;
 }
 
-export const complain = problem => tell('problem', problem, [['Dismiss', quiet]]);
-
-// A problem of a frame is over when a frame is there.
-export function complainOfFrame(problem) {
-  complain(problem);
-  $('message').dataset.of = 'frame';
+// `actions` beside Dismiss.
+export function complain(problem, of = 'problem', actions = []) {
+  tell('problem', problem, [...actions, ['Dismiss', () => quiet(of)]], of);
 }
 
-export function quiet() { $('message').hidden = true; }
+// Ends what is said about these things.
+export function quiet(...of) {
+  for (const name of of) {
+    boxes.get(name)?.remove();
+    boxes.delete(name);
+  }
+  $('message').hidden = boxes.size === 0;
+}
 
-// Ends messages about waiting, and with a good frame those about bad ones; the others stay until they are read.
-export function quietWaiting(isGoodFrame) {
-  const { className, dataset } = $('message');
-  if (className === 'wait' || (isGoodFrame && dataset.of === 'frame')) quiet();
+// --- fields --------------------------------------------------------------------------------------
+// What is wrong with what was entered, beside the field that it was entered in; null: nothing any more.
+export function fault(input, text) {
+  const id = `${input.id}-fault`;
+  input.setAttribute('aria-invalid', String(Boolean(text)));
+  let note = $(id);
+  if (!text) {
+    input.removeAttribute('aria-describedby');
+    return note?.remove();
+  }
+  if (!note) {
+    note = document.createElement('small');
+    note.id = id;
+    note.className = 'fault';
+    note.setAttribute('role', 'alert');
+    input.closest('label').append(note);
+  }
+  note.textContent = text;
+  input.setAttribute('aria-describedby', id);
+}
+
+// The number in a field if it lies in its `min` and `max`; otherwise NaN, and the field says what it takes.
+export function numberIn(input, [least, most], unit, stays) {
+  const value = input.value.trim() === '' ? NaN : Number(input.value);
+  const isGood = value >= least && value <= most;
+  fault(input, isGood ? null : `${least} to ${count(most)}${unit}; ${stays}`);
+  return isGood ? value : NaN;
 }
 
 // --- numbers in words ----------------------------------------------------------------------------
@@ -69,4 +102,12 @@ export function option(value, text, isDisabled) {
   const element = new Option(text, value);
   element.disabled = Boolean(isDisabled);
   return element;
+}
+
+export function button(words, act) {
+  const made = document.createElement('button');
+  made.type = 'button';
+  made.textContent = words;
+  made.addEventListener('click', act);
+  return made;
 }

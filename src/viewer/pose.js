@@ -52,10 +52,15 @@ export function pan(pose, dx, dy) {
   return shifted(pose, add(mul(right, -dx * height), mul(up, dy * height)));
 }
 
+// A scene that is no larger than this is looked for in vain.
+const DOT_PX = 12;
+// Farther than so many extents from what is looked at, a scene is a dot.
+const FARTHEST = 100;
+
 // Multiplies the distance to the target, within what a scene of this extent can be seen from.
 export function dolly(pose, factor, extent) {
   const offset = sub(pose.eye, pose.target), distance = norm(offset);
-  const wanted = Math.max(extent * 1e-5, Math.min(extent * 1e3, distance * factor));
+  const wanted = Math.max(extent * 1e-5, Math.min(Math.max(distance, extent * FARTHEST), distance * factor));
   return { ...pose, eye: add(pose.target, mul(offset, wanted / distance)) };
 }
 
@@ -75,10 +80,21 @@ export function extentOf(bounds, pose) {
   return size || (pose ? norm(sub(pose.eye, pose.target)) : 1);
 }
 
-// A pose from the parameters of an address, or null.
-export function poseFrom(params) {
-  const triple = name => (params.get(name) || '').split(',').map(Number);
-  const pose = { eye: triple('eye'), target: triple('target'), up: triple('up'), fov: Number(params.get('fov')) };
-  const isGood = [pose.eye, pose.target, pose.up].every(v => v.length === 3 && v.every(Number.isFinite));
-  return isGood && pose.fov > 0 && pose.fov < 180 && norm(sub(pose.eye, pose.target)) > 0 ? pose : null;
+// Whether a box lies beside the view, behind it, or is but a dot in it of a picture so many pixels wide and high.
+export function isOutOfSight(pose, [low, high], [width, height]) {
+  const { right, up, forward } = axes(pose), slope = Math.tan(pose.fov * Math.PI / 360), wide = slope * width / height;
+  const corners = Array.from({ length: 8 }, (_, i) => {
+    const way = sub([0, 1, 2].map(axis => (i >> axis & 1 ? high : low)[axis]), pose.eye);
+    return [dot(way, right), dot(way, up), dot(way, forward)];
+  });
+  const outside = [([,, z]) => z <= 0, ([x,, z]) => x > z * wide, ([x,, z]) => -x > z * wide, ([, y, z]) => y > z * slope, ([, y, z]) => -y > z * slope];
+  const distance = norm(sub(mul(add(low, high), 0.5), pose.eye)), extent = norm(sub(high, low));
+  return outside.some(test => corners.every(test)) || (extent > 0 && extent / distance / slope / 2 * height < DOT_PX);
+}
+
+// Whether two poses show the same.
+export function isSame(a, b) {
+  const scale = norm(sub(a.eye, a.target)) * 1e-9;
+  return norm(sub(a.eye, b.eye)) <= scale && norm(sub(a.target, b.target)) <= scale
+    && norm(sub(unit(a.up), unit(b.up))) < 1e-9 && Math.abs(a.fov - b.fov) < 1e-9;
 }

@@ -2,12 +2,15 @@
 
 import { getJson, hasKey, sceneUrl } from './api.js';
 import { motionUrl } from './film.js';
-import { $, complain, option } from './message.js';
+import { $, complain, count, fault, numberIn, option, quiet } from './message.js';
 import { DEFAULT_FOV, DEFAULT_FPS, EASES, defaultEase, documentOf, durationOf, faultOf, startOf } from './path.js';
 import { Player } from './player.js';
+import * as store from './store.js';
 
 const EASE_WORDS = { smooth: 'smooth', linear: 'even', in: 'from rest', out: 'to rest', in_out: 'rest to rest', hold: 'cut' };
 const KEY_SECONDS = 2;
+// What the fields take: a film of the longest path at the highest rate is one that the daemon takes on.
+const FPS = [1, 120], SECONDS = [0.1, 8000];
 
 const rounded = seconds => Math.round(seconds * 1000) / 1000;
 const empty = () => ({ fps: DEFAULT_FPS, interpolation: 'catmull_rom', ease: 'smooth', keys: [] });
@@ -33,7 +36,7 @@ export class Recorder {
     $('duration').addEventListener('change', () => this.stretch());
     $('ease').addEventListener('change', () => this.change(path => { path.ease = $('ease').value; }));
     $('interpolation').addEventListener('change', () => this.changeCurve());
-    $('fps').addEventListener('change', () => this.change(path => { path.fps = Math.max(1, Math.min(120, Number($('fps').value) || DEFAULT_FPS)); }));
+    $('fps').addEventListener('change', () => this.changeRate());
     $('path-save').addEventListener('click', () => this.save());
     $('path-load').addEventListener('click', () => $('path-file').click());
     $('path-file').addEventListener('change', () => this.loadFiles());
@@ -47,24 +50,41 @@ export class Recorder {
     this.player.pause(false);
     $('named-label').hidden = scene.paths.length === 0;
     $('named').replaceChildren(option('', 'choose …'), ...scene.paths.map(name => option(name, name)));
-    // Poses of another scene lead nowhere here, unless it is the same one, or was empty.
-    if (this.sceneId !== scene.id && this.path.keys.length > 0) this.set(empty());
+    if (this.sceneId === scene.id) return this.show();
+    // Poses of another scene lead nowhere here: each has the path that was recorded for it.
     this.sceneId = scene.id;
+    this.restore(store.pathOf(scene.id));
+  }
+
+  restore(kept) {
+    const isPath = kept?.path && Array.isArray(kept.path.keys) && !faultOf(kept.path);
+    this.set(isPath ? kept.path : empty(), null, false);
+    if (kept?.name) this.loadNamed(kept.name, false);
   }
 
   // --- changes -----------------------------------------------------------------------------------
-  set(path, name = null) {
+  set(path, name = null, isKept = true) {
     this.player.pause(false);
     this.player.at = 0;
     this.path = path;
     this.name = name;
-    this.show();
+    this.changed(isKept);
   }
 
   change(how) {
     how(this.path);
     this.name = null;
     this.player.pause();
+    this.changed();
+  }
+
+  changed(isKept = true) {
+    const { path, name } = this;
+    if (isKept && this.sceneId) store.keepPath(this.sceneId, name ? { name } : path.keys.length > 0 ? { path } : null);
+    // Whatever was wrong was so before.
+    quiet('path');
+    for (const id of ['duration', 'fps']) fault($(id), null);
+    $('key-fault').hidden = true;
     this.show();
   }
 
@@ -83,12 +103,16 @@ export class Recorder {
 
   // Keys are in the order of their times: another time may be another place.
   retime(index, input) {
-    const t = Number(input.value), key = this.path.keys[index];
-    const isTaken = this.path.keys.some((other, i) => i !== index && other.t === t);
-    input.setAttribute('aria-invalid', String(!Number.isFinite(t) || input.value === '' || isTaken));
-    if (input.getAttribute('aria-invalid') === 'true') {
-      const detail = isTaken ? `Another key is at ${t} s already.` : 'A key needs a time in seconds.';
-      return complain({ title: 'The key stays where it was', detail });
+    const t = Number(input.value), key = this.path.keys[index], others = this.path.keys.filter(other => other !== key).map(other => other.t);
+    const span = Math.max(t, ...others) - Math.min(t, ...others);
+    const wrong = input.value.trim() === '' || !Number.isFinite(t) ? 'a key needs a time in seconds'
+      : others.includes(t) ? `another key is at ${t} s already`
+      : span > SECONDS[1] ? `a path lasts ${count(SECONDS[1])} s at most` : null;
+    input.setAttribute('aria-invalid', String(Boolean(wrong)));
+    $('key-fault').hidden = !wrong;
+    if (wrong) {
+      $('key-fault').textContent = `Key ${index + 1} stays at ${key.t} s: ${wrong}.`;
+      return;
     }
     this.change(path => {
       key.t = t;
@@ -113,9 +137,15 @@ export class Recorder {
   }
 
   stretch() {
-    const wanted = Number($('duration').value), now = durationOf(this.path), start = startOf(this.path);
-    if (!(wanted > 0) || now <= 0) return this.show();
+    const now = durationOf(this.path), start = startOf(this.path);
+    const wanted = numberIn($('duration'), SECONDS, ' s', `the path keeps ${rounded(now)} s`);
+    if (!wanted) return;
     this.change(path => { for (const key of path.keys) key.t = rounded(start + (key.t - start) * wanted / now); });
+  }
+
+  changeRate() {
+    const fps = numberIn($('fps'), FPS, '', `the path keeps ${this.path.fps}`);
+    if (fps) this.change(path => { path.fps = fps; });
   }
 
   changeCurve() {
@@ -147,26 +177,30 @@ export class Recorder {
   }
 
   // Takes the text of a path file; says what is wrong with it otherwise.
-  load(text, name, sceneName = null) {
-    let path = null, fault = null;
-    try { path = JSON.parse(text); } catch (error) { fault = error.message; }
-    fault = fault || faultOf(path);
-    if (fault) return complain({ title: `${name} is no camera path`, detail: fault });
+  load(text, name, sceneName = null, isShown = true) {
+    let path = null, wrong = null;
+    try { path = JSON.parse(text); } catch (error) { wrong = error.message; }
+    wrong = wrong || faultOf(path);
+    if (wrong) return complain({ title: `${name} is no camera path`, detail: wrong }, 'path');
     const up = this.view.scene() ? this.view.scene().up : [0, 1, 0], interpolation = path.interpolation || 'catmull_rom';
     const ease = path.ease || defaultEase(interpolation);
     const keys = path.keys.map(({ ease: own, ...key }) => ({ up, fov: DEFAULT_FOV, ...key, ...(own && own !== ease ? { ease: own } : {}) }));
     this.set({ fps: path.fps || DEFAULT_FPS, interpolation, ease, keys }, sceneName);
+    if (!isShown) return;
     $('paths').open = true;
     this.player.seek(0, false);
   }
 
-  async loadNamed(name) {
+  // isShown: the view goes where it begins.
+  async loadNamed(name, isShown = true) {
     if (!name) return;
+    const { sceneId, path: before } = this;
     try {
-      const path = await getJson(sceneUrl(this.sceneId, `/paths/${encodeURIComponent(name)}`));
-      if ($('named').value === name) this.load(JSON.stringify(path), name, name);
+      const path = await getJson(sceneUrl(sceneId, `/paths/${encodeURIComponent(name)}`));
+      // Unless something else was loaded or recorded meanwhile.
+      if (this.sceneId === sceneId && this.path === before) this.load(JSON.stringify(path), name, name, isShown);
     } catch (problem) {
-      complain(problem);
+      if (isShown) complain(problem, 'path');
     }
   }
 
@@ -185,7 +219,7 @@ export class Recorder {
     $('interpolation').value = path.interpolation;
     $('fps').value = path.fps;
     $('path-summary').textContent = isEmpty ? '' : `${keys.length} ${keys.length === 1 ? 'key' : 'keys'}, ${rounded(duration)} s`;
-    if (!this.name) $('named').value = '';
+    $('named').value = this.name || '';
     const isFilm = this.name && !hasKey();
     $('film-link').hidden = !isFilm;
     if (isFilm) $('mjpeg').href = motionUrl(this.sceneId, this.name, this.view.settings());

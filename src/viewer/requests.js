@@ -27,9 +27,9 @@ export class Requests {
     this.flight = null;
   }
 
-  start(seq) {
+  start(seq, moving) {
     this.isRunning = true;
-    this.show(seq, undefined);
+    this.show(seq, moving);
   }
 
   stop() {

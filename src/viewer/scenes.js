@@ -1,7 +1,7 @@
 // The list of scenes: what is loaded, what is on its way, what failed.
 
 import { getJson } from './api.js';
-import { $, bytes, count, option, rows } from './message.js';
+import { $, button, bytes, count, option, rows } from './message.js';
 
 let scenes = [];
 
@@ -15,34 +15,68 @@ export async function refresh() {
   return scenes;
 }
 
+// What a page opens with that was asked for nothing. Scenes with cameras were made to be looked at; models that somebody sent have none.
+export const greeting = () => usable().find(scene => scene.cameras.length > 0) || usable()[0];
+
+// As it is called where no list is beside it.
+export const fullName = scene => !scene.name || scene.name === scene.id ? scene.id : `${scene.name} (${scene.id})`;
+
+// As it is called in lists: its name, with the id where another has the same.
+function nameInList(scene) {
+  if (scene.state === 'loading' || scene.state === 'failed') return `${scene.id} (${scene.state})`;
+  return scenes.some(other => other.id !== scene.id && other.name === scene.name) ? fullName(scene) : scene.name || scene.id;
+}
+
 const short = n => n >= 1e6 ? (n / 1e6).toPrecision(3) + ' M' : n >= 1e4 ? Math.round(n / 1e3) + ' k' : String(n);
 const size = ([low, high]) => high.map((v, i) => Number((v - low[i]).toPrecision(3))).join(' × ');
 
 function inWords(scene) {
   if (scene.state === 'loading') return `being loaded for ${Math.round(scene.loading_ms / 1000)} s`;
   if (scene.state === 'failed') return `could not be loaded: ${scene.problem.detail}`;
-  const counts = [[scene.samples, 'samples'], [scene.triangles, 'triangles'], [scene.instances, scene.instances === 1 ? 'instance' : 'instances']];
-  const shown = counts.filter(([n]) => n > 0).map(([n, what]) => `${short(n)} ${what}`);
+  const counts = [[scene.samples, 'sample'], [scene.triangles, 'triangle'], [scene.instances, 'instance']];
+  const shown = counts.filter(([n]) => n > 0).map(([n, what]) => `${short(n)} ${n === 1 ? what : what + 's'}`);
   return [...shown, scene.bounds ? size(scene.bounds) : 'empty'].join(', ');
 }
 
-export function show(current, choose) {
-  const text = scene => scene.state === 'loading' ? `${scene.id} (loading)` : scene.state === 'failed' ? `${scene.id} (failed)` : scene.name || scene.id;
-  $('scene').replaceChildren(...scenes.map(scene => option(scene.id, text(scene), !isUsable(scene))));
+// The scene that is asked about, whether it is to be deleted.
+let doubtful = null;
+
+export function show(current, choose, remove) {
+  $('scene').replaceChildren(...scenes.map(scene => option(scene.id, nameInList(scene), !isUsable(scene))));
   if (current) $('scene').value = current.id;
   $('scenes-summary').textContent = String(scenes.length);
+  const again = (id, focused) => {
+    doubtful = id;
+    show(current, choose, remove);
+    $('scene-list').querySelector(focused)?.focus();
+  };
   $('scene-list').replaceChildren(...scenes.map(scene => {
-    const item = document.createElement('li'), button = document.createElement('button'), facts = document.createElement('small');
-    button.type = 'button';
-    button.dataset.scene = scene.id;
-    button.disabled = !isUsable(scene);
-    button.setAttribute('aria-pressed', String(Boolean(current) && scene.id === current.id));
+    const item = document.createElement('li'), facts = document.createElement('small');
+    const main = button(nameInList(scene), () => choose(scene.id));
+    main.dataset.scene = scene.id;
+    main.disabled = !isUsable(scene);
+    main.setAttribute('aria-pressed', String(Boolean(current) && scene.id === current.id));
     facts.textContent = inWords(scene);
-    button.append(text(scene), facts);
-    button.addEventListener('click', () => choose(scene.id));
-    item.append(button);
+    main.append(facts);
+    const away = button('✕', () => again(scene.id, '[data-keep]'));
+    away.title = `Delete ${scene.id} …`;
+    away.setAttribute('aria-label', away.title);
+    away.dataset.remove = scene.id;
+    away.disabled = scene.state === 'loading';
+    item.append(main, away);
+    if (doubtful === scene.id) item.append(question(scene, () => { doubtful = null; remove(scene.id); }, () => again(null, `[data-remove="${scene.id}"]`)));
     return item;
   }));
+}
+
+function question(scene, remove, keep) {
+  const box = document.createElement('div'), text = document.createElement('p');
+  box.className = 'question';
+  text.textContent = `Delete ${fullName(scene)}? Files that were uploaded for it are gone for good; a scene that the server was started with is back when it starts again.`;
+  const kept = button('Keep', keep), deleted = button('Delete', remove);
+  kept.dataset.keep = deleted.dataset.delete = scene.id;
+  box.append(text, kept, ' ', deleted);
+  return box;
 }
 
 export function facts(scene) {

@@ -2,7 +2,7 @@
 
 import { $ } from './message.js';
 
-const NAMES = ['output', 'lod', 'max_error_px', 'error_mode', 'paint', 'reconstruct', 'filter', 'prefilter', 'blend', 'shading', 'quality'];
+export const NAMES = ['output', 'lod', 'max_error_px', 'error_mode', 'paint', 'reconstruct', 'filter', 'prefilter', 'blend', 'shading', 'quality'];
 const OF_SPLATS = ['filter', 'prefilter', 'blend', 'shading'];
 
 let scene = null;
@@ -44,6 +44,12 @@ export function parameters() {
   if (found.max_error_px) found.max_error_px = Number(found.max_error_px);
   if (found.prefilter) found.prefilter = found.prefilter === 'true';
   return { ...found, ...(quality ? { format: 'jpeg', quality: Number(quality) } : { format: 'png' }) };
+}
+
+// What a setting takes, where it does not take this; otherwise null.
+export function refused(name, value) {
+  const values = [...$(name).options].map(o => o.value);
+  return values.includes(value) ? null : values.filter(Boolean).join(', ');
 }
 
 export function restore(params) {

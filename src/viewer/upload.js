@@ -1,15 +1,17 @@
-// Files onto the page, by drop or by the button: sent with progress, then waited for while the daemon loads them.
+// Files onto the page, by drop or by the button: sent with progress, one scene after the other, then waited for while the daemon
+// loads them. What could not be sent is kept, to be sent again.
 
 import { getJson, headers, NO_ANSWER, problemFrom, sceneUrl } from './api.js';
+import { faultOfGroup, filesOf, sorted, unreadable } from './files.js';
 import { $, bytes, complain, quiet } from './message.js';
 
 // Seconds that the daemon may keep the answer back: after that it answers 202, and is asked how it goes.
 const WAIT_SECONDS = 2;
 const POLL_MS = 700;
-// A camera path is text of this size at most.
-const PATH_BYTES = 1 << 20;
 
-let cancel = null;
+let cancel = null, isSending = false;
+// Groups of files, a scene each.
+const queue = [];
 
 // on: {added(id), path(text, name), left()} when a scene is there, a camera path was dropped, it is over one way or another.
 export function watch(on) {
@@ -24,7 +26,7 @@ export function watch(on) {
     event.preventDefault();
     depth = 0;
     drop.hidden = true;
-    take([...event.dataTransfer.files], on);
+    dropped(event.dataTransfer, on);
   });
   $('add').addEventListener('click', () => $('files').click());
   $('files').addEventListener('change', () => {
@@ -32,45 +34,68 @@ export function watch(on) {
     $('files').value = '';
     take(files, on);
   });
-  $('upload-cancel').addEventListener('click', () => cancel && cancel());
+  $('upload-cancel').addEventListener('click', () => { queue.length = 0; cancel?.(); });
+  // All else outlasts the page.
+  addEventListener('beforeunload', event => { if (isSending) event.preventDefault(); });
+}
+
+async function dropped(transfer, on) {
+  let found;
+  try {
+    found = await filesOf(transfer);
+  } catch (error) {
+    return complain({ title: 'What was dropped cannot be read', detail: error.message }, 'drop');
+  }
+  if (found.files.length > 0) return take(found.files, on);
+  const [name] = found.folders;
+  complain(name ? { title: `Nothing in the folder ${name} can be shown`, detail: 'It holds no model, no scene and no camera path.' }
+    : { title: 'No file was dropped', detail: 'Nothing was sent.' }, 'drop');
 }
 
 async function take(files, on) {
-  if (files.length === 0) return;
-  if (cancel) return complain({ title: 'One upload at a time', detail: 'Wait for the one that is under way, or cancel it.' });
-  if (files.length === 1 && await isPath(files[0])) return on.path(await files[0].text(), files[0].name);
-  quiet();
-  try {
-    const id = await send(files);
-    if (id) on.added(id);
-  } catch (problem) {
-    complain(problem);
-  } finally {
-    cancel = null;
-    $('upload').hidden = true;
-    on.left();
-  }
+  quiet('drop');
+  const faults = (await Promise.all(files.map(unreadable))).filter(Boolean);
+  if (faults.length > 0) return complain({ title: 'Nothing was sent', detail: faults.join(' ') }, 'drop');
+  const { paths, uploads, fault } = await sorted(files);
+  if (fault) return complain({ title: 'Nothing was sent', detail: fault }, 'drop');
+  queue.push(...uploads);
+  if (!isSending) await work(on);
+  for (const path of paths) on.path(await path.text(), path.name);
 }
 
-async function isPath(file) {
-  if (!file.name.toLowerCase().endsWith('.json') || file.size > PATH_BYTES) return false;
-  try {
-    const value = JSON.parse(await file.text());
-    return Array.isArray(value.keys) && value.nodes === undefined;
-  } catch {
-    return false; // the daemon says what is wrong with it
+async function work(on) {
+  isSending = true;
+  let added = null;
+  while (queue.length > 0) {
+    const group = queue.shift(), of = `upload ${namesOf(group)}`;
+    quiet(of);
+    try {
+      const fault = faultOfGroup(group);
+      if (fault) throw { title: `${namesOf(group)} cannot be sent together`, detail: fault };
+      added = await send(group) || added;
+    } catch (problem) {
+      const again = [['Send again', () => { quiet(of); queue.push(group); if (!isSending) work(on); }]];
+      complain(problem, of, problem.status === 0 || problem.status >= 429 ? again : []);
+    }
+    cancel = null;
   }
+  isSending = false;
+  $('upload').hidden = true;
+  if (added) on.added(added);
+  on.left();
 }
+
+const namesOf = group => group.length === 1 ? group[0].name : `${group[0].name} and ${group.length - 1} more`;
 
 function say(text, done) {
   $('upload').hidden = false;
-  $('upload-text').textContent = text;
+  $('upload-text').textContent = queue.length > 0 ? `${text} (${queue.length} more to come)` : text;
   if (done === null) $('upload-progress').removeAttribute('value'); else $('upload-progress').value = done;
 }
 
 // The id of the scene, or null when it was cancelled.
 async function send(files) {
-  const names = files.length === 1 ? files[0].name : `${files.length} files`;
+  const names = namesOf(files);
   say(`${names}: sending …`, 0);
   const answer = await post(files, names);
   if (!answer) return null;
@@ -80,13 +105,12 @@ async function send(files) {
 function post(files, names) {
   return new Promise((resolve, reject) => {
     const request = new XMLHttpRequest();
-    let body = files[0], url = '/v1/scenes?name=' + encodeURIComponent(files[0].name);
+    let body = files[0];
     if (files.length > 1) {
       body = new FormData();
-      url = '/v1/scenes';
       for (const file of files) body.append('file', file, file.name);
     }
-    request.open('POST', url);
+    request.open('POST', '/v1/scenes?name=' + encodeURIComponent(files[0].name));
     const isJson = files.length === 1 && files[0].name.toLowerCase().endsWith('.json');
     if (files.length === 1) request.setRequestHeader('Content-Type', isJson ? 'application/json' : 'application/octet-stream');
     for (const [name, value] of Object.entries(headers())) request.setRequestHeader(name, value);
@@ -112,10 +136,16 @@ async function loaded(id, names) {
   let isCancelled = false;
   cancel = () => { isCancelled = true; };
   while (!isCancelled) {
-    const scene = await getJson(sceneUrl(id));
-    if (scene.state === 'failed') throw scene.problem;
-    if (scene.state === 'ready') return id;
-    say(`${names}: received, being loaded for ${Math.round(scene.loading_ms / 1000)} s …`, null);
+    try {
+      const scene = await getJson(sceneUrl(id));
+      if (scene.state === 'failed') throw scene.problem;
+      if (scene.state === 'ready') return id;
+      say(`${names}: received, being loaded for ${Math.round(scene.loading_ms / 1000)} s …`, null);
+    } catch (problem) {
+      // A daemon that comes back loads what was sent to the one before.
+      if (problem.status !== 0) throw problem;
+      say(`${names}: received; the server does not answer just now …`, null);
+    }
     await new Promise(resolve => setTimeout(resolve, POLL_MS));
   }
   return null;

@@ -9,14 +9,25 @@ pub struct Daemon {
     child: Child,
     pub url: String,
     root: tempfile::TempDir,
+    /// Where its jobs are, if it has any.
+    state: Option<tempfile::TempDir>,
 }
 
 impl Daemon {
     /// Starts `pointillist serve` on a free port with the scene of [`write_scene`].
     pub fn start() -> Daemon {
+        Daemon::first(None)
+    }
+
+    /// As [`Daemon::start`], and it draws films too.
+    pub fn with_jobs() -> Daemon {
+        Daemon::first(Some(tempfile::tempdir().expect("a folder for jobs")))
+    }
+
+    fn first(state: Option<tempfile::TempDir>) -> Daemon {
         let root = tempfile::tempdir().expect("a folder for the scene");
         write_scene(root.path());
-        Daemon::spawn(root, "127.0.0.1:0")
+        Daemon::spawn(root, state, "127.0.0.1:0")
     }
 
     /// Ends it, as a crash does.
@@ -29,15 +40,19 @@ impl Daemon {
     pub fn start_again(&mut self) {
         let root = std::mem::replace(&mut self.root, tempfile::tempdir().expect("a folder"));
         let address = self.url.trim_start_matches("http://").to_owned();
-        *self = Daemon::spawn(root, &address);
+        let state = self.state.take();
+        *self = Daemon::spawn(root, state, &address);
     }
 
-    fn spawn(root: tempfile::TempDir, address: &str) -> Daemon {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_pointillist"))
-            .args(["serve", "--listen", address, "--root"])
-            .arg(root.path())
+    fn spawn(root: tempfile::TempDir, state: Option<tempfile::TempDir>, address: &str) -> Daemon {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_pointillist"));
+        command.args(["serve", "--listen", address, "--root"]).arg(root.path());
+        match &state {
+            Some(folder) => command.arg("--state").arg(folder.path()),
+            None => command.env("POINTILLIST_NO_JOBS", "true"),
+        };
+        let mut child = command
             .env("POINTILLIST_NO_CACHE", "true")
-            .env("POINTILLIST_NO_JOBS", "true")
             .stdout(Stdio::piped())
             .spawn()
             .expect("the daemon starts");
@@ -47,7 +62,7 @@ impl Daemon {
             line.split_once("listening on ").map(|(_, url)| url.trim().to_owned())
         });
         std::thread::spawn(move || lines.for_each(drop));
-        Daemon { child, url: url.expect("the daemon says where it listens"), root }
+        Daemon { child, url: url.expect("the daemon says where it listens"), root, state }
     }
 
     /// Removes the scene behind the viewer's back.
@@ -63,9 +78,15 @@ impl Daemon {
         assert!(answer.is_ok(), "{answer:?}");
     }
 
+    /// Whether files of an uploaded scene are on its disk.
+    pub fn has_upload(&self, id: &str) -> bool {
+        self.root.path().join("uploads").join(id).exists()
+    }
+
     /// A file beside the scene's, for uploads.
     pub fn file(&self, name: &str, text: &str) -> String {
         let path = self.root.path().join(name);
+        std::fs::create_dir_all(path.parent().expect("a folder")).expect("it can be made");
         std::fs::write(&path, text).expect("the file can be written");
         path.to_str().expect("a name in UTF-8").to_owned()
     }

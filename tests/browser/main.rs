@@ -11,10 +11,13 @@
 
 mod connection;
 mod daemon;
+mod fields;
+mod films;
 mod keyboard;
 mod looking;
 mod page;
 mod paths;
 mod phone;
+mod scenes;
 mod uploads;
 mod webdriver;

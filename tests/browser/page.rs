@@ -33,7 +33,11 @@ pub fn driver_or_skip() -> Option<String> {
 
 /// A daemon and a browser that shows its page, with the first frame there.
 pub fn opened(driver: &str) -> (Daemon, Browser) {
-    let daemon = Daemon::start();
+    opened_at(driver, Daemon::start())
+}
+
+/// The same of a daemon that is there.
+pub fn opened_at(driver: &str, daemon: Daemon) -> (Daemon, Browser) {
     let browser = Browser::start(driver, 1280, 800);
     browser.open(&daemon.url);
     still_picture(&browser);
@@ -62,6 +66,12 @@ impl Browser {
             "const s = document.querySelector('{control}'); s.value = '{value}'; \
              s.dispatchEvent(new Event('input')); s.dispatchEvent(new Event('change'))"
         ));
+    }
+
+    /// Loads the page again, as its button does.
+    pub fn reload(&self) {
+        self.script("window.isOld = true; location.reload()");
+        self.wait_for("the page anew", PATIENCE, "return !window.isOld && globalThis.viewer");
     }
 
     /// Saves a screenshot as `target/browser/NAME`.

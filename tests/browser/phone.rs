@@ -9,7 +9,7 @@ fn eye_distance(browser: &Browser) -> f64 {
 }
 
 /// Nothing is wider than the screen, and no control is cut off at its side.
-fn nothing_overflows(browser: &Browser) {
+pub fn nothing_overflows(browser: &Browser) {
     let wide = browser.script(
         "const all = [...document.querySelectorAll('body *')].filter(e => e.checkVisibility() && !e.closest('.unseen')); \
          return all.filter(e => e.getBoundingClientRect().right > innerWidth + 1).map(e => e.outerHTML.slice(0, 90))",
@@ -71,6 +71,48 @@ fn fits_a_phone_and_follows_fingers() {
     browser.script("scrollTo(0, 1e6)");
     browser.shoot("phone-below.png");
     assert_eq!(browser.console_errors(), Vec::<String>::new());
+}
+
+/// What is said of the connection can be read, and what is chosen too, however wide the screen is.
+#[test]
+fn the_bar_fits_every_width() {
+    let Some(driver) = driver_or_skip() else { return };
+    let daemon = Daemon::start();
+    let browser = Browser::start(&driver, 800, 900);
+    browser.emulate(390, 844, 1.0);
+    browser.open(&daemon.url);
+    still_picture(&browser);
+    let words = browser.text("return document.getElementById('link-state').textContent");
+    assert_eq!(words, "streaming");
+    for width in [320, 360, 375, 390, 412, 430, 480, 600, 700, 760, 1024] {
+        browser.emulate(width, 844, 1.0);
+        let state = browser.script(
+            "const e = document.getElementById('link-state'), r = document.createRange(); r.selectNodeContents(e); \
+             const text = r.getBoundingClientRect(), box = e.getBoundingClientRect(); \
+             return { cut: e.scrollWidth - e.clientWidth, text: text.width, inside: box.left <= text.left && text.right <= box.right + 0.5, \
+             lines: r.getClientRects().length }",
+        );
+        assert!(state["text"].as_f64().unwrap() > 40.0, "{width}: {state}");
+        assert_eq!(
+            (&state["cut"], &state["inside"], &state["lines"]),
+            (&0.into(), &true.into(), &1.into()),
+            "{width}"
+        );
+        let choices = browser.script(
+            "return ['scene', 'camera'].map(id => document.getElementById(id).getBoundingClientRect().width)",
+        );
+        let of = |i: usize| choices[i].as_f64().unwrap();
+        if width < 736 {
+            assert!(of(0) > 130.0 && (of(0) - of(1)).abs() < 30.0, "{width}: {choices}");
+        }
+        nothing_overflows(&browser);
+    }
+    browser.emulate(320, 640, 2.0);
+    still_picture(&browser);
+    browser.shoot("phone-320.png");
+    browser.emulate(600, 844, 1.0);
+    still_picture(&browser);
+    browser.shoot("phone-600.png");
 }
 
 #[test]

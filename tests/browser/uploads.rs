@@ -78,5 +78,95 @@ fn a_dropped_camera_path_is_one() {
     drop_files(&browser, &[("way.json", &path.replace("[5, 1, 0]", "[5, 1]"))]);
     let message = browser.message("no camera path");
     assert!(message.contains("keys[1].eye"), "{message}");
+    assert!(message.starts_with("way.json is"), "names stay as they are: {message}");
     assert_eq!(browser.text("return viewer.scene.id"), "ball");
+}
+
+#[test]
+fn models_that_have_nothing_to_do_with_each_other_are_scenes_of_their_own() {
+    let Some(driver) = driver_or_skip() else { return };
+    let (_daemon, browser) = opened(&driver);
+    let obj = "mtllib red.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n";
+    let files = [
+        ("left.ply", PLY),
+        ("shape.obj", obj),
+        ("red.mtl", "newmtl red\nKd 1 0 0\n"),
+        ("right.ply", PLY),
+    ];
+    drop_files(&browser, &files);
+    // What is dropped while others are sent waits for its turn.
+    drop_files(&browser, &[("later.ply", PLY)]);
+    shows(&browser, "later");
+    let list =
+        browser.script("return [...document.getElementById('scene').options].map(o => o.value)");
+    assert_eq!(list, serde_json::json!(["ball", "later", "left", "right", "shape"]));
+    assert_eq!(browser.script("return document.getElementById('message').hidden"), true);
+    browser.choose("#scene", "shape");
+    shows(&browser, "shape");
+    let warnings = browser.script("return viewer.scene.warnings");
+    assert_eq!(warnings, serde_json::json!([]), "its material came with it");
+}
+
+#[test]
+fn folders_are_looked_through() {
+    let Some(driver) = driver_or_skip() else { return };
+    let (daemon, browser) = opened(&driver);
+    let folder = daemon.file(
+        "model/shape.obj",
+        "mtllib stuff/red.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n",
+    );
+    daemon.file("model/stuff/red.mtl", "newmtl red\nKd 1 0 0\n");
+    for other in [".hidden", "README.md", "package.json"] {
+        daemon.file(&format!("model/{other}"), "{}");
+    }
+    let folder = folder.trim_end_matches("/shape.obj");
+    browser.drop_from_disk((400, 400), &[folder]);
+    shows(&browser, "shape");
+    assert_eq!(browser.script("return document.getElementById('message').hidden"), true);
+    let warnings = browser.script("return viewer.scene.warnings");
+    assert_eq!(warnings, serde_json::json!([]), "its material came with it");
+
+    let empty = daemon.file("empty/photo.png", "of use to a model alone");
+    browser.drop_from_disk((400, 400), &[empty.trim_end_matches("/photo.png")]);
+    browser.message("Nothing in the folder empty can be shown");
+    for number in 0..33 {
+        daemon.file(&format!("many/{number}.ply"), PLY);
+    }
+    let many = daemon.file("many/33.ply", PLY);
+    browser.drop_from_disk((400, 400), &[many.trim_end_matches("/33.ply")]);
+    browser.message("34 scenes; 32 at a time");
+    // Where a browser tells nothing of folders, they come as files that cannot be read.
+    browser.script(
+        "const data = new DataTransfer(), folder = new File([], 'Textured'); \
+         folder.slice = () => ({ arrayBuffer: () => Promise.reject(new DOMException('gone', 'NotFoundError')) }); \
+         const event = new DragEvent('drop', { bubbles: true, cancelable: true, dataTransfer: data }); \
+         Object.defineProperty(event, 'dataTransfer', { value: { types: ['Files'], files: [folder], items: [] } }); \
+         document.body.dispatchEvent(event)",
+    );
+    let message = browser.message("Textured cannot be read. Is it a folder");
+    assert!(!message.contains("daemon"), "{message}");
+    assert_eq!(browser.console_errors(), Vec::<String>::new());
+}
+
+#[test]
+fn what_could_not_be_sent_is_kept_until_it_is() {
+    let Some(driver) = driver_or_skip() else { return };
+    let (mut daemon, browser) = opened(&driver);
+    daemon.kill();
+    browser.link("waiting");
+    drop_files(&browser, &[("late.ply", PLY)]);
+    browser.message("late.ply could not be sent");
+    // The connection is told of again and again, and hides nothing.
+    browser.script("viewer.link.again()");
+    let message = browser.message("Not connected");
+    assert!(message.contains("late.ply could not be sent"), "{message}");
+    browser.shoot("wide-two-messages.png");
+    daemon.start_again();
+    browser.link("stream");
+    still_picture(&browser);
+    let message = browser.message("late.ply could not be sent");
+    assert!(!message.contains("Not connected"), "{message}");
+    browser.script("[...document.querySelectorAll('#message button')].find(b => b.textContent === 'Send again').click()");
+    shows(&browser, "late");
+    assert_eq!(browser.script("return document.getElementById('message').hidden"), true);
 }

@@ -166,6 +166,18 @@ impl Browser {
         self.post(&format!("element/{id}/value"), json!({ "text": files.join("\n") }));
     }
 
+    /// Drops files and folders onto the page, as from a file manager.
+    pub fn drop_from_disk(&self, at: (i64, i64), files: &[&str]) {
+        for kind in ["dragEnter", "dragOver", "drop"] {
+            let data = json!({ "items": [], "files": files, "dragOperationsMask": 1 });
+            let params = json!({ "type": kind, "x": at.0, "y": at.1, "data": data });
+            self.post(
+                "goog/cdp/execute",
+                json!({ "cmd": "Input.dispatchDragEvent", "params": params }),
+            );
+        }
+    }
+
     /// A script that every page runs before its own.
     pub fn before_pages(&self, script: &str) {
         self.post(
@@ -256,7 +268,8 @@ fn call(agent: &ureq::Agent, method: &str, url: &str, body: Value) -> Value {
     value
 }
 
-fn decode_base64(text: &str) -> Vec<u8> {
+/// What a text in base64 stands for.
+pub fn decode_base64(text: &str) -> Vec<u8> {
     let digit = |byte: u8| match byte {
         b'A'..=b'Z' => Some(u32::from(byte - b'A')),
         b'a'..=b'z' => Some(u32::from(byte - b'a') + 26),

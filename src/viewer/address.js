@@ -1,0 +1,51 @@
+// The page's address: which scene, how it is looked at, and with which settings; so that a reload, or whoever is sent it, sees the same.
+
+import { queryText } from './api.js';
+import { DEFAULT_FOV } from './path.js';
+import { norm, sub } from './pose.js';
+import * as settings from './settings.js';
+
+const OWN = ['scene', 'camera', 'eye', 'target', 'up', 'fov'];
+
+export const asked = () => new URLSearchParams(location.hash.slice(1) || location.search.slice(1));
+
+export function write(scene, camera, pose) {
+  const query = new URLSearchParams({ scene: scene.id, ...(camera ? { camera } : {}) });
+  for (const name of ['eye', 'target', 'up']) query.set(name, pose[name].join(','));
+  query.set('fov', pose.fov);
+  for (const [name, value] of Object.entries(settings.chosen())) query.set(name, value);
+  history.replaceState(null, '', '#' + queryText(query));
+}
+
+// What parameters say of a scene: {camera, pose, faults}: a name or null, a pose or null, and in words what could not be used.
+export function read(params, scene) {
+  const faults = [...params.keys()].filter(name => !OWN.includes(name) && !settings.NAMES.includes(name)).map(name => `${name}: the viewer knows no such setting`);
+  const named = params.get('camera'), camera = scene.cameras.find(other => other.name === named) || null;
+  if (named && !camera) {
+    const there = scene.cameras.map(other => other.name).join(', ');
+    faults.push(`camera=${named}: ${there ? `the scene’s cameras are ${there}` : 'the scene has no cameras'}`);
+  }
+  for (const name of settings.NAMES) {
+    const accepted = params.has(name) ? settings.refused(name, params.get(name)) : null;
+    if (accepted) faults.push(`${name}=${params.get(name)}: accepted are ${accepted}`);
+  }
+  return { camera: camera && camera.name, pose: poseOf(params, scene, camera, faults), faults };
+}
+
+// What is left out is the camera's, and where there is none as the scene has it; a pose that would be half guessed is none.
+function poseOf(params, scene, camera, faults) {
+  const wanted = ['eye', 'target', 'up', 'fov'].filter(name => params.has(name)), before = faults.length;
+  const pose = camera ? { eye: camera.eye, target: camera.target, up: camera.up, fov: camera.fov } : { up: scene.up, fov: DEFAULT_FOV };
+  for (const name of wanted) {
+    const text = params.get(name), value = name === 'fov' ? numberOf(text) : text.split(',').map(numberOf);
+    if (name === 'fov' ? value >= 1 && value <= 170 : value.length === 3 && value.every(Number.isFinite)) pose[name] = value;
+    else faults.push(`${name}=${text}: ${name === 'fov' ? '1 to 170 degrees' : 'three numbers, as in 1,2,3'} are accepted`);
+  }
+  if (wanted.length === 0 || faults.length > before) return null;
+  for (const name of ['eye', 'target']) if (!pose[name]) faults.push(`${name} is missing: a view needs eye and target`);
+  if (faults.length === before && norm(sub(pose.eye, pose.target)) === 0) faults.push('eye and target are the same point');
+  if (faults.length === before && norm(pose.up) === 0) faults.push('up has no length');
+  return faults.length > before ? null : pose;
+}
+
+const numberOf = text => text.trim() === '' ? NaN : Number(text);

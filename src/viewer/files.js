@@ -1,0 +1,129 @@
+// Which files were given, and which of them make a scene together: folders are looked through, models that have nothing to do
+// with each other become scenes of their own.
+
+// As the daemon has them (src/http/names.rs): files that other files name.
+const COMPANIONS = ['mtl', 'png', 'jpg', 'jpeg', 'webp', 'bmp', 'tga', 'bin', 'gif', 'hdr', 'txt'];
+// And what it reads (src/assets/dispatch.rs).
+const MODELS = ['ply', 'las', 'laz', 'obj', 'stl', 'gltf', 'glb', 'xyz', 'pts', 'csv', 'ptx', 'pcd', 'off', 'e57'];
+// Formats whose files name others.
+const NAMING = ['obj', 'gltf'];
+// Of one upload, as the daemon takes them.
+const MOST_FILES = 256;
+// Of one drop: whoever drops more has hardly meant it.
+const MOST_SCENES = 32;
+// A camera path is text of this size at most.
+const PATH_BYTES = 1 << 20;
+
+const extension = name => name.includes('.') ? name.slice(name.lastIndexOf('.') + 1).toLowerCase() : '';
+const baseName = path => path.slice(path.lastIndexOf('/') + 1);
+const isHidden = name => name.startsWith('.') || name.startsWith('__MACOSX');
+const formatOf = name => extension(name.toLowerCase().replace(/\.gz$/, ''));
+
+// The files of a drop, those of its folders included: {files, folders}, the latter by name.
+export async function filesOf(transfer) {
+  // Entries are there only until the event is over: they are all taken before anything is waited for.
+  const entries = [...transfer.items].map(item => item.webkitGetAsEntry?.()).filter(Boolean);
+  if (!entries.some(entry => entry.isDirectory)) return { files: [...transfer.files], folders: [] };
+  const files = [], inside = [];
+  for (const entry of entries) await collect(entry, entry.isDirectory ? inside : files);
+  // Whatever else lies in a folder was not meant: read-me files, records of other programs.
+  const useful = [];
+  for (const file of inside) if (await isOfUse(file)) useful.push(file);
+  // Pictures and notes are of use to models alone; points may be text.
+  const isShown = useful.some(file => ['json', ...MODELS].includes(formatOf(file.name))) || useful.every(file => extension(file.name) === 'txt');
+  if (isShown) files.push(...useful);
+  return { files, folders: entries.filter(entry => entry.isDirectory).map(entry => entry.name) };
+}
+
+async function collect(entry, files) {
+  if (isHidden(entry.name)) return;
+  if (entry.isFile) return void files.push(await new Promise((resolve, reject) => entry.file(resolve, reject)));
+  const reader = entry.createReader();
+  // It gives them by the hundred, and nothing at the end.
+  for (;;) {
+    const batch = await new Promise((resolve, reject) => reader.readEntries(resolve, reject));
+    if (batch.length === 0) return;
+    for (const inside of batch) await collect(inside, files);
+  }
+}
+
+async function isOfUse(file) {
+  if (extension(file.name) !== 'json') return [...MODELS, ...COMPANIONS].includes(formatOf(file.name));
+  const value = await parsed(file);
+  return Array.isArray(value?.nodes) || isPathDocument(value);
+}
+
+// Why a file cannot be sent, in words; null where it can. A folder that comes as a file, and one that was moved away, cannot be read.
+export async function unreadable(file) {
+  try {
+    await file.slice(0, 1).arrayBuffer();
+    return null;
+  } catch {
+    return `${file.name} cannot be read. Is it a folder, or was it moved or changed since it was chosen?`;
+  }
+}
+
+// What is to be sent, in order: {paths, uploads, fault}. An upload is a list of files, the one to load first; `fault` says why they are not taken.
+export async function sorted(files) {
+  const paths = [], rest = [];
+  for (const file of files) (await isPath(file) ? paths : rest).push(file);
+  const uploads = await groups(rest);
+  const fault = uploads.length > MOST_SCENES ? `They would be ${uploads.length} scenes; ${MOST_SCENES} at a time are taken.` : null;
+  return { paths, uploads, fault };
+}
+
+async function groups(files) {
+  if (files.length < 2) return files.map(file => [file]);
+  const of = test => files.filter(file => test(extension(file.name)));
+  const scenes = of(kind => kind === 'json'), companions = of(kind => COMPANIONS.includes(kind));
+  const models = of(kind => kind !== 'json' && !COMPANIONS.includes(kind));
+  // Whatever is not a scene may be named by one.
+  if (scenes.length > 0) return scenes.map(scene => [scene, ...companions, ...models]);
+  if (models.length === 0) return files.map(file => [file]);
+  return Promise.all(models.map(async model => {
+    const kind = extension(model.name);
+    if (!NAMING.includes(kind)) return [model];
+    return [kind === 'gltf' ? await flattened(model, companions) : model, ...companions];
+  }));
+}
+
+// What is wrong with a group of files as a whole; null where nothing is.
+export function faultOfGroup(group) {
+  if (group.length > MOST_FILES) return `They are ${group.length} files; one scene takes ${MOST_FILES} at most.`;
+  const seen = new Set();
+  for (const { name } of group) {
+    if (seen.has(name)) return `Two of them are called ${name}; the files of a scene lie in one folder.`;
+    seen.add(name);
+  }
+  return null;
+}
+
+// A glTF names files in folders below its own; here all lie in one.
+async function flattened(model, companions) {
+  const names = new Set(companions.map(file => file.name));
+  try {
+    const document = JSON.parse(await model.text());
+    for (const one of [...(document.buffers || []), ...(document.images || [])]) {
+      const name = typeof one.uri === 'string' && !one.uri.startsWith('data:') ? baseName(decodeURIComponent(one.uri)) : '';
+      if (names.has(name)) one.uri = encodeURIComponent(name);
+    }
+    return new File([JSON.stringify(document)], model.name);
+  } catch {
+    return model; // the daemon says what is wrong with it
+  }
+}
+
+async function isPath(file) {
+  return extension(file.name) === 'json' && file.size <= PATH_BYTES && isPathDocument(await parsed(file));
+}
+
+const isPathDocument = value => Array.isArray(value?.keys) && value.nodes === undefined;
+
+// Null where it is no JSON: the daemon says what is wrong with it.
+async function parsed(file) {
+  try {
+    return JSON.parse(await file.text());
+  } catch {
+    return null;
+  }
+}

@@ -1,0 +1,166 @@
+// The frames of a film that was made as frames: looked at one by one or played, and downloaded, one or all.
+
+import { getJson, hasKey, reach } from './api.js';
+import { $, complain, count } from './message.js';
+import { MOST_BYTES, MOST_FILES, Zip } from './zip.js';
+
+// What an <img> shows.
+const SHOWN = ['png', 'jpeg', 'webp'];
+const SLOWEST_FPS = 0.1;
+
+export const jobUrl = (id, rest = '') => `/v1/jobs/${encodeURIComponent(id)}${rest}`;
+export const hasFrames = job => job.want.includes('frames') && job.frames.done > 0;
+
+// Saves what an address gives. A link cannot carry a key: with one, the file is fetched first.
+export function downloadLink(link, url, name) {
+  link.href = url;
+  link.download = name;
+  link.onclick = async event => {
+    if (!hasKey()) return;
+    event.preventDefault();
+    try {
+      save(await (await reach(url)).blob(), name);
+    } catch (problem) {
+      complain(problem, 'film');
+    }
+  };
+  return link;
+}
+
+function save(blob, name) {
+  const link = document.createElement('a');
+  link.href = URL.createObjectURL(blob);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60000);
+}
+
+export class Reel {
+  constructor() {
+    this.job = null;
+    this.isPlaying = this.isPacking = false;
+    this.asked = 0;
+    $('reel-close').addEventListener('click', () => this.close());
+    $('reel-play').addEventListener('click', () => { if (this.isPlaying) this.stop(); else this.play(); });
+    $('reel-frame').addEventListener('input', () => { this.stop(); this.look(Number($('reel-frame').value)); });
+    $('reel-all').addEventListener('click', () => this.pack());
+  }
+
+  get first() { return this.job.frames.from ?? 0; }
+  get last() { return this.first + this.job.frames.done - 1; }
+  get extension() { return this.job.settings.format === 'jpeg' ? 'jpg' : this.job.settings.format; }
+
+  async open(id) {
+    let job;
+    try {
+      job = await getJson(jobUrl(id));
+    } catch (problem) {
+      return complain(problem, 'film');
+    }
+    this.close();
+    this.job = job;
+    const isShown = SHOWN.includes(job.settings.format);
+    $('reel-title').textContent = `Film ${job.id} of ${job.scene}, ${job.settings.w} × ${job.settings.h}`;
+    Object.assign($('reel-frame'), { min: this.first, max: this.last, value: this.first });
+    $('reel-image').hidden = !isShown;
+    $('reel-play').disabled = !isShown || job.frames.done < 2;
+    this.say(isShown ? '' : `No browser shows ${job.settings.format.toUpperCase()}; the frames can be downloaded.`);
+    downloadLink($('reel-list'), job.links.frames, `${job.scene}-${job.id}-frames.jsonl`);
+    $('reel').hidden = false;
+    $('jobs').open = true;
+    await this.look(this.first);
+    $('reel').scrollIntoView({ block: 'nearest' });
+  }
+
+  close() {
+    this.stop();
+    this.isPacking = false;
+    this.job = null;
+    $('reel').hidden = true;
+    this.free();
+  }
+
+  // Whether it was shown: a newer wish, or one for another film, overtakes it.
+  async look(number) {
+    const ticket = ++this.asked, { job } = this, image = $('reel-image');
+    const url = jobUrl(job.id, `/frames/${number}`), name = `${job.scene}-${job.id}-${numbered(number)}.${this.extension}`;
+    $('reel-frame').value = number;
+    $('reel-shown').textContent = `${number}`;
+    downloadLink($('reel-one'), url, name);
+    if (image.hidden) return true;
+    let src = url;
+    const shown = new Image();
+    try {
+      if (hasKey()) src = URL.createObjectURL(await (await reach(url)).blob());
+      // Decoded aside, so that the picture before stays until it is there.
+      shown.src = src;
+      await shown.decode();
+    } catch (problem) {
+      if (ticket === this.asked) this.say(`Frame ${number} cannot be shown: ${problem.detail || 'it is not there'}.`, true);
+      return false;
+    }
+    if (ticket !== this.asked || this.job !== job) {
+      URL.revokeObjectURL(src);
+      return false;
+    }
+    this.free();
+    image.src = src;
+    image.alt = `Frame ${number}`;
+    if (this.isOfFrame) this.say('');
+    return true;
+  }
+
+  // isOfFrame: it is over with the next frame that is shown.
+  say(text, isOfFrame = false) {
+    this.isOfFrame = isOfFrame;
+    $('reel-text').textContent = text;
+  }
+
+  free() {
+    if ($('reel-image').src.startsWith('blob:')) URL.revokeObjectURL($('reel-image').src);
+  }
+
+  async play() {
+    const fps = Math.max(SLOWEST_FPS, this.job.fps || 30), { job, first, last } = this;
+    const from = Number($('reel-frame').value) >= last ? first : Number($('reel-frame').value), began = performance.now();
+    this.isPlaying = true;
+    $('reel-play').textContent = 'Pause';
+    let number = from;
+    while (this.isPlaying && this.job === job) {
+      if (!await this.look(number) || number === last) break;
+      // In the film's own time: what comes too late is left out, but for the last.
+      await new Promise(resolve => setTimeout(resolve, Math.max(0, began + (number + 1 - from) * 1000 / fps - performance.now())));
+      number = Math.min(last, Math.max(number + 1, from + Math.floor((performance.now() - began) * fps / 1000)));
+    }
+    if (this.job === job) this.stop();
+  }
+
+  stop() {
+    this.isPlaying = false;
+    $('reel-play').textContent = 'Play';
+  }
+
+  async pack() {
+    const { job, first, last } = this, total = last - first + 1, say = text => { if (this.job === job) this.say(text); };
+    if (job.bytes > MOST_BYTES * 0.99 || total > MOST_FILES) return say(`${count(total)} frames are more than an archive made here holds; ${job.links.multipart} sends them all.`);
+    if (this.isPacking) return;
+    this.isPacking = true;
+    const zip = new Zip();
+    try {
+      for (let number = first; number <= last && this.isPacking; number++) {
+        say(`${count(number - first)} of ${count(total)} frames fetched …`);
+        await zip.add(`${numbered(number)}.${this.extension}`, await (await reach(jobUrl(job.id, `/frames/${number}`))).blob());
+      }
+      if (!this.isPacking) return;
+      save(zip.finish(), `${job.scene}-${job.id}-frames.zip`);
+      say(`${count(total)} frames saved as one archive.`);
+    } catch (problem) {
+      say('');
+      complain(problem, 'film');
+    } finally {
+      if (this.job === job) this.isPacking = false;
+    }
+  }
+}
+
+const numbered = number => String(number).padStart(6, '0');
