@@ -81,7 +81,7 @@ impl Outbox {
         writer.abort();
     }
 
-    /// The same, of a client whose messages are not read any more.
+    /// The same, of a client whose messages cannot be read any more.
     pub async fn close_unread(self, close: Close, source: SplitStream<WebSocket>) {
         let Outbox { sender, mut writer, .. } = self;
         let writing = async {

@@ -83,7 +83,7 @@ enum Happening {
 enum End {
     /// By the server, with a code.
     Close(Close),
-    /// The same, without reading on: what comes cannot be read, or is too much.
+    /// The same, where what comes cannot be read any more.
     CloseUnread(Close),
     /// The client has closed it.
     Closed,
@@ -281,7 +281,8 @@ impl Session {
     fn message(&mut self, message: Message) -> Result<(), End> {
         let now = Instant::now();
         if !self.allowance.take(now) {
-            return Err(End::CloseUnread(Close::Flood));
+            // Read on for a moment, and forgotten: who is stuck with sending does not hear why it should not.
+            return Err(End::Close(Close::Flood));
         }
         // An answer to a ping says that the client's library is there, which is not the client.
         if !matches!(message, Message::Pong(_)) {
