@@ -4,6 +4,7 @@ use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
+use pointillist::load::wire::header_and_image;
 use serde_json::{Value, json};
 use tungstenite::{Message, WebSocket};
 
@@ -69,10 +70,8 @@ impl Stream {
         loop {
             match self.socket.read()? {
                 Message::Binary(bytes) => {
-                    let (length, rest) =
-                        bytes.split_first_chunk::<4>().context("a frame without a header")?;
-                    let length = u32::from_le_bytes(*length) as usize;
-                    let header = rest.get(..length).context("a header that is cut off")?;
+                    let (header, _) =
+                        header_and_image(&bytes).context("a frame that is cut off")?;
                     let header: Value = serde_json::from_slice(header)?;
                     if header["seq"].as_u64().is_some_and(&is_it) {
                         return Ok(header);

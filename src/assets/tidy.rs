@@ -222,10 +222,18 @@ pub(crate) fn finish_mesh(
     if flat > 0 {
         warnings.push(format!("{flat} triangles that use one vertex twice are left out"));
     }
+    if !mesh.triangles.iter().any(|triangle| has_area(&mesh.positions, triangle)) {
+        warnings.push("no triangle has an area: nothing of the mesh can be seen".to_owned());
+    }
     if !all_placed {
         drop_vertices(&mut mesh, &placed);
     }
     Ok(mesh)
+}
+
+fn has_area(positions: &[DVec3], triangle: &[u32; 3]) -> bool {
+    let [a, b, c] = triangle.map(|i| positions.get(i as usize).copied().unwrap_or(DVec3::NAN));
+    (b - a).cross(c - a) != DVec3::ZERO
 }
 
 fn drop_vertices(mesh: &mut Mesh, kept: &[bool]) {
@@ -321,6 +329,23 @@ mod tests {
         assert_eq!(mesh.triangles, [[0, 1, 2], [1, 2, 3]]);
         assert_eq!(mesh.parts, [MeshPart { triangles: 2, material: Some(1) }]);
         assert_eq!(warnings.len(), 2);
+    }
+
+    #[test]
+    fn a_mesh_of_which_nothing_can_be_seen_says_so() {
+        let said = |positions: Vec<DVec3>| {
+            let triangles = vec![[0, 1, 2], [1, 2, 3]];
+            let mut warnings = Vec::new();
+            let mesh = Mesh { positions, triangles, ..Mesh::default() };
+            finish_mesh(mesh, "f", &mut warnings).unwrap();
+            warnings
+        };
+        let nothing = ["no triangle has an area: nothing of the mesh can be seen"];
+        assert_eq!(said(vec![DVec3::ONE; 4]), nothing, "all at one point");
+        let line = (0..4).map(|i| DVec3::X * f64::from(i)).collect();
+        assert_eq!(said(line), nothing, "all on one line");
+        let one_of_two = vec![DVec3::ZERO, DVec3::X, DVec3::X * 2.0, DVec3::Y];
+        assert!(said(one_of_two).is_empty());
     }
 
     #[test]

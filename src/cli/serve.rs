@@ -93,7 +93,7 @@ pub struct ServeArgs {
     /// Streams at the same time of one client: of one key, or of one address where there are no keys [default: 16]
     #[arg(long, env = "POINTILLIST_MAX_STREAMS_PER_CLIENT", value_name = "N")]
     pub max_streams_per_client: Option<usize>,
-    /// How long a stream's client may send nothing, in seconds [default: 60]
+    /// How long a stream's client may send nothing, or take nothing of an `mjpeg`, in seconds [default: 60]
     #[arg(long, env = "POINTILLIST_STREAM_IDLE_SECONDS", value_name = "S")]
     pub stream_idle_seconds: Option<u64>,
     /// File of API keys, `name scope sha256hex` a line; scopes are read, write, admin

@@ -13,7 +13,8 @@ pub fn server_timing(receipt: &Receipt) -> Option<HeaderValue> {
     let mut line = String::with_capacity(512);
     entry(&mut line, "queue", receipt.queue_ns, format_args!("waiting for the GPU"));
     let Receipt { batch_size, views, .. } = receipt;
-    let batch = format_args!("recording {batch_size} frames, {views} drawn together");
+    let plural = if *batch_size == 1 { "" } else { "s" };
+    let batch = format_args!("recording {batch_size} frame{plural}, {views} drawn together");
     entry(&mut line, "batch", receipt.record_ns, batch);
     for pass in receipt.passes.iter().filter(|pass| pass.ran) {
         if let Some(gpu_ns) = pass.gpu_ns {
@@ -107,5 +108,7 @@ mod tests {
              encode-wait;dur=0.000;desc=\"waiting for an encoder\", \
              encode;dur=0.000;desc=\"encoding the image\", total;dur=12.000;desc=\"all of it\""
         );
+        let alone = server_timing(&Receipt { batch_size: 1, views: 1, ..r }).unwrap();
+        assert!(alone.to_str().unwrap().contains("\"recording 1 frame, 1 drawn together\""));
     }
 }

@@ -375,6 +375,20 @@ where
     }
 }
 
+/// An address without a query: one that nothing looks at would be silently ignored.
+pub(crate) struct NoQuery;
+
+impl<S: Send + Sync> FromRequestParts<S> for NoQuery {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Problem> {
+        match params::pairs(parts.uri.query())?.first() {
+            None => Ok(NoQuery),
+            Some((name, _)) => Err(params::unknown_name(name, &[], &[]).accepted("no parameters")),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -41,14 +41,45 @@ pub fn valid_file_name(name: &str) -> Result<String, Problem> {
     Ok(name.to_owned())
 }
 
-/// An id from a file's name.
+/// Letters that are written as others in an id, as they are without their marks.
+const LATIN: [(&str, &str); 23] = [
+    ("àáâãäåāăą", "a"),
+    ("æ", "ae"),
+    ("çćĉċč", "c"),
+    ("ďđð", "d"),
+    ("èéêëēĕėęě", "e"),
+    ("ĝğġģ", "g"),
+    ("ĥħ", "h"),
+    ("ìíîïĩīĭįı", "i"),
+    ("ĵ", "j"),
+    ("ķ", "k"),
+    ("ĺļľŀł", "l"),
+    ("ñńņňŋ", "n"),
+    ("òóôõöøōŏő", "o"),
+    ("œ", "oe"),
+    ("ŕŗř", "r"),
+    ("śŝşšș", "s"),
+    ("ß", "ss"),
+    ("ţťŧț", "t"),
+    ("þ", "th"),
+    ("ùúûüũūŭůűų", "u"),
+    ("ŵ", "w"),
+    ("ýÿŷ", "y"),
+    ("źżž", "z"),
+];
+/// Marks that some systems write behind their letters.
+const MARKS: std::ops::RangeInclusive<char> = '\u{300}'..='\u{36f}';
+
+/// An id from a file's name: small letters without their marks, digits and underscores, with a hyphen for what lies between; `scene`
+/// where nothing is left.
 pub fn slug(name: &str) -> String {
     let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
     let mut slug = String::new();
-    for c in stem.chars() {
-        let c = c.to_ascii_lowercase();
+    for c in stem.chars().flat_map(char::to_lowercase).filter(|c| !MARKS.contains(c)) {
         if c.is_ascii_alphanumeric() || c == '_' {
             slug.push(c);
+        } else if let Some((_, plain)) = LATIN.iter().find(|(marked, _)| marked.contains(c)) {
+            slug += plain;
         } else if !slug.ends_with('-') && !slug.is_empty() {
             slug.push('-');
         }
@@ -107,8 +138,28 @@ pub fn main_file(names: &[String], named: Option<&str>) -> Result<String, Proble
         ([], [], []) => {
             Err(Problem::new(Kind::BadBody, "the form holds no file").accepted(ACCEPTED))
         }
-        _ => Err(Problem::parameter("name", "which file to load is not clear", ACCEPTED)),
+        (candidates, _, _) if candidates.len() > 1 => Err(several(candidates)),
+        (_, assets, _) if !assets.is_empty() => Err(several(assets)),
+        _ => Err(several(&names.iter().collect::<Vec<_>>())),
     }
+}
+
+/// The problem for a form of which more than one file could be what is to be loaded.
+fn several(files: &[&String]) -> Problem {
+    const MOST_SHOWN: usize = 4;
+    let shown: Vec<String> =
+        files.iter().take(MOST_SHOWN).map(|name| format!("`{name}`")).collect();
+    let more = match files.len().saturating_sub(MOST_SHOWN) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    let reason =
+        format!("each of {}{more} could be loaded, and one upload is one scene", shown.join(", "));
+    let first = files.first().map_or("FILE", |name| name.as_str());
+    let accepted = format!(
+        "one of them at a time, `?name={first}` to load it and keep the others beside it, or a scene (JSON) that names them all"
+    );
+    Problem::parameter("name", reason, accepted)
 }
 
 #[cfg(test)]
@@ -143,9 +194,12 @@ mod tests {
     #[test]
     fn slugs_are_valid_ids() {
         assert_eq!(slug("Stanford Bunny (1).ply"), "stanford-bunny-1");
-        assert_eq!(slug("größe.obj"), "gr-e");
+        assert_eq!(slug("Größe.obj"), "grosse");
+        assert_eq!(slug("Öffentlicher Löwe 獅子.ply"), "offentlicher-lowe");
+        assert_eq!(slug("Cafe\u{301} no\u{308}el.ply"), "cafe-noel", "as macOS writes it");
         assert_eq!(slug("日本.ply"), "scene");
-        for name in ["a.b.ply", "---", &"long name ".repeat(20)] {
+        for name in ["a.b.ply", "---", "İstanbul.ply", &"long name ".repeat(20), &"ß".repeat(60)]
+        {
             assert!(valid_id(slug(name)).is_ok(), "{name}");
         }
     }
@@ -176,5 +230,22 @@ mod tests {
         assert_eq!(pick(&["a.ply", "b.ply"], None), Err(422));
         assert_eq!(pick(&["a.ply"], Some("c.ply")), Err(422));
         assert_eq!(pick(&[], None), Err(422));
+    }
+
+    #[test]
+    fn who_drops_several_files_is_told_which() {
+        let told = |names: &[&str]| {
+            let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
+            let problem = main_file(&names, None).unwrap_err();
+            (problem.detail, problem.accepted.unwrap_or_default())
+        };
+        let (detail, accepted) = told(&["bunny.ply", "lion.obj", "lion.mtl"]);
+        assert!(detail.contains("each of `bunny.ply`, `lion.obj` could be loaded"), "{detail}");
+        assert!(accepted.contains("?name=bunny.ply"), "{accepted}");
+        assert!(told(&["a.json", "b.json", "c.ply"]).0.contains("`a.json`, `b.json` could"));
+        assert!(told(&["a.png", "b.png"]).0.contains("`a.png`, `b.png`"));
+        let many: Vec<String> = (0..9).map(|number| format!("{number}.ply")).collect();
+        let many: Vec<&str> = many.iter().map(String::as_str).collect();
+        assert!(told(&many).0.contains("`3.ply` and 5 more could"), "{}", told(&many).0);
     }
 }

@@ -4,6 +4,8 @@
 //! known but not available in this version is refused with what would be accepted; values are
 //! checked, never clamped. Limits on sizes are the engine's to enforce.
 
+mod names;
+
 use std::time::{Duration, Instant};
 
 use glam::{DMat4, DVec3};
@@ -11,7 +13,9 @@ use serde::Deserialize;
 use serde::de::{DeserializeOwned, IntoDeserializer, value::StrDeserializer};
 use utoipa::{IntoParams, ToSchema};
 
-use super::problem::{Kind, Problem, nearest};
+pub use names::{NAMES, Names, check_name, unknown_name};
+
+use super::problem::{Kind, Problem};
 use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
 use crate::math::{Camera, View};
@@ -115,86 +119,6 @@ pub struct FrameParams {
     pub deadline_ms: Option<f64>,
 }
 
-/// Every parameter of this version.
-pub const NAMES: [&str; 22] = [
-    "camera",
-    "eye",
-    "target",
-    "up",
-    "fov",
-    "view",
-    "proj",
-    "w",
-    "h",
-    "format",
-    "quality",
-    "output",
-    "lod",
-    "max_error_px",
-    "error_mode",
-    "paint",
-    "reconstruct",
-    "filter",
-    "prefilter",
-    "blend",
-    "shading",
-    "deadline_ms",
-];
-
-/// Parameters of the contract that this version does not have, and what it does instead.
-const UNAVAILABLE: [(&str, &str); 2] = [
-    ("budget_ms", "leave it out, or give `deadline_ms`"),
-    ("effects", "leave it out: there are none"),
-];
-
-/// Other words for the same thing.
-const SYNONYMS: [(&str, &str); 9] = [
-    ("width", "w"),
-    ("height", "h"),
-    ("size", "w"),
-    ("q", "quality"),
-    ("position", "eye"),
-    ("center", "target"),
-    ("fovy", "fov"),
-    ("projection", "proj"),
-    ("timeout", "deadline_ms"),
-];
-
-/// Refuses a name that is not a parameter of this version.
-pub fn check_name(name: &str) -> Result<(), Problem> {
-    if NAMES.contains(&name) {
-        return Ok(());
-    }
-    if let Some((name, accepted)) = UNAVAILABLE.iter().find(|(known, _)| *known == name) {
-        return Err(Problem::new(
-            Kind::Unavailable,
-            format!("{name}: not available in this version"),
-        )
-        .at(*name)
-        .accepted(*accepted));
-    }
-    Err(unknown_name(name, &NAMES, &SYNONYMS))
-}
-
-/// The problem for a name that is not in `known`.
-pub fn unknown_name(
-    name: &str,
-    known: &[&'static str],
-    synonyms: &[(&str, &'static str)],
-) -> Problem {
-    let meant = synonyms
-        .iter()
-        .find(|(word, _)| word.eq_ignore_ascii_case(name))
-        .map(|(_, meant)| *meant)
-        .or_else(|| nearest(name, known.iter().copied()));
-    let shown: String = name.chars().take(64).collect();
-    let detail = match meant {
-        Some(meant) => format!("there is no parameter `{shown}`; did you mean `{meant}`?"),
-        None => format!("there is no parameter `{shown}`"),
-    };
-    Problem::new(Kind::UnknownParameter, detail).at(shown).accepted(known.join(", "))
-}
-
 /// Splits a query string into decoded names and values.
 pub fn pairs(query: Option<&str>) -> Result<Vec<(String, String)>, Problem> {
     let Some(query) = query.filter(|q| !q.is_empty()) else { return Ok(Vec::new()) };
@@ -210,9 +134,14 @@ pub fn pairs(query: Option<&str>) -> Result<Vec<(String, String)>, Problem> {
 impl FrameParams {
     /// Reads a query string.
     pub fn from_query(query: Option<&str>) -> Result<Self, Problem> {
+        Self::from_query_as(query, &Names::FRAME)
+    }
+
+    /// Reads a query string that may hold `names`, none of which are beside a frame's.
+    pub fn from_query_as(query: Option<&str>, names: &Names) -> Result<Self, Problem> {
         let mut params = FrameParams::default();
         for (name, value) in pairs(query)? {
-            check_name(&name)?;
+            names.check(&name)?;
             params.set(&name, &value)?;
         }
         Ok(params)
@@ -249,7 +178,7 @@ impl FrameParams {
             "deadline_ms" => {
                 once(&mut self.deadline_ms, name, number(name, value, "milliseconds above 0")?)
             }
-            _ => Err(unknown_name(name, &NAMES, &SYNONYMS)),
+            _ => Err(unknown_name(name, &NAMES, &[])),
         }
     }
 
@@ -496,7 +425,11 @@ impl FrameParams {
             return Ok(Pose::Named(name.clone()));
         }
         let missing = |name| Problem::parameter(name, "missing", WAYS);
-        if by_eye.is_some() {
+        if let Some(given) = by_eye {
+            if self.eye.is_none() && self.target.is_none() {
+                let reason = "needs `eye` and `target`: cameras and the whole scene have their own";
+                return Err(Problem::parameter(given, reason, WAYS));
+            }
             let eye = DVec3::from(self.eye.ok_or_else(|| missing("eye"))?);
             let target = DVec3::from(self.target.ok_or_else(|| missing("target"))?);
             let fov_deg = self.fov.unwrap_or(DEFAULT_FOV_DEG);

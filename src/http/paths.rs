@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 
 use super::frame::missing;
 use super::problem::{Kind, Problem};
-use super::{App, Segments};
+use super::{App, NoQuery, Segments};
 use crate::engine::EngineError;
 use crate::scene::{CameraPath, Ease, Interpolation};
 
@@ -72,6 +72,7 @@ impl From<&CameraPath> for PathDocument {
 pub async fn show(
     State(app): State<Arc<App>>,
     Segments((id, name)): Segments<(String, String)>,
+    _: NoQuery,
 ) -> Result<Json<PathDocument>, Problem> {
     match app.engine.camera_path(&id, &name) {
         Ok(path) => Ok(Json(PathDocument::from(&path))),

@@ -511,8 +511,11 @@ pub fn storage(error: &std::io::Error) -> Problem {
 /// The known name nearest to `name`, when one is near enough to be meant.
 pub fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let lower = name.to_lowercase();
+    // A word of one or two letters is like every longer one that begins with it.
+    let is_short = |candidate: &str| candidate.len() <= 2 && lower.len() > candidate.len() + 1;
     known
         .into_iter()
+        .filter(|candidate| !is_short(candidate))
         .map(|candidate| (strsim::jaro_winkler(&lower, candidate), candidate))
         .filter(|(likeness, _)| *likeness >= 0.7)
         .max_by(|a, b| a.0.total_cmp(&b.0))
@@ -583,5 +586,7 @@ mod tests {
         assert_eq!(nearest("reconstuct", known), Some("reconstruct"));
         assert_eq!(nearest("Camera", known), Some("camera"));
         assert_eq!(nearest("zzz", known), None);
+        assert_eq!(nearest("hello", ["h", "up"]), None);
+        assert_eq!(nearest("hh", ["h", "up"]), Some("h"));
     }
 }

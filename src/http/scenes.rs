@@ -14,7 +14,7 @@ use utoipa::ToSchema;
 use super::params::unknown_name;
 use super::problem::{Kind, Problem, ProblemDocument};
 use super::registry::Entry;
-use super::{App, Segments, body, frame, upload};
+use super::{App, NoQuery, Segments, body, frame, upload};
 use crate::engine::{NodePatch, SceneInfo};
 use crate::scene::{LARGEST_COORDINATE, LARGEST_SCALE};
 
@@ -59,7 +59,7 @@ pub struct SceneList {
     tag = "scenes",
     responses((status = 200, description = "The scenes", body = SceneList)),
 )]
-pub async fn list(State(app): State<Arc<App>>) -> Json<SceneList> {
+pub async fn list(State(app): State<Arc<App>>, _: NoQuery) -> Json<SceneList> {
     let entries = app.registry.list();
     let mut scenes: Vec<SceneState> =
         app.engine.scenes().into_iter().map(|info| SceneState::Ready(Box::new(info))).collect();
@@ -78,6 +78,7 @@ pub async fn list(State(app): State<Arc<App>>) -> Json<SceneList> {
 pub async fn show(
     State(app): State<Arc<App>>,
     Segments(id): Segments<String>,
+    _: NoQuery,
 ) -> Result<Json<SceneState>, Problem> {
     // Looked up first: a scene is in the engine before it leaves the registry.
     let entry = app.registry.get(&id);
@@ -90,7 +91,8 @@ pub async fn show(
     }
 }
 
-/// Removes a scene: its GPU memory is freed, and its files too if it was uploaded.
+/// Removes a scene: its GPU memory is freed, and its files are removed if it was uploaded. One of the server's root is there again
+/// when the server starts anew.
 #[utoipa::path(
     delete,
     path = "/v1/scenes/{id}",
@@ -101,6 +103,7 @@ pub async fn show(
 pub async fn remove(
     State(app): State<Arc<App>>,
     Segments(id): Segments<String>,
+    _: NoQuery,
 ) -> Result<StatusCode, Problem> {
     if app.registry.forget(&id) {
         return Ok(StatusCode::NO_CONTENT);
@@ -162,6 +165,7 @@ const MAX_CHANGE_BYTES: u64 = 64 << 10;
 pub async fn patch_node(
     State(app): State<Arc<App>>,
     Segments((id, node)): Segments<(String, String)>,
+    _: NoQuery,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {

@@ -11,7 +11,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::problem::{Kind, Problem, nearest};
-use super::{App, Phase, ROUTES, metrics as exposition};
+use super::{App, NoQuery, Phase, ROUTES, metrics as exposition};
 use crate::engine::{Limits, Readiness};
 
 const OPENAPI: &str = include_str!("../../openapi.yaml");
@@ -111,10 +111,12 @@ pub struct ServerLimits {
     /// Streams at the same time: of all clients, and of one.
     max_streams: usize,
     max_streams_per_client: usize,
-    /// A stream on which nothing came from its client for so long is closed.
+    /// A stream on which nothing came from its client for so long is closed; so is an `mjpeg` of which nothing was taken.
     stream_idle_ms: u64,
     /// Bytes of one message of a stream's client.
     max_stream_message_bytes: usize,
+    /// Messages of a stream's client in a second; four times as many at once.
+    max_stream_messages_per_second: u32,
     /// Of jobs, where this server draws any.
     jobs: Option<JobLimits>,
 }
@@ -149,7 +151,7 @@ pub struct JobLimits {
     tag = "service",
     responses((status = 200, description = "The limits", body = ServerLimits)),
 )]
-pub async fn limits(State(app): State<Arc<App>>) -> Json<ServerLimits> {
+pub async fn limits(State(app): State<Arc<App>>, _: NoQuery) -> Json<ServerLimits> {
     let settings = &app.settings;
     let ms = |duration: Duration| u64::try_from(duration.as_millis()).unwrap_or(u64::MAX);
     Json(ServerLimits {
@@ -161,6 +163,7 @@ pub async fn limits(State(app): State<Arc<App>>) -> Json<ServerLimits> {
         max_streams_per_client: settings.streams.most_per_client,
         stream_idle_ms: ms(settings.streams.idle),
         max_stream_message_bytes: super::stream::MAX_MESSAGE_BYTES,
+        max_stream_messages_per_second: super::stream::MOST_MESSAGES_PER_SECOND,
         jobs: app.jobs.as_ref().ok().map(|jobs| {
             let config = jobs.config();
             JobLimits {

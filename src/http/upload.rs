@@ -49,7 +49,7 @@ const SCENE_FILE: &str = "scene.json";
     path = "/v1/scenes",
     tag = "scenes",
     params(
-        ("id" = Option<String>, Query, description = "Id of the scene, `[a-z0-9_-]{1,64}`; otherwise made from the name"),
+        ("id" = Option<String>, Query, description = "Id of the scene, `[a-z0-9_-]{1,64}`; otherwise made from the name: small letters without their marks, digits, underscores, hyphens for all else, `scene` where nothing is left, with a number behind it where it is taken"),
         ("name" = Option<String>, Query, description = "File name of a raw body; of a form, which of its files is the scene or asset"),
         ("Content-Disposition" = Option<String>, Header, description = "`attachment; filename=…`, where `name` is not given"),
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`"),

@@ -142,10 +142,14 @@ pub struct FrameAnswer {
 impl FrameAnswer {
     /// Reads the header of a binary message.
     pub fn read(message: &[u8]) -> Option<Self> {
-        let (length, rest) = message.split_first_chunk::<4>()?;
-        let header = rest.get(..u32::from_le_bytes(*length) as usize)?;
-        serde_json::from_slice(header).ok()
+        serde_json::from_slice(header_and_image(message)?.0).ok()
     }
+}
+
+/// The header, as JSON, and the image of a stream's binary message. `None` where it is cut off.
+pub fn header_and_image(message: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (length, rest) = message.split_first_chunk::<4>()?;
+    rest.split_at_checked(u32::from_le_bytes(*length) as usize)
 }
 
 #[cfg(test)]
@@ -216,6 +220,14 @@ mod tests {
         let problem = br#"{"title":"bad","detail":"w: not a number","accepted":"1 to 9"}"#;
         assert_eq!(complaint(400, problem), "400: w: not a number (1 to 9)");
         assert_eq!(complaint(502, b"<html>\nbad gateway"), "502: <html>");
+    }
+
+    #[test]
+    fn a_message_is_length_header_image() {
+        let message = b"\x02\0\0\0{}image";
+        assert_eq!(header_and_image(message), Some((&b"{}"[..], &b"image"[..])));
+        assert_eq!(header_and_image(&message[..6]), Some((&b"{}"[..], &b""[..])));
+        assert_eq!((header_and_image(&message[..5]), header_and_image(b"\x02\0\0")), (None, None));
     }
 
     #[test]

@@ -234,3 +234,19 @@ fn bodies_that_trickle_are_given_up() {
     sender.join().unwrap();
     assert!(daemon.uploads().is_empty(), "{:?}", daemon.uploads());
 }
+
+#[test]
+fn addresses_without_parameters_take_none() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    for path in ["/v1/scenes", "/v1/scenes/grid", "/v1/limits", "/v1/scenes/grid/paths/past"] {
+        assert_eq!(client.get(path).status, 200, "{path}");
+        assert_eq!(client.get(&format!("{path}?")).status, 200, "{path}, an empty query");
+        let problem = client.get(&format!("{path}?limit=3")).problem();
+        assert_eq!(problem["type"], "urn:pointillist:problem:unknown-parameter", "{path}");
+        assert_eq!((&problem["parameter"], &problem["status"]), (&"limit".into(), &422.into()));
+    }
+    let gone = client.send("DELETE", "/v1/scenes/grid?force=true", &[], None);
+    assert_eq!(gone.status, 422, "{}", gone.text());
+    assert_eq!(client.get("/v1/scenes/grid").status, 200, "nothing was deleted");
+}

@@ -129,7 +129,8 @@ fn streams_that_send_and_never_read_are_held_still() {
     assert_healthy(&daemon);
 }
 
-/// One client has as many requests under way as it can; another, with a key of its own, gets every one of its frames.
+/// One client has as many requests under way as it can, in 16 threads; another, with a key of its own and one request at a time, gets every one
+/// of its frames, and waits for few of the other's.
 #[test]
 fn a_flood_of_one_client_is_not_the_others() {
     let folder = tempfile::tempdir().unwrap();
@@ -147,9 +148,10 @@ fn a_flood_of_one_client_is_not_the_others() {
         client.send("GET", &path, &[("authorization", &bearer)], None).status
     };
     let (stop, refused) = (AtomicBool::new(false), AtomicUsize::new(0));
+    let drawn = AtomicUsize::new(0);
     std::thread::scope(|scope| {
         for thread in 0..16u32 {
-            let (daemon, stop, refused, get) = (&daemon, &stop, &refused, &get);
+            let (daemon, stop, refused, drawn, get) = (&daemon, &stop, &refused, &drawn, &get);
             scope.spawn(move || {
                 let client = daemon.client();
                 let mut number = 0;
@@ -157,7 +159,7 @@ fn a_flood_of_one_client_is_not_the_others() {
                     number += 1;
                     let x = f64::from(thread) + f64::from(number) * 1e-3;
                     match get(&client, "writer", x, 300) {
-                        200 => {}
+                        200 => drop(drawn.fetch_add(1, Ordering::Relaxed)),
                         503 => drop(refused.fetch_add(1, Ordering::Relaxed)),
                         other => panic!("{other}"),
                     }
@@ -166,9 +168,14 @@ fn a_flood_of_one_client_is_not_the_others() {
         }
         let client = daemon.client();
         eventually("a full queue", || refused.load(Ordering::Relaxed) > 10);
+        let before = drawn.load(Ordering::Relaxed);
         let answers: Vec<u16> =
             (0..20).map(|number| get(&client, "reader", f64::from(number) * 0.01, 64)).collect();
+        let meanwhile = drawn.load(Ordering::Relaxed) - before;
         stop.store(true, Ordering::Relaxed);
         assert_eq!(answers, [200; 20]);
+        // Before each of them lie a batch that is being drawn and at most one more; in turn with all that waits it would be six frames and more.
+        println!("{meanwhile} frames of the flood during 20 of the other");
+        assert!(meanwhile <= 20 * 5, "{meanwhile} frames of the flood during 20 of the other");
     });
 }

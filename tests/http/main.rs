@@ -18,5 +18,6 @@ mod load;
 mod mjpeg;
 mod naming;
 mod stream;
+mod stream_ends;
 mod uploads;
 mod viewer;

@@ -154,6 +154,25 @@ fn nothing_is_drawn_for_who_does_not_read() {
 }
 
 #[test]
+fn a_film_that_nobody_reads_gives_its_place_back() {
+    let daemon = Daemon::start(&["--max-streams", "2", "--stream-idle-seconds", "1"]);
+    let client = daemon.client();
+    // One that takes some of it and then nothing; one that is shown on and on, and one view that does not change, are read.
+    let mut stalled = Film::open(&client, "path=past&loop=true&fps=120&w=900&h=900&quality=100");
+    stalled.part().unwrap();
+    let mut read = Film::open(&client, "camera=front&w=64&h=64");
+    read.part().unwrap();
+    let places = || client.metric("pointillist_streams_open");
+    assert_eq!(places(), 2.0);
+    eventually("the place of who does not read to be free", || places() == 1.0);
+    std::thread::sleep(std::time::Duration::from_secs(2));
+    assert_eq!(places(), 1.0, "who waits for a picture to change reads");
+    // What was sent is cut off, so that nobody takes it for the end.
+    let mut rest = Vec::new();
+    assert!(stalled.body.read_to_end(&mut rest).is_err());
+}
+
+#[test]
 fn a_view_is_shown_again_when_its_scene_changes() {
     let daemon = Daemon::start(&[]);
     let client = daemon.client();

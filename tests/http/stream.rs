@@ -4,6 +4,7 @@ use std::net::{SocketAddr, TcpStream};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
+use pointillist::load::wire::header_and_image;
 use serde_json::{Value, json};
 use tungstenite::protocol::frame::coding::CloseCode;
 use tungstenite::{Message, WebSocket};
@@ -18,7 +19,7 @@ pub struct Stream {
 
 /// What came.
 #[derive(Debug)]
-enum Came {
+pub enum Came {
     Frame {
         header: Value,
         image: Vec<u8>,
@@ -64,18 +65,18 @@ impl Stream {
         self.socket.send(Message::text(message.to_string())).unwrap();
     }
 
-    fn patience(&mut self, patience: Duration) {
+    pub fn patience(&mut self, patience: Duration) {
         self.socket.get_mut().set_read_timeout(Some(patience)).unwrap();
     }
 
     /// What comes next, or `None` when nothing does within the patience.
-    fn try_next(&mut self) -> Option<Came> {
+    pub fn try_next(&mut self) -> Option<Came> {
         loop {
             return Some(match self.socket.read() {
                 Ok(Message::Binary(bytes)) => {
-                    let length = u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize;
-                    let header = serde_json::from_slice(&bytes[4..4 + length]).unwrap();
-                    Came::Frame { header, image: bytes[4 + length..].to_vec() }
+                    let (header, image) = header_and_image(&bytes).unwrap();
+                    let header = serde_json::from_slice(header).unwrap();
+                    Came::Frame { header, image: image.to_vec() }
                 }
                 Ok(Message::Text(text)) => Came::Event(serde_json::from_str(&text).unwrap()),
                 Ok(Message::Close(frame)) => {
@@ -100,7 +101,7 @@ impl Stream {
     }
 
     /// The next frame, whose header is checked; not acknowledged.
-    fn frame_unacked(&mut self) -> (Value, Vec<u8>) {
+    pub fn frame_unacked(&mut self) -> (Value, Vec<u8>) {
         loop {
             match self.next() {
                 Came::Frame { header, image } => {
@@ -122,7 +123,7 @@ impl Stream {
     }
 
     /// Frames up to the first that satisfies `is_it`.
-    fn frames_until(&mut self, is_it: impl Fn(&Value) -> bool) -> Vec<Value> {
+    pub fn frames_until(&mut self, is_it: impl Fn(&Value) -> bool) -> Vec<Value> {
         let mut frames = vec![self.frame()];
         while !is_it(&frames[frames.len() - 1]) {
             frames.push(self.frame());
@@ -199,6 +200,23 @@ fn a_moving_frame_and_then_a_still_one() {
     let metrics = daemon.client();
     assert_eq!(metrics.metric("pointillist_stream_frames_total"), 3.0);
     assert_eq!(metrics.metric("pointillist_streams_open"), 1.0);
+}
+
+#[test]
+fn frames_of_point_trees_say_how_coarse_they_are() {
+    let daemon = Daemon::start(&[]);
+    let asked = "camera=front&w=320&h=240&lod=spt&max_error_px=2&format=png";
+    let mut stream = Stream::open(&daemon, &format!("{GRID}?{asked}"));
+    let frames = stream.frames_until(|frame| frame["quality"] == "still");
+    assert!(frames.len() > 1, "a moving one comes first");
+    for frame in &frames {
+        let error_px = frame["max_error_px"].as_f64().unwrap();
+        assert!((2.0..=4.0).contains(&error_px), "{frame}");
+        assert_eq!(frame["receipt"]["max_error_px"], frame["max_error_px"]);
+    }
+    assert_eq!(frames[frames.len() - 1]["max_error_px"], 2.0, "at rest as it was asked for");
+    stream.send(json!({"seq": 1, "lod": "full", "moving": false}));
+    assert_eq!(stream.frame()["max_error_px"], Value::Null);
 }
 
 #[test]
@@ -359,30 +377,6 @@ fn a_client_that_goes_away_frees_its_place() {
 }
 
 #[test]
-fn streams_are_closed_with_a_reason() {
-    let mut daemon = Daemon::start(&["--stream-idle-seconds", "1"]);
-    let mut idle = Stream::open(&daemon, "/v1/scenes/grid/stream?w=64&h=64");
-    let began = Instant::now();
-    assert_eq!(idle.closed(), 4408);
-    assert!(began.elapsed() > Duration::from_millis(900));
-    let mut pinging = Stream::open(&daemon, GRID);
-    for ping in 0..5 {
-        std::thread::sleep(Duration::from_millis(400));
-        pinging.send(json!({"ping": ping}));
-    }
-    let mut binary = Stream::open(&daemon, GRID);
-    binary.socket.send(Message::binary(vec![1, 2, 3])).unwrap();
-    assert_eq!(binary.closed(), 1003);
-    let mut large = Stream::open(&daemon, GRID);
-    large.send(json!({"ping": "x".repeat(70_000)}));
-    assert_eq!(large.closed(), 1009);
-    pinging.send(json!({"ping": 9}));
-    daemon.signal();
-    assert_eq!(pinging.closed(), 1001);
-    assert_eq!(daemon.wait().code(), Some(0), "{}", daemon.log());
-}
-
-#[test]
 fn who_may_open_a_stream() {
     // Of `r-1`.
     let hash = "a5fa777a3dc67268caea6eea038ba14177e360dba84e1db44e738dbae137e7ef";
@@ -405,29 +399,33 @@ fn who_may_open_a_stream() {
     assert_eq!(open("pointillist, pointillist.key.r-1"), None);
 }
 
-/// Four streams that always have a newer pose, and one client that keeps six plain requests waiting: five clients, five shares.
+/// Four streams that always have a newer pose, each with a key of its own, and one more client that keeps six plain requests waiting: five
+/// clients, five shares.
 #[test]
 fn clients_share_the_device_and_the_plain_api_still_answers() {
     const STREAMS: usize = 4;
     const TIME: Duration = Duration::from_secs(5);
-    let daemon = Daemon::start(&["--max-batch", "4"]);
+    let (daemon, keys) = keyed_daemon(&["--max-batch", "4"]);
     let until = Instant::now() + TIME;
     let plain = AtomicUsize::new(0);
     let counts: Vec<usize> = std::thread::scope(|scope| {
         let streams: Vec<_> = (0..STREAMS)
             .map(|number| {
-                let daemon = &daemon;
-                scope.spawn(move || count_frames(daemon, number, until))
+                let (daemon, key) = (&daemon, keys[number]);
+                scope.spawn(move || count_frames(daemon, number, key, until))
             })
             .collect();
         for thread in 0..6 {
             let (daemon, plain) = (&daemon, &plain);
+            let bearer = format!("Bearer {}", keys[STREAMS]);
             scope.spawn(move || {
                 let client = daemon.client();
+                let headers = [("authorization", bearer.as_str())];
                 while Instant::now() < until {
                     let x = plain.fetch_add(1, Ordering::Relaxed) as f64 * 0.001;
                     let query = format!("eye={x},{thread},3&target=0,0,0&w=400&h=400&format=jpeg");
-                    assert_eq!(client.get(&format!("/v1/scenes/grid/frame?{query}")).status, 200);
+                    let path = format!("/v1/scenes/grid/frame?{query}");
+                    assert_eq!(client.send("GET", &path, &headers, None).status, 200);
                 }
             });
         }
@@ -442,9 +440,28 @@ fn clients_share_the_device_and_the_plain_api_still_answers() {
     }
 }
 
+/// A daemon that asks for keys, and five of those.
+fn keyed_daemon(args: &[&str]) -> (Daemon, [&'static str; 5]) {
+    const KEYS: [(&str, &str); 5] = [
+        ("s-0", "74d7151be70fb7deb7900896e81edef265f8cf2293ab40f9561704e781016903"),
+        ("s-1", "6a840baf5d8c3ff241688aeb14546e653774cd5387faf1cb982b0fbbf1fbb810"),
+        ("s-2", "450222bcc3475b01aa69d5b0150a75a08a3bc3a87bb87ce4290ea7e0d4e51877"),
+        ("s-3", "8252abfa5aa47b78d6b8a3a85d0f0a0129b2a825b83e15f22beb85dcf05abdf6"),
+        ("plain", "a116c9ed46d6207734a43317d30fd88f52ac8634c37d904bbf4e41d865f90475"),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("keys");
+    let lines: String = KEYS.iter().map(|(key, hash)| format!("{key} read {hash}\n")).collect();
+    std::fs::write(&file, lines).unwrap();
+    let daemon = Daemon::start(&[args, &["--api-keys", file.to_str().unwrap()]].concat());
+    (daemon, KEYS.map(|(key, _)| key))
+}
+
 /// Sends a new pose every few milliseconds, and gives the number of frames until `until`.
-fn count_frames(daemon: &Daemon, number: usize, until: Instant) -> usize {
-    let mut stream = Stream::open(daemon, GRID);
+fn count_frames(daemon: &Daemon, number: usize, key: &str, until: Instant) -> usize {
+    let bearer = format!("Bearer {key}");
+    let headers = [("Authorization", bearer.as_str())];
+    let mut stream = Stream::connect(daemon.address, GRID, &headers).ok().unwrap();
     stream.patience(Duration::from_millis(4));
     stream.send(json!({"seq": 0, "camera": "front", "w": 400, "h": 400, "moving": false}));
     let (mut seq, mut count) = (0, 0);

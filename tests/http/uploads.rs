@@ -78,6 +78,28 @@ fn scenes_with_their_files() {
         let reply = client.get(&format!("/v1/scenes/{id}/frame?w=16&h=16"));
         assert_eq!(reply.status, 200, "{id}: {}", reply.text());
     }
+
+    // What was uploaded is deleted for good; what lies in the root is the daemon's to load, at every start.
+    for id in ["town", "grid"] {
+        let path = format!("/v1/scenes/{id}");
+        assert_eq!(client.send("DELETE", &path, &[], None).status, 204);
+        assert_eq!(client.get(&path).status, 404);
+    }
+    let daemon = daemon.restart(&[]);
+    let client = daemon.client();
+    let status = |id: &str| client.get(&format!("/v1/scenes/{id}")).status;
+    assert_eq!((status("town"), status("grid")), (404, 200));
+}
+
+#[test]
+fn what_shows_nothing_says_so() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let obj = b"v 0 0 0\nv 0 0 0\nv 0 0 0\nf 3 2 1\n";
+    let reply = client.send("POST", "/v1/scenes?name=nothing.obj", &[], Some(obj));
+    assert_eq!(reply.status, 201, "{}", reply.text());
+    let warnings = reply.json()["warnings"].to_string();
+    assert!(warnings.contains("no triangle has an area"), "{warnings}");
 }
 
 #[test]

@@ -6,10 +6,11 @@
 //! ```
 //!
 //! The body is drawn as it is read: a client that does not read has nothing drawn for it, and goes on with the frame that is due
-//! when it reads again. Without a path it shows one view, and again whenever the scene changes.
+//! when it reads again, unless that is later than a stream may be idle ([`watched`]). Without a path it shows one view, and again whenever the scene changes.
 
 mod screening;
 mod timeline;
+mod watched;
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -25,10 +26,11 @@ use utoipa::IntoParams;
 
 use self::screening::{Screening, Show};
 use self::timeline::Timeline;
+use self::watched::Watched;
 use super::frame::missing;
 use super::frames::{boundary, part};
-use super::params::{FrameParams, check_name, number, once, pairs};
-use super::problem::{Kind, Problem};
+use super::params::{FrameParams, Names, number, once, pairs};
+use super::problem::Problem;
 use super::{App, Caller, Segments};
 use crate::encode::ImageFormat;
 use crate::engine::{EncodedFrame, FrameRequest, Origin, RequestId};
@@ -38,6 +40,12 @@ use crate::scene::CameraPath;
 const FPS_RANGE: [f64; 2] = [0.1, 120.0];
 /// Of a view that does not move: how soon a change of the scene is shown after the one before.
 const DEFAULT_FPS: f64 = 30.0;
+
+/// What its query may hold.
+const NAMES: Names = Names {
+    own: &["path", "fps", "loop"],
+    without: &[("deadline_ms", "frames that are late are left out")],
+};
 
 /// What a frame's query does not have.
 #[derive(Debug, Default, PartialEq, Deserialize, IntoParams)]
@@ -57,7 +65,7 @@ pub struct ScreeningParams {
 /// Each part is a JPEG with its `Pointillist-Receipt`, and with `Pointillist-Pose`, its frame's number. Frame `n` of a path is what it shows
 /// `n / fps` seconds after its first key. Frames that cannot be drawn or sent in their time are left out, so that the film takes as
 /// long as the path. It ends with the path's last frame unless it loops, when the scene is deleted, and when the server stops; it
-/// counts as one of the streams that `GET /v1/limits` allows.
+/// counts as one of the streams that `GET /v1/limits` allows, and ends when nothing of it was taken for `stream_idle_ms`.
 #[utoipa::path(
     get,
     path = "/v1/scenes/{id}/mjpeg",
@@ -91,7 +99,8 @@ pub async fn mjpeg(
     };
     let boundary = boundary();
     let content_type = format!("multipart/x-mixed-replace; boundary={boundary}");
-    let mut response = Response::new(Body::from_stream(parts(screening, first, boundary)));
+    let film = Watched::new(parts(screening, first, boundary), app.settings.streams.idle);
+    let mut response = Response::new(Body::from_stream(film));
     let headers = response.headers_mut();
     let content_type = HeaderValue::from_str(&content_type).map_err(Problem::internal)?;
     headers.insert(header::CONTENT_TYPE, content_type);
@@ -112,13 +121,7 @@ impl ScreeningParams {
                 "fps" => once(&mut wanted.fps, &name, number(&name, &value, FRAMES_PER_SECOND)?)?,
                 "loop" => once(&mut wanted.r#loop, &name, number(&name, &value, "true or false")?)?,
                 _ => {
-                    check_name(&name).map_err(|problem| match problem.kind {
-                        Kind::UnknownParameter => {
-                            let known = problem.accepted.clone().unwrap_or_default();
-                            problem.accepted(format!("path, fps, loop, {known}"))
-                        }
-                        _ => problem,
-                    })?;
+                    NAMES.check(&name)?;
                     params.set(&name, &value)?;
                 }
             }
@@ -128,12 +131,6 @@ impl ScreeningParams {
     }
 
     fn check(&self, params: &FrameParams) -> Result<(), Problem> {
-        if params.deadline_ms.is_some() {
-            let what = "deadline_ms: frames that are late are left out";
-            return Err(Problem::new(Kind::Unavailable, what)
-                .at("deadline_ms")
-                .accepted("leave it out"));
-        }
         if params.format()?.is_some_and(|format| format != ImageFormat::Jpeg) {
             let accepted = "jpeg, or left out";
             return Err(Problem::parameter("format", "the frames are JPEGs", accepted));
@@ -182,25 +179,31 @@ fn check_fps(fps: f64, whose: &str) -> Result<(), Problem> {
     Err(Problem::parameter("fps", reason, format!("{least} to {most} frames a second")))
 }
 
+/// Bytes of an image that are handed over at a time: whoever takes little of it at a time still reads.
+const PIECE_BYTES: usize = 32 << 10;
+
 /// The answer's body. A part ends with the next one's delimiter, because only then a browser shows it.
 fn parts(
     mut screening: Screening,
     first: Option<Arc<EncodedFrame>>,
     boundary: String,
-) -> impl Stream<Item = Result<Bytes, std::convert::Infallible>> {
+) -> impl Stream<Item = Bytes> {
     async_stream::stream! {
         let delimiter = Bytes::from(format!("\r\n--{boundary}"));
         // The first line of all has none before it that would have to end.
-        yield Ok(delimiter.slice(2..));
+        yield delimiter.slice(2..);
         let mut next = first;
         while let Some(frame) = next {
             let (head, content) = part(screening.frame_number(), Ok(frame));
-            yield Ok(Bytes::from(format!("\r\n{head}")));
-            yield Ok(content);
-            yield Ok(delimiter.clone());
+            yield Bytes::from(format!("\r\n{head}"));
+            let mut rest = content;
+            while !rest.is_empty() {
+                yield rest.split_to(rest.len().min(PIECE_BYTES));
+            }
+            yield delimiter.clone();
             next = screening.next().await;
         }
-        yield Ok(Bytes::from_static(b"--\r\n"));
+        yield Bytes::from_static(b"--\r\n");
     }
 }
 

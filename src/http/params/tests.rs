@@ -46,6 +46,24 @@ fn unknown_names_are_suggested() {
 }
 
 #[test]
+fn names_are_those_of_the_way_of_asking() {
+    let names = Names { own: &["speed"], without: &[("deadline_ms", "it is never late")] };
+    assert!(names.check("speed").is_ok() && names.check("eye").is_ok());
+    let problem = |name: &str| {
+        let problem = names.check(name).unwrap_err();
+        (problem.kind, problem.detail, problem.accepted.unwrap_or_default())
+    };
+    let (kind, detail, accepted) = problem("deadline_ms");
+    assert_eq!((kind, accepted.as_str()), (Kind::Unavailable, "leave it out"));
+    assert!(detail.contains("it is never late"), "{detail}");
+    let (_, detail, accepted) = problem("sped");
+    assert!(detail.contains("did you mean `speed`"), "{detail}");
+    assert!(accepted.starts_with("speed, camera") && accepted.ends_with("shading"), "{accepted}");
+    let (_, detail, _) = problem("timeout");
+    assert!(!detail.contains("deadline_ms"), "{detail}");
+}
+
+#[test]
 fn values_are_checked() {
     for (query, parameter) in [
         ("w=0", "w"),
@@ -60,7 +78,9 @@ fn values_are_checked() {
         ("eye=1,2,3,4&target=0,0,0", "eye"),
         ("eye=1,2,3", "target"),
         ("target=1,2,3", "eye"),
-        ("fov=30", "eye"),
+        ("fov=30", "fov"),
+        ("up=0,0,1", "up"),
+        ("fov=30&eye=0,0,1", "target"),
         ("camera=a&fov=30", "fov"),
         ("eye=1,2,3&target=0,0,0&view=1", "view"),
         ("view=1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1", "proj"),

@@ -10,7 +10,9 @@
 //! The newest pose wins: a stream has one frame being drawn and one waiting at most, and a newer pose takes the place of the one
 //! that waits, with its turn. Acknowledgements open the window ([`pacing`]); without them there are no more frames.
 
+mod allowance;
 mod course;
+mod moving;
 mod outbox;
 mod pacing;
 mod places;
@@ -26,32 +28,39 @@ use axum::http::Uri;
 use axum::response::Response;
 use tracing::Instrument;
 
+pub use allowance::MOST_PER_SECOND as MOST_MESSAGES_PER_SECOND;
 pub use places::{Place, StreamLimits, Streams};
 pub use wire::{Close, FrameHeader, MAX_MESSAGE_BYTES, PoseFields};
 
 use super::frame::missing;
-use super::params::FrameParams;
+use super::params::{FrameParams, Names};
 use super::problem::{Kind, Problem};
 use super::{App, Caller, Segments, naming};
 use crate::engine::RequestId;
 use session::Session;
+use wire::WITHOUT;
 
 /// The subprotocol that is chosen when a client offers it.
 const PROTOCOL: &str = "pointillist";
+
+/// What the address may hold.
+const QUERY_NAMES: Names = Names { own: &[], without: WITHOUT };
 
 /// Poses in, frames out, over a WebSocket.
 ///
 /// **The client sends** JSON text. A pose is `{"seq": 7, …}` with any parameter of a frame but `deadline_ms`, named and written as in
 /// `POST …/frames` (schema `StreamPose`); what it leaves out stays as the last pose had it, or with `"reset": true` as it is in a frame's query. `{"ack": n}` acknowledges frame `n` and all
-/// before it, once it has been decoded: without acknowledgements at most eight frames come, and at the start two. `{"ping": x}` is answered with
-/// `{"event": "pong", "ping": x}`. Parameters in the address are the first pose, with `seq` 0, so that a client that comes back is
+/// before it, once it has been decoded: the first frame is alone until it is acknowledged, then two and up to eight may be on their way. Who never acknowledges is told so
+/// once, by a problem whose `parameter` is `ack`. `{"ping": x}` is answered with
+/// `{"event": "pong", "ping": x}`. The newest pose is the one that came last, whatever its `seq`. Parameters in the address are the first pose, with `seq` 0, so that a client that comes back is
 /// sent a frame at once.
 ///
 /// **The server sends** frames as one binary message each: a little-endian u32, the length of the header; the header, JSON (schema
 /// `StreamFrame`); the image. Frames come in the order of their poses; a pose that a newer one has overtaken is not drawn.
 /// While the pose moves (`"moving": true`, or left out and the last pose less than 200 ms ago) frames are smaller and colours are JPEG where a
-/// format that a browser shows was asked for, so that they come 30 times a second by what engine and link were measured to do: the header says
-/// `"quality": "moving"`, and how small. When it rests, or `"moving": false` says so, one frame comes as it was asked for,
+/// format that a browser shows was asked for; below half of each side, those of `lod=spt` are coarser, too (`max_error_px` up to four times what was
+/// asked for, and no more than 4 unless more was asked for). So 30 come in a second by what engine and link were measured to do, if a quarter of each
+/// side and that error make it possible: the header says `"quality": "moving"`, how small and how coarse. When it rests, or `"moving": false` says so, one frame comes as it was asked for,
 /// `"quality": "still"`; without `format` colours are JPEG. A receipt's `request_id` is the handshake's `X-Request-Id` with the number that
 /// the frame has when nothing fails before it, as in `4bf92f35/12`.
 ///
@@ -59,7 +68,8 @@ const PROTOCOL: &str = "pointillist";
 /// pose is drawn again unasked; `{"event": "deleted", …}`; `{"event": "pong", …}`; and `{"event": "problem", …}`, a `Problem` with the `seq` of the
 /// pose, if it is about one. After a problem the stream goes on, with the settings as they were.
 ///
-/// **It closes** with 1001 (the server stops), 1003 (a binary message), 1009 (a message over `max_stream_message_bytes`), 1011 (nothing can be
+/// **It closes** with 1001 (the server stops), 1002 (what came is no WebSocket frame), 1003 (a binary message), 1007 (a text is not UTF-8), 1008
+/// (more than `max_stream_messages_per_second`, for longer than a burst of four times as many), 1009 (a message over `max_stream_message_bytes`), 1011 (nothing can be
 /// drawn any more), 4404 (the scene was deleted), 4408 (nothing received for `stream_idle_ms`) or 4429 (too many streams).
 ///
 /// Pages cannot set headers on a WebSocket: their key may come as a subprotocol, `new WebSocket(url, ["pointillist",
@@ -80,20 +90,17 @@ pub async fn stream(
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Result<Response, Problem> {
     let first = uri.query().filter(|query| !query.is_empty());
-    let first = first.map(|query| FrameParams::from_query(Some(query))).transpose()?;
-    if first.as_ref().is_some_and(|first| first.deadline_ms.is_some()) {
-        return Err(Problem::new(Kind::Unavailable, "deadline_ms: a stream draws the newest pose")
-            .at("deadline_ms")
-            .accepted("leave it out"));
-    }
+    let first =
+        first.map(|query| FrameParams::from_query_as(Some(query), &QUERY_NAMES)).transpose()?;
     app.engine.scene(&id).map_err(|error| missing(&app, &id, error.into()))?;
     let upgrade = upgrade.map_err(|rejection| {
         Problem::new(Kind::UpgradeRequired, rejection.body_text())
             .at("Upgrade")
             .accepted("a WebSocket handshake over HTTP/1.1, version 13")
     })?;
-    // A message over the limit is to be answered with a close code, which one over the socket's own limit is not.
-    let upgrade = upgrade.protocols([PROTOCOL]).max_message_size(4 * MAX_MESSAGE_BYTES);
+    // A message a little over the limit is read to its end, so that the close that answers it is not lost to a reset.
+    let most = 4 * MAX_MESSAGE_BYTES;
+    let upgrade = upgrade.protocols([PROTOCOL]).max_message_size(most).max_frame_size(most);
     Ok(upgrade.on_upgrade(move |socket| async move {
         let Some(place) = Place::take(&app, client) else {
             return outbox::refuse(socket, Close::TooMany).await;

@@ -22,6 +22,8 @@ const KEPT: usize = 16;
 const MOST_FRAMES: usize = 2;
 /// How long a client has to answer a close.
 const CLOSING: Duration = Duration::from_secs(2);
+/// How long a close that nobody waits for an answer to has to arrive: what is ended with bytes unread is reset.
+const ARRIVING: Duration = Duration::from_millis(500);
 
 pub struct Outbox {
     sender: mpsc::Sender<Message>,
@@ -77,6 +79,21 @@ impl Outbox {
         };
         let _ = tokio::time::timeout(CLOSING, closing).await;
         writer.abort();
+    }
+
+    /// The same, of a client whose messages cannot be read any more.
+    pub async fn close_unread(self, close: Close, source: SplitStream<WebSocket>) {
+        let Outbox { sender, mut writer, .. } = self;
+        let writing = async {
+            if sender.send(close.message()).await.is_ok() {
+                drop(sender);
+                let _ = (&mut writer).await;
+                tokio::time::sleep(ARRIVING).await;
+            }
+        };
+        let _ = tokio::time::timeout(CLOSING, writing).await;
+        writer.abort();
+        drop(source);
     }
 
     /// The client has closed: what is left of the handshake, and no more frames.

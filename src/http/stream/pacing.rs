@@ -13,8 +13,12 @@
 //! time of its own bytes, and on a slow link be mistaken for distance. Until a client has answered a ping there is none.
 //!
 //! The slower stage decides the size of moving frames, by pixels that would meet [`TARGET`]; a slow link lowers the quality of JPEGs
-//! first. The window is what fills the link at that pace and no more, so that a pose never waits behind pictures that are under
-//! way; a client that does not acknowledge gets a window's worth of frames and no more. It is in frames, and in bytes of what the
+//! first. Where the engine leaves them less than a quarter of the pixels, moving frames may be wrong by more of their own, in proportion,
+//! up to [`MOST_COARSE`] times: below that, point trees cost by their detail and no longer by pixels. (The plaza, drawn on a CPU, in shares of
+//! what 640 × 480 takes: 0.54 at 320 × 240, 0.39 at 160 × 120, and of that size 0.21 at twice and 0.09 at four times the error.)
+//!
+//! The window is what fills the link at that pace and no more, so that a pose never waits behind pictures that are under
+//! way; a client that does not acknowledge gets a window's worth of frames, which is one at first, and no more. It is in frames, and in bytes of what the
 //! link was measured to carry in [`AHEAD`].
 
 use std::collections::VecDeque;
@@ -35,10 +39,26 @@ const LEAST_BYTES: u64 = 8 << 10;
 const TELLING_BYTES: u64 = 2 << 10;
 /// Least share of the pixels asked for; below it a picture is of no use.
 const LEAST_PIXELS: f64 = 1.0 / 16.0;
+/// Share of the pixels asked for below which frames are coarser than asked for.
+const COARSE_PIXELS: f64 = 0.25;
+/// Most that an accepted error is multiplied with.
+const MOST_COARSE: f64 = 4.0;
+/// A client that has not acknowledged a frame for so long, while the next one waits for that, may not know that it has to.
+const PATIENCE: Duration = Duration::from_secs(5);
 const BEST_JPEG: f64 = 80.0;
 const WORST_JPEG: f64 = 40.0;
 /// A distance is measured anew after this long: paths change.
 const PING_PERIOD: Duration = Duration::from_secs(5);
+
+/// How moving frames are to be made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pace {
+    /// What width and height are multiplied with.
+    pub scale: f64,
+    /// What an accepted error is multiplied with, 1 or more.
+    pub coarseness: f64,
+    pub jpeg_quality: u8,
+}
 
 /// A frame that has not been acknowledged.
 #[derive(Clone, Copy, Debug)]
@@ -116,14 +136,21 @@ impl Pacer {
         }
     }
 
-    /// What width and height of a moving frame are multiplied with.
-    pub fn scale(&self) -> f64 {
-        self.drawn_pixels.min(self.link_pixels).sqrt()
+    /// Of moving frames from now on.
+    pub fn pace(&self) -> Pace {
+        Pace {
+            scale: self.drawn_pixels.min(self.link_pixels).sqrt(),
+            // A slow link is helped by fewer pixels alone.
+            coarseness: (COARSE_PIXELS / self.drawn_pixels).clamp(1.0, MOST_COARSE),
+            jpeg_quality: self.jpeg_quality.round() as u8,
+        }
     }
 
-    /// Of a moving frame.
-    pub fn jpeg_quality(&self) -> u8 {
-        self.jpeg_quality.round() as u8
+    /// The oldest frame that is not acknowledged, and when whoever waits for that may take it that nobody will do so. Who has acknowledged
+    /// any knows how, and may be on a slow link.
+    pub fn unacknowledged(&self) -> Option<(u64, Instant)> {
+        let patience = if self.last_acked_at.is_none() { PATIENCE } else { PATIENCE * 4 };
+        self.unacked.front().map(|sent| (sent.number, sent.at + patience))
     }
 
     /// A frame came from the engine; a moving one had `share` of the pixels asked for.
@@ -132,7 +159,7 @@ impl Pacer {
         self.last_drawn_at = Some(done);
         if let Some(share) = share {
             let took = done.saturating_duration_since(began);
-            self.drawn_pixels = toward(self.drawn_pixels, share, took);
+            self.drawn_pixels = toward(self.drawn_pixels, share, took, self.drawn_pixels);
         }
     }
 
@@ -204,16 +231,16 @@ impl Pacer {
         if took < TARGET / 2 {
             self.jpeg_quality = (self.jpeg_quality + 2.0).min(BEST_JPEG);
         }
-        self.link_pixels = toward(self.link_pixels, share, took);
+        self.link_pixels = toward(self.link_pixels, share, took, share);
     }
 }
 
-/// Moves a share of pixels toward what would take [`TARGET`], if `pixels` took `took`. Growth goes by small steps, because what
+/// Moves a share of pixels toward what would take [`TARGET`], if `pixels` took `took`. Growth goes by small steps from `from`, because what
 /// there is no frame of is guessed.
-fn toward(share: f64, pixels: f64, took: Duration) -> f64 {
+fn toward(share: f64, pixels: f64, took: Duration, from: f64) -> f64 {
     let ratio = TARGET.as_secs_f64() / took.as_secs_f64().max(1e-4);
-    let aim = (pixels * ratio.clamp(0.25, 1.5)).clamp(LEAST_PIXELS, 1.0);
-    (share.powf(0.6) * aim.powf(0.4)).clamp(LEAST_PIXELS, 1.0)
+    let aim = (pixels * ratio).clamp(0.25 * pixels, 1.5 * from.max(pixels));
+    (share.powf(0.6) * aim.clamp(LEAST_PIXELS, 1.0).powf(0.4)).clamp(LEAST_PIXELS, 1.0)
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ pub struct StreamLimits {
     pub most: usize,
     /// Of one client.
     pub most_per_client: usize,
-    /// Without a message from the client.
+    /// Without a message from the client, or, of a film, without any of it being taken.
     pub idle: Duration,
 }
 

@@ -9,12 +9,13 @@ use futures::StreamExt;
 use futures::stream::SplitStream;
 use tokio::sync::watch;
 
+use super::allowance::Allowance;
 use super::course::Course;
+use super::moving::{Made, Wanted, still_request, wanted};
 use super::outbox::Outbox;
 use super::pacing::Pacer;
 use super::places::Place;
 use super::wire::{Close, Event, FrameHeader, Incoming, MAX_MESSAGE_BYTES, PoseMessage, Quality};
-use crate::encode::ImageFormat;
 use crate::engine::{
     BakeTicket, Client, EncodedFrame, EngineError, FrameRequest, FrameTicket, RequestId, SceneMark,
     Seat,
@@ -22,12 +23,11 @@ use crate::engine::{
 use crate::http::App;
 use crate::http::params::FrameParams;
 use crate::http::problem::{Kind, Problem};
-use crate::plan::Output;
 
 /// Frames asked for and not come: one being drawn, one waiting.
 const MOST_ASKED: usize = 2;
-/// No side of a moving frame is made shorter than this.
-const LEAST_SIDE: u32 = 64;
+/// Messages that are read before it is asked whether anything else has happened.
+const MOST_IN_A_ROW: usize = 64;
 
 pub struct Session {
     app: Arc<App>,
@@ -48,6 +48,10 @@ pub struct Session {
     /// The engine takes nothing before.
     retry_at: Option<Instant>,
     heard_at: Instant,
+    allowance: Allowance,
+    messages_in_a_row: usize,
+    /// Whether the client was told that acknowledgements are missing.
+    has_reminded: bool,
     changes: watch::Receiver<u64>,
     draining: watch::Receiver<bool>,
     counted_overtaken: u64,
@@ -59,8 +63,7 @@ struct Asked {
     seq: u64,
     quality: Quality,
     scale: f64,
-    format: ImageFormat,
-    jpeg_quality: Option<u8>,
+    made: Made,
     at: Instant,
 }
 
@@ -80,6 +83,8 @@ enum Happening {
 enum End {
     /// By the server, with a code.
     Close(Close),
+    /// The same, where what comes cannot be read any more.
+    CloseUnread(Close),
     /// The client has closed it.
     Closed,
     /// The connection is gone.
@@ -108,6 +113,9 @@ impl Session {
             baking: None,
             retry_at: None,
             heard_at: Instant::now(),
+            allowance: Allowance::new(Instant::now()),
+            messages_in_a_row: 0,
+            has_reminded: false,
             changes: app.engine.changes(),
             draining: app.streams.draining(),
             counted_overtaken: 0,
@@ -129,6 +137,7 @@ impl Session {
         drop((asked, seat, baking));
         match end {
             End::Close(close) => outbox.close(close, source).await,
+            End::CloseUnread(close) => outbox.close_unread(close, source).await,
             End::Closed | End::Gone => outbox.closed(source).await,
         }
         drop(place);
@@ -174,18 +183,36 @@ impl Session {
                 None => std::future::pending().await,
             }
         };
-        // Messages before frames: a pose that has come already is newer than what is finished.
-        tokio::select! {
-            biased;
-            _ = self.draining.wait_for(|draining| *draining) => Happening::Draining,
-            _ = self.changes.changed() => Happening::ScenesChanged,
-            message = self.source.next(), if may_read => Happening::Message(message),
-            frame = front => Happening::Frame(frame),
-            result = baked => Happening::Baked(result),
-            () = self.outbox.ended() => Happening::WriterEnded,
-            () = tokio::time::sleep_until(deadline.into()) => Happening::Turn,
-            () = self.outbox.room(), if !may_read => Happening::Turn,
-        }
+        let message = async {
+            match may_read {
+                true => Happening::Message(self.source.next().await),
+                false => std::future::pending().await,
+            }
+        };
+        let other = async {
+            tokio::select! {
+                biased;
+                _ = self.draining.wait_for(|draining| *draining) => Happening::Draining,
+                _ = self.changes.changed() => Happening::ScenesChanged,
+                frame = front => Happening::Frame(frame),
+                result = baked => Happening::Baked(result),
+                () = self.outbox.ended() => Happening::WriterEnded,
+                () = tokio::time::sleep_until(deadline.into()) => Happening::Turn,
+                () = self.outbox.room(), if !may_read => Happening::Turn,
+            }
+        };
+        // Messages before frames: a pose that has come already is newer than what is finished. But not for ever: a client that sends
+        // without a pause is still sent its frames, and its timers run.
+        let happening = if self.messages_in_a_row < MOST_IN_A_ROW {
+            tokio::select! { biased; happening = message => happening, happening = other => happening }
+        } else {
+            tokio::select! { biased; happening = other => happening, happening = message => happening }
+        };
+        self.messages_in_a_row = match happening {
+            Happening::Message(_) => self.messages_in_a_row + 1,
+            _ => 0,
+        };
+        happening
     }
 
     /// When something is due though nothing happens.
@@ -193,12 +220,27 @@ impl Session {
         let idle = self.heard_at + self.app.settings.streams.idle;
         let late = self.asked.front().map(|asked| asked.at + self.app.settings.frame_timeout);
         let retry = self.retry_at.filter(|_| self.course.wanted(now).is_some());
-        [self.course.wake_at(now), late, retry].into_iter().flatten().fold(idle, Instant::min)
+        let reminder = self.reminder(now).map(|(_, at)| at);
+        let timers = [self.course.wake_at(now), late, retry, reminder];
+        timers.into_iter().flatten().fold(idle, Instant::min)
+    }
+
+    /// The frame whose acknowledgement a frame waits for, and when the client is told so.
+    fn reminder(&self, now: Instant) -> Option<(u64, Instant)> {
+        let waits = !self.has_reminded
+            && self.asked.is_empty()
+            && self.baking.is_none()
+            && self.course.wanted(now).is_some()
+            && !self.pacer.may_ask(0);
+        if waits { self.pacer.unacknowledged() } else { None }
     }
 
     fn handle(&mut self, happening: Happening) -> Result<(), End> {
         match happening {
-            Happening::Message(None | Some(Err(_))) | Happening::WriterEnded => Err(End::Gone),
+            Happening::Message(None) | Happening::WriterEnded => Err(End::Gone),
+            Happening::Message(Some(Err(error))) => {
+                Err(Close::of_fault(error).map_or(End::Gone, End::CloseUnread))
+            }
             Happening::Message(Some(Ok(message))) => self.message(message),
             Happening::Frame(reply) => self.frame(reply),
             Happening::Baked(result) => {
@@ -221,6 +263,15 @@ impl Session {
             let text = format!("no frame within {} seconds", limit.as_secs());
             self.tell(&Event::Problem { seq, problem: Problem::new(Kind::FrameTimeout, text) })?;
         }
+        if let Some((frame, _)) = self.reminder(now).filter(|(_, at)| *at <= now) {
+            self.has_reminded = true;
+            let reason =
+                format!("missing: the next frame waits until frame {frame} is acknowledged");
+            let accepted =
+                format!("{{\"ack\": {frame}}} once it is decoded, and so of every frame");
+            let problem = Problem::parameter("ack", reason, accepted);
+            self.tell(&Event::Problem { seq: None, problem })?;
+        }
         if now >= self.heard_at + self.app.settings.streams.idle {
             return Err(End::Close(Close::Idle));
         }
@@ -228,9 +279,14 @@ impl Session {
     }
 
     fn message(&mut self, message: Message) -> Result<(), End> {
+        let now = Instant::now();
+        if !self.allowance.take(now) {
+            // Read on for a moment, and forgotten: who is stuck with sending does not hear why it should not.
+            return Err(End::Close(Close::Flood));
+        }
         // An answer to a ping says that the client's library is there, which is not the client.
         if !matches!(message, Message::Pong(_)) {
-            self.heard_at = Instant::now();
+            self.heard_at = now;
         }
         let text = match message {
             Message::Text(text) if text.len() > MAX_MESSAGE_BYTES => {
@@ -240,7 +296,7 @@ impl Session {
             Message::Binary(_) => return Err(End::Close(Close::NotText)),
             Message::Close(_) => return Err(End::Closed),
             Message::Pong(_) => {
-                self.pacer.ponged(Instant::now());
+                self.pacer.ponged(now);
                 return Ok(());
             }
             Message::Ping(_) => return Ok(()),
@@ -295,13 +351,8 @@ impl Session {
             return Ok(());
         }
         let Some((seq, params, quality)) = self.course.wanted(now) else { return Ok(()) };
-        let Wanted { request, quality, scale } = match wanted(
-            &self.id,
-            params,
-            quality,
-            self.pacer.scale(),
-            self.pacer.jpeg_quality(),
-        ) {
+        let found = wanted(&self.id, params, quality, self.pacer.pace());
+        let Wanted { request, quality, scale } = match found {
             Ok(wanted) => wanted,
             Err(problem) => {
                 self.course.give_up();
@@ -316,14 +367,14 @@ impl Session {
             }
             Err(error) => return self.failed(Some(seq), error),
         }
-        let (format, jpeg_quality) = (request.format, jpeg_quality(&request));
+        let made = Made::of(&request);
         let ticket = match self.place(request) {
             Ok(Some(ticket)) => ticket,
             Ok(None) => return Ok(()),
             Err(error) => return self.failed(Some(seq), error),
         };
         self.course.asked(quality);
-        self.asked.push_back(Asked { ticket, seq, quality, scale, format, jpeg_quality, at: now });
+        self.asked.push_back(Asked { ticket, seq, quality, scale, made, at: now });
         Ok(())
     }
 
@@ -366,8 +417,9 @@ impl Session {
             revision: frame.receipt.revision,
             quality: asked.quality,
             scale: asked.scale,
-            format: asked.format,
-            jpeg_quality: asked.jpeg_quality,
+            format: asked.made.format,
+            jpeg_quality: asked.made.jpeg_quality,
+            max_error_px: asked.made.max_error_px,
             width: camera.width,
             height: camera.height,
             content_type: frame.content_type,
@@ -444,103 +496,5 @@ impl Session {
         let overtaken = self.course.overtaken();
         self.app.metrics.poses_overtaken.inc_by(overtaken - self.counted_overtaken);
         self.counted_overtaken = overtaken;
-    }
-}
-
-/// A frame as it will be asked for.
-struct Wanted {
-    request: FrameRequest,
-    quality: Quality,
-    scale: f64,
-}
-
-/// The frame that a pose asks for. Colours come as JPEG where no format is given.
-fn still_request(id: &str, params: &FrameParams) -> Result<FrameRequest, Problem> {
-    let format = match (params.format()?, params.output()?) {
-        (Some(format), _) => format,
-        (None, Output::Color) => ImageFormat::Jpeg,
-        (None, _) => ImageFormat::Png,
-    };
-    params.request(id, format, Instant::now())
-}
-
-/// A frame of the given quality. Where a moving one comes out as good as was asked for, it is called still.
-fn wanted(
-    id: &str,
-    params: &FrameParams,
-    quality: Quality,
-    scale: f64,
-    jpeg_quality: u8,
-) -> Result<Wanted, Problem> {
-    let still = still_request(id, params)?;
-    if quality == Quality::Still {
-        return Ok(Wanted { request: still, quality, scale: 1.0 });
-    }
-    let scale =
-        scale.max(f64::from(LEAST_SIDE) / f64::from(still.width.min(still.height))).min(1.0);
-    let side = |full: u32| ((f64::from(full) * scale).round() as u32).clamp(1, full);
-    let smaller =
-        FrameParams { w: Some(side(still.width)), h: Some(side(still.height)), ..params.clone() };
-    let mut request = still_request(id, &smaller)?;
-    // Who asked for what a browser shows can show a JPEG; of other formats nothing is known.
-    let shown = matches!(request.format, ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Webp);
-    if shown && request.output == Output::Color {
-        let most = if request.format == ImageFormat::Jpeg { request.quality } else { 100 };
-        request.format = ImageFormat::Jpeg;
-        request.quality = jpeg_quality.min(most);
-    }
-    let as_asked = (request.width, request.height, request.format, self::jpeg_quality(&request))
-        == (still.width, still.height, still.format, self::jpeg_quality(&still));
-    let quality = if as_asked { Quality::Still } else { Quality::Moving };
-    Ok(Wanted { request, quality, scale })
-}
-
-fn jpeg_quality(request: &FrameRequest) -> Option<u8> {
-    (request.format == ImageFormat::Jpeg).then_some(request.quality)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn params(query: &str) -> FrameParams {
-        FrameParams::from_query(Some(query)).unwrap()
-    }
-
-    fn moving(query: &str, scale: f64) -> Wanted {
-        wanted("s", &params(query), Quality::Moving, scale, 60).unwrap()
-    }
-
-    #[test]
-    fn moving_frames_are_smaller_and_jpeg_where_a_browser_could_show_them() {
-        let seen = moving("w=800&h=600&format=png", 0.5).request;
-        assert_eq!(
-            (seen.width, seen.height, seen.format, seen.quality),
-            (400, 300, ImageFormat::Jpeg, 60)
-        );
-        let raw = moving("w=800&h=600&format=raw", 0.5).request;
-        assert_eq!((raw.width, raw.format), (400, ImageFormat::Raw));
-        let depth = moving("w=800&h=600&output=depth", 0.5).request;
-        assert_eq!((depth.width, depth.format), (400, ImageFormat::Png));
-        assert_eq!(
-            moving("w=800&h=600&quality=30", 0.5).request.quality,
-            30,
-            "no better than asked"
-        );
-    }
-
-    #[test]
-    fn small_frames_stay_visible() {
-        let seen = moving("w=100&h=80", 0.25);
-        assert_eq!((seen.request.width, seen.request.height), (80, 64));
-        assert_eq!(moving("w=20&h=10", 0.25).request.height, 10);
-    }
-
-    #[test]
-    fn what_is_as_good_as_asked_is_still() {
-        assert_eq!(moving("w=64&h=64&format=raw", 0.25).quality, Quality::Still);
-        assert_eq!(moving("w=64&h=64&quality=50", 1.0).quality, Quality::Still);
-        assert_eq!(moving("w=64&h=64&quality=90", 1.0).quality, Quality::Moving);
-        assert_eq!(moving("w=64&h=64&format=png", 1.0).quality, Quality::Moving);
     }
 }

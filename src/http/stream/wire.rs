@@ -12,11 +12,13 @@ use axum::extract::ws::{CloseFrame, Message};
 use bytes::{BufMut, Bytes, BytesMut};
 use serde::Serialize;
 use serde_json::Value;
+use tokio_tungstenite::tungstenite::Error as SocketError;
+use tokio_tungstenite::tungstenite::error::ProtocolError;
 use utoipa::ToSchema;
 
 use crate::encode::ImageFormat;
 use crate::engine::Receipt;
-use crate::http::params::FrameParams;
+use crate::http::params::{FrameParams, Names};
 use crate::http::problem::{Kind, Problem};
 
 /// Bytes of one message of the client.
@@ -27,8 +29,14 @@ pub const MAX_MESSAGE_BYTES: usize = 64 << 10;
 pub enum Close {
     /// It drains.
     GoingAway,
+    /// What came is no WebSocket frame.
+    BrokenProtocol,
     /// A binary message came.
     NotText,
+    /// A text message is not UTF-8.
+    NotUtf8,
+    /// More messages came than any client needs.
+    Flood,
     /// A message was over [`MAX_MESSAGE_BYTES`].
     TooLarge,
     /// It cannot draw any more.
@@ -43,9 +51,12 @@ pub enum Close {
 
 impl Close {
     #[cfg(test)]
-    pub const ALL: [Close; 7] = [
+    pub const ALL: [Close; 10] = [
         Close::GoingAway,
+        Close::BrokenProtocol,
         Close::NotText,
+        Close::NotUtf8,
+        Close::Flood,
         Close::TooLarge,
         Close::Failed,
         Close::Deleted,
@@ -57,12 +68,27 @@ impl Close {
     pub fn facts(self) -> (u16, &'static str) {
         match self {
             Close::GoingAway => (1001, "the server is shutting down"),
+            Close::BrokenProtocol => (1002, "what came breaks the WebSocket protocol"),
             Close::NotText => (1003, "messages of a client are JSON text"),
+            Close::NotUtf8 => (1007, "the message is not UTF-8"),
+            Close::Flood => (1008, "more messages than any client needs"),
             Close::TooLarge => (1009, "the message is too large"),
             Close::Failed => (1011, "the server cannot draw any more"),
             Close::Deleted => (4404, "the scene was deleted"),
             Close::Idle => (4408, "nothing was received for too long"),
             Close::TooMany => (4429, "too many streams"),
+        }
+    }
+
+    /// What the client is told of a message that could not be read; `None` when the connection is lost and nobody would hear.
+    pub fn of_fault(error: axum::Error) -> Option<Close> {
+        let error = error.into_inner().downcast::<SocketError>().ok()?;
+        match *error {
+            SocketError::Utf8(_) => Some(Close::NotUtf8),
+            SocketError::Capacity(_) => Some(Close::TooLarge),
+            SocketError::Protocol(ProtocolError::ResetWithoutClosingHandshake) => None,
+            SocketError::Protocol(_) => Some(Close::BrokenProtocol),
+            _ => None,
         }
     }
 
@@ -81,6 +107,14 @@ pub struct Incoming {
     pub pose: Option<PoseMessage>,
 }
 
+/// What of a frame's parameters a stream does not have.
+pub const WITHOUT: &[(&str, &str)] =
+    &[("deadline_ms", "a stream draws the newest pose, and no other late")];
+
+/// What a message may hold.
+const MESSAGE_NAMES: Names =
+    Names { own: &["seq", "moving", "reset", "ack", "ping"], without: WITHOUT };
+
 /// What to show from now on.
 #[derive(Debug)]
 pub struct PoseMessage {
@@ -96,7 +130,7 @@ pub struct PoseMessage {
 #[schema(as = StreamPose)]
 #[expect(dead_code, reason = "read as JSON; here it stands for the contract")]
 pub struct PoseFields {
-    /// The client's own number for the pose; frames that show it repeat it.
+    /// The client's own number for the pose; frames that show it repeat it. The newest pose is the one that came last, whatever its number.
     seq: u64,
     /// `true`: another will follow, so a quick frame is wanted; `false`: none will, so a good one is. Where it is left out, a quick
     /// frame comes first and a good one when nothing has followed for a moment.
@@ -120,6 +154,9 @@ impl Incoming {
         let Value::Object(mut fields) = value else {
             return Err(unreadable("the message is no object".to_owned()));
         };
+        for name in fields.keys() {
+            MESSAGE_NAMES.check(name)?;
+        }
         let ack = fields.remove("ack").map(|ack| whole("ack", &ack)).transpose()?;
         let ping = fields.remove("ping");
         let seq = fields.remove("seq").map(|seq| whole("seq", &seq)).transpose()?;
@@ -129,12 +166,6 @@ impl Incoming {
             Some(_) => Err(Problem::parameter(name, "is no truth value", "true or false")),
         };
         let (moving, reset) = (flag("moving")?, flag("reset")?);
-        if fields.contains_key("deadline_ms") {
-            let what = "deadline_ms: a stream draws the newest pose, and no other late";
-            return Err(Problem::new(Kind::Unavailable, what)
-                .at("deadline_ms")
-                .accepted("leave it out"));
-        }
         let has_pose = moving.is_some() || reset.is_some() || !fields.is_empty();
         let params = FrameParams::from_json(Value::Object(fields), "")?;
         let pose = match seq {
@@ -186,6 +217,8 @@ pub struct FrameHeader<'a> {
     pub format: ImageFormat,
     /// Of a JPEG, 1 to 100.
     pub jpeg_quality: Option<u8>,
+    /// What a frame of `lod=spt` may be wrong by, in its own pixels: as was asked for when still, and up to four times that while moving.
+    pub max_error_px: Option<f32>,
     pub width: u32,
     pub height: u32,
     pub content_type: &'a str,
@@ -279,6 +312,13 @@ mod tests {
         assert_eq!(fault(r#"{"seq": 1, "eyes": [0, 0, 1]}"#), named(422, "eyes"));
         assert_eq!(fault(r#"{"seq": 1, "eye": [0, 1]}"#), named(422, "eye"));
         assert_eq!(fault(r#"{"seq": 1, "deadline_ms": 5}"#), named(422, "deadline_ms"));
+        let unknown = Incoming::read(r#"{"hello": 1}"#).unwrap_err();
+        assert!(!unknown.detail.contains("did you mean"), "{}", unknown.detail);
+        let accepted = unknown.accepted.unwrap_or_default();
+        assert!(accepted.starts_with("seq, moving, reset, ack, ping, camera"), "{accepted}");
+        assert!(!accepted.contains("deadline_ms"), "{accepted}");
+        let near = Incoming::read(r#"{"acks": 1}"#).unwrap_err();
+        assert!(near.detail.contains("did you mean `ack`"), "{}", near.detail);
         for text in ["", "[]", "{}", "1", "{\"seq\": 1"] {
             assert_eq!(fault(text), (422, None), "{text}");
         }
@@ -300,6 +340,17 @@ mod tests {
         let value: Value = serde_json::from_str(&text).unwrap();
         assert_eq!((&value["event"], &value["seq"]), (&"problem".into(), &4.into()));
         assert_eq!((&value["parameter"], &value["status"]), (&"eye".into(), &422.into()));
+    }
+
+    #[test]
+    fn what_cannot_be_read_has_its_close_and_a_lost_connection_none() {
+        let close = |error: SocketError| Close::of_fault(axum::Error::new(error));
+        assert_eq!(close(SocketError::Utf8(String::new())), Some(Close::NotUtf8));
+        let reserved = ProtocolError::NonZeroReservedBits;
+        assert_eq!(close(SocketError::Protocol(reserved)), Some(Close::BrokenProtocol));
+        assert_eq!(close(ProtocolError::ResetWithoutClosingHandshake.into()), None);
+        assert_eq!(close(std::io::Error::from(std::io::ErrorKind::ConnectionReset).into()), None);
+        assert_eq!(Close::of_fault(axum::Error::new(std::fmt::Error)), None);
     }
 
     #[test]

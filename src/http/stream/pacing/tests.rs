@@ -10,6 +10,8 @@ fn ms(ms: f64) -> Duration {
 struct Bench {
     /// Of a frame of all pixels.
     draw_ms: f64,
+    /// Of a frame as fine as was asked for, however many its pixels.
+    detail_ms: f64,
     /// There and back.
     distance_ms: f64,
     bytes_per_ms: f64,
@@ -24,6 +26,7 @@ struct Seen {
     oldest_ever_ms: f64,
     scale: f64,
     jpeg_quality: u8,
+    coarseness: f64,
     oldest_ms: f64,
     most_on_the_way: usize,
 }
@@ -42,6 +45,7 @@ impl Bench {
             oldest_ever_ms: 0.0,
             scale: 0.0,
             jpeg_quality: 0,
+            coarseness: 0.0,
             oldest_ms: 0.0,
             most_on_the_way: 0,
         };
@@ -58,7 +62,8 @@ impl Bench {
                 if pacer.ping(now) && self.answers_pings {
                     pong_at = link_free.max(now_ms) + self.distance_ms;
                 }
-                let bytes: f64 = self.full_bytes * share * f64::from(pacer.jpeg_quality()) / 80.0;
+                let bytes: f64 =
+                    self.full_bytes * share * f64::from(pacer.pace().jpeg_quality) / 80.0;
                 pacer.sent(number, bytes as u64, now, Some(share));
                 link_free = link_free.max(now_ms) + bytes / self.bytes_per_ms;
                 decoder_free =
@@ -81,14 +86,16 @@ impl Bench {
                 }
             }
             if draws.len() < 2 && pacer.may_ask(draws.len()) {
-                let share = pacer.scale().powi(2);
-                engine_free = engine_free.max(now_ms) + self.draw_ms * share;
+                let Pace { scale, coarseness, .. } = pacer.pace();
+                let share = scale.powi(2);
+                let draw_ms = self.draw_ms * share + self.detail_ms / coarseness;
+                engine_free = engine_free.max(now_ms) + draw_ms;
                 draws.push_back((engine_free, now_ms, share));
             }
             seen.most_on_the_way = seen.most_on_the_way.max(draws.len() + flights.len());
         }
-        seen.scale = pacer.scale();
-        seen.jpeg_quality = pacer.jpeg_quality();
+        let Pace { scale, jpeg_quality, coarseness } = pacer.pace();
+        (seen.scale, seen.jpeg_quality, seen.coarseness) = (scale, jpeg_quality, coarseness);
         seen
     }
 }
@@ -97,6 +104,7 @@ impl Bench {
 fn a_fast_engine_on_a_fast_link_draws_at_full_size() {
     let bench = Bench {
         draw_ms: 5.0,
+        detail_ms: 0.0,
         distance_ms: 2.0,
         bytes_per_ms: 1e5,
         decode_ms: 2.0,
@@ -112,6 +120,7 @@ fn a_fast_engine_on_a_fast_link_draws_at_full_size() {
 fn a_slow_engine_draws_smaller_frames() {
     let bench = Bench {
         draw_ms: 200.0,
+        detail_ms: 0.0,
         distance_ms: 2.0,
         bytes_per_ms: 1e5,
         decode_ms: 2.0,
@@ -125,10 +134,33 @@ fn a_slow_engine_draws_smaller_frames() {
 }
 
 #[test]
+fn an_engine_that_fewer_pixels_do_not_help_draws_less_detail() {
+    // As the plaza: 300 ms in full, 112 of them at a sixteenth of the pixels, and 37 at four times the error.
+    let mut bench = Bench {
+        draw_ms: 200.0,
+        detail_ms: 100.0,
+        distance_ms: 2.0,
+        bytes_per_ms: 1e5,
+        decode_ms: 2.0,
+        full_bytes: 2e5,
+        answers_pings: true,
+    };
+    let seen = bench.run(6);
+    assert!((0.25..0.3).contains(&seen.scale), "{}", seen.scale);
+    assert!(seen.coarseness > 3.0 && seen.frames >= 22, "{} {}", seen.coarseness, seen.frames);
+    // Half as dear, it has room for pixels before it has room for detail.
+    (bench.draw_ms, bench.detail_ms) = (100.0, 50.0);
+    let seen = bench.run(6);
+    assert!((1.2..3.0).contains(&seen.coarseness), "{}", seen.coarseness);
+    assert!(seen.frames >= 25, "{}", seen.frames);
+}
+
+#[test]
 fn a_slow_link_gets_less_and_no_queue() {
     // A megabyte a second for frames of 400 KB.
     let bench = Bench {
         draw_ms: 5.0,
+        detail_ms: 0.0,
         distance_ms: 40.0,
         bytes_per_ms: 1e3,
         decode_ms: 2.0,
@@ -137,6 +169,7 @@ fn a_slow_link_gets_less_and_no_queue() {
     };
     let seen = bench.run(8);
     assert!(seen.jpeg_quality <= 60 && seen.scale < 0.6, "{} {}", seen.jpeg_quality, seen.scale);
+    assert_eq!(seen.coarseness, 1.0, "the engine has time for detail");
     assert!(seen.frames >= 15, "{}", seen.frames);
     assert!(seen.oldest_ms < 300.0, "{}", seen.oldest_ms);
 }
@@ -147,6 +180,7 @@ fn a_very_slow_link_never_has_old_frames_on_it() {
     for (bytes_per_ms, answers_pings) in [(60.0, true), (60.0, false), (20.0, true)] {
         let bench = Bench {
             draw_ms: 10.0,
+            detail_ms: 0.0,
             distance_ms: 60.0,
             bytes_per_ms,
             decode_ms: 2.0,
@@ -159,6 +193,7 @@ fn a_very_slow_link_never_has_old_frames_on_it() {
         assert!(seen.oldest_ever_ms < 1.2 * first_ms, "{} of {first_ms}", seen.oldest_ever_ms);
         assert!(seen.oldest_ms < 3.0 * 0.0625 * 1.2e5 / bytes_per_ms + 100.0, "{}", seen.oldest_ms);
         assert_eq!((seen.jpeg_quality, seen.scale), (40, 0.25), "as small as may be");
+        assert_eq!(seen.coarseness, 1.0, "the engine has time for detail");
     }
 }
 
@@ -173,19 +208,20 @@ fn a_path_that_became_longer_is_no_slow_link() {
         if pacer.ping(now) {
             pacer.ponged(now + distance);
         }
-        let share = pacer.scale().powi(2);
+        let share = pacer.pace().scale.powi(2);
         pacer.drawn(now, now, Some(share));
         pacer.sent(number, 50_000, now, Some(share));
         pacer.acked(number, now + distance + ms(4.0)).unwrap();
         now += distance + ms(150.0);
     }
-    assert!(pacer.scale() > 0.9 && pacer.jpeg_quality() >= 70, "{}", pacer.scale());
+    assert!(pacer.pace().scale > 0.9 && pacer.pace().jpeg_quality >= 70, "{:?}", pacer.pace());
 }
 
 #[test]
 fn a_slow_decoder_counts_as_a_slow_link() {
     let bench = Bench {
         draw_ms: 5.0,
+        detail_ms: 0.0,
         distance_ms: 2.0,
         bytes_per_ms: 1e5,
         decode_ms: 150.0,
@@ -201,6 +237,7 @@ fn a_slow_decoder_counts_as_a_slow_link() {
 fn a_long_link_is_kept_full() {
     let bench = Bench {
         draw_ms: 5.0,
+        detail_ms: 0.0,
         distance_ms: 150.0,
         bytes_per_ms: 1e5,
         decode_ms: 2.0,
@@ -224,6 +261,20 @@ fn acknowledgements_are_cumulative_and_checked() {
     assert_eq!(pacer.acked(2, now + ms(5.0)), Ok(()));
     assert_eq!((pacer.unacked.len(), pacer.may_ask(1)), (0, true));
     assert_eq!(pacer.acked(1, now + ms(6.0)), Ok(()), "again, which changes nothing");
+}
+
+#[test]
+fn who_does_not_acknowledge_is_known_after_a_while() {
+    let now = Instant::now();
+    let mut pacer = Pacer::new();
+    assert_eq!(pacer.unacknowledged(), None);
+    pacer.sent(1, 1000, now, None);
+    pacer.sent(2, 1000, now + ms(10.0), None);
+    assert_eq!(pacer.unacknowledged(), Some((1, now + PATIENCE)));
+    pacer.acked(1, now + ms(50.0)).unwrap();
+    assert_eq!(pacer.unacknowledged(), Some((2, now + ms(10.0) + 4 * PATIENCE)));
+    pacer.acked(2, now + ms(60.0)).unwrap();
+    assert_eq!(pacer.unacknowledged(), None);
 }
 
 #[test]
@@ -256,7 +307,7 @@ proptest! {
                 1 => prop_assert!(pacer.acked(sent + 1 + bytes, now).is_err()),
                 _ if pacer.may_ask(0) => {
                     sent += 1;
-                    let share = (what == 2).then(|| pacer.scale().powi(2));
+                    let share = (what == 2).then(|| pacer.pace().scale.powi(2));
                     pacer.drawn(before, now, share);
                     pacer.sent(sent, bytes, now, share);
                 }
@@ -265,8 +316,10 @@ proptest! {
             prop_assert_eq!(pacer.unacked.len() as u64, sent - acked);
             prop_assert!(pacer.unacked.len() <= MAX_WINDOW);
             prop_assert!((MIN_WINDOW..=MAX_WINDOW).contains(&pacer.window()));
-            prop_assert!((0.25..=1.0).contains(&pacer.scale()));
-            prop_assert!((40..=80).contains(&pacer.jpeg_quality()));
+            let pace = pacer.pace();
+            prop_assert!((0.25..=1.0).contains(&pace.scale));
+            prop_assert!((1.0..=4.0).contains(&pace.coarseness));
+            prop_assert!((40..=80).contains(&pace.jpeg_quality));
         }
         prop_assert!(pacer.acked(sent, now).is_ok());
         prop_assert!(pacer.may_ask(0) && !pacer.may_ask(MAX_WINDOW));

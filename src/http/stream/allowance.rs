@@ -1,0 +1,69 @@
+//! How many messages a client may send. Pure: it is told the time.
+//!
+//! Each message takes a coin; coins come back at a steady rate, up to a purse full. So a burst after a network that stood still is taken,
+//! and a rate beyond what any client needs is not: reading would take a core, whatever the client does with what it is sent.
+
+use std::time::Instant;
+
+/// Messages in a second. Mice tell of themselves up to a thousand times; nothing else comes near that.
+pub const MOST_PER_SECOND: u32 = 1000;
+/// Messages at once.
+const PURSE: u32 = 4 * MOST_PER_SECOND;
+
+/// What a client may still send.
+#[derive(Debug)]
+pub struct Allowance {
+    coins: f64,
+    at: Instant,
+}
+
+impl Allowance {
+    pub fn new(now: Instant) -> Self {
+        Self { coins: f64::from(PURSE), at: now }
+    }
+
+    /// Takes a message into account. False: it is one too many.
+    #[must_use]
+    pub fn take(&mut self, now: Instant) -> bool {
+        let passed = now.saturating_duration_since(self.at).as_secs_f64();
+        self.at = now;
+        self.coins = (self.coins + passed * f64::from(MOST_PER_SECOND)).min(f64::from(PURSE));
+        let is_enough = self.coins >= 1.0;
+        self.coins = (self.coins - 1.0).max(0.0);
+        is_enough
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    /// When the first of messages at `per_second` is one too many, within a minute.
+    fn refused_after(per_second: u32) -> Option<f64> {
+        let start = Instant::now();
+        let mut allowance = Allowance::new(start);
+        (0..per_second * 60)
+            .map(|number| f64::from(number) / f64::from(per_second))
+            .find(|second| !allowance.take(start + Duration::from_secs_f64(*second)))
+    }
+
+    #[test]
+    fn a_rate_is_borne_for_as_long_as_it_is_near_the_limit() {
+        assert_eq!(refused_after(MOST_PER_SECOND - 10), None);
+        let twice = refused_after(2 * MOST_PER_SECOND).unwrap();
+        assert!((3.9..4.1).contains(&twice), "{twice}");
+        let flood = refused_after(100 * MOST_PER_SECOND).unwrap();
+        assert!(flood < 0.05, "{flood}");
+    }
+
+    #[test]
+    fn a_pause_fills_the_purse_and_no_more() {
+        let start = Instant::now();
+        let mut allowance = Allowance::new(start);
+        let mut burst = |at| (0..2 * PURSE).take_while(|_| allowance.take(at)).count();
+        assert_eq!(burst(start), PURSE as usize);
+        assert_eq!(burst(start + Duration::from_secs(1)), MOST_PER_SECOND as usize);
+        assert_eq!(burst(start + Duration::from_secs(3600)), PURSE as usize);
+    }
+}

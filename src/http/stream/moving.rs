@@ -1,0 +1,172 @@
+//! What a frame of a pose is: as it was asked for, or quicker while the pose moves. Pure.
+//!
+//! A moving frame is smaller, is a JPEG where a browser would show one, and is drawn with less detail where it is of `lod=spt`: what
+//! such a frame costs depends little on its pixels once they are few, and much on the error that it may have.
+
+use std::time::Instant;
+
+use super::pacing::Pace;
+use super::wire::Quality;
+use crate::encode::ImageFormat;
+use crate::engine::FrameRequest;
+use crate::http::params::FrameParams;
+use crate::http::problem::Problem;
+use crate::plan::{Lod, MaxError, Output};
+
+/// No side of a moving frame is made shorter than this.
+const LEAST_SIDE: u32 = 64;
+/// Where less was asked for, no moving frame may be wrong by more of its own pixels.
+const MOST_ERROR_PX: f32 = 4.0;
+
+/// A frame as it will be asked for.
+pub struct Wanted {
+    pub request: FrameRequest,
+    pub quality: Quality,
+    /// Width and height as a share of what was asked for.
+    pub scale: f64,
+}
+
+/// What the header of a frame says of how it was made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Made {
+    pub format: ImageFormat,
+    /// Of a JPEG.
+    pub jpeg_quality: Option<u8>,
+    /// Of a frame of `lod=spt`.
+    pub max_error_px: Option<f32>,
+}
+
+impl Made {
+    pub fn of(request: &FrameRequest) -> Made {
+        let settings = &request.settings;
+        Made {
+            format: request.format,
+            jpeg_quality: (request.format == ImageFormat::Jpeg).then_some(request.quality),
+            max_error_px: (settings.lod == Lod::Spt).then(|| settings.max_error.px()),
+        }
+    }
+}
+
+/// The frame that a pose asks for. Colours come as JPEG where no format is given.
+///
+/// # Errors
+/// What of the parameters cannot be used.
+pub fn still_request(id: &str, params: &FrameParams) -> Result<FrameRequest, Problem> {
+    let format = match (params.format()?, params.output()?) {
+        (Some(format), _) => format,
+        (None, Output::Color) => ImageFormat::Jpeg,
+        (None, _) => ImageFormat::Png,
+    };
+    params.request(id, format, Instant::now())
+}
+
+/// A frame of the given quality. Where a moving one comes out as good as was asked for, it is called still.
+///
+/// # Errors
+/// As [`still_request`].
+pub fn wanted(
+    id: &str,
+    params: &FrameParams,
+    quality: Quality,
+    pace: Pace,
+) -> Result<Wanted, Problem> {
+    let still = still_request(id, params)?;
+    if quality == Quality::Still {
+        return Ok(Wanted { request: still, quality, scale: 1.0 });
+    }
+    let least = f64::from(LEAST_SIDE) / f64::from(still.width.min(still.height));
+    let scale = pace.scale.max(least).min(1.0);
+    let side = |full: u32| ((f64::from(full) * scale).round() as u32).clamp(1, full);
+    let smaller =
+        FrameParams { w: Some(side(still.width)), h: Some(side(still.height)), ..params.clone() };
+    let mut request = still_request(id, &smaller)?;
+    request.settings.max_error = moving_error(still.settings.max_error, pace.coarseness);
+    // Who asked for what a browser shows can show a JPEG; of other formats nothing is known.
+    let shown = matches!(request.format, ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Webp);
+    if shown && request.output == Output::Color {
+        let most = if request.format == ImageFormat::Jpeg { request.quality } else { 100 };
+        request.format = ImageFormat::Jpeg;
+        request.quality = pace.jpeg_quality.min(most);
+    }
+    let facts = |request: &FrameRequest| (request.width, request.height, Made::of(request));
+    let as_asked = facts(&request) == facts(&still);
+    let quality = if as_asked { Quality::Still } else { Quality::Moving };
+    Ok(Wanted { request, quality, scale })
+}
+
+/// What a moving frame may be wrong by. Of full detail nothing looks at it.
+fn moving_error(asked: MaxError, coarseness: f64) -> MaxError {
+    let px = asked.px() * coarseness as f32;
+    MaxError::new(px.min(MOST_ERROR_PX.max(asked.px()))).unwrap_or(asked)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn params(query: &str) -> FrameParams {
+        FrameParams::from_query(Some(query)).unwrap()
+    }
+
+    fn coarse(query: &str, scale: f64, coarseness: f64) -> Wanted {
+        let pace = Pace { scale, coarseness, jpeg_quality: 60 };
+        wanted("s", &params(query), Quality::Moving, pace).unwrap()
+    }
+
+    fn moving(query: &str, scale: f64) -> Wanted {
+        coarse(query, scale, 1.0)
+    }
+
+    #[test]
+    fn moving_frames_are_smaller_and_jpeg_where_a_browser_could_show_them() {
+        let seen = moving("w=800&h=600&format=png", 0.5).request;
+        assert_eq!(
+            (seen.width, seen.height, seen.format, seen.quality),
+            (400, 300, ImageFormat::Jpeg, 60)
+        );
+        let raw = moving("w=800&h=600&format=raw", 0.5).request;
+        assert_eq!((raw.width, raw.format), (400, ImageFormat::Raw));
+        let depth = moving("w=800&h=600&output=depth", 0.5).request;
+        assert_eq!((depth.width, depth.format), (400, ImageFormat::Png));
+        assert_eq!(
+            moving("w=800&h=600&quality=30", 0.5).request.quality,
+            30,
+            "no better than asked"
+        );
+    }
+
+    #[test]
+    fn small_frames_stay_visible() {
+        let seen = moving("w=100&h=80", 0.25);
+        assert_eq!((seen.request.width, seen.request.height), (80, 64));
+        assert_eq!(moving("w=20&h=10", 0.25).request.height, 10);
+    }
+
+    #[test]
+    fn what_is_as_good_as_asked_is_still() {
+        assert_eq!(moving("w=64&h=64&format=raw", 0.25).quality, Quality::Still);
+        assert_eq!(moving("w=64&h=64&quality=50", 1.0).quality, Quality::Still);
+        assert_eq!(moving("w=64&h=64&quality=90", 1.0).quality, Quality::Moving);
+        assert_eq!(moving("w=64&h=64&format=png", 1.0).quality, Quality::Moving);
+        // Of full detail there is no error to be larger.
+        assert_eq!(coarse("w=64&h=64&format=raw", 0.25, 4.0).quality, Quality::Still);
+        assert_eq!(coarse("w=64&h=64&format=raw&lod=spt", 0.25, 4.0).quality, Quality::Moving);
+    }
+
+    #[test]
+    fn moving_frames_of_point_trees_are_coarser_and_still_ones_are_not() {
+        let error = |query: &str, coarseness| {
+            let request = coarse(query, 0.25, coarseness).request;
+            Made::of(&request).max_error_px
+        };
+        assert_eq!(error("lod=spt", 1.0), Some(1.0));
+        assert_eq!(error("lod=spt", 4.0), Some(4.0));
+        assert_eq!(error("lod=spt&max_error_px=0.5", 4.0), Some(2.0));
+        assert_eq!(error("lod=spt&max_error_px=2", 4.0), Some(4.0), "no more than that");
+        assert_eq!(error("lod=spt&max_error_px=9", 4.0), Some(9.0), "unless it was asked for");
+        assert_eq!(error("lod=full", 4.0), None);
+        let pace = Pace { scale: 0.25, coarseness: 4.0, jpeg_quality: 60 };
+        let still = wanted("s", &params("lod=spt"), Quality::Still, pace).unwrap();
+        assert_eq!(Made::of(&still.request).max_error_px, Some(1.0));
+    }
+}
