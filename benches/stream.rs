@@ -1,13 +1,15 @@
-//! What a live view gets: how long a pose waits for its pixels, how eight clients share the device, how fast a camera path is filmed,
+//! What a live view gets: how long a pose waits for its pixels, how eight clients share the device, what a job leaves of a client's rate,
+//! how fast a camera path is filmed,
 //! what many requests at a time gain, and frames a second beside a remote view of trame.
 //!
 //! Client and daemon share the machine. The client of a stream does no more than read: it neither decodes nor draws.
 
 mod common;
+#[path = "stream/sharing.rs"]
+mod sharing;
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail, ensure};
@@ -44,16 +46,17 @@ fn main() -> anyhow::Result<()> {
     let adapter = answer.receipt()?["adapter"].as_str().context("no adapter")?.to_owned();
     let mut report = Report::new("stream", &adapter);
     let parts = std::env::var("BENCH_STREAM")
-        .unwrap_or_else(|_| "latency clients saturation film remote".into());
+        .unwrap_or_else(|_| "latency clients beside saturation film remote".into());
     for part in parts.split_whitespace() {
         match part {
             "latency" => latency(&mut report, &daemon)?,
-            "clients" => clients(&mut report, &daemon)?,
+            "clients" => sharing::clients(&mut report)?,
+            "beside" => sharing::beside(&mut report, &daemon)?,
             "saturation" => saturation(&mut report, &daemon)?,
             "film" => film(&mut report, &daemon, &adapter)?,
             "remote" => remote(&mut report, &daemon)?,
             other => bail!(
-                "BENCH_STREAM knows latency, clients, saturation, film and remote, not {other}"
+                "BENCH_STREAM knows latency, clients, beside, saturation, film and remote, not {other}"
             ),
         }
     }
@@ -147,135 +150,6 @@ fn latency(report: &mut Report, daemon: &Daemon) -> anyhow::Result<()> {
     );
     Ok(())
 }
-
-/// Eight streams that move all the time, one of them with frames of four times the pixels, as splats, and one of thumbnails; and
-/// somebody who always has eight requests under way.
-fn clients(report: &mut Report, daemon: &Daemon) -> anyhow::Result<()> {
-    const CLIENTS: usize = 8;
-    let seconds = pick(8.0, 0.5);
-    let stop = AtomicBool::new(false);
-    let ask = |client: usize| match client {
-        0 => ("1280×960, splats", "w=1280&h=960&reconstruct=splats&"),
-        1 => ("160×120", "w=160&h=120&"),
-        _ => ("640×480", "w=640&h=480&"),
-    };
-    let mut counts: Vec<(String, u64, f64)> = Vec::new();
-    let mut share = f64::NAN;
-    std::thread::scope(|scope| -> anyhow::Result<()> {
-        let mut running = Vec::new();
-        let stop = &stop;
-        for client in 0..CLIENTS {
-            running.push(scope.spawn(move || {
-                let (name, size) = ask(client);
-                let (frames, device_ms) = watch(daemon, size, 45.0 * client as f64, stop)?;
-                anyhow::Ok((format!("stream, {name}"), frames, device_ms))
-            }));
-        }
-        running.push(scope.spawn(move || {
-            let (frames, device_ms) = flood(daemon, stop)?;
-            anyhow::Ok(("eight requests under way".to_owned(), frames, device_ms))
-        }));
-        // All are connected and warm.
-        std::thread::sleep(Duration::from_secs_f64(0.5 * seconds));
-        let (began, before) = (Instant::now(), daemon.metric(GPU_SECONDS)?);
-        std::thread::sleep(Duration::from_secs_f64(seconds));
-        let busy = daemon.metric(GPU_SECONDS)? - before;
-        share = busy / began.elapsed().as_secs_f64();
-        stop.store(true, Ordering::Relaxed);
-        for client in running {
-            counts.push(client.join().map_err(|_| anyhow::anyhow!("a client panicked"))??);
-        }
-        Ok(())
-    })?;
-    let device = counts.iter().map(|(.., device_ms)| *device_ms);
-    let mean = device.clone().sum::<f64>() / counts.len() as f64;
-    let least = device.fold(f64::MAX, f64::min) / mean;
-    let rows: Vec<Vec<String>> = counts
-        .iter()
-        .map(|(name, frames, device_ms)| {
-            vec![name.clone(), frames.to_string(), number(*device_ms), number(device_ms / mean)]
-        })
-        .collect();
-    report.table(
-        "Unlike clients that want all they can get",
-        &["client", "frames", "device ms", "of an equal share"],
-        &rows,
-    );
-    report.target(
-        "the device is busy with eight streams",
-        Some(100.0 * share),
-        Bound::AtLeast(90.0),
-        "%",
-    );
-    report.target(
-        "least device time of a client, of an equal share",
-        Some(least),
-        Bound::AtLeast(0.5),
-        "",
-    );
-    Ok(())
-}
-
-/// A stream with two poses under way until `stop`: its frames, and what they took of the device in ms.
-fn watch(
-    daemon: &Daemon,
-    size: &str,
-    mut degrees: f64,
-    stop: &AtomicBool,
-) -> anyhow::Result<(u64, f64)> {
-    let rest = format!("format=jpeg&quality={QUALITY}&lod=spt");
-    let mut stream =
-        Stream::open(daemon.address, &format!("/v1/scenes/{SCENE}/stream?{size}{rest}"))?;
-    let (mut frames, mut device_ms) = (0u64, 0.0);
-    let mut next = |stream: &mut Stream| {
-        degrees += 0.4;
-        let seq = stream.next_seq();
-        // At rest, so that none of them gets smaller frames than the others.
-        stream.send(&pose(seq, degrees, false)).map(|()| seq)
-    };
-    let mut waiting = next(&mut stream)?;
-    while !stop.load(Ordering::Relaxed) {
-        let then = next(&mut stream)?;
-        // The newer one wins where the first has not been begun.
-        let frame = stream.frame_from(waiting)?;
-        stream.acknowledge(&frame)?;
-        waiting = if frame["seq"].as_u64() == Some(then) { next(&mut stream)? } else { then };
-        frames += 1;
-        device_ms += device_ms_of(&frame["receipt"]);
-    }
-    Ok((frames, device_ms))
-}
-
-/// The same of requests, eight at a time.
-fn flood(daemon: &Daemon, stop: &AtomicBool) -> anyhow::Result<(u64, f64)> {
-    let mut pool = (0..8).map(|_| daemon.connect()).collect::<Result<Vec<_>, _>>()?;
-    let (mut frames, mut device_ms, mut degrees) = (0u64, 0.0, 0.0);
-    let mut next = || {
-        degrees += 0.37;
-        frame_path(degrees)
-    };
-    for connection in &mut pool {
-        connection.send(&next(), "")?;
-    }
-    while !stop.load(Ordering::Relaxed) {
-        for connection in &mut pool {
-            let answer = connection.receive()?;
-            ensure!(answer.status == 200, "a frame was answered with {}", answer.status);
-            frames += 1;
-            device_ms += device_ms_of(&answer.receipt()?);
-            connection.send(&next(), "")?;
-        }
-    }
-    Ok((frames, device_ms))
-}
-
-/// A frame's part of the device's time, from its receipt.
-fn device_ms_of(receipt: &Value) -> f64 {
-    let together = receipt["views"].as_u64().unwrap_or(1).max(1);
-    ms(receipt["gpu_ns"].as_u64().unwrap_or(0)) / together as f64
-}
-
-const GPU_SECONDS: &str = "pointillist_engine_gpu_seconds_total";
 
 /// Requests one at a time, and sixteen under way, in turns.
 fn saturation(report: &mut Report, daemon: &Daemon) -> anyhow::Result<()> {

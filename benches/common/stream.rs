@@ -6,6 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use pointillist::load::wire::header_and_image;
 use serde_json::{Value, json};
+use tungstenite::client::IntoClientRequest;
 use tungstenite::{Message, WebSocket};
 
 pub struct Stream {
@@ -19,11 +20,23 @@ impl Stream {
     /// # Errors
     /// The daemon refuses.
     pub fn open(address: SocketAddr, path: &str) -> anyhow::Result<Stream> {
+        Stream::open_as(address, path, None)
+    }
+
+    /// Opens a stream with an API key.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_as(address: SocketAddr, path: &str, key: Option<&str>) -> anyhow::Result<Stream> {
         let socket = TcpStream::connect(address)?;
         socket.set_nodelay(true)?;
         socket.set_read_timeout(Some(Duration::from_secs(120)))?;
         let url = format!("ws://{address}{path}");
-        let (socket, _) = tungstenite::client::client(url, socket)
+        let mut request = url.into_client_request()?;
+        if let Some(key) = key {
+            request.headers_mut().insert("authorization", format!("Bearer {key}").parse()?);
+        }
+        let (socket, _) = tungstenite::client::client(request, socket)
             .map_err(|error| anyhow::anyhow!("{path}: {error}"))?;
         Ok(Stream { socket, seq: 0 })
     }

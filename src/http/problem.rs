@@ -437,6 +437,7 @@ impl From<EngineError> for Problem {
             }
             EngineError::OutOfGpuMemory { .. } | EngineError::OverBinding { .. } => {
                 Problem::new(Kind::OutOfGpuMemory, text)
+                    .accepted("`lod=spt`, which does with less where copies are many; a scene that fits; a larger --gpu-budget-mib")
             }
             EngineError::OverLimit { what, limit, .. } => {
                 let problem = Problem::new(Kind::OverLimit, text)

@@ -149,7 +149,8 @@ fn points_of_a_mesh_reach_no_farther_than_its_triangles() {
     let mut sums = [0usize; 3];
     for number in 0..12 {
         let seen = |settings| {
-            let eye = DVec3::new(0.2, 0.1, 1.0).normalize_or(DVec3::Z) * (180.0 + 3.7 * f64::from(number));
+            let eye = DVec3::new(0.2, 0.1, 1.0).normalize_or(DVec3::Z)
+                * (180.0 + 3.7 * f64::from(number));
             let camera = Camera { eye, target: DVec3::ZERO, up: DVec3::Y, fov_deg: 5.0 };
             let request = FrameRequest {
                 pose: Pose::Camera(camera),

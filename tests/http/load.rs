@@ -167,5 +167,7 @@ fn deadlines_hold_while_frames_are_drawn_and_trees_are_built() {
     };
     late(slow);
     late(tree);
-    eventually("the trees are there", || client.get(&format!("{tree}&deadline_ms=2000")).status == 200);
+    eventually("the trees are there", || {
+        client.get(&format!("{tree}&deadline_ms=2000")).status == 200
+    });
 }

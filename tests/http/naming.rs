@@ -197,9 +197,12 @@ fn histograms_tell_every_stage_by_class() {
             );
         }
     }
-    for line in
-        ["frame_device_wait_seconds_count ", "frame_readback_seconds_count ", "frame_encode_seconds_count ", "batch_frames_count "]
-    {
+    for line in [
+        "frame_device_wait_seconds_count ",
+        "frame_readback_seconds_count ",
+        "frame_encode_seconds_count ",
+        "batch_frames_count ",
+    ] {
         assert!(has(&format!("pointillist_{line}")), "{line}\n{text}");
     }
     for pass in passes.as_array().unwrap().iter().filter(|pass| pass["gpu_ns"].is_u64()) {
