@@ -84,8 +84,16 @@ impl Daemon {
     /// # Errors
     /// There is none of that name.
     pub fn metric(&self, name: &str) -> anyhow::Result<f64> {
+        self.metric_as(name, "")
+    }
+
+    /// The same, asked for with `headers`, which are whole lines.
+    ///
+    /// # Errors
+    /// As [`Self::metric`].
+    pub fn metric_as(&self, name: &str, headers: &str) -> anyhow::Result<f64> {
         let mut connection = self.connect()?;
-        let answer = connection.get("/metrics", "")?;
+        let answer = connection.get("/metrics", headers)?;
         let text = String::from_utf8_lossy(&answer.body);
         let line = text.lines().find(|line| line.split(' ').next() == Some(name));
         let value = line.and_then(|line| line.rsplit(' ').next()?.parse().ok());
