@@ -11,6 +11,7 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Deserialize;
 
+use super::out;
 use crate::load::knee::{Demands, SearchSettings};
 use crate::load::poses::{PathKind, Poses};
 use crate::load::report::{Generator, Report, three_digits};
@@ -264,9 +265,9 @@ pub fn run(args: &LoadArgs) -> anyhow::Result<()> {
     let report = runtime.block_on(measure(args, &target, settings))?;
     let json = serde_json::to_string_pretty(&report)? + "\n";
     if args.json {
-        print!("{json}");
+        out::print(&json)?;
     } else {
-        print!("{report}");
+        out::print(&report.to_string())?;
     }
     if let Some(folder) = &args.out {
         for (name, text) in [("load.json", &json), ("load.svg", &plot::svg(&report))] {
