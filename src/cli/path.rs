@@ -93,6 +93,7 @@ pub fn run(args: PathArgs) -> anyhow::Result<()> {
     for warning in &info.warnings {
         eprintln!("warning: {warning}");
     }
+    let mark = engine.scene_mark(ID).context("the scene is gone")?;
     let path = find(&engine, &info, &args.path)?;
     let shots = Shots::new(&path, args.fps, args.from, args.to).map_err(|error| match error {
         FilmError::BadRange { parameter, reason } => anyhow::anyhow!("--{parameter}: {reason}"),
@@ -108,6 +109,7 @@ pub fn run(args: PathArgs) -> anyhow::Result<()> {
         engine: &engine,
         request,
         shots,
+        mark,
         folder: &target.folder,
         origin: Client::Unnamed.into(),
         most_pixels: film::MOST_PIXELS,
@@ -161,22 +163,33 @@ impl Target {
                 extension.filter(|own| VIDEOS.contains(&own.to_ascii_lowercase().as_str()))
             {
                 bail!(
-                    "-o {}: a video is an .mp4, not an .{other}; any other name is a folder's",
+                    "-o {}: videos are .mp4, not .{other}; any other name is a folder's",
                     args.out.display()
                 );
             }
             if args.keep_frames || args.bitrate_kbps.is_some() {
                 bail!("--keep-frames and --bitrate-kbps go with a video, as in -o film.mp4");
             }
+            if args.out.exists() && !args.out.is_dir() {
+                bail!(
+                    "-o {}: is a file; frames go into a folder, and a video into an .mp4",
+                    args.out.display()
+                );
+            }
             return Ok(Target { folder: args.out.clone(), video: None });
         }
         let coder = Coder::find()?;
         let mut folder = args.out.clone().into_os_string();
         folder.push(".frames");
-        Ok(Target {
-            folder: folder.into(),
-            video: Some(VideoFile { out: args.out.clone(), coder }),
-        })
+        let folder = PathBuf::from(folder);
+        if folder.exists() && !folder.is_dir() {
+            bail!(
+                "-o {}: the frames of a video go into the folder {}, which is a file",
+                args.out.display(),
+                folder.display()
+            );
+        }
+        Ok(Target { folder, video: Some(VideoFile { out: args.out.clone(), coder }) })
     }
 }
 
@@ -205,7 +218,7 @@ fn make(video: &VideoFile, reel: &Reel, film: &Film<'_>, stop: &AtomicBool) -> a
     bar.set_length(reel.frames);
     bar.set_message("coding");
     let records = film::records(film.folder)?;
-    let wanted = records.range(film.shots.wanted()).map(|(_, record)| record);
+    let wanted = records.range(film.shots.wanted()).map(|(_, record)| record.as_ref());
     let began = Instant::now();
     let made = encode(&video.coder, reel, film.folder, wanted, &video.out, stop, |coded| {
         bar.set_position(coded)
@@ -385,8 +398,6 @@ fn frames(count: u64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use super::*;
     use clap::Parser;
 
@@ -410,7 +421,7 @@ mod tests {
     fn summaries() {
         let mut telling = Telling::new();
         let receipt = Receipt { views: 4, gpu_ns: Some(8_000_000_000), ..Receipt::default() };
-        telling.hear(&Event::Surveyed { kept: 3, to_draw: 2, records: &BTreeMap::new() });
+        telling.hear(&Event::Surveyed { kept: 3, to_draw: 2, records: &film::Records::new() });
         (0..2).for_each(|_| telling.count(&receipt));
         let report = Report { kept: 3, drawn: 2, ..Report::default() };
         let text = telling.summary(&report, Duration::from_secs(4));
