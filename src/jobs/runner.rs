@@ -196,8 +196,9 @@ impl Run<'_> {
         }
         let reel = self.film()?;
         let manifest = self.place.manifest();
-        let text = std::fs::read(&manifest).map_err(|error| self.storage(&manifest, &error))?;
-        self.made.manifest_sha256 = Some(film::manifest::checksum(&text));
+        let digest = File::open(&manifest).and_then(film::manifest::digest);
+        let (_, sum) = digest.map_err(|error| self.storage(&manifest, &error))?;
+        self.made.manifest_sha256 = Some(sum);
         if !self.record.spec.want.video {
             return Ok(Outcome::Done);
         }
