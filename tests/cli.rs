@@ -292,5 +292,18 @@ fn a_reader_that_goes_is_no_failure() {
         assert_eq!(output.status.code(), Some(0), "{args:?}: {told}");
         assert!(!told.contains("panicked") && !told.contains("roken pipe"), "{args:?}: {told}");
     }
+    // Also of what is said beside it; a failure is one all the same.
+    for (args, code) in [
+        (&["bake", "cloud.ply", "--no-cache"][..], 0),
+        (&["render", "cloud.ply", "--size", "8x8", "-o", "cloud.png"], 0),
+        (&["render", "none.ply", "--size", "8x8", "-o", "none.png"], 1),
+    ] {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let mut command = shell.command(args);
+        command.stdout(writer.try_clone().unwrap()).stderr(writer);
+        assert_eq!(command.status().unwrap().code(), Some(code), "{args:?}");
+    }
+    assert!(shell.path("cloud.png").exists());
     assert!(shell.path("town.ply").exists());
 }

@@ -10,7 +10,7 @@ use comfy_table::{CellAlignment, Table, presets};
 use serde::Serialize;
 
 use super::local::{SceneFile, progress_bar, show_baking};
-use super::out;
+use super::out::{self, say};
 use crate::bake::cache::BakeCache;
 use crate::bake::external::Memory;
 use crate::engine::{BakeEvent, BakeSource, BakedAsset, bake_file};
@@ -87,7 +87,7 @@ pub fn run(args: &BakeArgs) -> anyhow::Result<()> {
         if let BakeEvent::Finished(asset) = event
             && lines
         {
-            eprintln!("{}", line(asset));
+            say!("{}", line(asset));
         }
     });
     bar.finish_and_clear();

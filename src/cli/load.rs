@@ -11,7 +11,7 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Deserialize;
 
-use super::out;
+use super::out::{self, say};
 use crate::load::knee::{Demands, SearchSettings};
 use crate::load::poses::{PathKind, Poses};
 use crate::load::report::{Generator, Report, three_digits};
@@ -274,7 +274,7 @@ pub fn run(args: &LoadArgs) -> anyhow::Result<()> {
             let path = folder.join(name);
             std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))?;
         }
-        eprintln!("load.json and load.svg are in {}", folder.display());
+        say!("load.json and load.svg are in {}", folder.display());
     }
     let frames: u64 = report.points.iter().map(|judged| judged.point.counts.frames).sum();
     ensure!(report.interrupted || frames > 0, "not one frame came");
@@ -448,7 +448,7 @@ impl Shown {
             Event::Ended(point) if std::io::stderr().is_terminal() => {
                 self.bar.println(point.line());
             }
-            Event::Ended(point) => eprintln!("{}", point.line()),
+            Event::Ended(point) => say!("{}", point.line()),
         }
     }
 

@@ -1,4 +1,4 @@
-//! What commands write on standard output.
+//! What commands write on standard output, and say on standard error.
 
 use std::io::{self, Write};
 
@@ -13,6 +13,18 @@ pub fn print(text: &str) -> anyhow::Result<()> {
     written(out.write_all(text.as_bytes()).and_then(|()| out.flush()))
         .context("standard output cannot be written")
 }
+
+/// Says a line on standard error, to whoever listens; `eprintln!` panics where nobody does, as in `2>&1 | head`.
+pub fn say_line(line: std::fmt::Arguments<'_>) {
+    // There is nowhere else to say that it failed.
+    let _ = writeln!(io::stderr(), "{line}");
+}
+
+/// [`say_line`], with what `format!` takes.
+macro_rules! say {
+    ($($line:tt)*) => { $crate::cli::out::say_line(format_args!($($line)*)) };
+}
+pub(crate) use say;
 
 fn written(result: io::Result<()>) -> io::Result<()> {
     match result {

@@ -13,6 +13,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::frame::FrameArgs;
 use super::local::{ID, SceneArgs, progress_bar, show_baking};
+use super::out::say;
 use crate::encode::ImageFormat;
 use crate::engine::{Client, Engine, FrameRequest, Pose, Receipt, SceneInfo};
 use crate::film::video::{Coder, Reel, VideoError, encode};
@@ -91,7 +92,7 @@ pub fn run(args: PathArgs) -> anyhow::Result<()> {
     let target = Target::new(&args)?;
     let (engine, info) = args.scene.load(|_| ())?;
     for warning in &info.warnings {
-        eprintln!("warning: {warning}");
+        say!("warning: {warning}");
     }
     let mark = engine.scene_mark(ID).context("the scene is gone")?;
     let path = find(&engine, &info, &args.path)?;
@@ -119,9 +120,9 @@ pub fn run(args: PathArgs) -> anyhow::Result<()> {
     let report = film::run(&film, &stop, |event| telling.hear(&event));
     telling.bar.finish_and_clear();
     let report = report?;
-    eprintln!("{}: {}", target.folder.display(), telling.summary(&report, began.elapsed()));
+    say!("{}: {}", target.folder.display(), telling.summary(&report, began.elapsed()));
     if let Some(first) = report.left_over.first() {
-        eprintln!(
+        say!(
             "warning: {} files of earlier runs are no frames of this path as it is drawn now, {first} among them; \
              they are not in {}",
             report.left_over.len(),
@@ -229,7 +230,7 @@ fn make(video: &VideoFile, reel: &Reel, film: &Film<'_>, stop: &AtomicBool) -> a
     let bytes = std::fs::metadata(&video.out).map_or(0, |found| found.len());
     let seconds = began.elapsed().as_secs_f64();
     let length_s = reel.frames as f64 / reel.fps;
-    eprintln!(
+    say!(
         "{}: {}, {length_s:.2} s, {bytes} bytes, coded in {seconds:.2} s",
         video.out.display(),
         frames(reel.frames)
@@ -292,7 +293,7 @@ fn stop_when_told() -> anyhow::Result<Arc<AtomicBool>> {
         .spawn(move || {
             runtime.block_on(async {
                 let signal = first.await;
-                eprintln!("{signal}: stopping after the frame at hand");
+                say!("{signal}: stopping after the frame at hand");
                 told.store(true, Ordering::Relaxed);
                 if let Ok(next) = stop_signal() {
                     next.await;
@@ -354,7 +355,7 @@ impl Telling {
                 // What was there already took no time.
                 self.bar.reset_eta();
                 if self.lines && *kept > 0 {
-                    eprintln!("{kept} of {} frames are there already", self.total);
+                    say!("{kept} of {} frames are there already", self.total);
                 }
             }
             Event::Drawn { receipt, .. } => self.count(receipt),
@@ -370,10 +371,7 @@ impl Telling {
             self.told = Instant::now();
             let rate = self.drawn as f64 / self.began.elapsed().as_secs_f64().max(1e-9);
             let left_s = (self.total - self.done) as f64 / rate;
-            eprintln!(
-                "{} of {} frames, {rate:.1} a second, {left_s:.0} s left",
-                self.done, self.total
-            );
+            say!("{} of {} frames, {rate:.1} a second, {left_s:.0} s left", self.done, self.total);
         }
     }
 

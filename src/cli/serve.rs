@@ -18,6 +18,7 @@ use self::greeting::{example, greeting, tell};
 use self::patience::{PATIENCE, patiently};
 use self::state::{jobs_config, open_jobs};
 use super::cache::CacheArgs;
+use super::out::say;
 use crate::assets::ReadOptions;
 use crate::engine::{Engine, EngineConfig};
 use crate::http::access::{Access, parse_keys};
@@ -204,7 +205,7 @@ fn init_log(format: LogFormat) {
         LogFormat::Json => log.json().try_init(),
     };
     if let Err(error) = result {
-        eprintln!("the log cannot be set up: {error}");
+        say!("the log cannot be set up: {error}");
     }
 }
 
