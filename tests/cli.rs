@@ -268,3 +268,42 @@ fn a_killed_bake_leaves_nothing() {
     let baked = shell.json(&[&args[..], &["--json"]].concat());
     assert_eq!(baked["assets"][0]["source"], "stored");
 }
+
+/// Whoever has read enough closes the pipe: nobody has failed.
+#[test]
+fn a_reader_that_goes_is_no_failure() {
+    let shell = Shell::new();
+    for args in [
+        &["inspect", "cloud.ply", "--json"][..],
+        &["inspect", "cloud.ply"],
+        &["bake", "cloud.ply", "--json", "--no-cache"],
+        &["bake", "cloud.ply", "--no-cache"],
+        &["generate", "town", "--points", "1000", "-o", "town.ply"],
+        &["accuracy", "--stability", "--count", "3", "--json"],
+        &["openapi"],
+    ] {
+        let (reader, writer) = std::io::pipe().unwrap();
+        // Before a word is written.
+        drop(reader);
+        let mut command = shell.command(args);
+        command.stdout(writer).stderr(std::process::Stdio::piped());
+        let output = command.spawn().unwrap().wait_with_output().unwrap();
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(0), "{args:?}: {told}");
+        assert!(!told.contains("panicked") && !told.contains("roken pipe"), "{args:?}: {told}");
+    }
+    // Also of what is said beside it; a failure is one all the same.
+    for (args, code) in [
+        (&["bake", "cloud.ply", "--no-cache"][..], 0),
+        (&["render", "cloud.ply", "--size", "8x8", "-o", "cloud.png"], 0),
+        (&["render", "none.ply", "--size", "8x8", "-o", "none.png"], 1),
+    ] {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let mut command = shell.command(args);
+        command.stdout(writer.try_clone().unwrap()).stderr(writer);
+        assert_eq!(command.status().unwrap().code(), Some(code), "{args:?}");
+    }
+    assert!(shell.path("cloud.png").exists());
+    assert!(shell.path("town.ply").exists());
+}

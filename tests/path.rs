@@ -113,6 +113,7 @@ impl Studio {
         stop: bool,
         tell: impl FnMut(Event<'_>) + Send,
     ) -> Result<Report, FilmError> {
+        let mark = engine.scene_mark("scene").unwrap();
         let path = engine.camera_path("scene", "fly").unwrap();
         let film = Film {
             engine,
@@ -128,6 +129,7 @@ impl Studio {
                 deadline: None,
             },
             shots: Shots::new(&path, None, None, None).unwrap(),
+            mark,
             folder: &self.at(folder),
             origin: Client::Unnamed.into(),
             most_pixels: film::MOST_PIXELS,
@@ -519,4 +521,77 @@ fn a_scene_that_changes_ends_the_run() {
     // None of those shows the scene as it is now.
     let report = studio.filmed(&engine, "f", false, |_| ()).unwrap();
     assert_eq!((report.drawn, report.kept), (121, 0));
+}
+
+/// Another scene under the same id begins at the same revision, and is another scene all the same.
+#[test]
+fn a_scene_that_is_exchanged_ends_the_run() {
+    let studio = Studio::new();
+    let mut other: Value =
+        serde_json::from_slice(&fs::read(studio.at("scene.json")).unwrap()).unwrap();
+    other["nodes"][0]["translate"] = json!([0, 0, 20]);
+    fs::write(studio.at("other.json"), other.to_string()).unwrap();
+    let engine = studio.engine(|_| ());
+    let exchange = |file: &str| {
+        engine.remove("scene").unwrap();
+        assert_eq!(engine.load("scene", &studio.at(file)).unwrap().revision, 1);
+    };
+    let mut is_first = true;
+    let ended = studio.filmed(&engine, "f", false, |event| {
+        if matches!(event, Event::Drawn { .. }) && std::mem::take(&mut is_first) {
+            exchange("other.json");
+        }
+    });
+    assert!(matches!(ended, Err(FilmError::SceneChanged { .. })), "{ended:?}");
+    let drawn = studio.check("f");
+    assert!((1..FRAMES).contains(&drawn), "{drawn}");
+    // What has come shows the scene that it was drawn of: of the other one nothing is kept, of the first all of it.
+    let report = studio.filmed(&engine, "other", false, |_| ()).unwrap();
+    assert_eq!(report.drawn, FRAMES as u64);
+    exchange("scene.json");
+    let report = studio.filmed(&engine, "f", false, |_| ()).unwrap();
+    assert_eq!(report.kept, drawn as u64);
+    let whole = studio.contents("f");
+    exchange("other.json");
+    let report = studio.filmed(&engine, "f", false, |_| ()).unwrap();
+    assert_eq!((report.drawn, report.kept), (FRAMES as u64, 0));
+    assert_eq!(studio.contents("f"), studio.contents("other"));
+    assert_ne!(studio.contents("f"), whole);
+    // Exchanged while it is looked through, nothing else is said than that.
+    let ended = studio.filmed(&engine, "f", false, |event| {
+        if matches!(event, Event::Surveyed { .. }) {
+            exchange("scene.json");
+        }
+    });
+    assert_eq!(ended.unwrap().kept, FRAMES as u64, "all was there, and is of the scene as it was");
+}
+
+/// What is told to stop before anything is drawn leaves all as it is, also of a folder that is full.
+#[test]
+fn a_run_that_stops_at_once_keeps_what_is_there() {
+    let studio = Studio::new();
+    let engine = studio.engine(|_| ());
+    studio.filmed(&engine, "f", false, |_| ()).unwrap();
+    let whole = studio.contents("f");
+    let stopped = studio.filmed(&engine, "f", true, |_| panic!("nothing was looked through"));
+    let stopped = stopped.unwrap();
+    assert_eq!((stopped.kept, stopped.drawn, stopped.missing), (0, 0, FRAMES as u64));
+    assert_eq!(studio.contents("f"), whole);
+    assert_eq!(studio.filmed(&engine, "f", false, |_| ()).unwrap().kept, FRAMES as u64);
+}
+
+#[test]
+fn a_file_is_no_folder() {
+    let studio = Studio::new();
+    fs::write(studio.at("notes.txt"), "mine").unwrap();
+    let told = studio.complaint(&["--path", "fly", "-o", "notes.txt"]);
+    assert!(told.contains("is a file") && told.contains(".mp4"), "{told}");
+    assert_eq!(fs::read_to_string(studio.at("notes.txt")).unwrap(), "mine");
+    let told = studio.complaint(&["--path", "fly", "-o", "film.gif"]);
+    assert!(told.contains("videos are .mp4, not .gif"), "{told}");
+    if cfg!(feature = "video") {
+        fs::write(studio.at("fly.mp4.frames"), "mine").unwrap();
+        let told = studio.complaint(&["--path", "fly", "-o", "fly.mp4"]);
+        assert!(told.contains("fly.mp4.frames, which is a file"), "{told}");
+    }
 }

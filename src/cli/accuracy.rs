@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 
+use super::out;
 use crate::accuracy::stability::stability;
 
 /// Which report, and where to.
@@ -38,9 +39,9 @@ pub fn run(args: &AccuracyArgs) -> Result<()> {
     let report = stability(args.seed, args.count);
     let json = serde_json::to_string_pretty(&report)? + "\n";
     if args.json {
-        print!("{json}");
+        out::print(&json)?;
     } else {
-        print!("{report}");
+        out::print(&report.to_string())?;
     }
     if let Some(folder) = &args.output {
         std::fs::create_dir_all(folder)

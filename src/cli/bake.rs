@@ -10,6 +10,7 @@ use comfy_table::{CellAlignment, Table, presets};
 use serde::Serialize;
 
 use super::local::{SceneFile, progress_bar, show_baking};
+use super::out::{self, say};
 use crate::bake::cache::BakeCache;
 use crate::bake::external::Memory;
 use crate::engine::{BakeEvent, BakeSource, BakedAsset, bake_file};
@@ -86,7 +87,7 @@ pub fn run(args: &BakeArgs) -> anyhow::Result<()> {
         if let BakeEvent::Finished(asset) = event
             && lines
         {
-            eprintln!("{}", line(asset));
+            say!("{}", line(asset));
         }
     });
     bar.finish_and_clear();
@@ -99,19 +100,19 @@ pub fn run(args: &BakeArgs) -> anyhow::Result<()> {
             cache: cache.map(BakeCache::folder),
             elapsed_ns: elapsed.as_nanos() as u64,
         };
-        println!("{}", serde_json::to_string_pretty(&told)?);
+        out::print(&(serde_json::to_string_pretty(&told)? + "\n"))?;
     } else {
-        print!("{}", table(&assets));
         let folder = match (cache, &kept) {
             (None, _) => "kept nowhere".to_owned(),
             (Some(cache), Ok(())) => format!("kept in {}", cache.folder().display()),
             (Some(cache), Err(_)) => format!("not all kept in {}", cache.folder().display()),
         };
-        println!(
-            "\n{:.1} MB of point trees, {folder}; {:.2} s in all",
+        out::print(&format!(
+            "{}\n{:.1} MB of point trees, {folder}; {:.2} s in all\n",
+            table(&assets),
             bytes(&assets) as f64 / 1e6,
             elapsed.as_secs_f64()
-        );
+        ))?;
     }
     kept
 }

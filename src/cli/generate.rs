@@ -6,6 +6,7 @@ use std::time::Instant;
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::out;
 use crate::assets::Progress;
 use crate::generate::{Generated, Kind, Parameters, generate, generate_scene, write};
 
@@ -71,11 +72,8 @@ pub fn run(args: GenerateArgs) -> anyhow::Result<()> {
         .sum::<std::io::Result<u64>>()
         .with_context(|| format!("reading back {}", args.output.display()))?;
     let seconds = begin.elapsed().as_secs_f64();
-    println!("{contents} in {seconds:.1} s, {:.1} MB:", bytes as f64 / 1e6);
-    for file in files {
-        println!("  {}", file.display());
-    }
-    Ok(())
+    let names: String = files.iter().map(|file| format!("  {}\n", file.display())).collect();
+    out::print(&format!("{contents} in {seconds:.1} s, {:.1} MB:\n{names}", bytes as f64 / 1e6))
 }
 
 fn describe(generated: &Generated) -> String {

@@ -6,6 +6,7 @@ use comfy_table::{Table, presets};
 use serde::Serialize;
 
 use super::local::{ID, SceneArgs, progress_bar, show_baking};
+use super::out;
 use super::render::contents;
 use crate::encode::ImageFormat;
 use crate::engine::{BakedAsset, FrameRequest, Pose, SceneInfo};
@@ -71,11 +72,10 @@ pub fn run(args: &InspectArgs) -> Result<()> {
         trees: trees.transpose()?,
     };
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&told)?);
+        out::print(&(serde_json::to_string_pretty(&told)? + "\n"))
     } else {
-        print!("{}", text(&told));
+        out::print(&text(&told))
     }
-    Ok(())
 }
 
 fn table() -> Table {

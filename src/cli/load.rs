@@ -11,6 +11,7 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Deserialize;
 
+use super::out::{self, say};
 use crate::load::knee::{Demands, SearchSettings};
 use crate::load::poses::{PathKind, Poses};
 use crate::load::report::{Generator, Report, three_digits};
@@ -264,16 +265,16 @@ pub fn run(args: &LoadArgs) -> anyhow::Result<()> {
     let report = runtime.block_on(measure(args, &target, settings))?;
     let json = serde_json::to_string_pretty(&report)? + "\n";
     if args.json {
-        print!("{json}");
+        out::print(&json)?;
     } else {
-        print!("{report}");
+        out::print(&report.to_string())?;
     }
     if let Some(folder) = &args.out {
         for (name, text) in [("load.json", &json), ("load.svg", &plot::svg(&report))] {
             let path = folder.join(name);
             std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))?;
         }
-        eprintln!("load.json and load.svg are in {}", folder.display());
+        say!("load.json and load.svg are in {}", folder.display());
     }
     let frames: u64 = report.points.iter().map(|judged| judged.point.counts.frames).sum();
     ensure!(report.interrupted || frames > 0, "not one frame came");
@@ -447,7 +448,7 @@ impl Shown {
             Event::Ended(point) if std::io::stderr().is_terminal() => {
                 self.bar.println(point.line());
             }
-            Event::Ended(point) => eprintln!("{}", point.line()),
+            Event::Ended(point) => say!("{}", point.line()),
         }
     }
 

@@ -8,6 +8,7 @@ pub mod generate;
 pub mod inspect;
 pub mod load;
 mod local;
+mod out;
 pub mod path;
 pub mod render;
 pub mod serve;
@@ -59,9 +60,6 @@ pub fn run() -> anyhow::Result<()> {
         Command::Generate(args) => generate::run(args),
         Command::Accuracy(args) => accuracy::run(&args),
         Command::Load(args) => load::run(&args),
-        Command::Openapi => {
-            print!("{}", crate::http::openapi_yaml()?);
-            Ok(())
-        }
+        Command::Openapi => out::print(&crate::http::openapi_yaml()?),
     }
 }

@@ -13,6 +13,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::frame::FrameArgs;
 use super::local::{ID, SceneArgs, progress_bar, show_baking};
+use super::out::say;
 use crate::encode::ImageFormat;
 use crate::engine::{Client, Engine, FrameRequest, Pose, Receipt, SceneInfo};
 use crate::film::video::{Coder, Reel, VideoError, encode};
@@ -91,8 +92,9 @@ pub fn run(args: PathArgs) -> anyhow::Result<()> {
     let target = Target::new(&args)?;
     let (engine, info) = args.scene.load(|_| ())?;
     for warning in &info.warnings {
-        eprintln!("warning: {warning}");
+        say!("warning: {warning}");
     }
+    let mark = engine.scene_mark(ID).context("the scene is gone")?;
     let path = find(&engine, &info, &args.path)?;
     let shots = Shots::new(&path, args.fps, args.from, args.to).map_err(|error| match error {
         FilmError::BadRange { parameter, reason } => anyhow::anyhow!("--{parameter}: {reason}"),
@@ -108,6 +110,7 @@ pub fn run(args: PathArgs) -> anyhow::Result<()> {
         engine: &engine,
         request,
         shots,
+        mark,
         folder: &target.folder,
         origin: Client::Unnamed.into(),
         most_pixels: film::MOST_PIXELS,
@@ -117,9 +120,9 @@ pub fn run(args: PathArgs) -> anyhow::Result<()> {
     let report = film::run(&film, &stop, |event| telling.hear(&event));
     telling.bar.finish_and_clear();
     let report = report?;
-    eprintln!("{}: {}", target.folder.display(), telling.summary(&report, began.elapsed()));
+    say!("{}: {}", target.folder.display(), telling.summary(&report, began.elapsed()));
     if let Some(first) = report.left_over.first() {
-        eprintln!(
+        say!(
             "warning: {} files of earlier runs are no frames of this path as it is drawn now, {first} among them; \
              they are not in {}",
             report.left_over.len(),
@@ -161,22 +164,33 @@ impl Target {
                 extension.filter(|own| VIDEOS.contains(&own.to_ascii_lowercase().as_str()))
             {
                 bail!(
-                    "-o {}: a video is an .mp4, not an .{other}; any other name is a folder's",
+                    "-o {}: videos are .mp4, not .{other}; any other name is a folder's",
                     args.out.display()
                 );
             }
             if args.keep_frames || args.bitrate_kbps.is_some() {
                 bail!("--keep-frames and --bitrate-kbps go with a video, as in -o film.mp4");
             }
+            if args.out.exists() && !args.out.is_dir() {
+                bail!(
+                    "-o {}: is a file; frames go into a folder, and a video into an .mp4",
+                    args.out.display()
+                );
+            }
             return Ok(Target { folder: args.out.clone(), video: None });
         }
         let coder = Coder::find()?;
         let mut folder = args.out.clone().into_os_string();
         folder.push(".frames");
-        Ok(Target {
-            folder: folder.into(),
-            video: Some(VideoFile { out: args.out.clone(), coder }),
-        })
+        let folder = PathBuf::from(folder);
+        if folder.exists() && !folder.is_dir() {
+            bail!(
+                "-o {}: the frames of a video go into the folder {}, which is a file",
+                args.out.display(),
+                folder.display()
+            );
+        }
+        Ok(Target { folder, video: Some(VideoFile { out: args.out.clone(), coder }) })
     }
 }
 
@@ -205,7 +219,7 @@ fn make(video: &VideoFile, reel: &Reel, film: &Film<'_>, stop: &AtomicBool) -> a
     bar.set_length(reel.frames);
     bar.set_message("coding");
     let records = film::records(film.folder)?;
-    let wanted = records.range(film.shots.wanted()).map(|(_, record)| record);
+    let wanted = records.range(film.shots.wanted()).map(|(_, record)| record.as_ref());
     let began = Instant::now();
     let made = encode(&video.coder, reel, film.folder, wanted, &video.out, stop, |coded| {
         bar.set_position(coded)
@@ -216,7 +230,7 @@ fn make(video: &VideoFile, reel: &Reel, film: &Film<'_>, stop: &AtomicBool) -> a
     let bytes = std::fs::metadata(&video.out).map_or(0, |found| found.len());
     let seconds = began.elapsed().as_secs_f64();
     let length_s = reel.frames as f64 / reel.fps;
-    eprintln!(
+    say!(
         "{}: {}, {length_s:.2} s, {bytes} bytes, coded in {seconds:.2} s",
         video.out.display(),
         frames(reel.frames)
@@ -279,7 +293,7 @@ fn stop_when_told() -> anyhow::Result<Arc<AtomicBool>> {
         .spawn(move || {
             runtime.block_on(async {
                 let signal = first.await;
-                eprintln!("{signal}: stopping after the frame at hand");
+                say!("{signal}: stopping after the frame at hand");
                 told.store(true, Ordering::Relaxed);
                 if let Ok(next) = stop_signal() {
                     next.await;
@@ -341,7 +355,7 @@ impl Telling {
                 // What was there already took no time.
                 self.bar.reset_eta();
                 if self.lines && *kept > 0 {
-                    eprintln!("{kept} of {} frames are there already", self.total);
+                    say!("{kept} of {} frames are there already", self.total);
                 }
             }
             Event::Drawn { receipt, .. } => self.count(receipt),
@@ -357,10 +371,7 @@ impl Telling {
             self.told = Instant::now();
             let rate = self.drawn as f64 / self.began.elapsed().as_secs_f64().max(1e-9);
             let left_s = (self.total - self.done) as f64 / rate;
-            eprintln!(
-                "{} of {} frames, {rate:.1} a second, {left_s:.0} s left",
-                self.done, self.total
-            );
+            say!("{} of {} frames, {rate:.1} a second, {left_s:.0} s left", self.done, self.total);
         }
     }
 
@@ -385,8 +396,6 @@ fn frames(count: u64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use super::*;
     use clap::Parser;
 
@@ -410,7 +419,7 @@ mod tests {
     fn summaries() {
         let mut telling = Telling::new();
         let receipt = Receipt { views: 4, gpu_ns: Some(8_000_000_000), ..Receipt::default() };
-        telling.hear(&Event::Surveyed { kept: 3, to_draw: 2, records: &BTreeMap::new() });
+        telling.hear(&Event::Surveyed { kept: 3, to_draw: 2, records: &film::Records::new() });
         (0..2).for_each(|_| telling.count(&receipt));
         let report = Report { kept: 3, drawn: 2, ..Report::default() };
         let text = telling.summary(&report, Duration::from_secs(4));

@@ -9,6 +9,7 @@ use glam::DVec3;
 
 use super::frame::FrameArgs;
 use super::local::SceneArgs;
+use super::out::say;
 use crate::encode::ImageFormat;
 use crate::engine::{EncodedFrame, Pose, Receipt};
 use crate::math::Camera;
@@ -102,7 +103,7 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     let begin = Instant::now();
     let (engine, info) = args.scene.load(|_| ())?;
     for warning in &info.warnings {
-        eprintln!("warning: {warning}");
+        say!("warning: {warning}");
     }
     let loaded = begin.elapsed();
     let mut frames = Vec::with_capacity(args.repeat as usize);
@@ -115,7 +116,7 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     if let Some(file) = &args.receipt {
         write(file, &serde_json::to_vec_pretty(&median.receipt)?)?;
     }
-    eprintln!(
+    say!(
         "{}: {}, loaded in {:.2} s; {}",
         args.file.display(),
         contents(info.samples, info.triangles, info.instances),

@@ -5,7 +5,7 @@
 //! the first of these that has it wins, and a default stands behind them. [`ServeArgs`] is all
 //! three: clap reads flags and environment into it, serde the file.
 
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -14,13 +14,20 @@ use anyhow::{Context, bail, ensure};
 use clap::{Args, ValueEnum};
 use serde::Deserialize;
 
+use self::greeting::{example, greeting, tell};
+use self::patience::{PATIENCE, patiently};
+use self::state::{jobs_config, open_jobs};
 use super::cache::CacheArgs;
+use super::out::say;
 use crate::assets::ReadOptions;
 use crate::engine::{Engine, EngineConfig};
 use crate::http::access::{Access, parse_keys};
 use crate::http::server::{StartScenes, serve};
 use crate::http::{App, Settings, StreamLimits, WatchLimits, nearest};
-use crate::jobs::{self, Jobs, StateError};
+
+mod greeting;
+mod patience;
+mod state;
 
 /// Settings of the daemon; what is `None` was not given.
 #[derive(Args, Clone, Debug, Default, PartialEq, Deserialize)]
@@ -165,40 +172,21 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     let settings = settings(&args, root.clone(), access)?;
     let start = start_scenes(&args, &root)?;
     let jobs_config = jobs_config(&args)?;
-    let listener =
-        TcpListener::bind(address).with_context(|| format!("cannot listen on {address}"))?;
+    let is_taken = |error: &std::io::Error| error.kind() == std::io::ErrorKind::AddrInUse;
+    let listener = patiently(PATIENCE, is_taken, || TcpListener::bind(address))
+        .with_context(|| format!("cannot listen on {address}"))?;
     let engine = Engine::start(engine_config(&args, root)?)?;
     tracing::info!(adapter = engine.adapter(), "engine started");
 
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let jobs = open_jobs(&engine, jobs_config, args.state.is_some())?;
     let app = App::new(engine, settings, jobs);
-    let result = runtime.block_on(serve(app, listener, start, |engine, address| {
-        announce(engine, address, has_keys);
-    }));
+    let ready = |engine: &Engine, address| tell(&example(engine, address, has_keys));
+    let result =
+        runtime.block_on(serve(app, listener, start, |address| tell(&greeting(address)), ready));
     // A scene that is still being read is not waited for.
     runtime.shutdown_timeout(Duration::from_millis(100));
     result
-}
-
-/// Tells where the server is, and how to see a first frame.
-fn announce(engine: &Engine, address: SocketAddr, has_keys: bool) {
-    let mut text = format!("listening on http://{address}\n");
-    let mut reachable = address;
-    if address.ip().is_unspecified() {
-        reachable.set_ip(std::net::Ipv4Addr::LOCALHOST.into());
-    }
-    text += &format!("viewer: http://{reachable}/\n");
-    if let Some(scene) = engine.scenes().first() {
-        let key = if has_keys { "-H 'Authorization: Bearer KEY' " } else { "" };
-        text += &format!(
-            "curl {key}-o frame.png 'http://{reachable}/v1/scenes/{}/frame?w=1024&h=768'\n",
-            scene.id
-        );
-    }
-    // Whoever started the daemon may have closed its output; it runs on.
-    let mut out = std::io::stdout().lock();
-    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
 }
 
 fn init_log(format: LogFormat) {
@@ -217,7 +205,7 @@ fn init_log(format: LogFormat) {
         LogFormat::Json => log.json().try_init(),
     };
     if let Err(error) = result {
-        eprintln!("the log cannot be set up: {error}");
+        say!("the log cannot be set up: {error}");
     }
 }
 
@@ -417,65 +405,6 @@ fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig
         ..default
     })
 }
-
-/// Where jobs are kept and what they may take; or why there are none.
-fn jobs_config(args: &ServeArgs) -> anyhow::Result<Result<jobs::Config, String>> {
-    let mib = number("job-disk-mib", args.job_disk_mib, 10_240, 1)?;
-    let ttl_seconds = number("job-ttl-seconds", args.job_ttl_seconds, 7 * 24 * 3600, 1)?;
-    let most_unfinished = number("job-queue", args.job_queue, 64, 1)?;
-    let drawing = number("job-runners", args.job_runners, 4, 1)?;
-    ensure!(drawing <= 64, "--job-runners {drawing}: must be at most 64");
-    if args.no_jobs == Some(true) {
-        return Ok(Err("this server takes on no jobs (--no-jobs)".to_owned()));
-    }
-    let Some(folder) = args.state.clone().or_else(jobs::store::default_folder) else {
-        return Ok(Err(
-            "this server has no folder for jobs: it was given none, and neither XDG_STATE_HOME nor HOME is set"
-                .to_owned(),
-        ));
-    };
-    Ok(Ok(jobs::Config {
-        folder,
-        limits: jobs::Limits {
-            most_unfinished,
-            most: most_unfinished.saturating_add(MOST_ENDED_JOBS),
-            ttl_ms: ttl_seconds.saturating_mul(1000),
-            // Each of these uses all cores for most of its time.
-            slots: jobs::Slots { baking: 2, drawing, coding: 2 },
-        },
-        most_bytes: mib.saturating_mul(1 << 20),
-    }))
-}
-
-/// Takes the state folder. Where nobody asked for it by name, a daemon without jobs is better than none.
-fn open_jobs(
-    engine: &Engine,
-    config: Result<jobs::Config, String>,
-    is_asked_for: bool,
-) -> anyhow::Result<Result<Jobs, String>> {
-    let config = match config {
-        Ok(config) => config,
-        Err(reason) => return Ok(Err(reason)),
-    };
-    match Jobs::open(engine.clone(), config) {
-        Ok(jobs) => Ok(Ok(jobs)),
-        Err(error) if is_asked_for => Err(anyhow::anyhow!("--state: {error}")),
-        Err(error) => {
-            tracing::warn!(%error, "no jobs are taken on");
-            // Where the server keeps its files is its own affair.
-            let reason = match error {
-                StateError::Locked { .. } => {
-                    "the state folder is another daemon's, which is running"
-                }
-                _ => "the state folder cannot be used; the server's log says why",
-            };
-            Ok(Err(reason.to_owned()))
-        }
-    }
-}
-
-/// Ended jobs that are kept at most.
-const MOST_ENDED_JOBS: usize = 1000;
 
 /// The scenes asked for, or every scene file directly in the root, or every asset file where there is none.
 fn start_scenes(args: &ServeArgs, root: &Path) -> anyhow::Result<StartScenes> {

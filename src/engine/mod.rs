@@ -573,9 +573,22 @@ impl Engine {
         origin: impl Into<Origin>,
         request: FrameRequest,
     ) -> Result<FrameTicket, EngineError> {
+        self.submit_tagged(origin, request).map(|(_, ticket)| ticket)
+    }
+
+    /// The same, with the tag (as of [`Engine::etag`]) of the frame that will come, whatever becomes of the scene meanwhile.
+    ///
+    /// # Errors
+    /// As [`Engine::submit`].
+    pub fn submit_tagged(
+        &self,
+        origin: impl Into<Origin>,
+        request: FrameRequest,
+    ) -> Result<(String, FrameTicket), EngineError> {
         let resolved = resolve::resolve(self.shared(), &request)?;
+        let tag = resolved.key.clone();
         let (_, receiver) = self.shared().enqueue(origin.into(), resolved, request)?;
-        Ok(FrameTicket { receiver })
+        Ok((tag, FrameTicket { receiver }))
     }
 
     /// A place in the queue for one who wants the newest frame only, and shares the device's time with the other seats of the

@@ -3,12 +3,11 @@
 //! A file comes into its place whole or not at all: it is written under another name in the same folder, brought to the disk, and
 //! renamed. One process at a time draws into a folder, which a lock sees to that ends with the process, however that ends.
 
-use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use super::manifest::{self, Header, Record};
+use super::manifest::{self, Header, Record, Records};
 use super::{FilmError, MANIFEST};
 
 /// Held while a process draws into the folder, and left there.
@@ -62,13 +61,13 @@ impl Folder {
     ///
     /// # Errors
     /// A manifest that cannot be read, or that is none.
-    pub fn records(&self) -> Result<BTreeMap<u64, Record>, FilmError> {
+    pub fn records(&self) -> Result<Records, FilmError> {
         let file = self.path.join(MANIFEST);
         match fs::read(&file) {
             Ok(text) => {
                 manifest::parse(&text).map_err(|reason| FilmError::Foreign { file, reason })
             }
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(BTreeMap::new()),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Records::new()),
             Err(error) => Err(failed(&file)(error)),
         }
     }
@@ -153,7 +152,7 @@ impl Folder {
 ///
 /// # Errors
 /// A manifest that cannot be read, or that is none.
-pub fn records(folder: &Path) -> Result<BTreeMap<u64, Record>, FilmError> {
+pub fn records(folder: &Path) -> Result<Records, FilmError> {
     let file = folder.join(MANIFEST);
     let text = fs::read(&file).map_err(failed(&file))?;
     manifest::parse(&text).map_err(|reason| FilmError::Foreign { file, reason })
@@ -225,7 +224,7 @@ mod tests {
         folder.put(&good.file, b"four").unwrap();
         folder.note(&good).unwrap();
         assert!(folder.is_intact(&good) && folder.holds(&good.file));
-        assert_eq!(folder.records().unwrap(), BTreeMap::from([(0, good.clone())]));
+        assert_eq!(folder.records().unwrap(), Records::from([(0, good.clone().into())]));
         fs::write(path.join(&good.file), b"fouR").unwrap();
         assert!(!folder.is_intact(&good));
         fs::write(path.join(&good.file), b"fou").unwrap();

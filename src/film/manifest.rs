@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 use std::io::{self, Read};
 use std::path::Path;
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -48,13 +49,16 @@ pub struct Record {
     pub tag: String,
 }
 
+/// Records by their frames, shared: a film may have a million of them, and several look at them.
+pub type Records = BTreeMap<u64, Arc<Record>>;
+
 /// The records of a manifest's text, by frame.
 ///
 /// # Errors
 /// Text that is no manifest, or one of another version. Damaged lines are no errors: their frames count as not there.
-pub fn parse(text: &[u8]) -> Result<BTreeMap<u64, Record>, String> {
+pub fn parse(text: &[u8]) -> Result<Records, String> {
     if text.is_empty() {
-        return Ok(BTreeMap::new());
+        return Ok(Records::new());
     }
     // What follows the last end of a line was not written to its end.
     let mut lines =
@@ -70,7 +74,7 @@ pub fn parse(text: &[u8]) -> Result<BTreeMap<u64, Record>, String> {
     Ok(lines
         .filter_map(|line| serde_json::from_slice::<Record>(line).ok())
         .filter(|record| is_file_name(&record.file))
-        .map(|record| (record.frame, record))
+        .map(|record| (record.frame, Arc::new(record)))
         .collect())
 }
 
@@ -175,13 +179,17 @@ mod tests {
         }
     }
 
+    fn parsed(text: &[u8]) -> Vec<Record> {
+        parse(text).unwrap().into_values().map(Arc::unwrap_or_clone).collect()
+    }
+
     #[test]
     fn what_is_written_is_read() {
         let records = [record(0, 1), record(4, 2)];
         let mut written = text(&header(), &records).unwrap();
         written.extend(line(&record(0, 9)).unwrap());
-        let read = parse(&written).unwrap();
-        assert_eq!(read.into_values().collect::<Vec<_>>(), [record(0, 9), record(4, 2)]);
+        let read: Vec<Record> = parsed(&written);
+        assert_eq!(read, [record(0, 9), record(4, 2)]);
         let first =
             serde_json::from_slice::<Header>(written.split(|&b| b == b'\n').next().unwrap());
         assert_eq!(first.unwrap(), header());
@@ -219,8 +227,7 @@ mod tests {
             let first = text(&header(), []).unwrap().len();
             let length = first + ((whole.len() - first) as f64 * kept) as usize;
             let ends = whole[first..length].iter().filter(|&&byte| byte == b'\n').count();
-            let read: Vec<Record> = parse(&whole[..length]).unwrap().into_values().collect();
-            prop_assert_eq!(read, records[..ends].to_vec());
+            prop_assert_eq!(parsed(&whole[..length]), records[..ends].to_vec());
         }
 
         #[test]

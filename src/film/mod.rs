@@ -1,10 +1,10 @@
 //! A camera path to numbered frames in a folder, in as many runs as it takes (floor 6).
 //!
 //! ```text
-//! path ──► shots ──► tags ──► survey ──► draw ──► folder
-//!          when,     engine,  what is    engine,  file by file, each whole or not there;
-//!          from      without  there and  many at  then a line of the manifest
-//!          where     the GPU  still good once
+//! path ──► shots ──► survey ──► draw ──► folder
+//!          when,     what is    engine,  file by file, each whole or not there;
+//!          from      there and  many at  then a line of the manifest
+//!          where     still good once
 //! ```
 //!
 //! The folder's manifest, [`MANIFEST`], has a line for every frame that is finished: its file, how long that is, its checksum, and the
@@ -12,6 +12,9 @@
 //! after the file that it tells of is in its place. So a run may end at any moment, by a signal, a power cut or an error: the next one
 //! keeps the frames whose files are as their lines say and whose tags are those of the frames that are wanted now, draws the
 //! others, and at its end the manifest is the same, byte for byte, as if there had been a single run.
+//!
+//! A run draws one scene at one revision ([`crate::engine::SceneMark`]) and ends when it finds another in its place, also one that was
+//! loaded under the same id. A frame's tag is told when it is sent; before that only frames that the manifest tells of need one.
 //!
 //! What to do is decided by functions of what was found ([`shots`], [`manifest`], [`survey`]); [`folder`] alone touches files, and
 //! [`mod@run`] the engine. [`video`] makes one file of the frames.
@@ -27,7 +30,7 @@ use std::io;
 use std::path::PathBuf;
 
 pub use folder::{records, remove};
-pub use manifest::{Header, Record};
+pub use manifest::{Header, Record, Records};
 pub use run::{Event, Film, MOST_PIXELS, Report, run};
 
 use crate::engine::EngineError;

@@ -1,6 +1,6 @@
 //! Draws what is missing of a path: several frames are with the engine at a time, so that small ones are drawn together.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,11 +10,12 @@ use rayon::prelude::*;
 
 use super::FilmError;
 use super::folder::Folder;
-use super::manifest::{self, Header, Record};
+use super::manifest::{self, Header, Record, Records};
 use super::shots::{Shots, file_name};
 use super::survey::{self, Slot};
 use crate::engine::{
     Client, EncodedFrame, Engine, EngineError, FrameRequest, FrameTicket, Origin, Pose, Receipt,
+    SceneMark,
 };
 
 /// Pixels of all frames that are with the engine at a time, of a film that is drawn alone.
@@ -31,6 +32,8 @@ pub struct Film<'a> {
     /// Scene, size, settings and format of every frame; the pose and the deadline are not looked at.
     pub request: FrameRequest,
     pub shots: Shots,
+    /// The scene that the shots were made for: no other one is drawn.
+    pub mark: SceneMark,
     pub folder: &'a Path,
     /// Whose turn on the device the frames take, and what they are named after. As [`Client::Job`], a full queue is waited for however
     /// long it is full.
@@ -43,9 +46,9 @@ pub struct Film<'a> {
 pub enum Event<'a> {
     /// Once, before anything is drawn: of the frames asked for, how many are good as they are, and how many are to be drawn.
     /// `records` tells of all that are good, also of such as were not asked for.
-    Surveyed { kept: u64, to_draw: u64, records: &'a BTreeMap<u64, Record> },
+    Surveyed { kept: u64, to_draw: u64, records: &'a Records },
     /// A frame is in its place.
-    Drawn { record: &'a Record, receipt: &'a Receipt },
+    Drawn { record: &'a Arc<Record>, receipt: &'a Receipt },
 }
 
 /// What a run did.
@@ -60,54 +63,60 @@ pub struct Report {
     pub left_over: Vec<String>,
 }
 
-/// Draws all frames that are asked for and not there already. When `stop` becomes true it ends after the frame that it waits for.
+/// Draws all frames that are asked for and not there already. When `stop` becomes true it ends after the frame that it waits for; before
+/// anything is drawn, at once, and then without a word of what is there.
 ///
 /// However it ends, the folder holds whole frames and a manifest of them, and another run goes on from there.
 ///
 /// # Errors
-/// A request that the engine refuses, a folder that cannot be written or is another process's, an engine that ends.
+/// A request that the engine refuses, a folder that cannot be written or is another process's, a scene that is changed, removed or
+/// exchanged meanwhile, an engine that ends.
 pub fn run(
     film: &Film<'_>,
     stop: &AtomicBool,
     mut tell: impl FnMut(Event<'_>) + Send,
 ) -> Result<Report, FilmError> {
     let scene = film.engine.scene(&film.request.scene)?;
+    let first = *film.shots.wanted().start();
+    let asked = film.shots.wanted().count() as u64;
     // Refused before a folder is made for it.
-    film.slot(*film.shots.wanted().start())?;
+    film.slot(first)?;
     let mut folder = Folder::open(film.folder)?;
     let records = folder.records()?;
-    let slots = film.slots(&records)?;
-    let promising = survey::promising(&slots, &records);
-    let intact = promising.into_par_iter().filter(|record| folder.is_intact(record)).collect();
-    let mut found = survey::survey(film.shots.wanted(), &slots, &records, intact);
+    let intact = film.intact(&records, &folder, stop)?;
+    if stop.load(Ordering::Relaxed) {
+        // Not all were looked at: the manifest stays as it is.
+        return Ok(Report { missing: asked, ..Report::default() });
+    }
+    film.check_scene(first)?;
+    let file_of = |number| file_name(number, film.request.format);
+    let mut found = survey::survey(film.shots.wanted(), file_of, &records, intact);
+    drop(records);
     found.left_over.retain(|file| folder.holds(file));
-    let asked = film.shots.wanted().count() as u64;
     let to_draw = found.draw.len() as u64;
     tell(Event::Surveyed { kept: asked - to_draw, to_draw, records: &found.kept });
 
     let header = film.header(&scene.name);
     let mut finished = found.kept;
-    folder.begin(&header, finished.values())?;
-    let queue = found.draw.iter().filter_map(|number| slots.get(number)).collect();
+    folder.begin(&header, finished.values().map(AsRef::as_ref))?;
     let drawing = Drawing {
         film,
-        revision: scene.revision,
-        queue,
+        queue: found.draw.into(),
         flight: VecDeque::new(),
         window: film.window(),
         refusals: 0,
         stop,
     };
-    let ended = draw(drawing, |slot, frame| {
-        let record = slot.record(&frame);
-        folder.put(&record.file, &frame.bytes)?;
+    let ended = draw(drawing, |drawn| {
+        let record = Arc::new(film.record(&drawn));
+        folder.put(&record.file, &drawn.frame.bytes)?;
         folder.note(&record)?;
-        tell(Event::Drawn { record: &record, receipt: &frame.receipt });
+        tell(Event::Drawn { record: &record, receipt: &drawn.frame.receipt });
         finished.insert(record.frame, record);
         Ok(())
     });
     // Also after an error, so that the next run finds what there is; but that error is the one to tell of.
-    let written = folder.begin(&header, finished.values());
+    let written = folder.begin(&header, finished.values().map(AsRef::as_ref));
     ended.and(written)?;
     let there = film.shots.wanted().filter(|number| finished.contains_key(number)).count() as u64;
     Ok(Report {
@@ -120,14 +129,13 @@ pub fn run(
 
 /// Draws on this thread and has another one `keep` what is drawn, because bringing a small frame to the disk takes as long as drawing
 /// it.
-fn draw<'a>(
-    mut drawing: Drawing<'a>,
-    mut keep: impl FnMut(&Slot, Arc<EncodedFrame>) -> Result<(), FilmError> + Send,
+fn draw(
+    mut drawing: Drawing<'_>,
+    mut keep: impl FnMut(Drawn) -> Result<(), FilmError> + Send,
 ) -> Result<(), FilmError> {
     std::thread::scope(|scope| {
-        let (sender, receiver) = flume::bounded::<(&'a Slot, Arc<EncodedFrame>)>(UNWRITTEN);
-        let writer =
-            scope.spawn(move || receiver.iter().try_for_each(|(slot, frame)| keep(slot, frame)));
+        let (sender, receiver) = flume::bounded::<Drawn>(UNWRITTEN);
+        let writer = scope.spawn(move || receiver.iter().try_for_each(&mut keep));
         let mut drawn = Ok(());
         while !drawing.is_stopped() {
             match drawing.next() {
@@ -169,20 +177,55 @@ impl Film<'_> {
         FrameRequest { pose, deadline: None, ..self.request.clone() }
     }
 
+    /// A frame as it is to be.
     fn slot(&self, number: u64) -> Result<Slot, FilmError> {
-        let tag = self.engine.etag(&self.request(number))?;
-        Ok(Slot {
-            number,
-            t: self.shots.shot(number).t,
-            file: file_name(number, self.request.format),
-            tag: tag.trim_matches('"').to_owned(),
-        })
+        let tag = plain(&self.engine.etag(&self.request(number))?);
+        let file = file_name(number, self.request.format);
+        Ok(Slot { number, t: self.shots.shot(number).t, file, tag })
     }
 
-    /// Frames as they are to be: those that are asked for, and those of the path that a record tells of.
-    fn slots(&self, records: &BTreeMap<u64, Record>) -> Result<BTreeMap<u64, Slot>, FilmError> {
-        let recorded = records.keys().copied().filter(|&number| number < self.shots.count());
-        self.shots.wanted().chain(recorded).map(|number| Ok((number, self.slot(number)?))).collect()
+    /// Records of frames of the path that are as they are to be, with their files. Some are missing once `stop` is true.
+    fn intact(
+        &self,
+        records: &Records,
+        folder: &Folder,
+        stop: &AtomicBool,
+    ) -> Result<Vec<Arc<Record>>, FilmError> {
+        let recorded: Vec<&Arc<Record>> =
+            records.range(..self.shots.count()).map(|(_, record)| record).collect();
+        let look = |record: &Arc<Record>| {
+            if stop.load(Ordering::Relaxed) {
+                return Ok(None);
+            }
+            let promising = survey::promising(&self.slot(record.frame)?, record);
+            Ok(promising.filter(|record| folder.is_intact(record)))
+        };
+        recorded.into_par_iter().filter_map(|record| look(record).transpose()).collect()
+    }
+
+    fn record(&self, drawn: &Drawn) -> Record {
+        let Drawn { number, tag, frame } = drawn;
+        Record {
+            frame: *number,
+            t: self.shots.shot(*number).t,
+            file: file_name(*number, self.request.format),
+            bytes: frame.bytes.len() as u64,
+            sha256: manifest::checksum(&frame.bytes),
+            tag: plain(tag),
+        }
+    }
+
+    /// Holds the scene against what it was. No mark comes again: while it is the same, nothing was drawn of another scene.
+    fn check_scene(&self, frame: u64) -> Result<(), FilmError> {
+        let id = &self.request.scene;
+        match self.engine.scene_mark(id) {
+            Some(now) if now == self.mark => Ok(()),
+            Some(_) => Err(FilmError::SceneChanged { frame }),
+            None => {
+                let error = EngineError::UnknownScene { id: id.clone() };
+                Err(FilmError::Frame { frame, error })
+            }
+        }
     }
 
     /// Frames that are with the engine at most, and with how many left more are sent: half of them at a time, so that the engine
@@ -205,27 +248,31 @@ fn window(room: u64, max_batch: usize, queue_capacity: usize) -> (usize, usize) 
     (most, most / 2)
 }
 
-impl Slot {
-    fn record(&self, frame: &EncodedFrame) -> Record {
-        Record {
-            frame: self.number,
-            t: self.t,
-            file: self.file.clone(),
-            bytes: frame.bytes.len() as u64,
-            sha256: manifest::checksum(&frame.bytes),
-            tag: self.tag.clone(),
-        }
-    }
+/// A tag without its quotes.
+fn plain(tag: &str) -> String {
+    tag.trim_matches('"').to_owned()
+}
+
+/// A frame that was sent.
+struct Sent {
+    number: u64,
+    tag: String,
+    ticket: FrameTicket,
+}
+
+/// A frame that has come.
+struct Drawn {
+    number: u64,
+    tag: String,
+    frame: Arc<EncodedFrame>,
 }
 
 /// Frames on their way.
 struct Drawing<'a> {
     film: &'a Film<'a>,
-    /// Of the scene when tags were made.
-    revision: u64,
-    /// Not sent yet.
-    queue: VecDeque<&'a Slot>,
-    flight: VecDeque<(&'a Slot, FrameTicket)>,
+    /// Numbers of those that were not sent yet.
+    queue: VecDeque<u64>,
+    flight: VecDeque<Sent>,
     /// See [`Film::window`].
     window: (usize, usize),
     /// Times in a row that the engine put off.
@@ -233,47 +280,33 @@ struct Drawing<'a> {
     stop: &'a AtomicBool,
 }
 
-impl<'a> Drawing<'a> {
+impl Drawing<'_> {
     fn is_stopped(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }
 
     /// The next frame, and keeps the engine busy meanwhile; `None` after the last, and when told to stop while the engine puts off.
-    fn next(&mut self) -> Result<Option<(&'a Slot, Arc<EncodedFrame>)>, FilmError> {
+    fn next(&mut self) -> Result<Option<Drawn>, FilmError> {
         while !self.is_stopped() {
             self.send()?;
             // Whatever is left to send was sent, or waits for those in flight.
-            let Some((slot, ticket)) = self.flight.pop_front() else { return Ok(None) };
-            let frame = slot.number;
-            self.check_scene(frame)?;
+            let Some(Sent { number, tag, ticket }) = self.flight.pop_front() else {
+                return Ok(None);
+            };
+            // What was sent shows the scene as it was by then: after a change none of it is worth waiting for.
+            self.film.check_scene(number)?;
             match ticket.wait() {
-                Ok(drawn) if drawn.receipt.revision != self.revision => {
-                    return Err(FilmError::SceneChanged { frame });
-                }
-                Ok(drawn) => {
+                Ok(frame) => {
                     self.refusals = 0;
-                    return Ok(Some((slot, drawn)));
+                    return Ok(Some(Drawn { number, tag, frame }));
                 }
                 Err(error) => {
-                    self.queue.push_front(slot);
-                    self.put_off(frame, error)?;
+                    self.queue.push_front(number);
+                    self.put_off(number, error)?;
                 }
             }
         }
         Ok(None)
-    }
-
-    /// Frames that are on their way show what the scene was: after an edit none of them is worth waiting for.
-    fn check_scene(&self, frame: u64) -> Result<(), FilmError> {
-        let id = &self.film.request.scene;
-        match self.film.engine.scene_mark(id) {
-            Some(mark) if mark.revision == self.revision => Ok(()),
-            Some(_) => Err(FilmError::SceneChanged { frame }),
-            None => {
-                let error = EngineError::UnknownScene { id: id.clone() };
-                Err(FilmError::Frame { frame, error })
-            }
-        }
     }
 
     /// Sends frames to the engine, where it has few of them.
@@ -284,18 +317,18 @@ impl<'a> Drawing<'a> {
         }
         while self.flight.len() < most
             && !self.is_stopped()
-            && let Some(slot) = self.queue.pop_front()
+            && let Some(number) = self.queue.pop_front()
         {
-            let origin = self.film.origin(slot.number);
-            match self.film.engine.submit_for(origin, self.film.request(slot.number)) {
-                Ok(ticket) => self.flight.push_back((slot, ticket)),
+            let origin = self.film.origin(number);
+            match self.film.engine.submit_tagged(origin, self.film.request(number)) {
+                Ok((tag, ticket)) => self.flight.push_back(Sent { number, tag, ticket }),
                 Err(error) => {
-                    self.queue.push_front(slot);
+                    self.queue.push_front(number);
                     // Others fill its queue. Those of ours that are in it make room when they are drawn.
                     if !self.flight.is_empty() && matches!(error, EngineError::Busy { .. }) {
                         break;
                     }
-                    self.put_off(slot.number, error)?;
+                    self.put_off(number, error)?;
                 }
             }
         }

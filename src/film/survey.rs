@@ -1,9 +1,9 @@
 //! What of a folder is kept and what is drawn. Pure: what was found comes in, what to do comes out.
 
-use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
+use std::sync::Arc;
 
-use super::manifest::Record;
+use super::manifest::{Record, Records};
 
 /// A frame as it is to be now.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,40 +18,35 @@ pub struct Slot {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Survey {
     /// Frames that are good as they are, also such as were not asked for.
-    pub kept: BTreeMap<u64, Record>,
+    pub kept: Records,
     /// Numbers of those to draw.
     pub draw: Vec<u64>,
     /// Files of earlier runs that are no frames of this path with these settings, and that nothing will replace.
     pub left_over: Vec<String>,
 }
 
-/// Records that tell of a frame as it is to be now. Whether their files are as they say is for the caller to find out.
-pub fn promising(slots: &BTreeMap<u64, Slot>, records: &BTreeMap<u64, Record>) -> Vec<Record> {
-    records
-        .iter()
-        .filter_map(|(number, record)| {
-            let slot = slots.get(number)?;
-            let same = record.file == slot.file && record.tag == slot.tag;
-            // The same picture may have another time where frames come faster or slower.
-            same.then(|| Record { t: slot.t, ..record.clone() })
-        })
-        .collect()
+/// A record as it is to be now, where it tells of the frame that is wanted. Whether its file is as it says is for the caller to find out.
+pub fn promising(slot: &Slot, record: &Arc<Record>) -> Option<Arc<Record>> {
+    let is_same = record.file == slot.file && record.tag == slot.tag;
+    // The same picture may have another time where frames come faster or slower.
+    let has_moved = record.t != slot.t;
+    is_same.then(|| {
+        let moved = || Arc::new(Record { t: slot.t, ..Record::clone(record) });
+        if has_moved { moved() } else { record.clone() }
+    })
 }
 
-/// What to do, where of the `promising` records those in `intact` have whole files.
+/// What to do, where those in `intact` are [`promising`] and have whole files. `file_of` names the file that a frame is to have.
 pub fn survey(
     wanted: RangeInclusive<u64>,
-    slots: &BTreeMap<u64, Slot>,
-    records: &BTreeMap<u64, Record>,
-    intact: Vec<Record>,
+    file_of: impl Fn(u64) -> String,
+    records: &Records,
+    intact: Vec<Arc<Record>>,
 ) -> Survey {
-    let kept: BTreeMap<u64, Record> =
-        intact.into_iter().map(|record| (record.frame, record)).collect();
+    let kept: Records = intact.into_iter().map(|record| (record.frame, record)).collect();
     let draw: Vec<u64> = wanted.clone().filter(|number| !kept.contains_key(number)).collect();
     let listed = |record: &Record| {
-        let slot = slots.get(&record.frame);
-        let replaced =
-            wanted.contains(&record.frame) && slot.is_some_and(|s| s.file == record.file);
+        let replaced = wanted.contains(&record.frame) && file_of(record.frame) == record.file;
         replaced || kept.get(&record.frame).is_some_and(|kept| kept.file == record.file)
     };
     let left_over = records
@@ -64,13 +59,24 @@ pub fn survey(
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use proptest::prelude::*;
 
     use super::*;
 
     fn slot(number: u64, tag: u8) -> Slot {
-        let file = format!("frame-{number:05}.png");
-        Slot { number, t: number as f64, file, tag: tag.to_string() }
+        Slot { number, t: number as f64, file: file_of(number), tag: tag.to_string() }
+    }
+
+    fn file_of(number: u64) -> String {
+        format!("frame-{number:05}.png")
+    }
+
+    /// Of the records those that tell of `slots`.
+    fn promising_of(slots: &BTreeMap<u64, Slot>, records: &Records) -> Vec<Arc<Record>> {
+        let slot = |record: &Arc<Record>| promising(slots.get(&record.frame)?, record);
+        records.values().filter_map(slot).collect()
     }
 
     fn record(number: u64, tag: u8) -> Record {
@@ -83,10 +89,11 @@ mod tests {
         let slots: BTreeMap<u64, Slot> = (0..2).map(|n| (n, slot(n, 1))).collect();
         let mut jpeg = record(1, 1);
         jpeg.file = "frame-00001.jpg".to_owned();
-        let records = BTreeMap::from([(0, record(0, 1)), (1, jpeg), (2, record(2, 1))]);
-        let promising = promising(&slots, &records);
-        assert_eq!(promising, [Record { t: 0.0, ..record(0, 1) }]);
-        let found = survey(0..=1, &slots, &records, promising);
+        let records = [record(0, 1), jpeg, record(2, 1)];
+        let records: Records = records.into_iter().map(|r| (r.frame, Arc::new(r))).collect();
+        let promising = promising_of(&slots, &records);
+        assert_eq!(promising, [Arc::new(Record { t: 0.0, ..record(0, 1) })]);
+        let found = survey(0..=1, file_of, &records, promising);
         assert_eq!(found.draw, [1]);
         assert_eq!(found.left_over, ["frame-00001.jpg", "frame-00002.png"]);
     }
@@ -102,9 +109,9 @@ mod tests {
             let (from, to) = ((range.0 % count) as u64, (range.1 % count) as u64);
             let (from, to) = (from.min(to), from.max(to));
             let slots: BTreeMap<u64, Slot> = (0..).zip(&tags).map(|(n, &tag)| (n, slot(n, tag))).collect();
-            let records: BTreeMap<u64, Record> = found.iter().map(|(&n, &(tag, _))| (n, record(n, tag))).collect();
-            let intact: Vec<Record> = promising(&slots, &records).into_iter().filter(|r| found[&r.frame].1).collect();
-            let survey = survey(from..=to, &slots, &records, intact);
+            let records: Records = found.iter().map(|(&n, &(tag, _))| (n, record(n, tag).into())).collect();
+            let intact: Vec<Arc<Record>> = promising_of(&slots, &records).into_iter().filter(|r| found[&r.frame].1).collect();
+            let survey = survey(from..=to, file_of, &records, intact);
             for number in from..=to {
                 prop_assert!(survey.kept.contains_key(&number) != survey.draw.contains(&number));
             }

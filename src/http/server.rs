@@ -54,7 +54,7 @@ pub struct StartScenes {
     pub required: bool,
 }
 
-/// Serves until told to stop. `listening` is called once scenes are loaded.
+/// Serves until told to stop. `listening` is called as soon as requests are answered, `ready` once scenes are loaded.
 ///
 /// # Errors
 /// The listener, or every scene that was asked for by name.
@@ -62,7 +62,8 @@ pub async fn serve(
     app: Arc<App>,
     listener: TcpListener,
     start: StartScenes,
-    listening: impl FnOnce(&Engine, SocketAddr),
+    listening: impl FnOnce(SocketAddr),
+    ready: impl FnOnce(&Engine, SocketAddr),
 ) -> anyhow::Result<()> {
     let address = listener.local_addr()?;
     listener.set_nonblocking(true)?;
@@ -73,13 +74,14 @@ pub async fn serve(
         // Those whose scenes are not loaded yet wait for them.
         jobs.start()?;
     }
+    listening(address);
 
     let loading = load_scenes(&app, start);
     tokio::select! {
         loaded = loading => {
             loaded?;
             app.set_phase(Phase::Serving);
-            listening(&app.engine, address);
+            ready(&app.engine, address);
             notify(&[sd_notify::NotifyState::Ready]);
             let watchdog = tokio::spawn(watchdog(app.clone()));
             tokio::select! {

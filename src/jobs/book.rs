@@ -22,8 +22,7 @@
 
 use std::collections::BTreeMap;
 
-use serde::{Deserialize, Serialize};
-
+pub use super::record::{Failure, FailureKind, Made, Record, Repeat, State, Video};
 use super::spec::Spec;
 
 /// What a book takes on.
@@ -81,117 +80,6 @@ pub enum Need {
     Missing(String),
     Bake,
     Nothing,
-}
-
-/// What has become of a job.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum State {
-    /// Its turn comes, when what it waits for is there.
-    Queued {
-        waits_for: Option<String>,
-    },
-    Running,
-    Done,
-    Failed(Failure),
-    Cancelled,
-}
-
-/// What kinds of failure there are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum FailureKind {
-    /// The scene was edited while its frames were drawn.
-    SceneChanged,
-    /// The scene was not there for as long as jobs wait.
-    SceneGone,
-    /// The path or a setting no longer fits the scene.
-    Refused,
-    /// Over the quota of all jobs.
-    DiskQuota,
-    /// A file that cannot be written or read.
-    Storage,
-    /// The engine gave up.
-    Engine,
-    /// The video could not be made.
-    Video,
-    /// The record of the job was lost and found again from its folder.
-    Recovered,
-    /// A defect.
-    Internal,
-}
-
-/// Why a job failed, in words that a user can act on.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Failure {
-    pub kind: FailureKind,
-    pub detail: String,
-}
-
-/// Who made a job under which name, so that asking twice makes one job.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Repeat {
-    /// Whose names these are; two owners may use the same.
-    pub owner: String,
-    pub key: String,
-    /// Of what was asked for.
-    pub fingerprint: String,
-}
-
-/// What is known of what a job has made; of one that runs, of its last run.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Made {
-    /// Frames that are wanted, once that is known.
-    pub total: Option<u64>,
-    pub done: u64,
-    /// Frames a second and size of the film.
-    pub fps: Option<f64>,
-    /// Of the manifest, once all frames are there.
-    pub manifest_sha256: Option<String>,
-    pub video: Option<Video>,
-}
-
-/// A finished video file.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Video {
-    pub bytes: u64,
-    pub sha256: String,
-}
-
-/// A job.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Record {
-    pub id: JobId,
-    pub spec: Spec,
-    /// Whose key made it; `None` where there were no keys.
-    #[serde(default)]
-    pub owner: Option<String>,
-    /// What the request is called that made it.
-    #[serde(default)]
-    pub request_id: Option<String>,
-    pub repeat: Option<Repeat>,
-    pub state: State,
-    pub made: Made,
-    /// Milliseconds since 1970.
-    pub created_ms: u64,
-    /// When it came into its state.
-    pub since_ms: u64,
-    /// Place in the queue: the least is next.
-    pub turn: u64,
-    /// Frames drawn, in all runs together.
-    pub drawn: u64,
-}
-
-impl Record {
-    /// Whether nothing more happens by itself.
-    pub fn has_ended(&self) -> bool {
-        !matches!(self.state, State::Queued { .. } | State::Running)
-    }
-
-    /// When an ended job is forgotten.
-    pub fn expires_ms(&self, limits: &Limits) -> Option<u64> {
-        self.has_ended().then(|| self.since_ms.saturating_add(limits.ttl_ms))
-    }
 }
 
 /// How a run of a job ended.
@@ -399,6 +287,13 @@ impl Book {
         Ok(Admitted::New(id))
     }
 
+    /// Notes what a job that was just made will come to, as far as its path tells now.
+    pub fn expect(&mut self, id: JobId, total: u64, fps: f64) {
+        if let Some(job) = self.jobs.get_mut(&id) {
+            (job.made.total, job.made.fps) = (Some(total), Some(fps));
+        }
+    }
+
     fn check_room(&self) -> Result<(), Refusal> {
         let limit = self.limits.most_unfinished;
         if self.unfinished() >= limit { Err(Refusal::TooManyUnfinished { limit }) } else { Ok(()) }
@@ -554,6 +449,16 @@ impl Book {
         Ok(record)
     }
 
+    /// Moves all times by so many milliseconds, because the clock was put there: nothing becomes older or younger by that. Those that
+    /// were moved.
+    pub fn shift(&mut self, by_ms: i64) -> Vec<JobId> {
+        for job in self.jobs.values_mut() {
+            job.created_ms = job.created_ms.saturating_add_signed(by_ms);
+            job.since_ms = job.since_ms.saturating_add_signed(by_ms);
+        }
+        self.jobs.keys().copied().collect()
+    }
+
     /// Forgets what ended long ago, and ends what has waited too long.
     pub fn expire(&mut self, now_ms: u64) -> Expired {
         let ttl_ms = self.limits.ttl_ms;
@@ -577,19 +482,6 @@ impl Book {
         forgotten.retain(|id| !self.is_held(*id));
         expired.forgotten = forgotten.into_iter().filter_map(|id| self.remove(id).ok()).collect();
         expired
-    }
-}
-
-impl State {
-    /// As programs match on it.
-    pub fn name(&self) -> &'static str {
-        match self {
-            State::Queued { .. } => "queued",
-            State::Running => "running",
-            State::Done => "done",
-            State::Failed(_) => "failed",
-            State::Cancelled => "cancelled",
-        }
     }
 }
 

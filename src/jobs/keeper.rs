@@ -3,7 +3,8 @@
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use super::now_ms;
+use super::book::{Book, Expired, JobId};
+use super::clock::{Clock, wall_ms};
 use super::runner::need;
 use super::shared::Shared;
 
@@ -31,15 +32,41 @@ pub(super) fn run(shared: &Shared) {
 
 /// Tells of jobs whose scenes came or went.
 fn note_missing(shared: &Shared) {
-    let changed = shared.book.lock().note_missing(now_ms(), need(&shared.engine));
+    let changed = {
+        let mut book = shared.book.lock();
+        book.note_missing(shared.now_ms(), need(&shared.engine))
+    };
     for live in changed.into_iter().filter_map(|id| shared.live(id).ok()) {
         live.changed();
     }
 }
 
+/// Whose time is over. Where the system's clock has jumped, jobs keep the age that they have, and which of them are to be written anew
+/// is told first. Pure.
+fn look(book: &mut Book, clock: &mut Clock, at: Instant, wall_ms: u64) -> (Vec<JobId>, Expired) {
+    let moved = match clock.follow(at, wall_ms) {
+        0 => Vec::new(),
+        by_ms => book.shift(by_ms),
+    };
+    (moved, book.expire(clock.ms(at)))
+}
+
 /// Forgets and fails jobs whose time is over. False when one could not be forgotten.
 fn expire(shared: &Shared) -> bool {
-    let expired = shared.book.lock().expire(now_ms());
+    let (moved, expired) = {
+        let mut book = shared.book.lock();
+        look(&mut book, &mut shared.clock.lock(), Instant::now(), wall_ms())
+    };
+    if !moved.is_empty() {
+        tracing::warn!(jobs = moved.len(), "the system's clock has jumped; no job ends by that");
+    }
+    for id in moved {
+        // Told where it fails, and tried again.
+        let _ = shared.keep(id);
+        if let Ok(live) = shared.live(id) {
+            live.changed();
+        }
+    }
     let mut is_fine = true;
     for record in expired.forgotten {
         let id = record.id;
@@ -87,5 +114,52 @@ fn pay(shared: &Shared) {
         let bytes = live.map_or(0, |live| live.bytes());
         // Clears up after it where it is gone.
         shared.release(id, bytes);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::jobs::book::{Admitted, Limits, Need, Origin, Slots};
+    use crate::jobs::spec::tests::spec;
+
+    const HOUR_MS: u64 = 3_600_000;
+
+    /// Whatever the system's clock is put to, an ended job is kept for its time, and a waiting one waits for it.
+    #[test]
+    fn a_clock_that_jumps_ends_no_job() {
+        let slots = Slots { baking: 1, drawing: 1, coding: 1 };
+        let limits = Limits { most_unfinished: 9, most: 9, ttl_ms: HOUR_MS, slots };
+        let start = Instant::now();
+        let at = |ms: u64| start + Duration::from_millis(ms);
+        let mut clock = Clock::new(start, 5 * HOUR_MS);
+        let mut book = Book::new(limits, [], 0);
+        let mut ids = Vec::new();
+        for scene in ["ended", "away"] {
+            let admitted = book.admit(spec(scene), Origin::default(), None, clock.ms(at(0)));
+            let Ok(Admitted::New(id)) = admitted else { panic!("{admitted:?}") };
+            ids.push(id);
+        }
+        book.cancel(ids[0], clock.ms(at(1000))).unwrap();
+        book.note_missing(clock.ms(at(1000)), |_| Need::Missing("no scene".to_owned()));
+        // A year ahead, where it was, and back to 1970.
+        let mut passed = 2000;
+        for wall_ms in [9000 * HOUR_MS, 5 * HOUR_MS, 0] {
+            let (moved, expired) = look(&mut book, &mut clock, at(passed), wall_ms);
+            assert_eq!((moved, expired), (ids.clone(), Expired::default()), "{wall_ms}");
+            passed += 1000;
+            assert_eq!(
+                look(&mut book, &mut clock, at(passed), wall_ms + 1000),
+                (Vec::new(), Expired::default())
+            );
+            let age_ms = clock.ms(at(passed)) - book.get(ids[0]).unwrap().since_ms;
+            // Nothing is older than 1970.
+            assert!(age_ms == passed - 1000 || wall_ms == 0, "{age_ms} of {passed}");
+        }
+        // And when the time is over, it is.
+        let wall_ms = clock.ms(at(HOUR_MS + 10_000));
+        let (_, expired) = look(&mut book, &mut clock, at(HOUR_MS + 10_000), wall_ms);
+        assert_eq!(expired.failed, [ids[1]]);
+        assert_eq!(expired.forgotten.len(), 1);
     }
 }

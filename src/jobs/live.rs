@@ -1,6 +1,6 @@
 //! What a job is doing right now, for those who watch: shared between its runner and everybody who asks.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -8,16 +8,17 @@ use std::time::{Duration, Instant};
 use parking_lot::{Mutex, RwLock};
 use tokio::sync::watch;
 
-use crate::film::Record as FrameRecord;
 use crate::film::video::Reel;
 
 /// The rate is measured over the last so long.
-const WINDOW: Duration = Duration::from_secs(20);
-/// And over so many frames at most.
-const MOST_MARKS: usize = 256;
+const WINDOW: Duration = Duration::from_secs(10);
+/// Frames that come within so short a time have come together, as those of a batch do.
+const TOGETHER: Duration = Duration::from_millis(50);
+/// From the first frames on, before there is a rate.
+const LEAST: Duration = Duration::from_secs(1);
 
 /// Frames of a job by their numbers.
-pub type Frames = BTreeMap<u64, FrameRecord>;
+pub use crate::film::Records as Frames;
 
 /// What a run is at.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -55,10 +56,9 @@ impl Progress {
         (rate, rate.zip(left).map(|(rate, left)| left as f64 / rate))
     }
 
-    pub fn begin(&mut self, stage: Stage, now: Instant) {
+    pub fn begin(&mut self, stage: Stage) {
         self.stage = stage;
         self.pace = Pace::default();
-        self.pace.mark(now);
     }
 
     pub fn step(&mut self, now: Instant) {
@@ -66,28 +66,35 @@ impl Progress {
     }
 }
 
-/// When the last few frames came. Pure.
+/// When the last few frames came, and how many each time. Pure.
+///
+/// The first to come are no measure: they waited for what is made once, pipelines above all. Nor is how fast those of one batch
+/// follow each other.
 #[derive(Clone, Debug, Default)]
 struct Pace {
-    marks: VecDeque<Instant>,
+    marks: VecDeque<(Instant, u64)>,
 }
 
 impl Pace {
     fn mark(&mut self, now: Instant) {
-        self.marks.push_back(now);
-        while self.marks.len() > MOST_MARKS
-            || self.marks.front().is_some_and(|&first| now - first > WINDOW)
+        match self.marks.back_mut() {
+            Some((at, count)) if now.saturating_duration_since(*at) < TOGETHER => *count += 1,
+            _ => self.marks.push_back((now, 1)),
+        }
+        // Two of them also where frames are rarer than that.
+        while self.marks.len() > 2
+            && self.marks.front().is_some_and(|&(first, _)| now - first > WINDOW)
         {
             self.marks.pop_front();
         }
     }
 
-    /// Frames a second from the oldest mark until now; `None` before there are two.
+    /// Frames a second from the oldest mark until now; `None` where that would be a guess.
     fn rate(&self, now: Instant) -> Option<f64> {
-        let first = self.marks.front()?;
-        let steps = self.marks.len() - 1;
-        let elapsed_s = now.saturating_duration_since(*first).as_secs_f64();
-        (steps > 0 && elapsed_s > 0.0).then(|| steps as f64 / elapsed_s)
+        let (first, _) = self.marks.front()?;
+        let frames: u64 = self.marks.iter().skip(1).map(|(_, count)| count).sum();
+        let elapsed = now.saturating_duration_since(*first);
+        (frames > 0 && elapsed >= LEAST).then(|| frames as f64 / elapsed.as_secs_f64())
     }
 }
 
@@ -107,8 +114,10 @@ pub struct Live {
     pub progress: Mutex<Progress>,
     /// Bytes on the disk.
     pub bytes: AtomicU64,
-    /// Frames that are there, while a run lasts; at other times the manifest has them.
+    /// Frames that are there, while a run draws; at other times the manifest has them.
     pub drawing: RwLock<Option<Frames>>,
+    /// See [`Live::turns`].
+    turns: AtomicU64,
     pub stop: AtomicBool,
     /// What is to be made of the frames, from when they are all there until it is made.
     pub reel: Mutex<Option<Reel>>,
@@ -123,6 +132,7 @@ impl Live {
             progress: Mutex::default(),
             bytes: AtomicU64::new(bytes),
             drawing: RwLock::new(None),
+            turns: AtomicU64::new(0),
             stop: AtomicBool::new(false),
             reel: Mutex::new(None),
             why: Mutex::new(None),
@@ -145,6 +155,15 @@ impl Live {
     pub fn rearm(&self) {
         *self.why.lock() = None;
         self.stop.store(false, Ordering::Relaxed);
+    }
+
+    /// Grows whenever a run takes the job or leaves it: what the manifest said before may not be so any more.
+    pub fn turns(&self) -> u64 {
+        self.turns.load(Ordering::SeqCst)
+    }
+
+    pub fn turn(&self) {
+        self.turns.fetch_add(1, Ordering::SeqCst);
     }
 
     /// Tells everybody who watches.
@@ -171,7 +190,7 @@ mod tests {
         let at = |ms: u64| start + Duration::from_millis(ms);
         let mut progress = Progress { total: Some(1000), ..Progress::default() };
         assert_eq!(progress.pace(start), (None, None));
-        progress.begin(Stage::Frames, start);
+        progress.begin(Stage::Frames);
         assert_eq!(progress.pace(at(5)).0, None);
         for i in 1..=100 {
             progress.step(at(i * 100));
@@ -179,15 +198,51 @@ mod tests {
         progress.done = 100;
         assert_eq!(progress.pace(at(10_000)), (Some(10.0), Some(90.0)));
         // Four times as fast since: soon nothing of before counts.
-        for i in 0..400 {
+        for i in 0..=400 {
             progress.step(at(10_000 + i * 25));
         }
-        let rate = progress.pace(at(19_975)).0.unwrap();
+        let rate = progress.pace(at(20_000)).0.unwrap();
         assert!((39.0..=41.0).contains(&rate), "{rate}");
         // A run that stands still slows down.
         assert!(progress.pace(at(60_000)).0.unwrap() < 10.0);
-        progress.begin(Stage::Video, at(70_000));
+        progress.begin(Stage::Video);
         assert_eq!(progress.pace(at(70_001)), (None, None));
+    }
+
+    /// Nothing is told by what does not last: the first frame, which waits for pipelines, and how a batch comes.
+    #[test]
+    fn a_rate_is_told_when_it_is_one() {
+        let start = Instant::now();
+        let at = |ms: u64| start + Duration::from_millis(ms);
+        let mut progress = Progress { total: Some(361), ..Progress::default() };
+        progress.begin(Stage::Frames);
+        // After seven seconds, and then sixteen together every 1.6 seconds: ten a second.
+        progress.step(at(7_000));
+        progress.done = 1;
+        assert_eq!(progress.pace(at(7_900)), (None, None));
+        assert_eq!(progress.pace(at(8_100)), (None, None));
+        for batch in 1..=20 {
+            let came = 7_000 + batch * 1_600;
+            (0..16).for_each(|i| progress.step(at(came + i)));
+            progress.done += 16;
+            let (rate, eta_s) = progress.pace(at(came + 16));
+            assert!((9.8..=11.5).contains(&rate.unwrap()), "{batch}: {rate:?}");
+            let left_s = (361 - progress.done) as f64 / 10.0;
+            assert!(
+                (left_s * 0.85..=left_s * 1.03).contains(&eta_s.unwrap()),
+                "{batch}: {eta_s:?}"
+            );
+        }
+        // All at once is no rate.
+        progress.begin(Stage::Frames);
+        (0..16).for_each(|i| progress.step(at(50_000 + i)));
+        assert_eq!(progress.pace(at(50_020)).0, None);
+        assert_eq!(progress.pace(at(52_000)).0, None);
+        // One in half a minute is.
+        progress.begin(Stage::Frames);
+        (0..3).for_each(|i| progress.step(at(60_000 + i * 30_000)));
+        let rate = progress.pace(at(120_000)).0.unwrap();
+        assert!((rate - 1.0 / 30.0).abs() < 1e-9, "{rate}");
     }
 
     #[test]

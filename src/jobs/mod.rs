@@ -21,8 +21,11 @@
 //! Frames go to the engine as those of [`Client::Job`](crate::engine::Client), after all that somebody waits for.
 
 pub mod book;
+mod clock;
 mod keeper;
 pub mod live;
+mod manifests;
+mod record;
 mod runner;
 mod shared;
 pub mod spec;
@@ -32,7 +35,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
 use parking_lot::{Condvar, Mutex, RwLock};
 use tokio::sync::watch;
@@ -46,6 +49,7 @@ pub use spec::{FrameSpec, PathChoice, Spec, Want};
 pub use store::{Place, StateError};
 
 use self::book::{Admitted, Book};
+use self::clock::Clock;
 use self::live::{Live, Stop};
 use self::shared::Shared;
 use self::store::Store;
@@ -106,7 +110,7 @@ pub struct View {
 #[derive(Clone, Debug)]
 pub enum Found {
     /// It is in this file.
-    There { record: FrameRecord, file: PathBuf },
+    There { record: Arc<FrameRecord>, file: PathBuf },
     /// It will be, or would be had the job not ended.
     NotDrawn,
     /// The job has no such frame.
@@ -130,27 +134,24 @@ pub struct Jobs {
     shared: Arc<Shared>,
 }
 
-/// Milliseconds since 1970.
-pub fn now_ms() -> u64 {
-    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
-}
-
 impl Jobs {
     /// Takes the state folder and finds what earlier processes left there. Nothing is drawn before [`Jobs::start`].
     ///
     /// # Errors
     /// A folder that is another daemon's or cannot be written.
     pub fn open(engine: Engine, config: Config) -> Result<Jobs, StateError> {
-        let now = now_ms();
-        let opened = Store::open(&config.folder, now)?;
+        let now = clock::wall_ms();
+        let mut opened = Store::open(&config.folder, now)?;
         for warning in &opened.warnings {
             tracing::warn!("{warning}");
         }
         let store = opened.store;
         let mut lives = HashMap::new();
         let mut used = 0;
-        for record in &opened.records {
+        for record in &mut opened.records {
+            // Nothing was before now: the clock has been put back meanwhile.
+            record.since_ms = record.since_ms.min(now);
+            record.created_ms = record.created_ms.min(now);
             let place = store.place(record.id);
             if record.state == State::Done && !record.spec.want.frames {
                 // Was killed when it had come so far.
@@ -179,7 +180,8 @@ impl Jobs {
                 used: AtomicU64::new(used),
                 drawn: AtomicU64::new(0),
                 stopping: AtomicBool::new(false),
-                manifests: Mutex::default(),
+                manifests: manifests::Manifests::default(),
+                clock: Mutex::new(Clock::new(Instant::now(), now)),
                 threads: Mutex::default(),
                 epoch: now,
             }),
@@ -250,7 +252,8 @@ impl Jobs {
     }
 
     /// Takes on a job, or finds the one that the same request has made before; true when it is new. It is durable when this returns.
-    /// Blocks for a few milliseconds, as does all that changes jobs.
+    /// `film`: how many frames it will have and how many a second, where that was looked at. Blocks for a few milliseconds, as does all
+    /// that changes jobs.
     ///
     /// # Errors
     /// Limits, the quota, a database that cannot be written.
@@ -259,17 +262,21 @@ impl Jobs {
         spec: Spec,
         origin: Origin,
         repeat: Option<Repeat>,
+        film: Option<(u64, f64)>,
     ) -> Result<(JobId, bool), JobError> {
         let shared = &self.shared;
         // Who asks for the same meanwhile is not told of a job that may come to nothing.
         let _alone = shared.creating.lock();
         let (id, record) = {
             let mut book = shared.book.lock();
-            let id = match book.admit(spec, origin, repeat, now_ms())? {
+            let id = match book.admit(spec, origin, repeat, shared.now_ms())? {
                 Admitted::Before(id) => return Ok((id, false)),
                 Admitted::New(id) => id,
             };
             book.hold(id);
+            if let Some((total, fps)) = film {
+                book.expect(id, total, fps);
+            }
             (id, book.get(id)?.clone())
         };
         let place = shared.store.place(id);
@@ -279,7 +286,9 @@ impl Jobs {
             place.prepare(&record).map_err(|error| JobError::Io { file, error })
         });
         if kept.is_ok() {
-            shared.lives.write().insert(id, Live::new(0));
+            let live = Live::new(0);
+            live.progress.lock().total = film.map(|(total, _)| total);
+            shared.lives.write().insert(id, live);
         } else {
             // What of it has been written is removed, or else the next process finds it.
             let removed = shared.book.lock().remove(id);
@@ -339,7 +348,7 @@ impl Jobs {
         let shared = &self.shared;
         {
             let mut book = shared.book.lock();
-            book.cancel(id, now_ms())?;
+            book.cancel(id, shared.now_ms())?;
             // Within the lock: or else it stops who has resumed it since.
             shared.live(id)?.stop(Stop::Cancelled);
         }
@@ -359,7 +368,7 @@ impl Jobs {
             if before.has_ended() {
                 shared.check_quota()?;
             }
-            book.resume(id, now_ms())?;
+            book.resume(id, shared.now_ms())?;
             book.hold(id);
             (before, book.get(id)?.turn)
         };
@@ -412,7 +421,7 @@ impl Jobs {
         &self,
         id: JobId,
         number: u64,
-    ) -> Result<Option<(FrameRecord, bool)>, JobError> {
+    ) -> Result<Option<(Arc<FrameRecord>, bool)>, JobError> {
         let live = self.shared.live(id)?;
         if let Some(frames) = &*live.drawing.read() {
             return Ok(frames.get(&number).map(|record| (record.clone(), false)));
@@ -423,7 +432,7 @@ impl Jobs {
             (record.state.clone(), record.spec.want)
         };
         let dropped = state == State::Done && !want.frames;
-        Ok(self.shared.frames(id)?.get(&number).map(|record| (record.clone(), dropped)))
+        Ok(self.shared.frames(id, &live)?.get(&number).map(|record| (record.clone(), dropped)))
     }
 
     /// Jobs by state, and what they did.

@@ -17,12 +17,12 @@ use std::time::{Duration, Instant};
 
 use glam::DVec3;
 
+use super::JobError;
 use super::book::{Failure, FailureKind, JobId, Made, Need, Outcome, Phase, Record, Video};
 use super::live::{Live, Stage, Stop};
 use super::shared::Shared;
 use super::spec::{PathChoice, Spec};
 use super::store::Place;
-use super::{JobError, now_ms};
 use crate::engine::{Client, Engine, EngineError, Origin, RequestId};
 use crate::film::shots::Shots;
 use crate::film::video::{self, Coder, Reel, VideoError};
@@ -72,7 +72,7 @@ fn next(shared: &Shared) -> Option<(Record, Phase, Arc<Live>)> {
         if shared.stopping.load(Ordering::Relaxed) {
             return None;
         }
-        let Some((id, phase)) = book.next(now_ms(), need(&shared.engine)) else {
+        let Some((id, phase)) = book.next(shared.now_ms(), need(&shared.engine)) else {
             shared.wake.wait_for(&mut book, LOOK_EVERY);
             continue;
         };
@@ -91,12 +91,14 @@ fn next(shared: &Shared) -> Option<(Record, Phase, Arc<Live>)> {
 
 /// Notes how a run ended, and lets others have the job.
 fn let_go(shared: &Shared, id: JobId, live: &Live, outcome: Outcome, made: Made, drawn: u64) {
+    // Before the manifest counts again.
+    shared.manifests.turn(id, live);
     *live.drawing.write() = None;
     shared.recount(id, live);
     let is_known = {
         let mut book = shared.book.lock();
         live.progress.lock().stage = Stage::None;
-        let is_known = book.left(id, outcome, made, drawn, now_ms());
+        let is_known = book.left(id, outcome, made, drawn, shared.now_ms());
         // Within the lock: nobody sees the new state with the old version.
         live.changed();
         is_known
@@ -166,7 +168,7 @@ impl Run<'_> {
         let ticket = self.shared.engine.begin_bake(&request);
         let ticket = ticket.map_err(|error| self.film_failed(error.into()))?;
         let Some(mut ticket) = ticket else { return Ok(Outcome::Next(Phase::Drawing)) };
-        live.progress.lock().begin(Stage::Baking, Instant::now());
+        live.progress.lock().begin(Stage::Baking);
         let mut told = -1.0;
         let baked = ticket.wait_while(|done| {
             if done != told {
@@ -185,16 +187,18 @@ impl Run<'_> {
 
     /// Draws what is missing.
     fn draw(&mut self) -> Result<Outcome, Outcome> {
-        self.shared.manifests.lock().retain(|known| known.0 != self.record.id);
-        let before = std::mem::take(&mut self.made);
+        self.shared.manifests.turn(self.record.id, self.live);
+        let before = self.made.clone();
+        (self.made.manifest_sha256, self.made.video) = (None, None);
         if self.is_whole_video(&before) {
             self.made = before;
             return Ok(Outcome::Done);
         }
         let reel = self.film()?;
         let manifest = self.place.manifest();
-        let text = std::fs::read(&manifest).map_err(|error| self.storage(&manifest, &error))?;
-        self.made.manifest_sha256 = Some(film::manifest::checksum(&text));
+        let digest = File::open(&manifest).and_then(film::manifest::digest);
+        let (_, sum) = digest.map_err(|error| self.storage(&manifest, &error))?;
+        self.made.manifest_sha256 = Some(sum);
         if !self.record.spec.want.video {
             return Ok(Outcome::Done);
         }
@@ -228,6 +232,9 @@ impl Run<'_> {
             .prepare(&self.record)
             .map_err(|error| self.storage(&self.place.frames(), &error))?;
         let request = spec.request();
+        // Before the path is looked up, which is this scene's.
+        let mark = shared.engine.scene_mark(&spec.scene);
+        let mark = mark.ok_or_else(|| Outcome::Waits(not_loaded(&spec.scene)))?;
         let shots = find_shots(&shared.engine, spec).map_err(|error| self.film_failed(error))?;
         let reel = Reel::new(&request, &shots, spec.want.bitrate_kbps);
         (self.made.total, self.made.fps) = (Some(reel.frames), Some(reel.fps));
@@ -242,15 +249,15 @@ impl Run<'_> {
         let folder = self.place.frames();
         let most_pixels = film::MOST_PIXELS / shared.config.limits.slots.drawing.max(1) as u64;
         let origin = self.origin();
-        let film =
-            Film { engine: &shared.engine, request, shots, folder: &folder, origin, most_pixels };
+        let engine = &shared.engine;
+        let film = Film { engine, request, shots, mark, folder: &folder, origin, most_pixels };
         let mut drawn = 0;
         let report = film::run(&film, &live.stop, |event| match event {
             Event::Surveyed { kept, to_draw, records } => {
                 let mut progress = live.progress.lock();
                 (progress.done, progress.total, progress.drawn) = (kept, Some(kept + to_draw), 0);
                 progress.coded = 0;
-                progress.begin(Stage::Frames, Instant::now());
+                progress.begin(Stage::Frames);
                 drop(progress);
                 let wanted = film.shots.wanted();
                 let there = records.range(wanted).map(|(number, record)| (*number, record.clone()));
@@ -259,7 +266,7 @@ impl Run<'_> {
             }
             Event::Drawn { record, .. } => {
                 drawn += 1;
-                let before = sizes.insert(record.file.clone(), record.bytes).unwrap_or(0);
+                let before = sizes.remove(&record.file).unwrap_or(0);
                 self.frame_drawn(record, before, drawn);
             }
         });
@@ -280,7 +287,7 @@ impl Run<'_> {
     }
 
     /// Notes a frame that has come instead of a file of `before` bytes.
-    fn frame_drawn(&self, record: &FrameRecord, before: u64, drawn: u64) {
+    fn frame_drawn(&self, record: &Arc<FrameRecord>, before: u64, drawn: u64) {
         let (shared, live) = (self.shared, self.live);
         shared.drawn.fetch_add(1, Ordering::Relaxed);
         let used = shared.grow(live, record.bytes, before);
@@ -313,17 +320,12 @@ impl Run<'_> {
         }
         let file = self.place.video();
         let before = std::fs::metadata(&file).map_or(0, |found| found.len());
-        live.progress.lock().begin(Stage::Video, Instant::now());
-        let frames = shared.frames(self.record.id).map_err(|error| match error {
-            JobError::Io { file, error } => self.storage(&file, &error),
-            other => {
-                Outcome::Failed(failure(FailureKind::Storage, self.outward(&other.to_string())))
-            }
-        })?;
-        let first = self.record.spec.from.unwrap_or(0);
-        let frames = frames.range(first..first + reel.frames).map(|(_, record)| record);
-        let coder = Coder::find().map_err(|error| self.video_failed(error))?;
+        live.progress.lock().begin(Stage::Video);
         let folder = self.place.frames();
+        let frames = film::records(&folder).map_err(|error| self.film_failed(error))?;
+        let first = self.record.spec.from.unwrap_or(0);
+        let frames = frames.range(first..first + reel.frames).map(|(_, record)| record.as_ref());
+        let coder = Coder::find().map_err(|error| self.video_failed(error))?;
         let coded = video::encode(&coder, &reel, &folder, frames, &file, &live.stop, |coded| {
             let mut progress = live.progress.lock();
             progress.coded = coded;

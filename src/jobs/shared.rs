@@ -1,6 +1,6 @@
 //! What jobs and those who work on them share, and what is done to the disk when the book has changed.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
@@ -9,14 +9,12 @@ use std::time::Instant;
 use parking_lot::{Condvar, Mutex, RwLock};
 
 use super::book::{Book, JobId, Record, Refusal, State};
+use super::clock::Clock;
 use super::live::{Frames, Live, Stage, Stop};
+use super::manifests::Manifests;
 use super::store::{StateError, Store};
 use super::{Config, JobError, View};
 use crate::engine::Engine;
-use crate::film;
-
-/// Manifests that are held in memory, beside those of jobs that run.
-const MOST_MANIFESTS: usize = 4;
 
 /// What [`Jobs`](super::Jobs) and their threads share.
 pub struct Shared {
@@ -34,7 +32,9 @@ pub struct Shared {
     pub used: AtomicU64,
     pub drawn: AtomicU64,
     pub stopping: AtomicBool,
-    pub manifests: Mutex<VecDeque<(JobId, u64, Arc<Frames>)>>,
+    pub manifests: Manifests,
+    /// Looked at with the book's lock: or else a time may be noted that a jump of the clock should have moved.
+    pub clock: Mutex<Clock>,
     pub threads: Mutex<Vec<JoinHandle<()>>>,
     /// Tells versions of this process from those of others.
     pub epoch: u64,
@@ -43,6 +43,11 @@ pub struct Shared {
 impl Shared {
     pub fn live(&self, id: JobId) -> Result<Arc<Live>, JobError> {
         self.lives.read().get(&id).cloned().ok_or(JobError::Refused(Refusal::Unknown))
+    }
+
+    /// Milliseconds since 1970, by the jobs' own clock. With the book's lock.
+    pub fn now_ms(&self) -> u64 {
+        self.clock.lock().ms(Instant::now())
     }
 
     pub fn wake_all(&self) {
@@ -89,7 +94,7 @@ impl Shared {
         let mut bytes = 0;
         if buried.is_ok() {
             let live = self.lives.write().remove(&id);
-            self.manifests.lock().retain(|known| known.0 != id);
+            self.manifests.forget(id);
             if let Some(live) = &live {
                 live.stop(Stop::Cancelled);
                 bytes = live.bytes();
@@ -151,32 +156,8 @@ impl Shared {
         }
     }
 
-    /// Frames of a job that does not run, by its manifest.
-    pub fn frames(&self, id: JobId) -> Result<Arc<Frames>, JobError> {
-        let file = self.store.place(id).manifest();
-        let text = match std::fs::metadata(&file) {
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Arc::default()),
-            Err(error) => return Err(JobError::Io { file, error }),
-            Ok(found) => found.len(),
-        };
-        let known = self
-            .manifests
-            .lock()
-            .iter()
-            .find(|known| (known.0, known.1) == (id, text))
-            .map(|known| known.2.clone());
-        if let Some(frames) = known {
-            return Ok(frames);
-        }
-        let bytes =
-            std::fs::read(&file).map_err(|error| JobError::Io { file: file.clone(), error })?;
-        let frames = film::manifest::parse(&bytes)
-            .map(Arc::new)
-            .map_err(|reason| JobError::Io { file, error: std::io::Error::other(reason) })?;
-        let mut manifests = self.manifests.lock();
-        manifests.retain(|known| known.0 != id);
-        manifests.push_front((id, bytes.len() as u64, frames.clone()));
-        manifests.truncate(MOST_MANIFESTS);
-        Ok(frames)
+    /// Frames of a job that is not drawn, by its manifest.
+    pub fn frames(&self, id: JobId, live: &Live) -> Result<Arc<Frames>, JobError> {
+        self.manifests.frames(id, live, &self.store.place(id))
     }
 }

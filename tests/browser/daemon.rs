@@ -61,6 +61,8 @@ impl Daemon {
         let url = lines.by_ref().find_map(|line| {
             line.split_once("listening on ").map(|(_, url)| url.trim().to_owned())
         });
+        // When its scene is there.
+        assert!(lines.by_ref().any(|line| line.starts_with("curl ")), "the scene is loaded");
         std::thread::spawn(move || lines.for_each(drop));
         Daemon { child, url: url.expect("the daemon says where it listens"), root, state }
     }

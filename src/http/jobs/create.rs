@@ -6,14 +6,14 @@ use std::time::Instant;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::{Extension, State};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 use utoipa::ToSchema;
 
-use super::jobs;
 use super::wire::{JobState, film_problem, job_problem, video_problem};
+use super::{jobs, no_query};
 use crate::encode::{self, ImageFormat};
 use crate::engine::RequestId;
 use crate::film::video::{Coder, Reel};
@@ -101,9 +101,11 @@ pub async fn create(
     State(app): State<Arc<App>>,
     Extension(owner): Extension<Owner>,
     Extension(request_id): Extension<RequestId>,
+    uri: Uri,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
+    no_query(&uri)?;
     let jobs = jobs(&app)?;
     let patience = app.settings.read_timeout;
     let value: Value = body::json(&headers, body, MAX_BODY_BYTES, patience).await?;
@@ -119,13 +121,11 @@ pub async fn create(
     });
     // What was taken on once needs no second look, which it might not pass any more.
     let known = repeat.as_ref().is_some_and(|repeat| jobs.is_known(repeat));
-    if !known {
-        check(&app, &spec)?;
-    }
+    let film = if known { None } else { Some(check(&app, &spec)?) };
     let origin = Origin { owner: owner.name, request_id: Some(request_id.to_string()) };
     let worker = jobs.clone();
     let created = tokio::task::spawn_blocking(move || {
-        let (id, _) = worker.create(spec, origin, repeat)?;
+        let (id, _) = worker.create(spec, origin, repeat, film)?;
         worker.view(id)
     });
     let view =
@@ -224,8 +224,8 @@ fn spec(value: Value) -> Result<Spec, Problem> {
     })
 }
 
-/// Whether a job can be drawn, as far as can be told without drawing.
-fn check(app: &App, spec: &Spec) -> Result<(), Problem> {
+/// Whether a job can be drawn, as far as can be told without drawing: how many frames it will have, and how many a second.
+fn check(app: &App, spec: &Spec) -> Result<(u64, f64), Problem> {
     let request = spec.request();
     app.engine
         .scene(&spec.scene)
@@ -241,7 +241,7 @@ fn check(app: &App, spec: &Spec) -> Result<(), Problem> {
         let coder = Coder::find().map_err(video_problem)?;
         Reel::new(&request, &shots, spec.want.bitrate_kbps).check(&coder).map_err(video_problem)?;
     }
-    Ok(())
+    Ok((shots.wanted().count() as u64, shots.fps()))
 }
 
 #[cfg(test)]

@@ -9,14 +9,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::{Extension, State};
-use axum::http::{HeaderMap, StatusCode};
+use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use futures::Stream;
 
 use super::watchers::Watcher;
 use super::wire::{JobState, StateName};
-use super::{blocking, job_id, jobs};
+use super::{blocking, job_id, jobs, no_query};
 use crate::http::problem::Problem;
 use crate::http::{App, Caller, Owner, Segments};
 use crate::jobs::{JobId, Jobs, View};
@@ -51,8 +51,10 @@ pub async fn events(
     Extension(Caller(client)): Extension<Caller>,
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
+    uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
+    no_query(&uri)?;
     let view = blocking(&app, &owner, &id, |jobs, id| jobs.view(id)).await?;
     let jobs = jobs(&app)?;
     let known =
@@ -113,7 +115,9 @@ fn told(
             // Of many changes the last is told. Removing a job is a change as well.
             tokio::time::sleep(PACE).await;
             // A job that is gone has no more changes: the next look tells.
-            if tokio::time::timeout_at(watcher.until, changes.changed()).await.is_err() {
+            let change = tokio::time::timeout_at(watcher.until, changes.changed()).await;
+            // Also where there is always news.
+            if change.is_err() || watcher.is_over() {
                 let reason = serde_json::json!({ "id": id.to_string(), "reason": watcher.reason() });
                 yield Ok(Event::default().event("reconnect").retry(RETRY).data(reason.to_string()));
                 return;

@@ -13,8 +13,8 @@ use futures::Stream;
 
 use super::file::{Content, Served, serve};
 use super::watchers::Watcher;
-use super::wire::{JobState, damaged, job_problem, job_storage, unknown_job};
-use super::{blocking, job_id, jobs};
+use super::wire::{JobState, damaged, job_problem, unknown_job};
+use super::{blocking, job_id, jobs, no_query};
 use crate::film::Record;
 use crate::film::manifest::read_sound;
 use crate::http::conditional::{media_type, none_match_hits};
@@ -61,8 +61,10 @@ pub async fn frame(
     Extension(owner): Extension<Owner>,
     Segments((id, number)): Segments<(String, String)>,
     method: Method,
+    uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
+    no_query(&uri)?;
     let is_plain = !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit());
     let Some(number) = number.parse::<u64>().ok().filter(|_| is_plain) else {
         let shown: String = number.chars().take(64).collect();
@@ -70,11 +72,7 @@ pub async fn frame(
         return Err(Problem::new(Kind::UnknownFrame, detail).accepted("a whole number"));
     };
     let (found, content, format) = blocking(&app, &owner, &id, move |jobs, id| {
-        let found = jobs.frame(id, number)?;
-        let content = match &found {
-            Found::There { record, file } => content(record, file)?,
-            _ => None,
-        };
+        let (found, content) = steady(jobs, id, number, content)?;
         Ok((found, content, jobs.view(id)?.record.spec.frame.format))
     })
     .await?;
@@ -92,6 +90,29 @@ pub async fn frame(
     serve(&served, &method, &headers).await
 }
 
+/// Where a frame is, and what `read` finds in its file; `None` where that is not what the record says. A run that draws frames anew may
+/// exchange the file between the two looks: then there is another record, or none yet.
+fn steady<T>(
+    jobs: &Jobs,
+    id: JobId,
+    number: u64,
+    read: impl Fn(&Record, &Path) -> Result<Option<T>, JobError>,
+) -> Result<(Found, Option<T>), JobError> {
+    let mut found = jobs.frame(id, number)?;
+    loop {
+        let Found::There { record, file } = &found else { return Ok((found, None)) };
+        let content = read(record, file)?;
+        if content.is_some() {
+            return Ok((found, content));
+        }
+        let again = jobs.frame(id, number)?;
+        if matches!(&again, Found::There { record: other, .. } if other == record) {
+            return Ok((again, None));
+        }
+        found = again;
+    }
+}
+
 /// A frame's file that is as its record says.
 enum Whole {
     Checked(Bytes),
@@ -99,14 +120,19 @@ enum Whole {
     Long,
 }
 
+/// All bytes of a frame's file; `None` where it is damaged or gone.
+fn sound(record: &Record, file: &Path) -> Result<Option<Vec<u8>>, JobError> {
+    let folder = file.parent().unwrap_or(Path::new(""));
+    let failed = |error| JobError::Io { file: file.to_owned(), error };
+    read_sound(folder, record).map_err(failed)
+}
+
 /// What is in a frame's file; `None` where it is damaged or gone.
 fn content(record: &Record, file: &Path) -> Result<Option<Whole>, JobError> {
-    let failed = |error| JobError::Io { file: file.to_owned(), error };
     if record.bytes <= MOST_CHECKED_BYTES {
-        let folder = file.parent().unwrap_or(Path::new(""));
-        let bytes = read_sound(folder, record).map_err(failed)?;
-        return Ok(bytes.map(|bytes| Whole::Checked(bytes.into())));
+        return Ok(sound(record, file)?.map(|bytes| Whole::Checked(bytes.into())));
     }
+    let failed = |error| JobError::Io { file: file.to_owned(), error };
     match std::fs::metadata(file) {
         Ok(found) => Ok((found.len() == record.bytes).then_some(Whole::Long)),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
@@ -114,7 +140,7 @@ fn content(record: &Record, file: &Path) -> Result<Option<Whole>, JobError> {
     }
 }
 
-fn there(found: Found, number: u64) -> Result<(Record, std::path::PathBuf), Problem> {
+fn there(found: Found, number: u64) -> Result<(Arc<Record>, std::path::PathBuf), Problem> {
     match found {
         Found::There { record, file } => Ok((record, file)),
         Found::NotDrawn => {
@@ -151,8 +177,10 @@ pub async fn manifest(
     State(app): State<Arc<App>>,
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
+    uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
+    no_query(&uri)?;
     let text = blocking(&app, &owner, &id, |jobs, id| {
         jobs.view(id)?;
         let file = jobs.place(id).manifest();
@@ -182,8 +210,8 @@ pub async fn manifest(
 }
 
 /// All frames as one stream, in the order of the path. While the job runs, each part comes when its frame is drawn; a job that ends
-/// before its last frame ends the stream with a part of type `application/problem+json`. So does one that has lasted for `watch_ms` of
-/// `GET /v1/limits` and would wait still: go on with `from`.
+/// before its last frame ends the stream with a part of type `application/problem+json`. So does a stream that has lasted for `watch_ms` of
+/// `GET /v1/limits`: go on with `from`.
 #[utoipa::path(
     get,
     path = "/v1/jobs/{id}/multipart",
@@ -212,6 +240,14 @@ pub async fn multipart(
     if view.record.made.manifest_sha256.is_some() && !view.record.spec.want.frames {
         there(Found::Dropped, 0)?;
     }
+    let first = view.record.spec.from.unwrap_or(0);
+    let last = view.total.map(|total| first + total.saturating_sub(1));
+    let from = from.unwrap_or(first);
+    if from < first || last.is_some_and(|last| from > last) {
+        let accepted =
+            last.map_or_else(|| format!("{first} or more"), |last| format!("{first} to {last}"));
+        return Err(Problem::parameter("from", format!("the job has no frame {from}"), accepted));
+    }
     let boundary = boundary();
     let content_type = format!("multipart/mixed; boundary={boundary}");
     let body = if method == Method::HEAD {
@@ -222,9 +258,8 @@ pub async fn multipart(
             id: job_id(&id)?,
             content_type: media_type(view.record.spec.frame.format),
         };
-        let first = view.record.spec.from.unwrap_or(0);
         let watcher = Watcher::take(&app, client)?;
-        Body::from_stream(parts(film, from.unwrap_or(first).max(first), boundary, watcher))
+        Body::from_stream(parts(film, from, boundary, watcher))
     };
     let mut response = Response::new(body);
     let content_type = HeaderValue::from_str(&content_type).map_err(Problem::internal)?;
@@ -254,7 +289,7 @@ struct FilmParts {
 
 /// What comes next of a film.
 enum Next {
-    Frame(Record, Vec<u8>),
+    Frame(Arc<Record>, Vec<u8>),
     Later,
     End,
 }
@@ -266,10 +301,9 @@ impl FilmParts {
         // Looked up first: a job that has ended before its frame is not found draws none after.
         let view = self.jobs.view(self.id).map_err(problem)?;
         let job = JobState::new(&view);
-        match self.jobs.frame(self.id, number).map_err(problem)? {
-            Found::There { record, file } => {
-                let folder = file.parent().unwrap_or(Path::new(""));
-                let bytes = read_sound(folder, &record).map_err(|error| job_storage(&error))?;
+        let (found, bytes) = steady(&self.jobs, self.id, number, sound).map_err(problem)?;
+        match found {
+            Found::There { record, .. } => {
                 let whole = bytes.map(|bytes| Next::Frame(record, bytes));
                 whole.ok_or_else(|| damaged(&self.id.to_string(), &format!("frame {number}")))
             }
@@ -309,8 +343,9 @@ fn parts(
             let worker = film.clone();
             let next = tokio::task::spawn_blocking(move || worker.next(number)).await;
             let next = match next.map_err(Problem::internal).and_then(|next| next) {
-                Ok(Next::Later) if watcher.is_over() => {
-                    let detail = format!("{}, and frame {number} is not drawn yet", watcher.reason());
+                // Also where frames are there: who takes them slowly has no place for ever.
+                Ok(Next::Later | Next::Frame(..)) if watcher.is_over() => {
+                    let detail = format!("{}, and frame {number} was not sent yet", watcher.reason());
                     Err(Problem::new(Kind::FrameNotDrawn, detail)
                         .accepted(format!("GET /v1/jobs/{}/multipart?from={number}", film.id)))
                 }

@@ -30,9 +30,10 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::{Extension, State};
-use axum::http::StatusCode;
+use axum::http::{StatusCode, Uri};
 
-use self::wire::{JobList, JobState, job_problem};
+use self::wire::{JobList, JobState, StateName, job_problem};
+use super::params::{once, pairs, unknown_name};
 use super::problem::{Kind, Problem};
 use super::{App, Owner, Segments};
 use crate::jobs::{JobError, JobId, Jobs};
@@ -54,6 +55,14 @@ fn jobs(app: &App) -> Result<Jobs, Problem> {
 fn job_id(text: &str) -> Result<JobId, Problem> {
     let is_plain = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     text.parse().ok().filter(|_| is_plain).ok_or_else(|| wire::unknown_job(text))
+}
+
+/// Refuses what a query asks for where none is looked at.
+fn no_query(uri: &Uri) -> Result<(), Problem> {
+    match pairs(uri.query())?.first() {
+        Some((name, _)) => Err(unknown_name(name, &[], &[]).accepted("no parameters here")),
+        None => Ok(()),
+    }
 }
 
 /// Does something with jobs on a thread that may block, for the job of an address, if it is `owner`'s.
@@ -89,17 +98,37 @@ impl Owner {
     get,
     path = "/v1/jobs",
     tag = "jobs",
+    params(("state" = Option<StateName>, Query, description = "Only those in this state")),
     responses((status = 200, description = "The jobs", body = JobList)),
 )]
 pub async fn list(
     State(app): State<Arc<App>>,
     Extension(owner): Extension<Owner>,
+    uri: Uri,
 ) -> Result<Json<JobList>, Problem> {
+    let state = wanted_state(uri.query())?;
     let jobs = jobs(&app)?;
     let mut views =
         tokio::task::spawn_blocking(move || jobs.list()).await.map_err(Problem::internal)?;
     views.retain(|view| owner.is_theirs(view.record.owner.as_deref()));
+    views.retain(|view| state.is_none_or(|state| StateName::of(&view.record.state) == state));
     Ok(Json(JobList::new(&views)))
+}
+
+/// The state that listed jobs are to be in.
+fn wanted_state(query: Option<&str>) -> Result<Option<StateName>, Problem> {
+    let mut state = None;
+    for (name, value) in pairs(query)? {
+        if name != "state" {
+            return Err(unknown_name(&name, &["state"], &[]));
+        }
+        let found = serde_json::from_value(serde_json::Value::String(value));
+        let found = found.map_err(|error| {
+            Problem::parameter(&name, error, "queued, running, done, failed or cancelled, once")
+        })?;
+        once(&mut state, &name, found)?;
+    }
+    Ok(state)
 }
 
 /// A job: its state, how many frames are there, how fast they come, what went wrong, and where everything is.
@@ -114,7 +143,9 @@ pub async fn show(
     State(app): State<Arc<App>>,
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
+    uri: Uri,
 ) -> Result<Json<JobState>, Problem> {
+    no_query(&uri)?;
     let view = blocking(&app, &owner, &id, |jobs, id| jobs.view(id)).await?;
     Ok(Json(JobState::new(&view)))
 }
@@ -131,7 +162,9 @@ pub async fn cancel(
     State(app): State<Arc<App>>,
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
+    uri: Uri,
 ) -> Result<Json<JobState>, Problem> {
+    no_query(&uri)?;
     let view = blocking(&app, &owner, &id, |jobs, id| jobs.cancel(id).and_then(|()| jobs.view(id)))
         .await?;
     Ok(Json(JobState::new(&view)))
@@ -150,7 +183,9 @@ pub async fn resume(
     State(app): State<Arc<App>>,
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
+    uri: Uri,
 ) -> Result<Json<JobState>, Problem> {
+    no_query(&uri)?;
     let view = blocking(&app, &owner, &id, |jobs, id| jobs.resume(id).and_then(|()| jobs.view(id)))
         .await?;
     Ok(Json(JobState::new(&view)))
@@ -168,7 +203,9 @@ pub async fn remove(
     State(app): State<Arc<App>>,
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
+    uri: Uri,
 ) -> Result<StatusCode, Problem> {
+    no_query(&uri)?;
     blocking(&app, &owner, &id, |jobs, id| jobs.remove(id)).await?;
     Ok(StatusCode::NO_CONTENT)
 }
@@ -186,6 +223,22 @@ mod tests {
         for (by, is_anns) in [(Some("ann"), true), (Some("bob"), false), (None, false)] {
             assert_eq!(ann.is_theirs(by), is_anns, "{by:?}");
             assert!(admin.is_theirs(by) && anybody.is_theirs(by));
+        }
+    }
+
+    #[test]
+    fn queries_of_lists() {
+        assert_eq!(wanted_state(None).ok(), Some(None));
+        assert_eq!(wanted_state(Some("state=done")).ok(), Some(Some(StateName::Done)));
+        for (query, parameter) in [
+            ("state=don", "state"),
+            ("state=", "state"),
+            ("state=done&state=done", "state"),
+            ("stat=done", "stat"),
+        ] {
+            let problem = wanted_state(Some(query)).unwrap_err();
+            let found = (problem.status(), problem.parameter.as_deref());
+            assert_eq!(found, (422, Some(parameter)), "{query}: {}", problem.detail);
         }
     }
 

@@ -3,12 +3,12 @@
 use std::sync::Arc;
 
 use axum::extract::{Extension, State};
-use axum::http::{HeaderMap, HeaderValue, Method};
+use axum::http::{HeaderMap, HeaderValue, Method, Uri};
 use axum::response::Response;
 
-use super::blocking;
 use super::file::{Content, Served, serve};
 use super::wire::{JobState, StateName, damaged};
+use super::{blocking, no_query};
 use crate::http::problem::{Kind, Problem};
 use crate::http::{App, Owner, Segments};
 
@@ -40,8 +40,10 @@ pub async fn video(
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
     method: Method,
+    uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
+    no_query(&uri)?;
     let (view, file, length) = blocking(&app, &owner, &id, |jobs, id| {
         let file = jobs.place(id).video();
         let length = std::fs::metadata(&file).ok().map(|found| found.len());

@@ -1,6 +1,6 @@
 //! A job as JSON, and what can go wrong with one as problems.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
 
@@ -31,14 +31,15 @@ pub struct JobState {
     /// The path's name in the scene, or the path itself; of the latter, lists have only the number of `keys`.
     #[schema(value_type = Object)]
     path: Value,
-    /// Frames a second of the film; `null` until the job has begun, where none were asked for.
+    /// Frames a second of the film; `null` of a job that was found again after a loss and has not begun since, where none were asked for.
     fps: Option<f64>,
     want: Vec<&'static str>,
     #[serde(skip_serializing_if = "Option::is_none")]
     bitrate_kbps: Option<u32>,
     settings: JobSettings,
     frames: JobFrames,
-    /// Frames a second that come of late, in the running job; of its stage `video`, those that go into it.
+    /// Frames a second that come of late, in the running job; of its stage `video`, those that go into it. `null` for the first second
+    /// that frames come in: how long the first take says nothing of the others.
     frames_per_second: Option<f64>,
     /// Seconds that the rest of the stage takes at that rate.
     eta_seconds: Option<f64>,
@@ -57,12 +58,12 @@ pub struct JobState {
     created_ms: u64,
     /// When it came into its state.
     since_ms: u64,
-    /// When an ended job will be forgotten.
+    /// When an ended job will be forgotten, or one that waits for its scene will fail.
     expires_ms: Option<u64>,
     links: JobLinks,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum StateName {
     /// Its turn comes, when what it waits for is there.
@@ -75,12 +76,24 @@ pub enum StateName {
     Cancelled,
 }
 
+impl StateName {
+    pub fn of(state: &State) -> StateName {
+        match state {
+            State::Queued { .. } => StateName::Queued,
+            State::Running => StateName::Running,
+            State::Done => StateName::Done,
+            State::Failed(_) => StateName::Failed,
+            State::Cancelled => StateName::Cancelled,
+        }
+    }
+}
+
 /// Frames of a job.
 #[derive(Serialize, ToSchema)]
 pub struct JobFrames {
     /// Those that are there.
     done: u64,
-    /// Those that are wanted; `null` until the job has begun.
+    /// Those that are wanted; `null` of a job that was found again after a loss and has not begun since.
     total: Option<u64>,
     /// Numbers of the first and of the last one that were asked for.
     from: Option<u64>,
@@ -179,17 +192,15 @@ impl JobState {
         let spec = &record.spec;
         let this = format!("/v1/jobs/{}", record.id);
         let to = |what: &str| format!("{this}/{what}");
-        let (state, waits_for, error) = match &record.state {
-            State::Queued { waits_for } => (StateName::Queued, waits_for.clone(), None),
-            State::Running => (StateName::Running, None, None),
-            State::Done => (StateName::Done, None, None),
-            State::Failed(failure) => (StateName::Failed, None, Some(failure_problem(failure))),
-            State::Cancelled => (StateName::Cancelled, None, None),
+        let (waits_for, error) = match &record.state {
+            State::Queued { waits_for } => (waits_for.clone(), None),
+            State::Failed(failure) => (None, Some(failure_problem(failure))),
+            State::Running | State::Done | State::Cancelled => (None, None),
         };
         let wanted = [("frames", spec.want.frames), ("video", spec.want.video)];
         JobState {
             id: record.id.to_string(),
-            state,
+            state: StateName::of(&record.state),
             stage: match view.stage {
                 Stage::None => None,
                 Stage::Baking => Some("baking"),

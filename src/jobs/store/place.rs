@@ -35,7 +35,7 @@ pub struct Place {
 }
 
 impl Place {
-    pub(super) fn new(folder: PathBuf) -> Place {
+    pub(in crate::jobs) fn new(folder: PathBuf) -> Place {
         Place { folder }
     }
 

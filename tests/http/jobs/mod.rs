@@ -3,7 +3,10 @@
 mod damage;
 mod deeds;
 mod ends;
+mod kills;
+mod queries;
 mod sharing;
+mod swaps;
 mod video;
 
 use std::collections::BTreeMap;

@@ -1,0 +1,69 @@
+//! The daemon's state folder: which, what may be in it, and taking it.
+
+use anyhow::ensure;
+
+use super::patience::{PATIENCE, patiently};
+use super::{ServeArgs, number};
+use crate::engine::Engine;
+use crate::jobs::{self, Jobs, StateError};
+
+/// Ended jobs that are kept at most.
+const MOST_ENDED_JOBS: usize = 1000;
+
+/// Where jobs are kept and what they may take; or why there are none.
+pub(super) fn jobs_config(args: &ServeArgs) -> anyhow::Result<Result<jobs::Config, String>> {
+    let mib = number("job-disk-mib", args.job_disk_mib, 10_240, 1)?;
+    let ttl_seconds = number("job-ttl-seconds", args.job_ttl_seconds, 7 * 24 * 3600, 1)?;
+    let most_unfinished = number("job-queue", args.job_queue, 64, 1)?;
+    let drawing = number("job-runners", args.job_runners, 4, 1)?;
+    ensure!(drawing <= 64, "--job-runners {drawing}: must be at most 64");
+    if args.no_jobs == Some(true) {
+        return Ok(Err("this server takes on no jobs (--no-jobs)".to_owned()));
+    }
+    let Some(folder) = args.state.clone().or_else(jobs::store::default_folder) else {
+        return Ok(Err(
+            "this server has no folder for jobs: it was given none, and neither XDG_STATE_HOME nor HOME is set"
+                .to_owned(),
+        ));
+    };
+    Ok(Ok(jobs::Config {
+        folder,
+        limits: jobs::Limits {
+            most_unfinished,
+            most: most_unfinished.saturating_add(MOST_ENDED_JOBS),
+            ttl_ms: ttl_seconds.saturating_mul(1000),
+            // Each of these uses all cores for most of its time.
+            slots: jobs::Slots { baking: 2, drawing, coding: 2 },
+        },
+        most_bytes: mib.saturating_mul(1 << 20),
+    }))
+}
+
+/// Takes the state folder, also from a process that is about to end. Where nobody asked for it by name, a daemon without jobs is better
+/// than none.
+pub(super) fn open_jobs(
+    engine: &Engine,
+    config: Result<jobs::Config, String>,
+    is_asked_for: bool,
+) -> anyhow::Result<Result<Jobs, String>> {
+    let config = match config {
+        Ok(config) => config,
+        Err(reason) => return Ok(Err(reason)),
+    };
+    let is_held = |error: &StateError| matches!(error, StateError::Locked { .. });
+    match patiently(PATIENCE, is_held, || Jobs::open(engine.clone(), config.clone())) {
+        Ok(jobs) => Ok(Ok(jobs)),
+        Err(error) if is_asked_for => Err(anyhow::anyhow!("--state: {error}")),
+        Err(error) => {
+            tracing::warn!(%error, "no jobs are taken on");
+            // Where the server keeps its files is its own affair.
+            let reason = match error {
+                StateError::Locked { .. } => {
+                    "the state folder is another daemon's, which is running"
+                }
+                _ => "the state folder cannot be used; the server's log says why",
+            };
+            Ok(Err(reason.to_owned()))
+        }
+    }
+}
