@@ -66,7 +66,7 @@ pub struct LoadArgs {
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=10_000))]
     streams: u32,
     /// Poses that each stream sends per second
-    #[arg(long, value_name = "R", default_value_t = 30.0, value_parser = rate, requires = "streams")]
+    #[arg(long, value_name = "R", default_value_t = 30.0, value_parser = pose_rate, requires = "streams")]
     pose_rate: f64,
     /// Other numbers give other arrivals and other poses
     #[arg(long, value_name = "N", default_value_t = 1)]
@@ -161,6 +161,11 @@ fn number(text: &str, least: f64, most: f64, what: &str) -> Result<f64, String> 
 
 fn rate(text: &str) -> Result<f64, String> {
     number(text, 0.01, MOST_PER_S, "requests per second, 0.01 to 200000")
+}
+
+/// With acknowledgements, no more messages than a daemon takes of a stream.
+fn pose_rate(text: &str) -> Result<f64, String> {
+    number(text, 0.01, 400.0, "poses per second, 0.01 to 400")
 }
 
 fn factor(text: &str) -> Result<f64, String> {
