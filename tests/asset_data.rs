@@ -282,7 +282,7 @@ fn unusual_files_load_with_warnings() {
         ("corrupt/issue_2421.ply", 1, 0, false),
         ("corrupt/nancolor.obj", 8, 12, true),
         ("corrupt/notenoughindices.obj", 3, 1, true),
-        ("corrupt/degenerate_mesh.obj", 3, 1, false),
+        ("corrupt/degenerate_mesh.obj", 3, 1, true),
         ("corrupt/fuzz.glb", 24, 12, false),
     ] {
         let asset = load(&folder, name);
