@@ -57,7 +57,7 @@ function draw() {
   const paper = canvas.getContext('2d');
   paper.clearRect(0, 0, width, height);
   const most = roundUp(Math.max(1e5, ...columns.map(column => column.total)));
-  const left = 46 * ratio, top = 6 * ratio, bottom = height - 8 * ratio, step = (width - left) / FRAMES;
+  const left = 54 * ratio, top = 6 * ratio, bottom = height - 8 * ratio, step = (width - left) / FRAMES;
   scale(paper, most, { left, top, bottom, width, ratio });
   columns.forEach((column, i) => {
     const x = width - (columns.length - i) * step;

@@ -10,7 +10,7 @@
 //!                                         ├─▶ batch: one side's alone
 //!  job     ─▶ lane ─── least time first ─▶┘
 //!                      when nothing else waits, or as credit allows:
-//!                      credit += cost · share / (1 − share)   for each other frame, while jobs wait
+//!                      credit += cost · share / (1 − share)   for each other frame, and for the pauses of others, while jobs wait
 //!                      credit −= cost                         for each frame of a job
 //! ```
 //!
