@@ -140,8 +140,8 @@ impl Pacer {
     pub fn pace(&self) -> Pace {
         Pace {
             scale: self.drawn_pixels.min(self.link_pixels).sqrt(),
-            // A slow link is helped by fewer pixels alone.
-            coarseness: (COARSE_PIXELS / self.drawn_pixels).clamp(1.0, MOST_COARSE),
+            // A slow link is helped by fewer pixels alone. In few steps: what frames cost is known by their errors.
+            coarseness: quarter_octave((COARSE_PIXELS / self.drawn_pixels).clamp(1.0, MOST_COARSE)),
             jpeg_quality: self.jpeg_quality.round() as u8,
         }
     }
@@ -233,6 +233,11 @@ impl Pacer {
         }
         self.link_pixels = toward(self.link_pixels, share, took, share);
     }
+}
+
+/// The nearest of four steps an octave.
+fn quarter_octave(factor: f64) -> f64 {
+    ((4.0 * factor.log2()).round() / 4.0).exp2()
 }
 
 /// Moves a share of pixels toward what would take [`TARGET`], if `pixels` took `took`. Growth goes by small steps from `from`, because what
