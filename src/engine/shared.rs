@@ -356,7 +356,7 @@ impl Shared {
         };
         let max = self.config.max_batch;
         let mut found = state.queue.take(max, moment);
-        if let Some(held_for) = found.held_for.filter(|_| !state.stopping) {
+        if let Some(held_for) = found.held_for.filter(|_| may_wait && !state.stopping) {
             state.busy_since = None;
             self.wake.wait_for(&mut state, held_for.min(patience));
             let Taken { batch, expired, abandoned, .. } =
