@@ -101,8 +101,10 @@ pub async fn stream(
     // A message a little over the limit is read to its end, so that the close that answers it is not lost to a reset.
     let most = 4 * MAX_MESSAGE_BYTES;
     let upgrade = upgrade.protocols([PROTOCOL]).max_message_size(most).max_frame_size(most);
+    // Before the handshake is answered: who was answered first has come first.
+    let place = Place::take(&app, client);
     Ok(upgrade.on_upgrade(move |socket| async move {
-        let Some(place) = Place::take(&app, client) else {
+        let Some(place) = place else {
             return outbox::refuse(socket, Close::TooMany).await;
         };
         let span = tracing::debug_span!("stream", connection = %request_id, scene = id);
