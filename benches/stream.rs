@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail, ensure};
+use common::client::Connection;
 use common::daemon::Daemon;
 use common::drawing::Orbit;
 use common::peer::Peer;
@@ -28,6 +29,8 @@ use serde_json::{Value, json};
 
 /// An instanced square of 17 600 copies.
 const SCENE: &str = "plaza";
+/// Of its camera paths the one that jobs draw.
+const PATH: &str = "approach";
 const SIZE: [u32; 2] = [640, 480];
 const QUALITY: u32 = 85;
 const FOV_DEG: f64 = 50.0;
@@ -196,9 +199,20 @@ fn saturation(report: &mut Report, daemon: &Daemon) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Asks for a job of the square's path, JPEGs at so many frames a second, and gives its address.
+fn start_job(client: &mut Connection, fps: f64) -> anyhow::Result<String> {
+    let job = client.post(
+        "/v1/jobs",
+        &json!({ "scene": SCENE, "path": PATH, "w": SIZE[0], "h": SIZE[1], "fps": fps, "format": "jpeg",
+            "quality": QUALITY, "lod": "spt", "want": ["frames"] }),
+    )?;
+    ensure!(job.status == 201, "{}", String::from_utf8_lossy(&job.body));
+    let job: Value = serde_json::from_slice(&job.body)?;
+    Ok(format!("/v1/jobs/{}", job["id"].as_str().context("a job without a name")?))
+}
+
 /// A job of 300 frames, and what its frames take when nothing else goes on: every tenth of them, one at a time, before and after.
 fn film(report: &mut Report, daemon: &Daemon, adapter: &str) -> anyhow::Result<()> {
-    const PATH: &str = "approach";
     let frames = pick(300u32, 12);
     let probes = pick(30u32, 3);
     let scene = prepare::describe(
@@ -231,14 +245,7 @@ fn film(report: &mut Report, daemon: &Daemon, adapter: &str) -> anyhow::Result<(
     let before = work()?;
     let mut client = daemon.connect()?;
     let began = Instant::now();
-    let job = client.post(
-        "/v1/jobs",
-        &json!({ "scene": SCENE, "path": PATH, "w": SIZE[0], "h": SIZE[1], "fps": fps, "format": "jpeg",
-            "quality": QUALITY, "lod": "spt", "want": ["frames"] }),
-    )?;
-    ensure!(job.status == 201, "{}", String::from_utf8_lossy(&job.body));
-    let job: Value = serde_json::from_slice(&job.body)?;
-    let place = format!("/v1/jobs/{}", job["id"].as_str().context("a job without a name")?);
+    let place = start_job(&mut client, fps)?;
     let (done, elapsed) = loop {
         let job: Value = serde_json::from_slice(&client.get(&place, "")?.body)?;
         match job["state"].as_str() {

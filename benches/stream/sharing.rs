@@ -13,7 +13,7 @@ use super::common::daemon::Daemon;
 use super::common::report::{Bound, Report, number};
 use super::common::stream::Stream;
 use super::common::{self, median, median_ratio, ms, pick};
-use super::{QUALITY, SCENE, SIZE, frame_path, open, pose};
+use super::{QUALITY, SCENE, frame_path, open, pose, start_job};
 
 const GPU_SECONDS: &str = "pointillist_engine_gpu_seconds_total";
 
@@ -197,17 +197,7 @@ pub fn beside(report: &mut Report, daemon: &Daemon) -> anyhow::Result<()> {
         let job: Value = serde_json::from_slice(&client.get(place, "")?.body)?;
         job["frames"]["done"].as_f64().with_context(|| format!("no count of frames in {job}"))
     };
-    let job = |client: &mut Connection| -> anyhow::Result<String> {
-        let job = client.post(
-            "/v1/jobs",
-            &json!({ "scene": SCENE, "path": "approach", "w": SIZE[0], "h": SIZE[1], "fps": 200, "format": "jpeg",
-                "quality": QUALITY, "lod": "spt", "want": ["frames"] }),
-        )?;
-        ensure!(job.status == 201, "{}", String::from_utf8_lossy(&job.body));
-        let job: Value = serde_json::from_slice(&job.body)?;
-        Ok(format!("/v1/jobs/{}", job["id"].as_str().context("a job without a name")?))
-    };
-    let place = job(&mut client)?;
+    let place = start_job(&mut client, 200.0)?;
     std::thread::sleep(Duration::from_secs_f64(0.2 * seconds));
     let (began, before) = (Instant::now(), drawn(&mut client, &place)?);
     std::thread::sleep(Duration::from_secs_f64(0.5 * seconds));
@@ -221,7 +211,7 @@ pub fn beside(report: &mut Report, daemon: &Daemon) -> anyhow::Result<()> {
         let (mut alone, mut together, mut left) = (Vec::new(), Vec::new(), Vec::new());
         for _ in 0..pick(3, 1) {
             alone.push(ask()?);
-            let place = job(&mut client)?;
+            let place = start_job(&mut client, 200.0)?;
             // Nothing of the job is drawn yet, and then it is.
             while drawn(&mut client, &place)? < 1.0 {
                 std::thread::sleep(Duration::from_millis(20));

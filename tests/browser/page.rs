@@ -126,3 +126,12 @@ pub fn distinct_colors(browser: &Browser) -> u64 {
     );
     count.as_u64().expect("a number")
 }
+
+/// Waits for a scene's picture at rest.
+pub fn shows(browser: &Browser, id: &str) {
+    browser.wait_for(
+        &format!("scene {id}"),
+        PATIENCE,
+        &format!("return viewer.scene?.id === '{id}' && viewer.isStill"),
+    );
+}

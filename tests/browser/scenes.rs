@@ -3,7 +3,7 @@
 use serde_json::json;
 
 use super::daemon::Daemon;
-use super::page::{PATIENCE, distinct_colors, driver_or_skip, opened, still_picture};
+use super::page::{PATIENCE, distinct_colors, driver_or_skip, opened, shows, still_picture};
 use super::webdriver::Browser;
 
 const CAMERA: &str = "return document.getElementById('camera').selectedOptions[0].text";
@@ -14,14 +14,6 @@ fn send_dot(daemon: &Daemon, id: &str) {
     let ply = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";
     let answer = ureq::post(format!("{}/v1/scenes?id={id}&name=dot.ply", daemon.url)).send(ply);
     assert!(answer.is_ok(), "{answer:?}");
-}
-
-fn shows(browser: &Browser, id: &str) {
-    browser.wait_for(
-        &format!("scene {id}"),
-        PATIENCE,
-        &format!("return viewer.scene?.id === '{id}' && viewer.isStill"),
-    );
 }
 
 #[test]

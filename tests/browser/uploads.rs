@@ -1,6 +1,6 @@
 //! Files onto the page, by the button and by drop.
 
-use super::page::{PATIENCE, distinct_colors, driver_or_skip, opened, still_picture};
+use super::page::{PATIENCE, distinct_colors, driver_or_skip, opened, shows, still_picture};
 use super::webdriver::Browser;
 
 const PLY: &str = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
@@ -16,14 +16,6 @@ fn drop_files(browser: &Browser, files: &[(&str, &str)]) {
          const send = kind => document.body.dispatchEvent(new DragEvent(kind, {{ bubbles: true, cancelable: true, dataTransfer: data }})); \
          send('dragenter'); window.dropShown = !document.getElementById('drop').hidden; send('dragover'); send('drop')"
     ));
-}
-
-fn shows(browser: &Browser, id: &str) {
-    browser.wait_for(
-        &format!("scene {id}"),
-        PATIENCE,
-        &format!("return viewer.scene?.id === '{id}' && viewer.isStill"),
-    );
 }
 
 #[test]

@@ -20,6 +20,17 @@ struct Bench {
     answers_pings: bool,
 }
 
+/// On the same machine, with a decoder that is no bother.
+const NEAR: Bench = Bench {
+    draw_ms: 0.0,
+    detail_ms: 0.0,
+    distance_ms: 2.0,
+    bytes_per_ms: 1e5,
+    decode_ms: 2.0,
+    full_bytes: 2e5,
+    answers_pings: true,
+};
+
 /// What came of it in the last second: frames, and the longest from asking to acknowledgement, then and ever.
 struct Seen {
     frames: usize,
@@ -102,15 +113,7 @@ impl Bench {
 
 #[test]
 fn a_fast_engine_on_a_fast_link_draws_at_full_size() {
-    let bench = Bench {
-        draw_ms: 5.0,
-        detail_ms: 0.0,
-        distance_ms: 2.0,
-        bytes_per_ms: 1e5,
-        decode_ms: 2.0,
-        full_bytes: 2e5,
-        answers_pings: true,
-    };
+    let bench = Bench { draw_ms: 5.0, detail_ms: 0.0, ..NEAR };
     let seen = bench.run(4);
     assert!(seen.scale > 0.95 && seen.jpeg_quality >= 78, "{} {}", seen.scale, seen.jpeg_quality);
     assert!(seen.frames >= 30, "{}", seen.frames);
@@ -118,15 +121,7 @@ fn a_fast_engine_on_a_fast_link_draws_at_full_size() {
 
 #[test]
 fn a_slow_engine_draws_smaller_frames() {
-    let bench = Bench {
-        draw_ms: 200.0,
-        detail_ms: 0.0,
-        distance_ms: 2.0,
-        bytes_per_ms: 1e5,
-        decode_ms: 2.0,
-        full_bytes: 2e5,
-        answers_pings: true,
-    };
+    let bench = Bench { draw_ms: 200.0, detail_ms: 0.0, ..NEAR };
     let seen = bench.run(6);
     assert!((0.3..0.5).contains(&seen.scale), "{}", seen.scale);
     assert!((22..45).contains(&seen.frames), "{}", seen.frames);
@@ -136,15 +131,7 @@ fn a_slow_engine_draws_smaller_frames() {
 #[test]
 fn an_engine_that_fewer_pixels_do_not_help_draws_less_detail() {
     // As the plaza: 300 ms in full, 112 of them at a sixteenth of the pixels, and 37 at four times the error.
-    let mut bench = Bench {
-        draw_ms: 200.0,
-        detail_ms: 100.0,
-        distance_ms: 2.0,
-        bytes_per_ms: 1e5,
-        decode_ms: 2.0,
-        full_bytes: 2e5,
-        answers_pings: true,
-    };
+    let mut bench = Bench { draw_ms: 200.0, detail_ms: 100.0, ..NEAR };
     let seen = bench.run(6);
     assert!((0.25..0.3).contains(&seen.scale), "{}", seen.scale);
     assert!(seen.coarseness > 3.0 && seen.frames >= 22, "{} {}", seen.coarseness, seen.frames);
@@ -219,15 +206,7 @@ fn a_path_that_became_longer_is_no_slow_link() {
 
 #[test]
 fn a_slow_decoder_counts_as_a_slow_link() {
-    let bench = Bench {
-        draw_ms: 5.0,
-        detail_ms: 0.0,
-        distance_ms: 2.0,
-        bytes_per_ms: 1e5,
-        decode_ms: 150.0,
-        full_bytes: 2e5,
-        answers_pings: true,
-    };
+    let bench = Bench { draw_ms: 5.0, detail_ms: 0.0, decode_ms: 150.0, ..NEAR };
     let seen = bench.run(8);
     assert!(seen.scale < 0.7 && seen.frames >= 15, "{} {}", seen.scale, seen.frames);
     assert!(seen.oldest_ms < 300.0, "{}", seen.oldest_ms);
@@ -235,15 +214,7 @@ fn a_slow_decoder_counts_as_a_slow_link() {
 
 #[test]
 fn a_long_link_is_kept_full() {
-    let bench = Bench {
-        draw_ms: 5.0,
-        detail_ms: 0.0,
-        distance_ms: 150.0,
-        bytes_per_ms: 1e5,
-        decode_ms: 2.0,
-        full_bytes: 2e5,
-        answers_pings: true,
-    };
+    let bench = Bench { draw_ms: 5.0, detail_ms: 0.0, distance_ms: 150.0, ..NEAR };
     let seen = bench.run(6);
     assert!(seen.scale > 0.9, "distance is not slowness: {}", seen.scale);
     assert!(seen.frames >= 25, "{}", seen.frames);
