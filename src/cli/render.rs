@@ -116,6 +116,9 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     if let Some(file) = &args.receipt {
         write(file, &serde_json::to_vec_pretty(&median.receipt)?)?;
     }
+    if let Some(why) = &median.receipt.nothing_visible {
+        say!("warning: nothing is visible: {why}");
+    }
     say!(
         "{}: {}, loaded in {:.2} s; {}",
         args.file.display(),

@@ -32,7 +32,7 @@ pub mod shaders;
 mod slabs;
 mod uniforms;
 
-pub use frame::{FrameTask, frame_record};
+pub use frame::{FrameTask, frame_record, srgb8};
 pub use pipelines::Pipelines;
 pub use record::record;
 pub use recorder::{Context, PassSpan};

@@ -13,6 +13,7 @@ mod coverage;
 mod crowds;
 mod determinism;
 mod extremes;
+mod framing;
 mod hidden;
 mod large_triangles;
 mod limits;
