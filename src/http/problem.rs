@@ -57,7 +57,6 @@ pub enum Kind {
     TooManyScenes,
     UploadQuota,
     LoadCancelled,
-    LoadLost,
     UnknownJob,
     UnknownFrame,
     FrameNotDrawn,
@@ -79,7 +78,7 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind, in the order of the documentation.
-    pub const ALL: [Kind; 54] = [
+    pub const ALL: [Kind; 53] = [
         Kind::UnknownRoute,
         Kind::UnknownScene,
         Kind::UnknownNode,
@@ -116,7 +115,6 @@ impl Kind {
         Kind::TooManyScenes,
         Kind::UploadQuota,
         Kind::LoadCancelled,
-        Kind::LoadLost,
         Kind::UnknownJob,
         Kind::UnknownFrame,
         Kind::FrameNotDrawn,
@@ -219,11 +217,6 @@ impl Kind {
             LoadCancelled => {
                 (409, "urn:pointillist:problem:load-cancelled", "the load was cancelled")
             }
-            LoadLost => (
-                500,
-                "urn:pointillist:problem:load-lost",
-                "the server ended while it loaded the scene",
-            ),
             OutOfDisk => (507, "urn:pointillist:problem:storage", "the disk cannot be used"),
             UnknownJob => (404, "urn:pointillist:problem:unknown-job", "no such job"),
             UnknownFrame => {
