@@ -60,11 +60,14 @@ pub(super) const DAYLIGHT: &str = r##"  "lights": [
     { "kind": "ambient", "color": "#dce6f5", "intensity": 0.25 }
   ]"##;
 
-/// A camera that shows a box whole in a square frame, and so in every other one.
-fn around(name: &'static str, bounds: &Bounds, backward: DVec3, up: DVec3, fov: f64) -> Pose {
+/// Points that a camera is fitted to, at most.
+const MOST_FRAMED: usize = 200_000;
+
+/// A camera that shows points whole in a square frame, and so in every other one.
+fn around(name: &'static str, points: &[DVec3], backward: DVec3, up: DVec3, fov: f64) -> Pose {
     let backward = backward / backward.length();
     let look = Look { backward, up, fov_deg: fov, aspect: 1.0 };
-    let Camera { eye, target, .. } = frame(&bounds.corners(), &look);
+    let Camera { eye, target, .. } = frame(points, &look);
     Pose { name, eye, target, fov }
 }
 
@@ -73,8 +76,13 @@ pub fn town(name: &str, scan: Generated, size_m: f64) -> GeneratedScene {
     let asset = format!("{name}-scan.laz");
     let middle = super::town::ORIGIN_M;
     let s = size_m;
-    let half = DVec3::new(0.5, 0.5, 0.0) * s;
-    let town = Bounds { min: middle - half, max: middle + half + DVec3::Z * 0.15 * s };
+    let town: Vec<DVec3> = match &scan {
+        Generated::Points(cloud) => {
+            let every = cloud.positions.len().div_ceil(MOST_FRAMED).max(1);
+            cloud.positions.iter().step_by(every).copied().collect()
+        }
+        _ => Vec::new(),
+    };
     let pose = |name, eye: [f64; 3], target: [f64; 3], fov| Pose {
         name,
         eye: middle + DVec3::from_array(eye) * s,
@@ -188,7 +196,7 @@ pub fn plaza(name: &str, count: u64, seed: u64, progress: &Progress) -> Generate
     let extent = DVec3::new(half, 0.0, half);
     let square = Bounds { min: -extent, max: extent + DVec3::Y * 5.0 };
     let poses = [
-        around("overview", &square, DVec3::new(0.5, 0.7, 1.0), DVec3::Y, 40.0),
+        around("overview", &square.corners(), DVec3::new(0.5, 0.7, 1.0), DVec3::Y, 40.0),
         Pose {
             name: "walk",
             eye: DVec3::new(0.0, 1.7, 0.35 * half),
