@@ -208,10 +208,7 @@ fn the_wheel_zooms_towards_the_pointer_and_a_double_click_sets_the_pivot() {
     let at = |p: &str| numbers(&browser.script(&format!("{PROJECT} return project({p})")));
     // The point of the plane through the target that lies under a place of the picture stays there.
     let bar = browser.number("return viewer.canvas.getBoundingClientRect().top");
-    browser.script(
-        "const { eye, target, fov } = viewer.pose, c = viewer.canvas; window.under = [0.5, 0.3, 0]",
-    );
-    let under = numbers(&browser.script("return window.under"));
+    browser.script("viewer.canvas.focus(); window.under = [0.5, 0.3, 0]");
     let before = at("window.under");
     let target_depth = browser
         .number("return Math.hypot(...viewer.pose.eye.map((v, i) => v - viewer.pose.target[i]))");
@@ -222,7 +219,7 @@ fn the_wheel_zooms_towards_the_pointer_and_a_double_click_sets_the_pivot() {
         .number("return Math.hypot(...viewer.pose.eye.map((v, i) => v - viewer.pose.target[i]))");
     assert!(now < 0.7 * target_depth, "{now} of {target_depth}");
     let moved = (after[0] - before[0]).hypot(after[1] - before[1]);
-    assert!(moved < 12.0, "{under:?} went from {before:?} to {after:?}");
+    assert!(moved < 4.0, "it went from {before:?} to {after:?}");
 
     browser.key(keys::HOME);
     still_picture(&browser);
@@ -236,14 +233,14 @@ fn the_wheel_zooms_towards_the_pointer_and_a_double_click_sets_the_pivot() {
     browser.wait_for(
         "the pivot on the ball",
         super::page::PATIENCE,
-        "const [x, y, z] = viewer.pose.target; return Math.abs(Math.hypot(x, y, z) - 1) < 0.01 && Math.hypot(x - 0.45, y - 0.2) < 0.02",
+        "const [x, y, z] = viewer.pose.target; return Math.abs(Math.hypot(x, y, z) - 1) < 0.01 && Math.hypot(x - 0.45, y - 0.2) < 0.04",
     );
     still_picture(&browser);
     let middle = at("[0.45, 0.2, Math.sqrt(1 - 0.45 ** 2 - 0.2 ** 2)]");
     let size =
         numbers(&browser.script("return [viewer.canvas.clientWidth, viewer.canvas.clientHeight]"));
     assert!(
-        (middle[0] - size[0] / 2.0).hypot(middle[1] - size[1] / 2.0) < 8.0,
+        (middle[0] - size[0] / 2.0).hypot(middle[1] - size[1] / 2.0) < 12.0,
         "{middle:?} of {size:?}"
     );
     // Beside everything there is no point to look at.
@@ -283,7 +280,7 @@ fn coordinates_have_the_digits_that_can_be_seen() {
         browser.wait_for(
             "the pose in the panel",
             super::page::PATIENCE,
-            &format!("return viewer.isStill && location.hash.includes('{pose}') && document.getElementById('frame').textContent.includes('eye')"),
+            &format!("return viewer.isStill && '{pose}'.startsWith('eye=' + viewer.pose.eye.join(',') + '&')"),
         );
         browser.text("return [...document.querySelectorAll('#frame dd')].slice(-2).map(e => e.textContent).join(' | ')")
     };
@@ -300,7 +297,9 @@ fn a_frame_that_takes_long_is_said_to_be_on_its_way() {
     let is_busy = "return document.getElementById('view').classList.contains('busy')";
     assert_eq!(browser.script(is_busy), false, "nothing is waited for");
     // Frames are held up on their way through the page.
-    browser.script("window.came = viewer.link.came; viewer.link.came = () => {}");
+    browser.script(
+        "viewer.canvas.focus(); window.came = viewer.link.came; viewer.link.came = () => {}",
+    );
     browser.key(keys::LEFT);
     browser.wait_for("a word about waiting", super::page::PATIENCE, is_busy);
     browser.script("viewer.link.came = window.came; viewer.link.show(false)");
