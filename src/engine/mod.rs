@@ -8,6 +8,7 @@ mod job;
 mod keys;
 mod library;
 mod observe;
+mod priming;
 pub mod queue;
 pub mod receipt;
 mod renderer;
@@ -30,6 +31,7 @@ use serde::Serialize;
 pub use bakes::BakeTicket;
 pub use baking::{BakeEvent, BakeSource, BakedAsset, bake_file};
 pub use observe::Observer;
+pub use priming::PrimeConfig;
 pub use queue::{Class, Client};
 pub use receipt::Receipt;
 pub use renderer::Renderer;
@@ -91,6 +93,8 @@ pub struct EngineConfig {
     pub rasterise: Option<bool>,
     /// Where point trees are kept from one process to the next; `None`: they are built anew.
     pub bake_cache: Option<BakeCache>,
+    /// Which pipelines are built before frames need them; `None`: none are.
+    pub prime: Option<PrimeConfig>,
     pub read: ReadOptions,
     pub scene: SceneLimits,
 }
@@ -274,6 +278,10 @@ pub struct EngineStats {
     pub gpu_bytes_resident: u64,
     pub gpu_ns: u64,
     pub encode_ns: u64,
+    /// Pipelines that a frame had to build or to wait for, on the device in use.
+    pub pipelines_late: u64,
+    /// Pipelines that were built before frames needed them.
+    pub pipelines_primed: u64,
 }
 
 /// A handle on the running engine; clones share it. When the last one is dropped the render thread finishes the jobs it has
@@ -357,6 +365,7 @@ impl EngineConfig {
             rasterise: None,
             large_units_limit: None,
             bake_cache: None,
+            prime: None,
             read: ReadOptions::default(),
             scene: SceneLimits::default(),
         }
@@ -664,6 +673,12 @@ impl Engine {
     #[doc(hidden)]
     pub fn break_render_thread(&self) {
         self.shared().break_render_thread();
+    }
+
+    /// Waits until pipelines have been built ahead or `patience` is over; whether they have been.
+    #[doc(hidden)]
+    pub fn await_primed(&self, patience: Duration) -> bool {
+        self.shared().await_primed(patience)
     }
 
     /// Has the driver refuse the next submission, to see whom that costs a frame.

@@ -13,6 +13,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use super::job::Job;
+use super::priming::Primer;
 use super::queue::Class;
 use super::receipt::{
     InstanceCounts, PassReceipt, Receipt, SampleCounts, SplatCounts, TriangleCounts,
@@ -38,6 +39,8 @@ pub fn run(shared: &Arc<Shared>, opened: impl FnOnce(Result<(), GpuError>)) {
         rasterise: shared.config.rasterise,
         adapter: None,
         max_binding_bytes: shared.config.max_binding_bytes,
+        pipeline_folder: shared.config.prime.as_ref().and_then(|prime| prime.folder.clone()),
+        pipeline_source: crate::passes::shaders::fingerprint(),
     };
     let mut renderer = match open(shared, &options) {
         Ok(renderer) => renderer,
@@ -62,15 +65,22 @@ pub fn run(shared: &Arc<Shared>, opened: impl FnOnce(Result<(), GpuError>)) {
         .collect();
     drop(receiver);
     opened(Ok(()));
+    let mut primer = Primer::start(shared, &renderer);
     loop {
         match serve(shared, &mut renderer, &sender) {
             Stop::Done => break,
             Stop::Lost => match reopen(shared, &options) {
-                Some(fresh) => renderer = fresh,
+                Some(fresh) => {
+                    // The thread that is replaced still has the lost device.
+                    drop(primer);
+                    renderer = fresh;
+                    primer = Primer::start(shared, &renderer);
+                }
                 None => break,
             },
         }
     }
+    drop(primer);
     drop(sender);
     for encoder in encoders.into_iter().flatten() {
         let _ = encoder.join();
@@ -293,6 +303,7 @@ fn publish(shared: &Shared, renderer: &mut Renderer) {
     stats.uploads.store(renderer.residency.uploads(), Ordering::Relaxed);
     let written = renderer.residency.instances_written();
     stats.instances_written.store(written, Ordering::Relaxed);
+    stats.pipelines_late.store(renderer.pipelines.late(), Ordering::Relaxed);
 }
 
 /// Encodes a frame, writes its receipt and answers whoever waits.
