@@ -189,10 +189,6 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     init_log(args.log_format.unwrap_or(LogFormat::Text));
     let root = root(&args)?;
     let address = listen_address(args.listen.as_deref().unwrap_or("127.0.0.1:8080"))?;
-    let claim = match args.no_uploads {
-        Some(true) => None,
-        _ => claim(&root)?,
-    };
     let access = access(&args, address)?;
     let has_keys = matches!(access, Access::Keys(_));
     let settings = settings(&args, root.clone(), access)?;
@@ -202,6 +198,10 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     let is_taken = |error: &std::io::Error| error.kind() == std::io::ErrorKind::AddrInUse;
     let listener = patiently(PATIENCE, is_taken, || TcpListener::bind(address))
         .with_context(|| format!("cannot listen on {address}"))?;
+    let claim = match args.no_uploads {
+        Some(true) => None,
+        _ => claim(&root)?,
+    };
     let engine = Engine::start(engine_config(&args, root)?)?;
     tracing::info!(adapter = engine.adapter(), "engine started");
 

@@ -157,8 +157,8 @@ fn a_key_that_comes_twice_is_refused_where_it_is() {
         (
             "POST",
             "/v1/scenes/grid/frames",
-            r#"{"frames": [{"camera": "front"}, {"w": 8, "h": 8, "w": 9}]}"#,
-            "frames[1].w",
+            r#"{"poses": [{"camera": "front"}, {"camera": "front", "camera": "back"}]}"#,
+            "poses[1].camera",
         ),
         ("POST", "/v1/jobs", r#"{"scene": "grid", "path": "past", "w": 8, "w": 9}"#, "w"),
         (
