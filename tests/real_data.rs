@@ -162,7 +162,7 @@ fn list(root: &Path, folder: &Path, into: &mut BTreeSet<String>) {
 fn request(output: Output, format: ImageFormat) -> FrameRequest {
     FrameRequest {
         scene: "x".to_owned(),
-        pose: Pose::Fit,
+        pose: Pose::FIT,
         width: SIDE,
         height: SIDE,
         settings: Settings::default(),

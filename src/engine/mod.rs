@@ -25,6 +25,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
+use glam::DVec3;
 use serde::Serialize;
 
 pub use bakes::BakeTicket;
@@ -91,6 +92,8 @@ pub struct EngineConfig {
     pub rasterise: Option<bool>,
     /// Where point trees are kept from one process to the next; `None`: they are built anew.
     pub bake_cache: Option<BakeCache>,
+    /// Up of bare asset files, instead of a guess.
+    pub up: Option<DVec3>,
     pub read: ReadOptions,
     pub scene: SceneLimits,
 }
@@ -178,6 +181,8 @@ pub struct SceneInfo {
     pub lights: usize,
     /// Which way is up: what a pose without `up` uses.
     pub up: [f64; 3],
+    /// Why that way is up: a guess names its evidence.
+    pub up_because: String,
     pub warnings: Vec<String>,
 }
 
@@ -188,6 +193,8 @@ pub struct AssetInfo {
     pub samples: u64,
     pub triangles: u64,
     pub has_colors: bool,
+    /// Colours were not in the file and show the intensity.
+    pub shows_intensity: bool,
     pub has_normals: bool,
     /// Normals were not in the file and come from the neighbourhood.
     pub normals_estimated: bool,
@@ -358,6 +365,7 @@ impl EngineConfig {
             large_units_limit: None,
             bake_cache: None,
             read: ReadOptions::default(),
+            up: None,
             scene: SceneLimits::default(),
         }
     }

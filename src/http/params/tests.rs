@@ -27,7 +27,7 @@ fn nothing_given_shows_everything() {
         .unwrap()
         .request("s", ImageFormat::Png, Instant::now())
         .unwrap();
-    assert_eq!((r.pose, r.width, r.height), (Pose::Fit, 1024, 1024));
+    assert_eq!((r.pose, r.width, r.height), (Pose::FIT, 1024, 1024));
 }
 
 #[test]
@@ -78,8 +78,10 @@ fn values_are_checked() {
         ("eye=1,2,3,4&target=0,0,0", "eye"),
         ("eye=1,2,3", "target"),
         ("target=1,2,3", "eye"),
-        ("fov=30", "fov"),
-        ("up=0,0,1", "up"),
+        ("up=w", "up"),
+        ("up=0,1", "up"),
+        ("up=z&up=z", "up"),
+        ("camera=a&up=z", "up"),
         ("fov=30&eye=0,0,1", "target"),
         ("camera=a&fov=30", "fov"),
         ("eye=1,2,3&target=0,0,0&view=1", "view"),
