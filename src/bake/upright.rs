@@ -36,7 +36,7 @@ use crate::math::Bounds;
 mod tests;
 
 /// By how much a negative direction must be better than the best positive one.
-const CLEARLY: f64 = 1.0;
+const CLEARLY: f64 = 1.5;
 /// Evidence of less weight is not mentioned.
 const WORTH_MENTIONING: f64 = 0.25;
 const NAMES: [&str; 3] = ["x", "y", "z"];

@@ -254,3 +254,21 @@ fn defaults_fill_but_do_not_mix_poses() {
     assert!(named.request("s", ImageFormat::Png, Instant::now()).is_ok());
     assert_eq!(json(serde_json::json!({})).or(&defaults), defaults);
 }
+
+#[test]
+fn up_and_fov_apply_to_the_whole_scene() {
+    let pose = |query: &str| request(query).unwrap().pose;
+    assert_eq!(pose("up=z"), Pose::Fit { up: Some(DVec3::Z), fov_deg: None });
+    assert_eq!(pose("up=-y&fov=30"), Pose::Fit { up: Some(DVec3::NEG_Y), fov_deg: Some(30.0) });
+    assert_eq!(pose("up=0,0,2"), Pose::Fit { up: Some(DVec3::Z * 2.0), fov_deg: None });
+    let Pose::Camera(camera) = pose("eye=1,0,0&target=0,0,0&up=z") else { panic!("no camera") };
+    assert_eq!(camera.up, DVec3::Z);
+    let json = |text: &str| {
+        let params = FrameParams::from_json(serde_json::from_str(text).unwrap(), "")?;
+        params.request("s", ImageFormat::Png, Instant::now())
+    };
+    let by_name = json(r#"{ "up": "-x" }"#).unwrap().pose;
+    assert_eq!(by_name, Pose::Fit { up: Some(DVec3::NEG_X), fov_deg: None });
+    let refused = json(r#"{ "up": "w" }"#).unwrap_err();
+    assert!(refused.detail.contains("`w` is no axis"), "{}", refused.detail);
+}
