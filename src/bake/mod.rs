@@ -25,6 +25,7 @@ pub mod hybrid;
 pub mod pack;
 pub mod prepare;
 pub mod tree;
+pub mod upright;
 
 mod colors;
 mod crease;

@@ -201,7 +201,7 @@ mod tests {
 
     fn request(line: &[&str]) -> anyhow::Result<FrameRequest> {
         let line = std::iter::once(&"render").chain(line);
-        Line::parse_from(line).args.request(Pose::Fit, ImageFormat::Png)
+        Line::parse_from(line).args.request(Pose::FIT, ImageFormat::Png)
     }
 
     #[test]

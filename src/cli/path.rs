@@ -60,8 +60,9 @@ pub struct PathArgs {
 /// A scene, path or setting that is refused, no GPU, a folder that cannot be written; being told to stop before the last frame.
 pub fn run(args: PathArgs) -> anyhow::Result<()> {
     super::local::init_log();
+    args.scene.check_up()?;
     // The pose is each frame's own.
-    let request = args.frame.request(Pose::Fit, args.format.format())?;
+    let request = args.frame.request(Pose::FIT, args.format.format())?;
     let target = Target::new(&args)?;
     let (engine, info) = args.scene.load(|_| ())?;
     for warning in &info.warnings {

@@ -36,11 +36,8 @@ pub struct RenderArgs {
     /// What the eye looks at
     #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, requires = "eye")]
     target: Option<DVec3>,
-    /// Which way is up [default: as the scene has it]
-    #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, requires = "eye")]
-    up: Option<DVec3>,
     /// Vertical field of view in degrees [default: 40]
-    #[arg(long, value_name = "DEG", requires = "eye")]
+    #[arg(long, value_name = "DEG")]
     fov: Option<f64>,
     #[command(flatten)]
     frame: FrameArgs,
@@ -91,9 +88,12 @@ impl RenderArgs {
         if let Some(name) = &self.camera {
             return Pose::Named(name.clone());
         }
-        let (Some(eye), Some(target)) = (self.eye, self.target) else { return Pose::Fit };
+        let up = self.scene.up();
+        let (Some(eye), Some(target)) = (self.eye, self.target) else {
+            return Pose::Fit { up, fov_deg: self.fov };
+        };
         let fov_deg = self.fov.unwrap_or(DEFAULT_FOV_DEG);
-        match self.up {
+        match up {
             Some(up) => Pose::Camera(Camera { eye, target, up, fov_deg }),
             None => Pose::Upright { eye, target, fov_deg },
         }
@@ -185,7 +185,7 @@ mod tests {
 
     #[test]
     fn poses() {
-        assert_eq!(parse(&["-o", "a.png"]).unwrap().pose(), Pose::Fit);
+        assert_eq!(parse(&["-o", "a.png"]).unwrap().pose(), Pose::FIT);
         let args = parse(&["-o", "a.png", "--eye", "-1,2,3e2", "--target=0,0,0"]).unwrap();
         let eye = DVec3::new(-1.0, 2.0, 300.0);
         assert_eq!(args.pose(), Pose::Upright { eye, target: DVec3::ZERO, fov_deg: 40.0 });
@@ -194,6 +194,10 @@ mod tests {
         ]);
         let Pose::Camera(camera) = args.unwrap().pose() else { panic!("not a camera") };
         assert_eq!((camera.up, camera.fov_deg), (DVec3::Z, 9.0));
+        let upright = parse(&["-o", "a.png", "--up", "-z", "--fov", "30"]).unwrap().pose();
+        assert_eq!(upright, Pose::Fit { up: Some(DVec3::NEG_Z), fov_deg: Some(30.0) });
+        assert!(parse(&["-o", "a.png", "--up", "w"]).unwrap_err().contains("x, y, z, -x"));
+        assert!(parse(&["-o", "a.png", "--camera", "x", "--up", "z"]).is_err());
         assert!(parse(&["-o", "a.png", "--camera", "x", "--fov", "9"]).is_err());
         assert!(parse(&["-o", "a.png", "--eye", "1,0,0"]).unwrap_err().contains("--target"));
         assert!(

@@ -28,6 +28,7 @@ use crate::http::access::{Access, Reread, parse_keys};
 use crate::http::server::serve;
 use crate::http::{App, Settings, StreamLimits, WatchLimits, nearest};
 use crate::memory::{self, HostMemory};
+use crate::scene::Up;
 
 mod claim;
 mod files;
@@ -56,6 +57,9 @@ pub struct ServeArgs {
     /// Scene or asset file to load at the start, relative to the root; may be repeated [default: every *.json directly in the root, or every asset file where there is none]
     #[arg(long, env = "POINTILLIST_SCENE", value_name = "FILE", value_delimiter = ',')]
     pub scene: Vec<PathBuf>,
+    /// Which way is up in files of points or triangles: x, y, z, -x, -y, -z or X,Y,Z [default: as each file suggests]
+    #[arg(long, env = "POINTILLIST_UP", value_name = "AXIS", allow_hyphen_values = true)]
+    pub up: Option<Up>,
     /// Scene data that may stay on the GPU, in MiB [default: three quarters of what the adapter offers, at most 4096]
     #[arg(long, env = "POINTILLIST_GPU_BUDGET_MIB", value_name = "MIB")]
     pub gpu_budget_mib: Option<u64>,
@@ -281,6 +285,7 @@ impl ServeArgs {
             listen: self.listen.or(lower.listen),
             root: self.root.or(lower.root),
             scene: list(self.scene, lower.scene),
+            up: self.up.or(lower.up),
             gpu_budget_mib: self.gpu_budget_mib.or(lower.gpu_budget_mib),
             host_memory_mib: self.host_memory_mib.or(lower.host_memory_mib),
             cache: self.cache.or(lower.cache),
@@ -446,6 +451,7 @@ fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig
         max_pixels: number("max-pixels", args.max_pixels, default.max_pixels, 1)?,
         max_side: number("max-side", args.max_side, default.max_side, 1)?,
         force_32_bit: args.force_32_bit == Some(true),
+        up: args.up.map(|Up(up)| up),
         ..default
     })
 }

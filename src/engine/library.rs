@@ -13,13 +13,15 @@ use sha2::{Digest, Sha256};
 use super::keys::{AssetKey, AssetKeys, digest_file, digest_packed};
 use super::trees::TreeScene;
 use super::{AssetInfo, EngineConfig, EngineError, NamedCamera, NodePatch, SceneInfo};
+use crate::assets::warnings::condensed;
 use crate::assets::{AssetError, Geometry, Placement};
 use crate::bake::CUTOFF;
 use crate::bake::assemble::{AssembleError, Assembler, Prepared};
 use crate::bake::pack::{PackedAsset, PackedGeometry, pack_mesh, pack_samples, pack_texture};
-use crate::bake::prepare::{self, AssetTraits};
+use crate::bake::prepare::{self, AssetTraits, Outlook};
 use crate::bake::tree::Above;
-use crate::math::{Bounds, Camera};
+use crate::bake::upright::Shape;
+use crate::math::{Bounds, Camera, CameraError, SensorView};
 use crate::plan::SceneFacts;
 use crate::residency::instances::{Instances, RunMeter};
 use crate::residency::model::{AssetModel, Extent, ModelInstance, SceneModel};
@@ -56,6 +58,8 @@ struct CachedAsset {
     model: Weak<AssetModel>,
     placements: Arc<Vec<Placement>>,
     cameras: Vec<(String, Camera)>,
+    sensor: Option<SensorView>,
+    shape: Option<Shape>,
     warnings: Vec<String>,
 }
 
@@ -64,6 +68,9 @@ struct ReadAsset {
     model: Arc<AssetModel>,
     placements: Arc<Vec<Placement>>,
     cameras: Vec<(String, Camera)>,
+    sensor: Option<SensorView>,
+    /// Only measured for bare assets.
+    shape: Option<Shape>,
     warnings: Vec<String>,
     digest: [u8; 32],
 }
@@ -147,6 +154,8 @@ pub fn load(
     let mut assets = Vec::new();
     let mut placements = Vec::new();
     let mut warnings = Vec::new();
+    let mut outlook = Outlook { up: config.up, ..Outlook::default() };
+    let mut shape = None;
     let mut options = config.read.clone();
     options.root.get_or_insert_with(|| config.root.clone());
     let mut assembler = Assembler::new(path, &description, &options);
@@ -158,20 +167,24 @@ pub fn load(
         let asset = if operands_only[index] {
             pack_asset(reference, assembler.asset(index)?, key.digest)?
         } else {
-            read_asset(reference, index, &mut assembler, key, cache)?
+            read_asset(reference, index, &mut assembler, key, cache, !is_scene)?
         };
         hasher.update(asset.digest);
-        warnings.extend(asset.warnings.iter().map(|text| format!("{}: {text}", reference.name)));
+        warnings.extend(asset.warnings.iter().map(|text| (reference.name.clone(), text.clone())));
         if description.cameras.is_empty() {
             description.cameras.extend(asset.cameras.iter().cloned());
         }
+        shape = shape.or(asset.shape);
+        outlook.sensor = outlook.sensor.or(asset.sensor);
         assets.push(asset.model);
         placements.push(asset.placements);
     }
     if !is_scene {
         let traits: Vec<AssetTraits> = assets.iter().map(|asset| asset.traits()).collect();
-        prepare::adapt_bare_asset(&mut description, &traits);
+        outlook.shape = shape.as_ref();
+        prepare::adapt_bare_asset(&mut description, &traits, &outlook);
     }
+    let mut warnings = condensed(warnings);
     let splats = &description.splats;
     if f64::from(splats.cutoff) * f64::from(splats.width) < f64::from(CUTOFF) {
         warnings.push(format!(
@@ -218,15 +231,20 @@ fn read_asset(
     assembler: &mut Assembler,
     AssetKey { digest, alone }: AssetKey,
     cache: &AssetCache,
+    is_bare: bool,
 ) -> Result<ReadAsset, EngineError> {
     if alone
         && let Some(found) = cache.assets.lock().get(&digest)
         && let Some(model) = found.model.upgrade()
+        // A scene file does not measure what it draws.
+        && (found.shape.is_some() || !is_bare)
     {
         return Ok(ReadAsset {
             model,
             placements: found.placements.clone(),
             cameras: found.cameras.clone(),
+            sensor: found.sensor,
+            shape: found.shape,
             warnings: found.warnings.clone(),
             digest,
         });
@@ -246,6 +264,8 @@ fn read_asset(
             model: Arc::downgrade(&read.model),
             placements: read.placements.clone(),
             cameras: read.cameras.clone(),
+            sensor: read.sensor,
+            shape: read.shape,
             warnings: read.warnings.clone(),
         },
     );
@@ -254,7 +274,7 @@ fn read_asset(
 
 fn pack_asset(
     reference: &AssetRef,
-    Prepared { mut asset, traits }: Prepared,
+    Prepared { mut asset, traits, shape }: Prepared,
     digest: [u8; 32],
 ) -> Result<ReadAsset, EngineError> {
     let mut geometries = Vec::with_capacity(asset.geometries.len());
@@ -282,6 +302,7 @@ fn pack_asset(
         packed: PackedAsset { geometries, materials: asset.materials, textures },
         bounds,
         has_colors: traits.has_colors,
+        shows_intensity: traits.shows_intensity,
         has_normals: traits.has_normals,
         normals_estimated: traits.normals_estimated,
         beside: Vec::new(),
@@ -291,6 +312,8 @@ fn pack_asset(
         model: Arc::new(model),
         placements: Arc::new(asset.placements),
         cameras: asset.cameras,
+        sensor: asset.sensor,
+        shape,
         warnings: asset.warnings,
         digest,
     })
@@ -451,6 +474,7 @@ fn describe(
                     samples,
                     triangles,
                     has_colors: asset.has_colors,
+                    shows_intensity: asset.shows_intensity,
                     has_normals: asset.has_normals,
                     normals_estimated: asset.normals_estimated,
                 }
@@ -472,6 +496,7 @@ fn describe(
             .collect(),
         lights: model.lights.len(),
         up: if model.up == DVec3::ZERO { DVec3::Y } else { model.up }.into(),
+        up_because: description.up_because.clone(),
         warnings,
     }
 }
@@ -534,21 +559,46 @@ impl Loaded {
         if self.model.up == DVec3::ZERO { DVec3::Y } else { self.model.up }
     }
 
-    /// A camera that sees the whole scene from its front, a little from the right and above.
-    pub fn fit(&self, aspect: f64) -> Camera {
+    /// A camera that sees the whole scene, from where the sensor stood that took it, or else from its front, a little from the
+    /// right and above. Without an `up` it is upright as the scene is.
+    ///
+    /// # Errors
+    /// An `up` that is zero or not finite; a field of view outside (0, 180).
+    pub fn fit(
+        &self,
+        aspect: f64,
+        up: Option<DVec3>,
+        fov_deg: Option<f64>,
+    ) -> Result<Camera, CameraError> {
         const FOV_DEG: f64 = 40.0;
         // What the scene may take of half the frame.
         const PART: f64 = 0.94;
-        let up = self.up();
-        let up = up / up.length();
+        // Neither depends on where the eye is.
+        let anywhere = Camera {
+            eye: DVec3::ZERO,
+            target: DVec3::ONE,
+            up: up.unwrap_or_else(|| self.up()),
+            fov_deg: fov_deg.unwrap_or(FOV_DEG),
+        };
+        anywhere.view(1, 1)?;
+        let Camera { up: given_up, fov_deg: field_deg, .. } = anywhere;
+        if let (Some(sensor), None) = (&self.description.sensor, up) {
+            let seen = sensor.camera_for(aspect);
+            return Ok(Camera { fov_deg: fov_deg.unwrap_or(seen.fov_deg), ..seen });
+        }
+        let up = given_up / given_up.length();
         // The front of a y-up scene is +z, of a z-up scene −y.
-        let front = if up.z.abs() > up.y.abs() { -DVec3::Y } else { DVec3::Z };
+        let front = if up.z.abs() > up.y.abs() {
+            -DVec3::Y * up.z.signum()
+        } else {
+            DVec3::Z * if up.y < 0.0 { -1.0 } else { 1.0 }
+        };
         let backward = front * 0.82 + up.cross(front) * 0.42 + up * 0.38;
         let backward = backward / backward.length();
         let right = up.cross(backward);
         let right = right / right.length();
         let above = backward.cross(right);
-        let tan_y = (0.5 * FOV_DEG).to_radians().tan() * PART;
+        let tan_y = (0.5 * field_deg).to_radians().tan() * PART;
         let tan_x = tan_y * aspect;
         let centre = self.extent.bounds.centre();
         // The nearest eye whose pyramid holds every corner of the box.
@@ -560,7 +610,7 @@ impl Loaded {
             let needed = (v.dot(right).abs() / tan_x).max(v.dot(above).abs() / tan_y);
             distance.max(v.dot(backward) + needed)
         });
-        Camera { eye: centre + backward * distance, target: centre, up, fov_deg: FOV_DEG }
+        Ok(Camera { eye: centre + backward * distance, target: centre, up, fov_deg: field_deg })
     }
 }
 

@@ -26,6 +26,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
+use glam::DVec3;
 use serde::Serialize;
 
 pub use bakes::BakeTicket;
@@ -98,6 +99,8 @@ pub struct EngineConfig {
     pub bake_cache: Option<BakeCache>,
     /// Which pipelines are built before frames need them; `None`: none are.
     pub prime: Option<PrimeConfig>,
+    /// Up of bare asset files, instead of a guess.
+    pub up: Option<DVec3>,
     pub read: ReadOptions,
     pub scene: SceneLimits,
 }
@@ -191,6 +194,8 @@ pub struct SceneInfo {
     pub lights: usize,
     /// Which way is up: what a pose without `up` uses.
     pub up: [f64; 3],
+    /// Why that way is up: a guess names its evidence.
+    pub up_because: String,
     pub warnings: Vec<String>,
 }
 
@@ -201,6 +206,8 @@ pub struct AssetInfo {
     pub samples: u64,
     pub triangles: u64,
     pub has_colors: bool,
+    /// Colours were not in the file and show the intensity.
+    pub shows_intensity: bool,
     pub has_normals: bool,
     /// Normals were not in the file and come from the neighbourhood.
     pub normals_estimated: bool,
@@ -377,6 +384,7 @@ impl EngineConfig {
             bake_cache: None,
             prime: None,
             read: ReadOptions::default(),
+            up: None,
             scene: SceneLimits::default(),
         }
     }

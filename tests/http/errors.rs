@@ -16,6 +16,7 @@ fn refusals_of_frames() {
         ("eye=1,2&target=0,0,0", "bad-parameter", "eye"),
         ("eye=1,2,3&target=1,2,3", "bad-parameter", "target"),
         ("eye=0,0,1&target=0,0,0&up=0,0,0", "bad-parameter", "up"),
+        ("up=w", "bad-parameter", "up"),
         ("eye=0,0,1&target=0,0,0&fov=180", "bad-parameter", "fov"),
         ("camera=front&fov=20", "bad-parameter", "fov"),
         ("camera=nobody", "bad-parameter", "camera"),

@@ -408,3 +408,28 @@ fn level_of_detail_and_its_receipt() {
     assert_eq!(full.receipt()["max_error_px"], Value::Null);
     assert_eq!(full.receipt()["samples"]["accepted"], Value::Null);
 }
+
+#[test]
+fn up_and_fov_alone_turn_and_widen_the_default_view() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let camera = |query: &str| {
+        let reply = client.get(&format!("/v1/scenes/grid/frame?w=32&h=32{query}"));
+        assert_eq!(reply.status, 200, "{}", reply.text());
+        reply.receipt()["camera"].clone()
+    };
+    let usual = camera("");
+    let turned = camera("&up=z");
+    assert_eq!(turned["up"], json!([0.0, 0.0, 1.0]));
+    assert_ne!(turned["eye"], usual["eye"]);
+    assert_eq!(camera("&up=0,0,1"), turned);
+    let wide = camera("&fov=80");
+    assert_eq!(wide["fov_deg"], json!(80.0));
+    assert_eq!(wide["up"], usual["up"]);
+    let reply = client.post_json("/v1/scenes/grid/frames", &json!({ "w": 32, "h": 32, "up": "-z", "poses": [{}] }));
+    assert_eq!(reply.status, 200, "{}", reply.text());
+    for (query, parameter) in [("up=0,0,0", "up"), ("up=w", "up"), ("fov=180", "fov"), ("fov=0", "fov")] {
+        let problem = client.get(&format!("/v1/scenes/grid/frame?{query}"));
+        assert_eq!((problem.status, problem.json()["parameter"].as_str()), (422, Some(parameter)), "{query}");
+    }
+}
