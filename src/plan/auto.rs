@@ -49,8 +49,12 @@ pub enum Reason {
     Dense,
     /// Samples leave pixels empty.
     Sparse,
+    /// Nodes of point trees are as small as pixels.
+    Fine,
     /// Nodes of point trees leave pixels empty, since errors of so many pixels are accepted.
-    Coarse,
+    Coarse {
+        max_error_px: f32,
+    },
 }
 
 impl Choice {
@@ -73,7 +77,10 @@ impl Choice {
             Reason::NoKernels => "kernels are not estimated yet".to_owned(),
             Reason::NothingInView => "no sample is in view".to_owned(),
             Reason::Dense | Reason::Sparse => apart(),
-            Reason::Coarse => format!("{}, nodes up to the accepted error", apart()),
+            Reason::Fine => "nodes of point trees are as small as pixels".to_owned(),
+            Reason::Coarse { max_error_px } => {
+                format!("nodes of point trees may be {max_error_px} px wide")
+            }
         }
     }
 }
@@ -85,8 +92,10 @@ pub fn choose(grounds: &Grounds) -> Choice {
         _ if !grounds.has_samples => (Reconstruct::Points, Reason::NoSamples),
         _ if !grounds.has_kernels => (Reconstruct::Points, Reason::NoKernels),
         Some(px) if px > DENSE_PX => (Reconstruct::Splats, Reason::Sparse),
-        _ if coarse => (Reconstruct::Splats, Reason::Coarse),
+        _ if coarse => (Reconstruct::Splats, Reason::Coarse { max_error_px: grounds.max_error_px }),
         Some(_) => (Reconstruct::Points, Reason::Dense),
+        // Of meshes trees have all the samples that can be told apart.
+        None if grounds.lod == Lod::Spt => (Reconstruct::Points, Reason::Fine),
         None => (Reconstruct::Points, Reason::NothingInView),
     };
     Choice { reconstruct, spacing_px: grounds.spacing_px, reason }
@@ -205,7 +214,10 @@ mod tests {
         let early = Grounds { has_kernels: false, ..grounds(Some(9.0)) };
         assert_eq!(drawn(&early), (Reconstruct::Points, Reason::NoKernels));
         let coarse = Grounds { lod: Lod::Spt, max_error_px: 4.0, ..grounds(Some(0.1)) };
-        assert_eq!(drawn(&coarse), (Reconstruct::Splats, Reason::Coarse));
+        let reason = Reason::Coarse { max_error_px: 4.0 };
+        assert_eq!(drawn(&coarse), (Reconstruct::Splats, reason));
+        let of_mesh = Grounds { lod: Lod::Spt, ..grounds(None) };
+        assert_eq!(drawn(&of_mesh), (Reconstruct::Points, Reason::Fine));
         let fine = Grounds { max_error_px: 1.0, ..coarse };
         assert_eq!(drawn(&fine), (Reconstruct::Points, Reason::Dense));
     }
@@ -213,6 +225,8 @@ mod tests {
     #[test]
     fn reasons_have_figures() {
         let because = |px| choose(&grounds(Some(px))).because();
+        let coarse = Grounds { lod: Lod::Spt, max_error_px: 2.5, ..grounds(None) };
+        assert_eq!(choose(&coarse).because(), "nodes of point trees may be 2.5 px wide");
         assert_eq!(because(3.21), "samples lie 3.2 px apart at the median");
         assert_eq!(because(0.512), "samples lie 0.51 px apart at the median");
         assert_eq!(because(0.0123), "samples lie 0.012 px apart at the median");
