@@ -19,6 +19,7 @@ use crate::bake::CUTOFF;
 use crate::bake::assemble::{AssembleError, Assembler, Prepared};
 use crate::bake::pack::{PackedAsset, PackedGeometry, pack_mesh, pack_samples, pack_texture};
 use crate::bake::prepare::{self, AssetTraits, Outlook};
+use crate::bake::spacing::Patch;
 use crate::bake::tree::Above;
 use crate::bake::upright::Shape;
 use crate::math::{Bounds, Camera, CameraError, SensorView};
@@ -26,6 +27,7 @@ use crate::plan::SceneFacts;
 use crate::residency::instances::{Instances, RunMeter};
 use crate::residency::model::{AssetModel, Extent, ModelInstance, SceneModel};
 use crate::residency::once::MadeOnce;
+use crate::residency::spacing;
 use crate::scene::{AssetRef, CameraPath, Light, Node, Scene, SceneError};
 
 static NEXT_UID: AtomicU64 = AtomicU64::new(1);
@@ -41,6 +43,8 @@ pub struct Loaded {
     pub facts: SceneFacts,
     pub extent: Extent,
     pub info: SceneInfo,
+    /// See [`Loaded::patches`].
+    patches: OnceLock<Vec<Patch>>,
     /// Hash of the description and of every file's content.
     pub digest: [u8; 32],
     description: Scene,
@@ -415,6 +419,7 @@ fn build(
         model: Arc::new(model),
         extent,
         info,
+        patches: OnceLock::new(),
         digest,
         description,
         nodes,
@@ -552,6 +557,11 @@ impl Loaded {
                 self.info.paths.join(", ")
             },
         })
+    }
+
+    /// Where its samples are and how far apart, measured when it is first asked for.
+    pub fn patches(&self) -> &[Patch] {
+        self.patches.get_or_init(|| spacing::patches(&self.model))
     }
 
     /// Which way is up.

@@ -44,7 +44,7 @@ use crate::assets::{AssetError, ReadOptions};
 use crate::bake::cache::BakeCache;
 use crate::math::Camera;
 use crate::memory::{HostMemory, Interrupt};
-use crate::plan::Lod;
+use crate::plan::{Lod, Reconstruct};
 use crate::residency::Part;
 use crate::scene::{CameraPath, SceneError, SceneLimits};
 
@@ -638,6 +638,11 @@ impl Engine {
     pub fn scene_mark(&self, id: &str) -> Option<SceneMark> {
         let loaded = self.shared().library.read().get(id)?;
         Some(SceneMark { uid: loaded.model.uid, revision: loaded.model.revision })
+    }
+
+    /// What samples of a frame would be drawn as: a request may leave it open.
+    pub fn drawn_as(&self, request: &FrameRequest) -> Result<Reconstruct, EngineError> {
+        Ok(resolve::resolve(self.shared(), request)?.drawing.reconstruct)
     }
 
     /// The plan that a request would follow, and what it was planned from.

@@ -23,7 +23,7 @@ use super::shared::{Adapter, Flying, Phase, Shared};
 use super::trace::FrameSpans;
 use super::{EncodedFrame, EngineError};
 use crate::gpu::{GpuError, GpuOptions};
-use crate::plan::{Pass, UsedSettings};
+use crate::plan::{Pass, Reconstruct, UsedSettings};
 use crate::residency::layout::GpuStats;
 use crate::residency::layout::MOST_ROWS;
 
@@ -390,6 +390,9 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
                 .then_some(job.request.settings.error_mode),
             paint: resolved.model.trees.then_some(job.request.settings.paint),
             reconstruct: drawing.reconstruct,
+            asked: resolved.auto.map(|_| Reconstruct::Auto),
+            because: resolved.auto.map(|choice| choice.because()),
+            spacing_px: resolved.auto.and_then(|choice| choice.spacing_px),
             instead_because: drawing.instead_because,
             splats: drawing.splats,
         },
