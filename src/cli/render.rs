@@ -127,6 +127,9 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     if let Some(file) = &args.receipt {
         write(file, &serde_json::to_vec_pretty(&median.receipt)?)?;
     }
+    if let Some(why) = &median.receipt.nothing_visible {
+        say!("warning: nothing is visible: {why}");
+    }
     say!(
         "{}: {}, loaded in {:.2} s; {}",
         if args.is_to_stdout() { "standard output".into() } else { args.file.to_string_lossy() },

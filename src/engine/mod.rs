@@ -3,6 +3,7 @@
 pub mod bakes;
 mod baking;
 mod crowd;
+mod framing;
 mod group;
 mod job;
 mod keys;

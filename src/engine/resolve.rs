@@ -184,7 +184,7 @@ fn pose(loaded: &Loaded, request: &FrameRequest) -> Result<(View, CameraReceipt)
         Pose::Named(name) => {
             let cameras = &loaded.model.cameras;
             let found = cameras.iter().find(|(known, _)| known == name);
-            found.map(|(_, camera)| *camera).ok_or_else(|| {
+            found.map(|(_, camera)| camera.for_frame(width, height)).ok_or_else(|| {
                 let known: Vec<&str> = cameras.iter().map(|(name, _)| name.as_str()).collect();
                 EngineError::BadParameter {
                     parameter: "camera",

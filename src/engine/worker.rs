@@ -12,6 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use super::framing;
 use super::job::Job;
 use super::priming::Primer;
 use super::queue::Class;
@@ -23,7 +24,12 @@ use super::shared::{Adapter, Flying, Phase, Shared};
 use super::trace::FrameSpans;
 use super::{EncodedFrame, EngineError};
 use crate::gpu::{GpuError, GpuOptions};
+<<<<<<< HEAD
 use crate::plan::{Pass, Reconstruct, UsedSettings};
+=======
+use crate::passes::srgb8;
+use crate::plan::{Pass, UsedSettings};
+>>>>>>> part-view
 use crate::residency::layout::GpuStats;
 use crate::residency::layout::MOST_ROWS;
 
@@ -352,6 +358,14 @@ fn accepted(stats: &GpuStats) -> u64 {
     [stats.nodes_drawn, stats.splats_listed, stats.splats_scattered].map(u64::from).iter().sum()
 }
 
+/// Why a frame shows nothing, where it does.
+fn nothing_visible(drawn: &Drawn) -> Option<String> {
+    let resolved = &drawn.job.resolved;
+    let background = srgb8(resolved.model.background).to_le_bytes();
+    let is_blank = drawn.stats.pixels_of_samples == 0 && drawn.image.is_blank(background);
+    is_blank.then(|| framing::why_nothing(&resolved.extent.bounds, &resolved.view))
+}
+
 fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
     let job = &drawn.job;
     let resolved = &job.resolved;
@@ -399,6 +413,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         max_error_px: resolved.model.trees.then(|| job.request.settings.max_error.px()),
         estimated_error_px: None,
         passes,
+        nothing_visible: nothing_visible(drawn),
         gpu_ns: drawn.gpu_ns,
         queue_ns: drawn.queue.as_nanos() as u64,
         record_ns: drawn.record.as_nanos() as u64,

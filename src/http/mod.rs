@@ -377,6 +377,7 @@ fn cors(origins: &[String]) -> Option<CorsLayer> {
                 header::LOCATION,
                 HeaderName::from_static("server-timing"),
                 frame::RECEIPT_HEADER,
+                frame::WARNING_HEADER,
                 naming::REQUEST_ID,
             ]),
     )

@@ -37,7 +37,8 @@ const MAX_DEADLINE_MS: f64 = 3_600_000.0;
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct FrameParams {
-    /// A camera that the scene names.
+    /// A camera that the scene names. In a frame that is higher than wide its field of view is that of the width, up to a
+    /// vertical one of 100 degrees, so that such a frame shows as much from side to side as a square one.
     pub camera: Option<String>,
     /// Where the eye is, in world space: `x,y,z`.
     #[param(style = Form, explode = false)]

@@ -14,6 +14,7 @@ mod crowds;
 mod determinism;
 mod extremes;
 mod hard_scenes;
+mod framing;
 mod hidden;
 mod large_triangles;
 mod limits;

@@ -16,6 +16,24 @@ fn decode(reply: &Reply) -> (image::RgbaImage, (u32, u32)) {
 }
 
 #[test]
+fn a_frame_of_nothing_warns() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let seen = client.get(FRAME);
+    assert_eq!(seen.header("pointillist-warning"), None);
+    assert_eq!(seen.receipt()["nothing_visible"], Value::Null);
+    let behind = client.get("/v1/scenes/grid/frame?eye=0,0,3&target=0,0,9&w=96&h=64");
+    assert_eq!(behind.status, 200);
+    let warning = behind.header("pointillist-warning").unwrap();
+    assert!(
+        warning.starts_with("nothing is visible: the scene lies behind the camera"),
+        "{warning}"
+    );
+    let why = behind.receipt()["nothing_visible"].clone();
+    assert!(warning.ends_with(why.as_str().unwrap()), "{why}");
+}
+
+#[test]
 fn a_frame_and_its_receipt() {
     let daemon = Daemon::start(&[]);
     let client = daemon.client();
