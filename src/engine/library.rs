@@ -196,11 +196,8 @@ pub fn load(
         outlook.shape = shape.as_ref();
         prepare::adapt_bare_asset(&mut description, &traits, &outlook);
     }
-<<<<<<< HEAD
     let mut warnings = condensed(warnings);
-=======
     warnings.extend(assets.iter().filter_map(|asset| strays(asset)));
->>>>>>> part-view
     let splats = &description.splats;
     if f64::from(splats.cutoff) * f64::from(splats.width) < f64::from(CUTOFF) {
         warnings.push(format!(

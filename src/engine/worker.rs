@@ -24,12 +24,8 @@ use super::shared::{Adapter, Flying, Phase, Shared};
 use super::trace::FrameSpans;
 use super::{EncodedFrame, EngineError};
 use crate::gpu::{GpuError, GpuOptions};
-<<<<<<< HEAD
-use crate::plan::{Pass, Reconstruct, UsedSettings};
-=======
 use crate::passes::srgb8;
-use crate::plan::{Pass, UsedSettings};
->>>>>>> part-view
+use crate::plan::{Pass, Reconstruct, UsedSettings};
 use crate::residency::layout::GpuStats;
 use crate::residency::layout::MOST_ROWS;
 

@@ -33,14 +33,9 @@ pub mod shaders;
 mod slabs;
 mod uniforms;
 
-<<<<<<< HEAD
-pub use frame::{FrameTask, frame_record};
+pub use frame::{FrameTask, frame_record, srgb8};
 pub use pipelines::{Pipelines, Variant, common, read_variants, write_variants};
 pub use prime::Prime;
-=======
-pub use frame::{FrameTask, frame_record, srgb8};
-pub use pipelines::Pipelines;
->>>>>>> part-view
 pub use record::record;
 pub use recorder::{Context, PassSpan};
 pub use scratch::{LAYERS_BYTES, Scratch};
