@@ -622,7 +622,6 @@ impl Loaded {
         let outline = self.outline.get_or_init(|| SceneOutline::of(&self.model));
         Ok(outline.camera(anywhere.up, anywhere.fov_deg, aspect))
     }
-    }
 }
 
 /// Absolute and inside the root, or why not.
