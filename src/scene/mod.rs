@@ -162,10 +162,10 @@ pub enum Light {
 }
 
 impl Light {
-    /// Lights of a scene that names none: a headlight (0.72) and ambient light (0.08). White that faces the eye stays below
+    /// Lights of a scene that names none: a headlight (0.63) and ambient light (0.07). White that faces the eye stays below
     /// white, so that its shape is seen.
     pub fn default_pair() -> [Light; 2] {
-        [Light::Headlight { color: [0.72; 3] }, Light::Ambient { color: [0.08; 3] }]
+        [Light::Headlight { color: [0.63; 3] }, Light::Ambient { color: [0.07; 3] }]
     }
 }
 

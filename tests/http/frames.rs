@@ -426,10 +426,19 @@ fn up_and_fov_alone_turn_and_widen_the_default_view() {
     let wide = camera("&fov=80");
     assert_eq!(wide["fov_deg"], json!(80.0));
     assert_eq!(wide["up"], usual["up"]);
-    let reply = client.post_json("/v1/scenes/grid/frames", &json!({ "w": 32, "h": 32, "up": "-z", "poses": [{}] }));
+    let reply = client.post_json(
+        "/v1/scenes/grid/frames",
+        &json!({ "w": 32, "h": 32, "up": "-z", "poses": [{}] }),
+    );
     assert_eq!(reply.status, 200, "{}", reply.text());
-    for (query, parameter) in [("up=0,0,0", "up"), ("up=w", "up"), ("fov=180", "fov"), ("fov=0", "fov")] {
+    for (query, parameter) in
+        [("up=0,0,0", "up"), ("up=w", "up"), ("fov=180", "fov"), ("fov=0", "fov")]
+    {
         let problem = client.get(&format!("/v1/scenes/grid/frame?{query}"));
-        assert_eq!((problem.status, problem.json()["parameter"].as_str()), (422, Some(parameter)), "{query}");
+        assert_eq!(
+            (problem.status, problem.json()["parameter"].as_str()),
+            (422, Some(parameter)),
+            "{query}"
+        );
     }
 }
