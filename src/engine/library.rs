@@ -21,7 +21,7 @@ use crate::bake::pack::{PackedAsset, PackedGeometry, pack_mesh, pack_samples, pa
 use crate::bake::prepare::{self, AssetTraits, Outlook};
 use crate::bake::tree::Above;
 use crate::bake::upright::Shape;
-use crate::math::{Bounds, Camera, CameraError, SensorView};
+use crate::math::{Bounds, Camera, CameraError, Sensor};
 use crate::plan::SceneFacts;
 use crate::residency::instances::{Instances, RunMeter};
 use crate::residency::model::{AssetModel, Extent, ModelInstance, SceneModel};
@@ -58,7 +58,7 @@ struct CachedAsset {
     model: Weak<AssetModel>,
     placements: Arc<Vec<Placement>>,
     cameras: Vec<(String, Camera)>,
-    sensor: Option<SensorView>,
+    sensor: Option<Sensor>,
     shape: Option<Shape>,
     warnings: Vec<String>,
 }
@@ -68,7 +68,7 @@ struct ReadAsset {
     model: Arc<AssetModel>,
     placements: Arc<Vec<Placement>>,
     cameras: Vec<(String, Camera)>,
-    sensor: Option<SensorView>,
+    sensor: Option<Sensor>,
     /// Only measured for bare assets.
     shape: Option<Shape>,
     warnings: Vec<String>,
@@ -567,7 +567,7 @@ impl Loaded {
     pub fn fit(
         &self,
         aspect: f64,
-        up: Option<DVec3>,
+        up_given: Option<DVec3>,
         fov_deg: Option<f64>,
     ) -> Result<Camera, CameraError> {
         const FOV_DEG: f64 = 40.0;
@@ -577,22 +577,23 @@ impl Loaded {
         let anywhere = Camera {
             eye: DVec3::ZERO,
             target: DVec3::ONE,
-            up: up.unwrap_or_else(|| self.up()),
+            up: up_given.unwrap_or_else(|| self.up()),
             fov_deg: fov_deg.unwrap_or(FOV_DEG),
         };
         anywhere.view(1, 1)?;
-        let Camera { up: given_up, fov_deg: field_deg, .. } = anywhere;
-        if let (Some(sensor), None) = (&self.description.sensor, up) {
+        let Camera { up, fov_deg: field_deg, .. } = anywhere;
+        if let (Some(sensor), None) = (&self.description.sensor, up_given) {
             let seen = sensor.camera_for(aspect);
             return Ok(Camera { fov_deg: fov_deg.unwrap_or(seen.fov_deg), ..seen });
         }
-        let up = given_up / given_up.length();
-        // The front of a y-up scene is +z, of a z-up scene −y.
-        let front = if up.z.abs() > up.y.abs() {
+        let up = up / up.length();
+        // The front of a y-up scene is +z, of a z-up scene −y, unless a scanner saw another side.
+        let usual = if up.z.abs() > up.y.abs() {
             -DVec3::Y * up.z.signum()
         } else {
             DVec3::Z * if up.y < 0.0 { -1.0 } else { 1.0 }
         };
+        let front = self.description.front.filter(|_| up_given.is_none()).unwrap_or(usual);
         let backward = front * 0.82 + up.cross(front) * 0.42 + up * 0.38;
         let backward = backward / backward.length();
         let right = up.cross(backward);

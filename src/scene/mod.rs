@@ -54,8 +54,10 @@ pub struct Scene {
     pub up: DVec3,
     /// Says where `up` is from, as an ending of "+z is up: it …".
     pub up_because: String,
-    /// View of the sensor that took the points of a bare asset file, if the file tells it; the default view.
+    /// View of the camera that took the points of a bare asset file, if the file tells it; the default view.
     pub sensor: Option<SensorView>,
+    /// Horizontal direction, of unit length, to the scanner that took the points of a bare asset file from outside.
+    pub front: Option<DVec3>,
     /// How samples are drawn where a request asks for splats.
     pub splats: Splats,
 }
