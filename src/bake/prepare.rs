@@ -35,8 +35,6 @@ pub struct AssetTraits {
     pub has_triangles: bool,
     /// Some part of a mesh has a material.
     pub has_materials: bool,
-    /// Of everything that is drawn, before it is placed.
-    pub bounds: Bounds,
 }
 
 /// One drawn copy of one geometry. Its number is its place in the list that [`placed`] gives.
@@ -71,7 +69,6 @@ pub fn describe(path: &Path, root: &Path, limits: &SceneLimits) -> Result<Scene,
 /// Gives a geometry the colours, normals, radii and kernels that it lacks, and notes in `traits`, whose format is known
 /// already, what it had.
 pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
-    traits.bounds = traits.bounds.union(drawn_bounds(geometry));
     let (has_colors, has_normals) = match geometry {
         Geometry::Points(cloud) => {
             let had = (cloud.colors.is_some(), cloud.normals.is_some());
@@ -100,6 +97,8 @@ pub struct Outlook<'a> {
     /// Up as the user wants it, instead of a guess.
     pub up: Option<DVec3>,
     pub shape: Option<&'a Shape>,
+    /// Box around everything that is drawn.
+    pub bounds: Bounds,
     /// The sensor that took the points.
     pub sensor: Option<Sensor>,
 }
@@ -114,7 +113,7 @@ pub fn adapt_bare_asset(description: &mut Scene, assets: &[AssetTraits], outlook
     if assets.iter().all(scan) {
         description.lights.clear();
     }
-    let bounds = assets.iter().fold(Bounds::EMPTY, |all, asset| all.union(asset.bounds));
+    let bounds = outlook.bounds;
     let format = assets.first().map_or("", |asset| asset.format);
     let (up, because) = match (outlook.up, outlook.sensor) {
         (Some(up), _) => (up, "it was asked for".to_owned()),
@@ -200,12 +199,7 @@ mod tests {
         let mut geometry = Geometry::Points(cloud);
         let mut found = traits("las");
         prepare_geometry(&mut geometry, &mut found);
-        let expected = AssetTraits {
-            has_colors: true,
-            normals_estimated: true,
-            bounds: Bounds { min: DVec3::ZERO, max: DVec3::new(7.0, 7.0, 0.0) },
-            ..traits("las")
-        };
+        let expected = AssetTraits { has_colors: true, normals_estimated: true, ..traits("las") };
         assert_eq!(found, expected);
         let Geometry::Points(cloud) = geometry else { unreachable!("a cloud stays one") };
         assert_eq!(cloud.colors.unwrap(), vec![[9; 4]; 64]);
@@ -272,10 +266,11 @@ mod tests {
     #[test]
     fn scans_are_seen_from_the_scanner() {
         let bounds = Bounds { min: DVec3::new(-2.0, -5.0, -1.0), max: DVec3::new(2.0, -1.0, 3.0) };
-        let scan = AssetTraits { has_colors: true, bounds, ..traits("e57") };
+        let scan = AssetTraits { has_colors: true, ..traits("e57") };
         let front = |place: DVec3| {
             let mut scene = Scene::from_asset("a", "a".into());
-            let outlook = Outlook { sensor: Some(Sensor::Place(place)), ..Outlook::default() };
+            let sensor = Some(Sensor::Place(place));
+            let outlook = Outlook { sensor, bounds, ..Outlook::default() };
             adapt_bare_asset(&mut scene, &[scan], &outlook);
             assert_eq!(scene.up, DVec3::Z);
             scene.front

@@ -154,7 +154,7 @@ pub fn load(
     let mut assets = Vec::new();
     let mut placements = Vec::new();
     let mut warnings = Vec::new();
-    let mut outlook = Outlook { up: config.up, ..Outlook::default() };
+    let mut outlook = Outlook { up: config.up, bounds: Bounds::EMPTY, ..Outlook::default() };
     let mut shape = None;
     let mut options = config.read.clone();
     options.root.get_or_insert_with(|| config.root.clone());
@@ -176,6 +176,10 @@ pub fn load(
         }
         shape = shape.or(asset.shape);
         outlook.sensor = outlook.sensor.or(asset.sensor);
+        for placement in asset.placements.iter() {
+            let own = asset.model.bounds[placement.geometry];
+            outlook.bounds = outlook.bounds.union(own.transformed(&placement.asset_from_geometry));
+        }
         assets.push(asset.model);
         placements.push(asset.placements);
     }
