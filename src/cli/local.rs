@@ -34,6 +34,12 @@ pub struct SceneArgs {
     /// Scene data that may lie on the GPU, in MiB
     #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
     gpu_budget_mib: Option<u64>,
+    /// Width times height of the largest frame [default: 16777216]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    max_pixels: Option<u64>,
+    /// Longest side of a frame [default: 8192]
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(1..))]
+    max_side: Option<u32>,
     /// Which way is up: x, y, z, -x, -y, -z or X,Y,Z [default: as the scene file says, or as the asset suggests]
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     up: Option<Up>,
@@ -100,6 +106,8 @@ impl SceneArgs {
         let (path, mut config) = self.file.config(&bar)?;
         config.gpu_budget_bytes = self.gpu_budget_mib.map(|mib| mib.saturating_mul(1 << 20));
         config.force_32_bit = self.force_32_bit;
+        config.max_pixels = self.max_pixels.unwrap_or(config.max_pixels);
+        config.max_side = self.max_side.unwrap_or(config.max_side);
         config.up = self.up();
         adjust(&mut config);
         let engine = Engine::start(config)?;

@@ -12,7 +12,7 @@
 
 use std::collections::HashMap;
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use rayon::prelude::*;
@@ -212,6 +212,7 @@ fn tree_asset(packed: PackedSamples, bounds: Bounds) -> AssetModel {
         normals_estimated: false,
         beside: Vec::new(),
         tree: MadeOnce::default(),
+        outlined: OnceLock::new(),
     }
 }
 

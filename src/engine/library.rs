@@ -10,6 +10,7 @@ use glam::DVec3;
 use parking_lot::Mutex;
 use sha2::{Digest, Sha256};
 
+use super::framing::{self, SceneOutline};
 use super::keys::{AssetKey, AssetKeys, digest_file, digest_packed};
 use super::trees::TreeScene;
 use super::{AssetInfo, EngineConfig, EngineError, NamedCamera, NodePatch, SceneInfo};
@@ -19,6 +20,7 @@ use crate::bake::CUTOFF;
 use crate::bake::assemble::{AssembleError, Assembler, Prepared};
 use crate::bake::pack::{PackedAsset, PackedGeometry, pack_mesh, pack_samples, pack_texture};
 use crate::bake::prepare::{self, AssetTraits, Outlook};
+use crate::bake::spacing::Patch;
 use crate::bake::tree::Above;
 use crate::bake::upright::Shape;
 use crate::math::{Bounds, Camera, CameraError, Sensor};
@@ -26,6 +28,7 @@ use crate::plan::SceneFacts;
 use crate::residency::instances::{Instances, RunMeter};
 use crate::residency::model::{AssetModel, Extent, ModelInstance, SceneModel};
 use crate::residency::once::MadeOnce;
+use crate::residency::spacing;
 use crate::scene::{AssetRef, CameraPath, Light, Node, Scene, SceneError};
 
 static NEXT_UID: AtomicU64 = AtomicU64::new(1);
@@ -40,7 +43,13 @@ pub struct Loaded {
     pub model: Arc<SceneModel>,
     pub facts: SceneFacts,
     pub extent: Extent,
+    /// What the default view has to show, once it was asked for.
+    outline: OnceLock<SceneOutline>,
+    /// Rises from scene to scene as they are loaded; all revisions of a scene have the same.
+    order: u64,
     pub info: SceneInfo,
+    /// See [`Loaded::patches`].
+    patches: OnceLock<Vec<Patch>>,
     /// Hash of the description and of every file's content.
     pub digest: [u8; 32],
     description: Scene,
@@ -96,8 +105,11 @@ impl Library {
         self.scenes.contains_key(id)
     }
 
+    /// All scenes in the order in which they were loaded.
     pub fn all(&self) -> Vec<Arc<Loaded>> {
-        self.scenes.values().cloned().collect()
+        let mut scenes: Vec<Arc<Loaded>> = self.scenes.values().cloned().collect();
+        scenes.sort_by_key(|loaded| loaded.order);
+        scenes
     }
 
     pub fn insert(&mut self, loaded: Loaded) {
@@ -189,6 +201,7 @@ pub fn load(
         prepare::adapt_bare_asset(&mut description, &traits, &outlook);
     }
     let mut warnings = condensed(warnings);
+    warnings.extend(assets.iter().filter_map(|asset| strays(asset)));
     let splats = &description.splats;
     if f64::from(splats.cutoff) * f64::from(splats.width) < f64::from(CUTOFF) {
         warnings.push(format!(
@@ -218,6 +231,21 @@ pub fn load_one(
     let key = AssetKeys::default().of(description, index)?;
     let reference = &description.assets[index];
     Ok(pack_asset(reference, assembler.asset(index)?, key.digest)?.model)
+}
+
+/// The warning about points of an asset that the default view leaves out.
+fn strays(asset: &AssetModel) -> Option<String> {
+    let outlines = asset.outlines();
+    let strays: u64 = outlines.iter().map(|outline| outline.strays).sum();
+    let farthest = outlines.iter().map(|outline| outline.farthest_stray).fold(0.0, f64::max);
+    let (samples, triangles) = asset.counts();
+    let (name, all) = (&asset.name, samples + triangles);
+    let what = if triangles > 0 { "triangles" } else { "points" };
+    (strays > 0).then(|| {
+        format!(
+            "{name}: {strays} of {all} {what} lie far from the rest, up to {farthest:.3e} units; the default view leaves them outside its frame"
+        )
+    })
 }
 
 impl From<AssembleError> for EngineError {
@@ -311,6 +339,7 @@ fn pack_asset(
         normals_estimated: traits.normals_estimated,
         beside: Vec::new(),
         tree: MadeOnce::default(),
+        outlined: OnceLock::new(),
     };
     Ok(ReadAsset {
         model: Arc::new(model),
@@ -418,7 +447,10 @@ fn build(
         facts: facts(&model),
         model: Arc::new(model),
         extent,
+        outline: OnceLock::new(),
+        order: before.map_or_else(next_uid, |(loaded, _)| loaded.order),
         info,
+        patches: OnceLock::new(),
         digest,
         description,
         nodes,
@@ -558,13 +590,18 @@ impl Loaded {
         })
     }
 
+    /// Where its samples are and how far apart, measured when it is first asked for.
+    pub fn patches(&self) -> &[Patch] {
+        self.patches.get_or_init(|| spacing::patches(&self.model))
+    }
+
     /// Which way is up.
     pub fn up(&self) -> DVec3 {
         if self.model.up == DVec3::ZERO { DVec3::Y } else { self.model.up }
     }
 
-    /// A camera that sees the whole scene, from where the sensor stood that took it, or else from its front, a little from the
-    /// right and above. Without an `up` it is upright as the scene is.
+    /// The default view: the sensor's where the file tells it, else everything but strays, as large as the frame allows. Without an
+    /// `up` it is upright as the scene is.
     ///
     /// # Errors
     /// An `up` that is zero or not finite; a field of view outside (0, 180).
@@ -574,48 +611,21 @@ impl Loaded {
         up_given: Option<DVec3>,
         fov_deg: Option<f64>,
     ) -> Result<Camera, CameraError> {
-        const FOV_DEG: f64 = 40.0;
-        // What the scene may take of half the frame.
-        const PART: f64 = 0.94;
         // Neither depends on where the eye is.
         let anywhere = Camera {
             eye: DVec3::ZERO,
             target: DVec3::ONE,
             up: up_given.unwrap_or_else(|| self.up()),
-            fov_deg: fov_deg.unwrap_or(FOV_DEG),
+            fov_deg: fov_deg.unwrap_or(framing::FOV_DEG),
         };
         anywhere.view(1, 1)?;
-        let Camera { up, fov_deg: field_deg, .. } = anywhere;
         if let (Some(sensor), None) = (&self.description.sensor, up_given) {
             let seen = sensor.camera_for(aspect);
             return Ok(Camera { fov_deg: fov_deg.unwrap_or(seen.fov_deg), ..seen });
         }
-        let up = up / up.length();
-        // The front of a y-up scene is +z, of a z-up scene −y, unless a scanner saw another side.
-        let usual = if up.z.abs() > up.y.abs() {
-            -DVec3::Y * up.z.signum()
-        } else {
-            DVec3::Z * if up.y < 0.0 { -1.0 } else { 1.0 }
-        };
-        let front = self.description.front.filter(|_| up_given.is_none()).unwrap_or(usual);
-        let backward = front * 0.82 + up.cross(front) * 0.42 + up * 0.38;
-        let backward = backward / backward.length();
-        let right = up.cross(backward);
-        let right = right / right.length();
-        let above = backward.cross(right);
-        let tan_y = (0.5 * field_deg).to_radians().tan() * PART;
-        let tan_x = tan_y * aspect;
-        let centre = self.extent.bounds.centre();
-        // The nearest eye whose pyramid holds every corner of the box.
-        // Nothing but one point is seen from one unit away.
-        let least: f64 = if self.extent.bounds.extent() == DVec3::ZERO { 1.0 } else { 1e-30 };
-        let least = least.max(1e-12 * centre.length());
-        let distance = self.extent.bounds.corners().into_iter().fold(least, |distance, corner| {
-            let v = corner - centre;
-            let needed = (v.dot(right).abs() / tan_x).max(v.dot(above).abs() / tan_y);
-            distance.max(v.dot(backward) + needed)
-        });
-        Ok(Camera { eye: centre + backward * distance, target: centre, up, fov_deg: field_deg })
+        let outline = self.outline.get_or_init(|| SceneOutline::of(&self.model));
+        let front = self.description.front.filter(|_| up_given.is_none());
+        Ok(outline.camera(anywhere.up, front, anywhere.fov_deg, aspect))
     }
 }
 

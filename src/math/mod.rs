@@ -3,6 +3,7 @@
 mod bounds;
 mod camera;
 pub mod conic;
+pub mod framing;
 pub mod spline;
 
 pub use bounds::Bounds;

@@ -9,6 +9,7 @@ use super::instances::Instances;
 use super::layout::{GpuEntry, GpuInstance, INSTANCE_GROUP, two_floats};
 use super::once::MadeOnce;
 use super::slots;
+use crate::bake::outline::Outline;
 use crate::bake::pack::{Grid, PackError, PackedAsset, PackedChunk, PackedGeometry};
 use crate::bake::prepare::AssetTraits;
 use crate::bake::tree::Above;
@@ -34,6 +35,8 @@ pub struct AssetModel {
     pub beside: Vec<Option<usize>>,
     /// The asset as point trees, once a frame has asked for it.
     pub tree: MadeOnce<Result<Arc<AssetModel>, PackError>>,
+    /// Answer of [`AssetModel::outlines`], once it was asked for.
+    pub outlined: OnceLock<Vec<Outline>>,
 }
 
 /// Where a scene's samples are and how wide they are, in world units.
@@ -108,6 +111,11 @@ impl AssetModel {
     pub fn drawn_with(&self, geometry: usize) -> impl Iterator<Item = usize> + use<> {
         let beside = self.beside.get(geometry).copied().flatten();
         std::iter::once(geometry).chain(beside)
+    }
+
+    /// The outline of each geometry, computed by the first call.
+    pub fn outlines(&self) -> &[Outline] {
+        self.outlined.get_or_init(|| Outline::of_all(&self.packed.geometries))
     }
 
     /// What its file held.

@@ -20,6 +20,7 @@ pub mod random;
 mod splats;
 #[cfg(test)]
 mod tests;
+mod unique;
 mod up;
 mod validate;
 mod wire;
@@ -28,6 +29,7 @@ pub use assets::{AssetRef, AssetSource, CsgOperation, FileSource, MeshSampling, 
 pub use load::{load, load_path, parse, parse_path};
 pub use path::{CameraPath, Ease, Interpolation, PathKey, PathSampler};
 pub use splats::{Blend, Filter, Shading, Splats};
+pub use unique::{DuplicateKey, check_keys};
 pub use up::{Up, UpForm};
 pub use validate::{LARGEST_COORDINATE, LARGEST_SCALE};
 pub use wire::{json_schema, path_json_schema};

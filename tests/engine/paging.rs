@@ -89,6 +89,7 @@ fn textured(uid: u64, texels: &[u32], materials: usize) -> Arc<SceneModel> {
         normals_estimated: false,
         beside: Vec::new(),
         tree: Default::default(),
+        outlined: Default::default(),
     };
     Arc::new(SceneModel {
         uid,

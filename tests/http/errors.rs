@@ -149,6 +149,35 @@ fn refusals_of_routes_and_bodies() {
 }
 
 #[test]
+fn a_key_that_comes_twice_is_refused_where_it_is() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let json = [("content-type", "application/json")];
+    for (method, path, body, place) in [
+        ("PATCH", "/v1/scenes/grid/nodes/wall", r#"{"scale": 1, "scale": 2}"#, "scale"),
+        (
+            "POST",
+            "/v1/scenes/grid/frames",
+            r#"{"poses": [{"camera": "front"}, {"camera": "front", "camera": "back"}]}"#,
+            "poses[1].camera",
+        ),
+        ("POST", "/v1/jobs", r#"{"scene": "grid", "path": "past", "w": 8, "w": 9}"#, "w"),
+        (
+            "POST",
+            "/v1/jobs",
+            r#"{"scene": "grid", "path": {"keys": [{"t": 0, "eye": [0, 0, 3], "t": 1}]}}"#,
+            "path.keys[0].t",
+        ),
+    ] {
+        let reply = client.send(method, path, &json, Some(body.as_bytes()));
+        let problem = reply.problem();
+        let told = problem["detail"].as_str().unwrap();
+        assert_eq!((reply.status, &problem["parameter"]), (422, &place.into()), "{problem}");
+        assert!(told.contains("duplicate key"), "{told}");
+    }
+}
+
+#[test]
 fn keys_open_what_their_scope_says() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("keys");
