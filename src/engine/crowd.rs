@@ -207,6 +207,7 @@ fn tree_asset(packed: PackedSamples, bounds: Bounds) -> AssetModel {
         },
         bounds: vec![bounds],
         has_colors: true,
+        shows_intensity: false,
         has_normals: true,
         normals_estimated: false,
         beside: Vec::new(),

@@ -19,7 +19,7 @@ const DIRECTIONS: usize = 512;
 /// Instances whose boxes are looked at together.
 const GROUP: usize = 64;
 /// Vertical field of view of the default view, in degrees.
-const FOV_DEG: f64 = 40.0;
+pub const FOV_DEG: f64 = 40.0;
 /// Part of its height and width that the depth of a plate may have.
 const PLATE: f64 = 0.12;
 /// Angle from the front, in degrees, from which most content, upright content and plates are seen.
@@ -85,17 +85,22 @@ impl SceneOutline {
         SceneOutline { points: directions.par_iter().filter_map(farthest_along).collect() }
     }
 
-    /// The camera of the default view, for a frame of this aspect.
-    pub fn camera(&self, up: DVec3, aspect: f64) -> Camera {
-        framing::frame(&self.points, &self.look(up, aspect))
+    /// The camera of the default view, for a frame of this aspect. `up` is not zero.
+    pub fn camera(&self, up: DVec3, front: Option<DVec3>, fov_deg: f64, aspect: f64) -> Camera {
+        framing::frame(&self.points, &self.look(up, front, fov_deg, aspect))
     }
 
     /// From where the scene shows what it is: terrain from above at an angle, upright things from the front at eye height, a plate
     /// on its face.
-    fn look(&self, up: DVec3, aspect: f64) -> Look {
+    fn look(&self, up: DVec3, seen: Option<DVec3>, fov_deg: f64, aspect: f64) -> Look {
         let up = up / up.length();
-        // The front of a y-up scene is +z, of a z-up scene −y.
-        let front = if up.z.abs() > up.y.abs() { -DVec3::Y } else { DVec3::Z };
+        // The front of a y-up scene is +z, of a z-up scene −y, unless a scanner saw another side.
+        let usual = if up.z.abs() > up.y.abs() {
+            -DVec3::Y * up.z.signum()
+        } else {
+            DVec3::Z * if up.y < 0.0 { -1.0 } else { 1.0 }
+        };
+        let front = seen.unwrap_or(usual);
         let front = front - up * up.dot(front);
         let front = front / front.length();
         let right = up.cross(front);
@@ -109,7 +114,7 @@ impl SceneOutline {
         let (turn_sin, turn_cos) = turn_deg.to_radians().sin_cos();
         let (sin, cos) = elevation_deg.to_radians().sin_cos();
         let backward = front * (turn_cos * cos) + right * (turn_sin * cos) + up * sin;
-        Look { backward, up, fov_deg: FOV_DEG, aspect }
+        Look { backward, up, fov_deg, aspect }
     }
 }
 

@@ -17,6 +17,32 @@ pub struct Camera {
     pub fov_deg: f64,
 }
 
+/// The view of a sensor that took an asset's points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorView {
+    /// The sensor's pose, with its vertical field of view.
+    pub camera: Camera,
+    /// Width of the sensor's image, divided by its height.
+    pub aspect: f64,
+}
+
+/// What a file tells of the sensor that took its points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Sensor {
+    /// A camera, which looked one way.
+    View(SensorView),
+    /// A scanner, which looked around from here.
+    Place(DVec3),
+}
+
+impl SensorView {
+    /// A camera with the sensor's pose that sees at least what the sensor saw, for an image of this aspect.
+    pub fn camera_for(&self, aspect: f64) -> Camera {
+        let tan = (0.5 * self.camera.fov_deg.to_radians()).tan() * (self.aspect / aspect).max(1.0);
+        Camera { fov_deg: 2.0 * tan.atan().to_degrees(), ..self.camera }
+    }
+}
+
 /// Coordinates beyond this are refused: their squares must stay finite.
 const FARTHEST: f64 = 1e100;
 

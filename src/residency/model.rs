@@ -27,6 +27,7 @@ pub struct AssetModel {
     /// Box of each geometry as the file has it; chunks lie on a grid and may reach a little farther.
     pub bounds: Vec<Bounds>,
     pub has_colors: bool,
+    pub shows_intensity: bool,
     pub has_normals: bool,
     pub normals_estimated: bool,
     /// Of point trees: for each geometry the one that is drawn wherever it is, on the same grid: a mesh's triangles beside its
@@ -127,11 +128,11 @@ impl AssetModel {
         AssetTraits {
             format: self.format,
             has_colors: self.has_colors,
+            shows_intensity: self.shows_intensity,
             has_normals: self.has_normals,
             normals_estimated: self.normals_estimated,
             has_triangles: self.packed.geometries.iter().any(is_mesh),
             has_materials: self.packed.geometries.iter().any(has_material),
-            bounds: self.bounds.iter().fold(Bounds::EMPTY, |all, bounds| all.union(*bounds)),
         }
     }
 
