@@ -13,11 +13,16 @@ pub mod path;
 pub mod render;
 pub mod serve;
 
+use std::process::ExitCode;
+
 use clap::{Parser, Subcommand};
+
+const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed, and standard error says why; 2 the command line cannot be used; \
+3 a threshold of `load` is broken; 130 interrupted twice";
 
 /// A headless render server for scenes of points and triangles.
 #[derive(Parser)]
-#[command(name = "pointillist", version, about)]
+#[command(name = "pointillist", version, about, after_help = EXIT_CODES)]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -46,11 +51,11 @@ enum Command {
     Openapi,
 }
 
-/// Parses the command line and runs what it says.
+/// Parses the command line and runs what it says. Gives the exit code of a command that did its work.
 ///
 /// # Errors
 /// Whatever the command met.
-pub fn run() -> anyhow::Result<()> {
+pub fn run() -> anyhow::Result<ExitCode> {
     match Cli::parse().command {
         Command::Serve(args) => serve::run(*args),
         Command::Render(args) => render::run(*args),
@@ -59,7 +64,8 @@ pub fn run() -> anyhow::Result<()> {
         Command::Bake(args) => bake::run(&args),
         Command::Generate(args) => generate::run(args),
         Command::Accuracy(args) => accuracy::run(&args),
-        Command::Load(args) => load::run(&args),
+        Command::Load(args) => return load::run(&args),
         Command::Openapi => out::print(&crate::http::openapi_yaml()?),
-    }
+    }?;
+    Ok(ExitCode::SUCCESS)
 }

@@ -6,5 +6,5 @@ pub mod conic;
 pub mod spline;
 
 pub use bounds::Bounds;
-pub use camera::{Camera, CameraError, View};
+pub use camera::{Camera, CameraError, FARTHEST, View};
 pub use conic::{Disk, GAP_MIN, GUARD_PX, ImageConic, ImageDisk, Lens, Side};

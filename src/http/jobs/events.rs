@@ -36,6 +36,7 @@ const RETRY: Duration = Duration::from_secs(2);
 #[utoipa::path(
     get,
     path = "/v1/jobs/{id}/events",
+    operation_id = "followJob",
     tag = "jobs",
     params(
         ("id" = String, Path, description = "The job"),
