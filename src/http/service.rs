@@ -80,7 +80,7 @@ pub async fn metrics(State(app): State<Arc<App>>) -> Result<Response, Problem> {
     path = "/openapi.yaml",
     operation_id = "getContract",
     tag = "service",
-    responses((status = 200, description = "OpenAPI", body = String, content_type = "application/yaml")),
+    responses((status = 200, description = "OpenAPI", body = Object, content_type = "application/yaml")),
 )]
 pub async fn openapi() -> Result<Response, Problem> {
     const YAML: HeaderValue = HeaderValue::from_static("application/yaml");

@@ -99,7 +99,7 @@ def make_job(address):
 
 def schemathesis(address, folder, options, rest):
     """Runs schemathesis; its exit status and how many cases it made."""
-    arguments = ["--url", address, "--no-color", "--output-truncate", "false", "--seed", str(options.seed)]
+    arguments = ["--url", address, "--no-color", "--output-truncate", "false", "--seed", str(options.seed), "--workers", "2"]
     if options.cases:
         # So many for each operation that there are more than enough in all: some operations have few to offer.
         arguments += ["--max-examples", str(max(20, options.cases // 20))]
@@ -107,7 +107,7 @@ def schemathesis(address, folder, options, rest):
         arguments += ["--max-examples", "10", "--max-time", str(options.seconds)]
     command = [str(pathlib.Path(sys.executable).parent / "schemathesis"), "--config-file", str(HERE / "schemathesis.toml")]
     command += ["run", str(folder / "openapi.yaml"), *arguments, *rest]
-    environment = {**os.environ, "PYTHONPATH": str(HERE), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {**os.environ, "SCHEMATHESIS_HOOKS": str(HERE / "hooks.py"), "PYTHONDONTWRITEBYTECODE": "1"}
     process = subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     cases = 0
     for line in process.stdout:

@@ -157,13 +157,14 @@ fn commands(block: &Block) -> Vec<String> {
     joined.lines().map(|line| line.trim().trim_start_matches("$ ").to_owned()).collect()
 }
 
+fn is_shell(block: &Block) -> bool {
+    ["", "sh", "bash", "console"].contains(&block.language.as_str())
+}
+
 /// Every `curl` line with where it stands.
 fn curls() -> Vec<(String, Curl)> {
     let mut found = Vec::new();
-    for block in blocks()
-        .iter()
-        .filter(|block| ["", "sh", "bash", "console"].contains(&block.language.as_str()))
-    {
+    for block in blocks().iter().filter(|block| is_shell(block)) {
         for line in commands(block) {
             let here = format!("{}:{}: {line}", block.page, block.line);
             found.extend(curl(&line).map(|curl| (here, curl)));
@@ -339,6 +340,26 @@ fn curl_lines_are_accepted_by_a_daemon() {
         accepted += 1;
     }
     assert!(accepted >= 5, "{accepted} lines were sent");
+}
+
+/// Lines of the program itself: every flag is one that it has.
+#[test]
+fn command_lines_are_understood() {
+    let mut checked = 0;
+    for block in blocks().iter().filter(|block| is_shell(block)) {
+        for line in commands(block) {
+            let words = words(&line);
+            if words.first().is_none_or(|word| word.rsplit('/').next() != Some("pointillist")) {
+                continue;
+            }
+            let parsed = <pointillist::cli::Cli as clap::Parser>::try_parse_from(&words);
+            if let Err(error) = parsed {
+                panic!("{}:{}: {line}\n{error}", block.page, block.line);
+            }
+            checked += 1;
+        }
+    }
+    assert!(checked >= 8, "{checked} lines were found");
 }
 
 #[test]

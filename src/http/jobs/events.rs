@@ -43,7 +43,7 @@ const RETRY: Duration = Duration::from_secs(2);
         ("Last-Event-ID" = Option<String>, Header, description = "The id of the last event that the client has: what it knows is not sent again"),
     ),
     responses(
-        (status = 200, description = "The events", body = String, content_type = "text/event-stream"),
+        (status = 200, description = "The events, each with `event`, `id` and `data`", body = Object, content_type = "text/event-stream"),
         (status = 204, description = "The job has ended, and the client knows"),
     ),
 )]

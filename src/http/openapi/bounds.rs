@@ -3,13 +3,14 @@
 use serde_json::{Value, json};
 
 use super::tidy::{each_object, remove_property};
+use crate::encode::{self, ImageFormat};
 use crate::film::shots::{FPS_RANGE, MOST_FRAMES};
 use crate::film::video::KBPS_RANGE;
 use crate::http::jobs::create as job;
 use crate::http::names::{FILE_NAME_PATTERN, ID_PATTERN, MAX_FILE_NAME_BYTES};
 use crate::http::{frames, mjpeg, params, stream, upload};
 use crate::math::FARTHEST;
-use crate::plan::MaxError;
+use crate::plan::{MaxError, Output};
 use crate::residency::layout::MOST_ROWS;
 use crate::scene::{LARGEST_COORDINATE, LARGEST_SCALE};
 
@@ -52,6 +53,17 @@ fn of_frame(name: &str) -> Option<Value> {
 
 /// What a parameter of an operation may be.
 pub fn of_parameter(path: &str, place: &str, name: &str) -> Option<Value> {
+    if path.ends_with("/mjpeg") && name == "format" {
+        return Some(json!({ "$ref": null, "type": "string", "enum": [ImageFormat::Jpeg] }));
+    }
+    if path.ends_with("/mjpeg") && name == "output" {
+        let outputs = [Output::Color, Output::Depth, Output::Normal, Output::Id];
+        let outputs =
+            outputs.iter().filter(|output| encode::accepts(ImageFormat::Jpeg, **output).is_ok());
+        return Some(
+            json!({ "$ref": null, "type": "string", "enum": outputs.collect::<Vec<_>>() }),
+        );
+    }
     let [least_fps, most_fps] = mjpeg::FPS_RANGE;
     Some(match (place, name) {
         ("path", "id") if path.starts_with("/v1/jobs") => json!({ "pattern": "^[0-9]{1,20}$" }),
@@ -66,7 +78,7 @@ pub fn of_parameter(path: &str, place: &str, name: &str) -> Option<Value> {
         ("query", "fps") => json!({ "minimum": least_fps, "maximum": most_fps }),
         ("query", "from") => json!({ "minimum": 0, "maximum": MOST_FRAMES }),
         ("header", "Idempotency-Key") => {
-            json!({ "pattern": "^[ -~]+$", "minLength": 1, "maxLength": job::MAX_KEY_BYTES })
+            json!({ "pattern": "^[!-~]([ -~]*[!-~])?$", "minLength": 1, "maxLength": job::MAX_KEY_BYTES })
         }
         ("query", _) => return of_frame(name),
         _ => return None,
@@ -181,11 +193,13 @@ pub fn of_uploads(document: &mut Value) {
             { "type": "array", "items": { "type": "string", "format": "binary" }, "minItems": 1, "maxItems": upload::MAX_FILES } ] } });
 }
 
-/// Adds keywords to a schema, and to its items' where there are some among them.
+/// Adds keywords to a schema, and to its items' where there are some among them; `null` removes one.
 pub fn narrow(schema: &mut Value, keywords: Value) {
     let Value::Object(keywords) = keywords else { return };
     for (keyword, value) in keywords {
         match (keyword.as_str(), &value) {
+            // What stood there before.
+            (_, Value::Null) => drop(schema.as_object_mut().map(|schema| schema.remove(&keyword))),
             ("items", Value::Object(_)) => narrow(&mut schema["items"], value),
             _ => schema[keyword] = value,
         }

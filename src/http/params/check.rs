@@ -25,9 +25,10 @@ impl FrameParams {
         let refused = |name: &str, reason: String, accepted: String| {
             Err(Problem::parameter(name, reason, accepted))
         };
-        if self.camera.as_ref().is_some_and(|name| name.chars().count() > MAX_NAME_CHARS) {
-            let reason = "is longer than the name of any camera".to_owned();
-            return refused("camera", reason, format!("at most {MAX_NAME_CHARS} characters"));
+        let length = self.camera.as_ref().map(|name| name.chars().count());
+        if length.is_some_and(|length| length == 0 || length > MAX_NAME_CHARS) {
+            let reason = "has no usable length".to_owned();
+            return refused("camera", reason, format!("1 to {MAX_NAME_CHARS} characters"));
         }
         for (name, vector) in [("eye", self.eye), ("target", self.target), ("up", self.up)] {
             let is_far = |number: &f64| number.is_nan() || number.abs() > FARTHEST;
