@@ -17,12 +17,17 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed, and standard error says why; 2 the command line cannot be used; \
-3 a threshold of `load` is broken; 130 interrupted twice";
+/// What the process ends with; as in docs/commands.md.
+const EXIT_STATUS: &str = "Exit status:
+  0  done; of `serve`: told to stop
+  1  failed, with the reason on standard error
+  2  the command line cannot be understood; nothing was done
+  3  a threshold of `load` is broken
+130  `load` was interrupted twice";
 
 /// A headless render server for scenes of points and triangles.
 #[derive(Parser)]
-#[command(name = "pointillist", version, about, after_help = EXIT_CODES)]
+#[command(name = "pointillist", version, about, after_help = EXIT_STATUS, after_long_help = EXIT_STATUS)]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,

@@ -53,13 +53,24 @@ def length(numbers):
     return max((abs(number) for number in numbers), default=0.0)
 
 
+def follow_up(params):
+    """A direction, unless it is an axis by its name."""
+    up = vector(params["up"]) if "up" in params else None
+    if up is not None and not 1e-100 < length(up) < 1e100:
+        params["up"] = [0, 1, 0]
+
+
 def follow_pose(params):
     """One way to say where a frame is seen from, and a pose that can be seen from."""
     if "camera" in params:
         params["camera"] = "front"
         for name in ("eye", "target", "up", "fov", "view", "proj"):
             params.pop(name, None)
-    elif params.keys() & {"eye", "target", "up", "fov"}:
+    elif params.keys() & {"up", "fov"} and not params.keys() & {"eye", "target"}:
+        params.pop("view", None)
+        params.pop("proj", None)
+        follow_up(params)
+    elif params.keys() & {"eye", "target"}:
         params.pop("view", None)
         params.pop("proj", None)
         eye = vector(params.get("eye"))
@@ -68,9 +79,7 @@ def follow_pose(params):
         # Farther apart than rounding, and not so far that squares overflow or vanish.
         if not apart or not 1e-9 * max(length(eye), length(target)) < apart or not 1e-100 < apart < 1e100:
             params["eye"], params["target"] = [0, 0, 3], [0, 0, 0]
-        up = vector(params["up"]) if "up" in params else None
-        if up is not None and not 1e-100 < length(up) < 1e100:
-            params["up"] = [0, 1, 0]
+        follow_up(params)
     elif params.keys() & {"view", "proj"}:
         params["view"], params["proj"] = VIEW, PROJ
 
@@ -79,12 +88,11 @@ def follow_settings(params):
     """Settings that need others."""
     if params.keys() & {"max_error_px"} or params.get("paint") == "levels" or params.get("error_mode") == "split":
         params["lod"] = "spt"
-    if params.keys() & {"blend", "shading"}:
+    if params.keys() & {"blend", "shading"} and params.get("reconstruct") in ("points", "fuzzy"):
         params["reconstruct"] = "splats"
-    elif params.keys() & {"filter", "prefilter"} or params.get("error_mode") == "split":
-        if params.get("reconstruct") not in ("splats", "fuzzy"):
-            params["reconstruct"] = "splats"
-    if "format" in params and params["format"] not in FORMATS[params.get("output", "color")]:
+    if (params.keys() & {"filter", "prefilter"} or params.get("error_mode") == "split") and params.get("reconstruct") == "points":
+        params["reconstruct"] = "splats"
+    if "format" in params and params["format"].replace("jpg", "jpeg") not in FORMATS[params.get("output", "color")]:
         params["format"] = "png"
     if "deadline_ms" in params:
         params["deadline_ms"] = 60_000

@@ -6,6 +6,7 @@
     reason = "a test that unwraps says where it failed"
 )]
 
+mod balancer;
 mod client;
 mod contract;
 mod daemon;
@@ -14,6 +15,7 @@ mod examples;
 mod frames;
 mod hostile;
 mod jobs;
+mod leaving;
 mod lifecycle;
 mod load;
 mod mjpeg;

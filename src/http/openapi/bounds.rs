@@ -14,6 +14,10 @@ use crate::plan::{MaxError, Output};
 use crate::residency::layout::MOST_ROWS;
 use crate::scene::{LARGEST_COORDINATE, LARGEST_SCALE};
 
+/// Where the words stand that a request may have for a format: those of answers, and another one for JPEG.
+const WANTED_FORMAT: &str = "#/components/schemas/WantedFormat";
+const JPG: &str = "jpg";
+
 /// How many numbers a property of this name holds, in requests and answers alike.
 const LENGTHS: [(&str, usize); 10] = [
     ("eye", 3),
@@ -38,7 +42,8 @@ fn of_frame(name: &str) -> Option<Value> {
     let [least_px, most_px] = MaxError::RANGE_PX;
     Some(match name {
         "camera" => json!({ "minLength": 1, "maxLength": params::MAX_NAME_CHARS }),
-        "eye" | "target" | "up" => json!({ "items": number(-FARTHEST, FARTHEST) }),
+        "format" => json!({ "$ref": WANTED_FORMAT }),
+        "eye" | "target" => json!({ "items": number(-FARTHEST, FARTHEST) }),
         "fov" => json!({ "exclusiveMinimum": 0, "exclusiveMaximum": 180 }),
         "w" | "h" => json!({ "minimum": 1, "maximum": MOST_ROWS }),
         "quality" => {
@@ -54,7 +59,7 @@ fn of_frame(name: &str) -> Option<Value> {
 /// What a parameter of an operation may be.
 pub fn of_parameter(path: &str, place: &str, name: &str) -> Option<Value> {
     if path.ends_with("/mjpeg") && name == "format" {
-        return Some(json!({ "$ref": null, "type": "string", "enum": [ImageFormat::Jpeg] }));
+        return Some(json!({ "$ref": null, "type": "string", "enum": [ImageFormat::Jpeg, JPG] }));
     }
     if path.ends_with("/mjpeg") && name == "output" {
         let outputs = [Output::Color, Output::Depth, Output::Normal, Output::Id];
@@ -111,6 +116,19 @@ pub fn of_schemas(document: &mut Value) {
     for name in params::NAMES {
         if let Some(bounds) = of_frame(name) {
             narrow(&mut schemas["FrameParams"]["properties"][name], bounds);
+        }
+    }
+    let mut formats = schemas["ImageFormat"]["enum"].as_array().cloned().unwrap_or_default();
+    formats.push(json!(JPG));
+    schemas["WantedFormat"] =
+        json!({ "type": "string", "enum": formats, "description": "Encodings; `jpg` is `jpeg`." });
+    let format = &mut schemas["FrameParams"]["properties"]["format"];
+    let wanted = json!([{ "$ref": WANTED_FORMAT }, { "type": "null" }]);
+    narrow(format, json!({ "$ref": null, "oneOf": wanted }));
+    for form in schemas["Up"]["oneOf"].as_array_mut().into_iter().flatten() {
+        if form["type"] == "array" {
+            let numbers = number(-FARTHEST, FARTHEST);
+            narrow(form, json!({ "minItems": 3, "maxItems": 3, "items": numbers }));
         }
     }
     let box_of_scene =

@@ -7,7 +7,7 @@ use crate::http::problem::Problem;
 use crate::math::FARTHEST;
 use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct};
 use crate::residency::layout::MOST_ROWS;
-use crate::scene::{Blend, Filter, Shading};
+use crate::scene::{Blend, Filter, Shading, Up};
 
 /// Longest name of a camera, a path or a node in a request.
 pub const MAX_NAME_CHARS: usize = 256;
@@ -30,7 +30,11 @@ impl FrameParams {
             let reason = "has no usable length".to_owned();
             return refused("camera", reason, format!("1 to {MAX_NAME_CHARS} characters"));
         }
-        for (name, vector) in [("eye", self.eye), ("target", self.target), ("up", self.up)] {
+        for (name, vector) in [
+            ("eye", self.eye),
+            ("target", self.target),
+            ("up", self.up.map(|Up(up)| up.to_array())),
+        ] {
             let is_far = |number: &f64| number.is_nan() || number.abs() > FARTHEST;
             if let Some(number) = vector.iter().flatten().find(|number| is_far(number)) {
                 let accepted = format!("numbers from {:e} to {FARTHEST:e}", -FARTHEST);
