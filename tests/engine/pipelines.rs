@@ -25,6 +25,8 @@ fn studio(folder: Option<&Path>, common: bool) -> Studio {
 /// Draws a small frame in each mode that the viewer offers first.
 fn draw_common_frames(studio: &Studio, id: &str) {
     for (reconstruct, output, lod) in [
+        (Reconstruct::Auto, Output::Color, Lod::Full),
+        (Reconstruct::Auto, Output::Color, Lod::Spt),
         (Reconstruct::Points, Output::Color, Lod::Full),
         (Reconstruct::Splats, Output::Color, Lod::Full),
         (Reconstruct::Points, Output::Color, Lod::Spt),
