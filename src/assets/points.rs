@@ -8,6 +8,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 
 use super::{AssetError, Progress, ReadOptions};
 
@@ -217,7 +218,7 @@ pub(super) struct WordColors {
 
 impl WordColors {
     pub(super) fn add(&mut self, words: &[[u16; 3]]) {
-        for &word in words.iter().flatten() {
+        for &word in words.as_flattened() {
             self.max = self.max.max(word);
             self.bits |= word;
         }
@@ -237,11 +238,13 @@ impl WordColors {
     /// Some of the file's colours.
     pub(super) fn colors(self, words: &[[u16; 3]]) -> Option<Vec<[u8; 4]>> {
         let range = self.range()?;
+        let bytes: Vec<u8> =
+            (0..=self.max).into_par_iter().map(|word| range.byte(f32::from(word))).collect();
         let color = |rgb: &[u16; 3]| {
-            let [r, g, b] = rgb.map(|word| range.byte(f32::from(word)));
+            let [r, g, b] = rgb.map(|word| bytes.get(usize::from(word)).copied().unwrap_or(255));
             [r, g, b, 255]
         };
-        Some(words.iter().map(color).collect())
+        Some(words.par_iter().map(color).collect())
     }
 }
 

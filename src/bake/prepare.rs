@@ -129,7 +129,7 @@ fn is_georeferenced(asset: &AssetTraits) -> bool {
 /// The box around what can be seen: vertices that no triangle uses are left out.
 pub fn drawn_bounds(geometry: &Geometry) -> Bounds {
     match geometry {
-        Geometry::Points(cloud) => Bounds::of(cloud.positions.iter().copied()),
+        Geometry::Points(cloud) => Bounds::of_all(&cloud.positions),
         Geometry::Mesh(mesh) => {
             let used = mesh.triangles.iter().flatten();
             Bounds::of(used.filter_map(|&v| mesh.positions.get(v as usize).copied()))
