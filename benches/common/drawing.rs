@@ -10,7 +10,7 @@ use pointillist::engine::{
     EncodedFrame, Engine, EngineConfig, FrameRequest, Pose, Receipt, SceneInfo,
 };
 use pointillist::math::Camera;
-use pointillist::plan::{Output, Settings};
+use pointillist::plan::{Output, Reconstruct, Settings};
 
 /// A camera that turns about the vertical axis through its target, as the peer's does.
 #[derive(Clone, Copy, Debug)]
@@ -40,7 +40,7 @@ impl Orbit {
     /// # Errors
     /// The engine refuses.
     pub fn fitted(drawing: &Drawing, size: [u32; 2], settings: Settings) -> anyhow::Result<Orbit> {
-        let frame = drawing.submit(Pose::Fit, size, settings, ImageFormat::Jpeg)?;
+        let frame = drawing.submit(Pose::FIT, size, settings, ImageFormat::Jpeg)?;
         let camera = &frame.receipt.camera;
         let [eye, target] = [camera.eye, camera.target].map(DVec3::from);
         Ok(Orbit { eye, target, fov_deg: camera.fov_deg })
@@ -97,7 +97,7 @@ impl Drawing {
     /// The engine refuses.
     pub fn bake(&self, settings: Settings) -> anyhow::Result<()> {
         let size = [self.size, self.size];
-        Ok(self.engine.bake(&self.request(Pose::Fit, size, settings, ImageFormat::Jpeg))?)
+        Ok(self.engine.bake(&self.request(Pose::FIT, size, settings, ImageFormat::Jpeg))?)
     }
 
     /// One frame, square, as the engine draws when nothing is chosen.
@@ -105,7 +105,12 @@ impl Drawing {
     /// # Errors
     /// The engine refuses.
     pub fn frame(&self, camera: Camera, format: ImageFormat) -> anyhow::Result<Arc<EncodedFrame>> {
-        self.submit(Pose::Camera(camera), [self.size, self.size], Settings::default(), format)
+        self.submit(
+            Pose::Camera(camera),
+            [self.size, self.size],
+            Settings::drawn_as(Reconstruct::Points),
+            format,
+        )
     }
 
     /// The same, as a JPEG, without its image.

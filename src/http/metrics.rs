@@ -241,6 +241,7 @@ impl fmt::Debug for EngineCollector {
 impl Collector for EngineCollector {
     fn encode(&self, mut encoder: DescriptorEncoder) -> Result<(), fmt::Error> {
         let stats = self.0.stats();
+        let limits = self.0.limits();
         let is_ready = self.0.readiness() == Readiness::Ready;
         for (name, help, value) in [
             ("engine_frames", "Frames rendered", stats.frames),
@@ -260,6 +261,8 @@ impl Collector for EngineCollector {
                 "Instances written to the GPU, by scenes that came and by edits",
                 stats.instances_written,
             ),
+            ("engine_pipelines_late", "Pipelines that frames waited for", stats.pipelines_late),
+            ("engine_pipelines_primed", "Pipelines built ahead", stats.pipelines_primed),
         ] {
             write(&mut encoder, name, help, None, &ConstCounter::new(value))?;
         }
@@ -273,6 +276,16 @@ impl Collector for EngineCollector {
         for (name, help, value) in [
             ("engine_queued", "Jobs waiting", stats.queued),
             ("engine_resident_bytes", "Scene data on the GPU", stats.gpu_bytes_resident),
+            (
+                "host_memory_bytes",
+                "Host memory reserved by scenes and loads",
+                limits.host_memory_in_use_bytes,
+            ),
+            (
+                "host_memory_budget_bytes",
+                "Host memory that may be reserved",
+                limits.host_memory_bytes,
+            ),
             ("engine_ready", "Whether frames can be had now", u64::from(is_ready)),
         ] {
             let gauge = ConstGauge::new(i64::try_from(value).unwrap_or(i64::MAX));
