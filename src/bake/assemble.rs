@@ -10,6 +10,7 @@ use std::rc::Rc;
 use super::colors::NEUTRAL;
 use super::csg;
 use super::prepare::{self, AssetTraits};
+use super::upright::Shape;
 use super::{FeatureOptions, SampleOptions, detect_features, estimate_kernels, sample_mesh};
 use crate::assets::{self, Asset, AssetError, Clip, Geometry, PointCloud, ReadOptions};
 use crate::scene::{AssetRef, AssetSource, FileSource, Scene, SceneError, Solid};
@@ -37,6 +38,8 @@ pub enum AssembleError {
 pub struct Prepared {
     pub asset: Asset,
     pub traits: AssetTraits,
+    /// Measured where the scene is this asset alone, to tell which way is up.
+    pub shape: Option<Shape>,
 }
 
 /// Assembles the assets of one scene.
@@ -46,6 +49,7 @@ pub struct Assembler {
     assets: Vec<AssetRef>,
     operands_only: Vec<bool>,
     is_operand: Vec<bool>,
+    is_bare: bool,
     options: ReadOptions,
     /// Files that something is made of, as read and sampled.
     files: HashMap<usize, Rc<Asset>>,
@@ -65,6 +69,7 @@ impl Assembler {
             assets: description.assets.clone(),
             operands_only: description.operands_only(),
             is_operand,
+            is_bare: !prepare::is_scene_file(scene),
             options: options.clone(),
             files: HashMap::new(),
             clouds: HashMap::new(),
@@ -87,6 +92,7 @@ impl Assembler {
             }
             AssetSource::Solid(solid) => (self.solid_asset(index, &solid)?, false),
         };
+        let shape = if self.is_bare { Shape::of(&asset) } else { None };
         let mut traits = AssetTraits { format: asset.format, ..AssetTraits::default() };
         for geometry in &mut asset.geometries {
             prepare::prepare_geometry(geometry, &mut traits);
@@ -94,7 +100,7 @@ impl Assembler {
                 detect_features(cloud, &FeatureOptions::default());
             }
         }
-        Ok(Prepared { asset, traits })
+        Ok(Prepared { asset, traits, shape })
     }
 
     /// A file as read and, where asked for, sampled.
@@ -215,7 +221,8 @@ impl Assembler {
 
 fn no_geometry() -> Prepared {
     let asset = Asset { format: OPERAND_FORMAT, ..Asset::default() };
-    Prepared { asset, traits: AssetTraits { format: OPERAND_FORMAT, ..AssetTraits::default() } }
+    let traits = AssetTraits { format: OPERAND_FORMAT, ..AssetTraits::default() };
+    Prepared { asset, traits, shape: None }
 }
 
 /// The samples of all placements; `None` where a mesh is placed.

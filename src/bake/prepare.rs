@@ -10,17 +10,14 @@ use std::path::Path;
 
 use glam::{DAffine3, DVec3};
 
-use super::colors::NEUTRAL;
+use super::upright::{self, Guess, Shape};
 use super::{estimate_kernels, fill_colors, smooth_normals};
 use crate::assets::{Geometry, Placement};
-use crate::math::Bounds;
+use crate::math::{Bounds, Sensor};
 use crate::scene::{self, Instance, Scene, SceneError, SceneLimits};
 
 /// Angle between faces, in degrees, above which a mesh without normals keeps its edge.
 const CREASE_DEG: f64 = 35.0;
-/// Formats of surveys, which have z up.
-const SURVEY_FORMATS: [&str; 8] = ["las", "laz", "copc", "e57", "pts", "ptx", "xyz", "csv"];
-
 /// What an asset's file itself held.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AssetTraits {
@@ -28,6 +25,8 @@ pub struct AssetTraits {
     pub format: &'static str,
     /// Some geometry had colours.
     pub has_colors: bool,
+    /// Some geometry had no colours and is coloured by its intensity.
+    pub shows_intensity: bool,
     /// Some geometry had normals.
     pub has_normals: bool,
     /// Some geometry had none, so that they come from the neighbourhood.
@@ -36,8 +35,6 @@ pub struct AssetTraits {
     pub has_triangles: bool,
     /// Some part of a mesh has a material.
     pub has_materials: bool,
-    /// Of everything that is drawn, before it is placed.
-    pub bounds: Bounds,
 }
 
 /// One drawn copy of one geometry. Its number is its place in the list that [`placed`] gives.
@@ -72,11 +69,10 @@ pub fn describe(path: &Path, root: &Path, limits: &SceneLimits) -> Result<Scene,
 /// Gives a geometry the colours, normals, radii and kernels that it lacks, and notes in `traits`, whose format is known
 /// already, what it had.
 pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
-    traits.bounds = traits.bounds.union(drawn_bounds(geometry));
     let (has_colors, has_normals) = match geometry {
         Geometry::Points(cloud) => {
             let had = (cloud.colors.is_some(), cloud.normals.is_some());
-            fill_colors(cloud);
+            traits.shows_intensity |= fill_colors(cloud);
             cloud.oriented = had.1;
             estimate_kernels(cloud);
             had
@@ -95,35 +91,57 @@ pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
     traits.normals_estimated |= !has_normals;
 }
 
-/// Adapts the description of a bare asset file: a scan's own colours are shown unlit; a mesh with neither colours nor
-/// materials looks as grey as points without colours do, since white that faces the light has no shape; survey formats,
-/// and what lies on a survey's grid, have z up.
-pub fn adapt_bare_asset(description: &mut Scene, assets: &[AssetTraits]) {
-    let scan = |asset: &AssetTraits| asset.has_colors && !asset.has_normals && !asset.has_triangles;
+/// What the file of a bare asset tells of how it is to be looked at.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Outlook<'a> {
+    /// Up as the user wants it, instead of a guess.
+    pub up: Option<DVec3>,
+    pub shape: Option<&'a Shape>,
+    /// Box around everything that is drawn.
+    pub bounds: Bounds,
+    /// The sensor that took the points.
+    pub sensor: Option<Sensor>,
+}
+
+/// Adapts the description of a bare asset file: a scan's own colours and intensities are shown unlit; the first view is the
+/// sensor's, and up is the user's, the sensor's, or a guess.
+pub fn adapt_bare_asset(description: &mut Scene, assets: &[AssetTraits], outlook: &Outlook) {
+    let scan = |asset: &AssetTraits| {
+        let is_painted = asset.has_colors || asset.shows_intensity;
+        is_painted && !asset.has_normals && !asset.has_triangles
+    };
     if assets.iter().all(scan) {
         description.lights.clear();
     }
-    let plain =
-        |asset: &AssetTraits| asset.has_triangles && !asset.has_colors && !asset.has_materials;
-    if assets.iter().all(plain) {
-        // Less light is the same picture as a grey material, and costs nothing to draw.
-        let [grey, ..] = scene::color::to_linear(NEUTRAL.map(|byte| f64::from(byte) / 255.0));
-        description.lights.iter_mut().for_each(|light| light.dim(grey));
+    let bounds = outlook.bounds;
+    let format = assets.first().map_or("", |asset| asset.format);
+    let (up, because) = match (outlook.up, outlook.sensor) {
+        (Some(up), _) => (up, "it was asked for".to_owned()),
+        (None, Some(Sensor::View(view))) => {
+            description.sensor = Some(view);
+            (view.camera.up, "the camera that took the points had it above".to_owned())
+        }
+        (None, _) => {
+            let Guess { up, because } = upright::guess(format, &bounds, outlook.shape);
+            (up, because)
+        }
+    };
+    if let Some(Sensor::Place(place)) = outlook.sensor {
+        description.front = outside(&bounds, up, place);
     }
-    if assets.iter().all(|asset| SURVEY_FORMATS.contains(&asset.format) || is_georeferenced(asset))
-    {
-        description.up = DVec3::Z;
-    }
+    description.up = up;
+    description.up_because = because;
 }
 
-/// Coordinates of a national or world-wide grid: x and y count from far away, and the land is flatter than it is wide.
-fn is_georeferenced(asset: &AssetTraits) -> bool {
-    let (centre, extent) = (asset.bounds.centre(), asset.bounds.extent());
-    // glTF says that y is up.
-    !asset.format.starts_with("gl")
-        && centre.truncate().abs().min_element() > 50_000.0
-        && extent.truncate().max_element() > extent.z
-        && extent.max_element() < centre.truncate().abs().max_element()
+/// The horizontal direction from the middle of a box to a place beside it, if that is not so far that it means nothing.
+fn outside(bounds: &Bounds, up: DVec3, place: DVec3) -> Option<DVec3> {
+    const FARTHEST_EXTENTS: f64 = 10.0;
+    let up = up.try_normalize()?;
+    let horizontal = |v: DVec3| v - up * up.dot(v);
+    let offset = horizontal(place - bounds.centre());
+    let is_beside = (horizontal(bounds.extent()) * 0.5 - offset.abs()).min_element() < 0.0;
+    let is_near = offset.length() < FARTHEST_EXTENTS * bounds.extent().max_element();
+    offset.try_normalize().filter(|_| is_beside && is_near)
 }
 
 /// The box around what can be seen: vertices that no triangle uses are left out.
@@ -165,6 +183,7 @@ pub fn placed_instances<'a, P: Borrow<Vec<Placement>>>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::assets::tidy::srgb_byte_from_linear;
     use crate::assets::{Mesh, PointCloud};
     use crate::scene::Light;
 
@@ -180,12 +199,7 @@ mod tests {
         let mut geometry = Geometry::Points(cloud);
         let mut found = traits("las");
         prepare_geometry(&mut geometry, &mut found);
-        let expected = AssetTraits {
-            has_colors: true,
-            normals_estimated: true,
-            bounds: Bounds { min: DVec3::ZERO, max: DVec3::new(7.0, 7.0, 0.0) },
-            ..traits("las")
-        };
+        let expected = AssetTraits { has_colors: true, normals_estimated: true, ..traits("las") };
         assert_eq!(found, expected);
         let Geometry::Points(cloud) = geometry else { unreachable!("a cloud stays one") };
         assert_eq!(cloud.colors.unwrap(), vec![[9; 4]; 64]);
@@ -214,17 +228,21 @@ mod tests {
     }
 
     #[test]
-    fn bare_meshes_without_appearance_are_grey() {
+    fn bare_meshes_are_lit_as_in_scenes_and_white_does_not_clip() {
+        let mut scene = Scene::from_asset("a", "a".into());
         let plain = AssetTraits { has_triangles: true, ..traits("stl") };
-        let bright = |asset| {
-            let mut scene = Scene::from_asset("a", "a".into());
-            adapt_bare_asset(&mut scene, &[asset]);
-            scene.lights == Light::default_pair()
-        };
-        assert!(!bright(plain));
-        assert!(bright(AssetTraits { has_colors: true, ..plain }));
-        assert!(bright(AssetTraits { has_materials: true, ..plain }));
-        assert!(bright(AssetTraits { has_triangles: false, ..plain }));
+        adapt_bare_asset(&mut scene, &[plain], &Outlook::default());
+        assert_eq!(scene.lights, Light::default_pair());
+        let brightest: f32 = scene
+            .lights
+            .iter()
+            .map(|light| match light {
+                Light::Ambient { color } | Light::Headlight { color } => color[0],
+                other => panic!("{other:?}"),
+            })
+            .sum();
+        let white = srgb_byte_from_linear(brightest);
+        assert!((210..=230).contains(&white), "{white}");
     }
 
     #[test]
@@ -233,14 +251,33 @@ mod tests {
         let bare = || Scene::from_asset("a", "a".into());
         let adapted = |asset| {
             let mut scene = bare();
-            adapt_bare_asset(&mut scene, &[asset]);
+            adapt_bare_asset(&mut scene, &[asset], &Outlook::default());
             (scene.lights.is_empty(), scene.up == DVec3::Z)
         };
         assert_eq!(adapted(scan), (true, true));
         assert_eq!(adapted(AssetTraits { format: "ply", ..scan }), (true, false));
         assert_eq!(adapted(AssetTraits { has_normals: true, ..scan }), (false, true));
         assert_eq!(adapted(AssetTraits { has_colors: false, ..scan }), (false, true));
+        let intensity = AssetTraits { has_colors: false, shows_intensity: true, ..scan };
+        assert_eq!(adapted(intensity), (true, true));
         assert_eq!(adapted(AssetTraits { has_triangles: true, ..scan }), (false, true));
+    }
+
+    #[test]
+    fn scans_are_seen_from_the_scanner() {
+        let bounds = Bounds { min: DVec3::new(-2.0, -5.0, -1.0), max: DVec3::new(2.0, -1.0, 3.0) };
+        let scan = AssetTraits { has_colors: true, ..traits("e57") };
+        let front = |place: DVec3| {
+            let mut scene = Scene::from_asset("a", "a".into());
+            let sensor = Some(Sensor::Place(place));
+            let outlook = Outlook { sensor, bounds, ..Outlook::default() };
+            adapt_bare_asset(&mut scene, &[scan], &outlook);
+            assert_eq!(scene.up, DVec3::Z);
+            scene.front
+        };
+        assert_eq!(front(DVec3::ZERO), Some(DVec3::Y), "beside it");
+        assert_eq!(front(DVec3::new(0.0, -2.0, 9.0)), None, "within or above it");
+        assert_eq!(front(DVec3::new(0.0, 1e6, 0.0)), None, "coordinates of a grid");
     }
 
     #[test]

@@ -136,6 +136,7 @@ fn bake_watched(
         bounds,
         beside,
         tree: MadeOnce::default(),
+        outlined: OnceLock::new(),
         ..*asset
     };
     let (nodes, _) = tree.counts();

@@ -4,6 +4,7 @@
 //! known but not available in this version is refused with what would be accepted; values are
 //! checked, never clamped. Limits on sizes are the engine's to enforce.
 
+mod check;
 mod names;
 
 use std::time::{Duration, Instant};
@@ -13,6 +14,7 @@ use serde::Deserialize;
 use serde::de::{DeserializeOwned, IntoDeserializer, value::StrDeserializer};
 use utoipa::{IntoParams, ToSchema};
 
+pub use check::{MAX_DEADLINE_MS, MAX_NAME_CHARS, QUALITY_RANGE};
 pub use names::{NAMES, Names, check_name, unknown_name};
 
 use super::problem::{Kind, Problem};
@@ -20,7 +22,7 @@ use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
 use crate::math::{Camera, View};
 use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings};
-use crate::scene::{Blend, Filter, Shading};
+use crate::scene::{Blend, Filter, Shading, Up, UpForm};
 
 /// Width and height of a frame that names none.
 pub const DEFAULT_SIDE: u32 = 1024;
@@ -28,16 +30,15 @@ pub const DEFAULT_SIDE: u32 = 1024;
 pub const DEFAULT_QUALITY: u8 = 85;
 /// Vertical field of view in degrees where none is given.
 pub const DEFAULT_FOV_DEG: f64 = 40.0;
-/// Longest deadline, in milliseconds.
-const MAX_DEADLINE_MS: f64 = 3_600_000.0;
 
 /// What to draw and how. The pose is `camera`, or `eye` and `target` (with `up` and `fov`), or
-/// `view` and `proj`; without any, the whole scene is shown.
+/// `view` and `proj`; without any, the whole scene is shown, to which `up` and `fov` apply as well.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, ToSchema, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct FrameParams {
-    /// A camera that the scene names.
+    /// A camera that the scene names. In a frame that is higher than wide its field of view is that of the width, up to a
+    /// vertical one of 100 degrees, so that such a frame shows as much from side to side as a square one.
     pub camera: Option<String>,
     /// Where the eye is, in world space: `x,y,z`.
     #[param(style = Form, explode = false)]
@@ -45,12 +46,12 @@ pub struct FrameParams {
     /// What the eye looks at, in world space: `x,y,z`.
     #[param(style = Form, explode = false)]
     pub target: Option<[f64; 3]>,
-    /// Which way is up; where none is given, as the scene has it (`up` of `GET /v1/scenes/{id}`).
-    #[param(style = Form, explode = false)]
-    pub up: Option<[f64; 3]>,
-    /// Vertical field of view in degrees, 40 where none is given.
-    #[param(exclusive_minimum = 0.0, exclusive_maximum = 180.0)]
-    #[schema(exclusive_minimum = 0.0, exclusive_maximum = 180.0)]
+    /// Which way is up: `x`, `y`, `z`, `-x`, `-y`, `-z` or `x,y,z`. The default is the scene's own (`up` of
+    /// `GET /v1/scenes/{id}`). Without `eye` and `target` the whole scene is shown upright that way.
+    #[param(style = Form, explode = false, value_type = Option<UpForm>)]
+    #[schema(value_type = Option<UpForm>)]
+    pub up: Option<Up>,
+    /// Vertical field of view in degrees, 40 where none is given. Without `eye` and `target` the whole scene is shown in it.
     pub fov: Option<f64>,
     /// World → view, 16 numbers, column-major; rotation and translation only. Needs `proj`.
     #[param(style = Form, explode = false)]
@@ -59,20 +60,14 @@ pub struct FrameParams {
     #[param(style = Form, explode = false)]
     pub proj: Option<[f64; 16]>,
     /// Width in pixels, 1024 where none is given.
-    #[param(minimum = 1)]
-    #[schema(minimum = 1)]
     pub w: Option<u32>,
     /// Height in pixels, 1024 where none is given.
-    #[param(minimum = 1)]
-    #[schema(minimum = 1)]
     pub h: Option<u32>,
     /// Encoding; without it the `Accept` header decides, and PNG where that leaves the choice.
     #[param(value_type = Option<ImageFormat>)]
     #[schema(value_type = Option<ImageFormat>)]
     pub format: Option<String>,
     /// 1 to 100 for lossy formats, 85 where none is given.
-    #[param(minimum = 1, maximum = 100)]
-    #[schema(minimum = 1, maximum = 100)]
     pub quality: Option<u8>,
     /// Which image of the frame.
     #[param(value_type = Option<Output>)]
@@ -83,8 +78,6 @@ pub struct FrameParams {
     #[schema(value_type = Option<Lod>)]
     pub lod: Option<String>,
     /// What `lod=spt` may be wrong by, in pixels; 1 where none is given.
-    #[param(minimum = 0.05, maximum = 64)]
-    #[schema(minimum = 0.05, maximum = 64)]
     pub max_error_px: Option<f32>,
     /// How splats of `lod=spt` measure that; `split` does not go with `reconstruct=points`.
     #[param(value_type = Option<ErrorMode>)]
@@ -115,8 +108,6 @@ pub struct FrameParams {
     pub shading: Option<String>,
     /// Milliseconds until the frame is worthless; work not begun by then is dropped, and what cannot be had
     /// by then, by what is queued before it and what such frames have cost, is refused at once, with a time to come again.
-    #[param(exclusive_minimum = 0.0)]
-    #[schema(exclusive_minimum = 0.0)]
     pub deadline_ms: Option<f64>,
 }
 
@@ -156,7 +147,7 @@ impl FrameParams {
             "camera" => once(&mut self.camera, name, value.to_owned()),
             "eye" => once(&mut self.eye, name, numbers(name, value)?),
             "target" => once(&mut self.target, name, numbers(name, value)?),
-            "up" => once(&mut self.up, name, numbers(name, value)?),
+            "up" => once(&mut self.up, name, number(name, value, Up::ACCEPTED)?),
             "fov" => once(&mut self.fov, name, number(name, value, DEGREES)?),
             "view" => once(&mut self.view, name, numbers(name, value)?),
             "proj" => once(&mut self.proj, name, numbers(name, value)?),
@@ -277,23 +268,9 @@ impl FrameParams {
         format: ImageFormat,
         now: Instant,
     ) -> Result<FrameRequest, Problem> {
-        let side = |name: &str, side: Option<u32>| match side {
-            Some(0) => Err(Problem::parameter(
-                name,
-                "must not be 0",
-                "a whole number of pixels, at least 1",
-            )),
-            side => Ok(side.unwrap_or(DEFAULT_SIDE)),
-        };
-        let (width, height) = (side("w", self.w)?, side("h", self.h)?);
+        self.check()?;
+        let (width, height) = (self.w.unwrap_or(DEFAULT_SIDE), self.h.unwrap_or(DEFAULT_SIDE));
         let quality = self.quality.unwrap_or(DEFAULT_QUALITY);
-        if !(1..=100).contains(&quality) {
-            return Err(Problem::parameter(
-                "quality",
-                format!("{quality} is out of range"),
-                "1 to 100",
-            ));
-        }
         Ok(FrameRequest {
             scene: scene.to_owned(),
             pose: self.pose(width, height)?,
@@ -303,7 +280,9 @@ impl FrameParams {
             output: self.output()?,
             format,
             quality,
-            deadline: self.deadline(now)?,
+            deadline: self
+                .deadline_ms
+                .and_then(|ms| now.checked_add(Duration::from_secs_f64(ms / 1000.0))),
         })
     }
 
@@ -333,24 +312,14 @@ impl FrameParams {
             });
         }
         let lod: Lod = choice("lod", self.lod.as_deref())?;
-        let [least, most] = MaxError::RANGE_PX;
-        let max_error = match self.max_error_px {
-            None => MaxError::default(),
-            Some(_) if lod == Lod::Full => {
-                return Err(Problem::parameter(
-                    "max_error_px",
-                    "full detail has none",
-                    "together with `lod=spt`, or left out",
-                ));
-            }
-            Some(px) => MaxError::new(px).ok_or_else(|| {
-                Problem::parameter(
-                    "max_error_px",
-                    format!("{px} is out of range"),
-                    format!("{least} to {most} pixels"),
-                )
-            })?,
-        };
+        if self.max_error_px.is_some() && lod == Lod::Full {
+            return Err(Problem::parameter(
+                "max_error_px",
+                "full detail has none",
+                "together with `lod=spt`, or left out",
+            ));
+        }
+        let max_error = self.max_error_px.and_then(MaxError::new).unwrap_or_default();
         let paint: Paint = choice("paint", self.paint.as_deref())?;
         if paint == Paint::Levels && lod == Lod::Full {
             let reason = "full detail has no levels";
@@ -388,20 +357,8 @@ impl FrameParams {
         })
     }
 
-    fn deadline(&self, now: Instant) -> Result<Option<Instant>, Problem> {
-        let Some(ms) = self.deadline_ms else { return Ok(None) };
-        if !(ms > 0.0 && ms <= MAX_DEADLINE_MS) {
-            return Err(Problem::parameter(
-                "deadline_ms",
-                format!("{ms} is out of range"),
-                format!("milliseconds above 0, at most {MAX_DEADLINE_MS}"),
-            ));
-        }
-        Ok(now.checked_add(Duration::from_secs_f64(ms / 1000.0)))
-    }
-
     fn pose(&self, width: u32, height: u32) -> Result<Pose, Problem> {
-        const WAYS: &str = "`camera`, or `eye` and `target` (with `up`, `fov`), or `view` and `proj`, or none of them";
+        const WAYS: &str = "`camera`, or `eye` and `target`, or `view` and `proj`, or none of them; `up` and `fov` with `eye` or alone";
         let by_eye = [
             ("eye", self.eye.is_some()),
             ("target", self.target.is_some()),
@@ -427,16 +384,13 @@ impl FrameParams {
             return Ok(Pose::Named(name.clone()));
         }
         let missing = |name| Problem::parameter(name, "missing", WAYS);
-        if let Some(given) = by_eye {
-            if self.eye.is_none() && self.target.is_none() {
-                let reason = "needs `eye` and `target`: cameras and the whole scene have their own";
-                return Err(Problem::parameter(given, reason, WAYS));
-            }
+        let up = self.up.map(|Up(up)| up);
+        if self.eye.is_some() || self.target.is_some() {
             let eye = DVec3::from(self.eye.ok_or_else(|| missing("eye"))?);
             let target = DVec3::from(self.target.ok_or_else(|| missing("target"))?);
             let fov_deg = self.fov.unwrap_or(DEFAULT_FOV_DEG);
-            return Ok(match self.up {
-                Some(up) => Pose::Camera(Camera { eye, target, up: up.into(), fov_deg }),
+            return Ok(match up {
+                Some(up) => Pose::Camera(Camera { eye, target, up, fov_deg }),
                 None => Pose::Upright { eye, target, fov_deg },
             });
         }
@@ -446,7 +400,7 @@ impl FrameParams {
             let (view, proj) = (DMat4::from_cols_array(&view), DMat4::from_cols_array(&proj));
             return Ok(Pose::View(View::from_matrices(view, proj, width, height)?));
         }
-        Ok(Pose::Fit)
+        Ok(Pose::Fit { up, fov_deg: self.fov })
     }
 }
 

@@ -21,6 +21,8 @@ use crate::scene::SceneError;
 /// What kinds of problem there are. Each has one status and one `type` for good.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Kind {
+    MalformedRequest,
+    HeadTooLarge,
     UnknownRoute,
     UnknownScene,
     UnknownNode,
@@ -71,6 +73,7 @@ pub enum Kind {
     JobFailed,
     VideoFailed,
     JobsOff,
+    UploadsOff,
     OutOfJobDisk,
     JobFileDamaged,
     Internal,
@@ -78,7 +81,9 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind, in the order of the documentation.
-    pub const ALL: [Kind; 53] = [
+    pub const ALL: [Kind; 56] = [
+        Kind::MalformedRequest,
+        Kind::HeadTooLarge,
         Kind::UnknownRoute,
         Kind::UnknownScene,
         Kind::UnknownNode,
@@ -129,6 +134,7 @@ impl Kind {
         Kind::JobFailed,
         Kind::VideoFailed,
         Kind::JobsOff,
+        Kind::UploadsOff,
         Kind::OutOfJobDisk,
         Kind::JobFileDamaged,
         Kind::Internal,
@@ -138,6 +144,12 @@ impl Kind {
     pub fn facts(self) -> (u16, &'static str, &'static str) {
         use Kind::*;
         match self {
+            MalformedRequest => {
+                (400, "urn:pointillist:problem:malformed-request", "this is no HTTP request")
+            }
+            HeadTooLarge => {
+                (431, "urn:pointillist:problem:head-too-large", "the request's head is too large")
+            }
             UnknownRoute => (404, "urn:pointillist:problem:unknown-route", "no such resource"),
             UnknownScene => (404, "urn:pointillist:problem:unknown-scene", "no such scene"),
             UnknownNode => (404, "urn:pointillist:problem:unknown-node", "no such node"),
@@ -254,6 +266,9 @@ impl Kind {
                 (500, "urn:pointillist:problem:video-failed", "the video could not be made")
             }
             JobsOff => (503, "urn:pointillist:problem:jobs-off", "this server draws no jobs"),
+            UploadsOff => {
+                (503, "urn:pointillist:problem:uploads-off", "this server takes no uploads")
+            }
             OutOfJobDisk => {
                 (507, "urn:pointillist:problem:job-quota", "jobs are over their share of the disk")
             }

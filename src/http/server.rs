@@ -1,10 +1,14 @@
 //! Listening, limits on connections, start and stop.
 //!
 //! ```text
-//! listen ─► Starting ──scenes loaded──► Serving ──SIGTERM, SIGINT──► Draining ─► exit
-//!           /healthz 200                /readyz 200                  no new connections; answers in
-//!           /readyz  503                                             flight end within `drain`, streams
-//!                                                                    are closed with 1001, jobs pause
+//! listen ─► Starting ──scenes loaded──► Serving ──SIGTERM──► Leaving ──`drain_delay`──► Draining ─► exit
+//!           /healthz 200                /readyz 200          /readyz 503                no new connections;
+//!           /readyz  503                                     all is served as before    answers in flight end
+//!                                                                                       within `drain`, streams are
+//!                                                                                       closed with 1001, jobs pause
+//! SIGINT, and SIGHUP where the terminal that it was started from has gone: Draining at once
+//! a second SIGTERM, SIGINT or such SIGHUP: exit at once
+//! SIGHUP without a terminal: API keys are read again
 //! a render thread that panicked: /healthz and /readyz 503, and the watchdog is no longer patted
 //! ```
 //!
@@ -24,6 +28,7 @@ use std::time::Duration;
 use axum::response::{IntoResponse, Response};
 use axum_server::Handle;
 use axum_server::accept::Accept;
+use bytes::{Buf, Bytes};
 use hyper::header::CONTENT_LENGTH;
 use hyper_util::rt::TokioTimer;
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
@@ -32,18 +37,22 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, Sleep};
 
 use super::problem::{Kind, Problem};
-use super::{App, Phase, router, service, upload};
+use super::{App, Phase, refusal, router, service, upload};
 use crate::engine::{Engine, Readiness};
 
 /// A client that reads nothing of its answer for this long is given up.
 const STALLED_WRITE: Duration = Duration::from_secs(60);
 /// Bytes of the longest request head.
-const MAX_HEAD_BYTES: usize = 32 << 10;
-const MAX_HEADERS: usize = 64;
+pub const MAX_HEAD_BYTES: usize = 32 << 10;
+pub const MAX_HEADERS: usize = 64;
 /// Requests in flight on one HTTP/2 connection.
 const MAX_STREAMS: u32 = 128;
 /// An HTTP/2 preface has this length, and so has, nearly, the shortest HTTP/1 request.
 const PREFACE_BYTES: u64 = 24;
+/// How long, and for how many bytes, a connection reads on after a head that it refused: closing it at once would reset it, and the client
+/// might never see the answer.
+const LINGER: Duration = Duration::from_secs(1);
+const LINGER_BYTES: usize = 1 << 20;
 
 /// Scenes to load at the start.
 #[derive(Clone, Debug, Default)]
@@ -68,7 +77,7 @@ pub async fn serve(
     let address = listener.local_addr()?;
     listener.set_nonblocking(true)?;
     let handle = Handle::new();
-    let mut stop = Box::pin(stop_signal()?);
+    let mut signals = Signals::new()?;
     let mut server = tokio::spawn(run(app.clone(), listener, handle.clone()));
     if let Ok(jobs) = &app.jobs {
         // Those whose scenes are not loaded yet wait for them.
@@ -84,18 +93,35 @@ pub async fn serve(
             ready(&app.engine, address);
             notify(&[sd_notify::NotifyState::Ready]);
             let watchdog = tokio::spawn(watchdog(app.clone()));
-            tokio::select! {
-                signal = &mut stop => tracing::info!(signal, "draining"),
+            let signal = tokio::select! {
+                signal = signals.stop(&app) => signal,
                 ended = &mut server => return Ok(ended??),
-            }
+            };
             watchdog.abort();
+            notify(&[sd_notify::NotifyState::Stopping]);
+            let delay = app.settings.drain_delay;
+            if signal == SIGTERM && !delay.is_zero() {
+                tracing::info!(signal, seconds = delay.as_secs(), "not ready any more; draining soon");
+                app.set_phase(Phase::Leaving);
+                tokio::select! {
+                    () = tokio::time::sleep(delay) => {}
+                    signal = signals.stop(&app) => {
+                        tracing::warn!(signal, "stopping at once");
+                        return Ok(());
+                    }
+                    ended = &mut server => return Ok(ended??),
+                }
+            }
+            tracing::info!(signal, "draining");
         }
-        signal = &mut stop => tracing::info!(signal, "stopped while loading"),
+        signal = signals.stop(&app) => {
+            tracing::info!(signal, "stopped while loading");
+            notify(&[sd_notify::NotifyState::Stopping]);
+        }
         ended = &mut server => return Ok(ended??),
     }
 
     app.set_phase(Phase::Draining);
-    notify(&[sd_notify::NotifyState::Stopping]);
     handle.graceful_shutdown(Some(app.settings.drain));
     let drained = async {
         let _ = (&mut server).await;
@@ -117,7 +143,7 @@ pub async fn serve(
             Ok(()) => tracing::info!("drained"),
             Err(_) => tracing::warn!("stopping with work in flight"),
         },
-        second = stop_signal()? => tracing::warn!(signal = second, "stopping at once"),
+        signal = signals.stop(&app) => tracing::warn!(signal, "stopping at once"),
     }
     Ok(())
 }
@@ -156,8 +182,12 @@ async fn run(
 /// Loads one after the other: each may need most of the memory.
 async fn load_scenes(app: &Arc<App>, start: StartScenes) -> anyhow::Result<()> {
     let asked = start.scenes.len();
-    let root = app.settings.root.clone();
-    let earlier = tokio::task::spawn_blocking(move || upload::earlier_uploads(&root)).await?;
+    // They may be another daemon's, which alone cleans up there.
+    let root = app.settings.uploads.then(|| app.settings.root.clone());
+    let earlier = tokio::task::spawn_blocking(move || {
+        root.map_or_else(Vec::new, |root| upload::earlier_uploads(&root))
+    })
+    .await?;
     let mut failed = 0;
     for (index, (id, file)) in start.scenes.into_iter().chain(earlier).enumerate() {
         let shown = file.display().to_string();
@@ -181,7 +211,10 @@ async fn load_scenes(app: &Arc<App>, start: StartScenes) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The name of the first signal to stop. Within a runtime; from the call on such signals no longer end the process.
+const SIGTERM: &str = "SIGTERM";
+
+/// Waits for SIGTERM or SIGINT, for commands that are no daemon. Within a runtime; from the call on such signals no longer end
+/// the process.
 pub fn stop_signal() -> std::io::Result<impl Future<Output = &'static str>> {
     #[cfg(unix)]
     {
@@ -190,7 +223,7 @@ pub fn stop_signal() -> std::io::Result<impl Future<Output = &'static str>> {
         let mut interrupt = signal(SignalKind::interrupt())?;
         Ok(async move {
             tokio::select! {
-                _ = terminate.recv() => "SIGTERM",
+                _ = terminate.recv() => SIGTERM,
                 _ = interrupt.recv() => "SIGINT",
             }
         })
@@ -200,6 +233,63 @@ pub fn stop_signal() -> std::io::Result<impl Future<Output = &'static str>> {
         let _ = tokio::signal::ctrl_c().await;
         "interrupt"
     })
+}
+
+/// Signals to the daemon; from its making on they no longer end the process by themselves.
+#[cfg(unix)]
+struct Signals {
+    terminate: tokio::signal::unix::Signal,
+    interrupt: tokio::signal::unix::Signal,
+    hangup: tokio::signal::unix::Signal,
+    /// Standard error was a terminal at the start, so that a hangup means that it has gone.
+    has_terminal: bool,
+}
+
+#[cfg(unix)]
+impl Signals {
+    /// Begins to listen, within a runtime.
+    fn new() -> std::io::Result<Signals> {
+        use std::io::IsTerminal;
+        use tokio::signal::unix::{SignalKind, signal};
+        Ok(Signals {
+            terminate: signal(SignalKind::terminate())?,
+            interrupt: signal(SignalKind::interrupt())?,
+            hangup: signal(SignalKind::hangup())?,
+            has_terminal: std::io::stderr().is_terminal(),
+        })
+    }
+
+    /// Waits for a signal to stop and gives its name. Hangups that are none have the access rules read again.
+    async fn stop(&mut self, app: &App) -> &'static str {
+        loop {
+            tokio::select! {
+                _ = self.terminate.recv() => return SIGTERM,
+                _ = self.interrupt.recv() => return "SIGINT",
+                _ = self.hangup.recv() => {
+                    if self.has_terminal {
+                        return "SIGHUP";
+                    }
+                    app.reread_access();
+                }
+            }
+        }
+    }
+}
+
+/// Interrupts from a console.
+#[cfg(not(unix))]
+struct Signals;
+
+#[cfg(not(unix))]
+impl Signals {
+    fn new() -> std::io::Result<Signals> {
+        Ok(Signals)
+    }
+
+    async fn stop(&mut self, _: &App) -> &'static str {
+        let _ = tokio::signal::ctrl_c().await;
+        "interrupt"
+    }
 }
 
 /// Tells the service manager, where there is one.
@@ -317,6 +407,15 @@ struct Guarded {
     preface_until: Pin<Box<Sleep>>,
     write_until: Pin<Box<Sleep>>,
     is_write_pending: bool,
+    /// What is sent in place of an answer of the HTTP library.
+    instead: Option<Instead>,
+}
+
+/// An answer on its way, and what is read after it.
+struct Instead {
+    rest: Bytes,
+    unread: usize,
+    until: Pin<Box<Sleep>>,
 }
 
 impl Guarded {
@@ -328,7 +427,52 @@ impl Guarded {
             preface_until: Box::pin(tokio::time::sleep(read_timeout)),
             write_until: Box::pin(tokio::time::sleep(STALLED_WRITE)),
             is_write_pending: false,
+            instead: None,
         }
+    }
+
+    /// Sends a whole answer in place of one of the HTTP library; `None` where these bytes are no such answer.
+    fn poll_instead(
+        &mut self,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Option<Poll<std::io::Result<usize>>> {
+        if self.instead.is_none() {
+            let rest = refusal::instead_of(bytes)?;
+            let until = Box::pin(tokio::time::sleep(LINGER));
+            self.instead = Some(Instead { rest, unread: LINGER_BYTES, until });
+        }
+        let mut instead = self.instead.take()?;
+        let result = self.poll_rest(context, &mut instead).map_ok(|()| bytes.len());
+        if result.is_pending() {
+            self.instead = Some(instead);
+        }
+        Some(result)
+    }
+
+    fn poll_rest(
+        &mut self,
+        context: &mut Context<'_>,
+        instead: &mut Instead,
+    ) -> Poll<std::io::Result<()>> {
+        while !instead.rest.is_empty() {
+            let written = Pin::new(&mut self.stream).poll_write(context, &instead.rest);
+            let written = std::task::ready!(self.bounded(context, written))?;
+            instead.rest.advance(written);
+        }
+        std::task::ready!(Pin::new(&mut self.stream).poll_shutdown(context))?;
+        while instead.unread > 0 && instead.until.as_mut().poll(context).is_pending() {
+            let mut space = [0; 4096];
+            let mut buffer = ReadBuf::new(&mut space);
+            match Pin::new(&mut self.stream).poll_read(context, &mut buffer) {
+                Poll::Pending => return Poll::Pending,
+                Poll::Ready(Ok(())) if !buffer.filled().is_empty() => {
+                    instead.unread = instead.unread.saturating_sub(buffer.filled().len());
+                }
+                Poll::Ready(_) => break,
+            }
+        }
+        Poll::Ready(Ok(()))
     }
 
     /// Turns a write that waits too long into an error.
@@ -381,6 +525,9 @@ impl AsyncWrite for Guarded {
         context: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<std::io::Result<usize>> {
+        if let Some(result) = self.poll_instead(context, bytes) {
+            return result;
+        }
         let result = Pin::new(&mut self.stream).poll_write(context, bytes);
         self.bounded(context, result)
     }
@@ -390,6 +537,12 @@ impl AsyncWrite for Guarded {
         context: &mut Context<'_>,
         slices: &[std::io::IoSlice<'_>],
     ) -> Poll<std::io::Result<usize>> {
+        let mut filled = slices.iter().filter(|slice| !slice.is_empty());
+        if let (Some(only), None) = (filled.next(), filled.next())
+            && let Some(result) = self.poll_instead(context, only)
+        {
+            return result;
+        }
         let result = Pin::new(&mut self.stream).poll_write_vectored(context, slices);
         self.bounded(context, result)
     }

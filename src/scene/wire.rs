@@ -14,6 +14,12 @@ use serde::de::{self, Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 
 use super::path::{Ease, Interpolation};
 use super::splats::{Blend, Filter, Shading};
+use super::up::Up;
+
+/// Frames a second that a path may have.
+pub(super) const PATH_FPS: [f64; 2] = [0.001, 1000.0];
+/// Seconds at which a key of a path may stand.
+pub(super) const PATH_SECONDS: [f64; 2] = [-1e6, 1e6];
 
 /// The JSON Schema of scene files, draft 2020-12.
 pub fn json_schema() -> serde_json::Value {
@@ -52,7 +58,7 @@ pub(super) struct SceneFile {
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, MaterialWire>")]
     pub materials: Named<MaterialWire>,
-    /// When absent: a headlight (0.85) and ambient light (0.15). An empty list means unlit.
+    /// When absent: a headlight (0.63) and ambient light (0.07). An empty list means unlit.
     #[serde(default)]
     pub lights: Option<Vec<Object<LightWire>>>,
     /// Colour of pixels that nothing covers, `#202428` when absent.
@@ -66,9 +72,9 @@ pub(super) struct SceneFile {
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, PathWire>")]
     pub paths: Named<PathWire>,
-    /// World up: `"x"`, `"y"` (when absent), `"z"`, or a vector.
+    /// World up: an axis by name, `"y"` when absent, or a vector.
     #[serde(default)]
-    pub up: Option<UpWire>,
+    pub up: Option<Up>,
     /// How samples are drawn as splats.
     #[serde(default)]
     pub splats: Option<Object<SplatsWire>>,
@@ -285,7 +291,7 @@ pub(super) struct CameraWire {
     pub target: [f64; 3],
     /// The scene's up when absent.
     #[serde(default)]
-    pub up: Option<[f64; 3]>,
+    pub up: Option<Up>,
     /// Vertical field of view, 40 when absent.
     #[serde(default)]
     pub fov: Option<f64>,
@@ -302,6 +308,7 @@ pub(super) struct PathWire {
     pub _schema: Option<String>,
     /// Frames a second, 30 when absent.
     #[serde(default)]
+    #[schemars(range(min = PATH_FPS[0], max = PATH_FPS[1]))]
     pub fps: Option<f64>,
     /// How positions go from key to key, `catmull_rom` when absent.
     #[serde(default)]
@@ -309,6 +316,7 @@ pub(super) struct PathWire {
     /// How time passes between keys that do not say themselves; when absent `smooth` for `catmull_rom`, `linear` for `linear`.
     #[serde(default)]
     pub ease: Option<Ease>,
+    #[schemars(length(min = 1))]
     pub keys: Vec<Object<KeyWire>>,
 }
 
@@ -316,12 +324,13 @@ pub(super) struct PathWire {
 #[serde(deny_unknown_fields)]
 pub(super) struct KeyWire {
     /// Seconds, later than the key before.
+    #[schemars(range(min = PATH_SECONDS[0], max = PATH_SECONDS[1]))]
     pub t: f64,
     pub eye: [f64; 3],
     pub target: [f64; 3],
     /// The scene's up when absent.
     #[serde(default)]
-    pub up: Option<[f64; 3]>,
+    pub up: Option<Up>,
     /// Vertical field of view, 40 when absent.
     #[serde(default)]
     pub fov: Option<f64>,
@@ -346,16 +355,8 @@ pub(super) enum ScaleWire {
     Axes([f64; 3]),
 }
 
-/// An axis by name, or a vector.
-#[derive(Clone, Debug, PartialEq, JsonSchema)]
-#[schemars(untagged)]
-pub(super) enum UpWire {
-    Axis(String),
-    Vector([f64; 3]),
-}
-
 /// Three numbers from a sequence, no more and no fewer.
-fn three<'de, A: SeqAccess<'de>>(
+pub(super) fn three<'de, A: SeqAccess<'de>>(
     mut seq: A,
     expected: &dyn de::Expected,
 ) -> Result<[f64; 3], A::Error> {
@@ -395,17 +396,6 @@ either_form! {
         }
         fn visit_seq<A: SeqAccess<'de>>(self, seq: A) -> Result<ColorWire, A::Error> {
             three(seq, &self).map(ColorWire::Rgb)
-        }
-    }
-}
-
-either_form! {
-    UpWire, "`x`, `y`, `z` or a vector of three numbers", {
-        fn visit_str<E: de::Error>(self, text: &str) -> Result<UpWire, E> {
-            Ok(UpWire::Axis(text.to_owned()))
-        }
-        fn visit_seq<A: SeqAccess<'de>>(self, seq: A) -> Result<UpWire, A::Error> {
-            three(seq, &self).map(UpWire::Vector)
         }
     }
 }

@@ -6,17 +6,21 @@
     reason = "a test that unwraps says where it failed"
 )]
 
+mod balancer;
 mod client;
 mod contract;
 mod daemon;
 mod errors;
+mod examples;
 mod frames;
 mod hostile;
 mod jobs;
+mod leaving;
 mod lifecycle;
 mod load;
 mod mjpeg;
 mod naming;
+mod schema;
 mod stream;
 mod stream_ends;
 mod uploads;
