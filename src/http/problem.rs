@@ -57,6 +57,7 @@ pub enum Kind {
     TooManyScenes,
     UploadQuota,
     LoadCancelled,
+    LoadLost,
     UnknownJob,
     UnknownFrame,
     FrameNotDrawn,
@@ -78,7 +79,7 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind, in the order of the documentation.
-    pub const ALL: [Kind; 53] = [
+    pub const ALL: [Kind; 54] = [
         Kind::UnknownRoute,
         Kind::UnknownScene,
         Kind::UnknownNode,
@@ -115,6 +116,7 @@ impl Kind {
         Kind::TooManyScenes,
         Kind::UploadQuota,
         Kind::LoadCancelled,
+        Kind::LoadLost,
         Kind::UnknownJob,
         Kind::UnknownFrame,
         Kind::FrameNotDrawn,
@@ -217,6 +219,11 @@ impl Kind {
             LoadCancelled => {
                 (409, "urn:pointillist:problem:load-cancelled", "the load was cancelled")
             }
+            LoadLost => (
+                500,
+                "urn:pointillist:problem:load-lost",
+                "the server ended while it loaded the scene",
+            ),
             OutOfDisk => (507, "urn:pointillist:problem:storage", "the disk cannot be used"),
             UnknownJob => (404, "urn:pointillist:problem:unknown-job", "no such job"),
             UnknownFrame => {

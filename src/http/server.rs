@@ -32,8 +32,9 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, Sleep};
 
 use super::problem::{Kind, Problem};
+use super::upload::store::Earlier;
 use super::{App, Phase, router, service, upload};
-use crate::engine::{Engine, Readiness};
+use crate::engine::{Engine, Readiness, Source};
 
 /// A client that reads nothing of its answer for this long is given up.
 const STALLED_WRITE: Duration = Duration::from_secs(60);
@@ -119,6 +120,7 @@ pub async fn serve(
         },
         second = stop_signal()? => tracing::warn!(signal = second, "stopping at once"),
     }
+    upload::stand_down(&app);
     Ok(())
 }
 
@@ -157,13 +159,34 @@ async fn run(
 async fn load_scenes(app: &Arc<App>, start: StartScenes) -> anyhow::Result<()> {
     let asked = start.scenes.len();
     let root = app.settings.root.clone();
-    let earlier = tokio::task::spawn_blocking(move || upload::earlier_uploads(&root)).await?;
+    let earlier = tokio::task::spawn_blocking(move || upload::store::earlier(&root)).await?;
+    let at = |(id, file)| (id, Some(Source::at(file)), None);
+    let mut scenes: Vec<_> = start.scenes.into_iter().map(at).collect();
+    for Earlier { id, source, key, bytes, refusal } in earlier {
+        app.uploads.keep(&id, app.uploads.known(key.as_deref(), bytes));
+        scenes.push((id, source, refusal));
+    }
+    // All ids are taken before the first load, so that no upload comes into the place of another.
+    let reserve = |id: &str| {
+        app.registry.reserve(id, app.engine.admission(), |id| app.engine.scene(id).is_ok())
+    };
+    let reserved: Vec<_> = scenes
+        .into_iter()
+        .map(|(id, source, refusal)| (reserve(&id), id, source, refusal))
+        .collect();
     let mut failed = 0;
-    for (index, (id, file)) in start.scenes.into_iter().chain(earlier).enumerate() {
-        let shown = file.display().to_string();
-        let result = match app.registry.reserve(&id, |id| app.engine.scene(id).is_ok()) {
-            Ok(reservation) => upload::load(app, reservation, file, |problem| problem).await,
-            Err(problem) => Err(problem),
+    for (index, (reservation, id, source, refusal)) in reserved.into_iter().enumerate() {
+        let shown = source.as_ref().map(|source| source.path.display().to_string());
+        let result = match (reservation, source, refusal) {
+            (Ok(reservation), Some(source), None) => {
+                upload::load(app.clone(), reservation, source, upload::Origin::Kept).await
+            }
+            (Ok(reservation), source, refusal) => {
+                let problem = refusal.unwrap_or_else(|| Problem::internal("nothing to load"));
+                reservation.fail(problem.clone(), source);
+                Err(problem)
+            }
+            (Err(problem), ..) => Err(problem),
         };
         match result {
             // The engine has told of it.

@@ -6,6 +6,7 @@
     reason = "a test that unwraps says where it failed"
 )]
 
+mod admission;
 mod client;
 mod contract;
 mod daemon;
@@ -17,6 +18,7 @@ mod lifecycle;
 mod load;
 mod mjpeg;
 mod naming;
+mod soak;
 mod stream;
 mod stream_ends;
 mod uploads;

@@ -157,6 +157,7 @@ fn keys_cover_everything() {
     let mut keys = vec![tree_key(cloud), tree_key(mesh)];
     let mut changed = |asset: &AssetModel, change: &dyn Fn(&mut AssetModel)| {
         let mut copy = AssetModel {
+            memory: Default::default(),
             name: "copy".to_owned(),
             packed: asset.packed.clone(),
             bounds: asset.bounds.clone(),
