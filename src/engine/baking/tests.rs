@@ -51,7 +51,8 @@ impl Stage {
     }
 
     fn loaded(&self) -> Loaded {
-        load("s", &self.path(), &self.config, &AssetCache::default()).unwrap()
+        let (source, admission) = (Source::at(self.path()), Admission::default());
+        load("s", &source, &self.config, &AssetCache::default(), &admission).unwrap()
     }
 
     fn cache(&self) -> Option<&BakeCache> {
