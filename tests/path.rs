@@ -119,7 +119,7 @@ impl Studio {
             engine,
             request: FrameRequest {
                 scene: "scene".to_owned(),
-                pose: Pose::Fit,
+                pose: Pose::FIT,
                 width: 64,
                 height: 48,
                 settings: Settings::default(),
@@ -321,7 +321,7 @@ fn other_settings_draw_all_anew() {
     for more in [
         &["--quality", "40"][..],
         &["--fps", "15"],
-        &["--reconstruct", "splats"],
+        &["--reconstruct", "fuzzy"],
         &["--lod", "spt"],
         &["--output", "normal"],
     ] {

@@ -10,6 +10,7 @@ use std::rc::Rc;
 use super::colors::NEUTRAL;
 use super::csg::{self, CsgError};
 use super::prepare::{self, AssetTraits};
+use super::upright::Shape;
 use super::{
     FeatureOptions, SampleOptions, detect_features, estimate_kernels, expected_samples, sample_mesh,
 };
@@ -47,6 +48,8 @@ pub enum AssembleError {
 pub struct Prepared {
     pub asset: Asset,
     pub traits: AssetTraits,
+    /// Measured where the scene is this asset alone, to tell which way is up.
+    pub shape: Option<Shape>,
 }
 
 /// Assembles the assets of one scene.
@@ -56,6 +59,7 @@ pub struct Assembler {
     assets: Vec<AssetRef>,
     operands_only: Vec<bool>,
     is_operand: Vec<bool>,
+    is_bare: bool,
     options: ReadOptions,
     /// Files that something is made of, as read and sampled.
     files: HashMap<usize, Rc<Asset>>,
@@ -75,6 +79,7 @@ impl Assembler {
             assets: description.assets.clone(),
             operands_only: description.operands_only(),
             is_operand,
+            is_bare: !prepare::is_scene_file(scene),
             options: options.clone(),
             files: HashMap::new(),
             clouds: HashMap::new(),
@@ -97,6 +102,7 @@ impl Assembler {
             }
             AssetSource::Solid(solid) => (self.solid_asset(index, &solid)?, false),
         };
+        let shape = if self.is_bare { Shape::of(&asset) } else { None };
         let mut traits = AssetTraits { format: asset.format, ..AssetTraits::default() };
         for geometry in &mut asset.geometries {
             prepare::prepare_geometry(geometry, &mut traits, &self.options.admission)?;
@@ -104,7 +110,7 @@ impl Assembler {
                 detect_features(cloud, &FeatureOptions::default());
             }
         }
-        Ok(Prepared { asset, traits })
+        Ok(Prepared { asset, traits, shape })
     }
 
     /// A file as read and, where asked for, sampled.
@@ -271,7 +277,8 @@ impl Assembler {
 
 fn no_geometry() -> Prepared {
     let asset = Asset { format: OPERAND_FORMAT, ..Asset::default() };
-    Prepared { asset, traits: AssetTraits { format: OPERAND_FORMAT, ..AssetTraits::default() } }
+    let traits = AssetTraits { format: OPERAND_FORMAT, ..AssetTraits::default() };
+    Prepared { asset, traits, shape: None }
 }
 
 /// The samples of all placements; `None` where a mesh is placed.

@@ -14,6 +14,8 @@
 //! - [`hybrid`] samples meshes for point trees, which keep the triangles for where they are the better;
 //! - [`tree`] builds point trees, from which a frame takes the detail that it can show;
 //! - [`external`] builds the point trees of files that do not fit into memory;
+//! - [`spacing`] tells how far apart packed samples lie;
+//! - [`outline`] finds the few points of a geometry that decide which cameras show it whole;
 //! - [`pack`] puts geometry into the records that the GPU reads;
 //! - [`cache`] keeps what was baked in a folder.
 
@@ -22,9 +24,12 @@ pub mod cache;
 pub mod csg;
 pub mod external;
 pub mod hybrid;
+pub mod outline;
 pub mod pack;
 pub mod prepare;
+pub mod spacing;
 pub mod tree;
+pub mod upright;
 
 mod colors;
 mod crease;

@@ -3,11 +3,13 @@
 pub mod bakes;
 mod baking;
 mod crowd;
+mod framing;
 mod group;
 mod job;
 mod keys;
 mod library;
 mod observe;
+mod priming;
 pub mod queue;
 pub mod receipt;
 mod renderer;
@@ -25,11 +27,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
+use glam::DVec3;
 use serde::Serialize;
 
 pub use bakes::BakeTicket;
 pub use baking::{BakeEvent, BakeSource, BakedAsset, bake_file};
 pub use observe::Observer;
+pub use priming::PrimeConfig;
 pub use queue::{Class, Client};
 pub use receipt::Receipt;
 pub use renderer::Renderer;
@@ -41,7 +45,7 @@ use crate::assets::{AssetError, ReadOptions};
 use crate::bake::cache::BakeCache;
 use crate::math::Camera;
 use crate::memory::{self, Admission, HostMemory, Interrupt};
-use crate::plan::Lod;
+use crate::plan::{Lod, Reconstruct};
 use crate::residency::Part;
 use crate::scene::{CameraPath, SceneError, SceneLimits};
 
@@ -94,6 +98,10 @@ pub struct EngineConfig {
     pub rasterise: Option<bool>,
     /// Where point trees are kept from one process to the next; `None`: they are built anew.
     pub bake_cache: Option<BakeCache>,
+    /// Which pipelines are built before frames need them; `None`: none are.
+    pub prime: Option<PrimeConfig>,
+    /// Up of bare asset files, instead of a guess.
+    pub up: Option<DVec3>,
     pub read: ReadOptions,
     pub scene: SceneLimits,
 }
@@ -191,6 +199,8 @@ pub struct SceneInfo {
     pub lights: usize,
     /// Which way is up: what a pose without `up` uses.
     pub up: [f64; 3],
+    /// Why that way is up: a guess names its evidence.
+    pub up_because: String,
     pub warnings: Vec<String>,
 }
 
@@ -201,6 +211,8 @@ pub struct AssetInfo {
     pub samples: u64,
     pub triangles: u64,
     pub has_colors: bool,
+    /// Colours were not in the file and show the intensity.
+    pub shows_intensity: bool,
     pub has_normals: bool,
     /// Normals were not in the file and come from the neighbourhood.
     pub normals_estimated: bool,
@@ -303,6 +315,10 @@ pub struct EngineStats {
     pub gpu_bytes_resident: u64,
     pub gpu_ns: u64,
     pub encode_ns: u64,
+    /// Pipelines that a frame had to build or to wait for, on the device in use.
+    pub pipelines_late: u64,
+    /// Pipelines that were built before frames needed them.
+    pub pipelines_primed: u64,
 }
 
 /// A handle on the running engine; clones share it. When the last one is dropped the render thread finishes the jobs it has
@@ -387,7 +403,9 @@ impl EngineConfig {
             rasterise: None,
             large_units_limit: None,
             bake_cache: None,
+            prime: None,
             read: ReadOptions::default(),
+            up: None,
             scene: SceneLimits::default(),
         }
     }
@@ -671,6 +689,11 @@ impl Engine {
         Some(SceneMark { uid: loaded.model.uid, revision: loaded.model.revision })
     }
 
+    /// What samples of a frame would be drawn as: a request may leave it open.
+    pub fn drawn_as(&self, request: &FrameRequest) -> Result<Reconstruct, EngineError> {
+        Ok(resolve::resolve(self.shared(), request)?.drawing.reconstruct)
+    }
+
     /// The plan that a request would follow, and what it was planned from.
     pub fn plan(&self, request: &FrameRequest) -> Result<crate::plan::FramePlan, EngineError> {
         Ok(resolve::resolve(self.shared(), request)?.drawing.plan)
@@ -726,6 +749,12 @@ impl Engine {
     #[doc(hidden)]
     pub fn break_render_thread(&self) {
         self.shared().break_render_thread();
+    }
+
+    /// Waits until pipelines have been built ahead or `patience` is over; whether they have been.
+    #[doc(hidden)]
+    pub fn await_primed(&self, patience: Duration) -> bool {
+        self.shared().await_primed(patience)
     }
 
     /// Has the driver refuse the next submission, to see whom that costs a frame.

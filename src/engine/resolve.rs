@@ -12,8 +12,8 @@ use super::{EngineError, FrameRequest, Pose};
 use crate::encode::{self, EncodeError};
 use crate::math::{Camera, CameraError, View};
 use crate::passes::{LAYERS_BYTES, Slabs};
+use crate::plan::auto::{self, Choice};
 use crate::plan::{AdapterFacts, Lod, Output, Reconstruct, Settings, plan};
-use crate::scene::Splats;
 
 /// Most pixels and longest side of a frame on this adapter.
 pub fn frame_limits(shared: &Shared) -> (u64, u32) {
@@ -96,6 +96,12 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
             (trees.model, trees.facts)
         }
     };
+    let auto = (request.settings.reconstruct == Reconstruct::Auto)
+        .then(|| choose_for(&loaded, request, facts.has_samples, &view));
+    let settings = Settings {
+        reconstruct: auto.map_or(request.settings.reconstruct, |choice| choice.reconstruct),
+        ..request.settings
+    };
     let way = |settings: &Settings, instead_because| {
         let splats = settings.splats(&loaded.model.splats);
         let adapter = AdapterFacts {
@@ -107,7 +113,6 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
         let plan = plan(&facts, request.output, splats.as_ref(), &adapter);
         Drawing { plan, reconstruct: settings.reconstruct, instead_because, splats }
     };
-    let settings = &request.settings;
     let other = settings.in_three_passes();
     let is_single = settings.reconstruct == Reconstruct::Fuzzy && facts.has_samples;
     let fits = || {
@@ -124,15 +129,31 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     };
     let drawing = match refused {
         Some(_) => way(&other, refused),
-        None => way(settings, None),
+        None => way(&settings, None),
     };
     let in_three_passes = (is_single && refused.is_none()).then(|| {
         way(&other, Some("more splats lie over one pixel than a single pass has room for"))
     });
-    let key = entity_tag(&loaded, request, drawing.splats.as_ref(), &view, &adapter);
+    let key = entity_tag(&loaded, request, &settings, auto.as_ref(), &drawing, &view, &adapter);
     let extent = loaded.extent;
     let max_error = request.settings.max_error;
-    Ok(Resolved { model, view, camera, extent, drawing, in_three_passes, max_error, key })
+    Ok(Resolved { model, view, camera, extent, drawing, auto, in_three_passes, max_error, key })
+}
+
+/// How samples are drawn where the request leaves that open.
+fn choose_for(loaded: &Loaded, request: &FrameRequest, has_samples: bool, view: &View) -> Choice {
+    let settings = &request.settings;
+    let (larger, max_error) = match settings.decide_for {
+        Some(still) => (f64::from(still.height) / f64::from(request.height), still.max_error),
+        None => (1.0, settings.max_error),
+    };
+    auto::choose(&auto::Grounds {
+        lod: settings.lod,
+        has_samples,
+        spacing_px: auto::spacing_px(loaded.patches(), view).map(|px| px * larger),
+        max_error_px: max_error.px(),
+        has_kernels: true,
+    })
 }
 
 /// Why splats cannot be blended and depth-tested in a single pass.
@@ -157,11 +178,13 @@ fn pose(loaded: &Loaded, request: &FrameRequest) -> Result<(View, CameraReceipt)
         }
         Pose::Camera(camera) => *camera,
         &Pose::Upright { eye, target, fov_deg } => Camera { eye, target, up: loaded.up(), fov_deg },
-        Pose::Fit => loaded.fit(f64::from(width) / f64::from(height)),
+        &Pose::Fit { up, fov_deg } => {
+            loaded.fit(f64::from(width) / f64::from(height), up, fov_deg).map_err(bad_camera)?
+        }
         Pose::Named(name) => {
             let cameras = &loaded.model.cameras;
             let found = cameras.iter().find(|(known, _)| known == name);
-            found.map(|(_, camera)| *camera).ok_or_else(|| {
+            found.map(|(_, camera)| camera.for_frame(width, height)).ok_or_else(|| {
                 let known: Vec<&str> = cameras.iter().map(|(name, _)| name.as_str()).collect();
                 EngineError::BadParameter {
                     parameter: "camera",
@@ -230,7 +253,9 @@ fn receipt_of_view(view: &View) -> CameraReceipt {
 fn entity_tag(
     loaded: &Loaded,
     request: &FrameRequest,
-    splats: Option<&Splats>,
+    settings: &Settings,
+    auto: Option<&Choice>,
+    drawing: &Drawing,
     view: &View,
     adapter: &Adapter,
 ) -> String {
@@ -243,12 +268,17 @@ fn entity_tag(
         request.format as u8,
         request.output as u8,
     ]);
-    hasher.update([request.settings.lod as u8, request.settings.reconstruct as u8]);
-    if request.settings.lod == Lod::Spt {
-        hasher.update(request.settings.max_error.px().to_le_bytes());
-        hasher.update([request.settings.paint as u8, request.settings.error_mode as u8]);
+    hasher.update([settings.lod as u8, settings.reconstruct as u8]);
+    if settings.lod == Lod::Spt {
+        hasher.update(settings.max_error.px().to_le_bytes());
+        hasher.update([settings.paint as u8, settings.error_mode as u8]);
     }
-    if let Some(splats) = splats {
+    if let Some(choice) = auto {
+        // The receipt has them.
+        hasher.update(b"auto");
+        hasher.update(choice.spacing_px.unwrap_or(-1.0).to_bits().to_le_bytes());
+    }
+    if let Some(splats) = &drawing.splats {
         // The scene's part in it is in the digest.
         hasher.update([
             splats.filter as u8,

@@ -58,6 +58,8 @@ pub struct Stats {
     pub gpu_bytes_resident: AtomicU64,
     pub gpu_ns: AtomicU64,
     pub encode_ns: AtomicU64,
+    pub pipelines_late: AtomicU64,
+    pub pipelines_primed: AtomicU64,
 }
 
 struct State {
@@ -68,6 +70,8 @@ struct State {
     /// A scene was removed and the render thread has not looked yet.
     removed: bool,
     stopping: bool,
+    /// Pipelines have been built ahead, as far as they will be.
+    primed: bool,
     phase: Phase,
     /// Since when the render thread has been at one batch.
     busy_since: Option<Instant>,
@@ -123,14 +127,15 @@ fn at_least(wait: Duration) -> Duration {
 }
 
 /// What frames have in common that cost about the same.
-fn cost_key(request: &FrameRequest) -> CostKey {
+fn cost_key(request: &FrameRequest, resolved: &Resolved) -> CostKey {
     let FrameRequest { scene, width, height, settings, output, .. } = request;
+    let reconstruct = resolved.auto.map_or(settings.reconstruct, |choice| choice.reconstruct);
     let mut hasher = DefaultHasher::new();
     scene.hash(&mut hasher);
     let discriminants = [
         Some(*output as u8),
         Some(settings.lod as u8),
-        Some(settings.reconstruct as u8),
+        Some(reconstruct as u8),
         settings.filter.map(|filter| filter as u8),
         settings.prefilter.map(u8::from),
         settings.blend.map(|blend| blend as u8),
@@ -156,6 +161,7 @@ pub struct Shared {
     pub changes: watch::Sender<u64>,
     state: Mutex<State>,
     wake: Condvar,
+    primed: Condvar,
     adapter: RwLock<Adapter>,
     resident: RwLock<HashSet<String>>,
     /// Streams that may ask for frames.
@@ -193,10 +199,12 @@ impl Shared {
                 by_key: HashMap::new(),
                 removed: false,
                 stopping: false,
+                primed: false,
                 phase: Phase::Starting,
                 busy_since: None,
             }),
             wake: Condvar::new(),
+            primed: Condvar::new(),
             adapter: RwLock::default(),
             resident: RwLock::default(),
             open_streams: AtomicUsize::new(0),
@@ -214,7 +222,7 @@ impl Shared {
         resolved: Resolved,
         request: FrameRequest,
     ) -> Result<Queued, EngineError> {
-        let cost_key = cost_key(&request);
+        let cost_key = cost_key(&request, &resolved);
         let now = Instant::now();
         let mut state = self.state.lock();
         state.check_open()?;
@@ -260,7 +268,7 @@ impl Shared {
     ) -> Result<Option<Queued>, EngineError> {
         let is_old = |job: &Arc<Job>| Arc::ptr_eq(job, old);
         let client = origin.client;
-        let cost_key = cost_key(&request);
+        let cost_key = cost_key(&request, &resolved);
         let mut state = self.state.lock();
         state.check_open()?;
         if !state.queue.holds(client, is_old) {
@@ -427,6 +435,25 @@ impl Shared {
         self.state.lock().queue.is_empty()
     }
 
+    /// Whether no frame waits or is being drawn.
+    pub fn is_idle(&self) -> bool {
+        let state = self.state.lock();
+        state.queue.is_empty() && state.busy_since.is_none()
+    }
+
+    /// Tells whoever waits in [`Shared::await_primed`].
+    pub fn set_primed(&self) {
+        self.state.lock().primed = true;
+        self.primed.notify_all();
+    }
+
+    /// Waits until pipelines are primed or `patience` is over; whether they are.
+    pub fn await_primed(&self, patience: Duration) -> bool {
+        let mut state = self.state.lock();
+        self.primed.wait_while_for(&mut state, |state| !state.primed, patience);
+        state.primed
+    }
+
     pub fn is_stopping(&self) -> bool {
         self.state.lock().stopping
     }
@@ -568,6 +595,8 @@ impl Shared {
             gpu_bytes_resident: read(&self.stats.gpu_bytes_resident),
             gpu_ns: read(&self.stats.gpu_ns),
             encode_ns: read(&self.stats.encode_ns),
+            pipelines_late: read(&self.stats.pipelines_late),
+            pipelines_primed: read(&self.stats.pipelines_primed),
         }
     }
 }

@@ -164,6 +164,7 @@ fn bake_watched(
         bounds,
         beside,
         tree: MadeOnce::default(),
+        outlined: OnceLock::new(),
         ..*asset
     };
     let what = format!("the point trees of `{}`", asset.name);

@@ -15,6 +15,7 @@ use super::problem::{Kind, Problem};
 use crate::engine::EngineError;
 use crate::json::{self, Limits};
 use crate::memory::Admission;
+use crate::scene::check_keys;
 
 /// Bytes a second that a body has to come at, on the average of the time spent waiting for it.
 pub const LEAST_RATE: u64 = 1024;
@@ -146,6 +147,8 @@ pub async fn json<T: DeserializeOwned>(
 
 /// Parses JSON; the error names the place.
 fn parse_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
+    check_keys(bytes)
+        .map_err(|found| Problem::new(Kind::BadBody, found.to_string()).at(found.path))?;
     let mut deserializer = serde_json::Deserializer::from_slice(bytes);
     let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
         let path = error.path().to_string();

@@ -20,7 +20,7 @@ use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
 use crate::math::{Camera, View};
 use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings};
-use crate::scene::{Blend, Filter, Shading};
+use crate::scene::{Blend, Filter, Shading, Up, UpForm};
 
 /// Width and height of a frame that names none.
 pub const DEFAULT_SIDE: u32 = 1024;
@@ -32,12 +32,13 @@ pub const DEFAULT_FOV_DEG: f64 = 40.0;
 const MAX_DEADLINE_MS: f64 = 3_600_000.0;
 
 /// What to draw and how. The pose is `camera`, or `eye` and `target` (with `up` and `fov`), or
-/// `view` and `proj`; without any, the whole scene is shown.
+/// `view` and `proj`; without any, the whole scene is shown, to which `up` and `fov` apply as well.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, ToSchema, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct FrameParams {
-    /// A camera that the scene names.
+    /// A camera that the scene names. In a frame that is higher than wide its field of view is that of the width, up to a
+    /// vertical one of 100 degrees, so that such a frame shows as much from side to side as a square one.
     pub camera: Option<String>,
     /// Where the eye is, in world space: `x,y,z`.
     #[param(style = Form, explode = false)]
@@ -45,10 +46,12 @@ pub struct FrameParams {
     /// What the eye looks at, in world space: `x,y,z`.
     #[param(style = Form, explode = false)]
     pub target: Option<[f64; 3]>,
-    /// Which way is up; where none is given, as the scene has it (`up` of `GET /v1/scenes/{id}`).
-    #[param(style = Form, explode = false)]
-    pub up: Option<[f64; 3]>,
-    /// Vertical field of view in degrees, 40 where none is given.
+    /// Which way is up: `x`, `y`, `z`, `-x`, `-y`, `-z` or `x,y,z`. The default is the scene's own (`up` of
+    /// `GET /v1/scenes/{id}`). Without `eye` and `target` the whole scene is shown upright that way.
+    #[param(style = Form, explode = false, value_type = Option<UpForm>)]
+    #[schema(value_type = Option<UpForm>)]
+    pub up: Option<Up>,
+    /// Vertical field of view in degrees, 40 where none is given. Without `eye` and `target` the whole scene is shown in it.
     #[param(exclusive_minimum = 0.0, exclusive_maximum = 180.0)]
     #[schema(exclusive_minimum = 0.0, exclusive_maximum = 180.0)]
     pub fov: Option<f64>,
@@ -86,7 +89,7 @@ pub struct FrameParams {
     #[param(minimum = 0.05, maximum = 64)]
     #[schema(minimum = 0.05, maximum = 64)]
     pub max_error_px: Option<f32>,
-    /// How splats of `lod=spt` measure that; `split` needs `reconstruct=splats` or `fuzzy`.
+    /// How splats of `lod=spt` measure that; `split` does not go with `reconstruct=points`.
     #[param(value_type = Option<ErrorMode>)]
     #[schema(value_type = Option<ErrorMode>)]
     pub error_mode: Option<String>,
@@ -94,21 +97,22 @@ pub struct FrameParams {
     #[param(value_type = Option<Paint>)]
     #[schema(value_type = Option<Paint>)]
     pub paint: Option<String>,
-    /// How a surface is made of projected samples.
+    /// What samples are drawn as; `auto`, the default, draws points where samples are denser than pixels and splats where they
+    /// are not, and the receipt says which and why.
     #[param(value_type = Option<Reconstruct>)]
     #[schema(value_type = Option<Reconstruct>)]
     pub reconstruct: Option<String>,
-    /// How splats are taken to the image; as the scene has it where none is given. Needs `reconstruct=splats` or `fuzzy`.
+    /// How splats are taken to the image; as the scene has it where none is given. Not with `reconstruct=points`.
     #[param(value_type = Option<Filter>)]
     #[schema(value_type = Option<Filter>)]
     pub filter: Option<String>,
-    /// Whether splats are convolved with a low-pass filter of the image. Needs `reconstruct=splats` or `fuzzy`.
+    /// Whether splats are convolved with a low-pass filter of the image. Not with `reconstruct=points`.
     pub prefilter: Option<bool>,
-    /// What happens where splats overlap. Needs `reconstruct=splats`.
+    /// What happens where splats overlap. Not with `reconstruct=points` or `fuzzy`.
     #[param(value_type = Option<Blend>)]
     #[schema(value_type = Option<Blend>)]
     pub blend: Option<String>,
-    /// When splats are lit. Needs `reconstruct=splats`.
+    /// When splats are lit. Not with `reconstruct=points` or `fuzzy`.
     #[param(value_type = Option<Shading>)]
     #[schema(value_type = Option<Shading>)]
     pub shading: Option<String>,
@@ -155,7 +159,7 @@ impl FrameParams {
             "camera" => once(&mut self.camera, name, value.to_owned()),
             "eye" => once(&mut self.eye, name, numbers(name, value)?),
             "target" => once(&mut self.target, name, numbers(name, value)?),
-            "up" => once(&mut self.up, name, numbers(name, value)?),
+            "up" => once(&mut self.up, name, number(name, value, Up::ACCEPTED)?),
             "fov" => once(&mut self.fov, name, number(name, value, DEGREES)?),
             "view" => once(&mut self.view, name, numbers(name, value)?),
             "proj" => once(&mut self.proj, name, numbers(name, value)?),
@@ -213,11 +217,11 @@ impl FrameParams {
         let (camera, eye, matrix) = (of(false), of(by_eye), of(by_matrix));
         let other =
             |words: &[&str]| self.reconstruct.as_deref().is_some_and(|w| !words.contains(&w));
-        let kernels = if other(&["splats", "fuzzy"]) { &empty } else { defaults };
-        let splats = if other(&["splats"]) { &empty } else { defaults };
+        let kernels = if other(&["auto", "splats", "fuzzy"]) { &empty } else { defaults };
+        let splats = if other(&["auto", "splats"]) { &empty } else { defaults };
         let whole = self.lod.as_deref().is_some_and(|word| word == "full");
         let detail = if whole { &empty } else { defaults };
-        let split = if other(&["splats", "fuzzy"]) { &empty } else { detail };
+        let split = if other(&["auto", "splats", "fuzzy"]) { &empty } else { detail };
         FrameParams {
             camera: self.camera.or_else(|| camera.camera.clone()),
             eye: self.eye.or(eye.eye),
@@ -315,7 +319,7 @@ impl FrameParams {
         let refused = match reconstruct {
             Reconstruct::Points => given(&kernels).or(given(&passes)),
             Reconstruct::Fuzzy => given(&passes),
-            Reconstruct::Splats => None,
+            Reconstruct::Splats | Reconstruct::Auto => None,
         };
         if let Some(name) = refused {
             return Err(match reconstruct {
@@ -327,7 +331,7 @@ impl FrameParams {
                 _ => Problem::parameter(
                     name,
                     "only splats have one",
-                    "together with `reconstruct=splats`, or left out",
+                    "together with `reconstruct=splats` or `auto`, or left out",
                 ),
             });
         }
@@ -370,7 +374,7 @@ impl FrameParams {
             return Err(Problem::parameter(
                 "error_mode",
                 reason,
-                "together with `lod=spt` and `reconstruct=splats` or `fuzzy`, or `unified`",
+                "together with `lod=spt` and `reconstruct=splats`, `fuzzy` or `auto`, or `unified`",
             ));
         }
         Ok(Settings {
@@ -379,6 +383,7 @@ impl FrameParams {
             max_error,
             error_mode,
             reconstruct,
+            decide_for: None,
             filter: chosen("filter", self.filter.as_deref())?,
             prefilter: self.prefilter,
             blend: chosen("blend", self.blend.as_deref())?,
@@ -399,7 +404,7 @@ impl FrameParams {
     }
 
     fn pose(&self, width: u32, height: u32) -> Result<Pose, Problem> {
-        const WAYS: &str = "`camera`, or `eye` and `target` (with `up`, `fov`), or `view` and `proj`, or none of them";
+        const WAYS: &str = "`camera`, or `eye` and `target`, or `view` and `proj`, or none of them; `up` and `fov` with `eye` or alone";
         let by_eye = [
             ("eye", self.eye.is_some()),
             ("target", self.target.is_some()),
@@ -425,16 +430,13 @@ impl FrameParams {
             return Ok(Pose::Named(name.clone()));
         }
         let missing = |name| Problem::parameter(name, "missing", WAYS);
-        if let Some(given) = by_eye {
-            if self.eye.is_none() && self.target.is_none() {
-                let reason = "needs `eye` and `target`: cameras and the whole scene have their own";
-                return Err(Problem::parameter(given, reason, WAYS));
-            }
+        let up = self.up.map(|Up(up)| up);
+        if self.eye.is_some() || self.target.is_some() {
             let eye = DVec3::from(self.eye.ok_or_else(|| missing("eye"))?);
             let target = DVec3::from(self.target.ok_or_else(|| missing("target"))?);
             let fov_deg = self.fov.unwrap_or(DEFAULT_FOV_DEG);
-            return Ok(match self.up {
-                Some(up) => Pose::Camera(Camera { eye, target, up: up.into(), fov_deg }),
+            return Ok(match up {
+                Some(up) => Pose::Camera(Camera { eye, target, up, fov_deg }),
                 None => Pose::Upright { eye, target, fov_deg },
             });
         }
@@ -444,7 +446,7 @@ impl FrameParams {
             let (view, proj) = (DMat4::from_cols_array(&view), DMat4::from_cols_array(&proj));
             return Ok(Pose::View(View::from_matrices(view, proj, width, height)?));
         }
-        Ok(Pose::Fit)
+        Ok(Pose::Fit { up, fov_deg: self.fov })
     }
 }
 

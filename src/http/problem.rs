@@ -72,6 +72,7 @@ pub enum Kind {
     JobFailed,
     VideoFailed,
     JobsOff,
+    UploadsOff,
     OutOfJobDisk,
     JobFileDamaged,
     Internal,
@@ -79,7 +80,7 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind, in the order of the documentation.
-    pub const ALL: [Kind; 54] = [
+    pub const ALL: [Kind; 55] = [
         Kind::UnknownRoute,
         Kind::UnknownScene,
         Kind::UnknownNode,
@@ -131,6 +132,7 @@ impl Kind {
         Kind::JobFailed,
         Kind::VideoFailed,
         Kind::JobsOff,
+        Kind::UploadsOff,
         Kind::OutOfJobDisk,
         Kind::JobFileDamaged,
         Kind::Internal,
@@ -261,6 +263,9 @@ impl Kind {
                 (500, "urn:pointillist:problem:video-failed", "the video could not be made")
             }
             JobsOff => (503, "urn:pointillist:problem:jobs-off", "this server draws no jobs"),
+            UploadsOff => {
+                (503, "urn:pointillist:problem:uploads-off", "this server takes no uploads")
+            }
             OutOfJobDisk => {
                 (507, "urn:pointillist:problem:job-quota", "jobs are over their share of the disk")
             }

@@ -14,13 +14,27 @@ pub struct Settings {
     pub error_mode: ErrorMode,
     pub paint: Paint,
     pub reconstruct: Reconstruct,
+    /// Frame that [`Reconstruct::Auto`] decides for, where that is another than the frame itself.
+    pub decide_for: Option<StillFrame>,
     pub filter: Option<Filter>,
     pub prefilter: Option<bool>,
     pub blend: Option<Blend>,
     pub shading: Option<Shading>,
 }
 
+/// A still frame, which frames of a moving pose stand in for: all of them are drawn alike.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct StillFrame {
+    pub height: u32,
+    pub max_error: MaxError,
+}
+
 impl Settings {
+    /// The defaults, with samples drawn in a given way.
+    pub fn drawn_as(reconstruct: Reconstruct) -> Settings {
+        Settings { reconstruct, ..Settings::default() }
+    }
+
     /// How samples are drawn as splats, if they are; `scene`: what the scene says.
     pub fn splats(&self, scene: &Splats) -> Option<Splats> {
         let of_kernels = Splats {
@@ -29,7 +43,8 @@ impl Settings {
             ..*scene
         };
         match self.reconstruct {
-            Reconstruct::Points => None,
+            // `auto` has been decided before it comes to this.
+            Reconstruct::Points | Reconstruct::Auto => None,
             Reconstruct::Splats => Some(Splats {
                 blend: self.blend.unwrap_or(scene.blend),
                 shading: self.shading.unwrap_or(scene.shading),
@@ -95,7 +110,7 @@ impl std::hash::Hash for MaxError {
 }
 
 /// Settings as a frame was drawn with them.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, utoipa::ToSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct UsedSettings {
     pub lod: Lod,
     /// Only of point trees that are drawn as splats.
@@ -105,6 +120,15 @@ pub struct UsedSettings {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub paint: Option<Paint>,
     pub reconstruct: Reconstruct,
+    /// Choice that was asked for, where it was `auto`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub asked: Option<Reconstruct>,
+    /// Why `auto` chose this, with figures.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub because: Option<String>,
+    /// Distance between neighbouring samples in pixels at the median over the picture, where `auto` looked at it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub spacing_px: Option<f64>,
     /// Why that is not what was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub instead_because: Option<&'static str>,
@@ -159,13 +183,15 @@ pub enum Paint {
 )]
 #[serde(rename_all = "snake_case")]
 pub enum Reconstruct {
-    /// One pixel a sample.
+    /// Points where samples are denser than pixels, splats where they are not.
     #[default]
-    Points,
+    Auto = 3,
+    /// One pixel a sample.
+    Points = 0,
     /// Elliptical Gaussians in the samples' tangent planes (Zwicker et al. 2004).
-    Splats,
+    Splats = 1,
     /// The same, blended and depth-tested in a single pass (Dachsbacher et al. 2003, §5): faster, coarser in weights and depths.
-    Fuzzy,
+    Fuzzy = 2,
 }
 
 /// Which image of the frame is wanted.

@@ -124,7 +124,7 @@ pub fn front(scene: &str, width: u32, height: u32) -> FrameRequest {
         pose: Pose::Named("front".to_owned()),
         width,
         height,
-        settings: Settings::default(),
+        settings: Settings::drawn_as(Reconstruct::Points),
         output: Output::Color,
         format: ImageFormat::Raw,
         quality: 90,
@@ -140,7 +140,7 @@ pub fn spt(px: f32, reconstruct: Reconstruct) -> Settings {
 
 /// The whole of a scene, as `output`, raw.
 pub fn fit(scene: &str, side: u32, output: Output) -> FrameRequest {
-    FrameRequest { pose: Pose::Fit, output, ..front(scene, side, side) }
+    FrameRequest { pose: Pose::FIT, output, ..front(scene, side, side) }
 }
 
 /// One of many different views of a scene around the origin.

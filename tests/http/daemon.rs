@@ -159,6 +159,16 @@ impl Daemon {
         }
     }
 
+    /// Kills it and starts it again on the same root, in its own place.
+    pub fn kill_and_start(&mut self, args: &[&str]) {
+        self.kill();
+        let folder = std::mem::replace(&mut self.folder, tempfile::tempdir().unwrap());
+        *self = match self.limit_kib {
+            Some(kib) => Daemon::spawn_limited(folder, kib, args),
+            None => Daemon::spawn(folder, args, &[]),
+        };
+    }
+
     /// SIGKILL, at once.
     pub fn kill(&mut self) {
         self.child.kill().unwrap();
@@ -192,6 +202,7 @@ impl Daemon {
             .args(args)
             .env_remove("POINTILLIST_CONFIG")
             .env("POINTILLIST_NO_CACHE", "true")
+            .env("POINTILLIST_NO_PRIME", "true")
             .envs(environment.iter().copied())
             .stdin(Stdio::null())
             .stdout(Stdio::piped())

@@ -16,6 +16,24 @@ fn decode(reply: &Reply) -> (image::RgbaImage, (u32, u32)) {
 }
 
 #[test]
+fn a_frame_of_nothing_warns() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let seen = client.get(FRAME);
+    assert_eq!(seen.header("pointillist-warning"), None);
+    assert_eq!(seen.receipt()["nothing_visible"], Value::Null);
+    let behind = client.get("/v1/scenes/grid/frame?eye=0,0,3&target=0,0,9&w=96&h=64");
+    assert_eq!(behind.status, 200);
+    let warning = behind.header("pointillist-warning").unwrap();
+    assert!(
+        warning.starts_with("nothing is visible: the scene lies behind the camera"),
+        "{warning}"
+    );
+    let why = behind.receipt()["nothing_visible"].clone();
+    assert!(warning.ends_with(why.as_str().unwrap()), "{why}");
+}
+
+#[test]
 fn a_frame_and_its_receipt() {
     let daemon = Daemon::start(&[]);
     let client = daemon.client();
@@ -248,7 +266,7 @@ fn splats_of(scene: &str, settings: &str) -> String {
 fn splats_and_their_receipt() {
     let daemon = Daemon::start_in(with_splats, &[]);
     let client = daemon.client();
-    let points = client.get(FRAME);
+    let points = client.get(&format!("{FRAME}&reconstruct=points"));
     assert_eq!(points.receipt()["settings"], json!({"lod": "full", "reconstruct": "points"}));
     assert_eq!(points.receipt()["splats"]["scattered"], Value::Null);
 
@@ -296,6 +314,38 @@ fn splats_and_their_receipt() {
     assert_eq!(settings["instead_because"], "a single pass has nothing but colours");
 }
 
+/// Samples of the wall lie 1.6 px apart at 128 rows, and a quarter of that at a quarter of the rows.
+#[test]
+fn what_is_not_said_is_drawn_as_fits() {
+    let daemon = Daemon::start_in(with_splats, &[]);
+    let client = daemon.client();
+    let frame = |query: &str| client.get(&format!("/v1/scenes/grid/frame?camera=front{query}"));
+    for (size, drawn) in [("&w=192&h=128", "splats"), ("&w=48&h=32", "points")] {
+        let auto = frame(size);
+        let settings = &auto.receipt()["settings"];
+        assert_eq!((&settings["asked"], &settings["reconstruct"]), (&"auto".into(), &drawn.into()));
+        let px = settings["spacing_px"].as_f64().unwrap();
+        assert_eq!(px > 0.7, drawn == "splats", "{settings}");
+        let because = format!("samples lie {px:.2} px apart at the median");
+        assert_eq!(settings["because"], because);
+        // The same frame, and a receipt of its own.
+        let named = frame(&format!("{size}&reconstruct={drawn}"));
+        assert_eq!(named.body, auto.body);
+        assert_eq!(named.receipt()["settings"].get("asked"), None);
+        assert_ne!(named.header("etag"), auto.header("etag"));
+        assert_eq!(frame(&format!("{size}&reconstruct=auto")).header("etag"), auto.header("etag"));
+        let trees = frame(&format!("{size}&lod=spt"));
+        assert_eq!(trees.receipt()["settings"]["reconstruct"], drawn);
+    }
+    // What goes with splats is taken where they are drawn.
+    let opaque =
+        |size: &str| frame(&format!("{size}&blend=opaque")).receipt()["settings"]["blend"].clone();
+    assert_eq!((opaque("&w=192&h=128"), opaque("&w=48&h=32")), ("opaque".into(), Value::Null));
+    // Accepted errors leave gaps between nodes that are drawn as points.
+    let coarse = frame("&w=48&h=32&lod=spt&max_error_px=4").receipt();
+    assert_eq!(coarse["settings"]["reconstruct"], "splats");
+}
+
 #[test]
 fn entity_tags_of_splats_follow_what_is_drawn() {
     let daemon = Daemon::start_in(with_splats, &[]);
@@ -305,9 +355,9 @@ fn entity_tags_of_splats_follow_what_is_drawn() {
         assert_eq!(reply.status, 200, "{scene} {settings}");
         reply.header("etag").unwrap().to_owned()
     };
-    let points = client.send("HEAD", FRAME, &[], None);
-    let spelt_out = client.send("HEAD", &format!("{FRAME}&reconstruct=points"), &[], None);
-    assert_eq!(points.header("etag"), spelt_out.header("etag"));
+    let plain = client.send("HEAD", FRAME, &[], None);
+    let spelt_out = client.send("HEAD", &format!("{FRAME}&reconstruct=auto"), &[], None);
+    assert_eq!(plain.header("etag"), spelt_out.header("etag"));
     for (scene, same, other) in [
         (
             "grid",
@@ -321,7 +371,7 @@ fn entity_tags_of_splats_follow_what_is_drawn() {
         ),
     ] {
         let plain = tag(scene, "");
-        assert_ne!(points.header("etag"), Some(plain.as_str()));
+        assert_ne!(spelt_out.header("etag"), Some(plain.as_str()));
         assert_eq!(tag(scene, &same.concat()), plain, "{scene}");
         let mut tags: Vec<String> = other.iter().map(|settings| tag(scene, settings)).collect();
         tags.push(plain.clone());
@@ -407,4 +457,38 @@ fn level_of_detail_and_its_receipt() {
     let full = client.get(FRAME);
     assert_eq!(full.receipt()["max_error_px"], Value::Null);
     assert_eq!(full.receipt()["samples"]["accepted"], Value::Null);
+}
+
+#[test]
+fn up_and_fov_alone_turn_and_widen_the_default_view() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let camera = |query: &str| {
+        let reply = client.get(&format!("/v1/scenes/grid/frame?w=32&h=32{query}"));
+        assert_eq!(reply.status, 200, "{}", reply.text());
+        reply.receipt()["camera"].clone()
+    };
+    let usual = camera("");
+    let turned = camera("&up=z");
+    assert_eq!(turned["up"], json!([0.0, 0.0, 1.0]));
+    assert_ne!(turned["eye"], usual["eye"]);
+    assert_eq!(camera("&up=0,0,1"), turned);
+    let wide = camera("&fov=80");
+    assert_eq!(wide["fov_deg"], json!(80.0));
+    assert_eq!(wide["up"], usual["up"]);
+    let reply = client.post_json(
+        "/v1/scenes/grid/frames",
+        &json!({ "w": 32, "h": 32, "up": "-z", "poses": [{}] }),
+    );
+    assert_eq!(reply.status, 200, "{}", reply.text());
+    for (query, parameter) in
+        [("up=0,0,0", "up"), ("up=w", "up"), ("fov=180", "fov"), ("fov=0", "fov")]
+    {
+        let problem = client.get(&format!("/v1/scenes/grid/frame?{query}"));
+        assert_eq!(
+            (problem.status, problem.json()["parameter"].as_str()),
+            (422, Some(parameter)),
+            "{query}"
+        );
+    }
 }

@@ -82,6 +82,7 @@ fn complaint(folder: &std::path::Path, args: &[&str]) -> String {
         .arg(folder)
         .args(args)
         .env("POINTILLIST_NO_JOBS", "true")
+        .env("POINTILLIST_NO_PRIME", "true")
         .stdin(Stdio::null())
         .output()
         .unwrap();
@@ -146,7 +147,7 @@ fn a_server_that_can_never_draw_again_says_so() {
         access: Access::Open { cors_origins: Vec::new(), only_loopback: true },
         cors_origins: Vec::new(),
         max_upload_bytes: 1 << 20,
-        uploads: UploadLimits {
+        upload_limits: UploadLimits {
             scenes: 1,
             scenes_per_key: 1,
             bytes: 1 << 20,
@@ -156,6 +157,9 @@ fn a_server_that_can_never_draw_again_says_so() {
         frame_timeout: Duration::from_secs(10),
         read_timeout: Duration::from_secs(10),
         drain: Duration::from_secs(1),
+        drain_delay: Duration::ZERO,
+        uploads: true,
+        reread_access: None,
         streams: StreamLimits { most: 4, most_per_client: 4, idle: Duration::from_secs(10) },
         watches: WatchLimits { most: 4, most_per_client: 4, longest: Duration::from_secs(10) },
     };

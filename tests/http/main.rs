@@ -7,6 +7,7 @@
 )]
 
 mod admission;
+mod balancer;
 mod client;
 mod contract;
 mod daemon;
@@ -14,6 +15,7 @@ mod errors;
 mod frames;
 mod hostile;
 mod jobs;
+mod leaving;
 mod lifecycle;
 mod load;
 mod mjpeg;

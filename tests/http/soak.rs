@@ -148,6 +148,7 @@ fn hostile_uploads_never_lose_the_daemon() {
             drop(ended);
         });
         let _ended = Ended(&arena);
+        let daemon = &mut daemon;
         while (uploads < attacks.len() as u64 || Instant::now() < until)
             && !arena.done.load(Ordering::SeqCst)
         {
@@ -165,11 +166,11 @@ fn hostile_uploads_never_lose_the_daemon() {
                 0 | 1 => delete_all(&client),
                 2 if restarts * 20 < uploads => {
                     arena.restarting.store(true, Ordering::SeqCst);
-                    daemon = daemon.kill_and_restart(&ARGS);
+                    daemon.kill_and_start(&ARGS);
                     *arena.address.lock().unwrap() = daemon.address;
                     arena.restarting.store(false, Ordering::SeqCst);
                     restarts += 1;
-                    at_first = at_first.max(resident_bytes(&daemon));
+                    at_first = at_first.max(resident_bytes(daemon));
                 }
                 _ => {}
             }

@@ -164,6 +164,7 @@ fn keys_cover_everything() {
             bounds: asset.bounds.clone(),
             beside: Vec::new(),
             tree: Default::default(),
+            outlined: Default::default(),
             ..*asset
         };
         assert!(keys.contains(&tree_key(&copy)), "a name is no content");

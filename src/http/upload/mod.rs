@@ -78,6 +78,10 @@ pub async fn create(
     let headers = parts.headers.clone();
     let target = Target::from_uri(&parts.uri)?;
     refuse_while_draining(&app)?;
+    if !app.settings.uploads {
+        return Err(Problem::new(Kind::UploadsOff, "this server takes no uploads (--no-uploads)")
+            .accepted("a daemon that was started without --no-uploads"));
+    }
     let share = app.uploads.admit(owner.name.as_deref())?;
     // A given id is taken before the body is received, so that a clash is answered at once.
     let reservation = target.id.as_deref().map(|id| reserve(&app, id)).transpose()?;
@@ -107,10 +111,10 @@ pub async fn create(
 }
 
 fn refuse_while_draining(app: &App) -> Result<(), Problem> {
-    match app.phase() {
-        Phase::Draining => Err(EngineError::ShuttingDown.into()),
-        Phase::Starting | Phase::Serving => Ok(()),
+    if app.phase() == Phase::Draining {
+        return Err(EngineError::ShuttingDown.into());
     }
+    Ok(())
 }
 
 /// Loads a scene once more that could not be loaded: an upload whose loader ended with the server, one for which there was
@@ -148,7 +152,9 @@ pub async fn retry(
             return Err(Problem::new(Kind::SceneExists, format!("scene `{id}` is loaded")));
         }
     }
-    store::set_aside(&app.settings.root, &id).map_err(|error| storage(&error))?;
+    if app.settings.uploads {
+        store::set_aside(&app.settings.root, &id).map_err(|error| storage(&error))?;
+    }
     let Some((reservation, source)) = app.registry.retry(&id, app.engine.admission()) else {
         return Err(Problem::new(Kind::SceneLoading, format!("scene `{id}` is being loaded")));
     };
@@ -408,11 +414,15 @@ pub async fn load(
     let engine: Engine = app.engine.clone();
     let (id, root) = (reservation.id().to_owned(), app.settings.root.clone());
     let (file, admission) = (source.clone(), reservation.admission().clone());
+    // Without uploads, the folder of uploads is another daemon's.
+    let records = app.settings.uploads;
     let outcome = tokio::task::spawn_blocking(move || {
-        store::begin(&root, &id).map_err(|error| storage(&error))?;
+        if records {
+            store::begin(&root, &id).map_err(|error| storage(&error))?;
+        }
         let result = engine.load_within(&id, &file, &admission);
         let noted = if result.is_ok() { store::finish } else { store::set_aside };
-        if let Err(error) = noted(&root, &id) {
+        if records && let Err(error) = noted(&root, &id) {
             tracing::warn!(id, %error, "an upload's record cannot be written");
         }
         match result {
@@ -453,6 +463,9 @@ pub async fn load(
 
 /// Removes what was uploaded as `id`, from the disk and from what uploads hold.
 pub async fn forget_files(app: &Arc<App>, id: &str) {
+    if !app.settings.uploads {
+        return;
+    }
     let (root, name) = (app.settings.root.clone(), id.to_owned());
     if let Err(error) = tokio::task::spawn_blocking(move || store::remove_files(&root, &name)).await
     {
@@ -463,6 +476,9 @@ pub async fn forget_files(app: &Arc<App>, id: &str) {
 
 /// Notes of all loads that are under way that they end with the process, and not the process with them.
 pub fn stand_down(app: &App) {
+    if !app.settings.uploads {
+        return;
+    }
     for (id, entry) in app.registry.list() {
         if let (Entry::Loading { .. }, Err(error)) =
             (entry, store::set_aside(&app.settings.root, &id))
