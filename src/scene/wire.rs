@@ -53,7 +53,7 @@ pub(super) struct SceneFile {
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, MaterialWire>")]
     pub materials: Named<MaterialWire>,
-    /// When absent: a headlight (0.72) and ambient light (0.08). An empty list means unlit.
+    /// When absent: a headlight (0.63) and ambient light (0.07). An empty list means unlit.
     #[serde(default)]
     pub lights: Option<Vec<Object<LightWire>>>,
     /// Colour of pixels that nothing covers, `#202428` when absent.
