@@ -18,7 +18,7 @@ use std::time::Instant;
 
 use pointillist::encode::ImageFormat;
 use pointillist::engine::{Engine, EngineConfig, FrameRequest, Pose, SceneInfo};
-use pointillist::plan::{Output, Settings};
+use pointillist::plan::{Output, Reconstruct, Settings};
 
 const SIDE: u32 = 256;
 
@@ -165,7 +165,7 @@ fn request(output: Output, format: ImageFormat) -> FrameRequest {
         pose: Pose::FIT,
         width: SIDE,
         height: SIDE,
-        settings: Settings::default(),
+        settings: Settings::drawn_as(Reconstruct::Points),
         output,
         format,
         quality: 90,

@@ -44,7 +44,7 @@ impl SensorView {
 }
 
 /// Coordinates beyond this are refused: their squares must stay finite.
-const FARTHEST: f64 = 1e100;
+pub const FARTHEST: f64 = 1e100;
 
 /// A pose that cannot be drawn, naming the parameter at fault.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
