@@ -53,11 +53,13 @@ fn read_seekable<R: Read + Seek + Send + Sync>(
     let mut warnings = Vec::new();
     let header = open(&mut reader, name, options, &mut warnings)?;
     let layout = Layout::of(&header);
+    points::admit(name, header.points, options)?;
     let mut columns = Columns::default();
     if !header.is_compressed {
         columns.reserve(header.points as usize, &layout);
     }
     each_part(reader, &header, &layout, name, options, &mut |part, place| {
+        options.admission.check()?;
         let reserved = columns.try_reserve(part.positions.len(), &layout);
         reserved.map_err(|reason| malformed(name, place, reason))?;
         columns.append(part);
