@@ -27,6 +27,7 @@ pub mod generate;
 pub mod gpu;
 pub mod http;
 pub mod jobs;
+mod json;
 pub mod load;
 pub mod math;
 pub mod memory;

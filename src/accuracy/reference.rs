@@ -33,6 +33,7 @@ impl From<AssembleError> for ReferenceError {
     fn from(error: AssembleError) -> Self {
         match error {
             AssembleError::Asset(error) => ReferenceError::Asset(error),
+            AssembleError::Interrupted(interrupt) => ReferenceError::Asset(interrupt.into()),
             AssembleError::Scene(error) => ReferenceError::Scene(error),
         }
     }

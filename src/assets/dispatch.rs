@@ -1,6 +1,6 @@
 //! Which reader a file belongs to: by content first, by extension second.
 
-use std::io::Write;
+use std::io::{BufRead, Write};
 use std::path::Path;
 
 use super::input::Input;
@@ -58,6 +58,8 @@ pub fn read(path: &Path, options: &ReadOptions) -> Result<Asset, AssetError> {
         format @ (Format::Las | Format::E57 | Format::Pcd | Format::Ptx | Format::Xyz) => {
             if input.origin.exact {
                 read_samples(format, path, &name, options)
+            } else if let Some(read) = streamed(format) {
+                read(input.reader, &name, options)
             } else {
                 let unpacked = unpack(input)?;
                 read_samples(format, unpacked.path(), &name, options)
@@ -101,6 +103,19 @@ pub(super) fn in_blocks(input: &Input) -> Option<InBlocks> {
         Format::Ply => Some(InBlocks::Ply),
         // What is compressed once more would have to be unpacked first.
         Format::Las if input.origin.exact => Some(InBlocks::Las),
+        _ => None,
+    }
+}
+
+/// A reader that goes through a file once, from a stream.
+type Streamed = fn(Box<dyn BufRead>, &str, &ReadOptions) -> Result<Asset, AssetError>;
+
+/// The readers that need no file to seek in.
+fn streamed(format: Format) -> Option<Streamed> {
+    match format {
+        Format::Pcd => Some(pcd::read_from),
+        Format::Ptx => Some(ptx::read_from),
+        Format::Xyz => Some(xyz::read_from),
         _ => None,
     }
 }
@@ -241,6 +256,7 @@ mod tests {
 
     use super::*;
     use crate::assets::Geometry;
+    use crate::memory::{Admission, HostMemory, Interrupt};
 
     #[test]
     fn extensions_look_through_gzip_and_case() {
@@ -287,6 +303,65 @@ mod tests {
             let asset = read_file(name, &bytes).unwrap();
             assert!(matches!(&asset.geometries[0], Geometry::Mesh(m) if m.triangles.len() == 1));
             assert_eq!(asset.placements.len(), 1);
+        }
+    }
+
+    #[test]
+    fn every_reader_reserves_before_it_keeps_and_ends_when_it_is_cancelled() {
+        let ply = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n1 0 0\n0 1 0\n";
+        let stl = "solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid s\n";
+        let pcd = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 3\nHEIGHT 1\nPOINTS 3\nDATA ascii\n0 0 0\n1 0 0\n0 1 0\n";
+        let ptx = format!(
+            "3\n1\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n{}",
+            "1 2 3 0.5\n".repeat(3)
+        );
+        let gltf = r#"{"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+            "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+            "bufferViews": [{"buffer": 0, "byteLength": 36}],
+            "buffers": [{"byteLength": 36, "uri": "data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA"}]}"#;
+        let files = [
+            ("a.ply", ply),
+            ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"),
+            ("a.stl", stl),
+            ("a.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"),
+            ("a.xyz", "0 0 0\n1 0 0\n0 1 0\n"),
+            ("a.pcd", pcd),
+            ("a.ptx", ptx.as_str()),
+            ("a.gltf", gltf),
+        ];
+        let folder = tempfile::tempdir().unwrap();
+        for (name, text) in files {
+            for (name, bytes) in [
+                (name.to_owned(), text.as_bytes().to_vec()),
+                (format!("{name}.gz"), gz(text.as_bytes())),
+            ] {
+                let path = folder.path().join(&name);
+                std::fs::write(&path, bytes).unwrap();
+                let within = |memory: &HostMemory| {
+                    let admission = Admission::new(memory);
+                    let options =
+                        ReadOptions { admission: admission.clone(), ..ReadOptions::default() };
+                    (read(&path, &options), admission)
+                };
+                let (refused, admission) = within(&HostMemory::new(32));
+                let is_refused = matches!(
+                    refused,
+                    Err(AssetError::Interrupted(Interrupt::OutOfMemory(ref error))) if error.is_hopeless()
+                );
+                assert!(is_refused, "{name}: {refused:?}");
+                assert!(admission.held() <= 32);
+                let (asset, admission) = within(&HostMemory::new(64 << 20));
+                assert!(asset.is_ok(), "{name}: {asset:?}");
+                assert!(admission.held() >= 3 * 24, "{name}: {}", admission.held());
+                let admission = Admission::default();
+                admission.cancel();
+                let options = ReadOptions { admission, ..ReadOptions::default() };
+                let cancelled = read(&path, &options);
+                let is_cancelled =
+                    matches!(cancelled, Err(AssetError::Interrupted(Interrupt::Cancelled)));
+                assert!(is_cancelled, "{name}: {cancelled:?}");
+            }
         }
     }
 

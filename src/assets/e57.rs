@@ -92,7 +92,7 @@ fn read_scans<R: Read + Seek>(
         return Err(malformed(name, "file", "holds no scans"));
     }
     let total = descriptions.iter().fold(0u64, |sum, scan| sum.saturating_add(scan.records));
-    points::check_count(name, total, options)?;
+    points::admit(name, total, options)?;
     let mut scans = Vec::new();
     let mut done = 0;
     for (index, description) in descriptions.iter().enumerate() {
@@ -110,6 +110,7 @@ fn read_scans<R: Read + Seek>(
             scan.push(&fields, &record);
             done += 1;
             if done % REPORT_EVERY == 0 {
+                options.admission.check()?;
                 options.progress.report(done as f32 / total as f32);
             }
         }

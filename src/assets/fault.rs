@@ -3,12 +3,18 @@
 use std::io::{Error, ErrorKind};
 
 use super::AssetError;
+use crate::memory::Interrupt;
 
 /// Travels inside an [`Error`] when a stream decompresses to more than it may.
 #[derive(Debug, thiserror::Error)]
 #[error("more than {limit} bytes after decompression")]
 pub(crate) struct OverLimit {
     pub limit: u64,
+}
+
+/// The interrupt that travels inside an [`Error`] of a stream that was told to end.
+pub(crate) fn interrupt_of(error: &Error) -> Option<Interrupt> {
+    error.get_ref()?.downcast_ref::<Interrupt>().cloned()
 }
 
 impl AssetError {
@@ -27,6 +33,9 @@ impl AssetError {
     /// An error of the stream itself. A decompression limit and damaged compressed data come back as
     /// what they are rather than as trouble with the disk.
     pub(crate) fn io(file: &str, source: Error) -> AssetError {
+        if let Some(interrupt) = interrupt_of(&source) {
+            return interrupt.into();
+        }
         if let Some(over) = source.get_ref().and_then(|inner| inner.downcast_ref::<OverLimit>()) {
             return AssetError::TooLarge {
                 file: file.to_owned(),

@@ -12,10 +12,13 @@ use flate2::bufread::MultiGzDecoder;
 
 use super::fault::OverLimit;
 use super::{AssetError, Progress, ReadOptions};
+use crate::memory::Admission;
 
 /// Bytes that recognition looks at.
 const HEAD_BYTES: u64 = 8 << 10;
 const BUFFER_BYTES: usize = 256 << 10;
+/// A stream of unknown length is admitted in such pieces.
+const PIECE_BYTES: u64 = 1 << 20;
 /// Deflate cannot expand a byte to more than this.
 const DEFLATE_RATIO: u64 = 1032;
 /// Vectors are reserved in full only up to this many entries when the bound is not exact.
@@ -39,6 +42,8 @@ pub struct Origin {
     pub folder: Option<Folder>,
     /// The first bytes, for recognition; the reader yields them too.
     pub head: Vec<u8>,
+    /// Of the load that reads.
+    pub admission: Admission,
 }
 
 impl Input {
@@ -56,7 +61,14 @@ impl Input {
         let length = metadata.len();
         let mut file = BufReader::with_capacity(
             BUFFER_BYTES,
-            Reporting { inner: file, length, done: 0, next: 0, progress: options.progress.clone() },
+            Reporting {
+                inner: file,
+                length,
+                done: 0,
+                next: 0,
+                progress: options.progress.clone(),
+                admission: options.admission.clone(),
+            },
         );
         let compressed = file.fill_buf().map_err(fail)?.starts_with(&[0x1f, 0x8b]);
         let limit = options.max_decompressed_bytes;
@@ -72,7 +84,8 @@ impl Input {
         let reader = Box::new(Cursor::new(head.clone()).chain(reader));
         let folder = Folder::of(path, options);
         let name = name.to_owned();
-        let origin = Origin { name, max_bytes, exact: !compressed, folder, head };
+        let admission = options.admission.clone();
+        let origin = Origin { name, max_bytes, exact: !compressed, folder, head, admission };
         Ok(Input { reader, origin })
     }
 
@@ -84,6 +97,7 @@ impl Input {
             exact: true,
             folder: None,
             head: bytes.iter().take(HEAD_BYTES as usize).copied().collect(),
+            admission: Admission::default(),
         };
         Input { reader: Box::new(Cursor::new(bytes)), origin }
     }
@@ -93,12 +107,20 @@ impl Input {
     /// # Errors
     /// Reading fails, or the stream passes its decompression limit.
     pub fn read_all(&mut self) -> Result<Vec<u8>, AssetError> {
+        let Origin { name, max_bytes, exact, admission, .. } = &self.origin;
         let mut bytes = Vec::new();
-        if self.origin.exact {
-            bytes.reserve(usize::try_from(self.origin.max_bytes).unwrap_or(0));
+        let mut meter = admission.meter(name);
+        if *exact {
+            meter.reach_exactly(*max_bytes)?;
+            bytes.reserve(usize::try_from(*max_bytes).unwrap_or(0));
         }
-        let read = self.reader.read_to_end(&mut bytes);
-        read.map_err(|source| AssetError::io(&self.origin.name, source))?;
+        let fail = |source| AssetError::io(name, source);
+        while (&mut self.reader).take(PIECE_BYTES).read_to_end(&mut bytes).map_err(fail)? > 0 {
+            // A vector that grows holds up to twice its length.
+            if !exact {
+                meter.reach(2 * bytes.len() as u64)?;
+            }
+        }
         Ok(bytes)
     }
 }
@@ -135,10 +157,12 @@ struct Reporting<R> {
     done: u64,
     next: u64,
     progress: Progress,
+    admission: Admission,
 }
 
 impl<R: Read> Read for Reporting<R> {
     fn read(&mut self, into: &mut [u8]) -> std::io::Result<usize> {
+        self.admission.check().map_err(std::io::Error::other)?;
         let count = self.inner.read(into)?;
         self.done += count as u64;
         if self.done >= self.next && self.length > 0 {
@@ -256,8 +280,14 @@ fn lexical(base: &Path, reference: &str) -> Option<PathBuf> {
 ///
 /// # Errors
 /// A sentence for a warning.
-pub(crate) fn read_bounded(path: &Path, limit: u64) -> Result<Vec<u8>, String> {
+pub(crate) fn read_bounded(
+    path: &Path,
+    limit: u64,
+    admission: &Admission,
+) -> Result<Vec<u8>, String> {
     let file = File::open(path).map_err(|error| error.to_string())?;
+    let length = file.metadata().map_err(|error| error.to_string())?.len().min(limit);
+    admission.grow("the file", length).map_err(|error| error.to_string())?;
     let mut bytes = Vec::new();
     file.take(limit.saturating_add(1))
         .read_to_end(&mut bytes)

@@ -20,6 +20,8 @@ use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
+use rayon::prelude::*;
+
 use super::points::{self, WordColors, io_error, malformed, skipped_warning};
 use super::{Asset, AssetError, Geometry, PointCloud, ReadOptions};
 use header::Header;
@@ -51,11 +53,13 @@ fn read_seekable<R: Read + Seek + Send + Sync>(
     let mut warnings = Vec::new();
     let header = open(&mut reader, name, options, &mut warnings)?;
     let layout = Layout::of(&header);
+    points::admit(name, header.points, options)?;
     let mut columns = Columns::default();
     if !header.is_compressed {
         columns.reserve(header.points as usize, &layout);
     }
     each_part(reader, &header, &layout, name, options, &mut |part, place| {
+        options.admission.check()?;
         let reserved = columns.try_reserve(part.positions.len(), &layout);
         reserved.map_err(|reason| malformed(name, place, reason))?;
         columns.append(part);
@@ -104,8 +108,9 @@ fn each_part<R: Read + Seek + Send + Sync>(
     }
 }
 
-/// Records as they are; [`Header::read`] has checked that the file can hold them.
-fn each_plain<R: Read + Seek>(
+/// Records as they are; [`Header::read`] has checked that the file can hold them. While one group of batches is decoded, the next
+/// one is read.
+fn each_plain<R: Read + Seek + Send>(
     reader: &mut R,
     header: &Header,
     layout: &Layout,
@@ -115,22 +120,45 @@ fn each_plain<R: Read + Seek>(
 ) -> Result<(), AssetError> {
     let start = SeekFrom::Start(header.points_offset);
     reader.seek(start).map_err(|source| io_error(name, source))?;
-    let mut buffer = Vec::new();
+    let group = BATCH * rayon::current_num_threads() as u64;
+    let mut fill = |buffer: &mut Vec<u8>, point: u64| {
+        let count = group.min(header.points - point);
+        buffer.resize(count as usize * header.record_bytes, 0);
+        reader
+            .read_exact(buffer)
+            .map_err(|error| malformed(name, format!("point {point}"), error.to_string()))
+    };
+    let (mut buffer, mut next) = (Vec::new(), Vec::new());
+    fill(&mut buffer, 0)?;
     let mut point = 0;
     while point < header.points {
-        let batch = BATCH.min(header.points - point);
-        buffer.resize(batch as usize * header.record_bytes, 0);
-        reader
-            .read_exact(&mut buffer)
-            .map_err(|error| malformed(name, format!("point {point}"), error.to_string()))?;
-        let mut part = Columns::default();
-        part.reserve(batch as usize, layout);
-        part.extend(&buffer, layout);
-        visit(part, format!("point {point}"))?;
-        point += batch;
+        let behind = header.points.min(point + group);
+        let (parts, filled) = rayon::join(
+            || decode(&buffer, header, layout),
+            || if behind < header.points { fill(&mut next, behind) } else { Ok(()) },
+        );
+        for part in parts {
+            visit(part, format!("point {point}"))?;
+            point = behind.min(point + BATCH);
+        }
+        filled?;
+        std::mem::swap(&mut buffer, &mut next);
         options.progress.report(point as f32 / header.points as f32);
     }
     Ok(())
+}
+
+/// The points of whole records, a [`BATCH`] of them a part.
+fn decode(records: &[u8], header: &Header, layout: &Layout) -> Vec<Columns> {
+    let batches = records.par_chunks(BATCH as usize * header.record_bytes);
+    batches
+        .map(|batch| {
+            let mut part = Columns::default();
+            part.reserve(batch.len() / header.record_bytes, layout);
+            part.extend(batch, layout);
+            part
+        })
+        .collect()
 }
 
 /// The points that the header announces.

@@ -127,6 +127,9 @@ fn header<R: BufRead>(
     Ok(header)
 }
 
+/// Bytes of a vertex with a normal, texture coordinates and a colour.
+const VERTEX_MEMORY: u64 = 60;
+
 #[derive(Default)]
 struct Vertices {
     positions: Vec<DVec3>,
@@ -164,6 +167,8 @@ fn vertices<R: BufRead>(
         uvs: header.has_uvs.then(Vec::new),
         ..Vertices::default()
     };
+    let mut meter = origin.admission.meter(file);
+    meter.reach_exactly(24 * origin.reserve(header.vertices) as u64)?;
     vertices.positions.reserve(origin.reserve(header.vertices));
     let mut values = Vec::new();
     let fixed = 3 + 3 * usize::from(header.has_normals);
@@ -189,6 +194,7 @@ fn vertices<R: BufRead>(
             let reason = format!("has {} of {} values", values.len(), fixed + uv_values);
             return Err(AssetError::malformed(file, place(), reason));
         }
+        meter.reach(VERTEX_MEMORY * vertices.positions.len() as u64)?;
         vertices.positions.push(DVec3::new(values[0], values[1], values[2]));
         if let Some(normals) = &mut vertices.normals {
             normals.push(DVec3::new(values[3], values[4], values[5]).as_vec3());
@@ -217,6 +223,8 @@ fn faces<R: BufRead>(
     warnings: &mut Vec<String>,
 ) -> Result<Vec<[u32; 3]>, AssetError> {
     let file = origin.name.as_str();
+    let mut meter = origin.admission.meter(file);
+    meter.reach_exactly(12 * origin.reserve(header.faces) as u64)?;
     let mut triangles = Vec::with_capacity(origin.reserve(header.faces));
     let mut triangulator = Triangulator::default();
     let mut ring = Vec::new();
@@ -265,6 +273,7 @@ fn faces<R: BufRead>(
         );
         let count = triangles.len() as u64;
         AssetError::check_limit(file, "triangles", count, options.max_triangles)?;
+        meter.reach(12 * count)?;
     }
     for (count, what) in [
         (short, "faces with fewer than three corners are left out"),

@@ -39,7 +39,7 @@ pub fn sniff(head: &[u8]) -> bool {
 /// I/O, a header that lacks or contradicts itself in a field (named), a body that is shorter than
 /// the header announces, a damaged compressed block, no finite point, more than the options allow.
 pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, AssetError> {
-    read_from(points::open(path, name, &options.progress)?, name, options)
+    read_from(points::open(path, name, options)?, name, options)
 }
 
 /// Like [`read`], from a stream.
@@ -62,6 +62,10 @@ pub fn read_from(
             found: body_bytes,
             limit: options.max_decompressed_bytes,
         });
+    }
+    points::admit(name, header.points, options)?;
+    if header.body == Body::Compressed {
+        options.admission.grow(name, body_bytes.saturating_mul(2))?;
     }
     let mut columns = Columns::new(&header);
     match header.body {

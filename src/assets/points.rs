@@ -8,8 +8,11 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 
+use super::fault::interrupt_of;
 use super::{AssetError, Progress, ReadOptions};
+use crate::memory::Admission;
 
 /// A line longer than this is no line of a text point cloud.
 const MAX_LINE_BYTES: u64 = 64 << 10;
@@ -28,6 +31,9 @@ pub(super) fn unsupported(name: &str, reason: impl Into<String>) -> AssetError {
 }
 
 pub(super) fn io_error(name: &str, source: std::io::Error) -> AssetError {
+    if let Some(interrupt) = interrupt_of(&source) {
+        return interrupt.into();
+    }
     AssetError::Io { file: name.to_owned(), source }
 }
 
@@ -44,15 +50,25 @@ pub(super) fn check_count(name: &str, found: u64, options: &ReadOptions) -> Resu
     Ok(())
 }
 
-/// Opens a file for streaming; reading it reports progress by bytes.
+/// Host memory that a reader holds for a point at most, with everything that formats know of one.
+pub(super) const POINT_BYTES: u64 = 64;
+
+/// Refuses a declared number of points that the options do not allow or that there is no memory for.
+pub(super) fn admit(name: &str, found: u64, options: &ReadOptions) -> Result<(), AssetError> {
+    check_count(name, found, options)?;
+    Ok(options.admission.grow(name, found.saturating_mul(POINT_BYTES))?)
+}
+
+/// Opens a file for streaming; reading it reports progress by bytes and ends when the load is cancelled.
 pub(super) fn open(
     path: &Path,
     name: &str,
-    progress: &Progress,
+    options: &ReadOptions,
 ) -> Result<BufReader<ProgressReader>, AssetError> {
     let file = File::open(path).map_err(|source| io_error(name, source))?;
     let length = file.metadata().map_err(|source| io_error(name, source))?.len();
-    let reader = ProgressReader { file, read: 0, length, reported: 0, progress: progress.clone() };
+    let (progress, admission) = (options.progress.clone(), options.admission.clone());
+    let reader = ProgressReader { file, read: 0, length, reported: 0, progress, admission };
     Ok(BufReader::with_capacity(1 << 18, reader))
 }
 
@@ -63,10 +79,12 @@ pub(super) struct ProgressReader {
     length: u64,
     reported: u64,
     progress: Progress,
+    admission: Admission,
 }
 
 impl Read for ProgressReader {
     fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        self.admission.check().map_err(std::io::Error::other)?;
         let count = self.file.read(buffer)?;
         self.read += count as u64;
         if self.read - self.reported >= 4 << 20 {
@@ -226,7 +244,7 @@ pub(super) struct WordColors {
 
 impl WordColors {
     pub(super) fn add(&mut self, words: &[[u16; 3]]) {
-        for &word in words.iter().flatten() {
+        for &word in words.as_flattened() {
             self.max = self.max.max(word);
             self.bits |= word;
         }
@@ -246,11 +264,13 @@ impl WordColors {
     /// Some of the file's colours.
     pub(super) fn colors(self, words: &[[u16; 3]]) -> Option<Vec<[u8; 4]>> {
         let range = self.range()?;
+        let bytes: Vec<u8> =
+            (0..=self.max).into_par_iter().map(|word| range.byte(f32::from(word))).collect();
         let color = |rgb: &[u16; 3]| {
-            let [r, g, b] = rgb.map(|word| range.byte(f32::from(word)));
+            let [r, g, b] = rgb.map(|word| bytes.get(usize::from(word)).copied().unwrap_or(255));
             [r, g, b, 255]
         };
-        Some(words.iter().map(color).collect())
+        Some(words.par_iter().map(color).collect())
     }
 }
 

@@ -15,6 +15,7 @@ use super::points::{
 };
 use super::{Asset, AssetError, Geometry, Placement, PointCloud, ReadOptions};
 use crate::math::Sensor;
+use crate::memory::Interrupt;
 
 /// Reads the scans of a PTX file.
 ///
@@ -22,7 +23,7 @@ use crate::math::Sensor;
 /// I/O, a header or row that is not as the format demands (with line and column), fewer rows than
 /// the header announces, no point at all, or more than the options allow.
 pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, AssetError> {
-    read_from(points::open(path, name, &options.progress)?, name, options)
+    read_from(points::open(path, name, options)?, name, options)
 }
 
 /// Like [`read`], from a stream. At most [`ReadOptions::max_decompressed_bytes`] are read.
@@ -35,12 +36,18 @@ pub fn read_from(
     options: &ReadOptions,
 ) -> Result<Asset, AssetError> {
     let mut rows = Rows { lines: Lines::new(reader, name, options), name };
+    let mut meter = options.admission.meter(name);
+    let mut kept = 0;
     let mut scans = Vec::new();
     let mut declared = 0u64;
     while let Some(header) = Header::read(&mut rows, scans.len())? {
         declared = declared.saturating_add(header.points);
         points::check_count(name, declared, options)?;
-        scans.push(Scan::read(&mut rows, header, scans.len())?);
+        let scan = Scan::read(&mut rows, header, scans.len(), |points| {
+            meter.reach((kept + points) * points::POINT_BYTES)
+        })?;
+        kept += scan.positions.len() as u64;
+        scans.push(scan);
     }
     options.progress.report(1.0);
     finish(scans, name)
@@ -158,6 +165,7 @@ impl Scan {
         rows: &mut Rows<R>,
         header: Header,
         index: usize,
+        mut admit: impl FnMut(u64) -> Result<(), Interrupt>,
     ) -> Result<Self, AssetError> {
         let mut scan = Self {
             file_from_scan: header.file_from_scan,
@@ -181,6 +189,7 @@ impl Scan {
                 return Err(malformed(rows.name, place, reason));
             }
             scan.push(&values[..count]);
+            admit(scan.positions.len() as u64)?;
         }
         Ok(scan)
     }

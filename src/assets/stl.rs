@@ -72,6 +72,11 @@ struct Welded {
 }
 
 impl Welded {
+    /// Bytes of vertices, of their entries in the map, and of triangles.
+    fn bytes(&self) -> u64 {
+        100 * self.positions.len() as u64 + 12 * self.triangles.len() as u64
+    }
+
     fn vertex(
         &mut self,
         position: DVec3,
@@ -117,6 +122,8 @@ fn binary(
     AssetError::check_limit(file, "triangles", count, options.max_triangles)?;
     reader.read_exact(&mut [0; HEADER_BYTES as usize]).map_err(fail)?;
     let mut welded = Welded::default();
+    let mut meter = origin.admission.meter(file);
+    meter.reach_exactly(12 * origin.reserve(count) as u64)?;
     welded.triangles.reserve(origin.reserve(count));
     let mut record = [0; TRIANGLE_BYTES as usize];
     for index in 0..count {
@@ -139,6 +146,7 @@ fn binary(
             welded.vertex(corner(9), file, options)?,
         ];
         welded.triangles.push(triangle);
+        meter.reach(welded.bytes())?;
     }
     Ok(welded)
 }
@@ -152,6 +160,7 @@ fn ascii(
     let file = origin.name.as_str();
     let mut lines = Lines::new(reader, file);
     let mut welded = Welded::default();
+    let mut meter = origin.admission.meter(file);
     let mut triangulator = Triangulator::default();
     let mut ring: Vec<u32> = Vec::new();
     let mut facets = 0u64;
@@ -168,6 +177,7 @@ fn ascii(
                 b"vertex" if in_loop => {
                     let position = corner(&mut tokens).map_err(|reason| fail(facets, reason))?;
                     ring.push(welded.vertex(position, file, options)?);
+                    meter.reach(welded.bytes() + 4 * ring.len() as u64)?;
                 }
                 b"facet" => facets += 1,
                 b"normal" => drop(tokens.by_ref().take(3).count()),

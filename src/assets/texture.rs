@@ -9,17 +9,27 @@ use std::io::Cursor;
 use image::{ImageReader, Limits};
 
 use super::input::{Folder, read_bounded};
-use super::{Filter, Texture, Wrap};
+use super::{Filter, ReadOptions, Texture, Wrap};
+use crate::memory::Admission;
+
+/// Bytes of a texel while it is decoded: as the file has it, as bytes, and as kept.
+const DECODED_BYTES: u64 = 12;
 
 /// Texels that the rest of an asset's textures may still have together.
 #[derive(Debug)]
 pub(crate) struct TextureBudget {
     texels: u64,
+    admission: Admission,
 }
 
 impl TextureBudget {
-    pub fn new(max_texels: u64) -> Self {
-        Self { texels: max_texels }
+    pub fn new(options: &ReadOptions) -> Self {
+        Self { texels: options.max_texels, admission: options.admission.clone() }
+    }
+
+    /// The load that reads.
+    pub fn admission(&self) -> &Admission {
+        &self.admission
     }
 
     /// Bytes that an encoded image may have at most: no format needs more than 16 a texel.
@@ -40,7 +50,7 @@ pub(crate) fn load(
     let fail = |reason: String| format!("texture {reference} is left out: {reason}");
     let folder = folder.ok_or_else(|| fail("the asset lies in no folder".to_owned()))?;
     let path = folder.find(reference).map_err(fail)?;
-    let bytes = read_bounded(&path, budget.max_encoded_bytes()).map_err(fail)?;
+    let bytes = read_bounded(&path, budget.max_encoded_bytes(), &budget.admission).map_err(fail)?;
     decode(&bytes, reference, budget)
 }
 
@@ -76,6 +86,8 @@ pub(crate) fn decode(
             budget.texels
         )));
     }
+    let admitted = budget.admission.grow(name, texels.saturating_mul(DECODED_BYTES));
+    admitted.map_err(|error| fail(error.to_string()))?;
     let mut limits = Limits::default();
     limits.max_alloc = Some(texels.saturating_mul(32).saturating_add(64 << 20));
     let mut reader = reader().map_err(fail)?;
@@ -107,6 +119,10 @@ pub(crate) mod tests {
 
     use super::*;
 
+    fn few(max_texels: u64) -> TextureBudget {
+        TextureBudget::new(&ReadOptions { max_texels, ..ReadOptions::default() })
+    }
+
     /// A PNG of the given texels, row by row.
     pub(crate) fn png(width: u32, texels: &[[u8; 4]]) -> Vec<u8> {
         let height = texels.len() as u32 / width;
@@ -119,7 +135,7 @@ pub(crate) mod tests {
     #[test]
     fn decodes_and_counts_texels() {
         let texels = [[1, 2, 3, 4], [5, 6, 7, 255]];
-        let mut budget = TextureBudget::new(3);
+        let mut budget = few(3);
         let texture = decode(&png(2, &texels), "t.png", &mut budget).unwrap();
         assert_eq!((texture.width, texture.height), (2, 1));
         assert_eq!(texture.rgba, texels);
@@ -134,7 +150,7 @@ pub(crate) mod tests {
         image_webp::WebPEncoder::new(&mut bytes)
             .encode(&[9, 8, 7, 6, 5, 4], 2, 1, image_webp::ColorType::Rgb8)
             .unwrap();
-        let texture = decode(&bytes, "t", &mut TextureBudget::new(100)).unwrap();
+        let texture = decode(&bytes, "t", &mut few(100)).unwrap();
         assert_eq!(texture.rgba, [[9, 8, 7, 255], [6, 5, 4, 255]]);
         assert!(!has_alpha(&texture));
     }
@@ -144,7 +160,7 @@ pub(crate) mod tests {
         let mut bytes = png(1, &[[0; 4]]);
         bytes[16..20].copy_from_slice(&60_000u32.to_be_bytes());
         bytes[20..24].copy_from_slice(&60_000u32.to_be_bytes());
-        assert!(decode(&bytes, "t", &mut TextureBudget::new(1 << 28)).is_err());
+        assert!(decode(&bytes, "t", &mut few(1 << 28)).is_err());
     }
 
     proptest! {
@@ -155,7 +171,7 @@ pub(crate) mod tests {
             let at = at % bytes.len();
             bytes[at] = value;
             bytes.truncate(bytes.len() - cut % bytes.len());
-            let _ = decode(&bytes, "t", &mut TextureBudget::new(1 << 16));
+            let _ = decode(&bytes, "t", &mut few(1 << 16));
         }
     }
 }

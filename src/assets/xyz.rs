@@ -29,6 +29,8 @@ use super::points::{self, Lines, malformed, quote, skipped_warning};
 use super::{Asset, AssetError, Geometry, PointCloud, ReadOptions};
 use layout::Role;
 
+/// Bytes of a point's attributes beside its position.
+const ATTRIBUTE_BYTES: u64 = 24;
 /// More columns than this are no point cloud.
 const MAX_COLUMNS: usize = 64;
 
@@ -38,7 +40,7 @@ const MAX_COLUMNS: usize = 64;
 /// I/O, a token that is no number where one belongs (with line and column), rows of different
 /// lengths, no point at all, or more than the options allow.
 pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, AssetError> {
-    read_from(points::open(path, name, &options.progress)?, name, options)
+    read_from(points::open(path, name, options)?, name, options)
 }
 
 /// Like [`read`], from a stream. At most [`ReadOptions::max_decompressed_bytes`] are read.
@@ -52,12 +54,17 @@ pub fn read_from(
 ) -> Result<Asset, AssetError> {
     let mut lines = Lines::new(reader, name, options);
     let mut table = Table::default();
+    let mut meter = options.admission.meter(name);
     loop {
         let number = lines.number() + 1;
         let Some(line) = lines.next_line()? else { break };
         table.line(line, number, name)?;
-        points::check_count(name, table.positions.len() as u64, options)?;
+        let count = table.positions.len() as u64;
+        points::check_count(name, count, options)?;
+        meter.reach(count * table.row_bytes())?;
     }
+    // Columns become attributes while they are still there.
+    options.admission.grow(name, table.positions.len() as u64 * ATTRIBUTE_BYTES)?;
     options.progress.report(1.0);
     table.finish(name)
 }
@@ -143,6 +150,11 @@ struct Table {
 }
 
 impl Table {
+    /// Bytes of a row that is kept.
+    fn row_bytes(&self) -> u64 {
+        24 + 4 * self.extras.len() as u64
+    }
+
     fn line(&mut self, line: &str, number: u64, name: &str) -> Result<(), AssetError> {
         if line.is_empty() {
             return Ok(());

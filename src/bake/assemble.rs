@@ -8,11 +8,14 @@ use std::path::Path;
 use std::rc::Rc;
 
 use super::colors::NEUTRAL;
-use super::csg;
+use super::csg::{self, CsgError};
 use super::prepare::{self, AssetTraits};
 use super::upright::Shape;
-use super::{FeatureOptions, SampleOptions, detect_features, estimate_kernels, sample_mesh};
+use super::{
+    FeatureOptions, SampleOptions, detect_features, estimate_kernels, expected_samples, sample_mesh,
+};
 use crate::assets::{self, Asset, AssetError, Clip, Geometry, PointCloud, ReadOptions};
+use crate::memory::Interrupt;
 use crate::scene::{AssetRef, AssetSource, FileSource, Scene, SceneError, Solid};
 
 /// [`Asset::format`] of what is made of other assets.
@@ -21,6 +24,10 @@ pub const SOLID_FORMAT: &str = "csg";
 pub const OPERAND_FORMAT: &str = "operand";
 /// More samples than this are not combined.
 const MAX_SAMPLES: u64 = 50_000_000;
+/// Bytes of a sample of a solid.
+const SAMPLE_BYTES: u64 = 128;
+/// Bytes of a sample while a mesh is sampled: the sample itself, its cell and what is thrown for it.
+const SAMPLING_BYTES: u64 = 320;
 
 /// Why an asset was not assembled.
 #[derive(Debug, thiserror::Error)]
@@ -28,6 +35,9 @@ pub enum AssembleError {
     /// A file that cannot be read.
     #[error(transparent)]
     Asset(#[from] AssetError),
+    /// The load was cancelled, or there is no memory for it.
+    #[error(transparent)]
+    Interrupted(#[from] Interrupt),
     /// What the scene asks of an asset does not go with what its file holds; names the place in the scene.
     #[error(transparent)]
     Scene(#[from] SceneError),
@@ -95,7 +105,7 @@ impl Assembler {
         let shape = if self.is_bare { Shape::of(&asset) } else { None };
         let mut traits = AssetTraits { format: asset.format, ..AssetTraits::default() };
         for geometry in &mut asset.geometries {
-            prepare::prepare_geometry(geometry, &mut traits);
+            prepare::prepare_geometry(geometry, &mut traits, &self.options.admission)?;
             if features && let Geometry::Points(cloud) = geometry {
                 detect_features(cloud, &FeatureOptions::default());
             }
@@ -128,6 +138,8 @@ impl Assembler {
             let Asset { geometries, materials, textures, .. } = &mut asset;
             for geometry in geometries.iter_mut() {
                 if let Geometry::Mesh(mesh) = geometry {
+                    let expected = expected_samples(mesh, &options).saturating_mul(SAMPLING_BYTES);
+                    self.options.admission.grow(&self.assets[index].name, expected)?;
                     let cloud = sample_mesh(mesh, materials, textures, &options)
                         .map_err(|error| self.invalid(index, ".sample", &error.to_string()))?;
                     *geometry = Geometry::Points(cloud);
@@ -158,8 +170,42 @@ impl Assembler {
         Ok(asset)
     }
 
+    /// Samples of an asset if every solid kept all of its operands', each as often as it is used.
+    fn expanded_samples(
+        &mut self,
+        index: usize,
+        known: &mut HashMap<usize, u64>,
+    ) -> Result<u64, AssembleError> {
+        if let Some(&known) = known.get(&index) {
+            return Ok(known);
+        }
+        let mut samples = 0u64;
+        match self.assets[index].source.clone() {
+            AssetSource::Solid(solid) => {
+                for operand in &solid.operands {
+                    let operand = self.expanded_samples(operand.asset, known)?;
+                    samples = samples.saturating_add(operand);
+                }
+            }
+            AssetSource::File(_) => {
+                samples = self.cloud(index)?.map_or(0, |cloud| cloud.positions.len() as u64);
+            }
+        }
+        known.insert(index, samples);
+        Ok(samples)
+    }
+
     /// The recursion is as deep as solids are nested, which a scene's limits bound.
     fn combine(&mut self, index: usize, solid: &Solid) -> Result<PointCloud, AssembleError> {
+        // Counted before anything is combined, which takes long.
+        let expanded = self.expanded_samples(index, &mut HashMap::new())?;
+        let most = MAX_SAMPLES.min(self.options.max_vertices);
+        if expanded > most {
+            let reason = format!(
+                "expands to {expanded} samples, as every use of a solid counts all that the solid is made of; at most {most}"
+            );
+            return Err(self.invalid(index, "", &reason));
+        }
         let key = |operand: usize| format!(".{}[{operand}]", solid.operation.key());
         let limit = MAX_SAMPLES.min(self.options.max_vertices);
         let mut count = 0;
@@ -176,9 +222,15 @@ impl Assembler {
                 let reason = format!("{count} samples are over the limit of {limit}");
                 return Err(self.invalid(index, &key(number), &reason));
             }
+            let bytes = cloud.positions.len() as u64 * SAMPLE_BYTES;
+            self.options.admission.grow(&self.assets[index].name, bytes)?;
             operands.push(csg::transformed(&cloud, &operand.solid_from_operand));
         }
-        csg::combine(solid.operation, &operands).map_err(|error| {
+        let admission = self.options.admission.clone();
+        csg::combine(solid.operation, &operands, &admission).map_err(|error| {
+            if let CsgError::Interrupted(interrupt) = error {
+                return interrupt.into();
+            }
             let place = error.operand().map_or_else(String::new, key);
             let operand = error.operand().and_then(|number| solid.operands.get(number));
             let name = operand.map_or("", |operand| &self.assets[operand.asset].name);
@@ -195,6 +247,10 @@ impl Assembler {
             AssetSource::Solid(solid) => self.combine(index, &solid)?,
             AssetSource::File(source) => {
                 let asset = self.file(index, &source)?;
+                let held: usize = asset.geometries.iter().map(|g| g.positions().len()).sum();
+                self.options
+                    .admission
+                    .grow(&self.assets[index].name, held as u64 * SAMPLE_BYTES)?;
                 let Some(mut cloud) = placed_samples(&asset) else { return Ok(None) };
                 if cloud.normals.is_some() {
                     estimate_kernels(&mut cloud);

@@ -46,4 +46,4 @@ pub use features::{FeatureOptions, detect_features};
 pub use kernels::{CUTOFF, circle, estimate_kernels};
 pub use normals::estimate_point_attributes;
 pub use rasterise::{RasteriseOptions, RasterisedMesh, rasterise_mesh};
-pub use sample::{SampleError, SampleOptions, sample_mesh};
+pub use sample::{SampleError, SampleOptions, expected_samples, sample_mesh};

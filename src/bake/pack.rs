@@ -8,6 +8,7 @@
 //! their own behind the others, and take 8 bytes more, so that the others do not pay for them. A triangle takes 4 bytes and its vertices 28 each.
 
 mod kernel;
+mod order;
 mod texture;
 mod unpack;
 
@@ -247,7 +248,7 @@ fn rgba_word(color: [u8; 4]) -> u32 {
 }
 
 pub(super) fn finite(positions: &[DVec3]) -> Result<(), PackError> {
-    match positions.iter().position(|p| !p.is_finite()) {
+    match positions.par_iter().position_first(|p| !p.is_finite()) {
         Some(index) => Err(PackError::NotFinite { index }),
         None => Ok(()),
     }
@@ -259,27 +260,75 @@ pub(super) fn finite(positions: &[DVec3]) -> Result<(), PackError> {
 /// See [`PackError`].
 pub fn pack_samples(cloud: &PointCloud) -> Result<PackedSamples, PackError> {
     finite(&cloud.positions)?;
-    let longest = cloud.kernels.iter().flatten().map(kernel::lengths);
-    let longest = longest.fold(0.0f32, |most, (u, v)| most.max(u).max(v));
-    let bounds = Bounds::of(cloud.positions.iter().copied());
-    let grid = Grid::with_detail(&bounds, f64::from(longest) * KERNEL_DETAIL)?;
-    let clipped = |index: usize| cloud.is_clipped(index);
-    let mut order: Vec<(bool, u64, u32)> = cloud
-        .positions
-        .par_iter()
-        .enumerate()
-        .map(|(index, &p)| (clipped(index), morton(grid.quantise(p)), index as u32))
-        .collect();
-    order.par_sort_unstable();
-    let clipped_first = order.partition_point(|&(clipped, ..)| !clipped);
+    let bounds = Bounds::of_all(&cloud.positions);
+    let grid = Grid::with_detail(&bounds, f64::from(longest_axis(cloud)) * KERNEL_DETAIL)?;
+    let count = cloud.positions.len();
+    // Those with clip lines come behind the others.
+    let key = |index: usize| {
+        let place = morton(grid.quantise(cloud.positions[index]));
+        place | if cloud.is_clipped(index) { CLIPPED } else { 0 }
+    };
+    let (order, clipped_first) = order::by_key(count, CLIPPED, key);
+    let mut out = PackedSamples {
+        grid,
+        chunks: Vec::new(),
+        positions: vec![[0; 2]; count],
+        attributes: vec![[0; 2]; count],
+        kernels: vec![0; count],
+        clips: vec![[0; 2]; count - clipped_first],
+        clipped_first: clipped_first as u32,
+        nodes: Vec::new(),
+    };
     let (plain, with_lines) = order.split_at(clipped_first);
-    let pack = |run: &[(bool, u64, u32)], clipped| {
-        let samples = run.iter().map(|&(.., i)| Sample::of(cloud, &grid, i as usize)).collect();
+    let (positions, clipped_positions) = out.positions.split_at_mut(clipped_first);
+    let (attributes, clipped_attributes) = out.attributes.split_at_mut(clipped_first);
+    let (kernels, clipped_kernels) = out.kernels.split_at_mut(clipped_first);
+    let pack = |run: &[u32], clipped| {
+        let samples = run.iter().map(|&i| Sample::of(cloud, &grid, i as usize)).collect();
         pack_run(&grid, samples, clipped, cloud.oriented)
     };
-    let mut runs: Vec<PackedRun> = plain.par_chunks(CHUNK).map(|run| pack(run, false)).collect();
-    runs.par_extend(with_lines.par_chunks(CHUNK).map(|run| pack(run, true)));
-    Ok(joined(grid, runs, clipped_first as u32))
+    let mut chunks: Vec<PackedChunk> = plain
+        .par_chunks(CHUNK)
+        .zip(positions.par_chunks_mut(CHUNK))
+        .zip(attributes.par_chunks_mut(CHUNK))
+        .zip(kernels.par_chunks_mut(CHUNK))
+        .map(|(((run, positions), attributes), kernels)| {
+            pack(run, false).put(positions, attributes, kernels)
+        })
+        .collect();
+    chunks.par_extend(
+        with_lines
+            .par_chunks(CHUNK)
+            .zip(clipped_positions.par_chunks_mut(CHUNK))
+            .zip(clipped_attributes.par_chunks_mut(CHUNK))
+            .zip(clipped_kernels.par_chunks_mut(CHUNK))
+            .zip(out.clips.par_chunks_mut(CHUNK))
+            .map(|((((run, positions), attributes), kernels), clips)| {
+                let packed = pack(run, true);
+                clips.copy_from_slice(&packed.clips);
+                packed.put(positions, attributes, kernels)
+            }),
+    );
+    let mut first = 0;
+    for chunk in &mut chunks {
+        chunk.first = first;
+        first += chunk.count;
+    }
+    out.chunks = chunks;
+    Ok(out)
+}
+
+/// Of keys along the curve, those of samples with clip lines.
+const CLIPPED: u64 = 1 << 63;
+
+/// The longest axis of a kernel.
+fn longest_axis(cloud: &PointCloud) -> f32 {
+    let Some(kernels) = &cloud.kernels else { return 0.0 };
+    let longest = kernels.par_iter().map(|kernel| {
+        let (u, v) = kernel::lengths(kernel);
+        u.max(v)
+    });
+    longest.reduce(|| 0.0, f32::max)
 }
 
 /// A sample on its way into a chunk.
@@ -342,6 +391,21 @@ pub(super) struct PackedRun {
     pub(super) attributes: Vec<[u32; 2]>,
     pub(super) kernels: Vec<u32>,
     clips: Vec<[u32; 2]>,
+}
+
+impl PackedRun {
+    /// Copies its words, but for clip lines, to where they stay.
+    fn put(
+        self,
+        positions: &mut [[u32; 2]],
+        attributes: &mut [[u32; 2]],
+        kernels: &mut [u32],
+    ) -> PackedChunk {
+        positions.copy_from_slice(&self.positions);
+        attributes.copy_from_slice(&self.attributes);
+        kernels.copy_from_slice(&self.kernels);
+        self.chunk
+    }
 }
 
 /// Packs up to [`CHUNK`] samples, all of them with clip lines or (not `clipped`) none.

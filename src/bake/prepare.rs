@@ -14,6 +14,7 @@ use super::upright::{self, Guess, Shape};
 use super::{estimate_kernels, fill_colors, smooth_normals};
 use crate::assets::{Geometry, Placement};
 use crate::math::{Bounds, Sensor};
+use crate::memory::{Admission, Interrupt};
 use crate::scene::{self, Instance, Scene, SceneError, SceneLimits};
 
 /// Angle between faces, in degrees, above which a mesh without normals keeps its edge.
@@ -59,16 +60,40 @@ pub fn is_scene_file(path: &Path) -> bool {
 /// # Errors
 /// A scene file that [`scene::load`] refuses.
 pub fn describe(path: &Path, root: &Path, limits: &SceneLimits) -> Result<Scene, SceneError> {
+    describe_within(path, None, root, limits, &Admission::default())
+}
+
+/// The scene that the file at `path` stands for, as [`scene::load_within`] reads it.
+///
+/// # Errors
+/// A scene file that [`scene::load_within`] refuses.
+pub fn describe_within(
+    path: &Path,
+    base: Option<&Path>,
+    root: &Path,
+    limits: &SceneLimits,
+    admission: &Admission,
+) -> Result<Scene, SceneError> {
     if is_scene_file(path) {
-        return scene::load(path, root, limits);
+        return scene::load_within(path, base, root, limits, admission);
     }
     let stem = path.file_stem().map_or_else(|| "asset".into(), |stem| stem.to_string_lossy());
     Ok(Scene::from_asset(&stem, path.to_path_buf()))
 }
 
 /// Gives a geometry the colours, normals, radii and kernels that it lacks, and notes in `traits`, whose format is known
-/// already, what it had.
-pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
+/// already, what it had. The admission holds what was added.
+///
+/// # Errors
+/// The load was cancelled, or there is no memory for it; the geometry is as it was then, or prepared in part.
+pub fn prepare_geometry(
+    geometry: &mut Geometry,
+    traits: &mut AssetTraits,
+    admission: &Admission,
+) -> Result<(), Interrupt> {
+    let before = admission.held();
+    let (kept, while_estimating) = preparation_bytes(geometry);
+    admission.grow("estimating normals and kernels", kept + while_estimating)?;
     let (has_colors, has_normals) = match geometry {
         Geometry::Points(cloud) => {
             let had = (cloud.colors.is_some(), cloud.normals.is_some());
@@ -89,6 +114,25 @@ pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
     traits.has_colors |= has_colors;
     traits.has_normals |= has_normals;
     traits.normals_estimated |= !has_normals;
+    admission.shrink_to(before + kept);
+    admission.check()
+}
+
+/// Bytes that [`prepare_geometry`] adds to a geometry at most, and that it needs only meanwhile.
+fn preparation_bytes(geometry: &Geometry) -> (u64, u64) {
+    match geometry {
+        Geometry::Points(cloud) => {
+            let count = cloud.positions.len() as u64;
+            let is_complete = cloud.normals.is_some() && cloud.kernels.is_some();
+            // Colour, normal, radius and kernel; the search's tree and its results.
+            (44 * count, if is_complete { 0 } else { 120 * count })
+        }
+        Geometry::Mesh(mesh) => {
+            let corners = 3 * mesh.triangles.len() as u64;
+            // Vertices are split at creases; corners are sorted by vertex.
+            if mesh.normals.is_some() { (0, 0) } else { (24 * corners, 48 * corners) }
+        }
+    }
 }
 
 /// What the file of a bare asset tells of how it is to be looked at.
@@ -147,7 +191,7 @@ fn outside(bounds: &Bounds, up: DVec3, place: DVec3) -> Option<DVec3> {
 /// The box around what can be seen: vertices that no triangle uses are left out.
 pub fn drawn_bounds(geometry: &Geometry) -> Bounds {
     match geometry {
-        Geometry::Points(cloud) => Bounds::of(cloud.positions.iter().copied()),
+        Geometry::Points(cloud) => Bounds::of_all(&cloud.positions),
         Geometry::Mesh(mesh) => {
             let used = mesh.triangles.iter().flatten();
             Bounds::of(used.filter_map(|&v| mesh.positions.get(v as usize).copied()))
@@ -198,7 +242,7 @@ mod tests {
         let cloud = PointCloud { positions, colors: Some(vec![[9; 4]; 64]), ..Default::default() };
         let mut geometry = Geometry::Points(cloud);
         let mut found = traits("las");
-        prepare_geometry(&mut geometry, &mut found);
+        prepare_geometry(&mut geometry, &mut found, &Admission::default()).unwrap();
         let expected = AssetTraits { has_colors: true, normals_estimated: true, ..traits("las") };
         assert_eq!(found, expected);
         let Geometry::Points(cloud) = geometry else { unreachable!("a cloud stays one") };
@@ -221,7 +265,7 @@ mod tests {
         for (format, vertices) in [("ply", 4), ("glb", 6), ("gltf", 6)] {
             let mut geometry = Geometry::Mesh(mesh.clone());
             let mut found = traits(format);
-            prepare_geometry(&mut geometry, &mut found);
+            prepare_geometry(&mut geometry, &mut found, &Admission::default()).unwrap();
             assert_eq!(geometry.positions().len(), vertices, "{format}");
             assert!(found.has_triangles && found.normals_estimated && !found.has_normals);
         }

@@ -26,7 +26,7 @@ use crate::assets::ReadOptions;
 use crate::engine::{Engine, EngineConfig, PrimeConfig};
 use crate::http::access::{Access, Reread, parse_keys};
 use crate::http::server::serve;
-use crate::http::{App, Settings, StreamLimits, WatchLimits, nearest};
+use crate::http::{App, Settings, StreamLimits, UploadLimits, WatchLimits, nearest};
 use crate::memory::{self, HostMemory};
 use crate::scene::Up;
 
@@ -105,6 +105,18 @@ pub struct ServeArgs {
     /// Largest upload, in MiB [default: 4096]
     #[arg(long, env = "POINTILLIST_MAX_UPLOAD_MIB", value_name = "MIB")]
     pub max_upload_mib: Option<u64>,
+    /// Uploaded scenes at the same time; more are refused with 429 [default: 1000]
+    #[arg(long, env = "POINTILLIST_MAX_UPLOADS", value_name = "N")]
+    pub max_uploads: Option<u64>,
+    /// Uploaded scenes of one API key at the same time [default: 250]
+    #[arg(long, env = "POINTILLIST_MAX_UPLOADS_PER_KEY", value_name = "N")]
+    pub max_uploads_per_key: Option<u64>,
+    /// Disk space of all uploads together, in MiB; more is refused with 507 [default: 65536]
+    #[arg(long, env = "POINTILLIST_UPLOAD_DISK_MIB", value_name = "MIB")]
+    pub upload_disk_mib: Option<u64>,
+    /// Disk space of one API key's uploads, in MiB [default: 16384]
+    #[arg(long, env = "POINTILLIST_UPLOAD_DISK_MIB_PER_KEY", value_name = "MIB")]
+    pub upload_disk_mib_per_key: Option<u64>,
     /// Connections at the same time [default: 1024]
     #[arg(long, env = "POINTILLIST_MAX_CONNECTIONS", value_name = "N")]
     pub max_connections: Option<usize>,
@@ -189,6 +201,7 @@ pub enum LogFormat {
 /// A setting that cannot be used, an address in use, no GPU adapter, or none of the scenes given
 /// with `--scene` loading.
 pub fn run(args: ServeArgs) -> anyhow::Result<()> {
+    memory::save_address_space();
     let args = with_file(args)?;
     init_log(args.log_format.unwrap_or(LogFormat::Text));
     let root = root(&args)?;
@@ -301,6 +314,10 @@ impl ServeArgs {
             max_side: self.max_side.or(lower.max_side),
             no_uploads: self.no_uploads.or(lower.no_uploads),
             max_upload_mib: self.max_upload_mib.or(lower.max_upload_mib),
+            max_uploads: self.max_uploads.or(lower.max_uploads),
+            max_uploads_per_key: self.max_uploads_per_key.or(lower.max_uploads_per_key),
+            upload_disk_mib: self.upload_disk_mib.or(lower.upload_disk_mib),
+            upload_disk_mib_per_key: self.upload_disk_mib_per_key.or(lower.upload_disk_mib_per_key),
             max_connections: self.max_connections.or(lower.max_connections),
             frame_timeout_seconds: self.frame_timeout_seconds.or(lower.frame_timeout_seconds),
             read_timeout_seconds: self.read_timeout_seconds.or(lower.read_timeout_seconds),
@@ -380,12 +397,21 @@ fn settings(args: &ServeArgs, root: PathBuf, access: Access) -> anyhow::Result<S
     }
     let seconds =
         |name, value, default, least| number(name, value, default, least).map(Duration::from_secs);
+    let mib = |name, value, default| {
+        number(name, value, default, 1).map(|mib: u64| mib.saturating_mul(1 << 20))
+    };
     let upload_mib = number("max-upload-mib", args.max_upload_mib, 4096, 1)?;
     Ok(Settings {
         root,
         access,
         cors_origins: args.cors_origin.clone(),
         max_upload_bytes: upload_mib.saturating_mul(1 << 20),
+        upload_limits: UploadLimits {
+            scenes: number("max-uploads", args.max_uploads, 1000, 1)?,
+            scenes_per_key: number("max-uploads-per-key", args.max_uploads_per_key, 250, 1)?,
+            bytes: mib("upload-disk-mib", args.upload_disk_mib, 65_536)?,
+            bytes_per_key: mib("upload-disk-mib-per-key", args.upload_disk_mib_per_key, 16_384)?,
+        },
         max_connections: number("max-connections", args.max_connections, 1024, 1)?,
         frame_timeout: seconds("frame-timeout-seconds", args.frame_timeout_seconds, 120, 1)?,
         read_timeout: seconds("read-timeout-seconds", args.read_timeout_seconds, 30, 1)?,
@@ -549,6 +575,10 @@ mod tests {
             "--host-memory-mib=0",
             "--cache-max-mib=0",
             "--max-upload-mib=0",
+            "--max-uploads=0",
+            "--max-uploads-per-key=0",
+            "--upload-disk-mib=0",
+            "--upload-disk-mib-per-key=0",
             "--max-streams-per-client=0",
             "--stream-idle-seconds=0",
             "--cors-origin=x",

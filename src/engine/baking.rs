@@ -12,17 +12,19 @@ use std::time::Instant;
 
 use serde::Serialize;
 
+pub(super) use self::large::BYTES_A_SAMPLE;
 use self::large::{bake_apart, build_large, large_assets};
 use super::bakes::Watch;
 use super::keys::tree_key;
 use super::library::{AssetCache, Loaded, check_path, load, scene_error};
 use super::trees::{Halt, asset_tree, bake};
-use super::{EngineConfig, EngineError};
+use super::{EngineConfig, EngineError, Source};
 use crate::bake::cache::BakeCache;
 use crate::bake::external::Phase;
 use crate::bake::pack::PackedGeometry;
 use crate::bake::prepare;
 use crate::bake::tree::TreeStatistics;
+use crate::memory::Admission;
 use crate::residency::model::AssetModel;
 
 /// Where an asset's point trees came from, and what became of them.
@@ -98,7 +100,11 @@ pub fn bake_file(
         Some(cache) if !large.is_empty() => {
             bake_apart(&path, &description, &large, config, cache, tell)
         }
-        _ => load("scene", &path, config, &AssetCache::default())?.bake_each(cache, false, tell),
+        _ => {
+            let (assets, admission) = (AssetCache::default(), Admission::new(&config.memory));
+            load("scene", &Source::at(path), config, &assets, &admission)?
+                .bake_each(cache, false, tell)
+        }
     }
 }
 

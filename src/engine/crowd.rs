@@ -24,6 +24,7 @@ use crate::bake::pack::{PackedAsset, PackedGeometry, PackedSamples, spread};
 use crate::bake::tree::{Above, Measures, Root, build_crowd};
 use crate::bake::{CUTOFF, circle};
 use crate::math::Bounds;
+use crate::memory::Reservation;
 use crate::residency::instances::{InstanceRun, Instances, RunMeter};
 use crate::residency::model::{AssetModel, ModelInstance, SceneModel};
 use crate::residency::once::MadeOnce;
@@ -197,6 +198,7 @@ fn over_all(asset: usize) -> ModelInstance {
 
 fn tree_asset(packed: PackedSamples, bounds: Bounds) -> AssetModel {
     AssetModel {
+        memory: Reservation::default(),
         uid: next_uid(),
         name: "instances".to_owned(),
         format: "crowd",

@@ -17,6 +17,7 @@ use crate::bake::pack::{
 };
 use crate::bake::tree::BAKING_VERSION;
 use crate::math::Bounds;
+use crate::memory::Admission;
 use crate::residency::model::AssetModel;
 use crate::scene::{AssetSource, FileSource, Scene};
 
@@ -32,9 +33,15 @@ pub struct AssetKey {
 #[derive(Default)]
 pub struct AssetKeys {
     known: HashMap<usize, AssetKey>,
+    admission: Admission,
 }
 
 impl AssetKeys {
+    /// Keys whose making ends when the load is cancelled.
+    pub fn within(admission: &Admission) -> AssetKeys {
+        AssetKeys { known: HashMap::new(), admission: admission.clone() }
+    }
+
     /// The recursion is as deep as solids are nested, which a scene's limits bound.
     pub fn of(&mut self, description: &Scene, index: usize) -> Result<AssetKey, EngineError> {
         if let Some(&known) = self.known.get(&index) {
@@ -42,7 +49,7 @@ impl AssetKeys {
         }
         let reference = &description.assets[index];
         let key = match &reference.source {
-            AssetSource::File(source) => file_key(&reference.name, source)?,
+            AssetSource::File(source) => file_key(&reference.name, source, &self.admission)?,
             AssetSource::Solid(solid) => {
                 let mut hasher = Sha256::new();
                 hasher.update(solid.operation.key());
@@ -62,13 +69,16 @@ impl AssetKeys {
     }
 }
 
-fn file_key(name: &str, source: &FileSource) -> Result<AssetKey, EngineError> {
+fn file_key(
+    name: &str,
+    source: &FileSource,
+    admission: &Admission,
+) -> Result<AssetKey, EngineError> {
     let file = &source.path;
     let display = file
         .file_name()
         .map_or_else(|| name.to_owned(), |name| name.to_string_lossy().into_owned());
-    let content = digest_file(file)
-        .map_err(|source| asset_error(AssetError::Io { file: display.clone(), source }))?;
+    let content = digest_file(file, &display, admission).map_err(asset_error)?;
     // The name has a say in how the bytes are read, and the scene in what is made of them.
     let kind = display.to_ascii_lowercase();
     let kind = kind.split_once('.').map_or("", |(_, extensions)| extensions);
@@ -85,12 +95,15 @@ fn stands_alone(file: &Path) -> bool {
     !["obj", "obj.gz", "gltf", "gltf.gz"].iter().any(|end| name.ends_with(end))
 }
 
-pub fn digest_file(file: &Path) -> std::io::Result<[u8; 32]> {
+/// The hash of a file, which errors call `name`.
+pub fn digest_file(file: &Path, name: &str, admission: &Admission) -> Result<[u8; 32], AssetError> {
+    let fail = |source| AssetError::Io { file: name.to_owned(), source };
     let mut hasher = Sha256::new();
-    let mut reader = File::open(file)?;
+    let mut reader = File::open(file).map_err(fail)?;
     let mut buffer = vec![0; 1 << 20];
     loop {
-        let read = reader.read(&mut buffer)?;
+        admission.check()?;
+        let read = reader.read(&mut buffer).map_err(fail)?;
         if read == 0 {
             return Ok(hasher.finalize().into());
         }

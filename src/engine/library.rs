@@ -13,9 +13,9 @@ use sha2::{Digest, Sha256};
 use super::framing::{self, SceneOutline};
 use super::keys::{AssetKey, AssetKeys, digest_file, digest_packed};
 use super::trees::TreeScene;
-use super::{AssetInfo, EngineConfig, EngineError, NamedCamera, NodePatch, SceneInfo};
+use super::{AssetInfo, EngineConfig, EngineError, NamedCamera, NodePatch, SceneInfo, Source};
 use crate::assets::warnings::condensed;
-use crate::assets::{AssetError, Geometry, Placement};
+use crate::assets::{AssetError, Geometry, Placement, ReadOptions};
 use crate::bake::CUTOFF;
 use crate::bake::assemble::{AssembleError, Assembler, Prepared};
 use crate::bake::pack::{PackedAsset, PackedGeometry, pack_mesh, pack_samples, pack_texture};
@@ -24,6 +24,7 @@ use crate::bake::spacing::Patch;
 use crate::bake::tree::Above;
 use crate::bake::upright::Shape;
 use crate::math::{Bounds, Camera, CameraError, Sensor};
+use crate::memory::{Admission, Reservation};
 use crate::plan::SceneFacts;
 use crate::residency::instances::{Instances, RunMeter};
 use crate::residency::model::{AssetModel, Extent, ModelInstance, SceneModel};
@@ -55,6 +56,8 @@ pub struct Loaded {
     description: Scene,
     /// The top-level nodes of each run of instances, the same in all revisions.
     nodes: Arc<[Range<usize>]>,
+    /// Of the description and of the list of instances.
+    _memory: Reservation,
     /// See [`Loaded::trees`].
     pub(super) trees: MadeOnce<Result<TreeScene, EngineError>>,
     /// Those of the last revision that had some, until there are new ones.
@@ -149,38 +152,43 @@ pub fn scene_error(error: SceneError) -> EngineError {
 /// Reads a scene file or a bare asset and packs all that it draws.
 pub fn load(
     id: &str,
-    path: &Path,
+    Source { path, base }: &Source,
     config: &EngineConfig,
     cache: &AssetCache,
+    admission: &Admission,
 ) -> Result<Loaded, EngineError> {
     let is_scene = prepare::is_scene_file(path);
     let mut hasher = Sha256::new();
     if is_scene {
         let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        hasher.update(
-            digest_file(path).map_err(|source| asset_error(AssetError::Io { file, source }))?,
-        );
+        hasher.update(digest_file(path, &file, admission).map_err(asset_error)?);
     }
     let mut description =
-        prepare::describe(path, &config.root, &config.scene).map_err(scene_error)?;
+        prepare::describe_within(path, base.as_deref(), &config.root, &config.scene, admission)
+            .map_err(scene_error)?;
+    let described = admission.held();
     let mut assets = Vec::new();
     let mut placements = Vec::new();
     let mut warnings = Vec::new();
     let mut outlook = Outlook { up: config.up, bounds: Bounds::EMPTY, ..Outlook::default() };
     let mut shape = None;
-    let mut options = config.read.clone();
-    options.root.get_or_insert_with(|| config.root.clone());
+    let options = admitted(config, admission);
     let mut assembler = Assembler::new(path, &description, &options);
-    let mut keys = AssetKeys::default();
+    let mut keys = AssetKeys::within(admission);
     let operands_only = description.operands_only();
+    let shares_operands = description.assets.iter().any(|asset| !asset.operands().is_empty());
     for (index, reference) in description.assets.iter().enumerate() {
         let key = keys.of(&description, index)?;
         // What is only an operand has nothing to draw, and its file must not be cached as that.
         let asset = if operands_only[index] {
-            pack_asset(reference, assembler.asset(index)?, key.digest)?
+            pack_asset(reference, assembler.asset(index)?, key.digest, admission)?
         } else {
-            read_asset(reference, index, &mut assembler, key, cache, !is_scene)?
+            read_asset(reference, index, &mut assembler, key, cache, !is_scene, admission)?
         };
+        if !shares_operands {
+            // What reading and packing held is free. The asset keeps its own.
+            admission.shrink_to(described);
+        }
         hasher.update(asset.digest);
         warnings.extend(asset.warnings.iter().map(|text| (reference.name.clone(), text.clone())));
         if description.cameras.is_empty() {
@@ -214,8 +222,18 @@ pub fn load(
     }
     let digest = hasher.finalize().into();
     let id = id.to_owned();
+    drop(assembler);
+    admission.shrink_to(described);
     let parts = Parts { id, revision: 1, description, assets, placements, warnings, digest };
-    build(parts, config, None)
+    build(parts, config, None, admission)
+}
+
+/// What files are read with: below the root, and within what the load may hold.
+fn admitted(config: &EngineConfig, admission: &Admission) -> ReadOptions {
+    let mut options = config.read.clone();
+    options.root.get_or_insert_with(|| config.root.clone());
+    options.admission = admission.clone();
+    options
 }
 
 /// Reads one of the assets that a scene file or a bare asset draws, by itself.
@@ -225,12 +243,12 @@ pub fn load_one(
     index: usize,
     config: &EngineConfig,
 ) -> Result<Arc<AssetModel>, EngineError> {
-    let mut options = config.read.clone();
-    options.root.get_or_insert_with(|| config.root.clone());
+    let admission = Admission::new(&config.memory);
+    let options = admitted(config, &admission);
     let mut assembler = Assembler::new(path, description, &options);
-    let key = AssetKeys::default().of(description, index)?;
+    let key = AssetKeys::within(&admission).of(description, index)?;
     let reference = &description.assets[index];
-    Ok(pack_asset(reference, assembler.asset(index)?, key.digest)?.model)
+    Ok(pack_asset(reference, assembler.asset(index)?, key.digest, &admission)?.model)
 }
 
 /// The warning about points of an asset that the default view leaves out.
@@ -252,6 +270,7 @@ impl From<AssembleError> for EngineError {
     fn from(error: AssembleError) -> Self {
         match error {
             AssembleError::Asset(error) => asset_error(error),
+            AssembleError::Interrupted(interrupt) => interrupt.into(),
             AssembleError::Scene(error) => scene_error(error),
         }
     }
@@ -264,6 +283,7 @@ fn read_asset(
     AssetKey { digest, alone }: AssetKey,
     cache: &AssetCache,
     is_bare: bool,
+    admission: &Admission,
 ) -> Result<ReadAsset, EngineError> {
     if alone
         && let Some(found) = cache.assets.lock().get(&digest)
@@ -281,7 +301,7 @@ fn read_asset(
             digest,
         });
     }
-    let mut read = pack_asset(reference, assembler.asset(index)?, digest)?;
+    let mut read = pack_asset(reference, assembler.asset(index)?, digest, admission)?;
     if !alone {
         let mut hasher = Sha256::new_with_prefix(digest);
         digest_packed(&mut hasher, &read.model.packed);
@@ -308,10 +328,12 @@ fn pack_asset(
     reference: &AssetRef,
     Prepared { mut asset, traits, shape }: Prepared,
     digest: [u8; 32],
+    admission: &Admission,
 ) -> Result<ReadAsset, EngineError> {
     let mut geometries = Vec::with_capacity(asset.geometries.len());
     let bounds = asset.geometries.iter().map(prepare::drawn_bounds).collect();
     for geometry in &mut asset.geometries {
+        admission.grow(&reference.label(), packing_bytes(geometry))?;
         let packed = match geometry {
             Geometry::Points(cloud) => pack_samples(cloud).map(PackedGeometry::Samples),
             Geometry::Mesh(mesh) => pack_mesh(mesh).map(PackedGeometry::Mesh),
@@ -327,7 +349,8 @@ fn pack_asset(
         geometries.push(packed);
     }
     let textures = asset.textures.iter().map(pack_texture).collect();
-    let model = AssetModel {
+    let mut model = AssetModel {
+        memory: Reservation::default(),
         uid: next_uid(),
         name: reference.name.clone(),
         format: asset.format,
@@ -341,6 +364,7 @@ fn pack_asset(
         tree: MadeOnce::default(),
         outlined: OnceLock::new(),
     };
+    model.memory = admission.keep(model.gpu_bytes());
     Ok(ReadAsset {
         model: Arc::new(model),
         placements: Arc::new(asset.placements),
@@ -350,6 +374,14 @@ fn pack_asset(
         warnings: asset.warnings,
         digest,
     })
+}
+
+/// Bytes that packing a geometry takes: the sort's keys, and the packed copy.
+fn packing_bytes(geometry: &Geometry) -> u64 {
+    match geometry {
+        Geometry::Points(cloud) => 48 * cloud.positions.len() as u64,
+        Geometry::Mesh(mesh) => 48 * mesh.positions.len() as u64 + 72 * mesh.triangles.len() as u64,
+    }
 }
 
 /// What a scene consists of, as read.
@@ -362,6 +394,9 @@ struct Parts {
     warnings: Vec<String>,
     digest: [u8; 32],
 }
+
+/// Bytes of an instance, and of its entries while the list is made.
+const INSTANCE_BYTES: u64 = 2 * size_of::<ModelInstance>() as u64;
 
 /// Instances of a run of top-level nodes, at most, unless it is one node.
 const RUN: u64 = 4096;
@@ -417,12 +452,15 @@ fn build(
     parts: Parts,
     config: &EngineConfig,
     before: Option<(&Loaded, usize)>,
+    admission: &Admission,
 ) -> Result<Loaded, EngineError> {
     let nodes = match before {
         Some((loaded, _)) => loaded.nodes.clone(),
         None => parts.description.node_runs(RUN).into(),
     };
     let known = before.map(|(loaded, changed)| (&loaded.model.instances, changed));
+    let listed = parts.description.instance_count().saturating_mul(INSTANCE_BYTES);
+    admission.grow("a list of instances", listed)?;
     let instances = unfold(&parts, &nodes, known, config.scene.max_instances)?;
     let Parts { id, revision, description, assets, placements, warnings, digest } = parts;
     let model = SceneModel {
@@ -454,6 +492,7 @@ fn build(
         digest,
         description,
         nodes,
+        _memory: admission.keep(admission.held()),
         trees: MadeOnce::default(),
         trees_before: Mutex::new(before.and_then(|(loaded, _)| loaded.latest_trees())),
         placements,
@@ -573,7 +612,7 @@ impl Loaded {
             warnings: self.info.warnings.clone(),
             digest: hasher.finalize().into(),
         };
-        build(parts, config, Some((self, index)))
+        build(parts, config, Some((self, index)), &Admission::new(&config.memory))
     }
 
     /// A camera path that the scene names.

@@ -44,7 +44,7 @@ pub use trace::{Origin, RequestId};
 use crate::assets::{AssetError, ReadOptions};
 use crate::bake::cache::BakeCache;
 use crate::math::Camera;
-use crate::memory::{HostMemory, Interrupt};
+use crate::memory::{self, Admission, HostMemory, Interrupt};
 use crate::plan::{Lod, Reconstruct};
 use crate::residency::Part;
 use crate::scene::{CameraPath, SceneError, SceneLimits};
@@ -170,6 +170,10 @@ pub struct Limits {
     pub max_depth: u32,
     pub max_instances: u64,
     pub max_json_bytes: u64,
+    /// Objects of a scene's JSON, whatever they are.
+    pub max_json_objects: u64,
+    /// Solids that one asset is made of, each counted as often as it is used.
+    pub max_operands: u64,
 }
 
 /// A loaded scene as callers see it.
@@ -232,6 +236,22 @@ impl NamedCamera {
             up: camera.up.into(),
             fov: camera.fov_deg,
         }
+    }
+}
+
+/// Where a scene comes from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Source {
+    /// A scene file or an asset file.
+    pub path: PathBuf,
+    /// The folder that the names of files in a scene count from; `None`: the scene file's own.
+    pub base: Option<PathBuf>,
+}
+
+impl Source {
+    /// A file whose names count from its own folder.
+    pub fn at(path: impl Into<PathBuf>) -> Source {
+        Source { path: path.into(), base: None }
     }
 }
 
@@ -431,6 +451,24 @@ impl Engine {
     /// Loads a scene file or a single asset file (below the root) under `id`. Blocks: reads, bakes, checks the
     /// budget; call from a blocking thread. Fails without side effects.
     pub fn load(&self, id: &str, path: &std::path::Path) -> Result<SceneInfo, EngineError> {
+        self.load_within(id, &Source::at(path), &self.admission())
+    }
+
+    /// The share of the host's memory that a load may have, and the handle that cancels it.
+    pub fn admission(&self) -> Admission {
+        Admission::new(&self.shared().config.memory)
+    }
+
+    /// Loads as [`Engine::load`] does, until the admission is cancelled.
+    ///
+    /// # Errors
+    /// As [`Engine::load`]; [`EngineError::Interrupted`].
+    pub fn load_within(
+        &self,
+        id: &str,
+        source: &Source,
+        admission: &Admission,
+    ) -> Result<SceneInfo, EngineError> {
         let shared = self.shared();
         let exists = || EngineError::SceneExists { id: id.to_owned() };
         if !shared.loading.lock().insert(id.to_owned()) {
@@ -441,15 +479,25 @@ impl Engine {
         if shared.library.read().holds(id) {
             return Err(exists());
         }
-        self.load_reserved(id, path)
+        let loaded = self.load_reserved(id, source, admission);
+        // What reading and baking held is free now, in whatever corners of the heap.
+        memory::release_unused();
+        loaded
     }
 
-    fn load_reserved(&self, id: &str, path: &std::path::Path) -> Result<SceneInfo, EngineError> {
+    fn load_reserved(
+        &self,
+        id: &str,
+        source: &Source,
+        admission: &Admission,
+    ) -> Result<SceneInfo, EngineError> {
         let shared = self.shared();
         let began = std::time::Instant::now();
-        let path = library::check_path(path, &shared.config.root)?;
-        let mut loaded = library::load(id, &path, &shared.config, &shared.cache)?;
+        let path = library::check_path(&source.path, &shared.config.root)?;
+        let source = Source { path, ..source.clone() };
+        let mut loaded = library::load(id, &source, &shared.config, &shared.cache, admission)?;
         self.check_fits(&mut loaded)?;
+        admission.check()?;
         let info = loaded.info.clone();
         shared.library.write().insert(loaded);
         shared.scenes_changed();
@@ -679,6 +727,8 @@ impl Engine {
             max_depth: config.scene.max_depth,
             max_instances: config.scene.max_instances,
             max_json_bytes: config.scene.max_json_bytes,
+            max_json_objects: config.scene.max_json_objects,
+            max_operands: config.scene.max_operands,
         }
     }
 

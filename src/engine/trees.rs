@@ -7,7 +7,7 @@ use std::sync::{Arc, OnceLock};
 
 use super::EngineError;
 use super::bakes::{Abandoned, Watch};
-use super::baking::{BakeSource, read_or_build};
+use super::baking::{BYTES_A_SAMPLE, BakeSource, read_or_build};
 use super::crowd::{Crowd, Crowded};
 use super::library::{Loaded, asset_error, next_uid};
 use crate::assets::{AssetError, MeshPart, Texture};
@@ -19,6 +19,7 @@ use crate::bake::pack::{
 };
 use crate::bake::tree::{build_tree, build_tree_within};
 use crate::math::Bounds;
+use crate::memory::{Interrupt, OutOfMemory, Reservation};
 use crate::plan::SceneFacts;
 use crate::residency::instances::{Instances, RunMeter};
 use crate::residency::model::{AssetModel, SceneModel};
@@ -38,11 +39,18 @@ pub struct TreeScene {
 pub(super) enum Halt {
     Pack(PackError),
     Abandoned,
+    OutOfMemory(OutOfMemory),
 }
 
 impl From<PackError> for Halt {
     fn from(error: PackError) -> Halt {
         Halt::Pack(error)
+    }
+}
+
+impl From<OutOfMemory> for Halt {
+    fn from(error: OutOfMemory) -> Halt {
+        Halt::OutOfMemory(error)
     }
 }
 
@@ -74,20 +82,33 @@ fn asset_tree_watched(
 ) -> Result<Result<Grown, EngineError>, Abandoned> {
     let mut source = BakeSource::Kept;
     let tree = asset.tree.get_or_try(
-        || watch.check(),
+        || Ok(watch.check()?),
         || match bake_watched(asset, cache, watch) {
             Ok((tree, made)) => {
                 source = made;
                 Ok(Ok(Arc::new(tree)))
             }
+            // What the asset is does not change. Memory may be free later.
             Err(Halt::Pack(error)) => Ok(Err(error)),
-            Err(Halt::Abandoned) => Err(Abandoned),
+            Err(halt) => Err(halt),
         },
-    )?;
-    Ok(match tree {
-        Ok(tree) => Ok((tree.clone(), source)),
-        Err(error) => Err(tree_error(asset, error)),
-    })
+    );
+    match tree {
+        Ok(Ok(tree)) => Ok(Ok((tree.clone(), source))),
+        Ok(Err(error)) => Ok(Err(tree_error(asset, error))),
+        Err(halt) => halt.outcome(asset),
+    }
+}
+
+impl Halt {
+    /// What callers are told: an error, or that nobody waits.
+    fn outcome<T>(self, asset: &AssetModel) -> Result<Result<T, EngineError>, Abandoned> {
+        match self {
+            Halt::Pack(error) => Ok(Err(tree_error(asset, &error))),
+            Halt::OutOfMemory(error) => Ok(Err(Interrupt::from(error).into())),
+            Halt::Abandoned => Err(Abandoned),
+        }
+    }
 }
 
 pub(super) fn tree_error(asset: &AssetModel, error: &PackError) -> EngineError {
@@ -103,9 +124,9 @@ pub(super) fn bake(
     asset: &AssetModel,
     cache: Option<&BakeCache>,
 ) -> Result<(AssetModel, BakeSource), EngineError> {
-    bake_watched(asset, cache, &Watch::NONE).map_err(|halt| match halt {
-        Halt::Pack(error) => tree_error(asset, &error),
-        Halt::Abandoned => EngineError::Internal("baking was given up".into()),
+    bake_watched(asset, cache, &Watch::NONE).or_else(|halt| match halt.outcome(asset) {
+        Ok(outcome) => outcome,
+        Err(Abandoned) => Err(EngineError::Internal("baking was given up".into())),
     })
 }
 
@@ -115,7 +136,13 @@ fn bake_watched(
     watch: &Watch<'_>,
 ) -> Result<(AssetModel, BakeSource), Halt> {
     let began = std::time::Instant::now();
-    let (geometries, source) = read_or_build(asset, cache, watch, || build(asset, watch))?;
+    let (geometries, source) = read_or_build(asset, cache, watch, || {
+        let (samples, triangles) = asset.counts();
+        let bytes = (samples + triangles).saturating_mul(BYTES_A_SAMPLE);
+        let what = format!("building the point trees of `{}`", asset.name);
+        let _held = asset.memory.beside(&what, bytes)?;
+        build(asset, watch)
+    })?;
     let mut bounds = asset.bounds.clone();
     let mut beside = vec![None; asset.packed.geometries.len()];
     for (index, geometry) in asset.packed.geometries.iter().enumerate() {
@@ -129,7 +156,8 @@ fn bake_watched(
         materials: asset.packed.materials.clone(),
         textures: asset.packed.textures.clone(),
     };
-    let tree = AssetModel {
+    let mut tree = AssetModel {
+        memory: Reservation::default(),
         uid: next_uid(),
         name: asset.name.clone(),
         packed,
@@ -139,6 +167,8 @@ fn bake_watched(
         outlined: OnceLock::new(),
         ..*asset
     };
+    let what = format!("the point trees of `{}`", asset.name);
+    tree.memory = asset.memory.beside(&what, tree.gpu_bytes())?;
     let (nodes, _) = tree.counts();
     let elapsed_ms = began.elapsed().as_millis() as u64;
     let from_cache = source == BakeSource::Cached;
@@ -227,9 +257,15 @@ impl Loaded {
     ) -> Result<Result<TreeScene, EngineError>, Abandoned> {
         let make = || match self.asset_trees(cache, watch)? {
             Ok(assets) => Ok(self.make_trees(assets)),
+            // Memory may be free later.
+            Err(EngineError::Interrupted(Interrupt::OutOfMemory(error))) => Err(error.into()),
             Err(error) => Ok(Err(error)),
         };
-        self.trees.get_or_try(|| watch.check(), make).cloned()
+        match self.trees.get_or_try(|| Ok(watch.check()?), make) {
+            Ok(made) => Ok(made.clone()),
+            Err(Halt::OutOfMemory(error)) => Ok(Err(Interrupt::from(error).into())),
+            Err(_) => Err(Abandoned),
+        }
     }
 
     /// The trees of all assets.

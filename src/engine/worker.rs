@@ -24,6 +24,7 @@ use super::shared::{Adapter, Flying, Phase, Shared};
 use super::trace::FrameSpans;
 use super::{EncodedFrame, EngineError};
 use crate::gpu::{GpuError, GpuOptions};
+use crate::memory;
 use crate::passes::srgb8;
 use crate::plan::{Pass, Reconstruct, UsedSettings};
 use crate::residency::layout::GpuStats;
@@ -296,8 +297,13 @@ fn retry(shared: &Shared, jobs: Vec<Arc<Job>>) {
 
 /// Tells the others what is on the GPU, after freeing what was removed.
 fn publish(shared: &Shared, renderer: &mut Renderer) {
-    for id in shared.set_resident(renderer.residency.ids()) {
-        renderer.remove(&id);
+    let removed = shared.set_resident(renderer.residency.ids());
+    for id in &removed {
+        renderer.remove(id);
+    }
+    if !removed.is_empty() {
+        // Not here: frames wait for this thread.
+        rayon::spawn(memory::release_unused);
     }
     let stats = &shared.stats;
     stats.gpu_bytes_resident.store(renderer.residency.used(), Ordering::Relaxed);

@@ -12,6 +12,9 @@ use parking_lot::Mutex;
 use serde::de::DeserializeOwned;
 
 use super::problem::{Kind, Problem};
+use crate::engine::EngineError;
+use crate::json::{self, Limits};
+use crate::memory::Admission;
 use crate::scene::check_keys;
 
 /// Bytes a second that a body has to come at, on the average of the time spent waiting for it.
@@ -96,15 +99,24 @@ pub fn check_length(headers: &HeaderMap, limit: u64) -> Result<(), Problem> {
     }
 }
 
-/// Reads a JSON body of at most `limit` bytes.
+/// What a JSON body may hold: ten thousand poses with all that a pose can say.
+const JSON_LIMITS: Limits =
+    Limits { nodes: u64::MAX, objects: 20_000, values: 1_000_000, string_bytes: 64 << 10 };
+/// Bytes of an object in memory, keys included.
+const OBJECT_BYTES: usize = 512;
+/// A parser that does not know yet what an object is keeps a copy of it.
+const COPIES: u64 = 3;
+
+/// Reads a JSON body of at most `limit` bytes. The admission holds what it takes in memory.
 ///
 /// # Errors
-/// 415 for another content type, 413, 408, and 422 with the place in the document.
+/// 415 for another content type, 413, 408, 507, and 422 with the place in the document.
 pub async fn json<T: DeserializeOwned>(
     headers: &HeaderMap,
     body: Body,
     limit: u64,
     read_timeout: Duration,
+    admission: &Admission,
 ) -> Result<T, Problem> {
     if !is_json(&media_type(headers)) {
         return Err(Problem::new(Kind::UnsupportedMediaType, "the body must be JSON")
@@ -119,13 +131,22 @@ pub async fn json<T: DeserializeOwned>(
         if (bytes.len() + chunk.len()) as u64 > limit {
             return Err(too_large(limit));
         }
+        let held = 2 * chunk.len() as u64;
+        admission.grow("the request's body", held).map_err(EngineError::from)?;
         bytes.extend_from_slice(&chunk);
     }
+    let census = json::count(&bytes, &JSON_LIMITS).map_err(|excess| {
+        let json::Excess { what, limit, .. } = excess;
+        Problem::new(Kind::BadBody, format!("the body has more than {limit} {what}"))
+            .accepted(format!("at most {limit} {what}"))
+    })?;
+    let needed = census.bytes(OBJECT_BYTES).saturating_mul(COPIES);
+    admission.grow("the request's JSON", needed).map_err(EngineError::from)?;
     parse_json(&bytes)
 }
 
 /// Parses JSON; the error names the place.
-pub fn parse_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
+fn parse_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     check_keys(bytes)
         .map_err(|found| Problem::new(Kind::BadBody, found.to_string()).at(found.path))?;
     let mut deserializer = serde_json::Deserializer::from_slice(bytes);
@@ -215,7 +236,7 @@ mod tests {
     fn read(content_type: &'static str, body: &'static str) -> Result<[u32; 2], Problem> {
         let mut headers = HeaderMap::new();
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(content_type));
-        run(json(&headers, Body::from(body), 16, Duration::from_secs(1)))
+        run(json(&headers, Body::from(body), 16, Duration::from_secs(1), &Admission::default()))
     }
 
     #[test]

@@ -71,8 +71,10 @@ pub async fn frames(
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
+    let admission = app.engine.admission();
+    let patience = app.settings.read_timeout;
     let request: FramesRequest =
-        body::json(&headers, body, MAX_BODY_BYTES, app.settings.read_timeout).await?;
+        body::json(&headers, body, MAX_BODY_BYTES, patience, &admission).await?;
     let defaults = FrameParams::from_json(serde_json::Value::Object(request.defaults), "")?;
     if request.poses.is_empty() || request.poses.len() > MAX_POSES {
         return Err(Problem::new(Kind::BadBody, format!("poses: {} of them", request.poses.len()))

@@ -17,6 +17,7 @@ use prometheus_client::registry::{Metric, Registry, Unit};
 
 use crate::engine::{Class, EncodedFrame, Engine, Observer, Readiness, Receipt};
 use crate::jobs::Jobs;
+use crate::memory;
 
 /// Content type of the exposition.
 pub const OPENMETRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -285,6 +286,11 @@ impl Collector for EngineCollector {
                 "host_memory_budget_bytes",
                 "Host memory that may be reserved",
                 limits.host_memory_bytes,
+            ),
+            (
+                "resident_memory_bytes",
+                "Bytes of the process in memory",
+                memory::resident_bytes().unwrap_or(0),
             ),
             ("engine_ready", "Whether frames can be had now", u64::from(is_ready)),
         ] {

@@ -72,6 +72,7 @@ pub use openapi::{openapi_json, openapi_yaml};
 pub use params::{DEFAULT_FOV_DEG, DEFAULT_QUALITY, DEFAULT_SIDE};
 pub use problem::{Problem, nearest};
 pub use stream::StreamLimits;
+pub use upload::quota::UploadLimits;
 
 use crate::engine::{Client, Engine};
 use crate::jobs::Jobs;
@@ -86,6 +87,7 @@ pub struct Settings {
     pub cors_origins: Vec<String>,
     /// Bytes of one upload, all files together.
     pub max_upload_bytes: u64,
+    pub upload_limits: UploadLimits,
     pub max_connections: usize,
     /// Longest wait for a frame, whatever the client says.
     pub frame_timeout: Duration,
@@ -110,6 +112,7 @@ pub struct App {
     pub(crate) settings: Settings,
     pub(crate) metrics: metrics::Metrics,
     pub(crate) registry: registry::Registry,
+    pub(crate) uploads: upload::quota::Quota,
     pub(crate) streams: stream::Streams,
     /// Who watches jobs.
     pub(crate) watchers: headcount::Headcount,
@@ -141,6 +144,7 @@ impl App {
             metrics: metrics::Metrics::new(&engine, jobs.as_ref().ok()),
             jobs,
             registry: registry::Registry::default(),
+            uploads: upload::quota::Quota::new(settings.upload_limits),
             streams: stream::Streams::new(settings.streams),
             watchers: settings.watches.headcount(),
             callers: RandomState::new(),
@@ -204,7 +208,7 @@ pub(crate) struct Owner {
 }
 
 /// Every route, as the counters and the access rules name them.
-const ROUTES: [&str; 26] = [
+const ROUTES: [&str; 27] = [
     "/",
     "/viewer/{file}",
     "/healthz",
@@ -215,6 +219,7 @@ const ROUTES: [&str; 26] = [
     "/v1/scene-schema.json",
     "/v1/scenes",
     "/v1/scenes/{id}",
+    "/v1/scenes/{id}/retry",
     "/v1/scenes/{id}/nodes/{node}",
     "/v1/scenes/{id}/frame",
     "/v1/scenes/{id}/frames",
@@ -253,6 +258,7 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/v1/scene-schema.json", get(service::scene_schema))
         .route("/v1/scenes", get(scenes::list).post(upload::create))
         .route("/v1/scenes/{id}", get(scenes::show).delete(scenes::remove))
+        .route("/v1/scenes/{id}/retry", post(upload::retry))
         .route("/v1/scenes/{id}/nodes/{node}", patch(scenes::patch_node))
         .route("/v1/scenes/{id}/frame", get(frame::frame))
         .route("/v1/scenes/{id}/frames", post(frames::frames))

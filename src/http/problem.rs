@@ -59,6 +59,7 @@ pub enum Kind {
     TooManyScenes,
     UploadQuota,
     LoadCancelled,
+    LoadLost,
     UnknownJob,
     UnknownFrame,
     FrameNotDrawn,
@@ -81,7 +82,7 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind, in the order of the documentation.
-    pub const ALL: [Kind; 56] = [
+    pub const ALL: [Kind; 57] = [
         Kind::MalformedRequest,
         Kind::HeadTooLarge,
         Kind::UnknownRoute,
@@ -120,6 +121,7 @@ impl Kind {
         Kind::TooManyScenes,
         Kind::UploadQuota,
         Kind::LoadCancelled,
+        Kind::LoadLost,
         Kind::UnknownJob,
         Kind::UnknownFrame,
         Kind::FrameNotDrawn,
@@ -229,6 +231,11 @@ impl Kind {
             LoadCancelled => {
                 (409, "urn:pointillist:problem:load-cancelled", "the load was cancelled")
             }
+            LoadLost => (
+                500,
+                "urn:pointillist:problem:load-lost",
+                "the server ended while it loaded the scene",
+            ),
             OutOfDisk => (507, "urn:pointillist:problem:storage", "the disk cannot be used"),
             UnknownJob => (404, "urn:pointillist:problem:unknown-job", "no such job"),
             UnknownFrame => {

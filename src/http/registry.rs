@@ -4,8 +4,11 @@
 //! reserve ──► loading ──► (engine knows it)          finish
 //!                │
 //!                └──────► failed, until DELETE,       fail
-//!                         or until the id is used again
+//!                         until it is loaded again,
+//!                         or, without files, until the id is used again
 //! ```
+//!
+//! A load can be cancelled: it ends at its next step, and its reservation goes with it.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -13,46 +16,74 @@ use std::time::Instant;
 
 use parking_lot::Mutex;
 
-use super::problem::{Kind, Problem};
+use tokio::sync::Notify;
 
-/// Failures that are remembered; the oldest is forgotten first.
+use super::problem::{Kind, Problem};
+use crate::engine::Source;
+use crate::memory::Admission;
+
+/// Failures without files that are remembered; the oldest is forgotten first.
 const MAX_FAILED: usize = 64;
 
 #[derive(Clone, Debug)]
 pub enum Entry {
-    Loading { since: Instant },
-    Failed { at: Instant, problem: Problem },
+    Loading {
+        since: Instant,
+        admission: Admission,
+    },
+    Failed {
+        at: Instant,
+        problem: Problem,
+        /// What can be loaded again; `None` where no files were kept.
+        source: Option<Source>,
+    },
 }
 
 #[derive(Clone, Default)]
 pub struct Registry {
     entries: Arc<Mutex<HashMap<String, Entry>>>,
+    /// Told whenever a reservation ends.
+    ended: Arc<Notify>,
 }
 
 /// An id that is taken until this is dropped, finished, or failed.
 pub struct Reservation {
     registry: Registry,
     id: String,
+    admission: Admission,
     settled: bool,
 }
 
 impl Registry {
-    /// Takes `id`, unless it is loading now or `is_loaded`.
+    /// Takes `id` for a load, unless it is loading now, `is_loaded`, or has failed and can be loaded again.
     pub fn reserve(
         &self,
         id: &str,
+        admission: Admission,
         is_loaded: impl FnOnce(&str) -> bool,
     ) -> Result<Reservation, Problem> {
         let mut entries = self.entries.lock();
-        let loading = matches!(entries.get(id), Some(Entry::Loading { .. }));
+        let is_free = matches!(entries.get(id), None | Some(Entry::Failed { source: None, .. }));
         // Asked under the lock: a load that has just finished is in the engine before it leaves here.
-        if loading || is_loaded(id) {
+        if !is_free || is_loaded(id) {
             return Err(Problem::new(Kind::SceneExists, format!("a scene `{id}` exists"))
                 .at("id")
                 .accepted("an id that is free, or DELETE the scene first"));
         }
-        entries.insert(id.to_owned(), Entry::Loading { since: Instant::now() });
-        Ok(Reservation { registry: self.clone(), id: id.to_owned(), settled: false })
+        let loading = Entry::Loading { since: Instant::now(), admission: admission.clone() };
+        entries.insert(id.to_owned(), loading);
+        Ok(Reservation { registry: self.clone(), id: id.to_owned(), admission, settled: false })
+    }
+
+    /// Takes the id of a failure that can be loaded again.
+    pub fn retry(&self, id: &str, admission: Admission) -> Option<(Reservation, Source)> {
+        let mut entries = self.entries.lock();
+        let entry = entries.get_mut(id)?;
+        let Entry::Failed { source: Some(source), .. } = entry else { return None };
+        let source = source.clone();
+        *entry = Entry::Loading { since: Instant::now(), admission: admission.clone() };
+        let (registry, id) = (self.clone(), id.to_owned());
+        Some((Reservation { registry, id, admission, settled: false }, source))
     }
 
     pub fn get(&self, id: &str) -> Option<Entry> {
@@ -65,6 +96,28 @@ impl Registry {
             self.entries.lock().iter().map(|(id, entry)| (id.clone(), entry.clone())).collect();
         list.sort_by(|a, b| a.0.cmp(&b.0));
         list
+    }
+
+    /// Has the load of `id` end at its next step. False where nothing is loading.
+    pub fn cancel(&self, id: &str) -> bool {
+        match self.entries.lock().get(id) {
+            Some(Entry::Loading { admission, .. }) => {
+                admission.cancel();
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// Waits until `id` is no longer loading.
+    pub async fn ended(&self, id: &str) {
+        loop {
+            let ended = self.ended.notified();
+            if !matches!(self.get(id), Some(Entry::Loading { .. })) {
+                return;
+            }
+            ended.await;
+        }
     }
 
     /// Forgets a failure. False when there is none.
@@ -82,17 +135,23 @@ impl Reservation {
         &self.id
     }
 
+    /// What the load holds, and the handle that cancels it.
+    pub fn admission(&self) -> &Admission {
+        &self.admission
+    }
+
     /// The engine has the scene now.
     pub fn finish(self) {}
 
-    /// Keeps `problem` for whoever asks.
-    pub fn fail(mut self, problem: Problem) {
+    /// Keeps `problem` for whoever asks, and `source` for whoever wants it loaded again.
+    pub fn fail(mut self, problem: Problem, source: Option<Source>) {
         self.settled = true;
         let mut entries = self.registry.entries.lock();
-        entries.insert(self.id.clone(), Entry::Failed { at: Instant::now(), problem });
+        entries.insert(self.id.clone(), Entry::Failed { at: Instant::now(), problem, source });
         let failed = |entry: &Entry| match entry {
-            Entry::Failed { at, .. } => Some(*at),
-            Entry::Loading { .. } => None,
+            Entry::Failed { at, source: None, .. } => Some(*at),
+            // What lies on the disk is listed as long as it does.
+            _ => None,
         };
         if entries.values().filter_map(failed).count() > MAX_FAILED {
             let oldest =
@@ -109,6 +168,7 @@ impl Drop for Reservation {
         if !self.settled {
             self.registry.entries.lock().remove(&self.id);
         }
+        self.registry.ended.notify_waiters();
     }
 }
 
@@ -120,26 +180,52 @@ mod tests {
         Problem::new(Kind::AssetRefused, "no")
     }
 
+    fn reserve(registry: &Registry, id: &str) -> Result<Reservation, Problem> {
+        registry.reserve(id, Admission::default(), |_| false)
+    }
+
+    #[test]
+    fn a_load_that_is_cancelled_frees_its_id() {
+        let registry = Registry::default();
+        assert!(!registry.cancel("a"));
+        let loading = reserve(&registry, "a").unwrap();
+        assert!(registry.cancel("a") && loading.admission().is_cancelled());
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        let waiting = registry.clone();
+        runtime.block_on(async {
+            let ended = tokio::spawn(async move { waiting.ended("a").await });
+            tokio::task::yield_now().await;
+            assert!(!ended.is_finished());
+            drop(loading);
+            ended.await.unwrap();
+        });
+        assert!(registry.get("a").is_none());
+        runtime.block_on(registry.ended("a"));
+    }
+
     #[test]
     fn an_id_is_taken_once() {
         let registry = Registry::default();
-        let first = registry.reserve("a", |_| false).unwrap();
-        assert_eq!(registry.reserve("a", |_| false).err().unwrap().status(), 409);
+        let first = reserve(&registry, "a").unwrap();
+        assert_eq!(reserve(&registry, "a").err().unwrap().status(), 409);
         assert!(matches!(registry.get("a"), Some(Entry::Loading { .. })));
         assert!(!registry.forget("a"));
         first.finish();
         assert!(registry.get("a").is_none());
-        assert_eq!(registry.reserve("a", |_| true).err().unwrap().status(), 409);
+        assert_eq!(
+            registry.reserve("a", Admission::default(), |_| true).err().unwrap().status(),
+            409
+        );
     }
 
     #[test]
     fn failures_stay_until_the_id_is_used_again() {
         let registry = Registry::default();
-        registry.reserve("a", |_| false).unwrap().fail(problem());
+        reserve(&registry, "a").unwrap().fail(problem(), None);
         assert!(matches!(registry.get("a"), Some(Entry::Failed { .. })));
-        drop(registry.reserve("a", |_| false).unwrap());
+        drop(reserve(&registry, "a").unwrap());
         assert!(registry.get("a").is_none());
-        registry.reserve("a", |_| false).unwrap().fail(problem());
+        reserve(&registry, "a").unwrap().fail(problem(), None);
         assert!(registry.forget("a") && !registry.forget("a"));
     }
 
@@ -147,9 +233,20 @@ mod tests {
     fn failures_do_not_pile_up() {
         let registry = Registry::default();
         for i in 0..2 * MAX_FAILED {
-            registry.reserve(&format!("s{i}"), |_| false).unwrap().fail(problem());
+            reserve(&registry, &format!("s{i}")).unwrap().fail(problem(), None);
         }
         assert_eq!(registry.list().len(), MAX_FAILED);
         assert!(registry.get("s0").is_none());
+        // Those that can be loaded again stay.
+        let source = Some(Source::at("a.ply"));
+        reserve(&registry, "kept").unwrap().fail(problem(), source);
+        for i in 0..2 * MAX_FAILED {
+            reserve(&registry, &format!("t{i}")).unwrap().fail(problem(), None);
+        }
+        assert!(registry.get("kept").is_some());
+        assert_eq!(reserve(&registry, "kept").err().unwrap().status(), 409);
+        let (again, source) = registry.retry("kept", Admission::default()).unwrap();
+        assert_eq!((again.id(), source), ("kept", Source::at("a.ply")));
+        assert!(registry.retry("kept", Admission::default()).is_none());
     }
 }

@@ -1,6 +1,7 @@
 //! What is loaded: list, one, move a node, remove.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Json;
 use axum::body::Body;
@@ -38,7 +39,7 @@ pub enum SceneState {
 impl SceneState {
     fn of(id: String, entry: Entry) -> Self {
         match entry {
-            Entry::Loading { since } => {
+            Entry::Loading { since, .. } => {
                 let loading_ms = u64::try_from(since.elapsed().as_millis()).unwrap_or(u64::MAX);
                 SceneState::Loading { id, loading_ms }
             }
@@ -93,8 +94,8 @@ pub async fn show(
     }
 }
 
-/// Removes a scene: its GPU memory is freed, and its files are removed if it was uploaded. One of the server's root is there again
-/// when the server starts anew.
+/// Removes a scene: its memory is freed, and its files are removed if it was uploaded. A load that is under way is
+/// cancelled. A scene of the server's root is there again when the server starts anew.
 #[utoipa::path(
     delete,
     path = "/v1/scenes/{id}",
@@ -108,16 +109,30 @@ pub async fn remove(
     Segments(id): Segments<String>,
     _: NoQuery,
 ) -> Result<StatusCode, Problem> {
+    let was_loading = app.registry.cancel(&id);
+    if was_loading {
+        // Its next step may be one of some seconds.
+        let ended = tokio::time::timeout(LONGEST_STEP, app.registry.ended(&id)).await;
+        ended.map_err(|_| {
+            let detail = format!("the load of scene `{id}` is cancelled and about to end");
+            Problem::new(Kind::SceneLoading, detail).retry_after(Duration::from_secs(5))
+        })?;
+    }
     if app.registry.forget(&id) {
+        upload::forget_files(&app, &id).await;
         return Ok(StatusCode::NO_CONTENT);
     }
+    if was_loading && app.engine.scene(&id).is_err() {
+        return Ok(StatusCode::NO_CONTENT);
+    }
+    app.uploads.forget(&id);
     let worker = app.clone();
     let name = id.clone();
     tokio::task::spawn_blocking(move || {
         worker.engine.remove(&name)?;
         // The folder of uploads may be another daemon's.
         if worker.settings.uploads {
-            upload::remove_files(&worker.settings.root, &name);
+            upload::store::remove_files(&worker.settings.root, &name);
         }
         Ok(StatusCode::NO_CONTENT)
     })
@@ -125,6 +140,9 @@ pub async fn remove(
     .map_err(Problem::internal)?
     .map_err(|error: crate::engine::EngineError| frame::missing(&app, &id, error.into()))
 }
+
+/// Wait for a load that was cancelled to end.
+const LONGEST_STEP: Duration = Duration::from_secs(30);
 
 /// A new place for a node, or its visibility. The transform is given whole, as in a scene file:
 /// what is left out of `translate`, `rotate`, `scale` is the identity. Without any of them the node
@@ -177,7 +195,9 @@ pub async fn patch_node(
     body: Body,
 ) -> Result<Response, Problem> {
     let patience = app.settings.read_timeout;
-    let value: serde_json::Value = body::json(&headers, body, MAX_CHANGE_BYTES, patience).await?;
+    let admission = app.engine.admission();
+    let value: serde_json::Value =
+        body::json(&headers, body, MAX_CHANGE_BYTES, patience, &admission).await?;
     let patch = node_change(value)?.patch()?;
     let worker = app.clone();
     let scene = id.clone();

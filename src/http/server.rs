@@ -37,8 +37,9 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, Sleep};
 
 use super::problem::{Kind, Problem};
+use super::upload::store::Earlier;
 use super::{App, Phase, refusal, router, service, upload};
-use crate::engine::{Engine, Readiness};
+use crate::engine::{Engine, Readiness, Source};
 
 /// A client that reads nothing of its answer for this long is given up.
 const STALLED_WRITE: Duration = Duration::from_secs(60);
@@ -107,6 +108,7 @@ pub async fn serve(
                     () = tokio::time::sleep(delay) => {}
                     signal = signals.stop(&app) => {
                         tracing::warn!(signal, "stopping at once");
+                        upload::stand_down(&app);
                         return Ok(());
                     }
                     ended = &mut server => return Ok(ended??),
@@ -145,6 +147,7 @@ pub async fn serve(
         },
         signal = signals.stop(&app) => tracing::warn!(signal, "stopping at once"),
     }
+    upload::stand_down(&app);
     Ok(())
 }
 
@@ -185,15 +188,36 @@ async fn load_scenes(app: &Arc<App>, start: StartScenes) -> anyhow::Result<()> {
     // They may be another daemon's, which alone cleans up there.
     let root = app.settings.uploads.then(|| app.settings.root.clone());
     let earlier = tokio::task::spawn_blocking(move || {
-        root.map_or_else(Vec::new, |root| upload::earlier_uploads(&root))
+        root.map_or_else(Vec::new, |root| upload::store::earlier(&root))
     })
     .await?;
+    let at = |(id, file)| (id, Some(Source::at(file)), None);
+    let mut scenes: Vec<_> = start.scenes.into_iter().map(at).collect();
+    for Earlier { id, source, key, bytes, refusal } in earlier {
+        app.uploads.keep(&id, app.uploads.known(key.as_deref(), bytes));
+        scenes.push((id, source, refusal));
+    }
+    // All ids are taken before the first load, so that no upload comes into the place of another.
+    let reserve = |id: &str| {
+        app.registry.reserve(id, app.engine.admission(), |id| app.engine.scene(id).is_ok())
+    };
+    let reserved: Vec<_> = scenes
+        .into_iter()
+        .map(|(id, source, refusal)| (reserve(&id), id, source, refusal))
+        .collect();
     let mut failed = 0;
-    for (index, (id, file)) in start.scenes.into_iter().chain(earlier).enumerate() {
-        let shown = file.display().to_string();
-        let result = match app.registry.reserve(&id, |id| app.engine.scene(id).is_ok()) {
-            Ok(reservation) => upload::load(app, reservation, file, |problem| problem).await,
-            Err(problem) => Err(problem),
+    for (index, (reservation, id, source, refusal)) in reserved.into_iter().enumerate() {
+        let shown = source.as_ref().map(|source| source.path.display().to_string());
+        let result = match (reservation, source, refusal) {
+            (Ok(reservation), Some(source), None) => {
+                upload::load(app.clone(), reservation, source, upload::Origin::Kept).await
+            }
+            (Ok(reservation), source, refusal) => {
+                let problem = refusal.unwrap_or_else(|| Problem::internal("nothing to load"));
+                reservation.fail(problem.clone(), source);
+                Err(problem)
+            }
+            (Err(problem), ..) => Err(problem),
         };
         match result {
             // The engine has told of it.

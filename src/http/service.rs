@@ -111,6 +111,7 @@ pub struct ServerLimits {
     engine: Limits,
     /// Bytes of one upload, all its files together.
     max_upload_bytes: u64,
+    uploads: UploadLimits,
     max_connections: usize,
     /// Longest wait for a frame, in milliseconds.
     frame_timeout_ms: u64,
@@ -125,6 +126,19 @@ pub struct ServerLimits {
     max_stream_messages_per_second: u32,
     /// Of jobs, where this server draws any.
     jobs: Option<JobLimits>,
+}
+
+/// What uploads may hold, and what they hold now. Limits of a key apply where keys are asked for.
+#[derive(Serialize, ToSchema)]
+pub struct UploadLimits {
+    /// Uploaded scenes: of all clients, and of one key.
+    max_scenes: u64,
+    max_scenes_per_key: u64,
+    /// Bytes of uploads on the disk: of all clients, and of one key.
+    max_bytes: u64,
+    max_bytes_per_key: u64,
+    scenes: u64,
+    bytes: u64,
 }
 
 /// What jobs may take.
@@ -150,7 +164,7 @@ pub struct JobLimits {
     watch_ms: u64,
 }
 
-/// The limits in force; what is beyond them is refused with 413, 422 or 507.
+/// The limits in force; what is beyond them is refused with 413, 422, 429 or 507.
 #[utoipa::path(
     get,
     path = "/v1/limits",
@@ -164,6 +178,17 @@ pub async fn limits(State(app): State<Arc<App>>, _: NoQuery) -> Json<ServerLimit
     Json(ServerLimits {
         engine: app.engine.limits(),
         max_upload_bytes: settings.max_upload_bytes,
+        uploads: {
+            let (limits, held) = (app.uploads.limits(), app.uploads.held());
+            UploadLimits {
+                max_scenes: limits.scenes,
+                max_scenes_per_key: limits.scenes_per_key,
+                max_bytes: limits.bytes,
+                max_bytes_per_key: limits.bytes_per_key,
+                scenes: held.scenes,
+                bytes: held.bytes,
+            }
+        },
         max_connections: settings.max_connections,
         frame_timeout_ms: ms(settings.frame_timeout),
         max_streams: settings.streams.most,

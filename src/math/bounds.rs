@@ -1,6 +1,7 @@
 //! Axis-aligned boxes.
 
 use glam::{DAffine3, DVec3};
+use rayon::prelude::*;
 
 /// An axis-aligned box, possibly empty (`min > max`).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,6 +27,14 @@ impl Bounds {
             bounds.add(point);
         }
         bounds
+    }
+
+    /// As [`Bounds::of`], on all threads.
+    pub fn of_all(points: &[DVec3]) -> Bounds {
+        const PART: usize = 1 << 16;
+        let boxes: Vec<Bounds> =
+            points.par_chunks(PART).map(|part| Bounds::of(part.iter().copied())).collect();
+        boxes.into_iter().fold(Bounds::EMPTY, Bounds::union)
     }
 
     pub fn is_empty(&self) -> bool {

@@ -8,11 +8,7 @@ const FALLBACK: u64 = 2 << 30;
 /// Half of the memory that this process may use: of the machine's, its cgroup's, or its address space limit's, whichever
 /// is least.
 pub fn default_budget() -> u64 {
-    let sources = [
-        machine_bytes(),
-        cgroup_bytes(),
-        fs::read_to_string("/proc/self/limits").ok().and_then(|text| address_space(&text)),
-    ];
+    let sources = [machine_bytes(), cgroup_bytes(), address_space_bytes()];
     sources.into_iter().flatten().min().map_or(FALLBACK, |bytes| bytes / 2)
 }
 
@@ -30,6 +26,11 @@ fn kib_line(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     kib.checked_mul(1024)
+}
+
+/// What `ulimit -v` allows this process.
+fn address_space_bytes() -> Option<u64> {
+    address_space(&fs::read_to_string("/proc/self/limits").ok()?)
 }
 
 /// The soft limit of the address space in `/proc/self/limits`.
@@ -70,6 +71,19 @@ fn limit_files(groups: &str) -> Vec<String> {
         }
     }
     files
+}
+
+/// Has the allocator keep few arenas where the address space is limited, before threads are started. glibc reserves 64 MiB
+/// of addresses for each arena, and makes up to eight arenas a core: more than a gigabyte on two cores.
+pub fn save_address_space() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    if address_space_bytes().is_some() {
+        #[allow(unsafe_code, reason = "mallopt has no safe wrapper")]
+        // SAFETY: mallopt takes two numbers, and is called before any thread but this one is started.
+        unsafe {
+            libc::mallopt(libc::M_ARENA_MAX, 2);
+        }
+    }
 }
 
 /// Returns freed memory to the system. glibc keeps freed blocks in its arenas, below blocks that are still in use; after a

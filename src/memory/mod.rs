@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use parking_lot::Mutex;
 
-pub use machine::{default_budget, release_unused, resident_bytes};
+pub use machine::{default_budget, release_unused, resident_bytes, save_address_space};
 
 /// A budget of host memory; clones share it.
 #[derive(Clone, Debug)]
@@ -107,6 +107,14 @@ impl Default for Reservation {
 impl Reservation {
     pub fn bytes(&self) -> u64 {
         self.bytes
+    }
+
+    /// Reserves `bytes` of the same budget.
+    ///
+    /// # Errors
+    /// [`OutOfMemory`].
+    pub fn beside(&self, what: &str, bytes: u64) -> Result<Reservation, OutOfMemory> {
+        self.memory.reserve(what, bytes)
     }
 
     /// Reserves `extra` bytes more.
@@ -234,6 +242,18 @@ pub struct Meter<'a> {
 const STEP: u64 = 4 << 20;
 
 impl Meter<'_> {
+    /// Makes sure that `bytes` in all are granted, and no more: for what is allocated at once.
+    ///
+    /// # Errors
+    /// [`Interrupt`].
+    pub fn reach_exactly(&mut self, bytes: u64) -> Result<(), Interrupt> {
+        if bytes > self.granted {
+            self.admission.grow(self.what, bytes - self.granted)?;
+            self.granted = bytes;
+        }
+        Ok(())
+    }
+
     /// Makes sure that `bytes` in all are granted. Grants half as much again ahead, as vectors that are pushed to hold
     /// more than their length.
     ///

@@ -14,6 +14,7 @@ use crate::bake::pack::{Grid, PackError, PackedAsset, PackedChunk, PackedGeometr
 use crate::bake::prepare::AssetTraits;
 use crate::bake::tree::Above;
 use crate::math::{Bounds, Camera};
+use crate::memory::Reservation;
 use crate::scene::{Light, MaterialSpec, Splats};
 
 /// One file's packed contents, shared by the scenes that draw it.
@@ -33,6 +34,8 @@ pub struct AssetModel {
     /// Of point trees: for each geometry the one that is drawn wherever it is, on the same grid: a mesh's triangles beside its
     /// samples.
     pub beside: Vec<Option<usize>>,
+    /// Of the host's memory, what the asset holds.
+    pub memory: Reservation,
     /// The asset as point trees, once a frame has asked for it.
     pub tree: MadeOnce<Result<Arc<AssetModel>, PackError>>,
     /// Answer of [`AssetModel::outlines`], once it was asked for.

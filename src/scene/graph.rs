@@ -34,7 +34,7 @@ pub(super) fn check(scene: &Scene, limits: &SceneLimits) -> Result<(), Reason> {
     Ok(())
 }
 
-/// Refuses solids that are made of themselves, nested too deeply or of too many operands.
+/// Refuses solids that are made of themselves, nested too deeply, or that expand to too many operands.
 fn check_solids(scene: &Scene, limits: &SceneLimits) -> Result<(), Reason> {
     let found = scene.assets.iter().map(|asset| asset.operands().len() as u64).sum();
     if found > limits.max_nodes {
@@ -58,6 +58,20 @@ fn check_solids(scene: &Scene, limits: &SceneLimits) -> Result<(), Reason> {
     if found > u64::from(limits.max_depth) {
         let limit = u64::from(limits.max_depth);
         return Err(Reason::TooLarge { what: "depth of solids", found, limit });
+    }
+    // Every use of a solid counts as all that the solid is made of.
+    let mut expanded = vec![1u64; uses.len()];
+    for index in order.into_iter().filter(|&index| !uses[index].is_empty()) {
+        expanded[index] =
+            uses[index].iter().fold(0, |sum: u64, &used| sum.saturating_add(expanded[used]));
+        if expanded[index] > limits.max_operands {
+            let (asset, limit) = (&scene.assets[index], limits.max_operands);
+            let found = expanded[index];
+            let reason = format!(
+                "expands to {found} operands, as every use of a solid counts all that the solid is made of; at most {limit}"
+            );
+            return Err(Reason::At(format!("assets.{}", asset.name), reason));
+        }
     }
     Ok(())
 }

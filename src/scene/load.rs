@@ -12,8 +12,10 @@ use glam::DVec3;
 use serde::de::DeserializeOwned;
 
 use super::validate::{self, Reason};
-use super::wire::{Object, PathWire, SceneFile};
+use super::wire::{NodeWire, Object, PathWire, SceneFile};
 use super::{AssetRef, CameraPath, Light, Node, Scene, SceneError, SceneLimits};
+use crate::json;
+use crate::memory::Admission;
 
 /// Background of scenes that name none: `#202428`.
 pub(super) const DEFAULT_BACKGROUND: &str = "#202428";
@@ -23,6 +25,21 @@ pub(super) const DEFAULT_BACKGROUND: &str = "#202428";
 /// # Errors
 /// See [`SceneError`]; `Invalid` names the place in the file.
 pub fn load(path: &Path, root: &Path, limits: &SceneLimits) -> Result<Scene, SceneError> {
+    load_within(path, None, root, limits, &Admission::default())
+}
+
+/// Reads a scene file as [`load`] does, with memory that is reserved first. Files that the scene names lie in the folder
+/// `base`, or beside the scene where there is none.
+///
+/// # Errors
+/// See [`load`]; [`SceneError::Interrupted`].
+pub fn load_within(
+    path: &Path,
+    base: Option<&Path>,
+    root: &Path,
+    limits: &SceneLimits,
+    admission: &Admission,
+) -> Result<Scene, SceneError> {
     // Only the name: where the root lies is nobody's business but the operator's.
     let file = path
         .file_name()
@@ -36,9 +53,13 @@ pub fn load(path: &Path, root: &Path, limits: &SceneLimits) -> Result<Scene, Sce
             reason: "the scene file lies outside the scene root".to_owned(),
         });
     }
+    let length = std::fs::metadata(&canonical).map_err(io)?.len();
+    let before = admission.held();
+    admission.grow(&file, length.min(limits.max_json_bytes))?;
     let text = read(&canonical, &file, limits)?;
-    let mut scene =
-        parse(&text, &file, canonical.parent().unwrap_or(Path::new("/")), root, limits)?;
+    let base = base.or(canonical.parent()).unwrap_or(Path::new("/"));
+    let mut scene = parse_within(&text, &file, base, root, limits, admission)?;
+    admission.shrink_to(before + scene.host_bytes());
     if scene.name == file {
         scene.name = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or(file);
     }
@@ -98,7 +119,30 @@ pub fn parse(
     root: &Path,
     limits: &SceneLimits,
 ) -> Result<Scene, SceneError> {
+    parse_within(text, name, base_dir, root, limits, &Admission::default())
+}
+
+fn parse_within(
+    text: &str,
+    name: &str,
+    base_dir: &Path,
+    root: &Path,
+    limits: &SceneLimits,
+    admission: &Admission,
+) -> Result<Scene, SceneError> {
     check_length(text.len(), name, limits)?;
+    let most = json::Limits {
+        nodes: limits.max_nodes,
+        objects: limits.max_json_objects,
+        values: u64::MAX,
+        string_bytes: MAX_STRING_BYTES,
+    };
+    let census = json::count(text.as_bytes(), &most).map_err(|excess| {
+        let json::Excess { what, found, limit } = excess;
+        SceneError::TooLarge { file: name.to_owned(), what, found, limit }
+    })?;
+    // As written, and as validated.
+    admission.grow(name, census.bytes(OBJECT_BYTES + size_of::<Node>()))?;
     let wire: SceneFile =
         deserialize(text).map_err(|(path, reason)| invalid(name, &path, reason))?;
     let root = root
@@ -108,7 +152,22 @@ pub fn parse(
     validate::scene(wire, name, &resolve, limits).map_err(|reason| refused(name, reason))
 }
 
+/// Longer strings are no names, colours or paths of files.
+const MAX_STRING_BYTES: u64 = 64 << 10;
+/// Bytes of an object of a scene file in memory: nodes are the largest; names are kept in maps beside them.
+const OBJECT_BYTES: usize = size_of::<NodeWire>() + 256;
+
 impl Scene {
+    /// Bytes of nodes and assets.
+    fn host_bytes(&self) -> u64 {
+        fn nodes(list: &[Node]) -> usize {
+            list.iter().map(|node| 1 + nodes(&node.children)).sum()
+        }
+        let prototypes: usize = self.prototypes.iter().map(|p| nodes(&p.children)).sum();
+        let operands: usize = self.assets.iter().map(|asset| 1 + asset.operands().len()).sum();
+        ((nodes(&self.nodes) + prototypes) * size_of::<Node>() + operands * 256) as u64
+    }
+
     /// The scene of a bare asset file (absolute, already checked): one node, one default pair of
     /// lights, `+y` up.
     pub fn from_asset(name: &str, file: PathBuf) -> Scene {

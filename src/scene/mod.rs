@@ -26,7 +26,7 @@ mod validate;
 mod wire;
 
 pub use assets::{AssetRef, AssetSource, CsgOperation, FileSource, MeshSampling, Operand, Solid};
-pub use load::{load, load_path, parse, parse_path};
+pub use load::{load, load_path, load_within, parse, parse_path};
 pub use path::{CameraPath, Ease, Interpolation, PathKey, PathSampler};
 pub use splats::{Blend, Filter, Shading, Splats};
 pub use unique::{DuplicateKey, check_keys};
@@ -207,10 +207,21 @@ pub struct SceneLimits {
     pub max_depth: u32,
     pub max_instances: u64,
     pub max_json_bytes: u64,
+    /// Objects of a JSON text, whatever they are.
+    pub max_json_objects: u64,
+    /// Solids that one asset is made of, each counted as often as it is used.
+    pub max_operands: u64,
 }
 
 impl Default for SceneLimits {
     fn default() -> Self {
-        Self { max_nodes: 100_000, max_depth: 64, max_instances: 1 << 20, max_json_bytes: 64 << 20 }
+        Self {
+            max_nodes: 100_000,
+            max_depth: 64,
+            max_instances: 1 << 20,
+            max_json_bytes: 64 << 20,
+            max_json_objects: 1_000_000,
+            max_operands: 4096,
+        }
     }
 }

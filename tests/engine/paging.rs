@@ -74,6 +74,7 @@ fn textured(uid: u64, texels: &[u32], materials: usize) -> Arc<SceneModel> {
         })
         .collect();
     let asset = AssetModel {
+        memory: Default::default(),
         uid,
         name: format!("asset {uid}"),
         format: "test",

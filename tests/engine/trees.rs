@@ -294,7 +294,8 @@ fn a_split_error_draws_less_of_a_sculpture() {
 fn drawn_by_twin(path: &Path, request: &FrameRequest, camera: &Camera) -> u64 {
     let mut asset = read(path, &ReadOptions::default()).unwrap();
     let mut geometry = asset.geometries.remove(0);
-    prepare_geometry(&mut geometry, &mut AssetTraits::default());
+    let admission = pointillist::memory::Admission::default();
+    prepare_geometry(&mut geometry, &mut AssetTraits::default(), &admission).unwrap();
     let Geometry::Points(cloud) = geometry else { panic!("no cloud") };
     let packed = build_tree(&unpack_samples(&pack_samples(&cloud).unwrap()), None).unwrap();
     let view = camera.view(request.width, request.height).unwrap();

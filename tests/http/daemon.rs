@@ -15,6 +15,8 @@ pub struct Daemon {
     folder: tempfile::TempDir,
     /// What it printed until it listened.
     pub greeting: Vec<String>,
+    /// Of its address space, where it has a limit.
+    limit_kib: Option<u64>,
 }
 
 /// A wall of 64 × 64 coloured points.
@@ -102,6 +104,26 @@ impl Daemon {
         Daemon::spawn_as(command, folder, &[], &[])
     }
 
+    /// One whose address space is limited to so many KiB, also after it was started again.
+    pub fn start_limited(kib: u64, args: &[&str]) -> Daemon {
+        let folder = grid_folder();
+        Daemon::spawn_limited(folder, kib, args)
+    }
+
+    fn spawn_limited(folder: tempfile::TempDir, kib: u64, args: &[&str]) -> Daemon {
+        let mut command = Command::new("sh");
+        command.args(["-c", &format!("ulimit -v {kib} && exec \"$0\" \"$@\"")]);
+        command.arg(env!("CARGO_BIN_EXE_pointillist"));
+        let mut daemon = Daemon::spawn_as(command, folder, args, &[]);
+        daemon.limit_kib = Some(kib);
+        daemon
+    }
+
+    /// Whether its process has ended by itself.
+    pub fn is_lost(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_some()
+    }
+
     /// Its process.
     pub fn id(&self) -> u32 {
         self.child.id()
@@ -131,7 +153,20 @@ impl Daemon {
 
     fn start_again(mut self, args: &[&str]) -> Daemon {
         let folder = std::mem::replace(&mut self.folder, tempfile::tempdir().unwrap());
-        Daemon::spawn(folder, args, &[])
+        match self.limit_kib {
+            Some(kib) => Daemon::spawn_limited(folder, kib, args),
+            None => Daemon::spawn(folder, args, &[]),
+        }
+    }
+
+    /// Kills it and starts it again on the same root, in its own place.
+    pub fn kill_and_start(&mut self, args: &[&str]) {
+        self.kill();
+        let folder = std::mem::replace(&mut self.folder, tempfile::tempdir().unwrap());
+        *self = match self.limit_kib {
+            Some(kib) => Daemon::spawn_limited(folder, kib, args),
+            None => Daemon::spawn(folder, args, &[]),
+        };
     }
 
     /// SIGKILL, at once.
@@ -198,7 +233,7 @@ impl Daemon {
             let log = std::fs::read_to_string(folder.path().join("log")).unwrap_or_default();
             panic!("the daemon did not start: {greeting:?}\n{log}");
         };
-        Daemon { child, address, folder, greeting }
+        Daemon { child, address, folder, greeting, limit_kib: None }
     }
 
     pub fn client(&self) -> Client {

@@ -135,7 +135,7 @@ fn overriding(folder: &std::path::Path, args: &[&str]) -> String {
 fn a_server_that_can_never_draw_again_says_so() {
     use pointillist::engine::{Engine, EngineConfig, Readiness};
     use pointillist::http::{
-        App, Phase, Settings, StreamLimits, WatchLimits, access::Access, router,
+        App, Phase, Settings, StreamLimits, UploadLimits, WatchLimits, access::Access, router,
     };
     use std::time::Duration;
     use tower::ServiceExt;
@@ -147,6 +147,12 @@ fn a_server_that_can_never_draw_again_says_so() {
         access: Access::Open { cors_origins: Vec::new(), only_loopback: true },
         cors_origins: Vec::new(),
         max_upload_bytes: 1 << 20,
+        upload_limits: UploadLimits {
+            scenes: 1,
+            scenes_per_key: 1,
+            bytes: 1 << 20,
+            bytes_per_key: 1 << 20,
+        },
         max_connections: 4,
         frame_timeout: Duration::from_secs(10),
         read_timeout: Duration::from_secs(10),

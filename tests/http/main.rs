@@ -6,6 +6,7 @@
     reason = "a test that unwraps says where it failed"
 )]
 
+mod admission;
 mod balancer;
 mod client;
 mod contract;
@@ -21,6 +22,7 @@ mod load;
 mod mjpeg;
 mod naming;
 mod schema;
+mod soak;
 mod stream;
 mod stream_ends;
 mod uploads;

@@ -11,12 +11,15 @@ use ::gltf::json::{Index, Root, accessor, buffer};
 use super::super::input::{Folder, read_bounded};
 use super::super::{AssetError, ReadOptions};
 use super::container::{data_uri, percent_decoded};
+use crate::memory::Admission;
 
 /// Work and memory that a document may cause, as multiples of what its buffers hold. An honest one
 /// reads its data about once and keeps less than it read; one whose accessors and primitives
 /// repeat the same bytes over and over is an attack.
 const READS_PER_BYTE: u64 = 64;
 const KEPT_PER_BYTE: u64 = 4;
+/// Bytes of what is kept: a vertex with its attributes, a triangle or a placement.
+const KEPT_BYTES: u64 = 96;
 /// On top of that, so that small documents may be odd.
 const FREE: u64 = 4 << 20;
 
@@ -29,6 +32,7 @@ pub(super) struct Buffers<'a> {
     file: &'a str,
     reads_left: Cell<u64>,
     kept_left: Cell<u64>,
+    admission: Admission,
 }
 
 /// Items in a buffer, a stride apart.
@@ -58,7 +62,10 @@ impl<'a> Buffers<'a> {
             let content = match (known, uri, binary) {
                 (Some(known), _, _) => known,
                 (None, Some(uri), _) => {
-                    let bytes = external(uri, folder, left).map_err(fail)?;
+                    options.admission.grow(file, uri.len() as u64)?;
+                    let read = external(uri, folder, left, &options.admission);
+                    options.admission.check()?;
+                    let bytes = read.map_err(fail)?;
                     left = left.saturating_sub(bytes.len() as u64);
                     content_of_uri.insert(uri, contents.len());
                     contents.push(Cow::Owned(bytes));
@@ -80,6 +87,7 @@ impl<'a> Buffers<'a> {
         let total: u64 = contents.iter().map(|bytes| bytes.len() as u64).sum();
         let allowed = |per_byte| Cell::new(total.saturating_mul(per_byte).saturating_add(FREE));
         Ok(Self {
+            admission: options.admission.clone(),
             root,
             contents,
             content_of,
@@ -96,6 +104,7 @@ impl<'a> Buffers<'a> {
 
     /// Counts vertices, triangles or placements that are about to be kept.
     pub fn keep(&self, place: &str, items: u64) -> Result<(), AssetError> {
+        self.admission.grow(self.file, items.saturating_mul(KEPT_BYTES))?;
         self.count_down(&self.kept_left, place, items)
     }
 
@@ -294,14 +303,19 @@ impl<'a> Buffers<'a> {
     }
 }
 
-fn external(uri: &str, folder: Option<&Folder>, limit: u64) -> Result<Vec<u8>, String> {
+fn external(
+    uri: &str,
+    folder: Option<&Folder>,
+    limit: u64,
+    admission: &Admission,
+) -> Result<Vec<u8>, String> {
     if let Some(bytes) = data_uri(uri) {
         return bytes;
     }
     let name = String::from_utf8(percent_decoded(uri)).map_err(|_| "its uri is no text")?;
     let folder = folder.ok_or("the asset lies in no folder, so it can name no files")?;
     let path = folder.resolve(&name).map_err(|reason| format!("{name} {reason}"))?;
-    read_bounded(&path, limit).map_err(|reason| format!("{name} {reason}"))
+    read_bounded(&path, limit, admission).map_err(|reason| format!("{name} {reason}"))
 }
 
 fn slice(bytes: &[u8], offset: u64, length: u64) -> Option<&[u8]> {

@@ -4,7 +4,11 @@ use ::gltf::json::Root;
 use serde::Deserialize;
 
 use super::super::AssetError;
+use crate::json::{self, Limits};
+use crate::memory::Admission;
 
+/// Bytes of an object of the document in memory at most.
+const OBJECT_BYTES: usize = 512;
 pub(super) const MAGIC: &[u8] = b"glTF";
 const JSON_CHUNK: u32 = 0x4e4f_534a;
 const BINARY_CHUNK: u32 = 0x004e_4942;
@@ -52,9 +56,15 @@ pub(super) fn split<'a>(
 }
 
 /// The document. Structure only; indices are checked where they are followed.
-pub(super) fn parse(json: &[u8], file: &str) -> Result<Root, AssetError> {
+pub(super) fn parse(json: &[u8], file: &str, admission: &Admission) -> Result<Root, AssetError> {
     // Some editors put a byte order mark before text.
     let json = json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(json);
+    // Strings may be buffers, whose bytes are kept as they are.
+    let limits =
+        Limits { nodes: u64::MAX, objects: u64::MAX, values: u64::MAX, string_bytes: u64::MAX };
+    if let Ok(census) = json::count(json, &limits) {
+        admission.grow(file, census.bytes(OBJECT_BYTES))?;
+    }
     #[derive(Deserialize)]
     struct Probe {
         asset: Version,

@@ -75,7 +75,7 @@ impl<'a> Materials<'a> {
             root,
             buffers,
             folder,
-            budget: TextureBudget::new(options.max_texels),
+            budget: TextureBudget::new(options),
             known: HashMap::new(),
             known_textures: HashMap::new(),
             materials: Vec::new(),
@@ -186,7 +186,7 @@ impl<'a> Materials<'a> {
         let name = String::from_utf8(percent_decoded(uri)).map_err(|_| "its uri is no text")?;
         let folder = self.folder.ok_or("the asset lies in no folder")?;
         let path = folder.resolve(&name).map_err(|reason| format!("{name} {reason}"))?;
-        read_bounded(&path, self.budget.max_encoded_bytes())
+        read_bounded(&path, self.budget.max_encoded_bytes(), self.budget.admission())
     }
 }
 

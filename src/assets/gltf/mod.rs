@@ -57,7 +57,7 @@ pub fn read_from(mut input: Input, options: &ReadOptions) -> Result<Asset, Asset
     let bytes = input.read_all()?;
     let file = input.origin.name.as_str();
     let (json, binary) = container::split(&bytes, file)?;
-    let root = container::parse(json, file)?;
+    let root = container::parse(json, file, &options.admission)?;
     let mut warnings = Vec::new();
     check_extensions(&root, file, &mut warnings)?;
     let folder = input.origin.folder.as_ref();

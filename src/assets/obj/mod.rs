@@ -21,7 +21,12 @@ use glam::{DVec3, Vec2, Vec3};
 use super::input::{Input, Origin};
 use super::tokens::{Lines, Tokens, number, shown};
 use super::{Asset, AssetError, Geometry, PointCloud, ReadOptions, tidy};
+use crate::memory::Meter;
 
+/// Bytes of a name in a list and in a map.
+const NAME_BYTES: usize = 192;
+/// Bytes of a corner as a vertex of its own, and of its entry in a map.
+const CORNER_BYTES: u64 = 96;
 /// In a corner: this vertex has no such attribute. In a face: it has no material.
 const NONE: u32 = u32::MAX;
 
@@ -45,6 +50,7 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
     while lines.advance()? {
         lines.join_continuations()?;
         statements.line(lines.tokens(), lines.number)?;
+        statements.meter.reach(statements.bytes())?;
     }
     statements.finish(&origin, options)
 }
@@ -71,6 +77,7 @@ struct Statements<'a> {
     /// Position, texture coordinate and normal of every face's corners.
     corners: Vec<[u32; 3]>,
     triangles: u64,
+    meter: Meter<'a>,
     material_names: Vec<String>,
     material_numbers: HashMap<String, u32>,
     material: u32,
@@ -81,7 +88,7 @@ struct Statements<'a> {
 }
 
 impl<'a> Statements<'a> {
-    fn new(file: &'a str, options: &ReadOptions) -> Self {
+    fn new(file: &'a str, options: &'a ReadOptions) -> Self {
         Self {
             file,
             max_vertices: options.max_vertices.min(u64::from(u32::MAX - 1)),
@@ -93,6 +100,7 @@ impl<'a> Statements<'a> {
             faces: Vec::new(),
             corners: Vec::new(),
             triangles: 0,
+            meter: options.admission.meter(file),
             material_names: Vec::new(),
             material_numbers: HashMap::new(),
             material: NONE,
@@ -101,6 +109,15 @@ impl<'a> Statements<'a> {
             lines: 0,
             unknown: 0,
         }
+    }
+
+    /// Bytes of what has been read.
+    fn bytes(&self) -> u64 {
+        let vertices = 24 * self.positions.len() + 16 * self.colors.len();
+        let attributes = 8 * self.uvs.len() + 12 * self.normals.len();
+        let faces = 12 * self.faces.len() + 12 * self.corners.len();
+        let names = NAME_BYTES * (self.material_names.len() + self.libraries.len());
+        (vertices + attributes + faces + names) as u64
     }
 
     fn line(&mut self, mut tokens: Tokens, line: u64) -> Result<(), AssetError> {
@@ -255,6 +272,9 @@ impl<'a> Statements<'a> {
             let cloud = tidy::finish_cloud(cloud, &origin.name, &mut warnings)?;
             Asset::single("obj", &origin.name, Geometry::Points(cloud))
         } else {
+            // Every corner may become a vertex, found by a map.
+            let corners = self.corners.len() as u64;
+            options.admission.grow(&origin.name, corners * CORNER_BYTES)?;
             let (mesh, used) = self.weave(&mut warnings)?;
             let mesh = tidy::finish_mesh(mesh, &origin.name, &mut warnings)?;
             let mut asset = Asset::single("obj", &origin.name, Geometry::Mesh(mesh));

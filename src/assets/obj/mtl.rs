@@ -9,6 +9,7 @@ use super::super::texture::{self, TextureBudget};
 use super::super::tidy::linear_from_srgb;
 use super::super::tokens::{Tokens, number};
 use super::super::{Material, ReadOptions, Texture, Wrap};
+use crate::memory::Admission;
 
 const MAX_LIBRARY_BYTES: u64 = 64 << 20;
 /// More libraries than this are no sensible file.
@@ -54,9 +55,9 @@ pub(super) fn read(
     options: &ReadOptions,
     warnings: &mut Vec<String>,
 ) -> Library {
-    let definitions = definitions(libraries, folder, warnings);
+    let definitions = definitions(libraries, folder, &options.admission, warnings);
     let mut textures = Textures {
-        budget: TextureBudget::new(options.max_texels),
+        budget: TextureBudget::new(options),
         known: HashMap::new(),
         textures: Vec::new(),
         folder,
@@ -84,6 +85,7 @@ pub(super) fn read(
 fn definitions(
     libraries: &[String],
     folder: Option<&Folder>,
+    admission: &Admission,
     warnings: &mut Vec<String>,
 ) -> HashMap<String, Definition> {
     let mut definitions = HashMap::new();
@@ -97,7 +99,7 @@ fn definitions(
             break;
         }
         seen.push(library);
-        match library_text(library, folder) {
+        match library_text(library, folder, admission) {
             Ok(texts) => texts.iter().for_each(|text| parse(text, &mut definitions)),
             Err(reason) => {
                 warnings.push(format!("material library {library} is left out: {reason}"));
@@ -108,10 +110,15 @@ fn definitions(
 }
 
 /// The text of one `mtllib` statement: one file whose name may have blanks, or several files.
-fn library_text(statement: &str, folder: Option<&Folder>) -> Result<Vec<Vec<u8>>, String> {
+fn library_text(
+    statement: &str,
+    folder: Option<&Folder>,
+    admission: &Admission,
+) -> Result<Vec<Vec<u8>>, String> {
     let folder = folder.ok_or("the asset lies in no folder")?;
-    let load =
-        |name: &str| folder.find(name).and_then(|path| read_bounded(&path, MAX_LIBRARY_BYTES));
+    let load = |name: &str| {
+        folder.find(name).and_then(|path| read_bounded(&path, MAX_LIBRARY_BYTES, admission))
+    };
     load(statement).map(|text| vec![text]).or_else(|reason| {
         let names: Vec<&str> = statement.split_whitespace().take(16).collect();
         if names.len() < 2 {
@@ -300,7 +307,7 @@ mod tests {
 
     fn material(text: &str) -> Material {
         let mut textures = Textures {
-            budget: TextureBudget::new(0),
+            budget: TextureBudget::new(&ReadOptions { max_texels: 0, ..ReadOptions::default() }),
             known: HashMap::new(),
             textures: Vec::new(),
             folder: None,

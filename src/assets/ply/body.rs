@@ -6,8 +6,10 @@
 use std::io::{BufRead, Read};
 
 use super::super::AssetError;
+use super::super::input::Origin;
 use super::super::tokens::{Lines, number, shown};
 use super::header::{Element, Encoding, Kind, Scalar};
+use crate::memory::Meter;
 
 /// Bytes that a block of rows takes at most.
 const BLOCK_BYTES: usize = 64 << 10;
@@ -37,15 +39,15 @@ pub(super) struct Row {
 
 pub(super) enum Body<'a, R> {
     Ascii(Lines<'a, R>),
-    Binary { reader: R, big: bool, file: &'a str },
+    Binary { reader: R, big: bool, origin: &'a Origin },
 }
 
 impl<'a, R: BufRead> Body<'a, R> {
-    pub fn new(lines: Lines<'a, R>, encoding: Encoding, file: &'a str) -> Self {
+    pub fn new(lines: Lines<'a, R>, encoding: Encoding, origin: &'a Origin) -> Self {
         match encoding {
             Encoding::Ascii => Body::Ascii(lines),
             Encoding::Little | Encoding::Big => {
-                Body::Binary { reader: lines.into_reader(), big: encoding == Encoding::Big, file }
+                Body::Binary { reader: lines.into_reader(), big: encoding == Encoding::Big, origin }
             }
         }
     }
@@ -70,13 +72,16 @@ impl<'a, R: BufRead> Body<'a, R> {
                 }
                 Ok(())
             }
-            Body::Binary { reader, big, file } => match element.fixed_bytes() {
+            Body::Binary { reader, big, origin } => match element.fixed_bytes() {
                 Some(stride) => {
+                    let file = &origin.name;
                     let block = Block { element, wanted, stride, big: *big, file };
                     block.each(reader, &mut row, visit)
                 }
                 None => {
-                    let mut scan = Scan { reader, element, wanted, big: *big, file };
+                    let file = origin.name.as_str();
+                    let meter = origin.admission.meter(file);
+                    let mut scan = Scan { reader, element, wanted, big: *big, file, meter };
                     for index in 0..element.count {
                         scan.row(index, &mut row)?;
                         visit(index, &row)?;
@@ -245,6 +250,8 @@ struct Scan<'a, R> {
     wanted: &'a Wanted,
     big: bool,
     file: &'a str,
+    /// Of the list that is being read.
+    meter: Meter<'a>,
 }
 
 impl<R: BufRead> Scan<'_, R> {
@@ -309,6 +316,7 @@ impl<R: BufRead> Scan<'_, R> {
             self.take(block, index, property)?;
             if let Some(list) = &mut list {
                 let values = block.chunks_exact(item.bytes());
+                self.meter.reach(8 * list.len() as u64)?;
                 list.extend(values.map(|bytes| item.decode(bytes, self.big) as i64));
             }
             left -= items as u64;

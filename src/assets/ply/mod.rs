@@ -28,6 +28,7 @@ use super::polygon::Triangulator;
 use super::texture::{self, TextureBudget};
 use super::tokens::Lines;
 use super::{Asset, AssetError, Geometry, Material, Mesh, MeshPart, PointCloud, ReadOptions, tidy};
+use crate::memory::Meter;
 
 /// Points that are given at a time.
 const BLOCK: usize = 1 << 16;
@@ -52,6 +53,8 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
     let mut lines = Lines::new(reader, file);
     let header = checked_header(&mut lines, &origin, options)?;
     let vertex = vertex_element(&header, file)?;
+    let mut meter = origin.admission.meter(file);
+    meter.reach_exactly(origin.reserve(vertex.count) as u64 * VERTEX_BYTES)?;
     let vertices = columns(vertex, origin.reserve(vertex.count), file)?;
     let mut parts = Parts {
         file,
@@ -64,10 +67,11 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
         rings: Vec::new(),
         ring_lengths: Vec::new(),
         max_triangles: options.max_triangles,
+        meter,
         short_faces: 0,
         warnings: header.warnings.clone(),
     };
-    let mut body = Body::new(lines, header.encoding, file);
+    let mut body = Body::new(lines, header.encoding, &origin);
     for element in &header.elements {
         parts.element(element, &mut body, &origin)?;
     }
@@ -138,7 +142,7 @@ pub(super) fn each(
         facts.add(&block);
         visit(known.unwrap_or(&facts).cloud(block))
     };
-    let mut body = Body::new(lines, header.encoding, file);
+    let mut body = Body::new(lines, header.encoding, &origin);
     for element in &header.elements {
         if !std::ptr::eq(element, vertex) {
             body.each(element, &Wanted::nothing(element), |_, _| Ok(()))?;
@@ -177,7 +181,7 @@ fn mesh_asset(
     let mut materials = Vec::new();
     let mut textures = Vec::new();
     if let (Some(reference), true) = (&header.texture_file, mesh.uvs.is_some()) {
-        let mut budget = TextureBudget::new(options.max_texels);
+        let mut budget = TextureBudget::new(options);
         match texture::load(reference, origin.folder.as_ref(), &mut budget) {
             Ok(image) => {
                 textures.push(image);
@@ -223,6 +227,9 @@ fn index_list(element: &Element, file: &str) -> Result<Wanted, AssetError> {
     Ok(Wanted { list: Some(list), ..Wanted::nothing(element) })
 }
 
+/// Bytes of a vertex at most, with everything that is kept of one.
+const VERTEX_BYTES: u64 = 64;
+
 /// The geometry under construction.
 struct Parts<'a> {
     file: &'a str,
@@ -236,6 +243,7 @@ struct Parts<'a> {
     rings: Vec<u32>,
     ring_lengths: Vec<u32>,
     max_triangles: u64,
+    meter: Meter<'a>,
     short_faces: u64,
     warnings: Vec<String>,
 }
@@ -252,13 +260,15 @@ impl Parts<'_> {
                 let wanted = self.vertices.wanted();
                 body.each(element, &wanted, |_, row| {
                     self.vertices.push(row);
-                    Ok(())
+                    Ok(self.meter.reach(self.vertices.len() as u64 * VERTEX_BYTES)?)
                 })?;
                 self.have_vertices = true;
             }
             "face" if element.count > 0 => {
                 let wanted = self.begin_faces(element)?;
-                self.triangles.reserve(origin.reserve(element.count));
+                let reserved = origin.reserve(element.count);
+                self.meter.reach_exactly(self.bytes() + 12 * reserved as u64)?;
+                self.triangles.reserve(reserved);
                 body.each(element, &wanted, |index, row| self.face(element, index, &row.list))?;
             }
             "tristrips" if element.count > 0 => {
@@ -329,7 +339,7 @@ impl Parts<'_> {
                 self.vertex(element, index, c)?,
             ];
             self.triangles.push(triangle);
-            return Ok(());
+            return self.check_triangles();
         }
         let from = self.rings.len();
         for &vertex in list {
@@ -348,7 +358,15 @@ impl Parts<'_> {
         self.check_triangles()
     }
 
-    fn check_triangles(&self) -> Result<(), AssetError> {
+    /// Bytes of what has been read.
+    fn bytes(&self) -> u64 {
+        self.vertices.len() as u64 * VERTEX_BYTES
+            + 12 * self.triangles.len() as u64
+            + 4 * (self.rings.len() + self.ring_lengths.len()) as u64
+    }
+
+    fn check_triangles(&mut self) -> Result<(), AssetError> {
+        self.meter.reach(self.bytes())?;
         let count = self.triangles.len() as u64;
         AssetError::check_limit(self.file, "triangles", count, self.max_triangles)
     }

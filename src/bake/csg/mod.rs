@@ -24,16 +24,22 @@ pub use self::place::transformed;
 use self::surface::Surface;
 use super::colors::NEUTRAL;
 use crate::assets::{Clip, Kernel, PointCloud};
+use crate::memory::{Admission, Interrupt};
 use crate::scene::CsgOperation;
 
 /// Where kernels of sampled surfaces end, in standard deviations.
 const CUTOFF: f64 = crate::bake::CUTOFF as f64;
+
+/// Bytes of a sample while two solids are combined: its copy, and its entry in the search tree.
+const PAIR_BYTES: u64 = 384;
 
 /// Why operands cannot be combined. `operand` counts from 0.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CsgError {
     #[error("there is nothing to combine")]
     NoOperands,
+    #[error(transparent)]
+    Interrupted(#[from] Interrupt),
     #[error("operand {operand} has no samples")]
     Empty { operand: usize },
     #[error("operand {operand} has no normals, which tell its inside from its outside")]
@@ -46,7 +52,7 @@ impl CsgError {
     /// The operand at fault.
     pub fn operand(&self) -> Option<usize> {
         match *self {
-            CsgError::NoOperands => None,
+            CsgError::NoOperands | CsgError::Interrupted(_) => None,
             CsgError::Empty { operand }
             | CsgError::NoNormals { operand }
             | CsgError::NoKernels { operand } => Some(operand),
@@ -61,7 +67,11 @@ impl CsgError {
 ///
 /// # Errors
 /// See [`CsgError`].
-pub fn combine(operation: CsgOperation, operands: &[PointCloud]) -> Result<PointCloud, CsgError> {
+pub fn combine(
+    operation: CsgOperation,
+    operands: &[PointCloud],
+    admission: &Admission,
+) -> Result<PointCloud, CsgError> {
     for (operand, cloud) in operands.iter().enumerate() {
         check(operand, cloud)?;
     }
@@ -69,7 +79,11 @@ pub fn combine(operation: CsgOperation, operands: &[PointCloud]) -> Result<Point
     let mut solids = operands.iter().map(samples_of);
     let mut result = solids.next().ok_or(CsgError::NoOperands)?;
     for other in solids {
-        result = pair(operation, &result, &other);
+        let held = admission.held();
+        admission.grow("combining solids", (result.len() + other.len()) as u64 * PAIR_BYTES)?;
+        result = pair(operation, &result, &other, admission);
+        admission.shrink_to(held);
+        admission.check()?;
     }
     Ok(to_cloud(result, colored))
 }
@@ -175,10 +189,17 @@ impl Rule {
     }
 }
 
-fn pair(operation: CsgOperation, first: &[Sample], second: &[Sample]) -> Vec<Sample> {
+fn pair(
+    operation: CsgOperation,
+    first: &[Sample],
+    second: &[Sample],
+    admission: &Admission,
+) -> Vec<Sample> {
     let (first_surface, second_surface) = (Surface::new(first), Surface::new(second));
     let keep = |samples: &[Sample], other: &Surface, rule: Rule| -> Vec<Sample> {
-        samples.par_iter().filter_map(|sample| cut::keep(sample, other, rule)).collect()
+        let keep =
+            |sample| if admission.is_cancelled() { None } else { cut::keep(sample, other, rule) };
+        samples.par_iter().filter_map(keep).collect()
     };
     let mut result = keep(first, &second_surface, Rule::of(operation, true));
     let other = keep(second, &first_surface, Rule::of(operation, false));

@@ -8,8 +8,23 @@ use super::*;
 use crate::assets::ClipLine;
 use crate::scene::random::SplitMix64;
 
+fn combine(operation: CsgOperation, operands: &[PointCloud]) -> Result<PointCloud, CsgError> {
+    super::combine(operation, operands, &Admission::default())
+}
+
 /// Distance between neighbouring samples of the solids here.
 const SPACING: f64 = 0.1;
+
+#[test]
+fn a_combination_ends_when_it_is_cancelled() {
+    let mut block = Builder::default();
+    block.add(DVec3::ZERO, DVec3::Z);
+    block.add(DVec3::X * SPACING, DVec3::Z);
+    let admission = Admission::default();
+    admission.cancel();
+    let result = super::combine(CsgOperation::Union, &[block.0.clone(), block.0], &admission);
+    assert_eq!(result.err(), Some(CsgError::Interrupted(Interrupt::Cancelled)));
+}
 
 /// Collects samples with round kernels that cover their neighbourhood.
 #[derive(Default)]

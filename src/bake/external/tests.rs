@@ -49,7 +49,8 @@ fn sphere(count: usize) -> Vec<DVec3> {
 /// What is read, prepared and built in memory.
 fn in_memory(path: &Path) -> (PackedSamples, PackedSamples) {
     let mut geometry = read(path, &ReadOptions::default()).unwrap().geometries.remove(0);
-    prepare_geometry(&mut geometry, &mut AssetTraits::default());
+    let admission = crate::memory::Admission::default();
+    prepare_geometry(&mut geometry, &mut AssetTraits::default(), &admission).unwrap();
     let Geometry::Points(cloud) = geometry else { panic!("no cloud") };
     let packed = pack_samples(&cloud).unwrap();
     let tree = build_tree(&unpack_samples(&packed), None).unwrap();

@@ -133,6 +133,16 @@ pub fn sample_mesh(
     Ok(cloud_of(&sampler.samples, &faces, &colors))
 }
 
+/// Samples that [`sample_mesh`] is about to take of a mesh, more or less; 0 where it refuses the options.
+pub fn expected_samples(mesh: &Mesh, options: &SampleOptions) -> u64 {
+    let area: f64 = faces_of(mesh).iter().map(|face| face.area).sum();
+    let count = match options.spacing {
+        Some(spacing) => area / (spacing * spacing),
+        None => (mesh.positions.len() as f64).clamp(LEAST_AUTOMATIC, MOST_AUTOMATIC),
+    };
+    if count <= options.max_samples as f64 { count as u64 } else { 0 }
+}
+
 /// A triangle with an area.
 #[derive(Clone, Copy, Debug)]
 struct Face {

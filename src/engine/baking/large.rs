@@ -20,7 +20,7 @@ use crate::scene::{AssetSource, Scene};
 /// Bytes of memory that reading a point and building the tree above it take, at most; measured.
 const BYTES_A_POINT: u64 = 450;
 /// Of building the tree alone, beside the packed samples.
-const BYTES_A_SAMPLE: u64 = 350;
+pub const BYTES_A_SAMPLE: u64 = 350;
 
 /// A file of points, an asset of a scene, that is too large to be baked in memory.
 pub struct Large {

@@ -51,7 +51,8 @@ impl Stage {
     }
 
     fn loaded(&self) -> Loaded {
-        load("s", &self.path(), &self.config, &AssetCache::default()).unwrap()
+        let (source, admission) = (Source::at(self.path()), Admission::default());
+        load("s", &source, &self.config, &AssetCache::default(), &admission).unwrap()
     }
 
     fn cache(&self) -> Option<&BakeCache> {
@@ -157,6 +158,7 @@ fn keys_cover_everything() {
     let mut keys = vec![tree_key(cloud), tree_key(mesh)];
     let mut changed = |asset: &AssetModel, change: &dyn Fn(&mut AssetModel)| {
         let mut copy = AssetModel {
+            memory: Default::default(),
             name: "copy".to_owned(),
             packed: asset.packed.clone(),
             bounds: asset.bounds.clone(),

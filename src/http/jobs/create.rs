@@ -109,7 +109,8 @@ pub async fn create(
     no_query(&uri)?;
     let jobs = jobs(&app)?;
     let patience = app.settings.read_timeout;
-    let value: Value = body::json(&headers, body, MAX_BODY_BYTES, patience).await?;
+    let admission = app.engine.admission();
+    let value: Value = body::json(&headers, body, MAX_BODY_BYTES, patience, &admission).await?;
     let spec = spec(value)?;
     let key = idempotency_key(&headers)?;
     if app.phase() == Phase::Draining {

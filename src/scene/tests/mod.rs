@@ -492,3 +492,51 @@ fn invisible_nodes_count_for_limits_alone() {
     assert!(parse(&with_nodes(text), "t", &f.root, &f.root, &few).is_err());
     assert!(file_of(&scene, 0).is_absolute());
 }
+
+#[test]
+fn limits_are_enforced_before_anything_is_made_of_a_text() {
+    let folder = Folder::new();
+    // Wrong in every node: a parser would say so first.
+    let nodes = format!("[{}{{}}]", r#"{"x": 1},"#.repeat(100_000));
+    match folder.parse(&with_nodes(&nodes)) {
+        Err(SceneError::TooLarge { what: "nodes", found: 100_001, limit: 100_000, .. }) => {}
+        other => panic!("{other:?}"),
+    }
+    let name = "n".repeat(100_000);
+    let long = folder.parse(&with_nodes(&format!(r#"[{{"name": "{name}"}}]"#)));
+    assert!(matches!(long, Err(SceneError::TooLarge { found: 100_000, .. })), "{long:?}");
+    let operands = format!("[{}]", vec![r#"{"asset": "a"}"#; 1_000_001].join(","));
+    let text = format!(r#"{{"assets": {{"a": {{"union": {operands}}}}}, "nodes": []}}"#);
+    let many = folder.parse(&text);
+    assert!(matches!(many, Err(SceneError::TooLarge { what: "objects in JSON", .. })), "{many:?}");
+}
+
+#[test]
+fn a_scene_file_is_parsed_within_a_budget() {
+    use crate::memory::{Admission, HostMemory, Interrupt};
+    let folder = Folder::new();
+    let path = folder.root.join("s.json");
+    let nodes = vec![r#"{"asset": "a"}"#; 10_000].join(",");
+    std::fs::write(&path, with_nodes(&format!("[{nodes}]"))).unwrap();
+    let load = |budget| {
+        let admission = Admission::new(&HostMemory::new(budget));
+        let limits = SceneLimits::default();
+        let scene = load_within(&path, None, &folder.root, &limits, &admission);
+        (scene, admission.held())
+    };
+    let (refused, _) = load(1 << 20);
+    let is_refused = matches!(refused, Err(SceneError::Interrupted(Interrupt::OutOfMemory(_))));
+    assert!(is_refused, "{refused:?}");
+    let (scene, held) = load(64 << 20);
+    assert_eq!(scene.unwrap().nodes.len(), 10_000);
+    // The text and what was parsed are gone; the nodes stay.
+    let nodes = 10_000 * size_of::<Node>() as u64;
+    assert!((nodes..2 * nodes).contains(&held), "{held} of {nodes}");
+    // Files are found from the base, wherever the scene lies.
+    let below = folder.root.join("sub/s.json");
+    std::fs::rename(&path, &below).unwrap();
+    let (base, limits) = (Some(folder.root.as_path()), SceneLimits::default());
+    let admission = Admission::default();
+    assert!(load_within(&below, None, &folder.root, &limits, &admission).is_err());
+    assert!(load_within(&below, base, &folder.root, &limits, &admission).is_ok());
+}

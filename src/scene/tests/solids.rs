@@ -176,3 +176,23 @@ fn splats_say_how_they_are_drawn() {
     f.assert_refused(&with(r#"{"cut": 1}"#), "splats.cut", "unknown key `cut`");
     f.assert_refused(&with("[]"), "splats", "expected an object");
 }
+
+#[test]
+fn operands_count_as_what_they_expand_to() {
+    let nested = |depth: usize| {
+        let mut assets = r#""u0": {"file": "a.ply", "sample": {}}"#.to_owned();
+        for level in 1..=depth {
+            let below = level - 1;
+            let twice = format!(
+                r#"[{{"asset": "u{below}"}}, {{"asset": "u{below}", "translate": [1, 0, 0]}}]"#
+            );
+            assets += &format!(r#", "u{level}": {{"union": {twice}}}"#);
+        }
+        format!(r#"{{"assets": {{{assets}}}, "nodes": [{{"asset": "u{depth}"}}]}}"#)
+    };
+    let folder = Folder::new();
+    // 2¹² is as many as there may be.
+    assert!(folder.parse(&nested(12)).is_ok());
+    folder.assert_refused(&nested(13), "assets.u13", "expands to 8192 operands");
+    folder.assert_refused(&nested(40), "assets.u13", "at most 4096");
+}

@@ -118,16 +118,6 @@ pub(super) fn scene(
     {
         return root.key("pointillist").refuse(format!("version {version} is unknown; this is 1"));
     }
-    let nodes = wire.nodes.iter().map(|n| count_nodes(n)).sum::<u64>()
-        + wire
-            .prototypes
-            .0
-            .iter()
-            .map(|(_, p)| p.children.iter().map(|n| count_nodes(n)).sum::<u64>())
-            .sum::<u64>();
-    if nodes > limits.max_nodes {
-        return Err(Reason::TooLarge { what: "nodes", found: nodes, limit: limits.max_nodes });
-    }
     let context = Context {
         assets: Names::of("asset", &wire.assets),
         prototypes: Names::of("prototype", &wire.prototypes),
@@ -176,10 +166,6 @@ fn each<T, U>(
     let root = Place::Root;
     let map = root.key(key);
     named.0.iter().map(|(name, wire)| make(name, wire, map.key(name))).collect()
-}
-
-fn count_nodes(node: &NodeWire) -> u64 {
-    1 + node.children.iter().map(|n| count_nodes(n)).sum::<u64>()
 }
 
 fn prototypes(named: &Named<PrototypeWire>, context: &Context<'_>) -> Valid<Vec<Prototype>> {

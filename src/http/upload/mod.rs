@@ -7,31 +7,36 @@
 //! ```
 //!
 //! A scene as a bare JSON body names files of the server's root; one in a form names the files that
-//! come with it. What was uploaded stays on disk until `DELETE` and is loaded again at the next start.
+//! come with it. What was uploaded stays on disk ([`store`]) until `DELETE` and is loaded again at the next start. [`quota`]
+//! limits how many uploads there are and how many bytes.
+
+pub mod quota;
+pub mod store;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use axum::Json;
 use axum::extract::{FromRequest, Multipart, Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
+use axum::{Extension, Json};
 use bytes::Bytes;
 use futures::Stream;
 use tokio::io::AsyncWriteExt;
 
+use self::quota::Share;
+use self::store::{FOLDER, Record};
 use super::names::{disposition_name, is_json_name, main_file, slug, valid_file_name, valid_id};
 use super::params::{pairs, unknown_name};
 use super::problem::{Kind, Problem, storage};
-use super::registry::Reservation;
+use super::registry::{Entry, Reservation};
 use super::scenes::SceneState;
-use super::{App, Phase, body, conditional};
-use crate::engine::{Engine, SceneInfo};
+use super::{App, NoQuery, Owner, Phase, Segments, body, conditional};
+use crate::engine::{Engine, EngineError, SceneInfo, Source};
+use crate::memory::{Admission, Interrupt};
 
-/// Folder below the root that uploads live in.
-pub const FOLDER: &str = "uploads";
 /// Wait for a scene to load where the client does not say, and at most.
 const DEFAULT_WAIT: Duration = Duration::from_secs(10);
 const MAX_WAIT: Duration = Duration::from_secs(300);
@@ -65,30 +70,97 @@ const SCENE_FILE: &str = "scene.json";
         (status = 202, description = "Received, still loading", body = SceneState, headers(("Location" = String, description = "The scene"))),
     ),
 )]
-pub async fn create(State(app): State<Arc<App>>, request: Request) -> Result<Response, Problem> {
+pub async fn create(
+    State(app): State<Arc<App>>,
+    Extension(owner): Extension<Owner>,
+    request: Request,
+) -> Result<Response, Problem> {
     let (parts, body) = request.into_parts();
     let headers = parts.headers.clone();
     let target = Target::from_uri(&parts.uri)?;
-    if app.phase() == Phase::Draining {
-        return Err(crate::engine::EngineError::ShuttingDown.into());
-    }
+    refuse_while_draining(&app)?;
     if !app.settings.uploads {
         return Err(Problem::new(Kind::UploadsOff, "this server takes no uploads (--no-uploads)")
             .accepted("a daemon that was started without --no-uploads"));
     }
+    let share = app.uploads.admit(owner.name.as_deref())?;
     // A given id is taken before the body is received, so that a clash is answered at once.
     let reservation = target.id.as_deref().map(|id| reserve(&app, id)).transpose()?;
     let limit = app.settings.max_upload_bytes;
     body::check_length(&headers, limit)?;
-    let received = receive(&app, &headers, &target, Request::from_parts(parts, body)).await?;
+    let admission = reservation.as_ref().map(|reservation| reservation.admission().clone());
+    let mut budget = Budget {
+        left: limit,
+        limit,
+        share,
+        admission: admission.unwrap_or_default(),
+        patience: body::Patience::new(app.settings.read_timeout),
+    };
+    let request = Request::from_parts(parts, body);
+    let result = receive(&app, &headers, &target, request, &mut budget).await;
+    app.metrics.uploaded(budget.limit - budget.left);
+    let received = result?;
     let reservation = match reservation {
         Some(reservation) => reservation,
         None => reserve_derived(&app, &received.main)?,
     };
-    let (folder, main) = received.settle(&app.settings.root, reservation.id())?;
     let id = reservation.id().to_owned();
-    let loading = load_uploaded(app.clone(), reservation, folder, main);
-    answer(&app, &headers, &id, loading).await
+    let source = received.settle(&app.settings.root, &id, &budget.share)?;
+    app.uploads.keep(&id, budget.share);
+    let loading = tokio::spawn(load(app.clone(), reservation, source, Origin::Fresh));
+    answer(&app, &headers, &id, loading, Origin::Fresh).await
+}
+
+fn refuse_while_draining(app: &App) -> Result<(), Problem> {
+    if app.phase() == Phase::Draining {
+        return Err(EngineError::ShuttingDown.into());
+    }
+    Ok(())
+}
+
+/// Loads a scene once more that could not be loaded: an upload whose loader ended with the server, one for which there was
+/// no memory, or a scene of the server's root. The answers are those of an upload.
+#[utoipa::path(
+    post,
+    path = "/v1/scenes/{id}/retry",
+    tag = "scenes",
+    params(
+        ("id" = String, Path, description = "A scene whose `state` is `failed`"),
+        ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`"),
+    ),
+    responses(
+        (status = 201, description = "Loaded", body = SceneState, headers(("Location" = String, description = "The scene"))),
+        (status = 202, description = "Still loading", body = SceneState, headers(("Location" = String, description = "The scene"))),
+    ),
+)]
+pub async fn retry(
+    State(app): State<Arc<App>>,
+    Segments(id): Segments<String>,
+    _: NoQuery,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    refuse_while_draining(&app)?;
+    match app.registry.get(&id) {
+        Some(Entry::Failed { source: Some(_), .. }) => {}
+        Some(Entry::Failed { problem, .. }) => {
+            return Err(problem.accepted("the same upload once more; its files were not kept"));
+        }
+        Some(Entry::Loading { .. }) => {
+            return Err(Problem::new(Kind::SceneLoading, format!("scene `{id}` is being loaded")));
+        }
+        None => {
+            app.engine.scene(&id)?;
+            return Err(Problem::new(Kind::SceneExists, format!("scene `{id}` is loaded")));
+        }
+    }
+    if app.settings.uploads {
+        store::set_aside(&app.settings.root, &id).map_err(|error| storage(&error))?;
+    }
+    let Some((reservation, source)) = app.registry.retry(&id, app.engine.admission()) else {
+        return Err(Problem::new(Kind::SceneLoading, format!("scene `{id}` is being loaded")));
+    };
+    let loading = tokio::spawn(load(app.clone(), reservation, source, Origin::Kept));
+    answer(&app, &headers, &id, loading, Origin::Kept).await
 }
 
 /// What the query says.
@@ -112,7 +184,7 @@ impl Target {
 }
 
 fn reserve(app: &App, id: &str) -> Result<Reservation, Problem> {
-    app.registry.reserve(id, |id| app.engine.scene(id).is_ok())
+    app.registry.reserve(id, app.engine.admission(), |id| app.engine.scene(id).is_ok())
 }
 
 /// The name's slug, or that with a number behind it.
@@ -135,6 +207,8 @@ struct Received {
     folder: PartialFolder,
     /// Name of the file to load, and what an id is made from.
     main: String,
+    /// Whether names of files count from the server's root.
+    from_root: bool,
 }
 
 struct PartialFolder(Option<PathBuf>);
@@ -142,9 +216,7 @@ struct PartialFolder(Option<PathBuf>);
 impl PartialFolder {
     async fn create(root: &Path) -> Result<Self, Problem> {
         static NUMBER: AtomicU64 = AtomicU64::new(0);
-        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-        let name = format!(".partial-{}-{number}", std::process::id());
-        let path = root.join(FOLDER).join(name);
+        let path = store::partial(root, NUMBER.fetch_add(1, Ordering::Relaxed));
         tokio::fs::create_dir_all(&path).await.map_err(|error| storage(&error))?;
         Ok(Self(Some(path)))
     }
@@ -157,43 +229,28 @@ impl PartialFolder {
 impl Drop for PartialFolder {
     fn drop(&mut self) {
         if let Some(path) = self.0.take() {
-            remove_folder(&path);
+            store::remove_folder(&path);
         }
-    }
-}
-
-fn remove_folder(path: &Path) {
-    match std::fs::remove_dir_all(path) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            tracing::warn!(%error, folder = %path.display(), "an upload's files cannot be removed");
-        }
-        _ => {}
     }
 }
 
 impl Received {
-    /// Moves the files to their place: the folder, and the file to load.
-    fn settle(mut self, root: &Path, id: &str) -> Result<(PathBuf, PathBuf), Problem> {
-        let folder = root.join(FOLDER).join(id);
+    /// Moves the files and their record to their place, where they outlast the process.
+    fn settle(mut self, root: &Path, id: &str, share: &Share) -> Result<Source, Problem> {
+        let folder = store::folder_of(root, id);
         if folder.exists() {
             // The id is reserved and not loaded, so these are remains.
-            remove_folder(&folder);
+            store::remove_folder(&folder);
         }
-        std::fs::rename(self.folder.path(), &folder).map_err(|error| storage(&error))?;
-        self.folder.0 = None;
-        let main = folder.join(&self.main);
-        Ok((folder, main))
-    }
-}
-
-/// Removes what was uploaded as `id`.
-pub fn remove_files(root: &Path, id: &str) {
-    // Ids of scenes found in the root need not be ones that uploads can have.
-    if valid_id(id.to_owned()).is_ok() {
-        let folder = root.join(FOLDER).join(id);
-        if folder.is_dir() {
-            remove_folder(&folder);
-        }
+        let key = share.key().map(str::to_owned);
+        let record = Record::new(self.main.clone(), self.from_root, key, share.bytes());
+        let moved = record.write(self.folder.path()).and_then(|()| {
+            std::fs::rename(self.folder.path(), &folder)?;
+            self.folder.0 = None;
+            store::sync_folder(&root.join(FOLDER))
+        });
+        moved.map_err(|error| storage(&error))?;
+        Ok(record.source(root, id))
     }
 }
 
@@ -202,50 +259,33 @@ async fn receive(
     headers: &HeaderMap,
     target: &Target,
     request: Request,
+    budget: &mut Budget,
 ) -> Result<Received, Problem> {
     let media_type = body::media_type(headers);
     let folder = PartialFolder::create(&app.settings.root).await?;
-    let mut budget = Budget {
-        left: app.settings.max_upload_bytes,
-        limit: app.settings.max_upload_bytes,
-        patience: body::Patience::new(app.settings.read_timeout),
-    };
     if media_type == "multipart/form-data" {
         let mut form = Multipart::from_request(request, &())
             .await
             .map_err(|error| Problem::new(Kind::BadBody, error.body_text()).at("Content-Type"))?;
-        let result = receive_form(&mut form, folder, target, &mut budget).await;
-        app.metrics.uploaded(budget.limit - budget.left);
-        return result;
+        return receive_form(&mut form, folder, target, budget).await;
     }
     let name = match &target.name {
         Some(name) => Some(name.clone()),
         None => disposition_name(headers)?,
     };
-    let mut stream = request.into_body().into_data_stream();
-    let result = match name {
-        Some(name) if !is_json_name(&name) => {
-            write_file(&folder.path().join(&name), &mut stream, &mut budget).await.map(|()| name)
-        }
-        Some(name) => receive_scene(&folder, &mut stream, &mut budget, app).await.map(|()| name),
-        None if body::is_json(&media_type) => receive_scene(&folder, &mut stream, &mut budget, app)
-            .await
-            .map(|()| SCENE_FILE.to_owned()),
-        None => Err(unnamed(&media_type)),
+    let main = match name {
+        Some(name) => name,
+        None if body::is_json(&media_type) => SCENE_FILE.to_owned(),
+        None => return Err(unnamed(&media_type)),
     };
-    app.metrics.uploaded(budget.limit - budget.left);
-    let mut main = result?;
-    if is_json_name(&main) {
-        main = rename_scene(&folder, &main).await?;
+    // A bare scene names files of the root.
+    let from_root = is_json_name(&main);
+    if from_root {
+        budget.limit_to(app.engine.limits().max_json_bytes);
     }
-    Ok(Received { folder, main })
-}
-
-/// A scene keeps the name that it came with, as its id and its own name come from it.
-async fn rename_scene(folder: &PartialFolder, name: &str) -> Result<String, Problem> {
-    let (from, to) = (folder.path().join(SCENE_FILE), folder.path().join(name));
-    tokio::fs::rename(from, to).await.map_err(|error| storage(&error))?;
-    Ok(name.to_owned())
+    let mut stream = request.into_body().into_data_stream();
+    write_file(&folder.path().join(&main), &mut stream, budget).await?;
+    Ok(Received { folder, main, from_root })
 }
 
 fn unnamed(media_type: &str) -> Problem {
@@ -263,15 +303,26 @@ fn unnamed(media_type: &str) -> Problem {
 struct Budget {
     left: u64,
     limit: u64,
+    /// Of what all uploads may hold.
+    share: Share,
+    /// Of the load to come: nothing more is received once it is cancelled.
+    admission: Admission,
     patience: body::Patience,
 }
 
 impl Budget {
+    /// Lowers the limit, before anything has come.
+    fn limit_to(&mut self, limit: u64) {
+        self.limit = self.limit.min(limit);
+        self.left = self.limit;
+    }
+
     fn take(&mut self, bytes: usize) -> Result<(), Problem> {
+        self.admission.check().map_err(EngineError::from)?;
         match self.left.checked_sub(bytes as u64) {
             Some(left) => {
                 self.left = left;
-                Ok(())
+                self.share.take(bytes as u64)
             }
             None => {
                 self.left = 0;
@@ -299,46 +350,8 @@ async fn write_file<E: std::fmt::Display>(
         budget.take(chunk.len())?;
         file.write_all(&chunk).await.map_err(|error| storage(&error))?;
     }
-    file.flush().await.map_err(|error| storage(&error))
-}
-
-/// A scene whose files are those of the root: written so that they are found from where it lies.
-async fn receive_scene<E: std::fmt::Display>(
-    folder: &PartialFolder,
-    stream: &mut (impl Stream<Item = Result<Bytes, E>> + Unpin),
-    budget: &mut Budget,
-    app: &App,
-) -> Result<(), Problem> {
-    let limit = app.engine.limits().max_json_bytes;
-    let mut text = Vec::new();
-    while let Some(chunk) = budget.patience.next_chunk(stream).await? {
-        budget.take(chunk.len())?;
-        if (text.len() + chunk.len()) as u64 > limit {
-            return Err(body::too_large(limit));
-        }
-        text.extend_from_slice(&chunk);
-    }
-    let mut scene: serde_json::Value = body::parse_json(&text)?;
-    relocate(&mut scene);
-    let text = scene.to_string();
-    tokio::fs::write(folder.path().join(SCENE_FILE), text).await.map_err(|error| storage(&error))
-}
-
-const UP_TO_ROOT: &str = "../../";
-
-/// Rewrites `assets.*.file`, relative to the root, for a scene file two folders below it.
-fn relocate(scene: &mut serde_json::Value) {
-    let assets = scene.get_mut("assets").and_then(|assets| assets.as_object_mut());
-    for asset in assets.into_iter().flat_map(|assets| assets.values_mut()) {
-        if let Some(serde_json::Value::String(file)) = asset.get_mut("file") {
-            // What the loader refuses must look to it as it came.
-            let relative =
-                !file.is_empty() && !file.starts_with(['/', '\\']) && !file.contains(':');
-            if relative {
-                file.insert_str(0, UP_TO_ROOT);
-            }
-        }
-    }
+    // What is acknowledged is there after a power cut.
+    file.sync_all().await.map_err(|error| storage(&error))
 }
 
 async fn receive_form(
@@ -378,64 +391,110 @@ async fn receive_form(
         names.push(name);
     }
     let main = main_file(&names, target.name.as_deref())?;
-    Ok(Received { folder, main })
+    Ok(Received { folder, main, from_root: false })
 }
 
 type Loading = tokio::task::JoinHandle<Result<SceneInfo, Problem>>;
 
-/// Loads in the background, whether or not anybody waits.
-fn load_uploaded(
-    app: Arc<App>,
-    reservation: Reservation,
-    folder: PathBuf,
-    main: PathBuf,
-) -> Loading {
-    tokio::spawn(async move {
-        load(&app, reservation, main, |mut problem| {
-            // Before the failure is known: from then on the id, and with it the folder, may be another upload's.
-            remove_folder(&folder);
-            problem.detail = problem.detail.replace(UP_TO_ROOT, "");
-            let own =
-                format!("{FOLDER}/{}/", folder.file_name().unwrap_or_default().to_string_lossy());
-            problem.detail = problem.detail.replace(&own, "");
-            problem
-        })
-        .await
-    })
+/// Where the files of a load come from, which decides what becomes of them when it fails.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Origin {
+    /// An upload that was never loaded: what is refused for good is removed.
+    Fresh,
+    /// Files of the root, or an upload of an earlier time: they stay.
+    Kept,
 }
 
-/// Loads a file under a reserved id; a failure stays with the id.
+/// Loads a scene under a reserved id, whether or not anybody waits; a failure stays with the id.
 pub async fn load(
-    app: &Arc<App>,
+    app: Arc<App>,
     reservation: Reservation,
-    file: PathBuf,
-    outward: impl FnOnce(Problem) -> Problem,
+    source: Source,
+    origin: Origin,
 ) -> Result<SceneInfo, Problem> {
     let engine: Engine = app.engine.clone();
-    let id = reservation.id().to_owned();
-    let outcome = tokio::task::spawn_blocking(move || engine.load(&id, &file)).await;
+    let (id, root) = (reservation.id().to_owned(), app.settings.root.clone());
+    let (file, admission) = (source.clone(), reservation.admission().clone());
+    // Without uploads, the folder of uploads is another daemon's.
+    let records = app.settings.uploads;
+    let outcome = tokio::task::spawn_blocking(move || {
+        if records {
+            store::begin(&root, &id).map_err(|error| storage(&error))?;
+        }
+        let result = engine.load_within(&id, &file, &admission);
+        let noted = if result.is_ok() { store::finish } else { store::set_aside };
+        if records && let Err(error) = noted(&root, &id) {
+            tracing::warn!(id, %error, "an upload's record cannot be written");
+        }
+        match result {
+            Err(EngineError::Interrupted(Interrupt::Cancelled)) => Ok(None),
+            result => result.map(Some).map_err(Problem::from),
+        }
+    })
+    .await;
     let result = match outcome {
-        Ok(result) => result.map_err(Problem::from),
+        Ok(result) => result,
         Err(panic) => Err(Problem::internal(format!("loading a scene: {panic}"))),
     };
+    let id = reservation.id().to_owned();
     match result {
-        Ok(info) => {
+        Ok(Some(info)) => {
             reservation.finish();
             Ok(info)
         }
+        Ok(None) => {
+            // Before the id is free: from then on the folder may be another upload's.
+            forget_files(&app, &id).await;
+            tracing::info!(id, "load cancelled");
+            Err(EngineError::Interrupted(Interrupt::Cancelled).into())
+        }
         Err(problem) => {
-            let problem = outward(problem.hide_root(&app.settings.root));
-            reservation.fail(problem.clone());
+            let mut problem = problem.hide_root(&app.settings.root);
+            problem.detail = problem.detail.replace(&format!("{FOLDER}/{id}/"), "");
+            // There may be memory for it later.
+            let stays = origin == Origin::Kept || problem.kind == Kind::OutOfMemory;
+            if !stays {
+                forget_files(&app, &id).await;
+            }
+            reservation.fail(problem.clone(), stays.then_some(source));
             Err(problem)
         }
     }
 }
 
+/// Removes what was uploaded as `id`, from the disk and from what uploads hold.
+pub async fn forget_files(app: &Arc<App>, id: &str) {
+    if !app.settings.uploads {
+        return;
+    }
+    let (root, name) = (app.settings.root.clone(), id.to_owned());
+    if let Err(error) = tokio::task::spawn_blocking(move || store::remove_files(&root, &name)).await
+    {
+        tracing::warn!(id, %error, "an upload's files are not removed");
+    }
+    app.uploads.forget(id);
+}
+
+/// Notes of all loads that are under way that they end with the process, and not the process with them.
+pub fn stand_down(app: &App) {
+    if !app.settings.uploads {
+        return;
+    }
+    for (id, entry) in app.registry.list() {
+        if let (Entry::Loading { .. }, Err(error)) =
+            (entry, store::set_aside(&app.settings.root, &id))
+        {
+            tracing::warn!(id, %error, "an upload's record cannot be written");
+        }
+    }
+}
+
 async fn answer(
-    app: &App,
+    app: &Arc<App>,
     headers: &HeaderMap,
     id: &str,
     loading: Loading,
+    origin: Origin,
 ) -> Result<Response, Problem> {
     let asked = conditional::prefer_wait(headers).map(Duration::from_secs);
     let wait = asked.unwrap_or(DEFAULT_WAIT).min(MAX_WAIT);
@@ -445,7 +504,9 @@ async fn answer(
             Ok(info) => (StatusCode::CREATED, SceneState::Ready(Box::new(info))),
             Err(problem) => {
                 // Told here, so nobody needs to ask for it.
-                app.registry.forget(id);
+                if origin == Origin::Fresh && app.registry.forget(id) {
+                    forget_files(app, id).await;
+                }
                 return Err(problem);
             }
         },
@@ -465,52 +526,21 @@ async fn answer(
     Ok(response)
 }
 
-/// Uploads of earlier runs: ids and the files to load. What was left unfinished is removed.
-pub fn earlier_uploads(root: &Path) -> Vec<(String, PathBuf)> {
-    let Ok(folders) = std::fs::read_dir(root.join(FOLDER)) else { return Vec::new() };
-    let mut found = Vec::new();
-    for folder in folders.filter_map(Result::ok) {
-        let name = folder.file_name().to_string_lossy().into_owned();
-        if name.starts_with(".partial-") {
-            remove_folder(&folder.path());
-            continue;
-        }
-        let Ok(id) = valid_id(name) else { continue };
-        let Ok(files) = std::fs::read_dir(folder.path()) else { continue };
-        let names: Vec<String> = files
-            .filter_map(Result::ok)
-            .filter(|file| file.path().is_file())
-            .map(|file| file.file_name().to_string_lossy().into_owned())
-            .collect();
-        match main_file(&names, None) {
-            Ok(main) => found.push((id, folder.path().join(main))),
-            Err(_) => tracing::warn!(id, "an earlier upload has no single file to load"),
-        }
-    }
-    found.sort();
-    found
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn files_of_the_root_are_found_from_below() {
-        let mut scene = serde_json::json!({
-            "assets": { "a": { "file": "sub/a.ply" }, "b": { "file": "/etc/passwd" }, "c": 3 }
-        });
-        relocate(&mut scene);
-        assert_eq!(scene["assets"]["a"]["file"], "../../sub/a.ply");
-        assert_eq!(scene["assets"]["b"]["file"], "/etc/passwd");
-        relocate(&mut serde_json::json!([1]));
-    }
-
-    #[test]
     fn budgets_end() {
         let patience = body::Patience::new(Duration::from_secs(1));
-        let mut budget = Budget { left: 10, limit: 10, patience };
+        let limits =
+            quota::UploadLimits { scenes: 1, scenes_per_key: 1, bytes: 99, bytes_per_key: 99 };
+        let share = quota::Quota::new(limits).admit(None).unwrap();
+        let admission = Admission::default();
+        let mut budget = Budget { left: 10, limit: 10, share, admission, patience };
         budget.take(10).unwrap();
         assert_eq!(budget.take(1).unwrap_err().status(), 413);
+        budget.admission.cancel();
+        assert_eq!(budget.take(0).unwrap_err().status(), 409);
     }
 }

@@ -1,0 +1,223 @@
+//! How many uploads there may be, and how many bytes of them: in all, and of one API key.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use parking_lot::Mutex;
+
+use crate::http::problem::{Kind, Problem};
+
+/// Limits on uploads. Those of a key apply where keys are asked for.
+#[derive(Clone, Copy, Debug)]
+pub struct UploadLimits {
+    pub scenes: u64,
+    pub scenes_per_key: u64,
+    pub bytes: u64,
+    pub bytes_per_key: u64,
+}
+
+/// What uploads hold.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Held {
+    pub scenes: u64,
+    pub bytes: u64,
+}
+
+/// The limits on uploads and what is held of them; clones share it.
+#[derive(Clone)]
+pub struct Quota {
+    limits: UploadLimits,
+    tally: Arc<Mutex<Tally>>,
+    /// Shares of uploads that have an id.
+    kept: Arc<Mutex<HashMap<String, Share>>>,
+}
+
+#[derive(Default)]
+struct Tally {
+    all: Held,
+    of_key: HashMap<String, Held>,
+}
+
+/// One upload's part of a [`Quota`], given back when this is dropped.
+pub struct Share {
+    limits: UploadLimits,
+    tally: Arc<Mutex<Tally>>,
+    key: Option<String>,
+    bytes: u64,
+}
+
+impl Quota {
+    pub fn new(limits: UploadLimits) -> Quota {
+        Quota { limits, tally: Arc::default(), kept: Arc::default() }
+    }
+
+    pub fn limits(&self) -> &UploadLimits {
+        &self.limits
+    }
+
+    /// Keeps the share of an upload until it is forgotten.
+    pub fn keep(&self, id: &str, share: Share) {
+        self.kept.lock().insert(id.to_owned(), share);
+    }
+
+    /// Gives back the share of an upload, if there is one.
+    pub fn forget(&self, id: &str) {
+        self.kept.lock().remove(id);
+    }
+
+    pub fn held(&self) -> Held {
+        self.tally.lock().all
+    }
+
+    /// Takes the place of one scene for the key that uploads it.
+    ///
+    /// # Errors
+    /// 429 when there are as many scenes as there may be.
+    pub fn admit(&self, key: Option<&str>) -> Result<Share, Problem> {
+        let mut tally = self.tally.lock();
+        let full = |found: u64, limit: u64, whose: &str| {
+            let detail = format!("there are {found} uploaded scenes{whose} of at most {limit}");
+            Problem::new(Kind::TooManyScenes, detail)
+                .accepted("the same upload after a scene was deleted (DELETE /v1/scenes/{id})")
+        };
+        if tally.all.scenes >= self.limits.scenes {
+            return Err(full(tally.all.scenes, self.limits.scenes, ""));
+        }
+        if let Some(key) = key {
+            let of_key = tally.of_key.get(key).copied().unwrap_or_default();
+            if of_key.scenes >= self.limits.scenes_per_key {
+                return Err(full(of_key.scenes, self.limits.scenes_per_key, " of this key"));
+            }
+        }
+        tally.add(key, Held { scenes: 1, bytes: 0 });
+        drop(tally);
+        Ok(self.share(key, 0))
+    }
+
+    /// The share of an upload that is on the disk already, whatever the limits are now.
+    pub fn known(&self, key: Option<&str>, bytes: u64) -> Share {
+        self.tally.lock().add(key, Held { scenes: 1, bytes });
+        self.share(key, bytes)
+    }
+
+    fn share(&self, key: Option<&str>, bytes: u64) -> Share {
+        let (limits, tally) = (self.limits, self.tally.clone());
+        Share { limits, tally, key: key.map(str::to_owned), bytes }
+    }
+}
+
+impl Tally {
+    fn add(&mut self, key: Option<&str>, more: Held) {
+        let add = |held: &mut Held| {
+            held.scenes += more.scenes;
+            held.bytes += more.bytes;
+        };
+        add(&mut self.all);
+        if let Some(key) = key {
+            add(self.of_key.entry(key.to_owned()).or_default());
+        }
+    }
+}
+
+impl Share {
+    pub fn key(&self) -> Option<&str> {
+        self.key.as_deref()
+    }
+
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Takes room for more bytes.
+    ///
+    /// # Errors
+    /// 507 with the figures when uploads would be over their share of the disk.
+    pub fn take(&mut self, bytes: u64) -> Result<(), Problem> {
+        let limits = self.limits;
+        let mut tally = self.tally.lock();
+        let full = |held: u64, limit: u64, whose: &str| {
+            let detail = format!(
+                "the upload needs {} bytes; other uploads{whose} hold {} of at most {limit}",
+                self.bytes + bytes,
+                held - self.bytes
+            );
+            Problem::new(Kind::UploadQuota, detail)
+                .accepted("a smaller upload, or the same one after others were deleted")
+        };
+        if tally.all.bytes.saturating_add(bytes) > limits.bytes {
+            return Err(full(tally.all.bytes, limits.bytes, ""));
+        }
+        if let Some(key) = &self.key {
+            let held = tally.of_key.get(key).map_or(0, |held| held.bytes);
+            if held.saturating_add(bytes) > limits.bytes_per_key {
+                return Err(full(held, limits.bytes_per_key, " of this key"));
+            }
+        }
+        tally.add(self.key.as_deref(), Held { scenes: 0, bytes });
+        drop(tally);
+        self.bytes += bytes;
+        Ok(())
+    }
+}
+
+impl Drop for Share {
+    fn drop(&mut self) {
+        let mut tally = self.tally.lock();
+        tally.all.scenes -= 1;
+        tally.all.bytes -= self.bytes;
+        let Some(key) = &self.key else { return };
+        if let Some(held) = tally.of_key.get_mut(key) {
+            held.scenes -= 1;
+            held.bytes -= self.bytes;
+            if held.scenes == 0 {
+                tally.of_key.remove(key);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMITS: UploadLimits =
+        UploadLimits { scenes: 3, scenes_per_key: 2, bytes: 100, bytes_per_key: 60 };
+
+    #[test]
+    fn scenes_are_counted_in_all_and_for_each_key() {
+        let quota = Quota::new(LIMITS);
+        let first = quota.admit(Some("a")).unwrap();
+        let _second = quota.admit(Some("a")).unwrap();
+        let refused = quota.admit(Some("a")).err().unwrap();
+        assert_eq!(refused.status(), 429);
+        assert!(refused.detail.contains("2 uploaded scenes of this key"), "{}", refused.detail);
+        let _third = quota.admit(Some("b")).unwrap();
+        assert!(quota.admit(None).err().unwrap().detail.contains("3 uploaded scenes of at most 3"));
+        drop(first);
+        assert_eq!(quota.held(), Held { scenes: 2, bytes: 0 });
+        assert!(quota.admit(Some("a")).is_ok());
+    }
+
+    #[test]
+    fn bytes_are_counted_in_all_and_for_each_key() {
+        let quota = Quota::new(LIMITS);
+        let mut a = quota.admit(Some("a")).unwrap();
+        a.take(60).unwrap();
+        let refused = a.take(1).unwrap_err();
+        assert_eq!(refused.status(), 507);
+        let mut b = quota.admit(Some("b")).unwrap();
+        b.take(40).unwrap();
+        let refused = b.take(5).unwrap_err();
+        assert!(refused.detail.contains("needs 45 bytes"), "{}", refused.detail);
+        assert!(refused.detail.contains("hold 60 of at most 100"), "{}", refused.detail);
+        drop(a);
+        b.take(5).unwrap();
+        assert_eq!(quota.held(), Held { scenes: 1, bytes: 45 });
+        // What is on the disk is counted even where the limits were larger before.
+        let known = quota.known(None, 1000);
+        assert_eq!(b.take(1).unwrap_err().status(), 507);
+        drop((known, b));
+        assert_eq!(quota.held(), Held::default());
+        assert!(quota.tally.lock().of_key.is_empty());
+    }
+}

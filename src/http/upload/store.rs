@@ -1,0 +1,321 @@
+//! Uploads on disk: a folder each, with a record of what was uploaded and how loading it went.
+//!
+//! ```text
+//! received ──► loading ──► loaded          at the next start:
+//!                 │                          received, loaded: loaded again
+//!                 └─ the process died        loading: the loader died with the process. It is tried
+//!                                            again if the upload was loaded before, once; otherwise
+//!                                            the upload is listed as failed, until retry or DELETE
+//! ```
+//!
+//! The record is beside the files, under a name that no upload may have. It is on the disk before a loader begins, so
+//! that an upload that takes the process down does so once.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::engine::Source;
+use crate::http::names::{main_file, valid_id};
+use crate::http::problem::{Kind, Problem};
+
+/// Folder below the root that uploads live in.
+pub const FOLDER: &str = "uploads";
+/// Begins with a dot, as no uploaded file does.
+const RECORD: &str = ".upload.json";
+const PARTIAL: &str = ".partial-";
+
+/// What is known of an upload.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Record {
+    /// Name of the file to load.
+    pub main: String,
+    /// Whether names of files in the scene count from the server's root, rather than from beside the scene.
+    pub from_root: bool,
+    /// Name of the API key that it came with.
+    pub key: Option<String>,
+    /// Bytes of all files.
+    pub bytes: u64,
+    pub stage: Stage,
+    /// Whether it has been loaded at some time.
+    pub was_loaded: bool,
+    /// Loads in a row that ended with the process.
+    pub deaths: u32,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Stage {
+    Received,
+    Loading,
+    Loaded,
+}
+
+/// An upload of an earlier run.
+pub struct Earlier {
+    pub id: String,
+    /// What to load; `None` where nothing says which file that is.
+    pub source: Option<Source>,
+    pub key: Option<String>,
+    pub bytes: u64,
+    /// Why it is not loaded.
+    pub refusal: Option<Problem>,
+}
+
+impl Record {
+    pub fn new(main: String, from_root: bool, key: Option<String>, bytes: u64) -> Record {
+        let stage = Stage::Received;
+        Record { main, from_root, key, bytes, stage, was_loaded: false, deaths: 0 }
+    }
+
+    /// Where the upload with this record is loaded from.
+    pub fn source(&self, root: &Path, id: &str) -> Source {
+        Source {
+            path: folder_of(root, id).join(&self.main),
+            base: self.from_root.then(|| root.to_owned()),
+        }
+    }
+
+    /// The record of an upload.
+    ///
+    /// # Errors
+    /// It is not there, or is no record.
+    pub fn read(folder: &Path) -> io::Result<Record> {
+        Ok(serde_json::from_slice(&fs::read(folder.join(RECORD))?)?)
+    }
+
+    /// Puts the record into the upload's folder, whole or not at all.
+    ///
+    /// # Errors
+    /// The disk.
+    pub fn write(&self, folder: &Path) -> io::Result<()> {
+        let fresh = folder.join(".upload.json.new");
+        let mut file = File::create(&fresh)?;
+        file.write_all(&serde_json::to_vec(self)?)?;
+        file.sync_all()?;
+        fs::rename(fresh, folder.join(RECORD))?;
+        sync_folder(folder)
+    }
+}
+
+/// Makes what was created, renamed or removed in a folder outlast a power cut.
+pub fn sync_folder(folder: &Path) -> io::Result<()> {
+    if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
+}
+
+pub fn folder_of(root: &Path, id: &str) -> PathBuf {
+    root.join(FOLDER).join(id)
+}
+
+/// Whether there are files of an upload with this id.
+pub fn holds(root: &Path, id: &str) -> bool {
+    // Ids of scenes found in the root need not be ones that uploads can have.
+    valid_id(id.to_owned()).is_ok() && folder_of(root, id).is_dir()
+}
+
+/// Removes what was uploaded as `id`.
+pub fn remove_files(root: &Path, id: &str) {
+    if holds(root, id) {
+        remove_folder(&folder_of(root, id));
+    }
+}
+
+pub fn remove_folder(path: &Path) {
+    match fs::remove_dir_all(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            tracing::warn!(%error, folder = %path.display(), "an upload's files cannot be removed");
+        }
+        _ => {}
+    }
+}
+
+/// Name of a folder for files that are not an upload yet.
+pub fn partial(root: &Path, number: u64) -> PathBuf {
+    root.join(FOLDER).join(format!("{PARTIAL}{}-{number}", std::process::id()))
+}
+
+/// Notes that a loader begins.
+pub fn begin(root: &Path, id: &str) -> io::Result<()> {
+    change(root, id, |record| record.stage = Stage::Loading)
+}
+
+/// Notes that an upload has been loaded.
+pub fn finish(root: &Path, id: &str) -> io::Result<()> {
+    change(root, id, |record| {
+        record.stage = Stage::Loaded;
+        record.was_loaded = true;
+        record.deaths = 0;
+    })
+}
+
+/// Notes that a loader ended without a scene while the process lives on.
+pub fn set_aside(root: &Path, id: &str) -> io::Result<()> {
+    change(root, id, |record| {
+        if record.stage == Stage::Loading {
+            record.stage = if record.was_loaded { Stage::Loaded } else { Stage::Received };
+        }
+        record.deaths = 0;
+    })
+}
+
+/// Changes the record of an upload. A scene without one was not uploaded.
+fn change(root: &Path, id: &str, edit: impl FnOnce(&mut Record)) -> io::Result<()> {
+    if !holds(root, id) {
+        return Ok(());
+    }
+    let folder = folder_of(root, id);
+    let mut record = match Record::read(&folder) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        record => record?,
+    };
+    edit(&mut record);
+    record.write(&folder)
+}
+
+/// Uploads of earlier runs, by id. What was left unfinished is removed.
+pub fn earlier(root: &Path) -> Vec<Earlier> {
+    let Ok(folders) = fs::read_dir(root.join(FOLDER)) else { return Vec::new() };
+    let mut found = Vec::new();
+    for folder in folders.filter_map(Result::ok) {
+        let name = folder.file_name().to_string_lossy().into_owned();
+        if name.starts_with(PARTIAL) {
+            remove_folder(&folder.path());
+        } else if let Ok(id) = valid_id(name)
+            && folder.path().is_dir()
+        {
+            found.push(look_at(root, id, &folder.path()));
+        }
+    }
+    found.sort_by(|a, b| a.id.cmp(&b.id));
+    found
+}
+
+fn look_at(root: &Path, id: String, folder: &Path) -> Earlier {
+    let mut record = match Record::read(folder).or_else(|error| guess(folder, error)) {
+        Ok(record) => record,
+        Err(problem) => {
+            return Earlier { id, source: None, key: None, bytes: 0, refusal: Some(problem) };
+        }
+    };
+    let mut refusal = None;
+    if record.stage == Stage::Loading {
+        record.deaths += 1;
+        record.stage = if record.was_loaded { Stage::Loaded } else { Stage::Received };
+    }
+    // One that was loaded before may only have been in the way of something else.
+    if record.deaths > u32::from(record.was_loaded) {
+        let times = match record.deaths {
+            1 => "once".to_owned(),
+            times => format!("{times} times in a row"),
+        };
+        let detail = format!(
+            "{}: the server ended while it loaded this upload, {times}; it is not loaded again by itself",
+            record.main
+        );
+        let problem = Problem::new(Kind::LoadLost, detail);
+        refusal = Some(problem.accepted("POST /v1/scenes/{id}/retry, or DELETE /v1/scenes/{id}"));
+    }
+    if let Err(error) = record.write(folder) {
+        tracing::warn!(id, %error, "an upload's record cannot be written");
+    }
+    let source = Some(record.source(root, &id));
+    Earlier { id, source, key: record.key, bytes: record.bytes, refusal }
+}
+
+/// The record of an upload that has none: versions before kept none, and took the only file that can be loaded.
+fn guess(folder: &Path, error: io::Error) -> Result<Record, Problem> {
+    let refused = |detail: String| {
+        Problem::new(Kind::LoadLost, detail).accepted("DELETE /v1/scenes/{id}, and a new upload")
+    };
+    if error.kind() != io::ErrorKind::NotFound {
+        return Err(refused(format!("the upload's record cannot be read: {error}")));
+    }
+    let files = fs::read_dir(folder).map_err(|error| refused(error.to_string()))?;
+    let (mut names, mut bytes) = (Vec::new(), 0);
+    for file in files.filter_map(Result::ok).filter(|file| file.path().is_file()) {
+        names.push(file.file_name().to_string_lossy().into_owned());
+        bytes += file.metadata().map_or(0, |metadata| metadata.len());
+    }
+    match main_file(&names, None) {
+        Ok(main) => Ok(Record::new(main, false, None, bytes)),
+        Err(_) => Err(refused(format!(
+            "nothing says which of the upload's {} files is to be loaded",
+            names.len()
+        ))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(stage: Stage, was_loaded: bool, deaths: u32) -> Record {
+        let record = Record::new("a.ply".into(), false, Some("key".into()), 7);
+        Record { stage, was_loaded, deaths, ..record }
+    }
+
+    fn upload(root: &Path, id: &str, record: &Record) -> PathBuf {
+        let folder = folder_of(root, id);
+        fs::create_dir_all(&folder).unwrap();
+        record.write(&folder).unwrap();
+        folder
+    }
+
+    #[test]
+    fn a_loader_that_died_is_not_tried_for_ever() {
+        let root = tempfile::tempdir().unwrap();
+        let root = root.path();
+        upload(root, "new", &record(Stage::Received, false, 0));
+        upload(root, "fatal", &record(Stage::Loading, false, 0));
+        upload(root, "known", &record(Stage::Loading, true, 0));
+        let refused = || -> Vec<bool> {
+            earlier(root).iter().map(|upload| upload.refusal.is_some()).collect()
+        };
+        // By id: fatal, known, new. One that was loaded before is tried once more.
+        assert_eq!(refused(), [true, false, false]);
+        assert_eq!(refused(), [true, false, false]);
+        begin(root, "known").unwrap();
+        let found = earlier(root);
+        let detail = &found[1].refusal.as_ref().unwrap().detail;
+        assert!(detail.contains("a.ply") && detail.contains("2 times"), "{detail}");
+        assert_eq!((found[1].key.as_deref(), found[1].bytes), (Some("key"), 7));
+        finish(root, "known").unwrap();
+        assert_eq!(
+            Record::read(&folder_of(root, "known")).unwrap(),
+            record(Stage::Loaded, true, 0)
+        );
+        // A loader that ends by itself leaves nothing to hold against the upload.
+        begin(root, "new").unwrap();
+        set_aside(root, "new").unwrap();
+        assert!(earlier(root)[2].refusal.is_none());
+    }
+
+    #[test]
+    fn uploads_without_a_record_are_taken_as_before() {
+        let root = tempfile::tempdir().unwrap();
+        let root = root.path();
+        let write = |name: &str| {
+            let path = root.join(FOLDER).join(name);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, "12345").unwrap();
+        };
+        write("one/a.obj");
+        write("one/a.mtl");
+        write("two/a.ply");
+        write("two/b.ply");
+        write("broken/a.ply");
+        write("broken/.upload.json");
+        write(".partial-1-1/a.ply");
+        let found = earlier(root);
+        let told: Vec<_> = found.iter().map(|e| (e.id.as_str(), e.refusal.is_none())).collect();
+        assert_eq!(told, [("broken", false), ("one", true), ("two", false)]);
+        assert_eq!(found[1].bytes, 10);
+        assert_eq!(found[1].source, Some(Source::at(root.join("uploads/one/a.obj"))));
+        assert!(!root.join("uploads/.partial-1-1").exists());
+        // Now there is a record.
+        assert_eq!(Record::read(&folder_of(root, "one")).unwrap().main, "a.obj");
+    }
+}
