@@ -8,7 +8,7 @@ ARGS  ?=
 export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup build run test check fuzz-http fmt lint bench soak data clean-scenes clean
+.PHONY: help setup build run test check fuzz-http fmt lint bench pictures soak data clean-scenes clean
 
 help: ## this list
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
