@@ -8,7 +8,7 @@ ARGS  ?=
 export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup build run test check fuzz-http fmt lint bench soak data clean-scenes clean
+.PHONY: help setup build run test check fuzz-http fmt lint bench pictures soak data clean-scenes clean
 
 help: ## this list
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -47,6 +47,9 @@ bench: setup ## speed and memory, beside VTK on the same machine (BENCH_QUICK=1,
 
 soak: setup ## hostile uploads for five minutes in 2 GiB of address space (SOAK_SECONDS=)
 	@scripts/soak.sh
+
+pictures: build ## redraw the README's pictures, docs/img/*.png
+	@scripts/pictures.sh
 
 data: ## the Stanford dragon into scenes/data/ (11 MB from the npm registry)
 	@scripts/data.sh

@@ -16,9 +16,9 @@ draw() { # NAME SCENE [OPTIONS…]
     "$binary" render "$scene" -o "$folder/$name.png" "$@"
 }
 
-# The same settings for both, so that the README shows what a request gets.
-draw town scenes/town.json --camera overview --size 1000x640
-draw plaza scenes/plaza.json --camera walk --size 1000x560
+# At default settings, so that the README shows what a request gets.
+draw town scenes/town.json --camera overview --size 1000x560
+draw plaza scenes/plaza.json --camera assembly --size 1000x560
 if [ -f scenes/data/dragon.json ]; then
     draw dragon scenes/data/dragon.json --size 1000x640
 else

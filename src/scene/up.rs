@@ -15,7 +15,7 @@ use super::wire::three;
 #[schemars(with = "UpForm")]
 pub struct Up(pub DVec3);
 
-/// Ways to write an [`Up`], for schemas.
+/// A direction: an axis by name, or a vector.
 #[derive(JsonSchema, ToSchema)]
 #[serde(untagged)]
 #[schema(as = Up)]

@@ -54,6 +54,7 @@ function goodbye() {
 
 // --- the sheet -------------------------------------------------------------------------------------
 function setSheet(isOpen) {
+  if (isOpen && !$('hint').hidden) goodbye();
   $('sheet').setAttribute('aria-expanded', isOpen);
   document.body.classList.toggle('sheet-open', isOpen);
 }
