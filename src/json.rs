@@ -232,8 +232,9 @@ mod tests {
     #[test]
     fn faults_are_left_to_the_parser() {
         let deep = "[".repeat(100_000);
+        let limits = Limits { values: 1000, ..LIMITS };
         for text in ["", "{", "[1,", "nonsense", "{\"a\"}", deep.as_str()] {
-            assert!(count(text.as_bytes(), &LIMITS).is_ok());
+            assert!(count(text.as_bytes(), &limits).is_ok());
         }
     }
 }

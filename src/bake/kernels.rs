@@ -49,11 +49,7 @@ const NEAREST: f32 = 0.2;
 const BORDER: f32 = 0.45;
 const STRAY: f32 = 0.95;
 /// How much farther than the neighbours' third neighbours those of a stray are.
-const ISOLATED: f32 = 2.2;
-/// Distance of the nearest neighbour over that of the farthest from which a sample is a stray: 0.58 in the densest lattice.
-const ALOOF: f32 = 0.7;
-/// Longest reach of a kernel, in distances of the neighbours from each other.
-const FARTHEST: f32 = 2.5;
+const ISOLATED: f32 = 3.0;
 /// Neighbours that are asked how far they are from each other.
 const ASKED: usize = 5;
 /// Thickness of a neighbourhood over its half width: up to the first it is a surface; from the second on kernels are bounded by
@@ -160,8 +156,7 @@ pub(super) fn fit(neighbors: &Neighbors, normal: Vec3, is_given: bool) -> Fit {
         *slot = Vec3::from(offset);
     }
     let near = &near[..count];
-    let between = distance_between(near);
-    if is_isolated(near, between) {
+    if is_isolated(near) {
         return Fit::default();
     }
     let loose = LOOSE * mean_distance(near) / CUTOFF;
@@ -184,14 +179,11 @@ pub(super) fn fit(neighbors: &Neighbors, normal: Vec3, is_given: bool) -> Fit {
     let kernel = Kernel { u: a * u.x + b * u.y, v: a * v.x + b * v.y };
     let part = |from: f32| ((thickness - from) / (VOLUME - from)).clamp(0.0, 1.0);
     let most = LARGEST.powf(1.0 - part(FLAT));
-    let rough = if part(ROUGH) > 0.0 { loose / part(ROUGH) } else { f32::INFINITY };
-    let far = between.map_or(f32::INFINITY, |between| FARTHEST * between / CUTOFF);
-    let longest = rough.min(far);
-    let bounded = |axis: Vec3| {
-        let length = axis.length();
-        if length > longest { axis * (longest / length) } else { axis }
-    };
-    Fit { kernel: Kernel { u: bounded(kernel.u), v: bounded(kernel.v) }, most }
+    let bounded = |axis: Vec3| axis * (loose / (part(ROUGH) * axis.length())).min(1.0);
+    match part(ROUGH) > 0.0 {
+        true => Fit { kernel: Kernel { u: bounded(kernel.u), v: bounded(kernel.v) }, most },
+        false => Fit { kernel, most },
+    }
 }
 
 /// Mean distance of the nearest three that are not at the same place.
@@ -201,12 +193,10 @@ fn mean_distance(near: &[Vec3]) -> f32 {
     sum / count.max(1.0)
 }
 
-/// How far neighbours are from each other. Of the nearest few the third is looked at, so that pairs of samples tell nothing; `None`
-/// where there are too few, or many at one place.
-fn distance_between(near: &[Vec3]) -> Option<f32> {
-    if near.len() <= ASKED {
-        return None;
-    }
+/// Whether a sample at the origin is much farther from its neighbours than these are from each other. Of each the third is
+/// looked at, so that pairs of samples tell nothing.
+fn is_isolated(near: &[Vec3]) -> bool {
+    let (Some(third), true) = (near.get(2), near.len() > ASKED) else { return false };
     let mut thirds = [0.0f32; ASKED];
     for (asked, own) in thirds.iter_mut().enumerate() {
         let mut least = [f32::INFINITY; 3];
@@ -220,16 +210,7 @@ fn distance_between(near: &[Vec3]) -> Option<f32> {
         *own = least[2];
     }
     thirds.sort_unstable_by(f32::total_cmp);
-    Some(thirds[ASKED / 2].sqrt()).filter(|&between| between > 0.0)
-}
-
-/// Whether a sample at the origin is much farther from its neighbours than these are from each other, or about as far from all of
-/// them.
-fn is_isolated(near: &[Vec3], between: Option<f32>) -> bool {
-    let (Some(between), Some(third)) = (between, near.get(2)) else { return false };
-    let nearest = near.first().map_or(0.0, |q| q.length());
-    let farthest = near.last().map_or(0.0, |q| q.length());
-    third.length() > ISOLATED * between || nearest > ALOOF * farthest
+    third.length_squared() > ISOLATED * ISOLATED * thirds[ASKED / 2]
 }
 
 /// Thickness of a neighbourhood, with the sample itself, across its tangent plane over its half width in it, and its width in the plane

@@ -32,7 +32,7 @@ pub struct Thresholds {
     #[arg(long, value_name = "SHARE", value_parser = share)]
     pub fail_achieved: Option<f64>,
     /// Fail where --saturate finds that the daemon keeps up with fewer requests a second than this
-    #[arg(long, value_name = "R", value_parser = rate, requires = "saturate")]
+    #[arg(long, value_name = "R", value_parser = rate, requires = "saturate", conflicts_with_all = ["rate", "rates"])]
     pub fail_knee: Option<f64>,
 }
 

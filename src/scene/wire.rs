@@ -5,11 +5,12 @@
 //! something are [`Named`], which keeps the file's order and refuses repeated names. The JSON
 //! Schema is derived from the same structures ([`json_schema`]).
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::marker::PhantomData;
 
-use schemars::JsonSchema;
+use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::de::{self, Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 
 use super::path::{Ease, Interpolation};
@@ -418,9 +419,24 @@ either_form! {
 }
 
 /// A structure written as an object. serde's derive would take an array of the fields' values, too.
-#[derive(Debug, JsonSchema)]
-#[schemars(transparent)]
+#[derive(Debug)]
 pub(super) struct Object<T>(pub T);
+
+// A derived schema would have one name for all structures.
+impl<T: JsonSchema> JsonSchema for Object<T> {
+    fn inline_schema() -> bool {
+        T::inline_schema()
+    }
+    fn schema_name() -> Cow<'static, str> {
+        T::schema_name()
+    }
+    fn schema_id() -> Cow<'static, str> {
+        T::schema_id()
+    }
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        T::json_schema(generator)
+    }
+}
 
 impl<T> std::ops::Deref for Object<T> {
     type Target = T;

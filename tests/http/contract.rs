@@ -175,7 +175,7 @@ fn routes_and_methods_that_are_not_there_are_problems() {
     for (method, path, status, kind) in [
         ("GET", "/v1/scene", 404, "unknown-route"),
         ("GET", "/v1/scenes/", 404, "unknown-route"),
-        ("GET", "/v1/scenes//frame", 404, "unknown-route"),
+        ("GET", "/v1/scenes//frame", 404, "unknown-scene"),
         ("POST", "/v1/limits", 405, "method-not-allowed"),
         ("DELETE", "/v1/jobs", 405, "method-not-allowed"),
         ("GET", "/v1/jobs?state=lost", 422, "bad-parameter"),

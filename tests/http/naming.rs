@@ -56,7 +56,7 @@ fn who_has_no_usable_name_is_given_one() {
 #[test]
 fn parts_and_streams_are_named_after_their_request() {
     let daemon = Daemon::start(&[]);
-    let body = json!({"w": 16, "h": 16, "poses": [{}, {"w": 0}, {"h": 8}]}).to_string();
+    let body = json!({"w": 16, "h": 16, "poses": [{}, {"camera": "none"}, {"h": 8}]}).to_string();
     let headers = [("content-type", "application/json"), ("x-request-id", "series")];
     let path = "/v1/scenes/grid/frames";
     let reply = daemon.client().send("POST", path, &headers, Some(body.as_bytes()));
@@ -106,7 +106,9 @@ fn the_log_tells_a_frames_whole_way_by_its_name() {
     assert_eq!((&batch["span"]["frames"], &batch["span"]["size"]), (&json!("the-one"), &json!(1)));
     // Each pass that ran, with the time that the receipt has.
     for pass in receipt["passes"].as_array().unwrap().iter().filter(|pass| pass["ran"] == true) {
-        let told = lines.iter().find(|line| line["fields"]["pass"] == pass["name"]);
+        let told = lines.iter().find(|line| {
+            line["fields"]["message"] == "drawn" && line["fields"]["pass"] == pass["name"]
+        });
         let told = told.unwrap_or_else(|| panic!("no {}: {lines:#?}", pass["name"]));
         assert_eq!(told["fields"]["gpu_ns"], pass["gpu_ns"], "{told}");
         assert_eq!(told["span"]["name"], "batch");

@@ -108,7 +108,12 @@ fn watch_frames(arena: &Arena) {
 fn attack(client: &Client, attack: &Attack, wait: &str) {
     let headers = [("content-type", attack.content_type.as_str()), ("prefer", wait)];
     let path = format!("/v1/scenes?{}", attack.query);
-    let reply = client.send("POST", &path, &headers, Some(&attack.body));
+    let sent = || client.send("POST", &path, &headers, Some(&attack.body));
+    let Ok(reply) = std::panic::catch_unwind(std::panic::AssertUnwindSafe(sent)) else {
+        // A daemon that refuses an upload by its head closes the connection while the body is still being sent.
+        assert_eq!(client.get("/healthz").status, 200, "{}", attack.name);
+        return;
+    };
     let fine = [201, 202, 409, 413, 415, 422, 429, 507].contains(&reply.status);
     assert!(fine, "{}: {} {}", attack.name, reply.status, reply.text());
 }
