@@ -424,7 +424,7 @@ fn broken_thresholds_end_with_their_exit_code() {
         (&["--fail-p99-ms", "0.0001"], 3, "and --fail-p99-ms is 0.0001"),
         (&["--fail-achieved", "1"], 3, "--fail-achieved is 100 %"),
         (&["--fail-lost", "2"], 2, "expected a share"),
-        (&["--fail-knee", "5"], 2, "cannot be used with '--rate"),
+        (&["--fail-knee", "5"], 2, "cannot be used with '--fail-knee"),
     ] {
         let output = load(&server.url(), &[&steady, thresholds].concat());
         let told = [output.stdout.clone(), output.stderr.clone()].concat();

@@ -204,32 +204,3 @@ fn uploads_are_limited_in_number_and_in_bytes() {
     assert_eq!(client.send("DELETE", "/v1/scenes/a", &[], None).status, 204);
     assert_eq!(upload(&client, "c", ply.as_bytes()).status, 201);
 }
-
-#[test]
-fn memory_returns_after_delete() {
-    let daemon = Daemon::start(&[]);
-    let client = daemon.client();
-    // Walls of other sizes, because equal files share their memory.
-    let upload = |id: &str, side: usize| {
-        let wall = wall_ply(side);
-        let path = format!("/v1/scenes?id={id}&name=a.ply");
-        let reply = client.send("POST", &path, &[("prefer", "wait=60")], Some(wall.as_bytes()));
-        assert_eq!(reply.status, 201, "{}", reply.text());
-        assert_eq!(client.get(&format!("/v1/scenes/{id}/frame?w=64&h=64")).status, 200);
-    };
-    // What a first scene leaves behind for the next ones is there before anything is measured.
-    upload("first", 300);
-    assert_eq!(client.send("DELETE", "/v1/scenes/first", &[], None).status, 204);
-    eventually("an empty device", || client.metric("pointillist_engine_resident_bytes") < 1e6);
-    let before = resident_bytes(&daemon);
-    for number in 0..6 {
-        upload(&number.to_string(), 301 + number);
-    }
-    let held = resident_bytes(&daemon).saturating_sub(before);
-    for number in 0..6 {
-        let path = format!("/v1/scenes/{number}");
-        assert_eq!(client.send("DELETE", &path, &[], None).status, 204);
-    }
-    let left = || resident_bytes(&daemon).saturating_sub(before);
-    eventually("the memory", || left() < held / 4);
-}

@@ -481,8 +481,9 @@ pub fn stand_down(app: &App) {
         return;
     }
     for (id, entry) in app.registry.list() {
-        if let (Entry::Loading { .. }, Err(error)) =
-            (entry, store::set_aside(&app.settings.root, &id))
+        // The record of a failed upload keeps what is held against it.
+        if matches!(entry, Entry::Loading { .. })
+            && let Err(error) = store::set_aside(&app.settings.root, &id)
         {
             tracing::warn!(id, %error, "an upload's record cannot be written");
         }
