@@ -2,7 +2,7 @@
 //!
 //! Every geometry has an outline ([`crate::bake::outline`]). The outline of a scene is made of those of its instances: all of their points where
 //! they are few, and else the farthest ones in some directions, found through boxes around groups of instances, so that a million of
-//! them cost milliseconds. [`look`] chooses the direction by the shape of that outline; [`framing::frame`] finds the eye.
+//! them cost milliseconds. [`SceneOutline::look`] chooses the direction by the shape of that outline; [`framing::frame`] finds the eye.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;

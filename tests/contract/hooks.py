@@ -53,11 +53,17 @@ def length(numbers):
     return max((abs(number) for number in numbers), default=0.0)
 
 
+def written(params, numbers):
+    """Numbers as the case has its own: a list in the text of a query would become one parameter for each number."""
+    own = (params.get(name) for name in ("eye", "target", "up", "view", "proj"))
+    return ",".join(map(str, numbers)) if any(isinstance(value, str) for value in own) else numbers
+
+
 def follow_up(params):
     """A direction, unless it is an axis by its name."""
     up = vector(params["up"]) if "up" in params else None
     if up is not None and not 1e-100 < length(up) < 1e100:
-        params["up"] = [0, 1, 0]
+        params["up"] = written(params, [0, 1, 0])
 
 
 def follow_pose(params):
@@ -69,6 +75,9 @@ def follow_pose(params):
     elif params.keys() & {"up", "fov"} and not params.keys() & {"eye", "target"}:
         params.pop("view", None)
         params.pop("proj", None)
+        # The whole scene is seen from nowhere in a field of view that is next to nothing.
+        if "fov" in params and 0 < float(params["fov"]) < 1e-3:
+            params["fov"] = 1
         follow_up(params)
     elif params.keys() & {"eye", "target"}:
         params.pop("view", None)
@@ -78,10 +87,10 @@ def follow_pose(params):
         apart = eye and target and length([a - b for a, b in zip(eye, target)])
         # Farther apart than rounding, and not so far that squares overflow or vanish.
         if not apart or not 1e-9 * max(length(eye), length(target)) < apart or not 1e-100 < apart < 1e100:
-            params["eye"], params["target"] = [0, 0, 3], [0, 0, 0]
+            params["eye"], params["target"] = written(params, [0, 0, 3]), written(params, [0, 0, 0])
         follow_up(params)
     elif params.keys() & {"view", "proj"}:
-        params["view"], params["proj"] = VIEW, PROJ
+        params["view"], params["proj"] = written(params, VIEW), written(params, PROJ)
 
 
 def follow_settings(params):
@@ -102,6 +111,9 @@ def follow_frame(params):
     for name in [name for name, value in params.items() if value is None]:
         del params[name]
     follow_pose(params)
+    # Either a name or numbers; only lists by themselves are written with commas.
+    if isinstance(params.get("up"), list):
+        params["up"] = ",".join(map(str, params["up"]))
     follow_settings(params)
 
 
@@ -139,6 +151,17 @@ def follow_job(body):
         body["format"] = "png"
 
 
+def whole(value):
+    """Whole numbers without a fraction: to a schema 37.0 is an integer, to the daemon it is not."""
+    if isinstance(value, dict):
+        return {name: whole(part) for name, part in value.items()}
+    if isinstance(value, list):
+        return [whole(part) for part in value]
+    if isinstance(value, float) and value.is_integer() and abs(value) < 2**53:
+        return int(value)
+    return value
+
+
 def follow_change(body):
     for name in [name for name, value in body.items() if value is None]:
         del body[name]
@@ -158,8 +181,11 @@ def known_ids(case, label):
     """Ids of what is there, so that cases get beyond the question whether it is."""
     ids = case.path_parameters
     if "{id}" in label and label.split()[1].startswith("/v1/scenes"):
+        # The scene that everything else is asked of is not to be deleted.
         if not label.startswith("DELETE"):
             ids["id"] = "grid"
+        elif ids["id"] == "grid":
+            ids["id"] = "none"
     elif "{id}" in label:
         # The job that is kept for this is not to be deleted.
         ids["id"] = "999999999" if label.startswith("DELETE") else "1"
@@ -204,6 +230,7 @@ def map_case(context, case):
             if str(query.get("fps", "")) and is_positive(case, ParameterLocation.QUERY):
                 query["fps"] = 20
     if isinstance(case.body, dict) and is_positive(case, ParameterLocation.BODY):
+        case.body = whole(case.body)
         if label == "POST /v1/jobs":
             follow_job(case.body)
         elif label == "POST /v1/scenes/{id}/frames":
