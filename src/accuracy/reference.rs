@@ -65,7 +65,7 @@ impl Reference {
         let mut traits = Vec::with_capacity(description.assets.len());
         let mut assembler = Assembler::new(path, &description, &options);
         for index in 0..description.assets.len() {
-            let Prepared { asset, traits: found } = assembler.asset(index)?;
+            let Prepared { asset, traits: found, .. } = assembler.asset(index)?;
             if description.cameras.is_empty() {
                 description.cameras.extend(asset.cameras.iter().cloned());
             }

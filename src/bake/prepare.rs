@@ -11,6 +11,7 @@ use std::path::Path;
 use glam::{DAffine3, DVec3};
 
 use super::colors::NEUTRAL;
+use super::estimate::lacks_estimates;
 use super::{estimate_kernels, fill_colors, smooth_normals};
 use crate::assets::{Geometry, Placement};
 use crate::math::Bounds;
@@ -93,6 +94,32 @@ pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
     traits.has_colors |= has_colors;
     traits.has_normals |= has_normals;
     traits.normals_estimated |= !has_normals;
+}
+
+/// Gives a cloud of more than `most` points what a picture of unlit points needs, and nothing more. Whether that was done: it is not
+/// where there is nothing to be estimated.
+pub fn prepare_points(geometry: &mut Geometry, traits: &mut AssetTraits, most: usize) -> bool {
+    let bounds = match geometry {
+        Geometry::Points(cloud)
+            if cloud.positions.len() > most
+                && cloud.kernels.is_none()
+                && cloud.clips.is_none()
+                && lacks_estimates(cloud) =>
+        {
+            drawn_bounds(geometry)
+        }
+        _ => return false,
+    };
+    let Geometry::Points(cloud) = geometry else { return false };
+    traits.bounds = traits.bounds.union(bounds);
+    traits.has_colors |= cloud.colors.is_some();
+    traits.has_normals |= cloud.normals.is_some();
+    traits.normals_estimated |= cloud.normals.is_none();
+    cloud.oriented = cloud.normals.is_some();
+    fill_colors(cloud);
+    // Nobody asks for these once there are colours.
+    (cloud.intensity, cloud.classification) = (None, None);
+    true
 }
 
 /// Adapts the description of a bare asset file: a scan's own colours are shown unlit; a mesh with neither colours nor

@@ -100,7 +100,10 @@ pub fn bake_file(
         Some(cache) if !large.is_empty() => {
             bake_apart(&path, &description, &large, config, cache, tell)
         }
-        _ => load("scene", &path, config, &AssetCache::default())?.bake_each(cache, false, tell),
+        _ => {
+            let loaded = load("scene", &path, config, &AssetCache::default())?;
+            loaded.into_whole(config)?.bake_each(cache, false, tell)
+        }
     }
 }
 

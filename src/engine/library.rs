@@ -10,19 +10,24 @@ use glam::DVec3;
 use parking_lot::Mutex;
 use sha2::{Digest, Sha256};
 
+use super::bakes::{Abandoned, Watch};
 use super::keys::{AssetKey, AssetKeys, digest_file, digest_packed};
 use super::trees::TreeScene;
-use super::{AssetInfo, EngineConfig, EngineError, NamedCamera, NodePatch, SceneInfo};
-use crate::assets::{AssetError, Geometry, Placement};
+use super::{
+    AssetInfo, EngineConfig, EngineError, EstimateState, Estimates, NamedCamera, NodePatch,
+    SceneInfo,
+};
+use crate::assets::{AssetError, Geometry, Placement, PointCloud};
 use crate::bake::CUTOFF;
 use crate::bake::assemble::{AssembleError, Assembler, Prepared};
+use crate::bake::estimate::{EstimateError, lacks_normals, pack_estimated};
 use crate::bake::pack::{PackedAsset, PackedGeometry, pack_mesh, pack_samples, pack_texture};
 use crate::bake::prepare::{self, AssetTraits};
 use crate::bake::tree::Above;
 use crate::math::{Bounds, Camera};
 use crate::plan::SceneFacts;
 use crate::residency::instances::{Instances, RunMeter};
-use crate::residency::model::{AssetModel, Extent, ModelInstance, SceneModel};
+use crate::residency::model::{AssetModel, Deferred, Extent, ModelInstance, SceneModel};
 use crate::residency::once::MadeOnce;
 use crate::scene::{AssetRef, CameraPath, Light, Node, Scene};
 
@@ -50,6 +55,10 @@ pub struct Loaded {
     pub(super) trees_before: Mutex<Option<TreeScene>>,
     /// For each asset: where its geometries stand.
     placements: Vec<Arc<Vec<Placement>>>,
+    /// For each asset: what decides its content.
+    keys: Vec<AssetKey>,
+    /// The scene's file, or that of its only asset.
+    path: PathBuf,
 }
 
 struct CachedAsset {
@@ -78,6 +87,18 @@ pub struct Library {
 #[derive(Default)]
 pub struct AssetCache {
     assets: Mutex<HashMap<[u8; 32], CachedAsset>>,
+}
+
+impl AssetCache {
+    /// Has scenes that come draw whole assets instead of those that lacked something.
+    pub fn complete(&self) {
+        for asset in self.assets.lock().values_mut() {
+            let Some(held) = asset.model.upgrade() else { continue };
+            if let Some(whole) = held.deferred.as_ref().and_then(|deferred| deferred.whole.get()) {
+                asset.model = Arc::downgrade(whole);
+            }
+        }
+    }
 }
 
 impl Library {
@@ -142,13 +163,17 @@ pub fn load(
     let mut assembler = Assembler::new(path, &description, &options);
     let mut keys = AssetKeys::default();
     let operands_only = description.operands_only();
+    let most = config.estimate_at_once;
+    let mut asset_keys = Vec::with_capacity(description.assets.len());
     for (index, reference) in description.assets.iter().enumerate() {
         let key = keys.of(&description, index)?;
+        asset_keys.push(key);
         // What is only an operand has nothing to draw, and its file must not be cached as that.
         let asset = if operands_only[index] {
-            pack_asset(reference, assembler.asset(index)?, key.digest)?
+            pack_asset(reference, assembler.asset(index)?, key.digest, Completeness::Points)
+                .map_err(Stop::error)?
         } else {
-            read_asset(reference, index, &mut assembler, key, cache)?
+            read_asset(reference, (index, most), &mut assembler, key, cache)?
         };
         hasher.update(asset.digest);
         warnings.extend(asset.warnings.iter().map(|text| format!("{}: {text}", reference.name)));
@@ -173,24 +198,81 @@ pub fn load(
         warnings.push("lights ask for shadows, which this version does not draw".to_owned());
     }
     let digest = hasher.finalize().into();
-    let id = id.to_owned();
-    let parts = Parts { id, revision: 1, description, assets, placements, warnings, digest };
+    let parts = Parts {
+        id: id.to_owned(),
+        revision: 1,
+        description,
+        assets,
+        placements,
+        warnings,
+        digest,
+        keys: asset_keys,
+        path: path.to_owned(),
+    };
     build(parts, config, None)
 }
 
-/// Reads one of the assets that a scene file or a bare asset draws, by itself.
+/// Reads one of the assets that a scene file or a bare asset draws, by itself, with all that it lacks estimated.
 pub fn load_one(
     path: &Path,
     description: &Scene,
     index: usize,
     config: &EngineConfig,
 ) -> Result<Arc<AssetModel>, EngineError> {
+    let key = AssetKeys::default().of(description, index)?;
+    whole_asset(path, description, (index, key), config, &Watch::NONE).map_err(Stop::error)
+}
+
+/// As [`load_one`], given up when `watch` says so.
+fn whole_asset(
+    path: &Path,
+    description: &Scene,
+    (index, key): (usize, AssetKey),
+    config: &EngineConfig,
+    watch: &Watch<'_>,
+) -> Result<Arc<AssetModel>, Stop> {
     let mut options = config.read.clone();
     options.root.get_or_insert_with(|| config.root.clone());
     let mut assembler = Assembler::new(path, description, &options);
-    let key = AssetKeys::default().of(description, index)?;
     let reference = &description.assets[index];
-    Ok(pack_asset(reference, assembler.asset(index)?, key.digest)?.model)
+    let read = assembler.asset_without_estimates(index, config.estimate_at_once);
+    let prepared = read.map_err(|error| Stop::Failed(error.into()))?;
+    watch.check()?;
+    watch.tell(READING);
+    let watch = watch.part(READING, 1.0 - READING);
+    Ok(pack_asset(reference, prepared, key.digest, Completeness::Whole(&watch))?.model)
+}
+
+/// Share of reading in reading and estimating.
+const READING: f64 = 0.1;
+
+/// How much of an asset is wanted.
+#[derive(Clone, Copy)]
+enum Completeness<'a> {
+    /// What is drawn of points without lights.
+    Points,
+    Whole(&'a Watch<'a>),
+}
+
+/// Why there is no asset.
+enum Stop {
+    Failed(EngineError),
+    Abandoned,
+}
+
+impl Stop {
+    fn error(self) -> EngineError {
+        match self {
+            Stop::Failed(error) => error,
+            Stop::Abandoned => EngineError::Internal("estimating was given up".into()),
+        }
+    }
+}
+
+impl From<Abandoned> for Stop {
+    fn from(_: Abandoned) -> Stop {
+        Stop::Abandoned
+    }
 }
 
 impl From<AssembleError> for EngineError {
@@ -204,7 +286,7 @@ impl From<AssembleError> for EngineError {
 
 fn read_asset(
     reference: &AssetRef,
-    index: usize,
+    (index, most): (usize, usize),
     assembler: &mut Assembler,
     AssetKey { digest, alone }: AssetKey,
     cache: &AssetCache,
@@ -221,7 +303,9 @@ fn read_asset(
             digest,
         });
     }
-    let mut read = pack_asset(reference, assembler.asset(index)?, digest)?;
+    let prepared = assembler.asset_without_estimates(index, most)?;
+    let packed = pack_asset(reference, prepared, digest, Completeness::Points);
+    let mut read = packed.map_err(Stop::error)?;
     if !alone {
         let mut hasher = Sha256::new_with_prefix(digest);
         digest_packed(&mut hasher, &read.model.packed);
@@ -244,25 +328,43 @@ fn read_asset(
 
 fn pack_asset(
     reference: &AssetRef,
-    Prepared { mut asset, traits }: Prepared,
+    Prepared { mut asset, traits, lacking }: Prepared,
     digest: [u8; 32],
-) -> Result<ReadAsset, EngineError> {
+    completeness: Completeness<'_>,
+) -> Result<ReadAsset, Stop> {
     let mut geometries = Vec::with_capacity(asset.geometries.len());
     let bounds = asset.geometries.iter().map(prepare::drawn_bounds).collect();
-    for geometry in &mut asset.geometries {
-        let packed = match geometry {
-            Geometry::Points(cloud) => pack_samples(cloud).map(PackedGeometry::Samples),
-            Geometry::Mesh(mesh) => pack_mesh(mesh).map(PackedGeometry::Mesh),
+    let (mut deferred, mut estimated) = (None, 0.0);
+    let total = lacking.iter().map(|&number| size(&asset.geometries[number])).sum::<f64>();
+    for (number, geometry) in asset.geometries.iter_mut().enumerate() {
+        let taken = std::mem::replace(geometry, Geometry::Points(PointCloud::default()));
+        let packed = match (taken, completeness) {
+            (Geometry::Mesh(mesh), _) => pack_mesh(&mesh).map(PackedGeometry::Mesh),
+            (Geometry::Points(cloud), Completeness::Whole(watch)) if lacking.contains(&number) => {
+                let part = cloud.positions.len() as f64 / total;
+                let watch = watch.part(estimated, part);
+                estimated += part;
+                match pack_estimated(cloud, watch.stop_flag(), &|done| watch.tell(done)) {
+                    Ok(samples) => Ok(PackedGeometry::Samples(samples)),
+                    Err(EstimateError::Pack(error)) => Err(error),
+                    Err(EstimateError::Stopped) => return Err(Stop::Abandoned),
+                }
+            }
+            (Geometry::Points(cloud), _) => {
+                if lacking.contains(&number) {
+                    let deferred: &mut Deferred = deferred.get_or_insert_default();
+                    deferred.lacks_normals |= lacks_normals(&cloud);
+                }
+                pack_samples(&cloud).map(PackedGeometry::Samples)
+            }
         };
-        let packed = packed.map_err(|error| {
-            asset_error(AssetError::Malformed {
+        geometries.push(packed.map_err(|error| {
+            Stop::Failed(asset_error(AssetError::Malformed {
                 file: reference.label(),
                 place: "positions".to_owned(),
                 reason: error.to_string(),
-            })
-        })?;
-        *geometry = Geometry::Points(Default::default());
-        geometries.push(packed);
+            }))
+        })?);
     }
     let textures = asset.textures.iter().map(pack_texture).collect();
     let model = AssetModel {
@@ -276,6 +378,7 @@ fn pack_asset(
         normals_estimated: traits.normals_estimated,
         beside: Vec::new(),
         tree: MadeOnce::default(),
+        deferred,
     };
     Ok(ReadAsset {
         model: Arc::new(model),
@@ -284,6 +387,10 @@ fn pack_asset(
         warnings: asset.warnings,
         digest,
     })
+}
+
+fn size(geometry: &Geometry) -> f64 {
+    geometry.positions().len() as f64
 }
 
 /// What a scene consists of, as read.
@@ -295,6 +402,8 @@ struct Parts {
     placements: Vec<Arc<Vec<Placement>>>,
     warnings: Vec<String>,
     digest: [u8; 32],
+    keys: Vec<AssetKey>,
+    path: PathBuf,
 }
 
 /// Instances of a run of top-level nodes, at most, unless it is one node.
@@ -358,7 +467,8 @@ fn build(
     };
     let known = before.map(|(loaded, changed)| (&loaded.model.instances, changed));
     let instances = unfold(&parts, &nodes, known, config.scene.max_instances)?;
-    let Parts { id, revision, description, assets, placements, warnings, digest } = parts;
+    let Parts { id, revision, description, assets, placements, warnings, digest, keys, path } =
+        parts;
     let model = SceneModel {
         uid: next_uid(),
         id,
@@ -388,6 +498,8 @@ fn build(
         trees: MadeOnce::default(),
         trees_before: Mutex::new(before.and_then(|(loaded, _)| loaded.latest_trees())),
         placements,
+        keys,
+        path,
     })
 }
 
@@ -448,6 +560,7 @@ fn describe(
             .collect(),
         gpu_bytes: model.gpu_bytes(),
         resident: false,
+        estimates: Estimates { state: EstimateState::Complete, done: 1.0, reason: None },
         cameras: model
             .cameras
             .iter()
@@ -501,8 +614,107 @@ impl Loaded {
             placements: self.placements.clone(),
             warnings: self.info.warnings.clone(),
             digest: hasher.finalize().into(),
+            keys: self.keys.clone(),
+            path: self.path.clone(),
         };
         build(parts, config, Some((self, index)))
+    }
+
+    /// Whether samples have all their normals and kernels.
+    pub fn is_whole(&self) -> bool {
+        self.model.assets.iter().all(|asset| asset.deferred.is_none())
+    }
+
+    /// Whether some sample has no normal yet.
+    pub fn lacks_normals(&self) -> bool {
+        let deferred = self.model.assets.iter().filter_map(|asset| asset.deferred.as_ref());
+        deferred.into_iter().any(|deferred| deferred.lacks_normals)
+    }
+
+    /// Reads the files of all assets once more that lack normals or kernels, and estimates these. [`Loaded::completed`] is the scene
+    /// with them.
+    pub fn estimate(
+        &self,
+        config: &EngineConfig,
+        watch: &Watch<'_>,
+    ) -> Result<Result<(), EngineError>, Abandoned> {
+        let lacking = || {
+            let assets = self.model.assets.iter().enumerate();
+            assets.filter_map(|(index, asset)| Some((index, asset, asset.deferred.as_ref()?)))
+        };
+        let size = |asset: &AssetModel| asset.counts().0 as f64;
+        let total = lacking().map(|(_, asset, _)| size(asset)).sum::<f64>().max(1.0);
+        let mut done = 0.0;
+        for (index, asset, deferred) in lacking() {
+            let part = size(asset) / total;
+            let watch = watch.part(done, part);
+            let made = deferred
+                .whole
+                .get_or_try(|| Ok(watch.check()?), || self.whole_asset(index, config, &watch));
+            match made {
+                Ok(_) => {}
+                Err(Stop::Failed(error)) => return Ok(Err(error)),
+                Err(Stop::Abandoned) => return Err(Abandoned),
+            }
+            done += part;
+        }
+        Ok(Ok(()))
+    }
+
+    /// The scene with everything that its samples lack. Blocks.
+    pub fn into_whole(self, config: &EngineConfig) -> Result<Loaded, EngineError> {
+        match self.estimate(config, &Watch::NONE) {
+            Ok(estimated) => estimated?,
+            Err(Abandoned) => return Err(Stop::Abandoned.error()),
+        }
+        Ok(self.completed(config)?.unwrap_or(self))
+    }
+
+    fn whole_asset(
+        &self,
+        index: usize,
+        config: &EngineConfig,
+        watch: &Watch<'_>,
+    ) -> Result<Arc<AssetModel>, Stop> {
+        let (began, key) = (std::time::Instant::now(), self.keys[index]);
+        let found = AssetKeys::default().of(&self.description, index).map_err(Stop::Failed)?;
+        if found.digest != key.digest {
+            return Err(Stop::Failed(asset_error(AssetError::Malformed {
+                file: self.description.assets[index].label(),
+                place: "file".to_owned(),
+                reason: "has changed since the scene was loaded, so that its normals and kernels \
+                    cannot be estimated; delete the scene and load it again"
+                    .to_owned(),
+            })));
+        }
+        let whole = whole_asset(&self.path, &self.description, (index, key), config, watch)?;
+        let elapsed_ms = began.elapsed().as_millis() as u64;
+        let (samples, _) = whole.counts();
+        tracing::info!(asset = whole.name, samples, elapsed_ms, "normals and kernels estimated");
+        Ok(whole)
+    }
+
+    /// The scene with whole assets in place of those that lacked something, at the same revision; `None` while they are not there,
+    /// or where nothing was lacking.
+    pub fn completed(&self, config: &EngineConfig) -> Result<Option<Loaded>, EngineError> {
+        let whole = |asset: &Arc<AssetModel>| match &asset.deferred {
+            Some(deferred) => deferred.whole.get().cloned(),
+            None => Some(asset.clone()),
+        };
+        let assets: Option<Vec<_>> = self.model.assets.iter().map(whole).collect();
+        let Some(assets) = assets.filter(|_| !self.is_whole()) else { return Ok(None) };
+        let parts = Parts {
+            id: self.model.id.clone(),
+            revision: self.model.revision,
+            description: self.description.clone(),
+            assets,
+            placements: self.placements.clone(),
+            warnings: self.info.warnings.clone(),
+            digest: self.digest,
+            keys: self.keys.clone(),
+            path: self.path.clone(),
+        };
+        build(parts, config, None).map(Some)
     }
 
     /// A camera path that the scene names.

@@ -3,6 +3,7 @@
 pub mod bakes;
 mod baking;
 mod crowd;
+mod estimates;
 mod group;
 mod job;
 mod keys;
@@ -29,6 +30,7 @@ use serde::Serialize;
 
 pub use bakes::BakeTicket;
 pub use baking::{BakeEvent, BakeSource, BakedAsset, bake_file};
+pub use estimates::{EstimateState, Estimates};
 pub use observe::Observer;
 pub use queue::{Class, Client};
 pub use receipt::Receipt;
@@ -40,7 +42,6 @@ pub use trace::{Origin, RequestId};
 use crate::assets::{AssetError, ReadOptions};
 use crate::bake::cache::BakeCache;
 use crate::math::Camera;
-use crate::plan::Lod;
 use crate::residency::Part;
 use crate::scene::{CameraPath, SceneError, SceneLimits};
 
@@ -48,6 +49,9 @@ use self::shared::Shared;
 
 /// Of the device's time, what jobs get at least.
 pub const DEFAULT_JOB_SHARE: f64 = 0.1;
+
+/// Points whose neighbours are found in a tenth of a second: below that, waiting for them costs less than a second picture would.
+pub const ESTIMATE_AT_ONCE: usize = 200_000;
 
 /// How the engine is set up.
 #[derive(Clone)]
@@ -89,6 +93,8 @@ pub struct EngineConfig {
     /// For measurements and tests: whether large triangles go to the rasteriser; `None`: the measured best.
     #[doc(hidden)]
     pub rasterise: Option<bool>,
+    /// Clouds of so many points get the normals and kernels that they lack when they are read, larger ones when a frame needs them.
+    pub estimate_at_once: usize,
     /// Where point trees are kept from one process to the next; `None`: they are built anew.
     pub bake_cache: Option<BakeCache>,
     pub read: ReadOptions,
@@ -171,6 +177,8 @@ pub struct SceneInfo {
     /// Bytes that the scene needs on the GPU, and whether it is there now.
     pub gpu_bytes: u64,
     pub resident: bool,
+    /// Whether normals and kernels of its samples are there. Those of large clouds are estimated when a frame needs them.
+    pub estimates: Estimates,
     pub cameras: Vec<NamedCamera>,
     pub paths: Vec<String>,
     /// Names of top-level nodes, as `PATCH` takes them.
@@ -291,6 +299,7 @@ struct Inner {
 impl Drop for Inner {
     fn drop(&mut self) {
         self.shared.stop();
+        self.shared.background.end_all();
         if let Some(thread) = self.thread.lock().take() {
             let _ = thread.join();
         }
@@ -356,6 +365,7 @@ impl EngineConfig {
             small_splat_px: None,
             rasterise: None,
             large_units_limit: None,
+            estimate_at_once: ESTIMATE_AT_ONCE,
             bake_cache: None,
             read: ReadOptions::default(),
             scene: SceneLimits::default(),
@@ -370,6 +380,8 @@ impl Engine {
     /// No adapter, or one that lacks what the passes need; the message says what to install.
     pub fn start(config: EngineConfig) -> Result<Engine, EngineError> {
         let shared = Arc::new(Shared::new(config));
+        let scenes: std::sync::Weak<Shared> = Arc::downgrade(&shared);
+        shared.bakes.serve(scenes);
         let (sender, receiver) = std::sync::mpsc::sync_channel(1);
         let for_thread = shared.clone();
         let thread = std::thread::Builder::new()
@@ -455,6 +467,7 @@ impl Engine {
         let shared = self.shared();
         let removed = shared.library.write().remove(id);
         removed.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
+        shared.background.end(id);
         shared.wake_for_removal();
         shared.scenes_changed();
         tracing::info!(id, "scene deleted");
@@ -501,7 +514,12 @@ impl Engine {
     }
 
     fn info(&self, loaded: &library::Loaded) -> SceneInfo {
-        SceneInfo { resident: self.shared().is_resident(&loaded.info.id), ..loaded.info.clone() }
+        let shared = self.shared();
+        SceneInfo {
+            resident: shared.is_resident(&loaded.info.id),
+            estimates: shared.estimates(loaded),
+            ..loaded.info.clone()
+        }
     }
 
     /// The strong entity tag (quoted) of the frame that `request` would give. Validates the request; costs no GPU work.
@@ -512,13 +530,14 @@ impl Engine {
     /// Whether a frame with these settings has to wait until something is baked, which [`Engine::bake`] does.
     pub fn must_bake(&self, request: &FrameRequest) -> bool {
         let loaded = self.shared().library.read().get(&request.scene);
-        request.settings.lod == Lod::Spt && loaded.is_some_and(|loaded| !loaded.has_trees())
+        loaded.is_some_and(|loaded| resolve::goal(&loaded, request).is_some())
     }
 
-    /// Builds what a request needs and is not there: the scene's point trees. Blocks, for some seconds per million samples.
+    /// Builds what a request needs and is not there: the scene's point trees, or normals and kernels of large clouds. Blocks, for
+    /// some seconds per million samples.
     ///
     /// # Errors
-    /// An unknown scene, or a geometry that no tree can be built of.
+    /// An unknown scene, a geometry that no tree can be built of, or a file that is not what it was.
     pub fn bake(&self, request: &FrameRequest) -> Result<(), EngineError> {
         self.begin_bake(request)?.map_or(Ok(()), BakeTicket::wait)
     }
@@ -532,8 +551,8 @@ impl Engine {
         let loaded = self.shared().library.read().get(&request.scene);
         let loaded =
             loaded.ok_or_else(|| EngineError::UnknownScene { id: request.scene.clone() })?;
-        let is_needed = request.settings.lod == Lod::Spt && !loaded.has_trees();
-        Ok(is_needed.then(|| self.shared().bakes.join(loaded)))
+        let goal = resolve::goal(&loaded, request);
+        Ok(goal.map(|goal| self.shared().bakes.join(loaded, goal)))
     }
 
     /// Bakes that are under way for [`Engine::begin_bake`], also such as are being given up.
@@ -553,6 +572,7 @@ impl Engine {
     ) -> Result<Vec<BakedAsset>, EngineError> {
         let loaded = self.shared().library.read().get(id);
         let loaded = loaded.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
+        let loaded = self.shared().whole(&loaded)?;
         loaded.bake_each(self.shared().config.bake_cache.as_ref(), true, tell)
     }
 

@@ -4,6 +4,7 @@
 use glam::DVec3;
 use sha2::{Digest, Sha256};
 
+use super::bakes::Goal;
 use super::job::{Drawing, Resolved};
 use super::library::Loaded;
 use super::receipt::CameraReceipt;
@@ -89,6 +90,10 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     encode::accepts(request.format, request.output).map_err(unfit_format)?;
     let (view, camera) = pose(&loaded, request)?;
     let adapter = shared.adapter();
+    let loaded = match goal(&loaded, request) {
+        Some(_) => shared.whole(&loaded)?,
+        None => loaded,
+    };
     let (model, facts) = match request.settings.lod {
         Lod::Full => (loaded.model.clone(), loaded.facts),
         Lod::Spt => {
@@ -133,6 +138,15 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     let extent = loaded.extent;
     let max_error = request.settings.max_error;
     Ok(Resolved { model, view, camera, extent, drawing, in_three_passes, max_error, key })
+}
+
+/// What has to be made of a scene before a request's frame can be drawn.
+pub fn goal(loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
+    let Settings { lod, reconstruct, .. } = request.settings;
+    if lod == Lod::Spt {
+        return (!loaded.has_trees()).then_some(Goal::Trees);
+    }
+    loaded.lacks(reconstruct, lod, request.output).then_some(Goal::Estimates)
 }
 
 /// Why splats cannot be blended and depth-tested in a single pass.

@@ -136,6 +136,7 @@ fn bake_watched(
         bounds,
         beside,
         tree: MadeOnce::default(),
+        deferred: None,
         ..*asset
     };
     let (nodes, _) = tree.counts();

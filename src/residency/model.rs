@@ -33,6 +33,17 @@ pub struct AssetModel {
     pub beside: Vec<Option<usize>>,
     /// The asset as point trees, once a frame has asked for it.
     pub tree: MadeOnce<Result<Arc<AssetModel>, PackError>>,
+    /// What its samples lack, if anything.
+    pub deferred: Option<Deferred>,
+}
+
+/// Of an asset whose samples are drawn as points before their kernels are estimated.
+#[derive(Debug, Default)]
+pub struct Deferred {
+    /// Some sample has no normal either.
+    pub lacks_normals: bool,
+    /// The asset with everything, once somebody has needed it.
+    pub whole: MadeOnce<Arc<AssetModel>>,
 }
 
 /// Where a scene's samples are and how wide they are, in world units.
