@@ -8,12 +8,15 @@
 
 use std::collections::HashMap;
 use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::Duration;
 
-use parking_lot::Mutex;
+use parking_lot::{Condvar, Mutex};
 use serde::Serialize;
 
 use super::EngineError;
 use super::bakes::{Abandoned, BakeTicket, Goal, Scenes, Watch};
+use super::kept::keep_whole;
 use super::library::Loaded;
 use super::shared::Shared;
 use crate::plan::{Lod, Output, Reconstruct};
@@ -41,10 +44,36 @@ pub struct Estimates {
     pub reason: Option<String>,
 }
 
+/// Keeps estimates from beginning while it is shut, so that tests need not be quick.
+#[derive(Debug, Default)]
+pub struct Latch {
+    is_open: Mutex<bool>,
+    opened: Condvar,
+}
+
+impl Latch {
+    pub fn open(&self) {
+        *self.is_open.lock() = true;
+        self.opened.notify_all();
+    }
+
+    pub(super) fn pass(&self, watch: &Watch<'_>) -> Result<(), Abandoned> {
+        const LOOK_EVERY: Duration = Duration::from_millis(5);
+        let mut is_open = self.is_open.lock();
+        while !*is_open {
+            watch.check()?;
+            self.opened.wait_for(&mut is_open, LOOK_EVERY);
+        }
+        Ok(())
+    }
+}
+
 /// Estimates that frames do not wait for, by scene.
 #[derive(Default)]
 pub struct Background {
     running: Mutex<HashMap<String, Running>>,
+    /// What is being written to the cache.
+    writers: Mutex<Vec<JoinHandle<()>>>,
 }
 
 struct Running {
@@ -135,6 +164,24 @@ impl Shared {
         }
     }
 
+    /// Has something written on a thread of its own, which [`Shared::finish_writing`] waits for.
+    pub fn write_apart(&self, write: impl FnOnce() + Send + 'static) {
+        let mut writers = self.background.writers.lock();
+        writers.retain(|writer| !writer.is_finished());
+        match std::thread::Builder::new().name("keep".into()).spawn(write) {
+            Ok(writer) => writers.push(writer),
+            Err(error) => tracing::warn!(%error, "a large cloud cannot be kept"),
+        }
+    }
+
+    pub fn finish_writing(&self) {
+        let writers = std::mem::take(&mut *self.background.writers.lock());
+        for writer in writers {
+            // What it panicked of is in the log.
+            let _ = writer.join();
+        }
+    }
+
     /// Puts whole scenes in place of all that can be.
     fn exchange_whole(&self) -> Result<(), EngineError> {
         self.cache.complete();
@@ -169,6 +216,12 @@ impl Scenes for Shared {
         }
         if let Err(error) = self.exchange_whole() {
             return Ok(Err(error));
+        }
+        if let Some(cache) = &self.config.bake_cache {
+            for (digest, whole) in scene.estimated() {
+                let cache = cache.clone();
+                self.write_apart(move || keep_whole(&cache, &digest, &whole));
+            }
         }
         // Its revision may be another by now, and it may be gone, but for those who wait.
         let held = self.library.read().get(&scene.model.id);

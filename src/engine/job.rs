@@ -30,6 +30,8 @@ pub struct Resolved {
     pub camera: CameraReceipt,
     pub extent: Extent,
     pub drawing: Drawing,
+    /// Why the frame will be another one in a while, and how far that is.
+    pub provisional: Option<String>,
     /// For splats that a single pass has no room for.
     pub in_three_passes: Option<Drawing>,
     /// What may be wrong by how many pixels, in a scene of point trees.

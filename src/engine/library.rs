@@ -11,6 +11,7 @@ use parking_lot::Mutex;
 use sha2::{Digest, Sha256};
 
 use super::bakes::{Abandoned, Watch};
+use super::kept::{Keeping, Kept};
 use super::keys::{AssetKey, AssetKeys, digest_file, digest_packed};
 use super::trees::TreeScene;
 use super::{
@@ -59,6 +60,8 @@ pub struct Loaded {
     keys: Vec<AssetKey>,
     /// The scene's file, or that of its only asset.
     path: PathBuf,
+    /// Large clouds that were read just now and are to be kept on disk.
+    pub kept: Vec<Kept>,
 }
 
 struct CachedAsset {
@@ -69,12 +72,12 @@ struct CachedAsset {
 }
 
 /// A read asset, shared.
-struct ReadAsset {
-    model: Arc<AssetModel>,
-    placements: Arc<Vec<Placement>>,
-    cameras: Vec<(String, Camera)>,
-    warnings: Vec<String>,
-    digest: [u8; 32],
+pub struct ReadAsset {
+    pub model: Arc<AssetModel>,
+    pub placements: Arc<Vec<Placement>>,
+    pub cameras: Vec<(String, Camera)>,
+    pub warnings: Vec<String>,
+    pub digest: [u8; 32],
 }
 
 /// All loaded scenes, and the assets that they share.
@@ -90,6 +93,41 @@ pub struct AssetCache {
 }
 
 impl AssetCache {
+    /// The asset of a key, read where no scene draws it yet.
+    fn get_or_read(
+        &self,
+        AssetKey { digest, alone }: AssetKey,
+        read: impl FnOnce() -> Result<ReadAsset, EngineError>,
+    ) -> Result<ReadAsset, EngineError> {
+        if alone
+            && let Some(found) = self.assets.lock().get(&digest)
+            && let Some(model) = found.model.upgrade()
+        {
+            return Ok(ReadAsset {
+                model,
+                placements: found.placements.clone(),
+                cameras: found.cameras.clone(),
+                warnings: found.warnings.clone(),
+                digest,
+            });
+        }
+        let read = read()?;
+        if alone {
+            let mut cached = self.assets.lock();
+            cached.retain(|_, asset| asset.model.strong_count() > 0);
+            cached.insert(
+                digest,
+                CachedAsset {
+                    model: Arc::downgrade(&read.model),
+                    placements: read.placements.clone(),
+                    cameras: read.cameras.clone(),
+                    warnings: read.warnings.clone(),
+                },
+            );
+        }
+        Ok(read)
+    }
+
     /// Has scenes that come draw whole assets instead of those that lacked something.
     pub fn complete(&self) {
         for asset in self.assets.lock().values_mut() {
@@ -165,7 +203,13 @@ pub fn load(
     let operands_only = description.operands_only();
     let most = config.estimate_at_once;
     let mut asset_keys = Vec::with_capacity(description.assets.len());
+    let mut kept = Vec::new();
     for (index, reference) in description.assets.iter().enumerate() {
+        let keeping = Keeping::of(reference, config).filter(|_| !operands_only[index]);
+        let note = keeping.as_ref().and_then(|keeping| keeping.note(config));
+        if let Some(note) = &note {
+            keys.know(index, note.digest);
+        }
         let key = keys.of(&description, index)?;
         asset_keys.push(key);
         // What is only an operand has nothing to draw, and its file must not be cached as that.
@@ -173,7 +217,18 @@ pub fn load(
             pack_asset(reference, assembler.asset(index)?, key.digest, Completeness::Points)
                 .map_err(Stop::error)?
         } else {
-            read_asset(reference, (index, most), &mut assembler, key, cache)?
+            let known = keeping.as_ref().zip(note.as_ref());
+            let mut was_read = false;
+            let asset = cache.get_or_read(key, || {
+                let kept = known.and_then(|(keeping, note)| keeping.asset(&reference.name, note));
+                was_read = kept.is_none();
+                let read = || read_asset(reference, (index, most), &mut assembler, key);
+                kept.map_or_else(read, Ok)
+            })?;
+            if was_read && key.alone {
+                kept.extend(keeping.and_then(|keeping| keeping.keep(reference, &asset, config)));
+            }
+            asset
         };
         hasher.update(asset.digest);
         warnings.extend(asset.warnings.iter().map(|text| format!("{}: {text}", reference.name)));
@@ -209,7 +264,7 @@ pub fn load(
         keys: asset_keys,
         path: path.to_owned(),
     };
-    build(parts, config, None)
+    Ok(Loaded { kept, ..build(parts, config, None)? })
 }
 
 /// Reads one of the assets that a scene file or a bare asset draws, by itself, with all that it lacks estimated.
@@ -289,20 +344,7 @@ fn read_asset(
     (index, most): (usize, usize),
     assembler: &mut Assembler,
     AssetKey { digest, alone }: AssetKey,
-    cache: &AssetCache,
 ) -> Result<ReadAsset, EngineError> {
-    if alone
-        && let Some(found) = cache.assets.lock().get(&digest)
-        && let Some(model) = found.model.upgrade()
-    {
-        return Ok(ReadAsset {
-            model,
-            placements: found.placements.clone(),
-            cameras: found.cameras.clone(),
-            warnings: found.warnings.clone(),
-            digest,
-        });
-    }
     let prepared = assembler.asset_without_estimates(index, most)?;
     let packed = pack_asset(reference, prepared, digest, Completeness::Points);
     let mut read = packed.map_err(Stop::error)?;
@@ -310,19 +352,7 @@ fn read_asset(
         let mut hasher = Sha256::new_with_prefix(digest);
         digest_packed(&mut hasher, &read.model.packed);
         read.digest = hasher.finalize().into();
-        return Ok(read);
     }
-    let mut cached = cache.assets.lock();
-    cached.retain(|_, asset| asset.model.strong_count() > 0);
-    cached.insert(
-        digest,
-        CachedAsset {
-            model: Arc::downgrade(&read.model),
-            placements: read.placements.clone(),
-            cameras: read.cameras.clone(),
-            warnings: read.warnings.clone(),
-        },
-    );
     Ok(read)
 }
 
@@ -500,6 +530,7 @@ fn build(
         placements,
         keys,
         path,
+        kept: Vec::new(),
     })
 }
 
@@ -670,12 +701,22 @@ impl Loaded {
         Ok(self.completed(config)?.unwrap_or(self))
     }
 
+    /// What was estimated of its assets, with the hashes of their content.
+    pub fn estimated(&self) -> Vec<([u8; 32], Arc<AssetModel>)> {
+        let whole = |asset: &Arc<AssetModel>| asset.deferred.as_ref()?.whole.get().cloned();
+        let assets = self.model.assets.iter().zip(&self.keys);
+        assets.filter_map(|(asset, key)| Some((key.digest, whole(asset)?))).collect()
+    }
+
     fn whole_asset(
         &self,
         index: usize,
         config: &EngineConfig,
         watch: &Watch<'_>,
     ) -> Result<Arc<AssetModel>, Stop> {
+        if let Some(latch) = &config.estimate_latch {
+            latch.pass(watch)?;
+        }
         let (began, key) = (std::time::Instant::now(), self.keys[index]);
         let found = AssetKeys::default().of(&self.description, index).map_err(Stop::Failed)?;
         if found.digest != key.digest {

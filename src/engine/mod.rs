@@ -6,6 +6,7 @@ mod crowd;
 mod estimates;
 mod group;
 mod job;
+mod kept;
 mod keys;
 mod library;
 mod observe;
@@ -30,7 +31,7 @@ use serde::Serialize;
 
 pub use bakes::BakeTicket;
 pub use baking::{BakeEvent, BakeSource, BakedAsset, bake_file};
-pub use estimates::{EstimateState, Estimates};
+pub use estimates::{EstimateState, Estimates, Latch};
 pub use observe::Observer;
 pub use queue::{Class, Client};
 pub use receipt::Receipt;
@@ -52,6 +53,9 @@ pub const DEFAULT_JOB_SHARE: f64 = 0.1;
 
 /// Points whose neighbours are found in a tenth of a second: below that, waiting for them costs less than a second picture would.
 pub const ESTIMATE_AT_ONCE: usize = 200_000;
+
+/// No clock of a file system takes longer from one of its steps to the next.
+const SETTLED_AFTER: Duration = Duration::from_secs(2);
 
 /// How the engine is set up.
 #[derive(Clone)]
@@ -95,7 +99,13 @@ pub struct EngineConfig {
     pub rasterise: Option<bool>,
     /// Clouds of so many points get the normals and kernels that they lack when they are read, larger ones when a frame needs them.
     pub estimate_at_once: usize,
-    /// Where point trees are kept from one process to the next; `None`: they are built anew.
+    /// For tests: estimates of large clouds do not begin while this is shut.
+    #[doc(hidden)]
+    pub estimate_latch: Option<Arc<Latch>>,
+    /// For tests: files that were changed later than this ago are not kept packed.
+    #[doc(hidden)]
+    pub settled_after: Duration,
+    /// Where point trees and large clouds are kept from one process to the next; `None`: they are built and read anew.
     pub bake_cache: Option<BakeCache>,
     pub read: ReadOptions,
     pub scene: SceneLimits,
@@ -303,6 +313,7 @@ impl Drop for Inner {
         if let Some(thread) = self.thread.lock().take() {
             let _ = thread.join();
         }
+        self.shared.finish_writing();
     }
 }
 
@@ -366,6 +377,8 @@ impl EngineConfig {
             rasterise: None,
             large_units_limit: None,
             estimate_at_once: ESTIMATE_AT_ONCE,
+            estimate_latch: None,
+            settled_after: SETTLED_AFTER,
             bake_cache: None,
             read: ReadOptions::default(),
             scene: SceneLimits::default(),
@@ -435,7 +448,11 @@ impl Engine {
         let mut loaded = library::load(id, &path, &shared.config, &shared.cache)?;
         self.check_fits(&mut loaded)?;
         let info = loaded.info.clone();
+        let kept = std::mem::take(&mut loaded.kept);
         shared.library.write().insert(loaded);
+        for kept in kept {
+            shared.write_apart(move || kept.write());
+        }
         shared.scenes_changed();
         let (samples, triangles) = (info.samples, info.triangles);
         let elapsed_ms = began.elapsed().as_millis() as u64;

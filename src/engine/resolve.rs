@@ -134,10 +134,21 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     let in_three_passes = (is_single && refused.is_none()).then(|| {
         way(&other, Some("more splats lie over one pixel than a single pass has room for"))
     });
+    let provisional = None;
     let key = entity_tag(&loaded, request, drawing.splats.as_ref(), &view, &adapter);
     let extent = loaded.extent;
     let max_error = request.settings.max_error;
-    Ok(Resolved { model, view, camera, extent, drawing, in_three_passes, max_error, key })
+    Ok(Resolved {
+        model,
+        view,
+        camera,
+        extent,
+        drawing,
+        provisional,
+        in_three_passes,
+        max_error,
+        key,
+    })
 }
 
 /// What has to be made of a scene before a request's frame can be drawn.

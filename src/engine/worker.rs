@@ -379,6 +379,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
                 .then_some(job.request.settings.error_mode),
             paint: resolved.model.trees.then_some(job.request.settings.paint),
             reconstruct: drawing.reconstruct,
+            provisional: resolved.provisional.clone(),
             instead_because: drawing.instead_because,
             splats: drawing.splats,
         },

@@ -7,7 +7,9 @@ mod settings;
 
 use serde::Serialize;
 
-pub use settings::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings, UsedSettings};
+pub use settings::{
+    ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings, UsedSettings, Wait,
+};
 
 use crate::scene::{Blend, Shading, Splats};
 

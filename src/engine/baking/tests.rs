@@ -162,6 +162,7 @@ fn keys_cover_everything() {
             bounds: asset.bounds.clone(),
             beside: Vec::new(),
             tree: Default::default(),
+            deferred: None,
             ..*asset
         };
         assert!(keys.contains(&tree_key(&copy)), "a name is no content");
