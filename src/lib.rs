@@ -29,6 +29,7 @@ pub mod http;
 pub mod jobs;
 pub mod load;
 pub mod math;
+pub mod memory;
 pub mod oracle;
 pub mod passes;
 pub mod plan;

@@ -35,6 +35,7 @@ use glam::{DAffine3, DVec3, Vec2, Vec3};
 pub use self::blocks::{PointBlocks, Survey};
 pub use self::dispatch::{FORMATS, is_supported_extension, read};
 use crate::math::{Bounds, Camera};
+use crate::memory::{Admission, Interrupt};
 
 /// Everything that one file holds.
 #[derive(Clone, Debug, Default)]
@@ -237,6 +238,8 @@ pub struct ReadOptions {
     /// `None` allows the asset's own folder only.
     pub root: Option<PathBuf>,
     pub progress: Progress,
+    /// Memory is reserved here before it is allocated; reading ends when this is cancelled.
+    pub admission: Admission,
 }
 
 impl Default for ReadOptions {
@@ -248,6 +251,7 @@ impl Default for ReadOptions {
             max_decompressed_bytes: 16 << 30,
             root: None,
             progress: Progress::none(),
+            admission: Admission::default(),
         }
     }
 }
@@ -285,6 +289,9 @@ pub enum AssetError {
     Malformed { file: String, place: String, reason: String },
     #[error("{file}: {what} ({found}) is over the limit of {limit}")]
     TooLarge { file: String, what: &'static str, found: u64, limit: u64 },
+    /// Cancelled, or there is no memory for it.
+    #[error(transparent)]
+    Interrupted(#[from] Interrupt),
 }
 
 impl Asset {

@@ -24,6 +24,7 @@ use crate::engine::{Engine, EngineConfig};
 use crate::http::access::{Access, parse_keys};
 use crate::http::server::{StartScenes, serve};
 use crate::http::{App, Settings, StreamLimits, WatchLimits, nearest};
+use crate::memory::{self, HostMemory};
 
 mod greeting;
 mod patience;
@@ -49,6 +50,9 @@ pub struct ServeArgs {
     /// Scene data that may stay on the GPU, in MiB [default: three quarters of what the adapter offers, at most 4096]
     #[arg(long, env = "POINTILLIST_GPU_BUDGET_MIB", value_name = "MIB")]
     pub gpu_budget_mib: Option<u64>,
+    /// Host memory that loaded scenes, loading and baking may hold together, in MiB; what does not fit is refused with 413 or 507 [default: half of what the machine or its cgroup has]
+    #[arg(long, env = "POINTILLIST_HOST_MEMORY_MIB", value_name = "MIB")]
+    pub host_memory_mib: Option<u64>,
     /// Folder that point trees are kept in [default: `pointillist` in the user's cache folder]
     #[arg(long, env = "POINTILLIST_CACHE", value_name = "FOLDER")]
     pub cache: Option<PathBuf>,
@@ -253,6 +257,7 @@ impl ServeArgs {
             root: self.root.or(lower.root),
             scene: list(self.scene, lower.scene),
             gpu_budget_mib: self.gpu_budget_mib.or(lower.gpu_budget_mib),
+            host_memory_mib: self.host_memory_mib.or(lower.host_memory_mib),
             cache: self.cache.or(lower.cache),
             no_cache: self.no_cache.or(lower.no_cache),
             cache_max_mib: self.cache_max_mib.or(lower.cache_max_mib),
@@ -385,7 +390,10 @@ fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig
     let job_share = number("job-share", args.job_share, default.job_share, 0.01)?;
     ensure!(job_share <= 0.5, "--job-share {job_share}: must be at most 0.5");
     let budget_mib = args.gpu_budget_mib.map(|mib| number("gpu-budget-mib", Some(mib), 1, 1));
+    let memory_mib = args.host_memory_mib.map(|mib| number("host-memory-mib", Some(mib), 1, 1));
+    let memory_bytes = memory_mib.transpose()?.map(|mib| mib.saturating_mul(1 << 20));
     Ok(EngineConfig {
+        memory: HostMemory::new(memory_bytes.unwrap_or_else(memory::default_budget)),
         read: ReadOptions { root: Some(root), ..ReadOptions::default() },
         gpu_budget_bytes: budget_mib.transpose()?.map(|mib| mib.saturating_mul(1 << 20)),
         bake_cache: cache.open()?,
@@ -567,6 +575,7 @@ mod tests {
             "--job-share=NaN",
             "--max-batch=0",
             "--gpu-budget-mib=0",
+            "--host-memory-mib=0",
             "--cache-max-mib=0",
             "--max-upload-mib=0",
             "--max-streams-per-client=0",

@@ -8,7 +8,6 @@ mod large;
 
 use std::collections::HashSet;
 use std::path::Path;
-use std::sync::Arc;
 use std::time::Instant;
 
 use serde::Serialize;
@@ -16,7 +15,7 @@ use serde::Serialize;
 use self::large::{bake_apart, build_large, large_assets};
 use super::bakes::Watch;
 use super::keys::tree_key;
-use super::library::{AssetCache, Loaded, check_path, load};
+use super::library::{AssetCache, Loaded, check_path, load, scene_error};
 use super::trees::{Halt, asset_tree, bake};
 use super::{EngineConfig, EngineError};
 use crate::bake::cache::BakeCache;
@@ -93,8 +92,7 @@ pub fn bake_file(
 ) -> Result<Vec<BakedAsset>, EngineError> {
     let path = check_path(path, &config.root)?;
     let cache = config.bake_cache.as_ref();
-    let description = prepare::describe(&path, &config.root, &config.scene)
-        .map_err(|error| EngineError::Scene(Arc::new(error)))?;
+    let description = prepare::describe(&path, &config.root, &config.scene).map_err(scene_error)?;
     let large = large_assets(&description, &config.read, cache)?;
     match cache {
         Some(cache) if !large.is_empty() => {

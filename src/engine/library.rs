@@ -30,7 +30,7 @@ use crate::plan::SceneFacts;
 use crate::residency::instances::{Instances, RunMeter};
 use crate::residency::model::{AssetModel, Deferred, Extent, ModelInstance, SceneModel};
 use crate::residency::once::MadeOnce;
-use crate::scene::{AssetRef, CameraPath, Light, Node, Scene};
+use crate::scene::{AssetRef, CameraPath, Light, Node, Scene, SceneError};
 
 static NEXT_UID: AtomicU64 = AtomicU64::new(1);
 
@@ -173,7 +173,17 @@ impl Library {
 }
 
 pub fn asset_error(error: AssetError) -> EngineError {
-    EngineError::Asset(Arc::new(error))
+    match error {
+        AssetError::Interrupted(interrupt) => interrupt.into(),
+        error => EngineError::Asset(Arc::new(error)),
+    }
+}
+
+pub fn scene_error(error: SceneError) -> EngineError {
+    match error {
+        SceneError::Interrupted(interrupt) => interrupt.into(),
+        error => EngineError::Scene(Arc::new(error)),
+    }
 }
 
 /// Reads a scene file or a bare asset and packs all that it draws.
@@ -191,8 +201,8 @@ pub fn load(
             digest_file(path).map_err(|source| asset_error(AssetError::Io { file, source }))?,
         );
     }
-    let mut description = prepare::describe(path, &config.root, &config.scene)
-        .map_err(|error| EngineError::Scene(Arc::new(error)))?;
+    let mut description =
+        prepare::describe(path, &config.root, &config.scene).map_err(scene_error)?;
     let mut assets = Vec::new();
     let mut placements = Vec::new();
     let mut warnings = Vec::new();
@@ -334,7 +344,7 @@ impl From<AssembleError> for EngineError {
     fn from(error: AssembleError) -> Self {
         match error {
             AssembleError::Asset(error) => asset_error(error),
-            AssembleError::Scene(error) => EngineError::Scene(Arc::new(error)),
+            AssembleError::Scene(error) => scene_error(error),
         }
     }
 }

@@ -43,6 +43,7 @@ pub use trace::{Origin, RequestId};
 use crate::assets::{AssetError, ReadOptions};
 use crate::bake::cache::BakeCache;
 use crate::math::Camera;
+use crate::memory::{HostMemory, Interrupt};
 use crate::residency::Part;
 use crate::scene::{CameraPath, SceneError, SceneLimits};
 
@@ -64,6 +65,8 @@ pub struct EngineConfig {
     pub root: PathBuf,
     /// Bytes of scene data that may stay on the GPU; `None`: three quarters of what the adapter can bind, at most 4 GiB.
     pub gpu_budget_bytes: Option<u64>,
+    /// What loaded scenes, loading and baking may hold of the host's memory.
+    pub memory: HostMemory,
     /// Jobs that may wait; more are refused with [`EngineError::Busy`].
     pub queue_capacity: usize,
     /// Device time that may wait, by what frames like those that wait have cost; more is refused likewise.
@@ -142,6 +145,9 @@ pub enum EngineError {
     /// A limit of [`Limits`] was exceeded.
     #[error("{what} ({found}) is over the limit of {limit}")]
     OverLimit { what: &'static str, found: u64, limit: u64 },
+    /// A load that was cancelled, or that there is no host memory for.
+    #[error(transparent)]
+    Interrupted(#[from] Interrupt),
     #[error("{0}")]
     Asset(Arc<AssetError>),
     #[error("{0}")]
@@ -161,6 +167,9 @@ pub struct Limits {
     pub queue_capacity: usize,
     pub max_batch: usize,
     pub gpu_budget_bytes: u64,
+    /// Host memory that loaded scenes, loading and baking may hold together, and what they hold now.
+    pub host_memory_bytes: u64,
+    pub host_memory_in_use_bytes: u64,
     pub max_vertices: u64,
     pub max_triangles: u64,
     pub max_texels: u64,
@@ -362,6 +371,7 @@ impl EngineConfig {
         Self {
             root: root.into(),
             gpu_budget_bytes: None,
+            memory: HostMemory::unlimited(),
             queue_capacity: 256,
             queue_time: Duration::from_secs(30),
             job_share: DEFAULT_JOB_SHARE,
@@ -673,6 +683,8 @@ impl Engine {
             queue_capacity: config.queue_capacity,
             max_batch: config.max_batch,
             gpu_budget_bytes: adapter.budget,
+            host_memory_bytes: config.memory.budget(),
+            host_memory_in_use_bytes: config.memory.in_use(),
             max_vertices: config.read.max_vertices,
             max_triangles: config.read.max_triangles,
             max_texels: config.read.max_texels,

@@ -241,6 +241,7 @@ impl fmt::Debug for EngineCollector {
 impl Collector for EngineCollector {
     fn encode(&self, mut encoder: DescriptorEncoder) -> Result<(), fmt::Error> {
         let stats = self.0.stats();
+        let limits = self.0.limits();
         let is_ready = self.0.readiness() == Readiness::Ready;
         for (name, help, value) in [
             ("engine_frames", "Frames rendered", stats.frames),
@@ -273,6 +274,16 @@ impl Collector for EngineCollector {
         for (name, help, value) in [
             ("engine_queued", "Jobs waiting", stats.queued),
             ("engine_resident_bytes", "Scene data on the GPU", stats.gpu_bytes_resident),
+            (
+                "host_memory_bytes",
+                "Host memory reserved by scenes and loads",
+                limits.host_memory_in_use_bytes,
+            ),
+            (
+                "host_memory_budget_bytes",
+                "Host memory that may be reserved",
+                limits.host_memory_bytes,
+            ),
             ("engine_ready", "Whether frames can be had now", u64::from(is_ready)),
         ] {
             let gauge = ConstGauge::new(i64::try_from(value).unwrap_or(i64::MAX));

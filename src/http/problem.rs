@@ -15,6 +15,7 @@ use super::naming;
 use crate::assets::AssetError;
 use crate::engine::{EngineError, RequestId};
 use crate::math::CameraError;
+use crate::memory::Interrupt;
 use crate::scene::SceneError;
 
 /// What kinds of problem there are. Each has one status and one `type` for good.
@@ -51,7 +52,11 @@ pub enum Kind {
     ShuttingDown,
     NotReady,
     OutOfGpuMemory,
+    OutOfMemory,
     OutOfDisk,
+    TooManyScenes,
+    UploadQuota,
+    LoadCancelled,
     UnknownJob,
     UnknownFrame,
     FrameNotDrawn,
@@ -73,7 +78,7 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind, in the order of the documentation.
-    pub const ALL: [Kind; 49] = [
+    pub const ALL: [Kind; 53] = [
         Kind::UnknownRoute,
         Kind::UnknownScene,
         Kind::UnknownNode,
@@ -105,7 +110,11 @@ impl Kind {
         Kind::ShuttingDown,
         Kind::NotReady,
         Kind::OutOfGpuMemory,
+        Kind::OutOfMemory,
         Kind::OutOfDisk,
+        Kind::TooManyScenes,
+        Kind::UploadQuota,
+        Kind::LoadCancelled,
         Kind::UnknownJob,
         Kind::UnknownFrame,
         Kind::FrameNotDrawn,
@@ -197,6 +206,16 @@ impl Kind {
             NotReady => (503, "urn:pointillist:problem:not-ready", "the server is not ready"),
             OutOfGpuMemory => {
                 (507, "urn:pointillist:problem:out-of-gpu-memory", "not enough GPU memory")
+            }
+            OutOfMemory => (507, "urn:pointillist:problem:out-of-memory", "not enough host memory"),
+            TooManyScenes => (429, "urn:pointillist:problem:too-many-scenes", "too many scenes"),
+            UploadQuota => (
+                507,
+                "urn:pointillist:problem:upload-quota",
+                "uploads are over their share of the disk",
+            ),
+            LoadCancelled => {
+                (409, "urn:pointillist:problem:load-cancelled", "the load was cancelled")
             }
             OutOfDisk => (507, "urn:pointillist:problem:storage", "the disk cannot be used"),
             UnknownJob => (404, "urn:pointillist:problem:unknown-job", "no such job"),
@@ -439,6 +458,16 @@ impl From<EngineError> for Problem {
                 Problem::new(Kind::OutOfGpuMemory, text)
                     .accepted("`lod=spt`, which does with less where copies are many; a scene that fits; a larger --gpu-budget-mib")
             }
+            EngineError::Interrupted(Interrupt::Cancelled) => {
+                Problem::new(Kind::LoadCancelled, text).accepted("the same upload once more")
+            }
+            EngineError::Interrupted(Interrupt::OutOfMemory(error)) => match error.is_hopeless() {
+                true => Problem::new(Kind::SceneTooLarge, text)
+                    .accepted("a smaller scene, or a larger --host-memory-mib"),
+                false => Problem::new(Kind::OutOfMemory, text).accepted(
+                    "the same request after other scenes were deleted, or a larger --host-memory-mib",
+                ),
+            },
             EngineError::OverLimit { what, limit, .. } => {
                 let problem = Problem::new(Kind::OverLimit, text)
                     .accepted(format!("at most {limit} {what}; GET /v1/limits lists all"));
@@ -455,6 +484,7 @@ impl From<EngineError> for Problem {
                 }
                 AssetError::Unsupported { .. } => Problem::new(Kind::UnsupportedAsset, text),
                 AssetError::TooLarge { .. } => Problem::new(Kind::SceneTooLarge, text),
+                AssetError::Interrupted(inner) => EngineError::from(inner.clone()).into(),
             },
             EngineError::Scene(inner) => match &*inner {
                 SceneError::Io { source, .. } if !is_users_fault(source) => Problem::internal(text),
@@ -464,6 +494,7 @@ impl From<EngineError> for Problem {
                     Problem::new(Kind::SceneRefused, text).at(path)
                 }
                 SceneError::TooLarge { .. } => Problem::new(Kind::SceneTooLarge, text),
+                SceneError::Interrupted(inner) => EngineError::from(inner.clone()).into(),
             },
             EngineError::Internal(inner) | EngineError::NoGpu(inner) => Problem::internal(inner),
         }
@@ -579,6 +610,22 @@ mod tests {
         assert_eq!(large.status(), 413);
         let hidden = unsupported.hide_root(std::path::Path::new("/srv/scenes"));
         assert_eq!(hidden.detail, "a.ply: ?");
+    }
+
+    #[test]
+    fn memory_that_can_never_be_had_is_told_from_memory_that_is_in_use() {
+        let memory = crate::memory::HostMemory::new(100);
+        let held = memory.reserve("another scene", 90).unwrap();
+        let refused = |bytes| {
+            let interrupt = Interrupt::from(memory.reserve("a.ply", bytes).unwrap_err());
+            Problem::from(EngineError::from(interrupt))
+        };
+        let full = refused(20);
+        assert_eq!(full.status(), 507);
+        assert!(["20", "90", "100"].iter().all(|n| full.detail.contains(n)), "{}", full.detail);
+        assert_eq!(refused(101).status(), 413);
+        drop(held);
+        assert!(memory.reserve("a.ply", 20).is_ok());
     }
 
     #[test]

@@ -33,6 +33,7 @@ pub use wire::{json_schema, path_json_schema};
 use glam::{DAffine3, DVec3};
 
 use crate::math::Camera;
+use crate::memory::Interrupt;
 
 /// A validated scene.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -192,6 +193,9 @@ pub enum SceneError {
     Invalid { file: String, path: String, reason: String },
     #[error("{file}: {what} ({found}) is over the limit of {limit}")]
     TooLarge { file: String, what: &'static str, found: u64, limit: u64 },
+    /// Cancelled, or there is no memory for it.
+    #[error(transparent)]
+    Interrupted(#[from] Interrupt),
 }
 
 /// Bounds on what a scene may ask for.
