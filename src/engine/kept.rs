@@ -47,7 +47,7 @@ pub struct Note {
     lacks_normals: bool,
     samples: u64,
     bounds: Vec<[u64; 6]>,
-    placements: Vec<(usize, [u64; 12])>,
+    placements: Vec<(String, usize, [u64; 12])>,
     cameras: Vec<(String, [u64; 10])>,
     warnings: Vec<String>,
 }
@@ -97,7 +97,7 @@ impl<'a> Keeping<'a> {
         let counts: Option<Vec<u64>> = geometries.iter().map(count).collect();
         let fits = counts?.iter().sum::<u64>() == note.samples
             && note.bounds.len() == geometries.len()
-            && note.placements.iter().all(|&(geometry, _)| geometry < geometries.len());
+            && note.placements.iter().all(|&(_, geometry, _)| geometry < geometries.len());
         if !fits {
             tracing::warn!(asset = name, "what was kept of a cloud does not fit its note");
             return None;
@@ -117,7 +117,8 @@ impl<'a> Keeping<'a> {
             tree: MadeOnce::default(),
             deferred: (!is_whole).then_some(deferred),
         };
-        let placement = |(geometry, affine): &(usize, [u64; 12])| Placement {
+        let placement = |(name, geometry, affine): &(String, usize, [u64; 12])| Placement {
+            name: name.clone(),
             geometry: *geometry,
             asset_from_geometry: DAffine3::from_cols_array(&affine.map(f64::from_bits)),
         };
@@ -164,7 +165,10 @@ impl<'a> Keeping<'a> {
             placements: read
                 .placements
                 .iter()
-                .map(|p| (p.geometry, bits(p.asset_from_geometry.to_cols_array())))
+                .map(|p| {
+                    let affine = bits(p.asset_from_geometry.to_cols_array());
+                    (p.name.clone(), p.geometry, affine)
+                })
                 .collect(),
             cameras: read
                 .cameras
