@@ -193,7 +193,7 @@ fn beside_points(report: &mut Report) -> anyhow::Result<()> {
     let side = pick(SIZE, 256);
     let ours = Drawing::open(&wall(side, 1.0, RADIUS_PX)?, side, |_| ())?;
     let orbit = facing(side);
-    let mut ways = vec![("points".to_owned(), Settings::default())];
+    let mut ways = vec![("points".to_owned(), Settings::drawn_as(Reconstruct::Points))];
     for (blend_name, blend) in BLENDS {
         for (filter_name, filter) in FILTERS {
             let settings = splats(Some(filter), blend, true);

@@ -102,7 +102,7 @@ fn frames_of_a_daemon_are_measured() {
         assert!(point["bytes"].as_u64().unwrap() > requests * 14);
     }
     assert!(json["adapter"].as_str().is_some_and(|name| !name.is_empty()), "{json}");
-    assert_eq!(json["settings_used"]["reconstruct"], "points");
+    assert_eq!(json["settings_used"]["asked"], "auto");
     // Frames of the warm-up and the first one were sent too.
     let sent = daemon.client().metric("pointillist_frames_sent_total") - before;
     assert!(sent > frames as f64, "{sent} {frames}");

@@ -321,7 +321,7 @@ fn other_settings_draw_all_anew() {
     for more in [
         &["--quality", "40"][..],
         &["--fps", "15"],
-        &["--reconstruct", "splats"],
+        &["--reconstruct", "fuzzy"],
         &["--lod", "spt"],
         &["--output", "normal"],
     ] {

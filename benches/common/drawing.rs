@@ -10,7 +10,7 @@ use pointillist::engine::{
     EncodedFrame, Engine, EngineConfig, FrameRequest, Pose, Receipt, SceneInfo,
 };
 use pointillist::math::Camera;
-use pointillist::plan::{Output, Settings};
+use pointillist::plan::{Output, Reconstruct, Settings};
 
 /// A camera that turns about the vertical axis through its target, as the peer's does.
 #[derive(Clone, Copy, Debug)]
@@ -105,7 +105,12 @@ impl Drawing {
     /// # Errors
     /// The engine refuses.
     pub fn frame(&self, camera: Camera, format: ImageFormat) -> anyhow::Result<Arc<EncodedFrame>> {
-        self.submit(Pose::Camera(camera), [self.size, self.size], Settings::default(), format)
+        self.submit(
+            Pose::Camera(camera),
+            [self.size, self.size],
+            Settings::drawn_as(Reconstruct::Points),
+            format,
+        )
     }
 
     /// The same, as a JPEG, without its image.

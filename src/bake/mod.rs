@@ -15,6 +15,7 @@
 //! - [`tree`] builds point trees, from which a frame takes the detail that it can show;
 //! - [`external`] builds the point trees of files that do not fit into memory;
 //! - [`estimate`] gives large clouds normals and kernels, a piece at a time, as it packs them;
+//! - [`spacing`] tells how far apart packed samples lie;
 //! - [`pack`] puts geometry into the records that the GPU reads;
 //! - [`cache`] keeps what was baked in a folder.
 
@@ -26,6 +27,7 @@ pub mod external;
 pub mod hybrid;
 pub mod pack;
 pub mod prepare;
+pub mod spacing;
 pub mod tree;
 
 mod colors;

@@ -13,9 +13,9 @@ use std::f64::consts::TAU;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::kernels::fit;
+use super::kernels::{Fit, fit};
 use super::neighbors::{MAX_NEIGHBORS, Neighbors, PointTree};
-use crate::assets::{Kernel, PointCloud};
+use crate::assets::PointCloud;
 
 pub(super) const NORMAL_NEIGHBORS: usize = 12;
 const RADIUS_NEIGHBORS: usize = 6;
@@ -44,7 +44,7 @@ pub fn estimate_point_attributes(cloud: &mut PointCloud) {
 
 /// [`estimate_point_attributes`], and with `wants_kernels` the kernels that [`fit`] finds, in the units of the positions;
 /// zero where it finds none.
-pub(super) fn complete_attributes(cloud: &mut PointCloud, wants_kernels: bool) -> Vec<Kernel> {
+pub(super) fn complete_attributes(cloud: &mut PointCloud, wants_kernels: bool) -> Vec<Fit> {
     let count = cloud.positions.len();
     cloud.normals = cloud.normals.take().filter(|normals| normals.len() == count);
     cloud.radii = cloud.radii.take().filter(|radii| radii.len() == count);
@@ -96,7 +96,7 @@ struct Wants<'a> {
 struct Estimates {
     normals: Vec<Vec3>,
     radii: Vec<f32>,
-    kernels: Vec<Kernel>,
+    kernels: Vec<Fit>,
 }
 
 fn estimate(positions: &[DVec3], wants: &Wants) -> Estimates {
@@ -104,7 +104,7 @@ fn estimate(positions: &[DVec3], wants: &Wants) -> Estimates {
     let mut estimates = Estimates {
         normals: vec![Vec3::ZERO; if wants.normals { count } else { 0 }],
         radii: vec![0.0; count],
-        kernels: vec![Kernel::default(); if wants.kernels { count } else { 0 }],
+        kernels: vec![Fit::default(); if wants.kernels { count } else { 0 }],
     };
     // The tree counts in 32 bits.
     let finite: Vec<u32> = (0..u32::MAX)
@@ -124,8 +124,9 @@ fn estimate(positions: &[DVec3], wants: &Wants) -> Estimates {
         let found = tree.map_neighbors(wants.neighbors, |neighbors| {
             let normal = normal(&neighbors);
             let given = wants.given.get(index_of(neighbors.place)).copied();
-            let own = given.filter(|given| *given != Vec3::ZERO).unwrap_or(normal);
-            (normal, radius(&neighbors), frame.kernel(fit(&neighbors, own)))
+            let given = given.filter(|given| *given != Vec3::ZERO);
+            let fit = fit(&neighbors, given.unwrap_or(normal), given.is_some());
+            (normal, radius(&neighbors), frame.fit(fit))
         });
         for (place, (normal, radius, kernel)) in found.into_iter().enumerate() {
             let index = index_of(place);
@@ -268,9 +269,11 @@ impl Frame {
     }
 
     /// A kernel of the tree's coordinates in the units of the positions.
-    pub(super) fn kernel(&self, kernel: Kernel) -> Kernel {
-        let scaled = |axis: Vec3| (axis.as_dvec3() * self.size).as_vec3();
-        Kernel { u: scaled(kernel.u), v: scaled(kernel.v) }
+    pub(super) fn fit(&self, Fit { mut kernel, most }: Fit) -> Fit {
+        for axis in [&mut kernel.u, &mut kernel.v] {
+            *axis = (axis.as_dvec3() * self.size).as_vec3();
+        }
+        Fit { kernel, most }
     }
 
     /// The direction of least variance, looking outward.

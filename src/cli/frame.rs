@@ -27,8 +27,8 @@ pub struct FrameArgs {
     /// Colours tell how high in its tree each node stands; goes with --lod spt
     #[arg(long)]
     levels: bool,
-    /// How a surface is made of projected samples
-    #[arg(long, value_enum, default_value = "points")]
+    /// What samples are drawn as
+    #[arg(long, value_enum, default_value = "auto")]
     reconstruct: ReconstructChoice,
     /// How splats are taken to the image [default: as the scene has it]
     #[arg(long, value_enum)]
@@ -68,8 +68,13 @@ enum ErrorModeChoice {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum ReconstructChoice {
+    /// Points where samples are denser than pixels, splats where they are not
+    Auto,
+    /// One pixel a sample
     Points,
+    /// A closed surface of elliptical Gaussians
     Splats,
+    /// Splats in a single pass: faster, coarser
     Fuzzy,
 }
 
@@ -114,6 +119,7 @@ impl FrameArgs {
             }
         };
         let reconstruct = match self.reconstruct {
+            ReconstructChoice::Auto => Reconstruct::Auto,
             ReconstructChoice::Points => Reconstruct::Points,
             ReconstructChoice::Splats => Reconstruct::Splats,
             ReconstructChoice::Fuzzy => Reconstruct::Fuzzy,
@@ -121,17 +127,19 @@ impl FrameArgs {
         let error_mode = match self.error_mode {
             ErrorModeChoice::Unified => ErrorMode::Unified,
             ErrorModeChoice::Split if lod == Lod::Full || reconstruct == Reconstruct::Points => {
-                bail!("--error-mode split goes with --lod spt and --reconstruct splats or fuzzy")
+                bail!("--error-mode split goes with --lod spt and not with --reconstruct points")
             }
             ErrorModeChoice::Split => ErrorMode::Split,
         };
         let of_kernels = self.filter.is_some() || self.prefilter.is_some();
         if of_kernels && reconstruct == Reconstruct::Points {
-            bail!("--filter and --prefilter go with --reconstruct splats or fuzzy");
+            bail!(
+                "--filter and --prefilter do not go with --reconstruct points: only splats have them"
+            );
         }
         let of_passes = self.blend.is_some() || self.shading.is_some();
-        if of_passes && reconstruct != Reconstruct::Splats {
-            bail!("--blend and --shading go with --reconstruct splats");
+        if of_passes && matches!(reconstruct, Reconstruct::Points | Reconstruct::Fuzzy) {
+            bail!("--blend and --shading go with --reconstruct auto or splats");
         }
         Ok(FrameRequest {
             scene: ID.to_owned(),
@@ -144,6 +152,7 @@ impl FrameArgs {
                 error_mode,
                 paint: if self.levels { Paint::Levels } else { Paint::Colors },
                 reconstruct,
+                decide_for: None,
                 filter: self.filter,
                 prefilter: self.prefilter,
                 blend: self.blend,
@@ -194,10 +203,16 @@ mod tests {
         for (line, expected) in [
             (&["--levels"][..], "--levels goes with"),
             (&["--error-mode", "split"], "--error-mode split goes with"),
-            (&["--lod", "spt", "--error-mode", "split"], "--error-mode split goes with"),
+            (
+                &["--lod", "spt", "--reconstruct", "points", "--error-mode", "split"],
+                "--error-mode split goes with",
+            ),
             (&["--max-error-px", "2"], "--max-error-px goes with"),
             (&["--lod", "spt", "--max-error-px", "0"], "--max-error-px: 0 is not in"),
-            (&["--filter", "exact"], "--filter and --prefilter go with"),
+            (
+                &["--reconstruct", "points", "--filter", "exact"],
+                "--filter and --prefilter do not go with",
+            ),
             (&["--reconstruct", "fuzzy", "--blend", "opaque"], "--blend and --shading go with"),
         ] {
             let refused = request(line).unwrap_err().to_string();

@@ -19,6 +19,7 @@ use crate::engine::{Client, Engine, FrameRequest, Pose, Receipt, SceneInfo};
 use crate::film::video::{Coder, Reel, VideoError, encode};
 use crate::film::{self, Event, Film, FilmError, Report, shots::Shots};
 use crate::http::server::stop_signal;
+use crate::plan::Wait;
 use crate::scene::{CameraPath, SceneLimits, load_path};
 
 /// What to draw, along which path, and where to.
@@ -88,7 +89,8 @@ impl FormatChoice {
 pub fn run(args: PathArgs) -> anyhow::Result<()> {
     super::local::init_log();
     // The pose is each frame's own.
-    let request = args.frame.request(Pose::Fit, args.format.format())?;
+    let mut request = args.frame.request(Pose::Fit, args.format.format())?;
+    request.settings.wait = Wait::Whole;
     let target = Target::new(&args)?;
     let (engine, info) = args.scene.load(|_| ())?;
     for warning in &info.warnings {

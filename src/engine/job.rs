@@ -13,6 +13,7 @@ use super::receipt::CameraReceipt;
 use super::trace::{FrameSpans, Origin, RequestId};
 use super::{EncodedFrame, EngineError, FrameRequest};
 use crate::math::View;
+use crate::plan::auto::Choice;
 use crate::plan::{FramePlan, MaxError, Reconstruct};
 use crate::residency::model::{Extent, SceneModel};
 use crate::scene::{Blend, Splats};
@@ -32,6 +33,8 @@ pub struct Resolved {
     pub drawing: Drawing,
     /// Why the frame will be another one in a while, and how far that is.
     pub provisional: Option<String>,
+    /// How samples are drawn where that was left open, and why.
+    pub auto: Option<Choice>,
     /// For splats that a single pass has no room for.
     pub in_three_passes: Option<Drawing>,
     /// What may be wrong by how many pixels, in a scene of point trees.

@@ -24,12 +24,14 @@ use crate::bake::assemble::{AssembleError, Assembler, Prepared};
 use crate::bake::estimate::{EstimateError, lacks_normals, pack_estimated};
 use crate::bake::pack::{PackedAsset, PackedGeometry, pack_mesh, pack_samples, pack_texture};
 use crate::bake::prepare::{self, AssetTraits};
+use crate::bake::spacing::Patch;
 use crate::bake::tree::Above;
 use crate::math::{Bounds, Camera};
 use crate::plan::SceneFacts;
 use crate::residency::instances::{Instances, RunMeter};
 use crate::residency::model::{AssetModel, Deferred, Extent, ModelInstance, SceneModel};
 use crate::residency::once::MadeOnce;
+use crate::residency::spacing;
 use crate::scene::{AssetRef, CameraPath, Light, Node, Scene, SceneError};
 
 static NEXT_UID: AtomicU64 = AtomicU64::new(1);
@@ -45,6 +47,8 @@ pub struct Loaded {
     pub facts: SceneFacts,
     pub extent: Extent,
     pub info: SceneInfo,
+    /// See [`Loaded::patches`].
+    patches: OnceLock<Vec<Patch>>,
     /// Hash of the description and of every file's content.
     pub digest: [u8; 32],
     description: Scene,
@@ -532,6 +536,7 @@ fn build(
         model: Arc::new(model),
         extent,
         info,
+        patches: OnceLock::new(),
         digest,
         description,
         nodes,
@@ -780,6 +785,11 @@ impl Loaded {
                 self.info.paths.join(", ")
             },
         })
+    }
+
+    /// Where its samples are and how far apart, measured when it is first asked for.
+    pub fn patches(&self) -> &[Patch] {
+        self.patches.get_or_init(|| spacing::patches(&self.model))
     }
 
     /// Which way is up.

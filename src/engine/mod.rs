@@ -44,6 +44,7 @@ use crate::assets::{AssetError, ReadOptions};
 use crate::bake::cache::BakeCache;
 use crate::math::Camera;
 use crate::memory::{HostMemory, Interrupt};
+use crate::plan::Reconstruct;
 use crate::residency::Part;
 use crate::scene::{CameraPath, SceneError, SceneLimits};
 
@@ -554,6 +555,12 @@ impl Engine {
         Ok(resolve::resolve(self.shared(), request)?.key)
     }
 
+    /// As [`Engine::etag`]; `None` of a frame that will be another one once normals and kernels are estimated.
+    pub fn final_etag(&self, request: &FrameRequest) -> Result<Option<String>, EngineError> {
+        let resolved = resolve::resolve(self.shared(), request)?;
+        Ok(resolved.provisional.is_none().then_some(resolved.key))
+    }
+
     /// Whether a frame with these settings has to wait until something is baked, which [`Engine::bake`] does.
     pub fn must_bake(&self, request: &FrameRequest) -> bool {
         let loaded = self.shared().library.read().get(&request.scene);
@@ -658,6 +665,11 @@ impl Engine {
     pub fn scene_mark(&self, id: &str) -> Option<SceneMark> {
         let loaded = self.shared().library.read().get(id)?;
         Some(SceneMark { uid: loaded.model.uid, revision: loaded.model.revision })
+    }
+
+    /// What samples of a frame would be drawn as: a request may leave it open.
+    pub fn drawn_as(&self, request: &FrameRequest) -> Result<Reconstruct, EngineError> {
+        Ok(resolve::resolve(self.shared(), request)?.drawing.reconstruct)
     }
 
     /// The plan that a request would follow, and what it was planned from.

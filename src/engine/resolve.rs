@@ -13,8 +13,8 @@ use super::{EngineError, FrameRequest, Pose};
 use crate::encode::{self, EncodeError};
 use crate::math::{Camera, CameraError, View};
 use crate::passes::{LAYERS_BYTES, Slabs};
-use crate::plan::{AdapterFacts, Lod, Output, Reconstruct, Settings, plan};
-use crate::scene::Splats;
+use crate::plan::auto::{self, Choice};
+use crate::plan::{AdapterFacts, Lod, Output, Reconstruct, Settings, Wait, plan};
 
 /// Most pixels and longest side of a frame on this adapter.
 pub fn frame_limits(shared: &Shared) -> (u64, u32) {
@@ -101,6 +101,25 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
             (trees.model, trees.facts)
         }
     };
+    let is_open = request.settings.reconstruct == Reconstruct::Auto;
+    let mut auto = is_open.then(|| choose_for(&loaded, request, facts.has_samples, &view));
+    let mut provisional = None;
+    if let Some(choice) = &mut auto
+        && loaded.lacks(choice.reconstruct, request.settings.lod, request.output)
+    {
+        provisional = Some(match shared.estimate_in_background(&loaded) {
+            Ok(done) => {
+                format!("normals and kernels are being estimated ({:.0} %)", done * 100.0)
+            }
+            Err(error) => format!("normals and kernels cannot be estimated: {error}"),
+        });
+        let grounds = grounds(&loaded, request, facts.has_samples, &view);
+        *choice = auto::choose(&auto::Grounds { has_kernels: false, ..grounds });
+    }
+    let settings = Settings {
+        reconstruct: auto.map_or(request.settings.reconstruct, |choice| choice.reconstruct),
+        ..request.settings
+    };
     let way = |settings: &Settings, instead_because| {
         let splats = settings.splats(&loaded.model.splats);
         let adapter = AdapterFacts {
@@ -112,7 +131,6 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
         let plan = plan(&facts, request.output, splats.as_ref(), &adapter);
         Drawing { plan, reconstruct: settings.reconstruct, instead_because, splats }
     };
-    let settings = &request.settings;
     let other = settings.in_three_passes();
     let is_single = settings.reconstruct == Reconstruct::Fuzzy && facts.has_samples;
     let fits = || {
@@ -129,13 +147,18 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     };
     let drawing = match refused {
         Some(_) => way(&other, refused),
-        None => way(settings, None),
+        None => way(&settings, None),
     };
     let in_three_passes = (is_single && refused.is_none()).then(|| {
         way(&other, Some("more splats lie over one pixel than a single pass has room for"))
     });
-    let provisional = None;
-    let key = entity_tag(&loaded, request, drawing.splats.as_ref(), &view, &adapter);
+    let tagged = Tagged {
+        settings: &settings,
+        auto: auto.as_ref(),
+        drawing: &drawing,
+        is_provisional: provisional.is_some(),
+    };
+    let key = entity_tag(&loaded, request, &tagged, &view, &adapter);
     let extent = loaded.extent;
     let max_error = request.settings.max_error;
     Ok(Resolved {
@@ -145,6 +168,7 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
         extent,
         drawing,
         provisional,
+        auto,
         in_three_passes,
         max_error,
         key,
@@ -153,11 +177,56 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
 
 /// What has to be made of a scene before a request's frame can be drawn.
 pub fn goal(loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
-    let Settings { lod, reconstruct, .. } = request.settings;
+    let Settings { lod, reconstruct, wait, .. } = request.settings;
     if lod == Lod::Spt {
         return (!loaded.has_trees()).then_some(Goal::Trees);
     }
-    loaded.lacks(reconstruct, lod, request.output).then_some(Goal::Estimates)
+    if loaded.is_whole() {
+        return None;
+    }
+    let lacks = match (reconstruct, wait) {
+        (_, Wait::Whole) => true,
+        // A picture of normals needs them however samples are drawn.
+        (Reconstruct::Auto, Wait::Ready) => {
+            loaded.lacks(Reconstruct::Points, lod, request.output)
+                && request.output == Output::Normal
+        }
+        (Reconstruct::Auto, Wait::Complete) => match pose(loaded, request) {
+            Ok((view, _)) => {
+                let wanted = choose_for(loaded, request, loaded.facts.has_samples, &view);
+                loaded.lacks(wanted.reconstruct, lod, request.output)
+            }
+            // The frame is refused.
+            Err(_) => false,
+        },
+        _ => loaded.lacks(reconstruct, lod, request.output),
+    };
+    lacks.then_some(Goal::Estimates)
+}
+
+/// How samples are drawn where the request leaves that open, once they have everything.
+fn choose_for(loaded: &Loaded, request: &FrameRequest, has_samples: bool, view: &View) -> Choice {
+    auto::choose(&grounds(loaded, request, has_samples, view))
+}
+
+fn grounds(
+    loaded: &Loaded,
+    request: &FrameRequest,
+    has_samples: bool,
+    view: &View,
+) -> auto::Grounds {
+    let settings = &request.settings;
+    let (larger, max_error) = match settings.decide_for {
+        Some(still) => (f64::from(still.height) / f64::from(request.height), still.max_error),
+        None => (1.0, settings.max_error),
+    };
+    auto::Grounds {
+        lod: settings.lod,
+        has_samples,
+        spacing_px: auto::spacing_px(loaded.patches(), view).map(|px| px * larger),
+        max_error_px: max_error.px(),
+        has_kernels: true,
+    }
 }
 
 /// Why splats cannot be blended and depth-tested in a single pass.
@@ -251,11 +320,20 @@ fn receipt_of_view(view: &View) -> CameraReceipt {
     }
 }
 
-/// Hash of all that decides a frame's bytes, quoted as HTTP wants it.
+/// What a frame's tag depends on, beside the scene, the request and the view.
+struct Tagged<'a> {
+    settings: &'a Settings,
+    auto: Option<&'a Choice>,
+    drawing: &'a Drawing,
+    is_provisional: bool,
+}
+
+/// Hash of all that decides a frame's bytes, quoted as HTTP wants it. That of a provisional frame tells it from all others while it is
+/// being drawn; nobody outside gets to see it.
 fn entity_tag(
     loaded: &Loaded,
     request: &FrameRequest,
-    splats: Option<&Splats>,
+    Tagged { settings, auto, drawing, is_provisional }: &Tagged<'_>,
     view: &View,
     adapter: &Adapter,
 ) -> String {
@@ -268,12 +346,20 @@ fn entity_tag(
         request.format as u8,
         request.output as u8,
     ]);
-    hasher.update([request.settings.lod as u8, request.settings.reconstruct as u8]);
-    if request.settings.lod == Lod::Spt {
-        hasher.update(request.settings.max_error.px().to_le_bytes());
-        hasher.update([request.settings.paint as u8, request.settings.error_mode as u8]);
+    hasher.update([settings.lod as u8, settings.reconstruct as u8]);
+    if settings.lod == Lod::Spt {
+        hasher.update(settings.max_error.px().to_le_bytes());
+        hasher.update([settings.paint as u8, settings.error_mode as u8]);
     }
-    if let Some(splats) = splats {
+    if *is_provisional {
+        hasher.update(b"provisional");
+    }
+    if let Some(choice) = auto {
+        // The receipt has them.
+        hasher.update(b"auto");
+        hasher.update(choice.spacing_px.unwrap_or(-1.0).to_bits().to_le_bytes());
+    }
+    if let Some(splats) = &drawing.splats {
         // The scene's part in it is in the digest.
         hasher.update([
             splats.filter as u8,

@@ -124,14 +124,15 @@ fn at_least(wait: Duration) -> Duration {
 }
 
 /// What frames have in common that cost about the same.
-fn cost_key(request: &FrameRequest) -> CostKey {
+fn cost_key(request: &FrameRequest, resolved: &Resolved) -> CostKey {
     let FrameRequest { scene, width, height, settings, output, .. } = request;
+    let reconstruct = resolved.auto.map_or(settings.reconstruct, |choice| choice.reconstruct);
     let mut hasher = DefaultHasher::new();
     scene.hash(&mut hasher);
     let discriminants = [
         Some(*output as u8),
         Some(settings.lod as u8),
-        Some(settings.reconstruct as u8),
+        Some(reconstruct as u8),
         settings.filter.map(|filter| filter as u8),
         settings.prefilter.map(u8::from),
         settings.blend.map(|blend| blend as u8),
@@ -218,7 +219,7 @@ impl Shared {
         resolved: Resolved,
         request: FrameRequest,
     ) -> Result<Queued, EngineError> {
-        let cost_key = cost_key(&request);
+        let cost_key = cost_key(&request, &resolved);
         let now = Instant::now();
         let mut state = self.state.lock();
         state.check_open()?;
@@ -264,7 +265,7 @@ impl Shared {
     ) -> Result<Option<Queued>, EngineError> {
         let is_old = |job: &Arc<Job>| Arc::ptr_eq(job, old);
         let client = origin.client;
-        let cost_key = cost_key(&request);
+        let cost_key = cost_key(&request, &resolved);
         let mut state = self.state.lock();
         state.check_open()?;
         if !state.queue.holds(client, is_old) {

@@ -22,7 +22,7 @@ use super::shared::{Adapter, Flying, Phase, Shared};
 use super::trace::FrameSpans;
 use super::{EncodedFrame, EngineError};
 use crate::gpu::{GpuError, GpuOptions};
-use crate::plan::{Pass, UsedSettings};
+use crate::plan::{Pass, Reconstruct, UsedSettings};
 use crate::residency::layout::GpuStats;
 use crate::residency::layout::MOST_ROWS;
 
@@ -380,6 +380,9 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
             paint: resolved.model.trees.then_some(job.request.settings.paint),
             reconstruct: drawing.reconstruct,
             provisional: resolved.provisional.clone(),
+            asked: resolved.auto.map(|_| Reconstruct::Auto),
+            because: resolved.auto.map(|choice| choice.because()),
+            spacing_px: resolved.auto.and_then(|choice| choice.spacing_px),
             instead_because: drawing.instead_because,
             splats: drawing.splats,
         },

@@ -17,9 +17,12 @@ use crate::engine::{
     Client, EncodedFrame, Engine, EngineError, FrameRequest, FrameTicket, Origin, Pose, Receipt,
     SceneMark,
 };
+use crate::plan::Reconstruct;
 
 /// Pixels of all frames that are with the engine at a time, of a film that is drawn alone.
 pub const MOST_PIXELS: u64 = 1 << 26;
+/// Frames that are asked how a film's samples are to be drawn.
+const ASKED: u64 = 64;
 /// Finished frames that wait to be written at most.
 const UNWRITTEN: usize = 4;
 /// Times in a row that the engine may put off before that is an error, and how long each of them lasts at most.
@@ -77,6 +80,7 @@ pub fn run(
     mut tell: impl FnMut(Event<'_>) + Send,
 ) -> Result<Report, FilmError> {
     let scene = film.engine.scene(&film.request.scene)?;
+    let film = &film.decided()?;
     let first = *film.shots.wanted().start();
     let asked = film.shots.wanted().count() as u64;
     // Refused before a folder is made for it.
@@ -159,6 +163,24 @@ fn draw(
 }
 
 impl Film<'_> {
+    /// The film with one way to draw samples, where that is left open: a film that changed it midway would flicker. Where any frame
+    /// needs splats, all have them. Frames of the whole path are asked, so that runs over parts of it agree.
+    fn decided(&self) -> Result<Film<'_>, FilmError> {
+        let mut request = self.request.clone();
+        if request.settings.reconstruct == Reconstruct::Auto {
+            let step = self.shots.count().div_ceil(ASKED).max(1) as usize;
+            let mut drawn_as = Reconstruct::Points;
+            for number in (0..self.shots.count()).step_by(step) {
+                drawn_as = self.engine.drawn_as(&self.request(number))?;
+                if drawn_as != Reconstruct::Points {
+                    break;
+                }
+            }
+            request.settings.reconstruct = drawn_as;
+        }
+        Ok(Film { request, shots: self.shots.clone(), origin: self.origin.clone(), ..*self })
+    }
+
     fn header(&self, scene: &str) -> Header {
         Header {
             manifest: manifest::VERSION,

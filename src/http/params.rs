@@ -86,7 +86,7 @@ pub struct FrameParams {
     #[param(minimum = 0.05, maximum = 64)]
     #[schema(minimum = 0.05, maximum = 64)]
     pub max_error_px: Option<f32>,
-    /// How splats of `lod=spt` measure that; `split` needs `reconstruct=splats` or `fuzzy`.
+    /// How splats of `lod=spt` measure that; `split` does not go with `reconstruct=points`.
     #[param(value_type = Option<ErrorMode>)]
     #[schema(value_type = Option<ErrorMode>)]
     pub error_mode: Option<String>,
@@ -94,21 +94,22 @@ pub struct FrameParams {
     #[param(value_type = Option<Paint>)]
     #[schema(value_type = Option<Paint>)]
     pub paint: Option<String>,
-    /// How a surface is made of projected samples.
+    /// What samples are drawn as; `auto`, the default, draws points where samples are denser than pixels and splats where they
+    /// are not, and the receipt says which and why.
     #[param(value_type = Option<Reconstruct>)]
     #[schema(value_type = Option<Reconstruct>)]
     pub reconstruct: Option<String>,
-    /// How splats are taken to the image; as the scene has it where none is given. Needs `reconstruct=splats` or `fuzzy`.
+    /// How splats are taken to the image; as the scene has it where none is given. Not with `reconstruct=points`.
     #[param(value_type = Option<Filter>)]
     #[schema(value_type = Option<Filter>)]
     pub filter: Option<String>,
-    /// Whether splats are convolved with a low-pass filter of the image. Needs `reconstruct=splats` or `fuzzy`.
+    /// Whether splats are convolved with a low-pass filter of the image. Not with `reconstruct=points`.
     pub prefilter: Option<bool>,
-    /// What happens where splats overlap. Needs `reconstruct=splats`.
+    /// What happens where splats overlap. Not with `reconstruct=points` or `fuzzy`.
     #[param(value_type = Option<Blend>)]
     #[schema(value_type = Option<Blend>)]
     pub blend: Option<String>,
-    /// When splats are lit. Needs `reconstruct=splats`.
+    /// When splats are lit. Not with `reconstruct=points` or `fuzzy`.
     #[param(value_type = Option<Shading>)]
     #[schema(value_type = Option<Shading>)]
     pub shading: Option<String>,
@@ -219,11 +220,11 @@ impl FrameParams {
         let (camera, eye, matrix) = (of(false), of(by_eye), of(by_matrix));
         let other =
             |words: &[&str]| self.reconstruct.as_deref().is_some_and(|w| !words.contains(&w));
-        let kernels = if other(&["splats", "fuzzy"]) { &empty } else { defaults };
-        let splats = if other(&["splats"]) { &empty } else { defaults };
+        let kernels = if other(&["auto", "splats", "fuzzy"]) { &empty } else { defaults };
+        let splats = if other(&["auto", "splats"]) { &empty } else { defaults };
         let whole = self.lod.as_deref().is_some_and(|word| word == "full");
         let detail = if whole { &empty } else { defaults };
-        let split = if other(&["splats", "fuzzy"]) { &empty } else { detail };
+        let split = if other(&["auto", "splats", "fuzzy"]) { &empty } else { detail };
         FrameParams {
             camera: self.camera.or_else(|| camera.camera.clone()),
             eye: self.eye.or(eye.eye),
@@ -322,7 +323,7 @@ impl FrameParams {
         let refused = match reconstruct {
             Reconstruct::Points => given(&kernels).or(given(&passes)),
             Reconstruct::Fuzzy => given(&passes),
-            Reconstruct::Splats => None,
+            Reconstruct::Splats | Reconstruct::Auto => None,
         };
         if let Some(name) = refused {
             return Err(match reconstruct {
@@ -334,7 +335,7 @@ impl FrameParams {
                 _ => Problem::parameter(
                     name,
                     "only splats have one",
-                    "together with `reconstruct=splats`, or left out",
+                    "together with `reconstruct=splats` or `auto`, or left out",
                 ),
             });
         }
@@ -377,7 +378,7 @@ impl FrameParams {
             return Err(Problem::parameter(
                 "error_mode",
                 reason,
-                "together with `lod=spt` and `reconstruct=splats` or `fuzzy`, or `unified`",
+                "together with `lod=spt` and `reconstruct=splats`, `fuzzy` or `auto`, or `unified`",
             ));
         }
         Ok(Settings {
@@ -386,6 +387,7 @@ impl FrameParams {
             max_error,
             error_mode,
             reconstruct,
+            decide_for: None,
             filter: chosen("filter", self.filter.as_deref())?,
             prefilter: self.prefilter,
             blend: chosen("blend", self.blend.as_deref())?,

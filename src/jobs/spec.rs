@@ -58,11 +58,17 @@ pub struct FrameSpec {
     #[serde(default)]
     pub error_mode: ErrorMode,
     pub paint: Paint,
+    /// Jobs of earlier versions that name none are drawn as points.
+    #[serde(default = "points")]
     pub reconstruct: Reconstruct,
     pub filter: Option<Filter>,
     pub prefilter: Option<bool>,
     pub blend: Option<Blend>,
     pub shading: Option<Shading>,
+}
+
+fn points() -> Reconstruct {
+    Reconstruct::Points
 }
 
 impl FrameSpec {
@@ -73,6 +79,8 @@ impl FrameSpec {
             error_mode,
             paint,
             reconstruct,
+            // Frames of films are all still.
+            decide_for: _,
             filter,
             prefilter,
             blend,
@@ -126,6 +134,7 @@ impl Spec {
                 error_mode,
                 paint,
                 reconstruct,
+                decide_for: None,
                 filter,
                 prefilter,
                 blend,
@@ -175,6 +184,15 @@ pub mod tests {
             frame: FrameSpec::new(&request),
             want: Want { frames: true, video: false, bitrate_kbps: None },
         }
+    }
+
+    #[test]
+    fn jobs_that_name_no_reconstruction_are_drawn_as_points() {
+        let mut kept = serde_json::to_value(spec("s")).unwrap();
+        assert_eq!(kept["frame"]["reconstruct"], "auto");
+        kept["frame"].as_object_mut().unwrap().remove("reconstruct");
+        let kept: Spec = serde_json::from_value(kept).unwrap();
+        assert_eq!(kept.request().settings.reconstruct, Reconstruct::Points);
     }
 
     #[test]

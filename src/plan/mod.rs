@@ -3,12 +3,13 @@
 //! The plan is a value: it lists every pass that this program has, in the order in which they run, each with the reason
 //! where it is skipped. Recording follows it; the receipt repeats it.
 
+pub mod auto;
 mod settings;
 
 use serde::Serialize;
 
 pub use settings::{
-    ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings, UsedSettings, Wait,
+    ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings, StillFrame, UsedSettings, Wait,
 };
 
 use crate::scene::{Blend, Shading, Splats};

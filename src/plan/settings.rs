@@ -14,6 +14,8 @@ pub struct Settings {
     pub error_mode: ErrorMode,
     pub paint: Paint,
     pub reconstruct: Reconstruct,
+    /// Frame that [`Reconstruct::Auto`] decides for, where that is another than the frame itself.
+    pub decide_for: Option<StillFrame>,
     pub filter: Option<Filter>,
     pub prefilter: Option<bool>,
     pub blend: Option<Blend>,
@@ -38,7 +40,19 @@ pub enum Wait {
     Whole,
 }
 
+/// A still frame, which frames of a moving pose stand in for: all of them are drawn alike.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct StillFrame {
+    pub height: u32,
+    pub max_error: MaxError,
+}
+
 impl Settings {
+    /// The defaults, with samples drawn in a given way.
+    pub fn drawn_as(reconstruct: Reconstruct) -> Settings {
+        Settings { reconstruct, ..Settings::default() }
+    }
+
     /// How samples are drawn as splats, if they are; `scene`: what the scene says.
     pub fn splats(&self, scene: &Splats) -> Option<Splats> {
         let of_kernels = Splats {
@@ -47,7 +61,8 @@ impl Settings {
             ..*scene
         };
         match self.reconstruct {
-            Reconstruct::Points => None,
+            // `auto` has been decided before it comes to this.
+            Reconstruct::Points | Reconstruct::Auto => None,
             Reconstruct::Splats => Some(Splats {
                 blend: self.blend.unwrap_or(scene.blend),
                 shading: self.shading.unwrap_or(scene.shading),
@@ -126,6 +141,15 @@ pub struct UsedSettings {
     /// Why the same request will be answered by another frame in a while: normals and kernels are being estimated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub provisional: Option<String>,
+    /// Choice that was asked for, where it was `auto`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub asked: Option<Reconstruct>,
+    /// Why `auto` chose this, with figures.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub because: Option<String>,
+    /// Distance between neighbouring samples in pixels at the median over the picture, where `auto` looked at it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub spacing_px: Option<f64>,
     /// Why that is not what was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub instead_because: Option<&'static str>,
@@ -180,13 +204,15 @@ pub enum Paint {
 )]
 #[serde(rename_all = "snake_case")]
 pub enum Reconstruct {
-    /// One pixel a sample.
+    /// Points where samples are denser than pixels, splats where they are not.
     #[default]
-    Points,
+    Auto = 3,
+    /// One pixel a sample.
+    Points = 0,
     /// Elliptical Gaussians in the samples' tangent planes (Zwicker et al. 2004).
-    Splats,
+    Splats = 1,
     /// The same, blended and depth-tested in a single pass (Dachsbacher et al. 2003, §5): faster, coarser in weights and depths.
-    Fuzzy,
+    Fuzzy = 2,
 }
 
 /// Which image of the frame is wanted.

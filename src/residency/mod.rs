@@ -19,6 +19,7 @@ pub mod model;
 pub mod once;
 mod parts;
 mod slots;
+pub mod spacing;
 mod upload;
 
 use std::collections::{HashMap, HashSet};

@@ -7,17 +7,20 @@ const OF_SPLATS = ['filter', 'prefilter', 'blend', 'shading'];
 
 let scene = null;
 
+// Whether splats are asked for, by name.
+const ofSplats = () => !['auto', 'points'].includes($('reconstruct').value);
+
 // Whether a setting means anything for this scene and the other settings.
 function applies(name) {
   if (name === 'output' || name === 'lod') return true;
   if (name === 'quality') return $('output').value === 'color';
   if (name === 'max_error_px') return $('lod').value === 'spt';
-  if (name === 'error_mode') return $('lod').value === 'spt' && $('reconstruct').value !== 'points';
+  if (name === 'error_mode') return $('lod').value === 'spt' && ofSplats();
   if (name === 'paint') return $('lod').value === 'spt' && $('output').value === 'color';
   // Meshes have samples where detail is chosen.
   if (!scene || !(scene.samples || $('lod').value === 'spt')) return false;
   if (name === 'reconstruct') return true;
-  if ($('reconstruct').value === 'points') return false;
+  if (!ofSplats()) return false;
   if (name === 'filter' || name === 'prefilter') return true;
   if ($('reconstruct').value === 'fuzzy') return false;
   return name !== 'shading' || (scene.lights > 0 && $('blend').value !== 'opaque' && $('output').value === 'color');

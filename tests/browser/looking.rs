@@ -76,8 +76,8 @@ fn shown_controls(browser: &Browser) -> String {
 fn splats_are_chosen_and_remembered() {
     let Some(driver) = driver_or_skip() else { return };
     let (_daemon, browser) = opened(&driver);
-    assert_eq!(shown_controls(&browser), "reconstruct", "points have no settings of splats");
-    let points = still_picture(&browser);
+    assert_eq!(shown_controls(&browser), "reconstruct", "the choice is left open");
+    let auto = still_picture(&browser);
 
     browser.choose("#reconstruct", "splats");
     let splats = still_picture(&browser);
@@ -113,8 +113,11 @@ fn splats_are_chosen_and_remembered() {
         "blended and lit in one way"
     );
     browser.choose("#reconstruct", "points");
-    assert_eq!(still_picture(&browser), points);
-    assert_eq!(shown_controls(&browser), "reconstruct");
+    let points = still_picture(&browser);
+    assert_ne!(points, splats);
+    assert_eq!(shown_controls(&browser), "reconstruct", "points have no settings of splats");
+    browser.choose("#reconstruct", "auto");
+    assert_eq!(still_picture(&browser), auto);
     assert_eq!(browser.console_errors(), Vec::<String>::new());
 }
 

@@ -53,7 +53,7 @@ fn brightness(studio: &Studio, settings: Settings, scale: u32) -> f64 {
 }
 
 fn compare(studio: &Studio, what: &str, slack: f64) {
-    let truth = brightness(studio, Settings::default(), 8);
+    let truth = brightness(studio, Settings::drawn_as(Reconstruct::Points), 8);
     for reconstruct in [Reconstruct::Points, Reconstruct::Splats, Reconstruct::Fuzzy] {
         let found = brightness(studio, spt(1.0, reconstruct), 1) / truth;
         println!("{what}, {reconstruct:?}: {found:.3}");
@@ -160,7 +160,7 @@ fn points_of_a_mesh_reach_no_farther_than_its_triangles() {
             };
             ids(&studio.bytes(&request)).iter().map(|&id| id != 0).collect::<Vec<_>>()
         };
-        let whole = seen(Settings::default());
+        let whole = seen(Settings::drawn_as(Reconstruct::Points));
         for (sum, px) in sums[1..].iter_mut().zip([0.25, 0.5]) {
             let found = seen(spt(px, Reconstruct::Points));
             *sum += found.iter().filter(|&&is_seen| is_seen).count();

@@ -68,7 +68,7 @@ fn settings() -> Vec<Settings> {
     let points = Reconstruct::Points;
     let small = spt(1.0, Reconstruct::Splats);
     vec![
-        Settings::default(),
+        Settings::drawn_as(Reconstruct::Points),
         splats,
         spt(0.5, points),
         spt(2.0, points),

@@ -97,7 +97,9 @@ fn large_triangles_and_splats_one_before_the_other() {
     for (eye, sheet) in [(DVec3::Z, SHEETS - 1), (DVec3::Z * -2.0, 0)] {
         let nearest = (eye.z - sheet_z(sheet)).abs() as f32;
         let camera = Camera { eye, target: DVec3::ZERO, up: DVec3::Y, fov_deg: 60.0 };
-        for (scene, settings) in [("sheets", Settings::default()), ("disks", opaque)] {
+        for (scene, settings) in
+            [("sheets", Settings::drawn_as(Reconstruct::Points)), ("disks", opaque)]
+        {
             let pose = Pose::Camera(camera);
             let request = FrameRequest { pose, ..before(scene, side, settings, Output::Depth) };
             let frame = studio.frame(&request);

@@ -124,7 +124,7 @@ pub fn front(scene: &str, width: u32, height: u32) -> FrameRequest {
         pose: Pose::Named("front".to_owned()),
         width,
         height,
-        settings: Settings::default(),
+        settings: Settings::drawn_as(Reconstruct::Points),
         output: Output::Color,
         format: ImageFormat::Raw,
         quality: 90,

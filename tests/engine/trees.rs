@@ -285,7 +285,8 @@ fn a_split_error_draws_less_of_a_sculpture() {
     let at = |settings| studio.bytes(&FrameRequest { settings, ..request.clone() });
     assert!(at(split(4.0)) != at(split(8.0)));
     assert!(at(split(4.0)) != at(spt(4.0, Reconstruct::Splats)));
-    let used = studio.frame(&FrameRequest { settings: split(4.0), ..request }).receipt.settings;
+    let used =
+        &studio.frame(&FrameRequest { settings: split(4.0), ..request }).receipt.settings.clone();
     assert_eq!(used.error_mode, Some(ErrorMode::Split));
 }
 

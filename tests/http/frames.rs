@@ -248,7 +248,7 @@ fn splats_of(scene: &str, settings: &str) -> String {
 fn splats_and_their_receipt() {
     let daemon = Daemon::start_in(with_splats, &[]);
     let client = daemon.client();
-    let points = client.get(FRAME);
+    let points = client.get(&format!("{FRAME}&reconstruct=points"));
     assert_eq!(points.receipt()["settings"], json!({"lod": "full", "reconstruct": "points"}));
     assert_eq!(points.receipt()["splats"]["scattered"], Value::Null);
 
@@ -296,6 +296,38 @@ fn splats_and_their_receipt() {
     assert_eq!(settings["instead_because"], "a single pass has nothing but colours");
 }
 
+/// Samples of the wall lie 1.6 px apart at 128 rows, and a quarter of that at a quarter of the rows.
+#[test]
+fn what_is_not_said_is_drawn_as_fits() {
+    let daemon = Daemon::start_in(with_splats, &[]);
+    let client = daemon.client();
+    let frame = |query: &str| client.get(&format!("/v1/scenes/grid/frame?camera=front{query}"));
+    for (size, drawn) in [("&w=192&h=128", "splats"), ("&w=48&h=32", "points")] {
+        let auto = frame(size);
+        let settings = &auto.receipt()["settings"];
+        assert_eq!((&settings["asked"], &settings["reconstruct"]), (&"auto".into(), &drawn.into()));
+        let px = settings["spacing_px"].as_f64().unwrap();
+        assert_eq!(px > 0.7, drawn == "splats", "{settings}");
+        let because = format!("samples lie {px:.2} px apart at the median");
+        assert_eq!(settings["because"], because);
+        // The same frame, and a receipt of its own.
+        let named = frame(&format!("{size}&reconstruct={drawn}"));
+        assert_eq!(named.body, auto.body);
+        assert_eq!(named.receipt()["settings"].get("asked"), None);
+        assert_ne!(named.header("etag"), auto.header("etag"));
+        assert_eq!(frame(&format!("{size}&reconstruct=auto")).header("etag"), auto.header("etag"));
+        let trees = frame(&format!("{size}&lod=spt"));
+        assert_eq!(trees.receipt()["settings"]["reconstruct"], drawn);
+    }
+    // What goes with splats is taken where they are drawn.
+    let opaque =
+        |size: &str| frame(&format!("{size}&blend=opaque")).receipt()["settings"]["blend"].clone();
+    assert_eq!((opaque("&w=192&h=128"), opaque("&w=48&h=32")), ("opaque".into(), Value::Null));
+    // Accepted errors leave gaps between nodes that are drawn as points.
+    let coarse = frame("&w=48&h=32&lod=spt&max_error_px=4").receipt();
+    assert_eq!(coarse["settings"]["reconstruct"], "splats");
+}
+
 #[test]
 fn entity_tags_of_splats_follow_what_is_drawn() {
     let daemon = Daemon::start_in(with_splats, &[]);
@@ -305,9 +337,9 @@ fn entity_tags_of_splats_follow_what_is_drawn() {
         assert_eq!(reply.status, 200, "{scene} {settings}");
         reply.header("etag").unwrap().to_owned()
     };
-    let points = client.send("HEAD", FRAME, &[], None);
-    let spelt_out = client.send("HEAD", &format!("{FRAME}&reconstruct=points"), &[], None);
-    assert_eq!(points.header("etag"), spelt_out.header("etag"));
+    let plain = client.send("HEAD", FRAME, &[], None);
+    let spelt_out = client.send("HEAD", &format!("{FRAME}&reconstruct=auto"), &[], None);
+    assert_eq!(plain.header("etag"), spelt_out.header("etag"));
     for (scene, same, other) in [
         (
             "grid",
@@ -321,7 +353,7 @@ fn entity_tags_of_splats_follow_what_is_drawn() {
         ),
     ] {
         let plain = tag(scene, "");
-        assert_ne!(points.header("etag"), Some(plain.as_str()));
+        assert_ne!(spelt_out.header("etag"), Some(plain.as_str()));
         assert_eq!(tag(scene, &same.concat()), plain, "{scene}");
         let mut tags: Vec<String> = other.iter().map(|settings| tag(scene, settings)).collect();
         tags.push(plain.clone());

@@ -480,6 +480,24 @@ fn count_frames(daemon: &Daemon, number: usize, key: &str, until: Instant) -> us
 }
 
 #[test]
+fn a_moving_frame_is_drawn_as_the_still_one_will_be() {
+    let daemon = Daemon::start(&[]);
+    let mut stream = Stream::open(&daemon, GRID);
+    // Points would do for the smaller frame.
+    stream.send(json!({"seq": 1, "camera": "front", "w": 160, "h": 90}));
+    let mut seen: Vec<(Value, Value, Value)> = Vec::new();
+    while seen.last().is_none_or(|(quality, ..)| quality != "still") {
+        let header = stream.frame();
+        stream.send(json!({"ack": header["frame"]}));
+        let receipt = &header["receipt"];
+        let drawn = receipt["settings"]["reconstruct"].clone();
+        seen.push((header["quality"].clone(), receipt["camera"]["height"].clone(), drawn));
+    }
+    assert!(seen.len() > 1 && seen[0].1.as_u64() < Some(90), "a smaller one comes first: {seen:?}");
+    assert!(seen.iter().all(|(.., drawn)| drawn == "splats"), "{seen:?}");
+}
+
+#[test]
 fn a_pose_may_begin_from_nothing() {
     let daemon = Daemon::start(&[]);
     let mut stream = Stream::open(&daemon, GRID);

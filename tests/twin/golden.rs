@@ -44,7 +44,7 @@ fn read(name: &str) -> Vec<[u8; 4]> {
 }
 
 fn compare(scene: &str, cameras: &[&str]) {
-    compare_with(scene, cameras, Settings::default(), "");
+    compare_with(scene, cameras, Settings::drawn_as(Reconstruct::Points), "");
 }
 
 fn compare_with(scene: &str, cameras: &[&str], settings: Settings, suffix: &str) {

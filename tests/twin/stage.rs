@@ -10,7 +10,7 @@ use pointillist::assets::ReadOptions;
 use pointillist::encode::ImageFormat;
 use pointillist::engine::{Engine, EngineConfig, FrameRequest, NodePatch, Pose, Receipt};
 use pointillist::math::{Camera, View};
-use pointillist::plan::{Output, Pass, Settings};
+use pointillist::plan::{Output, Pass, Reconstruct, Settings};
 use pointillist::scene::SceneLimits;
 use serde_json::Value;
 
@@ -150,7 +150,7 @@ impl Case {
 
     /// The frame of both engines, which must not differ in a single bit.
     pub fn draw(&self, view: &View) -> Frames {
-        self.draw_with(view, Settings::default())
+        self.draw_with(view, Settings::drawn_as(Reconstruct::Points))
     }
 
     /// As [`Case::draw`], with settings.
@@ -169,7 +169,7 @@ impl Case {
 
     /// The frames of every engine: with 64-bit atomics, without, and with the rasteriser and all that is hidden.
     pub fn each(&self, view: &View) -> [Frames; 3] {
-        self.each_with(view, Settings::default())
+        self.each_with(view, Settings::drawn_as(Reconstruct::Points))
     }
 
     /// As [`Case::each`], with settings.
@@ -182,7 +182,8 @@ impl Case {
         let frames = self.draw(view);
         verdict::judge(&self.id, &self.reference, view, &frames, tolerance);
         if frames.receipt.triangles.rasterised.is_some_and(|large| large > 0) {
-            let rasterised = self::frames(&RASTERISING, &self.id, view, Settings::default());
+            let rasterised =
+                self::frames(&RASTERISING, &self.id, view, Settings::drawn_as(Reconstruct::Points));
             assert!(rasterised.ran(Pass::RasteriseTriangles) && frames.ran(Pass::WalkTriangles));
             let id = format!("{}-rasterised", self.id);
             verdict::judge(&id, &self.reference, view, &rasterised, tolerance);

@@ -5,8 +5,8 @@ use std::ops::Range;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::super::kernels::{Bounds as KernelBounds, CUTOFF, circle, fit, longest_axis};
-use super::super::neighbors::{Neighbors, PointTree};
+use super::super::kernels::{Bounds as KernelBounds, CUTOFF, Fit, circle, fit, longest_axis};
+use super::super::neighbors::{Neighbors, PointTree, settled};
 use super::super::normals::{Frame, NORMAL_NEIGHBORS, is_radius};
 use super::super::pack::CHUNK;
 use crate::assets::{Kernel, PointCloud};
@@ -32,7 +32,7 @@ pub(super) struct Wanted {
 #[derive(Clone, Copy, Default)]
 struct Fitted {
     normal: Vec3,
-    kernel: Kernel,
+    fit: Fit,
 }
 
 /// A box in the coordinates of the frame.
@@ -117,7 +117,7 @@ impl<'a> Chunks<'a> {
     }
 
     fn place(&self, index: u32) -> [f32; 3] {
-        self.frame.to_local(self.cloud.positions[index as usize])
+        settled(self.frame.to_local(self.cloud.positions[index as usize]))
     }
 
     fn ranks(&self, chunk: usize) -> Range<usize> {
@@ -134,7 +134,7 @@ impl<'a> Chunks<'a> {
             .par_iter()
             .map(|&rank| {
                 let (fitted, reach) = self.neighborhood(self.order[rank], f32::INFINITY);
-                (reach, longest_axis(&fitted.kernel))
+                (reach, longest_axis(&fitted.fit.kernel))
             })
             .collect();
         let lengths: Vec<f32> = found.iter().map(|&(_, length)| length).collect();
@@ -277,11 +277,11 @@ impl<'a> Chunks<'a> {
         let normal = if self.wanted.normals { self.frame.normal(neighbors) } else { Vec3::ZERO };
         let given = self.given_normal(index);
         let own = if given == Vec3::ZERO { normal } else { given };
-        let kernel = match self.wanted.kernels {
-            true => self.frame.kernel(fit(neighbors, own)),
-            false => Kernel::default(),
+        let fit = match self.wanted.kernels {
+            true => self.frame.fit(fit(neighbors, own, given != Vec3::ZERO)),
+            false => Fit::default(),
         };
-        Fitted { normal, kernel }
+        Fitted { normal, fit }
     }
 
     /// What a file gives goes before what neighbours tell.
@@ -291,7 +291,7 @@ impl<'a> Chunks<'a> {
         let radius = self.cloud.radii.as_ref().map(|radii| radii[index as usize]);
         let kernel = match radius.filter(is_radius) {
             Some(radius) => circle(normal, radius / CUTOFF),
-            None => bounds.apply(fitted.kernel, normal),
+            None => bounds.apply(fitted.fit, normal),
         };
         (normal, kernel)
     }

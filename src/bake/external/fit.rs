@@ -11,7 +11,7 @@ use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::super::kernels::{Bounds, circle, fit, longest_axis};
+use super::super::kernels::{Bounds, Fit, circle, fit, longest_axis};
 use super::super::neighbors::{Neighbors, PointTree};
 use super::super::normals::{NORMAL_NEIGHBORS, stride};
 use super::points::{Place, Point, Points};
@@ -26,6 +26,8 @@ pub(super) struct Fitted {
     normal: [f32; 3],
     u: [f32; 3],
     v: [f32; 3],
+    /// As [`Fit::most`].
+    most: f32,
 }
 
 /// What neighbours tell of each point, in the order of the points' file, and the bounds that kernels have.
@@ -108,7 +110,7 @@ impl Fits {
         let normal = if given == Vec3::ZERO { Vec3::from(fitted.normal) } else { given };
         let kernel = match (point.deviation(), &self.bounds) {
             (Some(deviation), _) => circle(normal, deviation),
-            (None, Some(bounds)) => bounds.apply(fitted.kernel(), normal),
+            (None, Some(bounds)) => bounds.apply(fitted.fit(), normal),
             (None, None) => fitted.kernel(),
         };
         (normal, kernel)
@@ -116,6 +118,10 @@ impl Fits {
 }
 
 impl Fitted {
+    fn fit(&self) -> Fit {
+        Fit { kernel: self.kernel(), most: self.most }
+    }
+
     fn kernel(&self) -> Kernel {
         Kernel { u: self.u.into(), v: self.v.into() }
     }
@@ -124,11 +130,11 @@ impl Fitted {
     fn of(points: &Points, neighbors: &Neighbors, given: Vec3) -> Fitted {
         let normal = if points.lacks_normals { points.frame.normal(neighbors) } else { Vec3::ZERO };
         let own = if given == Vec3::ZERO { normal } else { given };
-        let kernel = match points.lacks_kernels {
-            true => points.frame.kernel(fit(neighbors, own)),
-            false => Kernel::default(),
+        let Fit { kernel, most } = match points.lacks_kernels {
+            true => points.frame.fit(fit(neighbors, own, given != Vec3::ZERO)),
+            false => Fit::default(),
         };
-        Fitted { normal: normal.into(), u: kernel.u.into(), v: kernel.v.into() }
+        Fitted { normal: normal.into(), u: kernel.u.into(), v: kernel.v.into(), most }
     }
 }
 
@@ -207,7 +213,8 @@ fn near(points: &Points, number: usize, work: &Work) -> io::Result<Found> {
             true => neighbors.distances_squared().last().unwrap_or(f32::INFINITY),
             false => f32::INFINITY,
         };
-        if alone || farthest * SLACK <= reach {
+        // Neighbours at the same place are as good as any others there.
+        if alone || farthest * SLACK <= reach || farthest == 0.0 {
             let given = given.get(slot as usize).copied().unwrap_or(Vec3::ZERO);
             Some((Fitted::of(points, &neighbors, given), None))
         } else {

@@ -124,9 +124,95 @@ fn strays_and_duplicates_stay_near_the_median() {
             assert!((0.04 * middle..11.0 * middle).contains(&axis.length()), "{kernel:?}");
         }
     }
+    // Those in the air are no larger than the others.
+    for stray in &kernels[900..902] {
+        assert!(stray.u.length() < 1.5 * middle && stray.v.length() < 1.5 * middle, "{stray:?}");
+    }
     // Each point twice is the same surface.
     let twice: Vec<DVec3> = grid(40, 40, |x, y| [x, y]).into_iter().flat_map(|p| [p, p]).collect();
     assert_eq!(holes(twice, 15.0).0, 0.0);
+}
+
+/// An echo between two walls and above the ground has neighbours on several sides.
+#[test]
+fn echoes_in_the_air_are_no_larger_than_samples_of_surfaces() {
+    let ground = grid(40, 40, |x, y| [0.1 * x, 0.1 * y]);
+    let wall = |x: f64| {
+        (0..1600).map(move |i| DVec3::new(x, f64::from(i % 40 - 20) * 0.1, f64::from(i / 40) * 0.1))
+    };
+    let mut positions: Vec<DVec3> = ground.into_iter().chain(wall(-2.0)).chain(wall(2.0)).collect();
+    let solid = positions.len();
+    let mut random = noise(4);
+    positions.extend(
+        (0..12)
+            .map(|_| DVec3::new(3.0 * random() - 1.5, 3.0 * random() - 1.5, 0.5 + 3.0 * random())),
+    );
+    let kernels = cloud(positions).kernels.unwrap();
+    let median = longest_axis(&kernels[820]);
+    for kernel in &kernels[solid..] {
+        assert!(longest_axis(kernel) < 2.0 * median, "{kernel:?} {median}");
+    }
+}
+
+#[test]
+fn volumes_and_wires_get_small_round_kernels() {
+    let mut random = noise(6);
+    // A lawn around a tree: without something flat, the median would be that of the tree.
+    let mut positions = grid(60, 60, |x, y| [x, y]);
+    let lawn = positions.len();
+    positions.extend((0..600).map(|_| DVec3::new(random(), random(), random() + 1.5) * 12.0));
+    let tree = positions.len();
+    // Slack, with noise across.
+    positions.extend((0..200).map(|i| {
+        let x = f64::from(i) * 0.5 - 50.0;
+        DVec3::new(x, 90.0 + 0.02 * random(), 0.01 * x * x + 0.02 * random())
+    }));
+    let cloud = cloud(positions);
+    let kernels = cloud.kernels.as_ref().unwrap();
+    let disk = |kernel: &Kernel| f64::from(CUTOFF * longest_axis(kernel));
+    let middle = |part: &[Kernel]| {
+        let mut disks: Vec<f64> = part.iter().map(disk).collect();
+        disks.sort_by(f64::total_cmp);
+        (disks[part.len() / 2], disks[part.len() - 1])
+    };
+    // Samples of the tree lie some 0.8 apart, those of the wire half a unit.
+    let (median, most) = middle(&kernels[lawn..tree]);
+    assert!(median < 1.1 && most < 3.0, "{median} {most}");
+    let (median, most) = middle(&kernels[tree..]);
+    assert!((0.25..0.75).contains(&median) && most < 1.5, "{median} {most}");
+    for kernel in &kernels[tree..] {
+        let (u, v) = (kernel.u.length(), kernel.v.length());
+        assert!(u.max(v) < 1.01 * u.min(v), "{kernel:?}");
+    }
+}
+
+/// Edges are thick as neighbourhoods go, and stay closed; so does a noisy surface.
+#[test]
+fn edges_and_noise_leave_no_holes() {
+    let mut positions = grid(40, 40, |x, y| [x, y]);
+    positions.retain(|p| p.x >= 0.0);
+    let flat = positions.len();
+    positions.extend(
+        (1..20).flat_map(|z| (-20..20).map(move |y| DVec3::new(0.0, f64::from(y), -f64::from(z)))),
+    );
+    let edge = cloud(positions);
+    let mut random = noise(8);
+    for _ in 0..2000 {
+        let y = 30.0 * random() - 15.0;
+        let along = 6.0 * random();
+        for point in [DVec3::new(along, y, 0.0), DVec3::new(0.0, y, -along)] {
+            // Disks at an edge are tilted: what they cover is seen from the side that they face.
+            let covered = (0..edge.positions.len()).any(|i| {
+                let d = (point - edge.positions[i]).as_vec3();
+                let normal = edge.normals.as_ref().unwrap()[i];
+                d.dot(normal).abs() < 0.75 && covers(&edge, i, point)
+            });
+            assert!(covered, "{point} of {flat}");
+        }
+    }
+    let noisy = grid(40, 40, |x, y| [x, y]).into_iter().map(|p| p + DVec3::Z * 0.5 * random());
+    let (open, _) = holes(noisy.collect(), 15.0);
+    assert!(open < 0.002, "{open}");
 }
 
 #[test]

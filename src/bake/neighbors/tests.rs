@@ -75,6 +75,80 @@ fn small_clouds_match_all_pairs() {
     check_against_all_pairs(&grid, 15);
 }
 
+/// Places that many points share, some of them with others about.
+#[test]
+fn crowded_places_match_all_pairs() {
+    let mut random = noise(11);
+    let mut points: Vec<[f32; 3]> = (0..300).map(|_| [random(), random(), random()]).collect();
+    for place in 0..6 {
+        let at = points[place * 7];
+        points.extend(vec![at; 10 + 9 * place]);
+    }
+    points.extend(vec![[0.0, -0.0, 0.0]; 40]);
+    points.extend(vec![[-0.0, 0.0, 0.0]; 40]);
+    for k in [1, 12, 15] {
+        check_against_all_pairs(&points, k);
+    }
+}
+
+/// What a search for all neighbours looks at, beside what it looks at for as many random points.
+fn effort(points: Vec<[f32; 3]>) -> f64 {
+    let visited = |points: &[[f32; 3]]| {
+        let tree = PointTree::new(points.iter().copied());
+        let found = tree.map_neighbors(12, |neighbors| neighbors.len() as u32);
+        assert!(points.len() < 13 || found.iter().all(|&len| len == 12));
+        let mut order = tree.order().to_vec();
+        order.sort_unstable();
+        assert!(order.into_iter().eq(0..points.len() as u32), "each point is answered once");
+        tree.visited() as f64
+    };
+    let mut random = noise(12);
+    let plain: Vec<[f32; 3]> = points.iter().map(|_| [random(), random(), random()]).collect();
+    visited(&points) / visited(&plain)
+}
+
+#[test]
+fn no_cloud_costs_more_than_four_times_a_random_one() {
+    const COUNT: usize = 20_000;
+    let mut random = noise(13);
+    let mut clouds: Vec<(&str, Vec<[f32; 3]>)> = vec![
+        ("one place", vec![[1.0, 2.0, 3.0]; COUNT]),
+        ("a line", (0..COUNT).map(|i| [i as f32 / COUNT as f32, 0.0, 0.0]).collect()),
+        ("a line of crowds", (0..COUNT).map(|i| [(i / 200) as f32, 0.0, 0.0]).collect()),
+    ];
+    let places: Vec<[f32; 3]> = (0..100).map(|_| [random(), random(), random()]).collect();
+    clouds.push(("a hundred places", (0..COUNT).map(|i| places[i % 100]).collect()));
+    for copies in [2, 12, 15, 16, 17, 31, 40] {
+        let plane = (0..COUNT).map(|i| [(i / copies % 30) as f32, (i / copies / 30) as f32, 0.0]);
+        clouds.push(("a plane of copies", plane.collect()));
+    }
+    let mut cloud = |share: usize, mut at: Box<dyn FnMut(&mut dyn FnMut() -> f32) -> [f32; 3]>| {
+        let mut point = |i: usize| match i % 10 < share {
+            true => at(&mut random),
+            false => [random() - 0.5, random() - 0.5, random() - 0.5],
+        };
+        (0..COUNT).map(&mut point).collect::<Vec<_>>()
+    };
+    clouds.push(("no depth", cloud(2, Box::new(|_| [0.0; 3]))));
+    clouds.push(("mostly no depth", cloud(9, Box::new(|_| [0.1; 3]))));
+    // Squares of such distances are zero in f32.
+    let tiny = |size: f32| {
+        Box::new(move |random: &mut dyn FnMut() -> f32| [0; 3].map(|_| size * random()))
+    };
+    for size in [1e-9, 1e-24, 1e-30, 1e-40] {
+        clouds.push(("a cluster", cloud(9, tiny(size))));
+        clouds.push(("half a cluster", cloud(5, tiny(size))));
+    }
+    let mut far = cloud(10, tiny(1e-9));
+    far[77] = [1.0; 3];
+    clouds.push(("a cluster and one far away", far));
+    for (name, points) in clouds {
+        let effort = effort(points);
+        println!("{name}: {effort:.2}");
+        assert!(effort < 4.0, "{name}: {effort} times");
+    }
+}
+
 #[test]
 fn large_clouds_match_kiddo() {
     let points = sphere(20_000);

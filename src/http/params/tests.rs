@@ -92,7 +92,7 @@ fn values_are_checked() {
         ("lod=spt&max_error_px=0", "max_error_px"),
         ("lod=spt&max_error_px=nan", "max_error_px"),
         ("error_mode=split", "error_mode"),
-        ("lod=spt&error_mode=split", "error_mode"),
+        ("lod=spt&reconstruct=points&error_mode=split", "error_mode"),
         ("reconstruct=splats&error_mode=split", "error_mode"),
         ("lod=spt&reconstruct=splats&error_mode=both", "error_mode"),
         ("paint=levels", "paint"),
@@ -127,7 +127,7 @@ fn values_are_checked() {
 #[test]
 fn what_is_accepted_comes_from_the_type() {
     assert_eq!(fault("output=x").2, "color, depth, normal, id");
-    assert_eq!(fault("reconstruct=x").2, "points, splats, fuzzy");
+    assert_eq!(fault("reconstruct=x").2, "auto, points, splats, fuzzy");
     for (query, accepted) in [
         ("filter=x", "affine, perspective, exact"),
         ("prefilter=yes", "true or false"),
@@ -150,6 +150,7 @@ fn settings_of_splats_in_both_notations() {
         error_mode: Default::default(),
         paint: Default::default(),
         reconstruct: Reconstruct::Splats,
+        decide_for: None,
         filter: Some(Filter::Exact),
         prefilter: Some(false),
         blend: Some(Blend::Opaque),
@@ -179,12 +180,17 @@ fn settings_of_splats_need_splats() {
         ("shading", serde_json::json!("deferred")),
     ] {
         let word = value.to_string().replace('"', "");
-        for before in ["", "reconstruct=points&"] {
-            let (parameter, _, accepted) = fault(&format!("{before}{name}={word}"));
-            assert_eq!(parameter, name);
-            assert!(accepted.contains("`reconstruct=splats`"), "{name}: {accepted}");
+        let (parameter, _, accepted) = fault(&format!("reconstruct=points&{name}={word}"));
+        assert_eq!(parameter, name);
+        assert!(accepted.contains("`reconstruct=splats`"), "{name}: {accepted}");
+        // Splats may be drawn, in this way then.
+        for auto in ["", "reconstruct=auto&"] {
+            let settings = request(&format!("{auto}{name}={word}")).unwrap().settings;
+            assert_eq!(settings.reconstruct, Reconstruct::Auto);
         }
-        let body = serde_json::Value::Object([(name.to_owned(), value)].into_iter().collect());
+        let points = ("reconstruct".to_owned(), serde_json::json!("points"));
+        let body =
+            serde_json::Value::Object([(name.to_owned(), value), points].into_iter().collect());
         let params = FrameParams::from_json(body, "").unwrap();
         let problem = params.request("s", ImageFormat::Png, Instant::now()).unwrap_err();
         assert_eq!((problem.status(), problem.parameter.as_deref()), (422, Some(name)));

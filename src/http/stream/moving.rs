@@ -11,7 +11,7 @@ use crate::encode::ImageFormat;
 use crate::engine::FrameRequest;
 use crate::http::params::FrameParams;
 use crate::http::problem::Problem;
-use crate::plan::{Lod, MaxError, Output};
+use crate::plan::{Lod, MaxError, Output, StillFrame};
 
 /// No side of a moving frame is made shorter than this.
 const LEAST_SIDE: u32 = 64;
@@ -80,7 +80,10 @@ pub fn wanted(
     let smaller =
         FrameParams { w: Some(side(still.width)), h: Some(side(still.height)), ..params.clone() };
     let mut request = still_request(id, &smaller)?;
-    request.settings.max_error = moving_error(still.settings.max_error, pace.coarseness);
+    // Decided for the frame that follows at rest, so that points do not turn into splats when the pose stops.
+    let max_error = still.settings.max_error;
+    request.settings.decide_for = Some(StillFrame { height: still.height, max_error });
+    request.settings.max_error = moving_error(max_error, pace.coarseness);
     // Who asked for what a browser shows can show a JPEG; of other formats nothing is known.
     let shown = matches!(request.format, ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Webp);
     if shown && request.output == Output::Color {

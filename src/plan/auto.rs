@@ -1,0 +1,235 @@
+//! What samples are drawn as where `reconstruct=auto` leaves the choice.
+//!
+//! Points leave a pixel empty where no sample falls into it: `e^(-1/s²)` of a randomly sampled surface whose samples lie `s`
+//! pixels apart, 2 % at half a pixel and 37 % at one. [`choose`] draws splats where the median of the picture has more holes
+//! than at [`DENSE_PX`].
+
+use crate::bake::spacing::Patch;
+use crate::math::View;
+
+use super::{Lod, Reconstruct};
+
+/// Most accepted error of point trees, in pixels, up to which their nodes are as dense as pixels.
+const COARSE_PX: f64 = 1.0;
+/// Samples that lie closer together, in pixels, are drawn as points.
+pub const DENSE_PX: f64 = 0.7;
+/// Farther apart, samples cover no more of the picture: strays in an empty sky do not decide how the rest is drawn.
+const SPARSE_PX: f64 = 8.0;
+/// Share of a patch's radius from which its samples are seen at the nearest.
+const NEAREST: f64 = 0.25;
+
+/// What the choice depends on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Grounds {
+    pub lod: Lod,
+    pub has_samples: bool,
+    /// Distance between neighbouring samples in pixels, as [`spacing_px`] tells; `None` where none is in view.
+    pub spacing_px: Option<f64>,
+    /// Error that `lod=spt` may have.
+    pub max_error_px: f32,
+    /// Kernels of all samples are there; without them nothing but points can be drawn.
+    pub has_kernels: bool,
+}
+
+/// A choice and what it was made by.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Choice {
+    pub reconstruct: Reconstruct,
+    pub spacing_px: Option<f64>,
+    pub reason: Reason,
+}
+
+/// Why samples are drawn as they are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Reason {
+    NoSamples,
+    NoKernels,
+    NothingInView,
+    /// Samples are denser than pixels.
+    Dense,
+    /// Samples leave pixels empty.
+    Sparse,
+    /// Nodes of point trees are as small as pixels.
+    Fine,
+    /// Nodes of point trees leave pixels empty, since errors of so many pixels are accepted.
+    Coarse {
+        max_error_px: f32,
+    },
+}
+
+impl Choice {
+    /// One line for the receipt.
+    pub fn because(&self) -> String {
+        let apart = || {
+            let px = self.spacing_px.unwrap_or_default();
+            // Two digits that count.
+            let digits = if px < 0.095 {
+                3
+            } else if px < 0.95 {
+                2
+            } else {
+                usize::from(px < 9.5)
+            };
+            format!("samples lie {px:.digits$} px apart at the median")
+        };
+        match self.reason {
+            Reason::NoSamples => "the scene has no samples".to_owned(),
+            Reason::NoKernels => "kernels are not estimated yet".to_owned(),
+            Reason::NothingInView => "no sample is in view".to_owned(),
+            Reason::Dense | Reason::Sparse => apart(),
+            Reason::Fine => "nodes of point trees are as small as pixels".to_owned(),
+            Reason::Coarse { max_error_px } => {
+                format!("nodes of point trees may be {max_error_px} px wide")
+            }
+        }
+    }
+}
+
+/// Chooses between points and splats. Every frame with `reconstruct=auto` is decided here.
+pub fn choose(grounds: &Grounds) -> Choice {
+    let coarse = grounds.lod == Lod::Spt && f64::from(grounds.max_error_px) > COARSE_PX;
+    let (reconstruct, reason) = match grounds.spacing_px {
+        _ if !grounds.has_samples => (Reconstruct::Points, Reason::NoSamples),
+        _ if !grounds.has_kernels => (Reconstruct::Points, Reason::NoKernels),
+        Some(px) if px > DENSE_PX => (Reconstruct::Splats, Reason::Sparse),
+        _ if coarse => (Reconstruct::Splats, Reason::Coarse { max_error_px: grounds.max_error_px }),
+        Some(_) => (Reconstruct::Points, Reason::Dense),
+        // Of meshes trees have all the samples that can be told apart.
+        None if grounds.lod == Lod::Spt => (Reconstruct::Points, Reason::Fine),
+        None => (Reconstruct::Points, Reason::NothingInView),
+    };
+    Choice { reconstruct, spacing_px: grounds.spacing_px, reason }
+}
+
+/// How far apart neighbouring samples lie in the image, in pixels: the median over what they cover of it. `None` where no patch is in
+/// view.
+pub fn spacing_px(patches: &[Patch], view: &View) -> Option<f64> {
+    let mut seen: Vec<(f64, f64)> =
+        patches.iter().filter_map(|patch| in_view(patch, view)).collect();
+    seen.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+    let half = 0.5 * seen.iter().map(|(_, weight)| weight).sum::<f64>();
+    let mut sum = 0.0;
+    let median = seen.iter().find(|(_, weight)| {
+        sum += weight;
+        sum >= half
+    });
+    median.map(|(px, _)| *px)
+}
+
+/// The spacing of a patch in pixels, and how many pixels it covers of the image.
+fn in_view(patch: &Patch, view: &View) -> Option<(f64, f64)> {
+    let at = view.to_view(patch.centre);
+    let depth = -at.z;
+    if depth.is_nan() || depth <= -patch.radius {
+        return None;
+    }
+    let depth = depth.max(NEAREST * patch.radius).max(f64::MIN_POSITIVE);
+    let focal = (view.focal_px.x * view.focal_px.y).sqrt();
+    let (px, radius_px) = (patch.spacing * focal / depth, patch.radius * focal / depth);
+    if !px.is_finite() || !radius_px.is_finite() {
+        return None;
+    }
+    // The share of its square that lies within the image, along both axes.
+    let share = |middle: f64, size: u32| {
+        let radius = radius_px.max(0.5);
+        let inside = (middle + radius).min(f64::from(size)) - (middle - radius).max(0.0);
+        inside.max(0.0) / (2.0 * radius)
+    };
+    let x = view.principal_px.x + view.focal_px.x * at.x / depth;
+    let y = view.principal_px.y - view.focal_px.y * at.y / depth;
+    let share = share(x, view.width) * share(y, view.height);
+    let pixels = f64::from(view.width) * f64::from(view.height);
+    let covered = (patch.samples * px.min(SPARSE_PX).powi(2) * share).min(pixels);
+    (covered > 0.0).then_some((px, covered))
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use crate::math::Camera;
+
+    fn view(distance: f64, height: u32) -> View {
+        let eye = DVec3::new(0.0, 0.0, distance);
+        let camera = Camera { eye, target: DVec3::ZERO, up: DVec3::Y, fov_deg: 53.130_102 };
+        camera.view(height * 4 / 3, height).unwrap()
+    }
+
+    fn patch(centre: DVec3, spacing: f64) -> Patch {
+        Patch { centre, radius: 0.1, spacing, samples: 1000.0 }
+    }
+
+    fn grounds(spacing_px: Option<f64>) -> Grounds {
+        Grounds {
+            lod: Lod::Full,
+            has_samples: true,
+            spacing_px,
+            max_error_px: 1.0,
+            has_kernels: true,
+        }
+    }
+
+    #[test]
+    fn spacing_follows_distance_and_size_of_the_frame() {
+        // Focal length in pixels: the height.
+        let one = [patch(DVec3::ZERO, 0.01)];
+        let px = |distance, height| spacing_px(&one, &view(distance, height)).unwrap();
+        assert!((px(10.0, 1000) - 1.0).abs() < 1e-6);
+        assert!((px(20.0, 1000) - 0.5).abs() < 1e-6);
+        assert!((px(10.0, 500) - 0.5).abs() < 1e-6);
+        assert_eq!(spacing_px(&one, &view(-10.0, 1000)).map(|px| px > 0.0), Some(true));
+        assert_eq!(spacing_px(&[patch(DVec3::Z * 30.0, 0.01)], &view(10.0, 1000)), None, "behind");
+        assert_eq!(spacing_px(&[patch(DVec3::X * 30.0, 0.01)], &view(10.0, 1000)), None, "aside");
+        assert_eq!(spacing_px(&[], &view(10.0, 1000)), None);
+    }
+
+    #[test]
+    fn the_median_is_over_what_is_covered_and_strays_have_no_say() {
+        let far = (0..10).map(|i| patch(DVec3::new(f64::from(i), 0.0, -390.0), 0.01));
+        let near = patch(DVec3::new(0.0, -1.0, 5.0), 0.01);
+        let view = view(10.0, 1000);
+        let both: Vec<Patch> = far.chain([near]).collect();
+        assert!(spacing_px(&both, &view).unwrap() > 1.0, "what is near covers most");
+        let ground = (0..10).map(|i| patch(DVec3::new(f64::from(i) - 5.0, 0.0, 0.0), 0.004));
+        let stray = Patch { centre: DVec3::ZERO, radius: 5.0, spacing: 1.0, samples: 5.0 };
+        let px = spacing_px(&ground.chain([stray]).collect::<Vec<_>>(), &view).unwrap();
+        assert!((px - 0.4).abs() < 1e-3, "{px}");
+    }
+
+    #[test]
+    fn what_holds_the_eye_is_in_view() {
+        let around = Patch { centre: DVec3::Z * 10.2, radius: 4.0, spacing: 0.01, samples: 1e5 };
+        assert!(spacing_px(&[around], &view(10.0, 1000)).unwrap() > DENSE_PX);
+    }
+
+    #[test]
+    fn samples_denser_than_pixels_are_points() {
+        let drawn = |grounds: &Grounds| (choose(grounds).reconstruct, choose(grounds).reason);
+        assert_eq!(drawn(&grounds(Some(0.5))), (Reconstruct::Points, Reason::Dense));
+        assert_eq!(drawn(&grounds(Some(0.9))), (Reconstruct::Splats, Reason::Sparse));
+        assert_eq!(drawn(&grounds(None)), (Reconstruct::Points, Reason::NothingInView));
+        let bare = Grounds { has_samples: false, ..grounds(None) };
+        assert_eq!(drawn(&bare), (Reconstruct::Points, Reason::NoSamples));
+        let early = Grounds { has_kernels: false, ..grounds(Some(9.0)) };
+        assert_eq!(drawn(&early), (Reconstruct::Points, Reason::NoKernels));
+        let coarse = Grounds { lod: Lod::Spt, max_error_px: 4.0, ..grounds(Some(0.1)) };
+        let reason = Reason::Coarse { max_error_px: 4.0 };
+        assert_eq!(drawn(&coarse), (Reconstruct::Splats, reason));
+        let of_mesh = Grounds { lod: Lod::Spt, ..grounds(None) };
+        assert_eq!(drawn(&of_mesh), (Reconstruct::Points, Reason::Fine));
+        let fine = Grounds { max_error_px: 1.0, ..coarse };
+        assert_eq!(drawn(&fine), (Reconstruct::Points, Reason::Dense));
+    }
+
+    #[test]
+    fn reasons_have_figures() {
+        let because = |px| choose(&grounds(Some(px))).because();
+        let coarse = Grounds { lod: Lod::Spt, max_error_px: 2.5, ..grounds(None) };
+        assert_eq!(choose(&coarse).because(), "nodes of point trees may be 2.5 px wide");
+        assert_eq!(because(3.21), "samples lie 3.2 px apart at the median");
+        assert_eq!(because(0.512), "samples lie 0.51 px apart at the median");
+        assert_eq!(because(0.0123), "samples lie 0.012 px apart at the median");
+        assert_eq!(because(14.4), "samples lie 14 px apart at the median");
+    }
+}

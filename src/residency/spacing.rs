@@ -1,0 +1,50 @@
+//! Where a scene's samples are and how far apart, in few words.
+
+use crate::bake::pack::PackedGeometry;
+use crate::bake::spacing::{Patch, measure, merged};
+
+use super::model::SceneModel;
+
+/// Patches of a scene, roughly, at most.
+const PATCHES: usize = 512;
+/// Instances that are looked at for a patch that stands for many.
+const LOOKED_AT: usize = 16;
+
+/// The patches of a scene's samples in world space. Their number is bounded by a constant, however many samples and instances
+/// there are.
+pub fn patches(model: &SceneModel) -> Vec<Patch> {
+    let has_samples = |geometry: &PackedGeometry| match geometry {
+        PackedGeometry::Samples(samples) => !samples.positions.is_empty(),
+        PackedGeometry::Mesh(_) => false,
+    };
+    let holding =
+        || model.instances.iter().filter(|instance| has_samples(model.geometry(instance)));
+    let count = holding().count();
+    let each = PATCHES.checked_div(count).unwrap_or(0).max(1);
+    let local: Vec<Vec<Vec<Patch>>> = model
+        .assets
+        .iter()
+        .map(|asset| {
+            let of = |geometry: &PackedGeometry| match geometry {
+                PackedGeometry::Samples(samples) if count > 0 => measure(samples, each),
+                _ => Vec::new(),
+            };
+            asset.packed.geometries.iter().map(of).collect()
+        })
+        .collect();
+    let run = count.div_ceil(PATCHES).max(1);
+    let every = run.div_ceil(LOOKED_AT).max(1);
+    let looked_at = holding().step_by(every).flat_map(|instance| {
+        let local = &local[instance.asset][instance.geometry];
+        local.iter().map(move |patch| {
+            let placed = patch.placed(&instance.world_from_geometry);
+            Patch { samples: placed.samples * every as f64, ..placed }
+        })
+    });
+    let placed: Vec<Patch> = looked_at
+        .filter(|patch| {
+            patch.centre.is_finite() && patch.radius.is_finite() && patch.spacing.is_finite()
+        })
+        .collect();
+    if run > 1 { merged(&placed, PATCHES) } else { placed }
+}
