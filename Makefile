@@ -8,7 +8,7 @@ ARGS  ?=
 export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup build run test fmt lint bench data clean-scenes clean
+.PHONY: help setup build run test check fmt lint bench data clean-scenes clean
 
 help: ## this list
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -25,6 +25,11 @@ run: build ## the daemon on 127.0.0.1:8080 with the scenes in scenes/ (PORT=, HO
 
 test: setup ## formatting, lints, every test, the browser, deploy files
 	@scripts/test.sh
+
+check: setup ## formatting, lints, unit tests and shaders: what to run before each commit, in a few minutes
+	cargo fmt --check
+	cargo clippy --all-targets --locked $$(scripts/features.sh) -- -D warnings
+	cargo test --locked $$(scripts/features.sh) --quiet --lib --test shaders
 
 fmt: ## format the code
 	cargo fmt

@@ -10,8 +10,18 @@ use common::folder;
 use common::report::{number, render, verdict};
 use serde_json::{Value, json};
 
-const BENCHES: [&str; 9] =
-    ["points", "statue", "triangles", "splats", "lod", "pops", "daemon", "stream", "memory"];
+const BENCHES: [&str; 10] = [
+    "points",
+    "statue",
+    "triangles",
+    "splats",
+    "lod",
+    "pops",
+    "daemon",
+    "stream",
+    "memory",
+    "first",
+];
 
 fn main() -> anyhow::Result<()> {
     let mut results = Vec::new();

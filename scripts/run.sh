@@ -7,8 +7,12 @@ set -euo pipefail
 
 binary=$1 root=$2
 shift 2
+# The scene that is loaded first: the viewer opens with it, and the command that the daemon prints fetches it.
+first=town
 scenes=()
+[ -f "$root/$first.json" ] && scenes+=(--scene "$first.json")
 for file in "$root"/*.json "$root"/generated/*.json "$root"/data/*.json; do
+    [ "$file" = "$root/$first.json" ] && continue
     [ -f "$file" ] && scenes+=(--scene "${file#"$root"/}")
 done
 # Mesa's device-select layer asks a Wayland server which GPU the desktop prefers, and writes an error where there is

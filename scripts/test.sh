@@ -79,6 +79,14 @@ else
     skip "browser" "no Chromium with chromedriver; tests/browser.rs skips itself"
 fi
 
+if haproxy_said=$(scripts/setup-haproxy.sh 2>&1); then
+    echo "$haproxy_said"
+    export POINTILLIST_HAPROXY=required
+else
+    echo "$haproxy_said"
+    skip "haproxy" "none here; tests/http/balancer.rs skips itself"
+fi
+
 data=${POINTILLIST_DATA:-../shared/data}
 [ -d "$data" ] || skip "real data" "no folder $data (POINTILLIST_DATA); tests that read real files skip themselves"
 
@@ -87,6 +95,30 @@ if cargo nextest --version >/dev/null 2>&1; then
     tests "cargo test doc" cargo test --locked "${features[@]}" --doc
 else
     tests "cargo test" cargo test --locked "${features[@]}" --no-fail-fast
+fi
+
+# Another Vulkan driver draws the same bytes: the manifest of one may be given, or lie where others are installed.
+second_driver() {
+    if [ -n "${POINTILLIST_ICD:-}" ]; then
+        printf '%s\n' "$POINTILLIST_ICD"
+        return
+    fi
+    local manifest
+    for manifest in /opt/mesa*/share/vulkan/icd.d/lvp_icd*.json /usr/local/share/vulkan/icd.d/lvp_icd*.json; do
+        if [ -r "$manifest" ]; then
+            printf '%s\n' "$manifest"
+            return
+        fi
+    done
+}
+second=$(second_driver)
+if [ -z "$second" ]; then
+    skip "second driver" "no other Vulkan driver (POINTILLIST_ICD=MANIFEST); twin and golden tests ran on one"
+elif [ ! -r "$second" ]; then
+    check "second driver $second" false
+else
+    on_second=(env VK_DRIVER_FILES="$second" VK_ICD_FILENAMES="$second")
+    tests "second driver" "${on_second[@]}" cargo test --locked "${features[@]}" --no-fail-fast --test twin
 fi
 
 if command -v shellcheck >/dev/null 2>&1; then

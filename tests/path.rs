@@ -119,7 +119,7 @@ impl Studio {
             engine,
             request: FrameRequest {
                 scene: "scene".to_owned(),
-                pose: Pose::Fit,
+                pose: Pose::FIT,
                 width: 64,
                 height: 48,
                 settings: Settings::default(),

@@ -162,7 +162,7 @@ fn list(root: &Path, folder: &Path, into: &mut BTreeSet<String>) {
 fn request(output: Output, format: ImageFormat) -> FrameRequest {
     FrameRequest {
         scene: "x".to_owned(),
-        pose: Pose::Fit,
+        pose: Pose::FIT,
         width: SIDE,
         height: SIDE,
         settings: Settings::default(),
@@ -388,17 +388,30 @@ fn the_same_cloud_in_two_formats_is_the_same_picture() {
 }
 
 #[test]
-fn surveys_stand_upright() {
+fn surveys_and_statues_stand_upright() {
     let Some(folder) = data() else { return };
     let engine = Engine::start(EngineConfig::new(&folder)).unwrap();
-    let (y, z) = ([0.0, 1.0, 0.0], [0.0, 0.0, 1.0]);
+    let (y, z, below) = ([0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]);
     for (name, up) in [
         ("pointclouds/autzen_trim.las", z),
         ("pointclouds/autzen-utm.pcd", z),
         ("pointclouds/b9_training.ply", z),
         ("pointclouds/same_cloud_many_formats/1.2-with-color.obj", z),
         ("pointclouds/pumpAVisualReferenceImage.e57", z),
+        ("pointclouds/lion_takanawa.copc.laz", z),
+        ("pointclouds/kitten.xyz", y),
+        ("pointclouds/bunnyFloat.e57", y),
+        ("pointclouds/milk_cartoon_all_small_clorox.pcd", below),
         ("scans/bun_zipper_res4.ply", y),
+        ("scans/bunny_range/bun000.ply", y),
+        ("scans/dragon_vrip_res4.ply.gz", y),
+        ("scans/armadillo.obj", y),
+        ("scans/laurana.ply", y),
+        ("textured/spot/spot_triangulated.obj", y),
+        ("textured/fuze/fuze.obj", z),
+        ("cad/cycloidal.ply", z),
+        ("cad/featuretype.STL", z),
+        ("trees/tree33.xyz", z),
         ("lines/722817260.ply", y),
         ("textured/BoxTextured.glb", y),
         ("cad/fandisk.obj", y),

@@ -1,5 +1,6 @@
 //! The real binary as a child process.
 
+use std::ffi::OsStr;
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::net::SocketAddr;
@@ -24,6 +25,19 @@ impl Daemon {
     /// # Errors
     /// It does not come to listen.
     pub fn start(root: &Path, scenes: &[&str], args: &[&str]) -> anyhow::Result<Daemon> {
+        Daemon::start_with(root, scenes, args, &[])
+    }
+
+    /// [`Self::start`] with more in the environment.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub fn start_with(
+        root: &Path,
+        scenes: &[&str],
+        args: &[&str],
+        environment: &[(&str, &OsStr)],
+    ) -> anyhow::Result<Daemon> {
         let log = super::folder().join("daemon.log");
         std::fs::create_dir_all(super::folder())?;
         let began = Instant::now();
@@ -36,6 +50,8 @@ impl Daemon {
             .args(args)
             .env_remove("POINTILLIST_CONFIG")
             .env("POINTILLIST_NO_CACHE", "true")
+            .env("POINTILLIST_NO_PRIME", "true")
+            .envs(environment.iter().copied())
             .env("POINTILLIST_NO_JOBS", if args.contains(&"--state") { "false" } else { "true" })
             .stdin(Stdio::null())
             .stdout(Stdio::piped())

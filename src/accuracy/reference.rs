@@ -11,7 +11,7 @@ use std::path::Path;
 
 use crate::assets::{Asset, AssetError, ReadOptions};
 use crate::bake::assemble::{AssembleError, Assembler, Prepared};
-use crate::bake::prepare::{self, PlacedGeometry};
+use crate::bake::prepare::{self, Outlook, PlacedGeometry};
 use crate::encode::FrameImage;
 use crate::math::{Camera, View};
 use crate::oracle::{self, OracleFrame, OracleItem, OracleScene};
@@ -64,8 +64,10 @@ impl Reference {
         let mut assets = Vec::with_capacity(description.assets.len());
         let mut traits = Vec::with_capacity(description.assets.len());
         let mut assembler = Assembler::new(path, &description, &options);
+        let mut shape = None;
         for index in 0..description.assets.len() {
-            let Prepared { asset, traits: found, .. } = assembler.asset(index)?;
+            let Prepared { asset, traits: found, shape: measured, .. } = assembler.asset(index)?;
+            shape = shape.or(measured);
             if description.cameras.is_empty() {
                 description.cameras.extend(asset.cameras.iter().cloned());
             }
@@ -73,7 +75,9 @@ impl Reference {
             assets.push(asset);
         }
         if !prepare::is_scene_file(path) {
-            prepare::adapt_bare_asset(&mut description, &traits);
+            let sensor = assets.iter().find_map(|asset| asset.sensor);
+            let outlook = Outlook { up: None, shape: shape.as_ref(), sensor };
+            prepare::adapt_bare_asset(&mut description, &traits, &outlook);
         }
         let placements: Vec<_> = assets.iter().map(|asset| &asset.placements).collect();
         let limit = limits.max_instances;

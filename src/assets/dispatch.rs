@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::Path;
 
 use super::input::Input;
+use super::warnings::condensed;
 use super::{Asset, AssetError, ReadOptions, e57, gltf, las, obj, off, pcd, ply, ptx, stl, xyz};
 
 /// Extensions of the formats that are read, in lower case; each may be followed by `.gz`.
@@ -48,7 +49,7 @@ enum Format {
 pub fn read(path: &Path, options: &ReadOptions) -> Result<Asset, AssetError> {
     let name = display_name(path);
     let input = Input::open(path, &name, options)?;
-    let asset = match recognise(&input.origin.head, &name) {
+    let mut asset = match recognise(&input.origin.head, &name) {
         Format::Ply => ply::read_from(input, options),
         Format::Obj => obj::read_from(input, options),
         Format::Stl => stl::read_from(input, options),
@@ -76,6 +77,7 @@ pub fn read(path: &Path, options: &ReadOptions) -> Result<Asset, AssetError> {
             ),
         )),
     }?;
+    asset.warnings = condensed(asset.warnings.drain(..).map(|text| ("", text)));
     options.progress.report(1.0);
     Ok(asset)
 }

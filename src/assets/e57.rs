@@ -329,7 +329,7 @@ fn finish(scans: Vec<Scan>, name: &str) -> Result<Asset, AssetError> {
             values.into_iter().map(|value| scale_to_word(value, range)).collect()
         };
         asset.geometries.push(Geometry::Points(PointCloud {
-            colors: scan.rgb.map(|rgb| colors(rgb.len(), |point| rgb[point])),
+            colors: scan.rgb.and_then(|rgb| colors(rgb.len(), |point| rgb[point])),
             intensity: scan.intensity.zip(range).map(|(values, range)| scaled(values, range)),
             positions: scan.positions,
             ..PointCloud::default()

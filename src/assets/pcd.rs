@@ -5,10 +5,11 @@
 //! rest is stepped over. The body is a stream: text rows, packed little-endian records, or — in
 //! `binary_compressed` — one LZF block ([`lzf`]) that holds field after field. Organised clouds
 //! (height above 1) mark pixels without depth by NaN; those are skipped. `VIEWPOINT` is where the
-//! sensor stood, and as in the Point Cloud Library does not move the points.
+//! sensor stood, and as in the Point Cloud Library does not move the points. It gives the first view ([`sensor`]).
 
 mod header;
 mod lzf;
+mod sensor;
 
 use std::io::{BufRead, Read};
 use std::path::Path;
@@ -21,6 +22,7 @@ use super::points::{
 };
 use super::{Asset, AssetError, Geometry, PointCloud, ReadOptions};
 use header::{Body, Field, Header, Wanted};
+use sensor::Raster;
 
 /// Points that are read at a time.
 const BATCH: u64 = 1 << 14;
@@ -215,6 +217,9 @@ impl Row {
 /// The points so far; what the file lacks stays empty.
 struct Columns {
     positions: Vec<DVec3>,
+    /// Place in the file, for organised clouds.
+    pixels: Option<Vec<u32>>,
+    rows: u32,
     normals: Option<Vec<glam::Vec3>>,
     rgb: Option<Vec<[f32; 3]>>,
     packed: Option<Vec<u32>>,
@@ -232,6 +237,8 @@ impl Columns {
         let all = |of: fn(usize) -> Wanted| (0..3).all(|i| header.has(of(i)));
         Self {
             positions: Vec::new(),
+            pixels: column(header.image.is_some() && u32::try_from(header.points).is_ok()),
+            rows: 0,
             normals: column(all(Wanted::Normal)),
             rgb: column(all(Wanted::Rgb)),
             packed: column(header.packed_color().is_some()),
@@ -247,11 +254,14 @@ impl Columns {
                 column.push(value);
             }
         }
+        let pixel = self.rows;
+        self.rows = self.rows.wrapping_add(1);
         if !row.position.is_finite() {
             self.not_finite += 1;
             return;
         }
         self.positions.push(row.position);
+        add(&mut self.pixels, pixel);
         add(&mut self.normals, unit_or_zero(row.normal));
         add(&mut self.rgb, row.rgb);
         add(&mut self.packed, row.packed);
@@ -268,11 +278,16 @@ impl Columns {
             };
             return Err(malformed(name, "file", reason));
         }
+        let raster = match (header.image, &self.pixels) {
+            (Some([width, height]), Some(pixels)) => Some(Raster { width, height, pixels }),
+            _ => None,
+        };
+        let sensor = sensor::view(&self.positions, raster.as_ref(), header.viewpoint);
         let packed = self.packed.zip(header.packed_color());
         let cloud = PointCloud {
             colors: match (packed, self.rgb) {
-                (Some((packed, alpha)), _) => Some(unpack(&packed, alpha)),
-                (None, Some(rgb)) => Some(colors(count, |point| rgb[point])),
+                (Some((packed, alpha)), _) => unpack(&packed, alpha),
+                (None, Some(rgb)) => colors(count, |point| rgb[point]),
                 (None, None) => None,
             },
             normals: self.normals,
@@ -285,19 +300,24 @@ impl Columns {
             clips: None,
         };
         let mut asset = Asset::single("pcd", name, Geometry::Points(cloud));
+        asset.sensor = sensor;
+        asset.warnings.clone_from(&header.warnings);
         asset.warnings.extend(skipped_warning(self.not_finite, "no finite position"));
         Ok(asset)
     }
 }
 
-/// Colours packed as `0xAARRGGBB`. An alpha that is zero throughout was never written.
-fn unpack(packed: &[u32], has_alpha: bool) -> Vec<[u8; 4]> {
+/// Colours packed as `0xAARRGGBB`. An alpha that is zero throughout was never written; `None` for colours that were not.
+fn unpack(packed: &[u32], has_alpha: bool) -> Option<Vec<[u8; 4]>> {
+    if packed.iter().all(|color| color & 0xff_ffff == 0) {
+        return None;
+    }
     let opaque = !has_alpha || packed.iter().all(|color| color >> 24 == 0);
     let unpack_one = |&color: &u32| {
         let [alpha, r, g, b] = color.to_be_bytes();
         [r, g, b, if opaque { 255 } else { alpha }]
     };
-    packed.iter().map(unpack_one).collect()
+    Some(packed.iter().map(unpack_one).collect())
 }
 
 #[cfg(test)]

@@ -198,8 +198,17 @@ impl ColorRange {
     }
 }
 
-/// Colours of `count` points from channels in whatever range the file uses.
-pub(super) fn colors(count: usize, rgb: impl Fn(usize) -> [f32; 3]) -> Vec<[u8; 4]> {
+/// Colours of `count` points from channels in whatever range the file uses; `None` when all are zero or unknown, which means
+/// that the fields were never filled.
+pub(super) fn colors(count: usize, rgb: impl Fn(usize) -> [f32; 3]) -> Option<Vec<[u8; 4]>> {
+    (0..count)
+        .flat_map(&rgb)
+        .any(|value| value.is_finite() && value != 0.0)
+        .then(|| bytes(count, rgb))
+}
+
+/// Channels in whatever range the file uses as bytes, with full alpha.
+pub(super) fn bytes(count: usize, rgb: impl Fn(usize) -> [f32; 3]) -> Vec<[u8; 4]> {
     let range = ColorRange::of((0..count).flat_map(&rgb));
     (0..count)
         .map(|point| {
@@ -306,7 +315,8 @@ mod tests {
 
     #[test]
     fn color_ranges_are_recognised() {
-        let one = |rgb: [f32; 3]| colors(1, |_| rgb)[0];
+        let one = |rgb: [f32; 3]| colors(1, |_| rgb).unwrap()[0];
+        assert_eq!(colors(2, |_| [0.0, f32::NAN, 0.0]), None);
         assert_eq!(one([0.0, 0.5, 1.0]), [0, 128, 255, 255]);
         assert_eq!(one([0.0, 128.0, 255.0]), [0, 128, 255, 255]);
         assert_eq!(one([0.0, 32768.0, 65280.0]), [0, 128, 255, 255]);

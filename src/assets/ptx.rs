@@ -227,7 +227,11 @@ fn finish(scans: Vec<Scan>, name: &str) -> Result<Asset, AssetError> {
         let count = scan.positions.len();
         let intensity = range.filter(|_| scan.intensities.len() == count);
         asset.geometries.push(Geometry::Points(PointCloud {
-            colors: (scan.rgb.len() == count).then(|| colors(count, |point| scan.rgb[point])),
+            colors: if scan.rgb.len() == count {
+                colors(count, |point| scan.rgb[point])
+            } else {
+                None
+            },
             intensity: intensity.map(|range| {
                 scan.intensities.iter().map(|&value| scale_to_word(value, range)).collect()
             }),

@@ -18,13 +18,27 @@ pub(crate) struct Lines<'a, R> {
     reader: R,
     file: &'a str,
     line: Vec<u8>,
+    /// Last byte of a line.
+    end: u8,
     /// Of the line read last, from 1.
     pub number: u64,
 }
 
 impl<'a, R: BufRead> Lines<'a, R> {
     pub fn new(reader: R, file: &'a str) -> Self {
-        Self { reader, file, line: Vec::new(), number: 0 }
+        Self { reader, file, line: Vec::new(), end: b'\n', number: 0 }
+    }
+
+    /// Takes a carriage return alone for the end of a line, as old Macintosh software writes it, if the text begins with
+    /// `first` and one that no line feed follows.
+    pub fn end_at_carriage_returns_after(&mut self, first: &[u8]) -> Result<(), AssetError> {
+        let begin = self.reader.fill_buf().map_err(|source| AssetError::io(self.file, source))?;
+        if let Some([b'\r', next, ..]) = begin.strip_prefix(first)
+            && *next != b'\n'
+        {
+            self.end = b'\r';
+        }
+        Ok(())
     }
 
     /// Reads the next line; false at the end of the file.
@@ -37,7 +51,7 @@ impl<'a, R: BufRead> Lines<'a, R> {
     fn append(&mut self) -> Result<bool, AssetError> {
         let count = (&mut self.reader)
             .take(MAX_LINE_BYTES)
-            .read_until(b'\n', &mut self.line)
+            .read_until(self.end, &mut self.line)
             .map_err(|source| AssetError::io(self.file, source))?;
         self.number += 1;
         if self.line.len() as u64 >= MAX_LINE_BYTES {

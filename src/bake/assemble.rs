@@ -10,6 +10,7 @@ use std::rc::Rc;
 use super::colors::NEUTRAL;
 use super::csg;
 use super::prepare::{self, AssetTraits};
+use super::upright::Shape;
 use super::{FeatureOptions, SampleOptions, detect_features, estimate_kernels, sample_mesh};
 use crate::assets::{self, Asset, AssetError, Clip, Geometry, PointCloud, ReadOptions};
 use crate::scene::{AssetRef, AssetSource, FileSource, Scene, SceneError, Solid};
@@ -39,6 +40,8 @@ pub struct Prepared {
     pub traits: AssetTraits,
     /// Clouds, by their number, that have yet to be given normals or kernels ([`super::estimate`]).
     pub lacking: Vec<usize>,
+    /// Measured where the scene is this asset alone, to tell which way is up.
+    pub shape: Option<Shape>,
 }
 
 /// Assembles the assets of one scene.
@@ -48,6 +51,7 @@ pub struct Assembler {
     assets: Vec<AssetRef>,
     operands_only: Vec<bool>,
     is_operand: Vec<bool>,
+    is_bare: bool,
     options: ReadOptions,
     /// Files that something is made of, as read and sampled.
     files: HashMap<usize, Rc<Asset>>,
@@ -67,6 +71,7 @@ impl Assembler {
             assets: description.assets.clone(),
             operands_only: description.operands_only(),
             is_operand,
+            is_bare: !prepare::is_scene_file(scene),
             options: options.clone(),
             files: HashMap::new(),
             clouds: HashMap::new(),
@@ -101,6 +106,7 @@ impl Assembler {
             }
             AssetSource::Solid(solid) => (self.solid_asset(index, &solid)?, false),
         };
+        let shape = if self.is_bare { Shape::of(&asset) } else { None };
         let mut traits = AssetTraits { format: asset.format, ..AssetTraits::default() };
         let mut lacking = Vec::new();
         for (number, geometry) in asset.geometries.iter_mut().enumerate() {
@@ -114,7 +120,7 @@ impl Assembler {
                 detect_features(cloud, &FeatureOptions::default());
             }
         }
-        Ok(Prepared { asset, traits, lacking })
+        Ok(Prepared { asset, traits, lacking, shape })
     }
 
     /// A file as read and, where asked for, sampled.
@@ -236,7 +242,7 @@ impl Assembler {
 fn no_geometry() -> Prepared {
     let asset = Asset { format: OPERAND_FORMAT, ..Asset::default() };
     let traits = AssetTraits { format: OPERAND_FORMAT, ..AssetTraits::default() };
-    Prepared { asset, traits, lacking: Vec::new() }
+    Prepared { asset, traits, lacking: Vec::new(), shape: None }
 }
 
 /// The samples of all placements; `None` where a mesh is placed.

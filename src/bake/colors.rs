@@ -4,8 +4,15 @@ use crate::assets::PointCloud;
 
 /// What neither intensity nor class tells apart.
 pub(super) const NEUTRAL: [u8; 4] = [204, 204, 204, 255];
-/// Intensities below and above these fractions of all points become black and white.
+/// Intensities below and above these fractions of all points become the darkest and the lightest grey.
 const STRETCH: [f64; 2] = [0.01, 0.99];
+/// The darkest grey, which stands out from the default background (`#202428`).
+const FLOOR: f64 = 80.0;
+/// Grey that the median intensity has at least, as a share of the way from the darkest to the lightest: most intensities of a
+/// survey are low, and few returns are very bright.
+const MEDIAN: f64 = 0.45;
+/// Exponents below this would make noise of the lowest intensities.
+const LEAST_EXPONENT: f64 = 0.4;
 
 /// Colours of the ASPRS standard classes 0 to 22 (LAS 1.4 R15, table 17): vegetation in greens,
 /// buildings in red, water in blue, transport in greys, noise in magenta.
@@ -36,13 +43,14 @@ const CLASS_COLORS: [[u8; 3]; 23] = [
 ];
 
 /// Gives a cloud colours if it has none: grey from its intensity, stretched between the 1st and the
-/// 99th percentile; else, when it has several classes, a colour for each; else one light grey.
+/// 99th percentile; else, when it has several classes, a colour for each; else one light grey. Returns whether the intensity
+/// is shown.
 ///
 /// Classes 0 to 22 have the ASPRS colours above, the others one of 20 hues each.
-pub fn fill_colors(cloud: &mut PointCloud) {
+pub fn fill_colors(cloud: &mut PointCloud) -> bool {
     let count = cloud.positions.len();
     if cloud.colors.as_ref().is_some_and(|colors| colors.len() == count) {
-        return;
+        return false;
     }
     let intensity = cloud.intensity.as_deref().filter(|values| values.len() == count);
     let classes = cloud.classification.as_deref().filter(|classes| classes.len() == count);
@@ -53,6 +61,7 @@ pub fn fill_colors(cloud: &mut PointCloud) {
         palette.color(intensity.map_or(0, |values| values[i]), classes.map_or(0, |c| c[i]))
     };
     cloud.colors = Some((0..count).map(color).collect());
+    matches!(palette, Palette::Greys { .. })
 }
 
 /// How often each intensity and each class is there.
@@ -76,15 +85,19 @@ impl Counts {
 
     /// How points are coloured that have no colours.
     pub(super) fn palette(&self) -> Palette {
-        if let Some([low, high]) = self.stretch() {
-            return Palette::Greys { low, extent: high - low };
+        if let Some([low, median, high]) = self.stretch() {
+            let extent = high - low;
+            let middle = ((median - low) / extent).clamp(1e-6, 1.0);
+            let exponent =
+                if middle < MEDIAN { (MEDIAN.ln() / middle.ln()).max(LEAST_EXPONENT) } else { 1.0 };
+            return Palette::Greys { low, extent, exponent };
         }
         let several = self.classes.iter().filter(|&&count| count > 0).count() > 1;
         if several { Palette::Classes } else { Palette::Neutral }
     }
 
-    /// Two percentiles of the intensity, or `None` if all points have the same.
-    fn stretch(&self) -> Option<[f64; 2]> {
+    /// Percentiles of the intensity: low, median, high. `None` if all points have the same.
+    fn stretch(&self) -> Option<[f64; 3]> {
         let total: u64 = self.intensities.iter().sum();
         let percentile = |fraction: f64| {
             let rank = ((total as f64 - 1.0) * fraction).round() as u64;
@@ -100,14 +113,15 @@ impl Counts {
             low = self.intensities.iter().position(|&count| count > 0)?;
             high = self.intensities.iter().rposition(|&count| count > 0)?;
         }
-        (low != high).then_some([low as f64, high as f64])
+        let median = percentile(0.5)?;
+        (low != high).then_some([low as f64, median as f64, high as f64])
     }
 }
 
 /// Colours of points without any.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Palette {
-    Greys { low: f64, extent: f64 },
+    Greys { low: f64, extent: f64, exponent: f64 },
     Classes,
     Neutral,
 }
@@ -115,9 +129,9 @@ pub(super) enum Palette {
 impl Palette {
     pub(super) fn color(self, intensity: u16, class: u8) -> [u8; 4] {
         match self {
-            Palette::Greys { low, extent } => {
-                let level = (f64::from(intensity) - low) / extent * 255.0;
-                let level = level.clamp(0.0, 255.0).round() as u8;
+            Palette::Greys { low, extent, exponent } => {
+                let share = ((f64::from(intensity) - low) / extent).clamp(0.0, 1.0);
+                let level = (FLOOR + share.powf(exponent) * (255.0 - FLOOR)).round() as u8;
                 [level, level, level, 255]
             }
             Palette::Classes => class_color(class),
@@ -159,9 +173,25 @@ mod tests {
         let colors = cloud.colors.unwrap();
         assert_eq!(
             [colors[0], colors[10], colors[1000]],
-            [[0, 0, 0, 255], [0, 0, 0, 255], [255; 4]]
+            [[80, 80, 80, 255], [80, 80, 80, 255], [255; 4]]
         );
-        assert_eq!(colors[500], [128, 128, 128, 255]);
+        assert_eq!(colors[500], [168, 168, 168, 255]);
+    }
+
+    #[test]
+    fn most_of_a_cloud_with_few_bright_returns_is_not_dark() {
+        let mut cloud = cloud(1000);
+        // As surveys have them: most returns are weak, and a few come from reflectors.
+        cloud.intensity =
+            Some((0..1000).map(|i| if i < 970 { 2 + i % 40 } else { 3000 }).collect());
+        assert!(fill_colors(&mut cloud));
+        let colors = cloud.colors.unwrap();
+        let background = 0x24;
+        let dark = colors.iter().filter(|color| color[0] < 2 * background).count();
+        assert_eq!(dark, 0);
+        let mut levels: Vec<u8> = colors.iter().map(|color| color[0]).collect();
+        levels.sort_unstable();
+        assert!(levels[500] > levels[20] + 10, "{levels:?}");
     }
 
     #[test]

@@ -16,6 +16,7 @@
 //! - [`external`] builds the point trees of files that do not fit into memory;
 //! - [`estimate`] gives large clouds normals and kernels, a piece at a time, as it packs them;
 //! - [`spacing`] tells how far apart packed samples lie;
+//! - [`outline`] finds the few points of a geometry that decide which cameras show it whole;
 //! - [`pack`] puts geometry into the records that the GPU reads;
 //! - [`cache`] keeps what was baked in a folder.
 
@@ -25,10 +26,12 @@ pub mod csg;
 pub mod estimate;
 pub mod external;
 pub mod hybrid;
+pub mod outline;
 pub mod pack;
 pub mod prepare;
 pub mod spacing;
 pub mod tree;
+pub mod upright;
 
 mod colors;
 mod crease;

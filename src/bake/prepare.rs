@@ -10,18 +10,15 @@ use std::path::Path;
 
 use glam::{DAffine3, DVec3};
 
-use super::colors::NEUTRAL;
 use super::estimate::lacks_estimates;
+use super::upright::{self, Guess, Shape};
 use super::{estimate_kernels, fill_colors, smooth_normals};
 use crate::assets::{Geometry, Placement};
-use crate::math::Bounds;
+use crate::math::{Bounds, SensorView};
 use crate::scene::{self, Instance, Scene, SceneError, SceneLimits};
 
 /// Angle between faces, in degrees, above which a mesh without normals keeps its edge.
 const CREASE_DEG: f64 = 35.0;
-/// Formats of surveys, which have z up.
-const SURVEY_FORMATS: [&str; 8] = ["las", "laz", "copc", "e57", "pts", "ptx", "xyz", "csv"];
-
 /// What an asset's file itself held.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AssetTraits {
@@ -29,6 +26,8 @@ pub struct AssetTraits {
     pub format: &'static str,
     /// Some geometry had colours.
     pub has_colors: bool,
+    /// Some geometry had no colours and is coloured by its intensity.
+    pub shows_intensity: bool,
     /// Some geometry had normals.
     pub has_normals: bool,
     /// Some geometry had none, so that they come from the neighbourhood.
@@ -77,7 +76,7 @@ pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
     let (has_colors, has_normals) = match geometry {
         Geometry::Points(cloud) => {
             let had = (cloud.colors.is_some(), cloud.normals.is_some());
-            fill_colors(cloud);
+            traits.shows_intensity |= fill_colors(cloud);
             cloud.oriented = had.1;
             estimate_kernels(cloud);
             had
@@ -116,41 +115,47 @@ pub fn prepare_points(geometry: &mut Geometry, traits: &mut AssetTraits, most: u
     traits.has_normals |= cloud.normals.is_some();
     traits.normals_estimated |= cloud.normals.is_none();
     cloud.oriented = cloud.normals.is_some();
-    fill_colors(cloud);
+    traits.shows_intensity |= fill_colors(cloud);
     // Nobody asks for these once there are colours.
     (cloud.intensity, cloud.classification) = (None, None);
     true
 }
 
-/// Adapts the description of a bare asset file: a scan's own colours are shown unlit; a mesh with neither colours nor
-/// materials looks as grey as points without colours do, since white that faces the light has no shape; survey formats,
-/// and what lies on a survey's grid, have z up.
-pub fn adapt_bare_asset(description: &mut Scene, assets: &[AssetTraits]) {
-    let scan = |asset: &AssetTraits| asset.has_colors && !asset.has_normals && !asset.has_triangles;
+/// What the file of a bare asset tells of how it is to be looked at.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Outlook<'a> {
+    /// Up as the user wants it, instead of a guess.
+    pub up: Option<DVec3>,
+    pub shape: Option<&'a Shape>,
+    /// View of the sensor that took the points.
+    pub sensor: Option<SensorView>,
+}
+
+/// Adapts the description of a bare asset file: a scan's own colours and intensities are shown unlit; the first view is the
+/// sensor's, and up is the user's, the sensor's, or a guess.
+pub fn adapt_bare_asset(description: &mut Scene, assets: &[AssetTraits], outlook: &Outlook) {
+    let scan = |asset: &AssetTraits| {
+        let is_painted = asset.has_colors || asset.shows_intensity;
+        is_painted && !asset.has_normals && !asset.has_triangles
+    };
     if assets.iter().all(scan) {
         description.lights.clear();
     }
-    let plain =
-        |asset: &AssetTraits| asset.has_triangles && !asset.has_colors && !asset.has_materials;
-    if assets.iter().all(plain) {
-        // Less light is the same picture as a grey material, and costs nothing to draw.
-        let [grey, ..] = scene::color::to_linear(NEUTRAL.map(|byte| f64::from(byte) / 255.0));
-        description.lights.iter_mut().for_each(|light| light.dim(grey));
-    }
-    if assets.iter().all(|asset| SURVEY_FORMATS.contains(&asset.format) || is_georeferenced(asset))
-    {
-        description.up = DVec3::Z;
-    }
-}
-
-/// Coordinates of a national or world-wide grid: x and y count from far away, and the land is flatter than it is wide.
-fn is_georeferenced(asset: &AssetTraits) -> bool {
-    let (centre, extent) = (asset.bounds.centre(), asset.bounds.extent());
-    // glTF says that y is up.
-    !asset.format.starts_with("gl")
-        && centre.truncate().abs().min_element() > 50_000.0
-        && extent.truncate().max_element() > extent.z
-        && extent.max_element() < centre.truncate().abs().max_element()
+    let guessed = || {
+        let bounds = assets.iter().fold(Bounds::EMPTY, |all, asset| all.union(asset.bounds));
+        upright::guess(assets.first().map_or("", |asset| asset.format), &bounds, outlook.shape)
+    };
+    let Guess { up, because } = match (outlook.up, &outlook.sensor) {
+        (Some(up), _) => Guess { up, because: "was asked for".to_owned() },
+        (None, Some(sensor)) => Guess {
+            up: sensor.camera.up,
+            because: "is that of the sensor which took the points".to_owned(),
+        },
+        (None, None) => guessed(),
+    };
+    description.up = up;
+    description.up_because = because;
+    description.sensor = outlook.sensor.filter(|_| outlook.up.is_none());
 }
 
 /// The box around what can be seen: vertices that no triangle uses are left out.
@@ -192,6 +197,7 @@ pub fn placed_instances<'a, P: Borrow<Vec<Placement>>>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::assets::tidy::srgb_byte_from_linear;
     use crate::assets::{Mesh, PointCloud};
     use crate::scene::Light;
 
@@ -241,17 +247,21 @@ mod tests {
     }
 
     #[test]
-    fn bare_meshes_without_appearance_are_grey() {
+    fn bare_meshes_are_lit_as_in_scenes_and_white_does_not_clip() {
+        let mut scene = Scene::from_asset("a", "a".into());
         let plain = AssetTraits { has_triangles: true, ..traits("stl") };
-        let bright = |asset| {
-            let mut scene = Scene::from_asset("a", "a".into());
-            adapt_bare_asset(&mut scene, &[asset]);
-            scene.lights == Light::default_pair()
-        };
-        assert!(!bright(plain));
-        assert!(bright(AssetTraits { has_colors: true, ..plain }));
-        assert!(bright(AssetTraits { has_materials: true, ..plain }));
-        assert!(bright(AssetTraits { has_triangles: false, ..plain }));
+        adapt_bare_asset(&mut scene, &[plain], &Outlook::default());
+        assert_eq!(scene.lights, Light::default_pair());
+        let brightest: f32 = scene
+            .lights
+            .iter()
+            .map(|light| match light {
+                Light::Ambient { color } | Light::Headlight { color } => color[0],
+                other => panic!("{other:?}"),
+            })
+            .sum();
+        let white = srgb_byte_from_linear(brightest);
+        assert!((225..=240).contains(&white), "{white}");
     }
 
     #[test]
@@ -260,13 +270,15 @@ mod tests {
         let bare = || Scene::from_asset("a", "a".into());
         let adapted = |asset| {
             let mut scene = bare();
-            adapt_bare_asset(&mut scene, &[asset]);
+            adapt_bare_asset(&mut scene, &[asset], &Outlook::default());
             (scene.lights.is_empty(), scene.up == DVec3::Z)
         };
         assert_eq!(adapted(scan), (true, true));
         assert_eq!(adapted(AssetTraits { format: "ply", ..scan }), (true, false));
         assert_eq!(adapted(AssetTraits { has_normals: true, ..scan }), (false, true));
         assert_eq!(adapted(AssetTraits { has_colors: false, ..scan }), (false, true));
+        let intensity = AssetTraits { has_colors: false, shows_intensity: true, ..scan };
+        assert_eq!(adapted(intensity), (true, true));
         assert_eq!(adapted(AssetTraits { has_triangles: true, ..scan }), (false, true));
     }
 

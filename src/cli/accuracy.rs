@@ -15,8 +15,8 @@ pub struct AccuracyArgs {
     #[arg(long)]
     stability: bool,
     /// Folder for stability.json and stability.md, made where it is missing
-    #[arg(short, long, value_name = "FOLDER")]
-    output: Option<PathBuf>,
+    #[arg(short, long, alias = "output", value_name = "FOLDER")]
+    out: Option<PathBuf>,
     /// Other numbers give other splats
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -43,7 +43,7 @@ pub fn run(args: &AccuracyArgs) -> Result<()> {
     } else {
         out::print(&report.to_string())?;
     }
-    if let Some(folder) = &args.output {
+    if let Some(folder) = &args.out {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("making the folder {}", folder.display()))?;
         for (name, text) in [("stability.json", json), ("stability.md", report.markdown())] {
@@ -69,7 +69,7 @@ mod tests {
         let output = folder.path().join("new");
         let mut args = AccuracyArgs {
             stability: true,
-            output: Some(output.clone()),
+            out: Some(output.clone()),
             seed: 5,
             count: 3,
             json: true,

@@ -86,6 +86,32 @@ enum OutputChoice {
     Id,
 }
 
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(super) enum FormatChoice {
+    Png,
+    #[value(alias = "jpeg")]
+    Jpg,
+    Webp,
+    Qoi,
+    Exr,
+    Pfm,
+    Raw,
+}
+
+impl FormatChoice {
+    pub fn format(self) -> ImageFormat {
+        match self {
+            FormatChoice::Png => ImageFormat::Png,
+            FormatChoice::Jpg => ImageFormat::Jpeg,
+            FormatChoice::Webp => ImageFormat::Webp,
+            FormatChoice::Qoi => ImageFormat::Qoi,
+            FormatChoice::Exr => ImageFormat::Exr,
+            FormatChoice::Pfm => ImageFormat::Pfm,
+            FormatChoice::Raw => ImageFormat::Raw,
+        }
+    }
+}
+
 pub(super) fn size(text: &str) -> Result<(u32, u32), String> {
     let sides = text
         .split_once(['x', 'X', '×'])
@@ -186,7 +212,7 @@ mod tests {
 
     fn request(line: &[&str]) -> anyhow::Result<FrameRequest> {
         let line = std::iter::once(&"render").chain(line);
-        Line::parse_from(line).args.request(Pose::Fit, ImageFormat::Png)
+        Line::parse_from(line).args.request(Pose::FIT, ImageFormat::Png)
     }
 
     #[test]

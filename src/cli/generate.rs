@@ -19,8 +19,8 @@ pub struct GenerateArgs {
     pub kind: Kind,
     /// File to write. Points: .ply, .las, .laz; meshes: .ply, .obj (with .mtl and .png); whole scenes
     /// with their assets beside them: .json; many scenes: a folder
-    #[arg(short, long, value_name = "FILE")]
-    pub output: PathBuf,
+    #[arg(short, long, alias = "output", value_name = "FILE")]
+    pub out: PathBuf,
     /// Other numbers give other towns, reliefs and trees
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -56,21 +56,21 @@ pub fn run(args: GenerateArgs) -> anyhow::Result<()> {
         triangles: args.triangles,
         size: args.size,
     };
-    let is_scene = args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
+    let is_scene = args.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
     let generated = if is_scene {
-        let name = args.output.file_stem().map(|s| s.to_string_lossy()).unwrap_or_default();
+        let name = args.out.file_stem().map(|s| s.to_string_lossy()).unwrap_or_default();
         Generated::Scene(generate_scene(args.kind, &name, &parameters, &progress)?)
     } else {
         generate(args.kind, &parameters, &progress)?
     };
     bar.finish_and_clear();
     let contents = describe(&generated);
-    let files = write(&generated, &args.output)?;
+    let files = write(&generated, &args.out)?;
     let bytes = files
         .iter()
         .map(|file| std::fs::metadata(file).map(|m| m.len()))
         .sum::<std::io::Result<u64>>()
-        .with_context(|| format!("reading back {}", args.output.display()))?;
+        .with_context(|| format!("reading back {}", args.out.display()))?;
     let seconds = begin.elapsed().as_secs_f64();
     let names: String = files.iter().map(|file| format!("  {}\n", file.display())).collect();
     out::print(&format!("{contents} in {seconds:.1} s, {:.1} MB:\n{names}", bytes as f64 / 1e6))

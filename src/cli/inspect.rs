@@ -45,11 +45,12 @@ struct Inspection {
 /// A scene that is refused; no GPU adapter, on which the plan depends.
 pub fn run(args: &InspectArgs) -> Result<()> {
     super::local::init_log();
+    args.scene.check_up()?;
     let (engine, mut scene) = args.scene.load(|_| ())?;
     scene.id.clone_from(&scene.name);
     let plan = engine.plan(&FrameRequest {
         scene: ID.to_owned(),
-        pose: Pose::Fit,
+        pose: Pose::FIT,
         width: 1024,
         height: 1024,
         settings: Settings::default(),
@@ -84,6 +85,17 @@ fn table() -> Table {
     table
 }
 
+/// An axis by name, or the vector.
+fn direction(up: [f64; 3]) -> String {
+    for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+        let others = (0..3).filter(|&other| other != axis).all(|other| up[other] == 0.0);
+        if others && up[axis] != 0.0 {
+            return format!("{}{name}", if up[axis] > 0.0 { '+' } else { '-' });
+        }
+    }
+    format!("{up:?}")
+}
+
 fn megabytes(bytes: u64) -> String {
     format!("{:.1} MB", bytes as f64 / 1e6)
 }
@@ -105,6 +117,7 @@ fn text(told: &Inspection) -> String {
             told.adapter
         ),
     ]);
+    facts.add_row(["up", &format!("{}: {}", direction(scene.up), scene.up_because)]);
     facts.add_row(["lights", &scene.lights.to_string()]);
     if !scene.cameras.is_empty() {
         let names: Vec<&str> = scene.cameras.iter().map(|camera| camera.name.as_str()).collect();
@@ -129,7 +142,13 @@ fn text(told: &Inspection) -> String {
             asset.format.to_owned(),
             asset.samples.to_string(),
             asset.triangles.to_string(),
-            if asset.has_colors { "file" } else { "none" }.to_owned(),
+            match (asset.has_colors, asset.shows_intensity) {
+                (true, true) => "file, rest from intensity",
+                (true, false) => "file",
+                (false, true) => "from intensity",
+                (false, false) => "none",
+            }
+            .to_owned(),
             normals.to_owned(),
         ]);
     }

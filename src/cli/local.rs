@@ -4,11 +4,14 @@ use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use glam::DVec3;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::cache::CacheArgs;
 use crate::assets::Progress;
+use crate::bake::prepare::is_scene_file;
 use crate::engine::{BakeEvent, Engine, EngineConfig, SceneInfo};
+use crate::scene::Up;
 
 /// Which scene, where its files may lie, and where its point trees are kept.
 #[derive(clap::Args, Clone, Debug)]
@@ -31,6 +34,15 @@ pub struct SceneArgs {
     /// Scene data that may lie on the GPU, in MiB
     #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
     gpu_budget_mib: Option<u64>,
+    /// Width times height of the largest frame [default: 16777216]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    max_pixels: Option<u64>,
+    /// Longest side of a frame [default: 8192]
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(1..))]
+    max_side: Option<u32>,
+    /// Which way is up: x, y, z, -x, -y, -z or X,Y,Z [default: as the scene file says, or as the asset suggests]
+    #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
+    up: Option<Up>,
     /// Never use 64-bit atomics, even where the adapter has them
     #[arg(long, hide = true)]
     force_32_bit: bool,
@@ -64,6 +76,24 @@ impl SceneFile {
 }
 
 impl SceneArgs {
+    /// The direction that was asked for as up.
+    pub fn up(&self) -> Option<DVec3> {
+        self.up.map(|Up(up)| up)
+    }
+
+    /// Refuses `--up` for a scene file, whose cameras and paths may depend on its own.
+    ///
+    /// # Errors
+    /// A scene file and `--up`.
+    pub fn check_up(&self) -> anyhow::Result<()> {
+        if self.up.is_some() && is_scene_file(&self.file.scene) {
+            anyhow::bail!(
+                "--up goes with a file of points or triangles; write `up` into the scene file"
+            );
+        }
+        Ok(())
+    }
+
     /// Starts an engine and loads the scene into it, with a progress bar on a terminal.
     ///
     /// # Errors
@@ -76,6 +106,9 @@ impl SceneArgs {
         let (path, mut config) = self.file.config(&bar)?;
         config.gpu_budget_bytes = self.gpu_budget_mib.map(|mib| mib.saturating_mul(1 << 20));
         config.force_32_bit = self.force_32_bit;
+        config.max_pixels = self.max_pixels.unwrap_or(config.max_pixels);
+        config.max_side = self.max_side.unwrap_or(config.max_side);
+        config.up = self.up();
         adjust(&mut config);
         let engine = Engine::start(config)?;
         let loaded = engine.load(ID, &path);

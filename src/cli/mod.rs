@@ -15,9 +15,15 @@ pub mod serve;
 
 use clap::{Parser, Subcommand};
 
+/// What the process ends with; as in docs/commands.md.
+const EXIT_STATUS: &str = "Exit status:
+  0  done; of `serve`: told to stop
+  1  failed, with the reason on standard error
+  2  the command line cannot be understood; nothing was done";
+
 /// A headless render server for scenes of points and triangles.
 #[derive(Parser)]
-#[command(name = "pointillist", version, about)]
+#[command(name = "pointillist", version, about, after_help = EXIT_STATUS, after_long_help = EXIT_STATUS)]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,

@@ -7,14 +7,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use glam::DVec3;
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::frame::FrameArgs;
+use super::frame::{FormatChoice, FrameArgs};
 use super::local::{ID, SceneArgs, progress_bar};
 use super::out::say;
-use crate::encode::ImageFormat;
 use crate::engine::{Client, Engine, FrameRequest, Pose, Receipt, SceneInfo};
 use crate::film::video::{Coder, Reel, VideoError, encode};
 use crate::film::{self, Event, Film, FilmError, Report, shots::Shots};
@@ -56,40 +55,15 @@ pub struct PathArgs {
     frame: FrameArgs,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum FormatChoice {
-    Png,
-    #[value(alias = "jpeg")]
-    Jpg,
-    Webp,
-    Qoi,
-    Exr,
-    Pfm,
-    Raw,
-}
-
-impl FormatChoice {
-    fn format(self) -> ImageFormat {
-        match self {
-            FormatChoice::Png => ImageFormat::Png,
-            FormatChoice::Jpg => ImageFormat::Jpeg,
-            FormatChoice::Webp => ImageFormat::Webp,
-            FormatChoice::Qoi => ImageFormat::Qoi,
-            FormatChoice::Exr => ImageFormat::Exr,
-            FormatChoice::Pfm => ImageFormat::Pfm,
-            FormatChoice::Raw => ImageFormat::Raw,
-        }
-    }
-}
-
 /// Draws what is missing, with a progress bar on a terminal and a line every few seconds elsewhere.
 ///
 /// # Errors
 /// A scene, path or setting that is refused, no GPU, a folder that cannot be written; being told to stop before the last frame.
 pub fn run(args: PathArgs) -> anyhow::Result<()> {
     super::local::init_log();
+    args.scene.check_up()?;
     // The pose is each frame's own.
-    let mut request = args.frame.request(Pose::Fit, args.format.format())?;
+    let mut request = args.frame.request(Pose::FIT, args.format.format())?;
     request.settings.wait = Wait::Whole;
     let target = Target::new(&args)?;
     let (engine, info) = args.scene.load(|_| ())?;

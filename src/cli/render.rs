@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use clap::Args;
 use glam::DVec3;
 
-use super::frame::FrameArgs;
+use super::frame::{FormatChoice, FrameArgs};
 use super::local::SceneArgs;
 use super::out::say;
 use crate::encode::ImageFormat;
@@ -21,9 +21,12 @@ const DEFAULT_FOV_DEG: f64 = 40.0;
 pub struct RenderArgs {
     #[command(flatten)]
     scene: SceneArgs,
-    /// Image to write; its extension picks the format: png, jpg, webp, qoi, exr, pfm, raw
+    /// Image to write, `-` for standard output; its extension picks the format: png, jpg, webp, qoi, exr, pfm, raw
     #[arg(short = 'o', long = "out", value_name = "FILE")]
     file: PathBuf,
+    /// Format of the image [default: by the extension; png on standard output]
+    #[arg(long, value_enum)]
+    format: Option<FormatChoice>,
     /// Camera that the scene names [default: one that sees the whole scene]
     #[arg(long, value_name = "NAME", conflicts_with_all = ["eye", "target", "up", "fov"])]
     camera: Option<String>,
@@ -33,11 +36,8 @@ pub struct RenderArgs {
     /// What the eye looks at
     #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, requires = "eye")]
     target: Option<DVec3>,
-    /// Which way is up [default: as the scene has it]
-    #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, requires = "eye")]
-    up: Option<DVec3>,
     /// Vertical field of view in degrees [default: 40]
-    #[arg(long, value_name = "DEG", requires = "eye")]
+    #[arg(long, value_name = "DEG")]
     fov: Option<f64>,
     #[command(flatten)]
     frame: FrameArgs,
@@ -62,31 +62,38 @@ fn vector(text: &str) -> Result<DVec3, String> {
 }
 
 fn format_of(file: &Path) -> anyhow::Result<ImageFormat> {
-    let extension = file.extension().map(|extension| extension.to_string_lossy().to_lowercase());
-    Ok(match extension.as_deref() {
-        Some("png") => ImageFormat::Png,
-        Some("jpg" | "jpeg") => ImageFormat::Jpeg,
-        Some("webp") => ImageFormat::Webp,
-        Some("qoi") => ImageFormat::Qoi,
-        Some("exr") => ImageFormat::Exr,
-        Some("pfm") => ImageFormat::Pfm,
-        Some("raw" | "bin") => ImageFormat::Raw,
-        other => bail!(
-            "{}: no image format goes by the extension `{}`; there are png, jpg, webp, qoi, exr, pfm, raw",
-            file.display(),
-            other.unwrap_or_default()
-        ),
+    let extension = file.extension().unwrap_or_default().to_string_lossy();
+    ImageFormat::named(&extension).with_context(|| {
+        format!(
+            "{}: no image format has the extension `{extension}`; there are png, jpg, webp, qoi, exr, pfm, raw; or name one with --format",
+            file.display()
+        )
     })
 }
 
 impl RenderArgs {
+    fn is_to_stdout(&self) -> bool {
+        self.file.as_os_str() == "-"
+    }
+
+    fn format(&self) -> anyhow::Result<ImageFormat> {
+        match self.format {
+            Some(choice) => Ok(choice.format()),
+            None if self.is_to_stdout() => Ok(ImageFormat::Png),
+            None => format_of(&self.file),
+        }
+    }
+
     fn pose(&self) -> Pose {
         if let Some(name) = &self.camera {
             return Pose::Named(name.clone());
         }
-        let (Some(eye), Some(target)) = (self.eye, self.target) else { return Pose::Fit };
+        let up = self.scene.up();
+        let (Some(eye), Some(target)) = (self.eye, self.target) else {
+            return Pose::Fit { up, fov_deg: self.fov };
+        };
         let fov_deg = self.fov.unwrap_or(DEFAULT_FOV_DEG);
-        match self.up {
+        match up {
             Some(up) => Pose::Camera(Camera { eye, target, up, fov_deg }),
             None => Pose::Upright { eye, target, fov_deg },
         }
@@ -99,7 +106,7 @@ impl RenderArgs {
 /// A scene, pose or format that is refused, no GPU, a file that cannot be written.
 pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     super::local::init_log();
-    let request = args.frame.request(args.pose(), format_of(&args.file)?)?;
+    let request = args.frame.request(args.pose(), args.format()?)?;
     let begin = Instant::now();
     let (engine, info) = args.scene.load(|_| ())?;
     for warning in &info.warnings {
@@ -112,13 +119,20 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     }
     frames.sort_by_key(|frame| frame.receipt.total_ns);
     let median: &EncodedFrame = &frames[(frames.len() - 1) / 2];
-    write(&args.file, &median.bytes)?;
+    if args.is_to_stdout() {
+        super::out::print_bytes(&median.bytes)?;
+    } else {
+        write(&args.file, &median.bytes)?;
+    }
     if let Some(file) = &args.receipt {
         write(file, &serde_json::to_vec_pretty(&median.receipt)?)?;
     }
+    if let Some(why) = &median.receipt.nothing_visible {
+        say!("warning: nothing is visible: {why}");
+    }
     say!(
         "{}: {}, loaded in {:.2} s; {}",
-        args.file.display(),
+        if args.is_to_stdout() { "standard output".into() } else { args.file.to_string_lossy() },
         contents(info.samples, info.triangles, info.instances),
         loaded.as_secs_f64(),
         summary(&median.receipt)
@@ -174,7 +188,7 @@ mod tests {
 
     #[test]
     fn poses() {
-        assert_eq!(parse(&["-o", "a.png"]).unwrap().pose(), Pose::Fit);
+        assert_eq!(parse(&["-o", "a.png"]).unwrap().pose(), Pose::FIT);
         let args = parse(&["-o", "a.png", "--eye", "-1,2,3e2", "--target=0,0,0"]).unwrap();
         let eye = DVec3::new(-1.0, 2.0, 300.0);
         assert_eq!(args.pose(), Pose::Upright { eye, target: DVec3::ZERO, fov_deg: 40.0 });
@@ -183,6 +197,10 @@ mod tests {
         ]);
         let Pose::Camera(camera) = args.unwrap().pose() else { panic!("not a camera") };
         assert_eq!((camera.up, camera.fov_deg), (DVec3::Z, 9.0));
+        let upright = parse(&["-o", "a.png", "--up", "-z", "--fov", "30"]).unwrap().pose();
+        assert_eq!(upright, Pose::Fit { up: Some(DVec3::NEG_Z), fov_deg: Some(30.0) });
+        assert!(parse(&["-o", "a.png", "--up", "w"]).unwrap_err().contains("x, y, z, -x"));
+        assert!(parse(&["-o", "a.png", "--camera", "x", "--up", "z"]).is_err());
         assert!(parse(&["-o", "a.png", "--camera", "x", "--fov", "9"]).is_err());
         assert!(parse(&["-o", "a.png", "--eye", "1,0,0"]).unwrap_err().contains("--target"));
         assert!(
@@ -197,6 +215,12 @@ mod tests {
         assert_eq!(format_of(Path::new("a/b.JPG")).unwrap(), ImageFormat::Jpeg);
         assert!(format_of(Path::new("a.tiff")).unwrap_err().to_string().contains("tiff"));
         assert!(format_of(Path::new("a")).is_err());
+        let format = |line: &[&str]| parse(line).unwrap().format().unwrap();
+        assert_eq!(format(&["-o", "-"]), ImageFormat::Png);
+        for name in ["jpg", "jpeg"] {
+            assert_eq!(format(&["-o", "-", "--format", name]), ImageFormat::Jpeg);
+        }
+        assert_eq!(format(&["-o", "a.png", "--format", "raw"]), ImageFormat::Raw);
     }
 
     #[test]

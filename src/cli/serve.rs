@@ -7,25 +7,31 @@
 
 use std::io::IsTerminal;
 use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
 use clap::{Args, ValueEnum};
 use serde::Deserialize;
 
+use self::claim::claim;
+use self::files::{root, start_scenes};
 use self::greeting::{example, greeting, tell};
 use self::patience::{PATIENCE, patiently};
 use self::state::{jobs_config, open_jobs};
 use super::cache::CacheArgs;
 use super::out::say;
 use crate::assets::ReadOptions;
-use crate::engine::{Engine, EngineConfig};
-use crate::http::access::{Access, parse_keys};
-use crate::http::server::{StartScenes, serve};
+use crate::engine::{Engine, EngineConfig, PrimeConfig};
+use crate::http::access::{Access, Reread, parse_keys};
+use crate::http::server::serve;
 use crate::http::{App, Settings, StreamLimits, WatchLimits, nearest};
 use crate::memory::{self, HostMemory};
+use crate::scene::Up;
 
+mod claim;
+mod files;
 mod greeting;
 mod patience;
 mod state;
@@ -34,6 +40,10 @@ mod state;
 #[derive(Args, Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct ServeArgs {
+    /// Scene or asset files to serve; the root is their folder where --root is not given
+    #[arg(value_name = "FILE")]
+    #[serde(skip)]
+    pub files: Vec<PathBuf>,
     /// TOML file with any of these settings
     #[arg(long, env = "POINTILLIST_CONFIG", value_name = "FILE")]
     #[serde(skip)]
@@ -47,6 +57,9 @@ pub struct ServeArgs {
     /// Scene or asset file to load at the start, relative to the root; may be repeated [default: every *.json directly in the root, or every asset file where there is none]
     #[arg(long, env = "POINTILLIST_SCENE", value_name = "FILE", value_delimiter = ',')]
     pub scene: Vec<PathBuf>,
+    /// Which way is up in files of points or triangles: x, y, z, -x, -y, -z or X,Y,Z [default: as each file suggests]
+    #[arg(long, env = "POINTILLIST_UP", value_name = "AXIS", allow_hyphen_values = true)]
+    pub up: Option<Up>,
     /// Scene data that may stay on the GPU, in MiB [default: three quarters of what the adapter offers, at most 4096]
     #[arg(long, env = "POINTILLIST_GPU_BUDGET_MIB", value_name = "MIB")]
     pub gpu_budget_mib: Option<u64>,
@@ -86,6 +99,9 @@ pub struct ServeArgs {
     /// Longest side of a frame [default: 8192]
     #[arg(long, env = "POINTILLIST_MAX_SIDE", value_name = "PX")]
     pub max_side: Option<u32>,
+    /// Take no uploads; daemons that share a root need it, all but one
+    #[arg(long, env = "POINTILLIST_NO_UPLOADS", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
+    pub no_uploads: Option<bool>,
     /// Largest upload, in MiB [default: 4096]
     #[arg(long, env = "POINTILLIST_MAX_UPLOAD_MIB", value_name = "MIB")]
     pub max_upload_mib: Option<u64>,
@@ -143,12 +159,18 @@ pub struct ServeArgs {
     /// How long a job is kept after it ended, and how long one waits for its scene, in seconds [default: 604800, a week]
     #[arg(long, env = "POINTILLIST_JOB_TTL_SECONDS", value_name = "S")]
     pub job_ttl_seconds: Option<u64>,
+    /// How long to go on serving after SIGTERM while /readyz says no, so that load balancers notice, in seconds [default: 0]
+    #[arg(long, env = "POINTILLIST_DRAIN_DELAY", value_name = "S")]
+    pub drain_delay: Option<u64>,
     /// How long answers in flight may take after SIGTERM, in seconds [default: 20]
     #[arg(long, env = "POINTILLIST_DRAIN_SECONDS", value_name = "S")]
     pub drain_seconds: Option<u64>,
     /// Format of the log on standard error [default: text]
     #[arg(long, env = "POINTILLIST_LOG_FORMAT", value_name = "FORMAT")]
     pub log_format: Option<LogFormat>,
+    /// Build no pipelines before frames need them
+    #[arg(long, env = "POINTILLIST_NO_PRIME", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
+    pub no_prime: Option<bool>,
     /// Never use 64-bit atomics, even where the adapter has them
     #[arg(long, env = "POINTILLIST_FORCE_32_BIT", hide = true, num_args = 0..=1, default_missing_value = "true", require_equals = true)]
     pub force_32_bit: Option<bool>,
@@ -174,11 +196,16 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     let access = access(&args, address)?;
     let has_keys = matches!(access, Access::Keys(_));
     let settings = settings(&args, root.clone(), access)?;
+    let settings = Settings { reread_access: reread(&args, address), ..settings };
     let start = start_scenes(&args, &root)?;
     let jobs_config = jobs_config(&args)?;
     let is_taken = |error: &std::io::Error| error.kind() == std::io::ErrorKind::AddrInUse;
     let listener = patiently(PATIENCE, is_taken, || TcpListener::bind(address))
         .with_context(|| format!("cannot listen on {address}"))?;
+    let claim = match args.no_uploads {
+        Some(true) => None,
+        _ => claim(&root)?,
+    };
     let engine = Engine::start(engine_config(&args, root)?)?;
     tracing::info!(adapter = engine.adapter(), "engine started");
 
@@ -190,6 +217,7 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
         runtime.block_on(serve(app, listener, start, |address| tell(&greeting(address)), ready));
     // A scene that is still being read is not waited for.
     runtime.shutdown_timeout(Duration::from_millis(100));
+    drop(claim);
     result
 }
 
@@ -252,10 +280,12 @@ impl ServeArgs {
             if upper.is_empty() { lower } else { upper }
         }
         ServeArgs {
+            files: list(self.files, lower.files),
             config: self.config.or(lower.config),
             listen: self.listen.or(lower.listen),
             root: self.root.or(lower.root),
             scene: list(self.scene, lower.scene),
+            up: self.up.or(lower.up),
             gpu_budget_mib: self.gpu_budget_mib.or(lower.gpu_budget_mib),
             host_memory_mib: self.host_memory_mib.or(lower.host_memory_mib),
             cache: self.cache.or(lower.cache),
@@ -269,6 +299,7 @@ impl ServeArgs {
             encoder_threads: self.encoder_threads.or(lower.encoder_threads),
             max_pixels: self.max_pixels.or(lower.max_pixels),
             max_side: self.max_side.or(lower.max_side),
+            no_uploads: self.no_uploads.or(lower.no_uploads),
             max_upload_mib: self.max_upload_mib.or(lower.max_upload_mib),
             max_connections: self.max_connections.or(lower.max_connections),
             frame_timeout_seconds: self.frame_timeout_seconds.or(lower.frame_timeout_seconds),
@@ -288,20 +319,13 @@ impl ServeArgs {
             max_watchers_per_client: self.max_watchers_per_client.or(lower.max_watchers_per_client),
             watch_seconds: self.watch_seconds.or(lower.watch_seconds),
             job_ttl_seconds: self.job_ttl_seconds.or(lower.job_ttl_seconds),
+            drain_delay: self.drain_delay.or(lower.drain_delay),
             drain_seconds: self.drain_seconds.or(lower.drain_seconds),
             log_format: self.log_format.or(lower.log_format),
+            no_prime: self.no_prime.or(lower.no_prime),
             force_32_bit: self.force_32_bit.or(lower.force_32_bit),
         }
     }
-}
-
-fn root(args: &ServeArgs) -> anyhow::Result<PathBuf> {
-    let root = args.root.as_deref().unwrap_or(Path::new("scenes"));
-    let canonical = root.canonicalize().with_context(|| {
-        format!("the scene root {} cannot be opened; give another with --root", root.display())
-    })?;
-    ensure!(canonical.is_dir(), "the scene root {} is not a folder", root.display());
-    Ok(canonical)
 }
 
 fn listen_address(text: &str) -> anyhow::Result<SocketAddr> {
@@ -327,6 +351,14 @@ fn access(args: &ServeArgs, address: SocketAddr) -> anyhow::Result<Access> {
     // Behind a proxy on the same machine, requests carry the proxy's name.
     let only_loopback = address.ip().is_loopback() && args.insecure != Some(true);
     Ok(Access::Open { cors_origins: args.cors_origin.clone(), only_loopback })
+}
+
+/// Reads the key file again, where there is one.
+fn reread(args: &ServeArgs, address: SocketAddr) -> Option<Reread> {
+    args.api_keys.as_ref()?;
+    let args = args.clone();
+    let read = move || access(&args, address).map_err(|error| format!("{error:#}"));
+    Some(Reread(Arc::new(read)))
 }
 
 /// `value`, or the default; at least `least`.
@@ -358,6 +390,9 @@ fn settings(args: &ServeArgs, root: PathBuf, access: Access) -> anyhow::Result<S
         frame_timeout: seconds("frame-timeout-seconds", args.frame_timeout_seconds, 120, 1)?,
         read_timeout: seconds("read-timeout-seconds", args.read_timeout_seconds, 30, 1)?,
         drain: seconds("drain-seconds", args.drain_seconds, 20, 0)?,
+        drain_delay: seconds("drain-delay", args.drain_delay, 0, 0)?,
+        uploads: args.no_uploads != Some(true),
+        reread_access: None,
         streams: StreamLimits {
             most: number("max-streams", args.max_streams, 64, 0)?,
             most_per_client: number("max-streams-per-client", args.max_streams_per_client, 16, 1)?,
@@ -390,13 +425,19 @@ fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig
     let job_share = number("job-share", args.job_share, default.job_share, 0.01)?;
     ensure!(job_share <= 0.5, "--job-share {job_share}: must be at most 0.5");
     let budget_mib = args.gpu_budget_mib.map(|mib| number("gpu-budget-mib", Some(mib), 1, 1));
+    let bake_cache = cache.open()?;
+    let prime = (args.no_prime != Some(true)).then(|| PrimeConfig {
+        folder: bake_cache.as_ref().map(|cache| cache.folder().to_path_buf()),
+        common: true,
+    });
     let memory_mib = args.host_memory_mib.map(|mib| number("host-memory-mib", Some(mib), 1, 1));
     let memory_bytes = memory_mib.transpose()?.map(|mib| mib.saturating_mul(1 << 20));
     Ok(EngineConfig {
         memory: HostMemory::new(memory_bytes.unwrap_or_else(memory::default_budget)),
         read: ReadOptions { root: Some(root), ..ReadOptions::default() },
         gpu_budget_bytes: budget_mib.transpose()?.map(|mib| mib.saturating_mul(1 << 20)),
-        bake_cache: cache.open()?,
+        bake_cache,
+        prime,
         queue_capacity: number("queue", args.queue, default.queue_capacity, 1)?,
         queue_time,
         job_share,
@@ -410,56 +451,9 @@ fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig
         max_pixels: number("max-pixels", args.max_pixels, default.max_pixels, 1)?,
         max_side: number("max-side", args.max_side, default.max_side, 1)?,
         force_32_bit: args.force_32_bit == Some(true),
+        up: args.up.map(|Up(up)| up),
         ..default
     })
-}
-
-/// The scenes asked for, or every scene file directly in the root, or every asset file where there is none.
-fn start_scenes(args: &ServeArgs, root: &Path) -> anyhow::Result<StartScenes> {
-    if args.scene.is_empty() {
-        let entries = std::fs::read_dir(root).context("the scene root cannot be listed")?;
-        let mut files: Vec<PathBuf> = entries
-            .filter_map(Result::ok)
-            .map(|entry| entry.path())
-            .filter(|path| path.is_file())
-            .filter(|path| !path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.')))
-            .collect();
-        files.sort();
-        let is_scene = |path: &PathBuf| path.extension().is_some_and(|e| e == "json");
-        if files.iter().any(is_scene) {
-            files.retain(is_scene);
-        } else {
-            files.retain(|path| crate::assets::is_supported_extension(&path.to_string_lossy()));
-        }
-        return Ok(StartScenes { scenes: with_ids(files), required: false });
-    }
-    let mut files = Vec::new();
-    for scene in &args.scene {
-        // Relative to the root; a path that only works from here is taken as well.
-        let in_root = root.join(scene);
-        let path = if in_root.exists() { in_root } else { scene.clone() };
-        let path = path.canonicalize().with_context(|| {
-            format!("--scene {}: no such file in {}", scene.display(), root.display())
-        })?;
-        ensure!(
-            path.starts_with(root),
-            "--scene {}: lies outside the scene root {}",
-            scene.display(),
-            root.display()
-        );
-        files.push(path);
-    }
-    Ok(StartScenes { scenes: with_ids(files), required: true })
-}
-
-fn with_ids(files: Vec<PathBuf>) -> Vec<(String, PathBuf)> {
-    files
-        .into_iter()
-        .map(|file| {
-            let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            (crate::http::slug(&name), file)
-        })
-        .collect()
 }
 
 #[cfg(test)]
@@ -530,29 +524,6 @@ mod tests {
         assert!(matches!(access(&args, open), Ok(Access::Keys(_))));
         std::fs::write(&keys, "a read 12\n").unwrap();
         assert!(access(&args, open).unwrap_err().to_string().contains("line 1"));
-    }
-
-    #[test]
-    fn scenes_at_the_start() {
-        let folder = tempfile::tempdir().unwrap();
-        let root = folder.path().canonicalize().unwrap();
-        for name in ["b.json", "A One.json", ".hidden.json", "c.ply"] {
-            std::fs::write(root.join(name), "{}").unwrap();
-        }
-        let found = start_scenes(&ServeArgs::default(), &root).unwrap();
-        let ids: Vec<&str> = found.scenes.iter().map(|(id, _)| id.as_str()).collect();
-        assert_eq!((ids, found.required), (vec!["a-one", "b"], false));
-        for name in ["b.json", "A One.json"] {
-            std::fs::remove_file(root.join(name)).unwrap();
-        }
-        std::fs::write(root.join("notes.md"), "").unwrap();
-        let found = start_scenes(&ServeArgs::default(), &root).unwrap();
-        let ids: Vec<&str> = found.scenes.iter().map(|(id, _)| id.as_str()).collect();
-        assert_eq!((ids, found.required), (vec!["c"], false));
-        let found = start_scenes(&flags(&["--scene", "c.ply"]), &root).unwrap();
-        assert_eq!((found.scenes[0].0.as_str(), found.required), ("c", true));
-        assert!(start_scenes(&flags(&["--scene", "none.ply"]), &root).is_err());
-        assert!(start_scenes(&flags(&["--scene", "/dev/null"]), &root).is_err());
     }
 
     #[test]

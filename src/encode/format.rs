@@ -10,6 +10,8 @@ use serde::{Deserialize, Serialize};
 pub enum ImageFormat {
     #[default]
     Png,
+    /// `jpg` means the same.
+    #[serde(alias = "jpg")]
     Jpeg,
     Webp,
     Qoi,
@@ -20,6 +22,20 @@ pub enum ImageFormat {
 }
 
 impl ImageFormat {
+    /// Finds a format by a name or an extension of files, in any case.
+    pub fn named(name: &str) -> Option<ImageFormat> {
+        Some(match name.to_ascii_lowercase().as_str() {
+            "png" => ImageFormat::Png,
+            "jpg" | "jpeg" => ImageFormat::Jpeg,
+            "webp" => ImageFormat::Webp,
+            "qoi" => ImageFormat::Qoi,
+            "raw" | "bin" => ImageFormat::Raw,
+            "exr" => ImageFormat::Exr,
+            "pfm" => ImageFormat::Pfm,
+            _ => return None,
+        })
+    }
+
     /// What files of it end in.
     pub fn extension(self) -> &'static str {
         match self {

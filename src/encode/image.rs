@@ -37,12 +37,56 @@ impl FrameImage {
         }
     }
 
+    /// Whether no pixel shows anything but `background`, an sRGB colour with straight alpha.
+    pub fn is_blank(&self, background: [u8; 4]) -> bool {
+        // What is seen is seen in the middle first.
+        fn all<T>(pixels: &[T], blank: impl Fn(&T) -> bool) -> bool {
+            let (above, below) = pixels.split_at(pixels.len() / 2);
+            below.iter().all(&blank) && above.iter().all(&blank)
+        }
+        match self {
+            FrameImage::Color { rgba, .. } => all(rgba, |&pixel| pixel == background),
+            FrameImage::Depth { depth, .. } => all(depth, |&depth| depth == f32::INFINITY),
+            FrameImage::Normal { rgba, .. } => all(rgba, |&pixel| pixel == [0; 4]),
+            FrameImage::Id { id, .. } => all(id, |&id| id == 0),
+        }
+    }
+
     /// How many pixels are stored; `width · height` in a sound image.
     pub fn pixels(&self) -> usize {
         match self {
             FrameImage::Color { rgba, .. } | FrameImage::Normal { rgba, .. } => rgba.len(),
             FrameImage::Depth { depth, .. } => depth.len(),
             FrameImage::Id { id, .. } => id.len(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_pixel_is_enough_to_see_something() {
+        let (width, height) = (3, 3);
+        for seen in [None, Some(0), Some(4), Some(8)] {
+            let image = |blank: u32, other: u32| {
+                (0..9).map(move |i| if Some(i) == seen { other } else { blank })
+            };
+            let rgba = |blank: [u8; 4]| {
+                let words = image(u32::from_le_bytes(blank), 7);
+                words.map(u32::to_le_bytes).collect::<Vec<[u8; 4]>>()
+            };
+            let depth = image(f32::INFINITY.to_bits(), 7).map(f32::from_bits).collect();
+            let images = [
+                FrameImage::Color { width, height, rgba: rgba([9, 8, 7, 255]) },
+                FrameImage::Normal { width, height, rgba: rgba([0; 4]) },
+                FrameImage::Depth { width, height, depth },
+                FrameImage::Id { width, height, id: image(0, 7).collect() },
+            ];
+            for image in images {
+                assert_eq!(image.is_blank([9, 8, 7, 255]), seen.is_none(), "{image:?}");
+            }
         }
     }
 }

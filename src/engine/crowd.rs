@@ -12,7 +12,7 @@
 
 use std::collections::HashMap;
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use rayon::prelude::*;
@@ -207,11 +207,13 @@ fn tree_asset(packed: PackedSamples, bounds: Bounds) -> AssetModel {
         },
         bounds: vec![bounds],
         has_colors: true,
+        shows_intensity: false,
         has_normals: true,
         normals_estimated: false,
         beside: Vec::new(),
         tree: MadeOnce::default(),
         deferred: None,
+        outlined: OnceLock::new(),
     }
 }
 

@@ -12,7 +12,7 @@
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, SystemTime};
 
 use glam::{DAffine3, DVec3};
@@ -25,7 +25,8 @@ use super::library::{ReadAsset, next_uid};
 use crate::assets::{FORMATS, Placement};
 use crate::bake::cache::BakeCache;
 use crate::bake::pack::{PackedAsset, PackedGeometry};
-use crate::math::{Bounds, Camera};
+use crate::bake::upright::{End, Shape};
+use crate::math::{Bounds, Camera, SensorView};
 use crate::residency::model::{AssetModel, Deferred};
 use crate::residency::once::MadeOnce;
 use crate::scene::{AssetRef, AssetSource};
@@ -42,6 +43,7 @@ pub struct Note {
     pub digest: [u8; 32],
     format: String,
     has_colors: bool,
+    shows_intensity: bool,
     has_normals: bool,
     normals_estimated: bool,
     lacks_normals: bool,
@@ -49,7 +51,60 @@ pub struct Note {
     bounds: Vec<[u64; 6]>,
     placements: Vec<(String, usize, [u64; 12])>,
     cameras: Vec<(String, [u64; 10])>,
+    /// Camera and aspect.
+    sensor: Option<([u64; 10], u64)>,
+    shape: Option<KeptShape>,
     warnings: Vec<String>,
+}
+
+/// A [`Shape`] by its bits.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct KeptShape {
+    extent: [u64; 3],
+    symmetry: [u64; 3],
+    ends: [[[u64; 7]; 2]; 3],
+    is_cloud: bool,
+}
+
+impl KeptShape {
+    fn of(shape: &Shape) -> KeptShape {
+        let Shape { extent, symmetry, ends, is_cloud } = *shape;
+        let end = |end: End| {
+            let End { footprint, balance, contact, flat, flat_footprint, centroid_height, opening } =
+                end;
+            bits([footprint, balance, contact, flat, flat_footprint, centroid_height, opening])
+        };
+        KeptShape {
+            extent: bits(extent),
+            symmetry: bits(symmetry),
+            ends: ends.map(|both| both.map(end)),
+            is_cloud,
+        }
+    }
+
+    fn shape(&self) -> Shape {
+        let end = |bits: [u64; 7]| {
+            let [footprint, balance, contact, flat, flat_footprint, centroid_height, opening] =
+                bits.map(f64::from_bits);
+            End { footprint, balance, contact, flat, flat_footprint, centroid_height, opening }
+        };
+        Shape {
+            extent: self.extent.map(f64::from_bits),
+            symmetry: self.symmetry.map(f64::from_bits),
+            ends: self.ends.map(|both| both.map(end)),
+            is_cloud: self.is_cloud,
+        }
+    }
+}
+
+fn camera_bits(c: &Camera) -> [u64; 10] {
+    let (eye, target, up) = (c.eye, c.target, c.up);
+    bits([eye.x, eye.y, eye.z, target.x, target.y, target.z, up.x, up.y, up.z, c.fov_deg])
+}
+
+fn camera(bits: &[u64; 10]) -> Camera {
+    let [eye, target, up] = [&bits[..3], &bits[3..6], &bits[6..9]].map(vec3);
+    Camera { eye, target, up, fov_deg: f64::from_bits(bits[9]) }
 }
 
 fn bits<const N: usize>(numbers: [f64; N]) -> [u64; N] {
@@ -64,18 +119,24 @@ fn vec3(bits: &[u64]) -> DVec3 {
 pub struct Keeping<'a> {
     cache: &'a BakeCache,
     identity: [u8; 32],
+    /// Shapes are measured of bare assets alone.
+    is_bare: bool,
 }
 
 impl<'a> Keeping<'a> {
     /// None for what is made of several files, or of a file that has just been changed; without a cache.
-    pub fn of(reference: &AssetRef, config: &'a EngineConfig) -> Option<Keeping<'a>> {
+    pub fn of(
+        reference: &AssetRef,
+        config: &'a EngineConfig,
+        is_bare: bool,
+    ) -> Option<Keeping<'a>> {
         let cache = config.bake_cache.as_ref()?;
         let AssetSource::File(source) = &reference.source else { return None };
         if source.sample.is_some() || source.features {
             return None;
         }
-        let identity = identity(&source.path, config).ok()??;
-        Some(Keeping { cache, identity })
+        let identity = identity(&source.path, config, is_bare).ok()??;
+        Some(Keeping { cache, identity, is_bare })
     }
 
     pub fn note(&self, config: &EngineConfig) -> Option<Note> {
@@ -111,10 +172,12 @@ impl<'a> Keeping<'a> {
             packed: PackedAsset { geometries, ..PackedAsset::default() },
             bounds: bounds.collect(),
             has_colors: note.has_colors,
+            shows_intensity: note.shows_intensity,
             has_normals: note.has_normals,
             normals_estimated: note.normals_estimated,
             beside: Vec::new(),
             tree: MadeOnce::default(),
+            outlined: OnceLock::new(),
             deferred: (!is_whole).then_some(deferred),
         };
         let placement = |(name, geometry, affine): &(String, usize, [u64; 12])| Placement {
@@ -122,15 +185,16 @@ impl<'a> Keeping<'a> {
             geometry: *geometry,
             asset_from_geometry: DAffine3::from_cols_array(&affine.map(f64::from_bits)),
         };
-        let camera = |(name, bits): &(String, [u64; 10])| {
-            let [eye, target, up] = [&bits[..3], &bits[3..6], &bits[6..9]].map(vec3);
-            (name.clone(), Camera { eye, target, up, fov_deg: f64::from_bits(bits[9]) })
-        };
         tracing::info!(asset = name, samples = note.samples, is_whole, "a large cloud was kept");
         Some(ReadAsset {
             model: Arc::new(model),
             placements: Arc::new(note.placements.iter().map(placement).collect()),
-            cameras: note.cameras.iter().map(camera).collect(),
+            cameras: note.cameras.iter().map(|(name, bits)| (name.clone(), camera(bits))).collect(),
+            sensor: note.sensor.as_ref().map(|(bits, aspect)| SensorView {
+                camera: camera(bits),
+                aspect: f64::from_bits(*aspect),
+            }),
+            shape: note.shape.as_ref().map(KeptShape::shape),
             warnings: note.warnings.clone(),
             digest: note.digest,
         })
@@ -145,7 +209,7 @@ impl<'a> Keeping<'a> {
     ) -> Option<Kept> {
         let deferred = read.model.deferred.as_ref()?;
         let AssetSource::File(source) = &reference.source else { return None };
-        if identity(&source.path, config).ok()? != Some(self.identity) {
+        if identity(&source.path, config, self.is_bare).ok()? != Some(self.identity) {
             return None;
         }
         let model = &read.model;
@@ -153,6 +217,7 @@ impl<'a> Keeping<'a> {
             digest: read.digest,
             format: model.format.to_owned(),
             has_colors: model.has_colors,
+            shows_intensity: model.shows_intensity,
             has_normals: model.has_normals,
             normals_estimated: model.normals_estimated,
             lacks_normals: deferred.lacks_normals,
@@ -173,14 +238,10 @@ impl<'a> Keeping<'a> {
             cameras: read
                 .cameras
                 .iter()
-                .map(|(name, c)| {
-                    let numbers = [
-                        c.eye.x, c.eye.y, c.eye.z, c.target.x, c.target.y, c.target.z, c.up.x,
-                        c.up.y, c.up.z, c.fov_deg,
-                    ];
-                    (name.clone(), bits(numbers))
-                })
+                .map(|(name, camera)| (name.clone(), camera_bits(camera)))
                 .collect(),
+            sensor: read.sensor.map(|view| (camera_bits(&view.camera), view.aspect.to_bits())),
+            shape: read.shape.as_ref().map(KeptShape::of),
             warnings: read.warnings.clone(),
         };
         let is_plain = model.packed.materials.is_empty()
@@ -239,7 +300,7 @@ fn samples_key(digest: &[u8; 32], is_whole: bool) -> [u8; 32] {
 /// What tells a file from all others and from itself after a change, without reading all of it; `None` of a file that has just been
 /// changed or is no file.
 #[cfg(unix)]
-fn identity(path: &Path, config: &EngineConfig) -> io::Result<Option<[u8; 32]>> {
+fn identity(path: &Path, config: &EngineConfig, is_bare: bool) -> io::Result<Option<[u8; 32]>> {
     use std::os::unix::fs::MetadataExt;
     let mut file = File::open(path)?;
     let about = file.metadata()?;
@@ -251,6 +312,7 @@ fn identity(path: &Path, config: &EngineConfig) -> io::Result<Option<[u8; 32]>> 
     let mut hasher = Sha256::new_with_prefix(b"note\0");
     hasher.update(VERSION.to_le_bytes());
     hasher.update(file_kind(path));
+    hasher.update([u8::from(is_bare)]);
     hasher.update((config.estimate_at_once as u64).to_le_bytes());
     for number in [about.dev(), about.ino(), about.len()] {
         hasher.update(number.to_le_bytes());
@@ -271,6 +333,6 @@ fn identity(path: &Path, config: &EngineConfig) -> io::Result<Option<[u8; 32]>> 
 }
 
 #[cfg(not(unix))]
-fn identity(_: &Path, _: &EngineConfig) -> io::Result<Option<[u8; 32]>> {
+fn identity(_: &Path, _: &EngineConfig, _: bool) -> io::Result<Option<[u8; 32]>> {
     Ok(None)
 }

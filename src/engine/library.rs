@@ -11,6 +11,7 @@ use parking_lot::Mutex;
 use sha2::{Digest, Sha256};
 
 use super::bakes::{Abandoned, Watch};
+use super::framing::{self, SceneOutline};
 use super::kept::{Keeping, Kept};
 use super::keys::{AssetKey, AssetKeys, digest_file, digest_packed};
 use super::trees::TreeScene;
@@ -18,15 +19,17 @@ use super::{
     AssetInfo, EngineConfig, EngineError, EstimateState, Estimates, NamedCamera, NodePatch,
     SceneInfo,
 };
+use crate::assets::warnings::condensed;
 use crate::assets::{AssetError, Geometry, Placement, PointCloud};
 use crate::bake::CUTOFF;
 use crate::bake::assemble::{AssembleError, Assembler, Prepared};
 use crate::bake::estimate::{EstimateError, lacks_normals, pack_estimated};
 use crate::bake::pack::{PackedAsset, PackedGeometry, pack_mesh, pack_samples, pack_texture};
-use crate::bake::prepare::{self, AssetTraits};
+use crate::bake::prepare::{self, AssetTraits, Outlook};
 use crate::bake::spacing::Patch;
 use crate::bake::tree::Above;
-use crate::math::{Bounds, Camera};
+use crate::bake::upright::Shape;
+use crate::math::{Bounds, Camera, CameraError, SensorView};
 use crate::plan::SceneFacts;
 use crate::residency::instances::{Instances, RunMeter};
 use crate::residency::model::{AssetModel, Deferred, Extent, ModelInstance, SceneModel};
@@ -46,6 +49,10 @@ pub struct Loaded {
     pub model: Arc<SceneModel>,
     pub facts: SceneFacts,
     pub extent: Extent,
+    /// What the default view has to show, once it was asked for.
+    outline: OnceLock<SceneOutline>,
+    /// Rises from scene to scene as they are loaded; all revisions of a scene have the same.
+    order: u64,
     pub info: SceneInfo,
     /// See [`Loaded::patches`].
     patches: OnceLock<Vec<Patch>>,
@@ -72,6 +79,8 @@ struct CachedAsset {
     model: Weak<AssetModel>,
     placements: Arc<Vec<Placement>>,
     cameras: Vec<(String, Camera)>,
+    sensor: Option<SensorView>,
+    shape: Option<Shape>,
     warnings: Vec<String>,
 }
 
@@ -80,6 +89,9 @@ pub struct ReadAsset {
     pub model: Arc<AssetModel>,
     pub placements: Arc<Vec<Placement>>,
     pub cameras: Vec<(String, Camera)>,
+    pub sensor: Option<SensorView>,
+    /// Only measured for bare assets.
+    pub shape: Option<Shape>,
     pub warnings: Vec<String>,
     pub digest: [u8; 32],
 }
@@ -101,16 +113,21 @@ impl AssetCache {
     fn get_or_read(
         &self,
         AssetKey { digest, alone }: AssetKey,
+        is_bare: bool,
         read: impl FnOnce() -> Result<ReadAsset, EngineError>,
     ) -> Result<ReadAsset, EngineError> {
         if alone
             && let Some(found) = self.assets.lock().get(&digest)
             && let Some(model) = found.model.upgrade()
+            // A scene file does not measure what it draws.
+            && (found.shape.is_some() || !is_bare)
         {
             return Ok(ReadAsset {
                 model,
                 placements: found.placements.clone(),
                 cameras: found.cameras.clone(),
+                sensor: found.sensor,
+                shape: found.shape,
                 warnings: found.warnings.clone(),
                 digest,
             });
@@ -125,6 +142,8 @@ impl AssetCache {
                     model: Arc::downgrade(&read.model),
                     placements: read.placements.clone(),
                     cameras: read.cameras.clone(),
+                    sensor: read.sensor,
+                    shape: read.shape,
                     warnings: read.warnings.clone(),
                 },
             );
@@ -152,8 +171,11 @@ impl Library {
         self.scenes.contains_key(id)
     }
 
+    /// All scenes in the order in which they were loaded.
     pub fn all(&self) -> Vec<Arc<Loaded>> {
-        self.scenes.values().cloned().collect()
+        let mut scenes: Vec<Arc<Loaded>> = self.scenes.values().cloned().collect();
+        scenes.sort_by_key(|loaded| loaded.order);
+        scenes
     }
 
     pub fn insert(&mut self, loaded: Loaded) {
@@ -210,6 +232,8 @@ pub fn load(
     let mut assets = Vec::new();
     let mut placements = Vec::new();
     let mut warnings = Vec::new();
+    let mut outlook = Outlook { up: config.up, ..Outlook::default() };
+    let mut shape = None;
     let mut options = config.read.clone();
     options.root.get_or_insert_with(|| config.root.clone());
     let mut assembler = Assembler::new(path, &description, &options);
@@ -219,7 +243,7 @@ pub fn load(
     let mut asset_keys = Vec::with_capacity(description.assets.len());
     let mut kept = Vec::new();
     for (index, reference) in description.assets.iter().enumerate() {
-        let keeping = Keeping::of(reference, config).filter(|_| !operands_only[index]);
+        let keeping = Keeping::of(reference, config, !is_scene).filter(|_| !operands_only[index]);
         let note = keeping.as_ref().and_then(|keeping| keeping.note(config));
         if let Some(note) = &note {
             keys.know(index, note.digest);
@@ -233,7 +257,7 @@ pub fn load(
         } else {
             let known = keeping.as_ref().zip(note.as_ref());
             let mut was_read = false;
-            let asset = cache.get_or_read(key, || {
+            let asset = cache.get_or_read(key, !is_scene, || {
                 let kept = known.and_then(|(keeping, note)| keeping.asset(&reference.name, note));
                 was_read = kept.is_none();
                 let read = || read_asset(reference, (index, most), &mut assembler, key);
@@ -245,17 +269,22 @@ pub fn load(
             asset
         };
         hasher.update(asset.digest);
-        warnings.extend(asset.warnings.iter().map(|text| format!("{}: {text}", reference.name)));
+        warnings.extend(asset.warnings.iter().map(|text| (reference.name.clone(), text.clone())));
         if description.cameras.is_empty() {
             description.cameras.extend(asset.cameras.iter().cloned());
         }
+        shape = shape.or(asset.shape);
+        outlook.sensor = outlook.sensor.or(asset.sensor);
         assets.push(asset.model);
         placements.push(asset.placements);
     }
     if !is_scene {
         let traits: Vec<AssetTraits> = assets.iter().map(|asset| asset.traits()).collect();
-        prepare::adapt_bare_asset(&mut description, &traits);
+        outlook.shape = shape.as_ref();
+        prepare::adapt_bare_asset(&mut description, &traits, &outlook);
     }
+    let mut warnings = condensed(warnings);
+    warnings.extend(assets.iter().filter_map(|asset| strays(asset)));
     let splats = &description.splats;
     if f64::from(splats.cutoff) * f64::from(splats.width) < f64::from(CUTOFF) {
         warnings.push(format!(
@@ -344,6 +373,21 @@ impl From<Abandoned> for Stop {
     }
 }
 
+/// The warning about points of an asset that the default view leaves out.
+fn strays(asset: &AssetModel) -> Option<String> {
+    let outlines = asset.outlines();
+    let strays: u64 = outlines.iter().map(|outline| outline.strays).sum();
+    let farthest = outlines.iter().map(|outline| outline.farthest_stray).fold(0.0, f64::max);
+    let (samples, triangles) = asset.counts();
+    let (name, all) = (&asset.name, samples + triangles);
+    let what = if triangles > 0 { "triangles" } else { "points" };
+    (strays > 0).then(|| {
+        format!(
+            "{name}: {strays} of {all} {what} lie far from the rest, up to {farthest:.3e} units; the default view leaves them outside its frame"
+        )
+    })
+}
+
 impl From<AssembleError> for EngineError {
     fn from(error: AssembleError) -> Self {
         match error {
@@ -372,7 +416,7 @@ fn read_asset(
 
 fn pack_asset(
     reference: &AssetRef,
-    Prepared { mut asset, traits, lacking }: Prepared,
+    Prepared { mut asset, traits, lacking, shape }: Prepared,
     digest: [u8; 32],
     completeness: Completeness<'_>,
 ) -> Result<ReadAsset, Stop> {
@@ -418,16 +462,20 @@ fn pack_asset(
         packed: PackedAsset { geometries, materials: asset.materials, textures },
         bounds,
         has_colors: traits.has_colors,
+        shows_intensity: traits.shows_intensity,
         has_normals: traits.has_normals,
         normals_estimated: traits.normals_estimated,
         beside: Vec::new(),
         tree: MadeOnce::default(),
         deferred,
+        outlined: OnceLock::new(),
     };
     Ok(ReadAsset {
         model: Arc::new(model),
         placements: Arc::new(asset.placements),
         cameras: asset.cameras,
+        sensor: asset.sensor,
+        shape,
         warnings: asset.warnings,
         digest,
     })
@@ -535,6 +583,8 @@ fn build(
         facts: facts(&model),
         model: Arc::new(model),
         extent,
+        outline: OnceLock::new(),
+        order: before.map_or_else(next_uid, |(loaded, _)| loaded.order),
         info,
         patches: OnceLock::new(),
         digest,
@@ -599,6 +649,7 @@ fn describe(
                     samples,
                     triangles,
                     has_colors: asset.has_colors,
+                    shows_intensity: asset.shows_intensity,
                     has_normals: asset.has_normals,
                     normals_estimated: asset.normals_estimated,
                 }
@@ -621,6 +672,7 @@ fn describe(
             .collect(),
         lights: model.lights.len(),
         up: if model.up == DVec3::ZERO { DVec3::Y } else { model.up }.into(),
+        up_because: description.up_because.clone(),
         warnings,
     }
 }
@@ -797,33 +849,31 @@ impl Loaded {
         if self.model.up == DVec3::ZERO { DVec3::Y } else { self.model.up }
     }
 
-    /// A camera that sees the whole scene from its front, a little from the right and above.
-    pub fn fit(&self, aspect: f64) -> Camera {
-        const FOV_DEG: f64 = 40.0;
-        // What the scene may take of half the frame.
-        const PART: f64 = 0.94;
-        let up = self.up();
-        let up = up / up.length();
-        // The front of a y-up scene is +z, of a z-up scene −y.
-        let front = if up.z.abs() > up.y.abs() { -DVec3::Y } else { DVec3::Z };
-        let backward = front * 0.82 + up.cross(front) * 0.42 + up * 0.38;
-        let backward = backward / backward.length();
-        let right = up.cross(backward);
-        let right = right / right.length();
-        let above = backward.cross(right);
-        let tan_y = (0.5 * FOV_DEG).to_radians().tan() * PART;
-        let tan_x = tan_y * aspect;
-        let centre = self.extent.bounds.centre();
-        // The nearest eye whose pyramid holds every corner of the box.
-        // Nothing but one point is seen from one unit away.
-        let least: f64 = if self.extent.bounds.extent() == DVec3::ZERO { 1.0 } else { 1e-30 };
-        let least = least.max(1e-12 * centre.length());
-        let distance = self.extent.bounds.corners().into_iter().fold(least, |distance, corner| {
-            let v = corner - centre;
-            let needed = (v.dot(right).abs() / tan_x).max(v.dot(above).abs() / tan_y);
-            distance.max(v.dot(backward) + needed)
-        });
-        Camera { eye: centre + backward * distance, target: centre, up, fov_deg: FOV_DEG }
+    /// The default view: the sensor's where the file tells it, else everything but strays, as large as the frame allows. Without an
+    /// `up` it is upright as the scene is.
+    ///
+    /// # Errors
+    /// An `up` that is zero or not finite; a field of view outside (0, 180).
+    pub fn fit(
+        &self,
+        aspect: f64,
+        up: Option<DVec3>,
+        fov_deg: Option<f64>,
+    ) -> Result<Camera, CameraError> {
+        // Neither depends on where the eye is.
+        let anywhere = Camera {
+            eye: DVec3::ZERO,
+            target: DVec3::ONE,
+            up: up.unwrap_or_else(|| self.up()),
+            fov_deg: fov_deg.unwrap_or(framing::FOV_DEG),
+        };
+        anywhere.view(1, 1)?;
+        if let (Some(sensor), None) = (&self.description.sensor, up) {
+            let seen = sensor.camera_for(aspect);
+            return Ok(Camera { fov_deg: fov_deg.unwrap_or(seen.fov_deg), ..seen });
+        }
+        let outline = self.outline.get_or_init(|| SceneOutline::of(&self.model));
+        Ok(outline.camera(anywhere.up, anywhere.fov_deg, aspect))
     }
 }
 

@@ -4,12 +4,14 @@ pub mod bakes;
 mod baking;
 mod crowd;
 mod estimates;
+mod framing;
 mod group;
 mod job;
 mod kept;
 mod keys;
 mod library;
 mod observe;
+mod priming;
 pub mod queue;
 pub mod receipt;
 mod renderer;
@@ -27,12 +29,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
+use glam::DVec3;
 use serde::Serialize;
 
 pub use bakes::BakeTicket;
 pub use baking::{BakeEvent, BakeSource, BakedAsset, bake_file};
 pub use estimates::{EstimateState, Estimates, Latch};
 pub use observe::Observer;
+pub use priming::PrimeConfig;
 pub use queue::{Class, Client};
 pub use receipt::Receipt;
 pub use renderer::Renderer;
@@ -111,6 +115,10 @@ pub struct EngineConfig {
     pub settled_after: Duration,
     /// Where point trees and large clouds are kept from one process to the next; `None`: they are built and read anew.
     pub bake_cache: Option<BakeCache>,
+    /// Which pipelines are built before frames need them; `None`: none are.
+    pub prime: Option<PrimeConfig>,
+    /// Up of bare asset files, instead of a guess.
+    pub up: Option<DVec3>,
     pub read: ReadOptions,
     pub scene: SceneLimits,
 }
@@ -206,6 +214,8 @@ pub struct SceneInfo {
     pub lights: usize,
     /// Which way is up: what a pose without `up` uses.
     pub up: [f64; 3],
+    /// Why that way is up: a guess names its evidence.
+    pub up_because: String,
     pub warnings: Vec<String>,
 }
 
@@ -216,6 +226,8 @@ pub struct AssetInfo {
     pub samples: u64,
     pub triangles: u64,
     pub has_colors: bool,
+    /// Colours were not in the file and show the intensity.
+    pub shows_intensity: bool,
     pub has_normals: bool,
     /// Normals were not in the file and come from the neighbourhood.
     pub normals_estimated: bool,
@@ -302,6 +314,10 @@ pub struct EngineStats {
     pub gpu_bytes_resident: u64,
     pub gpu_ns: u64,
     pub encode_ns: u64,
+    /// Pipelines that a frame had to build or to wait for, on the device in use.
+    pub pipelines_late: u64,
+    /// Pipelines that were built before frames needed them.
+    pub pipelines_primed: u64,
 }
 
 /// A handle on the running engine; clones share it. When the last one is dropped the render thread finishes the jobs it has
@@ -391,7 +407,9 @@ impl EngineConfig {
             estimate_latch: None,
             settled_after: SETTLED_AFTER,
             bake_cache: None,
+            prime: None,
             read: ReadOptions::default(),
+            up: None,
             scene: SceneLimits::default(),
         }
     }
@@ -725,6 +743,12 @@ impl Engine {
     #[doc(hidden)]
     pub fn break_render_thread(&self) {
         self.shared().break_render_thread();
+    }
+
+    /// Waits until pipelines have been built ahead or `patience` is over; whether they have been.
+    #[doc(hidden)]
+    pub fn await_primed(&self, patience: Duration) -> bool {
+        self.shared().await_primed(patience)
     }
 
     /// Has the driver refuse the next submission, to see whom that costs a frame.

@@ -26,6 +26,8 @@ pub struct Receipt {
     pub max_error_px: Option<f32>,
     pub estimated_error_px: Option<f32>,
     pub passes: Vec<PassReceipt>,
+    /// Why the image shows nothing but the background, and what to do about it; `null` where something is seen.
+    pub nothing_visible: Option<String>,
     /// From the first pass's begin to the last one's end.
     pub gpu_ns: Option<u64>,
     pub queue_ns: u64,

@@ -25,9 +25,9 @@ use crate::residency::{Residency, ResidencyError};
 
 /// One adapter with its scenes.
 pub struct Renderer {
-    pub gpu: Gpu,
+    pub gpu: Arc<Gpu>,
     pub residency: Residency,
-    pipelines: Pipelines,
+    pub pipelines: Arc<Pipelines>,
     binds: RefCell<BindCache>,
     scratch: Scratch,
     ring: Ring,
@@ -147,7 +147,7 @@ impl Renderer {
         options: &GpuOptions,
         budget: impl FnOnce(&Gpu) -> u64,
     ) -> Result<Renderer, GpuError> {
-        let gpu = Gpu::open(options)?;
+        let gpu = Arc::new(Gpu::open(options)?);
         let fault = Arc::new(Mutex::new(None));
         let sink = fault.clone();
         gpu.device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
@@ -162,7 +162,7 @@ impl Renderer {
         Ok(Renderer {
             gpu,
             residency,
-            pipelines: Pipelines::default(),
+            pipelines: Arc::default(),
             binds: RefCell::default(),
             scratch,
             ring: Ring::default(),
@@ -366,7 +366,7 @@ impl Renderer {
             .ok_or_else(|| internal("a scene left the GPU before its frame".into()))?;
         let mut context = Context {
             gpu: &self.gpu,
-            pipelines: &mut self.pipelines,
+            pipelines: &self.pipelines,
             binds: &self.binds,
             scratch: &mut self.scratch,
             residency: &self.residency,

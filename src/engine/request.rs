@@ -39,6 +39,16 @@ pub enum Pose {
     },
     /// Already resolved, from explicit matrices.
     View(View),
-    /// The whole scene, from its front and slightly above.
-    Fit,
+    /// The whole scene, as it is seen at first: from its front and slightly above, or as the sensor that took its points saw it.
+    Fit {
+        /// Up instead of the scene's own.
+        up: Option<DVec3>,
+        /// Vertical field of view instead of the view's own.
+        fov_deg: Option<f64>,
+    },
+}
+
+impl Pose {
+    /// The whole scene, as the scene itself has it.
+    pub const FIT: Pose = Pose::Fit { up: None, fov_deg: None };
 }

@@ -251,11 +251,13 @@ fn pose(loaded: &Loaded, request: &FrameRequest) -> Result<(View, CameraReceipt)
         }
         Pose::Camera(camera) => *camera,
         &Pose::Upright { eye, target, fov_deg } => Camera { eye, target, up: loaded.up(), fov_deg },
-        Pose::Fit => loaded.fit(f64::from(width) / f64::from(height)),
+        &Pose::Fit { up, fov_deg } => {
+            loaded.fit(f64::from(width) / f64::from(height), up, fov_deg).map_err(bad_camera)?
+        }
         Pose::Named(name) => {
             let cameras = &loaded.model.cameras;
             let found = cameras.iter().find(|(known, _)| known == name);
-            found.map(|(_, camera)| *camera).ok_or_else(|| {
+            found.map(|(_, camera)| camera.for_frame(width, height)).ok_or_else(|| {
                 let known: Vec<&str> = cameras.iter().map(|(name, _)| name.as_str()).collect();
                 EngineError::BadParameter {
                     parameter: "camera",

@@ -59,6 +59,8 @@ pub struct Stats {
     pub gpu_bytes_resident: AtomicU64,
     pub gpu_ns: AtomicU64,
     pub encode_ns: AtomicU64,
+    pub pipelines_late: AtomicU64,
+    pub pipelines_primed: AtomicU64,
 }
 
 struct State {
@@ -69,6 +71,8 @@ struct State {
     /// A scene was removed and the render thread has not looked yet.
     removed: bool,
     stopping: bool,
+    /// Pipelines have been built ahead, as far as they will be.
+    primed: bool,
     phase: Phase,
     /// Since when the render thread has been at one batch.
     busy_since: Option<Instant>,
@@ -160,6 +164,7 @@ pub struct Shared {
     pub changes: watch::Sender<u64>,
     state: Mutex<State>,
     wake: Condvar,
+    primed: Condvar,
     adapter: RwLock<Adapter>,
     resident: RwLock<HashSet<String>>,
     /// Streams that may ask for frames.
@@ -198,10 +203,12 @@ impl Shared {
                 by_key: HashMap::new(),
                 removed: false,
                 stopping: false,
+                primed: false,
                 phase: Phase::Starting,
                 busy_since: None,
             }),
             wake: Condvar::new(),
+            primed: Condvar::new(),
             adapter: RwLock::default(),
             resident: RwLock::default(),
             open_streams: AtomicUsize::new(0),
@@ -432,6 +439,25 @@ impl Shared {
         self.state.lock().queue.is_empty()
     }
 
+    /// Whether no frame waits or is being drawn.
+    pub fn is_idle(&self) -> bool {
+        let state = self.state.lock();
+        state.queue.is_empty() && state.busy_since.is_none()
+    }
+
+    /// Tells whoever waits in [`Shared::await_primed`].
+    pub fn set_primed(&self) {
+        self.state.lock().primed = true;
+        self.primed.notify_all();
+    }
+
+    /// Waits until pipelines are primed or `patience` is over; whether they are.
+    pub fn await_primed(&self, patience: Duration) -> bool {
+        let mut state = self.state.lock();
+        self.primed.wait_while_for(&mut state, |state| !state.primed, patience);
+        state.primed
+    }
+
     pub fn is_stopping(&self) -> bool {
         self.state.lock().stopping
     }
@@ -573,6 +599,8 @@ impl Shared {
             gpu_bytes_resident: read(&self.stats.gpu_bytes_resident),
             gpu_ns: read(&self.stats.gpu_ns),
             encode_ns: read(&self.stats.encode_ns),
+            pipelines_late: read(&self.stats.pipelines_late),
+            pipelines_primed: read(&self.stats.pipelines_primed),
         }
     }
 }

@@ -137,6 +137,7 @@ fn bake_watched(
         beside,
         tree: MadeOnce::default(),
         deferred: None,
+        outlined: OnceLock::new(),
         ..*asset
     };
     let (nodes, _) = tree.counts();

@@ -12,7 +12,9 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use super::framing;
 use super::job::Job;
+use super::priming::Primer;
 use super::queue::Class;
 use super::receipt::{
     InstanceCounts, PassReceipt, Receipt, SampleCounts, SplatCounts, TriangleCounts,
@@ -22,6 +24,7 @@ use super::shared::{Adapter, Flying, Phase, Shared};
 use super::trace::FrameSpans;
 use super::{EncodedFrame, EngineError};
 use crate::gpu::{GpuError, GpuOptions};
+use crate::passes::srgb8;
 use crate::plan::{Pass, Reconstruct, UsedSettings};
 use crate::residency::layout::GpuStats;
 use crate::residency::layout::MOST_ROWS;
@@ -38,6 +41,8 @@ pub fn run(shared: &Arc<Shared>, opened: impl FnOnce(Result<(), GpuError>)) {
         rasterise: shared.config.rasterise,
         adapter: None,
         max_binding_bytes: shared.config.max_binding_bytes,
+        pipeline_folder: shared.config.prime.as_ref().and_then(|prime| prime.folder.clone()),
+        pipeline_source: crate::passes::shaders::fingerprint(),
     };
     let mut renderer = match open(shared, &options) {
         Ok(renderer) => renderer,
@@ -62,15 +67,22 @@ pub fn run(shared: &Arc<Shared>, opened: impl FnOnce(Result<(), GpuError>)) {
         .collect();
     drop(receiver);
     opened(Ok(()));
+    let mut primer = Primer::start(shared, &renderer);
     loop {
         match serve(shared, &mut renderer, &sender) {
             Stop::Done => break,
             Stop::Lost => match reopen(shared, &options) {
-                Some(fresh) => renderer = fresh,
+                Some(fresh) => {
+                    // The thread that is replaced still has the lost device.
+                    drop(primer);
+                    renderer = fresh;
+                    primer = Primer::start(shared, &renderer);
+                }
                 None => break,
             },
         }
     }
+    drop(primer);
     drop(sender);
     for encoder in encoders.into_iter().flatten() {
         let _ = encoder.join();
@@ -293,6 +305,7 @@ fn publish(shared: &Shared, renderer: &mut Renderer) {
     stats.uploads.store(renderer.residency.uploads(), Ordering::Relaxed);
     let written = renderer.residency.instances_written();
     stats.instances_written.store(written, Ordering::Relaxed);
+    stats.pipelines_late.store(renderer.pipelines.late(), Ordering::Relaxed);
 }
 
 /// Encodes a frame, writes its receipt and answers whoever waits.
@@ -339,6 +352,14 @@ fn wide(words: [u32; 2]) -> u64 {
 /// Nodes that passed their test, whichever way they are drawn.
 fn accepted(stats: &GpuStats) -> u64 {
     [stats.nodes_drawn, stats.splats_listed, stats.splats_scattered].map(u64::from).iter().sum()
+}
+
+/// Why a frame shows nothing, where it does.
+fn nothing_visible(drawn: &Drawn) -> Option<String> {
+    let resolved = &drawn.job.resolved;
+    let background = srgb8(resolved.model.background).to_le_bytes();
+    let is_blank = drawn.stats.pixels_of_samples == 0 && drawn.image.is_blank(background);
+    is_blank.then(|| framing::why_nothing(&resolved.extent.bounds, &resolved.view))
 }
 
 fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
@@ -389,6 +410,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         max_error_px: resolved.model.trees.then(|| job.request.settings.max_error.px()),
         estimated_error_px: None,
         passes,
+        nothing_visible: nothing_visible(drawn),
         gpu_ns: drawn.gpu_ns,
         queue_ns: drawn.queue.as_nanos() as u64,
         record_ns: drawn.record.as_nanos() as u64,

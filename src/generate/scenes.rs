@@ -8,7 +8,8 @@ use glam::DVec3;
 
 use super::{Generated, GeneratedMesh, GeneratedScene, plain, relief, textured};
 use crate::assets::Progress;
-use crate::math::Bounds;
+use crate::math::framing::{Look, frame};
+use crate::math::{Bounds, Camera};
 
 /// A pose in a scene file.
 pub(super) struct Pose {
@@ -59,11 +60,29 @@ pub(super) const DAYLIGHT: &str = r##"  "lights": [
     { "kind": "ambient", "color": "#dce6f5", "intensity": 0.25 }
   ]"##;
 
+/// Points that a camera is fitted to, at most.
+const MOST_FRAMED: usize = 200_000;
+
+/// A camera that shows points whole in a square frame, and so in every other one.
+fn around(name: &'static str, points: &[DVec3], backward: DVec3, up: DVec3, fov: f64) -> Pose {
+    let backward = backward / backward.length();
+    let look = Look { backward, up, fov_deg: fov, aspect: 1.0 };
+    let Camera { eye, target, .. } = frame(points, &look);
+    Pose { name, eye, target, fov }
+}
+
 /// The scan of a town: unlit points in their own colours.
 pub fn town(name: &str, scan: Generated, size_m: f64) -> GeneratedScene {
     let asset = format!("{name}-scan.laz");
     let middle = super::town::ORIGIN_M;
     let s = size_m;
+    let town: Vec<DVec3> = match &scan {
+        Generated::Points(cloud) => {
+            let every = cloud.positions.len().div_ceil(MOST_FRAMED).max(1);
+            cloud.positions.iter().step_by(every).copied().collect()
+        }
+        _ => Vec::new(),
+    };
     let pose = |name, eye: [f64; 3], target: [f64; 3], fov| Pose {
         name,
         eye: middle + DVec3::from_array(eye) * s,
@@ -71,20 +90,16 @@ pub fn town(name: &str, scan: Generated, size_m: f64) -> GeneratedScene {
         fov,
     };
     let poses = [
-        pose("overview", [-0.78, -1.0, 0.62], [0.0, 0.0, 0.1], 42.0),
+        around("overview", &town, DVec3::new(-0.55, -1.0, 0.8), DVec3::Z, 42.0),
         pose("square", [-0.3, -0.42, 0.14], [0.03, 0.05, 0.06], 50.0),
         pose("street", [-0.5, -0.32, 0.06], [0.1, -0.2, 0.03], 55.0),
         pose("above", [0.0, -0.05, 1.2], [0.0, 0.0, 0.0], 50.0),
     ];
-    let around = |t: f64, x: f64, y: f64| {
+    let key = |t: f64, x: f64, y: f64| {
         (t, middle + DVec3::new(x, y, 0.45) * s, middle + DVec3::new(0.0, 0.0, 0.05) * s)
     };
-    let keys = [
-        around(0.0, -0.62, -0.8),
-        around(2.0, 0.62, -0.8),
-        around(4.0, 0.8, 0.6),
-        around(6.0, -0.6, 0.8),
-    ];
+    let keys =
+        [key(0.0, -0.62, -0.8), key(2.0, 0.62, -0.8), key(4.0, 0.8, 0.6), key(6.0, -0.6, 0.8)];
     let json = format!(
         "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"up\": \"z\",\n  \"assets\": {{ \"scan\": {{ \"file\": \"{asset}\" }} }},\n  \"nodes\": [ {{ \"name\": \"scan\", \"asset\": \"scan\" }} ],\n  \"lights\": [],\n  \"background\": \"#c9d8e6\",\n{},\n{}\n}}\n",
         cameras(&poses),
@@ -178,13 +193,10 @@ pub fn plaza(name: &str, count: u64, seed: u64, progress: &Progress) -> Generate
         ("tile", plain::tile(PITCH_M)),
     ];
     let half = 0.5 * PITCH_M * count as f64;
+    let extent = DVec3::new(half, 0.0, half);
+    let square = Bounds { min: -extent, max: extent + DVec3::Y * 5.0 };
     let poses = [
-        Pose {
-            name: "overview",
-            eye: DVec3::new(0.55, 0.42, 1.25) * half,
-            target: DVec3::ZERO,
-            fov: 40.0,
-        },
+        around("overview", &square.corners(), DVec3::new(0.5, 0.7, 1.0), DVec3::Y, 40.0),
         Pose {
             name: "walk",
             eye: DVec3::new(0.0, 1.7, 0.35 * half),

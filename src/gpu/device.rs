@@ -1,7 +1,10 @@
 //! Finding and opening an adapter.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::pipeline_store::{Kept, PipelineStore};
 
 /// How the adapter is chosen.
 #[derive(Clone, Debug, Default)]
@@ -14,6 +17,10 @@ pub struct GpuOptions {
     pub adapter: Option<String>,
     /// Bind no more bytes than this at once, even where the adapter could.
     pub max_binding_bytes: Option<u64>,
+    /// Folder that compiled pipelines are kept in from one process to the next.
+    pub pipeline_folder: Option<PathBuf>,
+    /// What the program's pipelines are made of: files of other sources are not read.
+    pub pipeline_source: String,
 }
 
 #[derive(Debug, Clone, thiserror::Error)]
@@ -48,6 +55,11 @@ pub struct Gpu {
     pub rasterises: bool,
     /// Threads of a vector can vote.
     pub subgroups: bool,
+    /// Where pipelines are kept, and what was found there.
+    pub pipeline_store: Option<PipelineStore>,
+    pub kept_pipelines: Kept,
+    /// The driver's compiled code, where it offers that.
+    pub pipeline_cache: Option<wgpu::PipelineCache>,
     lost: Arc<AtomicBool>,
 }
 
@@ -124,6 +136,7 @@ impl Gpu {
         if features.contains(wgpu::Features::TIMESTAMP_QUERY) {
             features |= offered & wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS;
         }
+        features |= offered & wgpu::Features::PIPELINE_CACHE;
         if atomics_64 {
             features |= wide;
         }
@@ -146,6 +159,14 @@ impl Gpu {
             }
             flag.store(true, Ordering::SeqCst);
         });
+        let pipeline_store = options.pipeline_folder.as_ref().map(|folder| {
+            let driver = format!("{:?} {} {}", info.backend, info.vendor, info.device);
+            PipelineStore::new(folder, &[&name, &driver, &options.pipeline_source])
+        });
+        let kept_pipelines =
+            pipeline_store.as_ref().and_then(PipelineStore::load).unwrap_or_default();
+        let caches = features.contains(wgpu::Features::PIPELINE_CACHE) && pipeline_store.is_some();
+        let pipeline_cache = caches.then(|| pipeline_cache(&device, &kept_pipelines.driver));
         let timestamp_period_ns = features
             .contains(wgpu::Features::TIMESTAMP_QUERY)
             .then(|| queue.get_timestamp_period());
@@ -162,6 +183,9 @@ impl Gpu {
             is_cpu,
             rasterises,
             subgroups: !subgroups.is_empty(),
+            pipeline_store,
+            kept_pipelines,
+            pipeline_cache,
             lost,
         })
     }
@@ -173,6 +197,21 @@ impl Gpu {
     /// The largest buffer that a shader can bind whole, in bytes.
     pub fn max_binding_bytes(&self) -> u64 {
         self.limits.max_storage_buffer_binding_size.min(self.limits.max_buffer_size)
+    }
+}
+
+fn pipeline_cache(device: &wgpu::Device, kept: &[u8]) -> wgpu::PipelineCache {
+    let descriptor = wgpu::PipelineCacheDescriptor {
+        label: Some("pipelines"),
+        data: (!kept.is_empty()).then_some(kept),
+        // Data of another driver begins an empty cache.
+        fallback: true,
+    };
+    #[allow(unsafe_code, reason = "the driver is handed the bytes that it gave an earlier process")]
+    // SAFETY: the bytes are what `PipelineCache::get_data` gave: their SHA-256 was right, in a file named after this adapter and
+    // driver, and wgpu compares the header that it has put before them.
+    unsafe {
+        device.create_pipeline_cache(&descriptor)
     }
 }
 

@@ -28,6 +28,7 @@ pub struct BindingSlot {
     pub name: String,
     /// Bound with a dynamic offset.
     pub dynamic: bool,
+    pub access: wgpu::BufferBindingType,
 }
 
 /// A render pipeline without a colour target that matters: its fragments write storage.
@@ -87,6 +88,7 @@ fn reflect(
             number: binding.binding,
             name: variable.name.clone().unwrap_or_default(),
             dynamic,
+            access: ty,
         });
     }
     for list in &mut entries {
@@ -145,7 +147,7 @@ impl ComputePipeline {
                 constants,
                 zero_initialize_workgroup_memory: false,
             },
-            cache: None,
+            cache: gpu.pipeline_cache.as_ref(),
         });
         Ok(Self { name, pipeline, layouts: reflected.layouts, bindings: reflected.bindings })
     }
@@ -189,7 +191,7 @@ impl RasterPipeline {
                 })],
             }),
             multiview_mask: None,
-            cache: None,
+            cache: gpu.pipeline_cache.as_ref(),
         });
         Ok(Self { name, pipeline, layouts: reflected.layouts, bindings: reflected.bindings })
     }

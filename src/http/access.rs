@@ -11,6 +11,7 @@
 //! `cors_origins`), and a key may also come as a subprotocol, `pointillist.key.KEY`.
 
 use std::net::{Ipv4Addr, Ipv6Addr};
+use std::sync::Arc;
 
 use axum::http::{HeaderMap, Method, Uri, header};
 use sha2::{Digest, Sha256};
@@ -48,6 +49,16 @@ pub enum Access {
         only_loopback: bool,
     },
     Keys(Vec<ApiKey>),
+}
+
+/// Reads the rules from where they came from.
+#[derive(Clone)]
+pub struct Reread(pub Arc<dyn Fn() -> Result<Access, String> + Send + Sync>);
+
+impl std::fmt::Debug for Reread {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Reread")
+    }
 }
 
 /// Reads a key file: `name scope sha256hex` a line, `#` begins a comment.

@@ -12,6 +12,7 @@ use parking_lot::Mutex;
 use serde::de::DeserializeOwned;
 
 use super::problem::{Kind, Problem};
+use crate::scene::check_keys;
 
 /// Bytes a second that a body has to come at, on the average of the time spent waiting for it.
 pub const LEAST_RATE: u64 = 1024;
@@ -125,6 +126,8 @@ pub async fn json<T: DeserializeOwned>(
 
 /// Parses JSON; the error names the place.
 pub fn parse_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
+    check_keys(bytes)
+        .map_err(|found| Problem::new(Kind::BadBody, found.to_string()).at(found.path))?;
     let mut deserializer = serde_json::Deserializer::from_slice(bytes);
     let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
         let path = error.path().to_string();

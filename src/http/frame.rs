@@ -16,6 +16,8 @@ use crate::engine::{EncodedFrame, EngineError, FrameRequest, FrameTicket, Origin
 use super::params::FrameParams;
 
 pub const RECEIPT_HEADER: HeaderName = HeaderName::from_static("pointillist-receipt");
+/// Carries what a client should know though the frame was drawn: that nothing can be seen on it.
+pub const WARNING_HEADER: HeaderName = HeaderName::from_static("pointillist-warning");
 pub const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
 /// How long a point tree goes on being built for whom it came too late.
 const BAKE_AFTER_DEADLINE: Duration = Duration::from_secs(60);
@@ -56,6 +58,7 @@ const REVALIDATE: HeaderValue = HeaderValue::from_static("no-cache");
                 ("ETag" = String, description = "Strong, known before rendering"),
                 ("Server-Timing" = String, description = "Milliseconds of queue, batch, each pass, device-wait, readback, encode-wait, encode, and their total"),
                 ("Pointillist-Receipt" = String, description = "A `Receipt` as one line of JSON, ASCII only"),
+                ("Pointillist-Warning" = Option<String>, description = "Why nothing can be seen in the image, where that is so"),
             ),
         ),
         (status = 304, description = "The client has this frame already"),
@@ -189,6 +192,7 @@ pub async fn wait(
 pub fn receipt_headers(frame: &EncodedFrame) -> Vec<(HeaderName, HeaderValue)> {
     let mut found = vec![(header::CONTENT_TYPE, HeaderValue::from_static(frame.content_type))];
     found.extend(headers::receipt(&frame.receipt).map(|value| (RECEIPT_HEADER, value)));
+    found.extend(headers::warning(&frame.receipt).map(|value| (WARNING_HEADER, value)));
     found.extend(headers::server_timing(&frame.receipt).map(|value| (SERVER_TIMING, value)));
     found
 }

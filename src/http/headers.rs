@@ -40,6 +40,12 @@ fn entry(line: &mut String, name: &str, ns: u64, words: std::fmt::Arguments<'_>)
     let _ = write!(line, "{comma}{name};dur={ms}.{us:03};desc=\"{words}\"");
 }
 
+/// `Pointillist-Warning`: why nothing can be seen, where that is so.
+pub fn warning(receipt: &Receipt) -> Option<HeaderValue> {
+    HeaderValue::from_str(&format!("nothing is visible: {}", receipt.nothing_visible.as_ref()?))
+        .ok()
+}
+
 /// `Pointillist-Receipt`: the receipt as one line of JSON.
 pub fn receipt(receipt: &Receipt) -> Option<HeaderValue> {
     HeaderValue::from_str(&ascii_json(receipt)?).ok()

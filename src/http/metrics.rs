@@ -261,6 +261,8 @@ impl Collector for EngineCollector {
                 "Instances written to the GPU, by scenes that came and by edits",
                 stats.instances_written,
             ),
+            ("engine_pipelines_late", "Pipelines that frames waited for", stats.pipelines_late),
+            ("engine_pipelines_primed", "Pipelines built ahead", stats.pipelines_primed),
         ] {
             write(&mut encoder, name, help, None, &ConstCounter::new(value))?;
         }

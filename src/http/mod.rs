@@ -93,6 +93,12 @@ pub struct Settings {
     pub read_timeout: Duration,
     /// How long answers in flight may take when the server stops.
     pub drain: Duration,
+    /// How long a server that is to stop goes on serving, while `/readyz` already says no.
+    pub drain_delay: Duration,
+    /// Whether clients may add scenes.
+    pub uploads: bool,
+    /// Reads the access rules again; `None` where there is nothing to read.
+    pub reread_access: Option<access::Reread>,
     pub streams: stream::StreamLimits,
     pub watches: WatchLimits,
 }
@@ -112,6 +118,8 @@ pub struct App {
     callers: RandomState,
     /// Whose pages may read `Server-Timing`.
     timing_origins: Option<HeaderValue>,
+    /// The rules in force.
+    access: parking_lot::RwLock<Arc<access::Access>>,
     phase: AtomicU8,
 }
 
@@ -121,6 +129,8 @@ pub enum Phase {
     /// Scenes given at the start are being loaded.
     Starting,
     Serving,
+    /// Requests are served as before, but `/readyz` tells load balancers to send no more.
+    Leaving,
     Draining,
 }
 
@@ -136,6 +146,7 @@ impl App {
             timing_origins: (!settings.cors_origins.is_empty())
                 .then(|| HeaderValue::from_str(&settings.cors_origins.join(", ")).ok())
                 .flatten(),
+            access: parking_lot::RwLock::new(Arc::new(settings.access.clone())),
             phase: AtomicU8::new(0),
             engine,
             settings,
@@ -146,7 +157,23 @@ impl App {
         match self.phase.load(Ordering::Relaxed) {
             0 => Phase::Starting,
             1 => Phase::Serving,
+            2 => Phase::Leaving,
             _ => Phase::Draining,
+        }
+    }
+
+    /// Reads the access rules again and puts them in force. Rules that cannot be read leave the earlier ones.
+    pub fn reread_access(&self) {
+        let Some(reread) = &self.settings.reread_access else {
+            tracing::info!("no API keys to read again");
+            return;
+        };
+        match reread.0() {
+            Ok(access) => {
+                *self.access.write() = Arc::new(access);
+                tracing::info!("API keys read again");
+            }
+            Err(error) => tracing::error!(error, "the API keys in force stay"),
         }
     }
 
@@ -286,17 +313,17 @@ async fn answer(app: &App, route: &'static str, request: Request, next: Next) ->
         (Request::from_parts(parts, body), Some(rest))
     };
     let mut request = request;
-    let checked =
-        app.settings.access.check(&method, request.uri(), route, request.headers()).map(|key| {
-            let address = request.extensions().get::<ConnectInfo<SocketAddr>>();
-            let client = match (key, address) {
-                (Some(key), _) => Client::Caller(app.callers.hash_one(&key.name)),
-                (None, Some(from)) => Client::Caller(app.callers.hash_one(from.0.ip())),
-                (None, None) => Client::Unnamed,
-            };
-            let is_admin = key.is_none_or(|key| key.scope == access::Scope::Admin);
-            (client, Owner { name: key.map(|key| key.name.clone()), is_admin })
-        });
+    let access = app.access.read().clone();
+    let checked = access.check(&method, request.uri(), route, request.headers()).map(|key| {
+        let address = request.extensions().get::<ConnectInfo<SocketAddr>>();
+        let client = match (key, address) {
+            (Some(key), _) => Client::Caller(app.callers.hash_one(&key.name)),
+            (None, Some(from)) => Client::Caller(app.callers.hash_one(from.0.ip())),
+            (None, None) => Client::Unnamed,
+        };
+        let is_admin = key.is_none_or(|key| key.scope == access::Scope::Admin);
+        (client, Owner { name: key.map(|key| key.name.clone()), is_admin })
+    });
     let response = match checked {
         Ok((client, owner)) => {
             request.extensions_mut().insert(Caller(client));
@@ -350,6 +377,7 @@ fn cors(origins: &[String]) -> Option<CorsLayer> {
                 header::LOCATION,
                 HeaderName::from_static("server-timing"),
                 frame::RECEIPT_HEADER,
+                frame::WARNING_HEADER,
                 naming::REQUEST_ID,
             ]),
     )

@@ -165,6 +165,7 @@ fn problems(path: &str, method: &str) -> &'static [Kind] {
         ("/v1/scenes/{id}/paths/{name}", _) => &[UnknownScene, UnknownPath, SceneLoading],
         ("/viewer/{file}", _) => &[UnknownRoute],
         ("/v1/scenes", "post") => &[
+            UploadsOff,
             RequestTimeout,
             SceneExists,
             BodyTooLarge,

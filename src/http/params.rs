@@ -20,7 +20,7 @@ use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
 use crate::math::{Camera, View};
 use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings, Wait};
-use crate::scene::{Blend, Filter, Shading};
+use crate::scene::{Blend, Filter, Shading, Up, UpForm};
 
 /// Width and height of a frame that names none.
 pub const DEFAULT_SIDE: u32 = 1024;
@@ -32,12 +32,13 @@ pub const DEFAULT_FOV_DEG: f64 = 40.0;
 const MAX_DEADLINE_MS: f64 = 3_600_000.0;
 
 /// What to draw and how. The pose is `camera`, or `eye` and `target` (with `up` and `fov`), or
-/// `view` and `proj`; without any, the whole scene is shown.
+/// `view` and `proj`; without any, the whole scene is shown, to which `up` and `fov` apply as well.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, ToSchema, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct FrameParams {
-    /// A camera that the scene names.
+    /// A camera that the scene names. In a frame that is higher than wide its field of view is that of the width, up to a
+    /// vertical one of 100 degrees, so that such a frame shows as much from side to side as a square one.
     pub camera: Option<String>,
     /// Where the eye is, in world space: `x,y,z`.
     #[param(style = Form, explode = false)]
@@ -45,10 +46,12 @@ pub struct FrameParams {
     /// What the eye looks at, in world space: `x,y,z`.
     #[param(style = Form, explode = false)]
     pub target: Option<[f64; 3]>,
-    /// Which way is up; where none is given, as the scene has it (`up` of `GET /v1/scenes/{id}`).
-    #[param(style = Form, explode = false)]
-    pub up: Option<[f64; 3]>,
-    /// Vertical field of view in degrees, 40 where none is given.
+    /// Which way is up: `x`, `y`, `z`, `-x`, `-y`, `-z` or `x,y,z`. The default is the scene's own (`up` of
+    /// `GET /v1/scenes/{id}`). Without `eye` and `target` the whole scene is shown upright that way.
+    #[param(style = Form, explode = false, value_type = Option<UpForm>)]
+    #[schema(value_type = Option<UpForm>)]
+    pub up: Option<Up>,
+    /// Vertical field of view in degrees, 40 where none is given. Without `eye` and `target` the whole scene is shown in it.
     #[param(exclusive_minimum = 0.0, exclusive_maximum = 180.0)]
     #[schema(exclusive_minimum = 0.0, exclusive_maximum = 180.0)]
     pub fov: Option<f64>,
@@ -161,7 +164,7 @@ impl FrameParams {
             "camera" => once(&mut self.camera, name, value.to_owned()),
             "eye" => once(&mut self.eye, name, numbers(name, value)?),
             "target" => once(&mut self.target, name, numbers(name, value)?),
-            "up" => once(&mut self.up, name, numbers(name, value)?),
+            "up" => once(&mut self.up, name, number(name, value, Up::ACCEPTED)?),
             "fov" => once(&mut self.fov, name, number(name, value, DEGREES)?),
             "view" => once(&mut self.view, name, numbers(name, value)?),
             "proj" => once(&mut self.proj, name, numbers(name, value)?),
@@ -409,7 +412,7 @@ impl FrameParams {
     }
 
     fn pose(&self, width: u32, height: u32) -> Result<Pose, Problem> {
-        const WAYS: &str = "`camera`, or `eye` and `target` (with `up`, `fov`), or `view` and `proj`, or none of them";
+        const WAYS: &str = "`camera`, or `eye` and `target`, or `view` and `proj`, or none of them; `up` and `fov` with `eye` or alone";
         let by_eye = [
             ("eye", self.eye.is_some()),
             ("target", self.target.is_some()),
@@ -435,16 +438,13 @@ impl FrameParams {
             return Ok(Pose::Named(name.clone()));
         }
         let missing = |name| Problem::parameter(name, "missing", WAYS);
-        if let Some(given) = by_eye {
-            if self.eye.is_none() && self.target.is_none() {
-                let reason = "needs `eye` and `target`: cameras and the whole scene have their own";
-                return Err(Problem::parameter(given, reason, WAYS));
-            }
+        let up = self.up.map(|Up(up)| up);
+        if self.eye.is_some() || self.target.is_some() {
             let eye = DVec3::from(self.eye.ok_or_else(|| missing("eye"))?);
             let target = DVec3::from(self.target.ok_or_else(|| missing("target"))?);
             let fov_deg = self.fov.unwrap_or(DEFAULT_FOV_DEG);
-            return Ok(match self.up {
-                Some(up) => Pose::Camera(Camera { eye, target, up: up.into(), fov_deg }),
+            return Ok(match up {
+                Some(up) => Pose::Camera(Camera { eye, target, up, fov_deg }),
                 None => Pose::Upright { eye, target, fov_deg },
             });
         }
@@ -454,7 +454,7 @@ impl FrameParams {
             let (view, proj) = (DMat4::from_cols_array(&view), DMat4::from_cols_array(&proj));
             return Ok(Pose::View(View::from_matrices(view, proj, width, height)?));
         }
-        Ok(Pose::Fit)
+        Ok(Pose::Fit { up, fov_deg: self.fov })
     }
 }
 

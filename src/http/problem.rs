@@ -71,6 +71,7 @@ pub enum Kind {
     JobFailed,
     VideoFailed,
     JobsOff,
+    UploadsOff,
     OutOfJobDisk,
     JobFileDamaged,
     Internal,
@@ -78,7 +79,7 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind, in the order of the documentation.
-    pub const ALL: [Kind; 53] = [
+    pub const ALL: [Kind; 54] = [
         Kind::UnknownRoute,
         Kind::UnknownScene,
         Kind::UnknownNode,
@@ -129,6 +130,7 @@ impl Kind {
         Kind::JobFailed,
         Kind::VideoFailed,
         Kind::JobsOff,
+        Kind::UploadsOff,
         Kind::OutOfJobDisk,
         Kind::JobFileDamaged,
         Kind::Internal,
@@ -254,6 +256,9 @@ impl Kind {
                 (500, "urn:pointillist:problem:video-failed", "the video could not be made")
             }
             JobsOff => (503, "urn:pointillist:problem:jobs-off", "this server draws no jobs"),
+            UploadsOff => {
+                (503, "urn:pointillist:problem:uploads-off", "this server takes no uploads")
+            }
             OutOfJobDisk => {
                 (507, "urn:pointillist:problem:job-quota", "jobs are over their share of the disk")
             }

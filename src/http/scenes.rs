@@ -112,7 +112,10 @@ pub async fn remove(
     let name = id.clone();
     tokio::task::spawn_blocking(move || {
         worker.engine.remove(&name)?;
-        upload::remove_files(&worker.settings.root, &name);
+        // The folder of uploads may be another daemon's.
+        if worker.settings.uploads {
+            upload::remove_files(&worker.settings.root, &name);
+        }
         Ok(StatusCode::NO_CONTENT)
     })
     .await

@@ -1,10 +1,14 @@
 //! Listening, limits on connections, start and stop.
 //!
 //! ```text
-//! listen ─► Starting ──scenes loaded──► Serving ──SIGTERM, SIGINT──► Draining ─► exit
-//!           /healthz 200                /readyz 200                  no new connections; answers in
-//!           /readyz  503                                             flight end within `drain`, streams
-//!                                                                    are closed with 1001, jobs pause
+//! listen ─► Starting ──scenes loaded──► Serving ──SIGTERM──► Leaving ──`drain_delay`──► Draining ─► exit
+//!           /healthz 200                /readyz 200          /readyz 503                no new connections;
+//!           /readyz  503                                     all is served as before    answers in flight end
+//!                                                                                       within `drain`, streams are
+//!                                                                                       closed with 1001, jobs pause
+//! SIGINT, and SIGHUP where the terminal that it was started from has gone: Draining at once
+//! a second SIGTERM, SIGINT or such SIGHUP: exit at once
+//! SIGHUP without a terminal: API keys are read again
 //! a render thread that panicked: /healthz and /readyz 503, and the watchdog is no longer patted
 //! ```
 //!
@@ -68,7 +72,7 @@ pub async fn serve(
     let address = listener.local_addr()?;
     listener.set_nonblocking(true)?;
     let handle = Handle::new();
-    let mut stop = Box::pin(stop_signal()?);
+    let mut signals = Signals::new()?;
     let mut server = tokio::spawn(run(app.clone(), listener, handle.clone()));
     if let Ok(jobs) = &app.jobs {
         // Those whose scenes are not loaded yet wait for them.
@@ -84,18 +88,35 @@ pub async fn serve(
             ready(&app.engine, address);
             notify(&[sd_notify::NotifyState::Ready]);
             let watchdog = tokio::spawn(watchdog(app.clone()));
-            tokio::select! {
-                signal = &mut stop => tracing::info!(signal, "draining"),
+            let signal = tokio::select! {
+                signal = signals.stop(&app) => signal,
                 ended = &mut server => return Ok(ended??),
-            }
+            };
             watchdog.abort();
+            notify(&[sd_notify::NotifyState::Stopping]);
+            let delay = app.settings.drain_delay;
+            if signal == SIGTERM && !delay.is_zero() {
+                tracing::info!(signal, seconds = delay.as_secs(), "not ready any more; draining soon");
+                app.set_phase(Phase::Leaving);
+                tokio::select! {
+                    () = tokio::time::sleep(delay) => {}
+                    signal = signals.stop(&app) => {
+                        tracing::warn!(signal, "stopping at once");
+                        return Ok(());
+                    }
+                    ended = &mut server => return Ok(ended??),
+                }
+            }
+            tracing::info!(signal, "draining");
         }
-        signal = &mut stop => tracing::info!(signal, "stopped while loading"),
+        signal = signals.stop(&app) => {
+            tracing::info!(signal, "stopped while loading");
+            notify(&[sd_notify::NotifyState::Stopping]);
+        }
         ended = &mut server => return Ok(ended??),
     }
 
     app.set_phase(Phase::Draining);
-    notify(&[sd_notify::NotifyState::Stopping]);
     handle.graceful_shutdown(Some(app.settings.drain));
     let drained = async {
         let _ = (&mut server).await;
@@ -117,7 +138,7 @@ pub async fn serve(
             Ok(()) => tracing::info!("drained"),
             Err(_) => tracing::warn!("stopping with work in flight"),
         },
-        second = stop_signal()? => tracing::warn!(signal = second, "stopping at once"),
+        signal = signals.stop(&app) => tracing::warn!(signal, "stopping at once"),
     }
     Ok(())
 }
@@ -156,8 +177,12 @@ async fn run(
 /// Loads one after the other: each may need most of the memory.
 async fn load_scenes(app: &Arc<App>, start: StartScenes) -> anyhow::Result<()> {
     let asked = start.scenes.len();
-    let root = app.settings.root.clone();
-    let earlier = tokio::task::spawn_blocking(move || upload::earlier_uploads(&root)).await?;
+    // They may be another daemon's, which alone cleans up there.
+    let root = app.settings.uploads.then(|| app.settings.root.clone());
+    let earlier = tokio::task::spawn_blocking(move || {
+        root.map_or_else(Vec::new, |root| upload::earlier_uploads(&root))
+    })
+    .await?;
     let mut failed = 0;
     for (index, (id, file)) in start.scenes.into_iter().chain(earlier).enumerate() {
         let shown = file.display().to_string();
@@ -181,7 +206,10 @@ async fn load_scenes(app: &Arc<App>, start: StartScenes) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The name of the first signal to stop. Within a runtime; from the call on such signals no longer end the process.
+const SIGTERM: &str = "SIGTERM";
+
+/// Waits for SIGTERM or SIGINT, for commands that are no daemon. Within a runtime; from the call on such signals no longer end
+/// the process.
 pub fn stop_signal() -> std::io::Result<impl Future<Output = &'static str>> {
     #[cfg(unix)]
     {
@@ -190,7 +218,7 @@ pub fn stop_signal() -> std::io::Result<impl Future<Output = &'static str>> {
         let mut interrupt = signal(SignalKind::interrupt())?;
         Ok(async move {
             tokio::select! {
-                _ = terminate.recv() => "SIGTERM",
+                _ = terminate.recv() => SIGTERM,
                 _ = interrupt.recv() => "SIGINT",
             }
         })
@@ -200,6 +228,63 @@ pub fn stop_signal() -> std::io::Result<impl Future<Output = &'static str>> {
         let _ = tokio::signal::ctrl_c().await;
         "interrupt"
     })
+}
+
+/// Signals to the daemon; from its making on they no longer end the process by themselves.
+#[cfg(unix)]
+struct Signals {
+    terminate: tokio::signal::unix::Signal,
+    interrupt: tokio::signal::unix::Signal,
+    hangup: tokio::signal::unix::Signal,
+    /// Standard error was a terminal at the start, so that a hangup means that it has gone.
+    has_terminal: bool,
+}
+
+#[cfg(unix)]
+impl Signals {
+    /// Begins to listen, within a runtime.
+    fn new() -> std::io::Result<Signals> {
+        use std::io::IsTerminal;
+        use tokio::signal::unix::{SignalKind, signal};
+        Ok(Signals {
+            terminate: signal(SignalKind::terminate())?,
+            interrupt: signal(SignalKind::interrupt())?,
+            hangup: signal(SignalKind::hangup())?,
+            has_terminal: std::io::stderr().is_terminal(),
+        })
+    }
+
+    /// Waits for a signal to stop and gives its name. Hangups that are none have the access rules read again.
+    async fn stop(&mut self, app: &App) -> &'static str {
+        loop {
+            tokio::select! {
+                _ = self.terminate.recv() => return SIGTERM,
+                _ = self.interrupt.recv() => return "SIGINT",
+                _ = self.hangup.recv() => {
+                    if self.has_terminal {
+                        return "SIGHUP";
+                    }
+                    app.reread_access();
+                }
+            }
+        }
+    }
+}
+
+/// Interrupts from a console.
+#[cfg(not(unix))]
+struct Signals;
+
+#[cfg(not(unix))]
+impl Signals {
+    fn new() -> std::io::Result<Signals> {
+        Ok(Signals)
+    }
+
+    async fn stop(&mut self, _: &App) -> &'static str {
+        let _ = tokio::signal::ctrl_c().await;
+        "interrupt"
+    }
 }
 
 /// Tells the service manager, where there is one.

@@ -48,7 +48,7 @@ pub async fn healthz(State(app): State<Arc<App>>) -> Result<Response, Problem> {
 pub async fn readyz(State(app): State<Arc<App>>) -> Result<Response, Problem> {
     let reason = match (app.phase(), app.engine.readiness()) {
         (_, Readiness::Failed) => return Err(Problem::new(Kind::NotReady, FAILED)),
-        (Phase::Draining, _) | (_, Readiness::Draining) => "draining".to_owned(),
+        (Phase::Leaving | Phase::Draining, _) | (_, Readiness::Draining) => "draining".to_owned(),
         (_, Readiness::Stalled { for_ms }) => {
             format!("the render loop has stalled for {for_ms} ms")
         }

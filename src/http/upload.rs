@@ -71,6 +71,10 @@ pub async fn create(State(app): State<Arc<App>>, request: Request) -> Result<Res
     if app.phase() == Phase::Draining {
         return Err(crate::engine::EngineError::ShuttingDown.into());
     }
+    if !app.settings.uploads {
+        return Err(Problem::new(Kind::UploadsOff, "this server takes no uploads (--no-uploads)")
+            .accepted("a daemon that was started without --no-uploads"));
+    }
     // A given id is taken before the body is received, so that a clash is answered at once.
     let reservation = target.id.as_deref().map(|id| reserve(&app, id)).transpose()?;
     let limit = app.settings.max_upload_bytes;

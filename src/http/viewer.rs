@@ -19,7 +19,7 @@ const CSS: &str = "text/css; charset=utf-8";
 const JS: &str = "text/javascript; charset=utf-8";
 
 /// What the page may load and run, and from where.
-const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' blob: data:; \
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' blob: data:; media-src 'self' blob:; \
                       base-uri 'none'; form-action 'none'; frame-ancestors 'self'";
 
 struct File {
@@ -34,7 +34,7 @@ macro_rules! files {
 }
 
 /// The page first.
-static FILES: [File; 24] = files![
+static FILES: [File; 26] = files![
     "index.html",
     "style.css",
     "address.js",
@@ -47,7 +47,9 @@ static FILES: [File; 24] = files![
     "jobs.js",
     "link.js",
     "message.js",
+    "overlay.js",
     "path.js",
+    "pivot.js",
     "player.js",
     "pose.js",
     "receipt.js",

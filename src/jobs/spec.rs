@@ -125,7 +125,7 @@ impl Spec {
         let max_error = MaxError::new(self.frame.max_error_px).unwrap_or_default();
         FrameRequest {
             scene: self.scene.clone(),
-            pose: Pose::Fit,
+            pose: Pose::FIT,
             width: self.frame.width,
             height: self.frame.height,
             settings: Settings {
@@ -162,7 +162,7 @@ pub mod tests {
     pub fn spec(scene: &str) -> Spec {
         let request = FrameRequest {
             scene: scene.to_owned(),
-            pose: Pose::Fit,
+            pose: Pose::FIT,
             width: 64,
             height: 48,
             settings: Settings {

@@ -17,6 +17,23 @@ pub struct Camera {
     pub fov_deg: f64,
 }
 
+/// The view of a sensor that took an asset's points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorView {
+    /// The sensor's pose, with its vertical field of view.
+    pub camera: Camera,
+    /// Width of the sensor's image, divided by its height.
+    pub aspect: f64,
+}
+
+impl SensorView {
+    /// A camera with the sensor's pose that sees at least what the sensor saw, for an image of this aspect.
+    pub fn camera_for(&self, aspect: f64) -> Camera {
+        let tan = (0.5 * self.camera.fov_deg.to_radians()).tan() * (self.aspect / aspect).max(1.0);
+        Camera { fov_deg: 2.0 * tan.atan().to_degrees(), ..self.camera }
+    }
+}
+
 /// Coordinates beyond this are refused: their squares must stay finite.
 const FARTHEST: f64 = 1e100;
 
@@ -44,7 +61,21 @@ pub struct View {
     pub height: u32,
 }
 
+/// Vertical field of view in degrees up to which a camera is widened for a frame that is higher than wide.
+const WIDEST_DEG: f64 = 100.0;
+
 impl Camera {
+    /// This camera for a frame of `width` × `height`. Cameras are made for frames at least as wide as they are high; a narrower frame
+    /// shows as much of the width and more of the height. The field of view grows up to 100 degrees for that.
+    pub fn for_frame(&self, width: u32, height: u32) -> Camera {
+        if height <= width {
+            return *self;
+        }
+        let half = (0.5 * self.fov_deg).to_radians().tan() * f64::from(height) / f64::from(width);
+        let widened = (2.0 * half.atan().to_degrees()).min(WIDEST_DEG);
+        Camera { fov_deg: self.fov_deg.max(widened), ..*self }
+    }
+
     /// The view of a `width` × `height` frame.
     ///
     /// # Errors
@@ -228,6 +259,22 @@ mod tests {
         let expected = DVec2::new((ndc.x + 1.0) * 320.0, (1.0 - ndc.y) * 240.0);
         let found = other.project(other.to_view(p)).unwrap();
         assert!((found - expected).length() < 1e-9, "{found} {expected}");
+    }
+
+    #[test]
+    fn narrow_frames_show_as_much_of_the_width() {
+        let corner = |width, height| {
+            let view = camera().for_frame(width, height).view(width, height).unwrap();
+            let square = camera().view(width, width).unwrap();
+            (view.focal_px, square.focal_px)
+        };
+        let (found, expected) = corner(390, 844);
+        assert!((found - expected).length() < 1e-9, "{found} {expected}");
+        assert_eq!(camera().for_frame(640, 480), camera());
+        assert_eq!(camera().for_frame(480, 480), camera());
+        assert_eq!(camera().for_frame(1, 257).fov_deg, 100.0);
+        let wide = Camera { fov_deg: 179.0, ..camera() };
+        assert_eq!(wide.for_frame(1, 257), wide);
     }
 
     #[test]

@@ -3,8 +3,9 @@
 mod bounds;
 mod camera;
 pub mod conic;
+pub mod framing;
 pub mod spline;
 
 pub use bounds::Bounds;
-pub use camera::{Camera, CameraError, View};
+pub use camera::{Camera, CameraError, SensorView, View};
 pub use conic::{Disk, GAP_MIN, GUARD_PX, ImageConic, ImageDisk, Lens, Side};

@@ -47,7 +47,8 @@ pub struct FrameTask {
 /// Beyond it a few triangles would take all the rounds of loops that lavapipe lets a thread have: 65535.
 pub const MOST_SMALL_TRIANGLE_PX: u32 = 60;
 /// Linear RGB and straight alpha → sRGB8 word.
-fn srgb8(color: [f32; 4]) -> u32 {
+/// The bytes of a linear colour in an image, red lowest.
+pub fn srgb8(color: [f32; 4]) -> u32 {
     let encode = |c: f32| {
         let c = c.clamp(0.0, 1.0);
         let s = if c <= 0.003_130_8 { 12.92 * c } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 };

@@ -20,6 +20,7 @@
 mod bindings;
 mod frame;
 mod pipelines;
+mod prime;
 mod project;
 mod reconstruct;
 mod record;
@@ -32,8 +33,9 @@ pub mod shaders;
 mod slabs;
 mod uniforms;
 
-pub use frame::{FrameTask, frame_record};
-pub use pipelines::Pipelines;
+pub use frame::{FrameTask, frame_record, srgb8};
+pub use pipelines::{Pipelines, Variant, common, read_variants, write_variants};
+pub use prime::Prime;
 pub use record::record;
 pub use recorder::{Context, PassSpan};
 pub use scratch::{LAYERS_BYTES, Scratch};

@@ -31,7 +31,7 @@ pub struct PassSpan {
 /// What recording needs besides the group.
 pub struct Context<'a> {
     pub gpu: &'a Gpu,
-    pub pipelines: &'a mut Pipelines,
+    pub pipelines: &'a Pipelines,
     pub binds: &'a RefCell<BindCache>,
     pub scratch: &'a mut Scratch,
     pub residency: &'a Residency,

@@ -1,5 +1,8 @@
 //! The WGSL files, embedded, and the modules composed of them.
 
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
 use crate::gpu::shader::{Composed, ShaderError, compose};
 
 macro_rules! fragments {
@@ -125,7 +128,7 @@ fragments![
 ];
 
 /// How the visibility buffer is written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Visibility {
     /// One pass, 64-bit words.
     Wide,
@@ -148,7 +151,7 @@ impl Visibility {
 }
 
 /// Which of a segment's visible slots a pass draws.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Portion {
     #[default]
     All,
@@ -168,7 +171,8 @@ impl Portion {
 }
 
 /// Which fragments stand for the names in capitals that a module includes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Choices {
     /// `VOTE`: threads may vote.
     pub subgroups: bool,
@@ -234,6 +238,17 @@ impl Choices {
             ("PORTION", self.portion.fragment()),
         ]
     }
+}
+
+/// Hash of all sources and of this program's version: pipelines of other sources are other pipelines.
+pub fn fingerprint() -> String {
+    let mut hasher = Sha256::new();
+    hasher.update(env!("CARGO_PKG_VERSION"));
+    for name in FRAGMENTS {
+        hasher.update(name);
+        hasher.update(source(name).unwrap_or_default());
+    }
+    hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Composes the module of a pass; `root` is its file below `shaders/`.

@@ -9,6 +9,7 @@ use super::instances::Instances;
 use super::layout::{GpuEntry, GpuInstance, INSTANCE_GROUP, two_floats};
 use super::once::MadeOnce;
 use super::slots;
+use crate::bake::outline::Outline;
 use crate::bake::pack::{Grid, PackError, PackedAsset, PackedChunk, PackedGeometry};
 use crate::bake::prepare::AssetTraits;
 use crate::bake::tree::Above;
@@ -26,6 +27,7 @@ pub struct AssetModel {
     /// Box of each geometry as the file has it; chunks lie on a grid and may reach a little farther.
     pub bounds: Vec<Bounds>,
     pub has_colors: bool,
+    pub shows_intensity: bool,
     pub has_normals: bool,
     pub normals_estimated: bool,
     /// Of point trees: for each geometry the one that is drawn wherever it is, on the same grid: a mesh's triangles beside its
@@ -33,6 +35,8 @@ pub struct AssetModel {
     pub beside: Vec<Option<usize>>,
     /// The asset as point trees, once a frame has asked for it.
     pub tree: MadeOnce<Result<Arc<AssetModel>, PackError>>,
+    /// Answer of [`AssetModel::outlines`], once it was asked for.
+    pub outlined: OnceLock<Vec<Outline>>,
     /// What its samples lack, if anything.
     pub deferred: Option<Deferred>,
 }
@@ -120,6 +124,11 @@ impl AssetModel {
         std::iter::once(geometry).chain(beside)
     }
 
+    /// The outline of each geometry, computed by the first call.
+    pub fn outlines(&self) -> &[Outline] {
+        self.outlined.get_or_init(|| Outline::of_all(&self.packed.geometries))
+    }
+
     /// What its file held.
     pub fn traits(&self) -> AssetTraits {
         let is_mesh = |geometry: &PackedGeometry| matches!(geometry, PackedGeometry::Mesh(_));
@@ -130,6 +139,7 @@ impl AssetModel {
         AssetTraits {
             format: self.format,
             has_colors: self.has_colors,
+            shows_intensity: self.shows_intensity,
             has_normals: self.has_normals,
             normals_estimated: self.normals_estimated,
             has_triangles: self.packed.geometries.iter().any(is_mesh),

@@ -20,6 +20,8 @@ pub mod random;
 mod splats;
 #[cfg(test)]
 mod tests;
+mod unique;
+mod up;
 mod validate;
 mod wire;
 
@@ -27,12 +29,14 @@ pub use assets::{AssetRef, AssetSource, CsgOperation, FileSource, MeshSampling, 
 pub use load::{load, load_path, parse, parse_path};
 pub use path::{CameraPath, Ease, Interpolation, PathKey, PathSampler};
 pub use splats::{Blend, Filter, Shading, Splats};
+pub use unique::{DuplicateKey, check_keys};
+pub use up::{Up, UpForm};
 pub use validate::{LARGEST_COORDINATE, LARGEST_SCALE};
 pub use wire::{json_schema, path_json_schema};
 
 use glam::{DAffine3, DVec3};
 
-use crate::math::Camera;
+use crate::math::{Camera, SensorView};
 use crate::memory::Interrupt;
 
 /// A validated scene.
@@ -50,6 +54,10 @@ pub struct Scene {
     pub paths: Vec<(String, CameraPath)>,
     /// World up, used where a request names none. `+y` unless the scene says otherwise.
     pub up: DVec3,
+    /// Says where `up` is from, as an ending of "+z is up: it …".
+    pub up_because: String,
+    /// View of the sensor that took the points of a bare asset file, if the file tells it; the default view.
+    pub sensor: Option<SensorView>,
     /// How samples are drawn where a request asks for splats.
     pub splats: Splats,
 }
@@ -156,18 +164,10 @@ pub enum Light {
 }
 
 impl Light {
-    /// Multiplies its colour.
-    pub fn dim(&mut self, factor: f32) {
-        let (Light::Ambient { color }
-        | Light::Headlight { color }
-        | Light::Sun { color, .. }
-        | Light::Point { color, .. }) = self;
-        *color = color.map(|part| part * factor);
-    }
-
-    /// What lights a scene that names no lights: a headlight (0.85) and ambient light (0.15).
+    /// Lights of a scene that names none: a headlight (0.72) and ambient light (0.08). White that faces the eye stays below
+    /// white, so that its shape is seen.
     pub fn default_pair() -> [Light; 2] {
-        [Light::Headlight { color: [0.85; 3] }, Light::Ambient { color: [0.15; 3] }]
+        [Light::Headlight { color: [0.72; 3] }, Light::Ambient { color: [0.08; 3] }]
     }
 }
 

@@ -14,6 +14,7 @@ use serde::de::{self, Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 
 use super::path::{Ease, Interpolation};
 use super::splats::{Blend, Filter, Shading};
+use super::up::Up;
 
 /// The JSON Schema of scene files, draft 2020-12.
 pub fn json_schema() -> serde_json::Value {
@@ -52,7 +53,7 @@ pub(super) struct SceneFile {
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, MaterialWire>")]
     pub materials: Named<MaterialWire>,
-    /// When absent: a headlight (0.85) and ambient light (0.15). An empty list means unlit.
+    /// When absent: a headlight (0.72) and ambient light (0.08). An empty list means unlit.
     #[serde(default)]
     pub lights: Option<Vec<Object<LightWire>>>,
     /// Colour of pixels that nothing covers, `#202428` when absent.
@@ -66,9 +67,9 @@ pub(super) struct SceneFile {
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, PathWire>")]
     pub paths: Named<PathWire>,
-    /// World up: `"x"`, `"y"` (when absent), `"z"`, or a vector.
+    /// World up: an axis by name, `"y"` when absent, or a vector.
     #[serde(default)]
-    pub up: Option<UpWire>,
+    pub up: Option<Up>,
     /// How samples are drawn as splats.
     #[serde(default)]
     pub splats: Option<Object<SplatsWire>>,
@@ -285,7 +286,7 @@ pub(super) struct CameraWire {
     pub target: [f64; 3],
     /// The scene's up when absent.
     #[serde(default)]
-    pub up: Option<[f64; 3]>,
+    pub up: Option<Up>,
     /// Vertical field of view, 40 when absent.
     #[serde(default)]
     pub fov: Option<f64>,
@@ -321,7 +322,7 @@ pub(super) struct KeyWire {
     pub target: [f64; 3],
     /// The scene's up when absent.
     #[serde(default)]
-    pub up: Option<[f64; 3]>,
+    pub up: Option<Up>,
     /// Vertical field of view, 40 when absent.
     #[serde(default)]
     pub fov: Option<f64>,
@@ -346,16 +347,8 @@ pub(super) enum ScaleWire {
     Axes([f64; 3]),
 }
 
-/// An axis by name, or a vector.
-#[derive(Clone, Debug, PartialEq, JsonSchema)]
-#[schemars(untagged)]
-pub(super) enum UpWire {
-    Axis(String),
-    Vector([f64; 3]),
-}
-
 /// Three numbers from a sequence, no more and no fewer.
-fn three<'de, A: SeqAccess<'de>>(
+pub(super) fn three<'de, A: SeqAccess<'de>>(
     mut seq: A,
     expected: &dyn de::Expected,
 ) -> Result<[f64; 3], A::Error> {
@@ -395,17 +388,6 @@ either_form! {
         }
         fn visit_seq<A: SeqAccess<'de>>(self, seq: A) -> Result<ColorWire, A::Error> {
             three(seq, &self).map(ColorWire::Rgb)
-        }
-    }
-}
-
-either_form! {
-    UpWire, "`x`, `y`, `z` or a vector of three numbers", {
-        fn visit_str<E: de::Error>(self, text: &str) -> Result<UpWire, E> {
-            Ok(UpWire::Axis(text.to_owned()))
-        }
-        fn visit_seq<A: SeqAccess<'de>>(self, seq: A) -> Result<UpWire, A::Error> {
-            three(seq, &self).map(UpWire::Vector)
         }
     }
 }

@@ -12,8 +12,10 @@ import { Films } from './film.js';
 import { Jobs } from './jobs.js';
 import { Link } from './link.js';
 import { $, complain, fault, numberIn, option, quiet, tell } from './message.js';
+import * as overlay from './overlay.js';
 import { sampler } from './path.js';
-import { isOutOfSight, isSame } from './pose.js';
+import { pointAt } from './pivot.js';
+import { forFrame, isOutOfSight, isSame, turnedTo } from './pose.js';
 import { report } from './receipt.js';
 import { Recorder } from './recorder.js';
 import { frameUrl } from './requests.js';
@@ -25,6 +27,8 @@ import * as upload from './upload.js';
 const POLL_MS = 1500, RETURN_MS = 3000, NEWS_MS = 8000;
 // Stands in the list of cameras for a view that is none of them: no camera can be called so.
 const FREE = '\0';
+const OUT_OF_SIGHT = 'The scene is out of sight.';
+const TURN_MS = 250;
 
 const canvas = $('canvas'), paper = canvas.getContext('2d');
 let limits = { max_side: 8192, max_pixels: 1 << 25 };
@@ -33,7 +37,7 @@ let pose = null;       // {eye, target, up, fov}; null: whatever the server thin
 let whole = null;      // what the server thought
 let camera = '';       // the one chosen last, which Reset goes back to; '' is the whole scene
 let gone = null;       // {id, pose} of a scene that was deleted, in case it comes back
-let frames = 0, pollTimer = 0, newsTimer = 0;
+let frames = 0, pollTimer = 0, newsTimer = 0, turning = 0;
 
 // --- what is asked for ---------------------------------------------------------------------------
 function fullSize() {
@@ -57,14 +61,16 @@ const link = new Link(() => scene && { id: scene.id, params: parameters() }, {
 function changed(moving) {
   if (!scene) return;
   canvas.dataset.state = 'waiting';
+  overlay.wait();
   link.show(moving);
 }
 
 function setPose(next, moving) {
   pose = next;
+  turning++;
   if (document.activeElement !== $('fov')) showFov();
   showCamera();
-  $('lost').hidden = !scene?.bounds || !isOutOfSight(pose, scene.bounds, fullSize());
+  overlay.lost(scene?.bounds && isOutOfSight(pose, scene.bounds, fullSize()) ? OUT_OF_SIGHT : null);
   changed(moving);
 }
 
@@ -76,7 +82,7 @@ function showFov() {
 // A view that has left its camera is called free, so that the same camera can be chosen again.
 function showCamera() {
   if (!scene) return;
-  const at = !pose || (whole && isSame(pose, whole)) ? '' : scene.cameras.find(other => isSame(pose, other))?.name ?? FREE;
+  const at = !pose || (whole && isSame(pose, whole)) ? '' : scene.cameras.find(other => isSame(pose, forFrame(other, fullSize())))?.name ?? FREE;
   if ($('camera').value !== at) $('camera').value = at;
 }
 
@@ -86,6 +92,8 @@ function drawn(info, isNewest) {
   draw(info.picture, w, h);
   info.picture.close();
   adopt(info, isNewest);
+  if (isNewest && isStill) overlay.waitIsOver(); else { overlay.waitIsOver(); overlay.wait(); }
+  if (isNewest && info.receipt) seen(info.receipt.nothing_visible);
   report(info, [w, h], link.seq);
   if (info.receipt) settings.nameDefaults(info.receipt.settings);
   canvas.dataset.state = isStill && isNewest ? 'still' : 'moving';
@@ -109,6 +117,12 @@ function draw(picture, w, h) {
   if (isIds) colorIds(w, h);
 }
 
+// why: the server's sentence, where a frame shows nothing.
+function seen(why) {
+  overlay.lost(why ? `${why[0].toUpperCase()}${why.slice(1).split(':')[0]}.` : null);
+  overlay.greet();
+}
+
 // Neighbouring ids differ by one in the red channel: spread them over the colours.
 function colorIds(w, h) {
   const image = paper.getImageData(0, 0, w, h), words = new Uint32Array(image.data.buffer);
@@ -124,7 +138,6 @@ function adopt(info, isNewest) {
   if (pose || !isNewest || !info.receipt?.camera) return;
   const { eye, target, up, fov_deg: fov } = info.receipt.camera;
   pose = whole = { eye, target, up, fov };
-  $('lost').hidden = true;
   showFov();
 }
 
@@ -137,6 +150,7 @@ function remember() {
 
 // --- how the link fares --------------------------------------------------------------------------
 function linkState(name, words, delayMs) {
+  if (name !== 'stream' && name !== 'requests') overlay.waitIsOver();
   $('link-state').dataset.link = name;
   $('link-state').textContent = $('link-state').title = words;
   if (name === 'waiting') {
@@ -298,16 +312,57 @@ function choose(id, given = {}) {
   link.open();
 }
 
+// The whole scene, while Reset still leads back to the camera chosen.
+function showWhole() {
+  const chosen = camera;
+  chooseCamera('');
+  camera = chosen;
+}
+
 function chooseCamera(name) {
   if (!scene) return;
   const found = scene.cameras.find(other => other.name === name);
   camera = found ? name : '';
   recorder.player.pause(false);
   // Nothing follows what was chosen: it is to be drawn well at once.
-  if (found) return setPose({ eye: found.eye, target: found.target, up: found.up, fov: found.fov }, false);
+  if (found) return setPose(forFrame(found, fullSize()), false);
   pose = null;
+  turning++;
   showCamera();
   changed(false);
+}
+
+// Looks at what is seen at a place of the picture, and turns around it from then on.
+async function lookAt(place) {
+  if (!scene || !pose) return;
+  const { id } = scene, before = pose, [w, h] = fullSize();
+  let point;
+  try {
+    point = await pointAt(id, pose, place, h, settings.parameters());
+  } catch (problem) {
+    return complain(problem, 'frame');
+  }
+  if (!point || scene?.id !== id || pose !== before) return;
+  const began = performance.now(), isStill = matchMedia('(prefers-reduced-motion: reduce)').matches;
+  let ticket = -1;
+  const step = now => {
+    if (ticket >= 0 && ticket !== turning) return; // another hand moves it
+    const share = isStill ? 1 : Math.min(1, (now - began) / TURN_MS);
+    setPose(turnedTo(before, point, share * share * (3 - 2 * share)), share < 1);
+    ticket = turning;
+    if (share < 1) requestAnimationFrame(step);
+  };
+  step(performance.now());
+}
+
+// A picture of another shape shows the same of what was chosen.
+function resized() {
+  if (!scene) return;
+  const found = scene.cameras.find(other => other.name === camera);
+  const isWhole = pose && whole && isSame(pose, whole);
+  if (isWhole) showWhole();
+  else if (found && pose && found.name === $('camera').value) chooseCamera(camera);
+  else changed(false);
 }
 
 // --- the parts -----------------------------------------------------------------------------------
@@ -320,8 +375,11 @@ const controls = new Controls(canvas, {
   pose: () => pose,
   bounds: () => scene && scene.bounds,
   // A hand on the picture takes it from the path.
-  move: (next, moving) => { recorder.player.pause(false); setPose(next, moving); },
+  move: (next, moving) => { recorder.player.pause(false); overlay.moved(); setPose(next, moving); },
   reset: () => chooseCamera(camera),
+  lookAt,
+  fit: showWhole,
+  help: () => { $('moving-about').open = true; $('moving-about').scrollIntoView({ block: 'nearest' }); },
   keys: { KeyK: () => recorder.add(), KeyP: () => recorder.toggle() },
 });
 
@@ -368,7 +426,8 @@ $('copy-frame').addEventListener('click', () => {
   if (scene) copy(new URL(frameUrl(scene.id, parameters()), location.href).href, 'Link to this frame');
 });
 
-new ResizeObserver(() => { if (scene) changed(false); }).observe(canvas);
+$('lost-fit').addEventListener('click', showWhole);
+new ResizeObserver(resized).observe(canvas);
 function densityChanged() {
   matchMedia(`(resolution: ${window.devicePixelRatio}dppx)`).addEventListener('change', () => { changed(false); densityChanged(); }, { once: true });
 }

@@ -1,7 +1,7 @@
 // Pointer, touch, wheel and keys on the picture: orbit around the target, or fly from the eye.
 
 import { $ } from './message.js';
-import { dolly, extentOf, fly, look, orbit, pan } from './pose.js';
+import { dollyTowards, extentOf, fly, look, orbit, pan } from './pose.js';
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const STEP = Math.PI / 36;
@@ -14,7 +14,7 @@ const FLIGHT = {
 const FLY_SPEED = 0.15, HASTE = 3;
 const LEAST_STEP_S = 0.03, LONGEST_STEP_S = 0.1;
 
-// view: {pose(), bounds(), move(pose, moving), reset(), keys: {letter: action}}.
+// view: {pose(), bounds(), move(pose, moving), reset(), fit(), lookAt(place), help(), keys: {letter: action}}.
 export class Controls {
   constructor(canvas, view) {
     this.canvas = canvas;
@@ -48,8 +48,9 @@ export class Controls {
       event.preventDefault();
       const pixels = event.deltaY * [1, 16, canvas.clientHeight][event.deltaMode];
       const factor = Math.exp(Math.max(-200, Math.min(200, pixels)) * 0.0015);
-      if (this.isFlying) this.changeSpeed(-Math.sign(pixels)); else this.dolly(factor);
+      if (this.isFlying) this.changeSpeed(-Math.sign(pixels)); else this.dolly(factor, this.placeOf(event));
     }, { passive: false });
+    canvas.addEventListener('dblclick', event => this.view.lookAt(this.placeOf(event)));
   }
 
   pointed(event) {
@@ -80,7 +81,8 @@ export class Controls {
     const middle = ([a, b]) => [(a.x + b.x) / 2, (a.y + b.y) / 2];
     const [m, n] = [middle(before), middle(after)], ratio = span(before) / span(after);
     const extent = extentOf(this.view.bounds(), pose);
-    const nearer = this.isFlying ? fly(pose, [0, 0, extent * 0.3 * (1 - ratio)]) : dolly(pose, ratio, extent);
+    const place = this.placeOf({ clientX: m[0], clientY: m[1] });
+    const nearer = this.isFlying ? fly(pose, [0, 0, extent * 0.3 * (1 - ratio)]) : dollyTowards(pose, ratio, extent, place);
     this.view.move(pan(nearer, (n[0] - m[0]) / height, (n[1] - m[1]) / height), true);
   }
 
@@ -90,9 +92,16 @@ export class Controls {
     if (pose) this.view.move(pose, false);
   }
 
-  dolly(factor) {
-    const pose = this.view.pose();
-    if (pose) this.view.move(dolly(pose, factor, extentOf(this.view.bounds(), pose)));
+  // Towards a place of the picture, and away from its middle, so that what is left in the distance stays in sight.
+  dolly(factor, place = [0, 0]) {
+    const pose = this.view.pose(), towards = factor < 1 ? place : [0, 0];
+    if (pose) this.view.move(dollyTowards(pose, factor, extentOf(this.view.bounds(), pose), towards));
+  }
+
+  // [right, up] from the picture's middle, in halves of its height.
+  placeOf({ clientX, clientY }) {
+    const { left, top, width, height } = this.canvas.getBoundingClientRect(), half = height / 2 || 1;
+    return [(clientX - left - width / 2) / half, (height / 2 - (clientY - top)) / half];
   }
 
   // --- keys --------------------------------------------------------------------------------------
@@ -118,6 +127,8 @@ export class Controls {
     else if (event.key === '+' || event.key === '=') this.nearer();
     else if (event.key === '-' || event.key === '_') this.away();
     else if (event.key === 'Home') this.view.reset();
+    else if (event.code === 'KeyZ') this.view.fit();
+    else if (event.key === '?') this.view.help();
     else if (event.code === 'KeyF') this.setFlying(!this.isFlying);
     else if (event.key === 'Escape' && this.isFlying) this.setFlying(false);
     else if (this.view.keys[event.code]) this.view.keys[event.code]();
@@ -191,6 +202,7 @@ export class Controls {
     $('fly').addEventListener('click', () => this.setFlying(!this.isFlying));
     $('in').addEventListener('click', () => this.nearer());
     $('out').addEventListener('click', () => this.away());
+    $('fit').addEventListener('click', () => this.view.fit());
     $('back').addEventListener('click', () => this.view.reset());
     for (const button of document.querySelectorAll('[data-fly]')) {
       const name = button.dataset.fly;

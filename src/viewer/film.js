@@ -5,7 +5,7 @@ import { getJson, hasKey, reach, sceneUrl } from './api.js';
 import { inWords, isUnderWay, shareOf } from './jobs.js';
 import { $, complain, quiet } from './message.js';
 import { documentOf } from './path.js';
-import { downloadLink, hasFrames, jobUrl } from './reel.js';
+import { downloadLink, hasFrames, jobUrl, showVideo } from './reel.js';
 import * as store from './store.js';
 
 const POLL_MS = 700;
@@ -59,7 +59,9 @@ export class Films {
     const isDone = job?.state === 'done';
     $('film-frames').hidden = !isDone || !hasFrames(job);
     $('film-result').hidden = !isDone || !job.links.video;
-    if (isDone && job.links.video) downloadLink($('film-result'), job.links.video, `${job.scene}-${job.id}.mp4`);
+    const video = isDone && job.links.video;
+    if (video) downloadLink($('film-result'), video, `${job.scene}-${job.id}.mp4`);
+    showVideo($('film-video'), video || null);
     if (job) this.say(this.view.scene()?.id === job.scene ? inWords(job) : `${job.scene}: ${inWords(job)}`);
   }
 

@@ -64,6 +64,42 @@ export function dolly(pose, factor, extent) {
   return { ...pose, eye: add(pose.target, mul(offset, wanted / distance)) };
 }
 
+// As `dolly`, and what lies under a place of the picture stays there: [right, up] from the middle, in halves of the picture's
+// height, at the distance of the target.
+export function dollyTowards(pose, factor, extent, [x, y]) {
+  const nearer = dolly(pose, factor, extent), { right, up } = axes(pose);
+  const before = norm(sub(pose.eye, pose.target)), slope = Math.tan(pose.fov * Math.PI / 360);
+  const share = (before - norm(sub(nearer.eye, nearer.target))) * slope;
+  return shifted(nearer, add(mul(right, x * share), mul(up, y * share)));
+}
+
+// Unit direction from the eye through a place of the picture, given as for `dollyTowards`.
+export function rayThrough(pose, [x, y]) {
+  const { right, up, forward } = axes(pose), slope = Math.tan(pose.fov * Math.PI / 360);
+  return unit(add(forward, add(mul(right, x * slope), mul(up, y * slope))));
+}
+
+// Part of the way from a pose to one with another target: `share` from 0 to 1. The eye stays.
+export function turnedTo(pose, target, share) {
+  const [a, b] = [sub(pose.target, pose.eye), sub(target, pose.eye)];
+  const between = add(mul(unit(a), 1 - share), mul(unit(b), share)), distance = norm(a) + (norm(b) - norm(a)) * share;
+  return { ...pose, target: share >= 1 || norm(between) < 1e-9 ? target : add(pose.eye, mul(unit(between), distance)) };
+}
+
+// A camera that was made for a frame at least as wide as high shows as much of its width in a narrower one, up to a vertical field
+// of view of 100 degrees: what the server makes of `camera=`.
+const WIDEST_FOV = 100;
+export function forFrame(camera, [width, height]) {
+  const { eye, target, up, fov } = camera, half = Math.tan(fov * Math.PI / 360) * Math.max(1, height / width);
+  return { eye, target, up, fov: Math.max(fov, Math.min(WIDEST_FOV, Math.atan(half) * 360 / Math.PI)) };
+}
+
+// A coordinate with the digits that can be seen from this distance: a ten-thousandth of it.
+export function digits(value, distance) {
+  const places = Math.max(0, Math.min(15, Math.ceil(4 - Math.log10(distance))));
+  return Number.isFinite(places) ? String(Number(value.toFixed(places))) : String(value);
+}
+
 // Along the view's own axes: [right, up, forward], in scene units. What is looked at moves along.
 export function fly(pose, [x, y, z]) {
   const { right, up, forward } = axes(pose);

@@ -1,6 +1,7 @@
 // What a frame's receipt says: one line of status, the table of steps, and the facts.
 
 import { $, bytes, count, ms, rows } from './message.js';
+import { digits, norm, sub } from './pose.js';
 import { addFrame, colorOf, stepsOf } from './chart.js';
 
 // info is a frame's header with `elapsedMs`; full is its size at rest.
@@ -32,8 +33,8 @@ function status(info, [w, h]) {
 }
 
 function facts(info, poses) {
-  const { receipt } = info, { samples, splats, triangles, instances } = receipt;
-  const rounded = v => v.map(x => Number(x.toPrecision(6))).join(', ');
+  const { receipt } = info, { samples, splats, triangles, instances, camera } = receipt;
+  const distance = norm(sub(camera.eye, camera.target)), placed = v => v.map(x => digits(x, distance)).join(', ');
   rows($('frame'), [
     ['adapter', receipt.adapter], ['scene', `${receipt.scene}, revision ${receipt.revision}`],
     ['size', bytes(info.bytes)],
@@ -49,7 +50,7 @@ function facts(info, poses) {
     ...(receipt.holes_filled ? [['holes filled', count(receipt.holes_filled)]] : []),
     ...(receipt.estimated_error_px != null ? [['error', `${receipt.estimated_error_px.toFixed(2)} px`]] : []),
     ['on the GPU', bytes(receipt.gpu_bytes)],
-    ['eye', rounded(receipt.camera.eye)], ['target', rounded(receipt.camera.target)],
+    ['eye', placed(camera.eye)], ['target', placed(camera.target)],
   ]);
 }
 
@@ -66,7 +67,9 @@ function timings(receipt) {
   cell.textContent = ms(receipt.total_ns);
   last.append(head, cell);
   $('passes').tHead.hidden = false;
-  $('passes').tBodies[0].replaceChildren(...steps.map(step => row(step, total)), last);
+  const isSkipped = ([,,, pass]) => pass && !pass.ran, skipped = steps.filter(isSkipped);
+  const others = steps.filter(step => !isSkipped(step)).map(step => row(step, total));
+  $('passes').tBodies[0].replaceChildren(...others, ...(skipped.length > 0 ? [folded(skipped)] : []), last);
   const known = steps.reduce((sum, [, ns]) => sum + (ns || 0), 0);
   $('legend').hidden = false;
   $('explained').textContent = `The steps explain ${Math.min(100, 100 * known / total).toFixed(0)} % of the total.`;
@@ -78,22 +81,36 @@ function row([name, ns, isHost, pass], total) {
   cell.className = 'ms';
   if (pass) line.dataset.pass = name;
   line.dataset.step = name;
-  if (pass && !pass.ran) {
-    line.className = 'skipped';
-    const why = document.createElement('small');
-    why.textContent = pass.why || 'no reason given';
-    head.append(name, why);
-    cell.textContent = 'skipped';
-  } else {
-    const swatch = document.createElement('span');
-    swatch.className = 'swatch';
-    swatch.style.backgroundColor = colorOf(name, isHost);
-    head.append(swatch, name);
-    if (isHost) line.className = 'host';
-    if (ns != null) head.append(meter(name, ns, isHost, total));
-    cell.textContent = ms(ns);
-  }
+  const swatch = document.createElement('span');
+  swatch.className = 'swatch';
+  swatch.style.backgroundColor = colorOf(name, isHost);
+  head.append(swatch, name);
+  if (isHost) line.className = 'host';
+  if (ns != null) head.append(meter(name, ns, isHost, total));
+  cell.textContent = ms(ns);
   line.append(head, cell);
+  return line;
+}
+
+// Passes that were skipped, in one line that unfolds to their reasons. It stays as it was from frame to frame.
+let isUnfolded = false;
+function folded(skipped) {
+  const line = document.createElement('tr'), cell = document.createElement('td'), details = document.createElement('details');
+  const summary = document.createElement('summary'), list = document.createElement('ul');
+  line.className = 'skipped';
+  cell.colSpan = 2;
+  details.open = isUnfolded;
+  details.addEventListener('toggle', () => { isUnfolded = details.open; });
+  summary.textContent = skipped.length === 1 ? '1 pass was skipped' : `${skipped.length} passes were skipped`;
+  list.append(...skipped.map(([name,,, pass]) => {
+    const item = document.createElement('li'), what = document.createElement('b');
+    item.dataset.skipped = what.textContent = name;
+    item.append(what, `: ${pass.why || 'no reason given'}`);
+    return item;
+  }));
+  details.append(summary, list);
+  cell.append(details);
+  line.append(cell);
   return line;
 }
 

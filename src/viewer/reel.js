@@ -27,6 +27,22 @@ export function downloadLink(link, url, name) {
   return link;
 }
 
+// Plays the video at an address in its place; null: there is none.
+export async function showVideo(element, url) {
+  element.hidden = !url;
+  if (element.dataset.of === (url ?? '')) return;
+  element.dataset.of = url ?? '';
+  if (element.src.startsWith('blob:')) URL.revokeObjectURL(element.src);
+  if (!url) return element.removeAttribute('src');
+  try {
+    // What plays cannot send a key either.
+    const src = hasKey() ? URL.createObjectURL(await (await reach(url)).blob()) : url;
+    if (element.dataset.of === url) element.src = src;
+  } catch (problem) {
+    complain(problem, 'film');
+  }
+}
+
 function save(blob, name) {
   const link = document.createElement('a');
   link.href = URL.createObjectURL(blob);

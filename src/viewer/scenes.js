@@ -2,6 +2,7 @@
 
 import { getJson } from './api.js';
 import { $, button, bytes, count, option, rows } from './message.js';
+import { digits, norm, sub } from './pose.js';
 
 let scenes = [];
 
@@ -15,8 +16,8 @@ export async function refresh() {
   return scenes;
 }
 
-// What a page opens with that was asked for nothing. Scenes with cameras were made to be looked at; models that somebody sent have none.
-export const greeting = () => usable().find(scene => scene.cameras.length > 0) || usable()[0];
+// What a page opens with that was asked for nothing: what was loaded first, which is first in the list.
+export const greeting = () => usable()[0];
 
 // As it is called where no list is beside it.
 export const fullName = scene => !scene.name || scene.name === scene.id ? scene.id : `${scene.name} (${scene.id})`;
@@ -80,12 +81,13 @@ function question(scene, remove, keep) {
 }
 
 export function facts(scene) {
-  const corner = v => v.map(x => Number(x.toPrecision(6))).join(', ');
+  const { bounds: found } = scene, extent = found ? norm(sub(found[1], found[0])) || 1 : 1;
+  const corner = v => v.map(x => digits(x, extent)).join(', '), some = (name, n) => n > 0 ? [[name, count(n)]] : [];
   rows($('about'), [
     ['id', scene.id], ['revision', count(scene.revision)],
-    ['samples', count(scene.samples)], ['triangles', count(scene.triangles)], ['instances', count(scene.instances)],
+    ...some('samples', scene.samples), ...some('triangles', scene.triangles), ...some('instances', scene.instances),
     ...(scene.bounds ? [['from', corner(scene.bounds[0])], ['to', corner(scene.bounds[1])], ['size', size(scene.bounds)]] : [['bounds', 'empty']]),
-    ['lights', count(scene.lights)], ['GPU memory', bytes(scene.gpu_bytes)],
+    ...some('lights', scene.lights), ['GPU memory', bytes(scene.gpu_bytes)],
     ['assets', scene.assets.map(a => `${a.name} (${a.format}${a.normals_estimated ? ', normals estimated' : ''})`).join(', ')],
     ...(scene.warnings.length ? [['warnings', scene.warnings.join('; ')]] : []),
   ]);

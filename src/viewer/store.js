@@ -22,6 +22,10 @@ function write(name, value) {
 export const lastScene = () => read('scene');
 export const keepScene = id => write('scene', id);
 
+// Whether the hint for the first visit has been seen.
+export const knowsItsWay = () => read('knows') === true;
+export const keepKnowing = () => write('knows', true);
+
 export const film = () => read('film');
 export const keepFilm = id => write('film', id);
 

@@ -53,6 +53,7 @@ impl Daemon {
         };
         let mut child = command
             .env("POINTILLIST_NO_CACHE", "true")
+            .env("POINTILLIST_NO_PRIME", "true")
             .stdout(Stdio::piped())
             .spawn()
             .expect("the daemon starts");

@@ -59,6 +59,20 @@ fn fits_a_phone_and_follows_fingers() {
     browser.shoot("phone-fly.png");
     browser.click("#fly");
 
+    // The picture has the height of the screen; the panel is pulled up over it, and a hand on the picture puts it away.
+    let share = "return viewer.canvas.clientHeight / innerHeight";
+    assert!(browser.number(share) > 0.75, "{}", browser.number(share));
+    let panel = "return document.getElementById('side').checkVisibility()";
+    assert_eq!(browser.script(panel), false);
+    browser.click("#sheet");
+    assert_eq!(browser.script(panel), true);
+    still_picture(&browser);
+    nothing_overflows(&browser);
+    browser.shoot("phone-sheet.png");
+    browser.drag("touch", 0, &[(150, 200), (150, 200)]);
+    assert_eq!(browser.script(panel), false);
+    browser.click("#sheet");
+
     // Everything unfolded, with a path of two keys.
     browser.script("for (const d of document.querySelectorAll('details')) d.open = true");
     browser.click("#key-add");
@@ -66,9 +80,9 @@ fn fits_a_phone_and_follows_fingers() {
     browser.click("#key-add");
     still_picture(&browser);
     nothing_overflows(&browser);
-    browser.script("document.getElementById('paths').scrollIntoView(); scrollBy(0, -430)");
+    browser.script("document.getElementById('paths').scrollIntoView()");
     browser.shoot("phone-path.png");
-    browser.script("scrollTo(0, 1e6)");
+    browser.script("document.getElementById('side').scrollTo(0, 1e6)");
     browser.shoot("phone-below.png");
     assert_eq!(browser.console_errors(), Vec::<String>::new());
 }
@@ -124,6 +138,7 @@ fn a_narrow_old_phone_still_has_everything() {
     browser.emulate_media("prefers-reduced-motion", "reduce");
     browser.open(&daemon.url);
     still_picture(&browser);
+    browser.click("#sheet");
     browser.script("for (const d of document.querySelectorAll('details')) d.open = true");
     browser.click("#key-add");
     browser.click("#fly");

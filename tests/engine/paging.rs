@@ -84,10 +84,12 @@ fn textured(uid: u64, texels: &[u32], materials: usize) -> Arc<SceneModel> {
         },
         bounds: Vec::new(),
         has_colors: false,
+        shows_intensity: false,
         has_normals: false,
         normals_estimated: false,
         beside: Vec::new(),
         tree: Default::default(),
+        outlined: Default::default(),
     };
     Arc::new(SceneModel {
         uid,

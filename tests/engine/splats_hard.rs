@@ -44,7 +44,7 @@ fn ways() -> Vec<Settings> {
 }
 
 /// Every way with every output; how splats are shaded makes a difference to colours alone.
-fn ways_and_outputs() -> Vec<(Settings, Output)> {
+pub fn ways_and_outputs() -> Vec<(Settings, Output)> {
     let mut list = Vec::new();
     for way in ways() {
         list.extend(OUTPUTS.map(|output| (way, output)));
@@ -57,7 +57,7 @@ fn weighted(filter: Filter, prefilter: bool) -> Settings {
     settings(filter, prefilter, Blend::Weighted, Shading::Deferred)
 }
 
-fn request(
+pub fn request(
     scene: &str,
     pose: Pose,
     settings: Settings,
@@ -81,12 +81,12 @@ fn one_cloud(file: &str, lights: Value) -> Value {
 }
 
 /// Frames of all requests, taken together, so that many meet in a batch.
-fn together(studio: &Studio, requests: &[FrameRequest]) -> Vec<std::sync::Arc<EncodedFrame>> {
+pub fn together(studio: &Studio, requests: &[FrameRequest]) -> Vec<std::sync::Arc<EncodedFrame>> {
     let tickets: Vec<_> = requests.iter().map(|request| studio.submit(request)).collect();
     tickets.into_iter().map(|ticket| ticket.wait().unwrap()).collect()
 }
 
-fn roomy(config: &mut EngineConfig) {
+pub fn roomy(config: &mut EngineConfig) {
     config.queue_capacity = 1 << 14;
 }
 
@@ -147,7 +147,7 @@ fn unit_or_zero(pixel: &[u8], what: &str) -> bool {
 }
 
 /// The images of one camera and way: sound by themselves, and in agreement about where something is.
-fn assert_sound(frames: &[(Output, &[u8])], way: &Settings, info: &SceneInfo, what: &str) {
+pub fn assert_sound(frames: &[(Output, &[u8])], way: &Settings, info: &SceneInfo, what: &str) {
     let lit = info.lights > 0;
     let range = Range::of(&info.id);
     let find = |wanted| frames.iter().find(|(output, _)| *output == wanted).unwrap().1;
@@ -174,11 +174,11 @@ fn assert_sound(frames: &[(Output, &[u8])], way: &Settings, info: &SceneInfo, wh
     }
 }
 
-fn hard_folder() -> PathBuf {
+pub fn hard_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/hard")
 }
 
-fn hard_names() -> Vec<String> {
+pub fn hard_names() -> Vec<String> {
     let mut names: Vec<String> = std::fs::read_dir(hard_folder())
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
@@ -187,86 +187,6 @@ fn hard_names() -> Vec<String> {
     names.sort();
     assert!(names.len() >= 13, "{names:?}");
     names
-}
-
-/// Every camera of the scene with every way and output, cameras of one way beside one another: 96 × 64 pixels, or images that are a
-/// single pixel or a single column, by turns.
-fn all_requests(info: &SceneInfo, thin: bool) -> Vec<FrameRequest> {
-    let mut list = Vec::new();
-    for (number, (settings, output)) in ways_and_outputs().into_iter().enumerate() {
-        // Five outputs a way, blended and opaque ones in turns: both sizes meet either, with and without low-pass filter.
-        let way = number / 5;
-        let size = match (thin, (way + way / 2) % 2) {
-            (false, _) => [96, 64],
-            (true, 0) => [1, 1],
-            (true, _) => [1, 257],
-        };
-        for camera in &info.cameras {
-            let pose = Pose::Named(camera.name.clone());
-            list.push(request(&info.id, pose, settings, output, size));
-        }
-    }
-    list
-}
-
-/// Checks what belongs together: five outputs of each camera and way.
-fn assert_all_sound(info: &SceneInfo, requests: &[FrameRequest], frames: &[Vec<u8>]) {
-    for camera in &info.cameras {
-        let mine: Vec<(&FrameRequest, &Vec<u8>)> = requests
-            .iter()
-            .zip(frames)
-            .filter(|(request, _)| request.pose == Pose::Named(camera.name.clone()))
-            .collect();
-        for group in mine.chunks(5) {
-            let way = group[0].0.settings;
-            let images: Vec<(Output, &[u8])> =
-                group.iter().map(|(request, bytes)| (request.output, bytes.as_slice())).collect();
-            let [w, h] = [group[0].0.width, group[0].0.height];
-            let what = format!("{} from {}, {w}×{h}, {way:?}", info.id, camera.name);
-            assert_sound(&images, &way, info, &what);
-        }
-    }
-}
-
-#[test]
-fn every_hard_scene_is_drawn_soundly_and_always_alike() {
-    let studio = Studio::below(&hard_folder(), roomy);
-    let narrow = Studio::below(&hard_folder(), |config| {
-        roomy(config);
-        config.force_32_bit = true;
-    });
-    let (mut drawn, mut largest) = (0, 0);
-    for name in hard_names() {
-        let file = hard_folder().join(format!("{name}.json"));
-        let info = studio.engine.load(&name, &file).unwrap();
-        narrow.engine.load(&name, &file).unwrap();
-        for thin in [false, true] {
-            let requests = all_requests(&info, thin);
-            let frames = together(&studio, &requests);
-            largest = largest.max(frames.iter().map(|frame| frame.receipt.views).max().unwrap());
-            let frames: Vec<Vec<u8>> = frames.iter().map(|frame| frame.bytes.to_vec()).collect();
-            assert_all_sound(&info, &requests, &frames);
-            // The same passes run for thin images.
-            if !thin {
-                let others = together(&narrow, &requests);
-                for (frame, (request, bytes)) in others.iter().zip(requests.iter().zip(&frames)) {
-                    same(&frame.bytes, bytes, &format!("without 64-bit atomics: {request:?}"));
-                }
-            }
-            // Cameras, ways and outputs take turns.
-            for (request, bytes) in requests.iter().zip(&frames).step_by(7) {
-                same(&studio.bytes(request), bytes, &format!("alone: {request:?}"));
-                same(&studio.bytes(request), bytes, &format!("again: {request:?}"));
-            }
-            drawn += requests.len();
-        }
-        println!("{name}: {} cameras, {drawn} frames so far", info.cameras.len());
-    }
-    assert!(largest >= 3, "{largest} views at once at most");
-    for studio in [&studio, &narrow] {
-        let stats = studio.engine.stats();
-        assert_eq!((stats.failed, stats.device_losses), (0, 0));
-    }
 }
 
 #[test]

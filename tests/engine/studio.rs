@@ -140,7 +140,7 @@ pub fn spt(px: f32, reconstruct: Reconstruct) -> Settings {
 
 /// The whole of a scene, as `output`, raw.
 pub fn fit(scene: &str, side: u32, output: Output) -> FrameRequest {
-    FrameRequest { pose: Pose::Fit, output, ..front(scene, side, side) }
+    FrameRequest { pose: Pose::FIT, output, ..front(scene, side, side) }
 }
 
 /// One of many different views of a scene around the origin.

@@ -41,7 +41,7 @@ fn every_parameter_changes_the_tag() {
         with(&|r| r.output = Output::Depth),
         with(&|r| r.output = Output::Normal),
         with(&|r| r.output = Output::Id),
-        with(&|r| r.pose = Pose::Fit),
+        with(&|r| r.pose = Pose::FIT),
         posed(&|c| c.eye.x = 1e-9),
         posed(&|c| c.eye.z = 3.0 + 1e-12),
         posed(&|c| c.target.y = 0.1),

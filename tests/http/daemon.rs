@@ -167,6 +167,7 @@ impl Daemon {
             .args(args)
             .env_remove("POINTILLIST_CONFIG")
             .env("POINTILLIST_NO_CACHE", "true")
+            .env("POINTILLIST_NO_PRIME", "true")
             .envs(environment.iter().copied())
             .stdin(Stdio::null())
             .stdout(Stdio::piped())

@@ -16,6 +16,7 @@ fn refusals_of_frames() {
         ("eye=1,2&target=0,0,0", "bad-parameter", "eye"),
         ("eye=1,2,3&target=1,2,3", "bad-parameter", "target"),
         ("eye=0,0,1&target=0,0,0&up=0,0,0", "bad-parameter", "up"),
+        ("up=w", "bad-parameter", "up"),
         ("eye=0,0,1&target=0,0,0&fov=180", "bad-parameter", "fov"),
         ("camera=front&fov=20", "bad-parameter", "fov"),
         ("camera=nobody", "bad-parameter", "camera"),
@@ -145,6 +146,35 @@ fn refusals_of_routes_and_bodies() {
     assert_eq!(reply.status, 413, "{}", reply.text());
     assert_eq!(client.send("DELETE", "/v1/scenes/none", &[], None).status, 404);
     assert!(daemon.uploads().is_empty(), "{:?}", daemon.uploads());
+}
+
+#[test]
+fn a_key_that_comes_twice_is_refused_where_it_is() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let json = [("content-type", "application/json")];
+    for (method, path, body, place) in [
+        ("PATCH", "/v1/scenes/grid/nodes/wall", r#"{"scale": 1, "scale": 2}"#, "scale"),
+        (
+            "POST",
+            "/v1/scenes/grid/frames",
+            r#"{"poses": [{"camera": "front"}, {"camera": "front", "camera": "back"}]}"#,
+            "poses[1].camera",
+        ),
+        ("POST", "/v1/jobs", r#"{"scene": "grid", "path": "past", "w": 8, "w": 9}"#, "w"),
+        (
+            "POST",
+            "/v1/jobs",
+            r#"{"scene": "grid", "path": {"keys": [{"t": 0, "eye": [0, 0, 3], "t": 1}]}}"#,
+            "path.keys[0].t",
+        ),
+    ] {
+        let reply = client.send(method, path, &json, Some(body.as_bytes()));
+        let problem = reply.problem();
+        let told = problem["detail"].as_str().unwrap();
+        assert_eq!((reply.status, &problem["parameter"]), (422, &place.into()), "{problem}");
+        assert!(told.contains("duplicate key"), "{told}");
+    }
 }
 
 #[test]

@@ -16,6 +16,24 @@ fn decode(reply: &Reply) -> (image::RgbaImage, (u32, u32)) {
 }
 
 #[test]
+fn a_frame_of_nothing_warns() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let seen = client.get(FRAME);
+    assert_eq!(seen.header("pointillist-warning"), None);
+    assert_eq!(seen.receipt()["nothing_visible"], Value::Null);
+    let behind = client.get("/v1/scenes/grid/frame?eye=0,0,3&target=0,0,9&w=96&h=64");
+    assert_eq!(behind.status, 200);
+    let warning = behind.header("pointillist-warning").unwrap();
+    assert!(
+        warning.starts_with("nothing is visible: the scene lies behind the camera"),
+        "{warning}"
+    );
+    let why = behind.receipt()["nothing_visible"].clone();
+    assert!(warning.ends_with(why.as_str().unwrap()), "{why}");
+}
+
+#[test]
 fn a_frame_and_its_receipt() {
     let daemon = Daemon::start(&[]);
     let client = daemon.client();
@@ -439,4 +457,38 @@ fn level_of_detail_and_its_receipt() {
     let full = client.get(FRAME);
     assert_eq!(full.receipt()["max_error_px"], Value::Null);
     assert_eq!(full.receipt()["samples"]["accepted"], Value::Null);
+}
+
+#[test]
+fn up_and_fov_alone_turn_and_widen_the_default_view() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let camera = |query: &str| {
+        let reply = client.get(&format!("/v1/scenes/grid/frame?w=32&h=32{query}"));
+        assert_eq!(reply.status, 200, "{}", reply.text());
+        reply.receipt()["camera"].clone()
+    };
+    let usual = camera("");
+    let turned = camera("&up=z");
+    assert_eq!(turned["up"], json!([0.0, 0.0, 1.0]));
+    assert_ne!(turned["eye"], usual["eye"]);
+    assert_eq!(camera("&up=0,0,1"), turned);
+    let wide = camera("&fov=80");
+    assert_eq!(wide["fov_deg"], json!(80.0));
+    assert_eq!(wide["up"], usual["up"]);
+    let reply = client.post_json(
+        "/v1/scenes/grid/frames",
+        &json!({ "w": 32, "h": 32, "up": "-z", "poses": [{}] }),
+    );
+    assert_eq!(reply.status, 200, "{}", reply.text());
+    for (query, parameter) in
+        [("up=0,0,0", "up"), ("up=w", "up"), ("fov=180", "fov"), ("fov=0", "fov")]
+    {
+        let problem = client.get(&format!("/v1/scenes/grid/frame?{query}"));
+        assert_eq!(
+            (problem.status, problem.json()["parameter"].as_str()),
+            (422, Some(parameter)),
+            "{query}"
+        );
+    }
 }

@@ -82,6 +82,7 @@ fn complaint(folder: &std::path::Path, args: &[&str]) -> String {
         .arg(folder)
         .args(args)
         .env("POINTILLIST_NO_JOBS", "true")
+        .env("POINTILLIST_NO_PRIME", "true")
         .stdin(Stdio::null())
         .output()
         .unwrap();
@@ -150,6 +151,9 @@ fn a_server_that_can_never_draw_again_says_so() {
         frame_timeout: Duration::from_secs(10),
         read_timeout: Duration::from_secs(10),
         drain: Duration::from_secs(1),
+        drain_delay: Duration::ZERO,
+        uploads: true,
+        reread_access: None,
         streams: StreamLimits { most: 4, most_per_client: 4, idle: Duration::from_secs(10) },
         watches: WatchLimits { most: 4, most_per_client: 4, longest: Duration::from_secs(10) },
     };

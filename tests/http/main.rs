@@ -6,6 +6,7 @@
     reason = "a test that unwraps says where it failed"
 )]
 
+mod balancer;
 mod client;
 mod contract;
 mod daemon;
@@ -13,6 +14,7 @@ mod errors;
 mod frames;
 mod hostile;
 mod jobs;
+mod leaving;
 mod lifecycle;
 mod load;
 mod mjpeg;

@@ -88,6 +88,7 @@ pub fn read_from(mut input: Input, options: &ReadOptions) -> Result<Asset, Asset
         textures: materials.textures,
         placements: drawn.placements,
         cameras: drawn.cameras,
+        sensor: None,
         warnings,
         format: if bytes.starts_with(container::MAGIC) { "glb" } else { "gltf" },
     })

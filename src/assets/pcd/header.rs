@@ -2,7 +2,9 @@
 
 use std::io::BufRead;
 
-use super::{AssetError, Lines, malformed, quote};
+use glam::DAffine3;
+
+use super::{AssetError, Lines, malformed, quote, sensor};
 use crate::assets::points::unsupported;
 
 const MAX_HEADER_LINES: u64 = 1000;
@@ -54,6 +56,11 @@ pub(super) enum Body {
 pub(super) struct Header {
     pub fields: Vec<Field>,
     pub points: u64,
+    /// Width and height of an organised cloud.
+    pub image: Option<[u64; 2]>,
+    /// `VIEWPOINT`, if it is not the identity.
+    pub viewpoint: Option<DAffine3>,
+    pub warnings: Vec<String>,
     pub body: Body,
     /// Bytes of a record.
     pub stride: usize,
@@ -69,6 +76,8 @@ struct Entries {
     width: Option<u64>,
     height: Option<u64>,
     points: Option<u64>,
+    viewpoint: Option<DAffine3>,
+    warnings: Vec<String>,
 }
 
 impl Header {
@@ -87,7 +96,17 @@ impl Header {
                 _ => Err(malformed(name, format!("header, {keyword}"), "expected a whole number")),
             };
             match keyword {
-                "VERSION" | "VIEWPOINT" => {}
+                "VERSION" => {}
+                "VIEWPOINT" => {
+                    let numbers: Vec<f64> = list().iter().flat_map(|word| word.parse()).collect();
+                    match <[f64; 7]>::try_from(numbers) {
+                        Ok(numbers) => entries.viewpoint = sensor::pose(numbers),
+                        Err(_) => entries.warnings.push(
+                            "VIEWPOINT is ignored: it is not seven numbers, a translation and a quaternion (w x y z)"
+                                .to_owned(),
+                        ),
+                    }
+                }
                 "FIELDS" | "COLUMNS" => entries.fields = list(),
                 "SIZE" => entries.sizes = Some(list()),
                 "TYPE" => entries.types = Some(list()),
@@ -185,7 +204,12 @@ impl Entries {
                 bad("POINTS", "the number of points is missing (POINTS, WIDTH)".to_owned())
             })?,
         };
-        let header = Header { fields, points, body, stride: offset };
+        let image = match (self.width, self.height) {
+            (Some(width), Some(height)) if width > 1 && height > 1 => Some([width, height]),
+            _ => None,
+        };
+        let (viewpoint, warnings) = (self.viewpoint, self.warnings);
+        let header = Header { fields, points, image, viewpoint, warnings, body, stride: offset };
         for (axis, label) in ["x", "y", "z"].into_iter().enumerate() {
             if !header.has(Wanted::Position(axis)) {
                 return Err(bad("FIELDS", format!("there is no field {label}")));

@@ -142,3 +142,39 @@ proptest! {
         let _ = read_bytes(&bytes);
     }
 }
+
+/// A depth image of a wall with a hole in it, as a Kinect writes it.
+fn depth_image(viewpoint: &str) -> Vec<u8> {
+    let mut text = format!(
+        "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 40\nHEIGHT 30\n\
+         VIEWPOINT {viewpoint}\nPOINTS 1200\nDATA ascii\n"
+    );
+    for pixel in 0..1200 {
+        let (u, v) = (f64::from(pixel % 40) - 19.5, f64::from(pixel / 40) - 14.5);
+        let depth = if pixel % 11 == 5 { f64::NAN } else { 2.0 + 0.01 * u };
+        text += &format!("{} {} {depth}\n", u / 32.0 * depth, v / 32.0 * depth);
+    }
+    text.into_bytes()
+}
+
+#[test]
+fn depth_images_have_the_view_of_their_sensor() {
+    let asset = read_bytes(&depth_image("0 0 0 1 0 0 0")).unwrap();
+    let seen = asset.sensor.unwrap();
+    assert_eq!(seen.camera.eye, DVec3::ZERO);
+    assert_eq!(seen.camera.up, DVec3::NEG_Y);
+    assert!(seen.camera.target.distance(DVec3::Z * 2.0) < 0.1, "{:?}", seen.camera);
+    let fov_deg = 2.0 * (15.0f64 / 32.0).atan().to_degrees();
+    assert!((seen.camera.fov_deg - fov_deg).abs() < 0.1, "{}", seen.camera.fov_deg);
+    assert!(asset.warnings.len() == 1, "{:?}", asset.warnings);
+    let named = read_bytes(&depth_image("0 0 zero 1 0 0 0")).unwrap();
+    assert!(named.warnings[0].starts_with("VIEWPOINT is ignored"), "{:?}", named.warnings);
+    assert!(read_bytes(&binary()).unwrap().sensor.is_none());
+}
+
+#[test]
+fn colours_that_were_never_written_are_none() {
+    let text = "FIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nWIDTH 2\nPOINTS 2\nDATA ascii\n0 0 0 0\n1 0 0 0\n";
+    assert!(cloud_of(text.as_bytes()).colors.is_none());
+    assert!(cloud_of(text.replace("1 0 0 0", "1 0 0 1").as_bytes()).colors.is_some());
+}

@@ -7,6 +7,10 @@ use super::super::tokens::{Lines, shown};
 
 /// More header lines than this are no header.
 const MAX_LINES: u64 = 100_000;
+/// Keywords without which the body cannot be understood.
+const STRUCTURE: [&str; 4] = ["format", "element", "property", "end_header"];
+/// Ignored lines that are quoted one by one; the others are counted.
+const QUOTED_LINES: usize = 3;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Encoding {
@@ -23,6 +27,8 @@ pub(super) enum Scalar {
     U16,
     I32,
     U32,
+    I64,
+    U64,
     F32,
     F64,
 }
@@ -52,6 +58,8 @@ pub(super) struct Header {
     pub elements: Vec<Element>,
     /// From MeshLab's `comment TextureFile NAME`.
     pub texture_file: Option<String>,
+    /// Lines that are not part of the format, and were ignored.
+    pub warnings: Vec<String>,
 }
 
 impl Scalar {
@@ -63,6 +71,8 @@ impl Scalar {
             b"ushort" | b"uint16" => Scalar::U16,
             b"int" | b"int32" => Scalar::I32,
             b"uint" | b"uint32" => Scalar::U32,
+            b"int64" => Scalar::I64,
+            b"uint64" => Scalar::U64,
             b"float" | b"float32" => Scalar::F32,
             b"double" | b"float64" => Scalar::F64,
             _ => return None,
@@ -74,7 +84,7 @@ impl Scalar {
             Scalar::I8 | Scalar::U8 => 1,
             Scalar::I16 | Scalar::U16 => 2,
             Scalar::I32 | Scalar::U32 | Scalar::F32 => 4,
-            Scalar::F64 => 8,
+            Scalar::I64 | Scalar::U64 | Scalar::F64 => 8,
         }
     }
 
@@ -100,6 +110,8 @@ impl Scalar {
             Scalar::U16 => f64::from(u16::from_le_bytes(word(bytes, big))),
             Scalar::I32 => f64::from(i32::from_le_bytes(word(bytes, big))),
             Scalar::U32 => f64::from(u32::from_le_bytes(word(bytes, big))),
+            Scalar::I64 => i64::from_le_bytes(word(bytes, big)) as f64,
+            Scalar::U64 => u64::from_le_bytes(word(bytes, big)) as f64,
             Scalar::F32 => f64::from(f32::from_le_bytes(word(bytes, big))),
             Scalar::F64 => f64::from_le_bytes(word(bytes, big)),
         }
@@ -152,6 +164,8 @@ pub(super) fn read<R: BufRead>(lines: &mut Lines<R>, file: &str) -> Result<Heade
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
     let mut texture_file = None;
+    let mut ignored = Ignored::default();
+    lines.end_at_carriage_returns_after(b"ply")?;
     loop {
         let more = lines.advance()?;
         let place = format!("header line {}", lines.number);
@@ -205,12 +219,62 @@ pub(super) fn read<R: BufRead>(lines: &mut Lines<R>, file: &str) -> Result<Heade
                 }
             }
             b"end_header" => break,
-            other => return fail(format!("unknown keyword {}", shown(other))),
+            other => match damage(other, lines.text()) {
+                Some(reason) => return fail(reason),
+                None => ignored.add(lines.number, lines.text()),
+            },
         }
     }
+    let warnings = ignored.warnings();
     match encoding {
-        Some(encoding) => Ok(Header { encoding, elements, texture_file }),
+        Some(encoding) => Ok(Header { encoding, elements, texture_file, warnings }),
         None => Err(AssetError::malformed(file, "header", "there is no format line")),
+    }
+}
+
+/// Explains why a line with an unknown keyword is damage. Software writes lines of its own into headers, which say nothing
+/// about the body and can be ignored.
+fn damage(keyword: &[u8], line: &[u8]) -> Option<String> {
+    let is_text = |byte: &u8| *byte >= b' ' || *byte == b'\t';
+    if !line.iter().all(is_text) {
+        return Some("is not text: end_header is missing before it".to_owned());
+    }
+    let keyword_text = String::from_utf8_lossy(keyword).to_ascii_lowercase();
+    if keyword_text.parse::<f64>().is_ok() {
+        return Some(format!("{} is data: end_header is missing before it", shown(keyword)));
+    }
+    let is_near = |known: &&&str| strsim::damerau_levenshtein(&keyword_text, known) <= 2;
+    let meant = STRUCTURE.iter().filter(|_| keyword.len() <= 16).find(is_near)?;
+    Some(format!("unknown keyword {}; did you mean {meant}?", shown(keyword)))
+}
+
+/// Header lines that are not part of the format.
+#[derive(Default)]
+struct Ignored {
+    quoted: Vec<String>,
+    more: u64,
+}
+
+impl Ignored {
+    fn add(&mut self, number: u64, line: &[u8]) {
+        if self.quoted.len() < QUOTED_LINES {
+            let line = shown(line.trim_ascii());
+            self.quoted.push(format!(
+                "header line {number} is not part of the PLY format and is ignored: {line}"
+            ));
+        } else {
+            self.more += 1;
+        }
+    }
+
+    fn warnings(self) -> Vec<String> {
+        let Ignored { quoted: mut warnings, more } = self;
+        if more > 0 {
+            warnings.push(format!(
+                "{more} more header lines are not part of the PLY format and are ignored"
+            ));
+        }
+        warnings
     }
 }
 

@@ -3,7 +3,8 @@
 //!
 //! `vertex` rows go straight into columns ([`vertices`]), `face` and `tristrips` lists straight into
 //! triangles. A file without faces is a point cloud; `range_grid`, the raster of a raw range scan,
-//! adds nothing to its points. Colours are taken as sRGB whatever their type, texture coordinates
+//! adds nothing to its points. Header lines that are not part of the format, which scanner software writes, are
+//! ignored with a warning, unless they look like damage. Colours are taken as sRGB whatever their type, texture coordinates
 //! with their origin at the bottom left. Gaussian splats in PLY's clothing are refused.
 
 mod body;
@@ -64,7 +65,7 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
         ring_lengths: Vec::new(),
         max_triangles: options.max_triangles,
         short_faces: 0,
-        warnings: Vec::new(),
+        warnings: header.warnings.clone(),
     };
     let mut body = Body::new(lines, header.encoding, file);
     for element in &header.elements {

@@ -147,11 +147,53 @@ fn bad_indices_and_lists_are_named() {
         ("vertex_indices", "corners", "a.ply: element face: has no list property"),
         ("ascii", "utf8", "a.ply: header line 2: unknown format"),
         ("format ascii 1.0\r\n", "", "a.ply: header: there is no format line"),
-        ("end_header\r\n", "", "a.ply: header line 10: unknown keyword \"0\""),
+        ("end_header\r\n", "", "a.ply: header line 10: \"0\" is data: end_header is missing"),
+        (
+            "element face",
+            "elment face",
+            "a.ply: header line 8: unknown keyword \"elment\"; did you mean element?",
+        ),
+        (
+            "property float z",
+            "Property float z",
+            "a.ply: header line 7: unknown keyword \"Property\"",
+        ),
+        (
+            "end_header",
+            "endheader",
+            "a.ply: header line 10: unknown keyword \"endheader\"; did you mean end_header?",
+        ),
+        ("end_header", "end\u{1}x", "a.ply: header line 10: is not text"),
     ] {
         let error = read(SQUARE.replacen(from, to, 1)).unwrap_err().to_string();
         assert!(error.starts_with(expected), "{error} / {expected}");
     }
+}
+
+#[test]
+fn lines_that_software_writes_into_headers_are_ignored_with_a_warning() {
+    let with =
+        |lines: &str| SQUARE.replacen("element vertex", &format!("{lines}element vertex"), 1);
+    let asset = read(with("obj_info num_cols 512\r\n\r\nbye\r\n")).unwrap();
+    assert_eq!(mesh(&asset).triangles.len(), 2);
+    let said = "header line 5 is not part of the PLY format and is ignored: \"bye\"";
+    assert_eq!(asset.warnings, [said]);
+    let many: String = (0..900).map(|i| format!("scanner setting {i}\n")).collect();
+    let asset = read(with(&many)).unwrap();
+    assert_eq!(asset.warnings.len(), 4);
+    let rest = "897 more header lines are not part of the PLY format and are ignored";
+    assert_eq!(asset.warnings[3], rest);
+}
+
+#[test]
+fn lines_may_end_with_carriage_returns_alone() {
+    let text = SQUARE.replace("\r\n", "\n").replace('\n', "\r");
+    assert_eq!(mesh(&read(text).unwrap()).triangles.len(), 2);
+    let header = "ply\rformat binary_little_endian 1.0\relement vertex 1\rproperty short x\r\
+        property short y\rproperty int64 z\rend_header\r";
+    let body = [&13i16.to_le_bytes()[..], &10i16.to_le_bytes(), &(-7i64).to_le_bytes()].concat();
+    let asset = read([header.as_bytes(), &body].concat()).unwrap();
+    assert_eq!(cloud(&asset).positions, [DVec3::new(13.0, 10.0, -7.0)]);
 }
 
 fn points(properties: &str, rows: &str) -> Asset {

@@ -41,6 +41,17 @@ enum Colors {
     Floats(Vec<[f32; 4]>),
 }
 
+impl Colors {
+    /// Whether any is not black: software declares colours that it does not fill.
+    fn are_filled(&self) -> bool {
+        match self {
+            Colors::None => false,
+            Colors::Bytes(colors, _) => colors.iter().any(|[r, g, b, _]| [*r, *g, *b] != [0; 3]),
+            Colors::Floats(colors) => colors.iter().any(|[r, g, b, _]| [*r, *g, *b] != [0.0; 3]),
+        }
+    }
+}
+
 /// Vertices as they come in.
 pub(super) struct Vertices {
     pub positions: Vec<DVec3>,
@@ -179,6 +190,7 @@ impl Vertices {
             positions: self.positions,
             normals: self.normals.and_then(|normals| tidy::unit_normals(normals, warnings)),
             colors: match self.colors {
+                colors if !colors.are_filled() => None,
                 Colors::None => None,
                 Colors::Bytes(colors, _) => Some(colors),
                 Colors::Floats(colors) => Some(tidy::colors_from_floats(&colors, warnings)),
@@ -195,6 +207,7 @@ impl Vertices {
 #[derive(Clone, Debug)]
 pub(in crate::assets) struct Facts {
     has_normals: bool,
+    has_colors: bool,
     counts_to_255: bool,
     intensity: [f32; 2],
     has_odd_radii: bool,
@@ -204,6 +217,7 @@ impl Default for Facts {
     fn default() -> Facts {
         Facts {
             has_normals: false,
+            has_colors: false,
             counts_to_255: false,
             intensity: tidy::NO_RANGE,
             has_odd_radii: false,
@@ -216,6 +230,7 @@ impl Facts {
         let normals = vertices.normals.iter().flatten();
         self.has_normals =
             self.has_normals || normals.copied().any(|n| tidy::unit_normal(n) != Vec3::ZERO);
+        self.has_colors = self.has_colors || vertices.colors.are_filled();
         if let Colors::Floats(colors) = &vertices.colors {
             self.counts_to_255 = self.counts_to_255 || colors.iter().any(tidy::counts_to_255);
         }
@@ -241,6 +256,7 @@ impl Facts {
                 Some(colors.into_iter().map(color).collect())
             }
         };
+        let colors = colors.filter(|_| self.has_colors);
         let normals = normals.filter(|_| self.has_normals);
         let intensity = |value: f32| tidy::intensity_within(self.intensity, value);
         PointCloud {

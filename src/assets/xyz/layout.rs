@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::PointCloud;
-use crate::assets::points::{class_of, colors, intensities, unit_or_zero};
+use crate::assets::points::{bytes, class_of, colors, intensities, unit_or_zero};
 
 /// The meaning of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -159,9 +159,9 @@ pub(super) fn cloud(positions: Vec<DVec3>, columns: &[Vec<f32>], roles: &[Role])
 
     let rgb = triple(Role::Red, Role::Green, Role::Blue);
     let normal = triple(Role::NormalX, Role::NormalY, Role::NormalZ);
-    let mut rgba = rgb.map(|rgb| colors(count, |point| row(rgb, point)));
+    let mut rgba = rgb.and_then(|rgb| colors(count, |point| row(rgb, point)));
     if let (Some(rgba), Some(alpha)) = (&mut rgba, column(Role::Alpha)) {
-        let alpha = colors(count, |point| [alpha[point]; 3]);
+        let alpha = bytes(count, |point| [alpha[point]; 3]);
         rgba.iter_mut().zip(alpha).for_each(|(color, [value, ..])| color[3] = value);
     }
     let radius =

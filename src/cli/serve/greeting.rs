@@ -4,6 +4,7 @@ use std::io::Write;
 use std::net::SocketAddr;
 
 use crate::engine::Engine;
+use crate::load::wire::percent_encoded;
 
 /// Where the server is.
 pub fn greeting(address: SocketAddr) -> String {
@@ -12,10 +13,13 @@ pub fn greeting(address: SocketAddr) -> String {
 
 /// How to see a first frame; nothing where there is no scene.
 pub fn example(engine: &Engine, address: SocketAddr, has_keys: bool) -> String {
+    // The scene that was loaded first, from its first camera: what the viewer opens with.
     let Some(scene) = engine.scenes().into_iter().next() else { return String::new() };
+    let camera = scene.cameras.first();
+    let camera = camera.map(|camera| format!("camera={}&", percent_encoded(&camera.name)));
     let key = if has_keys { "-H 'Authorization: Bearer KEY' " } else { "" };
     let url = format!("http://{}/v1/scenes/{}", reachable(address), scene.id);
-    format!("curl {key}-o frame.png '{url}/frame?w=1024&h=768'\n")
+    format!("curl {key}-o frame.png '{url}/frame?{}w=1024&h=768'\n", camera.unwrap_or_default())
 }
 
 /// The address as one on this machine would ask for it.

@@ -163,6 +163,7 @@ fn keys_cover_everything() {
             beside: Vec::new(),
             tree: Default::default(),
             deferred: None,
+            outlined: Default::default(),
             ..*asset
         };
         assert!(keys.contains(&tree_key(&copy)), "a name is no content");

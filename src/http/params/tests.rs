@@ -27,7 +27,7 @@ fn nothing_given_shows_everything() {
         .unwrap()
         .request("s", ImageFormat::Png, Instant::now())
         .unwrap();
-    assert_eq!((r.pose, r.width, r.height), (Pose::Fit, 1024, 1024));
+    assert_eq!((r.pose, r.width, r.height), (Pose::FIT, 1024, 1024));
 }
 
 #[test]
@@ -78,8 +78,10 @@ fn values_are_checked() {
         ("eye=1,2,3,4&target=0,0,0", "eye"),
         ("eye=1,2,3", "target"),
         ("target=1,2,3", "eye"),
-        ("fov=30", "fov"),
-        ("up=0,0,1", "up"),
+        ("up=w", "up"),
+        ("up=0,1", "up"),
+        ("up=z&up=z", "up"),
+        ("camera=a&up=z", "up"),
         ("fov=30&eye=0,0,1", "target"),
         ("camera=a&fov=30", "fov"),
         ("eye=1,2,3&target=0,0,0&view=1", "view"),
@@ -155,6 +157,7 @@ fn settings_of_splats_in_both_notations() {
         prefilter: Some(false),
         blend: Some(Blend::Opaque),
         shading: Some(Shading::Splat),
+        wait: Default::default(),
     };
     assert_eq!(asked, expected);
     let json = serde_json::json!({"reconstruct": "splats", "filter": "exact", "prefilter": false,
@@ -257,4 +260,22 @@ fn defaults_fill_but_do_not_mix_poses() {
     assert_eq!((named.eye, named.fov, named.w, named.h), (None, None, Some(7), Some(9)));
     assert!(named.request("s", ImageFormat::Png, Instant::now()).is_ok());
     assert_eq!(json(serde_json::json!({})).or(&defaults), defaults);
+}
+
+#[test]
+fn up_and_fov_apply_to_the_whole_scene() {
+    let pose = |query: &str| request(query).unwrap().pose;
+    assert_eq!(pose("up=z"), Pose::Fit { up: Some(DVec3::Z), fov_deg: None });
+    assert_eq!(pose("up=-y&fov=30"), Pose::Fit { up: Some(DVec3::NEG_Y), fov_deg: Some(30.0) });
+    assert_eq!(pose("up=0,0,2"), Pose::Fit { up: Some(DVec3::Z * 2.0), fov_deg: None });
+    let Pose::Camera(camera) = pose("eye=1,0,0&target=0,0,0&up=z") else { panic!("no camera") };
+    assert_eq!(camera.up, DVec3::Z);
+    let json = |text: &str| {
+        let params = FrameParams::from_json(serde_json::from_str(text).unwrap(), "")?;
+        params.request("s", ImageFormat::Png, Instant::now())
+    };
+    let by_name = json(r#"{ "up": "-x" }"#).unwrap().pose;
+    assert_eq!(by_name, Pose::Fit { up: Some(DVec3::NEG_X), fov_deg: None });
+    let refused = json(r#"{ "up": "w" }"#).unwrap_err();
+    assert!(refused.detail.contains("`w` is no axis"), "{}", refused.detail);
 }

@@ -20,6 +20,7 @@ use crate::encode::ImageFormat;
 use crate::engine::Receipt;
 use crate::http::params::{FrameParams, Names};
 use crate::http::problem::{Kind, Problem};
+use crate::scene::check_keys;
 
 /// Bytes of one message of the client.
 pub const MAX_MESSAGE_BYTES: usize = 64 << 10;
@@ -149,6 +150,8 @@ impl Incoming {
         let unreadable = |why: String| {
             Problem::new(Kind::BadBody, why).accepted(format!("a JSON object: {MESSAGE}"))
         };
+        check_keys(text.as_bytes())
+            .map_err(|found| unreadable(found.to_string()).at(found.path))?;
         let value: Value =
             serde_json::from_str(text).map_err(|error| unreadable(error.to_string()))?;
         let Value::Object(mut fields) = value else {
@@ -322,6 +325,12 @@ mod tests {
         for text in ["", "[]", "{}", "1", "{\"seq\": 1"] {
             assert_eq!(fault(text), (422, None), "{text}");
         }
+    }
+
+    #[test]
+    fn a_key_that_comes_twice_is_named() {
+        let problem = Incoming::read(r#"{"seq": 1, "eye": [0, 0, 1], "seq": 2}"#).err().unwrap();
+        assert!(problem.detail.contains("duplicate key `seq`"), "{}", problem.detail);
     }
 
     #[test]

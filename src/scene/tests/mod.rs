@@ -86,7 +86,7 @@ fn everything_at_once() {
                    { "name": "off", "asset": "a", "visible": false } ],
         "lights": [ { "kind": "sun", "direction": [0, 0, -2], "color": "#fff", "intensity": 2, "shadows": true },
                     { "kind": "point", "position": [1, 2, 3], "range": 5 }, { "kind": "ambient" } ],
-        "cameras": { "z": { "eye": [0, 1, 3], "target": [0, 0, 0] }, "a": { "eye": [1, 1, 3], "target": [0, 0, 0], "fov": 60, "up": [1, 0, 0] } },
+        "cameras": { "z": { "eye": [0, 1, 3], "target": [0, 0, 0] }, "a": { "eye": [1, 1, 3], "target": [0, 0, 0], "fov": 60, "up": "x" } },
         "paths": { "fly": { "keys": [ { "t": 0, "eye": [0, 1, 9], "target": [0, 0, 0] }, { "t": 4, "eye": [9, 1, 0], "target": [0, 0, 0] } ] } } }"##;
     let folder = Folder::new();
     let scene = folder.parse(text).unwrap();

@@ -5,9 +5,9 @@ use glam::DVec3;
 use super::super::color::{parse_hex, to_linear};
 use super::super::load::DEFAULT_BACKGROUND;
 use super::super::wire::{
-    CameraWire, ColorWire, LightKind, LightWire, MaterialWire, Object, PathWire, SplatsWire, UpWire,
+    CameraWire, ColorWire, LightKind, LightWire, MaterialWire, Object, PathWire, SplatsWire,
 };
-use super::super::{CameraPath, Light, MaterialSpec, PathKey, Splats};
+use super::super::{CameraPath, Light, MaterialSpec, PathKey, Splats, Up};
 use super::{
     DEFAULT_FOV_DEG, LARGEST_COORDINATE, LARGEST_INTENSITY, Place, Valid, coordinates, unit, within,
 };
@@ -154,7 +154,7 @@ pub(super) fn camera(wire: &CameraWire, up: DVec3, place: Place<'_>) -> Valid<Ca
 fn pose(
     eye: [f64; 3],
     target: [f64; 3],
-    own_up: Option<[f64; 3]>,
+    own_up: Option<Up>,
     fov: Option<f64>,
     scene_up: DVec3,
     place: Place<'_>,
@@ -162,7 +162,7 @@ fn pose(
     let camera = Camera {
         eye: coordinates(eye, place.key("eye"))?,
         target: coordinates(target, place.key("target"))?,
-        up: own_up.map_or(scene_up, DVec3::from_array),
+        up: own_up.map_or(scene_up, |up| up.0),
         fov_deg: fov.unwrap_or(DEFAULT_FOV_DEG),
     };
     match camera.view(1, 1) {
@@ -200,17 +200,6 @@ pub(super) fn path(wire: &PathWire, up: DVec3, place: Place<'_>) -> Valid<Camera
     Ok(CameraPath { fps, interpolation, keys })
 }
 
-pub(super) fn world_up(wire: Option<&UpWire>, place: Place<'_>) -> Valid<DVec3> {
-    match wire {
-        None => Ok(DVec3::Y),
-        Some(UpWire::Vector(v)) => unit(*v, place),
-        Some(UpWire::Axis(name)) => match name.as_str() {
-            "x" => Ok(DVec3::X),
-            "y" => Ok(DVec3::Y),
-            "z" => Ok(DVec3::Z),
-            _ => {
-                place.refuse(format!("`{name}` is no axis; accepted are `x`, `y`, `z` or a vector"))
-            }
-        },
-    }
+pub(super) fn world_up(wire: Option<Up>, place: Place<'_>) -> Valid<DVec3> {
+    wire.map_or(Ok(DVec3::Y), |up| unit(up.0.into(), place))
 }

@@ -133,7 +133,7 @@ pub(super) fn scene(
         prototypes: Names::of("prototype", &wire.prototypes),
         materials: Names::of("material", &wire.materials),
     };
-    let up = look::world_up(wire.up.as_ref(), root.key("up"))?;
+    let up = look::world_up(wire.up, root.key("up"))?;
     let scene = Scene {
         splats: look::splats(wire.splats.as_deref())?,
         name: wire.name.clone().unwrap_or_else(|| name.to_owned()),
@@ -150,6 +150,12 @@ pub(super) fn scene(
             Ok((name.to_owned(), look::path(wire, up, place)?))
         })?,
         up,
+        up_because: match wire.up {
+            Some(_) => "the scene file says so",
+            None => "scene files have y up unless they say otherwise",
+        }
+        .to_owned(),
+        sensor: None,
     };
     graph::check(&scene, limits)?;
     Ok(scene)

@@ -116,6 +116,7 @@ fn two_daemons_do_not_share_a_state_folder() {
         .arg(daemon.root())
         .arg("--state")
         .arg(daemon.state())
+        .arg("--no-uploads")
         .stdin(Stdio::null())
         .output()
         .unwrap();

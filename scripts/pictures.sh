@@ -1,0 +1,44 @@
+#!/usr/bin/env bash
+# Redraws the pictures of README.md, docs/img/*.png: those of the shipped scenes, of the dragon where scripts/data.sh brought it, and
+# of the viewer where Chromium is installed.
+#
+#   scripts/pictures.sh [BINARY]
+set -euo pipefail
+
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+binary=${1:-target/release/pointillist}
+folder=docs/img
+export NODEVICE_SELECT=${NODEVICE_SELECT-1}
+
+draw() { # NAME SCENE [OPTIONS…]
+    local name=$1 scene=$2
+    shift 2
+    "$binary" render "$scene" -o "$folder/$name.png" "$@"
+}
+
+# The same settings for both, so that the README shows what a request gets.
+draw town scenes/town.json --camera overview --size 1000x640
+draw plaza scenes/plaza.json --camera walk --size 1000x560
+if [ -f scenes/data/dragon.json ]; then
+    draw dragon scenes/data/dragon.json --size 1000x640
+else
+    echo "pictures: dragon.png stays as it is; make data fetches the dragon"
+fi
+
+browser=$(command -v chromium || command -v chromium-browser || command -v google-chrome || true)
+if [ -z "$browser" ]; then
+    echo "pictures: viewer.png stays as it is; it needs Chromium"
+    exit 0
+fi
+log=$(mktemp)
+scripts/run.sh "$binary" scenes --listen 127.0.0.1:0 >"$log" 2>/dev/null &
+daemon=$!
+trap 'kill "$daemon" 2>/dev/null || true; rm -f "$log"' EXIT
+until grep -q '^curl ' "$log"; do
+    kill -0 "$daemon" || { echo "pictures: the daemon did not start" >&2; exit 1; }
+    sleep 0.2
+done
+url=$(sed -n 's/^viewer: //p' "$log")
+# The picture is taken when the frame at rest has long been there.
+"$browser" --headless --no-sandbox --disable-gpu --hide-scrollbars --window-size=1440,900 --timeout=20000 \
+    --screenshot="$folder/viewer.png" "$url" >/dev/null 2>&1

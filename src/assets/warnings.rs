@@ -1,0 +1,119 @@
+//! Warnings that say the same of many things, counted instead of repeated.
+
+use std::collections::HashMap;
+
+/// Warnings of one kind that are all kept.
+const FEW: usize = 2;
+/// Kinds of warnings that are listed; the others are counted.
+const MOST_KINDS: usize = 32;
+
+/// A warning's text with its numbers and quotations left out: what all warnings of its kind have in common.
+fn kind(text: &str) -> String {
+    let mut kind = String::with_capacity(text.len());
+    let mut quote = None;
+    for character in text.chars() {
+        match (quote, character) {
+            (Some(end), found) if found == end => quote = None,
+            (Some(_), _) => {}
+            (None, '"' | '`') => {
+                quote = Some(character);
+                kind.push('"');
+            }
+            (None, '0'..='9') => {
+                if !kind.ends_with('#') {
+                    kind.push('#');
+                }
+            }
+            (None, other) => kind.push(other),
+        }
+    }
+    kind
+}
+
+/// Keeps the first warnings of each kind, and counts the others: "… and 312 more like this". Each warning is a subject, which may
+/// be empty, and a text; the subject does not make it another kind.
+pub fn condensed<S: AsRef<str>>(warnings: impl IntoIterator<Item = (S, String)>) -> Vec<String> {
+    let mut places: HashMap<String, usize> = HashMap::new();
+    // Of each kind: the first texts, and how many there are.
+    let mut kinds: Vec<(Vec<String>, usize)> = Vec::new();
+    let mut beyond = 0u64;
+    for (subject, text) in warnings {
+        let next = kinds.len();
+        let place = if next < MOST_KINDS {
+            *places.entry(kind(&text)).or_insert(next)
+        } else {
+            places.get(&kind(&text)).copied().unwrap_or(next)
+        };
+        if place == next {
+            if next == MOST_KINDS {
+                beyond += 1;
+                continue;
+            }
+            kinds.push((Vec::new(), 0));
+        }
+        let (texts, count) = &mut kinds[place];
+        *count += 1;
+        if texts.len() < FEW {
+            texts.push(match subject.as_ref() {
+                "" => text,
+                subject => format!("{subject}: {text}"),
+            });
+        }
+    }
+    let mut list = Vec::new();
+    for (mut texts, count) in kinds {
+        if count > FEW {
+            texts.truncate(1);
+            texts
+                .iter_mut()
+                .for_each(|text| *text += &format!(" … and {} more like this", count - 1));
+        }
+        list.append(&mut texts);
+    }
+    if beyond > 0 {
+        list.push(format!("{beyond} more warnings of other kinds"));
+    }
+    list
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(texts: impl IntoIterator<Item = String>) -> Vec<String> {
+        condensed(texts.into_iter().map(|text| ("", text)))
+    }
+
+    #[test]
+    fn warnings_of_a_kind_are_counted() {
+        let mut texts: Vec<String> = (0..313)
+            .map(|i| format!("texture \"wall {i}.png\" cannot be read: {i} bytes"))
+            .collect();
+        texts.insert(1, "points have no normals".to_owned());
+        texts.push("points have no normals".to_owned());
+        assert_eq!(
+            of(texts),
+            [
+                "texture \"wall 0.png\" cannot be read: 0 bytes … and 312 more like this",
+                "points have no normals",
+                "points have no normals",
+            ]
+        );
+    }
+
+    #[test]
+    fn subjects_do_not_make_other_kinds() {
+        let many = (0..5).map(|i| (format!("asset{i}"), format!("{} points skipped", i + 2)));
+        assert_eq!(condensed(many), ["asset0: 2 points skipped … and 4 more like this"]);
+    }
+
+    #[test]
+    fn the_list_is_bounded() {
+        let letters = |i: usize| "abcdefghij".chars().nth(i % 10).unwrap();
+        let texts =
+            (0..1000).map(|i| format!("{}{}{}", letters(i), letters(i / 10), letters(i / 100)));
+        let list = of(texts);
+        assert_eq!(list.len(), MOST_KINDS + 1);
+        assert_eq!(list[MOST_KINDS], "968 more warnings of other kinds");
+    }
+}

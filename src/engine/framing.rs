@@ -1,0 +1,260 @@
+//! The default view: from where a scene is looked at, and what of it has to be in the frame.
+//!
+//! Every geometry has an outline ([`crate::bake::outline`]). The outline of a scene is made of those of its instances: all of their points where
+//! they are few, and else the farthest ones in some directions, found through boxes around groups of instances, so that a million of
+//! them cost milliseconds. [`look`] chooses the direction by the shape of that outline; [`framing::frame`] finds the eye.
+
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+use crate::bake::outline::{self, Outline};
+use crate::math::framing::{self, Look};
+use crate::math::{Bounds, Camera, View};
+use crate::residency::model::{ModelInstance, SceneModel};
+
+/// Outlines of so many points are kept as they are.
+const FEW_POINTS: usize = 4096;
+/// Directions in which larger outlines are reduced to their farthest points.
+const DIRECTIONS: usize = 512;
+/// Instances whose boxes are looked at together.
+const GROUP: usize = 64;
+/// Vertical field of view of the default view, in degrees.
+pub const FOV_DEG: f64 = 40.0;
+/// Part of its height and width that the depth of a plate may have.
+const PLATE: f64 = 0.12;
+/// Angle from the front, in degrees, from which most content, upright content and plates are seen.
+const ASIDE_DEG: [f64; 3] = [27.0, 20.0, 14.0];
+/// Elevation of the eye in degrees, by height over width: maps and terrain from above, statues at eye height.
+const ELEVATION_DEG: [(f64, f64); 5] =
+    [(0.003, 60.0), (0.05, 42.0), (0.3, 33.0), (1.0, 22.0), (2.0, 9.0)];
+/// Height over width from which content is upright.
+const UPRIGHT: f64 = 1.3;
+
+/// Points that decide which cameras show a scene whole, strays left out.
+#[derive(Debug, Default)]
+pub struct SceneOutline {
+    points: Vec<DVec3>,
+}
+
+impl SceneOutline {
+    pub fn of(model: &SceneModel) -> SceneOutline {
+        let outlines: Vec<&[Outline]> = model.assets.iter().map(|asset| asset.outlines()).collect();
+        let outline = |instance: &ModelInstance| &outlines[instance.asset][instance.geometry];
+        let points_of = |instance: &ModelInstance| {
+            let map = instance.world_from_geometry;
+            outline(instance).points.iter().map(move |&point| map.transform_point3(point))
+        };
+        let mut count = 0;
+        let is_small = model.instances.iter().all(|instance| {
+            count += outline(instance).points.len();
+            count <= FEW_POINTS
+        });
+        if is_small {
+            return SceneOutline { points: model.instances.iter().flat_map(points_of).collect() };
+        }
+        let boxes: Vec<Vec<Bounds>> = outlines
+            .iter()
+            .map(|outlines| outlines.iter().map(Outline::bounds).collect())
+            .collect();
+        let box_of = |instance: &ModelInstance| {
+            boxes[instance.asset][instance.geometry].transformed(&instance.world_from_geometry)
+        };
+        let groups: Vec<&[ModelInstance]> =
+            model.instances.runs().iter().flat_map(|run| run.members.chunks(GROUP)).collect();
+        let around: Vec<Bounds> = groups
+            .par_iter()
+            .map(|group| group.iter().map(box_of).fold(Bounds::EMPTY, Bounds::union))
+            .collect();
+        let all = around.iter().copied().fold(Bounds::EMPTY, Bounds::union);
+        let scale = outline::inverse_extent(&all);
+        let directions: Vec<DVec3> = outline::directions(DIRECTIONS).map(|d| d * scale).collect();
+        let farthest_along = |&direction: &DVec3| {
+            let of_instance = |instance: &ModelInstance| {
+                points_of(instance)
+                    .map(|point| (point.dot(direction), point))
+                    .reduce(|best, next| if next.0 > best.0 { next } else { best })
+            };
+            let of_group = |index: usize| {
+                let members = groups[index];
+                let reaches = members.iter().map(|i| outline::reach_of(&box_of(i), direction));
+                outline::farthest(reaches, |member| of_instance(&members[member]))
+            };
+            let reaches = around.iter().map(|bounds| outline::reach_of(bounds, direction));
+            outline::farthest(reaches, of_group).map(|(_, point)| point)
+        };
+        SceneOutline { points: directions.par_iter().filter_map(farthest_along).collect() }
+    }
+
+    /// The camera of the default view, for a frame of this aspect. `up` is not zero.
+    pub fn camera(&self, up: DVec3, fov_deg: f64, aspect: f64) -> Camera {
+        framing::frame(&self.points, &self.look(up, fov_deg, aspect))
+    }
+
+    /// From where the scene shows what it is: terrain from above at an angle, upright things from the front at eye height, a plate
+    /// on its face.
+    fn look(&self, up: DVec3, fov_deg: f64, aspect: f64) -> Look {
+        let up = up / up.length();
+        // The front of a y-up scene is +z, of a z-up scene −y.
+        let front = if up.z.abs() > up.y.abs() {
+            -DVec3::Y * up.z.signum()
+        } else {
+            DVec3::Z * if up.y < 0.0 { -1.0 } else { 1.0 }
+        };
+        let front = front - up * up.dot(front);
+        let front = front / front.length();
+        let right = up.cross(front);
+        let along = |axis: DVec3| {
+            let reach = |sign: f64| self.points.iter().map(move |point| sign * point.dot(axis));
+            let ends = [1.0, -1.0].map(|sign| reach(sign).fold(f64::NEG_INFINITY, f64::max));
+            (ends[0] + ends[1]).max(0.0)
+        };
+        let (width, height, depth) = (along(right), along(up), along(front));
+        let (turn_deg, elevation_deg) = angles(width, height, depth);
+        let (turn_sin, turn_cos) = turn_deg.to_radians().sin_cos();
+        let (sin, cos) = elevation_deg.to_radians().sin_cos();
+        let backward = front * (turn_cos * cos) + right * (turn_sin * cos) + up * sin;
+        Look { backward, up, fov_deg, aspect }
+    }
+}
+
+/// Angle from the front towards the right, and elevation, from which a box of this shape is looked at; in degrees.
+fn angles(width: f64, height: f64, depth: f64) -> (f64, f64) {
+    let [most, upright, plate] = ASIDE_DEG;
+    let (thin, wide) = (width.min(depth), width.max(depth));
+    if wide > 0.0 && thin <= PLATE * wide && thin <= PLATE * height {
+        let turn = if depth <= width { plate } else { 90.0 - plate };
+        return (turn, elevation(f64::INFINITY));
+    }
+    // Of what has a length, the length is across the frame.
+    let turned = depth > 2.0 * width;
+    let flatness = height / (width * depth).sqrt();
+    let flatness = if flatness.is_nan() { 1.0 } else { flatness };
+    let aside = if flatness > UPRIGHT { upright } else { most };
+    (if turned { 90.0 - aside } else { aside }, elevation(flatness))
+}
+
+fn elevation(flatness: f64) -> f64 {
+    let [(lowest, from_above), ..] = ELEVATION_DEG;
+    if flatness <= lowest {
+        return from_above;
+    }
+    for pair in ELEVATION_DEG.windows(2) {
+        let [(a, at_a), (b, at_b)] = [pair[0], pair[1]];
+        if flatness <= b {
+            let share = (flatness / a).ln() / (b / a).ln();
+            return at_a + (at_b - at_a) * share;
+        }
+    }
+    ELEVATION_DEG[ELEVATION_DEG.len() - 1].1
+}
+
+/// Says why a view shows nothing of what is in a box, and how to see it.
+pub fn why_nothing(bounds: &Bounds, view: &View) -> String {
+    if bounds.is_empty() {
+        return "the scene has nothing to draw: no node with points or triangles is visible"
+            .to_owned();
+    }
+    let corners = bounds.corners().map(|corner| view.to_view(corner));
+    let all = |test: &dyn Fn(&DVec3) -> bool| corners.iter().all(test);
+    let size_px = DVec2::new(f64::from(view.width), f64::from(view.height));
+    // Slopes of the frame's edges, as view directions with z = −1.
+    let (low, high) = (view.ray(DVec2::new(0.0, size_px.y)), view.ray(DVec2::new(size_px.x, 0.0)));
+    let distance = bounds.centre().distance(view.eye);
+    let focal_px = view.focal_px.max_element();
+    let place = if all(&|v| v.z >= 0.0) {
+        "lies behind the camera"
+    } else if all(&|v| v.x < -v.z * low.x) {
+        "lies to the left of the frame"
+    } else if all(&|v| v.x > -v.z * high.x) {
+        "lies to the right of the frame"
+    } else if all(&|v| v.y > -v.z * high.y) {
+        "lies above the frame"
+    } else if all(&|v| v.y < -v.z * low.y) {
+        "lies below the frame"
+    } else if bounds.extent().length() / distance * focal_px < 1.0 {
+        "is smaller than a pixel"
+    } else {
+        "has gaps where the camera looks"
+    };
+    let [x, y, z] = bounds.centre().to_array().map(digits);
+    format!(
+        "the scene {place}: its middle is at {x},{y},{z}, {} units away from the eye; without eye and camera the whole scene is shown",
+        digits(distance)
+    )
+}
+
+/// A number with six significant digits, or all of its whole ones.
+fn digits(value: f64) -> String {
+    let whole = value.abs().log10().floor();
+    if !(-5.0..15.0).contains(&whole) {
+        return if value == 0.0 { "0".to_owned() } else { format!("{value:.5e}") };
+    }
+    let text = format!("{value:.*}", (5.0 - whole).max(0.0) as usize);
+    let text =
+        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    text.to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_seen_is_said_to_be_where_it_is() {
+        let bounds = Bounds { min: DVec3::splat(-1.0), max: DVec3::ONE };
+        let why = |eye: [f64; 3], target: [f64; 3]| {
+            let (eye, target) = (DVec3::from_array(eye), DVec3::from_array(target));
+            let camera = Camera { eye, target, up: DVec3::Y, fov_deg: 40.0 };
+            why_nothing(&bounds, &camera.view(64, 48).unwrap())
+        };
+        for (eye, target, place) in [
+            ([0.0, 0.0, 5.0], [0.0, 0.0, 9.0], "behind the camera"),
+            ([0.0, 0.0, 9.0], [9.0, 0.0, 0.0], "to the left"),
+            ([0.0, 0.0, 9.0], [-9.0, 0.0, 0.0], "to the right"),
+            ([0.0, 0.0, 9.0], [0.0, -9.0, 0.0], "above"),
+            ([0.0, 0.0, 9.0], [0.0, 9.0, 0.0], "below"),
+            ([0.0, 0.0, 9e4], [0.0, 0.0, 0.0], "smaller than a pixel"),
+            ([0.0, 0.0, 9.0], [0.0, 0.0, 0.0], "gaps"),
+        ] {
+            let text = why(eye, target);
+            assert!(text.contains(place), "{eye:?} → {target:?}: {text}");
+        }
+        assert!(why([0.0, 0.0, 5.0], [0.0, 0.0, 9.0]).contains("middle is at 0,0,0, 5 units away"));
+        assert!(
+            why_nothing(
+                &Bounds::EMPTY,
+                &Camera { eye: DVec3::ONE, target: DVec3::ZERO, up: DVec3::Y, fov_deg: 40.0 }
+                    .view(8, 8)
+                    .unwrap()
+            )
+            .contains("nothing to draw")
+        );
+        let shown = [412_000.123_456, 0.001_234_567, -5.0, 1e20, 5_653_000.0].map(digits);
+        assert_eq!(shown, ["412000", "0.00123457", "-5", "1.00000e20", "5653000"]);
+    }
+
+    #[test]
+    fn shapes_are_seen_from_where_they_show() {
+        // Terrain from above, statues at eye height, a cube between them.
+        let elevation = |w, h, d| angles(w, h, d).1;
+        assert!((38.0..48.0).contains(&elevation(1000.0, 40.0, 800.0)));
+        assert!((18.0..26.0).contains(&elevation(1.0, 1.0, 1.0)));
+        assert!((5.0..12.0).contains(&elevation(1.0, 2.5, 1.0)));
+        assert!(elevation(1.0, 0.0, 1.0) > 55.0, "a sheet that lies is seen from above");
+        // A wall on its face, whichever way it stands.
+        let facing = |w, h, d| {
+            let (turn, elevation) = angles(w, h, d);
+            let (sin, cos) = turn.to_radians().sin_cos();
+            (sin * elevation.to_radians().cos(), cos * elevation.to_radians().cos())
+        };
+        assert!(facing(10.0, 6.0, 0.2).1 > 0.9);
+        assert!(facing(0.0, 6.0, 10.0).0 > 0.9);
+        // A train shows its side.
+        assert!(facing(3.0, 4.0, 60.0).0 > 0.7);
+        for shape in [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] {
+            let [w, h, d] = shape;
+            let (turn, elevation) = angles(w, h, d);
+            assert!(turn.is_finite() && elevation.is_finite(), "{shape:?}");
+        }
+    }
+}

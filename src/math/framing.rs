@@ -1,0 +1,167 @@
+//! The camera that shows given points as large as a frame allows.
+//!
+//! For a viewing direction and a field of view, an eye sees all points when each lies on the inner side of four planes through the
+//! eye. Only the point that lies farthest beyond each plane's direction matters, so the nearest such eye has a closed form: with x to the right, y up
+//! and z towards the eye, and `t` the tangent of half the horizontal field of view, the two side planes ask for
+//! `eye.z ≥ (max(x + t z) + max(−x + t z)) / 2t`, and the centred eye has `eye.x = (max(x + t z) − max(−x + t z)) / 2`. The same holds
+//! for y. The side that needs the larger distance decides it. Along the other one the content is centred, too, by the largest `t`
+//! that this distance allows.
+
+use glam::DVec3;
+
+use super::Camera;
+
+/// Share of the frame's width or height that the content takes, whichever it fills first.
+const FILLED: f64 = 0.9;
+/// Nothing may be nearer to the eye than this share of the content's size.
+const NEAREST: f64 = 0.05;
+/// Distance from which content without any size is seen.
+const FROM_A_POINT: f64 = 1.0;
+
+/// A way to look at something.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    /// Unit vector from the content towards the eye.
+    pub backward: DVec3,
+    pub up: DVec3,
+    /// Vertical field of view in degrees.
+    pub fov_deg: f64,
+    /// Width of the frame over its height.
+    pub aspect: f64,
+}
+
+/// Largest values of `p + t z` and `−p + t z`.
+fn planes(points: &[DVec3], axis: usize, t: f64) -> (f64, f64) {
+    points.iter().fold((f64::NEG_INFINITY, f64::NEG_INFINITY), |(high, low), v| {
+        (high.max(v[axis] + t * v.z), low.max(t * v.z - v[axis]))
+    })
+}
+
+/// Distance along the viewing axis from which everything fits between the planes of slope `t`.
+fn needed(points: &[DVec3], axis: usize, t: f64) -> f64 {
+    let (high, low) = planes(points, axis, t);
+    (high + low) / (2.0 * t)
+}
+
+/// Place of an eye, `distance` along the viewing axis, from which the content is in the middle of the frame.
+fn centred(points: &[DVec3], axis: usize, widest: f64, distance: f64) -> f64 {
+    // The slope at which the content touches both planes. The distance needed falls with the slope.
+    let (mut narrow, mut wide) = (0.0, widest);
+    for _ in 0..48 {
+        let middle = 0.5 * (narrow + wide);
+        if middle > 0.0 && needed(points, axis, middle) <= distance {
+            wide = middle;
+        } else {
+            narrow = middle;
+        }
+    }
+    let (high, low) = planes(points, axis, wide);
+    0.5 * (high - low)
+}
+
+/// The camera that shows all `points`, filling nine tenths of the frame's width or of its height.
+pub fn frame(points: &[DVec3], look: &Look) -> Camera {
+    let Look { backward, up, fov_deg, aspect } = *look;
+    let side = up.cross(backward);
+    let right = side / side.length();
+    let above = backward.cross(right);
+    let low = points.iter().copied().reduce(DVec3::min).unwrap_or_default();
+    let high = points.iter().copied().reduce(DVec3::max).unwrap_or_default();
+    // Counted from the middle, so that far coordinates keep their digits.
+    let centre = low * 0.5 + high * 0.5;
+    let points: Vec<DVec3> = points
+        .iter()
+        .map(|&point| point - centre)
+        .map(|v| DVec3::new(v.dot(right), v.dot(above), v.dot(backward)))
+        .collect();
+    let size = (high - low).length();
+    let front = points.iter().map(|v| v.z).fold(0.0, f64::max);
+    let back = points.iter().map(|v| v.z).fold(0.0, f64::min);
+    let tan_y = FILLED * (0.5 * fov_deg).to_radians().tan();
+    let tan_x = tan_y * aspect;
+    let least = if size > 0.0 { NEAREST * size } else { FROM_A_POINT };
+    // Less than this does not change the coordinates.
+    let mut distance = front + least.max(1e-12 * centre.length());
+    let (mut x, mut y) = (0.0, 0.0);
+    if size > 0.0 {
+        distance = distance.max(needed(&points, 0, tan_x)).max(needed(&points, 1, tan_y));
+        x = centred(&points, 0, tan_x, distance);
+        y = centred(&points, 1, tan_y, distance);
+    }
+    let eye = centre + right * x + above * y + backward * distance;
+    let target = eye - backward * (distance - 0.5 * (front + back));
+    Camera { eye, target, up, fov_deg }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec2;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn look(backward: DVec3, aspect: f64) -> Look {
+        Look { backward: backward.normalize_or(DVec3::Z), up: DVec3::Y, fov_deg: 40.0, aspect }
+    }
+
+    /// Smallest and largest image coordinates of `points`, as shares of the frame from 0 to 1.
+    fn shown(points: &[DVec3], camera: &Camera, aspect: f64) -> [DVec2; 2] {
+        let (width, height) = ((1000.0 * aspect) as u32, 1000);
+        let view = camera.view(width, height).unwrap();
+        let size = DVec2::new(f64::from(width), f64::from(height));
+        let places: Vec<DVec2> = points
+            .iter()
+            .map(|&point| view.project(view.to_view(point)).expect("in front of the eye") / size)
+            .collect();
+        let low = places.iter().copied().reduce(DVec2::min).unwrap();
+        [low, places.iter().copied().reduce(DVec2::max).unwrap()]
+    }
+
+    proptest! {
+        #[test]
+        fn content_fills_nine_tenths_and_is_centred(
+            places in prop::collection::vec(prop::array::uniform3(-1.0..1.0f64), 2..40),
+            flat in prop::array::uniform3(prop::sample::select(vec![1.0, 1.0, 0.01, 0.0])),
+            away in prop::array::uniform3(-1.0..1.0f64),
+            aspect in prop::sample::select(vec![1.0, 4.0 / 3.0, 16.0 / 9.0, 9.0 / 19.0]),
+            scale in prop::sample::select(vec![1e-6, 1.0, 1e7]),
+            origin in prop::sample::select(vec![DVec3::ZERO, DVec3::new(412_000.0, 5_653_000.0, 110.0)]),
+        ) {
+            prop_assume!(scale >= 1.0 || origin == DVec3::ZERO);
+            let away = DVec3::from_array(away);
+            prop_assume!(away.length() > 0.1 && away.cross(DVec3::Y).length() > 0.1);
+            let place = |p: [f64; 3]| origin + DVec3::from_array(p) * DVec3::from_array(flat) * scale;
+            let points: Vec<DVec3> = places.into_iter().map(place).collect();
+            let size = points.iter().map(|p| p.distance(points[0])).fold(0.0, f64::max);
+            prop_assume!(size > 0.0);
+            let camera = frame(&points, &look(away, aspect));
+            let [low, high] = shown(&points, &camera, aspect);
+            prop_assert!(low.min_element() > 0.049 && high.max_element() < 0.951, "{low} {high}");
+            let seen = high - low;
+            // A line along the viewing direction is a dot from anywhere in front of it.
+            let nearest = points.iter().map(|p| (camera.eye - *p).length()).fold(f64::MAX, f64::min);
+            if nearest > 0.1 * size {
+                prop_assert!((seen.max_element() - 0.9).abs() < 2e-3, "{seen}");
+            }
+            prop_assert!((0.5 * (low + high) - 0.5).abs().max_element() < 2e-3, "{low} {high}");
+        }
+    }
+
+    #[test]
+    fn odd_frames_and_odd_content_have_a_camera() {
+        let square = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::new(1.0, 1.0, 0.0)];
+        for aspect in [1.0 / 257.0, 257.0] {
+            let camera = frame(&square, &look(DVec3::Z, aspect));
+            let [low, high] = shown(&square, &camera, aspect.max(0.001));
+            assert!(((high - low).max_element() - 0.9).abs() < 0.5, "{low} {high}");
+        }
+        let point = DVec3::new(500_000.0, 5_000_000.0, 0.0);
+        let camera = frame(&[point], &look(DVec3::Z, 1.0));
+        assert_eq!(camera.target, point);
+        assert!((camera.eye.distance(point) - FROM_A_POINT).abs() < 1e-6);
+        // Seen along the line: at its near end, and not in it.
+        let line = [DVec3::ZERO, DVec3::Z, DVec3::Z * 4.0];
+        assert!(frame(&line, &look(DVec3::Z, 1.0)).eye.z > 4.1);
+        assert!(frame(&[], &look(DVec3::Z, 1.0)).view(8, 8).is_ok());
+    }
+}
