@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use pointillist::assets::Progress;
 use pointillist::bake::cache::BakeCache;
-use pointillist::engine::{EngineError, EstimateState, FrameRequest, Latch, SceneInfo};
-use pointillist::plan::{Output, Reconstruct, Settings};
+use pointillist::engine::{BakeSource, EngineError, EstimateState, FrameRequest, Latch, SceneInfo};
+use pointillist::plan::{Output, Reconstruct, Settings, Wait};
 use serde_json::json;
 
 use super::studio::{Studio, cloud_scene, eventually, front, same, spt, wall};
@@ -179,6 +179,79 @@ fn scenes_that_come_later_share_what_was_estimated() {
     assert_eq!(info.estimates.state, EstimateState::Complete);
 }
 
+/// Samples lie about two pixels apart.
+fn open(scene: &str, wait: Wait) -> FrameRequest {
+    let settings = Settings { reconstruct: Reconstruct::Auto, wait, ..Settings::default() };
+    FrameRequest { settings, ..front(scene, 192, 144) }
+}
+
+#[test]
+fn auto_draws_what_is_there_and_says_that_it_is_provisional() {
+    for scene in ["cloud", "lit"] {
+        let (studio, latch) = deferred();
+        let engine = &studio.engine;
+        let request = open(scene, Wait::Ready);
+        assert!(!engine.must_bake(&request));
+        assert_eq!(engine.final_etag(&request).unwrap(), None, "it will be another frame");
+        let frame = studio.frame(&request);
+        let settings = &frame.receipt.settings;
+        assert_eq!(settings.reconstruct, Reconstruct::Points);
+        let told = settings.provisional.clone().unwrap();
+        assert!(told.starts_with("normals and kernels are being estimated ("), "{told}");
+        assert_eq!(state(&studio, scene), EstimateState::Running);
+        // Who wants the final frame waits for it.
+        assert!(engine.must_bake(&open(scene, Wait::Complete)));
+        let film = FrameRequest {
+            settings: Settings {
+                wait: Wait::Whole,
+                ..with(scene, Reconstruct::Points, Output::Id).settings
+            },
+            ..front(scene, 8, 8)
+        };
+        assert!(engine.must_bake(&film), "frames of a film never wait one by one");
+        // Where samples are denser than pixels, points are the final frame of a scene without lights.
+        let dense = FrameRequest { width: 24, height: 18, ..open("cloud", Wait::Ready) };
+        let early = studio.frame(&dense);
+        assert_eq!(early.receipt.settings.provisional, None);
+        let early = (engine.final_etag(&dense).unwrap().unwrap(), early.bytes.to_vec());
+        latch.open();
+        eventually("the estimate", || state(&studio, scene) == EstimateState::Complete);
+        let frame = studio.frame(&request);
+        assert_eq!(frame.receipt.settings.provisional, None);
+        assert_eq!(frame.receipt.settings.reconstruct, Reconstruct::Splats);
+        let eager = self::studio(usize::MAX, &latch);
+        same(&frame.bytes, &eager.bytes(&request), "the final frame");
+        assert_eq!(
+            engine.final_etag(&request).unwrap(),
+            eager.engine.final_etag(&request).unwrap()
+        );
+        let late = (engine.final_etag(&dense).unwrap().unwrap(), studio.bytes(&dense));
+        assert!(late == early, "the same tag, the same bytes");
+    }
+}
+
+#[test]
+fn deleting_a_scene_stops_its_estimate() {
+    let (studio, _shut) = deferred();
+    studio.frame(&open("cloud", Wait::Ready));
+    assert_eq!(studio.engine.bakes_running(), 1);
+    studio.engine.remove("cloud").unwrap();
+    eventually("the end of the estimate", || studio.engine.bakes_running() == 0);
+    // And an engine that ends waits for nobody.
+    studio.frame(&open("lit", Wait::Ready));
+    assert_eq!(studio.engine.bakes_running(), 1);
+}
+
+#[test]
+fn waiting_for_everything_gives_the_final_frame() {
+    let (studio, latch) = deferred();
+    latch.open();
+    let frame = studio.frame(&open("cloud", Wait::Complete));
+    assert_eq!(frame.receipt.settings.provisional, None);
+    assert_eq!(frame.receipt.settings.reconstruct, Reconstruct::Splats);
+    assert_eq!(state(&studio, "cloud"), EstimateState::Complete);
+}
+
 /// An engine on a folder that is there already, with a cache, and how often reading has told its progress.
 fn again(root: &Path, cache: &Path) -> (Studio, Arc<AtomicU32>) {
     let told = Arc::<AtomicU32>::default();
@@ -264,6 +337,5 @@ fn trees_of_a_large_cloud_are_cached_under_the_same_key() {
         let baked = studio.engine.bake_all("cloud", |_| ()).unwrap();
         baked[0].source.clone()
     });
-    use pointillist::engine::BakeSource;
     assert_eq!(sources, [BakeSource::Stored, BakeSource::Cached]);
 }

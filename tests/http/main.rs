@@ -19,6 +19,7 @@ mod lifecycle;
 mod load;
 mod mjpeg;
 mod naming;
+mod provisional;
 mod stream;
 mod stream_ends;
 mod uploads;
