@@ -50,6 +50,10 @@ impl Extent {
         ])
     }
 
+    fn is_place(&self) -> bool {
+        self.0[0] == self.0[1]
+    }
+
     /// Squared; infinite where one of them is empty.
     fn distance(&self, other: &Extent) -> f32 {
         let ([min, max], [low, high]) = (self.0, other.0);
@@ -251,9 +255,11 @@ impl<'a> Chunks<'a> {
             if chunk >= self.count {
                 continue;
             }
-            for &other in &self.order[self.ranks(chunk)] {
-                if other != index {
-                    nearest.add(place, self.place(other), other);
+            let is_place = self.boxes[node].is_place();
+            for &other in self.order[self.ranks(chunk)].iter().filter(|&&other| other != index) {
+                // Points at one place are in their order: behind one that is too many there are only such.
+                if !nearest.add(place, self.place(other), other) && is_place {
+                    break;
                 }
             }
         }
@@ -334,15 +340,17 @@ impl Nearest {
         }
     }
 
-    fn add(&mut self, [x, y, z]: [f32; 3], place: [f32; 3], index: u32) {
+    /// Whether the point is among the nearest.
+    fn add(&mut self, [x, y, z]: [f32; 3], place: [f32; 3], index: u32) -> bool {
         let (dx, dy, dz) = (place[0] - x, place[1] - y, place[2] - z);
         let distance = dx * dx + dy * dy + dz * dz;
         if distance > self.bound() {
-            return;
+            return false;
         }
         let before = |other: &&(f32, u32, [f32; 3])| (other.0, other.1) < (distance, index);
         let at = self.found.iter().take_while(before).count();
         self.found.insert(at, (distance, index, place));
         self.found.truncate(NORMAL_NEIGHBORS);
+        at < NORMAL_NEIGHBORS
     }
 }
