@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 fn main() -> ExitCode {
     match pointillist::cli::run() {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(code) => code,
         Err(error) => {
             // Whoever started it may listen no more.
             let _ = writeln!(std::io::stderr(), "pointillist: {error:#}");

@@ -307,3 +307,35 @@ fn a_reader_that_goes_is_no_failure() {
     assert!(shell.path("cloud.png").exists());
     assert!(shell.path("town.ply").exists());
 }
+
+/// An image on standard output and messages elsewhere; jpg is jpeg; exit statuses are as `--help` says.
+#[test]
+fn render_writes_to_standard_output() {
+    let shell = Shell::new();
+    let small = ["render", "cloud.ply", "--size", "32x24", "-o", "-", "--no-cache"];
+    let output = shell.run(&small);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && said.contains("standard output: 2500 samples"), "{said}");
+    assert!(output.stdout.starts_with(b"\x89PNG"));
+    assert!(!shell.path("-").exists());
+    let [jpg, jpeg] = ["jpg", "jpeg"].map(|name| {
+        let output = shell.run(&[&small[..], &["--format", name]].concat());
+        assert!(output.stdout.starts_with(&[0xff, 0xd8]), "{name}");
+        output.stdout
+    });
+    assert_eq!(jpg, jpeg);
+
+    let told = shell.complaint(&["render", "cloud.ply", "-o", "a.tiff"]);
+    assert!(told.contains("`tiff`") && told.contains("--format"), "{told}");
+    let narrow = [&small[..], &["--max-side", "31"]].concat();
+    assert!(shell.complaint(&narrow).contains("31"));
+    let few = [&small[..], &["--max-pixels", "767"]].concat();
+    assert!(shell.complaint(&few).contains("767"));
+    assert_eq!(shell.run(&["render", "cloud.ply", "--colour"]).status.code(), Some(2));
+    let help = String::from_utf8(shell.run(&["--help"]).stdout).unwrap();
+    assert!(help.contains("Exit status:"), "{help}");
+    // `--output` of commands that draw no frame still is where they write.
+    let generated = shell.run(&["generate", "sphere", "--output", "ball.ply"]);
+    let said = String::from_utf8_lossy(&generated.stderr);
+    assert!(generated.status.success() && shell.path("ball.ply").exists(), "{said}");
+}

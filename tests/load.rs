@@ -77,9 +77,9 @@ fn frames_of_a_daemon_are_measured() {
     );
     let told = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success(), "{output:?}");
-    assert!(told.contains("offered/s") && told.contains("grid · w=48 h=32 format=qoi"), "{told}");
+    assert!(told.contains("requested/s") && told.contains("grid · w=48 h=32 format=qoi"), "{told}");
     let lines = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(lines.lines().filter(|line| line.contains("/s offered:")).count(), 2, "{lines}");
+    assert_eq!(lines.lines().filter(|line| line.contains("/s requested, ")).count(), 2, "{lines}");
 
     let json: Value =
         serde_json::from_slice(&std::fs::read(out.join("load.json")).unwrap()).unwrap();
@@ -402,6 +402,41 @@ fn a_stall_is_not_hidden_by_a_limit() {
     assert!(point["latency"]["p50_ns"].is_u64(), "{point}");
     assert_eq!(point["latency"]["p90_ns"], Value::Null, "{point}");
     assert!(json["warnings"].to_string().contains("--connections"), "{json}");
+}
+
+/// As k6, oha and vegeta are used in CI: the exit code tells.
+#[test]
+fn broken_thresholds_end_with_their_exit_code() {
+    // Every fifth request is refused; the first one is that which is tried before the load.
+    let server = Server::start(|number, stream| match number % 5 {
+        1 => answer(stream, "503 Service Unavailable\r\nRetry-After: 1", "{}"),
+        _ => answer(stream, "200 OK", "frame"),
+    });
+    let steady = ["--rate", "50", "--duration", "1", "--warmup", "0", "--spacing", "constant"];
+    for (thresholds, code, words) in [
+        (&["--fail-refused", "20%", "--fail-lost", "0", "--fail-p99-ms", "60000"][..], 0, ""),
+        (
+            &["--fail-refused", "0.19"],
+            3,
+            "10 of 50 requests are refused (20.00 %), and --fail-refused is 19 %",
+        ),
+        (&["--fail-errors", "0"], 3, "10 of 50 requests are without a frame"),
+        (&["--fail-p99-ms", "0.0001"], 3, "and --fail-p99-ms is 0.0001"),
+        (&["--fail-achieved", "1"], 3, "--fail-achieved is 100 %"),
+        (&["--fail-lost", "2"], 2, "expected a share"),
+        (&["--fail-knee", "5"], 2, "--saturate"),
+    ] {
+        let output = load(&server.url(), &[&steady, thresholds].concat());
+        let told = [output.stdout.clone(), output.stderr.clone()].concat();
+        let told = String::from_utf8_lossy(&told);
+        assert_eq!(output.status.code(), Some(code), "{thresholds:?}: {told}");
+        assert!(told.contains(words), "{thresholds:?}: {told}");
+        assert!(code == 2 || told.contains("50.0/s requested, 50.0/s sent, "), "{told}");
+    }
+    let output = load(&server.url(), &[&steady[..], &["--json", "--fail-errors", "0"]].concat());
+    let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(json["thresholds"]["fail_errors"], 0.0);
+    assert_eq!(json["broken_thresholds"].as_array().unwrap().len(), 1, "{json}");
 }
 
 #[test]

@@ -40,7 +40,7 @@ impl Orbit {
     /// # Errors
     /// The engine refuses.
     pub fn fitted(drawing: &Drawing, size: [u32; 2], settings: Settings) -> anyhow::Result<Orbit> {
-        let frame = drawing.submit(Pose::Fit, size, settings, ImageFormat::Jpeg)?;
+        let frame = drawing.submit(Pose::FIT, size, settings, ImageFormat::Jpeg)?;
         let camera = &frame.receipt.camera;
         let [eye, target] = [camera.eye, camera.target].map(DVec3::from);
         Ok(Orbit { eye, target, fov_deg: camera.fov_deg })
@@ -97,7 +97,7 @@ impl Drawing {
     /// The engine refuses.
     pub fn bake(&self, settings: Settings) -> anyhow::Result<()> {
         let size = [self.size, self.size];
-        Ok(self.engine.bake(&self.request(Pose::Fit, size, settings, ImageFormat::Jpeg))?)
+        Ok(self.engine.bake(&self.request(Pose::FIT, size, settings, ImageFormat::Jpeg))?)
     }
 
     /// One frame, square, as the engine draws when nothing is chosen.

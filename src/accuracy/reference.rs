@@ -13,7 +13,7 @@ use crate::assets::{Asset, AssetError, ReadOptions};
 use crate::bake::assemble::{AssembleError, Assembler, Prepared};
 use crate::bake::prepare::{self, Outlook, PlacedGeometry};
 use crate::encode::FrameImage;
-use crate::math::{Camera, View};
+use crate::math::{Bounds, Camera, View};
 use crate::oracle::{self, OracleFrame, OracleItem, OracleScene};
 use crate::plan::Output;
 use crate::scene::{Scene, SceneError, SceneLimits, Splats};
@@ -76,7 +76,8 @@ impl Reference {
         }
         if !prepare::is_scene_file(path) {
             let sensor = assets.iter().find_map(|asset| asset.sensor);
-            let outlook = Outlook { up: None, shape: shape.as_ref(), sensor };
+            let bounds = assets.iter().fold(Bounds::EMPTY, |all, asset| all.union(asset.bounds()));
+            let outlook = Outlook { up: None, shape: shape.as_ref(), bounds, sensor };
             prepare::adapt_bare_asset(&mut description, &traits, &outlook);
         }
         let placements: Vec<_> = assets.iter().map(|asset| &asset.placements).collect();

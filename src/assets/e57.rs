@@ -18,6 +18,7 @@ use super::points::{
     self, colors, io_error, malformed, scale_to_word, skipped_warning, unsupported, value_range,
 };
 use super::{Asset, AssetError, Geometry, Placement, PointCloud, ReadOptions, quiet};
+use crate::math::Sensor;
 
 const HEADER_BYTES: u64 = 48;
 /// The decoder keeps a queue of values for each field.
@@ -334,6 +335,10 @@ fn finish(scans: Vec<Scan>, name: &str) -> Result<Asset, AssetError> {
             positions: scan.positions,
             ..PointCloud::default()
         }));
+    }
+    // Scans are in the coordinates of their scanner.
+    if let [only] = &asset.placements[..] {
+        asset.sensor = Some(Sensor::Place(only.asset_from_geometry.translation));
     }
     if asset.geometries.is_empty() {
         let reason = match invalid + not_finite {

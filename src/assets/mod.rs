@@ -35,7 +35,7 @@ use glam::{DAffine3, DVec3, Vec2, Vec3};
 
 pub use self::blocks::{PointBlocks, Survey};
 pub use self::dispatch::{FORMATS, is_supported_extension, read};
-use crate::math::{Bounds, Camera, SensorView};
+use crate::math::{Bounds, Camera, Sensor};
 use crate::memory::{Admission, Interrupt};
 
 /// Everything that one file holds.
@@ -48,8 +48,8 @@ pub struct Asset {
     pub placements: Vec<Placement>,
     /// Cameras that the file itself names.
     pub cameras: Vec<(String, Camera)>,
-    /// View of the sensor that took the points, where the file tells it.
-    pub sensor: Option<SensorView>,
+    /// The one sensor that took all points, where the file tells of it.
+    pub sensor: Option<Sensor>,
     /// What was skipped or repaired, one sentence each (a missing texture, non-finite points …).
     pub warnings: Vec<String>,
     /// Format as recognised: `ply`, `las`, `laz`, `obj`, …

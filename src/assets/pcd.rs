@@ -21,6 +21,7 @@ use super::points::{
     unit_or_zero,
 };
 use super::{Asset, AssetError, Geometry, PointCloud, ReadOptions};
+use crate::math::Sensor;
 use header::{Body, Field, Header, Wanted};
 use sensor::Raster;
 
@@ -300,7 +301,7 @@ impl Columns {
             clips: None,
         };
         let mut asset = Asset::single("pcd", name, Geometry::Points(cloud));
-        asset.sensor = sensor;
+        asset.sensor = sensor.map(Sensor::View);
         asset.warnings.clone_from(&header.warnings);
         asset.warnings.extend(skipped_warning(self.not_finite, "no finite position"));
         Ok(asset)

@@ -14,6 +14,7 @@ use super::points::{
     self, Lines, colors, malformed, quote, scale_to_word, skipped_warning, value_range,
 };
 use super::{Asset, AssetError, Geometry, Placement, PointCloud, ReadOptions};
+use crate::math::Sensor;
 
 /// Reads the scans of a PTX file.
 ///
@@ -238,6 +239,10 @@ fn finish(scans: Vec<Scan>, name: &str) -> Result<Asset, AssetError> {
             positions: scan.positions,
             ..PointCloud::default()
         }));
+    }
+    // Scans are in the coordinates of their scanner.
+    if let [only] = &asset.placements[..] {
+        asset.sensor = Some(Sensor::Place(only.asset_from_geometry.translation));
     }
     if asset.geometries.is_empty() {
         let reason = match (scan_count, no_return) {

@@ -49,7 +49,7 @@ const NEAREST: f32 = 0.2;
 const BORDER: f32 = 0.45;
 const STRAY: f32 = 0.95;
 /// How much farther than the neighbours' third neighbours those of a stray are.
-const ISOLATED: f32 = 3.0;
+const ISOLATED: f32 = 2.2;
 /// Neighbours that are asked how far they are from each other.
 const ASKED: usize = 5;
 /// Thickness of a neighbourhood over its half width: up to the first it is a surface; from the second on kernels are bounded by

@@ -19,7 +19,7 @@ fn outline(geometry: &PackedGeometry) -> Outline {
 /// Points in a ball, its middle at `middle`.
 fn ball(count: usize, radius: f64, middle: DVec3) -> Vec<DVec3> {
     let mut numbers = SplitMix64::new(5);
-    let mut place = || DVec3::from_array(std::array::from_fn(|_| 2.0 * numbers.unit() - 1.0));
+    let place = || DVec3::from_array(std::array::from_fn(|_| 2.0 * numbers.unit() - 1.0));
     std::iter::repeat_with(place)
         .filter(|p| p.length() < 1.0)
         .take(count)

@@ -14,7 +14,7 @@ use super::estimate::lacks_estimates;
 use super::upright::{self, Guess, Shape};
 use super::{estimate_kernels, fill_colors, smooth_normals};
 use crate::assets::{Geometry, Placement};
-use crate::math::{Bounds, SensorView};
+use crate::math::{Bounds, Sensor};
 use crate::scene::{self, Instance, Scene, SceneError, SceneLimits};
 
 /// Angle between faces, in degrees, above which a mesh without normals keeps its edge.
@@ -36,8 +36,6 @@ pub struct AssetTraits {
     pub has_triangles: bool,
     /// Some part of a mesh has a material.
     pub has_materials: bool,
-    /// Of everything that is drawn, before it is placed.
-    pub bounds: Bounds,
 }
 
 /// One drawn copy of one geometry. Its number is its place in the list that [`placed`] gives.
@@ -72,7 +70,6 @@ pub fn describe(path: &Path, root: &Path, limits: &SceneLimits) -> Result<Scene,
 /// Gives a geometry the colours, normals, radii and kernels that it lacks, and notes in `traits`, whose format is known
 /// already, what it had.
 pub fn prepare_geometry(geometry: &mut Geometry, traits: &mut AssetTraits) {
-    traits.bounds = traits.bounds.union(drawn_bounds(geometry));
     let (has_colors, has_normals) = match geometry {
         Geometry::Points(cloud) => {
             let had = (cloud.colors.is_some(), cloud.normals.is_some());
@@ -127,8 +124,10 @@ pub struct Outlook<'a> {
     /// Up as the user wants it, instead of a guess.
     pub up: Option<DVec3>,
     pub shape: Option<&'a Shape>,
-    /// View of the sensor that took the points.
-    pub sensor: Option<SensorView>,
+    /// Box around everything that is drawn.
+    pub bounds: Bounds,
+    /// The sensor that took the points.
+    pub sensor: Option<Sensor>,
 }
 
 /// Adapts the description of a bare asset file: a scan's own colours and intensities are shown unlit; the first view is the
@@ -141,21 +140,35 @@ pub fn adapt_bare_asset(description: &mut Scene, assets: &[AssetTraits], outlook
     if assets.iter().all(scan) {
         description.lights.clear();
     }
-    let guessed = || {
-        let bounds = assets.iter().fold(Bounds::EMPTY, |all, asset| all.union(asset.bounds));
-        upright::guess(assets.first().map_or("", |asset| asset.format), &bounds, outlook.shape)
+    let bounds = outlook.bounds;
+    let format = assets.first().map_or("", |asset| asset.format);
+    let (up, because) = match (outlook.up, outlook.sensor) {
+        (Some(up), _) => (up, "it was asked for".to_owned()),
+        (None, Some(Sensor::View(view))) => {
+            description.sensor = Some(view);
+            (view.camera.up, "the camera that took the points had it above".to_owned())
+        }
+        (None, _) => {
+            let Guess { up, because } = upright::guess(format, &bounds, outlook.shape);
+            (up, because)
+        }
     };
-    let Guess { up, because } = match (outlook.up, &outlook.sensor) {
-        (Some(up), _) => Guess { up, because: "was asked for".to_owned() },
-        (None, Some(sensor)) => Guess {
-            up: sensor.camera.up,
-            because: "is that of the sensor which took the points".to_owned(),
-        },
-        (None, None) => guessed(),
-    };
+    if let Some(Sensor::Place(place)) = outlook.sensor {
+        description.front = outside(&bounds, up, place);
+    }
     description.up = up;
     description.up_because = because;
-    description.sensor = outlook.sensor.filter(|_| outlook.up.is_none());
+}
+
+/// The horizontal direction from the middle of a box to a place beside it, if that is not so far that it means nothing.
+fn outside(bounds: &Bounds, up: DVec3, place: DVec3) -> Option<DVec3> {
+    const FARTHEST_EXTENTS: f64 = 10.0;
+    let up = up.try_normalize()?;
+    let horizontal = |v: DVec3| v - up * up.dot(v);
+    let offset = horizontal(place - bounds.centre());
+    let is_beside = (horizontal(bounds.extent()) * 0.5 - offset.abs()).min_element() < 0.0;
+    let is_near = offset.length() < FARTHEST_EXTENTS * bounds.extent().max_element();
+    offset.try_normalize().filter(|_| is_beside && is_near)
 }
 
 /// The box around what can be seen: vertices that no triangle uses are left out.
@@ -213,12 +226,7 @@ mod tests {
         let mut geometry = Geometry::Points(cloud);
         let mut found = traits("las");
         prepare_geometry(&mut geometry, &mut found);
-        let expected = AssetTraits {
-            has_colors: true,
-            normals_estimated: true,
-            bounds: Bounds { min: DVec3::ZERO, max: DVec3::new(7.0, 7.0, 0.0) },
-            ..traits("las")
-        };
+        let expected = AssetTraits { has_colors: true, normals_estimated: true, ..traits("las") };
         assert_eq!(found, expected);
         let Geometry::Points(cloud) = geometry else { unreachable!("a cloud stays one") };
         assert_eq!(cloud.colors.unwrap(), vec![[9; 4]; 64]);
@@ -261,7 +269,7 @@ mod tests {
             })
             .sum();
         let white = srgb_byte_from_linear(brightest);
-        assert!((225..=240).contains(&white), "{white}");
+        assert!((210..=230).contains(&white), "{white}");
     }
 
     #[test]
@@ -280,6 +288,23 @@ mod tests {
         let intensity = AssetTraits { has_colors: false, shows_intensity: true, ..scan };
         assert_eq!(adapted(intensity), (true, true));
         assert_eq!(adapted(AssetTraits { has_triangles: true, ..scan }), (false, true));
+    }
+
+    #[test]
+    fn scans_are_seen_from_the_scanner() {
+        let bounds = Bounds { min: DVec3::new(-2.0, -5.0, -1.0), max: DVec3::new(2.0, -1.0, 3.0) };
+        let scan = AssetTraits { has_colors: true, ..traits("e57") };
+        let front = |place: DVec3| {
+            let mut scene = Scene::from_asset("a", "a".into());
+            let sensor = Some(Sensor::Place(place));
+            let outlook = Outlook { sensor, bounds, ..Outlook::default() };
+            adapt_bare_asset(&mut scene, &[scan], &outlook);
+            assert_eq!(scene.up, DVec3::Z);
+            scene.front
+        };
+        assert_eq!(front(DVec3::ZERO), Some(DVec3::Y), "beside it");
+        assert_eq!(front(DVec3::new(0.0, -2.0, 9.0)), None, "within or above it");
+        assert_eq!(front(DVec3::new(0.0, 1e6, 0.0)), None, "coordinates of a grid");
     }
 
     #[test]

@@ -15,7 +15,7 @@
 //! | this end is flat | up to 0.9, down to −0.5 where the other end is |
 //! | the surface is open at this end, as scans of statues are | up to ±0.8 |
 //! | the centre of mass is low | up to ±0.3 |
-//! | the asset stands on a stem, as trees do | up to 0.8 |
+//! | the asset stands on a stem, as trees do | up to 1.0 |
 //! | the asset is a mirror image of itself along this axis alone: left and right | down to −1.2 |
 //! | the asset is alike along both other axes, but not along this one: round things | up to 0.8 |
 //! | the asset is thinnest this way | up to 1.0 for points, 0.5 for meshes |
@@ -136,9 +136,9 @@ fn flatness(end: &End) -> f64 {
     (end.flat_footprint / 0.4).min(1.0) * ramp(end.flat, 0.002, 0.02) * firmness(end)
 }
 
-/// Whether the centre of mass lies above a support of some substance, 0 to 1.
+/// Whether the centre of mass lies well above a support of some substance, 0 to 1.
 fn firmness(end: &End) -> f64 {
-    ramp(end.balance, 0.0, 0.1) * ramp(end.contact, 0.006, 0.015)
+    ramp(end.balance, 0.0, 0.1) * ramp(end.tilt, 0.03, 0.12) * ramp(end.contact, 0.006, 0.015)
 }
 
 fn of_shape(shape: &Shape, axis: usize, end: usize) -> Vec<Evidence> {
@@ -159,7 +159,7 @@ fn of_shape(shape: &Shape, axis: usize, end: usize) -> Vec<Evidence> {
     let is_narrow = 1.0 - ramp(here.footprint, 0.005, 0.03);
     let is_below_centre = 1.0 - ramp(-here.balance, 0.03, 0.12);
     let is_wide_above = ramp(stands(there) + there.footprint, 0.1, 0.3);
-    add(0.8 * is_narrow * is_below_centre * is_wide_above, "it stands on a stem".to_owned());
+    add(is_narrow * is_below_centre * is_wide_above, "it stands on a stem".to_owned());
     let [a, b] = [(axis + 1) % 3, (axis + 2) % 3];
     let own = shape.symmetry[axis];
     let (more, less) =

@@ -2,6 +2,7 @@
 
 use std::io::IsTerminal;
 use std::path::PathBuf;
+use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -19,6 +20,7 @@ use crate::load::request::{Connections, RequestClient};
 use crate::load::run::{Event, Outcomes, Rates, RunSettings, run as run_steps};
 use crate::load::schedule::Spacing;
 use crate::load::streams::StreamClients;
+use crate::load::thresholds::{EXIT_CODE, Thresholds};
 use crate::load::wire::{SceneAnswer, Target, percent_encoded};
 use crate::load::{drive::Client, plot, tally::Outcome};
 use crate::scene::random::SplitMix64;
@@ -76,6 +78,8 @@ pub struct LoadArgs {
     key: Option<String>,
     #[command(flatten)]
     frame: FrameArgs,
+    #[command(flatten)]
+    thresholds: Thresholds,
     /// JSON on standard output instead of the table
     #[arg(long)]
     json: bool,
@@ -257,7 +261,7 @@ impl RateArgs {
 ///
 /// # Errors
 /// A daemon that cannot be reached, a scene or parameter that it refuses, a file that cannot be written; not one frame.
-pub fn run(args: &LoadArgs) -> anyhow::Result<()> {
+pub fn run(args: &LoadArgs) -> anyhow::Result<ExitCode> {
     super::local::init_log();
     let settings = args.settings()?;
     let target = Target::parse(&args.url)?;
@@ -283,7 +287,12 @@ pub fn run(args: &LoadArgs) -> anyhow::Result<()> {
     }
     let frames: u64 = report.points.iter().map(|judged| judged.point.counts.frames).sum();
     ensure!(report.interrupted || frames > 0, "not one frame came");
-    Ok(())
+    if report.broken_thresholds.is_empty() {
+        return Ok(ExitCode::SUCCESS);
+    }
+    let count = report.broken_thresholds.len();
+    say!("{count} {} broken", if count == 1 { "threshold is" } else { "thresholds are" });
+    Ok(ExitCode::from(EXIT_CODE))
 }
 
 async fn measure(
@@ -330,6 +339,8 @@ async fn measure(
         connections_opened: client.connections.opened(),
         interrupted,
         warnings: Vec::new(),
+        thresholds: args.thresholds.clone(),
+        broken_thresholds: Vec::new(),
     }
     .finish())
 }

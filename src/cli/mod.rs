@@ -13,13 +13,17 @@ pub mod path;
 pub mod render;
 pub mod serve;
 
+use std::process::ExitCode;
+
 use clap::{Parser, Subcommand};
 
 /// What the process ends with; as in docs/commands.md.
 const EXIT_STATUS: &str = "Exit status:
   0  done; of `serve`: told to stop
   1  failed, with the reason on standard error
-  2  the command line cannot be understood; nothing was done";
+  2  the command line cannot be understood; nothing was done
+  3  a threshold of `load` is broken
+130  `load` was interrupted twice";
 
 /// A headless render server for scenes of points and triangles.
 #[derive(Parser)]
@@ -52,11 +56,11 @@ enum Command {
     Openapi,
 }
 
-/// Parses the command line and runs what it says.
+/// Parses the command line and runs what it says. Gives the exit code of a command that did its work.
 ///
 /// # Errors
 /// Whatever the command met.
-pub fn run() -> anyhow::Result<()> {
+pub fn run() -> anyhow::Result<ExitCode> {
     match Cli::parse().command {
         Command::Serve(args) => serve::run(*args),
         Command::Render(args) => render::run(*args),
@@ -65,7 +69,8 @@ pub fn run() -> anyhow::Result<()> {
         Command::Bake(args) => bake::run(&args),
         Command::Generate(args) => generate::run(args),
         Command::Accuracy(args) => accuracy::run(&args),
-        Command::Load(args) => load::run(&args),
+        Command::Load(args) => return load::run(&args),
         Command::Openapi => out::print(&crate::http::openapi_yaml()?),
-    }
+    }?;
+    Ok(ExitCode::SUCCESS)
 }

@@ -375,6 +375,7 @@ fn frames(count: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::encode::ImageFormat;
     use clap::Parser;
 
     #[derive(Parser)]

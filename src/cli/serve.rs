@@ -488,7 +488,7 @@ mod tests {
     #[test]
     fn every_flag_is_a_key_of_the_file() {
         for name in setting_names() {
-            let values = ["1", "\"1\"", "[\"1\"]", "true", "\"json\""];
+            let values = ["1", "\"1\"", "[\"1\"]", "true", "\"json\"", "\"z\""];
             let taken = values.iter().any(|value| parse_file(&format!("{name} = {value}")).is_ok());
             assert!(taken, "{name}");
         }

@@ -49,3 +49,18 @@ impl ImageFormat {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn jpg_and_jpeg_are_one_format() {
+        for name in ["jpg", "jpeg"] {
+            let read: ImageFormat = serde_json::from_value(name.into()).unwrap();
+            assert_eq!((read, ImageFormat::named(name)), (ImageFormat::Jpeg, Some(read)));
+        }
+        assert_eq!(ImageFormat::named("JPG"), Some(ImageFormat::Jpeg));
+        assert_eq!(ImageFormat::named("tiff"), None);
+    }
+}

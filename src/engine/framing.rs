@@ -86,20 +86,21 @@ impl SceneOutline {
     }
 
     /// The camera of the default view, for a frame of this aspect. `up` is not zero.
-    pub fn camera(&self, up: DVec3, fov_deg: f64, aspect: f64) -> Camera {
-        framing::frame(&self.points, &self.look(up, fov_deg, aspect))
+    pub fn camera(&self, up: DVec3, front: Option<DVec3>, fov_deg: f64, aspect: f64) -> Camera {
+        framing::frame(&self.points, &self.look(up, front, fov_deg, aspect))
     }
 
     /// From where the scene shows what it is: terrain from above at an angle, upright things from the front at eye height, a plate
     /// on its face.
-    fn look(&self, up: DVec3, fov_deg: f64, aspect: f64) -> Look {
+    fn look(&self, up: DVec3, seen: Option<DVec3>, fov_deg: f64, aspect: f64) -> Look {
         let up = up / up.length();
-        // The front of a y-up scene is +z, of a z-up scene −y.
-        let front = if up.z.abs() > up.y.abs() {
+        // The front of a y-up scene is +z, of a z-up scene −y, unless a scanner saw another side.
+        let usual = if up.z.abs() > up.y.abs() {
             -DVec3::Y * up.z.signum()
         } else {
             DVec3::Z * if up.y < 0.0 { -1.0 } else { 1.0 }
         };
+        let front = seen.unwrap_or(usual);
         let front = front - up * up.dot(front);
         let front = front / front.length();
         let right = up.cross(front);

@@ -26,7 +26,7 @@ use crate::assets::{FORMATS, Placement};
 use crate::bake::cache::BakeCache;
 use crate::bake::pack::{PackedAsset, PackedGeometry};
 use crate::bake::upright::{End, Shape};
-use crate::math::{Bounds, Camera, SensorView};
+use crate::math::{Bounds, Camera, Sensor, SensorView};
 use crate::residency::model::{AssetModel, Deferred};
 use crate::residency::once::MadeOnce;
 use crate::scene::{AssetRef, AssetSource};
@@ -51,10 +51,37 @@ pub struct Note {
     bounds: Vec<[u64; 6]>,
     placements: Vec<(String, usize, [u64; 12])>,
     cameras: Vec<(String, [u64; 10])>,
-    /// Camera and aspect.
-    sensor: Option<([u64; 10], u64)>,
+    sensor: Option<KeptSensor>,
     shape: Option<KeptShape>,
     warnings: Vec<String>,
+}
+
+/// A [`Sensor`] by its bits.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+enum KeptSensor {
+    /// Camera and aspect.
+    View([u64; 10], u64),
+    Place([u64; 3]),
+}
+
+impl KeptSensor {
+    fn of(sensor: &Sensor) -> KeptSensor {
+        match sensor {
+            Sensor::View(view) => {
+                KeptSensor::View(camera_bits(&view.camera), view.aspect.to_bits())
+            }
+            Sensor::Place(place) => KeptSensor::Place(bits(place.to_array())),
+        }
+    }
+
+    fn sensor(&self) -> Sensor {
+        match self {
+            KeptSensor::View(bits, aspect) => {
+                Sensor::View(SensorView { camera: camera(bits), aspect: f64::from_bits(*aspect) })
+            }
+            KeptSensor::Place(bits) => Sensor::Place(vec3(bits)),
+        }
+    }
 }
 
 /// A [`Shape`] by its bits.
@@ -190,10 +217,7 @@ impl<'a> Keeping<'a> {
             model: Arc::new(model),
             placements: Arc::new(note.placements.iter().map(placement).collect()),
             cameras: note.cameras.iter().map(|(name, bits)| (name.clone(), camera(bits))).collect(),
-            sensor: note.sensor.as_ref().map(|(bits, aspect)| SensorView {
-                camera: camera(bits),
-                aspect: f64::from_bits(*aspect),
-            }),
+            sensor: note.sensor.as_ref().map(KeptSensor::sensor),
             shape: note.shape.as_ref().map(KeptShape::shape),
             warnings: note.warnings.clone(),
             digest: note.digest,
@@ -240,7 +264,7 @@ impl<'a> Keeping<'a> {
                 .iter()
                 .map(|(name, camera)| (name.clone(), camera_bits(camera)))
                 .collect(),
-            sensor: read.sensor.map(|view| (camera_bits(&view.camera), view.aspect.to_bits())),
+            sensor: read.sensor.as_ref().map(KeptSensor::of),
             shape: read.shape.as_ref().map(KeptShape::of),
             warnings: read.warnings.clone(),
         };

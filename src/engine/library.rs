@@ -29,7 +29,7 @@ use crate::bake::prepare::{self, AssetTraits, Outlook};
 use crate::bake::spacing::Patch;
 use crate::bake::tree::Above;
 use crate::bake::upright::Shape;
-use crate::math::{Bounds, Camera, CameraError, SensorView};
+use crate::math::{Bounds, Camera, CameraError, Sensor};
 use crate::plan::SceneFacts;
 use crate::residency::instances::{Instances, RunMeter};
 use crate::residency::model::{AssetModel, Deferred, Extent, ModelInstance, SceneModel};
@@ -79,7 +79,7 @@ struct CachedAsset {
     model: Weak<AssetModel>,
     placements: Arc<Vec<Placement>>,
     cameras: Vec<(String, Camera)>,
-    sensor: Option<SensorView>,
+    sensor: Option<Sensor>,
     shape: Option<Shape>,
     warnings: Vec<String>,
 }
@@ -89,7 +89,7 @@ pub struct ReadAsset {
     pub model: Arc<AssetModel>,
     pub placements: Arc<Vec<Placement>>,
     pub cameras: Vec<(String, Camera)>,
-    pub sensor: Option<SensorView>,
+    pub sensor: Option<Sensor>,
     /// Only measured for bare assets.
     pub shape: Option<Shape>,
     pub warnings: Vec<String>,
@@ -232,7 +232,7 @@ pub fn load(
     let mut assets = Vec::new();
     let mut placements = Vec::new();
     let mut warnings = Vec::new();
-    let mut outlook = Outlook { up: config.up, ..Outlook::default() };
+    let mut outlook = Outlook { up: config.up, bounds: Bounds::EMPTY, ..Outlook::default() };
     let mut shape = None;
     let mut options = config.read.clone();
     options.root.get_or_insert_with(|| config.root.clone());
@@ -275,6 +275,10 @@ pub fn load(
         }
         shape = shape.or(asset.shape);
         outlook.sensor = outlook.sensor.or(asset.sensor);
+        for placement in asset.placements.iter() {
+            let own = asset.model.bounds[placement.geometry];
+            outlook.bounds = outlook.bounds.union(own.transformed(&placement.asset_from_geometry));
+        }
         assets.push(asset.model);
         placements.push(asset.placements);
     }
@@ -857,23 +861,24 @@ impl Loaded {
     pub fn fit(
         &self,
         aspect: f64,
-        up: Option<DVec3>,
+        up_given: Option<DVec3>,
         fov_deg: Option<f64>,
     ) -> Result<Camera, CameraError> {
         // Neither depends on where the eye is.
         let anywhere = Camera {
             eye: DVec3::ZERO,
             target: DVec3::ONE,
-            up: up.unwrap_or_else(|| self.up()),
+            up: up_given.unwrap_or_else(|| self.up()),
             fov_deg: fov_deg.unwrap_or(framing::FOV_DEG),
         };
         anywhere.view(1, 1)?;
-        if let (Some(sensor), None) = (&self.description.sensor, up) {
+        if let (Some(sensor), None) = (&self.description.sensor, up_given) {
             let seen = sensor.camera_for(aspect);
             return Ok(Camera { fov_deg: fov_deg.unwrap_or(seen.fov_deg), ..seen });
         }
         let outline = self.outline.get_or_init(|| SceneOutline::of(&self.model));
-        Ok(outline.camera(anywhere.up, anywhere.fov_deg, aspect))
+        let front = self.description.front.filter(|_| up_given.is_none());
+        Ok(outline.camera(anywhere.up, front, anywhere.fov_deg, aspect))
     }
 }
 

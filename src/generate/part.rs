@@ -6,8 +6,9 @@
 use glam::DVec3;
 
 use super::plain::{Faces, srgb};
-use super::scenes::{DAYLIGHT, Pose, cameras, path};
+use super::scenes::{DAYLIGHT, Pose, around, cameras, path};
 use super::{Generated, GeneratedMesh, GeneratedScene};
+use crate::math::Bounds;
 
 /// Sides of the cylinder: with so many its flat sides turn by less than 4°.
 const SIDES: u32 = 96;
@@ -100,8 +101,9 @@ fn poses(unit: f64) -> [Pose; 3] {
         target: DVec3::from_array(target) * unit,
         fov,
     };
+    let block = Bounds { min: -HALF * unit, max: HALF * unit };
     [
-        pose("front", [1.3, 1.8, 2.7], [0.0, -0.05, 0.0], 38.0),
+        around("front", &block.corners(), DVec3::new(1.3, 1.8, 2.7), DVec3::Y, 38.0),
         pose("detail", [0.9, 0.95, 0.95], [0.55, 0.3, 0.05], 38.0),
         pose("above", [0.0, 3.2, 0.6], [0.0, 0.0, 0.0], 42.0),
     ]

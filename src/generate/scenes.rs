@@ -64,7 +64,13 @@ pub(super) const DAYLIGHT: &str = r##"  "lights": [
 const MOST_FRAMED: usize = 200_000;
 
 /// A camera that shows points whole in a square frame, and so in every other one.
-fn around(name: &'static str, points: &[DVec3], backward: DVec3, up: DVec3, fov: f64) -> Pose {
+pub(super) fn around(
+    name: &'static str,
+    points: &[DVec3],
+    backward: DVec3,
+    up: DVec3,
+    fov: f64,
+) -> Pose {
     let backward = backward / backward.length();
     let look = Look { backward, up, fov_deg: fov, aspect: 1.0 };
     let Camera { eye, target, .. } = frame(points, &look);
@@ -93,7 +99,7 @@ pub fn town(name: &str, scan: Generated, size_m: f64) -> GeneratedScene {
         around("overview", &town, DVec3::new(-0.55, -1.0, 0.8), DVec3::Z, 42.0),
         pose("square", [-0.3, -0.42, 0.14], [0.03, 0.05, 0.06], 50.0),
         pose("street", [-0.5, -0.32, 0.06], [0.1, -0.2, 0.03], 55.0),
-        pose("above", [0.0, -0.05, 1.2], [0.0, 0.0, 0.0], 50.0),
+        around("above", &town, DVec3::new(0.0, -0.05, 1.2), DVec3::Z, 50.0),
     ];
     let key = |t: f64, x: f64, y: f64| {
         (t, middle + DVec3::new(x, y, 0.45) * s, middle + DVec3::new(0.0, 0.0, 0.05) * s)

@@ -145,26 +145,30 @@ impl Access {
             Access::Open { cors_origins, .. } => {
                 let anybody_reads = cors_origins.iter().any(|origin| origin == "*");
                 if route == STREAM && !anybody_reads && is_foreign(headers, cors_origins) {
-                    return Err(Problem::new(
-                        Kind::Forbidden,
-                        "a page of another origin may not open a stream",
-                    )
-                    .at("Origin")
-                    .accepted("an origin given with --cors-origin"));
+                    return Err(foreign(headers, "open a stream"));
                 }
                 if scope > Scope::Read && is_foreign(headers, cors_origins) {
-                    return Err(Problem::new(
-                        Kind::Forbidden,
-                        "a page of another origin may not change anything",
-                    )
-                    .at("Origin")
-                    .accepted("an origin given with --cors-origin"));
+                    return Err(foreign(headers, "change anything"));
                 }
                 Ok(None)
             }
             Access::Keys(keys) => check_key(keys, scope, route, headers).map(Some),
         }
     }
+}
+
+/// The problem of a page of another origin, with the flag that lets the page in.
+fn foreign(headers: &HeaderMap, may_not: &str) -> Problem {
+    let origin =
+        headers.get(header::ORIGIN).map(|origin| String::from_utf8_lossy(origin.as_bytes()));
+    let origin: String = origin.unwrap_or_default().chars().take(128).collect();
+    let detail = format!(
+        "a page of another origin ({}) may not {may_not} unless the server was started with --cors-origin",
+        origin.escape_debug()
+    );
+    let accepted =
+        "a page of the server's own origin, or of one that is given with --cors-origin ORIGIN";
+    Problem::new(Kind::Forbidden, detail).at("Origin").accepted(accepted)
 }
 
 /// Refuses a request for a host that is not loopback, or for none.
@@ -335,6 +339,13 @@ mod tests {
         assert!(from("https://app.example", "https://app.example"));
         assert!(!from("https://evil.example", "https://app.example"));
         assert!(from("https://evil.example", "*"));
+        let mut headers = HeaderMap::new();
+        headers.insert(header::ORIGIN, HeaderValue::from_static("http://localhost:5173"));
+        let detail = foreign(&headers, "open a stream").detail;
+        assert!(
+            detail.contains("(http://localhost:5173)") && detail.contains("--cors-origin"),
+            "{detail}"
+        );
     }
 
     #[test]

@@ -29,16 +29,16 @@ const REVALIDATE: HeaderValue = HeaderValue::from_static("no-cache");
 ///
 /// The entity tag is a hash of everything that the image depends on and is known before rendering:
 /// `If-None-Match` costs no GPU work, and neither does `HEAD`. `Pointillist-Receipt` says what was
-/// understood and done, `Server-Timing` what it cost.
+/// understood and done, `Server-Timing` what it cost. Without `format`, the header `Accept` names the formats.
 #[utoipa::path(
     get,
     path = "/v1/scenes/{id}/frame",
+    operation_id = "getFrame",
     tag = "frames",
     params(
         ("id" = String, Path, description = "A scene that `GET /v1/scenes` lists"),
         FrameParams,
         ("If-None-Match" = Option<String>, Header, description = "Entity tags that the client has"),
-        ("Accept" = Option<String>, Header, description = "Formats, where `format` is not given"),
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`, where `deadline_ms` is not given"),
     ),
     responses(

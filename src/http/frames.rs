@@ -22,14 +22,14 @@ use utoipa::ToSchema;
 use super::frame::{bake, choose_format, missing, receipt_headers, wait};
 use super::params::FrameParams;
 use super::problem::{Kind, PROBLEM_JSON, Problem};
-use super::{App, Caller, Segments, body};
+use super::{App, Caller, NoQuery, Segments, body};
 use crate::encode::ImageFormat;
 use crate::engine::{Client, EncodedFrame, EngineError, FrameTicket, Origin, RequestId};
 
 /// Bytes of the request.
 const MAX_BODY_BYTES: u64 = 16 << 20;
 /// Poses of one request.
-const MAX_POSES: usize = 10_000;
+pub const MAX_POSES: usize = 10_000;
 /// How long a pose waits for a place in the queue before its part says that there is none.
 const MAX_QUEUEING: Duration = Duration::from_secs(30);
 
@@ -37,7 +37,7 @@ const MAX_QUEUEING: Duration = Duration::from_secs(30);
 #[derive(Deserialize, ToSchema)]
 pub struct FramesRequest {
     /// Each may set anything that a frame's query may; what it leaves out comes from beside `poses`.
-    #[schema(value_type = Vec<FrameParams>, min_items = 1, max_items = 10_000)]
+    #[schema(value_type = Vec<FrameParams>)]
     poses: Vec<serde_json::Value>,
     #[serde(flatten)]
     #[schema(value_type = FrameParams)]
@@ -47,15 +47,17 @@ pub struct FramesRequest {
 /// Frames for many poses, streamed in order.
 ///
 /// Each part has its own `Content-Type`, `Content-Length`, `Pointillist-Receipt` and
-/// `Server-Timing`; its receipt's `request_id` is the request's with the pose's number from 0, as in `4bf92f35/7`. A pose that cannot be drawn becomes a part of type `application/problem+json`;
+/// `Server-Timing`; its receipt's `request_id` is the request's with the pose's number from 0, as in `4bf92f35/7`.
+/// A value that no frame can have refuses the whole request. A pose that cannot be drawn, for what stands beside it or in the scene, becomes a part of type `application/problem+json`;
 /// the others are drawn all the same. `deadline_ms` runs from the moment a pose's turn comes.
+/// Without `format`, the header `Accept` names the formats; `multipart/mixed` in it is ignored.
 #[utoipa::path(
     post,
     path = "/v1/scenes/{id}/frames",
+    operation_id = "drawFrames",
     tag = "frames",
     params(
         ("id" = String, Path, description = "A scene that `GET /v1/scenes` lists"),
-        ("Accept" = Option<String>, Header, description = "Formats, where `format` is not given; `multipart/mixed` is ignored"),
     ),
     request_body(content = FramesRequest, content_type = "application/json"),
     responses((status = 200, description = "A part a pose, in order", body = Vec<u8>, content_type = "multipart/mixed")),
@@ -65,6 +67,7 @@ pub async fn frames(
     Extension(Caller(client)): Extension<Caller>,
     Extension(request_id): Extension<RequestId>,
     Segments(id): Segments<String>,
+    _: NoQuery,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
@@ -76,17 +79,32 @@ pub async fn frames(
             .at("poses")
             .accepted(format!("1 to {MAX_POSES} poses")));
     }
+    defaults.check()?;
+    let poses = request.poses.into_iter().enumerate();
+    let poses: Result<Vec<FrameParams>, Problem> =
+        poses.map(|(index, pose)| read_pose(index, pose)).collect();
+    let poses = poses?;
     app.engine.scene(&id).map_err(|error| missing(&app, &id, error.into()))?;
     let boundary = boundary();
     let content_type = format!("multipart/mixed; boundary={boundary}");
     let headers = image_ranges(&headers);
-    let poses = request.poses;
     let batch = Batch { app, client, request_id, id, defaults, headers, poses };
     let mut response = Response::new(Body::from_stream(parts(batch, boundary)));
     let content_type = HeaderValue::from_str(&content_type).map_err(Problem::internal)?;
     response.headers_mut().insert(header::CONTENT_TYPE, content_type);
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
     Ok(response)
+}
+
+/// The parameters of pose `index`.
+fn read_pose(index: usize, pose: serde_json::Value) -> Result<FrameParams, Problem> {
+    let place = format!("poses[{index}]");
+    let params = FrameParams::from_json(pose, &place)?;
+    params.check().map_err(|problem| {
+        let parameter = problem.parameter.clone().unwrap_or_default();
+        problem.at(format!("{place}.{parameter}"))
+    })?;
+    Ok(params)
 }
 
 /// `Accept` without what it says of the container.
@@ -122,15 +140,14 @@ struct Batch {
     id: String,
     defaults: FrameParams,
     headers: HeaderMap,
-    poses: Vec<serde_json::Value>,
+    poses: Vec<FrameParams>,
 }
 
 impl Batch {
     /// The parameters of pose `index`, taken out of the request.
     fn pose(&mut self, index: usize) -> Result<(FrameParams, ImageFormat), Problem> {
-        let place = format!("poses[{index}]");
-        let value = self.poses.get_mut(index).map(serde_json::Value::take).unwrap_or_default();
-        let params = FrameParams::from_json(value, &place)?.or(&self.defaults);
+        let params = self.poses.get_mut(index).map(std::mem::take).unwrap_or_default();
+        let params = params.or(&self.defaults);
         let (format, _) = choose_format(&params, &self.headers)?;
         Ok((params, format))
     }

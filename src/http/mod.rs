@@ -36,6 +36,7 @@ mod openapi;
 mod params;
 mod paths;
 mod problem;
+mod refusal;
 mod registry;
 mod scenes;
 pub mod server;

@@ -6,10 +6,19 @@ use axum::http::{HeaderMap, header};
 
 use super::problem::{Kind, Problem};
 
+/// Longest id of a scene.
+const MAX_ID_BYTES: usize = 64;
+/// [`valid_id`] as a regular expression.
+pub const ID_PATTERN: &str = "^[a-z0-9_-]{1,64}$";
+/// Longest name of an uploaded file.
+pub const MAX_FILE_NAME_BYTES: usize = 128;
+/// [`valid_file_name`] as a regular expression, but for the length.
+pub const FILE_NAME_PATTERN: &str = r#"^[^./\\:*?"<>|\x00-\x1f\x7f-\x9f]([^/\\:*?"<>|\x00-\x1f\x7f-\x9f]*[^./\\:*?"<>| \x00-\x1f\x7f-\x9f])?$"#;
+
 /// An id as a client may choose it.
 pub fn valid_id(id: String) -> Result<String, Problem> {
     let good = |c: u8| c.is_ascii_lowercase() || c.is_ascii_digit() || c == b'-' || c == b'_';
-    if (1..=64).contains(&id.len()) && id.bytes().all(good) {
+    if (1..=MAX_ID_BYTES).contains(&id.len()) && id.bytes().all(good) {
         return Ok(id);
     }
     Err(Problem::parameter("id", "not a valid id", "1 to 64 of a-z, 0-9, - and _"))
@@ -26,7 +35,7 @@ pub fn valid_file_name(name: &str) -> Result<String, Problem> {
             "a plain file name of at most 128 bytes without folders, not beginning with a dot",
         ))
     };
-    if name.is_empty() || name.len() > 128 {
+    if name.is_empty() || name.len() > MAX_FILE_NAME_BYTES {
         return fail("has no usable length");
     }
     if name.starts_with('.') {

@@ -4,6 +4,7 @@
 //! known but not available in this version is refused with what would be accepted; values are
 //! checked, never clamped. Limits on sizes are the engine's to enforce.
 
+mod check;
 mod names;
 
 use std::time::{Duration, Instant};
@@ -13,6 +14,7 @@ use serde::Deserialize;
 use serde::de::{DeserializeOwned, IntoDeserializer, value::StrDeserializer};
 use utoipa::{IntoParams, ToSchema};
 
+pub use check::{MAX_DEADLINE_MS, MAX_NAME_CHARS, QUALITY_RANGE};
 pub use names::{NAMES, Names, check_name, unknown_name};
 
 use super::problem::{Kind, Problem};
@@ -28,8 +30,6 @@ pub const DEFAULT_SIDE: u32 = 1024;
 pub const DEFAULT_QUALITY: u8 = 85;
 /// Vertical field of view in degrees where none is given.
 pub const DEFAULT_FOV_DEG: f64 = 40.0;
-/// Longest deadline, in milliseconds.
-const MAX_DEADLINE_MS: f64 = 3_600_000.0;
 
 /// What to draw and how. The pose is `camera`, or `eye` and `target` (with `up` and `fov`), or
 /// `view` and `proj`; without any, the whole scene is shown, to which `up` and `fov` apply as well.
@@ -52,8 +52,6 @@ pub struct FrameParams {
     #[schema(value_type = Option<UpForm>)]
     pub up: Option<Up>,
     /// Vertical field of view in degrees, 40 where none is given. Without `eye` and `target` the whole scene is shown in it.
-    #[param(exclusive_minimum = 0.0, exclusive_maximum = 180.0)]
-    #[schema(exclusive_minimum = 0.0, exclusive_maximum = 180.0)]
     pub fov: Option<f64>,
     /// World → view, 16 numbers, column-major; rotation and translation only. Needs `proj`.
     #[param(style = Form, explode = false)]
@@ -62,20 +60,14 @@ pub struct FrameParams {
     #[param(style = Form, explode = false)]
     pub proj: Option<[f64; 16]>,
     /// Width in pixels, 1024 where none is given.
-    #[param(minimum = 1)]
-    #[schema(minimum = 1)]
     pub w: Option<u32>,
     /// Height in pixels, 1024 where none is given.
-    #[param(minimum = 1)]
-    #[schema(minimum = 1)]
     pub h: Option<u32>,
     /// Encoding; without it the `Accept` header decides, and PNG where that leaves the choice.
     #[param(value_type = Option<ImageFormat>)]
     #[schema(value_type = Option<ImageFormat>)]
     pub format: Option<String>,
     /// 1 to 100 for lossy formats, 85 where none is given.
-    #[param(minimum = 1, maximum = 100)]
-    #[schema(minimum = 1, maximum = 100)]
     pub quality: Option<u8>,
     /// Which image of the frame.
     #[param(value_type = Option<Output>)]
@@ -86,8 +78,6 @@ pub struct FrameParams {
     #[schema(value_type = Option<Lod>)]
     pub lod: Option<String>,
     /// What `lod=spt` may be wrong by, in pixels; 1 where none is given.
-    #[param(minimum = 0.05, maximum = 64)]
-    #[schema(minimum = 0.05, maximum = 64)]
     pub max_error_px: Option<f32>,
     /// How splats of `lod=spt` measure that; `split` does not go with `reconstruct=points`.
     #[param(value_type = Option<ErrorMode>)]
@@ -123,8 +113,6 @@ pub struct FrameParams {
     pub wait: Option<String>,
     /// Milliseconds until the frame is worthless; work not begun by then is dropped, and what cannot be had
     /// by then, by what is queued before it and what such frames have cost, is refused at once, with a time to come again.
-    #[param(exclusive_minimum = 0.0)]
-    #[schema(exclusive_minimum = 0.0)]
     pub deadline_ms: Option<f64>,
 }
 
@@ -287,23 +275,9 @@ impl FrameParams {
         format: ImageFormat,
         now: Instant,
     ) -> Result<FrameRequest, Problem> {
-        let side = |name: &str, side: Option<u32>| match side {
-            Some(0) => Err(Problem::parameter(
-                name,
-                "must not be 0",
-                "a whole number of pixels, at least 1",
-            )),
-            side => Ok(side.unwrap_or(DEFAULT_SIDE)),
-        };
-        let (width, height) = (side("w", self.w)?, side("h", self.h)?);
+        self.check()?;
+        let (width, height) = (self.w.unwrap_or(DEFAULT_SIDE), self.h.unwrap_or(DEFAULT_SIDE));
         let quality = self.quality.unwrap_or(DEFAULT_QUALITY);
-        if !(1..=100).contains(&quality) {
-            return Err(Problem::parameter(
-                "quality",
-                format!("{quality} is out of range"),
-                "1 to 100",
-            ));
-        }
         Ok(FrameRequest {
             scene: scene.to_owned(),
             pose: self.pose(width, height)?,
@@ -313,7 +287,9 @@ impl FrameParams {
             output: self.output()?,
             format,
             quality,
-            deadline: self.deadline(now)?,
+            deadline: self
+                .deadline_ms
+                .and_then(|ms| now.checked_add(Duration::from_secs_f64(ms / 1000.0))),
         })
     }
 
@@ -343,24 +319,14 @@ impl FrameParams {
             });
         }
         let lod: Lod = choice("lod", self.lod.as_deref())?;
-        let [least, most] = MaxError::RANGE_PX;
-        let max_error = match self.max_error_px {
-            None => MaxError::default(),
-            Some(_) if lod == Lod::Full => {
-                return Err(Problem::parameter(
-                    "max_error_px",
-                    "full detail has none",
-                    "together with `lod=spt`, or left out",
-                ));
-            }
-            Some(px) => MaxError::new(px).ok_or_else(|| {
-                Problem::parameter(
-                    "max_error_px",
-                    format!("{px} is out of range"),
-                    format!("{least} to {most} pixels"),
-                )
-            })?,
-        };
+        if self.max_error_px.is_some() && lod == Lod::Full {
+            return Err(Problem::parameter(
+                "max_error_px",
+                "full detail has none",
+                "together with `lod=spt`, or left out",
+            ));
+        }
+        let max_error = self.max_error_px.and_then(MaxError::new).unwrap_or_default();
         let paint: Paint = choice("paint", self.paint.as_deref())?;
         if paint == Paint::Levels && lod == Lod::Full {
             let reason = "full detail has no levels";
@@ -397,18 +363,6 @@ impl FrameParams {
             shading: chosen("shading", self.shading.as_deref())?,
             wait: choice("wait", self.wait.as_deref())?,
         })
-    }
-
-    fn deadline(&self, now: Instant) -> Result<Option<Instant>, Problem> {
-        let Some(ms) = self.deadline_ms else { return Ok(None) };
-        if !(ms > 0.0 && ms <= MAX_DEADLINE_MS) {
-            return Err(Problem::parameter(
-                "deadline_ms",
-                format!("{ms} is out of range"),
-                format!("milliseconds above 0, at most {MAX_DEADLINE_MS}"),
-            ));
-        }
-        Ok(now.checked_add(Duration::from_secs_f64(ms / 1000.0)))
     }
 
     fn pose(&self, width: u32, height: u32) -> Result<Pose, Problem> {

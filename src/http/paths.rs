@@ -62,6 +62,7 @@ impl From<&CameraPath> for PathDocument {
 #[utoipa::path(
     get,
     path = "/v1/scenes/{id}/paths/{name}",
+    operation_id = "getPath",
     tag = "scenes",
     params(
         ("id" = String, Path, description = "The scene"),

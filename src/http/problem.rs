@@ -21,6 +21,8 @@ use crate::scene::SceneError;
 /// What kinds of problem there are. Each has one status and one `type` for good.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Kind {
+    MalformedRequest,
+    HeadTooLarge,
     UnknownRoute,
     UnknownScene,
     UnknownNode,
@@ -79,7 +81,9 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind, in the order of the documentation.
-    pub const ALL: [Kind; 54] = [
+    pub const ALL: [Kind; 56] = [
+        Kind::MalformedRequest,
+        Kind::HeadTooLarge,
         Kind::UnknownRoute,
         Kind::UnknownScene,
         Kind::UnknownNode,
@@ -140,6 +144,12 @@ impl Kind {
     pub fn facts(self) -> (u16, &'static str, &'static str) {
         use Kind::*;
         match self {
+            MalformedRequest => {
+                (400, "urn:pointillist:problem:malformed-request", "this is no HTTP request")
+            }
+            HeadTooLarge => {
+                (431, "urn:pointillist:problem:head-too-large", "the request's head is too large")
+            }
             UnknownRoute => (404, "urn:pointillist:problem:unknown-route", "no such resource"),
             UnknownScene => (404, "urn:pointillist:problem:unknown-scene", "no such scene"),
             UnknownNode => (404, "urn:pointillist:problem:unknown-node", "no such node"),

@@ -56,6 +56,7 @@ pub struct SceneList {
 #[utoipa::path(
     get,
     path = "/v1/scenes",
+    operation_id = "listScenes",
     tag = "scenes",
     responses((status = 200, description = "The scenes", body = SceneList)),
 )]
@@ -71,6 +72,7 @@ pub async fn list(State(app): State<Arc<App>>, _: NoQuery) -> Json<SceneList> {
 #[utoipa::path(
     get,
     path = "/v1/scenes/{id}",
+    operation_id = "getScene",
     tag = "scenes",
     params(("id" = String, Path, description = "The scene")),
     responses((status = 200, description = "The scene, loading and failed ones included", body = SceneState)),
@@ -96,6 +98,7 @@ pub async fn show(
 #[utoipa::path(
     delete,
     path = "/v1/scenes/{id}",
+    operation_id = "deleteScene",
     tag = "scenes",
     params(("id" = String, Path, description = "The scene")),
     responses((status = 204, description = "It is gone")),
@@ -157,6 +160,7 @@ const MAX_CHANGE_BYTES: u64 = 64 << 10;
 #[utoipa::path(
     patch,
     path = "/v1/scenes/{id}/nodes/{node}",
+    operation_id = "changeNode",
     tag = "scenes",
     params(
         ("id" = String, Path, description = "The scene"),
@@ -231,10 +235,20 @@ impl NodeChange {
             Some(Scale::Uniform(scale)) => DVec3::splat(scale),
             Some(Scale::PerAxis(scale)) => DVec3::from(scale),
         };
-        if scale.min_element() == 0.0 || scale.x * scale.y * scale.z == 0.0 {
-            return Err(Problem::parameter("scale", "must not be 0", "numbers other than 0"));
-        }
         within(scale.to_array().iter(), LARGEST_SCALE, "scale")?;
+        if let Some(factor) =
+            scale.to_array().iter().find(|factor| factor.abs() < 1.0 / LARGEST_SCALE)
+        {
+            let accepted =
+                format!("numbers of at least {:e}, or their negatives", 1.0 / LARGEST_SCALE);
+            return Err(Problem::parameter(
+                "scale",
+                format!("{factor:e} is too near to 0"),
+                accepted,
+            ));
+        }
+        within(self.rotate.iter().flatten(), LARGEST_COORDINATE, "rotate")?;
+        within(self.quaternion.iter().flatten(), LARGEST_COORDINATE, "quaternion")?;
         let translate = self.translate.map_or(DVec3::ZERO, DVec3::from);
         within(translate.to_array().iter(), LARGEST_COORDINATE, "translate")?;
         Ok(Some(DAffine3::from_scale_rotation_translation(scale, self.rotation()?, translate)))

@@ -28,6 +28,7 @@ use std::time::Duration;
 use axum::response::{IntoResponse, Response};
 use axum_server::Handle;
 use axum_server::accept::Accept;
+use bytes::{Buf, Bytes};
 use hyper::header::CONTENT_LENGTH;
 use hyper_util::rt::TokioTimer;
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
@@ -36,18 +37,22 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, Sleep};
 
 use super::problem::{Kind, Problem};
-use super::{App, Phase, router, service, upload};
+use super::{App, Phase, refusal, router, service, upload};
 use crate::engine::{Engine, Readiness};
 
 /// A client that reads nothing of its answer for this long is given up.
 const STALLED_WRITE: Duration = Duration::from_secs(60);
 /// Bytes of the longest request head.
-const MAX_HEAD_BYTES: usize = 32 << 10;
-const MAX_HEADERS: usize = 64;
+pub const MAX_HEAD_BYTES: usize = 32 << 10;
+pub const MAX_HEADERS: usize = 64;
 /// Requests in flight on one HTTP/2 connection.
 const MAX_STREAMS: u32 = 128;
 /// An HTTP/2 preface has this length, and so has, nearly, the shortest HTTP/1 request.
 const PREFACE_BYTES: u64 = 24;
+/// How long, and for how many bytes, a connection reads on after a head that it refused: closing it at once would reset it, and the client
+/// might never see the answer.
+const LINGER: Duration = Duration::from_secs(1);
+const LINGER_BYTES: usize = 1 << 20;
 
 /// Scenes to load at the start.
 #[derive(Clone, Debug, Default)]
@@ -402,6 +407,15 @@ struct Guarded {
     preface_until: Pin<Box<Sleep>>,
     write_until: Pin<Box<Sleep>>,
     is_write_pending: bool,
+    /// What is sent in place of an answer of the HTTP library.
+    instead: Option<Instead>,
+}
+
+/// An answer on its way, and what is read after it.
+struct Instead {
+    rest: Bytes,
+    unread: usize,
+    until: Pin<Box<Sleep>>,
 }
 
 impl Guarded {
@@ -413,7 +427,52 @@ impl Guarded {
             preface_until: Box::pin(tokio::time::sleep(read_timeout)),
             write_until: Box::pin(tokio::time::sleep(STALLED_WRITE)),
             is_write_pending: false,
+            instead: None,
         }
+    }
+
+    /// Sends a whole answer in place of one of the HTTP library; `None` where these bytes are no such answer.
+    fn poll_instead(
+        &mut self,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Option<Poll<std::io::Result<usize>>> {
+        if self.instead.is_none() {
+            let rest = refusal::instead_of(bytes)?;
+            let until = Box::pin(tokio::time::sleep(LINGER));
+            self.instead = Some(Instead { rest, unread: LINGER_BYTES, until });
+        }
+        let mut instead = self.instead.take()?;
+        let result = self.poll_rest(context, &mut instead).map_ok(|()| bytes.len());
+        if result.is_pending() {
+            self.instead = Some(instead);
+        }
+        Some(result)
+    }
+
+    fn poll_rest(
+        &mut self,
+        context: &mut Context<'_>,
+        instead: &mut Instead,
+    ) -> Poll<std::io::Result<()>> {
+        while !instead.rest.is_empty() {
+            let written = Pin::new(&mut self.stream).poll_write(context, &instead.rest);
+            let written = std::task::ready!(self.bounded(context, written))?;
+            instead.rest.advance(written);
+        }
+        std::task::ready!(Pin::new(&mut self.stream).poll_shutdown(context))?;
+        while instead.unread > 0 && instead.until.as_mut().poll(context).is_pending() {
+            let mut space = [0; 4096];
+            let mut buffer = ReadBuf::new(&mut space);
+            match Pin::new(&mut self.stream).poll_read(context, &mut buffer) {
+                Poll::Pending => return Poll::Pending,
+                Poll::Ready(Ok(())) if !buffer.filled().is_empty() => {
+                    instead.unread = instead.unread.saturating_sub(buffer.filled().len());
+                }
+                Poll::Ready(_) => break,
+            }
+        }
+        Poll::Ready(Ok(()))
     }
 
     /// Turns a write that waits too long into an error.
@@ -466,6 +525,9 @@ impl AsyncWrite for Guarded {
         context: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<std::io::Result<usize>> {
+        if let Some(result) = self.poll_instead(context, bytes) {
+            return result;
+        }
         let result = Pin::new(&mut self.stream).poll_write(context, bytes);
         self.bounded(context, result)
     }
@@ -475,6 +537,12 @@ impl AsyncWrite for Guarded {
         context: &mut Context<'_>,
         slices: &[std::io::IoSlice<'_>],
     ) -> Poll<std::io::Result<usize>> {
+        let mut filled = slices.iter().filter(|slice| !slice.is_empty());
+        if let (Some(only), None) = (filled.next(), filled.next())
+            && let Some(result) = self.poll_instead(context, only)
+        {
+            return result;
+        }
         let result = Pin::new(&mut self.stream).poll_write_vectored(context, slices);
         self.bounded(context, result)
     }

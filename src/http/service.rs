@@ -1,6 +1,6 @@
 //! What a server offers beside frames: health, readiness, metrics, limits, its contract.
 
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
 use axum::Json;
@@ -11,10 +11,8 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::problem::{Kind, Problem, nearest};
-use super::{App, NoQuery, Phase, ROUTES, metrics as exposition};
+use super::{App, NoQuery, Phase, ROUTES, metrics as exposition, openapi_yaml};
 use crate::engine::{Limits, Readiness};
-
-const OPENAPI: &str = include_str!("../../openapi.yaml");
 
 const PLAIN: [(HeaderName, HeaderValue); 2] = [
     (header::CONTENT_TYPE, HeaderValue::from_static("text/plain; charset=utf-8")),
@@ -27,6 +25,7 @@ const FAILED: &str = "the render thread ended; the server has to be started agai
 #[utoipa::path(
     get,
     path = "/healthz",
+    operation_id = "getHealth",
     tag = "service",
     responses((status = 200, description = "Alive", body = String, content_type = "text/plain")),
 )]
@@ -42,6 +41,7 @@ pub async fn healthz(State(app): State<Arc<App>>) -> Result<Response, Problem> {
 #[utoipa::path(
     get,
     path = "/readyz",
+    operation_id = "getReadiness",
     tag = "service",
     responses((status = 200, description = "Ready", body = String, content_type = "text/plain")),
 )]
@@ -64,6 +64,7 @@ pub async fn readyz(State(app): State<Arc<App>>) -> Result<Response, Problem> {
 #[utoipa::path(
     get,
     path = "/metrics",
+    operation_id = "getMetrics",
     tag = "service",
     responses((status = 200, description = "OpenMetrics text", body = String, content_type = "application/openmetrics-text")),
 )]
@@ -77,18 +78,23 @@ pub async fn metrics(State(app): State<Arc<App>>) -> Result<Response, Problem> {
 #[utoipa::path(
     get,
     path = "/openapi.yaml",
+    operation_id = "getContract",
     tag = "service",
-    responses((status = 200, description = "OpenAPI", body = String, content_type = "application/yaml")),
+    responses((status = 200, description = "OpenAPI", body = Object, content_type = "application/yaml")),
 )]
-pub async fn openapi() -> Response {
+pub async fn openapi() -> Result<Response, Problem> {
     const YAML: HeaderValue = HeaderValue::from_static("application/yaml");
-    ([(header::CONTENT_TYPE, YAML)], OPENAPI).into_response()
+    static CONTRACT: LazyLock<Result<String, String>> =
+        LazyLock::new(|| openapi_yaml().map_err(|error| error.to_string()));
+    let text = CONTRACT.as_ref().map_err(Problem::internal)?;
+    Ok(([(header::CONTENT_TYPE, YAML)], text.as_str()).into_response())
 }
 
 /// The JSON Schema of scene files, for editors.
 #[utoipa::path(
     get,
     path = "/v1/scene-schema.json",
+    operation_id = "getSceneSchema",
     tag = "service",
     responses((status = 200, description = "JSON Schema", body = Object, content_type = "application/schema+json")),
 )]
@@ -148,6 +154,7 @@ pub struct JobLimits {
 #[utoipa::path(
     get,
     path = "/v1/limits",
+    operation_id = "getLimits",
     tag = "service",
     responses((status = 200, description = "The limits", body = ServerLimits)),
 )]

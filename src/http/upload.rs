@@ -36,7 +36,7 @@ pub const FOLDER: &str = "uploads";
 const DEFAULT_WAIT: Duration = Duration::from_secs(10);
 const MAX_WAIT: Duration = Duration::from_secs(300);
 /// Files of one form.
-const MAX_FILES: usize = 256;
+pub const MAX_FILES: usize = 256;
 const SCENE_FILE: &str = "scene.json";
 
 /// A scene (JSON), an asset file, or a form with a scene or asset and the files that it names.
@@ -47,6 +47,7 @@ const SCENE_FILE: &str = "scene.json";
 #[utoipa::path(
     post,
     path = "/v1/scenes",
+    operation_id = "uploadScene",
     tag = "scenes",
     params(
         ("id" = Option<String>, Query, description = "Id of the scene, `[a-z0-9_-]{1,64}`; otherwise made from the name: small letters without their marks, digits, underscores, hyphens for all else, `scene` where nothing is left, with a number behind it where it is taken"),

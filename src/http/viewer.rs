@@ -67,6 +67,7 @@ static FILES: [File; 26] = files![
 #[utoipa::path(
     get,
     path = "/",
+    operation_id = "getViewer",
     tag = "service",
     responses(
         (status = 200, description = "The viewer", body = String, content_type = "text/html"),
@@ -81,6 +82,7 @@ pub async fn page(headers: HeaderMap) -> Result<Response, Problem> {
 #[utoipa::path(
     get,
     path = "/viewer/{file}",
+    operation_id = "getViewerFile",
     tag = "service",
     params(("file" = String, Path, description = "A script or style sheet that the page names")),
     responses(

@@ -9,7 +9,7 @@
 //! ```
 //!
 //! It knows the daemon by its HTTP contract alone ([`wire`]). [`schedule`], [`poses`], [`histogram`], [`tally`], [`following`], [`knee`],
-//! [`report`] and [`plot`] are pure; clocks, tasks and sockets are in [`drive`], [`request`] and [`streams`], and [`mod@run`] strings steps together.
+//! [`report`], [`thresholds`] and [`plot`] are pure; clocks, tasks and sockets are in [`drive`], [`request`] and [`streams`], and [`mod@run`] strings steps together.
 
 pub mod drive;
 pub mod following;
@@ -23,4 +23,5 @@ pub mod run;
 pub mod schedule;
 pub mod streams;
 pub mod tally;
+pub mod thresholds;
 pub mod wire;

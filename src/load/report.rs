@@ -10,6 +10,7 @@ use super::knee::Verdict;
 use super::poses::PathKind;
 use super::run::RunSettings;
 use super::tally::Point;
+use super::thresholds::Thresholds;
 
 /// A point of the curve, and whether the server kept up there.
 #[derive(Clone, Debug, Serialize)]
@@ -74,6 +75,9 @@ pub struct Report {
     pub interrupted: bool,
     /// What takes from the worth of these figures.
     pub warnings: Vec<String>,
+    /// What the run was held against, and what went beyond it.
+    pub thresholds: Thresholds,
+    pub broken_thresholds: Vec<String>,
 }
 
 /// Three digits of a time, in milliseconds.
@@ -102,7 +106,7 @@ fn pose_ms(point: &StreamPoint, ns: Option<u64>) -> String {
 
 /// Columns of what streams got, beside the rate of the requests.
 const STREAM_HEADER: [&str; 15] = [
-    "offered/s",
+    "requested/s",
     "streams",
     "poses/s",
     "frames/s",
@@ -119,10 +123,10 @@ const STREAM_HEADER: [&str; 15] = [
     "MB/s",
 ];
 
-fn stream_cells(offered_per_s: f64, point: &StreamPoint) -> [String; STREAM_HEADER.len()] {
+fn stream_cells(rate_per_s: f64, point: &StreamPoint) -> [String; STREAM_HEADER.len()] {
     let p = &point.latency;
     [
-        three_digits(offered_per_s),
+        three_digits(rate_per_s),
         point.streams.to_string(),
         three_digits(point.poses_per_s),
         three_digits(point.frames_per_s),
@@ -148,8 +152,9 @@ fn latency_ms(point: &Point, ns: Option<u64>) -> String {
     }
 }
 
-const HEADER: [&str; 18] = [
-    "offered/s",
+const HEADER: [&str; 19] = [
+    "requested/s",
+    "sent/s",
     "frames/s",
     "p50 ms",
     "p90",
@@ -177,6 +182,7 @@ impl JudgedPoint {
             |value: Option<f64>| value.map_or("–".to_owned(), |value| format!("{value:.1}"));
         let p = &point.latency;
         [
+            three_digits(point.rate_per_s),
             three_digits(point.offered_per_s),
             three_digits(point.throughput_per_s),
             latency(p.p50_ns),
@@ -203,7 +209,8 @@ impl JudgedPoint {
         let point = &self.point;
         let counts = &point.counts;
         let mut line = format!(
-            "{}/s offered: {} frames/s, p50 {}, p99 {} (ms)",
+            "{}/s requested, {}/s sent, {} frames/s achieved, p50 {}, p99 {} (ms)",
+            three_digits(point.rate_per_s),
             three_digits(point.offered_per_s),
             three_digits(point.throughput_per_s),
             latency_ms(point, point.latency.p50_ns),
@@ -235,6 +242,7 @@ impl Report {
     pub fn finish(mut self) -> Self {
         self.points.sort_by(|a, b| a.point.rate_per_s.total_cmp(&b.point.rate_per_s));
         self.warnings = self.points.iter().flat_map(|judged| warnings(&judged.point)).collect();
+        self.broken_thresholds = self.thresholds.clone().broken(&self);
         self
     }
 
@@ -315,17 +323,18 @@ fn stream_warnings(at: &str, streams: &StreamPoint) -> Vec<String> {
 impl Report {
     /// The table of what streams got, if there were any.
     fn fmt_streams(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let beside = self.points.iter().filter_map(|judged| {
-            Some((judged.point.offered_per_s, judged.point.streams.as_ref()?))
-        });
+        let beside = self
+            .points
+            .iter()
+            .filter_map(|judged| Some((judged.point.rate_per_s, judged.point.streams.as_ref()?)));
         let mut beside = beside.peekable();
         if beside.peek().is_none() {
             return Ok(());
         }
         let mut table = Table::new();
         table.load_style(presets::NOTHING).set_header(STREAM_HEADER);
-        for (offered_per_s, point) in beside {
-            table.add_row(stream_cells(offered_per_s, point));
+        for (rate_per_s, point) in beside {
+            table.add_row(stream_cells(rate_per_s, point));
         }
         for column in table.column_iter_mut() {
             column.set_cell_alignment(CellAlignment::Right);
@@ -353,6 +362,9 @@ impl fmt::Display for Report {
         }
         for warning in &self.warnings {
             writeln!(f, "! {warning}")?;
+        }
+        for broken in &self.broken_thresholds {
+            writeln!(f, "FAILED: {broken}")?;
         }
         if self.interrupted {
             writeln!(f, "! interrupted: the step under way is left out")?;

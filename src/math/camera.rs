@@ -26,6 +26,15 @@ pub struct SensorView {
     pub aspect: f64,
 }
 
+/// What a file tells of the sensor that took its points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Sensor {
+    /// A camera, which looked one way.
+    View(SensorView),
+    /// A scanner, which looked around from here.
+    Place(DVec3),
+}
+
 impl SensorView {
     /// A camera with the sensor's pose that sees at least what the sensor saw, for an image of this aspect.
     pub fn camera_for(&self, aspect: f64) -> Camera {
@@ -35,7 +44,7 @@ impl SensorView {
 }
 
 /// Coordinates beyond this are refused: their squares must stay finite.
-const FARTHEST: f64 = 1e100;
+pub const FARTHEST: f64 = 1e100;
 
 /// A pose that cannot be drawn, naming the parameter at fault.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

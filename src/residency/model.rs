@@ -144,7 +144,6 @@ impl AssetModel {
             normals_estimated: self.normals_estimated,
             has_triangles: self.packed.geometries.iter().any(is_mesh),
             has_materials: self.packed.geometries.iter().any(has_material),
-            bounds: self.bounds.iter().fold(Bounds::EMPTY, |all, bounds| all.union(*bounds)),
         }
     }
 

@@ -56,8 +56,10 @@ pub struct Scene {
     pub up: DVec3,
     /// Says where `up` is from, as an ending of "+z is up: it …".
     pub up_because: String,
-    /// View of the sensor that took the points of a bare asset file, if the file tells it; the default view.
+    /// View of the camera that took the points of a bare asset file, if the file tells it; the default view.
     pub sensor: Option<SensorView>,
+    /// Horizontal direction, of unit length, to the scanner that took the points of a bare asset file from outside.
+    pub front: Option<DVec3>,
     /// How samples are drawn where a request asks for splats.
     pub splats: Splats,
 }
@@ -164,10 +166,10 @@ pub enum Light {
 }
 
 impl Light {
-    /// Lights of a scene that names none: a headlight (0.72) and ambient light (0.08). White that faces the eye stays below
+    /// Lights of a scene that names none: a headlight (0.63) and ambient light (0.07). White that faces the eye stays below
     /// white, so that its shape is seen.
     pub fn default_pair() -> [Light; 2] {
-        [Light::Headlight { color: [0.72; 3] }, Light::Ambient { color: [0.08; 3] }]
+        [Light::Headlight { color: [0.63; 3] }, Light::Ambient { color: [0.07; 3] }]
     }
 }
 

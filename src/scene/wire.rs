@@ -16,6 +16,11 @@ use super::path::{Ease, Interpolation};
 use super::splats::{Blend, Filter, Shading};
 use super::up::Up;
 
+/// Frames a second that a path may have.
+pub(super) const PATH_FPS: [f64; 2] = [0.001, 1000.0];
+/// Seconds at which a key of a path may stand.
+pub(super) const PATH_SECONDS: [f64; 2] = [-1e6, 1e6];
+
 /// The JSON Schema of scene files, draft 2020-12.
 pub fn json_schema() -> serde_json::Value {
     schemars::schema_for!(SceneFile).to_value()
@@ -53,7 +58,7 @@ pub(super) struct SceneFile {
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, MaterialWire>")]
     pub materials: Named<MaterialWire>,
-    /// When absent: a headlight (0.72) and ambient light (0.08). An empty list means unlit.
+    /// When absent: a headlight (0.63) and ambient light (0.07). An empty list means unlit.
     #[serde(default)]
     pub lights: Option<Vec<Object<LightWire>>>,
     /// Colour of pixels that nothing covers, `#202428` when absent.
@@ -303,6 +308,7 @@ pub(super) struct PathWire {
     pub _schema: Option<String>,
     /// Frames a second, 30 when absent.
     #[serde(default)]
+    #[schemars(range(min = PATH_FPS[0], max = PATH_FPS[1]))]
     pub fps: Option<f64>,
     /// How positions go from key to key, `catmull_rom` when absent.
     #[serde(default)]
@@ -310,6 +316,7 @@ pub(super) struct PathWire {
     /// How time passes between keys that do not say themselves; when absent `smooth` for `catmull_rom`, `linear` for `linear`.
     #[serde(default)]
     pub ease: Option<Ease>,
+    #[schemars(length(min = 1))]
     pub keys: Vec<Object<KeyWire>>,
 }
 
@@ -317,6 +324,7 @@ pub(super) struct PathWire {
 #[serde(deny_unknown_fields)]
 pub(super) struct KeyWire {
     /// Seconds, later than the key before.
+    #[schemars(range(min = PATH_SECONDS[0], max = PATH_SECONDS[1]))]
     pub t: f64,
     pub eye: [f64; 3],
     pub target: [f64; 3],

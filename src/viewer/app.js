@@ -24,7 +24,7 @@ import * as settings from './settings.js';
 import * as store from './store.js';
 import * as upload from './upload.js';
 
-const POLL_MS = 1500, RETURN_MS = 3000, NEWS_MS = 8000;
+const POLL_MS = 1500, LIST_MS = 5000, RETURN_MS = 3000, NEWS_MS = 8000;
 // Stands in the list of cameras for a view that is none of them: no camera can be called so.
 const FREE = '\0';
 const OUT_OF_SIGHT = 'The scene is out of sight.';
@@ -70,9 +70,11 @@ function setPose(next, moving) {
   turning++;
   if (document.activeElement !== $('fov')) showFov();
   showCamera();
-  overlay.lost(scene?.bounds && isOutOfSight(pose, scene.bounds, fullSize()) ? OUT_OF_SIGHT : null);
+  overlay.lost(outOfSight());
   changed(moving);
 }
+
+const outOfSight = () => scene?.bounds && isOutOfSight(pose, scene.bounds, fullSize()) ? OUT_OF_SIGHT : null;
 
 function showFov() {
   $('fov').value = Number(pose.fov.toFixed(2));
@@ -119,7 +121,7 @@ function draw(picture, w, h) {
 
 // why: the server's sentence, where a frame shows nothing.
 function seen(why) {
-  overlay.lost(why ? `${why[0].toUpperCase()}${why.slice(1).split(':')[0]}.` : null);
+  overlay.lost(why ? `${why[0].toUpperCase()}${why.slice(1).split(':')[0]}.` : pose && outOfSight());
   overlay.greet();
 }
 
@@ -404,6 +406,10 @@ $('login').addEventListener('submit', event => {
   if (scene) link.open(); else loadScenes();
 });
 $('scenes').addEventListener('toggle', () => { if ($('scenes').open) list().catch(() => {}); });
+// Scenes that others add or remove.
+setInterval(() => {
+  if ($('scenes').open && !document.hidden && scene && document.activeElement?.closest('#scenes, #scene') === null) list().catch(() => {});
+}, LIST_MS);
 addEventListener('hashchange', () => {
   const asked = address.asked(), id = asked.get('scene') ?? scene?.id;
   if (scenes.find(id)) choose(id, { asked });

@@ -12,7 +12,7 @@ const HINTS = {
   touch: 'One finger turns, two fingers zoom and move, a double tap looks at a point.',
 };
 
-let busyTimer = 0, hintTimer = 0;
+let busyTimer = 0, hintTimer = 0, isKnown = store.knowsItsWay();
 
 // A frame is waited for from now on. Frames that come meanwhile begin the wait anew.
 export function wait() {
@@ -33,7 +33,7 @@ export function lost(why) {
 
 // Once, for whoever has never moved a picture here.
 export function greet() {
-  if (store.knowsItsWay() || hintTimer) return;
+  if (isKnown || hintTimer) return;
   $('hint').textContent = matchMedia('(pointer: coarse)').matches ? HINTS.touch : HINTS.mouse;
   $('hint').hidden = false;
   hintTimer = setTimeout(goodbye, HINT_MS);
@@ -41,11 +41,11 @@ export function greet() {
 
 // A hand moved the picture: the hint has served.
 export function moved() {
-  if (!$('hint').hidden) goodbye();
-  else if (!hintTimer) store.keepKnowing();
+  if (!isKnown) goodbye();
 }
 
 function goodbye() {
+  isKnown = true;
   store.keepKnowing();
   clearTimeout(hintTimer);
   $('hint').classList.add('fading');

@@ -41,8 +41,13 @@ function inWords(scene) {
 
 // The scene that is asked about, whether it is to be deleted.
 let doubtful = null;
+let shown = '';
 
 export function show(current, choose, remove) {
+  // What is the same is left alone: a list that is open stays open.
+  const now = JSON.stringify([current?.id, doubtful, scenes]);
+  if (now === shown) return;
+  shown = now;
   $('scene').replaceChildren(...scenes.map(scene => option(scene.id, nameInList(scene), !isUsable(scene))));
   if (current) $('scene').value = current.id;
   $('scenes-summary').textContent = String(scenes.length);

@@ -13,6 +13,12 @@ pub struct Daemon {
     state: Option<tempfile::TempDir>,
 }
 
+fn folder_with_scene() -> tempfile::TempDir {
+    let root = tempfile::tempdir().expect("a folder for the scene");
+    write_scene(root.path());
+    root
+}
+
 impl Daemon {
     /// Starts `pointillist serve` on a free port with the scene of [`write_scene`].
     pub fn start() -> Daemon {
@@ -24,10 +30,13 @@ impl Daemon {
         Daemon::first(Some(tempfile::tempdir().expect("a folder for jobs")))
     }
 
+    /// As [`Daemon::start`], for pages of another origin as well.
+    pub fn for_pages_of(origin: &str) -> Daemon {
+        Daemon::spawn(folder_with_scene(), None, "127.0.0.1:0", &["--cors-origin", origin])
+    }
+
     fn first(state: Option<tempfile::TempDir>) -> Daemon {
-        let root = tempfile::tempdir().expect("a folder for the scene");
-        write_scene(root.path());
-        Daemon::spawn(root, state, "127.0.0.1:0")
+        Daemon::spawn(folder_with_scene(), state, "127.0.0.1:0", &[])
     }
 
     /// Ends it, as a crash does.
@@ -41,12 +50,17 @@ impl Daemon {
         let root = std::mem::replace(&mut self.root, tempfile::tempdir().expect("a folder"));
         let address = self.url.trim_start_matches("http://").to_owned();
         let state = self.state.take();
-        *self = Daemon::spawn(root, state, &address);
+        *self = Daemon::spawn(root, state, &address, &[]);
     }
 
-    fn spawn(root: tempfile::TempDir, state: Option<tempfile::TempDir>, address: &str) -> Daemon {
+    fn spawn(
+        root: tempfile::TempDir,
+        state: Option<tempfile::TempDir>,
+        address: &str,
+        args: &[&str],
+    ) -> Daemon {
         let mut command = Command::new(env!("CARGO_BIN_EXE_pointillist"));
-        command.args(["serve", "--listen", address, "--root"]).arg(root.path());
+        command.args(["serve", "--listen", address, "--root"]).arg(root.path()).args(args);
         match &state {
             Some(folder) => command.arg("--state").arg(folder.path()),
             None => command.env("POINTILLIST_NO_JOBS", "true"),

@@ -148,6 +148,10 @@ fn a_video_is_there_after_a_reload() {
     };
     assert_eq!(fetched("#film-result"), "200 video/mp4");
     assert_eq!(fetched("#job-list a"), "200 video/mp4");
+    // The film plays in the page, with or without a decoder for it in this browser.
+    let video = "const v = document.getElementById('film-video'); return v.checkVisibility() && (v.videoWidth > 0 || v.error?.code > 2 || !v.canPlayType('video/mp4; codecs=\"avc1.42E01E\"')) ? new URL(v.src).pathname : ''";
+    let path = browser.wait_for("the film in its place", PATIENCE, video);
+    assert!(path.as_str().unwrap().ends_with("/video.mp4"), "{path}");
     browser.script("document.getElementById('jobs').scrollIntoView()");
     browser.shoot("wide-films.png");
     assert_eq!(

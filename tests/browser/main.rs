@@ -11,6 +11,7 @@
 
 mod connection;
 mod daemon;
+mod docs;
 mod fields;
 mod films;
 mod keyboard;

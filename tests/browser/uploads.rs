@@ -91,7 +91,7 @@ fn models_that_have_nothing_to_do_with_each_other_are_scenes_of_their_own() {
     shows(&browser, "later");
     let list =
         browser.script("return [...document.getElementById('scene').options].map(o => o.value)");
-    assert_eq!(list, serde_json::json!(["ball", "later", "left", "right", "shape"]));
+    assert_eq!(list, serde_json::json!(["ball", "left", "shape", "right", "later"]));
     assert_eq!(browser.script("return document.getElementById('message').hidden"), true);
     browser.choose("#scene", "shape");
     shows(&browser, "shape");

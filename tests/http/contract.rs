@@ -1,19 +1,203 @@
 //! The contract against the daemon: what is answered is documented, and success needs no guessing.
 
-use serde_json::Value;
+use std::collections::BTreeSet;
 
+use serde_json::{Value, json};
+
+use super::client::{raw, read_to_close};
 use super::daemon::{Daemon, grid_ply};
+use super::schema::Contract;
 
-/// The document as JSON, from the same types as `openapi.yaml`.
-fn document() -> Value {
-    pointillist::http::openapi_json().unwrap()
+#[test]
+fn the_contract_is_a_valid_one() {
+    let contract = Contract::new();
+    contract.compile_all();
+    let mut ids = BTreeSet::new();
+    for (path, method, operation) in contract.operations() {
+        let id = operation["operationId"].as_str().unwrap();
+        assert!(ids.insert(id), "{method} {path}: {id} is another operation's");
+        let parameters: Vec<&Value> =
+            operation["parameters"].as_array().into_iter().flatten().collect();
+        let names = |place: &str| -> BTreeSet<&str> {
+            let here = parameters.iter().filter(|parameter| parameter["in"] == place);
+            here.map(|parameter| parameter["name"].as_str().unwrap()).collect()
+        };
+        let in_path: BTreeSet<&str> =
+            path.split('/').filter_map(|part| part.strip_prefix('{')?.strip_suffix('}')).collect();
+        assert_eq!(names("path"), in_path, "{method} {path}");
+        // By the standard these are ignored where they are parameters.
+        for header in ["Accept", "Content-Type", "Authorization"] {
+            assert!(!names("header").contains(header), "{method} {path}: {header}");
+        }
+        for parameter in &parameters {
+            let shown = format!("{method} {path}: {}", parameter["name"]);
+            assert!(!parameter["schema"].to_string().contains("null"), "{shown} may be null");
+            let schema = &parameter["schema"];
+            let is_bounded = match schema["type"].as_str() {
+                Some("string") => {
+                    parameter["in"] != "path"
+                        || schema.get("pattern").or(schema.get("maxLength")).is_some()
+                }
+                Some("array") => schema.get("maxItems").is_some(),
+                Some("integer") => schema.get("maximum").is_some(),
+                _ => true,
+            };
+            assert!(is_bounded, "{shown}: {schema}");
+        }
+    }
+    // What refers to a schema finds it, and arrays of numbers say how many.
+    let mut rest = vec![&contract.0];
+    while let Some(value) = rest.pop() {
+        if let Some(target) = value.get("$ref").and_then(Value::as_str) {
+            assert!(contract.0.pointer(&target[1..]).is_some(), "{target}");
+        }
+        if value["type"] == "array" && value["items"]["type"] == "number" {
+            assert!(value.get("minItems").is_some() && value.get("maxItems").is_some(), "{value}");
+        }
+        assert!(value.get("allOf").is_none() || value.get("properties").is_none(), "{value}");
+        rest.extend(value.as_object().into_iter().flat_map(|object| object.values()));
+        rest.extend(value.as_array().into_iter().flatten());
+    }
+}
+
+/// Bodies that the schemas accept and refuse, each as the daemon does.
+#[test]
+fn schemas_and_daemon_agree_on_bodies() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let contract = Contract::new();
+    let keys = json!({ "keys": [{ "t": 0, "eye": [0, 0, 3], "target": [0, 0, 0] }] });
+    let (jobs, frames, node) = ("/v1/jobs", "/v1/scenes/grid/frames", "/v1/scenes/grid/nodes/wall");
+    for (method, path, body, is_fine) in [
+        (
+            "POST",
+            jobs,
+            json!({ "scene": "grid", "path": "past", "w": 8, "h": 8, "want": ["frames"] }),
+            true,
+        ),
+        (
+            "POST",
+            jobs,
+            json!({ "scene": "grid", "path": keys, "w": 8, "h": 8, "reconstruct": "splats" }),
+            true,
+        ),
+        ("POST", jobs, json!({ "scene": "grid", "path": 3 }), false),
+        ("POST", jobs, json!({ "scene": "grid", "path": { "keys": [] } }), false),
+        ("POST", jobs, json!({ "scene": "grid", "path": "past", "camera": "front" }), false),
+        ("POST", jobs, json!({ "scene": "grid", "path": "past", "speed": 2 }), false),
+        ("POST", jobs, json!({ "scene": "grid", "path": "past", "want": [] }), false),
+        ("POST", jobs, json!({ "scene": "grid", "path": "past", "w": 0 }), false),
+        (
+            "POST",
+            frames,
+            json!({ "w": 8, "h": 8, "poses": [{ "camera": "front" }, { "eye": [0, 0, 3], "target": [0, 0, 0] }] }),
+            true,
+        ),
+        ("POST", frames, json!({ "poses": [] }), false),
+        ("POST", frames, json!({ "poses": [{ "eye": [0, 0] }] }), false),
+        ("POST", frames, json!({ "poses": [{}, { "format": "gif" }] }), false),
+        ("POST", frames, json!({ "poses": [{ "fov": 180 }] }), false),
+        ("POST", frames, json!({ "poses": [{}], "quality": 101 }), false),
+        ("POST", frames, json!({ "poses": [{}], "w": 20000 }), false),
+        ("POST", frames, json!({ "poses": [{ "deadline_ms": 0 }] }), false),
+        ("PATCH", node, json!({ "translate": [1, 2, 3], "scale": -2, "visible": true }), true),
+        (
+            "PATCH",
+            node,
+            json!({ "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 6, 7, 1] }),
+            true,
+        ),
+        ("PATCH", node, json!({ "scale": [1, 0, 1] }), false),
+        ("PATCH", node, json!({ "scale": 1e-10 }), false),
+        ("PATCH", node, json!({ "translate": [1e13, 0, 0] }), false),
+        ("PATCH", node, json!({ "matrix": vec![1; 16] }), false),
+        ("PATCH", node, json!({}), false),
+    ] {
+        let (_, operation) = contract.operation(method, path).unwrap();
+        let schema = &operation["requestBody"]["content"]["application/json"]["schema"];
+        let faults = contract.faults(schema, &body);
+        assert_eq!(faults.is_empty(), is_fine, "{method} {path} {body}: {faults:?}");
+        let json = [("content-type", "application/json")];
+        let reply = client.send(method, path, &json, Some(body.to_string().as_bytes()));
+        let status = reply.status;
+        assert!(
+            if is_fine { status < 300 } else { status == 422 },
+            "{body}: {status} {}",
+            reply.text()
+        );
+    }
+}
+
+/// Answers of the HTTP library to what is no request are problems as well.
+#[test]
+fn heads_that_cannot_be_read_are_problems() {
+    let daemon = Daemon::start(&[]);
+    let contract = Contract::new();
+    let many = (0..100).map(|number| format!("x-{number}: 1\r\n")).collect::<String>();
+    for (status, kind, request) in [
+        (
+            400,
+            "malformed-request",
+            "GET / HTTP/1.1\r\nHost: localhost\r\nno colon\r\n\r\n".to_owned(),
+        ),
+        (400, "malformed-request", "GARBAGE THAT IS NO REQUEST\r\n\r\n".to_owned()),
+        (431, "head-too-large", format!("GET / HTTP/1.1\r\nHost: localhost\r\n{many}\r\n")),
+        (
+            431,
+            "head-too-large",
+            format!("GET / HTTP/1.1\r\nHost: localhost\r\nx: {}\r\n\r\n", "y".repeat(60 << 10)),
+        ),
+        (
+            431,
+            "head-too-large",
+            format!("GET /{} HTTP/1.1\r\nHost: localhost\r\n\r\n", "y".repeat(60 << 10)),
+        ),
+    ] {
+        let answer = read_to_close(&mut raw(daemon.address, request.as_bytes()));
+        let (head, body) = answer.split_once("\r\n\r\n").unwrap_or_else(|| panic!("{answer}"));
+        assert!(head.starts_with(&format!("HTTP/1.1 {status} ")), "{head}");
+        assert!(head.contains("content-type: application/problem+json"), "{head}");
+        assert!(head.contains(&format!("content-length: {}", body.len())), "{head}");
+        let problem: Value = serde_json::from_str(body).unwrap();
+        assert_eq!(problem["type"], format!("urn:pointillist:problem:{kind}"));
+        assert_eq!(contract.faults(contract.component("Problem"), &problem), [] as [String; 0]);
+    }
+    // What is answered before it is still whole.
+    let mixed = "GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\nGARBAGE\r\n\r\n";
+    let answer = read_to_close(&mut raw(daemon.address, mixed.as_bytes()));
+    assert!(answer.starts_with("HTTP/1.1 200 ") && answer.contains("HTTP/1.1 400 "), "{answer}");
+}
+
+#[test]
+fn routes_and_methods_that_are_not_there_are_problems() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    for (method, path, status, kind) in [
+        ("GET", "/v1/scene", 404, "unknown-route"),
+        ("GET", "/v1/scenes/", 404, "unknown-route"),
+        ("GET", "/v1/scenes//frame", 404, "unknown-route"),
+        ("POST", "/v1/limits", 405, "method-not-allowed"),
+        ("DELETE", "/v1/jobs", 405, "method-not-allowed"),
+        ("GET", "/v1/jobs?state=lost", 422, "bad-parameter"),
+        ("GET", "/v1/limits?all=true", 422, "unknown-parameter"),
+    ] {
+        let reply = client.send(method, path, &[], None);
+        assert_eq!(reply.status, status, "{method} {path}: {}", reply.text());
+        assert_eq!(
+            reply.problem()["type"],
+            format!("urn:pointillist:problem:{kind}"),
+            "{method} {path}"
+        );
+        assert_eq!(reply.header("allow").is_some(), status == 405, "{method} {path}");
+    }
 }
 
 #[test]
 fn answers_are_documented() {
     let daemon = Daemon::start(&[]);
     let client = daemon.client();
-    let document = document();
+    let contract = Contract::new();
+    let document = &contract.0;
     let ply = grid_ply();
     let json = "application/json";
     let frame = "/v1/scenes/{id}/frame";
@@ -94,7 +278,13 @@ fn answers_are_documented() {
             let documented = response["content"].as_object().unwrap();
             assert!(documented.contains_key(found), "{method} {path}: {found}");
         }
-        check_schema(&document, response, &reply);
+        let kind = reply.header("content-type").unwrap_or_default();
+        if kind.ends_with("json") {
+            let schema = &response["content"][kind]["schema"];
+            let faults = contract.faults(schema, &reply.json());
+            assert!(faults.is_empty(), "{method} {path}: {faults:?}");
+        }
+        check_schema(document, response, &reply);
     }
 }
 
@@ -116,8 +306,10 @@ fn check_schema(document: &Value, response: &Value, reply: &super::client::Reply
 fn receipts_match_their_schema() {
     let daemon = Daemon::start(&[]);
     let receipt = daemon.client().get("/v1/scenes/grid/frame?w=8&h=8").receipt();
-    let document = document();
-    let schema = &document["components"]["schemas"]["Receipt"]["properties"];
+    let contract = Contract::new();
+    let schema = contract.component("Receipt");
+    assert_eq!(contract.faults(schema, &receipt), [] as [String; 0]);
+    let schema = &schema["properties"];
     let known: Vec<&String> = schema.as_object().unwrap().keys().collect();
     let found: Vec<&String> = receipt.as_object().unwrap().keys().collect();
     assert_eq!(known, found);

@@ -191,7 +191,7 @@ fn many_poses_in_one_answer() {
     let client = daemon.client();
     let mut poses: Vec<Value> =
         (0..20).map(|i| json!({"eye": [0.1 * f64::from(i), 0, 3], "target": [0, 0, 0]})).collect();
-    poses[3] = json!({"eye": [0, 0], "target": [0, 0, 0]});
+    poses[3] = json!({"eye": [0, 0, 0], "target": [0, 0, 0]});
     poses[5] = json!({"camera": "nobody"});
     poses[7] = json!({"camera": "front", "format": "jpeg", "w": 32});
     poses[9] = json!({"filter": "exact"});
@@ -222,6 +222,23 @@ fn many_poses_in_one_answer() {
     }
     let single = client.get("/v1/scenes/grid/frame?eye=0,0,3&target=0,0,0&w=48&h=40");
     assert_eq!(parts[0].3, single.body, "alone or in a series, a pose gives the same image");
+}
+
+/// What no frame can have is told before the first part, by its place.
+#[test]
+fn poses_that_break_the_contract_refuse_the_request() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    for (pose, place) in [
+        (json!({"eye": [0, 0], "target": [0, 0, 0]}), "poses[1].eye"),
+        (json!({"camera": "front", "blend": "max"}), "poses[1].blend"),
+        (json!({"camera": "front", "w": 0}), "poses[1].w"),
+        (json!({"camera": "front", "speed": 0}), "poses[1].speed"),
+    ] {
+        let reply = client.post_json("/v1/scenes/grid/frames", &json!({"poses": [{}, pose]}));
+        assert_eq!(reply.status, 422, "{}", reply.text());
+        assert_eq!(reply.problem()["parameter"], place);
+    }
 }
 
 #[test]
@@ -392,8 +409,8 @@ fn poses_of_a_series_inherit_how_splats_are_drawn() {
     let own =
         json!({"camera": "front", "filter": "exact", "prefilter": true, "shading": "deferred"});
     let points = json!({"camera": "front", "reconstruct": "points"});
-    let unknown = json!({"camera": "front", "blend": "max"});
-    let request = json!({"poses": [pose, own, points, unknown], "w": 96, "h": 64, "reconstruct": "splats",
+    let both = json!({"camera": "front", "reconstruct": "points", "blend": "opaque"});
+    let request = json!({"poses": [pose, own, points, both], "w": 96, "h": 64, "reconstruct": "splats",
         "filter": "affine", "prefilter": false, "blend": "opaque", "shading": "splat"});
     let reply = client.post_json("/v1/scenes/grid/frames", &request);
     assert_eq!(reply.status, 200, "{}", reply.text());

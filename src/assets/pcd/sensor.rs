@@ -142,7 +142,8 @@ fn fitted(directions: &[Direction], raster: &Raster) -> Option<(f64, [f64; 2])> 
         worst = worst.max(variance.sqrt() / size);
         tans[axis] = 0.5 * size / focal_px;
         let is_seen = focal_px > 0.0 && focal_px.is_finite() && tans[axis] < WIDEST;
-        if !is_seen || !(variance.sqrt() < MOST_ERROR * size) {
+        let fits = variance.sqrt() < MOST_ERROR * size;
+        if !(is_seen && fits) {
             return None;
         }
     }

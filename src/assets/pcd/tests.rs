@@ -160,7 +160,7 @@ fn depth_image(viewpoint: &str) -> Vec<u8> {
 #[test]
 fn depth_images_have_the_view_of_their_sensor() {
     let asset = read_bytes(&depth_image("0 0 0 1 0 0 0")).unwrap();
-    let seen = asset.sensor.unwrap();
+    let Some(Sensor::View(seen)) = asset.sensor else { panic!("{:?}", asset.sensor) };
     assert_eq!(seen.camera.eye, DVec3::ZERO);
     assert_eq!(seen.camera.up, DVec3::NEG_Y);
     assert!(seen.camera.target.distance(DVec3::Z * 2.0) < 0.1, "{:?}", seen.camera);

@@ -176,7 +176,7 @@ fn lines_that_software_writes_into_headers_are_ignored_with_a_warning() {
         |lines: &str| SQUARE.replacen("element vertex", &format!("{lines}element vertex"), 1);
     let asset = read(with("obj_info num_cols 512\r\n\r\nbye\r\n")).unwrap();
     assert_eq!(mesh(&asset).triangles.len(), 2);
-    let said = "header line 5 is not part of the PLY format and is ignored: \"bye\"";
+    let said = "header line 6 is not part of the PLY format and is ignored: \"bye\"";
     assert_eq!(asset.warnings, [said]);
     let many: String = (0..900).map(|i| format!("scanner setting {i}\n")).collect();
     let asset = read(with(&many)).unwrap();

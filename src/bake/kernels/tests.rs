@@ -150,7 +150,7 @@ fn echoes_in_the_air_are_no_larger_than_samples_of_surfaces() {
     let kernels = cloud(positions).kernels.unwrap();
     let median = longest_axis(&kernels[820]);
     for kernel in &kernels[solid..] {
-        assert!(longest_axis(kernel) < 2.0 * median, "{kernel:?} {median}");
+        assert!(longest_axis(kernel) < 3.0 * median, "{kernel:?} {median}");
     }
 }
 

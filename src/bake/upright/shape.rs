@@ -37,6 +37,8 @@ pub struct End {
     pub footprint: f64,
     /// Distance from the centre of mass to the footprint's rim, relative to the outline's size; negative outside.
     pub balance: f64,
+    /// Tangent of the angle that the asset can be tilted by before it falls over; negative if it falls over by itself.
+    pub tilt: f64,
     /// Share of the surface that touches the ground.
     pub contact: f64,
     /// Share of the surface in a flat base, and the area of its convex hull.
@@ -109,14 +111,17 @@ fn measure(
     let feet = Hull::of(touching.clone().map(|s| across(s.position, axis)));
     let base = Hull::of(samples.iter().filter(is_base).map(|s| across(s.position, axis)));
     let share = |count: usize| count as f64 / samples.len() as f64;
+    let inside = feet.distance_inside(across(centroid, axis));
+    let mean = samples.iter().map(|s| s.normal[axis]).sum::<f64>() / samples.len() as f64;
     End {
         footprint: feet.area / whole,
-        balance: feet.distance_inside(across(centroid, axis)) / whole.sqrt(),
+        balance: inside / whole.sqrt(),
+        tilt: inside / height(centroid).max(1e-12),
         contact: share(touching.count()),
         flat: share(samples.iter().filter(is_base).count()),
         flat_footprint: base.area / whole,
         centroid_height: height(centroid) / tall.max(1e-12),
-        opening: sign * samples.iter().map(|s| s.normal[axis]).sum::<f64>() / samples.len() as f64,
+        opening: sign * mean,
     }
 }
 

@@ -25,7 +25,9 @@ use crate::jobs::{FrameSpec, Origin, PathChoice, Repeat, Spec, Want, find_shots}
 
 /// Bytes of the request: some thousand keys of a path.
 const MAX_BODY_BYTES: u64 = 256 << 10;
-const MAX_KEY_BYTES: usize = 255;
+pub const MAX_KEY_BYTES: usize = 255;
+/// What can be wanted of a job: frames and a video.
+pub const MAX_WANTED: usize = 2;
 
 /// A film to draw. Beside these, any parameter that a frame's query may have, but for its pose and `deadline_ms`.
 #[derive(Deserialize, ToSchema)]
@@ -36,7 +38,6 @@ pub struct JobRequest {
     #[schema(value_type = Object)]
     path: Value,
     /// Frames a second; as the path has it where none is given.
-    #[schema(minimum = 0.001, maximum = 1000.0)]
     fps: Option<f64>,
     /// Number of the first frame; 0 where none is given.
     from: Option<u64>,
@@ -46,7 +47,6 @@ pub struct JobRequest {
     /// is made.
     want: Option<Vec<Wanted>>,
     /// Of the video, in kilobits a second; by its size where none is given.
-    #[schema(minimum = 50, maximum = 500_000)]
     bitrate_kbps: Option<u32>,
     #[serde(flatten)]
     #[schema(value_type = FrameParams)]
@@ -62,7 +62,7 @@ pub enum Wanted {
 
 const NAMES: [&str; 7] = ["scene", "path", "fps", "from", "to", "want", "bitrate_kbps"];
 /// Parameters of a frame that a path gives, or that mean nothing where nobody waits.
-const NOT_HERE: [(&str, &str); 9] = [
+pub const NOT_HERE: [(&str, &str); 9] = [
     ("camera", "the path says where frames are seen from"),
     ("eye", "the path says where frames are seen from"),
     ("target", "the path says where frames are seen from"),
@@ -88,6 +88,7 @@ const SYNONYMS: [(&str, &str); 5] = [
 #[utoipa::path(
     post,
     path = "/v1/jobs",
+    operation_id = "createJob",
     tag = "jobs",
     params(("Idempotency-Key" = Option<String>, Header, description = "1 to 255 visible ASCII characters; known for as long as the job is")),
     request_body(content = JobRequest, content_type = "application/json"),
@@ -196,6 +197,10 @@ fn spec(value: Value) -> Result<Spec, Problem> {
         }
     };
     let want = request.want.unwrap_or_else(|| vec![Wanted::Frames]);
+    if want.len() > MAX_WANTED {
+        let reason = format!("{} are wanted", want.len());
+        return Err(Problem::parameter("want", reason, "`frames`, `video`, or both"));
+    }
     let want = Want {
         frames: want.contains(&Wanted::Frames),
         video: want.contains(&Wanted::Video),

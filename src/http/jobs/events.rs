@@ -36,13 +36,14 @@ const RETRY: Duration = Duration::from_secs(2);
 #[utoipa::path(
     get,
     path = "/v1/jobs/{id}/events",
+    operation_id = "followJob",
     tag = "jobs",
     params(
         ("id" = String, Path, description = "The job"),
         ("Last-Event-ID" = Option<String>, Header, description = "The id of the last event that the client has: what it knows is not sent again"),
     ),
     responses(
-        (status = 200, description = "The events", body = String, content_type = "text/event-stream"),
+        (status = 200, description = "The events, each with `event`, `id` and `data`", body = Object, content_type = "text/event-stream"),
         (status = 204, description = "The job has ended, and the client knows"),
     ),
 )]

@@ -31,6 +31,7 @@ const MOST_CHECKED_BYTES: u64 = 32 << 20;
 #[utoipa::path(
     get,
     path = "/v1/jobs/{id}/frames/{n}",
+    operation_id = "getJobFrame",
     tag = "jobs",
     params(
         ("id" = String, Path, description = "The job"),
@@ -163,6 +164,7 @@ fn there(found: Found, number: u64) -> Result<(Arc<Record>, std::path::PathBuf),
 #[utoipa::path(
     get,
     path = "/v1/jobs/{id}/frames",
+    operation_id = "getJobManifest",
     tag = "jobs",
     params(
         ("id" = String, Path, description = "The job"),
@@ -215,6 +217,7 @@ pub async fn manifest(
 #[utoipa::path(
     get,
     path = "/v1/jobs/{id}/multipart",
+    operation_id = "getJobFrames",
     tag = "jobs",
     params(
         ("id" = String, Path, description = "The job"),

@@ -97,6 +97,7 @@ impl Owner {
 #[utoipa::path(
     get,
     path = "/v1/jobs",
+    operation_id = "listJobs",
     tag = "jobs",
     params(("state" = Option<StateName>, Query, description = "Only those in this state")),
     responses((status = 200, description = "The jobs", body = JobList)),
@@ -135,6 +136,7 @@ fn wanted_state(query: Option<&str>) -> Result<Option<StateName>, Problem> {
 #[utoipa::path(
     get,
     path = "/v1/jobs/{id}",
+    operation_id = "getJob",
     tag = "jobs",
     params(("id" = String, Path, description = "The job")),
     responses((status = 200, description = "The job", body = JobState)),
@@ -154,6 +156,7 @@ pub async fn show(
 #[utoipa::path(
     post,
     path = "/v1/jobs/{id}/cancel",
+    operation_id = "cancelJob",
     tag = "jobs",
     params(("id" = String, Path, description = "The job")),
     responses((status = 200, description = "The job, which is cancelled", body = JobState)),
@@ -175,6 +178,7 @@ pub async fn cancel(
 #[utoipa::path(
     post,
     path = "/v1/jobs/{id}/resume",
+    operation_id = "resumeJob",
     tag = "jobs",
     params(("id" = String, Path, description = "The job")),
     responses((status = 200, description = "The job, which is queued", body = JobState)),
@@ -195,6 +199,7 @@ pub async fn resume(
 #[utoipa::path(
     delete,
     path = "/v1/jobs/{id}",
+    operation_id = "deleteJob",
     tag = "jobs",
     params(("id" = String, Path, description = "The job")),
     responses((status = 204, description = "It is gone")),

@@ -16,6 +16,7 @@ use crate::http::{App, Owner, Segments};
 #[utoipa::path(
     get,
     path = "/v1/jobs/{id}/video.mp4",
+    operation_id = "getJobVideo",
     tag = "jobs",
     params(
         ("id" = String, Path, description = "The job"),

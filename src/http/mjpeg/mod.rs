@@ -37,12 +37,12 @@ use crate::engine::{EncodedFrame, FrameRequest, Origin, RequestId};
 use crate::scene::CameraPath;
 
 /// Frames a second that can be asked for.
-const FPS_RANGE: [f64; 2] = [0.1, 120.0];
+pub const FPS_RANGE: [f64; 2] = [0.1, 120.0];
 /// Of a view that does not move: how soon a change of the scene is shown after the one before.
 const DEFAULT_FPS: f64 = 30.0;
 
 /// What its query may hold.
-const NAMES: Names = Names {
+pub const NAMES: Names = Names {
     own: &["path", "fps", "loop"],
     without: &[("deadline_ms", "frames that are late are left out")],
 };
@@ -54,7 +54,6 @@ pub struct ScreeningParams {
     /// A camera path that the scene names. Without one, the view of `camera`, or of a pose, is shown, and again whenever the scene changes.
     path: Option<String>,
     /// Frames a second, 0.1 to 120; the path's own where it is not given.
-    #[param(minimum = 0.1, maximum = 120)]
     fps: Option<f64>,
     /// Whether the path begins again at its end, where otherwise the answer ends with its last frame.
     r#loop: Option<bool>,
@@ -69,6 +68,7 @@ pub struct ScreeningParams {
 #[utoipa::path(
     get,
     path = "/v1/scenes/{id}/mjpeg",
+    operation_id = "playFilm",
     tag = "frames",
     params(("id" = String, Path, description = "A scene that `GET /v1/scenes` lists"), ScreeningParams, FrameParams),
     responses((

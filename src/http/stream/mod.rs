@@ -30,7 +30,7 @@ use tracing::Instrument;
 
 pub use allowance::MOST_PER_SECOND as MOST_MESSAGES_PER_SECOND;
 pub use places::{Place, StreamLimits, Streams};
-pub use wire::{Close, FrameHeader, MAX_MESSAGE_BYTES, PoseFields};
+pub use wire::{Close, FrameHeader, MAX_MESSAGE_BYTES, PoseFields, WITHOUT};
 
 use super::frame::missing;
 use super::params::{FrameParams, Names};
@@ -38,7 +38,6 @@ use super::problem::{Kind, Problem};
 use super::{App, Caller, Segments, naming};
 use crate::engine::RequestId;
 use session::Session;
-use wire::WITHOUT;
 
 /// The subprotocol that is chosen when a client offers it.
 const PROTOCOL: &str = "pointillist";
@@ -77,6 +76,7 @@ const QUERY_NAMES: Names = Names { own: &[], without: WITHOUT };
 #[utoipa::path(
     get,
     path = "/v1/scenes/{id}/stream",
+    operation_id = "openStream",
     tag = "frames",
     params(("id" = String, Path, description = "A scene that `GET /v1/scenes` lists"), FrameParams),
     responses((status = 101, description = "A WebSocket from here on")),

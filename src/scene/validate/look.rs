@@ -5,7 +5,8 @@ use glam::DVec3;
 use super::super::color::{parse_hex, to_linear};
 use super::super::load::DEFAULT_BACKGROUND;
 use super::super::wire::{
-    CameraWire, ColorWire, LightKind, LightWire, MaterialWire, Object, PathWire, SplatsWire,
+    CameraWire, ColorWire, LightKind, LightWire, MaterialWire, Object, PATH_FPS, PATH_SECONDS,
+    PathWire, SplatsWire,
 };
 use super::super::{CameraPath, Light, MaterialSpec, PathKey, Splats, Up};
 use super::{
@@ -172,7 +173,7 @@ fn pose(
 }
 
 pub(super) fn path(wire: &PathWire, up: DVec3, place: Place<'_>) -> Valid<CameraPath> {
-    let fps = within(wire.fps.unwrap_or(30.0), 0.001, 1000.0, place.key("fps"))?;
+    let fps = within(wire.fps.unwrap_or(30.0), PATH_FPS[0], PATH_FPS[1], place.key("fps"))?;
     let interpolation = wire.interpolation.unwrap_or_default();
     let ease = wire.ease.unwrap_or(interpolation.default_ease());
     let list = place.key("keys");
@@ -182,7 +183,7 @@ pub(super) fn path(wire: &PathWire, up: DVec3, place: Place<'_>) -> Valid<Camera
     let mut keys: Vec<PathKey> = Vec::with_capacity(wire.keys.len());
     for (index, key) in wire.keys.iter().enumerate() {
         let place = list.index(index);
-        within(key.t, -1e6, 1e6, place.key("t"))?;
+        within(key.t, PATH_SECONDS[0], PATH_SECONDS[1], place.key("t"))?;
         if let Some(last) = keys.last()
             && key.t <= last.t
         {

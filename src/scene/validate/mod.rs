@@ -156,6 +156,7 @@ pub(super) fn scene(
         }
         .to_owned(),
         sensor: None,
+        front: None,
     };
     graph::check(&scene, limits)?;
     Ok(scene)

@@ -1,11 +1,16 @@
 //! The contract, generated from the handlers and wire types.
 //!
 //! Handlers document their successes; which problems each operation answers stands in one table
-//! here, so that every status, with the `type`s behind it, is in the document. `openapi.yaml` at
+//! here, so that every status, with the `type`s behind it, is in the document. [`tidy`] straightens the
+//! generator's schemas, [`bounds`] adds the ranges and lengths that the handlers enforce. `openapi.yaml` at
 //! the root of the repository is this document; a test holds the two equal.
+
+mod bounds;
+mod tidy;
 
 use std::collections::BTreeMap;
 
+use serde_json::{Value, json};
 use utoipa::openapi::path::Operation;
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{ContentBuilder, Ref, RefOr, ResponseBuilder};
@@ -23,6 +28,11 @@ use crate::engine::Receipt;
         description = "A headless render server: a camera pose goes in, a frame and its receipt come out.\n\n\
             Every failure is `application/problem+json` with a stable `type`. Nothing is silently clamped: \
             what cannot be used is refused, with what would be accepted.\n\n\
+            An address that is not in this document is answered with 404 (`urn:pointillist:problem:unknown-route`), \
+            a method that an address does not take with 405 (`urn:pointillist:problem:method-not-allowed`) and the header `Allow`. \
+            Over HTTP/2, a head that is too large is answered with 431 without a body.\n\n\
+            Some parameters exclude or need each other, as their descriptions say; a request that breaks such a rule is answered \
+            with 422, although each parameter by itself is as its schema says.\n\n\
             Every answer has `X-Request-Id`: the request's own, if that is 1 to 128 letters, digits and `-_.:/+=@~`, or a new one. \
             Receipts and problems repeat it as `request_id`, and with `POINTILLIST_LOG=pointillist=debug` the log tells a frame's \
             whole way by it.",
@@ -70,9 +80,23 @@ use crate::engine::Receipt;
 )]
 struct Contract;
 
-/// The contract as a document.
-pub fn document() -> utoipa::openapi::OpenApi {
-    Contract::openapi()
+/// The contract as JSON.
+///
+/// # Errors
+/// None that the types allow; the serialiser's, if any.
+pub fn openapi_json() -> anyhow::Result<Value> {
+    let mut document = serde_json::to_value(Contract::openapi())?;
+    let scene = tidy::adopt(&mut document, crate::scene::json_schema(), "File");
+    let path = tidy::adopt(&mut document, crate::scene::path_json_schema(), "File");
+    let schemas = &mut document["components"]["schemas"];
+    schemas["SceneFile"] = scene;
+    schemas["PathFile"] = path;
+    bounds::of_schemas(&mut document);
+    tidy::flatten(&mut document);
+    bounds::of_bodies(&mut document["components"]["schemas"]);
+    bounds::of_uploads(&mut document);
+    parameters(&mut document);
+    Ok(document)
 }
 
 /// The contract as `openapi.yaml` has it.
@@ -80,18 +104,39 @@ pub fn document() -> utoipa::openapi::OpenApi {
 /// # Errors
 /// None that the types allow; the serialiser's, if any.
 pub fn openapi_yaml() -> anyhow::Result<String> {
-    let yaml = document().to_yaml()?;
+    let yaml = yaml_serde::to_string(&tidy::ordered(&openapi_json()?))?;
     Ok(format!(
         "# Generated from the code by `pointillist openapi`; a test holds it equal.\n{yaml}"
     ))
 }
 
-/// The contract as JSON.
-///
-/// # Errors
-/// None that the types allow; the serialiser's, if any.
-pub fn openapi_json() -> anyhow::Result<serde_json::Value> {
-    Ok(serde_json::to_value(document())?)
+/// Gives parameters their bounds, and leaves out those that an operation refuses.
+fn parameters(document: &mut Value) {
+    let Some(paths) = document["paths"].as_object_mut() else { return };
+    for (path, item) in paths {
+        let operations = item.as_object_mut().into_iter().flat_map(|item| item.values_mut());
+        for list in
+            operations.filter_map(|operation| operation.get_mut("parameters")?.as_array_mut())
+        {
+            list.retain(|parameter| {
+                !bounds::is_refused(path, parameter["name"].as_str().unwrap_or_default())
+            });
+            for parameter in list {
+                let text = |key: &str| parameter[key].as_str().unwrap_or_default().to_owned();
+                let (place, name) = (text("in"), text("name"));
+                let schema = &mut parameter["schema"];
+                tidy::never_null(schema);
+                if let Some((_, length)) = bounds::length_of(&name)
+                    && schema.get("items").is_some()
+                {
+                    bounds::narrow(schema, json!({ "minItems": length, "maxItems": length }));
+                }
+                if let Some(bounds) = bounds::of_parameter(path, &place, &name) {
+                    bounds::narrow(schema, bounds);
+                }
+            }
+        }
+    }
 }
 
 /// What each operation may answer beside its successes; access and internal errors are added to all.
@@ -253,13 +298,32 @@ fn problems(path: &str, method: &str) -> &'static [Kind] {
     }
 }
 
+/// Whether an operation looks at its query, if only to refuse one.
+fn reads_query(path: &str) -> bool {
+    path.starts_with("/v1/") && path != "/v1/scene-schema.json"
+}
+
 struct Problems;
 
 impl Modify for Problems {
     fn modify(&self, openapi: &mut utoipa::openapi::OpenApi) {
         each_operation(openapi, |path, method, operation| {
             let mut kinds = problems(path, method).to_vec();
-            kinds.extend([Kind::WrongHost, Kind::Internal]);
+            kinds.extend([
+                Kind::MalformedRequest,
+                Kind::HeadTooLarge,
+                Kind::WrongHost,
+                Kind::Internal,
+            ]);
+            if path.contains('{') {
+                // A segment that is not UTF-8, or that is empty.
+                kinds.push(Kind::UnknownRoute);
+            }
+            if reads_query(path) {
+                kinds.extend([Kind::BadParameter, Kind::UnknownParameter]);
+            }
+            kinds.sort_by_key(|kind| Kind::ALL.iter().position(|known| known == kind));
+            kinds.dedup();
             let verb = axum::http::Method::from_bytes(method.to_uppercase().as_bytes());
             match access::needed(&verb.unwrap_or_default(), path) {
                 None => {}
@@ -356,7 +420,8 @@ mod tests {
 
     #[test]
     fn every_route_is_in_the_document() {
-        let paths = document().paths.paths;
+        let document = openapi_json().unwrap();
+        let paths = document["paths"].as_object().unwrap();
         for route in crate::http::ROUTES.iter().filter(|route| route.starts_with('/')) {
             assert!(paths.contains_key(*route), "{route}");
         }
@@ -367,13 +432,10 @@ mod tests {
     fn every_kind_of_problem_is_in_the_document() {
         let text = openapi_yaml().unwrap();
         for kind in Kind::ALL {
-            // What no operation is behind cannot be documented with one.
             let (_, urn, _) = kind.facts();
             // What only a job's `error` can be stands there, without what all have in common.
             let short = urn.rsplit(':').next().unwrap();
-            if kind != Kind::MethodNotAllowed {
-                assert!(text.contains(urn) || text.contains(&format!("`{short}`")), "{kind:?}");
-            }
+            assert!(text.contains(urn) || text.contains(&format!("`{short}`")), "{kind:?}");
         }
     }
 }

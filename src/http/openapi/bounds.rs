@@ -1,0 +1,234 @@
+//! Lengths, ranges and patterns of everything that a client may send, from the constants that the handlers enforce.
+
+use serde_json::{Value, json};
+
+use super::tidy::{each_object, remove_property};
+use crate::encode::{self, ImageFormat};
+use crate::film::shots::{FPS_RANGE, MOST_FRAMES};
+use crate::film::video::KBPS_RANGE;
+use crate::http::jobs::create as job;
+use crate::http::names::{FILE_NAME_PATTERN, ID_PATTERN, MAX_FILE_NAME_BYTES};
+use crate::http::{frames, mjpeg, params, stream, upload};
+use crate::math::FARTHEST;
+use crate::plan::{MaxError, Output};
+use crate::residency::layout::MOST_ROWS;
+use crate::scene::{LARGEST_COORDINATE, LARGEST_SCALE};
+
+/// Where the words stand that a request may have for a format: those of answers, and another one for JPEG.
+const WANTED_FORMAT: &str = "#/components/schemas/WantedFormat";
+const JPG: &str = "jpg";
+
+/// How many numbers a property of this name holds, in requests and answers alike.
+const LENGTHS: [(&str, usize); 10] = [
+    ("eye", 3),
+    ("target", 3),
+    ("up", 3),
+    ("translate", 3),
+    ("rotate", 3),
+    ("quaternion", 4),
+    ("view", 16),
+    ("proj", 16),
+    ("matrix", 16),
+    ("depth_range", 2),
+];
+
+/// The entry of [`LENGTHS`] for a name.
+pub fn length_of(name: &str) -> Option<(&'static str, usize)> {
+    LENGTHS.into_iter().find(|(known, _)| *known == name)
+}
+
+/// What a frame's parameter of this name may be, in a query and in JSON alike.
+fn of_frame(name: &str) -> Option<Value> {
+    let [least_px, most_px] = MaxError::RANGE_PX;
+    Some(match name {
+        "camera" => json!({ "minLength": 1, "maxLength": params::MAX_NAME_CHARS }),
+        "format" => json!({ "$ref": WANTED_FORMAT }),
+        "eye" | "target" => json!({ "items": number(-FARTHEST, FARTHEST) }),
+        "fov" => json!({ "exclusiveMinimum": 0, "exclusiveMaximum": 180 }),
+        "w" | "h" => json!({ "minimum": 1, "maximum": MOST_ROWS }),
+        "quality" => {
+            let [least, most] = params::QUALITY_RANGE;
+            json!({ "minimum": least, "maximum": most })
+        }
+        "max_error_px" => json!({ "minimum": exact(least_px), "maximum": exact(most_px) }),
+        "deadline_ms" => json!({ "exclusiveMinimum": 0, "maximum": params::MAX_DEADLINE_MS }),
+        _ => return None,
+    })
+}
+
+/// What a parameter of an operation may be.
+pub fn of_parameter(path: &str, place: &str, name: &str) -> Option<Value> {
+    if path.ends_with("/mjpeg") && name == "format" {
+        return Some(json!({ "$ref": null, "type": "string", "enum": [ImageFormat::Jpeg, JPG] }));
+    }
+    if path.ends_with("/mjpeg") && name == "output" {
+        let outputs = [Output::Color, Output::Depth, Output::Normal, Output::Id];
+        let outputs =
+            outputs.iter().filter(|output| encode::accepts(ImageFormat::Jpeg, **output).is_ok());
+        return Some(
+            json!({ "$ref": null, "type": "string", "enum": outputs.collect::<Vec<_>>() }),
+        );
+    }
+    let [least_fps, most_fps] = mjpeg::FPS_RANGE;
+    Some(match (place, name) {
+        ("path", "id") if path.starts_with("/v1/jobs") => json!({ "pattern": "^[0-9]{1,20}$" }),
+        ("path", "id") | ("query", "id") => json!({ "pattern": ID_PATTERN }),
+        ("path", "n") => json!({ "minimum": 0, "maximum": MOST_FRAMES }),
+        ("path", "file") => json!({ "pattern": "^[a-z0-9-]{1,32}\\.[a-z]{1,4}$" }),
+        ("path", _) => json!({ "minLength": 1, "maxLength": params::MAX_NAME_CHARS }),
+        ("query", "name") => {
+            json!({ "pattern": FILE_NAME_PATTERN, "minLength": 1, "maxLength": MAX_FILE_NAME_BYTES })
+        }
+        ("query", "path") => json!({ "minLength": 1, "maxLength": params::MAX_NAME_CHARS }),
+        ("query", "fps") => json!({ "minimum": least_fps, "maximum": most_fps }),
+        ("query", "from") => json!({ "minimum": 0, "maximum": MOST_FRAMES }),
+        ("header", "Idempotency-Key") => {
+            json!({ "pattern": "^[!-~]([ -~]*[!-~])?$", "minLength": 1, "maxLength": job::MAX_KEY_BYTES })
+        }
+        ("query", _) => return of_frame(name),
+        _ => return None,
+    })
+}
+
+/// Parameters of a frame that an operation's query does not take.
+pub fn is_refused(path: &str, name: &str) -> bool {
+    let without = match path {
+        "/v1/scenes/{id}/mjpeg" => mjpeg::NAMES.without,
+        "/v1/scenes/{id}/stream" => stream::WITHOUT,
+        _ => return false,
+    };
+    without.iter().any(|(refused, _)| *refused == name)
+}
+
+/// Bounds of the schemas, before flattened ones take properties over.
+pub fn of_schemas(document: &mut Value) {
+    each_object(document, &mut |object| {
+        let Some(Value::Object(properties)) = object.get_mut("properties") else { return };
+        for (name, property) in properties {
+            if let Some((_, length)) = length_of(name)
+                && property.get("items").is_some()
+            {
+                narrow(property, json!({ "minItems": length, "maxItems": length }));
+            }
+        }
+    });
+    let schemas = &mut document["components"]["schemas"];
+    for name in params::NAMES {
+        if let Some(bounds) = of_frame(name) {
+            narrow(&mut schemas["FrameParams"]["properties"][name], bounds);
+        }
+    }
+    let mut formats = schemas["ImageFormat"]["enum"].as_array().cloned().unwrap_or_default();
+    formats.push(json!(JPG));
+    schemas["WantedFormat"] =
+        json!({ "type": "string", "enum": formats, "description": "Encodings; `jpg` is `jpeg`." });
+    let format = &mut schemas["FrameParams"]["properties"]["format"];
+    let wanted = json!([{ "$ref": WANTED_FORMAT }, { "type": "null" }]);
+    narrow(format, json!({ "$ref": null, "oneOf": wanted }));
+    for form in schemas["Up"]["oneOf"].as_array_mut().into_iter().flatten() {
+        if form["type"] == "array" {
+            let numbers = number(-FARTHEST, FARTHEST);
+            narrow(form, json!({ "minItems": 3, "maxItems": 3, "items": numbers }));
+        }
+    }
+    let box_of_scene =
+        json!({ "minItems": 2, "maxItems": 2, "items": { "minItems": 3, "maxItems": 3 } });
+    narrow(&mut schemas["SceneInfo"]["properties"]["bounds"], box_of_scene);
+    of_node_changes(schemas);
+}
+
+/// Bounds of `PATCH …/nodes/{node}`.
+fn of_node_changes(schemas: &mut Value) {
+    let most = LARGEST_COORDINATE;
+    let factor = json!({ "anyOf": [number(1.0 / LARGEST_SCALE, LARGEST_SCALE), number(-LARGEST_SCALE, -1.0 / LARGEST_SCALE)] });
+    let mut uniform = factor.clone();
+    uniform["type"] = json!("number");
+    schemas["Scale"] = json!({ "oneOf": [
+        uniform,
+        { "type": "array", "items": { "type": "number", "allOf": [factor] }, "minItems": 3, "maxItems": 3 } ] });
+    let change = &mut schemas["NodeChange"];
+    change["minProperties"] = json!(1);
+    let properties = &mut change["properties"];
+    narrow(&mut properties["translate"], json!({ "items": number(-most, most) }));
+    narrow(&mut properties["rotate"], json!({ "items": number(-most, most) }));
+    narrow(&mut properties["quaternion"], json!({ "items": number(-most, most) }));
+    let (axis, place) = (number(-LARGEST_SCALE, LARGEST_SCALE), number(-most, most));
+    let rows: Vec<Value> = (0..16)
+        .map(|index| match index {
+            15 => json!({ "const": 1 }),
+            3 | 7 | 11 => json!({ "const": 0 }),
+            12..15 => place.clone(),
+            _ => axis.clone(),
+        })
+        .collect();
+    narrow(&mut properties["matrix"], json!({ "prefixItems": rows }));
+}
+
+/// Bounds of the bodies that hold a frame's parameters among their own, once these are in one object.
+pub fn of_bodies(schemas: &mut Value) {
+    let frames = &mut schemas["FramesRequest"]["properties"];
+    narrow(&mut frames["poses"], json!({ "minItems": 1, "maxItems": frames::MAX_POSES }));
+    for (name, _) in stream::WITHOUT {
+        remove_property(&mut schemas["StreamPose"], name);
+    }
+    let state = "The path's name in the scene, or the path itself; of the latter, lists have only the number of `keys`.";
+    schemas["JobState"]["properties"]["path"] = json!({ "description": state, "oneOf": [
+        { "type": "string" }, { "type": "object" } ] });
+    let request = &mut schemas["JobRequest"];
+    for (name, _) in job::NOT_HERE {
+        remove_property(request, name);
+    }
+    let properties = &mut request["properties"];
+    let [least_fps, most_fps] = FPS_RANGE;
+    let [least_kbps, most_kbps] = KBPS_RANGE;
+    narrow(&mut properties["scene"], json!({ "pattern": ID_PATTERN }));
+    properties["path"] = path_of_job("The name of a path of the scene, or what a path file holds.");
+    narrow(&mut properties["fps"], number(least_fps, most_fps));
+    narrow(&mut properties["from"], json!({ "minimum": 0, "maximum": MOST_FRAMES }));
+    narrow(&mut properties["to"], json!({ "minimum": 0, "maximum": MOST_FRAMES }));
+    narrow(&mut properties["want"], json!({ "minItems": 1, "maxItems": job::MAX_WANTED }));
+    narrow(&mut properties["bitrate_kbps"], json!({ "minimum": least_kbps, "maximum": most_kbps }));
+}
+
+/// A path by its name, or itself.
+fn path_of_job(description: &str) -> Value {
+    json!({ "description": description, "oneOf": [
+        { "type": "string", "minLength": 1, "maxLength": params::MAX_NAME_CHARS },
+        { "$ref": "#/components/schemas/PathFile" } ] })
+}
+
+/// What can be uploaded: the body of each media type.
+pub fn of_uploads(document: &mut Value) {
+    let content = &mut document["paths"]["/v1/scenes"]["post"]["requestBody"]["content"];
+    content["application/json"]["schema"] = json!({ "$ref": "#/components/schemas/SceneFile" });
+    content["multipart/form-data"]["schema"] = json!({
+        "type": "object",
+        "description": "Files with their names, and the scene's JSON as `scene`.",
+        "minProperties": 1,
+        "properties": { "scene": { "type": "string" } },
+        "additionalProperties": { "oneOf": [
+            { "type": "string", "format": "binary" },
+            { "type": "array", "items": { "type": "string", "format": "binary" }, "minItems": 1, "maxItems": upload::MAX_FILES } ] } });
+}
+
+/// Adds keywords to a schema, and to its items' where there are some among them; `null` removes one.
+pub fn narrow(schema: &mut Value, keywords: Value) {
+    let Value::Object(keywords) = keywords else { return };
+    for (keyword, value) in keywords {
+        match (keyword.as_str(), &value) {
+            // What stood there before.
+            (_, Value::Null) => drop(schema.as_object_mut().map(|schema| schema.remove(&keyword))),
+            ("items", Value::Object(_)) => narrow(&mut schema["items"], value),
+            _ => schema[keyword] = value,
+        }
+    }
+}
+
+fn number(least: f64, most: f64) -> Value {
+    json!({ "minimum": least, "maximum": most })
+}
+
+/// An `f32` with the digits that it is written with.
+fn exact(number: f32) -> f64 {
+    number.to_string().parse().unwrap_or(f64::from(number))
+}

@@ -1,0 +1,100 @@
+//! Values that a parameter never takes, whatever stands beside it: the contract's schemas, enforced.
+
+use super::{FrameParams, choice, chosen};
+use crate::encode::ImageFormat;
+use crate::engine::EngineError;
+use crate::http::problem::Problem;
+use crate::math::FARTHEST;
+use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct};
+use crate::residency::layout::MOST_ROWS;
+use crate::scene::{Blend, Filter, Shading, Up};
+
+/// Longest name of a camera, a path or a node in a request.
+pub const MAX_NAME_CHARS: usize = 256;
+/// Quality of lossy formats.
+pub const QUALITY_RANGE: [u8; 2] = [1, 100];
+/// Longest deadline, in milliseconds.
+pub const MAX_DEADLINE_MS: f64 = 3_600_000.0;
+
+impl FrameParams {
+    /// Refuses what no frame has, without a look at other parameters or at a scene.
+    ///
+    /// # Errors
+    /// The parameter, and what would be accepted.
+    pub fn check(&self) -> Result<(), Problem> {
+        let refused = |name: &str, reason: String, accepted: String| {
+            Err(Problem::parameter(name, reason, accepted))
+        };
+        let length = self.camera.as_ref().map(|name| name.chars().count());
+        if length.is_some_and(|length| length == 0 || length > MAX_NAME_CHARS) {
+            let reason = "has no usable length".to_owned();
+            return refused("camera", reason, format!("1 to {MAX_NAME_CHARS} characters"));
+        }
+        for (name, vector) in [
+            ("eye", self.eye),
+            ("target", self.target),
+            ("up", self.up.map(|Up(up)| up.to_array())),
+        ] {
+            let is_far = |number: &f64| number.is_nan() || number.abs() > FARTHEST;
+            if let Some(number) = vector.iter().flatten().find(|number| is_far(number)) {
+                let accepted = format!("numbers from {:e} to {FARTHEST:e}", -FARTHEST);
+                return refused(name, format!("{number:e} is out of range"), accepted);
+            }
+        }
+        if let Some(fov) = self.fov.filter(|fov| !(*fov > 0.0 && *fov < 180.0)) {
+            return refused(
+                "fov",
+                format!("{fov} is out of range"),
+                "degrees between 0 and 180".to_owned(),
+            );
+        }
+        for (name, side) in [("w", self.w), ("h", self.h)] {
+            match side {
+                Some(0) => {
+                    let accepted = "a whole number of pixels, at least 1".to_owned();
+                    return refused(name, "must not be 0".to_owned(), accepted);
+                }
+                Some(side) if side > MOST_ROWS => {
+                    let what = if name == "w" { "pixels in w" } else { "pixels in h" };
+                    let (found, limit) = (u64::from(side), u64::from(MOST_ROWS));
+                    return Err(EngineError::OverLimit { what, found, limit }.into());
+                }
+                _ => {}
+            }
+        }
+        let [least, most] = QUALITY_RANGE;
+        if let Some(quality) = self.quality.filter(|quality| !(least..=most).contains(quality)) {
+            return refused(
+                "quality",
+                format!("{quality} is out of range"),
+                format!("{least} to {most}"),
+            );
+        }
+        let [least, most] = MaxError::RANGE_PX;
+        if let Some(px) = self.max_error_px.filter(|px| MaxError::new(*px).is_none()) {
+            return refused(
+                "max_error_px",
+                format!("{px} is out of range"),
+                format!("{least} to {most} pixels"),
+            );
+        }
+        if let Some(ms) = self.deadline_ms.filter(|ms| !(*ms > 0.0 && *ms <= MAX_DEADLINE_MS)) {
+            let accepted = format!("milliseconds above 0, at most {MAX_DEADLINE_MS}");
+            return refused("deadline_ms", format!("{ms} is out of range"), accepted);
+        }
+        self.check_words()
+    }
+
+    fn check_words(&self) -> Result<(), Problem> {
+        chosen::<ImageFormat>("format", self.format.as_deref())?;
+        choice::<Output>("output", self.output.as_deref())?;
+        choice::<Lod>("lod", self.lod.as_deref())?;
+        choice::<ErrorMode>("error_mode", self.error_mode.as_deref())?;
+        choice::<Paint>("paint", self.paint.as_deref())?;
+        choice::<Reconstruct>("reconstruct", self.reconstruct.as_deref())?;
+        chosen::<Filter>("filter", self.filter.as_deref())?;
+        chosen::<Blend>("blend", self.blend.as_deref())?;
+        chosen::<Shading>("shading", self.shading.as_deref())?;
+        Ok(())
+    }
+}

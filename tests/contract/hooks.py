@@ -1,0 +1,225 @@
+"""Rules of the HTTP API that a schema cannot say, applied to the cases that schemathesis makes.
+
+A schema describes one parameter. These rules are about several parameters, or about what the daemon holds: a pose is given in one of three
+ways, a filter needs splats, a path has to exist. A case that is meant to be accepted is changed so that it follows them; whatever else the
+schemas allow must then be accepted. A case that is meant to be refused keeps its fault: only what has nothing to do with the fault is
+changed, so that an unknown id does not hide it.
+"""
+
+import os
+import uuid
+
+import schemathesis
+from schemathesis.core.parameters import ParameterLocation
+
+HAS_VIDEO = os.environ.get("CONTRACT_VIDEO") == "1"
+# Small frames: cases are many, and the size has no part in what they test.
+MOST_PIXELS = 48
+LARGEST_SIDE = 16384
+PATH = {"fps": 10, "keys": [{"t": 0, "eye": [0, 0, 3], "target": [0, 0, 0]}, {"t": 0.3, "eye": [1, 0, 3], "target": [0, 0, 0]}]}
+VIEW = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, -3, 1]
+PROJ = [2, 0, 0, 0, 0, 2, 0, 0, 0, 0, -1, -1, 0, 0, -0.1, 0]
+PLY = (
+    b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    b"0 0 0\n1 0 0\n0 1 0\n"
+)
+FORMATS = {
+    "color": {"png", "jpeg", "webp", "qoi", "raw", "exr"},
+    "depth": {"png", "raw", "exr", "pfm"},
+    "normal": {"png", "jpeg", "webp", "qoi", "raw", "exr"},
+    "id": {"png", "webp", "qoi", "raw", "exr"},
+}
+
+
+def is_positive(case, location):
+    """Whether this part of the case is meant to be accepted."""
+    if case.meta is None:
+        return True
+    part = case.meta.components.get(location)
+    return part is None or part.mode.is_positive
+
+
+def vector(value):
+    """Numbers of a vector, from a list or from the text that a query has."""
+    if isinstance(value, str):
+        value = value.split(",")
+    try:
+        return [float(number) for number in value]
+    except (TypeError, ValueError):
+        return None
+
+
+def length(numbers):
+    return max((abs(number) for number in numbers), default=0.0)
+
+
+def follow_up(params):
+    """A direction, unless it is an axis by its name."""
+    up = vector(params["up"]) if "up" in params else None
+    if up is not None and not 1e-100 < length(up) < 1e100:
+        params["up"] = [0, 1, 0]
+
+
+def follow_pose(params):
+    """One way to say where a frame is seen from, and a pose that can be seen from."""
+    if "camera" in params:
+        params["camera"] = "front"
+        for name in ("eye", "target", "up", "fov", "view", "proj"):
+            params.pop(name, None)
+    elif params.keys() & {"up", "fov"} and not params.keys() & {"eye", "target"}:
+        params.pop("view", None)
+        params.pop("proj", None)
+        follow_up(params)
+    elif params.keys() & {"eye", "target"}:
+        params.pop("view", None)
+        params.pop("proj", None)
+        eye = vector(params.get("eye"))
+        target = vector(params.get("target"))
+        apart = eye and target and length([a - b for a, b in zip(eye, target)])
+        # Farther apart than rounding, and not so far that squares overflow or vanish.
+        if not apart or not 1e-9 * max(length(eye), length(target)) < apart or not 1e-100 < apart < 1e100:
+            params["eye"], params["target"] = [0, 0, 3], [0, 0, 0]
+        follow_up(params)
+    elif params.keys() & {"view", "proj"}:
+        params["view"], params["proj"] = VIEW, PROJ
+
+
+def follow_settings(params):
+    """Settings that need others."""
+    if params.keys() & {"max_error_px"} or params.get("paint") == "levels" or params.get("error_mode") == "split":
+        params["lod"] = "spt"
+    if params.keys() & {"blend", "shading"} and params.get("reconstruct") in ("points", "fuzzy"):
+        params["reconstruct"] = "splats"
+    if (params.keys() & {"filter", "prefilter"} or params.get("error_mode") == "split") and params.get("reconstruct") == "points":
+        params["reconstruct"] = "splats"
+    if "format" in params and params["format"].replace("jpg", "jpeg") not in FORMATS[params.get("output", "color")]:
+        params["format"] = "png"
+    if "deadline_ms" in params:
+        params["deadline_ms"] = 60_000
+
+
+def follow_frame(params):
+    for name in [name for name, value in params.items() if value is None]:
+        del params[name]
+    follow_pose(params)
+    follow_settings(params)
+
+
+def shrink(params):
+    """Smaller sides where sides are valid."""
+    for name in ("w", "h"):
+        try:
+            side = int(params[name])
+        except (KeyError, TypeError, ValueError):
+            if name not in params:
+                params[name] = MOST_PIXELS
+            continue
+        if MOST_PIXELS < side <= LARGEST_SIDE:
+            params[name] = MOST_PIXELS
+
+
+def follow_job(body):
+    for name in [name for name, value in body.items() if value is None]:
+        del body[name]
+    body["scene"] = "grid"
+    body["path"] = PATH if isinstance(body.get("path"), dict) else "past"
+    body.pop("from", None)
+    body.pop("to", None)
+    body.pop("fps", None)
+    follow_settings(body)
+    shrink(body)
+    if not HAS_VIDEO:
+        body.pop("want", None)
+        body.pop("bitrate_kbps", None)
+    elif "bitrate_kbps" in body:
+        body["want"] = ["video"]
+    if "video" in (body.get("want") or []):
+        body["w"] = body["h"] = MOST_PIXELS
+        body.pop("output", None)
+        body["format"] = "png"
+
+
+def follow_change(body):
+    for name in [name for name, value in body.items() if value is None]:
+        del body[name]
+    if "matrix" in body:
+        body["matrix"] = [2, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 6, 7, 1]
+        for name in ("translate", "rotate", "quaternion", "scale"):
+            body.pop(name, None)
+    if "rotate" in body:
+        body.pop("quaternion", None)
+    if "quaternion" in body and not length(body["quaternion"]) > 1e-6:
+        body["quaternion"] = [0, 0, 0, 1]
+    if not body:
+        body["visible"] = True
+
+
+def known_ids(case, label):
+    """Ids of what is there, so that cases get beyond the question whether it is."""
+    ids = case.path_parameters
+    if "{id}" in label and label.split()[1].startswith("/v1/scenes"):
+        if not label.startswith("DELETE"):
+            ids["id"] = "grid"
+    elif "{id}" in label:
+        # The job that is kept for this is not to be deleted.
+        ids["id"] = "999999999" if label.startswith("DELETE") else "1"
+    if "node" in ids:
+        ids["node"] = "wall"
+    if "name" in ids:
+        ids["name"] = "past"
+    if "n" in ids:
+        ids["n"] = int(ids["n"]) % 3 if str(ids["n"]).isdigit() else ids["n"]
+
+
+@schemathesis.hook
+def map_case(context, case):
+    label = case.operation.label
+    is_stateful = case.meta is not None and case.meta.phase.name.name == "STATEFUL_TESTING"
+    if case.path_parameters and is_positive(case, ParameterLocation.PATH) and not is_stateful:
+        known_ids(case, label)
+    if isinstance(case.query, dict):
+        query = case.query
+        takes_frames = any(part in label for part in ("/frame", "/mjpeg", "/stream")) and label.startswith("GET /v1/scenes")
+        if is_positive(case, ParameterLocation.QUERY):
+            if takes_frames:
+                follow_frame(query)
+            query.pop("from", None)
+            if "path" in query:
+                query["path"] = "past"
+                for name in ("camera", "eye", "target", "up", "fov", "view", "proj"):
+                    query.pop(name, None)
+            elif "loop" in query:
+                del query["loop"]
+        if takes_frames:
+            shrink(query)
+        if "/mjpeg" in label:
+            # An answer without an end would keep the run from going on.
+            if query.get("loop") in (True, "true"):
+                del query["loop"]
+            if "path" not in query:
+                query["path"] = "past"
+                if is_positive(case, ParameterLocation.QUERY):
+                    for name in ("camera", "eye", "target", "up", "fov", "view", "proj"):
+                        query.pop(name, None)
+            if str(query.get("fps", "")) and is_positive(case, ParameterLocation.QUERY):
+                query["fps"] = 20
+    if isinstance(case.body, dict) and is_positive(case, ParameterLocation.BODY):
+        if label == "POST /v1/jobs":
+            follow_job(case.body)
+        elif label == "POST /v1/scenes/{id}/frames":
+            shrink(case.body)
+            for pose in case.body["poses"]:
+                if "w" in pose or "h" in pose:
+                    shrink(pose)
+        elif label.startswith("PATCH"):
+            follow_change(case.body)
+    if label == "POST /v1/scenes" and case.media_type == "application/octet-stream":
+        # Now and then a file that can be read, so that there is something to get, change and delete.
+        if isinstance(case.body, bytes) and len(case.body) % 3 == 0 and is_positive(case, ParameterLocation.QUERY):
+            case.body = PLY
+            case.query = {**(case.query or {}), "name": "points.ply"}
+    if label == "POST /v1/jobs" and case.headers and "Idempotency-Key" in case.headers:
+        # A key that was used for another job is refused.
+        if is_positive(case, ParameterLocation.HEADER):
+            case.headers["Idempotency-Key"] = uuid.uuid4().hex
+    return case
