@@ -492,6 +492,8 @@ pub mod tests {
             connections_opened: 3,
             interrupted: false,
             warnings: Vec::new(),
+            thresholds: Thresholds::default(),
+            broken_thresholds: Vec::new(),
         }
         .finish()
     }
