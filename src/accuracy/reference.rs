@@ -67,7 +67,7 @@ impl Reference {
         let mut assembler = Assembler::new(path, &description, &options);
         let mut shape = None;
         for index in 0..description.assets.len() {
-            let Prepared { asset, traits: found, shape: measured } = assembler.asset(index)?;
+            let Prepared { asset, traits: found, shape: measured, .. } = assembler.asset(index)?;
             shape = shape.or(measured);
             if description.cameras.is_empty() {
                 description.cameras.extend(asset.cameras.iter().cloned());

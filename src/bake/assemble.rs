@@ -48,6 +48,8 @@ pub enum AssembleError {
 pub struct Prepared {
     pub asset: Asset,
     pub traits: AssetTraits,
+    /// Clouds, by their number, that have yet to be given normals or kernels ([`super::estimate`]).
+    pub lacking: Vec<usize>,
     /// Measured where the scene is this asset alone, to tell which way is up.
     pub shape: Option<Shape>,
 }
@@ -92,6 +94,18 @@ impl Assembler {
     /// # Errors
     /// A file that cannot be read, or that does not hold what the scene asks for.
     pub fn asset(&mut self, index: usize) -> Result<Prepared, AssembleError> {
+        self.asset_without_estimates(index, usize::MAX)
+    }
+
+    /// As [`Assembler::asset`], but for normals and kernels of clouds with more than `most` points.
+    ///
+    /// # Errors
+    /// As [`Assembler::asset`].
+    pub fn asset_without_estimates(
+        &mut self,
+        index: usize,
+        most: usize,
+    ) -> Result<Prepared, AssembleError> {
         if self.operands_only[index] {
             return Ok(no_geometry());
         }
@@ -104,13 +118,21 @@ impl Assembler {
         };
         let shape = if self.is_bare { Shape::of(&asset) } else { None };
         let mut traits = AssetTraits { format: asset.format, ..AssetTraits::default() };
-        for geometry in &mut asset.geometries {
+        let mut lacking = Vec::new();
+        for (number, geometry) in asset.geometries.iter_mut().enumerate() {
+            // Features are found with the help of kernels.
+            if !features
+                && prepare::prepare_points(geometry, &mut traits, most, &self.options.admission)?
+            {
+                lacking.push(number);
+                continue;
+            }
             prepare::prepare_geometry(geometry, &mut traits, &self.options.admission)?;
             if features && let Geometry::Points(cloud) = geometry {
                 detect_features(cloud, &FeatureOptions::default());
             }
         }
-        Ok(Prepared { asset, traits, shape })
+        Ok(Prepared { asset, traits, lacking, shape })
     }
 
     /// A file as read and, where asked for, sampled.
@@ -278,7 +300,7 @@ impl Assembler {
 fn no_geometry() -> Prepared {
     let asset = Asset { format: OPERAND_FORMAT, ..Asset::default() };
     let traits = AssetTraits { format: OPERAND_FORMAT, ..AssetTraits::default() };
-    Prepared { asset, traits, shape: None }
+    Prepared { asset, traits, lacking: Vec::new(), shape: None }
 }
 
 /// The samples of all placements; `None` where a mesh is placed.

@@ -9,6 +9,8 @@
 //! *Reading.* Nothing in a file is believed before its length and its SHA-256 are right, and even then every length and index
 //! that a shader would follow is checked. What fails is removed, and baked again.
 //!
+//! *Notes* are small texts under keys of their own, with a SHA-256 before them; they count as entries.
+//!
 //! *Room.* An entry's time of modification is when it was last used: reading refreshes it. After each writing the entries that
 //! were used the longest ago go, until the rest fits. Files with other names are left alone.
 
@@ -18,9 +20,11 @@ mod record;
 
 use std::ffi::OsString;
 use std::fs::{self, File};
-use std::io::{self, BufWriter};
+use std::io::{self, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
+
+use sha2::{Digest, Sha256};
 
 use self::entry::{Entry, Refusal, SpilledEntry};
 use super::external::{Spill, Spilled, disk_bytes};
@@ -34,6 +38,8 @@ use super::tree::TreeStatistics;
 pub const FORMAT_VERSION: u32 = 2;
 
 const EXTENSION: &str = "bake";
+const NOTE_EXTENSION: &str = "note";
+const MOST_NOTE_BYTES: u64 = 1 << 20;
 const WRITING_PREFIX: &str = "writing-";
 const WRITING_SUFFIX: &str = ".tmp";
 /// No writer takes this long: who left a temporary file this old has crashed.
@@ -155,6 +161,42 @@ impl BakeCache {
         self.write(key, entry.bytes(), |out| entry.write(out, key))
     }
 
+    /// The note under this key, where a whole one is there.
+    pub fn load_note(&self, key: &[u8; 32]) -> Option<Vec<u8>> {
+        let path = self.path(key).with_extension(NOTE_EXTENSION);
+        let (file, bytes) = open(&path).ok()?;
+        let mut read = Vec::new();
+        file.take(MOST_NOTE_BYTES).read_to_end(&mut read).ok()?;
+        let (hash, text) = read.split_first_chunk::<32>()?;
+        if read.len() as u64 != bytes || Sha256::digest(text)[..] != hash[..] {
+            tracing::warn!(file = %path.display(), "a note is damaged, and removed");
+            remove(&path);
+            return None;
+        }
+        touch(&path);
+        Some(text.to_vec())
+    }
+
+    /// Puts a note in place of what is there for this key, if anything.
+    ///
+    /// # Errors
+    /// As [`BakeCache::store`].
+    pub fn store_note(&self, key: &[u8; 32], text: &[u8]) -> io::Result<()> {
+        if text.len() as u64 + 32 > MOST_NOTE_BYTES {
+            return Ok(());
+        }
+        let path = self.path(key).with_extension(NOTE_EXTENSION);
+        self.write_file(&path, |out| {
+            out.write_all(&Sha256::digest(text))?;
+            out.write_all(text)
+        })
+    }
+
+    /// Removes an entry, if it is there.
+    pub fn remove(&self, key: &[u8; 32]) {
+        remove(&self.path(key));
+    }
+
     fn write(
         &self,
         key: &[u8; 32],
@@ -165,6 +207,15 @@ impl BakeCache {
             tracing::debug!(bytes, "a baked geometry is too large to be kept");
             return Ok(false);
         }
+        self.write_file(&self.path(key), write)?;
+        Ok(true)
+    }
+
+    fn write_file(
+        &self,
+        path: &Path,
+        write: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>,
+    ) -> io::Result<()> {
         fs::create_dir_all(&self.folder)?;
         // Removed when dropped, which it is on errors.
         let mut file = tempfile::Builder::new()
@@ -174,10 +225,8 @@ impl BakeCache {
         let mut out = BufWriter::new(file.as_file_mut());
         write(&mut out)?;
         out.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()?;
-        let path = self.path(key);
-        file.persist(&path).map_err(|error| error.error)?;
-        self.make_room(&path)?;
-        Ok(true)
+        file.persist(path).map_err(|error| error.error)?;
+        self.make_room(path)
     }
 
     fn path(&self, key: &[u8; 32]) -> PathBuf {
@@ -243,7 +292,7 @@ impl NameKind {
         }
         let (key, extension) = name.split_once('.')?;
         let is_key = key.len() == 64 && key.bytes().all(|c| matches!(c, b'0'..=b'9' | b'a'..=b'f'));
-        (is_key && extension == EXTENSION).then_some(NameKind::Entry)
+        (is_key && [EXTENSION, NOTE_EXTENSION].contains(&extension)).then_some(NameKind::Entry)
     }
 }
 

@@ -14,6 +14,7 @@
 //! - [`hybrid`] samples meshes for point trees, which keep the triangles for where they are the better;
 //! - [`tree`] builds point trees, from which a frame takes the detail that it can show;
 //! - [`external`] builds the point trees of files that do not fit into memory;
+//! - [`estimate`] gives large clouds normals and kernels, a piece at a time, as it packs them;
 //! - [`spacing`] tells how far apart packed samples lie;
 //! - [`outline`] finds the few points of a geometry that decide which cameras show it whole;
 //! - [`pack`] puts geometry into the records that the GPU reads;
@@ -22,6 +23,7 @@
 pub mod assemble;
 pub mod cache;
 pub mod csg;
+pub mod estimate;
 pub mod external;
 pub mod hybrid;
 pub mod outline;

@@ -100,10 +100,14 @@ struct Item {
 
 impl Item {
     fn new(position: [f32; 3], index: u32) -> Self {
-        // Adding zero makes one zero of two.
-        let settled = |v: f32| if v.abs() < FINE { (v / GRAIN).round() * GRAIN + 0.0 } else { v };
-        Self { position: position.map(settled), index }
+        Self { position: settled(position), index }
     }
+}
+
+/// A point's place as the tree has it.
+pub(super) fn settled(position: [f32; 3]) -> [f32; 3] {
+    // Adding zero makes one zero of two.
+    position.map(|v| if v.abs() < FINE { (v / GRAIN).round() * GRAIN + 0.0 } else { v })
 }
 
 /// More points at one place than the tree keeps.

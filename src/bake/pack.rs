@@ -9,11 +9,13 @@
 
 mod kernel;
 mod order;
+mod pieces;
 mod texture;
 mod unpack;
 
 pub(super) use kernel::lengths as kernel_lengths;
 pub use kernel::longer_axis;
+pub(super) use pieces::Packing;
 pub use texture::{PackedTexture, pack_texture, unpack_texture};
 pub(super) use unpack::unpack_kernel;
 pub use unpack::{unpack_mesh, unpack_samples};

@@ -10,6 +10,7 @@ use std::path::Path;
 
 use glam::{DAffine3, DVec3};
 
+use super::estimate::lacks_estimates;
 use super::upright::{self, Guess, Shape};
 use super::{estimate_kernels, fill_colors, smooth_normals};
 use crate::assets::{Geometry, Placement};
@@ -133,6 +134,38 @@ fn preparation_bytes(geometry: &Geometry) -> (u64, u64) {
             if mesh.normals.is_some() { (0, 0) } else { (24 * corners, 48 * corners) }
         }
     }
+}
+
+/// Gives a cloud of more than `most` points what a picture of unlit points needs, and nothing more. Returns whether that was done:
+/// a cloud that needs no estimates is left as it is.
+///
+/// # Errors
+/// The load was cancelled, or there is no memory for the colours.
+pub fn prepare_points(
+    geometry: &mut Geometry,
+    traits: &mut AssetTraits,
+    most: usize,
+    admission: &Admission,
+) -> Result<bool, Interrupt> {
+    let Geometry::Points(cloud) = geometry else { return Ok(false) };
+    let is_estimated_later = cloud.positions.len() > most
+        && cloud.kernels.is_none()
+        && cloud.clips.is_none()
+        && lacks_estimates(cloud);
+    if !is_estimated_later {
+        return Ok(false);
+    }
+    if cloud.colors.is_none() {
+        admission.grow("colours of points", 4 * cloud.positions.len() as u64)?;
+    }
+    traits.has_colors |= cloud.colors.is_some();
+    traits.has_normals |= cloud.normals.is_some();
+    traits.normals_estimated |= cloud.normals.is_none();
+    cloud.oriented = cloud.normals.is_some();
+    traits.shows_intensity |= fill_colors(cloud);
+    // Nobody asks for these once there are colours.
+    (cloud.intensity, cloud.classification) = (None, None);
+    Ok(true)
 }
 
 /// What the file of a bare asset tells of how it is to be looked at.

@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use super::local::ID;
 use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
-use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings};
+use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings, Wait};
 use crate::scene::{Blend, Filter, Shading};
 
 /// Size, settings and quality of frames.
@@ -183,6 +183,8 @@ impl FrameArgs {
                 prefilter: self.prefilter,
                 blend: self.blend,
                 shading: self.shading,
+                // A file has no second picture.
+                wait: Wait::Complete,
             },
             output: match self.output {
                 OutputChoice::Color => Output::Color,

@@ -12,12 +12,13 @@ use glam::DVec3;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::frame::{FormatChoice, FrameArgs};
-use super::local::{ID, SceneArgs, progress_bar, show_baking};
+use super::local::{ID, SceneArgs, progress_bar};
 use super::out::say;
 use crate::engine::{Client, Engine, FrameRequest, Pose, Receipt, SceneInfo};
 use crate::film::video::{Coder, Reel, VideoError, encode};
 use crate::film::{self, Event, Film, FilmError, Report, shots::Shots};
 use crate::http::server::stop_signal;
+use crate::plan::Wait;
 use crate::scene::{CameraPath, SceneLimits, load_path};
 
 /// What to draw, along which path, and where to.
@@ -62,7 +63,8 @@ pub fn run(args: PathArgs) -> anyhow::Result<()> {
     super::local::init_log();
     args.scene.check_up()?;
     // The pose is each frame's own.
-    let request = args.frame.request(Pose::FIT, args.format.format())?;
+    let mut request = args.frame.request(Pose::FIT, args.format.format())?;
+    request.settings.wait = Wait::Whole;
     let target = Target::new(&args)?;
     let (engine, info) = args.scene.load(|_| ())?;
     for warning in &info.warnings {
@@ -240,15 +242,17 @@ fn find(engine: &Engine, info: &SceneInfo, name: &str) -> anyhow::Result<CameraP
     }
 }
 
-/// Builds point trees that the frames need, with a bar.
+/// Builds what the frames need, with a bar: point trees, or normals and kernels of large clouds.
 fn bake(engine: &Engine, request: &FrameRequest) -> anyhow::Result<()> {
-    if engine.must_bake(request) {
-        let bar = progress_bar();
-        let baked = engine.bake_all(ID, |event| show_baking(&bar, &event));
-        bar.finish_and_clear();
-        baked?;
-    }
-    Ok(())
+    let Some(mut ticket) = engine.begin_bake(request)? else { return Ok(()) };
+    let bar = progress_bar();
+    bar.set_message("baking");
+    let baked = ticket.wait_while(|done| {
+        bar.set_position((done * 1000.0) as u64);
+        true
+    });
+    bar.finish_and_clear();
+    Ok(baked.unwrap_or(Ok(()))?)
 }
 
 /// Becomes true when the process is told to end, which it does by itself then; told again, it ends at once.

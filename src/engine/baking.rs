@@ -102,8 +102,8 @@ pub fn bake_file(
         }
         _ => {
             let (assets, admission) = (AssetCache::default(), Admission::new(&config.memory));
-            load("scene", &Source::at(path), config, &assets, &admission)?
-                .bake_each(cache, false, tell)
+            let loaded = load("scene", &Source::at(path), config, &assets, &admission)?;
+            loaded.into_whole(config)?.bake_each(cache, false, tell)
         }
     }
 }

@@ -214,6 +214,7 @@ fn tree_asset(packed: PackedSamples, bounds: Bounds) -> AssetModel {
         normals_estimated: false,
         beside: Vec::new(),
         tree: MadeOnce::default(),
+        deferred: None,
         outlined: OnceLock::new(),
     }
 }

@@ -31,6 +31,8 @@ pub struct Resolved {
     pub camera: CameraReceipt,
     pub extent: Extent,
     pub drawing: Drawing,
+    /// Why the frame will be another one in a while, and how far that is.
+    pub provisional: Option<String>,
     /// How samples are drawn where that was left open, and why.
     pub auto: Option<Choice>,
     /// For splats that a single pass has no room for.

@@ -42,6 +42,11 @@ impl AssetKeys {
         AssetKeys { known: HashMap::new(), admission: admission.clone() }
     }
 
+    /// Takes the key of an asset that is one file from elsewhere, so that it is not read.
+    pub fn know(&mut self, index: usize, digest: [u8; 32]) {
+        self.known.insert(index, AssetKey { digest, alone: true });
+    }
+
     /// The recursion is as deep as solids are nested, which a scene's limits bound.
     pub fn of(&mut self, description: &Scene, index: usize) -> Result<AssetKey, EngineError> {
         if let Some(&known) = self.known.get(&index) {
@@ -80,13 +85,17 @@ fn file_key(
         .map_or_else(|| name.to_owned(), |name| name.to_string_lossy().into_owned());
     let content = digest_file(file, &display, admission).map_err(asset_error)?;
     // The name has a say in how the bytes are read, and the scene in what is made of them.
-    let kind = display.to_ascii_lowercase();
-    let kind = kind.split_once('.').map_or("", |(_, extensions)| extensions);
-    let mut hasher = Sha256::new().chain_update(content).chain_update(kind);
+    let mut hasher = Sha256::new().chain_update(content).chain_update(file_kind(file));
     if source.sample.is_some() || source.features {
         hasher.update(format!("\0{:?} {}", source.sample, source.features));
     }
     Ok(AssetKey { digest: hasher.finalize().into(), alone: stands_alone(file) })
+}
+
+/// What a file's name has to say in how its bytes are read: its extensions, in lower case.
+pub fn file_kind(file: &Path) -> String {
+    let name = file.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    name.split_once('.').map_or_else(String::new, |(_, extensions)| extensions.to_owned())
 }
 
 /// Whether a file's own bytes decide what is read. A glTF or OBJ may name buffers, materials and images beside it.

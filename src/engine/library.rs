@@ -10,14 +10,20 @@ use glam::DVec3;
 use parking_lot::Mutex;
 use sha2::{Digest, Sha256};
 
+use super::bakes::{Abandoned, Watch};
 use super::framing::{self, SceneOutline};
+use super::kept::{Keeping, Kept};
 use super::keys::{AssetKey, AssetKeys, digest_file, digest_packed};
 use super::trees::TreeScene;
-use super::{AssetInfo, EngineConfig, EngineError, NamedCamera, NodePatch, SceneInfo, Source};
+use super::{
+    AssetInfo, EngineConfig, EngineError, EstimateState, Estimates, NamedCamera, NodePatch,
+    SceneInfo, Source,
+};
 use crate::assets::warnings::condensed;
-use crate::assets::{AssetError, Geometry, Placement, ReadOptions};
+use crate::assets::{AssetError, Geometry, Placement, PointCloud, ReadOptions};
 use crate::bake::CUTOFF;
 use crate::bake::assemble::{AssembleError, Assembler, Prepared};
+use crate::bake::estimate::{EstimateError, lacks_normals, pack_estimated};
 use crate::bake::pack::{PackedAsset, PackedGeometry, pack_mesh, pack_samples, pack_texture};
 use crate::bake::prepare::{self, AssetTraits, Outlook};
 use crate::bake::spacing::Patch;
@@ -27,7 +33,7 @@ use crate::math::{Bounds, Camera, CameraError, Sensor};
 use crate::memory::{Admission, Reservation};
 use crate::plan::SceneFacts;
 use crate::residency::instances::{Instances, RunMeter};
-use crate::residency::model::{AssetModel, Extent, ModelInstance, SceneModel};
+use crate::residency::model::{AssetModel, Deferred, Extent, ModelInstance, SceneModel};
 use crate::residency::once::MadeOnce;
 use crate::residency::spacing;
 use crate::scene::{AssetRef, CameraPath, Light, Node, Scene, SceneError};
@@ -64,6 +70,12 @@ pub struct Loaded {
     pub(super) trees_before: Mutex<Option<TreeScene>>,
     /// For each asset: where its geometries stand.
     placements: Vec<Arc<Vec<Placement>>>,
+    /// For each asset: what decides its content.
+    keys: Vec<AssetKey>,
+    /// The scene's file, or that of its only asset.
+    path: PathBuf,
+    /// Large clouds that were read just now and are to be kept on disk.
+    pub kept: Vec<Kept>,
 }
 
 struct CachedAsset {
@@ -76,15 +88,15 @@ struct CachedAsset {
 }
 
 /// A read asset, shared.
-struct ReadAsset {
-    model: Arc<AssetModel>,
-    placements: Arc<Vec<Placement>>,
-    cameras: Vec<(String, Camera)>,
-    sensor: Option<Sensor>,
+pub struct ReadAsset {
+    pub model: Arc<AssetModel>,
+    pub placements: Arc<Vec<Placement>>,
+    pub cameras: Vec<(String, Camera)>,
+    pub sensor: Option<Sensor>,
     /// Only measured for bare assets.
-    shape: Option<Shape>,
-    warnings: Vec<String>,
-    digest: [u8; 32],
+    pub shape: Option<Shape>,
+    pub warnings: Vec<String>,
+    pub digest: [u8; 32],
 }
 
 /// All loaded scenes, and the assets that they share.
@@ -97,6 +109,60 @@ pub struct Library {
 #[derive(Default)]
 pub struct AssetCache {
     assets: Mutex<HashMap<[u8; 32], CachedAsset>>,
+}
+
+impl AssetCache {
+    /// The asset of a key, read where no scene draws it yet.
+    fn get_or_read(
+        &self,
+        AssetKey { digest, alone }: AssetKey,
+        is_bare: bool,
+        read: impl FnOnce() -> Result<ReadAsset, EngineError>,
+    ) -> Result<ReadAsset, EngineError> {
+        if alone
+            && let Some(found) = self.assets.lock().get(&digest)
+            && let Some(model) = found.model.upgrade()
+            // A scene file does not measure what it draws.
+            && (found.shape.is_some() || !is_bare)
+        {
+            return Ok(ReadAsset {
+                model,
+                placements: found.placements.clone(),
+                cameras: found.cameras.clone(),
+                sensor: found.sensor,
+                shape: found.shape,
+                warnings: found.warnings.clone(),
+                digest,
+            });
+        }
+        let read = read()?;
+        if alone {
+            let mut cached = self.assets.lock();
+            cached.retain(|_, asset| asset.model.strong_count() > 0);
+            cached.insert(
+                digest,
+                CachedAsset {
+                    model: Arc::downgrade(&read.model),
+                    placements: read.placements.clone(),
+                    cameras: read.cameras.clone(),
+                    sensor: read.sensor,
+                    shape: read.shape,
+                    warnings: read.warnings.clone(),
+                },
+            );
+        }
+        Ok(read)
+    }
+
+    /// Replaces assets that lacked something by whole ones, for scenes that are loaded from now on.
+    pub fn complete(&self) {
+        for asset in self.assets.lock().values_mut() {
+            let Some(held) = asset.model.upgrade() else { continue };
+            if let Some(whole) = held.deferred.as_ref().and_then(|deferred| deferred.whole.get()) {
+                asset.model = Arc::downgrade(whole);
+            }
+        }
+    }
 }
 
 impl Library {
@@ -177,13 +243,38 @@ pub fn load(
     let mut keys = AssetKeys::within(admission);
     let operands_only = description.operands_only();
     let shares_operands = description.assets.iter().any(|asset| !asset.operands().is_empty());
+    let most = config.estimate_at_once;
+    let mut asset_keys = Vec::with_capacity(description.assets.len());
+    let mut kept = Vec::new();
     for (index, reference) in description.assets.iter().enumerate() {
+        let keeping = Keeping::of(reference, config, !is_scene).filter(|_| !operands_only[index]);
+        let note = keeping.as_ref().and_then(|keeping| keeping.note(config));
+        if let Some(note) = &note {
+            keys.know(index, note.digest);
+        }
         let key = keys.of(&description, index)?;
+        asset_keys.push(key);
         // What is only an operand has nothing to draw, and its file must not be cached as that.
         let asset = if operands_only[index] {
-            pack_asset(reference, assembler.asset(index)?, key.digest, admission)?
+            let prepared = assembler.asset(index)?;
+            pack_asset(reference, prepared, key.digest, Completeness::Points, admission)
+                .map_err(Stop::error)?
         } else {
-            read_asset(reference, index, &mut assembler, key, cache, !is_scene, admission)?
+            let known = keeping.as_ref().zip(note.as_ref());
+            let mut was_read = false;
+            let asset = cache.get_or_read(key, !is_scene, || {
+                if let Some((keeping, note)) = known
+                    && let Some(asset) = keeping.asset(&reference.name, note, admission)?
+                {
+                    return Ok(asset);
+                }
+                was_read = true;
+                read_asset(reference, (index, most), &mut assembler, key, admission)
+            })?;
+            if was_read && key.alone {
+                kept.extend(keeping.and_then(|keeping| keeping.keep(reference, &asset, config)));
+            }
+            asset
         };
         if !shares_operands {
             // What reading and packing held is free. The asset keeps its own.
@@ -224,11 +315,21 @@ pub fn load(
     let id = id.to_owned();
     drop(assembler);
     admission.shrink_to(described);
-    let parts = Parts { id, revision: 1, description, assets, placements, warnings, digest };
-    build(parts, config, None, admission)
+    let parts = Parts {
+        id,
+        revision: 1,
+        description,
+        assets,
+        placements,
+        warnings,
+        digest,
+        keys: asset_keys,
+        path: path.to_owned(),
+    };
+    Ok(Loaded { kept, ..build(parts, config, None, admission)? })
 }
 
-/// What files are read with: below the root, and within what the load may hold.
+/// Options that files are read with: below the root, and within what the load may hold.
 fn admitted(config: &EngineConfig, admission: &Admission) -> ReadOptions {
     let mut options = config.read.clone();
     options.root.get_or_insert_with(|| config.root.clone());
@@ -236,7 +337,7 @@ fn admitted(config: &EngineConfig, admission: &Admission) -> ReadOptions {
     options
 }
 
-/// Reads one of the assets that a scene file or a bare asset draws, by itself.
+/// Reads one of the assets that a scene file or a bare asset draws, by itself, with all that it lacks estimated.
 pub fn load_one(
     path: &Path,
     description: &Scene,
@@ -244,11 +345,62 @@ pub fn load_one(
     config: &EngineConfig,
 ) -> Result<Arc<AssetModel>, EngineError> {
     let admission = Admission::new(&config.memory);
-    let options = admitted(config, &admission);
-    let mut assembler = Assembler::new(path, description, &options);
     let key = AssetKeys::within(&admission).of(description, index)?;
+    let asset = (index, key);
+    whole_asset(path, description, asset, config, &Watch::NONE, &admission).map_err(Stop::error)
+}
+
+/// As [`load_one`], given up when `watch` says so.
+fn whole_asset(
+    path: &Path,
+    description: &Scene,
+    (index, key): (usize, AssetKey),
+    config: &EngineConfig,
+    watch: &Watch<'_>,
+    admission: &Admission,
+) -> Result<Arc<AssetModel>, Stop> {
+    let options = admitted(config, admission);
+    let mut assembler = Assembler::new(path, description, &options);
     let reference = &description.assets[index];
-    Ok(pack_asset(reference, assembler.asset(index)?, key.digest, &admission)?.model)
+    let read = assembler.asset_without_estimates(index, config.estimate_at_once);
+    let prepared = read.map_err(|error| Stop::Failed(error.into()))?;
+    watch.check()?;
+    watch.tell(READING);
+    let watch = watch.part(READING, 1.0 - READING);
+    let whole = Completeness::Whole(&watch);
+    Ok(pack_asset(reference, prepared, key.digest, whole, admission)?.model)
+}
+
+/// Share of reading in reading and estimating.
+const READING: f64 = 0.1;
+
+/// How much of an asset is wanted.
+#[derive(Clone, Copy)]
+enum Completeness<'a> {
+    /// What is drawn of points without lights.
+    Points,
+    Whole(&'a Watch<'a>),
+}
+
+/// Why there is no asset.
+enum Stop {
+    Failed(EngineError),
+    Abandoned,
+}
+
+impl Stop {
+    fn error(self) -> EngineError {
+        match self {
+            Stop::Failed(error) => error,
+            Stop::Abandoned => EngineError::Internal("estimating was given up".into()),
+        }
+    }
+}
+
+impl From<Abandoned> for Stop {
+    fn from(_: Abandoned) -> Stop {
+        Stop::Abandoned
+    }
 }
 
 /// The warning about points of an asset that the default view leaves out.
@@ -278,75 +430,64 @@ impl From<AssembleError> for EngineError {
 
 fn read_asset(
     reference: &AssetRef,
-    index: usize,
+    (index, most): (usize, usize),
     assembler: &mut Assembler,
     AssetKey { digest, alone }: AssetKey,
-    cache: &AssetCache,
-    is_bare: bool,
     admission: &Admission,
 ) -> Result<ReadAsset, EngineError> {
-    if alone
-        && let Some(found) = cache.assets.lock().get(&digest)
-        && let Some(model) = found.model.upgrade()
-        // A scene file does not measure what it draws.
-        && (found.shape.is_some() || !is_bare)
-    {
-        return Ok(ReadAsset {
-            model,
-            placements: found.placements.clone(),
-            cameras: found.cameras.clone(),
-            sensor: found.sensor,
-            shape: found.shape,
-            warnings: found.warnings.clone(),
-            digest,
-        });
-    }
-    let mut read = pack_asset(reference, assembler.asset(index)?, digest, admission)?;
+    let prepared = assembler.asset_without_estimates(index, most)?;
+    let packed = pack_asset(reference, prepared, digest, Completeness::Points, admission);
+    let mut read = packed.map_err(Stop::error)?;
     if !alone {
         let mut hasher = Sha256::new_with_prefix(digest);
         digest_packed(&mut hasher, &read.model.packed);
         read.digest = hasher.finalize().into();
-        return Ok(read);
     }
-    let mut cached = cache.assets.lock();
-    cached.retain(|_, asset| asset.model.strong_count() > 0);
-    cached.insert(
-        digest,
-        CachedAsset {
-            model: Arc::downgrade(&read.model),
-            placements: read.placements.clone(),
-            cameras: read.cameras.clone(),
-            sensor: read.sensor,
-            shape: read.shape,
-            warnings: read.warnings.clone(),
-        },
-    );
     Ok(read)
 }
 
 fn pack_asset(
     reference: &AssetRef,
-    Prepared { mut asset, traits, shape }: Prepared,
+    Prepared { mut asset, traits, lacking, shape }: Prepared,
     digest: [u8; 32],
+    completeness: Completeness<'_>,
     admission: &Admission,
-) -> Result<ReadAsset, EngineError> {
+) -> Result<ReadAsset, Stop> {
     let mut geometries = Vec::with_capacity(asset.geometries.len());
     let bounds = asset.geometries.iter().map(prepare::drawn_bounds).collect();
-    for geometry in &mut asset.geometries {
-        admission.grow(&reference.label(), packing_bytes(geometry))?;
-        let packed = match geometry {
-            Geometry::Points(cloud) => pack_samples(cloud).map(PackedGeometry::Samples),
-            Geometry::Mesh(mesh) => pack_mesh(mesh).map(PackedGeometry::Mesh),
+    let (mut deferred, mut estimated) = (None, 0.0);
+    let total = lacking.iter().map(|&number| size(&asset.geometries[number])).sum::<f64>();
+    for (number, geometry) in asset.geometries.iter_mut().enumerate() {
+        let granted = admission.grow(&reference.label(), packing_bytes(geometry));
+        granted.map_err(|interrupt| Stop::Failed(interrupt.into()))?;
+        let taken = std::mem::replace(geometry, Geometry::Points(PointCloud::default()));
+        let packed = match (taken, completeness) {
+            (Geometry::Mesh(mesh), _) => pack_mesh(&mesh).map(PackedGeometry::Mesh),
+            (Geometry::Points(cloud), Completeness::Whole(watch)) if lacking.contains(&number) => {
+                let part = cloud.positions.len() as f64 / total;
+                let watch = watch.part(estimated, part);
+                estimated += part;
+                match pack_estimated(cloud, watch.stop_flag(), &|done| watch.tell(done)) {
+                    Ok(samples) => Ok(PackedGeometry::Samples(samples)),
+                    Err(EstimateError::Pack(error)) => Err(error),
+                    Err(EstimateError::Stopped) => return Err(Stop::Abandoned),
+                }
+            }
+            (Geometry::Points(cloud), _) => {
+                if lacking.contains(&number) {
+                    let deferred: &mut Deferred = deferred.get_or_insert_default();
+                    deferred.lacks_normals |= lacks_normals(&cloud);
+                }
+                pack_samples(&cloud).map(PackedGeometry::Samples)
+            }
         };
-        let packed = packed.map_err(|error| {
-            asset_error(AssetError::Malformed {
+        geometries.push(packed.map_err(|error| {
+            Stop::Failed(asset_error(AssetError::Malformed {
                 file: reference.label(),
                 place: "positions".to_owned(),
                 reason: error.to_string(),
-            })
-        })?;
-        *geometry = Geometry::Points(Default::default());
-        geometries.push(packed);
+            }))
+        })?);
     }
     let textures = asset.textures.iter().map(pack_texture).collect();
     let mut model = AssetModel {
@@ -362,6 +503,7 @@ fn pack_asset(
         normals_estimated: traits.normals_estimated,
         beside: Vec::new(),
         tree: MadeOnce::default(),
+        deferred,
         outlined: OnceLock::new(),
     };
     model.memory = admission.keep(model.gpu_bytes());
@@ -376,12 +518,16 @@ fn pack_asset(
     })
 }
 
-/// Bytes that packing a geometry takes: the sort's keys, and the packed copy.
+/// Bytes that packing a geometry takes: the sort's keys and order, and the packed copy.
 fn packing_bytes(geometry: &Geometry) -> u64 {
     match geometry {
-        Geometry::Points(cloud) => 48 * cloud.positions.len() as u64,
+        Geometry::Points(cloud) => 40 * cloud.positions.len() as u64,
         Geometry::Mesh(mesh) => 48 * mesh.positions.len() as u64 + 72 * mesh.triangles.len() as u64,
     }
+}
+
+fn size(geometry: &Geometry) -> f64 {
+    geometry.positions().len() as f64
 }
 
 /// What a scene consists of, as read.
@@ -393,6 +539,8 @@ struct Parts {
     placements: Vec<Arc<Vec<Placement>>>,
     warnings: Vec<String>,
     digest: [u8; 32],
+    keys: Vec<AssetKey>,
+    path: PathBuf,
 }
 
 /// Bytes of an instance, and of its entries while the list is made.
@@ -462,7 +610,8 @@ fn build(
     let listed = parts.description.instance_count().saturating_mul(INSTANCE_BYTES);
     admission.grow("a list of instances", listed)?;
     let instances = unfold(&parts, &nodes, known, config.scene.max_instances)?;
-    let Parts { id, revision, description, assets, placements, warnings, digest } = parts;
+    let Parts { id, revision, description, assets, placements, warnings, digest, keys, path } =
+        parts;
     let model = SceneModel {
         uid: next_uid(),
         id,
@@ -496,6 +645,9 @@ fn build(
         trees: MadeOnce::default(),
         trees_before: Mutex::new(before.and_then(|(loaded, _)| loaded.latest_trees())),
         placements,
+        keys,
+        path,
+        kept: Vec::new(),
     })
 }
 
@@ -557,6 +709,7 @@ fn describe(
             .collect(),
         gpu_bytes: model.gpu_bytes(),
         resident: false,
+        estimates: Estimates { state: EstimateState::Complete, done: 1.0, reason: None },
         cameras: model
             .cameras
             .iter()
@@ -611,8 +764,120 @@ impl Loaded {
             placements: self.placements.clone(),
             warnings: self.info.warnings.clone(),
             digest: hasher.finalize().into(),
+            keys: self.keys.clone(),
+            path: self.path.clone(),
         };
         build(parts, config, Some((self, index)), &Admission::new(&config.memory))
+    }
+
+    /// Whether samples have all their normals and kernels.
+    pub fn is_whole(&self) -> bool {
+        self.model.assets.iter().all(|asset| asset.deferred.is_none())
+    }
+
+    /// Whether some sample has no normal yet.
+    pub fn lacks_normals(&self) -> bool {
+        let deferred = self.model.assets.iter().filter_map(|asset| asset.deferred.as_ref());
+        deferred.into_iter().any(|deferred| deferred.lacks_normals)
+    }
+
+    /// Reads the files of all assets once more that lack normals or kernels, and estimates these. [`Loaded::completed`] is the scene
+    /// with them.
+    pub fn estimate(
+        &self,
+        config: &EngineConfig,
+        watch: &Watch<'_>,
+    ) -> Result<Result<(), EngineError>, Abandoned> {
+        let lacking = || {
+            let assets = self.model.assets.iter().enumerate();
+            assets.filter_map(|(index, asset)| Some((index, asset, asset.deferred.as_ref()?)))
+        };
+        let size = |asset: &AssetModel| asset.counts().0 as f64;
+        let total = lacking().map(|(_, asset, _)| size(asset)).sum::<f64>().max(1.0);
+        let mut done = 0.0;
+        for (index, asset, deferred) in lacking() {
+            let part = size(asset) / total;
+            let watch = watch.part(done, part);
+            let made = deferred
+                .whole
+                .get_or_try(|| Ok(watch.check()?), || self.whole_asset(index, config, &watch));
+            match made {
+                Ok(_) => {}
+                Err(Stop::Failed(error)) => return Ok(Err(error)),
+                Err(Stop::Abandoned) => return Err(Abandoned),
+            }
+            done += part;
+        }
+        Ok(Ok(()))
+    }
+
+    /// The scene with everything that its samples lack. Blocks.
+    pub fn into_whole(self, config: &EngineConfig) -> Result<Loaded, EngineError> {
+        match self.estimate(config, &Watch::NONE) {
+            Ok(estimated) => estimated?,
+            Err(Abandoned) => return Err(Stop::Abandoned.error()),
+        }
+        Ok(self.completed(config)?.unwrap_or(self))
+    }
+
+    /// What was estimated of its assets, with the hashes of their content.
+    pub fn estimated(&self) -> Vec<([u8; 32], Arc<AssetModel>)> {
+        let whole = |asset: &Arc<AssetModel>| asset.deferred.as_ref()?.whole.get().cloned();
+        let assets = self.model.assets.iter().zip(&self.keys);
+        assets.filter_map(|(asset, key)| Some((key.digest, whole(asset)?))).collect()
+    }
+
+    fn whole_asset(
+        &self,
+        index: usize,
+        config: &EngineConfig,
+        watch: &Watch<'_>,
+    ) -> Result<Arc<AssetModel>, Stop> {
+        if let Some(latch) = &config.estimate_latch {
+            latch.pass(watch)?;
+        }
+        let (began, key) = (std::time::Instant::now(), self.keys[index]);
+        let admission = Admission::new(&config.memory);
+        let found =
+            AssetKeys::within(&admission).of(&self.description, index).map_err(Stop::Failed)?;
+        if found.digest != key.digest {
+            return Err(Stop::Failed(asset_error(AssetError::Malformed {
+                file: self.description.assets[index].label(),
+                place: "file".to_owned(),
+                reason: "has changed since the scene was loaded, so that its normals and kernels \
+                    cannot be estimated; delete the scene and load it again"
+                    .to_owned(),
+            })));
+        }
+        let asset = (index, key);
+        let whole = whole_asset(&self.path, &self.description, asset, config, watch, &admission)?;
+        let elapsed_ms = began.elapsed().as_millis() as u64;
+        let (samples, _) = whole.counts();
+        tracing::info!(asset = whole.name, samples, elapsed_ms, "normals and kernels estimated");
+        Ok(whole)
+    }
+
+    /// The scene with whole assets in place of those that lacked something, at the same revision; `None` while they are not there,
+    /// or where nothing was lacking.
+    pub fn completed(&self, config: &EngineConfig) -> Result<Option<Loaded>, EngineError> {
+        let whole = |asset: &Arc<AssetModel>| match &asset.deferred {
+            Some(deferred) => deferred.whole.get().cloned(),
+            None => Some(asset.clone()),
+        };
+        let assets: Option<Vec<_>> = self.model.assets.iter().map(whole).collect();
+        let Some(assets) = assets.filter(|_| !self.is_whole()) else { return Ok(None) };
+        let parts = Parts {
+            id: self.model.id.clone(),
+            revision: self.model.revision,
+            description: self.description.clone(),
+            assets,
+            placements: self.placements.clone(),
+            warnings: self.info.warnings.clone(),
+            digest: self.digest,
+            keys: self.keys.clone(),
+            path: self.path.clone(),
+        };
+        build(parts, config, None, &Admission::new(&config.memory)).map(Some)
     }
 
     /// A camera path that the scene names.

@@ -3,9 +3,11 @@
 pub mod bakes;
 mod baking;
 mod crowd;
+mod estimates;
 mod framing;
 mod group;
 mod job;
+mod kept;
 mod keys;
 mod library;
 mod observe;
@@ -32,6 +34,7 @@ use serde::Serialize;
 
 pub use bakes::BakeTicket;
 pub use baking::{BakeEvent, BakeSource, BakedAsset, bake_file};
+pub use estimates::{EstimateState, Estimates, Latch};
 pub use observe::Observer;
 pub use priming::PrimeConfig;
 pub use queue::{Class, Client};
@@ -45,7 +48,7 @@ use crate::assets::{AssetError, ReadOptions};
 use crate::bake::cache::BakeCache;
 use crate::math::Camera;
 use crate::memory::{self, Admission, HostMemory, Interrupt};
-use crate::plan::{Lod, Reconstruct};
+use crate::plan::Reconstruct;
 use crate::residency::Part;
 use crate::scene::{CameraPath, SceneError, SceneLimits};
 
@@ -53,6 +56,12 @@ use self::shared::Shared;
 
 /// Of the device's time, what jobs get at least.
 pub const DEFAULT_JOB_SHARE: f64 = 0.1;
+
+/// Points whose neighbours are found in a tenth of a second: below that, waiting for them costs less than a second picture would.
+pub const ESTIMATE_AT_ONCE: usize = 200_000;
+
+/// No clock of a file system takes longer from one of its steps to the next.
+const SETTLED_AFTER: Duration = Duration::from_secs(2);
 
 /// How the engine is set up.
 #[derive(Clone)]
@@ -96,7 +105,15 @@ pub struct EngineConfig {
     /// For measurements and tests: whether large triangles go to the rasteriser; `None`: the measured best.
     #[doc(hidden)]
     pub rasterise: Option<bool>,
-    /// Where point trees are kept from one process to the next; `None`: they are built anew.
+    /// Clouds of so many points get the normals and kernels that they lack when they are read, larger ones when a frame needs them.
+    pub estimate_at_once: usize,
+    /// For tests: estimates of large clouds do not begin while this is shut.
+    #[doc(hidden)]
+    pub estimate_latch: Option<Arc<Latch>>,
+    /// For tests: files that were changed later than this ago are not kept packed.
+    #[doc(hidden)]
+    pub settled_after: Duration,
+    /// Where point trees and large clouds are kept from one process to the next; `None`: they are built and read anew.
     pub bake_cache: Option<BakeCache>,
     /// Which pipelines are built before frames need them; `None`: none are.
     pub prime: Option<PrimeConfig>,
@@ -192,6 +209,8 @@ pub struct SceneInfo {
     /// Bytes that the scene needs on the GPU, and whether it is there now.
     pub gpu_bytes: u64,
     pub resident: bool,
+    /// Whether normals and kernels of its samples are there. Those of large clouds are estimated when a frame needs them.
+    pub estimates: Estimates,
     pub cameras: Vec<NamedCamera>,
     pub paths: Vec<String>,
     /// Names of top-level nodes, as `PATCH` takes them.
@@ -336,9 +355,11 @@ struct Inner {
 impl Drop for Inner {
     fn drop(&mut self) {
         self.shared.stop();
+        self.shared.background.end_all();
         if let Some(thread) = self.thread.lock().take() {
             let _ = thread.join();
         }
+        self.shared.finish_writing();
     }
 }
 
@@ -402,6 +423,9 @@ impl EngineConfig {
             small_splat_px: None,
             rasterise: None,
             large_units_limit: None,
+            estimate_at_once: ESTIMATE_AT_ONCE,
+            estimate_latch: None,
+            settled_after: SETTLED_AFTER,
             bake_cache: None,
             prime: None,
             read: ReadOptions::default(),
@@ -418,6 +442,8 @@ impl Engine {
     /// No adapter, or one that lacks what the passes need; the message says what to install.
     pub fn start(config: EngineConfig) -> Result<Engine, EngineError> {
         let shared = Arc::new(Shared::new(config));
+        let scenes: std::sync::Weak<Shared> = Arc::downgrade(&shared);
+        shared.bakes.serve(scenes);
         let (sender, receiver) = std::sync::mpsc::sync_channel(1);
         let for_thread = shared.clone();
         let thread = std::thread::Builder::new()
@@ -499,7 +525,11 @@ impl Engine {
         self.check_fits(&mut loaded)?;
         admission.check()?;
         let info = loaded.info.clone();
+        let kept = std::mem::take(&mut loaded.kept);
         shared.library.write().insert(loaded);
+        for kept in kept {
+            shared.write_apart(move || kept.write());
+        }
         shared.scenes_changed();
         let (samples, triangles) = (info.samples, info.triangles);
         let elapsed_ms = began.elapsed().as_millis() as u64;
@@ -531,6 +561,7 @@ impl Engine {
         let shared = self.shared();
         let removed = shared.library.write().remove(id);
         removed.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
+        shared.background.end(id);
         shared.wake_for_removal();
         shared.scenes_changed();
         tracing::info!(id, "scene deleted");
@@ -577,7 +608,12 @@ impl Engine {
     }
 
     fn info(&self, loaded: &library::Loaded) -> SceneInfo {
-        SceneInfo { resident: self.shared().is_resident(&loaded.info.id), ..loaded.info.clone() }
+        let shared = self.shared();
+        SceneInfo {
+            resident: shared.is_resident(&loaded.info.id),
+            estimates: shared.estimates(loaded),
+            ..loaded.info.clone()
+        }
     }
 
     /// The strong entity tag (quoted) of the frame that `request` would give. Validates the request; costs no GPU work.
@@ -585,16 +621,23 @@ impl Engine {
         Ok(resolve::resolve(self.shared(), request)?.key)
     }
 
+    /// As [`Engine::etag`]; `None` of a frame that will be another one once normals and kernels are estimated.
+    pub fn final_etag(&self, request: &FrameRequest) -> Result<Option<String>, EngineError> {
+        let resolved = resolve::resolve(self.shared(), request)?;
+        Ok(resolved.provisional.is_none().then_some(resolved.key))
+    }
+
     /// Whether a frame with these settings has to wait until something is baked, which [`Engine::bake`] does.
     pub fn must_bake(&self, request: &FrameRequest) -> bool {
         let loaded = self.shared().library.read().get(&request.scene);
-        request.settings.lod == Lod::Spt && loaded.is_some_and(|loaded| !loaded.has_trees())
+        loaded.is_some_and(|loaded| resolve::goal(&loaded, request).is_some())
     }
 
-    /// Builds what a request needs and is not there: the scene's point trees. Blocks, for some seconds per million samples.
+    /// Builds what a request needs and is not there: the scene's point trees, or normals and kernels of large clouds. Blocks, for
+    /// some seconds per million samples.
     ///
     /// # Errors
-    /// An unknown scene, or a geometry that no tree can be built of.
+    /// An unknown scene, a geometry that no tree can be built of, or a file that is not what it was.
     pub fn bake(&self, request: &FrameRequest) -> Result<(), EngineError> {
         self.begin_bake(request)?.map_or(Ok(()), BakeTicket::wait)
     }
@@ -608,8 +651,8 @@ impl Engine {
         let loaded = self.shared().library.read().get(&request.scene);
         let loaded =
             loaded.ok_or_else(|| EngineError::UnknownScene { id: request.scene.clone() })?;
-        let is_needed = request.settings.lod == Lod::Spt && !loaded.has_trees();
-        Ok(is_needed.then(|| self.shared().bakes.join(loaded)))
+        let goal = resolve::goal(&loaded, request);
+        Ok(goal.map(|goal| self.shared().bakes.join(loaded, goal)))
     }
 
     /// Bakes that are under way for [`Engine::begin_bake`], also such as are being given up.
@@ -629,6 +672,7 @@ impl Engine {
     ) -> Result<Vec<BakedAsset>, EngineError> {
         let loaded = self.shared().library.read().get(id);
         let loaded = loaded.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
+        let loaded = self.shared().whole(&loaded)?;
         loaded.bake_each(self.shared().config.bake_cache.as_ref(), true, tell)
     }
 

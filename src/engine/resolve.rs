@@ -4,6 +4,7 @@
 use glam::DVec3;
 use sha2::{Digest, Sha256};
 
+use super::bakes::Goal;
 use super::job::{Drawing, Resolved};
 use super::library::Loaded;
 use super::receipt::CameraReceipt;
@@ -13,7 +14,7 @@ use crate::encode::{self, EncodeError};
 use crate::math::{Camera, CameraError, View};
 use crate::passes::{LAYERS_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
-use crate::plan::{AdapterFacts, Lod, Output, Reconstruct, Settings, plan};
+use crate::plan::{AdapterFacts, Lod, Output, Reconstruct, Settings, Wait, plan};
 
 /// Most pixels and longest side of a frame on this adapter.
 pub fn frame_limits(shared: &Shared) -> (u64, u32) {
@@ -89,6 +90,10 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     encode::accepts(request.format, request.output).map_err(unfit_format)?;
     let (view, camera) = pose(&loaded, request)?;
     let adapter = shared.adapter();
+    let loaded = match goal(&loaded, request) {
+        Some(_) => shared.whole(&loaded)?,
+        None => loaded,
+    };
     let (model, facts) = match request.settings.lod {
         Lod::Full => (loaded.model.clone(), loaded.facts),
         Lod::Spt => {
@@ -96,8 +101,21 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
             (trees.model, trees.facts)
         }
     };
-    let auto = (request.settings.reconstruct == Reconstruct::Auto)
-        .then(|| choose_for(&loaded, request, facts.has_samples, &view));
+    let is_open = request.settings.reconstruct == Reconstruct::Auto;
+    let mut auto = is_open.then(|| choose_for(&loaded, request, facts.has_samples, &view));
+    let mut provisional = None;
+    if let Some(choice) = &mut auto
+        && loaded.lacks(choice.reconstruct, request.settings.lod, request.output)
+    {
+        provisional = Some(match shared.estimate_in_background(&loaded) {
+            Ok(done) => {
+                format!("normals and kernels are being estimated ({:.0} %)", done * 100.0)
+            }
+            Err(error) => format!("normals and kernels cannot be estimated: {error}"),
+        });
+        let grounds = grounds(&loaded, request, facts.has_samples, &view);
+        *choice = auto::choose(&auto::Grounds { has_kernels: false, ..grounds });
+    }
     let settings = Settings {
         reconstruct: auto.map_or(request.settings.reconstruct, |choice| choice.reconstruct),
         ..request.settings
@@ -134,26 +152,81 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     let in_three_passes = (is_single && refused.is_none()).then(|| {
         way(&other, Some("more splats lie over one pixel than a single pass has room for"))
     });
-    let key = entity_tag(&loaded, request, &settings, auto.as_ref(), &drawing, &view, &adapter);
+    let tagged = Tagged {
+        settings: &settings,
+        auto: auto.as_ref(),
+        drawing: &drawing,
+        is_provisional: provisional.is_some(),
+    };
+    let key = entity_tag(&loaded, request, &tagged, &view, &adapter);
     let extent = loaded.extent;
     let max_error = request.settings.max_error;
-    Ok(Resolved { model, view, camera, extent, drawing, auto, in_three_passes, max_error, key })
+    Ok(Resolved {
+        model,
+        view,
+        camera,
+        extent,
+        drawing,
+        provisional,
+        auto,
+        in_three_passes,
+        max_error,
+        key,
+    })
 }
 
-/// How samples are drawn where the request leaves that open.
+/// What has to be made of a scene before a request's frame can be drawn.
+pub fn goal(loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
+    let Settings { lod, reconstruct, wait, .. } = request.settings;
+    if lod == Lod::Spt {
+        return (!loaded.has_trees()).then_some(Goal::Trees);
+    }
+    if loaded.is_whole() {
+        return None;
+    }
+    let lacks = match (reconstruct, wait) {
+        (_, Wait::Whole) => true,
+        // A picture of normals needs them however samples are drawn.
+        (Reconstruct::Auto, Wait::Ready) => {
+            loaded.lacks(Reconstruct::Points, lod, request.output)
+                && request.output == Output::Normal
+        }
+        (Reconstruct::Auto, Wait::Complete) => match pose(loaded, request) {
+            Ok((view, _)) => {
+                let wanted = choose_for(loaded, request, loaded.facts.has_samples, &view);
+                loaded.lacks(wanted.reconstruct, lod, request.output)
+            }
+            // The frame is refused.
+            Err(_) => false,
+        },
+        _ => loaded.lacks(reconstruct, lod, request.output),
+    };
+    lacks.then_some(Goal::Estimates)
+}
+
+/// How samples are drawn where the request leaves that open, once they have everything.
 fn choose_for(loaded: &Loaded, request: &FrameRequest, has_samples: bool, view: &View) -> Choice {
+    auto::choose(&grounds(loaded, request, has_samples, view))
+}
+
+fn grounds(
+    loaded: &Loaded,
+    request: &FrameRequest,
+    has_samples: bool,
+    view: &View,
+) -> auto::Grounds {
     let settings = &request.settings;
     let (larger, max_error) = match settings.decide_for {
         Some(still) => (f64::from(still.height) / f64::from(request.height), still.max_error),
         None => (1.0, settings.max_error),
     };
-    auto::choose(&auto::Grounds {
+    auto::Grounds {
         lod: settings.lod,
         has_samples,
         spacing_px: auto::spacing_px(loaded.patches(), view).map(|px| px * larger),
         max_error_px: max_error.px(),
         has_kernels: true,
-    })
+    }
 }
 
 /// Why splats cannot be blended and depth-tested in a single pass.
@@ -249,13 +322,20 @@ fn receipt_of_view(view: &View) -> CameraReceipt {
     }
 }
 
-/// Hash of all that decides a frame's bytes, quoted as HTTP wants it.
+/// What a frame's tag depends on, beside the scene, the request and the view.
+struct Tagged<'a> {
+    settings: &'a Settings,
+    auto: Option<&'a Choice>,
+    drawing: &'a Drawing,
+    is_provisional: bool,
+}
+
+/// Hash of all that decides a frame's bytes, quoted as HTTP wants it. That of a provisional frame tells it from all others while it is
+/// being drawn; nobody outside gets to see it.
 fn entity_tag(
     loaded: &Loaded,
     request: &FrameRequest,
-    settings: &Settings,
-    auto: Option<&Choice>,
-    drawing: &Drawing,
+    Tagged { settings, auto, drawing, is_provisional }: &Tagged<'_>,
     view: &View,
     adapter: &Adapter,
 ) -> String {
@@ -272,6 +352,9 @@ fn entity_tag(
     if settings.lod == Lod::Spt {
         hasher.update(settings.max_error.px().to_le_bytes());
         hasher.update([settings.paint as u8, settings.error_mode as u8]);
+    }
+    if *is_provisional {
+        hasher.update(b"provisional");
     }
     if let Some(choice) = auto {
         // The receipt has them.

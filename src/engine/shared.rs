@@ -10,6 +10,7 @@ use parking_lot::{Condvar, Mutex, RwLock};
 use tokio::sync::{oneshot, watch};
 
 use super::bakes::Bakes;
+use super::estimates::Background;
 use super::job::{Job, Reply, Resolved};
 use super::library::{AssetCache, Library};
 use super::observe::Observer;
@@ -156,6 +157,8 @@ pub struct Shared {
     pub patching: Mutex<()>,
     pub cache: AssetCache,
     pub bakes: Arc<Bakes>,
+    /// Estimates that frames do not wait for.
+    pub background: Background,
     pub stats: Stats,
     /// Counts changes of scenes: loaded, patched, removed.
     pub changes: watch::Sender<u64>,
@@ -191,6 +194,7 @@ impl Shared {
             loading: Mutex::default(),
             patching: Mutex::default(),
             cache: AssetCache::default(),
+            background: Background::default(),
             stats: Stats::default(),
             changes: watch::Sender::new(0),
             state: Mutex::new(State {

@@ -164,6 +164,7 @@ fn bake_watched(
         bounds,
         beside,
         tree: MadeOnce::default(),
+        deferred: None,
         outlined: OnceLock::new(),
         ..*asset
     };

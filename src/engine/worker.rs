@@ -406,6 +406,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
                 .then_some(job.request.settings.error_mode),
             paint: resolved.model.trees.then_some(job.request.settings.paint),
             reconstruct: drawing.reconstruct,
+            provisional: resolved.provisional.clone(),
             asked: resolved.auto.map(|_| Reconstruct::Auto),
             because: resolved.auto.map(|choice| choice.because()),
             spacing_px: resolved.auto.and_then(|choice| choice.spacing_px),

@@ -83,10 +83,16 @@ pub async fn frame(
     }
 
     bake(&app, &request).await.map_err(|problem| missing(&app, &id, problem))?;
-    let etag = app.engine.etag(&request).map_err(|error| missing(&app, &id, error.into()))?;
-    let tag = HeaderValue::from_str(&etag)
-        .map_err(|_| Problem::internal(format!("the tag {etag:?} is no header")))?;
-    if conditional::none_match_hits(&request_headers, &etag) {
+    let etag = app.engine.final_etag(&request).map_err(|error| missing(&app, &id, error.into()))?;
+    let tag = match &etag {
+        Some(etag) => Some(
+            HeaderValue::from_str(etag)
+                .map_err(|_| Problem::internal(format!("the tag {etag:?} is no header")))?,
+        ),
+        // The next answer may be another picture.
+        None => None,
+    };
+    if etag.as_ref().is_some_and(|etag| conditional::none_match_hits(&request_headers, etag)) {
         app.metrics.not_modified.inc();
         let mut response = StatusCode::NOT_MODIFIED.into_response();
         validators(response.headers_mut(), tag, negotiated);
@@ -113,11 +119,9 @@ pub async fn frame(
     }
     headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
     // A scene that changed meanwhile leaves open which revision the image shows.
-    if still(&app, &request, &etag) {
-        validators(headers, tag, negotiated);
-    } else {
-        headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    }
+    let is_final = frame.receipt.settings.provisional.is_none();
+    let tag = tag.filter(|_| is_final && etag.is_some_and(|etag| still(&app, &request, &etag)));
+    validators(headers, tag, negotiated);
     Ok(response)
 }
 
@@ -193,7 +197,12 @@ pub fn receipt_headers(frame: &EncodedFrame) -> Vec<(HeaderName, HeaderValue)> {
     found
 }
 
-fn validators(headers: &mut HeaderMap, etag: HeaderValue, negotiated: bool) {
+/// What caches are told; an answer without a tag is not for them.
+fn validators(headers: &mut HeaderMap, etag: Option<HeaderValue>, negotiated: bool) {
+    let Some(etag) = etag else {
+        headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+        return;
+    };
     headers.insert(header::ETAG, etag);
     headers.insert(header::CACHE_CONTROL, REVALIDATE);
     if negotiated {

@@ -21,7 +21,7 @@ use super::problem::{Kind, Problem};
 use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
 use crate::math::{Camera, View};
-use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings};
+use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings, Wait};
 use crate::scene::{Blend, Filter, Shading, Up, UpForm};
 
 /// Width and height of a frame that names none.
@@ -106,6 +106,11 @@ pub struct FrameParams {
     #[param(value_type = Option<Shading>)]
     #[schema(value_type = Option<Shading>)]
     pub shading: Option<String>,
+    /// What `reconstruct=auto` does before normals and kernels of a large cloud are estimated: `ready` draws points at once and marks
+    /// the answer as provisional, `complete` waits. All other frames wait for what they need.
+    #[param(value_type = Option<Wait>)]
+    #[schema(value_type = Option<Wait>)]
+    pub wait: Option<String>,
     /// Milliseconds until the frame is worthless; work not begun by then is dropped, and what cannot be had
     /// by then, by what is queued before it and what such frames have cost, is refused at once, with a time to come again.
     pub deadline_ms: Option<f64>,
@@ -167,6 +172,7 @@ impl FrameParams {
             "prefilter" => once(&mut self.prefilter, name, number(name, value, "true or false")?),
             "blend" => once(&mut self.blend, name, value.to_owned()),
             "shading" => once(&mut self.shading, name, value.to_owned()),
+            "wait" => once(&mut self.wait, name, value.to_owned()),
             "deadline_ms" => {
                 once(&mut self.deadline_ms, name, number(name, value, "milliseconds above 0")?)
             }
@@ -232,6 +238,7 @@ impl FrameParams {
             prefilter: self.prefilter.or(kernels.prefilter),
             blend: self.blend.or_else(|| splats.blend.clone()),
             shading: self.shading.or_else(|| splats.shading.clone()),
+            wait: self.wait.or_else(|| defaults.wait.clone()),
             deadline_ms: self.deadline_ms.or(defaults.deadline_ms),
         }
     }
@@ -354,6 +361,7 @@ impl FrameParams {
             prefilter: self.prefilter,
             blend: chosen("blend", self.blend.as_deref())?,
             shading: chosen("shading", self.shading.as_deref())?,
+            wait: choice("wait", self.wait.as_deref())?,
         })
     }
 

@@ -8,7 +8,7 @@ use sha2::{Digest, Sha256};
 use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
 use crate::film::manifest::digits;
-use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings};
+use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings, Wait};
 use crate::scene::{Blend, Filter, Shading};
 
 /// A camera path of a scene, drawn frame by frame.
@@ -85,6 +85,8 @@ impl FrameSpec {
             prefilter,
             blend,
             shading,
+            // Frames of a job always wait for everything.
+            wait: _,
         } = request.settings;
         FrameSpec {
             width: request.width,
@@ -137,6 +139,7 @@ impl Spec {
                 prefilter,
                 blend,
                 shading,
+                wait: Wait::Whole,
             },
             output: self.frame.output,
             format: self.frame.format,

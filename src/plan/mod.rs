@@ -9,7 +9,7 @@ mod settings;
 use serde::Serialize;
 
 pub use settings::{
-    ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings, StillFrame, UsedSettings,
+    ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings, StillFrame, UsedSettings, Wait,
 };
 
 use crate::scene::{Blend, Shading, Splats};

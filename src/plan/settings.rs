@@ -20,6 +20,24 @@ pub struct Settings {
     pub prefilter: Option<bool>,
     pub blend: Option<Blend>,
     pub shading: Option<Shading>,
+    /// What `auto` does before normals and kernels are there.
+    pub wait: Wait,
+}
+
+/// What a frame waits for whose samples lack normals or kernels, where it is left open how they are drawn.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Wait {
+    /// Nothing: it shows points, and its receipt says that this is provisional.
+    #[default]
+    Ready,
+    /// All that this frame needs.
+    Complete,
+    /// All that any frame of the scene may need, so that frames of a film are drawn alike.
+    #[serde(skip)]
+    Whole,
 }
 
 /// A still frame, which frames of a moving pose stand in for: all of them are drawn alike.
@@ -120,6 +138,9 @@ pub struct UsedSettings {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub paint: Option<Paint>,
     pub reconstruct: Reconstruct,
+    /// Why the same request will be answered by another frame in a while: normals and kernels are being estimated.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub provisional: Option<String>,
     /// Choice that was asked for, where it was `auto`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub asked: Option<Reconstruct>,

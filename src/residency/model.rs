@@ -40,6 +40,17 @@ pub struct AssetModel {
     pub tree: MadeOnce<Result<Arc<AssetModel>, PackError>>,
     /// Answer of [`AssetModel::outlines`], once it was asked for.
     pub outlined: OnceLock<Vec<Outline>>,
+    /// What its samples lack, if anything.
+    pub deferred: Option<Deferred>,
+}
+
+/// Of an asset whose samples are drawn as points before their kernels are estimated.
+#[derive(Debug, Default)]
+pub struct Deferred {
+    /// Some sample has no normal either.
+    pub lacks_normals: bool,
+    /// The asset with everything, once somebody has needed it.
+    pub whole: MadeOnce<Arc<AssetModel>>,
 }
 
 /// Where a scene's samples are and how wide they are, in world units.

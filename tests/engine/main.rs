@@ -12,6 +12,7 @@ mod changes;
 mod coverage;
 mod crowds;
 mod determinism;
+mod estimates;
 mod extremes;
 mod framing;
 mod hard_scenes;

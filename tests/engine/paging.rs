@@ -90,6 +90,7 @@ fn textured(uid: u64, texels: &[u32], materials: usize) -> Arc<SceneModel> {
         normals_estimated: false,
         beside: Vec::new(),
         tree: Default::default(),
+        deferred: None,
         outlined: Default::default(),
     };
     Arc::new(SceneModel {

@@ -1,7 +1,11 @@
 //! Start, configuration, health, stop.
 
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
+
+use pointillist::http::access::Access;
+use pointillist::http::{Settings, StreamLimits, UploadLimits, WatchLimits};
 
 use super::client::{raw, read_to_close};
 use super::daemon::{Daemon, eventually};
@@ -131,19 +135,10 @@ fn overriding(folder: &std::path::Path, args: &[&str]) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-#[test]
-fn a_server_that_can_never_draw_again_says_so() {
-    use pointillist::engine::{Engine, EngineConfig, Readiness};
-    use pointillist::http::{
-        App, Phase, Settings, StreamLimits, UploadLimits, WatchLimits, access::Access, router,
-    };
-    use std::time::Duration;
-    use tower::ServiceExt;
-
-    let folder = tempfile::tempdir().unwrap();
-    let engine = Engine::start(EngineConfig::new(folder.path())).unwrap();
-    let settings = Settings {
-        root: folder.path().to_owned(),
+/// Settings of a server within this process.
+pub fn settings(root: &Path) -> Settings {
+    Settings {
+        root: root.to_owned(),
         access: Access::Open { cors_origins: Vec::new(), only_loopback: true },
         cors_origins: Vec::new(),
         max_upload_bytes: 1 << 20,
@@ -154,7 +149,7 @@ fn a_server_that_can_never_draw_again_says_so() {
             bytes_per_key: 1 << 20,
         },
         max_connections: 4,
-        frame_timeout: Duration::from_secs(10),
+        frame_timeout: Duration::from_secs(60),
         read_timeout: Duration::from_secs(10),
         drain: Duration::from_secs(1),
         drain_delay: Duration::ZERO,
@@ -162,8 +157,19 @@ fn a_server_that_can_never_draw_again_says_so() {
         reread_access: None,
         streams: StreamLimits { most: 4, most_per_client: 4, idle: Duration::from_secs(10) },
         watches: WatchLimits { most: 4, most_per_client: 4, longest: Duration::from_secs(10) },
-    };
-    let app = App::new(engine.clone(), settings, Err("no jobs in this test".to_owned()));
+    }
+}
+
+#[test]
+fn a_server_that_can_never_draw_again_says_so() {
+    use pointillist::engine::{Engine, EngineConfig, Readiness};
+    use pointillist::http::{App, Phase, router};
+    use tower::ServiceExt;
+
+    let folder = tempfile::tempdir().unwrap();
+    let engine = Engine::start(EngineConfig::new(folder.path())).unwrap();
+    let app =
+        App::new(engine.clone(), settings(folder.path()), Err("no jobs in this test".to_owned()));
     app.set_phase(Phase::Serving);
     let router = router(app);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();

@@ -6,7 +6,8 @@
 //!                              dropped: the last one has the bake stop at its next step
 //! ```
 //!
-//! Who asks for the trees of a scene that somebody waits for already waits for the same bake. A bake that is stopped has left nothing
+//! There are two things to wait for ([`Goal`]): normals and kernels of large clouds, which are not estimated when these are read, and
+//! point trees, which need them. Who asks for what somebody waits for already waits for the same bake. A bake that is stopped has left nothing
 //! unfinished behind: assets that it had finished are kept, the others are as they were.
 
 mod roster;
@@ -14,8 +15,8 @@ mod roster;
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::Pin;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::{Arc, OnceLock, Weak};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
@@ -87,6 +88,32 @@ impl<'a> Watch<'a> {
 
 type Reply = Result<(), EngineError>;
 
+/// What is made of a scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Goal {
+    /// Normals and kernels of all samples.
+    Estimates,
+    /// Point trees.
+    Trees,
+}
+
+impl Goal {
+    /// Tells the bakes of all scenes apart.
+    fn key(self, scene: &Loaded) -> u64 {
+        scene.model.uid << 1 | u64::from(self == Goal::Trees)
+    }
+}
+
+/// Where scenes are whose samples have got what they lacked.
+pub trait Scenes: Send + Sync {
+    /// Estimates what the samples of a scene lack, and puts the whole scene in its place. Gives it back.
+    fn make_whole(
+        &self,
+        scene: &Arc<Loaded>,
+        watch: &Watch<'_>,
+    ) -> Result<Result<Arc<Loaded>, EngineError>, Abandoned>;
+}
+
 /// One bake that somebody waits for.
 struct Bake {
     work: Work,
@@ -97,6 +124,7 @@ struct Bake {
 #[derive(Clone)]
 struct Work {
     scene: Arc<Loaded>,
+    goal: Goal,
     stop: Arc<AtomicBool>,
     /// In [`STEPS`].
     done: Arc<AtomicU32>,
@@ -112,6 +140,7 @@ struct State {
 pub struct Bakes {
     state: Mutex<State>,
     cache: Option<BakeCache>,
+    scenes: OnceLock<Weak<dyn Scenes>>,
 }
 
 /// A bake that somebody waits for. Await it, or wait on a thread; dropping it gives it up.
@@ -125,14 +154,19 @@ pub struct BakeTicket {
 impl Bakes {
     pub fn new(cache: Option<BakeCache>) -> Arc<Bakes> {
         let state = State { roster: Roster::new(MOST), bakes: HashMap::new() };
-        Arc::new(Bakes { state: Mutex::new(state), cache })
+        Arc::new(Bakes { state: Mutex::new(state), cache, scenes: OnceLock::new() })
     }
 
-    /// Waits for the trees of a scene, with all others who do.
-    pub fn join(self: &Arc<Bakes>, scene: Arc<Loaded>) -> BakeTicket {
+    /// Names those who keep the scenes. Only the first call counts.
+    pub fn serve(&self, scenes: Weak<dyn Scenes>) {
+        let _ = self.scenes.set(scenes);
+    }
+
+    /// Waits for what is made of a scene, with all others who do.
+    pub fn join(self: &Arc<Bakes>, scene: Arc<Loaded>, goal: Goal) -> BakeTicket {
         let (sender, receiver) = oneshot::channel();
         let mut state = self.state.lock();
-        let (id, done) = match state.roster.join(scene.model.uid) {
+        let (id, done) = match state.roster.join(goal.key(&scene)) {
             Joined::Shared(id) => {
                 let done = state.bakes.get_mut(&id).map(|bake| {
                     bake.waiting.push(sender);
@@ -142,7 +176,7 @@ impl Bakes {
             }
             Joined::New(id) => {
                 let done = Arc::<AtomicU32>::default();
-                let work = Work { scene, stop: Arc::default(), done: done.clone() };
+                let work = Work { scene, goal, stop: Arc::default(), done: done.clone() };
                 state.bakes.insert(id, Bake { work, waiting: vec![sender] });
                 (id, done)
             }
@@ -161,7 +195,7 @@ impl Bakes {
             drop(state);
             let bakes = self.clone();
             let spawned = std::thread::Builder::new().name("bake".into()).spawn(move || {
-                let reply = work.run(bakes.cache.as_ref());
+                let reply = work.run(&bakes);
                 bakes.finish(id, reply);
                 bakes.begin();
             });
@@ -195,22 +229,53 @@ impl Bakes {
         }
     }
 
+    /// How much of something is done that somebody waits for.
+    pub fn progress(&self, goal: Goal, scene: &Loaded) -> Option<f64> {
+        let state = self.state.lock();
+        let is_it =
+            |bake: &&Bake| bake.work.goal == goal && bake.work.scene.model.uid == scene.model.uid;
+        let bake = state.bakes.values().find(is_it)?;
+        Some(f64::from(bake.work.done.load(Ordering::Relaxed)) / STEPS)
+    }
+
     /// Bakes that are under way, also such as are stopping.
     pub fn running(&self) -> usize {
         self.state.lock().roster.running()
     }
 }
 
+/// Share of estimating in estimating and building trees.
+const ESTIMATING: f64 = 0.3;
+
 impl Work {
-    fn run(&self, cache: Option<&BakeCache>) -> Reply {
+    fn run(&self, bakes: &Bakes) -> Reply {
         let watch = Watch::new(&self.stop, &self.done);
-        let baked = catch_unwind(AssertUnwindSafe(|| self.scene.trees_watched(cache, &watch)));
-        match baked {
-            Ok(Ok(trees)) => trees.map(drop),
+        match catch_unwind(AssertUnwindSafe(|| self.work(bakes, &watch))) {
+            Ok(Ok(reply)) => reply,
             // Nobody hears it.
             Ok(Err(Abandoned)) => Err(EngineError::Internal("baking was given up".into())),
             Err(_) => Err(EngineError::Internal("baking panicked; the log says how".into())),
         }
+    }
+
+    fn work(&self, bakes: &Bakes, watch: &Watch<'_>) -> Result<Reply, Abandoned> {
+        let (mut scene, mut begin) = (self.scene.clone(), 0.0);
+        if !scene.is_whole() {
+            let share = if self.goal == Goal::Estimates { 1.0 } else { ESTIMATING };
+            let Some(scenes) = bakes.scenes.get().and_then(Weak::upgrade) else {
+                return Ok(Err(EngineError::ShuttingDown));
+            };
+            scene = match scenes.make_whole(&scene, &watch.part(begin, share))? {
+                Ok(whole) => whole,
+                Err(error) => return Ok(Err(error)),
+            };
+            begin = share;
+        }
+        if self.goal == Goal::Estimates {
+            return Ok(Ok(()));
+        }
+        let trees = scene.trees_watched(bakes.cache.as_ref(), &watch.part(begin, 1.0 - begin))?;
+        Ok(trees.map(drop))
     }
 }
 
@@ -218,6 +283,11 @@ impl BakeTicket {
     /// How much is done, of 1.
     pub fn progress(&self) -> f64 {
         f64::from(self.done.load(Ordering::Relaxed)) / STEPS
+    }
+
+    /// How it has ended, if it has; told once.
+    pub fn outcome(&mut self) -> Option<Reply> {
+        self.receiver.try_recv().ok()
     }
 
     /// Waits on a thread that runs no async tasks.

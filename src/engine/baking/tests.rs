@@ -164,6 +164,7 @@ fn keys_cover_everything() {
             bounds: asset.bounds.clone(),
             beside: Vec::new(),
             tree: Default::default(),
+            deferred: None,
             outlined: Default::default(),
             ..*asset
         };

@@ -62,7 +62,7 @@ pub enum Wanted {
 
 const NAMES: [&str; 7] = ["scene", "path", "fps", "from", "to", "want", "bitrate_kbps"];
 /// Parameters of a frame that a path gives, or that mean nothing where nobody waits.
-pub const NOT_HERE: [(&str, &str); 8] = [
+pub const NOT_HERE: [(&str, &str); 9] = [
     ("camera", "the path says where frames are seen from"),
     ("eye", "the path says where frames are seen from"),
     ("target", "the path says where frames are seen from"),
@@ -70,6 +70,7 @@ pub const NOT_HERE: [(&str, &str); 8] = [
     ("fov", "the path says where frames are seen from"),
     ("view", "the path says where frames are seen from"),
     ("proj", "the path says where frames are seen from"),
+    ("wait", "frames of a job always wait until normals and kernels are there"),
     ("deadline_ms", "nobody waits for the frames of a job"),
 ];
 const SYNONYMS: [(&str, &str); 5] = [

@@ -3,7 +3,7 @@
 use crate::http::problem::{Kind, Problem, nearest};
 
 /// Every parameter of this version.
-pub const NAMES: [&str; 22] = [
+pub const NAMES: [&str; 23] = [
     "camera",
     "eye",
     "target",
@@ -25,6 +25,7 @@ pub const NAMES: [&str; 22] = [
     "prefilter",
     "blend",
     "shading",
+    "wait",
     "deadline_ms",
 ];
 

@@ -157,6 +157,7 @@ fn settings_of_splats_in_both_notations() {
         prefilter: Some(false),
         blend: Some(Blend::Opaque),
         shading: Some(Shading::Splat),
+        wait: Default::default(),
     };
     assert_eq!(asked, expected);
     let json = serde_json::json!({"reconstruct": "splats", "filter": "exact", "prefilter": false,

@@ -1,0 +1,356 @@
+//! Chunks of points along the curve, and the neighbourhoods of their points.
+
+use std::ops::Range;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::super::kernels::{Bounds as KernelBounds, CUTOFF, Fit, circle, fit, longest_axis};
+use super::super::neighbors::{Neighbors, PointTree, settled};
+use super::super::normals::{Frame, NORMAL_NEIGHBORS, is_radius};
+use super::super::pack::CHUNK;
+use crate::assets::{Kernel, PointCloud};
+
+/// This share of a piece's sampled neighbourhoods fits into its margin, and more than that.
+const QUANTILE: f64 = 0.99;
+const GENEROUS: f32 = 2.0;
+/// With fewer sampled neighbourhoods a piece takes those of the whole cloud as the measure.
+const ENOUGH: usize = 16;
+/// A margin holds at most this many times as many chunks as its piece.
+const MOST_MARGIN: usize = 4;
+/// Rounding of squared distances.
+const SLACK: f32 = 1.0001;
+
+/// What neighbours are to tell.
+#[derive(Clone, Copy)]
+pub(super) struct Wanted {
+    pub(super) normals: bool,
+    pub(super) kernels: bool,
+}
+
+/// What neighbours have told of a point.
+#[derive(Clone, Copy, Default)]
+struct Fitted {
+    normal: Vec3,
+    fit: Fit,
+}
+
+/// A box in the coordinates of the frame.
+#[derive(Clone, Copy)]
+struct Extent([[f32; 3]; 2]);
+
+impl Extent {
+    const EMPTY: Extent = Extent([[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]]);
+
+    fn with(self, Extent([low, high]): Extent) -> Extent {
+        let [min, max] = self.0;
+        Extent([
+            std::array::from_fn(|axis| min[axis].min(low[axis])),
+            std::array::from_fn(|axis| max[axis].max(high[axis])),
+        ])
+    }
+
+    fn is_place(&self) -> bool {
+        self.0[0] == self.0[1]
+    }
+
+    /// Squared; infinite where one of them is empty.
+    fn distance(&self, other: &Extent) -> f32 {
+        let ([min, max], [low, high]) = (self.0, other.0);
+        (0..3).fold(0.0, |sum, axis| {
+            let gap = (min[axis] - high[axis]).max(low[axis] - max[axis]).max(0.0);
+            sum + gap * gap
+        })
+    }
+}
+
+/// A point in the coordinates of the frame.
+#[derive(Clone, Copy)]
+struct Local {
+    place: [f32; 3],
+    /// Number in the cloud.
+    index: u32,
+    /// Place in its piece, [`MARGIN`] of others.
+    slot: u32,
+}
+
+const MARGIN: u32 = u32::MAX;
+
+/// Squared reaches of the neighbourhoods of some points, and what they say of all.
+pub(super) struct Sampled {
+    /// Place along the curve, and how far the farthest neighbour is.
+    reaches: Vec<(usize, f32)>,
+    bounds: KernelBounds,
+}
+
+/// A cloud's points along the curve.
+pub(super) struct Chunks<'a> {
+    cloud: &'a PointCloud,
+    order: &'a [u32],
+    frame: Frame,
+    wanted: Wanted,
+    /// Boxes of all nodes of a balanced tree: the root is 1, the children of `i` are `2 i` and `2 i + 1`.
+    boxes: Vec<Extent>,
+    leaves: usize,
+    count: usize,
+}
+
+impl<'a> Chunks<'a> {
+    pub(super) fn new(
+        cloud: &'a PointCloud,
+        order: &'a [u32],
+        frame: Frame,
+        wanted: Wanted,
+    ) -> Chunks<'a> {
+        let count = order.len().div_ceil(CHUNK);
+        let leaves = count.next_power_of_two();
+        let mut boxes = vec![Extent::EMPTY; 2 * leaves];
+        boxes[leaves..].par_iter_mut().zip(order.par_chunks(CHUNK)).for_each(|(own, chunk)| {
+            *own = chunk.iter().fold(Extent::EMPTY, |all, &index| {
+                all.with(Extent([frame.to_local(cloud.positions[index as usize]); 2]))
+            });
+        });
+        for node in (1..leaves).rev() {
+            boxes[node] = boxes[2 * node].with(boxes[2 * node + 1]);
+        }
+        Chunks { cloud, order, frame, wanted, boxes, leaves, count }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.count
+    }
+
+    fn place(&self, index: u32) -> [f32; 3] {
+        settled(self.frame.to_local(self.cloud.positions[index as usize]))
+    }
+
+    fn ranks(&self, chunk: usize) -> Range<usize> {
+        chunk * CHUNK..self.order.len().min((chunk + 1) * CHUNK)
+    }
+
+    /// The neighbourhoods of every `step`-th point of the cloud, which decide for all how long kernels may be.
+    pub(super) fn sampled(&self, step: usize) -> Sampled {
+        let ranks: Vec<usize> = (0..self.order.len())
+            .into_par_iter()
+            .filter(|&rank| (self.order[rank] as usize).is_multiple_of(step))
+            .collect();
+        let found: Vec<(f32, f32)> = ranks
+            .par_iter()
+            .map(|&rank| {
+                let (fitted, reach) = self.neighborhood(self.order[rank], f32::INFINITY);
+                (reach, longest_axis(&fitted.fit.kernel))
+            })
+            .collect();
+        let lengths: Vec<f32> = found.iter().map(|&(_, length)| length).collect();
+        let reaches = ranks.into_iter().zip(found).map(|(rank, (reach, _))| (rank, reach));
+        Sampled { reaches: reaches.collect(), bounds: KernelBounds::of_some(&lengths) }
+    }
+
+    /// Normals and kernels of all points of some chunks, in the order of the curve.
+    pub(super) fn estimate(&self, piece: Range<usize>, sampled: &Sampled) -> Vec<(Vec3, Kernel)> {
+        let ranks = self.ranks(piece.start).start..self.ranks(piece.end - 1).end;
+        let (margin, reach) = self.margin(&piece, sampled.reach(&ranks));
+        let own = ranks.clone().into_par_iter().map(|rank| self.local(rank, &ranks));
+        let others = margin.into_par_iter().flat_map(|chunk| self.ranks(chunk).into_par_iter());
+        let mut local: Vec<Local> =
+            own.chain(others.map(|rank| self.local(rank, &ranks))).collect();
+        // Those at one distance are told apart by their order.
+        local.par_sort_unstable_by_key(|point| point.index);
+        let tree = PointTree::new(local.iter().map(|point| point.place));
+        let found = tree.map_neighbors(NORMAL_NEIGHBORS, |neighbors| {
+            let point = &local[tree.order()[neighbors.place] as usize];
+            if point.slot == MARGIN {
+                return None;
+            }
+            let farthest = farthest(&neighbors);
+            // Of points at one place it does not matter which are the neighbours.
+            if farthest * SLACK <= reach || farthest == 0.0 {
+                Some((point.slot, self.fitted(&neighbors, point.index), None))
+            } else {
+                Some((point.slot, Fitted::default(), Some(farthest)))
+            }
+        });
+        drop(tree);
+        let mut out = vec![Fitted::default(); ranks.len()];
+        let mut strays = Vec::new();
+        for (slot, fitted, farthest) in found.into_iter().flatten() {
+            out[slot as usize] = fitted;
+            strays.extend(farthest.map(|farthest| (slot, farthest)));
+        }
+        // A margin that was cut down holds too little to tell how far neighbours may be.
+        let completed: Vec<(u32, Fitted)> = strays
+            .into_par_iter()
+            .map(|(slot, farthest)| {
+                let index = self.order[ranks.start + slot as usize];
+                (slot, self.neighborhood(index, farthest).0)
+            })
+            .collect();
+        for (slot, fitted) in completed {
+            out[slot as usize] = fitted;
+        }
+        let indices = &self.order[ranks];
+        let both = out.into_par_iter().zip(indices);
+        both.map(|(fitted, &index)| self.settle(index, fitted, &sampled.bounds)).collect()
+    }
+
+    fn local(&self, rank: usize, piece: &Range<usize>) -> Local {
+        let index = self.order[rank];
+        let slot = if piece.contains(&rank) { (rank - piece.start) as u32 } else { MARGIN };
+        Local { place: self.place(index), index, slot }
+    }
+
+    /// Chunks around a piece within a squared reach, or within the smaller one that is returned, where those would be too many.
+    fn margin(&self, piece: &Range<usize>, mut reach: f32) -> (Vec<usize>, f32) {
+        if piece.len() == self.count {
+            return (Vec::new(), f32::INFINITY);
+        }
+        loop {
+            let mut near = vec![false; self.count];
+            let mut stack = Vec::new();
+            for chunk in piece.clone() {
+                let own = self.boxes[self.leaves + chunk];
+                stack.push(1);
+                while let Some(node) = stack.pop() {
+                    if self.boxes[node].distance(&own) > reach * SLACK {
+                        continue;
+                    }
+                    if node < self.leaves {
+                        stack.extend([2 * node, 2 * node + 1]);
+                    } else if let Some(near) = near.get_mut(node - self.leaves) {
+                        *near = true;
+                    }
+                }
+            }
+            let is_other = |chunk: &usize| near[*chunk] && !piece.contains(chunk);
+            let margin: Vec<usize> = (0..self.count).filter(is_other).collect();
+            if margin.len() <= MOST_MARGIN * piece.len() {
+                return (margin, reach);
+            }
+            if reach <= f32::MIN_POSITIVE {
+                // Too many at one place: nothing is complete.
+                return (Vec::new(), -1.0);
+            }
+            reach *= 0.25;
+        }
+    }
+
+    /// What all other points tell of one, and how far its farthest neighbour is, squared; none is farther than `most`.
+    fn neighborhood(&self, index: u32, most: f32) -> (Fitted, f32) {
+        let place = self.place(index);
+        let point = Extent([place; 2]);
+        let mut nearest = Nearest { most, found: Vec::with_capacity(NORMAL_NEIGHBORS + 1) };
+        let mut stack = vec![1];
+        while let Some(node) = stack.pop() {
+            if self.boxes[node].distance(&point) > nearest.bound() * SLACK {
+                continue;
+            }
+            if node < self.leaves {
+                // The nearer child is taken first: it comes last onto the stack.
+                let far = |child: usize| self.boxes[child].distance(&point);
+                let (left, right) = (2 * node, 2 * node + 1);
+                stack.extend(if far(left) <= far(right) { [right, left] } else { [left, right] });
+                continue;
+            }
+            let chunk = node - self.leaves;
+            if chunk >= self.count {
+                continue;
+            }
+            let is_place = self.boxes[node].is_place();
+            for &other in self.order[self.ranks(chunk)].iter().filter(|&&other| other != index) {
+                // Points at one place are in their order: behind one that is too many there are only such.
+                if !nearest.add(place, self.place(other), other) && is_place {
+                    break;
+                }
+            }
+        }
+        let mut all: Vec<(u32, [f32; 3])> =
+            nearest.found.iter().map(|&(_, index, place)| (index, place)).collect();
+        all.push((index, place));
+        all.sort_unstable_by_key(|&(index, _)| index);
+        let tree = PointTree::new(all.iter().map(|&(_, place)| place));
+        let found = tree.map_neighbors(NORMAL_NEIGHBORS, |neighbors| {
+            let is_own = all[tree.order()[neighbors.place] as usize].0 == index;
+            is_own.then(|| (self.fitted(&neighbors, index), farthest(&neighbors)))
+        });
+        found.into_iter().flatten().next().unwrap_or((Fitted::default(), f32::INFINITY))
+    }
+
+    fn given_normal(&self, index: u32) -> Vec3 {
+        self.cloud.normals.as_ref().map_or(Vec3::ZERO, |normals| normals[index as usize])
+    }
+
+    fn fitted(&self, neighbors: &Neighbors, index: u32) -> Fitted {
+        let normal = if self.wanted.normals { self.frame.normal(neighbors) } else { Vec3::ZERO };
+        let given = self.given_normal(index);
+        let own = if given == Vec3::ZERO { normal } else { given };
+        let fit = match self.wanted.kernels {
+            true => self.frame.fit(fit(neighbors, own, given != Vec3::ZERO)),
+            false => Fit::default(),
+        };
+        Fitted { normal, fit }
+    }
+
+    /// What a file gives goes before what neighbours tell.
+    fn settle(&self, index: u32, fitted: Fitted, bounds: &KernelBounds) -> (Vec3, Kernel) {
+        let given = self.given_normal(index);
+        let normal = if given == Vec3::ZERO { fitted.normal } else { given };
+        let radius = self.cloud.radii.as_ref().map(|radii| radii[index as usize]);
+        let kernel = match radius.filter(is_radius) {
+            Some(radius) => circle(normal, radius / CUTOFF),
+            None => bounds.apply(fitted.fit, normal),
+        };
+        (normal, kernel)
+    }
+}
+
+impl Sampled {
+    /// A little more than the reach of most neighbourhoods in a stretch of the curve, squared.
+    fn reach(&self, ranks: &Range<usize>) -> f32 {
+        let first = self.reaches.partition_point(|&(rank, _)| rank < ranks.start);
+        let end = self.reaches.partition_point(|&(rank, _)| rank < ranks.end);
+        let own = &self.reaches[first..end];
+        let measured = if own.len() < ENOUGH { &self.reaches[..] } else { own };
+        let mut reaches: Vec<f32> = measured.iter().map(|&(_, reach)| reach).collect();
+        reaches.sort_unstable_by(f32::total_cmp);
+        let at = ((reaches.len() as f64 - 1.0) * QUANTILE) as usize;
+        reaches.get(at).map_or(0.0, |reach| reach * GENEROUS * GENEROUS)
+    }
+}
+
+/// Squared distance of the farthest neighbour; infinite where there are too few.
+fn farthest(neighbors: &Neighbors) -> f32 {
+    match neighbors.len() == NORMAL_NEIGHBORS {
+        true => neighbors.distances_squared().last().unwrap_or(f32::INFINITY),
+        false => f32::INFINITY,
+    }
+}
+
+/// The nearest so far, nearest first.
+struct Nearest {
+    most: f32,
+    found: Vec<(f32, u32, [f32; 3])>,
+}
+
+impl Nearest {
+    /// Points that are farther do not count.
+    fn bound(&self) -> f32 {
+        match self.found.get(NORMAL_NEIGHBORS - 1) {
+            Some(&(farthest, ..)) => farthest,
+            None => self.most,
+        }
+    }
+
+    /// Whether the point is among the nearest.
+    fn add(&mut self, [x, y, z]: [f32; 3], place: [f32; 3], index: u32) -> bool {
+        let (dx, dy, dz) = (place[0] - x, place[1] - y, place[2] - z);
+        let distance = dx * dx + dy * dy + dz * dz;
+        if distance > self.bound() {
+            return false;
+        }
+        let before = |other: &&(f32, u32, [f32; 3])| (other.0, other.1) < (distance, index);
+        let at = self.found.iter().take_while(before).count();
+        self.found.insert(at, (distance, index, place));
+        self.found.truncate(NORMAL_NEIGHBORS);
+        at < NORMAL_NEIGHBORS
+    }
+}

@@ -1,0 +1,411 @@
+//! Large clouds that are kept on disk as they were packed, so that the next process neither reads, sorts nor estimates them.
+//!
+//! ```text
+//! file ──identity──► note: hash of its content, and what else was read ──that hash──► packed samples, whole or without estimates
+//! ```
+//! Both are entries of the bake cache. A note stands under what can be had of a file without reading all of it: device, inode, size, times
+//! of modification and of change, and a hash of [`PROBES`] blocks spread over it. Writing to a file changes its times, and no program
+//! sets the time of change; replacing it changes the inode; a restored or copied file has another time of change. What remains is
+//! a write within the last step of the file system's clock, so that no note is taken of a file that was changed just now. Samples stand
+//! under the hash of the whole content, as in memory.
+
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::Path;
+use std::sync::{Arc, OnceLock};
+use std::time::{Duration, SystemTime};
+
+use glam::{DAffine3, DVec3};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::EngineConfig;
+use super::keys::file_kind;
+use super::library::{ReadAsset, next_uid};
+use crate::assets::{FORMATS, Placement};
+use crate::bake::cache::BakeCache;
+use crate::bake::pack::{PackedAsset, PackedGeometry};
+use crate::bake::upright::{End, Shape};
+use crate::math::{Bounds, Camera, Sensor, SensorView};
+use crate::memory::{Admission, Interrupt, Reservation};
+use crate::residency::model::{AssetModel, Deferred};
+use crate::residency::once::MadeOnce;
+use crate::scene::{AssetRef, AssetSource};
+
+/// Of what is read of files and how it is packed: raise it with every change of either.
+const VERSION: u32 = 1;
+/// Blocks of a file that its identity hashes, and bytes of each.
+const PROBES: u64 = 64;
+const PROBE_BYTES: u64 = 4096;
+/// Bytes of a packed sample, its share of a chunk included.
+const SAMPLE_BYTES: u64 = 24;
+
+/// What a file held beside its samples. Numbers are kept by their bits, which JSON does not.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Note {
+    pub digest: [u8; 32],
+    format: String,
+    has_colors: bool,
+    shows_intensity: bool,
+    has_normals: bool,
+    normals_estimated: bool,
+    lacks_normals: bool,
+    samples: u64,
+    bounds: Vec<[u64; 6]>,
+    placements: Vec<(String, usize, [u64; 12])>,
+    cameras: Vec<(String, [u64; 10])>,
+    sensor: Option<KeptSensor>,
+    shape: Option<KeptShape>,
+    warnings: Vec<String>,
+}
+
+/// A [`Sensor`] by its bits.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+enum KeptSensor {
+    /// Camera and aspect.
+    View([u64; 10], u64),
+    Place([u64; 3]),
+}
+
+impl KeptSensor {
+    fn of(sensor: &Sensor) -> KeptSensor {
+        match sensor {
+            Sensor::View(view) => {
+                KeptSensor::View(camera_bits(&view.camera), view.aspect.to_bits())
+            }
+            Sensor::Place(place) => KeptSensor::Place(bits(place.to_array())),
+        }
+    }
+
+    fn sensor(&self) -> Sensor {
+        match self {
+            KeptSensor::View(bits, aspect) => {
+                Sensor::View(SensorView { camera: camera(bits), aspect: f64::from_bits(*aspect) })
+            }
+            KeptSensor::Place(bits) => Sensor::Place(vec3(bits)),
+        }
+    }
+}
+
+/// A [`Shape`] by its bits.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct KeptShape {
+    extent: [u64; 3],
+    symmetry: [u64; 3],
+    ends: [[[u64; 8]; 2]; 3],
+    is_cloud: bool,
+}
+
+impl KeptShape {
+    fn of(shape: &Shape) -> KeptShape {
+        let Shape { extent, symmetry, ends, is_cloud } = *shape;
+        let end = |end: End| {
+            let End {
+                footprint,
+                balance,
+                contact,
+                flat,
+                flat_footprint,
+                centroid_height,
+                opening,
+                tilt,
+            } = end;
+            bits([
+                footprint,
+                balance,
+                contact,
+                flat,
+                flat_footprint,
+                centroid_height,
+                opening,
+                tilt,
+            ])
+        };
+        KeptShape {
+            extent: bits(extent),
+            symmetry: bits(symmetry),
+            ends: ends.map(|both| both.map(end)),
+            is_cloud,
+        }
+    }
+
+    fn shape(&self) -> Shape {
+        let end = |bits: [u64; 8]| {
+            let [footprint, balance, contact, flat, flat_footprint, centroid_height, opening, tilt] =
+                bits.map(f64::from_bits);
+            End {
+                footprint,
+                balance,
+                contact,
+                flat,
+                flat_footprint,
+                centroid_height,
+                opening,
+                tilt,
+            }
+        };
+        Shape {
+            extent: self.extent.map(f64::from_bits),
+            symmetry: self.symmetry.map(f64::from_bits),
+            ends: self.ends.map(|both| both.map(end)),
+            is_cloud: self.is_cloud,
+        }
+    }
+}
+
+fn camera_bits(c: &Camera) -> [u64; 10] {
+    let (eye, target, up) = (c.eye, c.target, c.up);
+    bits([eye.x, eye.y, eye.z, target.x, target.y, target.z, up.x, up.y, up.z, c.fov_deg])
+}
+
+fn camera(bits: &[u64; 10]) -> Camera {
+    let [eye, target, up] = [&bits[..3], &bits[3..6], &bits[6..9]].map(vec3);
+    Camera { eye, target, up, fov_deg: f64::from_bits(bits[9]) }
+}
+
+fn bits<const N: usize>(numbers: [f64; N]) -> [u64; N] {
+    numbers.map(f64::to_bits)
+}
+
+fn vec3(bits: &[u64]) -> DVec3 {
+    DVec3::from_slice(&bits.iter().map(|&bits| f64::from_bits(bits)).collect::<Vec<f64>>())
+}
+
+/// The cache and a file's identity in it, where its samples may be kept.
+pub struct Keeping<'a> {
+    cache: &'a BakeCache,
+    identity: [u8; 32],
+    /// Shapes are measured of bare assets alone.
+    is_bare: bool,
+}
+
+impl<'a> Keeping<'a> {
+    /// None for what is made of several files, or of a file that has just been changed; without a cache.
+    pub fn of(
+        reference: &AssetRef,
+        config: &'a EngineConfig,
+        is_bare: bool,
+    ) -> Option<Keeping<'a>> {
+        let cache = config.bake_cache.as_ref()?;
+        let AssetSource::File(source) = &reference.source else { return None };
+        if source.sample.is_some() || source.features {
+            return None;
+        }
+        let identity = identity(&source.path, config, is_bare).ok()??;
+        Some(Keeping { cache, identity, is_bare })
+    }
+
+    pub fn note(&self, config: &EngineConfig) -> Option<Note> {
+        let note: Note = serde_json::from_slice(&self.cache.load_note(&self.identity)?).ok()?;
+        // Limits may be lower by now: the reader says what is wrong then.
+        (note.samples <= config.read.max_vertices).then_some(note)
+    }
+
+    /// The asset as it was kept, whole if possible; `None` where the cache no longer holds it.
+    ///
+    /// # Errors
+    /// The load was cancelled, or there is no memory for the samples.
+    pub fn asset(
+        &self,
+        name: &str,
+        note: &Note,
+        admission: &Admission,
+    ) -> Result<Option<ReadAsset>, Interrupt> {
+        let before = admission.held();
+        admission.grow(name, note.samples.saturating_mul(SAMPLE_BYTES))?;
+        let mut asset = self.load(name, note);
+        if let Some(model) = asset.as_mut().and_then(|asset| Arc::get_mut(&mut asset.model)) {
+            model.memory = admission.keep(model.gpu_bytes());
+        }
+        admission.shrink_to(before);
+        Ok(asset)
+    }
+
+    fn load(&self, name: &str, note: &Note) -> Option<ReadAsset> {
+        let format = FORMATS.iter().copied().find(|format| *format == note.format)?;
+        let whole = self.cache.load(&samples_key(&note.digest, true));
+        let is_whole = whole.is_some();
+        let geometries = whole.or_else(|| self.cache.load(&samples_key(&note.digest, false)))?;
+        let count = |geometry: &PackedGeometry| match geometry {
+            PackedGeometry::Samples(samples) => Some(samples.positions.len() as u64),
+            PackedGeometry::Mesh(_) => None,
+        };
+        let counts: Option<Vec<u64>> = geometries.iter().map(count).collect();
+        let fits = counts?.iter().sum::<u64>() == note.samples
+            && note.bounds.len() == geometries.len()
+            && note.placements.iter().all(|&(_, geometry, _)| geometry < geometries.len());
+        if !fits {
+            tracing::warn!(asset = name, "what was kept of a cloud does not fit its note");
+            return None;
+        }
+        let bounds = note.bounds.iter().map(|b| Bounds { min: vec3(&b[..3]), max: vec3(&b[3..]) });
+        let deferred = Deferred { lacks_normals: note.lacks_normals, whole: MadeOnce::default() };
+        let model = AssetModel {
+            memory: Reservation::default(),
+            uid: next_uid(),
+            name: name.to_owned(),
+            format,
+            packed: PackedAsset { geometries, ..PackedAsset::default() },
+            bounds: bounds.collect(),
+            has_colors: note.has_colors,
+            shows_intensity: note.shows_intensity,
+            has_normals: note.has_normals,
+            normals_estimated: note.normals_estimated,
+            beside: Vec::new(),
+            tree: MadeOnce::default(),
+            outlined: OnceLock::new(),
+            deferred: (!is_whole).then_some(deferred),
+        };
+        let placement = |(name, geometry, affine): &(String, usize, [u64; 12])| Placement {
+            name: name.clone(),
+            geometry: *geometry,
+            asset_from_geometry: DAffine3::from_cols_array(&affine.map(f64::from_bits)),
+        };
+        tracing::info!(asset = name, samples = note.samples, is_whole, "a large cloud was kept");
+        Some(ReadAsset {
+            model: Arc::new(model),
+            placements: Arc::new(note.placements.iter().map(placement).collect()),
+            cameras: note.cameras.iter().map(|(name, bits)| (name.clone(), camera(bits))).collect(),
+            sensor: note.sensor.as_ref().map(KeptSensor::sensor),
+            shape: note.shape.as_ref().map(KeptShape::shape),
+            warnings: note.warnings.clone(),
+            digest: note.digest,
+        })
+    }
+
+    /// Keeps an asset that was read just now, if it is a large cloud. The file must still be the one that was read.
+    pub fn keep(
+        &self,
+        reference: &AssetRef,
+        read: &ReadAsset,
+        config: &EngineConfig,
+    ) -> Option<Kept> {
+        let deferred = read.model.deferred.as_ref()?;
+        let AssetSource::File(source) = &reference.source else { return None };
+        if identity(&source.path, config, self.is_bare).ok()? != Some(self.identity) {
+            return None;
+        }
+        let model = &read.model;
+        let note = Note {
+            digest: read.digest,
+            format: model.format.to_owned(),
+            has_colors: model.has_colors,
+            shows_intensity: model.shows_intensity,
+            has_normals: model.has_normals,
+            normals_estimated: model.normals_estimated,
+            lacks_normals: deferred.lacks_normals,
+            samples: model.counts().0,
+            bounds: model
+                .bounds
+                .iter()
+                .map(|b| bits([b.min.x, b.min.y, b.min.z, b.max.x, b.max.y, b.max.z]))
+                .collect(),
+            placements: read
+                .placements
+                .iter()
+                .map(|p| {
+                    let affine = bits(p.asset_from_geometry.to_cols_array());
+                    (p.name.clone(), p.geometry, affine)
+                })
+                .collect(),
+            cameras: read
+                .cameras
+                .iter()
+                .map(|(name, camera)| (name.clone(), camera_bits(camera)))
+                .collect(),
+            sensor: read.sensor.as_ref().map(KeptSensor::of),
+            shape: read.shape.as_ref().map(KeptShape::of),
+            warnings: read.warnings.clone(),
+        };
+        let is_plain = model.packed.materials.is_empty()
+            && model.packed.textures.is_empty()
+            && FORMATS.contains(&model.format);
+        is_plain.then(|| Kept {
+            cache: self.cache.clone(),
+            identity: self.identity,
+            note,
+            model: model.clone(),
+        })
+    }
+}
+
+/// A cloud that is to be written.
+pub struct Kept {
+    cache: BakeCache,
+    identity: [u8; 32],
+    note: Note,
+    model: Arc<AssetModel>,
+}
+
+impl Kept {
+    /// Writes samples and note. A cache that cannot be written costs a warning and the next process the time to read.
+    pub fn write(self) {
+        let key = samples_key(&self.note.digest, false);
+        let written = self.cache.store(&key, &self.model.packed.geometries).and_then(|stored| {
+            let text = serde_json::to_vec(&self.note).map_err(io::Error::other)?;
+            if stored { self.cache.store_note(&self.identity, &text) } else { Ok(()) }
+        });
+        if let Err(error) = written {
+            let folder = self.cache.folder().display();
+            tracing::warn!(asset = self.model.name, %folder, %error, "a large cloud cannot be kept");
+        }
+    }
+}
+
+/// Keeps the samples of an asset with all their normals and kernels in place of those without.
+pub fn keep_whole(cache: &BakeCache, digest: &[u8; 32], whole: &AssetModel) {
+    match cache.store(&samples_key(digest, true), &whole.packed.geometries) {
+        Ok(true) => cache.remove(&samples_key(digest, false)),
+        Ok(false) => {}
+        Err(error) => {
+            let folder = cache.folder().display();
+            tracing::warn!(asset = whole.name, %folder, %error, "a large cloud cannot be kept");
+        }
+    }
+}
+
+fn samples_key(digest: &[u8; 32], is_whole: bool) -> [u8; 32] {
+    let kind: &[u8] = if is_whole { b"whole cloud\0" } else { b"points of a cloud\0" };
+    let hasher = Sha256::new_with_prefix(kind).chain_update(VERSION.to_le_bytes());
+    hasher.chain_update(digest).finalize().into()
+}
+
+/// What tells a file from all others and from itself after a change, without reading all of it; `None` of a file that has just been
+/// changed or is no file.
+#[cfg(unix)]
+fn identity(path: &Path, config: &EngineConfig, is_bare: bool) -> io::Result<Option<[u8; 32]>> {
+    use std::os::unix::fs::MetadataExt;
+    let mut file = File::open(path)?;
+    let about = file.metadata()?;
+    let changed = Duration::new(about.ctime().max(0).unsigned_abs(), about.ctime_nsec() as u32);
+    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    if !about.is_file() || now.checked_sub(changed).is_none_or(|age| age < config.settled_after) {
+        return Ok(None);
+    }
+    let mut hasher = Sha256::new_with_prefix(b"note\0");
+    hasher.update(VERSION.to_le_bytes());
+    hasher.update(file_kind(path));
+    hasher.update([u8::from(is_bare)]);
+    hasher.update((config.estimate_at_once as u64).to_le_bytes());
+    for number in [about.dev(), about.ino(), about.len()] {
+        hasher.update(number.to_le_bytes());
+    }
+    for time in [about.mtime(), about.mtime_nsec(), about.ctime(), about.ctime_nsec()] {
+        hasher.update(time.to_le_bytes());
+    }
+    let last = about.len().saturating_sub(PROBE_BYTES);
+    let mut block = Vec::with_capacity(PROBE_BYTES as usize);
+    for probe in 0..PROBES {
+        let at = u128::from(last) * u128::from(probe) / u128::from(PROBES - 1);
+        file.seek(SeekFrom::Start(at as u64))?;
+        block.clear();
+        (&mut file).take(PROBE_BYTES).read_to_end(&mut block)?;
+        hasher.update(&block);
+    }
+    Ok(Some(hasher.finalize().into()))
+}
+
+#[cfg(not(unix))]
+fn identity(_: &Path, _: &EngineConfig, _: bool) -> io::Result<Option<[u8; 32]>> {
+    Ok(None)
+}

@@ -1,0 +1,341 @@
+//! Large clouds are drawn as points before their normals and kernels are estimated; what needs these waits, and shows what it would
+//! show if they had been estimated at once.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
+
+use pointillist::assets::Progress;
+use pointillist::bake::cache::BakeCache;
+use pointillist::engine::{BakeSource, EngineError, EstimateState, FrameRequest, Latch, SceneInfo};
+use pointillist::plan::{Output, Reconstruct, Settings, Wait};
+use serde_json::json;
+
+use super::studio::{Studio, cloud_scene, eventually, front, same, spt, wall};
+
+/// Points of the cloud.
+const SIDE: u32 = 60;
+
+/// An unlit scene `cloud` and a lit one `lit`, both of one cloud of 3600 points without normals. Clouds of more than `at_once` points are
+/// estimated later, once `latch` is open.
+fn studio(at_once: usize, latch: &Arc<Latch>) -> Studio {
+    let studio = Studio::with(|config| {
+        config.estimate_at_once = at_once;
+        config.estimate_latch = Some(latch.clone());
+    });
+    studio.write("wall.ply", wall(SIDE as usize, |x, y| [(x * 4) as u8, (y * 4) as u8, 90]));
+    studio.load_json("cloud", &cloud_scene("wall.ply"));
+    let mut lit = cloud_scene("wall.ply");
+    lit["lights"] = json!([{ "kind": "headlight" }]);
+    studio.load_json("lit", &lit);
+    studio
+}
+
+fn deferred() -> (Studio, Arc<Latch>) {
+    let latch = Arc::new(Latch::default());
+    (studio(1000, &latch), latch)
+}
+
+fn state(studio: &Studio, scene: &str) -> EstimateState {
+    studio.engine.scene(scene).unwrap().estimates.state
+}
+
+fn with(scene: &str, reconstruct: Reconstruct, output: Output) -> FrameRequest {
+    let settings = Settings { reconstruct, ..Settings::default() };
+    FrameRequest { settings, output, ..front(scene, 96, 72) }
+}
+
+/// Frames that need normals or kernels.
+fn demanding() -> Vec<FrameRequest> {
+    let trees = FrameRequest { settings: spt(2.0, Reconstruct::Splats), ..front("cloud", 96, 72) };
+    vec![
+        with("cloud", Reconstruct::Splats, Output::Color),
+        with("cloud", Reconstruct::Fuzzy, Output::Color),
+        with("cloud", Reconstruct::Splats, Output::Depth),
+        with("cloud", Reconstruct::Points, Output::Normal),
+        with("lit", Reconstruct::Points, Output::Color),
+        trees,
+    ]
+}
+
+/// Frames that need neither.
+fn modest() -> Vec<FrameRequest> {
+    vec![
+        with("cloud", Reconstruct::Points, Output::Color),
+        with("cloud", Reconstruct::Points, Output::Depth),
+        with("lit", Reconstruct::Points, Output::Id),
+    ]
+}
+
+#[test]
+fn points_are_drawn_before_anything_is_estimated() {
+    let (studio, latch) = deferred();
+    let eager = self::studio(usize::MAX, &latch);
+    assert_eq!(state(&eager, "cloud"), EstimateState::Complete);
+    for request in modest() {
+        assert!(!studio.engine.must_bake(&request), "{request:?}");
+        same(&studio.bytes(&request), &eager.bytes(&request), &format!("{request:?}"));
+        let [a, b] = [&studio, &eager].map(|studio| studio.engine.etag(&request).unwrap());
+        assert_eq!(a, b, "what a frame shows does not depend on when normals are estimated");
+    }
+    for scene in ["cloud", "lit"] {
+        assert_eq!(state(&studio, scene), EstimateState::Deferred, "nobody has asked for more");
+    }
+}
+
+#[test]
+fn frames_that_need_estimates_wait_and_are_those_of_a_whole_scene() {
+    for (number, request) in demanding().into_iter().enumerate() {
+        let (studio, latch) = deferred();
+        let scene = request.scene.as_str();
+        let changes = studio.engine.changes();
+        let points = with(scene, Reconstruct::Points, Output::Id);
+        let before = (studio.bytes(&points), studio.engine.scene_mark(scene).unwrap());
+        let mut ticket = studio.engine.begin_bake(&request).unwrap().unwrap();
+        assert!(ticket.wait_while(|_| state(&studio, scene) != EstimateState::Running).is_none());
+        assert!(studio.engine.must_bake(&request), "the latch is shut");
+        latch.open();
+        ticket.wait().unwrap();
+        assert_eq!(state(&studio, scene), EstimateState::Complete);
+        let eager = self::studio(usize::MAX, &latch);
+        same(&studio.bytes(&request), &eager.bytes(&request), &format!("{number}: {request:?}"));
+        // Whoever watches the scene is told, and draws what it drew.
+        assert!(changes.has_changed().unwrap());
+        let mark = studio.engine.scene_mark(scene).unwrap();
+        assert!(mark != before.1 && mark.revision == before.1.revision);
+        same(&studio.bytes(&points), &before.0, "points");
+        let etags = [&studio, &eager].map(|studio| studio.engine.etag(&request).unwrap());
+        assert_eq!(etags[0], etags[1]);
+    }
+}
+
+#[test]
+fn who_submits_without_waiting_for_a_bake_gets_a_whole_frame() {
+    let (studio, latch) = deferred();
+    latch.open();
+    let eager = self::studio(usize::MAX, &latch);
+    for request in demanding() {
+        same(&studio.bytes(&request), &eager.bytes(&request), &format!("{request:?}"));
+    }
+}
+
+#[test]
+fn nobody_estimates_for_nobody() {
+    let (studio, latch) = deferred();
+    let request = with("cloud", Reconstruct::Splats, Output::Color);
+    let ticket = studio.engine.begin_bake(&request).unwrap().unwrap();
+    assert_eq!(studio.engine.bakes_running(), 1);
+    drop(ticket);
+    eventually("the end of the estimate", || studio.engine.bakes_running() == 0);
+    assert_eq!(state(&studio, "cloud"), EstimateState::Deferred);
+    latch.open();
+    studio.engine.bake(&request).unwrap();
+    assert_eq!(state(&studio, "cloud"), EstimateState::Complete);
+    // Another scene of the same file has nothing left to wait for but the exchange.
+    assert_eq!(state(&studio, "lit"), EstimateState::Complete);
+}
+
+#[test]
+fn revisions_that_come_meanwhile_are_completed_too() {
+    let (studio, latch) = deferred();
+    let request = with("cloud", Reconstruct::Splats, Output::Color);
+    let ticket = studio.engine.begin_bake(&request).unwrap().unwrap();
+    let patch = pointillist::engine::NodePatch {
+        world_from_node: Some(glam::DAffine3::from_translation(glam::DVec3::X * 0.1)),
+        visible: None,
+    };
+    let patched = studio.engine.patch("cloud", "wall", &patch).unwrap();
+    assert_eq!(patched.revision, 2);
+    latch.open();
+    ticket.wait().unwrap();
+    let info: SceneInfo = studio.engine.scene("cloud").unwrap();
+    assert_eq!((info.revision, info.estimates.state), (2, EstimateState::Complete));
+    let eager = self::studio(usize::MAX, &latch);
+    eager.engine.patch("cloud", "wall", &patch).unwrap();
+    same(&studio.bytes(&request), &eager.bytes(&request), "the second revision");
+}
+
+#[test]
+fn a_file_that_has_changed_is_not_estimated() {
+    let (studio, latch) = deferred();
+    latch.open();
+    studio.write("wall.ply", wall(SIDE as usize, |_, _| [1, 2, 3]));
+    let request = with("cloud", Reconstruct::Splats, Output::Color);
+    let error = studio.engine.bake(&request).unwrap_err();
+    assert!(matches!(&error, EngineError::Asset(_)), "{error}");
+    let text = error.to_string();
+    assert!(text.contains("wall.ply") && text.contains("load it again"), "{text}");
+    // Points are still there.
+    assert!(!studio.bytes(&with("cloud", Reconstruct::Points, Output::Color)).is_empty());
+}
+
+#[test]
+fn scenes_that_come_later_share_what_was_estimated() {
+    let (studio, latch) = deferred();
+    latch.open();
+    studio.engine.bake(&with("cloud", Reconstruct::Splats, Output::Color)).unwrap();
+    let info = studio.load_json("third", &cloud_scene("wall.ply"));
+    assert_eq!(info.estimates.state, EstimateState::Complete);
+}
+
+/// Samples lie about two pixels apart.
+fn open(scene: &str, wait: Wait) -> FrameRequest {
+    let settings = Settings { reconstruct: Reconstruct::Auto, wait, ..Settings::default() };
+    FrameRequest { settings, ..front(scene, 192, 144) }
+}
+
+#[test]
+fn auto_draws_what_is_there_and_says_that_it_is_provisional() {
+    for scene in ["cloud", "lit"] {
+        let (studio, latch) = deferred();
+        let engine = &studio.engine;
+        let request = open(scene, Wait::Ready);
+        assert!(!engine.must_bake(&request));
+        assert_eq!(engine.final_etag(&request).unwrap(), None, "it will be another frame");
+        let frame = studio.frame(&request);
+        let settings = &frame.receipt.settings;
+        assert_eq!(settings.reconstruct, Reconstruct::Points);
+        let told = settings.provisional.clone().unwrap();
+        assert!(told.starts_with("normals and kernels are being estimated ("), "{told}");
+        assert_eq!(state(&studio, scene), EstimateState::Running);
+        // Who wants the final frame waits for it.
+        assert!(engine.must_bake(&open(scene, Wait::Complete)));
+        let film = FrameRequest {
+            settings: Settings {
+                wait: Wait::Whole,
+                ..with(scene, Reconstruct::Points, Output::Id).settings
+            },
+            ..front(scene, 8, 8)
+        };
+        assert!(engine.must_bake(&film), "frames of a film never wait one by one");
+        // Where samples are denser than pixels, points are the final frame of a scene without lights.
+        let dense = FrameRequest { width: 24, height: 18, ..open("cloud", Wait::Ready) };
+        let early = studio.frame(&dense);
+        assert_eq!(early.receipt.settings.provisional, None);
+        let early = (engine.final_etag(&dense).unwrap().unwrap(), early.bytes.to_vec());
+        latch.open();
+        eventually("the estimate", || state(&studio, scene) == EstimateState::Complete);
+        let frame = studio.frame(&request);
+        assert_eq!(frame.receipt.settings.provisional, None);
+        assert_eq!(frame.receipt.settings.reconstruct, Reconstruct::Splats);
+        let eager = self::studio(usize::MAX, &latch);
+        same(&frame.bytes, &eager.bytes(&request), "the final frame");
+        assert_eq!(
+            engine.final_etag(&request).unwrap(),
+            eager.engine.final_etag(&request).unwrap()
+        );
+        let late = (engine.final_etag(&dense).unwrap().unwrap(), studio.bytes(&dense));
+        assert!(late == early, "the same tag, the same bytes");
+    }
+}
+
+#[test]
+fn deleting_a_scene_stops_its_estimate() {
+    let (studio, _shut) = deferred();
+    studio.frame(&open("cloud", Wait::Ready));
+    assert_eq!(studio.engine.bakes_running(), 1);
+    studio.engine.remove("cloud").unwrap();
+    eventually("the end of the estimate", || studio.engine.bakes_running() == 0);
+    // And an engine that ends waits for nobody.
+    studio.frame(&open("lit", Wait::Ready));
+    assert_eq!(studio.engine.bakes_running(), 1);
+}
+
+#[test]
+fn waiting_for_everything_gives_the_final_frame() {
+    let (studio, latch) = deferred();
+    latch.open();
+    let frame = studio.frame(&open("cloud", Wait::Complete));
+    assert_eq!(frame.receipt.settings.provisional, None);
+    assert_eq!(frame.receipt.settings.reconstruct, Reconstruct::Splats);
+    assert_eq!(state(&studio, "cloud"), EstimateState::Complete);
+}
+
+/// An engine on a folder that is there already, with a cache, and how often reading has told its progress.
+fn again(root: &Path, cache: &Path) -> (Studio, Arc<AtomicU32>) {
+    let told = Arc::<AtomicU32>::default();
+    let counted = told.clone();
+    let studio = Studio::below(root, |config| {
+        config.estimate_at_once = 1000;
+        config.settled_after = Duration::ZERO;
+        config.bake_cache = Some(BakeCache::new(cache, 1 << 30));
+        config.read.progress = Progress::new(move |_| {
+            counted.fetch_add(1, Ordering::Relaxed);
+        });
+    });
+    studio.engine.load("cloud", &root.join("cloud.json")).unwrap();
+    (studio, told)
+}
+
+fn files(cache: &Path, extension: &str) -> Vec<PathBuf> {
+    let files = std::fs::read_dir(cache).unwrap().map(|file| file.unwrap().path());
+    files.filter(|path| path.extension().is_some_and(|found| found == extension)).collect()
+}
+
+#[test]
+fn large_clouds_are_kept_from_one_process_to_the_next() {
+    let (root, cache) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let [root, cache] = [&root, &cache].map(|folder| folder.path());
+    let wall_file = root.join("wall.ply");
+    std::fs::write(&wall_file, wall(SIDE as usize, |x, _| [x as u8, 3, 90])).unwrap();
+    std::fs::write(root.join("cloud.json"), cloud_scene("wall.ply").to_string()).unwrap();
+    let points = with("cloud", Reconstruct::Points, Output::Color);
+    let splats = with("cloud", Reconstruct::Splats, Output::Color);
+    // Frames of points and of splats, whether the file was read, and whether anything was left to be estimated.
+    let run = |what: &str, needs_splats: bool| {
+        let (studio, told) = again(root, cache);
+        let was_read = told.load(Ordering::Relaxed) > 0;
+        let found = (was_read, state(&studio, "cloud"));
+        let etag = studio.engine.etag(&points).unwrap();
+        let mut frames = vec![studio.bytes(&points), etag.into_bytes()];
+        if needs_splats {
+            frames.push(studio.bytes(&splats));
+        }
+        println!("{what}: {found:?}");
+        (frames, found)
+    };
+    let (first, found) = run("first", false);
+    assert_eq!(found, (true, EstimateState::Deferred));
+    assert_eq!((files(cache, "note").len(), files(cache, "bake").len()), (1, 1));
+    let (second, found) = run("second", true);
+    assert_eq!(found, (false, EstimateState::Deferred));
+    assert_eq!(second[..2], first[..]);
+    assert_eq!(files(cache, "bake").len(), 1, "the whole cloud is there in place of its points");
+    let (third, found) = run("third", true);
+    assert_eq!(found, (false, EstimateState::Complete));
+    assert_eq!(third, second);
+    // What is damaged is not believed.
+    for extension in ["bake", "note"] {
+        for file in files(cache, extension) {
+            let mut bytes = std::fs::read(&file).unwrap();
+            let middle = bytes.len() / 2;
+            bytes[middle] ^= 1;
+            std::fs::write(&file, bytes).unwrap();
+        }
+        let (frames, found) = run(extension, true);
+        assert_eq!(found, (true, EstimateState::Deferred));
+        assert_eq!(frames, second);
+    }
+    // A file that has changed is another one.
+    std::fs::write(&wall_file, wall(SIDE as usize, |_, y| [9, y as u8, 9])).unwrap();
+    let (changed, found) = run("changed", true);
+    assert_eq!(found, (true, EstimateState::Deferred));
+    assert!(changed[0] != second[0] && changed[1] != second[1]);
+}
+
+#[test]
+fn trees_of_a_large_cloud_are_cached_under_the_same_key() {
+    let folder = tempfile::tempdir().unwrap();
+    let sources = [1000, usize::MAX].map(|at_once| {
+        let studio = Studio::with(|config| {
+            config.estimate_at_once = at_once;
+            config.bake_cache = Some(BakeCache::new(folder.path(), 1 << 30));
+        });
+        studio.write("wall.ply", wall(SIDE as usize, |x, _| [x as u8, 3, 90]));
+        studio.load_json("cloud", &cloud_scene("wall.ply"));
+        let baked = studio.engine.bake_all("cloud", |_| ()).unwrap();
+        baked[0].source.clone()
+    });
+    assert_eq!(sources, [BakeSource::Stored, BakeSource::Cached]);
+}
