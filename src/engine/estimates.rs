@@ -140,7 +140,7 @@ impl Shared {
         }
         let mut running = self.background.running.lock();
         let Some(entry) = running.get_mut(&scene.model.id) else {
-            return match self.bakes.progress(Goal::Estimates, scene) {
+            return match self.bakes.estimating(scene) {
                 Some(done) => told(EstimateState::Running, done),
                 None => told(EstimateState::Deferred, 0.0),
             };

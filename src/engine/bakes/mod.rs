@@ -229,13 +229,12 @@ impl Bakes {
         }
     }
 
-    /// How much of something is done that somebody waits for.
-    pub fn progress(&self, goal: Goal, scene: &Loaded) -> Option<f64> {
+    /// How much of a scene's estimates is done, while somebody waits for these or for point trees, which need them.
+    pub fn estimating(&self, scene: &Loaded) -> Option<f64> {
         let state = self.state.lock();
-        let is_it =
-            |bake: &&Bake| bake.work.goal == goal && bake.work.scene.model.uid == scene.model.uid;
-        let bake = state.bakes.values().find(is_it)?;
-        Some(f64::from(bake.work.done.load(Ordering::Relaxed)) / STEPS)
+        let works = state.bakes.values().map(|bake| &bake.work);
+        let own = works.filter(|work| work.scene.model.uid == scene.model.uid);
+        own.map(Work::estimated).reduce(f64::max)
     }
 
     /// Bakes that are under way, also such as are stopping.
@@ -248,6 +247,15 @@ impl Bakes {
 const ESTIMATING: f64 = 0.3;
 
 impl Work {
+    /// How much of the estimates is done, of 1.
+    fn estimated(&self) -> f64 {
+        let done = f64::from(self.done.load(Ordering::Relaxed)) / STEPS;
+        match self.goal {
+            Goal::Estimates => done,
+            Goal::Trees => (done / ESTIMATING).min(1.0),
+        }
+    }
+
     fn run(&self, bakes: &Bakes) -> Reply {
         let watch = Watch::new(&self.stop, &self.done);
         match catch_unwind(AssertUnwindSafe(|| self.work(bakes, &watch))) {
