@@ -12,7 +12,7 @@ use flate2::bufread::MultiGzDecoder;
 
 use super::fault::OverLimit;
 use super::{AssetError, Progress, ReadOptions};
-use crate::memory::Admission;
+use crate::memory::{Admission, Interrupt};
 
 /// Bytes that recognition looks at.
 const HEAD_BYTES: u64 = 8 << 10;
@@ -276,24 +276,34 @@ fn lexical(base: &Path, reference: &str) -> Option<PathBuf> {
     Some(path)
 }
 
+/// Why a file beside an asset was not read.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum Unread {
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+    #[error("has more than {limit} bytes")]
+    TooLarge { found: u64, limit: u64 },
+    #[error(transparent)]
+    Interrupted(#[from] Interrupt),
+}
+
 /// The file's bytes, refused above `limit`.
 ///
 /// # Errors
-/// A sentence for a warning.
+/// What cannot be read, is too large, or has no room in memory.
 pub(crate) fn read_bounded(
     path: &Path,
     limit: u64,
     admission: &Admission,
-) -> Result<Vec<u8>, String> {
-    let file = File::open(path).map_err(|error| error.to_string())?;
-    let length = file.metadata().map_err(|error| error.to_string())?.len().min(limit);
-    admission.grow("the file", length).map_err(|error| error.to_string())?;
+) -> Result<Vec<u8>, Unread> {
+    let file = File::open(path)?;
+    let length = file.metadata()?.len();
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    admission.grow(&name, length.min(limit))?;
     let mut bytes = Vec::new();
-    file.take(limit.saturating_add(1))
-        .read_to_end(&mut bytes)
-        .map_err(|error| error.to_string())?;
-    if bytes.len() as u64 > limit {
-        return Err(format!("has more than {limit} bytes"));
+    let read = file.take(limit.saturating_add(1)).read_to_end(&mut bytes)? as u64;
+    if read > limit {
+        return Err(Unread::TooLarge { found: length.max(read), limit });
     }
     Ok(bytes)
 }

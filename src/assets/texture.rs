@@ -50,7 +50,8 @@ pub(crate) fn load(
     let fail = |reason: String| format!("texture {reference} is left out: {reason}");
     let folder = folder.ok_or_else(|| fail("the asset lies in no folder".to_owned()))?;
     let path = folder.find(reference).map_err(fail)?;
-    let bytes = read_bounded(&path, budget.max_encoded_bytes(), &budget.admission).map_err(fail)?;
+    let bytes = read_bounded(&path, budget.max_encoded_bytes(), &budget.admission)
+        .map_err(|error| fail(error.to_string()))?;
     decode(&bytes, reference, budget)
 }
 

@@ -3,12 +3,13 @@
 use std::borrow::Cow;
 use std::cell::Cell;
 use std::collections::HashMap;
+use std::path::PathBuf;
 
 use ::gltf::json::accessor::{ComponentType, Type};
 use ::gltf::json::validation::Checked;
 use ::gltf::json::{Index, Root, accessor, buffer};
 
-use super::super::input::{Folder, read_bounded};
+use super::super::input::{Folder, Unread, read_bounded};
 use super::super::{AssetError, ReadOptions};
 use super::container::{data_uri, percent_decoded};
 use crate::memory::Admission;
@@ -63,9 +64,24 @@ impl<'a> Buffers<'a> {
                 (Some(known), _, _) => known,
                 (None, Some(uri), _) => {
                     options.admission.grow(file, uri.len() as u64)?;
-                    let read = external(uri, folder, left, &options.admission);
-                    options.admission.check()?;
-                    let bytes = read.map_err(fail)?;
+                    let bytes = match data_uri(uri) {
+                        Some(bytes) => bytes.map_err(fail)?,
+                        None => {
+                            let (name, path) = external(uri, folder).map_err(fail)?;
+                            read_bounded(&path, left, &options.admission).map_err(|error| {
+                                match error {
+                                    Unread::Interrupted(interrupt) => interrupt.into(),
+                                    Unread::TooLarge { found, limit } => AssetError::TooLarge {
+                                        file: name,
+                                        what: "bytes beside what other buffers hold",
+                                        found,
+                                        limit,
+                                    },
+                                    Unread::Io(error) => fail(format!("{name}: {error}")),
+                                }
+                            })?
+                        }
+                    };
                     left = left.saturating_sub(bytes.len() as u64);
                     content_of_uri.insert(uri, contents.len());
                     contents.push(Cow::Owned(bytes));
@@ -303,19 +319,12 @@ impl<'a> Buffers<'a> {
     }
 }
 
-fn external(
-    uri: &str,
-    folder: Option<&Folder>,
-    limit: u64,
-    admission: &Admission,
-) -> Result<Vec<u8>, String> {
-    if let Some(bytes) = data_uri(uri) {
-        return bytes;
-    }
+/// Name and path of the file that a uri means.
+fn external(uri: &str, folder: Option<&Folder>) -> Result<(String, PathBuf), String> {
     let name = String::from_utf8(percent_decoded(uri)).map_err(|_| "its uri is no text")?;
     let folder = folder.ok_or("the asset lies in no folder, so it can name no files")?;
     let path = folder.resolve(&name).map_err(|reason| format!("{name} {reason}"))?;
-    read_bounded(&path, limit, admission).map_err(|reason| format!("{name} {reason}"))
+    Ok((name, path))
 }
 
 fn slice(bytes: &[u8], offset: u64, length: u64) -> Option<&[u8]> {

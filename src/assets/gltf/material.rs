@@ -187,6 +187,7 @@ impl<'a> Materials<'a> {
         let folder = self.folder.ok_or("the asset lies in no folder")?;
         let path = folder.resolve(&name).map_err(|reason| format!("{name} {reason}"))?;
         read_bounded(&path, self.budget.max_encoded_bytes(), self.budget.admission())
+            .map_err(|error| error.to_string())
     }
 }
 

@@ -4,6 +4,7 @@ use serde_json::{Value, json};
 
 use super::super::{Filter, Geometry, Mesh, PointCloud, Wrap, texture};
 use super::*;
+use crate::memory::{Admission, HostMemory, Interrupt};
 
 /// A document under construction: JSON and one buffer.
 struct Document {
@@ -472,6 +473,33 @@ fn buffers_come_from_files_and_data_uris() {
         std::fs::read(inner.join("a b.bin")).unwrap().iter().map(|b| format!("%{b:02x}")).collect();
     let uri = format!("data:application/octet-stream,{plain}");
     assert!(read(&uri, length, &options).is_ok());
+}
+
+#[test]
+fn buffers_that_do_not_fit_are_told_with_figures() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.gltf");
+    let mut document = square();
+    document.buffer.resize(1 << 20, 0);
+    std::fs::write(folder.path().join("a.bin"), &document.buffer).unwrap();
+    document.json["buffers"] = json!([{ "uri": "a.bin", "byteLength": 1 << 20 }]);
+    std::fs::write(&path, serde_json::to_vec(&document.json).unwrap()).unwrap();
+    let read = |options: &ReadOptions| super::read(&path, "m.gltf", options).unwrap_err();
+    let admission = Admission::new(&HostMemory::new(256 << 10));
+    match read(&ReadOptions { admission, ..ReadOptions::default() }) {
+        AssetError::Interrupted(Interrupt::OutOfMemory(error)) => {
+            let told = error.to_string();
+            assert!(error.is_hopeless() && told.starts_with("a.bin needs 10"), "{told}");
+            assert!(told.contains("the budget of 262144 bytes"), "{told}");
+        }
+        error => panic!("{error:?}"),
+    }
+    match read(&ReadOptions { max_decompressed_bytes: 1 << 19, ..ReadOptions::default() }) {
+        AssetError::TooLarge { file, found, limit, .. } => {
+            assert_eq!((file.as_str(), found, limit), ("a.bin", 1 << 20, 1 << 19));
+        }
+        error => panic!("{error:?}"),
+    }
 }
 
 proptest! {

@@ -117,7 +117,8 @@ fn library_text(
 ) -> Result<Vec<Vec<u8>>, String> {
     let folder = folder.ok_or("the asset lies in no folder")?;
     let load = |name: &str| {
-        folder.find(name).and_then(|path| read_bounded(&path, MAX_LIBRARY_BYTES, admission))
+        let path = folder.find(name)?;
+        read_bounded(&path, MAX_LIBRARY_BYTES, admission).map_err(|error| error.to_string())
     };
     load(statement).map(|text| vec![text]).or_else(|reason| {
         let names: Vec<&str> = statement.split_whitespace().take(16).collect();
