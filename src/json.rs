@@ -3,6 +3,8 @@
 //! Three bytes of JSON, `{},`, may become hundreds in memory. [`count`] walks a text without keeping any of it, stops at
 //! the first limit, and tells how much there is, so that memory can be reserved before the text is parsed.
 
+pub mod whole;
+
 use std::fmt;
 
 use serde::de::{DeserializeSeed, Deserializer, MapAccess, SeqAccess, Visitor};

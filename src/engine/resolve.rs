@@ -11,7 +11,7 @@ use super::receipt::CameraReceipt;
 use super::shared::{Adapter, Shared};
 use super::{EngineError, FrameRequest, Pose};
 use crate::encode::{self, EncodeError};
-use crate::math::{Camera, CameraError, View};
+use crate::math::{Camera, CameraError, FOV_RANGE_DEG, View};
 use crate::passes::{LAYERS_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
 use crate::plan::{AdapterFacts, Lod, Output, Reconstruct, Settings, Wait, plan};
@@ -28,7 +28,10 @@ pub fn frame_limits(shared: &Shared) -> (u64, u32) {
 
 fn bad_camera(error: CameraError) -> EngineError {
     let accepted = match error.parameter {
-        "fov" => "degrees between 0 and 180, both excluded",
+        "fov" => {
+            let [least, most] = FOV_RANGE_DEG;
+            &format!("{least} to {most} degrees")
+        }
         "view" => "16 numbers, column-major: rotation and translation",
         "proj" => "16 numbers, column-major: a perspective that looks along −z",
         _ => "three numbers within ±1e100, eye and target apart",

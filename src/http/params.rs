@@ -20,6 +20,7 @@ pub use names::{NAMES, Names, check_name, unknown_name};
 use super::problem::{Kind, Problem};
 use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
+use crate::json::whole;
 use crate::math::{Camera, View};
 use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings, Wait};
 use crate::scene::{Blend, Filter, Shading, Up, UpForm};
@@ -60,14 +61,17 @@ pub struct FrameParams {
     #[param(style = Form, explode = false)]
     pub proj: Option<[f64; 16]>,
     /// Width in pixels, 1024 where none is given.
+    #[serde(default, deserialize_with = "whole::optional")]
     pub w: Option<u32>,
     /// Height in pixels, 1024 where none is given.
+    #[serde(default, deserialize_with = "whole::optional")]
     pub h: Option<u32>,
     /// Encoding; without it the `Accept` header decides, and PNG where that leaves the choice.
     #[param(value_type = Option<ImageFormat>)]
     #[schema(value_type = Option<ImageFormat>)]
     pub format: Option<String>,
     /// 1 to 100 for lossy formats, 85 where none is given.
+    #[serde(default, deserialize_with = "whole::optional")]
     pub quality: Option<u8>,
     /// Which image of the frame.
     #[param(value_type = Option<Output>)]
@@ -147,7 +151,7 @@ impl FrameParams {
     /// Takes one pair of a query; the name is one that [`check_name`] lets pass.
     pub fn set(&mut self, name: &str, value: &str) -> Result<(), Problem> {
         const SIDE: &str = "a whole number of pixels, at least 1";
-        const DEGREES: &str = "degrees between 0 and 180";
+        const DEGREES: &str = "a number of degrees";
         match name {
             "camera" => once(&mut self.camera, name, value.to_owned()),
             "eye" => once(&mut self.eye, name, numbers(name, value)?),
@@ -156,10 +160,10 @@ impl FrameParams {
             "fov" => once(&mut self.fov, name, number(name, value, DEGREES)?),
             "view" => once(&mut self.view, name, numbers(name, value)?),
             "proj" => once(&mut self.proj, name, numbers(name, value)?),
-            "w" => once(&mut self.w, name, number(name, value, SIDE)?),
-            "h" => once(&mut self.h, name, number(name, value, SIDE)?),
+            "w" => once(&mut self.w, name, integer(name, value, SIDE)?),
+            "h" => once(&mut self.h, name, integer(name, value, SIDE)?),
             "format" => once(&mut self.format, name, value.to_owned()),
-            "quality" => once(&mut self.quality, name, number(name, value, "1 to 100")?),
+            "quality" => once(&mut self.quality, name, integer(name, value, "1 to 100")?),
             "output" => once(&mut self.output, name, value.to_owned()),
             "lod" => once(&mut self.lod, name, value.to_owned()),
             "max_error_px" => {
@@ -420,9 +424,19 @@ pub fn once<T>(slot: &mut Option<T>, name: &str, value: T) -> Result<(), Problem
 }
 
 pub fn number<T: std::str::FromStr>(name: &str, value: &str, accepted: &str) -> Result<T, Problem> {
-    value.parse().map_err(|_| {
-        Problem::parameter(name, format!("`{}` cannot be used", shown(value)), accepted)
-    })
+    value.parse().map_err(|_| unusable(name, value, accepted))
+}
+
+/// A whole number, which may be written as `37.0`.
+pub fn integer<T>(name: &str, value: &str, accepted: &str) -> Result<T, Problem>
+where
+    T: std::str::FromStr + DeserializeOwned,
+{
+    whole::from_text(value).ok_or_else(|| unusable(name, value, accepted))
+}
+
+fn unusable(name: &str, value: &str, accepted: &str) -> Problem {
+    Problem::parameter(name, format!("`{}` cannot be used", shown(value)), accepted)
 }
 
 fn numbers<const N: usize>(name: &str, value: &str) -> Result<[f64; N], Problem> {

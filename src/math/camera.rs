@@ -39,12 +39,16 @@ impl SensorView {
     /// A camera with the sensor's pose that sees at least what the sensor saw, for an image of this aspect.
     pub fn camera_for(&self, aspect: f64) -> Camera {
         let tan = (0.5 * self.camera.fov_deg.to_radians()).tan() * (self.aspect / aspect).max(1.0);
-        Camera { fov_deg: 2.0 * tan.atan().to_degrees(), ..self.camera }
+        let [least, most] = FOV_RANGE_DEG;
+        Camera { fov_deg: (2.0 * tan.atan().to_degrees()).clamp(least, most), ..self.camera }
     }
 }
 
 /// Coordinates beyond this are refused: their squares must stay finite.
 pub const FARTHEST: f64 = 1e100;
+
+/// Vertical fields of view that a camera can have, in degrees. Beyond them, the tangent of half the angle loses its digits.
+pub const FOV_RANGE_DEG: [f64; 2] = [1e-6, 179.999_999];
 
 /// A pose that cannot be drawn, naming the parameter at fault.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -88,7 +92,7 @@ impl Camera {
     /// The view of a `width` × `height` frame.
     ///
     /// # Errors
-    /// Non-finite numbers, `eye == target`, a zero `up`, or a field of view outside (0, 180).
+    /// Non-finite numbers, `eye == target`, a zero `up`, or a field of view outside [`FOV_RANGE_DEG`].
     /// An `up` along the viewing direction is replaced by the axis farthest from it.
     pub fn view(&self, width: u32, height: u32) -> Result<View, CameraError> {
         let fail =
@@ -101,8 +105,11 @@ impl Camera {
                 return fail(parameter, "lies farther away than anything that can be drawn");
             }
         }
-        if !(self.fov_deg > 0.0 && self.fov_deg < 180.0) {
-            return fail("fov", "the vertical field of view must lie between 0 and 180 degrees");
+        let [least, most] = FOV_RANGE_DEG;
+        if !(least..=most).contains(&self.fov_deg) {
+            let reason =
+                format!("{} is out of range: {least} to {most} degrees are accepted", self.fov_deg);
+            return Err(CameraError { parameter: "fov", reason });
         }
         let Some(forward) = (self.target - self.eye).try_normalize() else {
             return fail("target", "must differ from eye");
@@ -289,8 +296,14 @@ mod tests {
     #[test]
     fn bad_poses_name_their_parameter() {
         let mut c = camera();
-        c.fov_deg = 180.0;
-        assert_eq!(c.view(8, 8).unwrap_err().parameter, "fov");
+        for fov_deg in [180.0, 179.999_999_999, 1e-7, 5e-324, 0.0, f64::NAN] {
+            c.fov_deg = fov_deg;
+            assert_eq!(c.view(8, 8).unwrap_err().parameter, "fov");
+        }
+        for fov_deg in FOV_RANGE_DEG {
+            c.fov_deg = fov_deg;
+            c.view(8, 8).unwrap();
+        }
         let mut c = camera();
         c.target = c.eye;
         assert_eq!(c.view(8, 8).unwrap_err().parameter, "target");

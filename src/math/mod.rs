@@ -7,5 +7,5 @@ pub mod framing;
 pub mod spline;
 
 pub use bounds::Bounds;
-pub use camera::{Camera, CameraError, FARTHEST, Sensor, SensorView, View};
+pub use camera::{Camera, CameraError, FARTHEST, FOV_RANGE_DEG, Sensor, SensorView, View};
 pub use conic::{Disk, GAP_MIN, GUARD_PX, ImageConic, ImageDisk, Lens, Side};

@@ -16,6 +16,7 @@ use serde::de::{self, Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 use super::path::{Ease, Interpolation};
 use super::splats::{Blend, Filter, Shading};
 use super::up::Up;
+use crate::json::whole::{self, Whole};
 
 /// Frames a second that a path may have.
 pub(super) const PATH_FPS: [f64; 2] = [0.001, 1000.0];
@@ -42,7 +43,7 @@ pub(super) struct SceneFile {
     #[serde(rename = "$schema", default)]
     pub _schema: Option<String>,
     /// Version of the format: 1.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "whole::optional")]
     pub pointillist: Option<u32>,
     /// Shown to users; the file's name when absent.
     #[serde(default)]
@@ -215,12 +216,13 @@ pub(super) struct NodeWire {
 pub(super) struct RepeatWire {
     /// Number of copies along x, y and z of the parent.
     #[serde(default)]
-    pub grid: Option<[u32; 3]>,
+    #[schemars(with = "Option<[u32; 3]>")]
+    pub grid: Option<[Whole<u32>; 3]>,
     /// Distance between the grid's neighbours.
     #[serde(default)]
     pub step: Option<[f64; 3]>,
     /// Number of copies strewn at random.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "whole::optional")]
     pub scatter: Option<u32>,
     /// Half the edges of the box in which they are strewn, centred on the node.
     #[serde(default)]
@@ -232,7 +234,7 @@ pub(super) struct RepeatWire {
     #[serde(default)]
     pub turn: Option<bool>,
     /// 0 when absent.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "whole::optional")]
     pub seed: Option<u64>,
 }
 

@@ -22,6 +22,7 @@ use crate::http::params::{self, FrameParams, unknown_name};
 use crate::http::problem::{Kind, Problem};
 use crate::http::{App, Owner, Phase, body};
 use crate::jobs::{FrameSpec, Origin, PathChoice, Repeat, Spec, Want, find_shots};
+use crate::json::whole;
 
 /// Bytes of the request: some thousand keys of a path.
 const MAX_BODY_BYTES: u64 = 256 << 10;
@@ -40,13 +41,16 @@ pub struct JobRequest {
     /// Frames a second; as the path has it where none is given.
     fps: Option<f64>,
     /// Number of the first frame; 0 where none is given.
+    #[serde(default, deserialize_with = "whole::optional")]
     from: Option<u64>,
     /// Number of the last frame; the path's last where none is given.
+    #[serde(default, deserialize_with = "whole::optional")]
     to: Option<u64>,
     /// What is wanted: `frames`, `video` or both; `["frames"]` where nothing is given. Frames of a video alone are removed when it
     /// is made.
     want: Option<Vec<Wanted>>,
     /// Of the video, in kilobits a second; by its size where none is given.
+    #[serde(default, deserialize_with = "whole::optional")]
     bitrate_kbps: Option<u32>,
     #[serde(flatten)]
     #[schema(value_type = FrameParams)]
@@ -90,7 +94,7 @@ const SYNONYMS: [(&str, &str); 5] = [
     path = "/v1/jobs",
     operation_id = "createJob",
     tag = "jobs",
-    params(("Idempotency-Key" = Option<String>, Header, description = "1 to 255 visible ASCII characters; known for as long as the job is")),
+    params(("Idempotency-Key" = Option<String>, Header, description = "1 to 255 visible ASCII characters, between which spaces may stand; known for as long as the job is")),
     request_body(content = JobRequest, content_type = "application/json"),
     responses((
         status = 201,
@@ -146,7 +150,9 @@ fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
         Err(Problem::parameter(
             NAME,
             reason,
-            format!("1 to {MAX_KEY_BYTES} visible ASCII characters, once"),
+            format!(
+                "1 to {MAX_KEY_BYTES} visible ASCII characters, between which spaces may stand, once"
+            ),
         ))
     };
     let mut values = headers.get_all(NAME).iter();
@@ -158,9 +164,10 @@ fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
     if bytes.is_empty() || bytes.len() > MAX_KEY_BYTES {
         return fail("has no usable length");
     }
+    // A tab passes for visible elsewhere.
     match value.to_str() {
-        Ok(key) => Ok(Some(key.to_owned())),
-        Err(_) => fail("holds a character that is not visible ASCII"),
+        Ok(key) if !key.contains('\t') => Ok(Some(key.to_owned())),
+        _ => fail("holds a character that is neither visible ASCII nor a space"),
     }
 }
 
@@ -271,9 +278,10 @@ mod tests {
         assert_eq!(made.want, Want { frames: true, video: false, bitrate_kbps: None });
         let keys = json!({"keys": [{"t": 0, "eye": [0, 0, 1], "target": [0, 0, 0]}]});
         let made =
-            spec(json!({"scene": "s", "path": keys, "want": ["video"], "bitrate_kbps": 900}))
+            spec(json!({"scene": "s", "path": keys, "want": ["video"], "bitrate_kbps": 900.0, "to": 9.0, "w": 64.0}))
                 .unwrap();
         assert_eq!(made.want, Want { frames: false, video: true, bitrate_kbps: Some(900) });
+        assert_eq!((made.to, made.frame.width), (Some(9), 64));
         let PathChoice::Inline(text) = made.path else { panic!() };
         assert_eq!(serde_json::from_str::<Value>(&text).unwrap(), keys);
     }
@@ -321,7 +329,8 @@ mod tests {
         };
         assert_eq!(key(&[]), Ok(None));
         assert_eq!(key(&["a-1"]), Ok(Some("a-1".to_owned())));
-        for bad in [&[""][..], &["a", "b"], &["é"], &[&"x".repeat(256)]] {
+        assert_eq!(key(&["a 1"]), Ok(Some("a 1".to_owned())));
+        for bad in [&[""][..], &["a", "b"], &["é"], &["a\tb"], &[&"x".repeat(256)]] {
             assert_eq!(key(bad), Err(422), "{bad:?}");
         }
     }

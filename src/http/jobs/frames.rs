@@ -19,7 +19,7 @@ use crate::film::Record;
 use crate::film::manifest::read_sound;
 use crate::http::conditional::{media_type, none_match_hits};
 use crate::http::frames::boundary;
-use crate::http::params::{number, once, pairs, unknown_name};
+use crate::http::params::{integer, once, pairs, unknown_name};
 use crate::http::problem::{Kind, PROBLEM_JSON, Problem};
 use crate::http::{App, Caller, Owner, Segments};
 use crate::jobs::{Found, JobError, JobId, Jobs};
@@ -277,7 +277,7 @@ fn from(query: Option<&str>) -> Result<Option<u64>, Problem> {
     let mut from = None;
     for (name, value) in pairs(query)? {
         match name.as_str() {
-            "from" => once(&mut from, &name, number(&name, &value, ACCEPTED)?)?,
+            "from" => once(&mut from, &name, integer(&name, &value, ACCEPTED)?)?,
             _ => return Err(unknown_name(&name, &["from"], &[])),
         }
     }

@@ -9,7 +9,7 @@ use crate::film::video::KBPS_RANGE;
 use crate::http::jobs::create as job;
 use crate::http::names::{FILE_NAME_PATTERN, ID_PATTERN, MAX_FILE_NAME_BYTES};
 use crate::http::{frames, mjpeg, params, stream, upload};
-use crate::math::FARTHEST;
+use crate::math::{FARTHEST, FOV_RANGE_DEG};
 use crate::plan::{MaxError, Output};
 use crate::residency::layout::MOST_ROWS;
 use crate::scene::{LARGEST_COORDINATE, LARGEST_SCALE};
@@ -44,7 +44,10 @@ fn of_frame(name: &str) -> Option<Value> {
         "camera" => json!({ "minLength": 1, "maxLength": params::MAX_NAME_CHARS }),
         "format" => json!({ "$ref": WANTED_FORMAT }),
         "eye" | "target" => json!({ "items": number(-FARTHEST, FARTHEST) }),
-        "fov" => json!({ "exclusiveMinimum": 0, "exclusiveMaximum": 180 }),
+        "fov" => {
+            let [least, most] = FOV_RANGE_DEG;
+            number(least, most)
+        }
         "w" | "h" => json!({ "minimum": 1, "maximum": MOST_ROWS }),
         "quality" => {
             let [least, most] = params::QUALITY_RANGE;

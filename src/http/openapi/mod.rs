@@ -105,7 +105,7 @@ pub fn openapi_json() -> anyhow::Result<Value> {
 /// # Errors
 /// None that the types allow; the serialiser's, if any.
 pub fn openapi_yaml() -> anyhow::Result<String> {
-    let yaml = yaml_serde::to_string(&tidy::ordered(&openapi_json()?))?;
+    let yaml = tidy::plain_numbers(&yaml_serde::to_string(&tidy::ordered(&openapi_json()?))?);
     Ok(format!(
         "# Generated from the code by `pointillist openapi`; a test holds it equal.\n{yaml}"
     ))
@@ -436,6 +436,15 @@ mod tests {
             file == yaml,
             "openapi.yaml differs from the code; run the test with UPDATE=1 and look at the change"
         );
+    }
+
+    /// YAML 1.1 takes `1e100` for text, YAML 1.2 does not.
+    #[test]
+    fn numbers_are_numbers_to_every_reader_of_yaml() {
+        let yaml = openapi_yaml().unwrap();
+        assert!(yaml.contains("maximum: 1.0e+100\n") && yaml.contains("minimum: 1.0e-6\n"));
+        let read: Value = yaml_serde::from_str(&yaml).unwrap();
+        assert_eq!(read, openapi_json().unwrap());
     }
 
     #[test]

@@ -196,9 +196,47 @@ pub fn ordered(value: &Value) -> yaml_serde::Value {
     }
 }
 
+/// YAML with its exponents as YAML 1.1 and 1.2 have them: `1.0e+100` instead of `1e100`.
+pub fn plain_numbers(yaml: &str) -> String {
+    let mut plain = String::with_capacity(yaml.len());
+    for line in yaml.lines() {
+        let written = line.rsplit_once(' ').filter(|(before, _)| before.ends_with([':', '-']));
+        let (before, number) = written.unwrap_or((line, ""));
+        plain.push_str(before);
+        if written.is_some() {
+            plain.push(' ');
+        }
+        match number.split_once('e').filter(|_| number.parse::<f64>().is_ok()) {
+            Some((digits, exponent)) => {
+                let fraction = if digits.contains('.') { "" } else { ".0" };
+                let sign = if exponent.starts_with(['-', '+']) { "" } else { "+" };
+                plain.extend([digits, fraction, "e", sign, exponent]);
+            }
+            None => plain.push_str(number),
+        }
+        plain.push('\n');
+    }
+    plain
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn exponents_are_written_with_a_point_and_a_sign() {
+        for (written, plain) in [
+            ("a: 1e100", "a: 1.0e+100"),
+            ("  - -1.5e-9", "  - -1.5e-9"),
+            ("- minimum: 1e-9", "- minimum: 1.0e-9"),
+            ("a: 12", "a: 12"),
+            ("a: yes: e", "a: yes: e"),
+            ("text of 1e5", "text of 1e5"),
+            ("a:", "a:"),
+        ] {
+            assert_eq!(plain_numbers(written), format!("{plain}\n"));
+        }
+    }
 
     #[test]
     fn flattened_objects_accept_what_each_part_accepts() {

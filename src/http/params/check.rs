@@ -4,8 +4,8 @@ use super::{FrameParams, choice, chosen};
 use crate::encode::ImageFormat;
 use crate::engine::EngineError;
 use crate::http::problem::Problem;
-use crate::math::FARTHEST;
-use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct};
+use crate::math::{FARTHEST, FOV_RANGE_DEG};
+use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Wait};
 use crate::residency::layout::MOST_ROWS;
 use crate::scene::{Blend, Filter, Shading, Up};
 
@@ -41,11 +41,12 @@ impl FrameParams {
                 return refused(name, format!("{number:e} is out of range"), accepted);
             }
         }
-        if let Some(fov) = self.fov.filter(|fov| !(*fov > 0.0 && *fov < 180.0)) {
+        let [least, most] = FOV_RANGE_DEG;
+        if let Some(fov) = self.fov.filter(|fov| !(least..=most).contains(fov)) {
             return refused(
                 "fov",
-                format!("{fov} is out of range"),
-                "degrees between 0 and 180".to_owned(),
+                format!("{fov:e} is out of range"),
+                format!("{least} to {most} degrees"),
             );
         }
         for (name, side) in [("w", self.w), ("h", self.h)] {
@@ -95,6 +96,7 @@ impl FrameParams {
         chosen::<Filter>("filter", self.filter.as_deref())?;
         chosen::<Blend>("blend", self.blend.as_deref())?;
         chosen::<Shading>("shading", self.shading.as_deref())?;
+        choice::<Wait>("wait", self.wait.as_deref())?;
         Ok(())
     }
 }

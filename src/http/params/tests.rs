@@ -22,6 +22,16 @@ fn a_full_query() {
 }
 
 #[test]
+fn whole_numbers_may_have_a_fraction_of_zero() {
+    let sizes = |r: FrameRequest| (r.width, r.height, r.quality);
+    assert_eq!(sizes(request("w=64.0&h=4.8e1&quality=90.0").unwrap()), (64, 48, 90));
+    let json = serde_json::json!({"w": 64.0, "h": 48.0, "quality": 90.0});
+    let params = FrameParams::from_json(json, "").unwrap();
+    let r = params.request("s", ImageFormat::Png, Instant::now()).unwrap();
+    assert_eq!(sizes(r), (64, 48, 90));
+}
+
+#[test]
 fn nothing_given_shows_everything() {
     let r = FrameParams::from_query(None)
         .unwrap()
@@ -58,7 +68,7 @@ fn names_are_those_of_the_way_of_asking() {
     assert!(detail.contains("it is never late"), "{detail}");
     let (_, detail, accepted) = problem("sped");
     assert!(detail.contains("did you mean `speed`"), "{detail}");
-    assert!(accepted.starts_with("speed, camera") && accepted.ends_with("shading"), "{accepted}");
+    assert!(accepted.starts_with("speed, camera") && accepted.ends_with("wait"), "{accepted}");
     let (_, detail, _) = problem("timeout");
     assert!(!detail.contains("deadline_ms"), "{detail}");
 }
@@ -68,7 +78,7 @@ fn values_are_checked() {
     for (query, parameter) in [
         ("w=0", "w"),
         ("w=-1", "w"),
-        ("h=1e3", "h"),
+        ("h=1.5", "h"),
         ("w=5&w=5", "w"),
         ("quality=0", "quality"),
         ("quality=101", "quality"),
@@ -83,6 +93,8 @@ fn values_are_checked() {
         ("up=z&up=z", "up"),
         ("camera=a&up=z", "up"),
         ("fov=30&eye=0,0,1", "target"),
+        ("fov=5e-324", "fov"),
+        ("fov=179.9999999999999", "fov"),
         ("camera=a&fov=30", "fov"),
         ("eye=1,2,3&target=0,0,0&view=1", "view"),
         ("view=1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1", "proj"),
@@ -211,6 +223,26 @@ fn settings_of_splats_need_splats() {
     let fail = |json| FrameParams::from_json(json, "").unwrap_err().parameter.unwrap();
     assert_eq!(fail(serde_json::json!({"prefilter": "true"})), "prefilter");
     assert_eq!(fail(serde_json::json!({"blend": 1})), "blend");
+}
+
+/// A body is refused as a whole for a word that no frame can have, wherever else its poses are at fault.
+#[test]
+fn words_are_checked_before_anything_else() {
+    for name in [
+        "format",
+        "output",
+        "lod",
+        "error_mode",
+        "paint",
+        "reconstruct",
+        "filter",
+        "blend",
+        "shading",
+        "wait",
+    ] {
+        let params = FrameParams::from_json(serde_json::json!({ name: "none" }), "").unwrap();
+        assert_eq!(params.check().unwrap_err().parameter.as_deref(), Some(name));
+    }
 }
 
 #[test]

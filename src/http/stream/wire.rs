@@ -10,7 +10,7 @@
 
 use axum::extract::ws::{CloseFrame, Message};
 use bytes::{BufMut, Bytes, BytesMut};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use tokio_tungstenite::tungstenite::Error as SocketError;
 use tokio_tungstenite::tungstenite::error::ProtocolError;
@@ -20,6 +20,7 @@ use crate::encode::ImageFormat;
 use crate::engine::Receipt;
 use crate::http::params::{FrameParams, Names};
 use crate::http::problem::{Kind, Problem};
+use crate::json::whole::Whole;
 use crate::scene::check_keys;
 
 /// Bytes of one message of the client.
@@ -189,9 +190,9 @@ impl Incoming {
 }
 
 fn whole(name: &str, value: &Value) -> Result<u64, Problem> {
-    value
-        .as_u64()
-        .ok_or_else(|| Problem::parameter(name, "is no such number", "a whole number, 0 or more"))
+    Whole::deserialize(value)
+        .map(|Whole(number)| number)
+        .map_err(|_| Problem::parameter(name, "is no such number", "a whole number, 0 or more"))
 }
 
 /// How good a frame is.
@@ -301,6 +302,7 @@ mod tests {
         let both = Incoming::read(r#"{"ack": 3, "ping": "x"}"#).unwrap();
         assert_eq!((both.ack, both.ping, both.pose.is_none()), (Some(3), Some("x".into()), true));
         assert!(Incoming::read(r#"{"seq": 0}"#).unwrap().pose.is_some(), "the same again");
+        assert_eq!(Incoming::read(r#"{"ack": 3.0}"#).unwrap().ack, Some(3));
     }
 
     #[test]

@@ -5,6 +5,7 @@ use glam::{DAffine3, DMat3, DQuat, DVec3};
 use super::super::Repeat;
 use super::super::wire::{NodeWire, OperandWire, RepeatWire, ScaleWire};
 use super::{LARGEST_COORDINATE, LARGEST_SCALE, Place, Valid, coordinates, within};
+use crate::json::whole::Whole;
 
 /// The keys that move something, wherever they stand.
 pub(super) struct TransformKeys {
@@ -170,7 +171,7 @@ pub(super) fn repeat(wire: &RepeatWire, place: Place<'_>) -> Valid<Repeat> {
         return place.key(key).refuse(format!("means nothing beside `{own}`"));
     }
     if let Some(counts) = wire.grid {
-        return grid(counts, wire.step, place);
+        return grid(counts.map(|Whole(count)| count), wire.step, place);
     }
     let count = wire.scatter.unwrap_or(0);
     if count == 0 {
