@@ -218,7 +218,7 @@ pub fn scene_error(error: SceneError) -> EngineError {
 /// Reads a scene file or a bare asset and packs all that it draws.
 pub fn load(
     id: &str,
-    Source { path, base }: &Source,
+    Source { path, base, up }: &Source,
     config: &EngineConfig,
     cache: &AssetCache,
     admission: &Admission,
@@ -236,7 +236,7 @@ pub fn load(
     let mut assets = Vec::new();
     let mut placements = Vec::new();
     let mut warnings = Vec::new();
-    let mut outlook = Outlook { up: config.up, bounds: Bounds::EMPTY, ..Outlook::default() };
+    let mut outlook = Outlook { up: up.or(config.up), bounds: Bounds::EMPTY, ..Outlook::default() };
     let mut shape = None;
     let options = admitted(config, admission);
     let mut assembler = Assembler::new(path, &description, &options);
@@ -908,7 +908,7 @@ impl Loaded {
     /// `up` it is upright as the scene is.
     ///
     /// # Errors
-    /// An `up` that is zero or not finite; a field of view outside (0, 180).
+    /// An `up` that is zero or not finite; a field of view that no camera has.
     pub fn fit(
         &self,
         aspect: f64,

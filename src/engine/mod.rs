@@ -259,18 +259,20 @@ impl NamedCamera {
 }
 
 /// Where a scene comes from.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Source {
     /// A scene file or an asset file.
     pub path: PathBuf,
     /// The folder that the names of files in a scene count from; `None`: the scene file's own.
     pub base: Option<PathBuf>,
+    /// Up of a bare asset file, instead of [`EngineConfig::up`].
+    pub up: Option<DVec3>,
 }
 
 impl Source {
     /// A file whose names count from its own folder.
     pub fn at(path: impl Into<PathBuf>) -> Source {
-        Source { path: path.into(), base: None }
+        Source { path: path.into(), base: None, up: None }
     }
 }
 

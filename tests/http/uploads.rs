@@ -48,6 +48,40 @@ fn an_asset_becomes_a_scene_until_it_is_deleted() {
 }
 
 #[test]
+fn the_up_of_an_upload_is_kept_with_it() {
+    let daemon = Daemon::start(&["--up", "x"]);
+    let ply = grid_ply();
+    let upload = |query: &str| {
+        let path = format!("/v1/scenes?name=a.ply&{query}");
+        daemon.client().send("POST", &path, &[], Some(ply.as_bytes()))
+    };
+    let made = upload("id=turned&up=-z");
+    assert_eq!(made.status, 201, "{}", made.text());
+    assert_eq!(made.json()["up"], json!([0.0, 0.0, -1.0]));
+    assert_eq!(upload("id=vector&up=0,2,0").json()["up"], json!([0.0, 1.0, 0.0]));
+    assert_eq!(upload("id=other").json()["up"], json!([1.0, 0.0, 0.0]));
+    for up in ["up=w", "up=0,0,0", "up=0,0,1e-300", "up=z&up=z"] {
+        let refused = upload(&format!("id=none&{up}"));
+        assert_eq!((refused.status, &refused.problem()["parameter"]), (422, &json!("up")), "{up}");
+    }
+    // A scene has its own, alone and among its files.
+    let scene = grid_scene("grid.ply");
+    let refused = daemon.client().post_json("/v1/scenes?up=z", &scene);
+    assert_eq!((refused.status, &refused.problem()["parameter"]), (422, &json!("up")));
+    let (content_type, body) = form(&[("a.json", scene.to_string().as_bytes())]);
+    let headers = [("content-type", content_type.as_str())];
+    let refused = daemon.client().send("POST", "/v1/scenes?up=z", &headers, Some(&body));
+    assert_eq!((refused.status, &refused.problem()["parameter"]), (422, &json!("up")));
+    assert_eq!(daemon.uploads().len(), 3);
+
+    let daemon = daemon.kill_and_restart(&[]);
+    let client = daemon.client();
+    assert_eq!(client.get("/v1/scenes/turned").json()["up"], json!([0.0, 0.0, -1.0]));
+    let frame = client.get("/v1/scenes/turned/frame?w=16&h=16");
+    assert_eq!(frame.receipt()["camera"]["up"], json!([0.0, 0.0, -1.0]));
+}
+
+#[test]
 fn scenes_with_their_files() {
     let daemon = Daemon::start(&[]);
     let client = daemon.client();

@@ -24,18 +24,20 @@ use axum::response::{IntoResponse, Response};
 use axum::{Extension, Json};
 use bytes::Bytes;
 use futures::Stream;
+use glam::DVec3;
 use tokio::io::AsyncWriteExt;
 
 use self::quota::Share;
 use self::store::{FOLDER, Record};
 use super::names::{disposition_name, is_json_name, main_file, slug, valid_file_name, valid_id};
-use super::params::{pairs, unknown_name};
+use super::params::{number, once, pairs, unknown_name};
 use super::problem::{Kind, Problem, storage};
 use super::registry::{Entry, Reservation};
 use super::scenes::SceneState;
 use super::{App, NoQuery, Owner, Phase, Segments, body, conditional};
 use crate::engine::{Engine, EngineError, SceneInfo, Source};
 use crate::memory::{Admission, Interrupt};
+use crate::scene::{Up, UpForm};
 
 /// Wait for a scene to load where the client does not say, and at most.
 const DEFAULT_WAIT: Duration = Duration::from_secs(10);
@@ -57,6 +59,7 @@ const SCENE_FILE: &str = "scene.json";
     params(
         ("id" = Option<String>, Query, description = "Id of the scene, `[a-z0-9_-]{1,64}`; otherwise made from the name: small letters without their marks, digits, underscores, hyphens for all else, `scene` where nothing is left, with a number behind it where it is taken"),
         ("name" = Option<String>, Query, description = "File name of a raw body; of a form, which of its files is the scene or asset"),
+        ("up" = Option<UpForm>, Query, style = Form, explode = false, description = "Which way is up in a file of points or triangles: `x`, `y`, `z`, `-x`, `-y`, `-z` or `x,y,z`; guessed where it is left out. It is kept with the upload. A scene file has an `up` of its own instead"),
         ("Content-Disposition" = Option<String>, Header, description = "`attachment; filename=…`, where `name` is not given"),
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`"),
     ),
@@ -105,7 +108,7 @@ pub async fn create(
         None => reserve_derived(&app, &received.main)?,
     };
     let id = reservation.id().to_owned();
-    let source = received.settle(&app.settings.root, &id, &budget.share)?;
+    let source = received.settle(&app.settings.root, &id, target.up, &budget.share)?;
     app.uploads.keep(&id, budget.share);
     let loading = tokio::spawn(load(app.clone(), reservation, source, Origin::Fresh));
     answer(&app, &headers, &id, loading, Origin::Fresh).await
@@ -167,20 +170,47 @@ pub async fn retry(
 struct Target {
     id: Option<String>,
     name: Option<String>,
+    /// A unit vector.
+    up: Option<DVec3>,
 }
 
 impl Target {
     fn from_uri(uri: &Uri) -> Result<Self, Problem> {
-        let mut target = Target { id: None, name: None };
+        let mut target = Target { id: None, name: None, up: None };
         for (name, value) in pairs(uri.query())? {
             match name.as_str() {
                 "id" => target.id = Some(valid_id(value)?),
                 "name" => target.name = Some(valid_file_name(&value)?),
-                _ => return Err(unknown_name(&name, &["id", "name"], &[("filename", "name")])),
+                "up" => once(&mut target.up, &name, direction(&name, &value)?)?,
+                _ => {
+                    return Err(unknown_name(
+                        &name,
+                        &["id", "name", "up"],
+                        &[("filename", "name")],
+                    ));
+                }
             }
         }
         Ok(target)
     }
+}
+
+impl Target {
+    /// Refuses `up` for a scene, whose cameras and paths may depend on its own.
+    fn check_up(&self, main: &str) -> Result<(), Problem> {
+        if self.up.is_none() || !is_json_name(main) {
+            return Ok(());
+        }
+        let reason = "a scene file says itself which way is up";
+        Err(Problem::parameter("up", reason, "`up` in the scene file, or left out"))
+    }
+}
+
+/// A unit vector.
+fn direction(name: &str, value: &str) -> Result<DVec3, Problem> {
+    let Up(up) = number(name, value, Up::ACCEPTED)?;
+    let unusable = || Problem::parameter(name, "is too short or too long", Up::ACCEPTED);
+    up.try_normalize().ok_or_else(unusable)
 }
 
 fn reserve(app: &App, id: &str) -> Result<Reservation, Problem> {
@@ -236,14 +266,23 @@ impl Drop for PartialFolder {
 
 impl Received {
     /// Moves the files and their record to their place, where they outlast the process.
-    fn settle(mut self, root: &Path, id: &str, share: &Share) -> Result<Source, Problem> {
+    fn settle(
+        mut self,
+        root: &Path,
+        id: &str,
+        up: Option<DVec3>,
+        share: &Share,
+    ) -> Result<Source, Problem> {
         let folder = store::folder_of(root, id);
         if folder.exists() {
             // The id is reserved and not loaded, so these are remains.
             store::remove_folder(&folder);
         }
         let key = share.key().map(str::to_owned);
-        let record = Record::new(self.main.clone(), self.from_root, key, share.bytes());
+        let record = Record {
+            up: up.map(|up| up.to_array()),
+            ..Record::new(self.main.clone(), self.from_root, key, share.bytes())
+        };
         let moved = record.write(self.folder.path()).and_then(|()| {
             std::fs::rename(self.folder.path(), &folder)?;
             self.folder.0 = None;
@@ -278,6 +317,7 @@ async fn receive(
         None if body::is_json(&media_type) => SCENE_FILE.to_owned(),
         None => return Err(unnamed(&media_type)),
     };
+    target.check_up(&main)?;
     // A bare scene names files of the root.
     let from_root = is_json_name(&main);
     if from_root {
@@ -391,6 +431,7 @@ async fn receive_form(
         names.push(name);
     }
     let main = main_file(&names, target.name.as_deref())?;
+    target.check_up(&main)?;
     Ok(Received { folder, main, from_root: false })
 }
 

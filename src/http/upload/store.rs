@@ -15,6 +15,7 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::engine::Source;
@@ -28,13 +29,16 @@ const RECORD: &str = ".upload.json";
 const PARTIAL: &str = ".partial-";
 
 /// What is known of an upload.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Record {
     /// Name of the file to load.
     pub main: String,
     /// Whether names of files in the scene count from the server's root, rather than from beside the scene.
     pub from_root: bool,
+    /// Which way is up, where the upload said so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub up: Option<[f64; 3]>,
     /// Name of the API key that it came with.
     pub key: Option<String>,
     /// Bytes of all files.
@@ -68,7 +72,7 @@ pub struct Earlier {
 impl Record {
     pub fn new(main: String, from_root: bool, key: Option<String>, bytes: u64) -> Record {
         let stage = Stage::Received;
-        Record { main, from_root, key, bytes, stage, was_loaded: false, deaths: 0 }
+        Record { main, from_root, up: None, key, bytes, stage, was_loaded: false, deaths: 0 }
     }
 
     /// Where the upload with this record is loaded from.
@@ -76,6 +80,7 @@ impl Record {
         Source {
             path: folder_of(root, id).join(&self.main),
             base: self.from_root.then(|| root.to_owned()),
+            up: self.up.map(DVec3::from_array),
         }
     }
 
@@ -254,7 +259,7 @@ mod tests {
 
     fn record(stage: Stage, was_loaded: bool, deaths: u32) -> Record {
         let record = Record::new("a.ply".into(), false, Some("key".into()), 7);
-        Record { stage, was_loaded, deaths, ..record }
+        Record { up: Some([0.0, 0.0, 1.0]), stage, was_loaded, deaths, ..record }
     }
 
     fn upload(root: &Path, id: &str, record: &Record) -> PathBuf {
@@ -282,6 +287,7 @@ mod tests {
         let detail = &found[1].refusal.as_ref().unwrap().detail;
         assert!(detail.contains("a.ply") && detail.contains("2 times"), "{detail}");
         assert_eq!((found[1].key.as_deref(), found[1].bytes), (Some("key"), 7));
+        assert_eq!(found[1].source.as_ref().unwrap().up, Some(DVec3::Z));
         finish(root, "known").unwrap();
         assert_eq!(
             Record::read(&folder_of(root, "known")).unwrap(),
