@@ -135,7 +135,7 @@ check "deploy files" scripts/lint-deploy.sh target/debug/pointillist
 
 # The contract, in requests that nobody thought of: POINTILLIST_CONTRACT_SECONDS of them.
 if python=$(scripts/setup-python.sh); then
-    check "contract" scripts/fuzz-http.sh "$python" --seconds "${POINTILLIST_CONTRACT_SECONDS:-40}"
+    check "contract" scripts/fuzz-http.sh "$python" --seconds "${POINTILLIST_CONTRACT_SECONDS:-20}"
 else
     skip "contract" "no Python tools (scripts/setup-python.sh says why); nothing was sent to a daemon by schemathesis"
 fi

@@ -214,7 +214,7 @@ def map_case(context, case):
                     for name in ("camera", "eye", "target", "up", "fov", "view", "proj"):
                         query.pop(name, None)
             if str(query.get("fps", "")) and is_positive(case, ParameterLocation.QUERY):
-                query["fps"] = 20
+                query["fps"] = 120
     if isinstance(case.body, dict) and is_positive(case, ParameterLocation.BODY):
         if label == "POST /v1/jobs":
             follow_job(case.body)

@@ -21,12 +21,13 @@ import yaml
 from openapi_spec_validator import OpenAPIV31SpecValidator
 
 HERE = pathlib.Path(__file__).resolve().parent
+# The film is short: a stream of it takes as long as it plays.
 SCENE = """{ "pointillist": 1, "name": "grid",
   "assets": { "g": { "file": "grid.ply" } },
   "nodes": [ { "name": "wall", "asset": "g" } ],
   "cameras": { "front": { "eye": [0, 0, 3], "target": [0, 0, 0], "fov": 45 } },
-  "paths": { "past": { "fps": 20, "keys": [
-    { "t": 1, "eye": [-1, 0, 3], "target": [0, 0, 0] }, { "t": 1.2, "eye": [1, 0, 3], "target": [0, 0, 0] } ] } } }
+  "paths": { "past": { "fps": 120, "keys": [
+    { "t": 1, "eye": [-1, 0, 3], "target": [0, 0, 0] }, { "t": 1.025, "eye": [1, 0, 3], "target": [0, 0, 0] } ] } } }
 """
 
 
@@ -99,7 +100,8 @@ def make_job(address):
 
 def schemathesis(address, folder, options, rest):
     """Runs schemathesis; its exit status and how many cases it made."""
-    arguments = ["--url", address, "--no-color", "--output-truncate", "false", "--seed", str(options.seed), "--workers", "2"]
+    # One worker: Python 3.11 fails now and then where two threads parse Python ("AST constructor recursion depth mismatch").
+    arguments = ["--url", address, "--no-color", "--output-truncate", "false", "--seed", str(options.seed), "--workers", "1"]
     if options.cases:
         # So many for each operation that there are more than enough in all: some operations have few to offer.
         arguments += ["--max-examples", str(max(20, options.cases // 20))]
