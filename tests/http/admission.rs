@@ -107,21 +107,22 @@ fn delete_cancels_a_load() {
 
 #[test]
 fn an_upload_whose_loader_died_is_set_aside() {
-    let daemon = Daemon::start(&[]);
-    let client = daemon.client();
-    let path = "/v1/scenes?id=fatal&name=a.ply";
-    let reply = client.send("POST", path, &[("prefer", "wait=60")], Some(grid_ply().as_bytes()));
-    assert_eq!(reply.status, 201, "{}", reply.text());
-    // The record of a first load that is under way, whatever the machine's pace.
-    let record = daemon.root().join("uploads/fatal/.upload.json");
-    eventually("the end of the load", || {
-        std::fs::read_to_string(&record).unwrap().contains("\"loaded\"")
+    // Large enough that the load is still under way when the daemon is killed, whatever the machine's pace.
+    let killed = [400, 800, 1600, 3200].into_iter().find_map(|side| {
+        let mut daemon = Daemon::start(&[]);
+        let path = "/v1/scenes?id=fatal&name=a.ply";
+        let reply = daemon.client().send("POST", path, &AT_ONCE, Some(wall_ply(side).as_bytes()));
+        assert_eq!(reply.status, 202, "{}", reply.text());
+        let record = daemon.root().join("uploads/fatal/.upload.json");
+        let stage = || {
+            let record: Value = serde_json::from_slice(&std::fs::read(&record).unwrap()).unwrap();
+            record["stage"].as_str().unwrap().to_owned()
+        };
+        eventually("the load", || stage() != "received");
+        daemon.kill();
+        (stage() == "loading").then_some(daemon)
     });
-    let mut under_way: Value = serde_json::from_slice(&std::fs::read(&record).unwrap()).unwrap();
-    under_way["stage"] = json!("loading");
-    under_way["was_loaded"] = json!(false);
-    std::fs::write(&record, under_way.to_string()).unwrap();
-    let daemon = daemon.kill_and_restart(&[]);
+    let daemon = killed.unwrap().kill_and_restart(&[]);
     let client = daemon.client();
     let scene = client.get("/v1/scenes/fatal").json();
     assert_eq!(scene["state"], "failed");
