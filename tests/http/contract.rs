@@ -81,6 +81,13 @@ fn schemas_and_daemon_agree_on_bodies() {
             json!({ "scene": "grid", "path": keys, "w": 8, "h": 8, "reconstruct": "splats" }),
             true,
         ),
+        (
+            "POST",
+            jobs,
+            json!({ "scene": "grid", "path": "past", "w": 8.0, "h": 8.0, "to": 1.0 }),
+            true,
+        ),
+        ("POST", jobs, json!({ "scene": "grid", "path": "past", "w": 8.5 }), false),
         ("POST", jobs, json!({ "scene": "grid", "path": 3 }), false),
         ("POST", jobs, json!({ "scene": "grid", "path": { "keys": [] } }), false),
         ("POST", jobs, json!({ "scene": "grid", "path": "past", "camera": "front" }), false),
@@ -97,6 +104,8 @@ fn schemas_and_daemon_agree_on_bodies() {
         ("POST", frames, json!({ "poses": [{ "eye": [0, 0] }] }), false),
         ("POST", frames, json!({ "poses": [{}, { "format": "gif" }] }), false),
         ("POST", frames, json!({ "poses": [{ "fov": 180 }] }), false),
+        ("POST", frames, json!({ "poses": [{ "fov": 5e-324 }] }), false),
+        ("POST", frames, json!({ "poses": [{ "wait": "none" }] }), false),
         ("POST", frames, json!({ "poses": [{}], "quality": 101 }), false),
         ("POST", frames, json!({ "poses": [{}], "w": 20000 }), false),
         ("POST", frames, json!({ "poses": [{ "deadline_ms": 0 }] }), false),
@@ -125,6 +134,37 @@ fn schemas_and_daemon_agree_on_bodies() {
             "{body}: {status} {}",
             reply.text()
         );
+    }
+}
+
+/// The pattern and the daemon accept the same keys. Blanks and tabs around them belong to the header.
+#[test]
+fn keys_of_jobs_are_as_their_pattern_says() {
+    let daemon = Daemon::start(&[]);
+    let contract = Contract::new();
+    let (_, operation) = contract.operation("POST", "/v1/jobs").unwrap();
+    let parameters = operation["parameters"].as_array().unwrap();
+    let key = parameters.iter().find(|of| of["name"] == "Idempotency-Key").unwrap();
+    let body = json!({ "scene": "grid", "path": "past", "w": 8, "h": 8 }).to_string();
+    for (value, is_fine) in [
+        ("a", true),
+        (" a b \t", true),
+        ("\"", true),
+        ("a\tb", false),
+        ("é", false),
+        (" ", false),
+        (&"x".repeat(256), false),
+    ] {
+        let faults = contract.faults(&key["schema"], &json!(value));
+        assert_eq!(faults.is_empty(), is_fine, "{value:?}: {faults:?}");
+        let request = format!(
+            "POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Type: application/json\r\n\
+             Content-Length: {}\r\nIdempotency-Key:{value}\r\n\r\n{body}",
+            body.len()
+        );
+        let answer = read_to_close(&mut raw(daemon.address, request.as_bytes()));
+        let status = if is_fine { "HTTP/1.1 201" } else { "HTTP/1.1 422" };
+        assert!(answer.starts_with(status), "{value:?}: {answer}");
     }
 }
 

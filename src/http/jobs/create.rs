@@ -94,7 +94,7 @@ const SYNONYMS: [(&str, &str); 5] = [
     path = "/v1/jobs",
     operation_id = "createJob",
     tag = "jobs",
-    params(("Idempotency-Key" = Option<String>, Header, description = "1 to 255 visible ASCII characters, between which spaces may stand; known for as long as the job is")),
+    params(("Idempotency-Key" = Option<String>, Header, description = "1 to 255 visible ASCII characters, between which spaces may stand; known for as long as the job is. Spaces and tabs around it do not count")),
     request_body(content = JobRequest, content_type = "application/json"),
     responses((
         status = 201,

@@ -86,7 +86,8 @@ pub fn of_parameter(path: &str, place: &str, name: &str) -> Option<Value> {
         ("query", "fps") => json!({ "minimum": least_fps, "maximum": most_fps }),
         ("query", "from") => json!({ "minimum": 0, "maximum": MOST_FRAMES }),
         ("header", "Idempotency-Key") => {
-            json!({ "pattern": "^[!-~]([ -~]*[!-~])?$", "minLength": 1, "maxLength": job::MAX_KEY_BYTES })
+            // HTTP takes blanks and tabs around a header's value away.
+            json!({ "pattern": "^[\\t ]*[!-~]([ -~]*[!-~])?[\\t ]*$", "minLength": 1, "maxLength": job::MAX_KEY_BYTES })
         }
         ("query", _) => return of_frame(name),
         _ => return None,
