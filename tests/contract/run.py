@@ -53,7 +53,8 @@ class Daemon:
         environment = {**os.environ, "POINTILLIST_STATE": str(folder / "state"), "POINTILLIST_NO_CACHE": "true"}
         environment.pop("POINTILLIST_CONFIG", None)
         self.process = subprocess.Popen(
-            [program, "serve", "--listen", "127.0.0.1:0", "--root", str(root)],
+            # Events of a job that waits behind many others end soon.
+            [program, "serve", "--listen", "127.0.0.1:0", "--root", str(root), "--watch-seconds", "2"],
             env=environment,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
