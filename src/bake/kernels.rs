@@ -14,10 +14,11 @@
 //! 3. At the border of a cloud a cell is open. A sample whose neighbours lie to one side takes, of every two opposite
 //!    directions, the shorter extent; one whose neighbours lie all in one direction is a stray.
 //!
-//! 4. Where neighbours lie on no surface, a tangent plane means little. A sample that is [`ISOLATED`] times as far from its neighbours as
-//!    these are from each other is a stray, too: an echo in the air. In a volume, such as a tree, and along a wire, kernels
-//!    are circles that reach three quarters of the way to the nearest few. The less flat a neighbourhood is, the less its
-//!    kernel may exceed the cloud's median.
+//! 4. Where neighbours lie on no surface, a tangent plane means little. A sample whose sixth neighbour is [`ISOLATED`] times as far as
+//!    its neighbours' own sixth neighbours is a stray, too: an echo in the air, alone or one of up to six. A small group far from all
+//!    others is a group of strays, whatever these others are: any three groups lie on a plane. In a volume, such as a tree,
+//!    and along a wire, kernels are circles that reach three quarters of the way to the nearest few. The less flat a neighbourhood
+//!    is, the less its kernel may exceed the cloud's median.
 //!
 //! Neighbours are the same that normals and radii come from, found in one search.
 //!
@@ -48,15 +49,25 @@ const NEAREST: f32 = 0.2;
 /// Length of the mean offset over the root of the mean square: about 0.6 at a straight border, 0.85 at a right corner.
 const BORDER: f32 = 0.45;
 const STRAY: f32 = 0.95;
-/// How much farther than the neighbours' third neighbours those of a stray are.
-const ISOLATED: f32 = 3.0;
-/// Neighbours that are asked how far they are from each other.
-const ASKED: usize = 5;
+/// Distance of a stray's sixth neighbour over the median of its neighbours' own: 0.7 on surfaces, and 2 or more at 30 in a million samples
+/// that are spread at random.
+const ISOLATED: f32 = 2.0;
+/// Neighbour whose distance tells how dense samples are: few enough that the sixth is a sample of the clump that most neighbours of a
+/// stray lie in, and enough that samples spread at random differ little.
+const RANK: usize = 6;
+/// Distance of the next neighbour over that of a group's farthest member.
+const GAP: f32 = 4.0;
+/// Longest kernel that a sample of such a group has, in medians of the cloud; one that would have a longer one is a stray.
+const GROUPED: f32 = 4.0;
+/// Where more than one sample in so many is in such a group, groups are how the surface was sampled, and no strays.
+const RARE: usize = 20;
 /// Thickness of a neighbourhood over its half width: up to the first it is a surface; from the second on kernels are bounded by
 /// what is near; from the third on it is a volume. A right edge has 0.43.
 const FLAT: f32 = 0.15;
 const ROUGH: f32 = 0.3;
 const VOLUME: f32 = 0.6;
+/// Exponent by which the longest kernel falls between a surface and a volume.
+const FALL: f32 = 1.5;
 /// Neighbourhoods narrower than this part of their length are wires.
 const WIRE: f32 = 0.2;
 /// Reach of kernels without a surface, in mean distances of the nearest three.
@@ -145,6 +156,8 @@ pub(super) struct Fit {
     pub(super) kernel: Kernel,
     /// Longest standard deviation that it may have, in medians of the cloud.
     pub(super) most: f32,
+    /// The nearest neighbours form a small group far from all others.
+    pub(super) is_grouped: bool,
 }
 
 /// The kernel of a point with a normal (possibly zero), in the coordinates of the tree. `is_given`: the normal is the file's own,
@@ -160,7 +173,7 @@ pub(super) fn fit(neighbors: &Neighbors, normal: Vec3, is_given: bool) -> Fit {
         return Fit::default();
     }
     let loose = LOOSE * mean_distance(near) / CUTOFF;
-    let lone = Fit { kernel: circle(normal, loose), most: 1.0 };
+    let lone = Fit { kernel: circle(normal, loose), most: 1.0, is_grouped: false };
     if normal == Vec3::ZERO {
         return lone;
     }
@@ -178,11 +191,14 @@ pub(super) fn fit(neighbors: &Neighbors, normal: Vec3, is_given: bool) -> Fit {
     let Some([u, v]) = ellipse(offsets) else { return Fit::default() };
     let kernel = Kernel { u: a * u.x + b * u.y, v: a * v.x + b * v.y };
     let part = |from: f32| ((thickness - from) / (VOLUME - from)).clamp(0.0, 1.0);
-    let most = LARGEST.powf(1.0 - part(FLAT));
+    let most = LARGEST.powf((1.0 - part(FLAT)).powf(FALL));
+    let is_grouped = is_grouped(near);
     let bounded = |axis: Vec3| axis * (loose / (part(ROUGH) * axis.length())).min(1.0);
     match part(ROUGH) > 0.0 {
-        true => Fit { kernel: Kernel { u: bounded(kernel.u), v: bounded(kernel.v) }, most },
-        false => Fit { kernel, most },
+        true => {
+            Fit { kernel: Kernel { u: bounded(kernel.u), v: bounded(kernel.v) }, most, is_grouped }
+        }
+        false => Fit { kernel, most, is_grouped },
     }
 }
 
@@ -193,24 +209,36 @@ fn mean_distance(near: &[Vec3]) -> f32 {
     sum / count.max(1.0)
 }
 
-/// Whether a sample at the origin is much farther from its neighbours than these are from each other. Of each the third is
-/// looked at, so that pairs of samples tell nothing.
+/// Whether a sample at the origin is much farther from its neighbours than these are from each other. The sixth neighbours are
+/// compared, so that pairs and triples, of strays as of samples, tell nothing.
 fn is_isolated(near: &[Vec3]) -> bool {
-    let (Some(third), true) = (near.get(2), near.len() > ASKED) else { return false };
-    let mut thirds = [0.0f32; ASKED];
-    for (asked, own) in thirds.iter_mut().enumerate() {
-        let mut least = [f32::INFINITY; 3];
-        for (other, at) in near.iter().enumerate() {
-            let d = near[asked].distance_squared(*at);
-            if other != asked && d < least[2] {
-                least[2] = d;
-                least.sort_unstable_by(f32::total_cmp);
-            }
+    let (Some(own), true) = (near.get(RANK - 1), near.len() > RANK) else { return false };
+    let mut least = [[f32::INFINITY; RANK]; MAX_NEIGHBORS];
+    let insert = |least: &mut [f32; RANK], d: f32| {
+        if d < least[RANK - 1] {
+            let at = least.partition_point(|&nearer| nearer <= d);
+            least.copy_within(at..RANK - 1, at + 1);
+            least[at] = d;
         }
-        *own = least[2];
+    };
+    for (a, from) in near.iter().enumerate() {
+        for (b, to) in near[..a].iter().enumerate() {
+            let d = from.distance_squared(*to);
+            insert(&mut least[a], d);
+            insert(&mut least[b], d);
+        }
     }
-    thirds.sort_unstable_by(f32::total_cmp);
-    third.length_squared() > ISOLATED * ISOLATED * thirds[ASKED / 2]
+    let mut ranked = least.map(|least| least[RANK - 1]);
+    let ranked = &mut ranked[..near.len()];
+    ranked.sort_unstable_by(f32::total_cmp);
+    own.length_squared() > ISOLATED * ISOLATED * ranked[near.len() / 2]
+}
+
+/// Whether there is a gap behind the nearest two or more neighbours. Samples at the same place are no neighbours here: files may hold each
+/// sample several times.
+fn is_grouped(near: &[Vec3]) -> bool {
+    let distances = near.iter().map(|q| q.length_squared()).filter(|&d| d > 0.0).skip(1);
+    distances.clone().zip(distances.skip(1)).any(|(last, next)| next > GAP * GAP * last)
 }
 
 /// Thickness of a neighbourhood, with the sample itself, across its tangent plane over its half width in it, and its width in the plane
@@ -319,27 +347,40 @@ pub(super) struct Bounds {
     median: f32,
     least: f32,
     most: f32,
+    /// Longest axis of samples that form small groups; longer ones are strays.
+    grouped: f32,
 }
 
 impl Bounds {
     fn of(fits: &[Fit]) -> Self {
-        Bounds::of_some(&evenly(fits).map(|fit| longest_axis(&fit.kernel)).collect::<Vec<f32>>())
+        Bounds::of_some(&evenly(fits).copied().collect::<Vec<Fit>>())
     }
 
-    /// Those of a cloud of whose kernels these are the longest axes, evenly spread.
-    pub(super) fn of_some(lengths: &[f32]) -> Self {
-        let median = median_of(lengths).unwrap_or(LONE);
+    /// Bounds for a cloud of whose kernels these are some, evenly spread.
+    pub(super) fn of_some(fits: &[Fit]) -> Self {
+        let lengths: Vec<f32> = fits.iter().map(|fit| longest_axis(&fit.kernel)).collect();
+        let median = median_of(&lengths).unwrap_or(LONE);
         // Between these, squares of lengths are ordinary numbers.
         let most = (median * LARGEST).clamp(TINY, f32::MAX.sqrt() * 1e-3);
         let least = (median * SMALLEST).clamp(TINY, most);
-        Self { median: median.clamp(least, most), least, most }
+        let median = median.clamp(least, most);
+        let grouped = fits.iter().filter(|fit| fit.is_grouped).count();
+        let is_grouped = grouped * RARE > fits.len();
+        Self {
+            median,
+            least,
+            most,
+            grouped: if is_grouped { f32::INFINITY } else { GROUPED * median },
+        }
     }
 
     /// Gives a stray the median and keeps all others near it.
-    pub(super) fn apply(&self, Fit { kernel, most }: Fit, normal: Vec3) -> Kernel {
+    pub(super) fn apply(&self, fit: Fit, normal: Vec3) -> Kernel {
+        let Fit { kernel, most, is_grouped } = fit;
         // So short that f32 has not kept the direction.
         let is_vague = |axis: Vec3| axis.as_dvec3().length() < 1e-30;
-        if !is_kernel(&kernel) || is_vague(kernel.u) || is_vague(kernel.v) {
+        let is_stray = is_grouped && longest_axis(&kernel) > self.grouped;
+        if is_stray || !is_kernel(&kernel) || is_vague(kernel.u) || is_vague(kernel.v) {
             return circle(normal, self.median);
         }
         let bounded = |axis: Vec3| {

@@ -269,11 +269,11 @@ impl Frame {
     }
 
     /// A kernel of the tree's coordinates in the units of the positions.
-    pub(super) fn fit(&self, Fit { mut kernel, most }: Fit) -> Fit {
-        for axis in [&mut kernel.u, &mut kernel.v] {
+    pub(super) fn fit(&self, mut fit: Fit) -> Fit {
+        for axis in [&mut fit.kernel.u, &mut fit.kernel.v] {
             *axis = (axis.as_dvec3() * self.size).as_vec3();
         }
-        Fit { kernel, most }
+        fit
     }
 
     /// The direction of least variance, looking outward.

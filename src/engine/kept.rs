@@ -33,7 +33,7 @@ use crate::residency::once::MadeOnce;
 use crate::scene::{AssetRef, AssetSource};
 
 /// Of what is read of files and how it is packed: raise it with every change of either.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// Blocks of a file that its identity hashes, and bytes of each.
 const PROBES: u64 = 64;
 const PROBE_BYTES: u64 = 4096;

@@ -15,8 +15,9 @@ fn check(scene: &str, cameras: &[&str], tolerance: &Tolerance) {
 #[test]
 fn town() {
     check("town", &["overview", "square", "street"], &Tolerance::samples());
-    // Level ground seen from straight above: many samples share a depth to f32's rounding, and either may show.
-    check("town", &["above"], &Tolerance { unexplained: 12, ..Tolerance::samples() });
+    // Level ground seen from straight above: many samples share a depth to f32's rounding, and either may show. There are 10 such pixels
+    // from 94 m above, and 3 from 78 m, where fewer samples share a pixel. Points are drawn: kernels have no part in it.
+    check("town", &["above"], &Tolerance { unexplained: 10, ..Tolerance::samples() });
 }
 
 #[test]

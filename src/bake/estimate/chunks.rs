@@ -5,7 +5,7 @@ use std::ops::Range;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::super::kernels::{Bounds as KernelBounds, CUTOFF, Fit, circle, fit, longest_axis};
+use super::super::kernels::{Bounds as KernelBounds, CUTOFF, Fit, circle, fit};
 use super::super::neighbors::{Neighbors, PointTree, settled};
 use super::super::normals::{Frame, NORMAL_NEIGHBORS, is_radius};
 use super::super::pack::CHUNK;
@@ -134,16 +134,14 @@ impl<'a> Chunks<'a> {
             .into_par_iter()
             .filter(|&rank| (self.order[rank] as usize).is_multiple_of(step))
             .collect();
-        let found: Vec<(f32, f32)> = ranks
-            .par_iter()
-            .map(|&rank| {
+        let (fits, reaches): (Vec<Fit>, Vec<(usize, f32)>) = ranks
+            .into_par_iter()
+            .map(|rank| {
                 let (fitted, reach) = self.neighborhood(self.order[rank], f32::INFINITY);
-                (reach, longest_axis(&fitted.fit.kernel))
+                (fitted.fit, (rank, reach))
             })
-            .collect();
-        let lengths: Vec<f32> = found.iter().map(|&(_, length)| length).collect();
-        let reaches = ranks.into_iter().zip(found).map(|(rank, (reach, _))| (rank, reach));
-        Sampled { reaches: reaches.collect(), bounds: KernelBounds::of_some(&lengths) }
+            .unzip();
+        Sampled { reaches, bounds: KernelBounds::of_some(&fits) }
     }
 
     /// Normals and kernels of all points of some chunks, in the order of the curve.

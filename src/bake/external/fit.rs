@@ -11,7 +11,7 @@ use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::super::kernels::{Bounds, Fit, circle, fit, longest_axis};
+use super::super::kernels::{Bounds, Fit, circle, fit};
 use super::super::neighbors::{Neighbors, PointTree};
 use super::super::normals::{NORMAL_NEIGHBORS, stride};
 use super::points::{Place, Point, Points};
@@ -28,6 +28,8 @@ pub(super) struct Fitted {
     v: [f32; 3],
     /// As [`Fit::most`].
     most: f32,
+    /// As [`Fit::is_grouped`], 0 or 1.
+    is_grouped: u32,
 }
 
 /// What neighbours tell of each point, in the order of the points' file, and the bounds that kernels have.
@@ -119,7 +121,7 @@ impl Fits {
 
 impl Fitted {
     fn fit(&self) -> Fit {
-        Fit { kernel: self.kernel(), most: self.most }
+        Fit { kernel: self.kernel(), most: self.most, is_grouped: self.is_grouped != 0 }
     }
 
     fn kernel(&self) -> Kernel {
@@ -130,31 +132,37 @@ impl Fitted {
     fn of(points: &Points, neighbors: &Neighbors, given: Vec3) -> Fitted {
         let normal = if points.lacks_normals { points.frame.normal(neighbors) } else { Vec3::ZERO };
         let own = if given == Vec3::ZERO { normal } else { given };
-        let Fit { kernel, most } = match points.lacks_kernels {
+        let Fit { kernel, most, is_grouped } = match points.lacks_kernels {
             true => points.frame.fit(fit(neighbors, own, given != Vec3::ZERO)),
             false => Fit::default(),
         };
-        Fitted { normal: normal.into(), u: kernel.u.into(), v: kernel.v.into(), most }
+        Fitted {
+            normal: normal.into(),
+            u: kernel.u.into(),
+            v: kernel.v.into(),
+            most,
+            is_grouped: is_grouped.into(),
+        }
     }
 }
 
 /// Bounds of all kernels, from some.
 fn bounds(points: &Points, file: &SpillFile<Fitted>) -> io::Result<Bounds> {
     let step = stride(points.file.count() as usize) as u32;
-    let mut lengths = Vec::new();
+    let mut some = Vec::new();
     let mut at = 0;
     points.file.each_block(|block| {
         for point in block {
             if point.index.is_multiple_of(step) {
                 let mut fitted = [Fitted::default()];
                 file.read(at, &mut fitted)?;
-                lengths.push(longest_axis(&fitted[0].kernel()));
+                some.push(fitted[0].fit());
             }
             at += 1;
         }
         Ok(())
     })?;
-    Ok(Bounds::of_some(&lengths))
+    Ok(Bounds::of_some(&some))
 }
 
 /// A point in the coordinates of the frame.

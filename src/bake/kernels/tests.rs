@@ -133,25 +133,74 @@ fn strays_and_duplicates_stay_near_the_median() {
     assert_eq!(holes(twice, 15.0).0, 0.0);
 }
 
-/// An echo between two walls and above the ground has neighbours on several sides.
-#[test]
-fn echoes_in_the_air_are_no_larger_than_samples_of_surfaces() {
+/// Ground with two walls on it, sampled a tenth apart.
+fn street() -> Vec<DVec3> {
     let ground = grid(40, 40, |x, y| [0.1 * x, 0.1 * y]);
     let wall = |x: f64| {
         (0..1600).map(move |i| DVec3::new(x, f64::from(i % 40 - 20) * 0.1, f64::from(i / 40) * 0.1))
     };
-    let mut positions: Vec<DVec3> = ground.into_iter().chain(wall(-2.0)).chain(wall(2.0)).collect();
-    let solid = positions.len();
-    let mut random = noise(4);
-    positions.extend(
-        (0..12)
-            .map(|_| DVec3::new(3.0 * random() - 1.5, 3.0 * random() - 1.5, 0.5 + 3.0 * random())),
-    );
-    let kernels = cloud(positions).kernels.unwrap();
+    ground.into_iter().chain(wall(-2.0)).chain(wall(2.0)).collect()
+}
+
+/// Longest axes of the kernels of samples that are added to the street, in medians of its own.
+fn in_the_street(more: Vec<DVec3>) -> Vec<f32> {
+    let street = street();
+    let solid = street.len();
+    let kernels = cloud(street.into_iter().chain(more).collect()).kernels.unwrap();
     let median = longest_axis(&kernels[820]);
-    for kernel in &kernels[solid..] {
-        assert!(longest_axis(kernel) < 5.0 * median, "{kernel:?} {median}");
+    kernels[solid..].iter().map(|kernel| longest_axis(kernel) / median).collect()
+}
+
+/// An echo between two walls and above the ground has neighbours on several sides.
+#[test]
+fn echoes_in_the_air_are_no_larger_than_samples_of_surfaces() {
+    let mut random = noise(4);
+    let echoes = (0..12)
+        .map(|_| DVec3::new(3.0 * random() - 1.5, 3.0 * random() - 1.5, 0.5 + 3.0 * random()));
+    for axis in in_the_street(echoes.collect()) {
+        assert!(axis < 4.0, "{axis}");
     }
+}
+
+/// Pairs and triples of echoes near each other, with the corner of a wall below them, look like a sparse surface.
+#[test]
+fn pairs_and_triples_of_echoes_are_no_larger_than_samples_of_surfaces() {
+    let mut random = noise(3);
+    let mut within = |size: f64| size * DVec3::new(random(), random(), random());
+    for (groups, each) in [(4, 1), (2, 2), (3, 2), (2, 3)] {
+        for round in 0..6 {
+            let corner = DVec3::new(3.0, 3.0, 10.0) + within(4.0);
+            let mut echoes = Vec::new();
+            for _ in 0..groups {
+                let at = corner + within(5.0);
+                echoes.extend((0..each).map(|_| at + within(0.3)));
+            }
+            for axis in in_the_street(echoes) {
+                assert!(axis < 1.01, "{axis}: {groups} groups of {each}, round {round}");
+            }
+        }
+    }
+}
+
+/// Any three places lie on a plane.
+#[test]
+fn small_groups_far_from_each_other_are_no_surface() {
+    let mut random = noise(5);
+    let mut echoes = Vec::new();
+    for at in [[0.0, 0.0, 40.0], [5.0, 1.0, 41.0], [1.0, 5.0, 42.0]] {
+        let mut within = || 0.15 * DVec3::new(random(), random(), random());
+        echoes.extend((0..5).map(|_| DVec3::from(at) + within()));
+    }
+    for axis in in_the_street(echoes) {
+        assert!(axis < 4.01, "{axis}");
+    }
+    // Where many samples are in such groups, these are how a surface was sampled: here beside one that is sampled densely.
+    let quads = grid(30, 30, |x, y| [x, y]).into_iter().flat_map(|at| {
+        let near = |x: f64, y: f64| at + DVec3::new(x, y, 0.0);
+        [near(0.02, 0.0), near(-0.02, 0.0), near(0.0, 0.02), near(0.0, -0.02)]
+    });
+    let dense = grid(80, 80, |x, y| [100.0 + 0.15 * x, 0.15 * y]);
+    assert_eq!(holes(quads.chain(dense).collect(), 12.0).0, 0.0);
 }
 
 #[test]
