@@ -10,7 +10,7 @@ use common::folder;
 use common::report::{number, render, verdict};
 use serde_json::{Value, json};
 
-const BENCHES: [&str; 10] = [
+const BENCHES: [&str; 11] = [
     "points",
     "statue",
     "triangles",
@@ -21,6 +21,7 @@ const BENCHES: [&str; 10] = [
     "stream",
     "memory",
     "first",
+    "large",
 ];
 
 fn main() -> anyhow::Result<()> {
