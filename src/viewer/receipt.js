@@ -43,6 +43,7 @@ function facts(info, poses) {
     ['samples', `${count(samples.stored)} stored, ${count(samples.tested)} tested, ${count(samples.drawn)} drawn`],
     ...(receipt.settings.filter ? [['drawn as', splatsInWords(receipt.settings)]] : []),
     ...(receipt.settings.because ? [['chosen', `${receipt.settings.reconstruct}: ${receipt.settings.because}`]] : []),
+    ...(receipt.settings.provisional ? [['provisional', receipt.settings.provisional]] : []),
     ...(receipt.settings.instead_because ? [['instead', receipt.settings.instead_because]] : []),
     ['triangles', `${count(triangles.stored)} stored, ${count(triangles.tested)} tested, ${count(triangles.rasterised)} rasterised`],
     ['instances', `${count(instances.stored)} stored, ${count(instances.drawn)} drawn`],
