@@ -225,7 +225,8 @@ mod tests {
     fn options_that_do_not_go_together_are_named() {
         let plain = request(&[]).unwrap();
         assert_eq!((plain.width, plain.height, plain.quality), (1024, 1024, 85));
-        assert_eq!(plain.settings, Settings::default());
+        // A picture on the disk is not provisional.
+        assert_eq!(plain.settings, Settings { wait: Wait::Complete, ..Settings::default() });
         for (line, expected) in [
             (&["--levels"][..], "--levels goes with"),
             (&["--error-mode", "split"], "--error-mode split goes with"),

@@ -129,11 +129,13 @@ pub async fn remove(
     let worker = app.clone();
     let name = id.clone();
     tokio::task::spawn_blocking(move || {
-        worker.engine.remove(&name)?;
-        // The folder of uploads may be another daemon's.
+        worker.engine.scene(&name)?;
+        // The id is taken until the files are gone, so that those of the next upload stay. The folder of uploads may be another
+        // daemon's.
         if worker.settings.uploads {
             upload::store::remove_files(&worker.settings.root, &name);
         }
+        worker.engine.remove(&name)?;
         Ok(StatusCode::NO_CONTENT)
     })
     .await

@@ -37,6 +37,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, Sleep};
 
 use super::problem::{Kind, Problem};
+use super::registry::Reservation;
 use super::upload::store::Earlier;
 use super::{App, Phase, refusal, router, service, upload};
 use crate::engine::{Engine, Readiness, Source};
@@ -79,6 +80,9 @@ pub async fn serve(
     listener.set_nonblocking(true)?;
     let handle = Handle::new();
     let mut signals = Signals::new()?;
+    // All ids are taken before the first request is answered, so that no upload comes into the place of another.
+    let (asked, required) = (start.scenes.len(), start.required);
+    let reserved = reserve_scenes(&app, start).await?;
     let mut server = tokio::spawn(run(app.clone(), listener, handle.clone()));
     if let Ok(jobs) = &app.jobs {
         // Those whose scenes are not loaded yet wait for them.
@@ -86,7 +90,7 @@ pub async fn serve(
     }
     listening(address);
 
-    let loading = load_scenes(&app, start);
+    let loading = load_scenes(&app, reserved, asked, required);
     tokio::select! {
         loaded = loading => {
             loaded?;
@@ -182,9 +186,17 @@ async fn run(
     server.serve(router(app).into_make_service_with_connect_info::<SocketAddr>()).await
 }
 
-/// Loads one after the other: each may need most of the memory.
-async fn load_scenes(app: &Arc<App>, start: StartScenes) -> anyhow::Result<()> {
-    let asked = start.scenes.len();
+/// A scene that is to be loaded at the start.
+struct Reserved {
+    reservation: Result<Reservation, Problem>,
+    id: String,
+    source: Option<Source>,
+    /// Why a kept upload is not loaded.
+    refusal: Option<Problem>,
+}
+
+/// Finds kept uploads and takes the ids of all scenes, those asked for first.
+async fn reserve_scenes(app: &Arc<App>, start: StartScenes) -> anyhow::Result<Vec<Reserved>> {
     // They may be another daemon's, which alone cleans up there.
     let root = app.settings.uploads.then(|| app.settings.root.clone());
     let earlier = tokio::task::spawn_blocking(move || {
@@ -197,16 +209,24 @@ async fn load_scenes(app: &Arc<App>, start: StartScenes) -> anyhow::Result<()> {
         app.uploads.keep(&id, app.uploads.known(key.as_deref(), bytes));
         scenes.push((id, source, refusal));
     }
-    // All ids are taken before the first load, so that no upload comes into the place of another.
-    let reserve = |id: &str| {
-        app.registry.reserve(id, app.engine.admission(), |id| app.engine.scene(id).is_ok())
+    let reserve = |(id, source, refusal): (String, _, _)| {
+        let is_loaded = |id: &str| app.engine.scene(id).is_ok();
+        let reservation = app.registry.reserve(&id, app.engine.admission(), is_loaded);
+        Reserved { reservation, id, source, refusal }
     };
-    let reserved: Vec<_> = scenes
-        .into_iter()
-        .map(|(id, source, refusal)| (reserve(&id), id, source, refusal))
-        .collect();
+    Ok(scenes.into_iter().map(reserve).collect())
+}
+
+/// Loads one after the other: each may need most of the memory. The first `asked` scenes were asked for by name; where that was
+/// `required`, at least one of them must load.
+async fn load_scenes(
+    app: &Arc<App>,
+    reserved: Vec<Reserved>,
+    asked: usize,
+    required: bool,
+) -> anyhow::Result<()> {
     let mut failed = 0;
-    for (index, (reservation, id, source, refusal)) in reserved.into_iter().enumerate() {
+    for (index, Reserved { reservation, id, source, refusal }) in reserved.into_iter().enumerate() {
         let shown = source.as_ref().map(|source| source.path.display().to_string());
         let result = match (reservation, source, refusal) {
             (Ok(reservation), Some(source), None) => {
@@ -229,7 +249,7 @@ async fn load_scenes(app: &Arc<App>, start: StartScenes) -> anyhow::Result<()> {
         }
     }
     anyhow::ensure!(
-        !(start.required && asked > 0 && failed == asked),
+        !(required && asked > 0 && failed == asked),
         "none of the scenes asked for could be loaded; the log says why"
     );
     Ok(())

@@ -184,11 +184,29 @@ impl Daemon {
         Daemon::spawn_as(Command::new(env!("CARGO_BIN_EXE_pointillist")), folder, args, environment)
     }
 
+    /// Kills it and starts it again on the same root. `ask` is called as soon as the address is known, before scenes are loaded.
+    pub fn kill_and_restart_asking(mut self, ask: impl FnMut(SocketAddr)) -> Daemon {
+        self.kill();
+        let folder = std::mem::replace(&mut self.folder, tempfile::tempdir().unwrap());
+        let command = Command::new(env!("CARGO_BIN_EXE_pointillist"));
+        Daemon::spawn_asking(command, folder, &[], &[], ask)
+    }
+
     fn spawn_as(
+        command: Command,
+        folder: tempfile::TempDir,
+        args: &[&str],
+        environment: &[(&str, &str)],
+    ) -> Daemon {
+        Daemon::spawn_asking(command, folder, args, environment, |_| ())
+    }
+
+    fn spawn_asking(
         mut command: Command,
         folder: tempfile::TempDir,
         args: &[&str],
         environment: &[(&str, &str)],
+        mut ask: impl FnMut(SocketAddr),
     ) -> Daemon {
         let log = std::fs::File::create(folder.path().join("log")).unwrap();
         if environment.iter().any(|(name, _)| *name == "XDG_STATE_HOME") {
@@ -222,7 +240,9 @@ impl Daemon {
             greeting.push(line);
             let last = &greeting[greeting.len() - 1];
             if let Some(found) = last.strip_prefix("listening on http://") {
-                address = Some(found.parse().unwrap());
+                let found = found.parse().unwrap();
+                address = Some(found);
+                ask(found);
             }
             if last.starts_with("curl ") {
                 break;

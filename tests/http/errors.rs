@@ -125,6 +125,8 @@ fn refusals_of_routes_and_bodies() {
         ("POST", "/v1/scenes?id=No", "{}", 422),
         ("POST", "/v1/scenes?ids=no", "{}", 422),
         ("POST", "/v1/scenes?id=grid", "{}", 409),
+        ("POST", "/v1/scenes?id=one&id=two", "{}", 422),
+        ("POST", "/v1/scenes?name=a.ply&name=b.ply", "ply", 422),
     ] {
         let reply = client.send(method, path, &json, Some(body.as_bytes()));
         assert_eq!(reply.status, status, "{method} {path} {body}: {}", reply.text());

@@ -5,7 +5,7 @@ use std::net::Shutdown;
 
 use serde_json::json;
 
-use super::client::{form, raw};
+use super::client::{Client, form, raw};
 use super::daemon::{Daemon, eventually, grid_ply, grid_scene, wall_ply};
 
 #[test]
@@ -79,6 +79,21 @@ fn the_up_of_an_upload_is_kept_with_it() {
     assert_eq!(client.get("/v1/scenes/turned").json()["up"], json!([0.0, 0.0, -1.0]));
     let frame = client.get("/v1/scenes/turned/frame?w=16&h=16");
     assert_eq!(frame.receipt()["camera"]["up"], json!([0.0, 0.0, -1.0]));
+}
+
+#[test]
+fn nobody_takes_the_id_of_a_kept_upload_while_the_daemon_starts() {
+    let mut daemon = Daemon::start(&[]);
+    let path = "/v1/scenes?id=kept&name=a.ply";
+    let ply = grid_ply();
+    let upload = |client: &Client| client.send("POST", path, &[], Some(ply.as_bytes())).status;
+    assert_eq!(upload(&daemon.client()), 201);
+    for _ in 0..3 {
+        daemon = daemon.kill_and_restart_asking(|address| {
+            assert_eq!(upload(&Client::new(address)), 409);
+        });
+        assert_eq!(daemon.client().get("/v1/scenes/kept/frame?w=16&h=16").status, 200);
+    }
 }
 
 #[test]

@@ -179,8 +179,8 @@ impl Target {
         let mut target = Target { id: None, name: None, up: None };
         for (name, value) in pairs(uri.query())? {
             match name.as_str() {
-                "id" => target.id = Some(valid_id(value)?),
-                "name" => target.name = Some(valid_file_name(&value)?),
+                "id" => once(&mut target.id, &name, valid_id(value)?)?,
+                "name" => once(&mut target.name, &name, valid_file_name(&value)?)?,
                 "up" => once(&mut target.up, &name, direction(&name, &value)?)?,
                 _ => {
                     return Err(unknown_name(
