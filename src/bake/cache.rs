@@ -107,6 +107,11 @@ impl BakeCache {
         user_folder(std::env::var_os("XDG_CACHE_HOME"), std::env::var_os("HOME"))
     }
 
+    /// Whether there is a file for this key, damaged or not.
+    pub fn holds(&self, key: &[u8; 32]) -> bool {
+        self.path(key).is_file()
+    }
+
     /// What was baked for this key, where a whole and undamaged entry of [`FORMAT_VERSION`] is there. Any other file in its place
     /// is removed, with a warning. Materials are the asset's: that it has those which chunks name is the caller's to check.
     pub fn load(&self, key: &[u8; 32]) -> Option<Vec<PackedGeometry>> {

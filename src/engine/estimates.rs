@@ -25,7 +25,7 @@ use crate::plan::{Lod, Output, Reconstruct};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EstimateState {
-    /// They have.
+    /// All samples have normals and kernels.
     Complete,
     /// Not yet: no frame has needed them.
     Deferred,
@@ -77,6 +77,8 @@ pub struct Background {
 }
 
 struct Running {
+    /// [`Loaded::load`] of the scene.
+    load: u64,
     ticket: BakeTicket,
     failed: Option<EngineError>,
 }
@@ -120,10 +122,21 @@ impl Loaded {
 impl Shared {
     /// Has the samples of a scene estimated in the background; how much is done, of 1, or why it cannot be.
     pub fn estimate_in_background(&self, scene: &Arc<Loaded>) -> Result<f64, EngineError> {
+        let (id, load) = (&scene.model.id, scene.load());
+        // Taken before the list of estimates, here and wherever both are.
+        let library = self.library.read();
+        // A frame may outlive its scene, whose id another scene may have by now.
+        if library.get(id).is_none_or(|held| held.load() != load) {
+            return Ok(0.0);
+        }
         let mut running = self.background.running.lock();
-        let entry = running.entry(scene.model.id.clone()).or_insert_with(|| Running {
-            ticket: self.bakes.join(scene.clone(), Goal::Estimates),
-            failed: None,
+        let before = running.remove(id).filter(|entry| entry.load == load);
+        let entry = running.entry(id.clone()).or_insert_with(|| {
+            before.unwrap_or_else(|| Running {
+                load,
+                ticket: self.bakes.join(scene.clone(), Goal::Estimates),
+                failed: None,
+            })
         });
         entry.look();
         match &entry.failed {
@@ -139,7 +152,8 @@ impl Shared {
             return told(EstimateState::Complete, 1.0);
         }
         let mut running = self.background.running.lock();
-        let Some(entry) = running.get_mut(&scene.model.id) else {
+        let own = running.get_mut(&scene.model.id).filter(|entry| entry.load == scene.load());
+        let Some(entry) = own else {
             return match self.bakes.estimating(scene) {
                 Some(done) => told(EstimateState::Running, done),
                 None => told(EstimateState::Deferred, 0.0),
@@ -177,17 +191,20 @@ impl Shared {
     pub fn finish_writing(&self) {
         let writers = std::mem::take(&mut *self.background.writers.lock());
         for writer in writers {
-            // What it panicked of is in the log.
+            // The panic hook has logged the cause.
             let _ = writer.join();
         }
     }
 
     /// Puts whole scenes in place of all that can be.
-    fn exchange_whole(&self) -> Result<(), EngineError> {
+    fn exchange_whole(&self) {
         self.cache.complete();
         let scenes = self.library.read().all();
         for mut held in scenes {
-            while let Some(whole) = held.completed(&self.config)? {
+            while let Some(whole) = held.completed(&self.config).unwrap_or_else(|error| {
+                tracing::warn!(scene = held.model.id, %error, "a scene stays without estimates");
+                None
+            }) {
                 if self.library.write().replace(&held, whole) {
                     self.background.end(&held.model.id);
                     self.scenes_changed();
@@ -198,7 +215,6 @@ impl Shared {
                 held = now;
             }
         }
-        Ok(())
     }
 }
 
@@ -214,9 +230,7 @@ impl Scenes for Shared {
         if let Err(error) = scene.estimate(&self.config, watch)? {
             return Ok(Err(error));
         }
-        if let Err(error) = self.exchange_whole() {
-            return Ok(Err(error));
-        }
+        self.exchange_whole();
         if let Some(cache) = &self.config.bake_cache {
             for (digest, whole) in scene.estimated() {
                 let cache = cache.clone();

@@ -6,12 +6,12 @@
 //! Both are entries of the bake cache. A note stands under what can be had of a file without reading all of it: device, inode, size, times
 //! of modification and of change, and a hash of [`PROBES`] blocks spread over it. Writing to a file changes its times, and no program
 //! sets the time of change; replacing it changes the inode; a restored or copied file has another time of change. What remains is
-//! a write within the last step of the file system's clock, so that no note is taken of a file that was changed just now. Samples stand
-//! under the hash of the whole content, as in memory.
+//! a write within the last step of the file system's clock, so that a note of a file that was changed just now is written a little later,
+//! if the file is still the same then. Samples stand under the hash of the whole content, as in memory.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
-use std::path::Path;
+use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, SystemTime};
 
@@ -32,7 +32,7 @@ use crate::residency::model::{AssetModel, Deferred};
 use crate::residency::once::MadeOnce;
 use crate::scene::{AssetRef, AssetSource};
 
-/// Of what is read of files and how it is packed: raise it with every change of either.
+/// Version of the readers and of the packed format; raise it when either changes.
 const VERSION: u32 = 2;
 /// Blocks of a file that its identity hashes, and bytes of each.
 const PROBES: u64 = 64;
@@ -40,7 +40,7 @@ const PROBE_BYTES: u64 = 4096;
 /// Bytes of a packed sample, its share of a chunk included.
 const SAMPLE_BYTES: u64 = 24;
 
-/// What a file held beside its samples. Numbers are kept by their bits, which JSON does not.
+/// What a file held beside its samples. Floats are stored as bit patterns, because JSON does not preserve all of them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Note {
     pub digest: [u8; 32],
@@ -172,27 +172,51 @@ fn vec3(bits: &[u64]) -> DVec3 {
 }
 
 /// The cache and a file's identity in it, where its samples may be kept.
-pub struct Keeping<'a> {
-    cache: &'a BakeCache,
+#[derive(Clone)]
+pub struct Keeping {
+    cache: BakeCache,
     identity: [u8; 32],
+    file: PathBuf,
     /// Shapes are measured of bare assets alone.
     is_bare: bool,
+    /// See [`EngineConfig::estimate_at_once`].
+    estimate_at_once: usize,
+    /// See [`EngineConfig::settled_after`].
+    settled_after: Duration,
 }
 
-impl<'a> Keeping<'a> {
-    /// None for what is made of several files, or of a file that has just been changed; without a cache.
-    pub fn of(
-        reference: &AssetRef,
-        config: &'a EngineConfig,
-        is_bare: bool,
-    ) -> Option<Keeping<'a>> {
-        let cache = config.bake_cache.as_ref()?;
+impl Keeping {
+    /// Looks at the file of an asset; `None` for an asset that is made of several files, and without a cache.
+    pub fn of(reference: &AssetRef, config: &EngineConfig, is_bare: bool) -> Option<Keeping> {
+        let cache = config.bake_cache.clone()?;
         let AssetSource::File(source) = &reference.source else { return None };
         if source.sample.is_some() || source.features {
             return None;
         }
-        let identity = identity(&source.path, config, is_bare).ok()??;
-        Some(Keeping { cache, identity, is_bare })
+        let mut keeping = Keeping {
+            cache,
+            identity: [0; 32],
+            file: source.path.clone(),
+            is_bare,
+            estimate_at_once: config.estimate_at_once,
+            settled_after: config.settled_after,
+        };
+        (keeping.identity, _) = keeping.identity().ok()??;
+        Some(keeping)
+    }
+
+    /// Whether the file is still the one whose identity was taken.
+    fn is_same(&self) -> bool {
+        matches!(self.identity(), Ok(Some((identity, _))) if identity == self.identity)
+    }
+
+    /// Waits until the file's last change is so long ago that the next one cannot have the same time; whether it is still the same
+    /// file then.
+    fn settles(&self) -> bool {
+        let Ok(Some((_, age))) = self.identity() else { return false };
+        std::thread::sleep(self.settled_after.saturating_sub(age));
+        let now = self.identity();
+        matches!(now, Ok(Some((identity, age))) if identity == self.identity && age >= self.settled_after)
     }
 
     pub fn note(&self, config: &EngineConfig) -> Option<Note> {
@@ -274,15 +298,9 @@ impl<'a> Keeping<'a> {
     }
 
     /// Keeps an asset that was read just now, if it is a large cloud. The file must still be the one that was read.
-    pub fn keep(
-        &self,
-        reference: &AssetRef,
-        read: &ReadAsset,
-        config: &EngineConfig,
-    ) -> Option<Kept> {
+    pub fn keep(&self, read: &ReadAsset) -> Option<Kept> {
         let deferred = read.model.deferred.as_ref()?;
-        let AssetSource::File(source) = &reference.source else { return None };
-        if identity(&source.path, config, self.is_bare).ok()? != Some(self.identity) {
+        if !self.is_same() {
             return None;
         }
         let model = &read.model;
@@ -320,33 +338,38 @@ impl<'a> Keeping<'a> {
         let is_plain = model.packed.materials.is_empty()
             && model.packed.textures.is_empty()
             && FORMATS.contains(&model.format);
-        is_plain.then(|| Kept {
-            cache: self.cache.clone(),
-            identity: self.identity,
-            note,
-            model: model.clone(),
-        })
+        is_plain.then(|| Kept { keeping: self.clone(), note, model: model.clone() })
     }
 }
 
 /// A cloud that is to be written.
 pub struct Kept {
-    cache: BakeCache,
-    identity: [u8; 32],
+    keeping: Keeping,
     note: Note,
     model: Arc<AssetModel>,
 }
 
 impl Kept {
-    /// Writes samples and note. A cache that cannot be written costs a warning and the next process the time to read.
+    /// Writes samples and note once the file has settled. A cache that cannot be written costs a warning and the next process the time
+    /// to read.
     pub fn write(self) {
-        let key = samples_key(&self.note.digest, false);
-        let written = self.cache.store(&key, &self.model.packed.geometries).and_then(|stored| {
+        if !self.keeping.settles() {
+            return;
+        }
+        let cache = &self.keeping.cache;
+        let [points, whole] =
+            [false, true].map(|is_whole| samples_key(&self.note.digest, is_whole));
+        // The estimate may have been quicker.
+        let stored = match cache.holds(&whole) {
+            true => Ok(true),
+            false => cache.store(&points, &self.model.packed.geometries),
+        };
+        let written = stored.and_then(|stored| {
             let text = serde_json::to_vec(&self.note).map_err(io::Error::other)?;
-            if stored { self.cache.store_note(&self.identity, &text) } else { Ok(()) }
+            if stored { cache.store_note(&self.keeping.identity, &text) } else { Ok(()) }
         });
         if let Err(error) = written {
-            let folder = self.cache.folder().display();
+            let folder = cache.folder().display();
             tracing::warn!(asset = self.model.name, %folder, %error, "a large cloud cannot be kept");
         }
     }
@@ -370,42 +393,44 @@ fn samples_key(digest: &[u8; 32], is_whole: bool) -> [u8; 32] {
     hasher.chain_update(digest).finalize().into()
 }
 
-/// What tells a file from all others and from itself after a change, without reading all of it; `None` of a file that has just been
-/// changed or is no file.
-#[cfg(unix)]
-fn identity(path: &Path, config: &EngineConfig, is_bare: bool) -> io::Result<Option<[u8; 32]>> {
-    use std::os::unix::fs::MetadataExt;
-    let mut file = File::open(path)?;
-    let about = file.metadata()?;
-    let changed = Duration::new(about.ctime().max(0).unsigned_abs(), about.ctime_nsec() as u32);
-    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-    if !about.is_file() || now.checked_sub(changed).is_none_or(|age| age < config.settled_after) {
-        return Ok(None);
+impl Keeping {
+    /// The file's identity, which tells it from all others and from itself after a change without reading all of it, and how long ago
+    /// its last change was; `None` of what is no file.
+    #[cfg(unix)]
+    fn identity(&self) -> io::Result<Option<([u8; 32], Duration)>> {
+        use std::os::unix::fs::MetadataExt;
+        let mut file = File::open(&self.file)?;
+        let about = file.metadata()?;
+        if !about.is_file() {
+            return Ok(None);
+        }
+        let changed = Duration::new(about.ctime().max(0).unsigned_abs(), about.ctime_nsec() as u32);
+        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        let mut hasher = Sha256::new_with_prefix(b"note\0");
+        hasher.update(VERSION.to_le_bytes());
+        hasher.update(file_kind(&self.file));
+        hasher.update([u8::from(self.is_bare)]);
+        hasher.update((self.estimate_at_once as u64).to_le_bytes());
+        for number in [about.dev(), about.ino(), about.len()] {
+            hasher.update(number.to_le_bytes());
+        }
+        for time in [about.mtime(), about.mtime_nsec(), about.ctime(), about.ctime_nsec()] {
+            hasher.update(time.to_le_bytes());
+        }
+        let last = about.len().saturating_sub(PROBE_BYTES);
+        let mut block = Vec::with_capacity(PROBE_BYTES as usize);
+        for probe in 0..PROBES {
+            let at = u128::from(last) * u128::from(probe) / u128::from(PROBES - 1);
+            file.seek(SeekFrom::Start(at as u64))?;
+            block.clear();
+            (&mut file).take(PROBE_BYTES).read_to_end(&mut block)?;
+            hasher.update(&block);
+        }
+        Ok(Some((hasher.finalize().into(), now.saturating_sub(changed))))
     }
-    let mut hasher = Sha256::new_with_prefix(b"note\0");
-    hasher.update(VERSION.to_le_bytes());
-    hasher.update(file_kind(path));
-    hasher.update([u8::from(is_bare)]);
-    hasher.update((config.estimate_at_once as u64).to_le_bytes());
-    for number in [about.dev(), about.ino(), about.len()] {
-        hasher.update(number.to_le_bytes());
-    }
-    for time in [about.mtime(), about.mtime_nsec(), about.ctime(), about.ctime_nsec()] {
-        hasher.update(time.to_le_bytes());
-    }
-    let last = about.len().saturating_sub(PROBE_BYTES);
-    let mut block = Vec::with_capacity(PROBE_BYTES as usize);
-    for probe in 0..PROBES {
-        let at = u128::from(last) * u128::from(probe) / u128::from(PROBES - 1);
-        file.seek(SeekFrom::Start(at as u64))?;
-        block.clear();
-        (&mut file).take(PROBE_BYTES).read_to_end(&mut block)?;
-        hasher.update(&block);
-    }
-    Ok(Some(hasher.finalize().into()))
-}
 
-#[cfg(not(unix))]
-fn identity(_: &Path, _: &EngineConfig, _: bool) -> io::Result<Option<[u8; 32]>> {
-    Ok(None)
+    #[cfg(not(unix))]
+    fn identity(&self) -> io::Result<Option<([u8; 32], Duration)>> {
+        Ok(None)
+    }
 }

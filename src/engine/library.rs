@@ -272,7 +272,7 @@ pub fn load(
                 read_asset(reference, (index, most), &mut assembler, key, admission)
             })?;
             if was_read && key.alone {
-                kept.extend(keeping.and_then(|keeping| keeping.keep(reference, &asset, config)));
+                kept.extend(keeping.and_then(|keeping| keeping.keep(&asset)));
             }
             asset
         };
@@ -770,6 +770,11 @@ impl Loaded {
         build(parts, config, Some((self, index)), &Admission::new(&config.memory))
     }
 
+    /// Number of the load, which all revisions of a scene share and no later scene of the same id has.
+    pub fn load(&self) -> u64 {
+        self.order
+    }
+
     /// Whether samples have all their normals and kernels.
     pub fn is_whole(&self) -> bool {
         self.model.assets.iter().all(|asset| asset.deferred.is_none())
@@ -824,7 +829,9 @@ impl Loaded {
     pub fn estimated(&self) -> Vec<([u8; 32], Arc<AssetModel>)> {
         let whole = |asset: &Arc<AssetModel>| asset.deferred.as_ref()?.whole.get().cloned();
         let assets = self.model.assets.iter().zip(&self.keys);
-        assets.filter_map(|(asset, key)| Some((key.digest, whole(asset)?))).collect()
+        // The cache finds assets by the content of one file.
+        let alone = assets.filter(|(_, key)| key.alone);
+        alone.filter_map(|(asset, key)| Some((key.digest, whole(asset)?))).collect()
     }
 
     fn whole_asset(
@@ -877,7 +884,8 @@ impl Loaded {
             keys: self.keys.clone(),
             path: self.path.clone(),
         };
-        build(parts, config, None, &Admission::new(&config.memory)).map(Some)
+        let whole = build(parts, config, None, &Admission::new(&config.memory))?;
+        Ok(Some(Loaded { order: self.order, ..whole }))
     }
 
     /// A camera path that the scene names.

@@ -325,6 +325,32 @@ fn large_clouds_are_kept_from_one_process_to_the_next() {
 }
 
 #[test]
+fn clouds_that_were_just_written_are_kept_once_they_have_settled() {
+    let folder = tempfile::tempdir().unwrap();
+    let studio = Studio::with(|config| {
+        config.estimate_at_once = 1000;
+        config.settled_after = Duration::from_secs(1);
+        config.bake_cache = Some(BakeCache::new(folder.path(), 1 << 30));
+    });
+    studio.write("wall.ply", wall(SIDE as usize, |x, _| [x as u8, 3, 90]));
+    studio.load_json("cloud", &cloud_scene("wall.ply"));
+    eventually("a note", || files(folder.path(), "note").len() == 1);
+    assert_eq!(files(folder.path(), "bake").len(), 1);
+}
+
+#[test]
+fn estimates_leave_the_order_of_scenes_as_it_is() {
+    let (studio, latch) = deferred();
+    latch.open();
+    let names =
+        || -> Vec<String> { studio.engine.scenes().into_iter().map(|scene| scene.id).collect() };
+    let before = names();
+    studio.bytes(&with("cloud", Reconstruct::Splats, Output::Color));
+    assert_eq!(state(&studio, "cloud"), EstimateState::Complete);
+    assert_eq!(names(), before);
+}
+
+#[test]
 fn trees_of_a_large_cloud_are_cached_under_the_same_key() {
     let folder = tempfile::tempdir().unwrap();
     let sources = [1000, usize::MAX].map(|at_once| {

@@ -11,7 +11,7 @@ use super::super::normals::{Frame, NORMAL_NEIGHBORS, is_radius};
 use super::super::pack::CHUNK;
 use crate::assets::{Kernel, PointCloud};
 
-/// This share of a piece's sampled neighbourhoods fits into its margin, and more than that.
+/// Quantile of sampled neighbour distances that a margin covers, before [`GENEROUS`].
 const QUANTILE: f64 = 0.99;
 const GENEROUS: f32 = 2.0;
 /// With fewer sampled neighbourhoods a piece takes those of the whole cloud as the measure.

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! There are two things to wait for ([`Goal`]): normals and kernels of large clouds, which are not estimated when these are read, and
-//! point trees, which need them. Who asks for what somebody waits for already waits for the same bake. A bake that is stopped has left nothing
+//! point trees, which need them. A second request for the same goal joins the running bake. A bake that is stopped has left nothing
 //! unfinished behind: assets that it had finished are kept, the others are as they were.
 
 mod roster;
