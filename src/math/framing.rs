@@ -139,7 +139,7 @@ mod tests {
             prop_assert!(low.min_element() > 0.049 && high.max_element() < 0.951, "{low} {high}");
             let seen = high - low;
             // A line along the viewing direction is a dot from anywhere in front of it; its near end keeps its distance.
-            let backward = (camera.eye - camera.target).normalize();
+            let backward = (camera.eye - camera.target).normalize_or(DVec3::Z);
             let depth = |p: &DVec3| (camera.eye - *p).dot(backward);
             let nearest = points.iter().map(depth).fold(f64::MAX, f64::min);
             let low_corner = points.iter().copied().reduce(DVec3::min).unwrap_or_default();
