@@ -116,10 +116,7 @@ impl Input {
         }
         let fail = |source| AssetError::io(name, source);
         while (&mut self.reader).take(PIECE_BYTES).read_to_end(&mut bytes).map_err(fail)? > 0 {
-            // A vector that grows holds up to twice its length.
-            if !exact {
-                meter.reach(2 * bytes.len() as u64)?;
-            }
+            meter.reach(bytes.len() as u64)?;
         }
         Ok(bytes)
     }

@@ -127,9 +127,6 @@ fn header<R: BufRead>(
     Ok(header)
 }
 
-/// Bytes of a vertex with a normal, texture coordinates and a colour.
-const VERTEX_MEMORY: u64 = 60;
-
 #[derive(Default)]
 struct Vertices {
     positions: Vec<DVec3>,
@@ -141,6 +138,13 @@ struct Vertices {
 }
 
 impl Vertices {
+    fn bytes(&self) -> u64 {
+        let normals = self.normals.as_ref().map_or(0, Vec::len);
+        let uvs = self.uvs.as_ref().map_or(0, Vec::len);
+        let colors = self.raw_colors.len();
+        (24 * self.positions.len() + 12 * normals + 8 * uvs + 16 * colors) as u64
+    }
+
     fn colors(&self, warnings: &mut Vec<String>) -> Option<Vec<[u8; 4]>> {
         if self.raw_colors.len() != self.positions.len() || self.positions.is_empty() {
             return None;
@@ -168,8 +172,6 @@ fn vertices<R: BufRead>(
         ..Vertices::default()
     };
     let mut meter = origin.admission.meter(file);
-    meter.reach_exactly(24 * origin.reserve(header.vertices) as u64)?;
-    vertices.positions.reserve(origin.reserve(header.vertices));
     let mut values = Vec::new();
     let fixed = 3 + 3 * usize::from(header.has_normals);
     for index in 0..header.vertices {
@@ -194,7 +196,7 @@ fn vertices<R: BufRead>(
             let reason = format!("has {} of {} values", values.len(), fixed + uv_values);
             return Err(AssetError::malformed(file, place(), reason));
         }
-        meter.reach(VERTEX_MEMORY * vertices.positions.len() as u64)?;
+        meter.reach(vertices.bytes())?;
         vertices.positions.push(DVec3::new(values[0], values[1], values[2]));
         if let Some(normals) = &mut vertices.normals {
             normals.push(DVec3::new(values[3], values[4], values[5]).as_vec3());

@@ -43,10 +43,8 @@ pub fn read_from(
     while let Some(header) = Header::read(&mut rows, scans.len())? {
         declared = declared.saturating_add(header.points);
         points::check_count(name, declared, options)?;
-        let scan = Scan::read(&mut rows, header, scans.len(), |points| {
-            meter.reach((kept + points) * points::POINT_BYTES)
-        })?;
-        kept += scan.positions.len() as u64;
+        let scan = Scan::read(&mut rows, header, scans.len(), |bytes| meter.reach(kept + bytes))?;
+        kept += scan.bytes();
         scans.push(scan);
     }
     options.progress.report(1.0);
@@ -189,9 +187,16 @@ impl Scan {
                 return Err(malformed(rows.name, place, reason));
             }
             scan.push(&values[..count]);
-            admit(scan.positions.len() as u64)?;
+            admit(scan.bytes())?;
         }
         Ok(scan)
+    }
+
+    /// Bytes of what is kept.
+    fn bytes(&self) -> u64 {
+        24 * self.positions.len() as u64
+            + 4 * self.intensities.len() as u64
+            + 12 * self.rgb.len() as u64
     }
 
     /// Takes a row of 3 (x y z), 4 (and intensity), 6 (and colour) or 7 numbers.

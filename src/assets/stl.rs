@@ -72,9 +72,13 @@ struct Welded {
 }
 
 impl Welded {
-    /// Bytes of vertices, of their entries in the map, and of triangles.
-    fn bytes(&self) -> u64 {
-        100 * self.positions.len() as u64 + 12 * self.triangles.len() as u64
+    /// Bytes of vertices and of their entries in the map, which is up to 7/8 full.
+    fn vertex_bytes(&self) -> u64 {
+        64 * self.positions.len() as u64
+    }
+
+    fn triangle_bytes(&self) -> u64 {
+        12 * self.triangles.len() as u64
     }
 
     fn vertex(
@@ -122,8 +126,9 @@ fn binary(
     AssetError::check_limit(file, "triangles", count, options.max_triangles)?;
     reader.read_exact(&mut [0; HEADER_BYTES as usize]).map_err(fail)?;
     let mut welded = Welded::default();
-    let mut meter = origin.admission.meter(file);
-    meter.reach_exactly(12 * origin.reserve(count) as u64)?;
+    let (mut vertices, mut triangles) =
+        (origin.admission.meter(file), origin.admission.meter(file));
+    triangles.reach_exactly(12 * origin.reserve(count) as u64)?;
     welded.triangles.reserve(origin.reserve(count));
     let mut record = [0; TRIANGLE_BYTES as usize];
     for index in 0..count {
@@ -146,7 +151,8 @@ fn binary(
             welded.vertex(corner(9), file, options)?,
         ];
         welded.triangles.push(triangle);
-        meter.reach(welded.bytes())?;
+        vertices.reach(welded.vertex_bytes())?;
+        triangles.reach(welded.triangle_bytes())?;
     }
     Ok(welded)
 }
@@ -177,7 +183,8 @@ fn ascii(
                 b"vertex" if in_loop => {
                     let position = corner(&mut tokens).map_err(|reason| fail(facets, reason))?;
                     ring.push(welded.vertex(position, file, options)?);
-                    meter.reach(welded.bytes() + 4 * ring.len() as u64)?;
+                    let corners = 4 * ring.len() as u64;
+                    meter.reach(welded.vertex_bytes() + welded.triangle_bytes() + corners)?;
                 }
                 b"facet" => facets += 1,
                 b"normal" => drop(tokens.by_ref().take(3).count()),

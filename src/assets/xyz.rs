@@ -61,8 +61,7 @@ pub fn read_from(
         table.line(line, number, name)?;
         let count = table.positions.len() as u64;
         points::check_count(name, count, options)?;
-        // Columns double as they grow, and the shorter ones stay until they are copied: three times the rows.
-        meter.reach(3 * count * table.row_bytes())?;
+        meter.reach(count * table.row_bytes())?;
     }
     // Columns become attributes while they are still there.
     options.admission.grow(name, table.positions.len() as u64 * ATTRIBUTE_BYTES)?;

@@ -201,7 +201,7 @@ pub enum LogFormat {
 /// A setting that cannot be used, an address in use, no GPU adapter, or none of the scenes given
 /// with `--scene` loading.
 pub fn run(args: ServeArgs) -> anyhow::Result<()> {
-    memory::save_address_space();
+    memory::set_up_allocator();
     let args = with_file(args)?;
     init_log(args.log_format.unwrap_or(LogFormat::Text));
     let root = root(&args)?;

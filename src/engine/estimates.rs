@@ -19,6 +19,7 @@ use super::bakes::{Abandoned, BakeTicket, Goal, Scenes, Watch};
 use super::kept::keep_whole;
 use super::library::Loaded;
 use super::shared::Shared;
+use crate::memory::Interrupt;
 use crate::plan::{Lod, Output, Reconstruct};
 
 /// Whether the samples of a scene have their normals and kernels.
@@ -130,7 +131,8 @@ impl Shared {
             return Ok(0.0);
         }
         let mut running = self.background.running.lock();
-        let before = running.remove(id).filter(|entry| entry.load == load);
+        let before = running.remove(id);
+        let before = before.filter(|entry| entry.load == load && !self.may_pass_now(entry));
         let entry = running.entry(id.clone()).or_insert_with(|| {
             before.unwrap_or_else(|| Running {
                 load,
@@ -142,6 +144,16 @@ impl Shared {
         match &entry.failed {
             Some(error) => Err(error.clone()),
             None => Ok(entry.ticket.progress()),
+        }
+    }
+
+    /// Whether an estimate failed for lack of memory that is there by now.
+    fn may_pass_now(&self, entry: &Running) -> bool {
+        match &entry.failed {
+            Some(EngineError::Interrupted(Interrupt::OutOfMemory(error))) => {
+                self.config.memory.has_room(error.needed)
+            }
+            _ => false,
         }
     }
 

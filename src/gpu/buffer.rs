@@ -139,13 +139,22 @@ impl Ranges {
         self.free.insert(start, length);
     }
 
-    /// Counts `growth` more elements as belonging here; release them to make them free.
+    /// Adds `growth` free elements at the end.
     pub fn grow(&mut self, growth: u32) {
+        let end = self.capacity;
         self.capacity += growth;
+        self.release(end, growth);
     }
 
-    pub fn is_empty(&self) -> bool {
-        self.capacity == 0 || self.free.get(&0) == Some(&self.capacity)
+    /// Takes free elements from the end until `capacity` are left; fewer where the last ones are held.
+    pub fn shrink(&mut self, capacity: u32) {
+        let surplus = self.capacity.saturating_sub(capacity).min(self.tail());
+        if let Some((start, size)) = self.free.pop_last() {
+            if size > surplus {
+                self.free.insert(start, size - surplus);
+            }
+            self.capacity -= surplus;
+        }
     }
 
     /// Length of the free run at the very end, which growth makes longer.
@@ -169,28 +178,37 @@ mod tests {
 
     proptest! {
         #[test]
-        fn ranges_never_overlap_and_all_come_back(steps in prop::collection::vec((1u32..40, any::<bool>()), 1..200)) {
+        fn ranges_never_overlap_and_all_come_back(steps in prop::collection::vec((1u32..40, 0u8..6), 1..200)) {
             let mut ranges = Ranges::new(256);
             let mut held: Vec<(u32, u32)> = Vec::new();
-            for (length, release) in steps {
-                if release && !held.is_empty() {
-                    let (start, size) = held.swap_remove(length as usize % held.len());
-                    ranges.release(start, size);
-                } else if let Some(start) = ranges.allocate(length) {
-                    prop_assert!(start + length <= 256);
-                    prop_assert!(ranges.tail() <= ranges.largest());
-                    for &(other, size) in &held {
-                        prop_assert!(start + length <= other || other + size <= start);
+            for (length, step) in steps {
+                let end = held.iter().map(|(start, size)| start + size).max().unwrap_or(0);
+                match step {
+                    0 => ranges.grow(length),
+                    1 => {
+                        let before = ranges.capacity;
+                        ranges.shrink(4 * length);
+                        prop_assert_eq!(ranges.capacity, before.min(end.max(4 * length)));
                     }
-                    held.push((start, length));
+                    2 | 3 if !held.is_empty() => {
+                        let (start, size) = held.swap_remove(length as usize % held.len());
+                        ranges.release(start, size);
+                    }
+                    _ => {
+                        let Some(start) = ranges.allocate(length) else { continue };
+                        prop_assert!(start + length <= ranges.capacity);
+                        for &(other, size) in &held {
+                            prop_assert!(start + length <= other || other + size <= start);
+                        }
+                        held.push((start, length));
+                    }
                 }
+                prop_assert!(ranges.tail() <= ranges.largest());
             }
             for (start, size) in held {
                 ranges.release(start, size);
             }
-            prop_assert!(ranges.is_empty());
-            prop_assert_eq!(ranges.largest(), 256);
-            prop_assert_eq!(ranges.tail(), 256);
+            prop_assert_eq!((ranges.largest(), ranges.tail()), (ranges.capacity, ranges.capacity));
         }
     }
 }

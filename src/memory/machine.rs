@@ -73,14 +73,21 @@ fn limit_files(groups: &str) -> Vec<String> {
     files
 }
 
-/// Has the allocator keep few arenas where the address space is limited, before threads are started. glibc reserves 64 MiB
-/// of addresses for each arena, and makes up to eight arenas a core: more than a gigabyte on two cores.
-pub fn save_address_space() {
+/// Size from which an allocation is a mapping of its own: larger than what a frame of 1024 × 1024 holds at once.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+const MAPPED_BYTES: libc::c_int = 6 << 20;
+
+/// Sets up the allocator, before threads are started. Large allocations go back to the system when they are freed: glibc
+/// learns otherwise to keep blocks of up to 32 MiB, and small blocks that are still in use then hold scenes that are gone.
+/// Where the address space is limited there are few arenas: glibc reserves 64 MiB of addresses for each, and makes up to
+/// eight a core.
+pub fn set_up_allocator() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    if address_space_bytes().is_some() {
-        #[allow(unsafe_code, reason = "mallopt has no safe wrapper")]
-        // SAFETY: mallopt takes two numbers, and is called before any thread but this one is started.
-        unsafe {
+    #[allow(unsafe_code, reason = "mallopt has no safe wrapper")]
+    // SAFETY: mallopt takes two numbers, and is called before any thread but this one is started.
+    unsafe {
+        libc::mallopt(libc::M_MMAP_THRESHOLD, MAPPED_BYTES);
+        if address_space_bytes().is_some() {
             libc::mallopt(libc::M_ARENA_MAX, 2);
         }
     }

@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use parking_lot::Mutex;
 
-pub use machine::{default_budget, release_unused, resident_bytes, save_address_space};
+pub use machine::{default_budget, release_unused, resident_bytes, set_up_allocator};
 
 /// A budget of host memory; clones share it.
 #[derive(Clone, Debug)]
@@ -79,6 +79,11 @@ impl HostMemory {
 
     pub fn in_use(&self) -> u64 {
         self.0.in_use.load(Ordering::Relaxed)
+    }
+
+    /// Whether `bytes` would be granted now.
+    pub fn has_room(&self, bytes: u64) -> bool {
+        self.in_use().checked_add(bytes).is_some_and(|sum| sum <= self.budget())
     }
 
     /// A reservation of nothing, to be grown.
@@ -226,7 +231,7 @@ impl Admission {
 
     /// A meter for something that grows while it is read.
     pub fn meter<'a>(&'a self, what: &'a str) -> Meter<'a> {
-        Meter { admission: self, what, granted: 0 }
+        Meter { admission: self, what, granted: 0, reserved: 0 }
     }
 }
 
@@ -236,13 +241,16 @@ pub struct Meter<'a> {
     admission: &'a Admission,
     what: &'a str,
     granted: u64,
+    /// Content up to this many bytes has its place already.
+    reserved: u64,
 }
 
 /// Smallest step in which a [`Meter`] grows.
 const STEP: u64 = 4 << 20;
 
 impl Meter<'_> {
-    /// Makes sure that `bytes` in all are granted, and no more: for what is allocated at once.
+    /// Makes sure that `bytes` in all are granted, and no more: for vectors that are reserved at once. Content of up to
+    /// `bytes` needs nothing else then.
     ///
     /// # Errors
     /// [`Interrupt`].
@@ -251,20 +259,22 @@ impl Meter<'_> {
             self.admission.grow(self.what, bytes - self.granted)?;
             self.granted = bytes;
         }
+        self.reserved = self.reserved.max(bytes);
         Ok(())
     }
 
-    /// Makes sure that `bytes` in all are granted. Grants half as much again ahead, as vectors that are pushed to hold
-    /// more than their length.
+    /// Makes sure that vectors may be pushed to until they hold `bytes` of content in all. A vector that doubles has up to
+    /// three times its content while it copies from its old place to its new one; that much is granted, and a step more.
     ///
     /// # Errors
     /// [`Interrupt`].
     #[inline]
     pub fn reach(&mut self, bytes: u64) -> Result<(), Interrupt> {
-        if bytes <= self.granted {
+        let needed = bytes.saturating_mul(3);
+        if bytes <= self.reserved || needed <= self.granted {
             return Ok(());
         }
-        let ahead = bytes.saturating_add((bytes / 2).max(STEP));
+        let ahead = needed.saturating_add((needed / 8).max(STEP));
         self.admission.grow(self.what, ahead - self.granted)?;
         self.granted = ahead;
         Ok(())
@@ -303,10 +313,13 @@ mod tests {
         let memory = HostMemory::new(64 << 20);
         let admission = Admission::new(&memory);
         let mut meter = admission.meter("points");
+        meter.reach_exactly(1 << 20).unwrap();
         meter.reach(1 << 20).unwrap();
-        assert_eq!(admission.held(), 5 << 20);
-        meter.reach(5 << 20).unwrap();
-        assert_eq!(admission.held(), 5 << 20, "granted ahead");
+        assert_eq!(admission.held(), 1 << 20, "all of it has its place");
+        meter.reach(2 << 20).unwrap();
+        assert_eq!(admission.held(), 10 << 20, "an old copy, a new one of twice its size, a step");
+        meter.reach(3 << 20).unwrap();
+        assert_eq!(admission.held(), 10 << 20, "granted ahead");
         assert!(matches!(meter.reach(60 << 20), Err(Interrupt::OutOfMemory(_))));
         let kept = admission.keep(1 << 20);
         admission.cancel();

@@ -56,24 +56,8 @@ impl Arena {
             return None;
         }
         let growth = missing.max(self.capacity / 2).min(self.max_capacity - self.capacity);
-        let grown = self.capacity + growth;
-        let mut encoder = gpu.device.create_command_encoder(&Default::default());
-        let streams: Vec<Buffer> = self
-            .streams
-            .iter()
-            .zip(&self.strides)
-            .map(|(old, stride)| {
-                let new = Buffer::storage(gpu, self.label, u64::from(grown) * stride);
-                let bytes = (u64::from(self.capacity) * stride).next_multiple_of(4).min(old.size());
-                encoder.copy_buffer_to_buffer(old.raw(), 0, new.raw(), 0, bytes);
-                new
-            })
-            .collect();
-        gpu.queue.submit([encoder.finish()]);
-        self.streams = streams;
-        self.ranges.release(self.capacity, growth);
         self.ranges.grow(growth);
-        self.capacity = grown;
+        self.resize(gpu, self.capacity + growth);
         self.ranges.allocate(length)
     }
 
@@ -97,10 +81,27 @@ impl Arena {
         &self.streams[stream]
     }
 
-    /// Begins anew, and small, where nothing is held: buffers only grow otherwise.
+    /// Gives back the free end where that is more than half of the arena: buffers only grow otherwise.
     pub fn trim(&mut self, gpu: &Gpu) {
-        if self.ranges.is_empty() && self.capacity > INITIAL {
-            *self = Arena::new(gpu, self.label, &self.strides);
+        let held = self.capacity - self.ranges.tail();
+        let enough = held.max(INITIAL).min(self.max_capacity);
+        if enough < self.capacity / 2 {
+            self.ranges.shrink(enough);
+            self.resize(gpu, enough);
         }
+    }
+
+    /// Moves the streams to buffers of `capacity` elements, with what both have room for.
+    fn resize(&mut self, gpu: &Gpu, capacity: u32) {
+        let mut encoder = gpu.device.create_command_encoder(&Default::default());
+        for (stream, stride) in self.streams.iter_mut().zip(&self.strides) {
+            let new = Buffer::storage(gpu, self.label, u64::from(capacity) * stride);
+            let both = u64::from(self.capacity.min(capacity)) * stride;
+            let bytes = both.next_multiple_of(4).min(stream.size()).min(new.size());
+            encoder.copy_buffer_to_buffer(stream.raw(), 0, new.raw(), 0, bytes);
+            *stream = new;
+        }
+        gpu.queue.submit([encoder.finish()]);
+        self.capacity = capacity;
     }
 }

@@ -167,7 +167,7 @@ export function faultOf(path) {
     for (const name of ['eye', 'target']) if (!isVector(key[name])) return `${place}.${name}: needs three numbers`;
     if (distance(key.eye, key.target) === 0) return `${place}.target: must differ from eye`;
     if (key.up != null && !(isVector(key.up) && norm(key.up) > 0)) return `${place}.up: needs three numbers that are not all 0`;
-    if (key.fov != null && !(key.fov > 0 && key.fov < 180)) return `${place}.fov: must lie between 0 and 180 degrees`;
+    if (key.fov != null && !(key.fov >= 1e-6 && key.fov <= 179.999999)) return `${place}.fov: must be 0.000001 to 179.999999 degrees`;
     if (key.ease != null && !EASES.includes(key.ease)) return `${place}.ease: accepted are ${EASES.join(', ')}`;
   }
   return null;

@@ -9,6 +9,7 @@ use std::time::Duration;
 use pointillist::assets::Progress;
 use pointillist::bake::cache::BakeCache;
 use pointillist::engine::{BakeSource, EngineError, EstimateState, FrameRequest, Latch, SceneInfo};
+use pointillist::memory::HostMemory;
 use pointillist::plan::{Output, Reconstruct, Settings, Wait};
 use serde_json::json;
 
@@ -228,6 +229,26 @@ fn auto_draws_what_is_there_and_says_that_it_is_provisional() {
         let late = (engine.final_etag(&dense).unwrap().unwrap(), studio.bytes(&dense));
         assert!(late == early, "the same tag, the same bytes");
     }
+}
+
+/// An estimate that failed because others held the memory is made once they have given it back.
+#[test]
+fn estimates_are_made_once_there_is_memory() {
+    let memory = HostMemory::new(64 << 20);
+    let studio = Studio::with(|config| {
+        config.estimate_at_once = 1000;
+        config.memory = memory.clone();
+    });
+    studio.write("wall.ply", wall(SIDE as usize, |_, _| [90; 3]));
+    studio.load_json("cloud", &cloud_scene("wall.ply"));
+    let others = memory.reserve("others", memory.budget() - memory.in_use()).unwrap();
+    let request = open("cloud", Wait::Ready);
+    let shown = || studio.frame(&request).receipt.settings.provisional.clone();
+    eventually("the refusal", || shown().is_some_and(|told| told.contains("cannot be estimated")));
+    assert_eq!(state(&studio, "cloud"), EstimateState::Failed);
+    drop(others);
+    eventually("the estimate", || shown().is_none());
+    assert_eq!(state(&studio, "cloud"), EstimateState::Complete);
 }
 
 #[test]
