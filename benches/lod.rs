@@ -58,7 +58,7 @@ fn repeats() -> (u32, u32) {
 }
 
 fn spt(reconstruct: Reconstruct, max_error: MaxError) -> Settings {
-    Settings { lod: Lod::Spt, max_error, reconstruct, ..Settings::default() }
+    Settings { lod: Lod::Spt, max_error_px: max_error, reconstruct, ..Settings::default() }
 }
 
 fn statue(points: u64) -> anyhow::Result<PathBuf> {
@@ -354,7 +354,7 @@ fn errors(report: &mut Report) -> anyhow::Result<()> {
             let (times, decibels) = (taken.gpu_ms()?, median(decibels));
             let name = match shot.settings.lod {
                 Lod::Full => "full detail".to_owned(),
-                Lod::Spt => format!("{} px", shot.settings.max_error.px()),
+                Lod::Spt => format!("{} px", shot.settings.max_error_px.px()),
             };
             report.value(&format!("{name}, {how}, GPU ms"), median(&times));
             report.value(&format!("{name}, {how}, PSNR dB"), decibels);

@@ -109,7 +109,7 @@ fn main() -> anyhow::Result<()> {
         for (how, reconstruct) in HOWS.into_iter().filter(|(how, _)| wanted(how)) {
             let settings = |px: f32| Settings {
                 lod: Lod::Spt,
-                max_error: MaxError::new(px * SCALE as f32).unwrap_or_default(),
+                max_error_px: MaxError::new(px * SCALE as f32).unwrap_or_default(),
                 reconstruct,
                 ..Settings::default()
             };

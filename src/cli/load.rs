@@ -23,6 +23,7 @@ use crate::load::streams::StreamClients;
 use crate::load::thresholds::{EXIT_CODE, Thresholds};
 use crate::load::wire::{SceneAnswer, Target, percent_encoded};
 use crate::load::{drive::Client, plot, tally::Outcome};
+use crate::plan::Given;
 use crate::scene::random::SplitMix64;
 
 /// Rates beyond this are no longer kept by one thread.
@@ -135,24 +136,8 @@ struct FrameArgs {
     /// Which image of the frame
     #[arg(long)]
     output: Option<String>,
-    /// Level of detail
-    #[arg(long)]
-    lod: Option<String>,
-    /// What --lod spt may be wrong by
-    #[arg(long, value_name = "PX")]
-    max_error_px: Option<String>,
-    /// What samples are drawn as
-    #[arg(long)]
-    reconstruct: Option<String>,
-    /// Of splats, as are those that follow
-    #[arg(long)]
-    filter: Option<String>,
-    #[arg(long, hide = true)]
-    prefilter: Option<String>,
-    #[arg(long, hide = true)]
-    blend: Option<String>,
-    #[arg(long, hide = true)]
-    shading: Option<String>,
+    #[command(flatten)]
+    settings: Given,
     /// Any other parameter of a frame; may be given again
     #[arg(long = "param", value_name = "NAME=VALUE", value_parser = parameter)]
     parameters: Vec<(String, String)>,
@@ -198,23 +183,13 @@ fn parameter(text: &str) -> Result<(String, String), String> {
 impl FrameArgs {
     /// Query parameters beside the pose.
     fn query(&self) -> Vec<(String, String)> {
-        let given = [
-            ("quality", &self.quality),
-            ("output", &self.output),
-            ("lod", &self.lod),
-            ("max_error_px", &self.max_error_px),
-            ("reconstruct", &self.reconstruct),
-            ("filter", &self.filter),
-            ("prefilter", &self.prefilter),
-            ("blend", &self.blend),
-            ("shading", &self.shading),
-        ];
+        let given = [("quality", &self.quality), ("output", &self.output)];
         let (width, height) = self.size;
         let always =
             [("w", width.to_string()), ("h", height.to_string()), ("format", self.format.clone())];
         let given = given.into_iter().filter_map(|(name, value)| Some((name, value.clone()?)));
         let named = always.into_iter().chain(given).map(|(name, value)| (name.to_owned(), value));
-        named.chain(self.parameters.iter().cloned()).collect()
+        named.chain(self.settings.pairs()).chain(self.parameters.iter().cloned()).collect()
     }
 }
 

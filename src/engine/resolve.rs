@@ -138,7 +138,7 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     let is_single = settings.reconstruct == Reconstruct::Fuzzy && facts.has_samples;
     let fits = || {
         let splats = settings.splats(&loaded.model.splats);
-        let accepted_px = if facts.trees { settings.max_error.px() } else { 0.0 };
+        let accepted_px = if facts.trees { settings.max_error_px.px() } else { 0.0 };
         splats.is_none_or(|s| Slabs::new(&s, &loaded.extent, &view, accepted_px).fit())
     };
     let refused = if !is_single {
@@ -163,7 +163,6 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     };
     let key = entity_tag(&loaded, request, &tagged, &view, &adapter);
     let extent = loaded.extent;
-    let max_error = request.settings.max_error;
     Ok(Resolved {
         model,
         view,
@@ -173,7 +172,7 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
         provisional,
         auto,
         in_three_passes,
-        max_error,
+        max_error: request.settings.max_error_px,
         key,
     })
 }
@@ -221,7 +220,7 @@ fn grounds(
     let settings = &request.settings;
     let (larger, max_error) = match settings.decide_for {
         Some(still) => (f64::from(still.height) / f64::from(request.height), still.max_error),
-        None => (1.0, settings.max_error),
+        None => (1.0, settings.max_error_px),
     };
     auto::Grounds {
         lod: settings.lod,
@@ -351,11 +350,8 @@ fn entity_tag(
         request.format as u8,
         request.output as u8,
     ]);
-    hasher.update([settings.lod as u8, settings.reconstruct as u8]);
-    if settings.lod == Lod::Spt {
-        hasher.update(settings.max_error.px().to_le_bytes());
-        hasher.update([settings.paint as u8, settings.error_mode as u8]);
-    }
+    // The rest of what the scene says of splats is in its digest.
+    hasher.update(settings.settled(drawing.splats.as_ref()).canonical());
     if *is_provisional {
         hasher.update(b"provisional");
     }
@@ -363,15 +359,6 @@ fn entity_tag(
         // The receipt has them.
         hasher.update(b"auto");
         hasher.update(choice.spacing_px.unwrap_or(-1.0).to_bits().to_le_bytes());
-    }
-    if let Some(splats) = &drawing.splats {
-        // The scene's part in it is in the digest.
-        hasher.update([
-            splats.filter as u8,
-            splats.blend as u8,
-            splats.shading as u8,
-            u8::from(splats.prefilter),
-        ]);
     }
     hasher.update(loaded.digest);
     hasher.update(loaded.model.revision.to_le_bytes());

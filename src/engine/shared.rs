@@ -18,6 +18,7 @@ use super::queue::cost::{CostKey, Costs};
 use super::queue::{Class, Client, Granted, Moment, Queue, Shares, Taken, lateness};
 use super::trace::Origin;
 use super::{EngineConfig, EngineError, EngineStats, FrameRequest, Readiness};
+use crate::plan::Settings;
 use crate::residency::model::SceneModel;
 
 /// The adapter in use.
@@ -133,17 +134,7 @@ fn cost_key(request: &FrameRequest, resolved: &Resolved) -> CostKey {
     let reconstruct = resolved.auto.map_or(settings.reconstruct, |choice| choice.reconstruct);
     let mut hasher = DefaultHasher::new();
     scene.hash(&mut hasher);
-    let discriminants = [
-        Some(*output as u8),
-        Some(settings.lod as u8),
-        Some(reconstruct as u8),
-        settings.filter.map(|filter| filter as u8),
-        settings.prefilter.map(u8::from),
-        settings.blend.map(|blend| blend as u8),
-        settings.shading.map(|shading| shading as u8),
-        Some(settings.error_mode as u8),
-    ];
-    (discriminants, settings.max_error.px().to_bits()).hash(&mut hasher);
+    (*output as u8, Settings { reconstruct, ..*settings }.canonical()).hash(&mut hasher);
     let pixels = u64::from(*width) * u64::from(*height);
     CostKey { kind: hasher.finish(), pixels }
 }

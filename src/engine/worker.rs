@@ -26,7 +26,7 @@ use super::{EncodedFrame, EngineError};
 use crate::gpu::{GpuError, GpuOptions};
 use crate::memory;
 use crate::passes::srgb8;
-use crate::plan::{Pass, Reconstruct, UsedSettings};
+use crate::plan::{Pass, Reconstruct, Settings, UsedSettings};
 use crate::residency::layout::GpuStats;
 use crate::residency::layout::MOST_ROWS;
 
@@ -392,6 +392,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
             why: planned.skipped.map(str::to_owned),
         })
         .collect();
+    let used = Settings { reconstruct: drawing.reconstruct, ..job.request.settings };
     Receipt {
         request_id: job.request_id.as_str().to_owned(),
         scene: job.request.scene.clone(),
@@ -401,11 +402,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         views: drawn.views,
         camera: resolved.camera.clone(),
         settings: UsedSettings {
-            lod: job.request.settings.lod,
-            error_mode: (resolved.model.trees && drawing.splats.is_some())
-                .then_some(job.request.settings.error_mode),
-            paint: resolved.model.trees.then_some(job.request.settings.paint),
-            reconstruct: drawing.reconstruct,
+            applied: used.applied().beside(&drawing.splats),
             provisional: resolved.provisional.clone(),
             asked: resolved.auto.map(|_| Reconstruct::Auto),
             because: resolved.auto.map(|choice| choice.because()),
@@ -413,7 +410,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
             instead_because: drawing.instead_because,
             splats: drawing.splats,
         },
-        max_error_px: resolved.model.trees.then(|| job.request.settings.max_error.px()),
+        max_error_px: used.applied().max_error_px,
         estimated_error_px: None,
         passes,
         nothing_visible: nothing_visible(drawn),

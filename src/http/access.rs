@@ -108,7 +108,7 @@ fn parse_hash(hex: &str) -> Option<[u8; 32]> {
 /// The scope that a request needs; `None` for what anybody may see.
 pub fn needed(method: &Method, route: &str) -> Option<Scope> {
     match route {
-        "/" | "/viewer/{file}" | "/healthz" | "/readyz" | "/openapi.yaml" => None,
+        "/" | "/viewer/{file}" | "/healthz" | "/readyz" | "/openapi.yaml" | "/v1/settings" => None,
         // Renders, and changes nothing.
         "/v1/scenes/{id}/frames" => Some(Scope::Read),
         _ if method == Method::GET || method == Method::HEAD => Some(Scope::Read),

@@ -12,6 +12,7 @@ use super::problem::{Kind, Problem};
 use super::{App, Caller, Segments, conditional, headers};
 use crate::encode::ImageFormat;
 use crate::engine::{EncodedFrame, EngineError, FrameRequest, FrameTicket, Origin, RequestId};
+use crate::plan::Given;
 
 use super::params::FrameParams;
 
@@ -38,6 +39,7 @@ const REVALIDATE: HeaderValue = HeaderValue::from_static("no-cache");
     params(
         ("id" = String, Path, description = "A scene that `GET /v1/scenes` lists"),
         FrameParams,
+        Given,
         ("If-None-Match" = Option<String>, Header, description = "Entity tags that the client has"),
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`, where `deadline_ms` is not given"),
     ),

@@ -208,7 +208,7 @@ pub(crate) struct Owner {
 }
 
 /// Every route, as the counters and the access rules name them.
-const ROUTES: [&str; 27] = [
+const ROUTES: [&str; 28] = [
     "/",
     "/viewer/{file}",
     "/healthz",
@@ -217,6 +217,7 @@ const ROUTES: [&str; 27] = [
     "/openapi.yaml",
     "/v1/limits",
     "/v1/scene-schema.json",
+    "/v1/settings",
     "/v1/scenes",
     "/v1/scenes/{id}",
     "/v1/scenes/{id}/retry",
@@ -256,6 +257,7 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/openapi.yaml", get(service::openapi))
         .route("/v1/limits", get(service::limits))
         .route("/v1/scene-schema.json", get(service::scene_schema))
+        .route("/v1/settings", get(service::settings))
         .route("/v1/scenes", get(scenes::list).post(upload::create))
         .route("/v1/scenes/{id}", get(scenes::show).delete(scenes::remove))
         .route("/v1/scenes/{id}/retry", post(upload::retry))

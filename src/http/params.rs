@@ -15,15 +15,15 @@ use serde::de::{DeserializeOwned, IntoDeserializer, value::StrDeserializer};
 use utoipa::{IntoParams, ToSchema};
 
 pub use check::{MAX_DEADLINE_MS, MAX_NAME_CHARS, QUALITY_RANGE};
-pub use names::{NAMES, Names, check_name, unknown_name};
+pub use names::{Names, check_name, names, unknown_name};
 
 use super::problem::{Kind, Problem};
 use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
 use crate::json::whole;
 use crate::math::{Camera, View};
-use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings, Wait};
-use crate::scene::{Blend, Filter, Shading, Up, UpForm};
+use crate::plan::{Given, Output, SettingError, Settings, Wait};
+use crate::scene::{Up, UpForm};
 
 /// Width and height of a frame that names none.
 pub const DEFAULT_SIDE: u32 = 1024;
@@ -77,39 +77,9 @@ pub struct FrameParams {
     #[param(value_type = Option<Output>)]
     #[schema(value_type = Option<Output>)]
     pub output: Option<String>,
-    /// Level of detail.
-    #[param(value_type = Option<Lod>)]
-    #[schema(value_type = Option<Lod>)]
-    pub lod: Option<String>,
-    /// What `lod=spt` may be wrong by, in pixels; 1 where none is given.
-    pub max_error_px: Option<f32>,
-    /// How splats of `lod=spt` measure that; `split` does not go with `reconstruct=points`.
-    #[param(value_type = Option<ErrorMode>)]
-    #[schema(value_type = Option<ErrorMode>)]
-    pub error_mode: Option<String>,
-    /// What the colours of samples show; `levels` needs `lod=spt`.
-    #[param(value_type = Option<Paint>)]
-    #[schema(value_type = Option<Paint>)]
-    pub paint: Option<String>,
-    /// What samples are drawn as; `auto`, the default, draws points where samples are denser than pixels and splats where they
-    /// are not, and the receipt says which and why.
-    #[param(value_type = Option<Reconstruct>)]
-    #[schema(value_type = Option<Reconstruct>)]
-    pub reconstruct: Option<String>,
-    /// How splats are taken to the image; as the scene has it where none is given. Not with `reconstruct=points`.
-    #[param(value_type = Option<Filter>)]
-    #[schema(value_type = Option<Filter>)]
-    pub filter: Option<String>,
-    /// Whether splats are convolved with a low-pass filter of the image. Not with `reconstruct=points`.
-    pub prefilter: Option<bool>,
-    /// What happens where splats overlap. Not with `reconstruct=points` or `fuzzy`.
-    #[param(value_type = Option<Blend>)]
-    #[schema(value_type = Option<Blend>)]
-    pub blend: Option<String>,
-    /// When splats are lit. Not with `reconstruct=points` or `fuzzy`.
-    #[param(value_type = Option<Shading>)]
-    #[schema(value_type = Option<Shading>)]
-    pub shading: Option<String>,
+    /// How the frame is drawn: the other parameters.
+    #[serde(skip)]
+    pub settings: Given,
     /// What `reconstruct=auto` does before normals and kernels of a large cloud are estimated: `ready` draws points at once and marks
     /// the answer as provisional, `complete` waits. All other frames wait for what they need.
     #[param(value_type = Option<Wait>)]
@@ -165,22 +135,11 @@ impl FrameParams {
             "format" => once(&mut self.format, name, value.to_owned()),
             "quality" => once(&mut self.quality, name, integer(name, value, "1 to 100")?),
             "output" => once(&mut self.output, name, value.to_owned()),
-            "lod" => once(&mut self.lod, name, value.to_owned()),
-            "max_error_px" => {
-                once(&mut self.max_error_px, name, number(name, value, "0.05 to 64")?)
-            }
-            "error_mode" => once(&mut self.error_mode, name, value.to_owned()),
-            "paint" => once(&mut self.paint, name, value.to_owned()),
-            "reconstruct" => once(&mut self.reconstruct, name, value.to_owned()),
-            "filter" => once(&mut self.filter, name, value.to_owned()),
-            "prefilter" => once(&mut self.prefilter, name, number(name, value, "true or false")?),
-            "blend" => once(&mut self.blend, name, value.to_owned()),
-            "shading" => once(&mut self.shading, name, value.to_owned()),
             "wait" => once(&mut self.wait, name, value.to_owned()),
             "deadline_ms" => {
                 once(&mut self.deadline_ms, name, number(name, value, "milliseconds above 0")?)
             }
-            _ => Err(unknown_name(name, &NAMES, &[])),
+            _ => Ok(self.settings.set_text(name, value)?),
         }
     }
 
@@ -190,21 +149,28 @@ impl FrameParams {
             "" => name.to_owned(),
             place => format!("{place}.{name}"),
         };
-        if let Some(object) = value.as_object() {
+        let mut value = value;
+        let mut settings = Given::default();
+        if let Some(object) = value.as_object_mut() {
             for name in object.keys() {
                 check_name(name).map_err(|problem| problem.at(locate(name)))?;
             }
+            for name in Given::NAMES {
+                let Some(value) = object.remove(*name) else { continue };
+                settings.set(name, value).map_err(|error| Problem::from(error).at(locate(name)))?;
+            }
         }
-        serde_path_to_error::deserialize(value).map_err(|error| {
+        let params: FrameParams = serde_path_to_error::deserialize(value).map_err(|error| {
             let path = error.path().to_string();
             let at = if path == "." { place.to_owned() } else { locate(&path) };
             Problem::new(Kind::BadBody, format!("{at}: {}", error.inner())).at(at)
-        })
+        })?;
+        Ok(FrameParams { settings, ..params })
     }
 
     /// Fills what is missing from `defaults`. A pose is taken whole: one that is given another way
     /// replaces that of the defaults, only `up`, `fov` and `proj` are inherited by their own kind.
-    /// Who asks for points inherits nothing that only splats have, who asks for full detail no accepted error.
+    /// Settings are inherited as [`Given::or`] says.
     pub fn or(self, defaults: &FrameParams) -> FrameParams {
         let posed = self.pose_parameter().is_some();
         let empty = FrameParams::default();
@@ -213,13 +179,6 @@ impl FrameParams {
         let by_matrix = self.view.is_some() || self.proj.is_some();
         let of = |yes: bool| if yes || !posed { defaults } else { &empty };
         let (camera, eye, matrix) = (of(false), of(by_eye), of(by_matrix));
-        let other =
-            |words: &[&str]| self.reconstruct.as_deref().is_some_and(|w| !words.contains(&w));
-        let kernels = if other(&["auto", "splats", "fuzzy"]) { &empty } else { defaults };
-        let splats = if other(&["auto", "splats"]) { &empty } else { defaults };
-        let whole = self.lod.as_deref().is_some_and(|word| word == "full");
-        let detail = if whole { &empty } else { defaults };
-        let split = if other(&["auto", "splats", "fuzzy"]) { &empty } else { detail };
         FrameParams {
             camera: self.camera.or_else(|| camera.camera.clone()),
             eye: self.eye.or(eye.eye),
@@ -233,15 +192,7 @@ impl FrameParams {
             format: self.format.or_else(|| defaults.format.clone()),
             quality: self.quality.or(defaults.quality),
             output: self.output.or_else(|| defaults.output.clone()),
-            max_error_px: self.max_error_px.or(detail.max_error_px),
-            error_mode: self.error_mode.or_else(|| split.error_mode.clone()),
-            paint: self.paint.or_else(|| detail.paint.clone()),
-            lod: self.lod.or_else(|| defaults.lod.clone()),
-            reconstruct: self.reconstruct.or_else(|| defaults.reconstruct.clone()),
-            filter: self.filter.or_else(|| kernels.filter.clone()),
-            prefilter: self.prefilter.or(kernels.prefilter),
-            blend: self.blend.or_else(|| splats.blend.clone()),
-            shading: self.shading.or_else(|| splats.shading.clone()),
+            settings: self.settings.or(&defaults.settings),
             wait: self.wait.or_else(|| defaults.wait.clone()),
             deadline_ms: self.deadline_ms.or(defaults.deadline_ms),
         }
@@ -298,75 +249,8 @@ impl FrameParams {
     }
 
     fn settings(&self) -> Result<Settings, Problem> {
-        let reconstruct: Reconstruct = choice("reconstruct", self.reconstruct.as_deref())?;
-        let kernels = [("filter", self.filter.is_some()), ("prefilter", self.prefilter.is_some())];
-        let passes = [("blend", self.blend.is_some()), ("shading", self.shading.is_some())];
-        let given =
-            |of: &[(&'static str, bool)]| of.iter().find(|(_, given)| *given).map(|of| of.0);
-        let refused = match reconstruct {
-            Reconstruct::Points => given(&kernels).or(given(&passes)),
-            Reconstruct::Fuzzy => given(&passes),
-            Reconstruct::Splats | Reconstruct::Auto => None,
-        };
-        if let Some(name) = refused {
-            return Err(match reconstruct {
-                Reconstruct::Fuzzy => Problem::parameter(
-                    name,
-                    "splats in a single pass are blended and lit in one way only",
-                    "together with `reconstruct=splats`, or left out",
-                ),
-                _ => Problem::parameter(
-                    name,
-                    "only splats have one",
-                    "together with `reconstruct=splats` or `auto`, or left out",
-                ),
-            });
-        }
-        let lod: Lod = choice("lod", self.lod.as_deref())?;
-        if self.max_error_px.is_some() && lod == Lod::Full {
-            return Err(Problem::parameter(
-                "max_error_px",
-                "full detail has none",
-                "together with `lod=spt`, or left out",
-            ));
-        }
-        let max_error = self.max_error_px.and_then(MaxError::new).unwrap_or_default();
-        let paint: Paint = choice("paint", self.paint.as_deref())?;
-        if paint == Paint::Levels && lod == Lod::Full {
-            let reason = "full detail has no levels";
-            return Err(Problem::parameter(
-                "paint",
-                reason,
-                "together with `lod=spt`, or `colors`",
-            ));
-        }
-        let error_mode: ErrorMode = choice("error_mode", self.error_mode.as_deref())?;
-        if error_mode == ErrorMode::Split
-            && (lod == Lod::Full || reconstruct == Reconstruct::Points)
-        {
-            let reason = match lod {
-                Lod::Full => "full detail has no error",
-                Lod::Spt => "points are chosen by their size, whatever they are seen at",
-            };
-            return Err(Problem::parameter(
-                "error_mode",
-                reason,
-                "together with `lod=spt` and `reconstruct=splats`, `fuzzy` or `auto`, or `unified`",
-            ));
-        }
-        Ok(Settings {
-            paint,
-            lod,
-            max_error,
-            error_mode,
-            reconstruct,
-            decide_for: None,
-            filter: chosen("filter", self.filter.as_deref())?,
-            prefilter: self.prefilter,
-            blend: chosen("blend", self.blend.as_deref())?,
-            shading: chosen("shading", self.shading.as_deref())?,
-            wait: choice("wait", self.wait.as_deref())?,
-        })
+        let wait = choice("wait", self.wait.as_deref())?;
+        Ok(Settings { wait, ..self.settings.resolve()? })
     }
 
     fn pose(&self, width: u32, height: u32) -> Result<Pose, Problem> {
@@ -416,6 +300,13 @@ impl FrameParams {
     }
 }
 
+impl From<SettingError> for Problem {
+    fn from(error: SettingError) -> Problem {
+        let accepted = error.accepted(|name, value| format!("{name}={value}"));
+        Problem::parameter(error.setting, error.reason, accepted)
+    }
+}
+
 pub fn once<T>(slot: &mut Option<T>, name: &str, value: T) -> Result<(), Problem> {
     match slot.replace(value) {
         None => Ok(()),
@@ -460,14 +351,6 @@ fn numbers<const N: usize>(name: &str, value: &str) -> Result<[f64; N], Problem>
         return Err(fail(format!("{count} numbers given")));
     }
     Ok(found)
-}
-
-/// A choice that may be left to the scene.
-fn chosen<T: DeserializeOwned + Default>(
-    name: &str,
-    value: Option<&str>,
-) -> Result<Option<T>, Problem> {
-    value.map(|value| choice(name, Some(value))).transpose()
 }
 
 /// A word of a closed list. The accepted ones are what the type itself deserialises, so that a new setting needs no second

@@ -13,6 +13,7 @@ use utoipa::ToSchema;
 use super::problem::{Kind, Problem, nearest};
 use super::{App, NoQuery, Phase, ROUTES, metrics as exposition, openapi_yaml};
 use crate::engine::{Limits, Readiness};
+use crate::plan::{self, Setting};
 
 const PLAIN: [(HeaderName, HeaderValue); 2] = [
     (header::CONTENT_TYPE, HeaderValue::from_static("text/plain; charset=utf-8")),
@@ -102,6 +103,24 @@ pub async fn scene_schema() -> Response {
     const SCHEMA: HeaderValue = HeaderValue::from_static("application/schema+json");
     let text = crate::scene::json_schema().to_string();
     ([(header::CONTENT_TYPE, SCHEMA)], text).into_response()
+}
+
+/// Settings of a frame, in the order in which the viewer shows them.
+#[derive(Serialize, ToSchema)]
+pub struct SettingList {
+    settings: &'static [Setting],
+}
+
+/// The settings that a frame may have: names, values, defaults, and which go with which others.
+#[utoipa::path(
+    get,
+    path = "/v1/settings",
+    operation_id = "getSettings",
+    tag = "service",
+    responses((status = 200, description = "The settings", body = SettingList)),
+)]
+pub async fn settings(_: NoQuery) -> Json<SettingList> {
+    Json(SettingList { settings: plan::declared() })
 }
 
 /// What the server takes on at most.

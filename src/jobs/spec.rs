@@ -8,8 +8,7 @@ use sha2::{Digest, Sha256};
 use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
 use crate::film::manifest::digits;
-use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings, Wait};
-use crate::scene::{Blend, Filter, Shading};
+use crate::plan::{Given, Output, Reconstruct, Settings, Wait};
 
 /// A camera path of a scene, drawn frame by frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -46,63 +45,48 @@ pub struct Want {
 
 /// A [`FrameRequest`] without scene, pose and deadline.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(from = "StoredFrame")]
 pub struct FrameSpec {
     pub width: u32,
     pub height: u32,
     pub format: ImageFormat,
     pub quality: u8,
     pub output: Output,
-    pub lod: Lod,
-    pub max_error_px: f32,
-    /// Jobs of earlier versions have none.
-    #[serde(default)]
-    pub error_mode: ErrorMode,
-    pub paint: Paint,
-    /// Jobs of earlier versions that name none are drawn as points.
-    #[serde(default = "points")]
-    pub reconstruct: Reconstruct,
-    pub filter: Option<Filter>,
-    pub prefilter: Option<bool>,
-    pub blend: Option<Blend>,
-    pub shading: Option<Shading>,
+    #[serde(flatten)]
+    pub settings: Given,
 }
 
-fn points() -> Reconstruct {
-    Reconstruct::Points
+/// A [`FrameSpec`] as any version has stored it.
+#[derive(Deserialize)]
+struct StoredFrame {
+    width: u32,
+    height: u32,
+    format: ImageFormat,
+    quality: u8,
+    output: Output,
+    #[serde(flatten)]
+    settings: Given,
+}
+
+impl From<StoredFrame> for FrameSpec {
+    /// Earlier versions stored settings that had no say, and none that said how samples are drawn: those jobs get points.
+    fn from(stored: StoredFrame) -> FrameSpec {
+        let StoredFrame { width, height, format, quality, output, settings } = stored;
+        let settings = settings.or(&Settings::drawn_as(Reconstruct::Points).applied());
+        let settings = Settings::from(settings).applied();
+        FrameSpec { width, height, format, quality, output, settings }
+    }
 }
 
 impl FrameSpec {
     pub fn new(request: &FrameRequest) -> FrameSpec {
-        let Settings {
-            lod,
-            max_error,
-            error_mode,
-            paint,
-            reconstruct,
-            // Frames of films are all still.
-            decide_for: _,
-            filter,
-            prefilter,
-            blend,
-            shading,
-            // Frames of a job always wait for everything.
-            wait: _,
-        } = request.settings;
         FrameSpec {
             width: request.width,
             height: request.height,
             format: request.format,
             quality: request.quality,
             output: request.output,
-            lod,
-            max_error_px: max_error.px(),
-            error_mode,
-            paint,
-            reconstruct,
-            filter,
-            prefilter,
-            blend,
-            shading,
+            settings: request.settings.applied(),
         }
     }
 }
@@ -110,40 +94,18 @@ impl FrameSpec {
 impl Spec {
     /// The request that all frames have in common; each has a pose of its own.
     pub fn request(&self) -> FrameRequest {
-        let FrameSpec {
-            lod,
-            error_mode,
-            paint,
-            reconstruct,
-            filter,
-            prefilter,
-            blend,
-            shading,
-            ..
-        } = self.frame;
-        // Was checked when the job was made.
-        let max_error = MaxError::new(self.frame.max_error_px).unwrap_or_default();
+        let FrameSpec { width, height, format, quality, output, settings } = self.frame;
+        // Frames of a job always wait for everything.
+        let settings = Settings { wait: Wait::Whole, ..Settings::from(settings) };
         FrameRequest {
             scene: self.scene.clone(),
             pose: Pose::FIT,
-            width: self.frame.width,
-            height: self.frame.height,
-            settings: Settings {
-                lod,
-                max_error,
-                error_mode,
-                paint,
-                reconstruct,
-                decide_for: None,
-                filter,
-                prefilter,
-                blend,
-                shading,
-                wait: Wait::Whole,
-            },
-            output: self.frame.output,
-            format: self.frame.format,
-            quality: self.frame.quality,
+            width,
+            height,
+            settings,
+            output,
+            format,
+            quality,
             deadline: None,
         }
     }
@@ -158,6 +120,8 @@ impl Spec {
 #[cfg(test)]
 pub mod tests {
     use super::*;
+    use crate::plan::{Lod, MaxError};
+    use crate::scene::Filter;
 
     pub fn spec(scene: &str) -> Spec {
         let request = FrameRequest {
@@ -167,7 +131,7 @@ pub mod tests {
             height: 48,
             settings: Settings {
                 lod: Lod::Spt,
-                max_error: MaxError::new(2.5).unwrap(),
+                max_error_px: MaxError::new(2.5).unwrap(),
                 ..Settings::default()
             },
             output: Output::Color,
@@ -184,6 +148,34 @@ pub mod tests {
             frame: FrameSpec::new(&request),
             want: Want { frames: true, video: false, bitrate_kbps: None },
         }
+    }
+
+    /// A frame of a job as the version before this one stored it.
+    const STORED: &str = r#"{
+        "width": 64, "height": 48, "format": "png", "quality": 85, "output": "color", "lod": "spt", "max_error_px": 2.5,
+        "error_mode": "unified", "paint": "colors", "reconstruct": "splats", "filter": "exact", "prefilter": false,
+        "blend": null, "shading": null
+    }"#;
+
+    #[test]
+    fn jobs_of_earlier_versions_stay_readable() {
+        let stored: FrameSpec = serde_json::from_str(STORED).unwrap();
+        let asked = Settings {
+            lod: Lod::Spt,
+            max_error_px: MaxError::new(2.5).unwrap(),
+            reconstruct: Reconstruct::Splats,
+            filter: Some(Filter::Exact),
+            prefilter: Some(false),
+            ..Settings::default()
+        };
+        let mut spec = spec("s");
+        spec.frame = stored;
+        assert_eq!(spec.request().settings, Settings { wait: Wait::Whole, ..asked });
+        // The same job asked for today is no other one.
+        let today = FrameRequest { settings: asked, ..spec.request() };
+        assert_eq!(FrameSpec::new(&today), stored);
+        let full: FrameSpec = serde_json::from_str(&STORED.replace("spt", "full")).unwrap();
+        assert_eq!(full.settings.max_error_px, None, "full detail has no error");
     }
 
     #[test]

@@ -9,7 +9,8 @@ mod settings;
 use serde::Serialize;
 
 pub use settings::{
-    ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Settings, StillFrame, UsedSettings, Wait,
+    Choice, ErrorMode, Given, Kind, Lod, MaxError, Output, Paint, Reconstruct, Rule, Setting,
+    SettingError, Settings, StillFrame, UsedSettings, Wait, declared,
 };
 
 use crate::scene::{Blend, Shading, Splats};

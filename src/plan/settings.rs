@@ -1,233 +1,496 @@
-//! What a request may choose.
+//! Settings of a frame, each declared once.
+//!
+//! [`settings!`] takes the declarations and makes of them
+//! - [`Given`]: the settings as a request gives them, in a query, a JSON body, a message of a stream, options of a command or a stored
+//!   job; what is `None` has its default, or is the scene's to say,
+//! - [`Settings`]: those that a frame is drawn with,
+//! - [`declared`]: their names, ranges, labels and rules, from which the viewer builds its controls and the docs their table.
+//!
+//! [`Given::resolve`] is the one place where settings are checked, and [`Settings::applied`] the one canonical form: entity tags, tags
+//! of films, cost estimates and receipts all use it, so a new setting cannot be missing in one of them.
 
+use std::sync::LazyLock;
+
+use clap::ValueEnum;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
 
-use crate::scene::{Blend, Filter, Shading, Splats};
+mod values;
 
-/// The choices that trade accuracy for time. What is `None` is as the scene has it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub struct Settings {
-    pub lod: Lod,
-    /// What `lod` may cost; full detail costs nothing.
-    pub max_error: MaxError,
-    /// How splats measure it.
-    pub error_mode: ErrorMode,
-    pub paint: Paint,
-    pub reconstruct: Reconstruct,
-    /// Frame that [`Reconstruct::Auto`] decides for, where that is another than the frame itself.
-    pub decide_for: Option<StillFrame>,
-    pub filter: Option<Filter>,
-    pub prefilter: Option<bool>,
-    pub blend: Option<Blend>,
-    pub shading: Option<Shading>,
-    /// What `auto` does before normals and kernels are there.
-    pub wait: Wait,
+pub use values::{
+    ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, StillFrame, UsedSettings, Wait,
+};
+
+use crate::scene::{Blend, Filter, Shading};
+
+/// A declared setting.
+#[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
+#[schema(as = SettingInfo)]
+pub struct Setting {
+    /// Name in queries, bodies and stored jobs; on the command line `_` is `-`.
+    pub name: &'static str,
+    /// Short text for a control.
+    pub label: &'static str,
+    /// Description, in sentences.
+    pub help: String,
+    #[serde(flatten)]
+    pub kind: Kind,
+    /// Where one of these does not hold, a value other than the default is refused.
+    pub needs: Vec<Rule>,
+    /// Where one of these does not hold, the setting has no effect worth a control. `output`, `samples` and `lights` are facts of the
+    /// frame and its scene.
+    pub useful_with: Vec<Rule>,
 }
 
-/// What a frame waits for whose samples lack normals or kernels, where it is left open how they are drawn.
-#[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema,
-)]
-#[serde(rename_all = "snake_case")]
-pub enum Wait {
-    /// Nothing: it shows points, and its receipt says that this is provisional.
-    #[default]
-    Ready,
-    /// All that this frame needs.
-    Complete,
-    /// All that any frame of the scene may need, so that frames of a film are drawn alike.
+/// Values that a setting takes.
+#[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+#[schema(as = SettingKind)]
+pub enum Kind {
+    Choice {
+        choices: Vec<Choice>,
+        /// `null`: as the scene has it.
+        default: Option<String>,
+    },
+    /// `true` or `false`; where it is not given, as the scene has it.
+    Flag,
+    Number {
+        least: f64,
+        most: f64,
+        default: f64,
+        unit: &'static str,
+    },
+}
+
+/// A value of a [`Kind::Choice`].
+#[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
+#[schema(as = SettingChoice)]
+pub struct Choice {
+    pub value: String,
+    pub help: String,
+}
+
+/// A setting or fact that must have one of these values.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, utoipa::ToSchema)]
+#[schema(as = SettingRule)]
+pub struct Rule {
+    pub of: &'static str,
+    pub is: &'static [&'static str],
+    /// Reason for a refusal.
     #[serde(skip)]
-    Whole,
+    why: &'static str,
 }
 
-/// A still frame, which frames of a moving pose stand in for: all of them are drawn alike.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct StillFrame {
-    pub height: u32,
-    pub max_error: MaxError,
+/// A setting that cannot be used.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{setting}: {reason}")]
+pub struct SettingError {
+    pub setting: &'static str,
+    pub reason: String,
+    accepted: Accepted,
 }
 
-impl Settings {
-    /// The defaults, with samples drawn in a given way.
-    pub fn drawn_as(reconstruct: Reconstruct) -> Settings {
-        Settings { reconstruct, ..Settings::default() }
-    }
+#[derive(Clone, Debug, PartialEq)]
+enum Accepted {
+    Values(String),
+    /// What the setting needs beside it, and the default that would do as well.
+    With(Vec<Rule>, Option<String>),
+}
 
-    /// How samples are drawn as splats, if they are; `scene`: what the scene says.
-    pub fn splats(&self, scene: &Splats) -> Option<Splats> {
-        let of_kernels = Splats {
-            filter: self.filter.unwrap_or(scene.filter),
-            prefilter: self.prefilter.unwrap_or(scene.prefilter),
-            ..*scene
-        };
-        match self.reconstruct {
-            // `auto` has been decided before it comes to this.
-            Reconstruct::Points | Reconstruct::Auto => None,
-            Reconstruct::Splats => Some(Splats {
-                blend: self.blend.unwrap_or(scene.blend),
-                shading: self.shading.unwrap_or(scene.shading),
-                ..of_kernels
-            }),
-            // What is added up cannot be lit any more.
-            Reconstruct::Fuzzy => {
-                Some(Splats { blend: Blend::Interleaved, shading: Shading::Splat, ..of_kernels })
+impl SettingError {
+    /// What would be accepted; `pair` writes a setting with its value in the caller's notation.
+    pub fn accepted(&self, pair: impl Fn(&str, &str) -> String) -> String {
+        match &self.accepted {
+            Accepted::Values(values) => values.clone(),
+            Accepted::With(needs, default) => {
+                let default = default.as_ref().map(|value| format!("`{value}`"));
+                let default = default.unwrap_or_else(|| "left out".to_owned());
+                format!("together with {}, or {default}", in_words(needs, pair))
             }
         }
     }
+}
 
-    /// What is drawn where a single pass will not do.
-    pub fn in_three_passes(&self) -> Settings {
-        Settings {
-            reconstruct: Reconstruct::Splats,
-            blend: Some(Blend::Weighted),
-            shading: Some(Shading::Splat),
-            ..*self
+impl Setting {
+    /// Settings that must stand beside this one for a value other than its default, in words; `None` where none must.
+    pub fn needs_in_words(&self, pair: impl Fn(&str, &str) -> String) -> Option<String> {
+        (!self.needs.is_empty()).then(|| in_words(&self.needs, pair))
+    }
+}
+
+fn in_words(needs: &[Rule], pair: impl Fn(&str, &str) -> String) -> String {
+    let rules = needs.iter().map(|rule| {
+        let (first, others) = rule.is.split_first().unwrap_or((&"", &[]));
+        let first = format!("`{}`", pair(rule.of, first));
+        let others = others.iter().map(|value| format!("`{value}`"));
+        alternatives(&std::iter::once(first).chain(others).collect::<Vec<_>>())
+    });
+    rules.collect::<Vec<_>>().join(" and ")
+}
+
+/// `a`, `a or b`, `a, b or c`.
+fn alternatives(words: &[String]) -> String {
+    match words {
+        [] => String::new(),
+        [one] => one.clone(),
+        [others @ .., last] => format!("{} or {last}", others.join(", ")),
+    }
+}
+
+impl Rule {
+    const fn new(of: &'static str, is: &'static [&'static str], why: &'static str) -> Rule {
+        Rule { of, is, why }
+    }
+
+    fn holds(&self, words: &Map<String, Value>) -> bool {
+        words.get(self.of).and_then(Value::as_str).is_some_and(|word| self.is.contains(&word))
+    }
+}
+
+impl Kind {
+    fn choice<T: ValueEnum>(default: Option<T>) -> Kind {
+        let values = T::value_variants().iter().filter_map(ValueEnum::to_possible_value);
+        let choices = values.map(|value| Choice {
+            value: value.get_name().to_owned(),
+            help: value.get_help().map(ToString::to_string).unwrap_or_default(),
+        });
+        let default = default.and_then(|default| default.to_possible_value());
+        Kind::Choice {
+            choices: choices.collect(),
+            default: default.map(|value| value.get_name().to_owned()),
         }
     }
-}
 
-/// An error that may be accepted, in pixels: 1 unless said otherwise.
-#[derive(Clone, Copy, Debug)]
-pub struct MaxError {
-    px: f32,
-}
-
-impl MaxError {
-    /// Least and most that can be asked for.
-    pub const RANGE_PX: [f32; 2] = [0.05, 64.0];
-
-    /// `None` for what is out of [`MaxError::RANGE_PX`].
-    pub fn new(px: f32) -> Option<MaxError> {
-        let [least, most] = MaxError::RANGE_PX;
-        (least..=most).contains(&px).then_some(MaxError { px })
+    fn scenes<T: ValueEnum>() -> Kind {
+        Kind::choice::<T>(None)
     }
 
-    pub fn px(self) -> f32 {
-        self.px
+    fn own<T: ValueEnum + Default>() -> Kind {
+        Kind::choice(Some(T::default()))
     }
-}
 
-impl Default for MaxError {
-    fn default() -> Self {
-        MaxError { px: 1.0 }
+    /// The values, in words.
+    pub fn accepted(&self) -> String {
+        match self {
+            Kind::Choice { choices, .. } => {
+                let values: Vec<&str> =
+                    choices.iter().map(|choice| choice.value.as_str()).collect();
+                values.join(if values.len() == 2 { " or " } else { ", " })
+            }
+            Kind::Flag => "true or false".to_owned(),
+            Kind::Number { least, most, unit, .. } => format!("{least} to {most} {unit}"),
+        }
+    }
+
+    fn is_default(&self, value: &Value) -> bool {
+        matches!(self, Kind::Choice { default: Some(default), .. } if value == default)
     }
 }
 
-impl PartialEq for MaxError {
-    fn eq(&self, other: &Self) -> bool {
-        self.px.to_bits() == other.px.to_bits()
+/// Where samples are drawn as splats, or may be.
+const SPLATS: Rule = Rule::new("reconstruct", &["splats", "fuzzy", "auto"], "only splats have one");
+/// Splats whose passes blend and light them apart.
+const PASSES: Rule = Rule::new(
+    "reconstruct",
+    &["splats", "auto"],
+    "points have none, and splats in a single pass are blended and lit in one way only",
+);
+const TREES: Rule = Rule::new("lod", &["spt"], "full detail has no error and no levels");
+/// Samples in the scene, or those of meshes whose detail is chosen.
+const SAMPLES: Rule = Rule::new("samples", &["some"], "");
+const SURELY_SPLATS: Rule = Rule::new("reconstruct", &["splats", "fuzzy"], "");
+const THREE_PASSES: Rule = Rule::new("reconstruct", &["splats"], "");
+const COLORS: Rule = Rule::new("output", &["color"], "");
+
+macro_rules! settings {
+    ($(
+        $(#[doc = $doc:literal])+
+        $name:ident: $given:ident => $used:ty {
+            label: $label:literal, kind: $kind:expr, needs: [$($need:expr),*], useful_with: [$($useful:expr),*]
+        }
+    )+) => {
+        /// Settings as a request gives them.
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, clap::Args, utoipa::ToSchema, utoipa::IntoParams)]
+        #[into_params(parameter_in = Query)]
+        #[schema(as = Settings)]
+        pub struct Given {
+            $(
+                $(#[doc = $doc])+
+                #[arg(long)]
+                #[serde(skip_serializing_if = "Option::is_none")]
+                pub $name: Option<$given>,
+            )+
+        }
+
+        /// Settings that a frame is drawn with; `None` is as the scene has it.
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize)]
+        pub struct Settings {
+            $( $(#[doc = $doc])+ pub $name: $used, )+
+            /// Frame that [`Reconstruct::Auto`] decides for, where that is another than the frame itself.
+            #[serde(skip)]
+            pub decide_for: Option<StillFrame>,
+            /// What `auto` does before normals and kernels are there.
+            #[serde(skip)]
+            pub wait: Wait,
+        }
+
+        static DECLARED: LazyLock<Vec<Setting>> = LazyLock::new(|| vec![$(
+            Setting {
+                name: stringify!($name),
+                label: $label,
+                help: concat!($($doc),+).trim().to_owned(),
+                kind: $kind,
+                needs: vec![$($need),*],
+                useful_with: vec![$($useful),*],
+            },
+        )+]);
+
+        impl Given {
+            /// Names of all settings, in the order of their declaration.
+            pub const NAMES: &[&str] = &[$(stringify!($name)),+];
+
+            /// Takes a value that was written as JSON; `null` takes what was given before away.
+            ///
+            /// # Errors
+            /// A name that no setting has, or a value of another type.
+            pub fn set(&mut self, name: &str, value: Value) -> Result<(), SettingError> {
+                match name {
+                    $( stringify!($name) => self.$name = read(stringify!($name), value)?, )+
+                    _ => {
+                        let accepted = Accepted::Values(Given::NAMES.join(", "));
+                        let reason = format!("there is no setting `{name}`");
+                        return Err(SettingError { setting: "", reason, accepted });
+                    }
+                }
+                Ok(())
+            }
+
+            fn over(&self, defaults: &Given) -> Given {
+                Given { $( $name: self.$name.or(defaults.$name), )+ }
+            }
+        }
+
+        impl From<Given> for Settings {
+            /// The settings without any check: a stored job was checked when it was made.
+            fn from(given: Given) -> Settings {
+                Settings {
+                    $( $name: given.$name.map(<$used>::from).unwrap_or_default(), )+
+                    ..Settings::default()
+                }
+            }
+        }
+    };
+}
+
+settings! {
+    /// Level of detail; `full` where none is given.
+    lod: Lod => Lod {
+        label: "Detail", kind: Kind::own::<Lod>(), needs: [], useful_with: []
+    }
+    /// Error that `spt` may make, in pixels, 0.05 to 64; 1 where none is given.
+    max_error_px: f32 => MaxError {
+        label: "Error", kind: MaxError::kind(), needs: [TREES], useful_with: []
+    }
+    /// Way in which splats of `spt` measure that error; `unified` where none is given.
+    error_mode: ErrorMode => ErrorMode {
+        label: "Error seen", kind: Kind::own::<ErrorMode>(),
+        needs: [TREES, Rule::new("reconstruct", SPLATS.is, "points are chosen by their size, from whatever side they are seen")],
+        useful_with: [SURELY_SPLATS]
+    }
+    /// What the colours of samples show; `colors` where none is given.
+    paint: Paint => Paint {
+        label: "Colours", kind: Kind::own::<Paint>(), needs: [TREES], useful_with: [COLORS]
+    }
+    /// What samples are drawn as; `auto` where none is given. The receipt says what `auto` chose and why.
+    reconstruct: Reconstruct => Reconstruct {
+        label: "Samples as", kind: Kind::own::<Reconstruct>(), needs: [], useful_with: [SAMPLES]
+    }
+    /// Projection of splats to the image; as the scene has it where none is given.
+    filter: Filter => Option<Filter> {
+        label: "Filter", kind: Kind::scenes::<Filter>(), needs: [SPLATS], useful_with: [SAMPLES, SURELY_SPLATS]
+    }
+    /// Whether splats are convolved with a low-pass filter of the image; as the scene has it where none is given.
+    prefilter: bool => Option<bool> {
+        label: "Prefilter", kind: Kind::Flag, needs: [SPLATS], useful_with: [SAMPLES, SURELY_SPLATS]
+    }
+    /// What happens where splats overlap; as the scene has it where none is given.
+    blend: Blend => Option<Blend> {
+        label: "Blend", kind: Kind::scenes::<Blend>(), needs: [PASSES], useful_with: [SAMPLES, THREE_PASSES]
+    }
+    /// When splats are lit; as the scene has it where none is given.
+    shading: Shading => Option<Shading> {
+        label: "Light", kind: Kind::scenes::<Shading>(), needs: [PASSES],
+        useful_with: [SAMPLES, THREE_PASSES, COLORS, Rule::new("blend", &["weighted"], ""), Rule::new("lights", &["some"], "")]
     }
 }
 
-impl Eq for MaxError {}
+/// All settings, in the order of their declaration.
+pub fn declared() -> &'static [Setting] {
+    &DECLARED
+}
 
-impl std::hash::Hash for MaxError {
-    fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
-        self.px.to_bits().hash(state);
+fn declaration(name: &str) -> Option<&'static Setting> {
+    DECLARED.iter().find(|setting| setting.name == name)
+}
+
+fn read<T: DeserializeOwned>(name: &'static str, value: Value) -> Result<Option<T>, SettingError> {
+    serde_json::from_value(value.clone()).map_err(|_| {
+        let shown: String = match value {
+            Value::String(text) => text,
+            other => other.to_string(),
+        };
+        let shown: String = shown.chars().take(64).collect();
+        unusable(name, format!("`{shown}` cannot be used"))
+    })
+}
+
+fn unusable(name: &'static str, reason: String) -> SettingError {
+    let accepted = declaration(name).map(|setting| setting.kind.accepted()).unwrap_or_default();
+    SettingError { setting: name, reason, accepted: Accepted::Values(accepted) }
+}
+
+fn words(settings: &impl Serialize) -> Map<String, Value> {
+    match serde_json::to_value(settings) {
+        Ok(Value::Object(words)) => words,
+        // Words, numbers and truth values always have a form in JSON.
+        _ => Map::new(),
     }
 }
 
-/// Settings as a frame was drawn with them.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, utoipa::ToSchema)]
-pub struct UsedSettings {
-    pub lod: Lod,
-    /// Only of point trees that are drawn as splats.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub error_mode: Option<ErrorMode>,
-    /// Only of point trees.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub paint: Option<Paint>,
-    pub reconstruct: Reconstruct,
-    /// Why the same request will be answered by another frame in a while: normals and kernels are being estimated.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub provisional: Option<String>,
-    /// Choice that was asked for, where it was `auto`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub asked: Option<Reconstruct>,
-    /// Why `auto` chose this, with figures.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub because: Option<String>,
-    /// Distance between neighbouring samples in pixels at the median over the picture, where `auto` looked at it.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub spacing_px: Option<f64>,
-    /// Why that is not what was asked for.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub instead_because: Option<&'static str>,
-    /// Only where samples are drawn as splats.
-    #[serde(flatten)]
-    pub splats: Option<Splats>,
+impl Given {
+    /// Takes a value that was written as text, as in a query.
+    ///
+    /// # Errors
+    /// As [`Given::set`]; a setting that was given before.
+    pub fn set_text(&mut self, name: &str, text: &str) -> Result<(), SettingError> {
+        if let Some(setting) = declaration(name).filter(|setting| self.has(setting.name)) {
+            let accepted = Accepted::Values("once".to_owned());
+            let reason = "given twice".to_owned();
+            return Err(SettingError { setting: setting.name, reason, accepted });
+        }
+        let number = || text.parse::<f64>().ok().and_then(serde_json::Number::from_f64);
+        let value = match text {
+            "true" => Value::Bool(true),
+            "false" => Value::Bool(false),
+            _ => number().map_or_else(|| Value::String(text.to_owned()), Value::Number),
+        };
+        self.set(name, value)
+    }
+
+    /// Names and values of what is given, as a query has them.
+    pub fn pairs(&self) -> Vec<(String, String)> {
+        let text = |value: Value| match value {
+            Value::String(word) => word,
+            // As short as the setting's own precision allows.
+            Value::Number(number) => (number.as_f64().unwrap_or_default() as f32).to_string(),
+            other => other.to_string(),
+        };
+        words(self).into_iter().map(|(name, value)| (name, text(value))).collect()
+    }
+
+    /// Without what `other` tells under the same name.
+    #[must_use]
+    pub fn beside(mut self, other: &impl Serialize) -> Given {
+        for name in words(other).keys().filter(|name| Given::NAMES.contains(&name.as_str())) {
+            // Nothing is wrong with `null`.
+            let _ = self.set(name, Value::Null);
+        }
+        self
+    }
+
+    fn has(&self, name: &str) -> bool {
+        words(self).contains_key(name)
+    }
+
+    /// Fills what is missing from `defaults`, but for settings that this one's own make meaningless: with points asked for, nothing that
+    /// only splats have is inherited, with full detail no accepted error.
+    #[must_use]
+    pub fn or(&self, defaults: &Given) -> Given {
+        let mut merged = self.over(defaults);
+        let (own, used) = (words(self), words(&Settings::from(merged)));
+        for setting in declared().iter().filter(|setting| !own.contains_key(setting.name)) {
+            let unfit = |rule: &Rule| own.contains_key(rule.of) && !rule.holds(&used);
+            if setting.needs.iter().any(unfit) {
+                // Nothing is wrong with `null`.
+                let _ = merged.set(setting.name, Value::Null);
+            }
+        }
+        merged
+    }
+
+    /// Refuses values out of range, whatever stands beside them.
+    ///
+    /// # Errors
+    /// The first such setting.
+    pub fn check(&self) -> Result<(), SettingError> {
+        let given = words(self);
+        for setting in declared() {
+            let (Some(value), Kind::Number { least, most, .. }) =
+                (given.get(setting.name), &setting.kind)
+            else {
+                continue;
+            };
+            // What is not finite is `null`.
+            if value.as_f64().is_none_or(|number| !(*least..=*most).contains(&number)) {
+                return Err(unusable(setting.name, format!("{value} is out of range")));
+            }
+        }
+        Ok(())
+    }
+
+    /// The settings that a frame is drawn with.
+    ///
+    /// # Errors
+    /// A value out of range, or a setting that does not go with another.
+    pub fn resolve(&self) -> Result<Settings, SettingError> {
+        self.check()?;
+        let settings = Settings::from(*self);
+        let (given, used) = (words(self), words(&settings));
+        for setting in declared() {
+            let Some(value) = given.get(setting.name) else { continue };
+            if setting.kind.is_default(value) {
+                continue;
+            }
+            if let Some(rule) = setting.needs.iter().find(|rule| !rule.holds(&used)) {
+                let default = match &setting.kind {
+                    Kind::Choice { default, .. } => default.clone(),
+                    Kind::Flag | Kind::Number { .. } => None,
+                };
+                return Err(SettingError {
+                    setting: setting.name,
+                    reason: rule.why.to_owned(),
+                    accepted: Accepted::With(setting.needs.clone(), default),
+                });
+            }
+        }
+        Ok(settings)
+    }
 }
 
-/// Level of detail.
-#[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema,
-)]
-#[serde(rename_all = "snake_case")]
-pub enum Lod {
-    /// Every sample and triangle.
-    #[default]
-    Full,
-    /// What the accepted error asks for, from sequential point trees (Dachsbacher et al. 2003).
-    Spt,
+impl Settings {
+    /// The canonical form: every setting that has a say in the frame, and no other. Frames with the same applied settings are the same.
+    #[must_use]
+    pub fn applied(&self) -> Given {
+        let used = words(self);
+        let mut given = Given::default();
+        for setting in declared().iter().filter(|s| s.needs.iter().all(|rule| rule.holds(&used))) {
+            if let Some(value) = used.get(setting.name) {
+                // Comes of the same type.
+                let _ = given.set(setting.name, value.clone());
+            }
+        }
+        given
+    }
+
+    /// Bytes of the canonical form, for hashes.
+    pub fn canonical(&self) -> Vec<u8> {
+        words(&self.applied())
+            .iter()
+            .flat_map(|(name, value)| format!("{name}={value};").into_bytes())
+            .collect()
+    }
 }
 
-/// How the error of a point tree's node is seen (Dachsbacher et al. 2003, §3.4).
-#[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema,
-)]
-#[serde(rename_all = "snake_case")]
-pub enum ErrorMode {
-    /// As large as from any side: what is accepted is kept everywhere.
-    #[default]
-    Unified,
-    /// By the angle to the surface: fewer nodes. Where a surface ends and is seen at an angle, it may reach sideways up to twice as
-    /// far beyond its end as is accepted.
-    Split,
-}
-
-/// What the colours of samples show.
-#[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema,
-)]
-#[serde(rename_all = "snake_case")]
-pub enum Paint {
-    /// The surface's own.
-    #[default]
-    Colors,
-    /// How high above the leaves of its tree each node stands (Dachsbacher et al. 2003, Fig. 1).
-    Levels,
-}
-
-/// How a surface is made of projected samples.
-#[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema,
-)]
-#[serde(rename_all = "snake_case")]
-pub enum Reconstruct {
-    /// Points where samples are denser than pixels, splats where they are not.
-    #[default]
-    Auto = 3,
-    /// One pixel a sample.
-    Points = 0,
-    /// Elliptical Gaussians in the samples' tangent planes (Zwicker et al. 2004).
-    Splats = 1,
-    /// The same, blended and depth-tested in a single pass (Dachsbacher et al. 2003, §5): faster, coarser in weights and depths.
-    Fuzzy = 2,
-}
-
-/// Which image of the frame is wanted.
-#[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema,
-)]
-#[serde(rename_all = "snake_case")]
-pub enum Output {
-    /// Shaded sRGB, straight alpha.
-    #[default]
-    Color,
-    /// Distance along the viewing axis in scene units; infinite where nothing is.
-    Depth,
-    /// World-space unit normals, `n · ½ + ½` in the colour channels.
-    Normal,
-    /// Which instance covers the pixel, see [`crate::encode::FrameImage::Id`].
-    Id,
-}
+#[cfg(test)]
+mod tests;

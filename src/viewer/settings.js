@@ -1,76 +1,130 @@
-// Settings of frames: each is a parameter of a frame and a control of the same name, whose first option is the default.
+// Settings of frames: those that the daemon declares (/v1/settings), each with a control of its name, and two of this page: which image
+// is shown, and how it is encoded at rest.
 
-import { $ } from './message.js';
+import { getJson } from './api.js';
+import { $, complain, fault } from './message.js';
 
-export const NAMES = ['output', 'lod', 'max_error_px', 'error_mode', 'paint', 'reconstruct', 'filter', 'prefilter', 'blend', 'shading', 'quality'];
-const OF_SPLATS = ['filter', 'prefilter', 'blend', 'shading'];
+const declared = await getJson('/v1/settings').then(answer => answer.settings, problem => { complain(problem, 'settings'); return []; });
+
+export const NAMES = ['output', ...declared.map(setting => setting.name), 'quality'];
 
 let scene = null;
+// Settings of the frame that was drawn last, with what the scene says.
+let drawn = {};
 
-// Whether splats are asked for, by name.
-const ofSplats = () => !['auto', 'points'].includes($('reconstruct').value);
+function control(setting) {
+  const label = document.createElement('label');
+  label.append(setting.label + ' ');
+  label.title = setting.help;
+  if (setting.kind === 'number') {
+    const input = document.createElement('input');
+    Object.assign(input, { id: setting.name, type: 'number', min: setting.least, max: setting.most, step: 'any', inputMode: 'decimal', placeholder: setting.default });
+    label.append(input);
+    return label;
+  }
+  const list = document.createElement('select');
+  list.id = setting.name;
+  const choices = setting.kind === 'flag' ? [{ value: 'true', text: 'on' }, { value: 'false', text: 'off' }] : setting.choices;
+  if (setting.default == null) list.append(new Option('as the scene', ''));
+  const first = choices.filter(choice => choice.value === setting.default);
+  for (const choice of [...first, ...choices.filter(choice => choice.value !== setting.default)]) {
+    const option = new Option(choice.text ?? choice.value, choice.value);
+    option.title = choice.help ?? '';
+    list.append(option);
+  }
+  label.append(list);
+  return label;
+}
+
+$('output').parentElement.after(...declared.map(control));
+
+const isNumber = name => $(name).type === 'number';
+const isDefault = name => isNumber(name) ? $(name).value === '' || !$(name).validity.valid : $(name).selectedIndex === 0;
+
+// What rules are held against: the settings and the scene. What nobody knows yet is missing.
+function facts() {
+  const found = { output: $('output').value, lights: scene?.lights > 0 ? 'some' : 'none' };
+  for (const { name } of declared) found[name] = $(name).value || drawn[name];
+  // Meshes have samples where detail is chosen.
+  found.samples = scene && (scene.samples || found.lod === 'spt') ? 'some' : 'none';
+  return found;
+}
 
 // Whether a setting means anything for this scene and the other settings.
-function applies(name) {
-  if (name === 'output' || name === 'lod') return true;
-  if (name === 'quality') return $('output').value === 'color';
-  if (name === 'max_error_px') return $('lod').value === 'spt';
-  if (name === 'error_mode') return $('lod').value === 'spt' && ofSplats();
-  if (name === 'paint') return $('lod').value === 'spt' && $('output').value === 'color';
-  // Meshes have samples where detail is chosen.
-  if (!scene || !(scene.samples || $('lod').value === 'spt')) return false;
-  if (name === 'reconstruct') return true;
-  if (!ofSplats()) return false;
-  if (name === 'filter' || name === 'prefilter') return true;
-  if ($('reconstruct').value === 'fuzzy') return false;
-  return name !== 'shading' || (scene.lights > 0 && $('blend').value !== 'opaque' && $('output').value === 'color');
+function applies(setting, found) {
+  return [...setting.needs, ...setting.useful_with].every(rule => found[rule.of] === undefined || rule.is.includes(String(found[rule.of])));
+}
+
+function applying() {
+  const found = facts();
+  const names = declared.filter(setting => applies(setting, found)).map(setting => setting.name);
+  return new Set(['output', ...(found.output === 'color' ? ['quality'] : []), ...names]);
 }
 
 function showSettings() {
-  for (const name of NAMES) $(name).parentElement.hidden = !applies(name);
+  const names = applying();
+  for (const name of NAMES) $(name).parentElement.hidden = !names.has(name);
 }
 
 export function ofScene(info) {
+  if (info !== scene) drawn = {};
   scene = info;
-  for (const name of OF_SPLATS) $(name).options[0].text = 'as the scene';
+  for (const setting of declared) if (setting.default == null) $(setting.name).options[0].text = 'as the scene';
   showSettings();
 }
 
 // Those that are not as they come, by name.
 export function chosen() {
-  return Object.fromEntries(NAMES.filter(name => applies(name) && $(name).selectedIndex > 0).map(name => [name, $(name).value]));
+  const names = applying();
+  return Object.fromEntries(NAMES.filter(name => names.has(name) && !isDefault(name)).map(name => [name, $(name).value]));
 }
 
 // What a frame is asked for with: only colours survive lossy compression.
 export function parameters() {
   const { quality, ...found } = chosen();
-  if (found.max_error_px) found.max_error_px = Number(found.max_error_px);
-  if (found.prefilter) found.prefilter = found.prefilter === 'true';
+  for (const { name, kind } of declared) {
+    if (!(name in found)) continue;
+    if (kind === 'number') found[name] = Number(found[name]);
+    if (kind === 'flag') found[name] = found[name] === 'true';
+  }
   return { ...found, ...(quality ? { format: 'jpeg', quality: Number(quality) } : { format: 'png' }) };
 }
 
 // What a setting takes, where it does not take this; otherwise null.
 export function refused(name, value) {
+  if (isNumber(name)) {
+    const { min, max } = $(name), number = value.trim() === '' ? NaN : Number(value);
+    return number >= Number(min) && number <= Number(max) ? null : `${min} to ${max}`;
+  }
   const values = [...$(name).options].map(o => o.value);
   return values.includes(value) ? null : values.filter(Boolean).join(', ');
 }
 
 export function restore(params) {
   for (const name of NAMES) {
-    const index = [...$(name).options].findIndex(o => o.value === params.get(name));
-    $(name).selectedIndex = Math.max(0, index);
+    const value = params.get(name);
+    if (isNumber(name)) $(name).value = value !== null && refused(name, value) === null ? value : '';
+    else $(name).selectedIndex = Math.max(0, [...$(name).options].findIndex(o => o.value === value));
   }
   showSettings();
 }
 
 // What the scene says, where nothing else was asked for.
 export function nameDefaults(used) {
-  for (const name of OF_SPLATS) {
+  drawn = used;
+  for (const { name } of declared.filter(setting => setting.default == null && setting.kind !== 'number')) {
     const list = $(name), found = [...list.options].find(o => o.value === String(used[name]));
     if (list.value === '' && found) list.options[0].text = `scene: ${found.text}`;
   }
+  showSettings();
 }
 
 export function onChange(changed) {
-  for (const name of NAMES) $(name).addEventListener('change', () => { showSettings(); changed(); });
+  for (const name of NAMES) {
+    $(name).addEventListener('change', () => {
+      if (isNumber(name)) fault($(name), $(name).validity.valid ? null : `${$(name).min} to ${$(name).max}; drawn with ${$(name).placeholder}`);
+      showSettings();
+      changed();
+    });
+  }
 }

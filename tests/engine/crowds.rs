@@ -65,8 +65,12 @@ fn looks(studio: &Studio, scene: &str) -> Vec<Vec<u8>> {
             (Reconstruct::Points, Output::Depth),
         ] {
             let max_error = MaxError::new(2.0).unwrap();
-            let settings =
-                Settings { lod: Lod::Spt, max_error, reconstruct, ..Settings::default() };
+            let settings = Settings {
+                lod: Lod::Spt,
+                max_error_px: max_error,
+                reconstruct,
+                ..Settings::default()
+            };
             let camera = Camera { eye, target: centre, up: DVec3::Y, fov_deg: 50.0 };
             let request = front(scene, side, side);
             let pose = Pose::Camera(camera);

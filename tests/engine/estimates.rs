@@ -196,7 +196,7 @@ fn auto_draws_what_is_there_and_says_that_it_is_provisional() {
         assert_eq!(engine.final_etag(&request).unwrap(), None, "it will be another frame");
         let frame = studio.frame(&request);
         let settings = &frame.receipt.settings;
-        assert_eq!(settings.reconstruct, Reconstruct::Points);
+        assert_eq!(settings.applied.reconstruct, Some(Reconstruct::Points));
         let told = settings.provisional.clone().unwrap();
         assert!(told.starts_with("normals and kernels are being estimated ("), "{told}");
         assert_eq!(state(&studio, scene), EstimateState::Running);
@@ -219,7 +219,7 @@ fn auto_draws_what_is_there_and_says_that_it_is_provisional() {
         eventually("the estimate", || state(&studio, scene) == EstimateState::Complete);
         let frame = studio.frame(&request);
         assert_eq!(frame.receipt.settings.provisional, None);
-        assert_eq!(frame.receipt.settings.reconstruct, Reconstruct::Splats);
+        assert_eq!(frame.receipt.settings.applied.reconstruct, Some(Reconstruct::Splats));
         let eager = self::studio(usize::MAX, &latch);
         same(&frame.bytes, &eager.bytes(&request), "the final frame");
         assert_eq!(
@@ -269,7 +269,7 @@ fn waiting_for_everything_gives_the_final_frame() {
     latch.open();
     let frame = studio.frame(&open("cloud", Wait::Complete));
     assert_eq!(frame.receipt.settings.provisional, None);
-    assert_eq!(frame.receipt.settings.reconstruct, Reconstruct::Splats);
+    assert_eq!(frame.receipt.settings.applied.reconstruct, Some(Reconstruct::Splats));
     assert_eq!(state(&studio, "cloud"), EstimateState::Complete);
 }
 

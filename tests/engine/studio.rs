@@ -135,7 +135,7 @@ pub fn front(scene: &str, width: u32, height: u32) -> FrameRequest {
 /// Level of detail from point trees.
 pub fn spt(px: f32, reconstruct: Reconstruct) -> Settings {
     let max_error = MaxError::new(px).unwrap();
-    Settings { lod: Lod::Spt, max_error, reconstruct, ..Settings::default() }
+    Settings { lod: Lod::Spt, max_error_px: max_error, reconstruct, ..Settings::default() }
 }
 
 /// The whole of a scene, as `output`, raw.

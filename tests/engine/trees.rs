@@ -287,7 +287,7 @@ fn a_split_error_draws_less_of_a_sculpture() {
     assert!(at(split(4.0)) != at(spt(4.0, Reconstruct::Splats)));
     let used =
         &studio.frame(&FrameRequest { settings: split(4.0), ..request }).receipt.settings.clone();
-    assert_eq!(used.error_mode, Some(ErrorMode::Split));
+    assert_eq!(used.applied.error_mode, Some(ErrorMode::Split));
 }
 
 /// How many nodes of a cloud's tree `bake::tree` would draw as splats, where all of it is in view.
@@ -299,7 +299,7 @@ fn drawn_by_twin(path: &Path, request: &FrameRequest, camera: &Camera) -> u64 {
     let Geometry::Points(cloud) = geometry else { panic!("no cloud") };
     let packed = build_tree(&unpack_samples(&pack_samples(&cloud).unwrap()), None).unwrap();
     let view = camera.view(request.width, request.height).unwrap();
-    let lod = request.settings.max_error.px() / view.focal_px.max_element() as f32;
+    let lod = request.settings.max_error_px.px() / view.focal_px.max_element() as f32;
     let mut count = 0;
     for chunk in &packed.chunks {
         for at in (chunk.first..chunk.first + chunk.count).map(|at| at as usize) {

@@ -20,7 +20,13 @@ fn fuzzy(filter: Filter) -> Settings {
 fn check(case: &Case, view: &View, settings: Settings, least: f64) -> Frames {
     let [single, narrow, _] = case.each_with(view, settings);
     let drawn = &single.receipt.settings;
-    assert_eq!(drawn.reconstruct, Reconstruct::Fuzzy, "{}: {:?}", case.id, drawn.instead_because);
+    assert_eq!(
+        drawn.applied.reconstruct,
+        Some(Reconstruct::Fuzzy),
+        "{}: {:?}",
+        case.id,
+        drawn.instead_because
+    );
     assert!(single.ran(Pass::FuseSplats) && !single.ran(Pass::ProjectSplats));
     let three = Settings {
         reconstruct: Reconstruct::Splats,
@@ -32,7 +38,7 @@ fn check(case: &Case, view: &View, settings: Settings, least: f64) -> Frames {
     let found = metrics::psnr(&twin.to_rgba8(), &single.color).unwrap();
     let [_, three_narrow, _] = case.each_with(view, three);
     let drawn = &narrow.receipt.settings;
-    assert_eq!(drawn.reconstruct, Reconstruct::Splats);
+    assert_eq!(drawn.applied.reconstruct, Some(Reconstruct::Splats));
     assert!(drawn.instead_because.unwrap().contains("64-bit atomics"));
     assert_eq!(narrow.color, three_narrow.color);
     let passes = metrics::psnr(&twin.to_rgba8(), &three_narrow.color).unwrap();
@@ -98,7 +104,8 @@ fn a_single_pass_draws_point_trees() {
         let view = case.view(camera, 320, 240);
         for px in [1.0, 4.0] {
             let max_error = MaxError::new(px).unwrap();
-            let single = Settings { lod: Lod::Spt, max_error, ..fuzzy(Filter::Perspective) };
+            let single =
+                Settings { lod: Lod::Spt, max_error_px: max_error, ..fuzzy(Filter::Perspective) };
             let [found, ..] = case.each_with(&view, single);
             let [expected, ..] = case.each_with(&view, single.in_three_passes());
             assert!(found.ran(Pass::FuseSplats) && expected.ran(Pass::BlendSplats));

@@ -108,7 +108,7 @@ fn splats() {
 fn level_of_detail() {
     let spt = |px, reconstruct| {
         let max_error = MaxError::new(px).unwrap();
-        Settings { lod: Lod::Spt, max_error, reconstruct, ..Settings::default() }
+        Settings { lod: Lod::Spt, max_error_px: max_error, reconstruct, ..Settings::default() }
     };
     compare_with("town", &["overview"], spt(1.0, Reconstruct::Splats), "-spt");
     compare_with("plaza", &["walk"], spt(1.0, Reconstruct::Splats), "-spt");

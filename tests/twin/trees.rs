@@ -40,7 +40,13 @@ fn check(case: &Case, views: &[View], reconstruct: Reconstruct, least_db: f64) {
             [0.5, 1.0, 3.0].into_iter().flat_map(|px| modes.map(|mode| (px, mode)))
         {
             let max_error = MaxError::new(px).unwrap();
-            let settings = Settings { lod: Lod::Spt, max_error, error_mode, reconstruct, ..full };
+            let settings = Settings {
+                lod: Lod::Spt,
+                max_error_px: max_error,
+                error_mode,
+                reconstruct,
+                ..full
+            };
             let [frames, ..] = case.each_with(view, settings);
             let found = covered_by_id(&frames.id);
             let distance = |a, b| farthest_px(a, b, view.width, view.height).unwrap();

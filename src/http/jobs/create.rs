@@ -186,9 +186,7 @@ fn spec(value: Value) -> Result<Spec, Problem> {
         let unavailable =
             params::check_name(name).err().filter(|problem| problem.kind == Kind::Unavailable);
         let mut known = NAMES.to_vec();
-        known.extend(
-            params::NAMES.iter().filter(|name| !NOT_HERE.iter().any(|(not, _)| not == *name)),
-        );
+        known.extend(params::names().filter(|name| !NOT_HERE.iter().any(|(not, _)| not == name)));
         return Err(unavailable.unwrap_or_else(|| unknown_name(name, &known, &SYNONYMS)));
     }
     let request: JobRequest = serde_path_to_error::deserialize(value).map_err(|error| {

@@ -11,6 +11,7 @@ use crate::jobs::book::Failure;
 use crate::jobs::{
     FailureKind, FrameSpec, JobError, Jobs, PathChoice, Refusal, Stage, State, StateError, View,
 };
+use crate::plan::Given;
 
 /// A job.
 #[derive(Serialize, ToSchema)]
@@ -103,7 +104,7 @@ pub struct JobFrames {
     coded: Option<u64>,
 }
 
-/// How frames are drawn; what is `null` is as the scene has it.
+/// How frames are drawn; a setting that is left out is as the scene has it, or has no say.
 #[derive(Serialize, ToSchema)]
 pub struct JobSettings {
     w: u32,
@@ -111,15 +112,8 @@ pub struct JobSettings {
     format: crate::encode::ImageFormat,
     quality: u8,
     output: crate::plan::Output,
-    lod: crate::plan::Lod,
-    max_error_px: f32,
-    error_mode: crate::plan::ErrorMode,
-    paint: crate::plan::Paint,
-    reconstruct: crate::plan::Reconstruct,
-    filter: Option<crate::scene::Filter>,
-    prefilter: Option<bool>,
-    blend: Option<crate::scene::Blend>,
-    shading: Option<crate::scene::Shading>,
+    #[serde(flatten)]
+    settings: Given,
 }
 
 /// A finished video.
@@ -164,15 +158,7 @@ impl JobSettings {
             format: frame.format,
             quality: frame.quality,
             output: frame.output,
-            lod: frame.lod,
-            max_error_px: frame.max_error_px,
-            error_mode: frame.error_mode,
-            paint: frame.paint,
-            reconstruct: frame.reconstruct,
-            filter: frame.filter,
-            prefilter: frame.prefilter,
-            blend: frame.blend,
-            shading: frame.shading,
+            settings: frame.settings,
         }
     }
 }

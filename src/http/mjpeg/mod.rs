@@ -34,6 +34,7 @@ use super::problem::Problem;
 use super::{App, Caller, Segments};
 use crate::encode::ImageFormat;
 use crate::engine::{EncodedFrame, FrameRequest, Origin, RequestId};
+use crate::plan::Given;
 use crate::scene::CameraPath;
 
 /// Frames a second that can be asked for.
@@ -70,7 +71,7 @@ pub struct ScreeningParams {
     path = "/v1/scenes/{id}/mjpeg",
     operation_id = "playFilm",
     tag = "frames",
-    params(("id" = String, Path, description = "A scene that `GET /v1/scenes` lists"), ScreeningParams, FrameParams),
+    params(("id" = String, Path, description = "A scene that `GET /v1/scenes` lists"), ScreeningParams, FrameParams, Given),
     responses((
         status = 200,
         description = "A JPEG a part, each to be shown in place of the one before",

@@ -10,7 +10,7 @@ use crate::http::jobs::create as job;
 use crate::http::names::{FILE_NAME_PATTERN, ID_PATTERN, MAX_FILE_NAME_BYTES};
 use crate::http::{frames, mjpeg, params, stream, upload};
 use crate::math::{FARTHEST, FOV_RANGE_DEG};
-use crate::plan::{MaxError, Output};
+use crate::plan::{self, Kind, Output};
 use crate::residency::layout::MOST_ROWS;
 use crate::scene::{LARGEST_COORDINATE, LARGEST_SCALE};
 
@@ -39,7 +39,6 @@ pub fn length_of(name: &str) -> Option<(&'static str, usize)> {
 
 /// What a frame's parameter of this name may be, in a query and in JSON alike.
 fn of_frame(name: &str) -> Option<Value> {
-    let [least_px, most_px] = MaxError::RANGE_PX;
     Some(match name {
         "camera" => json!({ "minLength": 1, "maxLength": params::MAX_NAME_CHARS }),
         "format" => json!({ "$ref": WANTED_FORMAT }),
@@ -53,9 +52,11 @@ fn of_frame(name: &str) -> Option<Value> {
             let [least, most] = params::QUALITY_RANGE;
             json!({ "minimum": least, "maximum": most })
         }
-        "max_error_px" => json!({ "minimum": exact(least_px), "maximum": exact(most_px) }),
         "deadline_ms" => json!({ "exclusiveMinimum": 0, "maximum": params::MAX_DEADLINE_MS }),
-        _ => return None,
+        setting => match plan::declared().iter().find(|known| known.name == setting)?.kind {
+            Kind::Number { least, most, .. } => number(least, most),
+            Kind::Choice { .. } | Kind::Flag => return None,
+        },
     })
 }
 
@@ -117,7 +118,13 @@ pub fn of_schemas(document: &mut Value) {
         }
     });
     let schemas = &mut document["components"]["schemas"];
-    for name in params::NAMES {
+    // Bodies have settings beside the other parameters.
+    if let Some(settings) = schemas["Settings"]["properties"].as_object().cloned()
+        && let Some(properties) = schemas["FrameParams"]["properties"].as_object_mut()
+    {
+        properties.extend(settings);
+    }
+    for name in params::names() {
         if let Some(bounds) = of_frame(name) {
             narrow(&mut schemas["FrameParams"]["properties"][name], bounds);
         }
@@ -230,9 +237,4 @@ pub fn narrow(schema: &mut Value, keywords: Value) {
 
 fn number(least: f64, most: f64) -> Value {
     json!({ "minimum": least, "maximum": most })
-}
-
-/// An `f32` with the digits that it is written with.
-fn exact(number: f32) -> f64 {
-    number.to_string().parse().unwrap_or(f64::from(number))
 }

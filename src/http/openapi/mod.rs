@@ -63,6 +63,7 @@ use crate::engine::Receipt;
         jobs::video::video,
         service::limits,
         service::scene_schema,
+        service::settings,
         service::healthz,
         service::readyz,
         service::metrics,

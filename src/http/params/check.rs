@@ -1,13 +1,12 @@
 //! Values that a parameter never takes, whatever stands beside it: the contract's schemas, enforced.
 
-use super::{FrameParams, choice, chosen};
-use crate::encode::ImageFormat;
+use super::{FrameParams, choice};
 use crate::engine::EngineError;
 use crate::http::problem::Problem;
 use crate::math::{FARTHEST, FOV_RANGE_DEG};
-use crate::plan::{ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, Wait};
+use crate::plan::Wait;
 use crate::residency::layout::MOST_ROWS;
-use crate::scene::{Blend, Filter, Shading, Up};
+use crate::scene::Up;
 
 /// Longest name of a camera, a path or a node in a request.
 pub const MAX_NAME_CHARS: usize = 256;
@@ -71,14 +70,6 @@ impl FrameParams {
                 format!("{least} to {most}"),
             );
         }
-        let [least, most] = MaxError::RANGE_PX;
-        if let Some(px) = self.max_error_px.filter(|px| MaxError::new(*px).is_none()) {
-            return refused(
-                "max_error_px",
-                format!("{px} is out of range"),
-                format!("{least} to {most} pixels"),
-            );
-        }
         if let Some(ms) = self.deadline_ms.filter(|ms| !(*ms > 0.0 && *ms <= MAX_DEADLINE_MS)) {
             let accepted = format!("milliseconds above 0, at most {MAX_DEADLINE_MS}");
             return refused("deadline_ms", format!("{ms} is out of range"), accepted);
@@ -87,16 +78,9 @@ impl FrameParams {
     }
 
     fn check_words(&self) -> Result<(), Problem> {
-        chosen::<ImageFormat>("format", self.format.as_deref())?;
-        choice::<Output>("output", self.output.as_deref())?;
-        choice::<Lod>("lod", self.lod.as_deref())?;
-        choice::<ErrorMode>("error_mode", self.error_mode.as_deref())?;
-        choice::<Paint>("paint", self.paint.as_deref())?;
-        choice::<Reconstruct>("reconstruct", self.reconstruct.as_deref())?;
-        chosen::<Filter>("filter", self.filter.as_deref())?;
-        chosen::<Blend>("blend", self.blend.as_deref())?;
-        chosen::<Shading>("shading", self.shading.as_deref())?;
+        self.format()?;
+        self.output()?;
         choice::<Wait>("wait", self.wait.as_deref())?;
-        Ok(())
+        Ok(self.settings.check()?)
     }
 }

@@ -1,9 +1,10 @@
 //! Which parameters there are, and what is said to who gives another.
 
 use crate::http::problem::{Kind, Problem, nearest};
+use crate::plan::Given;
 
-/// Every parameter of this version.
-pub const NAMES: [&str; 23] = [
+/// Parameters beside the settings.
+const OTHERS: [&str; 14] = [
     "camera",
     "eye",
     "target",
@@ -16,18 +17,14 @@ pub const NAMES: [&str; 23] = [
     "format",
     "quality",
     "output",
-    "lod",
-    "max_error_px",
-    "error_mode",
-    "paint",
-    "reconstruct",
-    "filter",
-    "prefilter",
-    "blend",
-    "shading",
     "wait",
     "deadline_ms",
 ];
+
+/// Every parameter of a frame.
+pub fn names() -> impl Iterator<Item = &'static str> {
+    OTHERS.into_iter().chain(Given::NAMES.iter().copied())
+}
 
 /// Parameters of the contract that this version does not have, and what it does instead.
 const UNAVAILABLE: [(&str, &str); 2] = [
@@ -72,15 +69,14 @@ impl Names {
         if let Some((name, why)) = self.without.iter().find(|(known, _)| *known == name) {
             return Err(refused(name, why, "leave it out"));
         }
-        if self.own.contains(&name) || NAMES.contains(&name) {
+        if self.own.contains(&name) || names().any(|known| known == name) {
             return Ok(());
         }
         if let Some((name, accepted)) = UNAVAILABLE.iter().find(|(known, _)| *known == name) {
             return Err(refused(name, "not available in this version", accepted));
         }
         let is_here = |name: &&str| !self.without.iter().any(|(not, _)| not == name);
-        let known: Vec<&str> =
-            self.own.iter().chain(NAMES.iter().filter(|name| is_here(name))).copied().collect();
+        let known: Vec<&str> = self.own.iter().copied().chain(names().filter(is_here)).collect();
         let synonyms: Vec<(&str, &str)> =
             SYNONYMS.into_iter().filter(|(_, meant)| is_here(meant)).collect();
         Err(unknown_name(name, &known, &synonyms))

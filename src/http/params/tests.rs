@@ -1,4 +1,6 @@
 use super::*;
+use crate::plan::{Lod, Reconstruct};
+use crate::scene::{Blend, Filter, Shading};
 
 fn request(query: &str) -> Result<FrameRequest, Problem> {
     FrameParams::from_query(Some(query))?.request("s", ImageFormat::Png, Instant::now())
@@ -68,7 +70,7 @@ fn names_are_those_of_the_way_of_asking() {
     assert!(detail.contains("it is never late"), "{detail}");
     let (_, detail, accepted) = problem("sped");
     assert!(detail.contains("did you mean `speed`"), "{detail}");
-    assert!(accepted.starts_with("speed, camera") && accepted.ends_with("wait"), "{accepted}");
+    assert!(accepted.starts_with("speed, camera") && accepted.ends_with("shading"), "{accepted}");
     let (_, detail, _) = problem("timeout");
     assert!(!detail.contains("deadline_ms"), "{detail}");
 }
@@ -160,7 +162,7 @@ fn settings_of_splats_in_both_notations() {
     let asked = request(QUERY).unwrap().settings;
     let expected = Settings {
         lod: Lod::Full,
-        max_error: Default::default(),
+        max_error_px: Default::default(),
         error_mode: Default::default(),
         paint: Default::default(),
         reconstruct: Reconstruct::Splats,
@@ -228,20 +230,11 @@ fn settings_of_splats_need_splats() {
 /// A body is refused as a whole for a word that no frame can have, wherever else its poses are at fault.
 #[test]
 fn words_are_checked_before_anything_else() {
-    for name in [
-        "format",
-        "output",
-        "lod",
-        "error_mode",
-        "paint",
-        "reconstruct",
-        "filter",
-        "blend",
-        "shading",
-        "wait",
-    ] {
-        let params = FrameParams::from_json(serde_json::json!({ name: "none" }), "").unwrap();
-        assert_eq!(params.check().unwrap_err().parameter.as_deref(), Some(name));
+    for name in ["format", "output", "wait"].iter().chain(Given::NAMES) {
+        let params = FrameParams::from_json(serde_json::json!({ *name: "none" }), "poses[3]");
+        let problem = params.and_then(|params| params.check()).unwrap_err();
+        let place = problem.parameter.as_deref().map(|place| place.trim_start_matches("poses[3]."));
+        assert_eq!((place, problem.status()), (Some(*name), 422));
     }
 }
 
@@ -252,8 +245,9 @@ fn settings_of_splats_are_inherited() {
         "prefilter": false, "blend": "opaque", "shading": "splat"}));
     assert_eq!(json(serde_json::json!({})).or(&defaults), defaults);
     let other = json(serde_json::json!({"prefilter": true, "filter": "exact"})).or(&defaults);
-    assert_eq!((other.prefilter, other.filter.as_deref()), (Some(true), Some("exact")));
-    assert_eq!((&other.blend, &other.shading), (&defaults.blend, &defaults.shading));
+    let (other, inherited) = (other.settings, defaults.settings);
+    assert_eq!((other.prefilter, other.filter), (Some(true), Some(Filter::Exact)));
+    assert_eq!((other.blend, other.shading), (inherited.blend, inherited.shading));
     let points = json(serde_json::json!({"reconstruct": "points"})).or(&defaults);
     assert!(points.request("s", ImageFormat::Png, Instant::now()).is_ok());
 }

@@ -37,6 +37,7 @@ use super::params::{FrameParams, Names};
 use super::problem::{Kind, Problem};
 use super::{App, Caller, Segments, naming};
 use crate::engine::RequestId;
+use crate::plan::Given;
 use session::Session;
 
 /// The subprotocol that is chosen when a client offers it.
@@ -78,7 +79,7 @@ const QUERY_NAMES: Names = Names { own: &[], without: WITHOUT };
     path = "/v1/scenes/{id}/stream",
     operation_id = "openStream",
     tag = "frames",
-    params(("id" = String, Path, description = "A scene that `GET /v1/scenes` lists"), FrameParams),
+    params(("id" = String, Path, description = "A scene that `GET /v1/scenes` lists"), FrameParams, Given),
     responses((status = 101, description = "A WebSocket from here on")),
 )]
 pub async fn stream(

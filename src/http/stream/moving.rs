@@ -42,7 +42,7 @@ impl Made {
         Made {
             format: request.format,
             jpeg_quality: (request.format == ImageFormat::Jpeg).then_some(request.quality),
-            max_error_px: (settings.lod == Lod::Spt).then(|| settings.max_error.px()),
+            max_error_px: (settings.lod == Lod::Spt).then(|| settings.max_error_px.px()),
         }
     }
 }
@@ -81,9 +81,9 @@ pub fn wanted(
         FrameParams { w: Some(side(still.width)), h: Some(side(still.height)), ..params.clone() };
     let mut request = still_request(id, &smaller)?;
     // Decided for the frame that follows at rest, so that points do not turn into splats when the pose stops.
-    let max_error = still.settings.max_error;
+    let max_error = still.settings.max_error_px;
     request.settings.decide_for = Some(StillFrame { height: still.height, max_error });
-    request.settings.max_error = moving_error(max_error, pace.coarseness);
+    request.settings.max_error_px = moving_error(max_error, pace.coarseness);
     // Who asked for what a browser shows can show a JPEG; of other formats nothing is known.
     let shown = matches!(request.format, ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Webp);
     if shown && request.output == Output::Color {

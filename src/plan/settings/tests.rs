@@ -1,0 +1,161 @@
+use super::*;
+use serde_json::json;
+
+fn given(query: &str) -> Given {
+    let mut given = Given::default();
+    for pair in query.split('&').filter(|pair| !pair.is_empty()) {
+        let (name, value) = pair.split_once('=').unwrap();
+        given.set_text(name, value).unwrap();
+    }
+    given
+}
+
+/// A value of a setting that is not its default, with what it needs beside it.
+fn other_value(setting: &Setting) -> Given {
+    let value = match &setting.kind {
+        Kind::Choice { choices, default } => {
+            let other = choices.iter().find(|choice| Some(&choice.value) != default.as_ref());
+            other.unwrap().value.clone()
+        }
+        Kind::Flag => "false".to_owned(),
+        Kind::Number { least, .. } => least.to_string(),
+    };
+    let mut given = Given::default();
+    for rule in &setting.needs {
+        given.set_text(rule.of, rule.is[0]).unwrap();
+    }
+    given.set_text(setting.name, &value).unwrap();
+    given
+}
+
+/// Tags, cost estimates and receipts are made of the canonical form: a setting that is not in it would be lost in all of them.
+#[test]
+fn every_setting_has_a_say_in_the_canonical_form() {
+    for setting in declared() {
+        let other = other_value(setting);
+        let mut without = other;
+        without.set(setting.name, Value::Null).unwrap();
+        let [with, without] = [other, without].map(|given| given.resolve().unwrap());
+        assert_ne!(with, without, "{}", setting.name);
+        assert_ne!(with.canonical(), without.canonical(), "{}", setting.name);
+        assert_eq!(Settings::from(with.applied()), with, "{}", setting.name);
+        // In each notation the same.
+        let json = serde_json::to_value(other).unwrap();
+        assert_eq!(serde_json::from_value::<Given>(json).unwrap(), other);
+        let query: Vec<String> =
+            other.pairs().iter().map(|(name, value)| format!("{name}={value}")).collect();
+        assert_eq!(given(&query.join("&")), other);
+    }
+}
+
+#[test]
+fn declarations_are_complete() {
+    let names: Vec<&str> = declared().iter().map(|setting| setting.name).collect();
+    assert_eq!(names, Given::NAMES);
+    let used = words(&Settings::default());
+    assert!(names.iter().all(|name| used.contains_key(*name)) && used.len() == names.len());
+    for setting in declared() {
+        assert!(setting.help.ends_with('.') && !setting.help.contains("  "), "{}", setting.help);
+        for rule in setting.needs.iter().chain(&setting.useful_with) {
+            let kind = declaration(rule.of).map(|setting| &setting.kind);
+            let Some(Kind::Choice { choices, .. }) = kind else {
+                assert!(["output", "samples", "lights"].contains(&rule.of), "{}", rule.of);
+                continue;
+            };
+            let is_value = |value: &&str| choices.iter().any(|choice| choice.value == *value);
+            assert!(rule.is.iter().all(is_value), "{}", setting.name);
+        }
+        if let Kind::Choice { choices, .. } = &setting.kind {
+            assert!(choices.iter().all(|choice| !choice.help.is_empty()), "{}", setting.name);
+        }
+    }
+}
+
+#[test]
+fn what_does_not_go_together_is_refused() {
+    let refused = |query: &str| {
+        let error = given(query).resolve().unwrap_err();
+        (error.setting, error.accepted(|name, value| format!("{name}={value}")))
+    };
+    assert_eq!(
+        refused("error_mode=split"),
+        (
+            "error_mode",
+            "together with `lod=spt` and `reconstruct=splats`, `fuzzy` or `auto`, or `unified`"
+                .to_owned()
+        )
+    );
+    assert_eq!(refused("max_error_px=2").1, "together with `lod=spt`, or left out");
+    assert_eq!(refused("lod=spt&max_error_px=65").1, "0.05 to 64 pixels");
+    // What changes nothing is no fault.
+    for harmless in ["error_mode=unified", "paint=colors", "lod=full&reconstruct=auto"] {
+        assert_eq!(given(harmless).resolve().unwrap(), Settings::default());
+    }
+    let mut huge = given("lod=spt");
+    huge.set("max_error_px", json!(1e300)).unwrap();
+    assert_eq!(huge.resolve().unwrap_err().setting, "max_error_px");
+    assert!(Given::default().set("max_errors", json!(1)).is_err());
+}
+
+#[test]
+fn settings_without_meaning_are_not_inherited() {
+    let defaults =
+        given("lod=spt&max_error_px=4&paint=levels&reconstruct=splats&blend=opaque&filter=exact");
+    assert_eq!(given("").or(&defaults), defaults);
+    assert_eq!(
+        given("lod=full").or(&defaults),
+        given("lod=full&reconstruct=splats&blend=opaque&filter=exact")
+    );
+    let points = given("reconstruct=points").or(&defaults);
+    assert_eq!(points, given("lod=spt&max_error_px=4&paint=levels&reconstruct=points"));
+    let fuzzy = given("reconstruct=fuzzy").or(&defaults);
+    assert_eq!((fuzzy.blend, fuzzy.filter), (None, Some(Filter::Exact)));
+    // A fault of the defaults alone is told of.
+    assert!(given("").or(&given("paint=levels")).resolve().is_err());
+}
+
+/// The page of the docs that the declarations make.
+fn page() -> String {
+    let mut page = String::from(
+        "# Settings of a frame\n\n\
+         How a frame is drawn. Settings are parameters of a frame (`?lod=spt`), fields of a JSON body, of a message of a stream and of a job \
+         (`\"lod\": \"spt\"`), and options of `render`, `path` and `load` (`--lod spt`; `_` becomes `-`). The viewer has a control for each. \
+         `GET /v1/settings` serves the same list as JSON. The receipt of a frame names the settings that had a say in it.\n\n\
+         A setting that needs another is refused without it, unless it has its default.\n\n\
+         | setting | values | default | needs | meaning |\n|---|---|---|---|---|\n",
+    );
+    for setting in declared() {
+        let (values, default) = match &setting.kind {
+            Kind::Choice { choices, default } => {
+                let values: Vec<String> =
+                    choices.iter().map(|choice| format!("`{}`", choice.value)).collect();
+                (values.join(", "), default.as_ref().map(|value| format!("`{value}`")))
+            }
+            Kind::Flag => ("`true`, `false`".to_owned(), None),
+            Kind::Number { default, .. } => (setting.kind.accepted(), Some(default.to_string())),
+        };
+        let default = default.unwrap_or_else(|| "the scene’s".to_owned());
+        let needs = setting.needs_in_words(|name, value| format!("{name}={value}"));
+        let needs = needs.unwrap_or_default();
+        let Setting { name, help, .. } = setting;
+        page += &format!("| `{name}` | {values} | {default} | {needs} | {help} |\n");
+    }
+    page += "\n## Values\n\n| setting | value | meaning |\n|---|---|---|\n";
+    for setting in declared() {
+        let Kind::Choice { choices, .. } = &setting.kind else { continue };
+        for Choice { value, help } in choices {
+            page += &format!("| `{}` | `{value}` | {help} |\n", setting.name);
+        }
+    }
+    page + "\nSee also [Choose a level of detail](level-of-detail.md) and [Draw samples as splats](splats.md).\n"
+}
+
+/// `UPDATE=1` writes the page anew.
+#[test]
+fn the_docs_list_what_is_declared() {
+    let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/settings.md");
+    if std::env::var_os("UPDATE").is_some() {
+        std::fs::write(&file, page()).unwrap();
+    }
+    assert_eq!(std::fs::read_to_string(file).unwrap(), page(), "UPDATE=1 writes it anew");
+}
