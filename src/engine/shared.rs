@@ -24,6 +24,8 @@ use crate::residency::model::SceneModel;
 #[derive(Clone, Debug, Default)]
 pub struct Adapter {
     pub name: String,
+    /// [`crate::passes::shaders::fingerprint`] of the device's shaders.
+    pub renderer: String,
     pub atomics_64: bool,
     pub atomic_sums_64: bool,
     pub rasterises: bool,

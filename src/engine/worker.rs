@@ -113,6 +113,7 @@ fn open(shared: &Shared, options: &GpuOptions) -> Result<Renderer, GpuError> {
     }
     shared.set_adapter(Adapter {
         name: renderer.gpu.name.clone(),
+        renderer: options.pipeline_source.clone(),
         atomics_64: renderer.gpu.atomics_64,
         atomic_sums_64: renderer.gpu.atomic_sums_64,
         rasterises: renderer.gpu.rasterises,
