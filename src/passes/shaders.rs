@@ -125,6 +125,7 @@ fragments![
     "resolve/resolve_fused",
     "resolve/resolve_triangles",
     "shade/shade",
+    "measure/measure_splats",
 ];
 
 /// How the visibility buffer is written.
