@@ -37,5 +37,9 @@ pub mod plan;
 pub mod residency;
 pub mod scene;
 
-/// The version that receipts, entity tags and `--version` report.
+/// The version that `--version` and reports name.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// Hash of everything that this program was built from, then the target and its features (`build.rs`). Programs that may draw
+/// different pixels have different builds.
+pub const BUILD: &str = env!("POINTILLIST_BUILD");

@@ -269,6 +269,24 @@ fn a_killed_bake_leaves_nothing() {
     assert_eq!(baked["assets"][0]["source"], "stored");
 }
 
+/// The report judges the shaders and no copy of their formulas: an error in one of them breaks its bounds.
+#[cfg(debug_assertions)]
+#[test]
+fn an_error_in_a_shader_breaks_the_bounds_of_the_stability_report() {
+    let shell = Shell::new();
+    let right = "let inverse_k = 1.0 / (1.0 - f2 * dot(slopes, slopes));";
+    let shader = include_str!("../shaders/shared/splat.wgsl");
+    assert!(shader.contains(right));
+    let wrong = shader.replace(right, "let inverse_k = 1.0;");
+    std::fs::create_dir_all(shell.path("shaders/shared")).unwrap();
+    std::fs::write(shell.path("shaders/shared/splat.wgsl"), wrong).unwrap();
+    let mut command = shell.command(&["accuracy", "--stability", "--count", "20"]);
+    let output = command.env("POINTILLIST_SHADERS", shell.path("shaders")).output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{told}");
+    assert!(told.contains("break their bounds: ordinary"), "{told}");
+}
+
 /// Whoever has read enough closes the pipe: nobody has failed.
 #[test]
 fn a_reader_that_goes_is_no_failure() {

@@ -345,6 +345,34 @@ fn other_settings_draw_all_anew() {
     assert_eq!(studio.records("f").len(), 10);
 }
 
+/// A film that was begun by one renderer and goes on with another is drawn anew as a whole.
+#[cfg(debug_assertions)]
+#[test]
+fn other_shaders_draw_all_anew() {
+    let studio = Studio::new();
+    let ends = |mut command: Command| {
+        let ended = command.output().unwrap();
+        assert!(ended.status.success(), "{}", text(&ended));
+        text(&ended)
+    };
+    studio.flown("f", &["--to", "4"]);
+    let before = studio.records("f");
+    let shader = include_str!("../shaders/shade/shade.wgsl");
+    let shaders = studio.at("shaders");
+    fs::create_dir_all(shaders.join("shade")).unwrap();
+    fs::write(shaders.join("shade/shade.wgsl"), format!("{shader}// Another shader.\n")).unwrap();
+    for expected in ["7 frames drawn", "0 frames drawn, 7 kept"] {
+        let mut command = studio.fly("f", &["--to", "6"]);
+        command.env("POINTILLIST_SHADERS", &shaders);
+        let told = ends(command);
+        assert!(told.contains(expected), "{told}");
+    }
+    for (old, new) in before.iter().zip(studio.records("f")) {
+        assert_ne!(old["tag"], new["tag"]);
+        assert_eq!(old["sha256"], new["sha256"], "the change is a comment");
+    }
+}
+
 #[test]
 fn parts_make_a_whole() {
     let studio = Studio::new();

@@ -127,11 +127,11 @@ fn every_composition_is_valid() {
     // a thread each, all or by turns, with and without votes, and from a list by thread and by rasteriser; splats'
     // depths: those of samples, with and without clip lines. Sums: clip lines, width, normals, lights, trees; in a single pass: clip
     // lines, lights, trees. Each of these a thread a splat, all or by turns, with and without votes, and from a list. Passes over pixels: with and
-    // without votes, and of samples with and without trees. Lists: of everything, or of trees.
+    // without votes, and of samples with and without trees. Lists: of everything, or of trees. Others: without choices.
     let (depths, sums, single) = (12, 32, 8);
     let over_pixels = 6 * 2;
     let lists = 3 * 2;
-    let others = 9;
+    let others = 10;
     assert_eq!(
         checked,
         2 * 6 + 6 * (2 * 2 + 2) + 5 * (depths + sums + single) + over_pixels + lists + others

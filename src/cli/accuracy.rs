@@ -11,7 +11,7 @@ use crate::accuracy::stability::stability;
 /// Which report, and where to.
 #[derive(Args, Clone, Debug)]
 pub struct AccuracyArgs {
-    /// Are the outlines of splats right in f32 where that is hard? Fails where they break their bounds
+    /// Hold what the shaders compute of splats, on this adapter, against exact results for hard cases; fails where a bound is broken
     #[arg(long)]
     stability: bool,
     /// Folder for stability.json and stability.md, made where it is missing
@@ -36,7 +36,7 @@ pub fn run(args: &AccuracyArgs) -> Result<()> {
     if !args.stability {
         bail!("only one report exists yet: ask for it with --stability");
     }
-    let report = stability(args.seed, args.count);
+    let report = stability(args.seed, args.count)?;
     let json = serde_json::to_string_pretty(&report)? + "\n";
     if args.json {
         out::print(&json)?;

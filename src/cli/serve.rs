@@ -18,7 +18,7 @@ use serde::Deserialize;
 use self::claim::claim;
 use self::files::{root, start_scenes};
 use self::greeting::{example, greeting, tell};
-use self::patience::{PATIENCE, patiently};
+use self::patience::{patience, patiently};
 use self::state::{jobs_config, open_jobs};
 use super::cache::CacheArgs;
 use super::out::say;
@@ -90,7 +90,7 @@ pub struct ServeArgs {
     /// Frames in one submission to the GPU [default: 16]
     #[arg(long, env = "POINTILLIST_MAX_BATCH", value_name = "N")]
     pub max_batch: Option<usize>,
-    /// Threads that encode images [default: one a core]
+    /// Images of jobs that are encoded at a time [default: one a core]; requests and streams have a thread more each
     #[arg(long, env = "POINTILLIST_ENCODER_THREADS", value_name = "N")]
     pub encoder_threads: Option<usize>,
     /// Width times height of the largest frame [default: 16777216]
@@ -213,7 +213,7 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     let start = start_scenes(&args, &root)?;
     let jobs_config = jobs_config(&args)?;
     let is_taken = |error: &std::io::Error| error.kind() == std::io::ErrorKind::AddrInUse;
-    let listener = patiently(PATIENCE, is_taken, || TcpListener::bind(address))
+    let listener = patiently(patience(), is_taken, || TcpListener::bind(address))
         .with_context(|| format!("cannot listen on {address}"))?;
     let claim = match args.no_uploads {
         Some(true) => None,

@@ -3,11 +3,12 @@
 //! ```text
 //! file ──identity──► note: hash of its content, and what else was read ──that hash──► packed samples, whole or without estimates
 //! ```
-//! Both are entries of the bake cache. A note stands under what can be had of a file without reading all of it: device, inode, size, times
-//! of modification and of change, and a hash of [`PROBES`] blocks spread over it. Writing to a file changes its times, and no program
-//! sets the time of change; replacing it changes the inode; a restored or copied file has another time of change. What remains is
-//! a write within the last step of the file system's clock, so that a note of a file that was changed just now is written a little later,
-//! if the file is still the same then. Samples stand under the hash of the whole content, as in memory.
+//! Both are entries of the bake cache, and both keys contain [`crate::BUILD`]: another build may read, pack or estimate differently. A note
+//! stands under what can be had of a file without reading all of it: device, inode, size, times of modification and of change, and a
+//! hash of [`PROBES`] blocks spread over it. Writing to a file changes its times, and no program sets the time of change; replacing it
+//! changes the inode; a restored or copied file has another time of change. What remains is a write within the last step of the file
+//! system's clock, so that a note of a file that was changed just now is written a little later, if the file is still the same then.
+//! Samples stand under the hash of the whole content, as in memory.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -32,8 +33,6 @@ use crate::residency::model::{AssetModel, Deferred};
 use crate::residency::once::MadeOnce;
 use crate::scene::{AssetRef, AssetSource};
 
-/// Version of the readers and of the packed format; raise it when either changes.
-const VERSION: u32 = 2;
 /// Blocks of a file that its identity hashes, and bytes of each.
 const PROBES: u64 = 64;
 const PROBE_BYTES: u64 = 4096;
@@ -389,7 +388,7 @@ pub fn keep_whole(cache: &BakeCache, digest: &[u8; 32], whole: &AssetModel) {
 
 fn samples_key(digest: &[u8; 32], is_whole: bool) -> [u8; 32] {
     let kind: &[u8] = if is_whole { b"whole cloud\0" } else { b"points of a cloud\0" };
-    let hasher = Sha256::new_with_prefix(kind).chain_update(VERSION.to_le_bytes());
+    let hasher = Sha256::new_with_prefix(kind).chain_update(crate::BUILD);
     hasher.chain_update(digest).finalize().into()
 }
 
@@ -407,7 +406,7 @@ impl Keeping {
         let changed = Duration::new(about.ctime().max(0).unsigned_abs(), about.ctime_nsec() as u32);
         let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
         let mut hasher = Sha256::new_with_prefix(b"note\0");
-        hasher.update(VERSION.to_le_bytes());
+        hasher.update(crate::BUILD);
         hasher.update(file_kind(&self.file));
         hasher.update([u8::from(self.is_bare)]);
         hasher.update((self.estimate_at_once as u64).to_le_bytes());

@@ -3,6 +3,7 @@
 pub mod bakes;
 mod baking;
 mod crowd;
+mod encoders;
 mod estimates;
 mod framing;
 mod group;
@@ -34,6 +35,7 @@ use serde::Serialize;
 
 pub use bakes::BakeTicket;
 pub use baking::{BakeEvent, BakeSource, BakedAsset, bake_file};
+pub use encoders::EncodeHook;
 pub use estimates::{EstimateState, Estimates, Latch};
 pub use observe::Observer;
 pub use priming::PrimeConfig;
@@ -80,7 +82,11 @@ pub struct EngineConfig {
     pub job_share: f64,
     /// Frames recorded into one submission.
     pub max_batch: usize,
+    /// Frames of jobs that are encoded at a time. Requests and streams have a thread more each.
     pub encoder_threads: usize,
+    /// For tests: is called before each frame is encoded.
+    #[doc(hidden)]
+    pub encode_hook: Option<EncodeHook>,
     /// Width · height of one frame.
     pub max_pixels: u64,
     /// Longest side of a frame.
@@ -105,6 +111,9 @@ pub struct EngineConfig {
     /// For measurements and tests: whether large triangles go to the rasteriser; `None`: the measured best.
     #[doc(hidden)]
     pub rasterise: Option<bool>,
+    /// For tests: is called when a patch has listed the instances anew, before the scene is exchanged.
+    #[doc(hidden)]
+    pub patch_hook: Option<Arc<dyn Fn() + Send + Sync>>,
     /// Clouds of so many points get the normals and kernels that they lack when they are read, larger ones when a frame needs them.
     pub estimate_at_once: usize,
     /// For tests: estimates of large clouds do not begin while this is shut.
@@ -416,6 +425,7 @@ impl EngineConfig {
             job_share: DEFAULT_JOB_SHARE,
             max_batch: 16,
             encoder_threads: cores.clamp(1, 8),
+            encode_hook: None,
             max_pixels: 1 << 24,
             max_side: 8192,
             force_32_bit: false,
@@ -426,6 +436,7 @@ impl EngineConfig {
             rasterise: None,
             large_units_limit: None,
             estimate_at_once: ESTIMATE_AT_ONCE,
+            patch_hook: None,
             estimate_latch: None,
             settled_after: SETTLED_AFTER,
             bake_cache: None,
@@ -582,6 +593,9 @@ impl Engine {
             let mut patched = loaded.patched(node, patch, &shared.config)?;
             // A node that comes to light may draw more than there is room for.
             self.check_fits(&mut patched)?;
+            if let Some(hook) = &shared.config.patch_hook {
+                hook();
+            }
             let info = patched.info.clone();
             if shared.library.write().replace(&loaded, patched) {
                 shared.scenes_changed();

@@ -342,7 +342,7 @@ fn entity_tag(
     adapter: &Adapter,
 ) -> String {
     let mut hasher = Sha256::new();
-    hasher.update(crate::VERSION);
+    hasher.update(&adapter.renderer);
     hasher.update(&adapter.name);
     hasher.update([
         u8::from(adapter.atomics_64),

@@ -10,6 +10,7 @@ use parking_lot::{Condvar, Mutex, RwLock};
 use tokio::sync::{oneshot, watch};
 
 use super::bakes::Bakes;
+use super::encoders::Undone;
 use super::estimates::Background;
 use super::job::{Job, Reply, Resolved};
 use super::library::{AssetCache, Library};
@@ -25,6 +26,8 @@ use crate::residency::model::SceneModel;
 #[derive(Clone, Debug, Default)]
 pub struct Adapter {
     pub name: String,
+    /// [`crate::passes::shaders::fingerprint`] of the device's shaders.
+    pub renderer: String,
     pub atomics_64: bool,
     pub atomic_sums_64: bool,
     pub rasterises: bool,
@@ -148,6 +151,8 @@ pub struct Shared {
     pub patching: Mutex<()>,
     pub cache: AssetCache,
     pub bakes: Arc<Bakes>,
+    /// Frames that are drawn and not encoded.
+    pub undone: Undone,
     /// Estimates that frames do not wait for.
     pub background: Background,
     pub stats: Stats,
@@ -180,6 +185,7 @@ impl Shared {
         let queue = Queue::new(Shares { capacity, capacity_ns, jobs });
         Self {
             bakes: Bakes::new(config.bake_cache.clone()),
+            undone: Undone::new(config.encoder_threads, config.job_share),
             config,
             library: RwLock::default(),
             loading: Mutex::default(),
@@ -317,6 +323,8 @@ impl Shared {
             let is_it = |other: &Arc<Job>| Arc::ptr_eq(other, &job);
             if state.queue.remove(lane, is_it).is_some() {
                 state.hand_over(origin.client, &job);
+            } else {
+                self.undone.advance(&job, origin.client);
             }
         }
         Some((job, receiver))
@@ -356,14 +364,18 @@ impl Shared {
             flying_ns: flying.cost_ns,
             are_jobs_flying: flying.has_jobs,
             are_streams_open: self.open_streams.load(Ordering::Relaxed) > 0,
+            are_jobs_held: !self.undone.has_room_for_jobs(),
         };
         let max = self.config.max_batch;
         let mut found = state.queue.take(max, moment);
-        if let Some(held_for) = found.held_for.filter(|_| may_wait && !state.stopping) {
+        // Frames that encoders have no room for are drawn before the end nevertheless.
+        let may_hold = may_wait && (moment.are_jobs_held || !state.stopping);
+        if let Some(held_for) = found.held_for.filter(|_| may_hold) {
             state.busy_since = None;
             self.wake.wait_for(&mut state, held_for.min(patience));
-            let Taken { batch, expired, abandoned, .. } =
-                state.queue.take(max, Moment { now: Instant::now(), ..moment });
+            let are_jobs_held = !self.undone.has_room_for_jobs();
+            let moment = Moment { now: Instant::now(), are_jobs_held, ..moment };
+            let Taken { batch, expired, abandoned, .. } = state.queue.take(max, moment);
             found.batch = batch;
             found.expired.extend(expired);
             found.abandoned.extend(abandoned);
@@ -462,6 +474,13 @@ impl Shared {
     /// Whether jobs that were accepted are still unanswered.
     pub fn has_unanswered(&self) -> bool {
         !self.state.lock().by_key.is_empty()
+    }
+
+    /// Has the render thread look whether encoders have room for frames of jobs again.
+    pub fn wake_for_jobs(&self) {
+        // Between its look and its wait it holds the lock.
+        drop(self.state.lock());
+        self.wake.notify_one();
     }
 
     /// Has the render thread free the scenes that the library no longer holds.

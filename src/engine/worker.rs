@@ -1,4 +1,4 @@
-//! The render thread, the only owner of the device, and the encoders beside it.
+//! The render thread, the only owner of the device.
 //!
 //! ```text
 //! queue ──take batch──▶ ensure resident ──record, submit──▶ in flight (2 at most) ──land──▶ encoders ──▶ waiters
@@ -7,11 +7,11 @@
 //! ```
 
 use std::collections::VecDeque;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use super::encoders::Encoders;
 use super::framing;
 use super::job::Job;
 use super::priming::Primer;
@@ -49,28 +49,11 @@ pub fn run(shared: &Arc<Shared>, opened: impl FnOnce(Result<(), GpuError>)) {
         Ok(renderer) => renderer,
         Err(error) => return opened(Err(error)),
     };
-    let (sender, receiver) = flume::bounded::<Drawn>(2 * shared.config.encoder_threads.max(1));
-    let encoders: Vec<_> = (0..shared.config.encoder_threads.max(1))
-        .map(|number| {
-            let (shared, receiver) = (shared.clone(), receiver.clone());
-            std::thread::Builder::new().name(format!("encode-{number}")).spawn(move || {
-                for drawn in receiver.iter() {
-                    let job = drawn.job.clone();
-                    // Whoever waits must hear, also of a defect in an encoder.
-                    let finished = catch_unwind(AssertUnwindSafe(|| finish(&shared, drawn)));
-                    if finished.is_err() {
-                        let failed = EngineError::Internal("the encoder failed".to_owned());
-                        shared.answer(&job, Err(failed));
-                    }
-                }
-            })
-        })
-        .collect();
-    drop(receiver);
+    let encoders = Encoders::start(shared);
     opened(Ok(()));
     let mut primer = Primer::start(shared, &renderer);
     loop {
-        match serve(shared, &mut renderer, &sender) {
+        match serve(shared, &mut renderer, &encoders) {
             Stop::Done => break,
             Stop::Lost => match reopen(shared, &options) {
                 Some(fresh) => {
@@ -84,10 +67,6 @@ pub fn run(shared: &Arc<Shared>, opened: impl FnOnce(Result<(), GpuError>)) {
         }
     }
     drop(primer);
-    drop(sender);
-    for encoder in encoders.into_iter().flatten() {
-        let _ = encoder.join();
-    }
 }
 
 enum Stop {
@@ -113,6 +92,7 @@ fn open(shared: &Shared, options: &GpuOptions) -> Result<Renderer, GpuError> {
     }
     shared.set_adapter(Adapter {
         name: renderer.gpu.name.clone(),
+        renderer: options.pipeline_source.clone(),
         atomics_64: renderer.gpu.atomics_64,
         atomic_sums_64: renderer.gpu.atomic_sums_64,
         rasterises: renderer.gpu.rasterises,
@@ -146,7 +126,7 @@ fn reopen(shared: &Shared, options: &GpuOptions) -> Option<Renderer> {
     }
 }
 
-fn serve(shared: &Arc<Shared>, renderer: &mut Renderer, encoders: &flume::Sender<Drawn>) -> Stop {
+fn serve(shared: &Arc<Shared>, renderer: &mut Renderer, encoders: &Encoders) -> Stop {
     let mut flights: VecDeque<InFlight> = VecDeque::new();
     let mut last_landed = Instant::now();
     loop {
@@ -244,7 +224,7 @@ fn land(
     shared: &Shared,
     renderer: &mut Renderer,
     flight: InFlight,
-    encoders: &flume::Sender<Drawn>,
+    encoders: &Encoders,
     last_landed: &mut Instant,
 ) -> (Vec<Arc<Job>>, bool) {
     // Not what it waited behind the one before.
@@ -270,9 +250,7 @@ fn land(
         .collect();
     shared.settle(&costs, took);
     for drawn in landed.drawn {
-        if let Err(flume::SendError(drawn)) = encoders.send(drawn) {
-            shared.answer(&drawn.job, Err(EngineError::ShuttingDown));
-        }
+        encoders.push(drawn);
     }
     for (job, error) in landed.failed {
         shared.answer(&job, Err(error));
@@ -315,7 +293,7 @@ fn publish(shared: &Shared, renderer: &mut Renderer) {
 }
 
 /// Encodes a frame, writes its receipt and answers whoever waits.
-fn finish(shared: &Shared, drawn: Drawn) {
+pub fn finish(shared: &Shared, drawn: Drawn) {
     let began = Instant::now();
     let request = &drawn.job.request;
     let span = FrameSpans::encode(&drawn.job.span, &drawn.job.request_id, request.format);

@@ -125,6 +125,7 @@ fragments![
     "resolve/resolve_fused",
     "resolve/resolve_triangles",
     "shade/shade",
+    "measure/measure_splats",
 ];
 
 /// How the visibility buffer is written.
@@ -240,10 +241,14 @@ impl Choices {
     }
 }
 
-/// Hash of all sources and of this program's version: pipelines of other sources are other pipelines.
+/// Hash of the program's build and of all shaders that it composes, including those on disk. Renderers with different fingerprints may
+/// draw different pixels and share no pipelines.
 pub fn fingerprint() -> String {
-    let mut hasher = Sha256::new();
-    hasher.update(env!("CARGO_PKG_VERSION"));
+    fingerprint_of(crate::BUILD)
+}
+
+fn fingerprint_of(build: &str) -> String {
+    let mut hasher = Sha256::new_with_prefix(build);
     for name in FRAGMENTS {
         hasher.update(name);
         hasher.update(source(name).unwrap_or_default());
@@ -257,4 +262,15 @@ pub fn fingerprint() -> String {
 /// A fragment that is not there, which is a defect of this program.
 pub fn composed(root: &str, choices: &Choices) -> Result<Composed, ShaderError> {
     compose(source, root, &choices.aliases())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_build_is_another_renderer() {
+        assert_eq!(fingerprint(), fingerprint_of(crate::BUILD));
+        assert_ne!(fingerprint(), fingerprint_of(crate::VERSION));
+    }
 }

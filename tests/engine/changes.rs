@@ -1,5 +1,9 @@
 //! Scenes that change, go, and come back.
 
+use std::sync::mpsc::sync_channel;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
 use glam::{DAffine3, DVec3};
 use pointillist::engine::{EngineError, NodePatch};
 use pointillist::plan::Output;
@@ -97,63 +101,60 @@ fn a_patch_that_does_not_fit_changes_nothing() {
     same(&studio.bytes(&front("scene", 50, 50)), &before, "as before");
 }
 
-/// Listing many instances anew takes a while; nobody else waits for it, and no patch is lost.
+/// Nobody waits for a patch that is being made, and no patch is lost.
 #[test]
 fn patches_keep_nobody_waiting() {
-    use std::sync::atomic::{AtomicBool, Ordering};
-    use std::time::{Duration, Instant};
-    let studio = Studio::new();
-    studio.write("wall.ply", wall(4, |_, _| [200, 100, 50]));
-    studio.load_json(
-        "many",
-        &json!({
-            "assets": { "g": { "file": "wall.ply" } },
-            "nodes": [{ "name": "n", "asset": "g",
-                "repeat": { "grid": [600, 1, 1000], "step": [3, 3, 3] } }],
-        }),
-    );
-    let engine = &studio.engine;
-    let done = AtomicBool::new(false);
-    let (longest_patch, longest_look) = std::thread::scope(|scope| {
-        let looks = scope.spawn(|| {
-            let mut longest = Duration::ZERO;
-            while !done.load(Ordering::Relaxed) {
-                let began = Instant::now();
-                engine.scene("many").unwrap();
-                longest = longest.max(began.elapsed());
-            }
-            longest
-        });
-        let mut longest = Duration::ZERO;
-        for round in 0..4 {
-            let began = Instant::now();
-            engine.patch("many", "n", &visible(round % 2 == 0)).unwrap();
-            longest = longest.max(began.elapsed());
-        }
-        done.store(true, Ordering::Relaxed);
-        (longest, looks.join().unwrap())
+    const LONG: Duration = Duration::from_secs(60);
+    let (begin, begun) = sync_channel(16);
+    let (go, may_go) = sync_channel(16);
+    let may_go = Mutex::new(may_go);
+    let studio = Studio::with(|config| {
+        config.patch_hook = Some(Arc::new(move || {
+            begin.send(()).unwrap();
+            may_go.lock().unwrap().recv().unwrap();
+        }));
     });
-    assert!(longest_look < longest_patch / 2, "{longest_look:?} of {longest_patch:?}");
-    assert_eq!(engine.scene("many").unwrap().revision, 5);
+    studio.load_two();
+    let engine = &studio.engine;
     std::thread::scope(|scope| {
+        let patching = scope.spawn(|| engine.patch("cloud", "wall", &visible(false)));
+        begun.recv_timeout(LONG).unwrap();
+        let (sender, looked) = sync_channel(1);
+        let other = engine.clone();
+        std::thread::spawn(move || {
+            let looks = (other.scenes().len(), other.scene("cloud").unwrap().revision);
+            let frame = other.submit(front("cloud", 40, 40)).unwrap().wait();
+            sender.send((looks, frame.is_ok())).unwrap();
+        });
+        let looked = looked.recv_timeout(LONG).expect("somebody waits for the patch");
+        assert_eq!(looked, ((2, 1), true), "the scene is as it was");
+        go.send(()).unwrap();
+        assert_eq!(patching.join().unwrap().unwrap().revision, 2);
+    });
+    std::thread::scope(|scope| {
+        for _ in 0..8 {
+            go.send(()).unwrap();
+        }
         for _ in 0..4 {
             scope.spawn(|| {
                 for _ in 0..2 {
-                    engine.patch("many", "n", &visible(false)).unwrap();
+                    engine.patch("cloud", "wall", &visible(false)).unwrap();
                 }
             });
         }
     });
-    assert_eq!(engine.scene("many").unwrap().revision, 13, "each patch is a revision");
+    assert_eq!(begun.try_iter().count(), 8);
+    assert_eq!(engine.scene("cloud").unwrap().revision, 10, "each patch is a revision");
     // One that is removed meanwhile does not come back.
     std::thread::scope(|scope| {
-        let patching = scope.spawn(|| engine.patch("many", "n", &visible(true)));
-        std::thread::sleep(longest_patch / 4);
-        engine.remove("many").unwrap();
+        let patching = scope.spawn(|| engine.patch("cloud", "wall", &visible(true)));
+        begun.recv_timeout(LONG).unwrap();
+        engine.remove("cloud").unwrap();
+        go.send(()).unwrap();
         let patched = patching.join().unwrap();
-        assert!(matches!(patched, Ok(_) | Err(EngineError::UnknownScene { .. })), "{patched:?}");
+        assert!(matches!(patched, Err(EngineError::UnknownScene { .. })), "{patched:?}");
     });
-    assert!(matches!(engine.scene("many"), Err(EngineError::UnknownScene { .. })));
+    assert!(matches!(engine.scene("cloud"), Err(EngineError::UnknownScene { .. })));
 }
 
 #[test]

@@ -1,8 +1,10 @@
 //! Who waits, who is turned away, and who is not drawn at all.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, RwLock, mpsc};
 use std::time::{Duration, Instant};
 
-use pointillist::engine::{Client, EngineError, FrameRequest, Readiness};
+use pointillist::engine::{Class, Client, EngineError, FrameRequest, Readiness};
 
 use super::studio::{Studio, eventually, front, orbit};
 
@@ -240,4 +242,43 @@ fn a_jobs_frame_comes_forward_for_who_asks_for_the_same() {
     let last = &frames[frames.len() - 1].receipt;
     assert!(!last.coalesced && last.request_id != same.receipt.request_id);
     assert_eq!(studio.engine.stats().frames, u64::from(FRAMES), "none was drawn twice");
+}
+
+/// While encoders are full of a job's images, frames of streams and requests are drawn, encoded and answered.
+#[test]
+fn a_jobs_images_delay_no_other_frames() {
+    const FRAMES: u32 = 40;
+    let (gate, begun) = (Arc::new(RwLock::new(())), Arc::new(AtomicUsize::new(0)));
+    let studio = Studio::with(|config| {
+        let (gate, begun) = (gate.clone(), begun.clone());
+        config.max_batch = 1;
+        config.encode_hook = Some(Arc::new(move |class| {
+            if class == Class::Job {
+                begun.fetch_add(1, Ordering::SeqCst);
+                drop(gate.read());
+            }
+        }));
+    });
+    let shut = gate.write().unwrap();
+    studio.load_two();
+    let job: Vec<_> = (0..FRAMES)
+        .map(|number| studio.engine.submit_for(Client::Job(1), orbit("solid", number, 64)).unwrap())
+        .collect();
+    eventually("encoders full of images", || begun.load(Ordering::SeqCst) == 2);
+    for client in [Client::Stream { of: 1, number: 1 }, Client::Caller(2)] {
+        for number in 0..5 {
+            let request = orbit("solid", number, 65 + client.class() as u32);
+            let ticket = studio.engine.submit_for(client, request).unwrap();
+            let (sender, answer) = mpsc::sync_channel(1);
+            std::thread::spawn(move || sender.send(ticket.wait()));
+            let answer = answer.recv_timeout(Duration::from_secs(60));
+            assert!(answer.expect("the encoders wait for the job").is_ok());
+        }
+    }
+    let stats = studio.engine.stats();
+    assert_eq!((begun.load(Ordering::SeqCst), stats.frames), (2, 10));
+    // Two are in encoders, four wait for them, two may have been under way.
+    assert!(stats.queued >= u64::from(FRAMES) - 8, "{} wait to be drawn", stats.queued);
+    drop(shut);
+    assert!(job.into_iter().all(|ticket| ticket.wait().is_ok()));
 }

@@ -2,9 +2,8 @@
 
 use std::f64::consts::TAU;
 
-use glam::{DVec2, DVec3, Vec2, dvec2};
+use glam::{DVec2, DVec3, Vec2, Vec3, dvec2};
 
-use crate::math::{Disk, Lens};
 use crate::scene::random::SplitMix64;
 
 /// One class of splats.
@@ -46,6 +45,39 @@ pub fn classes() -> Vec<Class> {
     all.extend([0.01, 179.0].map(Class::FieldOfView));
     all.extend([Class::ZeroAxis, Class::ZeroAxes, Class::Crossing]);
     all
+}
+
+/// A disk in camera space (x right, y down, z forward, the eye at 0). Its tangents are as long as its kernel's standard deviations.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Disk {
+    pub centre: Vec3,
+    pub tangents: [Vec3; 2],
+}
+
+/// The part of a camera that the image of a disk depends on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lens {
+    /// Pixels for a tangent of 1, positive.
+    pub focal_px: Vec2,
+    /// Where the viewing direction meets the image.
+    pub principal_px: Vec2,
+}
+
+impl Lens {
+    /// The lens of disks that come multiplied by their camera's intrinsics.
+    pub const UNIT: Lens = Lens { focal_px: Vec2::ONE, principal_px: Vec2::ZERO };
+}
+
+impl Disk {
+    /// Multiplies a disk by the intrinsics of its camera, as shaders are given it: `(x·z px, y·z px, z)`.
+    pub fn through(&self, lens: &Lens) -> Disk {
+        let (focal, principal) = (lens.focal_px.as_dvec2(), lens.principal_px.as_dvec2());
+        let through = |v: Vec3| {
+            let v = v.as_dvec3();
+            (focal * v.truncate() + principal * v.z).extend(v.z).as_vec3()
+        };
+        Disk { centre: through(self.centre), tangents: self.tangents.map(through) }
+    }
 }
 
 /// A splat to be judged.

@@ -1,10 +1,8 @@
-//! The formulas that the report compares, each in plain f32 as a shader would compute it.
-//!
-//! They differ in what they let cancel; [`crate::math::ImageDisk`] is ours. All are asked about the outline alone, in pixels.
+//! Formulas that the shaders do not use, in plain f32, for comparison. They differ in what they let cancel.
 
 use glam::{DVec2, Mat3, Vec2, Vec3, dvec2, vec2};
 
-use crate::math::{Disk, ImageConic, Lens};
+use super::cases::{Disk, Lens};
 
 /// The paper's inverse is not used where `‖M‖·‖M⁻¹‖` (Frobenius) is above this. The paper gives no number (section 6: "above
 /// a threshold"); at 10⁶ an inverse in f32 keeps one decimal digit.
@@ -16,39 +14,26 @@ pub struct Outline {
     pub centre: Vec2,
     pub min: Vec2,
     pub max: Vec2,
-    shape: Shape,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Shape {
-    /// Conjugate radii.
-    Radii([Vec2; 2]),
     /// `F²·V`: xx, xy, yy.
-    Variance([f32; 3]),
+    variance: [f32; 3],
 }
 
 impl Outline {
     /// The support function in direction `d`, evaluated in f64 so that only what the formula gave is judged.
     pub fn support(&self, d: DVec2) -> f64 {
-        let square = match self.shape {
-            Shape::Radii(radii) => radii.iter().map(|r| r.as_dvec2().dot(d).powi(2)).sum::<f64>(),
-            Shape::Variance(v) => {
-                let [xx, xy, yy] = v.map(f64::from);
-                let square = dvec2(xx * d.x + xy * d.y, xy * d.x + yy * d.y).dot(d);
-                // Rounding may make a thin ellipse's matrix indefinite; NaN passes through this comparison.
-                if square < 0.0 { 0.0 } else { square }
-            }
-        };
+        let [xx, xy, yy] = self.variance.map(f64::from);
+        let square = dvec2(xx * d.x + xy * d.y, xy * d.x + yy * d.y).dot(d);
+        // Rounding may make a thin ellipse's matrix indefinite; NaN passes through this comparison.
+        let square = if square < 0.0 { 0.0 } else { square };
         self.centre.as_dvec2().dot(d) + square.sqrt()
     }
 
     /// Every number of it is one.
     pub fn is_finite(&self) -> bool {
-        let shape = match self.shape {
-            Shape::Radii([a, b]) => a.is_finite() && b.is_finite(),
-            Shape::Variance(v) => v.iter().all(|v| v.is_finite()),
-        };
-        shape && self.centre.is_finite() && self.min.is_finite() && self.max.is_finite()
+        self.variance.iter().all(|v| v.is_finite())
+            && self.centre.is_finite()
+            && self.min.is_finite()
+            && self.max.is_finite()
     }
 
     /// From the centre and `F²·V` in units of the image plane at depth 1.
@@ -58,23 +43,7 @@ impl Outline {
         let (xx, xy, yy) = (xx * focal.x * focal.x, xy * focal.x * focal.y, yy * focal.y * focal.y);
         // No guard against a negative number: a shader's root of it is NaN, and the report counts that.
         let half = vec2(xx.sqrt(), yy.sqrt());
-        Outline {
-            centre,
-            min: centre - half,
-            max: centre + half,
-            shape: Shape::Variance([xx, xy, yy]),
-        }
-    }
-}
-
-impl From<&ImageConic> for Outline {
-    fn from(conic: &ImageConic) -> Outline {
-        Outline {
-            centre: conic.centre_px,
-            min: conic.min_px,
-            max: conic.max_px,
-            shape: Shape::Radii(conic.radii_px),
-        }
+        Outline { centre, min: centre - half, max: centre + half, variance: [xx, xy, yy] }
     }
 }
 

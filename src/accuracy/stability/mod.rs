@@ -1,29 +1,50 @@
 //! Whether the outline of a splat stays right in f32 where that is hard: `pointillist accuracy --stability`.
 //!
-//! [`cases`] draws splats class by class, [`formulas`] and [`crate::math::Disk`] say in f32 where their outlines lie,
-//! [`truth`] knows it in f64 and bounds what rounding may cost. A row of the report holds the worst error of each formula, over
-//! the edges of the box, the centre and the outline in 16 directions, all held within ±2²⁰ px.
+//! [`cases`] draws splats class by class. [`device`] has the adapter run the shaders' own `make_splat` over them, with the perspective
+//! and with the exact filter, without low-pass. [`truth`] knows in f64 what should have come out, and bounds what rounding may cost.
+//! A row of the report holds the worst errors over the edges of the box, the centre, the outline in 16 directions, all held within ±2²⁰ px,
+//! and the kernel coordinates on the outline. [`formulas`] are other formulas for the outline, on the CPU, for comparison.
 
 pub mod cases;
+pub mod device;
 pub mod formulas;
 mod report;
 pub mod truth;
 
+use glam::{DVec2, Vec2};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::math::{ImageDisk, Side};
+use crate::gpu::GpuError;
+use crate::gpu::shader::ShaderError;
 use crate::scene::random::SplitMix64;
-use cases::{Case, Class};
+use cases::{Case, Class, Lens};
+use device::{Device, Filter, Found, Probe, Side};
 use formulas::Outline;
-use truth::{Bounds, DIRECTIONS, TrueSide, Truth, direction, hold};
+use truth::{DIRECTIONS, GUARD_PX, TrueSide, Truth, direction, hold};
 
 /// No image is larger.
 const IMAGE_PX: f64 = 16_384.0;
 
+/// Splats that the adapter is given at a time.
+const AT_ONCE: u32 = 4096;
+
+/// Why there is no report.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum StabilityError {
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    #[error(transparent)]
+    Shader(#[from] ShaderError),
+    #[error("the GPU was lost while it measured splats; run the command again")]
+    Lost,
+}
+
 /// The whole report.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Stability {
+    /// The adapter that ran the shaders.
+    pub adapter: String,
     pub seed: u64,
     /// Splats a class.
     pub count: u32,
@@ -41,11 +62,9 @@ pub struct Row {
     /// Splats wholly in front of the camera plane: those that have an outline.
     pub regular: u32,
     pub ours_box: Judged,
-    /// Edges of boxes that an image can show: the true one is within [`IMAGE_PX`].
-    pub ours_box_in_image_px: f64,
     pub ours_centre: Judged,
     pub ours_outline: Judged,
-    /// Where our exact kernel coordinates put the outline.
+    /// Kernel coordinates of the exact filter on the true outline.
     pub ours_exact: Judged,
     /// Points of outlines that `ours_exact` leaves out: the disk is thinner there than rounding can tell.
     pub exact_unresolved: u32,
@@ -147,21 +166,53 @@ impl Errors {
     }
 }
 
-/// Judges `count` splats of every class. Equal seeds give equal reports.
-pub fn stability(seed: u64, count: u32) -> Stability {
-    let classes = cases::classes();
-    let row = |(index, class): (usize, &Class)| {
+/// Judges `count` splats of every class. Equal seeds give equal reports on equal adapters.
+///
+/// # Errors
+/// No adapter, or one that is lost.
+pub fn stability(seed: u64, count: u32) -> Result<Stability, StabilityError> {
+    let device = Device::open()?;
+    let mut rows = Vec::new();
+    for (index, class) in cases::classes().iter().enumerate() {
         let mut random = SplitMix64::stream(seed, index as u64);
         let mut row = Row { class: class.name(), ..Row::default() };
-        for _ in 0..count {
-            row.add(&class.draw(&mut random));
+        let mut left = count;
+        while left > 0 {
+            let some = left.min(AT_ONCE);
+            row.add_class(class, some, &mut random, &device)?;
+            left -= some;
         }
         row.holds = row.verdict();
-        row
-    };
-    let rows: Vec<Row> = classes.par_iter().enumerate().map(row).collect();
+        rows.push(row);
+    }
     let holds = rows.iter().all(|row| row.holds);
-    Stability { seed, count, condition_max: formulas::CONDITION_MAX, rows, holds }
+    let adapter = device.adapter().to_owned();
+    Ok(Stability { adapter, seed, count, condition_max: formulas::CONDITION_MAX, rows, holds })
+}
+
+/// Where a splat's kernel coordinates are asked for: at points of its outline, at f32 coordinates as pixels have.
+fn points_px(truth: &TrueSide) -> [Vec2; DIRECTIONS] {
+    std::array::from_fn(|i| match truth {
+        TrueSide::Regular(truth) => (truth.projected + truth.seen(direction(i))).as_vec2(),
+        _ => Vec2::ZERO,
+    })
+}
+
+/// How far the edge of a pixel box is from the true one. `pixel` is the first that has its centre in the box, or the first behind it;
+/// that of the disk's centre belongs to the box in any case.
+fn edge_error_px(pixel: i32, truth_px: f64, own: f64, is_low: bool) -> f64 {
+    let (pixel, last) = (f64::from(pixel), IMAGE_PX - 1.0);
+    let (edge, truth_px) = match is_low {
+        true => (pixel, truth_px.clamp(0.0, last + 1.0)),
+        false => (pixel + 1.0, truth_px.clamp(0.0, last + 1.0)),
+    };
+    // The true edge lies within half a pixel; on the other side of the own pixel it may be anywhere beyond.
+    let outside = if is_low { edge - truth_px } else { truth_px - edge };
+    match pixel == own {
+        true => outside - 0.5,
+        false => outside.abs() - 0.5,
+    }
+    .max(0.0)
 }
 
 impl Row {
@@ -175,54 +226,88 @@ impl Row {
         self.ours_box.join(self.ours_centre).join(self.ours_outline)
     }
 
-    fn add(&mut self, case: &Case) {
-        let Case { disk, cutoff, lens } = case;
-        let expected = truth::truth(disk, *cutoff, lens);
-        let found = disk.seen(*cutoff, lens);
-        let right = matches!(
-            (&expected, &found),
-            (TrueSide::Regular(_), Side::Regular(_))
-                | (TrueSide::Crosses, Side::Crosses)
-                | (TrueSide::Behind, Side::Behind)
-                | (TrueSide::Close, _)
-        );
+    fn add_class(
+        &mut self,
+        class: &Class,
+        count: u32,
+        random: &mut SplitMix64,
+        device: &Device,
+    ) -> Result<(), StabilityError> {
+        let cases: Vec<Case> = (0..count).map(|_| class.draw(random)).collect();
+        let with_truth = |case: Case| {
+            let disk = case.disk.through(&case.lens);
+            let truth = truth::truth(&disk, case.cutoff, &Lens::UNIT);
+            let probe = Probe::new(&disk, case.cutoff, &case.lens, points_px(&truth));
+            (truth, probe)
+        };
+        let (truths, probes): (Vec<TrueSide>, Vec<Probe>) =
+            cases.par_iter().copied().map(with_truth).unzip();
+        let perspective = device.measure(Filter::Perspective, &probes)?;
+        let exact = device.measure(Filter::Exact, &probes)?;
+        for (number, case) in cases.iter().enumerate() {
+            let found = [&perspective[number], &exact[number]];
+            self.add(case, &truths[number], &probes[number], found);
+        }
+        Ok(())
+    }
+
+    fn add(&mut self, case: &Case, truth: &TrueSide, probe: &Probe, found: [&Found; 2]) {
+        let right = found.iter().all(|found| match (truth, found.side()) {
+            (TrueSide::Regular(_), Side::Regular)
+            | (TrueSide::Crosses, Side::Crosses)
+            | (TrueSide::Behind, Side::Unseen)
+            | (TrueSide::Close, _) => true,
+            // Seen edge-on, it covers nothing.
+            (TrueSide::Crosses, Side::Unseen) => probe.is_flat(),
+            _ => false,
+        });
         self.misclassified += u32::from(!right);
-        let (TrueSide::Regular(truth), Side::Regular(image)) = (expected, found) else { return };
+        let (TrueSide::Regular(truth), Side::Regular) = (truth, found[0].side()) else { return };
         self.regular += 1;
-        self.add_ours(&image, &truth);
-        self.dual_difference.add(&formulas::dual_difference(disk, *cutoff, lens), &truth);
-        self.dual_naive.add(&formulas::dual_naive(disk, *cutoff, lens), &truth);
-        match formulas::paper(disk, *cutoff, lens) {
-            Some(outline) => self.paper.add(&outline, &truth),
-            None => self.paper_discarded += 1,
+        self.add_ours(case, truth, probe, found);
+        let Case { disk, cutoff, lens } = case;
+        if let TrueSide::Regular(truth) = truth::truth(disk, *cutoff, lens) {
+            self.dual_difference.add(&formulas::dual_difference(disk, *cutoff, lens), &truth);
+            self.dual_naive.add(&formulas::dual_naive(disk, *cutoff, lens), &truth);
+            match formulas::paper(disk, *cutoff, lens) {
+                Some(outline) => self.paper.add(&outline, &truth),
+                None => self.paper_discarded += 1,
+            }
         }
     }
 
-    fn add_ours(&mut self, image: &ImageDisk, truth: &Truth) {
-        let conic = image.conic();
-        let outline = Outline::from(&conic);
-        let scalars = [conic.root_det_px2, image.gap];
-        let finite = scalars.iter().chain(&conic.variance_px2).all(|v| v.is_finite());
-        let mut finite = finite && outline.is_finite();
-        let (errors, bounds): (Errors, Bounds) = (Errors::of(&outline, truth), truth.bounds());
-        self.ours_box.add(errors.box_px, bounds.box_px);
-        self.ours_box_in_image_px = self.ours_box_in_image_px.max(errors.box_in_image_px);
-        self.ours_centre.add(errors.centre_px, bounds.centre_px);
-        self.ours_outline.add(errors.outline_px, bounds.outline_px);
-        for i in 0..DIRECTIONS {
-            // On the outline, at f32 coordinates as pixels have; only where an image can have pixels.
-            let pixel = (truth.projected + truth.seen(direction(i))).as_vec2();
-            if pixel.abs().max_element() > crate::math::GUARD_PX {
+    fn add_ours(&mut self, case: &Case, truth: &Truth, probe: &Probe, found: [&Found; 2]) {
+        let [perspective, exact] = found;
+        let bounds = truth.bounds();
+        let far = |a: f64, b: f64| (hold(a) - hold(b)).abs();
+        let largest = |a: DVec2, b: DVec2| far(a.x, b.x).max(far(a.y, b.y));
+        let (own, [low, high]) = (perspective.centre_px.floor().as_dvec2(), truth.corners());
+        for axis in 0..2 {
+            let edges = [
+                edge_error_px(perspective.low[axis], low[axis], own[axis], true),
+                edge_error_px(perspective.high[axis], high[axis], own[axis], false),
+            ];
+            edges.into_iter().for_each(|error| self.ours_box.add(error, bounds.box_px));
+        }
+        let ellipse = perspective.ellipse(case.cutoff);
+        let centre = ellipse.map_or(truth.centre(), |ellipse| ellipse.centre);
+        self.ours_centre.add(largest(centre, truth.centre()), bounds.centre_px);
+        for d in (0..DIRECTIONS).map(direction) {
+            let support = ellipse.map_or(f64::INFINITY, |ellipse| ellipse.support(d));
+            self.ours_outline.add(far(support, truth.support(d)), bounds.outline_px);
+        }
+        for (number, &pixel) in probe.points_px().iter().enumerate() {
+            // Only where an image can have pixels.
+            if f64::from(pixel.abs().max_element()) > GUARD_PX {
                 continue;
             }
-            let kernel = image.kernel_at(pixel);
-            finite &= kernel.is_none_or(|k| k.is_finite());
-            match kernel.and_then(|kernel| truth.kernel_error(pixel, kernel.as_dvec2())) {
+            let kernel = exact.kernel(number);
+            match kernel.and_then(|kernel| truth.kernel_error(pixel, kernel)) {
                 Some((error, bound)) => self.ours_exact.add(error, bound),
                 None => self.exact_unresolved += 1,
             }
         }
-        self.ours_not_finite += u32::from(!finite);
+        self.ours_not_finite += u32::from(!perspective.is_finite() || !exact.is_finite());
     }
 }
 

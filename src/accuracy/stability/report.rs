@@ -24,8 +24,8 @@ const HEADER: [&str; 13] = [
 
 const LEGEND: &str = "\
 Worst error of an outline in px: edges of its box, centre, and the outline itself in 16 directions, within ±2^20 px.
-ours: the dual conic relative to the projected centre. exact: our kernel coordinates at 16 points of it, carried back to the image; – where every disk is too thin
-for f32 pixel coordinates to tell.
+ours: the shaders' perspective filter, run on the adapter; boxes are judged in whole pixels. exact: kernel coordinates of the shaders' exact
+filter at 16 points of the outline, carried back to the image; – where every disk is too thin for f32 pixel coordinates to tell.
 bound: the largest of the splats' bounds from rounding analysis; of it: the largest error over its own splat's bound.
 difference: the dual conic with V as a difference of squares. naive: the dual conic formed as it stands.
 paper: Zwicker et al. 2004 by the inverse; in brackets what its condition number discards. × n: splats with NaN or ∞.
@@ -86,17 +86,17 @@ impl Stability {
 
     /// A page of Markdown.
     pub fn markdown(&self) -> String {
-        let Stability { seed, count, .. } = self;
+        let Stability { adapter, seed, count, .. } = self;
         let legend = LEGEND.trim_end().replace('\n', "  \n");
         let table = self.table(presets::ASCII_MARKDOWN);
         format!(
-            "# Outlines of splats in f32\n\n{count} splats a row, seed {seed}.\n\n{legend}\n\n{table}\n"
+            "# Outlines of splats in f32\n\n{count} splats a row, seed {seed}, {adapter}.\n\n{legend}\n\n{table}\n"
         )
     }
 }
 
 impl fmt::Display for Stability {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}\n\n{LEGEND}", self.table(presets::NOTHING))
+        write!(f, "{}\n\n{LEGEND}adapter: {}\n", self.table(presets::NOTHING), self.adapter)
     }
 }

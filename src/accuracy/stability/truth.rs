@@ -8,7 +8,13 @@
 
 use glam::{DVec2, Vec2, dvec2};
 
-use crate::math::{Disk, GAP_MIN, GUARD_PX, Lens};
+use super::cases::{Disk, Lens};
+
+/// Outlines are compared within this many pixels of the image's origin.
+pub const GUARD_PX: f64 = (1 << 20) as f64;
+/// Disks whose gap to the camera plane, relative to their depth, is no larger may count as crossing it. Twice what `make_splat` of
+/// `shared/splat` leaves to crossing splats (`GAP`).
+const CLOSE: f64 = 1.0 / (1 << 17) as f64;
 
 /// The unit roundoff of f32.
 const U: f64 = f32::EPSILON as f64 / 2.0;
@@ -36,7 +42,16 @@ pub enum TrueSide {
     Close,
 }
 
-/// A regular disk's image in f64; the fields are those of `math::ImageDisk`.
+/// A regular disk's image in f64. Everything is divided by the centre's depth `p.z` and taken relative to its image `P`:
+///
+/// ```text
+/// x = f_x·F·(t.x − t.z·p.x/p.z)/p.z     how far the rim reaches in x, in px, over both tangents
+/// y = f_y·F·(t.y − t.z·p.y/p.z)/p.z     how far it reaches in y, in px
+/// z = F·t.z/p.z                         how far it reaches in depth, relative
+/// gap = 1 − |z|²
+/// ```
+/// The point `σ` of the unit disk is seen at `P + (x·σ, y·σ)/(1 + z·σ)`. The outline's centre, box and shape are those of the dual conic
+/// (Zwicker, Räsänen, Botsch, Dachsbacher and Pauly, *Perspective Accurate Splatting*, Graphics Interface 2004, equations 7, 8 and 11).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Truth {
     pub projected: DVec2,
@@ -63,10 +78,8 @@ pub fn truth(disk: &Disk, cutoff: f32, lens: &Lens) -> TrueSide {
     let cutoff = f64::from(cutoff);
     let z = dvec2(u.z, v.z) * cutoff / p.z;
     let gap = 1.0 - z.length_squared();
-    // Twice the guard of the f32 formula, whose own rounding is below the half of it.
     let largest = p.abs().max(u.abs()).max(v.abs()).max_element();
-    let close = 2.0 * f64::from(GAP_MIN);
-    if largest > 0.0 && p.z != 0.0 && (gap.abs() <= close || p.z.abs() < largest * 1e-17) {
+    if largest > 0.0 && p.z != 0.0 && (gap.abs() <= CLOSE || p.z.abs() < largest * 1e-17) {
         return TrueSide::Close;
     }
     if p.z == 0.0 || gap <= 0.0 {
@@ -93,7 +106,7 @@ pub fn truth(disk: &Disk, cutoff: f32, lens: &Lens) -> TrueSide {
 
 /// Within the guard of boxes; infinities (which compare well) too, NaN stays.
 pub fn hold(px: f64) -> f64 {
-    let guard = f64::from(GUARD_PX);
+    let guard = GUARD_PX;
     if px > guard {
         guard
     } else if px < -guard {
@@ -167,7 +180,7 @@ impl Truth {
         let reach = (self.x.length_squared() + self.y.length_squared()).sqrt();
         let place = self.principal.length() + self.focal_tan.length();
         let input = (reach + self.focal_tan.length() * self.z.length()) / self.gap;
-        let guard = 2.0 * f64::from(GUARD_PX);
+        let guard = 2.0 * GUARD_PX;
         // An end beyond the guard is held there; what it may be wrong by in between is the guard's width.
         let far = DVec2::from(self.extent(DVec2::X)).abs().max_element();
         let far = far.max(DVec2::from(self.extent(DVec2::Y)).abs().max_element());
@@ -181,7 +194,7 @@ impl Truth {
     }
 
     /// The way on screen, in px, from a pixel to where the disk has the coordinates `kernel` that a formula gave for it, and how
-    /// long it may be: a running error analysis of `math::ImageDisk::kernel_at`. The way on screen says what an error in `(s, t)`
+    /// long it may be: a running error analysis of Cramer's rule. The way on screen says what an error in `(s, t)`
     /// does to an image however thin the disk is. `None` where rounding the pixel's own coordinates already goes a quarter of the
     /// disk's way, as where it is thinner than 10⁻⁴ px.
     pub fn kernel_error(&self, pixel: Vec2, kernel: DVec2) -> Option<(f64, f64)> {

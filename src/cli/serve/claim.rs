@@ -6,7 +6,7 @@
 use std::fs::{File, TryLockError};
 use std::path::Path;
 
-use super::patience::{PATIENCE, patiently};
+use super::patience::{patience, patiently};
 
 /// Holds the claim until it is dropped.
 #[derive(Debug)]
@@ -29,7 +29,7 @@ struct Held {
 /// # Errors
 /// Another process has it, which the text names where the system tells.
 pub(super) fn claim(root: &Path) -> anyhow::Result<Option<Claim>> {
-    Ok(patiently(PATIENCE, |_: &Held| true, || try_claim(root))?)
+    Ok(patiently(patience(), |_: &Held| true, || try_claim(root))?)
 }
 
 fn try_claim(root: &Path) -> Result<Option<Claim>, Held> {

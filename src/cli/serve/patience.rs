@@ -4,10 +4,18 @@
 use std::fmt::Display;
 use std::time::{Duration, Instant};
 
-/// How long an address or a folder that somebody has is waited for.
-pub const PATIENCE: Duration = Duration::from_secs(3);
+/// How long an address or a folder that another process holds is waited for.
+const PATIENCE: Duration = Duration::from_secs(3);
+/// The environment variable that replaces [`PATIENCE`], in seconds.
+const VARIABLE: &str = "POINTILLIST_TAKEOVER_SECONDS";
 /// How often it is tried.
 const TRY_EVERY: Duration = Duration::from_millis(50);
+
+/// How long this process waits for what an earlier one still holds.
+pub fn patience() -> Duration {
+    let asked = std::env::var(VARIABLE).ok().and_then(|text| text.parse().ok());
+    asked.map_or(PATIENCE, Duration::from_secs)
+}
 
 /// Tries until it works, or fails with something else than that somebody holds what is wanted, or `patience` is at its end.
 ///

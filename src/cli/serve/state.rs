@@ -2,7 +2,7 @@
 
 use anyhow::ensure;
 
-use super::patience::{PATIENCE, patiently};
+use super::patience::{patience, patiently};
 use super::{ServeArgs, number};
 use crate::engine::Engine;
 use crate::jobs::{self, Jobs, StateError};
@@ -51,7 +51,7 @@ pub(super) fn open_jobs(
         Err(reason) => return Ok(Err(reason)),
     };
     let is_held = |error: &StateError| matches!(error, StateError::Locked { .. });
-    match patiently(PATIENCE, is_held, || Jobs::open(engine.clone(), config.clone())) {
+    match patiently(patience(), is_held, || Jobs::open(engine.clone(), config.clone())) {
         Ok(jobs) => Ok(Ok(jobs)),
         Err(error) if is_asked_for => Err(anyhow::anyhow!("--state: {error}")),
         Err(error) => {

@@ -25,6 +25,7 @@
 //! Costs are estimates ([`cost`]), put right when a frame was measured ([`Queue::settle`]).
 
 pub mod cost;
+pub mod encoding;
 mod habits;
 mod lanes;
 
@@ -121,6 +122,8 @@ pub struct Moment {
     pub are_jobs_flying: bool,
     /// Whether there are streams, even if they have not asked for a frame lately.
     pub are_streams_open: bool,
+    /// Whether so many frames of jobs wait to be encoded that no more are drawn.
+    pub are_jobs_held: bool,
 }
 
 /// What came out of the queue.
@@ -132,7 +135,7 @@ pub struct Taken<J> {
     pub expired: Vec<J>,
     /// Nobody waits for them.
     pub abandoned: Vec<J>,
-    /// Nothing was taken, since somebody is about to ask: for so long jobs wait for that.
+    /// Nothing was taken, because somebody is about to ask or encoders are behind: how long jobs wait for that.
     pub held_for: Option<Duration>,
 }
 
@@ -356,7 +359,7 @@ impl<J: Waiting> Queue<J> {
         let are_others_about = is_watched || self.first.about(oldest).next().is_some();
         // One batch of jobs is what somebody's next frame may have to wait for.
         let is_one_enough = is_watched || are_others_about && self.first.is_empty();
-        let may_jobs = !(is_one_enough && moment.are_jobs_flying);
+        let may_jobs = !(moment.are_jobs_held || is_one_enough && moment.are_jobs_flying);
         let was_their_turn = is_watched && self.were_jobs_last;
         let expected = self.habits.expected(moment.now);
         if let Some(since) = self.held_since.take() {
@@ -376,7 +379,7 @@ impl<J: Waiting> Queue<J> {
             let is_alone = self.first.about(oldest).nth(1).is_none();
             let frame = Frame { max, limit_ns, is_alone, batch, now: moment.now };
             let ns = compose(&mut self.first, frame, &mut taken);
-            if !self.jobs.is_empty() {
+            if !self.jobs.is_empty() && !moment.are_jobs_held {
                 self.earn(ns as f64);
             }
         }
@@ -391,6 +394,9 @@ impl<J: Waiting> Queue<J> {
                 taken.held_for = Some(expected.until);
                 self.held_since = Some(moment.now);
             }
+        }
+        if moment.are_jobs_held && is_idle && taken.batch.is_empty() && !self.jobs.is_empty() {
+            taken.held_for = Some(Duration::MAX);
         }
         if !taken.batch.is_empty() {
             self.batches = batch;

@@ -118,6 +118,7 @@ impl Simulation {
             flying_ns: flying.clone().map(|granted| granted.cost_ns).sum(),
             are_jobs_flying: flying.clone().any(|granted| granted.client.class() == Class::Job),
             are_streams_open: false,
+            are_jobs_held: false,
         };
         let Taken { batch, held_for, .. } = self.queue.take(16, moment);
         self.held_until_ns = held_for.map(|held| self.now_ns + held.as_nanos() as u64);
@@ -306,7 +307,7 @@ proptest! {
     fn newcomers_without_end_starve_nobody(cost_ms in 1u64..30, dear_ms in 1u64..200, a_time in 1usize..6) {
         let mut queue: Queue<Frame> = Queue::new(Shares { capacity: 64, capacity_ns: u64::MAX, jobs: 0.1 });
         let (now, dear) = (Instant::now(), Client::Caller(0));
-        let moment = Moment { now, flying_ns: 1, are_jobs_flying: false, are_streams_open: false };
+        let moment = Moment { now, flying_ns: 1, are_jobs_flying: false, are_streams_open: false, are_jobs_held: false };
         let (mut comers, mut served, mut most) = (1u64, 0, 0);
         let frame = |client| Frame { client, asked_ns: 0, pixels: 1 };
         for round in 0..4000 {

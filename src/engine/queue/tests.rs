@@ -47,7 +47,13 @@ fn queue(capacity: usize) -> Queue<Job> {
 
 /// What an idle device is asked to take.
 fn idle(now: Instant) -> Moment {
-    Moment { now, flying_ns: 0, are_jobs_flying: false, are_streams_open: false }
+    Moment {
+        now,
+        flying_ns: 0,
+        are_jobs_flying: false,
+        are_streams_open: false,
+        are_jobs_held: false,
+    }
 }
 
 fn taken(queue: &mut Queue<Job>, max: usize) -> Taken<Job> {
@@ -433,6 +439,25 @@ fn batches_are_short_while_there_are_streams() {
     assert_eq!(queue.take(16, moment).batch.len(), (BATCH_NS / 10 / MS) as usize);
     let watched = Moment { are_streams_open: true, ..moment };
     assert_eq!(queue.take(16, watched).batch.len(), (INTERACTIVE_BATCH_NS / 10 / MS) as usize);
+}
+
+/// Encoders that are behind hold back the frames of jobs alone, and what is held back earns nothing.
+#[test]
+fn encoders_that_are_behind_hold_jobs_back() {
+    let mut queue = queue(64);
+    let held = Moment { are_jobs_held: true, ..idle(Instant::now()) };
+    assert_eq!(queue.take(8, held).held_for, None, "nothing waits");
+    for number in 0..8 {
+        assert!(admit(&mut queue, Client::Job(0), number, 4 * MS));
+    }
+    let found = queue.take(8, held);
+    assert!(found.batch.is_empty() && found.held_for.is_some(), "{found:?}");
+    for number in 100..200 {
+        assert!(admit(&mut queue, Client::Caller(1), number, 100 * MS));
+        assert_eq!(numbers(&queue.take(1, held)), [number]);
+    }
+    assert!(queue.credit_ns <= 0, "{}", queue.credit_ns);
+    assert!(!taken(&mut queue, 8).batch.is_empty(), "there is room again");
 }
 
 #[test]
