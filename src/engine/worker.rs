@@ -377,21 +377,6 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
     let as_splats = runs(Pass::ProjectSplats) || runs(Pass::FuseSplats);
     let samples = runs(Pass::ProjectSamples) || as_splats;
     let splats = |count: u32| as_splats.then_some(u64::from(count));
-    let passes = drawing
-        .plan
-        .passes
-        .iter()
-        .map(|planned| PassReceipt {
-            name: planned.pass.name(),
-            ran: planned.skipped.is_none(),
-            gpu_ns: drawn
-                .pass_ns
-                .iter()
-                .find(|(pass, _)| *pass == planned.pass)
-                .and_then(|(_, time)| *time),
-            why: planned.skipped.map(str::to_owned),
-        })
-        .collect();
     Receipt {
         request_id: job.request_id.as_str().to_owned(),
         scene: job.request.scene.clone(),
@@ -415,7 +400,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         },
         max_error_px: resolved.model.trees.then(|| job.request.settings.max_error.px()),
         estimated_error_px: None,
-        passes,
+        passes: PassReceipt::list(&drawing.plan, &drawn.pass_ns),
         nothing_visible: nothing_visible(drawn),
         gpu_ns: drawn.gpu_ns,
         queue_ns: drawn.queue.as_nanos() as u64,
