@@ -11,7 +11,7 @@ use std::path::Path;
 
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use pointillist::gpu::shader::{self, Composed};
-use pointillist::passes::shaders::{self, Choices, FRAGMENTS, Portion, Visibility};
+use pointillist::passes::shaders::{self, Choices, Portion, SHARED, Visibility, roots};
 
 /// What is asked of the device where 64-bit atomics are used.
 const WIDE: Capabilities =
@@ -20,11 +20,6 @@ const WIDE: Capabilities =
 /// What is asked of the device where sums of 64 bits are used.
 const WIDE_SUMS: Capabilities =
     Capabilities::SHADER_INT64.union(Capabilities::SHADER_INT64_ATOMIC_ALL_OPS);
-
-/// Files with entry points.
-fn roots() -> Vec<&'static str> {
-    FRAGMENTS.iter().copied().filter(|name| !name.starts_with("shared/")).collect()
-}
 
 fn uses(root: &str, alias: &str) -> bool {
     shaders::source(root).unwrap().lines().any(|line| line == format!("//!include {alias}"))
@@ -36,7 +31,7 @@ fn compositions(root: &str) -> Vec<(String, Choices, Composed)> {
     // A choice matters to a root that includes its name, itself or by way of what it includes.
     let asks = |alias: &str| {
         uses(root, alias)
-            || FRAGMENTS.iter().any(|name| {
+            || SHARED.iter().any(|name| {
                 let own = shaders::source(name).unwrap().lines().next().unwrap();
                 uses(name, alias) && whole.contains(own)
             })
@@ -181,7 +176,8 @@ fn files_below(folder: &Path, prefix: &str, found: &mut BTreeSet<String>) {
 fn every_file_is_embedded_and_used() {
     let mut files = BTreeSet::new();
     files_below(&Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders"), "", &mut files);
-    let embedded: BTreeSet<String> = FRAGMENTS.iter().map(|&name| name.to_owned()).collect();
+    let embedded = SHARED.iter().copied().chain(roots());
+    let embedded: BTreeSet<String> = embedded.map(str::to_owned).collect();
     assert_eq!(files, embedded);
     let mut used = BTreeSet::new();
     for root in roots() {

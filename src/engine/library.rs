@@ -657,13 +657,6 @@ fn facts(model: &SceneModel) -> SceneFacts {
         has_samples: counts.samples > 0,
         has_triangles: counts.triangles > 0,
         lights: model.lights.len() as u32,
-        casts_shadows: model
-            .lights
-            .iter()
-            .any(|light| matches!(light, Light::Sun { shadows: true, .. })),
-        alpha_cut: model.assets.iter().any(|asset| {
-            asset.packed.materials.iter().any(|material| material.alpha_cutoff.is_some())
-        }),
         trees: false,
         chunks: counts.chunks,
     }

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use crate::plan::UsedSettings;
+use crate::plan::{FramePlan, Pass, UsedSettings};
 
 /// What was understood, what was done, and what it cost. Times and counts that the adapter cannot
 /// give are `null`, never invented.
@@ -25,6 +25,7 @@ pub struct Receipt {
     /// Error accepted by the request and estimated for the frame, in pixels.
     pub max_error_px: Option<f32>,
     pub estimated_error_px: Option<f32>,
+    /// Passes that ran, in the order in which they first did, then those that were skipped.
     pub passes: Vec<PassReceipt>,
     /// Why the image shows nothing but the background, and what to do about it; `null` where something is seen.
     pub nothing_visible: Option<String>,
@@ -80,12 +81,30 @@ pub struct CameraReceipt {
 /// A pass that ran, or why it did not.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub struct PassReceipt {
+    #[schema(value_type = Pass)]
     pub name: &'static str,
     pub ran: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gpu_ns: Option<u64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
+}
+
+impl PassReceipt {
+    /// The passes that were recorded, in that order, each with its time; then those that `plan` skips, with the reasons.
+    pub fn list(plan: &FramePlan, recorded: &[(Pass, Option<u64>)]) -> Vec<PassReceipt> {
+        let ran = recorded.iter().map(|&(pass, gpu_ns)| PassReceipt {
+            name: pass.name(),
+            ran: true,
+            gpu_ns,
+            why: None,
+        });
+        let skipped = plan.passes.iter().filter_map(|planned| {
+            let why = Some(planned.skipped?.to_owned());
+            Some(PassReceipt { name: planned.pass.name(), ran: false, gpu_ns: None, why })
+        });
+        ran.chain(skipped).collect()
+    }
 }
 
 #[derive(Clone, Copy, Debug, Default, Serialize, ToSchema)]

@@ -15,8 +15,8 @@ use crate::gpu::readback::{Landing, Ring};
 use crate::gpu::timing::Timer;
 use crate::gpu::{Gpu, GpuError, GpuOptions};
 use crate::passes::{
-    self, Context, FrameTask, LAYERS_BYTES, PassSpan, Pipelines, SMALL_SPLAT_PX, SMALL_TRIANGLE_PX,
-    Scratch, Uniforms,
+    self, Context, FrameTask, PassSpan, Pipelines, SMALL_SPLAT_PX, SMALL_TRIANGLE_PX, Scratch,
+    Uniforms,
 };
 use crate::plan::{Output, Pass};
 use crate::residency::layout::{GpuStats, MOST_VIEWS};
@@ -258,16 +258,7 @@ impl Renderer {
                     EngineError::Internal("a scene left the GPU before its frame".into()),
                 ));
             };
-            self.scratch.reserve(&self.gpu, scene, task.size(), task.count());
-            if task.plan.runs(Pass::Shade) {
-                self.scratch.reserve_normals(&self.gpu, task.size(), task.count());
-            }
-            if task.plan.runs(Pass::ResolveSplats) {
-                self.scratch.reserve_sums(&self.gpu, task.size(), task.count(), task.sums());
-            }
-            if task.plan.runs(Pass::ResolveFused) {
-                self.scratch.reserve_layers(&self.gpu, task.size(), task.count());
-            }
+            self.scratch.reserve(&self.gpu, scene, task);
             offsets.push(uniforms.group(task, scene));
         }
         uniforms.write(&self.gpu, &mut self.scratch);
@@ -321,8 +312,7 @@ impl Renderer {
     fn most_views(&self, job: &Job) -> usize {
         let Some(scene) = self.residency.scene(&job.resolved.model.id) else { return 1 };
         let size = (job.request.width, job.request.height);
-        let bytes = if job.drawing().plan.runs(Pass::ResolveFused) { LAYERS_BYTES } else { 8 };
-        let largest = Scratch::largest(scene, size, bytes);
+        let largest = Scratch::largest(scene, size, &job.drawing().plan);
         let shared = if self.gpu.is_cpu { SHARED_BYTES_CPU } else { SHARED_BYTES };
         let room = self.gpu.max_binding_bytes().min(shared) / largest.max(1);
         room.clamp(1, u64::from(MOST_VIEWS)) as usize

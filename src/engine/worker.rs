@@ -355,21 +355,6 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
     let as_splats = runs(Pass::ProjectSplats) || runs(Pass::FuseSplats);
     let samples = runs(Pass::ProjectSamples) || as_splats;
     let splats = |count: u32| as_splats.then_some(u64::from(count));
-    let passes = drawing
-        .plan
-        .passes
-        .iter()
-        .map(|planned| PassReceipt {
-            name: planned.pass.name(),
-            ran: planned.skipped.is_none(),
-            gpu_ns: drawn
-                .pass_ns
-                .iter()
-                .find(|(pass, _)| *pass == planned.pass)
-                .and_then(|(_, time)| *time),
-            why: planned.skipped.map(str::to_owned),
-        })
-        .collect();
     let used = Settings { reconstruct: drawing.reconstruct, ..job.request.settings };
     Receipt {
         request_id: job.request_id.as_str().to_owned(),
@@ -390,7 +375,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         },
         max_error_px: used.applied().max_error_px,
         estimated_error_px: None,
-        passes,
+        passes: PassReceipt::list(&drawing.plan, &drawn.pass_ns),
         nothing_visible: nothing_visible(drawn),
         gpu_ns: drawn.gpu_ns,
         queue_ns: drawn.queue.as_nanos() as u64,

@@ -7,9 +7,11 @@
 //!       project_triangles ─ rasterise_triangles
 //!    └─ blend_splats ─ blend_walked               weighted sums of the splats at the visible surface
 //!    └─ fuse_splats ─ fuse_walked                 or both in one, behind the triangles
-//!    └─ resolve_samples|splats|fused, …_triangles attributes of the visible pixels only
+//!    └─ resolve_fused|splats|samples, …_triangles attributes of the visible pixels only
 //!       shade                                     lights, once a pixel
 //! ```
+//! `plan/table.rs` has them all, with the path of each pass's shader, which is that of its module here as well.
+//!
 //! Frames of one scene, size and output go through the passes together: a dispatch counts the views in z, and each view has
 //! its share of every buffer.
 //!
@@ -28,7 +30,6 @@ mod recorder;
 mod resolve;
 mod scratch;
 mod select;
-mod shade;
 pub mod shaders;
 mod slabs;
 mod uniforms;

@@ -11,13 +11,12 @@ use std::sync::{Arc, OnceLock};
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 
-use super::shaders::{self, Choices, FRAGMENTS};
+use super::shaders::{self, Choices};
 use crate::gpu::Gpu;
 use crate::gpu::pipeline::{ComputePipeline, RasterPipeline};
 use crate::gpu::shader::ShaderError;
+use crate::plan::{Kind, Pass};
 
-/// The only pass that is no compute pass; its file below `shaders/`.
-const RASTER: &str = "project/rasterise_triangles";
 /// Variants that are remembered from one process to the next, the latest used ones.
 const MOST_KEPT: usize = 256;
 
@@ -86,17 +85,21 @@ impl<P> Slots<P> {
 }
 
 impl Variant {
-    fn new(root: &'static str, choices: Choices, constants: Constants) -> Variant {
+    fn new(pass: Pass, choices: Choices, constants: Constants) -> Variant {
         let constants =
             constants.into_iter().map(|(name, value)| (Cow::Borrowed(name), value)).collect();
-        Variant { root, choices, constants }
+        Variant { root: pass.shader(), choices, constants }
+    }
+
+    fn is_raster(&self) -> bool {
+        Pass::ALL.iter().any(|pass| pass.shader() == self.root && pass.kind() == Kind::Raster)
     }
 
     fn values(&self) -> Vec<(&str, f64)> {
         self.constants.iter().map(|(name, value)| (name.as_ref(), f64::from(*value))).collect()
     }
 
-    /// The pass, which names the entry point.
+    /// The shader's own name, which is that of a compute pass's entry point.
     pub fn name(&self) -> &'static str {
         self.root.rsplit('/').next().unwrap_or(self.root)
     }
@@ -113,34 +116,35 @@ impl Variant {
 }
 
 impl Pipelines {
-    /// Returns the pipeline of a compute pass; `root` is its file below `shaders/`, whose last part names the entry point.
+    /// Returns the pipeline of a compute pass.
     ///
     /// # Errors
     /// A shader that does not compose or parse, which is a defect of this program.
     pub fn compute(
         &self,
         gpu: &Gpu,
-        root: &'static str,
+        pass: Pass,
         choices: Choices,
         constants: Constants,
     ) -> Result<Arc<ComputePipeline>, ShaderError> {
-        let variant = Variant::new(root, choices, constants);
+        let variant = Variant::new(pass, choices, constants);
         let slot = self.compute.slot(&variant);
         self.note(&slot, &variant);
         slot.built.get_or_init(|| variant.build_compute(gpu)).clone()
     }
 
-    /// Returns the rasteriser's pipeline.
+    /// Returns the pipeline of a pass through the rasteriser.
     ///
     /// # Errors
     /// As [`Pipelines::compute`].
     pub fn raster(
         &self,
         gpu: &Gpu,
+        pass: Pass,
         choices: Choices,
         constants: Constants,
     ) -> Result<Arc<RasterPipeline>, ShaderError> {
-        let variant = Variant::new(RASTER, choices, constants);
+        let variant = Variant::new(pass, choices, constants);
         let slot = self.raster.slot(&variant);
         self.note(&slot, &variant);
         slot.built.get_or_init(|| variant.build_raster(gpu)).clone()
@@ -157,7 +161,7 @@ impl Pipelines {
         variant: &Variant,
         check: impl FnOnce() -> Result<(), ShaderError>,
     ) -> Result<Option<Arc<ComputePipeline>>, ShaderError> {
-        if variant.root == RASTER {
+        if variant.is_raster() {
             let slot = self.raster.slot(variant);
             let build = || variant.build_raster(gpu).and_then(|built| check().map(|()| built));
             let built = slot.built.get_or_init(build).clone();
@@ -216,7 +220,7 @@ pub fn write_variants(variants: &[Variant]) -> String {
 pub fn read_variants(text: &[u8]) -> Vec<Variant> {
     let read: Vec<ReadVariant> = serde_json::from_slice(text).unwrap_or_default();
     let known = |read: ReadVariant| {
-        let root = FRAGMENTS.iter().find(|name| **name == read.root)?;
+        let root = Pass::ALL.iter().find(|pass| pass.shader() == read.root)?.shader();
         Some(Variant { root, choices: read.choices, constants: read.constants })
     };
     read.into_iter().filter_map(known).take(MOST_KEPT).collect()
@@ -238,7 +242,7 @@ pub fn common(gpu: &Gpu) -> Vec<Variant> {
 /// A CPU adapter's variant as an adapter of other `(subgroups, is_cpu, rasterises)` has it.
 fn adapted(variant: Variant, facts: (bool, bool, bool)) -> Variant {
     let (subgroups, is_cpu, rasterises) = facts;
-    if rasterises && variant.name() == "walk_triangles" {
+    if rasterises && variant.root == Pass::WalkTriangles.shader() {
         // As `Recorder::raster` asks for it.
         let choices = Choices {
             visibility: variant.choices.visibility,
@@ -246,7 +250,8 @@ fn adapted(variant: Variant, facts: (bool, bool, bool)) -> Variant {
             ..Choices::default()
         };
         let constants = variant.constants.into_iter().filter(|(name, _)| name == "VIEWS").collect();
-        return Variant { root: RASTER, choices, constants };
+        let root = Pass::RasteriseTriangles.shader();
+        return Variant { root, choices, constants };
     }
     let lanes = |(name, value): (Cow<'static, str>, u32)| {
         let value = if name == "LANES" && !is_cpu { 64 } else { value };
@@ -263,13 +268,13 @@ fn adapted(variant: Variant, facts: (bool, bool, bool)) -> Variant {
 mod tests {
     use super::*;
 
-    fn variant(root: &'static str, value: u32) -> Variant {
-        Variant::new(root, Choices::default(), vec![("VIEWS", 0), ("LANES", value)])
+    fn variant(pass: Pass, value: u32) -> Variant {
+        Variant::new(pass, Choices::default(), vec![("VIEWS", 0), ("LANES", value)])
     }
 
     #[test]
     fn variants_are_read_as_they_were_written() {
-        let written = [variant("select/cull", 8), variant("project/walk_triangles", 9)];
+        let written = [variant(Pass::Cull, 8), variant(Pass::WalkTriangles, 9)];
         let read = read_variants(write_variants(&written).as_bytes());
         assert_eq!(read, written);
         assert!(read_variants(b"[{}]").is_empty() && read_variants(b"\xff").is_empty());
@@ -280,13 +285,13 @@ mod tests {
     #[test]
     fn what_frames_used_is_remembered_first() {
         let pipelines = Pipelines::default();
-        let [a, b, c] = [1, 2, 3].map(|value| variant("select/cull", value));
+        let [a, b, c] = [1, 2, 3].map(|value| variant(Pass::Cull, value));
         for used in [&a, &b, &a] {
             pipelines.note(&pipelines.compute.slot(used), used);
         }
         assert_eq!((pipelines.late(), pipelines.used()), (2, 2));
         assert_eq!(pipelines.remember(&[c.clone(), b.clone()]), [a, b, c]);
-        let many: Vec<Variant> = (0..1000).map(|value| variant("select/scan", value)).collect();
+        let many: Vec<Variant> = (0..1000).map(|value| variant(Pass::Scan, value)).collect();
         assert_eq!(pipelines.remember(&many).len(), MOST_KEPT);
     }
 
@@ -299,7 +304,7 @@ mod tests {
         }
         let gpu: Vec<Variant> =
             cpu.into_iter().map(|variant| adapted(variant, (false, false, true))).collect();
-        assert!(gpu.iter().any(|variant| variant.root == RASTER));
+        assert!(gpu.iter().any(Variant::is_raster));
         assert!(gpu.iter().all(|variant| {
             let lanes =
                 variant.constants.iter().all(|(name, value)| name != "LANES" || *value == 64);

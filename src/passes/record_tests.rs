@@ -9,10 +9,10 @@ use crate::passes::project::LANES;
 use crate::passes::recorder::DISPATCH_ROW;
 use crate::passes::resolve::TILE;
 use crate::passes::scratch::{DEPTHS_BYTES, MOST_ENTRIES};
-use crate::passes::select::{clear, compact, cull, cull_hidden, depth_pyramid, place};
+use crate::passes::select::{clear, compact, cull, depth_pyramid, place};
 use crate::passes::shaders::{Choices, composed};
 use crate::passes::slabs::SLABS;
-use crate::plan::Output;
+use crate::plan::{Output, TURNS};
 use crate::residency::layout::*;
 use crate::residency::{GROUP, PART};
 
@@ -76,12 +76,12 @@ fn direct_dispatches_cover_what_they_must() {
 #[test]
 fn what_is_hidden_is_asked_of_as_many() {
     let ask = module("select/cull_hidden");
-    assert_eq!(scalar(&ask, "TURNS"), cull_hidden::TURNS);
+    assert_eq!(scalar(&ask, "TURNS"), TURNS);
     assert_eq!(scalar(&ask, "PART") as usize, PART);
     assert_eq!(scalar(&ask, "BLOCK_PX"), depth_pyramid::BLOCK_PX);
     assert_eq!(scalar(&ask, "BLOCK_WORDS"), depth_pyramid::BLOCK_WORDS);
     assert_eq!(4 * u64::from(scalar(&ask, "DEPTHS_WORDS")), DEPTHS_BYTES);
-    assert!(scalar(&ask, "DEPTHS_WORDS") > scalar(&ask, "DEPTH_BINS") + cull_hidden::TURNS);
+    assert!(scalar(&ask, "DEPTHS_WORDS") > scalar(&ask, "DEPTH_BINS") + TURNS);
     // A place in the list of what is far has a slot below and a bin of depth above.
     assert_eq!(scalar(&ask, "TURN_SLOT"), (1 << scalar(&ask, "TURN_SHIFT")) - 1);
     assert!(MOST_ENTRIES - 1 <= scalar(&ask, "TURN_SLOT"));
@@ -113,7 +113,7 @@ fn groups_of_entries_are_as_long() {
 
 #[test]
 fn tiles_are_as_large() {
-    for root in ["resolve/resolve_samples", "resolve/resolve_triangles", "shade/shade"] {
+    for root in ["resolve/resolve_samples", "resolve/resolve_triangles", "resolve/shade"] {
         assert_eq!(vector(&module(root), "TILE"), [TILE.0, TILE.1], "{root}");
     }
 }
@@ -201,6 +201,6 @@ fn views_fit_their_records() {
 
 #[test]
 fn lights_fit_their_records() {
-    let shade = module("shade/shade");
+    let shade = module("resolve/shade");
     assert_eq!(array_length(&shade, "few_lights"), FEW_LIGHTS);
 }

@@ -14,9 +14,9 @@ use crate::gpu::bind::BindCache;
 use crate::gpu::pipeline::{BindingSlot, GROUPS};
 use crate::gpu::shader::ShaderError;
 use crate::gpu::timing::{Span, Timer};
-use crate::plan::Pass;
+use crate::plan::{Pass, Per, Stage};
 use crate::residency::layout::{GpuDispatch, LOD_LAUNCHES};
-use crate::residency::{PageKind, Residency, ResidentScene};
+use crate::residency::{PageKind, Residency, ResidentScene, SAMPLE_PAGES};
 
 /// Workgroups in x before a dispatch takes a second row; as in the shaders.
 pub const DISPATCH_ROW: u32 = 32768;
@@ -44,7 +44,12 @@ pub struct Recorder<'a, 'c> {
     pub encoder: &'a mut wgpu::CommandEncoder,
     pub scene: &'a ResidentScene,
     pub task: &'a FrameTask,
-    pub uniforms: &'a GroupUniforms,
+    uniforms: &'a GroupUniforms,
+    /// The pass being recorded, and in which stage.
+    pub pass: Pass,
+    pub stage: Stage,
+    /// The segment that the pass is recorded for, if it is for one.
+    pub segment: Segment,
     pub spans: Vec<PassSpan>,
 }
 
@@ -75,12 +80,9 @@ pub enum Listed {
     Compact = 3,
 }
 
-/// A compute pass.
+/// How a compute pass is launched.
 pub struct Call<'s> {
-    pub pass: Pass,
-    /// Its file below `shaders/`, whose last part names the entry point.
-    pub root: &'static str,
-    /// Which fragments it is made of; threads vote where they can.
+    /// The fragments that its shader is made of; threads vote where they can.
     pub choices: Choices,
     pub constants: Constants,
     /// What it is launched for, one after the other.
@@ -90,7 +92,42 @@ pub struct Call<'s> {
 
 type Binds = Vec<(Rc<wgpu::BindGroup>, Vec<u32>)>;
 
-impl Recorder<'_, '_> {
+impl<'a, 'c> Recorder<'a, 'c> {
+    /// A recorder at the beginning of a frame.
+    pub fn new(
+        context: &'a mut Context<'c>,
+        encoder: &'a mut wgpu::CommandEncoder,
+        task: &'a FrameTask,
+        scene: &'a ResidentScene,
+        uniforms: &'a GroupUniforms,
+    ) -> Self {
+        let (pass, stage, segment) = (Pass::Clear, Stage::Select, None);
+        Self { context, encoder, scene, task, uniforms, pass, stage, segment, spans: Vec::new() }
+    }
+
+    /// What a pass is recorded for, one after the other.
+    pub fn segments_of(&self, per: Per) -> Vec<Segment> {
+        match per {
+            Per::Frame => vec![None],
+            Per::Samples => self.segments(SAMPLE_PAGES),
+            Per::Triangles => self.segments(&[PageKind::Triangles]),
+        }
+    }
+
+    /// How the pass writes the visibility buffer.
+    pub fn visibility(&self) -> Visibility {
+        match (self.context.gpu.atomics_64, self.stage) {
+            (true, _) => Visibility::Wide,
+            (false, Stage::Ids) => Visibility::Id,
+            (false, _) => Visibility::Depth,
+        }
+    }
+
+    /// Which of a segment's slots the pass draws. Splats that are blended in a single pass are drawn wherever they are.
+    pub fn portion(&self) -> Portion {
+        if self.task.hides() && self.stage != Stage::Fuse { Portion::Turn } else { Portion::All }
+    }
+
     /// The scene's segments of some kinds.
     pub fn segments(&self, kinds: &[PageKind]) -> Vec<Segment> {
         (0..self.scene.pages.len())
@@ -109,9 +146,9 @@ impl Recorder<'_, '_> {
         ("HIDES", u32::from(self.task.hides()))
     }
 
-    /// How a pass is launched over a segment's slots.
-    pub fn launch(portion: Portion) -> Launch {
-        match portion {
+    /// How the pass is launched over a segment's slots.
+    pub fn launch(&self) -> Launch {
+        match self.portion() {
             Portion::All => Launch::Indirect,
             Portion::Turn => Launch::Turn,
         }
@@ -136,16 +173,16 @@ impl Recorder<'_, '_> {
 
     /// Records a compute pass.
     pub fn compute(&mut self, call: Call) -> Result<(), ShaderError> {
-        let Call { pass, root, choices, constants, segments, launch } = call;
+        let Call { choices, constants, segments, launch } = call;
         let constants = self.constants(constants);
         let gpu = self.context.gpu;
         let choices = Choices { subgroups: gpu.subgroups, ..choices };
-        let pipeline = self.context.pipelines.compute(gpu, root, choices, constants)?;
+        let pipeline = self.context.pipelines.compute(gpu, self.pass, choices, constants)?;
         let binds: Vec<Binds> = segments
             .iter()
             .map(|&segment| self.bind(&pipeline.layouts, &pipeline.bindings, segment))
             .collect::<Result<_, _>>()?;
-        let (mut recorded, span) = self.context.timer.compute(self.encoder, pass.name());
+        let (mut recorded, span) = self.context.timer.compute(self.encoder, self.pass.name());
         for (segment, binds) in segments.iter().zip(&binds) {
             recorded.set_pipeline(&pipeline.pipeline);
             for (index, (group, offsets)) in binds.iter().enumerate() {
@@ -175,7 +212,7 @@ impl Recorder<'_, '_> {
             }
         }
         drop(recorded);
-        self.finish(pass, span);
+        self.finish(span);
         Ok(())
     }
 
@@ -183,16 +220,12 @@ impl Recorder<'_, '_> {
     /// enough, for each of `views`.
     pub fn rows(
         &mut self,
-        pass: Pass,
-        root: &'static str,
         groups: u32,
         views: u32,
         constants: Constants,
     ) -> Result<(), ShaderError> {
         let size = [groups.min(DISPATCH_ROW), groups.div_ceil(DISPATCH_ROW), views];
         self.compute(Call {
-            pass,
-            root,
             choices: Choices::default(),
             constants,
             segments: &[None],
@@ -204,18 +237,14 @@ impl Recorder<'_, '_> {
     /// that the frame has listed.
     pub fn over_lists(
         &mut self,
-        pass: Pass,
-        root: &'static str,
         groups: u32,
         listed: Listed,
         constants: Constants,
     ) -> Result<(), ShaderError> {
         if !self.scene.has_trees() {
-            return self.rows(pass, root, groups, self.task.count(), constants);
+            return self.rows(groups, self.task.count(), constants);
         }
         self.compute(Call {
-            pass,
-            root,
             choices: Choices { trees: true, ..Choices::default() },
             constants,
             segments: &[None],
@@ -224,35 +253,29 @@ impl Recorder<'_, '_> {
     }
 
     /// Records an indirect draw of the list of large triangles. The attachment has a view's size and is thrown away.
-    pub fn raster(
-        &mut self,
-        pass: Pass,
-        visibility: Visibility,
-        segment: Segment,
-    ) -> Result<(), ShaderError> {
+    pub fn raster(&mut self, choices: Choices) -> Result<(), ShaderError> {
         let constants = self.constants(Vec::new());
         let context = &mut *self.context;
-        let alpha_cut = self.scene.alpha_cut;
-        let choices = Choices { visibility, alpha_cut, ..Choices::default() };
-        let pipeline = context.pipelines.raster(context.gpu, choices, constants)?;
-        let binds = self.bind(&pipeline.layouts, &pipeline.bindings, segment)?;
+        let pipeline = context.pipelines.raster(context.gpu, self.pass, choices, constants)?;
+        let binds = self.bind(&pipeline.layouts, &pipeline.bindings, self.segment)?;
         let (width, height) = self.task.size();
         let context = &mut *self.context;
         let attachment = context.scratch.attachment(context.gpu, width, height);
-        let (mut recorded, span) = context.timer.raster(self.encoder, pass.name(), &attachment);
+        let name = self.pass.name();
+        let (mut recorded, span) = context.timer.raster(self.encoder, name, &attachment);
         recorded.set_pipeline(&pipeline.pipeline);
         for (index, (group, offsets)) in binds.iter().enumerate() {
             recorded.set_bind_group(index as u32, group.as_ref(), offsets);
         }
         recorded.draw_indirect(context.scratch.large.buffer().raw(), 0);
         drop(recorded);
-        self.finish(pass, span);
+        self.finish(span);
         Ok(())
     }
 
-    fn finish(&mut self, pass: Pass, span: Option<Span>) {
+    fn finish(&mut self, span: Option<Span>) {
         self.context.timer.settle(self.encoder);
-        self.spans.push(PassSpan { pass, span });
+        self.spans.push(PassSpan { pass: self.pass, span });
     }
 
     /// Finds the buffer of every binding by its name in the shader.

@@ -1,8 +1,10 @@
 //! Buffers that every frame uses and none keeps.
 
+use super::frame::FrameTask;
 use super::select::depth_pyramid::{BLOCK_PX, BLOCK_WORDS};
 use crate::gpu::Gpu;
 use crate::gpu::buffer;
+use crate::plan::{FramePlan, Pass};
 use crate::residency::layout::{
     GpuDispatch, GpuEntry, GpuPlaced, GpuRun, GpuSegment, GpuSlot, GpuStats, INSTANCE_GROUP,
     LOD_LAUNCHES,
@@ -116,8 +118,9 @@ impl Scratch {
         }
     }
 
-    /// Bytes of the largest buffer that one view needs, of which there are `bytes` for each pixel.
-    pub fn largest(scene: &ResidentScene, (width, height): (u32, u32), bytes: u64) -> u64 {
+    /// Bytes of the largest buffer that one view needs.
+    pub fn largest(scene: &ResidentScene, (width, height): (u32, u32), plan: &FramePlan) -> u64 {
+        let bytes = if plan.runs(Pass::ResolveFused) { LAYERS_BYTES } else { 8 };
         let bytes = [
             u64::from(width) * u64::from(height) * bytes,
             u64::from(scene.instance_end) * size_of::<GpuPlaced>() as u64,
@@ -126,19 +129,20 @@ impl Scratch {
         bytes.into_iter().max().unwrap_or(0)
     }
 
-    /// Makes room for `views` views of `scene` with `width` · `height` pixels each.
-    pub fn reserve(
-        &mut self,
-        gpu: &Gpu,
-        scene: &ResidentScene,
-        (width, height): (u32, u32),
-        views: u32,
-    ) {
-        let views = u64::from(views);
+    /// Makes room for what a group of frames of `scene` needs.
+    pub fn reserve(&mut self, gpu: &Gpu, scene: &ResidentScene, task: &FrameTask) {
+        let ((width, height), views) = (task.size(), u64::from(task.count()));
         let pixels = views * u64::from(width) * u64::from(height);
         // A pair of pixels is cleared at a time.
         self.visibility.reserve(gpu, pixels.next_multiple_of(2) * 8);
         self.pixels.reserve(gpu, pixels * 4);
+        if task.plan.runs(Pass::Shade) {
+            self.normals.reserve(gpu, pixels * 4);
+        }
+        self.sums.iter_mut().take(task.sums()).for_each(|sums| sums.reserve(gpu, pixels * 8));
+        if task.plan.runs(Pass::ResolveFused) {
+            self.layers.reserve(gpu, pixels * LAYERS_BYTES);
+        }
         self.stats.reserve(gpu, views * size_of::<GpuStats>() as u64);
         let instances = views * u64::from(scene.instance_end);
         self.placed.reserve(gpu, instances * size_of::<GpuPlaced>() as u64);
@@ -168,29 +172,6 @@ impl Scratch {
             self.sizes.reserve(gpu, 16);
         }
         self.large.reserve(gpu, 16 + u64::from(self.large_capacity) * 8);
-    }
-
-    /// Room for the normals that a shade pass reads.
-    pub fn reserve_normals(&mut self, gpu: &Gpu, (width, height): (u32, u32), views: u32) {
-        self.normals.reserve(gpu, u64::from(views) * u64::from(width) * u64::from(height) * 4);
-    }
-
-    /// Room for the first `count` of a pixel's sums.
-    pub fn reserve_sums(
-        &mut self,
-        gpu: &Gpu,
-        (width, height): (u32, u32),
-        views: u32,
-        count: usize,
-    ) {
-        let bytes = u64::from(views) * u64::from(width) * u64::from(height) * 8;
-        self.sums.iter_mut().take(count).for_each(|sums| sums.reserve(gpu, bytes));
-    }
-
-    /// Room for both words of each pixel.
-    pub fn reserve_layers(&mut self, gpu: &Gpu, (width, height): (u32, u32), views: u32) {
-        let pixels = u64::from(views) * u64::from(width) * u64::from(height);
-        self.layers.reserve(gpu, pixels * LAYERS_BYTES);
     }
 
     pub fn large_capacity(&self) -> u32 {

@@ -4,23 +4,46 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::gpu::shader::{Composed, ShaderError, compose};
+use crate::plan::{Pass, pass_table};
 
 macro_rules! fragments {
     ($($name:literal),+ $(,)?) => {
-        /// The text of a fragment of `shaders/`.
-        pub fn source(name: &str) -> Option<&'static str> {
-            if let Some(text) = on_disk(name) {
-                return Some(text);
-            }
-            match name {
-                $($name => Some(include_str!(concat!("../../shaders/", $name, ".wgsl"))),)+
-                _ => None,
-            }
-        }
+        /// The names of all fragments that passes share.
+        pub const SHARED: &[&str] = &[$($name),+];
 
-        /// The names of all fragments.
-        pub const FRAGMENTS: &[&str] = &[$($name),+];
+        const SHARED_SOURCES: &[&str] =
+            &[$(include_str!(concat!("../../shaders/", $name, ".wgsl"))),+];
     };
+}
+
+macro_rules! roots {
+    ($($pass:ident $kind:ident $folder:ident/$file:ident $half:literal
+        [$($stage:ident)+] $per:ident [$($reason:ident)*];)+) => {
+        /// The text of each pass's own file.
+        const ROOT_SOURCES: &[&str] = &[$(include_str!(concat!(
+            "../../shaders/", stringify!($folder), "/", stringify!($file), ".wgsl"
+        ))),+];
+    };
+}
+pass_table!(roots);
+
+/// The files that have entry points, by their names below `shaders/`.
+pub fn roots() -> Vec<&'static str> {
+    let mut roots: Vec<&str> = Vec::new();
+    for pass in Pass::ALL {
+        if !roots.contains(&pass.shader()) {
+            roots.push(pass.shader());
+        }
+    }
+    roots
+}
+
+/// The text of a file of `shaders/`.
+pub fn source(name: &str) -> Option<&'static str> {
+    let shared = SHARED.iter().copied().zip(SHARED_SOURCES);
+    let roots = Pass::ALL.iter().map(|pass| pass.shader()).zip(ROOT_SOURCES);
+    let embedded = || shared.chain(roots).find(|(file, _)| *file == name);
+    on_disk(name).or_else(|| embedded().map(|(_, text)| *text))
 }
 
 /// In debug builds, the folder `POINTILLIST_SHADERS` stands in for what was embedded, so that shaders can be worked on
@@ -98,33 +121,6 @@ fragments![
     "shared/members_listed",
     "shared/nodes_none",
     "shared/nodes_tree",
-    "select/clear",
-    "select/cull_groups",
-    "select/list_groups",
-    "select/select_chunks",
-    "select/list_entries",
-    "select/place",
-    "select/cull",
-    "select/scan",
-    "select/compact",
-    "select/launch_portions",
-    "select/depth_pyramid",
-    "select/cull_hidden",
-    "project/project_samples",
-    "project/project_triangles",
-    "project/rasterise_triangles",
-    "project/walk_triangles",
-    "project/project_splats",
-    "project/walk_splats",
-    "reconstruct/blend_splats",
-    "reconstruct/blend_walked",
-    "reconstruct/fuse_splats",
-    "reconstruct/fuse_walked",
-    "resolve/resolve_samples",
-    "resolve/resolve_splats",
-    "resolve/resolve_fused",
-    "resolve/resolve_triangles",
-    "shade/shade",
     "measure/measure_splats",
 ];
 
@@ -249,7 +245,7 @@ pub fn fingerprint() -> String {
 
 fn fingerprint_of(build: &str) -> String {
     let mut hasher = Sha256::new_with_prefix(build);
-    for name in FRAGMENTS {
+    for name in SHARED.iter().copied().chain(roots()) {
         hasher.update(name);
         hasher.update(source(name).unwrap_or_default());
     }

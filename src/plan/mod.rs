@@ -1,10 +1,11 @@
 //! Which passes a frame needs and why, as pure functions of scene, request and adapter (floor 3).
 //!
-//! The plan is a value: it lists every pass that this program has, in the order in which they run, each with the reason
-//! where it is skipped. Recording follows it; the receipt repeats it.
+//! The plan is a value: it has every line of the [table of passes](table), each with the reason where the pass is skipped.
+//! Recording goes through its [steps](FramePlan::steps).
 
 pub mod auto;
 mod settings;
+mod table;
 
 use serde::Serialize;
 
@@ -13,7 +14,10 @@ pub use settings::{
     SettingError, Settings, StillFrame, UsedSettings, Wait, declared,
 };
 
-use crate::scene::{Blend, Shading, Splats};
+pub(crate) use table::pass_table;
+pub use table::{Kind, MANY_CHUNKS, Per, Stage};
+
+use crate::scene::{Blend, Splats};
 
 /// What a plan depends on in a scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -21,18 +25,14 @@ pub struct SceneFacts {
     pub has_samples: bool,
     pub has_triangles: bool,
     pub lights: u32,
-    /// Some light asks for shadows.
-    pub casts_shadows: bool,
-    /// Some material cuts holes by alpha.
-    pub alpha_cut: bool,
     /// Its assets are point trees, from which a frame takes the detail that it shows.
     pub trees: bool,
     /// Chunks, instances counted.
     pub chunks: u64,
 }
 
-/// From so many chunks on it pays to ask which of them are hidden.
-pub const MANY_CHUNKS: u64 = 128;
+/// Turns in which what is far is asked whether it is hidden; as in the shader.
+pub const TURNS: u32 = 7;
 
 /// What a plan depends on in the adapter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -46,123 +46,70 @@ pub struct AdapterFacts {
     pub draws_hidden: bool,
 }
 
-/// Every pass, by the one name that it has everywhere.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Pass {
-    Clear,
-    CullGroups,
-    ListGroups,
-    Place,
-    SelectChunks,
-    ListEntries,
-    Cull,
-    Scan,
-    Compact,
-    LaunchPortions,
-    DepthPyramid,
-    CullHidden,
-    ProjectSamples,
-    /// Second half of [`Pass::ProjectSamples`] without 64-bit atomics.
-    ProjectSamplesId,
-    ProjectSplats,
-    WalkSplats,
-    ProjectSplatsId,
-    WalkSplatsId,
-    BlendSplats,
-    BlendWalked,
-    FuseSplats,
-    FuseWalked,
-    ProjectTriangles,
-    RasteriseTriangles,
-    WalkTriangles,
-    ProjectTrianglesId,
-    RasteriseTrianglesId,
-    WalkTrianglesId,
-    ResolveSamples,
-    ResolveSplats,
-    ResolveFused,
-    ResolveTriangles,
-    Shade,
-    ShadowMap,
+macro_rules! declare {
+    ($($pass:ident $kind:ident $folder:ident/$file:ident $half:literal
+        [$($stage:ident)+] $per:ident [$($reason:ident)*];)+) => {
+        /// A pass, by the one name that it has everywhere. Passes are ordered as they run.
+        #[derive(
+            Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, utoipa::ToSchema,
+        )]
+        #[serde(rename_all = "snake_case")]
+        pub enum Pass {
+            $($pass),+
+        }
+
+        impl Pass {
+            /// All passes in the order in which they run.
+            pub const ALL: &[Pass] = &[$(Pass::$pass),+];
+        }
+
+        const TABLE: &[Line] = &[$(Line {
+            name: concat!(stringify!($file), $half),
+            shader: concat!(stringify!($folder), "/", stringify!($file)),
+            kind: Kind::$kind,
+            stages: &[$(Stage::$stage),+],
+            per: Per::$per,
+            reasons: &[$(table::$reason),*],
+        }),+];
+    };
+}
+pass_table!(declare);
+
+/// A pass's line of the table.
+struct Line {
+    name: &'static str,
+    shader: &'static str,
+    kind: Kind,
+    stages: &'static [Stage],
+    per: Per,
+    reasons: &'static [table::Reason],
 }
 
 impl Pass {
-    /// All passes in the order in which they run.
-    pub const ALL: [Pass; 34] = [
-        Pass::Clear,
-        Pass::CullGroups,
-        Pass::ListGroups,
-        Pass::Place,
-        Pass::SelectChunks,
-        Pass::ListEntries,
-        Pass::Cull,
-        Pass::Scan,
-        Pass::Compact,
-        Pass::LaunchPortions,
-        Pass::DepthPyramid,
-        Pass::CullHidden,
-        Pass::ShadowMap,
-        Pass::ProjectSamples,
-        Pass::ProjectSplats,
-        Pass::WalkSplats,
-        Pass::ProjectTriangles,
-        Pass::RasteriseTriangles,
-        Pass::WalkTriangles,
-        Pass::ProjectSamplesId,
-        Pass::ProjectSplatsId,
-        Pass::WalkSplatsId,
-        Pass::ProjectTrianglesId,
-        Pass::RasteriseTrianglesId,
-        Pass::WalkTrianglesId,
-        Pass::BlendSplats,
-        Pass::BlendWalked,
-        Pass::FuseSplats,
-        Pass::FuseWalked,
-        Pass::ResolveSamples,
-        Pass::ResolveSplats,
-        Pass::ResolveFused,
-        Pass::ResolveTriangles,
-        Pass::Shade,
-    ];
+    fn line(self) -> &'static Line {
+        &TABLE[self as usize]
+    }
 
     pub fn name(self) -> &'static str {
-        match self {
-            Pass::Clear => "clear",
-            Pass::CullGroups => "cull_groups",
-            Pass::ListGroups => "list_groups",
-            Pass::SelectChunks => "select_chunks",
-            Pass::ListEntries => "list_entries",
-            Pass::Place => "place",
-            Pass::Cull => "cull",
-            Pass::Scan => "scan",
-            Pass::Compact => "compact",
-            Pass::LaunchPortions => "launch_portions",
-            Pass::DepthPyramid => "depth_pyramid",
-            Pass::CullHidden => "cull_hidden",
-            Pass::ProjectSamples => "project_samples",
-            Pass::ProjectSamplesId => "project_samples_id",
-            Pass::ProjectSplats => "project_splats",
-            Pass::ProjectSplatsId => "project_splats_id",
-            Pass::WalkSplats => "walk_splats",
-            Pass::WalkSplatsId => "walk_splats_id",
-            Pass::BlendSplats => "blend_splats",
-            Pass::BlendWalked => "blend_walked",
-            Pass::FuseSplats => "fuse_splats",
-            Pass::FuseWalked => "fuse_walked",
-            Pass::ResolveSplats => "resolve_splats",
-            Pass::ResolveFused => "resolve_fused",
-            Pass::ProjectTriangles => "project_triangles",
-            Pass::RasteriseTriangles => "rasterise_triangles",
-            Pass::ProjectTrianglesId => "project_triangles_id",
-            Pass::RasteriseTrianglesId => "rasterise_triangles_id",
-            Pass::WalkTriangles => "walk_triangles",
-            Pass::WalkTrianglesId => "walk_triangles_id",
-            Pass::ResolveSamples => "resolve_samples",
-            Pass::ResolveTriangles => "resolve_triangles",
-            Pass::Shade => "shade",
-            Pass::ShadowMap => "shadow_map",
-        }
+        self.line().name
+    }
+
+    /// The pass's WGSL file below `shaders/`.
+    pub fn shader(self) -> &'static str {
+        self.line().shader
+    }
+
+    pub fn kind(self) -> Kind {
+        self.line().kind
+    }
+
+    pub fn stages(self) -> &'static [Stage] {
+        self.line().stages
+    }
+
+    fn skipped(self, facts: &Facts) -> Option<&'static str> {
+        let mut reasons = self.line().reasons.iter();
+        reasons.find(|reason| (reason.holds)(facts)).map(|reason| reason.text)
     }
 }
 
@@ -180,9 +127,72 @@ pub struct FramePlan {
     pub passes: Vec<PlannedPass>,
 }
 
+/// Passes that are recorded one after the other, once or for each segment of a kind.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Step {
+    pub stage: Stage,
+    pub per: Per,
+    pub passes: Vec<Pass>,
+}
+
 impl FramePlan {
     pub fn runs(&self, pass: Pass) -> bool {
         self.passes.iter().any(|planned| planned.pass == pass && planned.skipped.is_none())
+    }
+
+    /// What is recorded, in order.
+    pub fn steps(&self) -> Vec<Step> {
+        let turns = if self.runs(Pass::CullHidden) { TURNS } else { 0 };
+        let mut steps = Vec::new();
+        for stage in Stage::ALL {
+            let passes = self.stage(stage);
+            let turns = if stage == Stage::Project { turns } else { 0 };
+            for turn in 0..=turns {
+                let is_last = stage == Stage::Project && turn == turns;
+                // Nothing comes after the last turn that could be hidden.
+                let is_asked = |pass| matches!(pass, Pass::DepthPyramid | Pass::CullHidden);
+                let passes = passes.iter().filter(|&&pass| !(is_last && is_asked(pass)));
+                let passes: Vec<Pass> = passes.copied().collect();
+                let together =
+                    |a: &Pass, b: &Pass| a.line().per == b.line().per && a.line().per != Per::Frame;
+                steps.extend(passes.chunk_by(together).map(|passes| Step {
+                    stage,
+                    per: passes[0].line().per,
+                    passes: passes.to_vec(),
+                }));
+            }
+        }
+        steps
+    }
+
+    /// The passes that run in a stage; none where no pass runs that belongs to it.
+    fn stage(&self, stage: Stage) -> Vec<Pass> {
+        let running = self.passes.iter().filter(|planned| planned.skipped.is_none());
+        let passes: Vec<Pass> = running
+            .map(|planned| planned.pass)
+            .filter(|pass| pass.stages().contains(&stage))
+            .collect();
+        let belongs = |pass: &Pass| pass.stages().first() == Some(&stage);
+        if passes.iter().any(belongs) { passes } else { Vec::new() }
+    }
+}
+
+/// What a pass may be skipped for.
+struct Facts<'a> {
+    scene: &'a SceneFacts,
+    output: Output,
+    splats: Option<&'a Splats>,
+    adapter: &'a AdapterFacts,
+}
+
+impl Facts<'_> {
+    fn blends(&self, blend: Blend) -> bool {
+        self.splats.is_some_and(|splats| splats.blend == blend)
+    }
+
+    /// Whether splats are blended, in one pass or in several.
+    fn is_blended(&self) -> bool {
+        self.blends(Blend::Weighted) || self.blends(Blend::Interleaved)
     }
 }
 
@@ -193,82 +203,70 @@ pub fn plan(
     splats: Option<&Splats>,
     adapter: &AdapterFacts,
 ) -> FramePlan {
-    let shaded = output == Output::Color && scene.lights > 0;
-    let is = |blend| splats.is_some_and(|splats| splats.blend == blend);
-    let (blended, fused) = (is(Blend::Weighted), is(Blend::Interleaved));
-    let lit_alone =
-        (blended || fused) && splats.is_some_and(|splats| splats.shading == Shading::Splat);
-    let reason = |pass: Pass| -> Option<&'static str> {
-        let samples = (!scene.has_samples).then_some("the scene has no samples");
-        let triangles = (!scene.has_triangles).then_some("the scene has no triangles");
-        let wide = adapter.atomics_64.then_some("the adapter has 64-bit atomics");
-        let rasterised =
-            adapter.rasterises.then_some("the adapter's rasteriser draws large triangles");
-        let walked = (!adapter.rasterises)
-            .then_some("the adapter's rasteriser is slower than walk_triangles");
-        let points = samples.or(splats.is_none().then_some("samples are drawn as points"));
-        let no_points = samples.or(splats.is_some().then_some("samples are drawn as splats"));
-        let single = fused.then_some("splats are blended in a single pass");
-        let opaque = points.or(single).or((!blended).then_some("splats are not blended"));
-        let apart = points.or((!fused).then_some("splats are not blended in a single pass"));
-        match pass {
-            Pass::Clear | Pass::Place | Pass::Cull | Pass::Scan | Pass::Compact => None,
-            Pass::CullGroups | Pass::ListGroups | Pass::SelectChunks | Pass::ListEntries => {
-                (!scene.trees).then_some("the level of detail is full")
-            }
-            Pass::LaunchPortions | Pass::DepthPyramid | Pass::CullHidden => samples
-                .or(single)
-                .and(triangles)
-                .map(|_| "nothing is drawn that can be hidden")
-                .or((scene.chunks < MANY_CHUNKS).then_some("the scene is of few chunks"))
-                .or(adapter.draws_hidden.then_some("what is hidden is to be drawn")),
-            Pass::ProjectSamples => no_points,
-            Pass::ProjectSplats | Pass::WalkSplats => points.or(single),
-            Pass::ProjectSplatsId | Pass::WalkSplatsId => points.or(single).or(wide),
-            Pass::BlendSplats | Pass::BlendWalked => {
-                opaque.or((output == Output::Id).then_some("the output is id"))
-            }
-            Pass::ResolveSplats => opaque,
-            Pass::FuseSplats | Pass::FuseWalked | Pass::ResolveFused => apart,
-            Pass::ProjectTriangles => triangles,
-            Pass::RasteriseTriangles => triangles.or(walked),
-            Pass::WalkTriangles => triangles.or(rasterised),
-            Pass::ProjectSamplesId => no_points.or(wide),
-            Pass::ProjectTrianglesId => triangles.or(wide),
-            Pass::RasteriseTrianglesId => triangles.or(wide).or(walked),
-            Pass::WalkTrianglesId => triangles.or(wide).or(rasterised),
-            // It also writes the background of a scene that has nothing at all.
-            Pass::ResolveSamples if scene.has_samples => {
-                (blended || fused).then_some("splats are blended")
-            }
-            Pass::ResolveSamples => samples.filter(|_| scene.has_triangles),
-            Pass::ResolveTriangles => triangles,
-            Pass::Shade if output != Output::Color => Some("the output is not color"),
-            Pass::Shade if shaded && lit_alone && !scene.has_triangles && scene.has_samples => {
-                Some("splats are lit one by one")
-            }
-            Pass::Shade => (!shaded).then_some("the scene has no lights"),
-            Pass::ShadowMap if scene.casts_shadows => Some("this version draws no shadows"),
-            Pass::ShadowMap => Some("no light casts shadows"),
-        }
-    };
-    FramePlan {
-        passes: Pass::ALL.iter().map(|&pass| PlannedPass { pass, skipped: reason(pass) }).collect(),
-    }
+    let facts = Facts { scene, output, splats, adapter };
+    let planned = |&pass: &Pass| PlannedPass { pass, skipped: pass.skipped(&facts) };
+    FramePlan { passes: Pass::ALL.iter().map(planned).collect() }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const OF_TREES: [Pass; 4] =
-        [Pass::CullGroups, Pass::ListGroups, Pass::SelectChunks, Pass::ListEntries];
+    use crate::scene::Shading;
+
     const WIDE: AdapterFacts = AdapterFacts {
         atomics_64: true,
         atomic_sums_64: true,
         rasterises: true,
         draws_hidden: false,
     };
+
+    /// Plans of scenes, outputs, ways to draw samples and adapters of every kind.
+    fn every_plan() -> Vec<FramePlan> {
+        let sides = [false, true];
+        let mut adapters = Vec::new();
+        for (atomics_64, rasterises, draws_hidden) in iproduct(sides, sides, sides) {
+            adapters.push(AdapterFacts { atomics_64, rasterises, draws_hidden, ..WIDE });
+        }
+        let mut scenes = Vec::new();
+        for (has_samples, has_triangles, trees) in iproduct(sides, sides, sides) {
+            for (lights, chunks) in [(0, 1), (2, 1), (0, MANY_CHUNKS), (2, MANY_CHUNKS)] {
+                scenes.push(SceneFacts { has_samples, has_triangles, lights, trees, chunks });
+            }
+        }
+        let mut splats = vec![None];
+        for blend in [Blend::Opaque, Blend::Weighted, Blend::Interleaved] {
+            for shading in [Shading::Splat, Shading::Deferred] {
+                splats.push(Some(Splats { blend, shading, ..Splats::default() }));
+            }
+        }
+        let outputs = [Output::Color, Output::Depth, Output::Normal, Output::Id];
+        let mut plans = Vec::new();
+        for (scene, adapter, splats) in iproduct(scenes, adapters, splats) {
+            for output in outputs {
+                plans.push(plan(&scene, output, splats.as_ref(), &adapter));
+            }
+        }
+        plans
+    }
+
+    fn iproduct<A: Clone, B: Clone, C: Clone>(
+        a: impl IntoIterator<Item = A>,
+        b: impl IntoIterator<Item = B> + Clone,
+        c: impl IntoIterator<Item = C> + Clone,
+    ) -> Vec<(A, B, C)> {
+        let mut out = Vec::new();
+        for a in a {
+            for b in b.clone() {
+                out.extend(c.clone().into_iter().map(|c| (a.clone(), b.clone(), c)));
+            }
+        }
+        out
+    }
+
+    fn running(plan: &FramePlan) -> Vec<Pass> {
+        Pass::ALL.iter().copied().filter(|&pass| plan.runs(pass)).collect()
+    }
 
     #[test]
     fn a_scan_without_lights_runs_no_triangle_or_shade_pass() {
@@ -293,15 +291,20 @@ mod tests {
             ..Default::default()
         };
         let plan = plan(&facts, Output::Color, None, &AdapterFacts::default());
-        for pass in Pass::ALL {
-            let other = matches!(
-                pass,
-                Pass::ShadowMap | Pass::RasteriseTriangles | Pass::RasteriseTrianglesId
-            ) || pass.name().contains("splat")
-                || matches!(pass, Pass::BlendWalked | Pass::FuseWalked | Pass::ResolveFused)
-                || OF_TREES.contains(&pass);
-            assert_eq!(plan.runs(pass), !other, "{pass:?}");
-        }
+        let names: Vec<&str> = running(&plan).into_iter().map(Pass::name).collect();
+        let first = ["project_samples", "project_triangles", "walk_triangles"];
+        let second = ["project_samples_id", "project_triangles_id", "walk_triangles_id"];
+        assert_eq!(
+            names,
+            [
+                &["clear", "place", "cull", "scan", "compact", "launch_portions"][..],
+                &first,
+                &["depth_pyramid", "cull_hidden"],
+                &second,
+                &["resolve_samples", "resolve_triangles", "shade"],
+            ]
+            .concat()
+        );
     }
 
     #[test]
@@ -352,12 +355,76 @@ mod tests {
     }
 
     #[test]
-    fn every_skipped_pass_says_why_and_all_are_listed_once() {
-        let plan = plan(&SceneFacts::default(), Output::Color, None, &WIDE);
-        assert_eq!(plan.passes.len(), Pass::ALL.len());
-        for planned in &plan.passes {
-            assert!(planned.skipped.is_none_or(|why| !why.is_empty()));
+    fn steps_first_record_passes_in_the_order_of_the_table() {
+        for plan in every_plan() {
+            let mut recorded: Vec<Pass> = Vec::new();
+            for pass in plan.steps().into_iter().flat_map(|step| step.passes) {
+                if !recorded.contains(&pass) {
+                    recorded.push(pass);
+                }
+            }
+            assert_eq!(recorded, running(&plan));
         }
+    }
+
+    #[test]
+    fn passes_that_share_a_list_go_through_segments_together() {
+        for step in every_plan().iter().flat_map(FramePlan::steps) {
+            let names: Vec<&str> = step.passes.iter().map(|pass| pass.name()).collect();
+            let listed = names.iter().any(|name| name.contains("walk") || name.contains("raster"));
+            assert_eq!(listed, step.per != Per::Frame, "{names:?}");
+            assert_eq!(names.len(), if listed { 2 } else { 1 }, "{names:?}");
+        }
+    }
+
+    #[test]
+    fn a_turn_ends_by_asking_what_is_hidden_unless_it_is_the_last() {
+        let scene = SceneFacts {
+            has_samples: true,
+            has_triangles: true,
+            chunks: MANY_CHUNKS,
+            ..Default::default()
+        };
+        let plan = plan(&scene, Output::Color, Some(&Splats::default()), &WIDE);
+        let of = |stage| {
+            let steps = plan.steps().into_iter().filter(move |step| step.stage == stage);
+            steps.flat_map(|step| step.passes).map(Pass::name).collect::<Vec<_>>()
+        };
+        let draw = ["launch_portions", "project_splats", "walk_splats"].into_iter();
+        let draw: Vec<&str> = draw.chain(["project_triangles", "rasterise_triangles"]).collect();
+        let ask = ["depth_pyramid", "cull_hidden"];
+        let mut turns = [&draw[..], &ask].concat().repeat(TURNS as usize);
+        turns.extend(&draw);
+        assert_eq!(of(Stage::Project), turns);
+        // Splats that are blended are asked once more.
+        let blend = ["blend_splats", "blend_walked"];
+        assert_eq!(of(Stage::Blend), [&["launch_portions"], &ask[..], &blend].concat());
+    }
+
+    #[test]
+    fn names_are_those_of_shaders_and_of_the_wire() {
+        for &pass in Pass::ALL {
+            assert_eq!(serde_json::to_value(pass).unwrap(), pass.name());
+            let file = pass.shader().rsplit('/').next().unwrap();
+            assert!([file.to_owned(), format!("{file}_id")].contains(&pass.name().to_owned()));
+        }
+    }
+
+    #[test]
+    fn the_architecture_lists_passes_as_they_run() {
+        let text = include_str!("../../ARCHITECTURE.md");
+        let (_, frame) = text.split_once("\n## The frame\n").unwrap();
+        let rows = frame.lines().skip_while(|line| !line.starts_with("| `"));
+        let rows = rows.take_while(|line| line.starts_with('|'));
+        let names = rows.flat_map(|row| row.split('|').nth(1).unwrap().split(','));
+        let names: Vec<&str> = names.map(|name| name.trim().trim_matches('`')).collect();
+        // One row stands for the second halves of all passes that have one.
+        let mut expected: Vec<&str> = Pass::ALL.iter().map(|pass| pass.name()).collect();
+        let is_half = |name: &&str| name.ends_with("_id");
+        let first = expected.iter().position(is_half).unwrap();
+        expected.retain(|name| !is_half(name));
+        expected.insert(first, "…_id");
+        assert_eq!(names, expected);
     }
 
     #[test]
@@ -365,8 +432,8 @@ mod tests {
         let facts = SceneFacts { has_samples: true, lights: 1, ..Default::default() };
         let runs = |splats: &Splats, output, facts: &SceneFacts| {
             let plan = plan(facts, output, Some(splats), &WIDE);
-            let all = Pass::ALL.into_iter().filter(|&pass| plan.runs(pass));
-            all.map(Pass::name).filter(|name| !FIXED.contains(name)).collect::<Vec<_>>()
+            let all = running(&plan).into_iter().map(Pass::name);
+            all.filter(|name| !FIXED.contains(name)).collect::<Vec<_>>()
         };
         const FIXED: [&str; 5] = ["clear", "place", "cull", "scan", "compact"];
         let deferred = Splats::default();

@@ -195,7 +195,7 @@ pub struct GpuTexture {
     pub unused: u32,
 }
 
-/// `Light` of `shade/shade.wgsl`.
+/// `Light` of `resolve/shade.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct GpuLight {
@@ -212,7 +212,7 @@ pub const MOST_VIEWS: u32 = 16;
 /// Rows of an image at most: what fourteen bits of a list's entry hold.
 pub const MOST_ROWS: u32 = 1 << 14;
 
-/// Lights that are bound as uniforms; as in `shade/shade.wgsl`. The list of lights has room for as many at least.
+/// Lights that are bound as uniforms; as in `resolve/shade.wgsl`. The list of lights has room for as many at least.
 pub const FEW_LIGHTS: u32 = 4;
 
 /// `Frame` of `shared/frame.wgsl`.
@@ -441,7 +441,7 @@ mod tests {
                 "Texture", GpuTexture, first, page, width, height, levels, wrap, nearest, unused
             )],
         );
-        let shade = crate::passes::shaders::composed("shade/shade", &Default::default()).unwrap();
+        let shade = crate::passes::shaders::composed("resolve/shade", &Default::default()).unwrap();
         let light: Mirror = (
             "Light",
             size_of::<GpuLight>(),

@@ -1,9 +1,11 @@
 //! What lies behind other things is not drawn, and no pixel tells.
 
+use std::collections::BTreeSet;
+
 use glam::DVec3;
 use pointillist::engine::{FrameRequest, Pose};
 use pointillist::math::Camera;
-use pointillist::plan::{ErrorMode, Output, Reconstruct, Settings};
+use pointillist::plan::{ErrorMode, Output, Pass, Reconstruct, Settings};
 use pointillist::scene::{Blend, Filter, Shading};
 use serde_json::json;
 
@@ -119,6 +121,38 @@ fn frames_are_those_that_draw_what_is_hidden() {
         assert!(fewer >= 12, "in {fewer} frames less than half was drawn");
         assert!(fewer_splats >= 6, "in {fewer_splats} frames a quarter of the splats was left out");
     }
+}
+
+#[test]
+fn every_pass_is_recorded_by_some_frame_in_the_order_of_the_table() {
+    let mut recorded = BTreeSet::new();
+    for narrow in [false, true] {
+        let studios = [false, true].map(|rasterises| {
+            let studio = Studio::with(|config| {
+                config.force_32_bit = narrow;
+                config.rasterise = Some(rasterises);
+            });
+            load(&studio);
+            studio
+        });
+        for settings in settings().into_iter().take(7) {
+            let request = FrameRequest { settings, ..views().remove(0) };
+            for studio in &studios {
+                let receipt = &studio.frame(&request).receipt;
+                let place = |name| Pass::ALL.iter().position(|pass| pass.name() == name).unwrap();
+                let (ran, skipped): (Vec<_>, Vec<_>) = receipt.passes.iter().partition(|p| p.ran);
+                let places: Vec<usize> = ran.iter().map(|pass| place(pass.name)).collect();
+                assert!(places.is_sorted_by(|a, b| a < b), "{settings:?}: {ran:?}");
+                let all = places.iter().copied().chain(skipped.iter().map(|p| place(p.name)));
+                assert_eq!(all.collect::<BTreeSet<_>>().len(), Pass::ALL.len(), "{settings:?}");
+                assert_eq!(receipt.passes.len(), Pass::ALL.len(), "{settings:?}");
+                assert!(skipped.iter().all(|pass| pass.why.is_some()));
+                recorded.extend(ran.iter().map(|pass| pass.name));
+            }
+        }
+    }
+    let all: BTreeSet<&str> = Pass::ALL.iter().map(|pass| pass.name()).collect();
+    assert_eq!(recorded, all);
 }
 
 #[test]

@@ -2,36 +2,25 @@
 
 use crate::gpu::shader::ShaderError;
 use crate::passes::reconstruct::{is_clipped, is_tree, node_constants, splat_constants};
-use crate::passes::recorder::{Call, Recorder, Segment};
-use crate::passes::shaders::{Choices, Portion, Visibility};
-use crate::plan::Pass;
+use crate::passes::recorder::{Call, Recorder};
+use crate::passes::shaders::Choices;
 
-pub fn pass(half: Visibility) -> Pass {
-    if half == Visibility::Id { Pass::ProjectSplatsId } else { Pass::ProjectSplats }
-}
-
-pub fn record(
-    recorder: &mut Recorder,
-    half: Visibility,
-    portion: Portion,
-    segment: Segment,
-) -> Result<(), ShaderError> {
+pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
+    let segment = recorder.segment;
     let splats = recorder.task.splats.unwrap_or_default();
     let mut constants = splat_constants(&splats, false);
     constants.extend(node_constants(recorder, segment));
     constants.push(recorder.lanes());
     recorder.compute(Call {
-        pass: pass(half),
-        root: "project/project_splats",
         choices: Choices {
-            visibility: half,
+            visibility: recorder.visibility(),
             clipped: is_clipped(recorder, segment),
             nodes: is_tree(recorder, segment),
-            portion,
+            portion: recorder.portion(),
             ..Choices::default()
         },
         constants,
         segments: &[segment],
-        launch: Recorder::launch(portion),
+        launch: recorder.launch(),
     })
 }

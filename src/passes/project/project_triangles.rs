@@ -1,33 +1,21 @@
 //! Triangles of a few pixels; larger ones are listed.
 
 use crate::gpu::shader::ShaderError;
-use crate::passes::recorder::{Call, Recorder, Segment};
-use crate::passes::shaders::{Choices, Portion, Visibility};
-use crate::plan::Pass;
+use crate::passes::recorder::{Call, Recorder};
+use crate::passes::shaders::Choices;
 
-pub fn pass(half: Visibility) -> Pass {
-    if half == Visibility::Id { Pass::ProjectTrianglesId } else { Pass::ProjectTriangles }
-}
-
-pub fn record(
-    recorder: &mut Recorder,
-    half: Visibility,
-    portion: Portion,
-    segment: Segment,
-) -> Result<(), ShaderError> {
+pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     // Threads that cannot vote would keep account of more rounds than they take.
     let lanes = if recorder.context.gpu.subgroups { recorder.lanes() } else { ("LANES", 64) };
     recorder.compute(Call {
-        pass: pass(half),
-        root: "project/project_triangles",
         choices: Choices {
-            visibility: half,
+            visibility: recorder.visibility(),
             alpha_cut: recorder.scene.alpha_cut,
-            portion,
+            portion: recorder.portion(),
             ..Choices::default()
         },
         constants: vec![lanes],
-        segments: &[segment],
-        launch: Recorder::launch(portion),
+        segments: &[recorder.segment],
+        launch: recorder.launch(),
     })
 }

@@ -1,18 +1,13 @@
 //! Listed triangles, through the adapter's rasteriser.
 
 use crate::gpu::shader::ShaderError;
-use crate::passes::recorder::{Recorder, Segment};
-use crate::passes::shaders::Visibility;
-use crate::plan::Pass;
+use crate::passes::recorder::Recorder;
+use crate::passes::shaders::Choices;
 
-pub fn pass(half: Visibility) -> Pass {
-    if half == Visibility::Id { Pass::RasteriseTrianglesId } else { Pass::RasteriseTriangles }
-}
-
-pub fn record(
-    recorder: &mut Recorder,
-    half: Visibility,
-    segment: Segment,
-) -> Result<(), ShaderError> {
-    recorder.raster(pass(half), half, segment)
+pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
+    recorder.raster(Choices {
+        visibility: recorder.visibility(),
+        alpha_cut: recorder.scene.alpha_cut,
+        ..Choices::default()
+    })
 }

@@ -2,29 +2,18 @@
 
 use super::{band_constant, walk};
 use crate::gpu::shader::ShaderError;
-use crate::passes::recorder::{Call, Recorder, Segment};
-use crate::passes::shaders::{Choices, Visibility};
-use crate::plan::Pass;
+use crate::passes::recorder::{Call, Recorder};
+use crate::passes::shaders::Choices;
 
-pub fn pass(half: Visibility) -> Pass {
-    if half == Visibility::Id { Pass::WalkTrianglesId } else { Pass::WalkTriangles }
-}
-
-pub fn record(
-    recorder: &mut Recorder,
-    half: Visibility,
-    segment: Segment,
-) -> Result<(), ShaderError> {
+pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     recorder.compute(Call {
-        pass: pass(half),
-        root: "project/walk_triangles",
         choices: Choices {
-            visibility: half,
+            visibility: recorder.visibility(),
             alpha_cut: recorder.scene.alpha_cut,
             ..Choices::default()
         },
         constants: vec![band_constant(recorder)],
-        segments: &[segment],
+        segments: &[recorder.segment],
         launch: walk(recorder),
     })
 }

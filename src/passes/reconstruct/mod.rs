@@ -9,8 +9,7 @@ use super::frame::output_number;
 use super::pipelines::Constants;
 use super::project::{band_constant, walk};
 use super::recorder::{Call, Recorder, Segment};
-use super::scratch::LAYERS_BYTES;
-use super::shaders::{Choices, Portion};
+use super::shaders::Choices;
 use crate::gpu::shader::ShaderError;
 use crate::plan::{Output, Paint, Pass};
 use crate::scene::{Blend, Filter, Shading, Splats};
@@ -68,54 +67,26 @@ fn is_lit(recorder: &Recorder) -> bool {
     alone && recorder.task.output == Output::Color && recorder.scene.light_count > 0
 }
 
-/// Empties the sums of all views.
-pub fn clear_sums(recorder: &mut Recorder) {
-    let (width, height) = recorder.task.size();
-    let bytes = u64::from(recorder.task.count()) * u64::from(width) * u64::from(height) * 8;
-    for sums in &recorder.context.scratch.sums[..recorder.task.sums()] {
-        recorder.encoder.clear_buffer(sums.buffer().raw(), 0, Some(bytes));
-    }
-}
-
-/// Empties both words of each pixel, of all views.
-pub fn clear_layers(recorder: &mut Recorder) {
-    let (width, height) = recorder.task.size();
-    let pixels = u64::from(recorder.task.count()) * u64::from(width) * u64::from(height);
-    let layers = recorder.context.scratch.layers.buffer().raw();
-    recorder.encoder.clear_buffer(layers, 0, Some(pixels * LAYERS_BYTES));
-}
-
 /// Records a pass in which a thread walks a splat.
-fn scatter(
-    recorder: &mut Recorder,
-    segment: Segment,
-    pass: Pass,
-    root: &'static str,
-) -> Result<(), ShaderError> {
-    let mut constants = constants(recorder, segment, false);
+pub fn scatter(recorder: &mut Recorder) -> Result<(), ShaderError> {
+    let mut constants = constants(recorder, false);
     constants.push(recorder.lanes());
     // Blended are all that the visible surface was looked for among.
-    let asked = recorder.task.hides() && pass == Pass::BlendSplats;
-    let portion = if asked { Portion::Turn } else { Portion::All };
-    let choices = Choices { portion, ..choices(recorder, segment) };
-    let (segments, launch) = (&[segment], Recorder::launch(portion));
-    recorder.compute(Call { pass, root, choices, constants, segments, launch })
+    let choices = Choices { portion: recorder.portion(), ..choices(recorder) };
+    let (segments, launch) = (&[recorder.segment], recorder.launch());
+    recorder.compute(Call { choices, constants, segments, launch })
 }
 
 /// Records a pass over the list of large splats.
-fn walk_listed(
-    recorder: &mut Recorder,
-    segment: Segment,
-    pass: Pass,
-    root: &'static str,
-) -> Result<(), ShaderError> {
-    let mut constants = constants(recorder, segment, true);
+pub fn walk_listed(recorder: &mut Recorder) -> Result<(), ShaderError> {
+    let mut constants = constants(recorder, true);
     constants.push(band_constant(recorder));
-    let (choices, segments, launch) = (choices(recorder, segment), &[segment], walk(recorder));
-    recorder.compute(Call { pass, root, choices, constants, segments, launch })
+    let (choices, segments, launch) = (choices(recorder), &[recorder.segment], walk(recorder));
+    recorder.compute(Call { choices, constants, segments, launch })
 }
 
-fn choices(recorder: &Recorder, segment: Segment) -> Choices {
+fn choices(recorder: &Recorder) -> Choices {
+    let segment = recorder.segment;
     Choices {
         clipped: is_clipped(recorder, segment),
         wide_sums: recorder.context.gpu.atomic_sums_64,
@@ -126,7 +97,8 @@ fn choices(recorder: &Recorder, segment: Segment) -> Choices {
     }
 }
 
-fn constants(recorder: &Recorder, segment: Segment, walked: bool) -> Constants {
+fn constants(recorder: &Recorder, walked: bool) -> Constants {
+    let segment = recorder.segment;
     let (looks, lights) = (recorder.scene.looks, recorder.scene.light_count);
     let mut constants = vec![
         ("OUTPUT", output_number(recorder.task.output)),
@@ -139,7 +111,7 @@ fn constants(recorder: &Recorder, segment: Segment, walked: bool) -> Constants {
         constants.push(("CROWDED", u32::from(recorder.scene.sample_count >= SUMS_ROOM)));
     }
     if is_lit(recorder) {
-        constants.extend(super::shade::light_constants(looks, lights));
+        constants.extend(super::resolve::shade::light_constants(looks, lights));
     }
     constants.extend(recorder.task.splats.iter().flat_map(|s| splat_constants(s, walked)));
     constants.extend(node_constants(recorder, segment));

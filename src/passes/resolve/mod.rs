@@ -1,9 +1,10 @@
-//! Attributes of the visible pixels only.
+//! Attributes of the visible pixels only, and their light.
 
 pub mod resolve_fused;
 pub mod resolve_samples;
 pub mod resolve_splats;
 pub mod resolve_triangles;
+pub mod shade;
 
 use super::frame::output_number;
 use super::pipelines::Constants;

@@ -4,12 +4,9 @@ use super::{constants, tiles};
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, Recorder};
 use crate::passes::shaders::Choices;
-use crate::plan::Pass;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     recorder.compute(Call {
-        pass: Pass::ResolveFused,
-        root: "resolve/resolve_fused",
         choices: Choices::default(),
         constants: constants(recorder),
         // One for all: sums belong to no page. The first segment's resolve writes the background.

@@ -5,7 +5,6 @@ use crate::gpu::shader::ShaderError;
 use crate::passes::reconstruct::{is_tree, paint_constants};
 use crate::passes::recorder::{Call, Recorder};
 use crate::passes::shaders::Choices;
-use crate::plan::Pass;
 use crate::residency::SAMPLE_PAGES;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
@@ -14,8 +13,6 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let mut constants = constants(recorder);
     constants.extend(paint_constants(recorder, first));
     recorder.compute(Call {
-        pass: Pass::ResolveSamples,
-        root: "resolve/resolve_samples",
         choices: Choices { nodes: is_tree(recorder, first), ..Choices::default() },
         constants,
         segments: &segments,

@@ -4,15 +4,12 @@ use super::{constants, tiles};
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, Recorder};
 use crate::passes::shaders::Choices;
-use crate::plan::Pass;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let mut constants = constants(recorder);
     constants.push(("DEFERRED", u32::from(recorder.task.is_deferred())));
     constants.push(("BALLS", u32::from(recorder.task.model.trees)));
     recorder.compute(Call {
-        pass: Pass::ResolveSplats,
-        root: "resolve/resolve_splats",
         choices: Choices::default(),
         constants,
         // One for all: sums belong to no page. The first segment's resolve writes the background.

@@ -4,14 +4,11 @@ use super::{constants, tiles};
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, Recorder};
 use crate::passes::shaders::Choices;
-use crate::plan::Pass;
 use crate::residency::PageKind;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let segments = recorder.segments(&[PageKind::Triangles]);
     recorder.compute(Call {
-        pass: Pass::ResolveTriangles,
-        root: "resolve/resolve_triangles",
         choices: Choices::default(),
         constants: constants(recorder),
         segments: &segments,

@@ -11,5 +11,5 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let groups = recorder.entries().div_ceil(ENTRIES);
     let unasked = ("UNASKED", u32::from(recorder.task.plan.runs(Pass::FuseSplats)));
     let constants = vec![recorder.hides(), unasked];
-    recorder.over_lists(Pass::Compact, "select/compact", groups, Listed::Compact, constants)
+    recorder.over_lists(groups, Listed::Compact, constants)
 }

@@ -2,7 +2,6 @@
 
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Listed, Recorder};
-use crate::plan::Pass;
 
 /// Entries that a workgroup looks at; as in the shader.
 pub const ENTRIES: u32 = 32 * 32;
@@ -14,5 +13,5 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
         constants.push(("MEASURE", recorder.task.measure()));
         constants.push(("SPLIT", u32::from(recorder.task.splits_errors())));
     }
-    recorder.over_lists(Pass::Cull, "select/cull", groups, Listed::Cull, constants)
+    recorder.over_lists(groups, Listed::Cull, constants)
 }

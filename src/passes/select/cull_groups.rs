@@ -3,7 +3,6 @@
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, DISPATCH_ROW, Launch, Recorder};
 use crate::passes::shaders::Choices;
-use crate::plan::Pass;
 
 /// Groups of instances that a workgroup looks at; as in the shader.
 const GROUPS: u32 = 64;
@@ -12,8 +11,6 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let groups = recorder.scene.instance_groups().div_ceil(GROUPS);
     let size = [groups.min(DISPATCH_ROW), groups.div_ceil(DISPATCH_ROW), 1];
     recorder.compute(Call {
-        pass: Pass::CullGroups,
-        root: "select/cull_groups",
         choices: Choices::default(),
         constants: vec![("MEASURE", recorder.task.measure())],
         segments: &[None],

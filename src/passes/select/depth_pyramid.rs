@@ -3,7 +3,6 @@
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, Launch, Recorder};
 use crate::passes::shaders::Choices;
-use crate::plan::Pass;
 
 /// Side of a block, and the words of its record; as in the shader.
 pub const BLOCK_PX: u32 = 16;
@@ -11,8 +10,6 @@ pub const BLOCK_WORDS: u32 = 17;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     recorder.compute(Call {
-        pass: Pass::DepthPyramid,
-        root: "select/depth_pyramid",
         choices: Choices::default(),
         constants: Vec::new(),
         segments: &[None],

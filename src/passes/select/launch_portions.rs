@@ -2,10 +2,10 @@
 
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::Recorder;
-use crate::plan::Pass;
+use crate::plan::Stage;
 
-/// `whole`: all that is not hidden is drawn in one turn.
-pub fn record(recorder: &mut Recorder, whole: bool) -> Result<(), ShaderError> {
-    let constants = vec![("WHOLE", u32::from(whole))];
-    recorder.rows(Pass::LaunchPortions, "select/launch_portions", 1, 1, constants)
+pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
+    // Once the depths are known, all that is not hidden is drawn in one turn.
+    let whole = recorder.stage != Stage::Project;
+    recorder.rows(1, 1, vec![("WHOLE", u32::from(whole))])
 }

@@ -2,8 +2,7 @@
 
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::Recorder;
-use crate::plan::Pass;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
-    recorder.rows(Pass::ListEntries, "select/list_entries", 1, 1, Vec::new())
+    recorder.rows(1, 1, Vec::new())
 }

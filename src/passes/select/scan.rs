@@ -2,9 +2,8 @@
 
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::Recorder;
-use crate::plan::Pass;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let (groups, views) = (1, recorder.task.count());
-    recorder.rows(Pass::Scan, "select/scan", groups, views, vec![recorder.hides()])
+    recorder.rows(groups, views, vec![recorder.hides()])
 }

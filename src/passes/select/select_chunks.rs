@@ -3,12 +3,9 @@
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, Launch, Listed, Recorder};
 use crate::passes::shaders::Choices;
-use crate::plan::Pass;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     recorder.compute(Call {
-        pass: Pass::SelectChunks,
-        root: "select/select_chunks",
         choices: Choices::default(),
         constants: vec![("MEASURE", recorder.task.measure())],
         segments: &[None],

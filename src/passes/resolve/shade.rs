@@ -1,11 +1,10 @@
 //! Lights, once a pixel.
 
-use super::pipelines::Constants;
-use super::recorder::{Call, Recorder};
-use super::resolve::tiles;
+use super::tiles;
 use crate::gpu::shader::ShaderError;
+use crate::passes::pipelines::Constants;
+use crate::passes::recorder::{Call, Recorder};
 use crate::passes::shaders::Choices;
-use crate::plan::Pass;
 use crate::residency::Looks;
 use crate::residency::layout::FEW_LIGHTS;
 
@@ -24,8 +23,6 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let mut constants = light_constants(looks, recorder.scene.light_count);
     constants.push(("OVERRIDES", u32::from(looks.overrides)));
     recorder.compute(Call {
-        pass: Pass::Shade,
-        root: "shade/shade",
         choices: Choices::default(),
         constants,
         segments: &[None],

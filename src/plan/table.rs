@@ -1,0 +1,141 @@
+//! The table of passes: every pass of this program, one line each, in the order in which they run.
+//!
+//! [`Pass`], its names, the plan, the embedded shaders, the pipelines, the recording and the receipts follow from these lines.
+//! A line names, from left to right:
+//!
+//! 1. the variant of [`Pass`];
+//! 2. the kind of pipeline: `Compute` has one entry point, named after its file; `Raster` has `vertex` and `fragment`;
+//! 3. the WGSL file below `shaders/`, which is also the path of the recording function below `passes/`;
+//! 4. what the pass's name has behind the file's;
+//! 5. the stages in which it is recorded, the one that it belongs to first;
+//! 6. what it is recorded once for;
+//! 7. the reasons for which a frame does without it. It runs where none holds.
+//!
+//! Buffers are not listed here: a shader declares what it binds, and `passes/bindings.rs` finds the buffer by its name.
+
+use super::Facts;
+use crate::scene::{Blend, Shading};
+
+/// Hands the lines of the table to the macro `$reader`.
+macro_rules! pass_table {
+    ($reader:ident) => {
+        $reader! {
+            Clear                Compute select/clear                  ""    [Select]            Frame     [];
+            CullGroups           Compute select/cull_groups            ""    [Select]            Frame     [FULL_DETAIL];
+            ListGroups           Compute select/list_groups            ""    [Select]            Frame     [FULL_DETAIL];
+            Place                Compute select/place                  ""    [Select]            Frame     [];
+            SelectChunks         Compute select/select_chunks          ""    [Select]            Frame     [FULL_DETAIL];
+            ListEntries          Compute select/list_entries           ""    [Select]            Frame     [FULL_DETAIL];
+            Cull                 Compute select/cull                   ""    [Select]            Frame     [];
+            Scan                 Compute select/scan                   ""    [Select]            Frame     [];
+            Compact              Compute select/compact                ""    [Select]            Frame     [];
+            LaunchPortions       Compute select/launch_portions        ""    [Project Ids Blend] Frame     [NOTHING_TO_HIDE FEW_CHUNKS DRAWS_HIDDEN];
+            ProjectSamples       Compute project/project_samples       ""    [Project]           Frame     [NO_SAMPLES AS_SPLATS];
+            ProjectSplats        Compute project/project_splats        ""    [Project]           Samples   [NO_SAMPLES AS_POINTS FUSED];
+            WalkSplats           Compute project/walk_splats           ""    [Project]           Samples   [NO_SAMPLES AS_POINTS FUSED];
+            ProjectTriangles     Compute project/project_triangles     ""    [Project]           Triangles [NO_TRIANGLES];
+            RasteriseTriangles   Raster  project/rasterise_triangles   ""    [Project]           Triangles [NO_TRIANGLES WALKS];
+            WalkTriangles        Compute project/walk_triangles        ""    [Project]           Triangles [NO_TRIANGLES RASTERISES];
+            DepthPyramid         Compute select/depth_pyramid          ""    [Project Blend]     Frame     [NOTHING_TO_HIDE FEW_CHUNKS DRAWS_HIDDEN];
+            CullHidden           Compute select/cull_hidden            ""    [Project Blend]     Frame     [NOTHING_TO_HIDE FEW_CHUNKS DRAWS_HIDDEN];
+            ProjectSamplesId     Compute project/project_samples       "_id" [Ids]               Frame     [NO_SAMPLES AS_SPLATS WIDE];
+            ProjectSplatsId      Compute project/project_splats        "_id" [Ids]               Samples   [NO_SAMPLES AS_POINTS FUSED WIDE];
+            WalkSplatsId         Compute project/walk_splats           "_id" [Ids]               Samples   [NO_SAMPLES AS_POINTS FUSED WIDE];
+            ProjectTrianglesId   Compute project/project_triangles     "_id" [Ids]               Triangles [NO_TRIANGLES WIDE];
+            RasteriseTrianglesId Raster  project/rasterise_triangles   "_id" [Ids]               Triangles [NO_TRIANGLES WIDE WALKS];
+            WalkTrianglesId      Compute project/walk_triangles        "_id" [Ids]               Triangles [NO_TRIANGLES WIDE RASTERISES];
+            BlendSplats          Compute reconstruct/blend_splats      ""    [Blend]             Samples   [NO_SAMPLES AS_POINTS FUSED OPAQUE IDS];
+            BlendWalked          Compute reconstruct/blend_walked      ""    [Blend]             Samples   [NO_SAMPLES AS_POINTS FUSED OPAQUE IDS];
+            FuseSplats           Compute reconstruct/fuse_splats       ""    [Fuse]              Samples   [NO_SAMPLES AS_POINTS NOT_FUSED];
+            FuseWalked           Compute reconstruct/fuse_walked       ""    [Fuse]              Samples   [NO_SAMPLES AS_POINTS NOT_FUSED];
+            ResolveFused         Compute resolve/resolve_fused         ""    [Resolve]           Frame     [NO_SAMPLES AS_POINTS NOT_FUSED];
+            ResolveSplats        Compute resolve/resolve_splats        ""    [Resolve]           Frame     [NO_SAMPLES AS_POINTS FUSED OPAQUE];
+            ResolveSamples       Compute resolve/resolve_samples       ""    [Resolve]           Frame     [ONLY_TRIANGLES BLENDED];
+            ResolveTriangles     Compute resolve/resolve_triangles     ""    [Resolve]           Frame     [NO_TRIANGLES];
+            Shade                Compute resolve/shade                 ""    [Resolve]           Frame     [NOT_COLOR NO_LIGHTS LIT_ALONE];
+        }
+    };
+}
+pub(crate) use pass_table;
+
+/// Part of a frame. Stages follow each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Which chunks are seen, and the map from each to the image.
+    Select,
+    /// Everything into the visibility buffer. Where hidden chunks are looked for, the stage repeats in turns.
+    Project,
+    /// The ids of what was kept, where 64-bit atomics are missing.
+    Ids,
+    /// Weighted sums of the splats at the visible surface.
+    Blend,
+    /// Splats that are blended and depth-tested in a single pass.
+    Fuse,
+    /// Pixels.
+    Resolve,
+}
+
+impl Stage {
+    pub const ALL: [Stage; 6] =
+        [Stage::Select, Stage::Project, Stage::Ids, Stage::Blend, Stage::Fuse, Stage::Resolve];
+}
+
+/// What a pass is recorded once for. Passes that follow each other and are recorded for each segment of one kind take turns
+/// segment by segment, and share the list of what is too large for one thread.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Per {
+    Frame,
+    /// Each segment of samples.
+    Samples,
+    /// Each segment of triangles.
+    Triangles,
+}
+
+/// The kind of pipeline that a shader makes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    Compute,
+    Raster,
+}
+
+/// Why a frame does without a pass.
+pub(super) struct Reason {
+    pub text: &'static str,
+    pub holds: fn(&Facts) -> bool,
+}
+
+/// From so many chunks on it pays to ask which of them are hidden.
+pub const MANY_CHUNKS: u64 = 128;
+
+macro_rules! reasons {
+    ($($name:ident: $text:literal, $holds:expr;)+) => {
+        $(pub(super) const $name: Reason = Reason { text: $text, holds: $holds };)+
+    };
+}
+
+reasons! {
+    NO_SAMPLES: "the scene has no samples", |f| !f.scene.has_samples;
+    ONLY_TRIANGLES: "the scene has no samples", |f| !f.scene.has_samples && f.scene.has_triangles;
+    NO_TRIANGLES: "the scene has no triangles", |f| !f.scene.has_triangles;
+    NO_LIGHTS: "the scene has no lights", |f| f.scene.lights == 0;
+    FULL_DETAIL: "the level of detail is full", |f| !f.scene.trees;
+    NOTHING_TO_HIDE: "nothing is drawn that can be hidden",
+        |f| (!f.scene.has_samples || f.blends(Blend::Interleaved)) && !f.scene.has_triangles;
+    FEW_CHUNKS: "the scene is of few chunks", |f| f.scene.chunks < MANY_CHUNKS;
+    DRAWS_HIDDEN: "what is hidden is to be drawn", |f| f.adapter.draws_hidden;
+    WIDE: "the adapter has 64-bit atomics", |f| f.adapter.atomics_64;
+    RASTERISES: "the adapter's rasteriser draws large triangles", |f| f.adapter.rasterises;
+    WALKS: "the adapter's rasteriser is slower than walk_triangles", |f| !f.adapter.rasterises;
+    AS_POINTS: "samples are drawn as points", |f| f.splats.is_none();
+    AS_SPLATS: "samples are drawn as splats", |f| f.splats.is_some();
+    OPAQUE: "splats are not blended", |f| !f.blends(Blend::Weighted);
+    FUSED: "splats are blended in a single pass", |f| f.blends(Blend::Interleaved);
+    NOT_FUSED: "splats are not blended in a single pass", |f| !f.blends(Blend::Interleaved);
+    BLENDED: "splats are blended", |f| f.scene.has_samples && f.is_blended();
+    LIT_ALONE: "splats are lit one by one", |f| {
+        let alone = f.splats.is_some_and(|splats| splats.shading == Shading::Splat);
+        alone && f.is_blended() && f.scene.has_samples && !f.scene.has_triangles
+    };
+    NOT_COLOR: "the output is not color", |f| f.output != super::Output::Color;
+    IDS: "the output is id", |f| f.output == super::Output::Id;
+}
