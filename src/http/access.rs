@@ -4,9 +4,8 @@
 //! compares it with every stored hash in constant time, so that neither time nor order tells how near a guess was.
 //!
 //! Without keys (loopback, or `--insecure`) everybody may do everything, except that a web page from another origin may not
-//! change
-//! anything: browsers send such requests to a local server without asking. An attacker can point a name of his own at 127.0.0.1,
-//! which makes his page same-origin. A server that listens on loopback therefore answers only to the names of loopback.
+//! change anything: browsers send such requests to a local server without asking. An attacker can point a name of his own at
+//! 127.0.0.1, which makes his page same-origin. A server that listens on loopback therefore answers only to the names of loopback.
 //!
 //! Browsers do not apply the same-origin policy to WebSockets, so a page of any origin could read a stream, and a page cannot set
 //! headers on the request. Without keys, a stream is therefore open only to pages of the same origin or of `cors_origins`. A key

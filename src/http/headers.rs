@@ -6,9 +6,8 @@ use axum::http::HeaderValue;
 
 use crate::engine::Receipt;
 
-/// `Server-Timing` in milliseconds: queue, batch (recording, with the numbers of frames and passes in the batch), each GPU pass
-/// by its
-/// name, device-wait, readback, encode-wait, encode, total. The entries before the total add up to it, except for time between
+/// `Server-Timing` in milliseconds: queue, batch (recording, with the numbers of frames and passes in the batch), each GPU
+/// pass by its name, device-wait, readback, encode-wait, encode, total. The entries before the total add up to it, except for time between
 /// passes. Passes that did not run and times that the adapter cannot give are left out; their time then counts as readback.
 pub fn server_timing(receipt: &Receipt) -> Option<HeaderValue> {
     let mut line = String::with_capacity(512);

@@ -6,8 +6,7 @@
 //! ```
 //!
 //! A frame is drawn only when the client reads: after a pause the stream goes on with the frame that is due, unless the pause was
-//! longer than a stream may be idle ([`watched`]). Without a path it shows one view, and shows it again whenever the scene
-//! changes.
+//! longer than a stream may be idle ([`watched`]). Without a path it shows one view, and shows it again when the scene changes.
 
 mod screening;
 mod timeline;

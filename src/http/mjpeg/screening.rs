@@ -1,6 +1,5 @@
-//! A screening: a film that is drawn while it is shown, and not stored. It waits until a frame is due, draws it, and copes with a
-//! busy
-//! engine.
+//! A screening: a film that is drawn while it is shown, and not stored. It waits until a frame is due, draws it, and copes
+//! with a busy engine.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
