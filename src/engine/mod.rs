@@ -645,8 +645,8 @@ impl Engine {
         self.begin_bake(request)?.map_or(Ok(()), BakeTicket::wait)
     }
 
-    /// The same for who waits in another way, with all others who wait for it; `None` when everything is there. It is given up when
-    /// nobody waits any more.
+    /// Begins a bake and returns its ticket, shared with all others who wait for the bake; `None` when everything is there. The
+    /// bake is given up when nobody waits any more.
     ///
     /// # Errors
     /// An unknown scene.
@@ -658,13 +658,13 @@ impl Engine {
         Ok(goal.map(|goal| self.shared().bakes.join(loaded, goal)))
     }
 
-    /// Bakes that are under way for [`Engine::begin_bake`], also such as are being given up.
+    /// Returns the number of running bakes of [`Engine::begin_bake`], including those that are being given up.
     pub fn bakes_running(&self) -> usize {
         self.shared().bakes.running()
     }
 
-    /// Builds or reads the point trees of all of a scene's assets, keeps them for frames, and tells what they are. Blocks, for a
-    /// few seconds per million samples that are in no cache.
+    /// Builds or reads the point trees of all of a scene's assets, keeps them for frames, and returns their statistics. Blocks
+    /// for a few seconds per million samples that are in no cache.
     ///
     /// # Errors
     /// An unknown scene, or a geometry that no tree can be built of.
@@ -682,12 +682,12 @@ impl Engine {
     /// Queues a frame.
     ///
     /// # Errors
-    /// Whatever is wrong with the request, or [`EngineError::Busy`]; nothing is queued then.
+    /// Any error of the request, or [`EngineError::Busy`]; nothing is queued then.
     pub fn submit(&self, request: FrameRequest) -> Result<FrameTicket, EngineError> {
         self.submit_for(Client::Unnamed, request)
     }
 
-    /// Queues a frame for a client, who shares the device with the others; as an [`Origin`], under a name.
+    /// Queues a frame for a client, which shares the device with the others; an [`Origin`] also names the request.
     ///
     /// # Errors
     /// As [`Engine::submit`].
@@ -699,7 +699,7 @@ impl Engine {
         self.submit_tagged(origin, request).map(|(_, ticket)| ticket)
     }
 
-    /// The same, with the tag (as of [`Engine::etag`]) of the frame that will come, whatever becomes of the scene meanwhile.
+    /// Queues a frame and returns its tag (as of [`Engine::etag`]), which stays valid even if the scene changes meanwhile.
     ///
     /// # Errors
     /// As [`Engine::submit`].
@@ -714,13 +714,13 @@ impl Engine {
         Ok((tag, FrameTicket { receiver }))
     }
 
-    /// A place in the queue for one who wants the newest frame only, and shares the device's time with the other seats of the
-    /// client `of`.
+    /// Returns a place in the queue for a client that wants only the newest frame. Seats of the client `of` share the device's
+    /// time.
     pub fn seat(&self, of: Client) -> Seat {
         Seat::new(self, of)
     }
 
-    /// Has batches and frames told from now on to the first that asks for it; whether that is this one.
+    /// Sets the observer of batches and frames; only the first call succeeds. Returns whether this one did.
     pub fn observe(&self, observer: Arc<dyn Observer>) -> bool {
         self.shared().observer.set(observer).is_ok()
     }
@@ -730,18 +730,18 @@ impl Engine {
         self.shared().changes.subscribe()
     }
 
-    /// What tells a scene from any other and from itself at another revision; `None` when there is none.
+    /// Returns a mark that is unique to the scene and its revision; `None` when there is no such scene.
     pub fn scene_mark(&self, id: &str) -> Option<SceneMark> {
         let loaded = self.shared().library.read().get(id)?;
         Some(SceneMark { uid: loaded.model.uid, revision: loaded.model.revision })
     }
 
-    /// What samples of a frame would be drawn as: a request may leave it open.
+    /// Returns how the samples of a frame would be drawn, which a request may leave open.
     pub fn drawn_as(&self, request: &FrameRequest) -> Result<Reconstruct, EngineError> {
         Ok(resolve::resolve(self.shared(), request)?.drawing.reconstruct)
     }
 
-    /// The plan that a request would follow, and what it was planned from.
+    /// Returns the plan for a request.
     pub fn plan(&self, request: &FrameRequest) -> Result<crate::plan::FramePlan, EngineError> {
         Ok(resolve::resolve(self.shared(), request)?.drawing.plan)
     }
@@ -779,12 +779,12 @@ impl Engine {
         }
     }
 
-    /// Name of the adapter, as receipts give it.
+    /// Returns the name of the adapter, as in receipts.
     pub fn adapter(&self) -> String {
         self.shared().adapter().name
     }
 
-    /// Refuses new jobs, finishes the accepted ones. Blocks.
+    /// Refuses new jobs and finishes the accepted ones. Blocks.
     pub fn drain(&self) {
         self.shared().stop();
         while self.shared().has_unanswered() {
@@ -792,25 +792,25 @@ impl Engine {
         }
     }
 
-    /// Has the render thread panic, to see what becomes of the rest.
+    /// Makes the render thread panic, for tests.
     #[doc(hidden)]
     pub fn break_render_thread(&self) {
         self.shared().break_render_thread();
     }
 
-    /// Waits until pipelines have been built ahead or `patience` is over; whether they have been.
+    /// Waits until pipelines have been built ahead, at most for `patience`, and returns whether they have been.
     #[doc(hidden)]
     pub fn await_primed(&self, patience: Duration) -> bool {
         self.shared().await_primed(patience)
     }
 
-    /// Has the driver refuse the next submission, to see whom that costs a frame.
+    /// Makes the driver refuse the next submission, for tests.
     #[doc(hidden)]
     pub fn spoil_next_submission(&self) {
         self.shared().spoil_next_submission();
     }
 
-    /// Loses the device on purpose, to see that it comes back.
+    /// Loses the device on purpose, for tests of its recovery.
     #[doc(hidden)]
     pub fn lose_device(&self) {
         self.shared().lose_device();
