@@ -1,8 +1,8 @@
-//! What is baked, asset by asset: read from the cache on disk where it is there, built and written to it where not.
+//! Bakes point trees asset by asset: reads them from the cache on disk, or builds them and writes them to the cache.
 //!
-//! An entry's key is the hash of all that its trees depend on ([`super::keys::tree_key`]). Trees over a scene's instances are made
-//! in no time and are not cached. A cache that cannot be written costs a warning and the next process the time to build.
-//! What is too large for the memory that baking may take is built with temporary files beside the cache ([`large`]).
+//! An entry's key is the hash of all inputs of its trees ([`super::keys::tree_key`]). Trees over a scene's instances are built
+//! quickly and not cached. If the cache cannot be written, bakes log a warning, and the next process has to build again. Assets
+//! that would exceed the memory limit of baking are built with temporary files beside the cache ([`large`]).
 
 mod large;
 
@@ -27,7 +27,7 @@ use crate::bake::tree::TreeStatistics;
 use crate::memory::Admission;
 use crate::residency::model::AssetModel;
 
-/// Where an asset's point trees came from, and what became of them.
+/// Source of an asset's point trees, and whether they were stored.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(tag = "source", rename_all = "snake_case")]
 pub enum BakeSource {
@@ -35,44 +35,44 @@ pub enum BakeSource {
     Built,
     /// Built, and written to the cache.
     Stored,
-    /// Built; the cache would be too small for them alone.
+    /// Built; too large for the cache.
     TooLarge,
-    /// Built; the cache cannot be written, and why.
+    /// Built; the cache cannot be written for this reason.
     NotStored { reason: String },
     /// Read from the cache.
     Cached,
-    /// They had been made before and were still in memory.
+    /// Made earlier and still in memory.
     Kept,
 }
 
-/// The point trees of an asset, in figures.
+/// Statistics of an asset's point trees.
 #[derive(Clone, Debug, Serialize)]
 pub struct BakedAsset {
     pub name: String,
-    /// Of the asset as it was read.
+    /// Samples of the asset as it was read.
     pub samples: u64,
     pub triangles: u64,
     #[serde(flatten)]
     pub source: BakeSource,
-    /// Reading or building, and writing.
+    /// Time of reading or building, and of writing.
     pub elapsed_ns: u64,
-    /// Of all its trees together.
+    /// Statistics of all its trees together.
     pub tree: TreeStatistics,
-    /// Triangles that are drawn where samples would be too coarse, and their bytes on the GPU.
+    /// Triangles drawn where samples would be too coarse, and their bytes on the GPU.
     pub triangles_beside: u64,
     pub triangle_bytes: u64,
 }
 
-/// How far baking has come.
+/// Progress of baking.
 #[derive(Clone, Copy, Debug)]
 pub enum BakeEvent<'a> {
-    /// Samples and triangles of the scene's assets together, each asset counted once; or assets, where some are not read as a whole.
+    /// Counts samples and triangles of all assets, each asset once; or counts assets, where some are not read as a whole.
     Started {
         asset: &'a str,
         done: u64,
         total: u64,
     },
-    /// Within an asset that is built with temporary files: how far a phase of it is, in parts of 1.
+    /// Progress of one phase, from 0 to 1, of an asset that is built with temporary files.
     Phase {
         phase: Phase,
         done: f64,
@@ -80,8 +80,8 @@ pub enum BakeEvent<'a> {
     Finished(&'a BakedAsset),
 }
 
-/// Bakes the assets of the scene file or asset file at `path` (below the configuration's root), one after the other, for the cache:
-/// nothing is kept in memory. Needs no GPU.
+/// Bakes the assets of the scene file or asset file at `path` (below the configuration's root) into the cache, one after the
+/// other. Nothing is kept in memory. Needs no GPU.
 ///
 /// Files of points that would take more memory than the cache allows ([`BakeCache::bake_bytes`]) are not read as a whole.
 ///
@@ -109,7 +109,7 @@ pub fn bake_file(
 }
 
 impl Loaded {
-    /// The trees of all assets that have something to draw, each once. `keep`: for frames, as [`Loaded::trees`] does.
+    /// Returns the trees of all drawable assets, each once. `keep` keeps them for frames, as [`Loaded::trees`] does.
     pub(super) fn bake_each(
         &self,
         cache: Option<&BakeCache>,
@@ -182,7 +182,7 @@ fn figures(
     told
 }
 
-/// The geometries of an asset's trees: for each of its own a tree, and behind them the triangles of each mesh.
+/// Returns the geometries of an asset's trees: a tree for each of its own geometries, then the triangles of each mesh.
 ///
 /// # Errors
 /// Those of `build`.
@@ -192,7 +192,7 @@ pub(super) fn read_or_build(
     watch: &Watch<'_>,
     build: impl FnOnce() -> Result<Vec<PackedGeometry>, Halt>,
 ) -> Result<(Vec<PackedGeometry>, BakeSource), Halt> {
-    // What has nothing to draw needs no entry.
+    // An asset with nothing to draw needs no entry.
     let Some(cache) = cache.filter(|_| asset.counts() != (0, 0)) else {
         return Ok((build()?, BakeSource::Built));
     };
@@ -221,8 +221,8 @@ pub(super) fn read_or_build(
     Ok((built, source))
 }
 
-/// Whether geometries can be an asset's trees, as far as drawing them takes it for granted; else what is wrong. That each is sound by
-/// itself has been checked.
+/// Checks that geometries can be an asset's trees, as far as drawing relies on it; otherwise returns what is wrong. Each geometry
+/// has already been checked by itself.
 fn fits(asset: &AssetModel, found: &[PackedGeometry]) -> Result<(), &'static str> {
     let own = &asset.packed.geometries;
     let meshes = own.iter().enumerate().filter_map(|(index, geometry)| {

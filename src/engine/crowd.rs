@@ -1,4 +1,4 @@
-//! Trees over a scene's instances: from afar whole groups of them are a few nodes, and an edit makes anew only the trees over what it
+//! Trees over a scene's instances. From afar, groups of instances are a few nodes; an edit rebuilds only the trees over what it
 //! moved.
 //!
 //! ```text
@@ -7,8 +7,8 @@
 //!           ──▶ a tree over each block, and one over the blocks
 //! ```
 //!
-//! Which instances a block holds depends on where they are and not on how they came there, so an edited scene has the trees of one that
-//! was loaded like that. A block in whose cell nothing has come, gone or moved keeps its tree, and what the GPU has of it.
+//! The instances of a block depend only on their positions and not on the scene's history, so an edited scene has the same trees
+//! as one loaded in that state. A block whose cell has no added, removed or moved instance keeps its tree and its GPU data.
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -30,14 +30,14 @@ use crate::residency::model::{AssetModel, ModelInstance, SceneModel};
 use crate::residency::once::MadeOnce;
 use crate::scene::color::{linear_from_srgb, srgb_from_linear};
 
-/// Instances of a block at most, unless they are at one place.
+/// Largest number of instances in a block, unless they are at one place.
 const BLOCK: usize = 4096;
 /// Levels of the octree: bits of a key's coordinate.
 const LEVELS: u32 = 42;
-/// Key of what is not a tree, or nowhere: it is drawn by itself.
+/// Key of an instance that is no tree or has no position; it is drawn by itself.
 const LOOSE: u128 = u128::MAX;
 
-/// An instance and where it is. Equal keys are in the order of the scene.
+/// An instance and its position. Equal keys are in the order of the scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Member {
     key: u128,
@@ -45,9 +45,9 @@ struct Member {
     index: u32,
 }
 
-/// A cell of the octree and what stands over its instances.
+/// A cell of the octree and the tree over its instances.
 struct Block {
-    /// The least key of the cell, and its depth.
+    /// The cell's least key, and its depth.
     cell: (u128, u32),
     /// `None` over a single instance, which is `lone`.
     over: Option<Over>,
@@ -56,14 +56,14 @@ struct Block {
 
 struct Over {
     tree: Arc<AssetModel>,
-    /// For each instance of the run its place among the block's members.
+    /// For each instance of the run, its place among the block's members.
     order: Vec<u32>,
     run: Arc<InstanceRun>,
 }
 
 /// The trees over the instances of one revision of a scene.
 pub struct Crowd {
-    /// Of the scene as it is loaded.
+    /// Instances of the scene as loaded.
     instances: Instances,
     /// The cube reaches from −2ᵉ to 2ᵉ along each axis.
     exponent: i32,
@@ -71,18 +71,18 @@ pub struct Crowd {
     blocks: Vec<Arc<Block>>,
 }
 
-/// What a crowd adds to a scene of trees.
+/// A scene of trees together with the trees over its instances.
 pub struct Crowded {
-    /// The scene's own, and behind them the trees over blocks, and over all.
+    /// The scene's own assets, then the trees over blocks, then the tree over all.
     pub assets: Vec<Arc<AssetModel>>,
     pub instances: Instances,
-    /// Nodes of the trees that were added, and blocks of which had to be made.
+    /// Nodes of the added trees, number of blocks, and number of blocks that were rebuilt.
     pub nodes: u64,
     pub blocks: usize,
     pub made: usize,
 }
 
-/// What it takes to see instances as roots: their scene, its assets as trees, the root of each geometry.
+/// Computes the roots of instances: the scene, and the root of each geometry of its assets as trees.
 struct Roots<'a> {
     model: &'a SceneModel,
     meter: RunMeter<'a>,
@@ -90,7 +90,7 @@ struct Roots<'a> {
 }
 
 impl Crowd {
-    /// The trees over the instances of `model`, whose assets as trees are `assets`. `before` is the crowd of an earlier revision.
+    /// Builds the trees over the instances of `model`; `assets` are its assets as trees, `before` an earlier revision's crowd.
     ///
     /// # Errors
     /// Positions that no tree can be built over.
@@ -146,7 +146,7 @@ impl Crowd {
     }
 }
 
-/// Puts a tree over the blocks, and all that is drawn into one list.
+/// Builds a tree over the blocks, and collects everything that is drawn in one list.
 fn crowded(
     roots: &Roots<'_>,
     assets: &[Arc<AssetModel>],
@@ -184,7 +184,7 @@ fn crowded(
     Ok(Crowded { assets, instances: Instances::new(runs), nodes, blocks: blocks.len(), made })
 }
 
-/// An instance of a tree over others, which is in world space.
+/// Returns an instance of a tree over others, which is in world space.
 fn over_all(asset: usize) -> ModelInstance {
     ModelInstance {
         asset,
@@ -219,7 +219,7 @@ fn tree_asset(packed: PackedSamples, bounds: Bounds) -> AssetModel {
     }
 }
 
-/// The tree over others' roots, and what of it stands above each.
+/// Builds the tree over `members`, and returns which of its nodes stand above each.
 fn tree_over(
     members: impl ExactSizeIterator<Item = Root>,
 ) -> Result<(PackedSamples, Vec<(u32, Above)>), EngineError> {
@@ -243,7 +243,7 @@ fn tree_over(
 }
 
 impl Block {
-    /// The same with its instances' numbers as they are now.
+    /// Returns the block with its instances' current numbers.
     fn numbered(&self, roots: &Roots<'_>, members: &[Member]) -> Block {
         let over = self.over.as_ref().map(|over| {
             let places = over.order.iter().zip(&over.run.members);
@@ -277,7 +277,7 @@ impl<'a> Roots<'a> {
         &self.model.instances.runs()[member.run as usize].members[member.index as usize]
     }
 
-    /// The root of an instance's tree in world space; `None` of what is not a tree, or nowhere.
+    /// Returns the root of an instance's tree in world space; `None` for an instance that is no tree or has no position.
     fn root(&self, instance: &ModelInstance) -> Option<Root> {
         let root = self.of_geometry[instance.asset][instance.geometry].as_ref()?;
         let map = &instance.world_from_geometry;
@@ -301,7 +301,7 @@ impl<'a> Roots<'a> {
         })
     }
 
-    /// The color of an instance's root under its material.
+    /// Returns the color of an instance's root under its material.
     fn painted(&self, instance: &ModelInstance, color: [u8; 4]) -> [u8; 4] {
         let material = instance.material.and_then(|index| self.model.materials.get(index));
         let Some(base) = material.and_then(|material| material.base_color) else { return color };
@@ -312,7 +312,7 @@ impl<'a> Roots<'a> {
         [channel(0), channel(1), channel(2), color[3]]
     }
 
-    /// Members of a run of the scene.
+    /// Returns the members of a run of the scene.
     fn members(&self, run: usize, exponent: i32) -> Vec<Member> {
         let instances = &self.model.instances.runs()[run].members;
         let member = |(index, instance): (usize, &ModelInstance)| {
@@ -345,25 +345,25 @@ impl<'a> Roots<'a> {
     }
 }
 
-/// The longest that a map makes a unit vector: its largest singular value, from above.
+/// Returns an upper bound of the largest singular value of a map, the longest that it makes a unit vector.
 fn stretch(map: &DMat3) -> f64 {
     let square = map.transpose() * *map;
-    // Gershgorin's circles; exact for what turns and scales evenly.
+    // Gershgorin's circles; exact for rotations with uniform scale.
     let row = |v: DVec3| v.abs().element_sum();
     row(square.x_axis).max(row(square.y_axis)).max(row(square.z_axis)).sqrt()
 }
 
-/// What a map makes of areas with a direction.
+/// Returns the matrix that maps directed areas under `map`.
 fn cofactors(map: &DMat3) -> DMat3 {
     let (x, y, z) = (map.x_axis, map.y_axis, map.z_axis);
     DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y))
 }
 
-/// A map that flattens by more than this makes a plate of a ball.
+/// Flattening by more than this factor turns a ball into a plate.
 const FLAT: f64 = 2.0;
 
-/// The unit normal of areas under a map, and how much larger they get. Areas without a normal look everywhere alike: they stay so, with the
-/// mean over the axes, unless the map makes plates of them, which have one.
+/// Returns the unit normal of areas under a map, and the factor of their size. Areas without a normal look alike from everywhere.
+/// They stay so, with the mean over the axes, unless the map flattens them into plates, which have a normal.
 fn area_under(map: &DMat3, normal: Vec3) -> (Vec3, f64) {
     let cofactors = cofactors(map);
     let sign = map.determinant().signum();
@@ -381,13 +381,13 @@ fn area_under(map: &DMat3, normal: Vec3) -> (Vec3, f64) {
     (Vec3::ZERO, (most + second + least) / 3.0)
 }
 
-/// Of the cube about the origin that holds twice the box, so that small moves do not change it.
+/// Returns the exponent of a cube about the origin that holds twice the box, so that small moves do not change the cube.
 fn exponent(bounds: &Bounds) -> i32 {
     let most = bounds.min.abs().max(bounds.max.abs()).max_element();
     if most > 0.0 && most.is_finite() { most.log2().floor() as i32 + 2 } else { 0 }
 }
 
-/// Place along a Morton curve through the cube from −2ᵉ to 2ᵉ; what is outside is at its faces.
+/// Returns the place along a Morton curve through the cube from −2ᵉ to 2ᵉ; outside positions are clamped to its faces.
 fn key(position: DVec3, exponent: i32) -> u128 {
     let side = f64::exp2(f64::from(LEVELS - 1));
     let cells = (position / f64::exp2(f64::from(exponent)) + 1.0) * side;
@@ -398,14 +398,14 @@ fn key(position: DVec3, exponent: i32) -> u128 {
     bits[0] | bits[1] << 1 | bits[2] << 2
 }
 
-/// Keys in a cell.
+/// Returns the range of keys in a cell.
 fn keys_of((first, depth): (u128, u32)) -> Range<u128> {
     first..first + (1 << (3 * (LEVELS - depth)))
 }
 
 type Cell = ((u128, u32), Range<usize>);
 
-/// The cells that hold at most [`BLOCK`] members and whose parents hold more, and which members those are.
+/// Returns the cells that hold at most [`BLOCK`] members and whose parents hold more, each with its members.
 fn cells(members: &[Member]) -> Vec<Cell> {
     let mut found = Vec::new();
     let mut open = vec![((0u128, 0u32), 0..members.len())];
@@ -420,7 +420,7 @@ fn cells(members: &[Member]) -> Vec<Cell> {
         let depth = cell.1 + 1;
         let width = 1u128 << (3 * (LEVELS - depth));
         let mut end = range.end;
-        // The last first, so that the first is taken first.
+        // Push the last child first, so that the first is popped first.
         for child in (0..8).rev() {
             let first = cell.0 + width * child;
             let inside = &members[range.start..end];
@@ -432,14 +432,14 @@ fn cells(members: &[Member]) -> Vec<Cell> {
     found
 }
 
-/// What one revision of a scene has other than another.
+/// Differences between two revisions of a scene.
 struct Changes {
-    /// In order, as the others.
+    /// Removed members in order, as are the added ones.
     removed: Vec<Member>,
     added: Vec<Member>,
-    /// Keys of both.
+    /// Keys of removed and added members.
     touched: Vec<u128>,
-    /// Keys of instances that have other numbers now, and are where they were.
+    /// Keys of instances whose numbers changed and whose places did not.
     renumbered: Vec<u128>,
 }
 
@@ -496,7 +496,7 @@ impl Changes {
         Changes { removed, added, touched, renumbered }
     }
 
-    /// Members as they are after the changes.
+    /// Returns the members after the changes.
     fn merged(&self, before: &[Member]) -> Vec<Member> {
         let mut merged = Vec::with_capacity(before.len() + self.added.len());
         let mut removed = self.removed.iter().peekable();
@@ -522,7 +522,7 @@ impl Changes {
     }
 }
 
-/// Whether one of `sorted` is in the range.
+/// Returns whether one of `sorted` is in the range.
 fn holds(sorted: &[u128], range: &Range<u128>) -> bool {
     let next = sorted.partition_point(|key| *key < range.start);
     sorted.get(next).is_some_and(|key| *key < range.end)
@@ -541,7 +541,7 @@ mod tests {
         assert_eq!(at(-8.0), at(-f64::MAX));
         assert_eq!(at(8.0), at(f64::MAX));
         assert!(at(-1e-9) < at(1e-9));
-        // Axes do not get into each other's way.
+        // The axes do not share bits.
         let corner = key(DVec3::splat(f64::MAX), 3);
         assert_eq!(corner, (1 << (3 * LEVELS)) - 1);
         assert!(keys_of((0, 0)).contains(&corner));
@@ -566,12 +566,12 @@ mod tests {
 
     #[test]
     fn cells_split_where_they_hold_too_many() {
-        // All of one place are one block, however many.
+        // Members at one place form one block, however many they are.
         let same: Vec<Member> = (0..2 * BLOCK as u32).map(|index| member(77, index)).collect();
         let found = cells(&same);
         assert_eq!(found.len(), 1);
         assert_eq!(found[0].0, (77, LEVELS));
-        // One more than a block holds, one of them elsewhere.
+        // One member more than a block holds, one of them elsewhere.
         let mut apart = same[..BLOCK].to_vec();
         apart.push(member(1 << 125, 9));
         let found = cells(&apart);
@@ -582,7 +582,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
 
-        /// What a cell holds is in its range of keys, all cells together hold all, and its parent holds too many.
+        /// A cell's members are in its range of keys, the cells together hold all members, and each parent holds too many.
         #[test]
         fn cells_are_a_partition(
             clusters in prop::collection::vec((0u128..1 << 126, 0u32..90, 1usize..3000), 1..8),

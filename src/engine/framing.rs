@@ -1,8 +1,9 @@
-//! The default view: from where a scene is looked at, and what of it has to be in the frame.
+//! The default view: the camera's direction, and the points that must be in the frame.
 //!
-//! Every geometry has an outline ([`crate::bake::outline`]). The outline of a scene is made of those of its instances: all of their points where
-//! they are few, and else the farthest ones in some directions, found through boxes around groups of instances, so that a million of
-//! them cost milliseconds. [`SceneOutline::look`] chooses the direction by the shape of that outline; [`framing::frame`] finds the eye.
+//! Every geometry has an outline ([`crate::bake::outline`]). A scene's outline joins those of its instances: all points where
+//! they are few, otherwise the farthest points in fixed directions, found through boxes around groups of instances, so that a
+//! million instances cost milliseconds. [`SceneOutline::look`] chooses the direction by the outline's shape; [`framing::frame`]
+//! finds the eye.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -12,25 +13,25 @@ use crate::math::framing::{self, Look};
 use crate::math::{Bounds, Camera, View};
 use crate::residency::model::{ModelInstance, SceneModel};
 
-/// Outlines of so many points are kept as they are.
+/// Largest number of points that an outline keeps as they are.
 const FEW_POINTS: usize = 4096;
 /// Directions in which larger outlines are reduced to their farthest points.
 const DIRECTIONS: usize = 512;
-/// Instances whose boxes are looked at together.
+/// Number of instances whose boxes are tested together.
 const GROUP: usize = 64;
 /// Vertical field of view of the default view, in degrees.
 pub const FOV_DEG: f64 = 40.0;
-/// Part of its height and width that the depth of a plate may have.
+/// Largest depth of a plate, as a share of its height and width.
 const PLATE: f64 = 0.12;
-/// Angle from the front, in degrees, from which most content, upright content and plates are seen.
+/// Angle from the front, in degrees, at which most content, upright content and plates are shown.
 const ASIDE_DEG: [f64; 3] = [27.0, 20.0, 14.0];
 /// Elevation of the eye in degrees, by height over width: maps and terrain from above, statues at eye height.
 const ELEVATION_DEG: [(f64, f64); 5] =
     [(0.003, 60.0), (0.05, 42.0), (0.3, 33.0), (1.0, 22.0), (2.0, 9.0)];
-/// Height over width from which content is upright.
+/// Height over width above which content counts as upright.
 const UPRIGHT: f64 = 1.3;
 
-/// Points that decide which cameras show a scene whole, strays left out.
+/// Points that decide which cameras show the whole scene; strays are left out.
 #[derive(Debug, Default)]
 pub struct SceneOutline {
     points: Vec<DVec3>,
@@ -85,13 +86,13 @@ impl SceneOutline {
         SceneOutline { points: directions.par_iter().filter_map(farthest_along).collect() }
     }
 
-    /// The camera of the default view, for a frame of this aspect. `up` is not zero.
+    /// Returns the camera of the default view for a frame of this aspect. `up` must not be zero.
     pub fn camera(&self, up: DVec3, front: Option<DVec3>, fov_deg: f64, aspect: f64) -> Camera {
         framing::frame(&self.points, &self.look(up, front, fov_deg, aspect))
     }
 
-    /// From where the scene shows what it is: terrain from above at an angle, upright things from the front at eye height, a plate
-    /// on its face.
+    /// Chooses the view direction: terrain is seen from above at an angle, upright things from the front at eye height, a plate
+    /// from its face.
     fn look(&self, up: DVec3, seen: Option<DVec3>, fov_deg: f64, aspect: f64) -> Look {
         let up = up / up.length();
         // The front of a y-up scene is +z, of a z-up scene −y, unless a scanner saw another side.
@@ -118,7 +119,7 @@ impl SceneOutline {
     }
 }
 
-/// Angle from the front towards the right, and elevation, from which a box of this shape is looked at; in degrees.
+/// Returns the angle from the front towards the right, and the elevation, for a box of this shape; in degrees.
 fn angles(width: f64, height: f64, depth: f64) -> (f64, f64) {
     let [most, upright, plate] = ASIDE_DEG;
     let (thin, wide) = (width.min(depth), width.max(depth));
@@ -126,7 +127,7 @@ fn angles(width: f64, height: f64, depth: f64) -> (f64, f64) {
         let turn = if depth <= width { plate } else { 90.0 - plate };
         return (turn, elevation(f64::INFINITY));
     }
-    // Of what has a length, the length is across the frame.
+    // Long content lies across the frame.
     let turned = depth > 2.0 * width;
     let flatness = height / (width * depth).sqrt();
     let flatness = if flatness.is_nan() { 1.0 } else { flatness };
@@ -149,7 +150,7 @@ fn elevation(flatness: f64) -> f64 {
     ELEVATION_DEG[ELEVATION_DEG.len() - 1].1
 }
 
-/// Says why a view shows nothing of what is in a box, and how to see it.
+/// Explains why a view shows nothing of a box, and how to see it.
 pub fn why_nothing(bounds: &Bounds, view: &View) -> String {
     if bounds.is_empty() {
         return "the scene has nothing to draw: no node with points or triangles is visible"
@@ -184,7 +185,7 @@ pub fn why_nothing(bounds: &Bounds, view: &View) -> String {
     )
 }
 
-/// A number with six significant digits, or all of its whole ones.
+/// Formats a number with six significant digits, or with all of its integer digits.
 fn digits(value: f64) -> String {
     let whole = value.abs().log10().floor();
     if !(-5.0..15.0).contains(&whole) {
@@ -236,13 +237,13 @@ mod tests {
 
     #[test]
     fn shapes_are_seen_from_where_they_show() {
-        // Terrain from above, statues at eye height, a cube between them.
+        // Terrain is seen from above, a statue at eye height, and a cube from between.
         let elevation = |w, h, d| angles(w, h, d).1;
         assert!((38.0..48.0).contains(&elevation(1000.0, 40.0, 800.0)));
         assert!((18.0..26.0).contains(&elevation(1.0, 1.0, 1.0)));
         assert!((5.0..12.0).contains(&elevation(1.0, 2.5, 1.0)));
         assert!(elevation(1.0, 0.0, 1.0) > 55.0, "a sheet that lies is seen from above");
-        // A wall on its face, whichever way it stands.
+        // A wall is seen from its face, whichever way it stands.
         let facing = |w, h, d| {
             let (turn, elevation) = angles(w, h, d);
             let (sin, cos) = turn.to_radians().sin_cos();
@@ -250,7 +251,7 @@ mod tests {
         };
         assert!(facing(10.0, 6.0, 0.2).1 > 0.9);
         assert!(facing(0.0, 6.0, 10.0).0 > 0.9);
-        // A train shows its side.
+        // A train is seen from its side.
         assert!(facing(3.0, 4.0, 60.0).0 > 0.7);
         for shape in [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] {
             let [w, h, d] = shape;

@@ -1,7 +1,7 @@
-//! Which jobs of a batch the same dispatches draw. Pure: it holds no device.
+//! Groups the jobs of a batch that the same dispatches draw. Pure: it holds no device.
 
-/// Splits `jobs` into groups whose members agree in `key` and are no more than `most` allows; a job without a key is by
-/// itself. Groups come in the order of their first members, members in the order of `jobs`.
+/// Splits `jobs` into groups whose members have the same `key`, of at most the size that `most` allows; a job without a key forms
+/// its own group. Groups come in the order of their first members, members in the order of `jobs`.
 pub fn groups<J: Clone, K: PartialEq>(
     jobs: &[J],
     key: impl Fn(&J) -> Option<K>,
@@ -46,7 +46,7 @@ mod tests {
                 prop_assert!(group.len() == 1 || group.iter().all(|job| !job.2));
                 prop_assert!(group.windows(2).all(|pair| pair[0].0 < pair[1].0));
             }
-            // As few groups as that allows.
+            // There are as few groups as the limits allow.
             for kind in 0..4 {
                 let alike = jobs.iter().filter(|job| **job == (kind, false)).count();
                 let found = groups.iter().filter(|group| group[0].1 == kind && !group[0].2).count();

@@ -1,4 +1,4 @@
-//! One frame on its way: who waits for it, and until when.
+//! One frame in the engine, with its waiters and deadline.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -18,12 +18,12 @@ use crate::plan::{FramePlan, MaxError, Reconstruct};
 use crate::residency::model::{Extent, SceneModel};
 use crate::scene::{Blend, Splats};
 
-/// Leaves room for 68 splats of full weight over a pixel.
+/// Weight of a splat in a single pass; leaves room for 68 splats of full weight over a pixel.
 const SINGLE_PASS_WEIGHT: f32 = 15.0;
 
 pub type Reply = Result<Arc<EncodedFrame>, EngineError>;
 
-/// A request, resolved: everything that can be wrong with it has been looked at.
+/// A resolved request: everything that can be wrong with it has been checked.
 #[derive(Clone)]
 pub struct Resolved {
     pub model: Arc<SceneModel>,
@@ -31,15 +31,15 @@ pub struct Resolved {
     pub camera: CameraReceipt,
     pub extent: Extent,
     pub drawing: Drawing,
-    /// Why the frame will be another one in a while, and how far that is.
+    /// Reason why the frame will change in a while, with the progress towards that.
     pub provisional: Option<String>,
-    /// How samples are drawn where that was left open, and why.
+    /// How samples are drawn where the request left that open, and why.
     pub auto: Option<Choice>,
-    /// For splats that a single pass has no room for.
+    /// The drawing for splats that overflow a single pass.
     pub in_three_passes: Option<Drawing>,
-    /// What may be wrong by how many pixels, in a scene of point trees.
+    /// Accepted error in pixels, in a scene of point trees.
     pub max_error: MaxError,
-    /// Equal for requests whose frames are equal to the byte.
+    /// Key that is equal for requests whose frames are equal to the byte.
     pub key: String,
 }
 
@@ -48,7 +48,7 @@ pub struct Resolved {
 pub struct Drawing {
     pub plan: FramePlan,
     pub reconstruct: Reconstruct,
-    /// Why it is not the way that was asked for.
+    /// Reason for not drawing as requested.
     pub instead_because: Option<&'static str>,
     /// How samples are drawn, if not as points.
     pub splats: Option<Splats>,
@@ -59,26 +59,26 @@ pub struct Job {
     pub resolved: Resolved,
     pub request: FrameRequest,
     pub enqueued: Instant,
-    /// Whoever asked first calls it so.
+    /// Id of the first request that asked for this frame.
     pub request_id: RequestId,
-    /// All that is done for it.
+    /// Span of all work for this frame.
     pub span: tracing::Span,
     pub cost_key: CostKey,
-    /// Device time, estimated.
+    /// Estimated device time.
     pub cost_ns: u64,
-    /// Its time in the queue, until it is taken.
+    /// Span of its time in the queue, until it is taken.
     queue_span: Mutex<Option<tracing::Span>>,
-    /// In whose lane it waits or waited.
+    /// Client in whose lane it waits or waited.
     lane: Mutex<Client>,
-    /// What was charged for it, from when it is taken to when that is settled.
+    /// Client and amount charged for it, from when it is taken until the charge is settled.
     charged: Mutex<Option<(Client, u64)>>,
     waiters: Mutex<Waiters>,
     attempts: AtomicU32,
     redraws: AtomicU32,
     alone: AtomicBool,
-    /// Halvings of what splats weigh.
+    /// Number of reductions of the splats' weights.
     halvings: AtomicU32,
-    /// The first way to draw it had no room for what lies over one pixel.
+    /// Whether the first way to draw the frame overflowed at some pixel.
     too_full: AtomicBool,
 }
 
@@ -89,13 +89,13 @@ struct Waiter {
 
 struct Waiters {
     senders: Vec<Waiter>,
-    /// The latest that anybody would still take it; `None`: any time.
+    /// Latest time at which any waiter would still take the frame; `None` for any time.
     deadline: Option<Instant>,
     answered: bool,
 }
 
 impl Job {
-    /// `cost_ns`: device time that it is estimated to take.
+    /// `cost_ns` is the estimated device time.
     pub fn new(
         origin: Origin,
         resolved: Resolved,
@@ -129,7 +129,7 @@ impl Job {
         (Arc::new(job), receiver)
     }
 
-    /// In whose lane it waits or waited.
+    /// Returns the client in whose lane the frame waits or waited.
     pub fn lane(&self) -> Client {
         *self.lane.lock()
     }
@@ -138,23 +138,23 @@ impl Job {
         *self.lane.lock() = client;
     }
 
-    /// It is being drawn from now on.
+    /// Records that drawing begins.
     pub fn taken(&self, client: Client, charged_ns: u64) {
         self.queue_span.lock().take();
         *self.charged.lock() = Some((client, charged_ns));
     }
 
-    /// What was charged for it, and to whom, if it is under way.
+    /// Returns the client and the amount charged for the frame while it is drawn.
     pub fn charged(&self) -> Option<(Client, u64)> {
         *self.charged.lock()
     }
 
-    /// It is under way no more.
+    /// Takes the charge back out when drawing ends.
     pub fn settle(&self) -> Option<(Client, u64)> {
         self.charged.lock().take()
     }
 
-    /// It waits again.
+    /// Prepares the frame for waiting again.
     pub fn granted(self: Arc<Self>) -> Granted<Arc<Job>> {
         let (client, cost_ns) = self.settle().unwrap_or((self.lane(), self.cost_ns));
         let queue = FrameSpans::queue(&self.span, &self.request_id, self.cost_ns);
@@ -162,7 +162,7 @@ impl Job {
         Granted { client, cost_ns, job: self }
     }
 
-    /// One more waits for the same frame; `None` when it has been answered already.
+    /// Adds a waiter for the same frame; `None` when the frame has been answered already.
     pub fn join(
         &self,
         origin: Origin,
@@ -184,14 +184,14 @@ impl Job {
         Some(receiver)
     }
 
-    /// Somebody else than `client` who waits for it.
+    /// Returns a live waiter other than `client`.
     pub fn waiter_beside(&self, client: Client) -> Option<Client> {
         let waiters = self.waiters.lock();
         let live = waiters.senders.iter().filter(|waiter| !waiter.sender.is_closed());
         live.map(|waiter| waiter.origin.client).find(|other| *other != client)
     }
 
-    /// Answers everybody. The first to have asked gets the frame as it is; the others' receipts say that they shared it.
+    /// Answers all waiters. The first one gets the frame as it is; the others' receipts say that they shared it.
     pub fn answer(&self, reply: Reply) {
         let senders = {
             let mut waiters = self.waiters.lock();
@@ -210,22 +210,22 @@ impl Job {
         }
     }
 
-    /// Jobs with equal keys can be drawn by the same dispatches; `None`: none with this one.
+    /// Returns a key that is equal for jobs that the same dispatches can draw; `None` if no other job can share them.
     pub fn group_key(&self) -> Option<impl PartialEq + use<>> {
         let FrameRequest { output, width, height, .. } = self.request;
         let drawing = self.drawing().clone();
         let halvings = self.halvings.load(Ordering::Relaxed);
         let key = (self.resolved.model.uid, drawing, halvings, output, width, height);
-        // What one frame lists of point trees another cannot use.
+        // Frames of point trees cannot share their lists of nodes.
         (!self.is_alone() && !self.resolved.model.trees).then_some(key)
     }
 
-    /// Counts a redraw for want of room in a list; false when there have been more than growing lists explain.
+    /// Counts a redraw because a list was full; false after more redraws than growing lists explain.
     pub fn may_redraw(&self) -> bool {
         self.redraws.fetch_add(1, Ordering::Relaxed) < 8
     }
 
-    /// How it is drawn now.
+    /// Returns the current way to draw the frame.
     pub fn drawing(&self) -> &Drawing {
         let other = self.resolved.in_three_passes.as_ref();
         other.filter(|_| self.too_full.load(Ordering::Relaxed)).unwrap_or(&self.resolved.drawing)
@@ -235,7 +235,7 @@ impl Job {
         self.drawing().splats.is_some_and(|splats| splats.blend == Blend::Interleaved)
     }
 
-    /// What a splat weighs in whole numbers where its kernel is 1: 15 bits, unless too many overlap; 4 in a single pass.
+    /// Returns the integer weight of a splat where its kernel is 1: 15 bits, unless too many overlap; 4 bits in a single pass.
     pub fn weight_one(&self) -> f32 {
         if self.is_single_pass() {
             return SINGLE_PASS_WEIGHT;
@@ -243,7 +243,7 @@ impl Job {
         (1u32 << 15 >> self.halvings.load(Ordering::Relaxed)) as f32
     }
 
-    /// The sums of a pixel have overflowed: from now on splats weigh a 32nd of what they did, or take three passes.
+    /// Handles overflowing sums of a pixel: from now on splats weigh a 32nd of before, or the frame takes three passes.
     pub fn lighten(&self) {
         if self.is_single_pass() {
             self.too_full.store(true, Ordering::Relaxed);
@@ -254,7 +254,7 @@ impl Job {
         });
     }
 
-    /// From now on no dispatch draws it together with other frames.
+    /// Draws the frame alone from now on, in no shared dispatch.
     pub fn set_alone(&self) {
         self.alone.store(true, Ordering::Relaxed);
     }
@@ -263,7 +263,7 @@ impl Job {
         self.alone.load(Ordering::Relaxed)
     }
 
-    /// Counts a device lost under it; false when there have been too many.
+    /// Counts a loss of the device during this frame; false after too many.
     pub fn try_again(&self) -> bool {
         self.attempts.fetch_add(1, Ordering::Relaxed) < 3
     }

@@ -1,4 +1,4 @@
-//! Large clouds that are kept on disk as they were packed, so that the next process neither reads, sorts nor estimates them.
+//! Keeps large packed clouds on disk, so that the next process need not read, sort or estimate them again.
 //!
 //! ```text
 //! file ──identity──► note: hash of its content, and what else was read ──that hash──► packed samples, whole or without estimates
@@ -36,10 +36,10 @@ use crate::scene::{AssetRef, AssetSource};
 /// Blocks of a file that its identity hashes, and bytes of each.
 const PROBES: u64 = 64;
 const PROBE_BYTES: u64 = 4096;
-/// Bytes of a packed sample, its share of a chunk included.
+/// Bytes of a packed sample, including its share of a chunk.
 const SAMPLE_BYTES: u64 = 24;
 
-/// What a file held beside its samples. Floats are stored as bit patterns, because JSON does not preserve all of them.
+/// A file's content other than its samples. Floats are stored as bit patterns, because JSON does not preserve all of them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Note {
     pub digest: [u8; 32],
@@ -58,7 +58,7 @@ pub struct Note {
     warnings: Vec<String>,
 }
 
-/// A [`Sensor`] by its bits.
+/// A [`Sensor`] with its floats as bits.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 enum KeptSensor {
     /// Camera and aspect.
@@ -86,7 +86,7 @@ impl KeptSensor {
     }
 }
 
-/// A [`Shape`] by its bits.
+/// A [`Shape`] with its floats as bits.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct KeptShape {
     extent: [u64; 3],
@@ -170,13 +170,13 @@ fn vec3(bits: &[u64]) -> DVec3 {
     DVec3::from_slice(&bits.iter().map(|&bits| f64::from_bits(bits)).collect::<Vec<f64>>())
 }
 
-/// The cache and a file's identity in it, where its samples may be kept.
+/// The cache and a file's identity in it, for files whose samples may be kept.
 #[derive(Clone)]
 pub struct Keeping {
     cache: BakeCache,
     identity: [u8; 32],
     file: PathBuf,
-    /// Shapes are measured of bare assets alone.
+    /// Whether the asset is bare; only then is its shape measured.
     is_bare: bool,
     /// See [`EngineConfig::estimate_at_once`].
     estimate_at_once: usize,
@@ -185,7 +185,7 @@ pub struct Keeping {
 }
 
 impl Keeping {
-    /// Looks at the file of an asset; `None` for an asset that is made of several files, and without a cache.
+    /// Identifies an asset's file; `None` for an asset made of several files, and without a cache.
     pub fn of(reference: &AssetRef, config: &EngineConfig, is_bare: bool) -> Option<Keeping> {
         let cache = config.bake_cache.clone()?;
         let AssetSource::File(source) = &reference.source else { return None };
@@ -204,13 +204,13 @@ impl Keeping {
         Some(keeping)
     }
 
-    /// Whether the file is still the one whose identity was taken.
+    /// Returns whether the file is still the one whose identity was taken.
     fn is_same(&self) -> bool {
         matches!(self.identity(), Ok(Some((identity, _))) if identity == self.identity)
     }
 
-    /// Waits until the file's last change is so long ago that the next one cannot have the same time; whether it is still the same
-    /// file then.
+    /// Waits until the file's last change is so old that another change would get a different time. Returns whether the file is
+    /// still the same then.
     fn settles(&self) -> bool {
         let Ok(Some((_, age))) = self.identity() else { return false };
         std::thread::sleep(self.settled_after.saturating_sub(age));
@@ -220,11 +220,11 @@ impl Keeping {
 
     pub fn note(&self, config: &EngineConfig) -> Option<Note> {
         let note: Note = serde_json::from_slice(&self.cache.load_note(&self.identity)?).ok()?;
-        // Limits may be lower by now: the reader says what is wrong then.
+        // Limits may be lower now; the reader then reports the error.
         (note.samples <= config.read.max_vertices).then_some(note)
     }
 
-    /// The asset as it was kept, whole if possible; `None` where the cache no longer holds it.
+    /// Returns the kept asset, whole if possible; `None` where the cache no longer holds it.
     ///
     /// # Errors
     /// The load was cancelled, or there is no memory for the samples.
@@ -296,7 +296,7 @@ impl Keeping {
         })
     }
 
-    /// Keeps an asset that was read just now, if it is a large cloud. The file must still be the one that was read.
+    /// Prepares to keep an asset that was just read, if it is a large cloud and the file is unchanged.
     pub fn keep(&self, read: &ReadAsset) -> Option<Kept> {
         let deferred = read.model.deferred.as_ref()?;
         if !self.is_same() {
@@ -341,7 +341,7 @@ impl Keeping {
     }
 }
 
-/// A cloud that is to be written.
+/// A cloud to be written.
 pub struct Kept {
     keeping: Keeping,
     note: Note,
@@ -349,8 +349,8 @@ pub struct Kept {
 }
 
 impl Kept {
-    /// Writes samples and note once the file has settled. A cache that cannot be written costs a warning and the next process the time
-    /// to read.
+    /// Writes samples and note once the file has settled. A cache that cannot be written costs a warning, and the next process
+    /// has to read the file again.
     pub fn write(self) {
         if !self.keeping.settles() {
             return;
@@ -358,7 +358,7 @@ impl Kept {
         let cache = &self.keeping.cache;
         let [points, whole] =
             [false, true].map(|is_whole| samples_key(&self.note.digest, is_whole));
-        // The estimate may have been quicker.
+        // The estimate may have finished first.
         let stored = match cache.holds(&whole) {
             true => Ok(true),
             false => cache.store(&points, &self.model.packed.geometries),
@@ -374,7 +374,7 @@ impl Kept {
     }
 }
 
-/// Keeps the samples of an asset with all their normals and kernels in place of those without.
+/// Keeps an asset's samples with all normals and kernels in place of the samples without them.
 pub fn keep_whole(cache: &BakeCache, digest: &[u8; 32], whole: &AssetModel) {
     match cache.store(&samples_key(digest, true), &whole.packed.geometries) {
         Ok(true) => cache.remove(&samples_key(digest, false)),
@@ -393,8 +393,8 @@ fn samples_key(digest: &[u8; 32], is_whole: bool) -> [u8; 32] {
 }
 
 impl Keeping {
-    /// The file's identity, which tells it from all others and from itself after a change without reading all of it, and how long ago
-    /// its last change was; `None` of what is no file.
+    /// Returns the file's identity and the age of its last change; `None` if it is no file. The identity differs between files,
+    /// and before and after a change, and needs no reading of the whole file.
     #[cfg(unix)]
     fn identity(&self) -> io::Result<Option<([u8; 32], Duration)>> {
         use std::os::unix::fs::MetadataExt;

@@ -1,4 +1,4 @@
-//! What decides the content of a scene's assets, so that scenes which draw the same thing share it.
+//! Keys of assets: hashes of everything that decides an asset's content, so that scenes that draw the same asset share it.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -21,11 +21,11 @@ use crate::memory::Admission;
 use crate::residency::model::AssetModel;
 use crate::scene::{AssetSource, FileSource, Scene};
 
-/// What decides an asset's content.
+/// Key of an asset's content.
 #[derive(Clone, Copy)]
 pub struct AssetKey {
     pub digest: [u8; 32],
-    /// Whether the digest is all that decides: no file names others.
+    /// Whether the digest alone decides the content: the file names no other files.
     pub alone: bool,
 }
 
@@ -37,17 +37,17 @@ pub struct AssetKeys {
 }
 
 impl AssetKeys {
-    /// Keys whose making ends when the load is cancelled.
+    /// Returns a set of keys whose hashing ends when the load is cancelled.
     pub fn within(admission: &Admission) -> AssetKeys {
         AssetKeys { known: HashMap::new(), admission: admission.clone() }
     }
 
-    /// Takes the key of an asset that is one file from elsewhere, so that it is not read.
+    /// Sets the known key of an asset that is one file, so that the file is not read.
     pub fn know(&mut self, index: usize, digest: [u8; 32]) {
         self.known.insert(index, AssetKey { digest, alone: true });
     }
 
-    /// The recursion is as deep as solids are nested, which a scene's limits bound.
+    /// Returns an asset's key. The recursion is as deep as solids are nested, which a scene's limits bound.
     pub fn of(&mut self, description: &Scene, index: usize) -> Result<AssetKey, EngineError> {
         if let Some(&known) = self.known.get(&index) {
             return Ok(known);
@@ -84,7 +84,7 @@ fn file_key(
         .file_name()
         .map_or_else(|| name.to_owned(), |name| name.to_string_lossy().into_owned());
     let content = digest_file(file, &display, admission).map_err(asset_error)?;
-    // The name has a say in how the bytes are read, and the scene in what is made of them.
+    // The file's name affects how the bytes are read, and the scene affects what is made of them.
     let mut hasher = Sha256::new().chain_update(content).chain_update(file_kind(file));
     if source.sample.is_some() || source.features {
         hasher.update(format!("\0{:?} {}", source.sample, source.features));
@@ -92,19 +92,19 @@ fn file_key(
     Ok(AssetKey { digest: hasher.finalize().into(), alone: stands_alone(file) })
 }
 
-/// What a file's name has to say in how its bytes are read: its extensions, in lower case.
+/// Returns the part of a file's name that affects how it is read: its extensions, in lower case.
 pub fn file_kind(file: &Path) -> String {
     let name = file.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     name.split_once('.').map_or_else(String::new, |(_, extensions)| extensions.to_owned())
 }
 
-/// Whether a file's own bytes decide what is read. A glTF or OBJ may name buffers, materials and images beside it.
+/// Returns whether a file's own bytes decide its content. A glTF or OBJ may refer to buffers, materials and images.
 fn stands_alone(file: &Path) -> bool {
     let name = file.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     !["obj", "obj.gz", "gltf", "gltf.gz"].iter().any(|end| name.ends_with(end))
 }
 
-/// The hash of a file, which errors call `name`.
+/// Hashes a file, which errors call `name`.
 pub fn digest_file(file: &Path, name: &str, admission: &Admission) -> Result<[u8; 32], AssetError> {
     let fail = |source| AssetError::Io { file: name.to_owned(), source };
     let mut hasher = Sha256::new();
@@ -120,19 +120,19 @@ pub fn digest_file(file: &Path, name: &str, admission: &Admission) -> Result<[u8
     }
 }
 
-/// What decides an asset's point trees, wherever its contents came from: two assets with the same key have the same trees.
+/// Returns the key of an asset's point trees, regardless of the source of its content: equal keys mean equal trees.
 pub fn tree_key(asset: &AssetModel) -> [u8; 32] {
     let mut hasher = Sha256::new_with_prefix(b"point trees\0");
     hasher.update(BAKING_VERSION.to_le_bytes());
     digest_packed(&mut hasher, &asset.packed);
-    // Trees of meshes are as large as these.
+    // The bounds decide how large the trees of meshes are.
     for bounds in &asset.bounds {
         numbers(&mut hasher, &[bounds.min.to_array(), bounds.max.to_array()].concat());
     }
     hasher.finalize().into()
 }
 
-/// The key that [`tree_key`] gives an asset of nothing but these samples, in this box.
+/// Returns the key that [`tree_key`] gives an asset of only these samples, in this box.
 pub fn spilled_tree_key(samples: &Spilled, bounds: &Bounds) -> std::io::Result<[u8; 32]> {
     let mut hasher = Sha256::new_with_prefix(b"point trees\0");
     hasher.update(BAKING_VERSION.to_le_bytes());
@@ -164,7 +164,7 @@ fn spilled_words<R: bytemuck::Pod>(
     })
 }
 
-/// Adds all of an asset's packed contents, lists with their lengths in front. Records are taken apart by all their names, so that no
+/// Adds all of an asset's packed contents, lists with their lengths in front. Records are destructured field by field, so that no
 /// new field is forgotten.
 pub fn digest_packed(hasher: &mut Sha256, packed: &PackedAsset) {
     let PackedAsset { geometries, materials, textures } = packed;
@@ -279,7 +279,7 @@ mod tests {
     use super::*;
     use crate::scene::SceneLimits;
 
-    /// The keys of the scene's assets, by their place in the file.
+    /// Returns the keys of the scene's assets, in the order of the file.
     fn keys(folder: &Path, assets: &str) -> Vec<[u8; 32]> {
         let text = format!(r#"{{"assets": {{{assets}}}, "nodes": []}}"#);
         let limits = SceneLimits::default();

@@ -40,7 +40,7 @@ use crate::scene::{AssetRef, CameraPath, Light, Node, Scene, SceneError};
 
 static NEXT_UID: AtomicU64 = AtomicU64::new(1);
 
-/// A number that no asset and no scene of this process has had.
+/// Returns a number that no asset and no scene of this process has had.
 pub fn next_uid() -> u64 {
     NEXT_UID.fetch_add(1, Ordering::Relaxed)
 }
@@ -50,9 +50,9 @@ pub struct Loaded {
     pub model: Arc<SceneModel>,
     pub facts: SceneFacts,
     pub extent: Extent,
-    /// What the default view has to show, once it was asked for.
+    /// Outline for the default view, computed on first use.
     outline: OnceLock<SceneOutline>,
-    /// Rises from scene to scene as they are loaded; all revisions of a scene have the same.
+    /// Increases with each load; all revisions of a scene have the same.
     order: u64,
     pub info: SceneInfo,
     /// See [`Loaded::patches`].
@@ -62,19 +62,19 @@ pub struct Loaded {
     description: Scene,
     /// The top-level nodes of each run of instances, the same in all revisions.
     nodes: Arc<[Range<usize>]>,
-    /// Of the description and of the list of instances.
+    /// Memory of the description and of the list of instances.
     _memory: Reservation,
     /// See [`Loaded::trees`].
     pub(super) trees: MadeOnce<Result<TreeScene, EngineError>>,
-    /// Those of the last revision that had some, until there are new ones.
+    /// Trees of the latest earlier revision that had some, until there are new ones.
     pub(super) trees_before: Mutex<Option<TreeScene>>,
-    /// For each asset: where its geometries stand.
+    /// For each asset, the placements of its geometries.
     placements: Vec<Arc<Vec<Placement>>>,
-    /// For each asset: what decides its content.
+    /// For each asset, its content key.
     keys: Vec<AssetKey>,
     /// The scene's file, or that of its only asset.
     path: PathBuf,
-    /// Large clouds that were read just now and are to be kept on disk.
+    /// Large clouds that were just read and are to be kept on disk.
     pub kept: Vec<Kept>,
 }
 
@@ -87,13 +87,13 @@ struct CachedAsset {
     warnings: Vec<String>,
 }
 
-/// A read asset, shared.
+/// An asset after reading, shared between scenes.
 pub struct ReadAsset {
     pub model: Arc<AssetModel>,
     pub placements: Arc<Vec<Placement>>,
     pub cameras: Vec<(String, Camera)>,
     pub sensor: Option<Sensor>,
-    /// Only measured for bare assets.
+    /// Measured only for bare assets.
     pub shape: Option<Shape>,
     pub warnings: Vec<String>,
     pub digest: [u8; 32],
@@ -112,7 +112,7 @@ pub struct AssetCache {
 }
 
 impl AssetCache {
-    /// The asset of a key, read where no scene draws it yet.
+    /// Returns the asset of a key, reading it if no scene draws it yet.
     fn get_or_read(
         &self,
         AssetKey { digest, alone }: AssetKey,
@@ -122,7 +122,7 @@ impl AssetCache {
         if alone
             && let Some(found) = self.assets.lock().get(&digest)
             && let Some(model) = found.model.upgrade()
-            // A scene file does not measure what it draws.
+            // A scene file does not measure the shapes of its assets.
             && (found.shape.is_some() || !is_bare)
         {
             return Ok(ReadAsset {
@@ -154,7 +154,7 @@ impl AssetCache {
         Ok(read)
     }
 
-    /// Replaces assets that lacked something by whole ones, for scenes that are loaded from now on.
+    /// Replaces incomplete assets by whole ones, for scenes that are loaded from now on.
     pub fn complete(&self) {
         for asset in self.assets.lock().values_mut() {
             let Some(held) = asset.model.upgrade() else { continue };
@@ -174,7 +174,7 @@ impl Library {
         self.scenes.contains_key(id)
     }
 
-    /// All scenes in the order in which they were loaded.
+    /// Returns all scenes in the order in which they were loaded.
     pub fn all(&self) -> Vec<Arc<Loaded>> {
         let mut scenes: Vec<Arc<Loaded>> = self.scenes.values().cloned().collect();
         scenes.sort_by_key(|loaded| loaded.order);
@@ -185,7 +185,7 @@ impl Library {
         self.scenes.insert(loaded.model.id.clone(), Arc::new(loaded));
     }
 
-    /// Exchanges `old` for `new`, unless it is no longer there; whether that was done.
+    /// Replaces `old` by `new` if `old` is still there, and returns whether it was.
     pub fn replace(&mut self, old: &Arc<Loaded>, new: Loaded) -> bool {
         match self.scenes.get_mut(&old.model.id) {
             Some(held) if Arc::ptr_eq(held, old) => {
@@ -254,7 +254,7 @@ pub fn load(
         }
         let key = keys.of(&description, index)?;
         asset_keys.push(key);
-        // What is only an operand has nothing to draw, and its file must not be cached as that.
+        // An asset that is only an operand draws nothing, and must not be cached as its file's content.
         let asset = if operands_only[index] {
             let prepared = assembler.asset(index)?;
             pack_asset(reference, prepared, key.digest, Completeness::Points, admission)
@@ -277,7 +277,7 @@ pub fn load(
             asset
         };
         if !shares_operands {
-            // What reading and packing held is free. The asset keeps its own.
+            // Free what reading and packing reserved. The asset keeps its own memory.
             admission.shrink_to(described);
         }
         hasher.update(asset.digest);
@@ -329,7 +329,7 @@ pub fn load(
     Ok(Loaded { kept, ..build(parts, config, None, admission)? })
 }
 
-/// Options that files are read with: below the root, and within what the load may hold.
+/// Returns the options for reading files: below the root, and within the load's memory.
 fn admitted(config: &EngineConfig, admission: &Admission) -> ReadOptions {
     let mut options = config.read.clone();
     options.root.get_or_insert_with(|| config.root.clone());
@@ -337,7 +337,7 @@ fn admitted(config: &EngineConfig, admission: &Admission) -> ReadOptions {
     options
 }
 
-/// Reads one of the assets that a scene file or a bare asset draws, by itself, with all that it lacks estimated.
+/// Reads a single asset of a scene file or a bare asset, and estimates everything that it lacks.
 pub fn load_one(
     path: &Path,
     description: &Scene,
@@ -350,7 +350,7 @@ pub fn load_one(
     whole_asset(path, description, asset, config, &Watch::NONE, &admission).map_err(Stop::error)
 }
 
-/// As [`load_one`], given up when `watch` says so.
+/// Does the work of [`load_one`]; stops when `watch` says so.
 fn whole_asset(
     path: &Path,
     description: &Scene,
@@ -371,18 +371,18 @@ fn whole_asset(
     Ok(pack_asset(reference, prepared, key.digest, whole, admission)?.model)
 }
 
-/// Share of reading in reading and estimating.
+/// Share of reading in the time of reading and estimating.
 const READING: f64 = 0.1;
 
-/// How much of an asset is wanted.
+/// How complete an asset must be.
 #[derive(Clone, Copy)]
 enum Completeness<'a> {
-    /// What is drawn of points without lights.
+    /// Only the data for drawing points without lights.
     Points,
     Whole(&'a Watch<'a>),
 }
 
-/// Why there is no asset.
+/// Reason why there is no asset.
 enum Stop {
     Failed(EngineError),
     Abandoned,
@@ -403,7 +403,7 @@ impl From<Abandoned> for Stop {
     }
 }
 
-/// The warning about points of an asset that the default view leaves out.
+/// Returns the warning about points of an asset that the default view leaves out.
 fn strays(asset: &AssetModel) -> Option<String> {
     let outlines = asset.outlines();
     let strays: u64 = outlines.iter().map(|outline| outline.strays).sum();
@@ -518,7 +518,7 @@ fn pack_asset(
     })
 }
 
-/// Bytes that packing a geometry takes: the sort's keys and order, and the packed copy.
+/// Bytes needed to pack a geometry: the sort's keys and order, and the packed copy.
 fn packing_bytes(geometry: &Geometry) -> u64 {
     match geometry {
         Geometry::Points(cloud) => 40 * cloud.positions.len() as u64,
@@ -530,7 +530,7 @@ fn size(geometry: &Geometry) -> f64 {
     geometry.positions().len() as f64
 }
 
-/// What a scene consists of, as read.
+/// The parts of a scene, as read.
 struct Parts {
     id: String,
     revision: u64,
@@ -543,13 +543,14 @@ struct Parts {
     path: PathBuf,
 }
 
-/// Bytes of an instance, and of its entries while the list is made.
+/// Bytes of an instance, including its temporary entries while the list is made.
 const INSTANCE_BYTES: u64 = 2 * size_of::<ModelInstance>() as u64;
 
-/// Instances of a run of top-level nodes, at most, unless it is one node.
+/// Largest number of instances in a run of top-level nodes, unless the run is one node.
 const RUN: u64 = 4096;
 
-/// The instances of a description in runs. Of `before`, the scene's last revision, runs stay that do not have the changed node.
+/// Lists the instances of a description in runs. Runs of `before`, the last revision, are reused unless they have the changed
+/// node.
 fn unfold(
     parts: &Parts,
     nodes: &[Range<usize>],
@@ -567,7 +568,7 @@ fn unfold(
             Some(run) if run.members.first().is_none_or(|first| u64::from(first.id) == next) => {
                 run.clone()
             }
-            // What comes before has become more or less.
+            // The numbers shift when an earlier run has changed its length.
             Some(run) => Arc::new(run.numbered_from(next as u32)),
             None => {
                 let instances = unfolding.instances(nodes.clone());
@@ -580,7 +581,7 @@ fn unfold(
                     id: id as u32,
                     above: Above::NOTHING,
                 });
-                // One more than there may be is enough to know.
+                // One instance over the limit is enough to detect the excess.
                 let room = usize::try_from((most + 2).saturating_sub(next)).unwrap_or(usize::MAX);
                 Arc::new(meter.run(members.take(room).collect()))
             }
@@ -595,7 +596,7 @@ fn unfold(
     Ok(Instances::new(runs))
 }
 
-/// A scene to be drawn, made of its parts: wholly, or as one node of `before` was changed.
+/// Builds a scene from its parts: completely, or as `before` with one node changed.
 fn build(
     parts: Parts,
     config: &EngineConfig,
@@ -723,7 +724,7 @@ fn describe(
 }
 
 impl Loaded {
-    /// The scene with one top-level node changed, at the next revision.
+    /// Returns the scene with one top-level node changed, at the next revision.
     pub fn patched(
         &self,
         node: &str,
@@ -763,24 +764,24 @@ impl Loaded {
         build(parts, config, Some((self, index)), &Admission::new(&config.memory))
     }
 
-    /// Number of the load, which all revisions of a scene share and no later scene of the same id has.
+    /// Returns the load's number, which all revisions of a scene share and no later scene of the same id has.
     pub fn load(&self) -> u64 {
         self.order
     }
 
-    /// Whether samples have all their normals and kernels.
+    /// Returns whether all samples have normals and kernels.
     pub fn is_whole(&self) -> bool {
         self.model.assets.iter().all(|asset| asset.deferred.is_none())
     }
 
-    /// Whether some sample has no normal yet.
+    /// Returns whether some sample has no normal yet.
     pub fn lacks_normals(&self) -> bool {
         let deferred = self.model.assets.iter().filter_map(|asset| asset.deferred.as_ref());
         deferred.into_iter().any(|deferred| deferred.lacks_normals)
     }
 
-    /// Reads the files of all assets once more that lack normals or kernels, and estimates these. [`Loaded::completed`] is the scene
-    /// with them.
+    /// Reads the files of assets that lack normals or kernels again and estimates these. [`Loaded::completed`] then returns the
+    /// scene with them.
     pub fn estimate(
         &self,
         config: &EngineConfig,
@@ -809,7 +810,7 @@ impl Loaded {
         Ok(Ok(()))
     }
 
-    /// The scene with everything that its samples lack. Blocks.
+    /// Returns the scene with everything that its samples lack. Blocks.
     pub fn into_whole(self, config: &EngineConfig) -> Result<Loaded, EngineError> {
         match self.estimate(config, &Watch::NONE) {
             Ok(estimated) => estimated?,
@@ -818,7 +819,7 @@ impl Loaded {
         Ok(self.completed(config)?.unwrap_or(self))
     }
 
-    /// What was estimated of its assets, with the hashes of their content.
+    /// Returns the assets with estimates, each with the hash of its content.
     pub fn estimated(&self) -> Vec<([u8; 32], Arc<AssetModel>)> {
         let whole = |asset: &Arc<AssetModel>| asset.deferred.as_ref()?.whole.get().cloned();
         let assets = self.model.assets.iter().zip(&self.keys);
@@ -857,7 +858,7 @@ impl Loaded {
         Ok(whole)
     }
 
-    /// The scene with whole assets in place of those that lacked something, at the same revision; `None` while they are not there,
+    /// Returns the scene with incomplete assets replaced by whole ones, at the same revision; `None` while these are not there,
     /// or where nothing was lacking.
     pub fn completed(&self, config: &EngineConfig) -> Result<Option<Loaded>, EngineError> {
         let whole = |asset: &Arc<AssetModel>| match &asset.deferred {
@@ -881,7 +882,7 @@ impl Loaded {
         Ok(Some(Loaded { order: self.order, ..whole }))
     }
 
-    /// A camera path that the scene names.
+    /// Returns a camera path that the scene names.
     pub fn camera_path(&self, name: &str) -> Result<CameraPath, EngineError> {
         let found = self.description.paths.iter().find(|(known, _)| known == name);
         found.map(|(_, path)| path.clone()).ok_or_else(|| EngineError::BadParameter {
@@ -895,18 +896,18 @@ impl Loaded {
         })
     }
 
-    /// Where its samples are and how far apart, measured when it is first asked for.
+    /// Returns the positions and spacing of its samples in patches, measured on first use.
     pub fn patches(&self) -> &[Patch] {
         self.patches.get_or_init(|| spacing::patches(&self.model))
     }
 
-    /// Which way is up.
+    /// Returns the up direction.
     pub fn up(&self) -> DVec3 {
         if self.model.up == DVec3::ZERO { DVec3::Y } else { self.model.up }
     }
 
-    /// The default view: the sensor's where the file tells it, else everything but strays, as large as the frame allows. Without an
-    /// `up` it is upright as the scene is.
+    /// Returns the default view: the sensor's where the file has one, else a view of everything but strays, as large as the frame
+    /// allows. Without `up` it uses the scene's up direction.
     ///
     /// # Errors
     /// An `up` that is zero or not finite; a field of view that no camera has.
@@ -916,7 +917,7 @@ impl Loaded {
         up_given: Option<DVec3>,
         fov_deg: Option<f64>,
     ) -> Result<Camera, CameraError> {
-        // Neither depends on where the eye is.
+        // These checks do not depend on the eye's position.
         let anywhere = Camera {
             eye: DVec3::ZERO,
             target: DVec3::ONE,
@@ -934,7 +935,7 @@ impl Loaded {
     }
 }
 
-/// Absolute and inside the root, or why not.
+/// Makes a path absolute and checks that it is inside the root.
 pub fn check_path(path: &Path, root: &Path) -> Result<PathBuf, EngineError> {
     let display = path
         .file_name()

@@ -1,4 +1,4 @@
-//! Jobs in, encoded frames with receipts out (floor 5). One thread owns the device.
+//! The engine (floor 5): takes jobs and returns encoded frames with receipts. One thread owns the device.
 
 pub mod bakes;
 mod baking;
@@ -56,31 +56,32 @@ use crate::scene::{CameraPath, SceneError, SceneLimits};
 
 use self::shared::Shared;
 
-/// Of the device's time, what jobs get at least.
+/// Default of [`EngineConfig::job_share`].
 pub const DEFAULT_JOB_SHARE: f64 = 0.1;
 
-/// Points whose neighbours are found in a tenth of a second: below that, waiting for them costs less than a second picture would.
+/// Number of points whose neighbours are found in a tenth of a second: below it, waiting costs less than drawing a second
+/// picture.
 pub const ESTIMATE_AT_ONCE: usize = 200_000;
 
-/// No clock of a file system takes longer from one of its steps to the next.
+/// Upper bound of the time step of a file system's clock.
 const SETTLED_AFTER: Duration = Duration::from_secs(2);
 
-/// How the engine is set up.
+/// Configuration of the engine.
 #[derive(Clone)]
 pub struct EngineConfig {
     /// Scenes and the files they name are read below this folder only.
     pub root: PathBuf,
     /// Bytes of scene data that may stay on the GPU; `None`: three quarters of what the adapter can bind, at most 4 GiB.
     pub gpu_budget_bytes: Option<u64>,
-    /// What loaded scenes, loading and baking may hold of the host's memory.
+    /// Host memory for loaded scenes, loading and baking.
     pub memory: HostMemory,
     /// Jobs that may wait; more are refused with [`EngineError::Busy`].
     pub queue_capacity: usize,
-    /// Device time that may wait, by what frames like those that wait have cost; more is refused likewise.
+    /// Largest estimated device time of waiting frames; more is refused likewise.
     pub queue_time: Duration,
-    /// Of the device's time, what frames of jobs ([`Client::Job`]) get however many others there are; above 0, below 1.
+    /// Minimum share of the device's time for frames of jobs ([`Client::Job`]); above 0, below 1.
     pub job_share: f64,
-    /// Frames recorded into one submission.
+    /// Largest number of frames recorded into one submission.
     pub max_batch: usize,
     /// Frames of jobs that are encoded at a time. Requests and streams have a thread more each.
     pub encoder_threads: usize,
@@ -93,18 +94,18 @@ pub struct EngineConfig {
     pub max_side: u32,
     /// Never use 64-bit atomics, even where the adapter has them.
     pub force_32_bit: bool,
-    /// Bytes that a shader binds at once at most; `None`: as many as the adapter can. Less means smaller pages.
+    /// Largest number of bytes that a shader binds at once; `None`: as many as the adapter can. Less means smaller pages.
     pub max_binding_bytes: Option<u64>,
     /// For measurements: boxes of triangles with a longer side than this go to the rasteriser; `None`: the measured best.
     #[doc(hidden)]
     pub small_triangle_px: Option<u32>,
-    /// For tests and measurements: chunks that lie behind others are drawn as well.
+    /// For tests and measurements: draws chunks that are hidden behind others, too.
     #[doc(hidden)]
     pub draw_hidden: bool,
     /// For measurements: boxes of splats with a longer side than this go to walk_splats; `None`: the measured best.
     #[doc(hidden)]
     pub small_splat_px: Option<u32>,
-    /// For tests: what the boxes of a frame's large triangles may cover, in units of 4096 pixels; `None`: some ten seconds'
+    /// For tests: largest area of the boxes of a frame's large triangles, in units of 4096 pixels; `None`: about ten seconds'
     /// work.
     #[doc(hidden)]
     pub large_units_limit: Option<u32>,
@@ -119,37 +120,37 @@ pub struct EngineConfig {
     /// For tests: estimates of large clouds do not begin while this is shut.
     #[doc(hidden)]
     pub estimate_latch: Option<Arc<Latch>>,
-    /// For tests: files that were changed later than this ago are not kept packed.
+    /// For tests: files that changed more recently than this are not kept packed.
     #[doc(hidden)]
     pub settled_after: Duration,
-    /// Where point trees and large clouds are kept from one process to the next; `None`: they are built and read anew.
+    /// Cache of point trees and large clouds between processes; `None`: they are built and read anew.
     pub bake_cache: Option<BakeCache>,
-    /// Which pipelines are built before frames need them; `None`: none are.
+    /// Pipelines that are built before frames need them; `None`: none.
     pub prime: Option<PrimeConfig>,
-    /// Up of bare asset files, instead of a guess.
+    /// Up direction of bare asset files, instead of a guess.
     pub up: Option<DVec3>,
     pub read: ReadOptions,
     pub scene: SceneLimits,
 }
 
-/// What can go wrong, in words that a user can act on. Knows nothing of HTTP.
+/// Errors in words that a user can act on. Knows nothing of HTTP.
 #[derive(Debug, Clone, thiserror::Error)]
 pub enum EngineError {
     #[error("there is no scene `{id}`")]
     UnknownScene { id: String },
     #[error("there is no node `{node}` in scene `{scene}`")]
     UnknownNode { scene: String, node: String },
-    /// A parameter that cannot be used; `accepted` says what would be.
+    /// A parameter that cannot be used; `accepted` says what would be accepted.
     #[error("{parameter}: {reason}; accepted: {accepted}")]
     BadParameter { parameter: &'static str, reason: String, accepted: String },
     #[error("a scene `{id}` is already loaded")]
     SceneExists { id: String },
     #[error("the queue is full")]
     Busy { retry_after: Duration },
-    /// Of a [`Seat`]'s request that a newer one took the place of.
+    /// A newer request replaced this request of a [`Seat`].
     #[error("a newer request took this one's place")]
     Overtaken,
-    /// Or would, by what is queued before the frame and what such frames have cost.
+    /// The deadline has passed, or will pass given what is queued before the frame and what such frames have cost.
     #[error("the deadline passes before the frame can be had")]
     DeadlineExceeded { retry_after: Duration },
     #[error("the GPU was lost; scenes are being rebuilt")]
@@ -163,14 +164,14 @@ pub enum EngineError {
     /// A limit of [`Limits`] was exceeded.
     #[error("{what} ({found}) is over the limit of {limit}")]
     OverLimit { what: &'static str, found: u64, limit: u64 },
-    /// A load that was cancelled, or that there is no host memory for.
+    /// A load was cancelled, or there is not enough host memory for it.
     #[error(transparent)]
     Interrupted(#[from] Interrupt),
     #[error("{0}")]
     Asset(Arc<AssetError>),
     #[error("{0}")]
     Scene(Arc<SceneError>),
-    /// No adapter that could draw; the text says what to install.
+    /// No adapter can draw; the text says what to install.
     #[error("{0}")]
     NoGpu(String),
     #[error("internal error: {0}")]
@@ -267,28 +268,28 @@ impl NamedCamera {
     }
 }
 
-/// Where a scene comes from.
+/// Source of a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Source {
     /// A scene file or an asset file.
     pub path: PathBuf,
-    /// The folder that the names of files in a scene count from; `None`: the scene file's own.
+    /// Folder to which file names in a scene are relative; `None`: the scene file's own.
     pub base: Option<PathBuf>,
-    /// Up of a bare asset file, instead of [`EngineConfig::up`].
+    /// Up direction of a bare asset file, instead of [`EngineConfig::up`].
     pub up: Option<DVec3>,
 }
 
 impl Source {
-    /// A file whose names count from its own folder.
+    /// Returns the source of a file whose names are relative to its own folder.
     pub fn at(path: impl Into<PathBuf>) -> Source {
         Source { path: path.into(), base: None, up: None }
     }
 }
 
-/// A scene as it was at one time.
+/// Identifies a scene at one revision.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SceneMark {
-    /// No two scenes of a process, nor revisions of one, have the same.
+    /// Unique among all scenes of a process and their revisions.
     uid: u64,
     pub revision: u64,
 }
@@ -308,7 +309,7 @@ pub struct EncodedFrame {
     pub receipt: Receipt,
 }
 
-/// Whether frames can be had now, and if not, why.
+/// Whether frames can be drawn now, and if not, why.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Readiness {
     Ready,
@@ -318,7 +319,7 @@ pub enum Readiness {
     },
     DeviceLost,
     Draining,
-    /// The render thread ended by a defect: only a new process can draw again.
+    /// The render thread ended because of a defect: only a new process can draw again.
     Failed,
 }
 
@@ -329,18 +330,18 @@ pub struct EngineStats {
     pub batches: u64,
     pub coalesced: u64,
     pub cancelled: u64,
-    /// Jobs that a newer one took the place of before they were begun.
+    /// Jobs that a newer one replaced before they were begun.
     pub overtaken: u64,
     pub expired: u64,
     pub refused: u64,
-    /// Jobs refused because what was queued before them left no time until their deadline.
+    /// Jobs refused because the queue left no time until their deadline.
     pub hopeless: u64,
     pub failed: u64,
     pub queued: u64,
     pub device_losses: u64,
     pub evictions: u64,
     pub uploads: u64,
-    /// Records of instances written to the GPU: after an edit those that it moved, and their neighbours.
+    /// Records of instances written to the GPU; an edit writes those that it moved, and their neighbours.
     pub instances_written: u64,
     pub gpu_bytes_resident: u64,
     pub gpu_ns: u64,
@@ -351,8 +352,8 @@ pub struct EngineStats {
     pub pipelines_primed: u64,
 }
 
-/// A handle on the running engine; clones share it. When the last one is dropped the render thread finishes the jobs it has
-/// accepted and ends.
+/// A handle of the running engine; clones share it. When the last handle is dropped, the render thread finishes the accepted jobs
+/// and ends.
 #[derive(Clone)]
 pub struct Engine {
     inner: Arc<Inner>,
@@ -374,7 +375,7 @@ impl Drop for Inner {
     }
 }
 
-/// An identifier that is being loaded, released however that ends.
+/// An identifier that is being loaded; released in every case when this is dropped.
 struct Reserved<'a> {
     shared: &'a Shared,
     id: &'a str,
@@ -386,14 +387,14 @@ impl Drop for Reserved<'_> {
     }
 }
 
-/// A frame that has been promised. Await it; dropping it cancels the job unless somebody else waits
-/// for the same frame or it has been submitted already.
+/// A promised frame. Await it; dropping it cancels the job unless somebody else waits for the same frame
+/// or it has been submitted already.
 pub struct FrameTicket {
     receiver: tokio::sync::oneshot::Receiver<Result<Arc<EncodedFrame>, EngineError>>,
 }
 
 impl FrameTicket {
-    /// Waits on a thread that runs no async tasks.
+    /// Blocks until the frame is there; not for threads that run async tasks.
     pub fn wait(self) -> Result<Arc<EncodedFrame>, EngineError> {
         self.receiver.blocking_recv().unwrap_or(Err(EngineError::ShuttingDown))
     }
@@ -413,7 +414,7 @@ impl std::future::Future for FrameTicket {
 }
 
 impl EngineConfig {
-    /// Defaults for scenes below `root`.
+    /// Returns the defaults for scenes below `root`.
     pub fn new(root: impl Into<PathBuf>) -> Self {
         let cores = std::thread::available_parallelism().map_or(2, usize::from);
         Self {
@@ -493,12 +494,12 @@ impl Engine {
         self.load_within(id, &Source::at(path), &self.admission())
     }
 
-    /// The share of the host's memory that a load may have, and the handle that cancels it.
+    /// Returns a load's admission to host memory, which is also the handle that cancels it.
     pub fn admission(&self) -> Admission {
         Admission::new(&self.shared().config.memory)
     }
 
-    /// Loads as [`Engine::load`] does, until the admission is cancelled.
+    /// Loads like [`Engine::load`], until the admission is cancelled.
     ///
     /// # Errors
     /// As [`Engine::load`]; [`EngineError::Interrupted`].
@@ -514,12 +515,12 @@ impl Engine {
             return Err(exists());
         }
         let _reserved = Reserved { shared, id };
-        // Looked up only now: whoever held the reservation before may have loaded it.
+        // Check again under the reservation: its previous holder may have loaded the scene.
         if shared.library.read().holds(id) {
             return Err(exists());
         }
         let loaded = self.load_reserved(id, source, admission);
-        // What reading and baking held is free now, in whatever corners of the heap.
+        // Return the memory that reading and baking held, wherever it lies in the heap.
         memory::release_unused();
         loaded
     }
@@ -550,8 +551,8 @@ impl Engine {
         Ok(info)
     }
 
-    /// Whether a scene alone would fit the GPU, at least where frames list what they need of it; where not all of it does, the
-    /// scene says so.
+    /// Checks that a scene alone fits the GPU, at least where frames list the parts that they need. If the whole scene does not
+    /// fit, the scene gets a warning.
     fn check_fits(&self, loaded: &mut library::Loaded) -> Result<(), EngineError> {
         let adapter = self.shared().adapter();
         let fits = |part| {
@@ -581,17 +582,17 @@ impl Engine {
         Ok(())
     }
 
-    /// Moves, shows or hides a top-level node: a new revision, nothing uploaded but transforms.
+    /// Moves, shows or hides a top-level node. The scene gets a new revision; only transforms are uploaded.
     pub fn patch(&self, id: &str, node: &str, patch: &NodePatch) -> Result<SceneInfo, EngineError> {
         let shared = self.shared();
-        // Two patches must not start from the same revision. Listing the instances anew may take a while, in which frames
-        // are still asked for: the library is locked only to look and to exchange.
+        // Two patches must not start from the same revision. Listing the instances again may take a while, during which frames
+        // are still requested: the library is locked only for looking up and replacing.
         let _alone = shared.patching.lock();
         loop {
             let loaded = shared.library.read().get(id);
             let loaded = loaded.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
             let mut patched = loaded.patched(node, patch, &shared.config)?;
-            // A node that comes to light may draw more than there is room for.
+            // A node that becomes visible may draw more than fits.
             self.check_fits(&mut patched)?;
             if let Some(hook) = &shared.config.patch_hook {
                 hook();
@@ -602,7 +603,7 @@ impl Engine {
                 tracing::info!(id, node, revision = info.revision, "scene changed");
                 return Ok(info);
             }
-            // Removed meanwhile, and perhaps loaded again.
+            // The scene was removed meanwhile, and perhaps loaded again.
         }
     }
 
@@ -617,7 +618,7 @@ impl Engine {
             .ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })
     }
 
-    /// A camera path that the scene names.
+    /// Returns a camera path that the scene names.
     pub fn camera_path(&self, id: &str, name: &str) -> Result<CameraPath, EngineError> {
         let loaded = self.shared().library.read().get(id);
         loaded.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?.camera_path(name)
@@ -632,24 +633,24 @@ impl Engine {
         }
     }
 
-    /// The strong entity tag (quoted) of the frame that `request` would give. Validates the request; costs no GPU work.
+    /// Returns the strong entity tag (quoted) of the frame for `request`. Validates the request; needs no GPU work.
     pub fn etag(&self, request: &FrameRequest) -> Result<String, EngineError> {
         Ok(resolve::resolve(self.shared(), request)?.key)
     }
 
-    /// As [`Engine::etag`]; `None` of a frame that will be another one once normals and kernels are estimated.
+    /// Returns the tag as [`Engine::etag`] does; `None` for a frame that will change once normals and kernels are estimated.
     pub fn final_etag(&self, request: &FrameRequest) -> Result<Option<String>, EngineError> {
         let resolved = resolve::resolve(self.shared(), request)?;
         Ok(resolved.provisional.is_none().then_some(resolved.key))
     }
 
-    /// Whether a frame with these settings has to wait until something is baked, which [`Engine::bake`] does.
+    /// Returns whether a frame for this request must wait for a bake, which [`Engine::bake`] does.
     pub fn must_bake(&self, request: &FrameRequest) -> bool {
         let loaded = self.shared().library.read().get(&request.scene);
         loaded.is_some_and(|loaded| resolve::goal(&loaded, request).is_some())
     }
 
-    /// Builds what a request needs and is not there: the scene's point trees, or normals and kernels of large clouds. Blocks, for
+    /// Builds what a request needs and is missing: the scene's point trees, or normals and kernels of large clouds. Blocks for
     /// some seconds per million samples.
     ///
     /// # Errors
@@ -658,8 +659,8 @@ impl Engine {
         self.begin_bake(request)?.map_or(Ok(()), BakeTicket::wait)
     }
 
-    /// The same for who waits in another way, with all others who wait for it; `None` when everything is there. It is given up when
-    /// nobody waits any more.
+    /// Begins a bake and returns its ticket, shared with all others who wait for the bake; `None` when everything is there. The
+    /// bake is given up when nobody waits any more.
     ///
     /// # Errors
     /// An unknown scene.
@@ -671,13 +672,13 @@ impl Engine {
         Ok(goal.map(|goal| self.shared().bakes.join(loaded, goal)))
     }
 
-    /// Bakes that are under way for [`Engine::begin_bake`], also such as are being given up.
+    /// Returns the number of running bakes of [`Engine::begin_bake`], including those that are being given up.
     pub fn bakes_running(&self) -> usize {
         self.shared().bakes.running()
     }
 
-    /// Builds or reads the point trees of all of a scene's assets, keeps them for frames, and tells what they are. Blocks, for a
-    /// few seconds per million samples that are in no cache.
+    /// Builds or reads the point trees of all of a scene's assets, keeps them for frames, and returns their statistics. Blocks
+    /// for a few seconds per million samples that are in no cache.
     ///
     /// # Errors
     /// An unknown scene, or a geometry that no tree can be built of.
@@ -695,12 +696,12 @@ impl Engine {
     /// Queues a frame.
     ///
     /// # Errors
-    /// Whatever is wrong with the request, or [`EngineError::Busy`]; nothing is queued then.
+    /// Any error of the request, or [`EngineError::Busy`]; nothing is queued then.
     pub fn submit(&self, request: FrameRequest) -> Result<FrameTicket, EngineError> {
         self.submit_for(Client::Unnamed, request)
     }
 
-    /// Queues a frame for a client, who shares the device with the others; as an [`Origin`], under a name.
+    /// Queues a frame for a client, which shares the device with the others; an [`Origin`] also names the request.
     ///
     /// # Errors
     /// As [`Engine::submit`].
@@ -712,7 +713,7 @@ impl Engine {
         self.submit_tagged(origin, request).map(|(_, ticket)| ticket)
     }
 
-    /// The same, with the tag (as of [`Engine::etag`]) of the frame that will come, whatever becomes of the scene meanwhile.
+    /// Queues a frame and returns its tag (as of [`Engine::etag`]), which stays valid even if the scene changes meanwhile.
     ///
     /// # Errors
     /// As [`Engine::submit`].
@@ -727,13 +728,13 @@ impl Engine {
         Ok((tag, FrameTicket { receiver }))
     }
 
-    /// A place in the queue for one who wants the newest frame only, and shares the device's time with the other seats of the
-    /// client `of`.
+    /// Returns a place in the queue for a client that wants only the newest frame. Seats of the client `of` share the device's
+    /// time.
     pub fn seat(&self, of: Client) -> Seat {
         Seat::new(self, of)
     }
 
-    /// Has batches and frames told from now on to the first that asks for it; whether that is this one.
+    /// Sets the observer of batches and frames; only the first call succeeds. Returns whether this one did.
     pub fn observe(&self, observer: Arc<dyn Observer>) -> bool {
         self.shared().observer.set(observer).is_ok()
     }
@@ -743,18 +744,18 @@ impl Engine {
         self.shared().changes.subscribe()
     }
 
-    /// What tells a scene from any other and from itself at another revision; `None` when there is none.
+    /// Returns a mark that is unique to the scene and its revision; `None` when there is no such scene.
     pub fn scene_mark(&self, id: &str) -> Option<SceneMark> {
         let loaded = self.shared().library.read().get(id)?;
         Some(SceneMark { uid: loaded.model.uid, revision: loaded.model.revision })
     }
 
-    /// What samples of a frame would be drawn as: a request may leave it open.
+    /// Returns how the samples of a frame would be drawn, which a request may leave open.
     pub fn drawn_as(&self, request: &FrameRequest) -> Result<Reconstruct, EngineError> {
         Ok(resolve::resolve(self.shared(), request)?.drawing.reconstruct)
     }
 
-    /// The plan that a request would follow, and what it was planned from.
+    /// Returns the plan for a request.
     pub fn plan(&self, request: &FrameRequest) -> Result<crate::plan::FramePlan, EngineError> {
         Ok(resolve::resolve(self.shared(), request)?.drawing.plan)
     }
@@ -792,12 +793,12 @@ impl Engine {
         }
     }
 
-    /// Name of the adapter, as receipts give it.
+    /// Returns the name of the adapter, as in receipts.
     pub fn adapter(&self) -> String {
         self.shared().adapter().name
     }
 
-    /// Refuses new jobs, finishes the accepted ones. Blocks.
+    /// Refuses new jobs and finishes the accepted ones. Blocks.
     pub fn drain(&self) {
         self.shared().stop();
         while self.shared().has_unanswered() {
@@ -805,25 +806,25 @@ impl Engine {
         }
     }
 
-    /// Has the render thread panic, to see what becomes of the rest.
+    /// Makes the render thread panic, for tests.
     #[doc(hidden)]
     pub fn break_render_thread(&self) {
         self.shared().break_render_thread();
     }
 
-    /// Waits until pipelines have been built ahead or `patience` is over; whether they have been.
+    /// Waits until pipelines have been built ahead, at most for `patience`, and returns whether they have been.
     #[doc(hidden)]
     pub fn await_primed(&self, patience: Duration) -> bool {
         self.shared().await_primed(patience)
     }
 
-    /// Has the driver refuse the next submission, to see whom that costs a frame.
+    /// Makes the driver refuse the next submission, for tests.
     #[doc(hidden)]
     pub fn spoil_next_submission(&self) {
         self.shared().spoil_next_submission();
     }
 
-    /// Loses the device on purpose, to see that it comes back.
+    /// Loses the device on purpose, for tests of its recovery.
     #[doc(hidden)]
     pub fn lose_device(&self) {
         self.shared().lose_device();

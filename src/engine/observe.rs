@@ -1,12 +1,12 @@
-//! Who is told of batches and frames as they are finished, to count them.
+//! An observer of finished batches and frames, for metrics.
 
 use super::Receipt;
 use super::queue::Class;
 
-/// Is told on the engine's own threads, and so must be quick.
+/// The methods run on the engine's own threads and must be quick.
 pub trait Observer: Send + Sync + 'static {
-    /// A submission has landed with so many frames.
+    /// A submission with this many frames has finished.
     fn batch(&self, frames: usize);
-    /// A frame was drawn and encoded. Whoever shares it is not counted again.
+    /// A frame was drawn and encoded. A frame shared by several requests is reported once.
     fn frame(&self, class: Class, receipt: &Receipt);
 }

@@ -1,8 +1,8 @@
-//! The thread that builds pipelines before frames need them, and keeps a list of those that frames used for the next process.
+//! The thread that builds pipelines before frames need them, and saves the list of used pipelines for the next process.
 //!
-//! It shares the device with the render thread, and nothing else of it: it builds pipelines into [`Pipelines`] and, where the
-//! driver compiles late, submits dispatches over nothing. It takes a step only while no frame waits or is drawn, so that a
-//! frame is delayed by one pipeline at most.
+//! The thread shares only the device with the render thread: it builds pipelines into [`Pipelines`] and, where the driver
+//! compiles late, submits empty dispatches. It takes a step only while no frame waits or is drawn, so that a frame is delayed by
+//! one pipeline at most.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -17,28 +17,28 @@ use crate::gpu::Gpu;
 use crate::gpu::pipeline_store::Kept;
 use crate::passes::{Pipelines, Prime, Variant, common, read_variants, write_variants};
 
-/// How often a busy render thread is looked at, and the driver asked whether it has compiled.
+/// Interval of checks whether the render thread is busy and whether the driver has compiled.
 const GLANCE: Duration = Duration::from_millis(5);
-/// How often what frames have used is written down, if it has grown.
+/// Interval at which the list of used pipelines is saved, if it has grown.
 const SAVE_EVERY: Duration = Duration::from_secs(2);
 
-/// Which pipelines are built ahead of the frames that need them.
+/// Selects the pipelines that are built before frames need them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PrimeConfig {
-    /// Folder that pipelines are kept in from one process to the next.
+    /// Folder that keeps pipelines between processes.
     pub folder: Option<PathBuf>,
-    /// Whether those are built that the first frames of most scenes use, beside what earlier processes used.
+    /// Whether to build the pipelines of common first frames, beside those that earlier processes used.
     pub common: bool,
 }
 
-/// The thread; dropping it has it end and waits for that.
+/// Handle of the thread; dropping it stops the thread and waits for its end.
 pub struct Primer {
     stop: Option<SyncSender<()>>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Primer {
-    /// Starts the thread, where the engine was configured to have one.
+    /// Starts the thread, if the engine is configured to have one.
     pub fn start(shared: &Arc<Shared>, renderer: &Renderer) -> Option<Primer> {
         let config = shared.config.prime.clone()?;
         let (stop, stopped) = sync_channel(1);
@@ -115,8 +115,8 @@ impl Task {
         }
     }
 
-    /// Waits until the driver has done what was submitted; whether the thread is to end. Never by a blocking poll: it would hold
-    /// up the render thread's next submission.
+    /// Waits until the driver has done what was submitted; returns whether the thread must end. It never polls with blocking,
+    /// which would delay the render thread's next submission.
     fn await_driver(&self) -> bool {
         let done = Arc::new(AtomicBool::new(false));
         let told = done.clone();
@@ -134,7 +134,7 @@ impl Task {
         }
     }
 
-    /// Writes down what frames used, if that is more than was `saved`.
+    /// Saves the list of used pipelines, if it is longer than `saved`.
     fn save(&self, earlier: &[Variant], saved: &mut usize) {
         let used = self.pipelines.used();
         let Some(store) = self.gpu.pipeline_store.as_ref().filter(|_| used > *saved) else {
@@ -154,7 +154,7 @@ impl Task {
         self.waits(Duration::ZERO)
     }
 
-    /// Waits; whether the thread is to end.
+    /// Waits; returns whether the thread must end.
     fn waits(&self, time: Duration) -> bool {
         self.gpu.is_lost()
             || !matches!(self.stopped.recv_timeout(time), Err(RecvTimeoutError::Timeout))

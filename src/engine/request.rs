@@ -1,4 +1,4 @@
-//! What a caller asks for.
+//! Requests of the engine's callers.
 
 use std::time::Instant;
 
@@ -20,35 +20,35 @@ pub struct FrameRequest {
     pub format: ImageFormat,
     /// 1..=100, for the lossy formats.
     pub quality: u8,
-    /// Work not begun by then is dropped with [`super::EngineError::DeadlineExceeded`]; what cannot be had by then, by what is
-    /// queued before it, is refused with the same at once.
+    /// Work not begun by this time is dropped with [`super::EngineError::DeadlineExceeded`]. A frame that cannot be ready by
+    /// then, given what is queued before it, is refused at once with the same error.
     pub deadline: Option<Instant>,
 }
 
-/// Where a frame is seen from.
+/// Camera of a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Pose {
-    /// A camera that the scene names.
+    /// A camera named in the scene.
     Named(String),
     Camera(Camera),
-    /// As [`Pose::Camera`], upright as the scene is.
+    /// Like [`Pose::Camera`], with the scene's up direction.
     Upright {
         eye: DVec3,
         target: DVec3,
         fov_deg: f64,
     },
-    /// Already resolved, from explicit matrices.
+    /// A resolved view, from explicit matrices.
     View(View),
-    /// The whole scene, as it is seen at first: from its front and slightly above, or as the sensor that took its points saw it.
+    /// The scene's default view: from its front and slightly above, or from the sensor that took its points.
     Fit {
-        /// Up instead of the scene's own.
+        /// Up direction in place of the scene's own.
         up: Option<DVec3>,
-        /// Vertical field of view instead of the view's own.
+        /// Vertical field of view in place of the view's own.
         fov_deg: Option<f64>,
     },
 }
 
 impl Pose {
-    /// The whole scene, as the scene itself has it.
+    /// The default view with the scene's own settings.
     pub const FIT: Pose = Pose::Fit { up: None, fov_deg: None };
 }

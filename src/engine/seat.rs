@@ -1,4 +1,5 @@
-//! A place in the queue for one who wants the newest frame only: its request can be exchanged until the render thread takes it.
+//! A place in the queue for a client that wants only the newest frame: its request can be replaced until the render thread takes
+//! it.
 //!
 //! ```text
 //! ask ──▶ waits ──taken──▶ is drawn ──▶ reply
@@ -14,11 +15,11 @@ use super::resolve::resolve;
 use super::trace::{Origin, RequestId};
 use super::{Engine, EngineError, FrameRequest, FrameTicket};
 
-/// One stream's place, which shares the device with all other clients.
+/// The place of one stream, which shares the device with all other clients.
 pub struct Seat {
     engine: Engine,
     client: Client,
-    /// What was asked for last. Weak, so that an idle seat does not hold a scene that is gone.
+    /// The last job. Weak, so that an idle seat does not keep a removed scene alive.
     last: Weak<Job>,
 }
 
@@ -28,7 +29,7 @@ impl Seat {
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
         let of = match of {
             Client::Caller(of) | Client::Stream { of, .. } => of,
-            // Nobody's: a client of its own.
+            // It belongs to no caller and is a client of its own.
             Client::Unnamed | Client::Job(_) => number,
         };
         let client = Client::Stream { of, number };
@@ -36,7 +37,7 @@ impl Seat {
         Self { engine: engine.clone(), client, last: Weak::new() }
     }
 
-    /// Queues a request behind what this seat has asked for already.
+    /// Queues a request behind earlier requests of this seat.
     ///
     /// # Errors
     /// As [`Engine::submit`].
@@ -44,7 +45,7 @@ impl Seat {
         self.ask_as(RequestId::fresh(), request)
     }
 
-    /// The same, under a name.
+    /// Queues a request as [`Seat::ask`] does, under the given id.
     ///
     /// # Errors
     /// As [`Engine::submit`].
@@ -61,16 +62,16 @@ impl Seat {
         Ok(FrameTicket { receiver })
     }
 
-    /// Puts a request in the place of the last one, whose ticket is then worth nothing more; `None` when that one is being
-    /// drawn already, or shares a frame that somebody else asked for first.
+    /// Replaces the last request, whose ticket then fails; `None` when that request is being drawn already, or shares a frame
+    /// that another client asked for first.
     ///
     /// # Errors
-    /// Whatever is wrong with the request; the last one waits on then.
+    /// Any error of the request; the last request then goes on waiting.
     pub fn replace(&mut self, request: FrameRequest) -> Result<Option<FrameTicket>, EngineError> {
         self.replace_as(RequestId::fresh(), request)
     }
 
-    /// The same, under a name.
+    /// Replaces the last request as [`Seat::replace`] does, under the given id.
     ///
     /// # Errors
     /// As [`Seat::replace`].

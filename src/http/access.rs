@@ -1,14 +1,15 @@
-//! Who may do what: API keys with scopes, and the guard against foreign web pages.
+//! Access control: API keys with scopes, and the guard against requests from foreign web pages.
 //!
-//! A key file holds one key a line, `name scope sha256hex`; only hashes are stored. The key of a
-//! request is hashed once and compared with every stored hash in constant time, so that neither the
-//! time nor the order tells how near a guess was. Without keys (loopback, or `--insecure`) anybody
-//! may do everything, except that a web page from another origin may not change anything: browsers
-//! send such requests to a local server without asking. A name that its owner points at 127.0.0.1
-//! would make a page of his one of the same origin, so a server that listens on loopback answers only
-//! to the names of loopback. A stream's answers any page could read, whatever its origin: browsers apply that rule to
-//! WebSockets no more than they let pages set headers on them. So without keys a stream is for pages of the same origin (or of
-//! `cors_origins`), and a key may also come as a subprotocol, `pointillist.key.KEY`.
+//! A key file holds one key per line, `name scope sha256hex`; only hashes are stored. The server hashes a request's key once and
+//! compares it with every stored hash in constant time, so that neither time nor order tells how near a guess was.
+//!
+//! Without keys (loopback, or `--insecure`) everybody may do everything, except that a web page from another origin may not
+//! change anything: browsers send such requests to a local server without asking. An attacker can point a name of his own at
+//! 127.0.0.1, which makes his page same-origin. A server that listens on loopback therefore answers only to the names of loopback.
+//!
+//! Browsers do not apply the same-origin policy to WebSockets, so a page of any origin could read a stream, and a page cannot set
+//! headers on the request. Without keys, a stream is therefore open only to pages of the same origin or of `cors_origins`. A key
+//! may also come as a subprotocol, `pointillist.key.KEY`.
 
 use std::net::{Ipv4Addr, Ipv6Addr};
 use std::sync::Arc;
@@ -20,14 +21,14 @@ use subtle::ConstantTimeEq;
 use super::STREAM;
 use super::problem::{Kind, Problem};
 
-/// What a key allows; each includes those before it.
+/// What a key allows; each scope includes those before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Scope {
-    /// Frames, scenes, limits, metrics, and what jobs the key has made when it was allowed to.
+    /// Allows frames, scenes, limits, metrics, and jobs that the key made while it had the write scope.
     Read,
-    /// Adding, changing and removing scenes, and jobs of its own, too.
+    /// Also allows adding, changing and removing scenes, and the key's own jobs.
     Write,
-    /// Everything, others' jobs included.
+    /// Allows everything, including other keys' jobs.
     Admin,
 }
 
@@ -39,19 +40,19 @@ pub struct ApiKey {
     hash: [u8; 32],
 }
 
-/// The rule for every request.
+/// The access rules for every request.
 #[derive(Clone, Debug)]
 pub enum Access {
-    /// No keys; changes only from the same origin or from `cors_origins`.
+    /// No keys are required; changes are accepted only from the same origin or from `cors_origins`.
     Open {
         cors_origins: Vec<String>,
-        /// Answers only where it is called by a name or address of loopback.
+        /// Answers only requests that name the server by a name or address of loopback.
         only_loopback: bool,
     },
     Keys(Vec<ApiKey>),
 }
 
-/// Reads the rules from where they came from.
+/// Reads the access rules again from their source.
 #[derive(Clone)]
 pub struct Reread(pub Arc<dyn Fn() -> Result<Access, String> + Send + Sync>);
 
@@ -61,10 +62,10 @@ impl std::fmt::Debug for Reread {
     }
 }
 
-/// Reads a key file: `name scope sha256hex` a line, `#` begins a comment.
+/// Reads a key file: one `name scope sha256hex` per line, comments begin with `#`.
 ///
 /// # Errors
-/// The first bad line by its number, or a file without keys.
+/// Names the first bad line by its number, or says that the file has no keys.
 pub fn parse_keys(text: &str) -> Result<Vec<ApiKey>, String> {
     let mut keys: Vec<ApiKey> = Vec::new();
     for (index, line) in text.lines().enumerate() {
@@ -105,7 +106,7 @@ fn parse_hash(hex: &str) -> Option<[u8; 32]> {
     Some(hash)
 }
 
-/// The scope that a request needs; `None` for what anybody may see.
+/// Returns the scope that a request needs, or `None` where no key is needed.
 pub fn needed(method: &Method, route: &str) -> Option<Scope> {
     match route {
         "/" | "/viewer/{file}" | "/healthz" | "/readyz" | "/openapi.yaml" | "/v1/settings" => None,
@@ -116,11 +117,11 @@ pub fn needed(method: &Method, route: &str) -> Option<Scope> {
     }
 }
 
-/// What a subprotocol that carries a key begins with.
+/// Prefix of a subprotocol that carries a key.
 pub const KEY_PROTOCOL: &str = "pointillist.key.";
 
 impl Access {
-    /// Whether a request may pass: by the name it calls the server, then by who sends it. Gives the key, if keys are asked for.
+    /// Checks the name by which a request calls the server, then its sender. Returns the key, if keys are required.
     pub fn check(
         &self,
         method: &Method,
@@ -157,7 +158,7 @@ impl Access {
     }
 }
 
-/// The problem of a page of another origin, with the flag that lets the page in.
+/// Builds the problem for a page of another origin; it names the flag that lets the page in.
 fn foreign(headers: &HeaderMap, may_not: &str) -> Problem {
     let origin =
         headers.get(header::ORIGIN).map(|origin| String::from_utf8_lossy(origin.as_bytes()));
@@ -171,9 +172,9 @@ fn foreign(headers: &HeaderMap, may_not: &str) -> Problem {
     Problem::new(Kind::Forbidden, detail).at("Origin").accepted(accepted)
 }
 
-/// Refuses a request for a host that is not loopback, or for none.
+/// Refuses a request whose host is missing or not loopback.
 fn check_host(uri: &Uri, headers: &HeaderMap) -> Result<(), Problem> {
-    // HTTP/2 says it in the address.
+    // HTTP/2 has the host in the address.
     let authority = uri.authority().map(|authority| authority.as_str().as_bytes());
     let mut hosts = headers
         .get_all(header::HOST)
@@ -193,7 +194,7 @@ fn check_host(uri: &Uri, headers: &HeaderMap) -> Result<(), Problem> {
     .accepted("localhost, 127.0.0.1 or [::1], with any port"))
 }
 
-/// Whether an authority, with or without port, is a name or an address of loopback.
+/// Returns whether an authority, with or without port, is a name or an address of loopback.
 fn is_loopback(authority: &str) -> bool {
     let is_port = |port: &str| port.bytes().all(|byte| byte.is_ascii_digit());
     if let Some(rest) = authority.strip_prefix('[') {
@@ -230,7 +231,7 @@ fn check_key<'a>(
     let hash: [u8; 32] = Sha256::digest(token).into();
     let mut granted: Option<&ApiKey> = None;
     for key in keys {
-        // Every key is compared, also after a hit.
+        // Compare every key, even after a hit.
         if bool::from(key.hash.ct_eq(&hash)) && granted.is_none_or(|best| best.scope < key.scope) {
             granted = Some(key);
         }
@@ -245,7 +246,7 @@ fn check_key<'a>(
     }
 }
 
-/// The key among the subprotocols that a client offers: all that a page can send along with a WebSocket's request.
+/// Returns the key among the subprotocols that a client offers, the only field of a WebSocket request that a page can set.
 fn protocol_key(headers: &HeaderMap) -> Option<&[u8]> {
     headers
         .get_all(header::SEC_WEBSOCKET_PROTOCOL)
@@ -254,7 +255,7 @@ fn protocol_key(headers: &HeaderMap) -> Option<&[u8]> {
         .find_map(|name| name.trim_ascii().strip_prefix(KEY_PROTOCOL.as_bytes()))
 }
 
-/// Whether a browser sent this for a page of another origin.
+/// Returns whether a browser sent this request for a page of another origin.
 fn is_foreign(headers: &HeaderMap, cors_origins: &[String]) -> bool {
     let Some(origin) = headers.get(header::ORIGIN) else { return false };
     let Ok(origin) = origin.to_str() else { return true };

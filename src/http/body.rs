@@ -1,4 +1,4 @@
-//! Request bodies, bounded in size and in patience while they are read.
+//! Request bodies, limited in size and in the time spent waiting for them.
 
 use std::sync::Arc;
 use std::task::{Context, Poll};
@@ -17,11 +17,11 @@ use crate::json::{self, Limits};
 use crate::memory::Admission;
 use crate::scene::check_keys;
 
-/// Bytes a second that a body has to come at, on the average of the time spent waiting for it.
+/// Lowest rate of a body in bytes per second, averaged over the time spent waiting for it.
 pub const LEAST_RATE: u64 = 1024;
 
-/// How long a body is waited for: `gap` for its next piece, and `gap` for the whole of it or as long as
-/// it takes at [`LEAST_RATE`]. Only waiting counts; how long a piece takes to be stored does not.
+/// Time limits of a body: `gap` for its next piece, and for the whole body the longer of `gap` and the time that it takes at
+/// [`LEAST_RATE`]. Only waiting counts; the time to store a piece does not.
 pub struct Patience {
     gap: Duration,
     waited: Duration,
@@ -33,10 +33,10 @@ impl Patience {
         Self { gap, waited: Duration::ZERO, bytes: 0 }
     }
 
-    /// Waits for something of the body, as long as it may take.
+    /// Waits for the next event of the body within the time limits.
     ///
     /// # Errors
-    /// 408.
+    /// 408 when the wait exceeds a limit.
     pub async fn wait<T>(&mut self, next: impl Future<Output = T>) -> Result<T, Problem> {
         let whole =
             self.gap.max(Duration::from_millis(self.bytes.saturating_mul(1000) / LEAST_RATE));
@@ -47,10 +47,10 @@ impl Patience {
         result.map_err(|_| if left < self.gap { self.too_slow() } else { self.stalled() })
     }
 
-    /// The next piece of a body, or `None` at its end.
+    /// Returns the next piece of a body, or `None` at its end.
     ///
     /// # Errors
-    /// 408 when nothing comes, or too slowly; 422 when the client broke off.
+    /// 408 when nothing arrives or the body arrives too slowly; 422 when the client broke off.
     pub async fn next_chunk<E: std::fmt::Display>(
         &mut self,
         stream: &mut (impl Stream<Item = Result<Bytes, E>> + Unpin),
@@ -99,15 +99,15 @@ pub fn check_length(headers: &HeaderMap, limit: u64) -> Result<(), Problem> {
     }
 }
 
-/// What a JSON body may hold: ten thousand poses with all that a pose can say.
+/// Limits of a JSON body: ten thousand poses with all fields set.
 const JSON_LIMITS: Limits =
     Limits { nodes: u64::MAX, objects: 20_000, values: 1_000_000, string_bytes: 64 << 10 };
-/// Bytes of an object in memory, keys included.
+/// Bytes of an object in memory, including its keys.
 const OBJECT_BYTES: usize = 512;
-/// A parser that does not know yet what an object is keeps a copy of it.
+/// Copies of an object in memory: a parser keeps one while it does not know the object's type.
 const COPIES: u64 = 3;
 
-/// Reads a JSON body of at most `limit` bytes. The admission holds what it takes in memory.
+/// Reads a JSON body of at most `limit` bytes. The admission reserves the memory that it takes.
 ///
 /// # Errors
 /// 415 for another content type, 413, 408, 507, and 422 with the place in the document.
@@ -145,7 +145,7 @@ pub async fn json<T: DeserializeOwned>(
     parse_json(&bytes)
 }
 
-/// Parses JSON; the error names the place.
+/// Parses JSON; the error names the place in the document.
 fn parse_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     check_keys(bytes)
         .map_err(|found| Problem::new(Kind::BadBody, found.to_string()).at(found.path))?;
@@ -159,7 +159,7 @@ fn parse_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     Ok(value)
 }
 
-/// The media type without parameters, in lower case; empty when there is none.
+/// Returns the media type without parameters, in lower case; empty when there is none.
 pub fn media_type(headers: &HeaderMap) -> String {
     headers
         .get(header::CONTENT_TYPE)
@@ -169,16 +169,16 @@ pub fn media_type(headers: &HeaderMap) -> String {
         .unwrap_or_default()
 }
 
-/// `application/json` and its `+json` kin.
+/// Returns whether a media type is `application/json` or ends in `+json`.
 pub fn is_json(media_type: &str) -> bool {
     media_type == "application/json"
         || (media_type.starts_with("application/") && media_type.ends_with("+json"))
 }
 
-/// What a handler has not read of its request.
+/// The part of a request's body that its handler has not read.
 pub struct Rest(Arc<Mutex<Option<BodyDataStream>>>);
 
-/// Splits `body` into one for the handler and what will be left of it.
+/// Splits `body` into a body for the handler and the rest that the handler leaves unread.
 pub fn share(body: Body) -> (Body, Rest) {
     let shared = Arc::new(Mutex::new(Some(body.into_data_stream())));
     let rest = Rest(shared.clone());
@@ -202,8 +202,8 @@ fn poll_shared(
 }
 
 impl Rest {
-    /// Reads on after a refusal, for a moment: a connection that is closed while its client still
-    /// sends is reset, and the client never sees why.
+    /// Goes on reading briefly after a refusal. If a connection closes while its client still sends, the
+    /// client gets a reset and never sees the reason.
     pub async fn linger(self) {
         const MAX_BYTES: usize = 16 << 20;
         const MAX_TIME: Duration = Duration::from_secs(2);
@@ -218,7 +218,7 @@ impl Rest {
                 }
             }
         };
-        // Whatever has not come by then is not waited for.
+        // The timeout discards anything that has not arrived yet.
         let _ = tokio::time::timeout(MAX_TIME, drain).await;
     }
 }
@@ -271,7 +271,7 @@ mod tests {
         assert!(problem.detail.starts_with("nothing"), "{}", problem.detail);
     }
 
-    /// Reads pieces that come one every 20 ms; the gap is 100 ms. What was read, and the problem if any.
+    /// Reads pieces that arrive every 20 ms, with a gap of 100 ms. Returns the bytes read, and the problem if any.
     fn trickle(piece_bytes: usize, pieces: usize) -> (usize, Option<Problem>) {
         run(async {
             let source = futures::stream::iter(0..pieces).then(|_| async move {
@@ -297,7 +297,7 @@ mod tests {
         let problem = problem.unwrap();
         assert_eq!(problem.status(), 408);
         assert!(problem.accepted.is_some() && read < 10, "{read}: {}", problem.detail);
-        // Ten times as fast as it must be, for much longer than the gap.
+        // The rate is ten times the lowest rate, for much longer than the gap.
         let (read, problem) = trickle(200, 20);
         assert!(problem.is_none() && read == 4000, "{read}");
     }

@@ -6,7 +6,7 @@ use super::problem::{Kind, Problem};
 use crate::encode::{self, ImageFormat};
 use crate::plan::Output;
 
-/// Whether `If-None-Match` names `etag` (quoted). Weak comparison: `W/` is ignored.
+/// Returns whether `If-None-Match` names `etag` (quoted). The comparison is weak: `W/` is ignored.
 pub fn none_match_hits(headers: &HeaderMap, etag: &str) -> bool {
     headers
         .get_all(header::IF_NONE_MATCH)
@@ -24,7 +24,7 @@ fn list_names(list: &str, etag: &str) -> bool {
     loop {
         rest = rest.trim_start_matches([' ', '\t', ',']);
         rest = rest.strip_prefix("W/").unwrap_or(rest);
-        // A tag may hold commas, so the list is cut at the quotes.
+        // A tag may hold commas, so the list is split at the quotes.
         let Some(inner) = rest.strip_prefix('"') else { return false };
         let Some(length) = inner.find('"') else { return false };
         if rest.get(..length + 2) == Some(etag) {
@@ -34,7 +34,7 @@ fn list_names(list: &str, etag: &str) -> bool {
     }
 }
 
-/// Formats in the server's own order of preference, with the media types that mean them.
+/// Formats in the server's order of preference, each with its media types.
 const FORMATS: [(ImageFormat, &[&str]); 7] = [
     (ImageFormat::Png, &["image/png"]),
     (ImageFormat::Jpeg, &["image/jpeg"]),
@@ -45,12 +45,12 @@ const FORMATS: [(ImageFormat, &[&str]); 7] = [
     (ImageFormat::Raw, &["application/octet-stream"]),
 ];
 
-/// The media types that can be asked for with `Accept`.
+/// Returns the media types that a client can ask for with `Accept`.
 pub fn media_types() -> String {
     FORMATS.iter().map(|(_, types)| types[0]).collect::<Vec<_>>().join(", ")
 }
 
-/// The media type of `format`.
+/// Returns the media type of `format`.
 pub fn media_type(format: ImageFormat) -> &'static str {
     FORMATS
         .iter()
@@ -58,7 +58,7 @@ pub fn media_type(format: ImageFormat) -> &'static str {
         .map_or("application/octet-stream", |(_, types)| types[0])
 }
 
-/// Chooses a format for `output` by `Accept`; without one, the first that can hold it.
+/// Chooses a format for `output` by `Accept`; without `Accept`, the first format that can hold `output`.
 ///
 /// # Errors
 /// 406 when every format that can hold `output` is excluded.
@@ -89,7 +89,7 @@ pub fn negotiate(headers: &HeaderMap, output: Output) -> Result<ImageFormat, Pro
     })
 }
 
-/// The quality that the most specific matching range gives to `media_type`; 0 when none matches.
+/// Returns the quality that the most specific matching range gives to `media_type`; 0 when none matches.
 fn quality_of(media_type: &str, accept: &[&str]) -> f32 {
     let group = media_type.split('/').next().unwrap_or_default();
     let mut found = (0u8, 0.0);
@@ -117,7 +117,7 @@ fn quality_of(media_type: &str, accept: &[&str]) -> f32 {
     found.1
 }
 
-/// Seconds of `Prefer: wait=N`, if any.
+/// Returns the seconds of `Prefer: wait=N`, if any.
 pub fn prefer_wait(headers: &HeaderMap) -> Option<u64> {
     headers
         .get_all("prefer")
@@ -164,7 +164,7 @@ mod tests {
         assert_eq!(choose("image/jpeg").unwrap(), ImageFormat::Jpeg);
         assert_eq!(choose("image/png;q=0.5, image/webp").unwrap(), ImageFormat::Webp);
         assert_eq!(choose("image/*;q=0.8, image/png;q=0").unwrap(), ImageFormat::Jpeg);
-        // What a browser's <img> sends: everything at full quality, so the server's order decides.
+        // A browser's <img> accepts everything at full quality, so the server's order decides.
         let browser = "image/avif,image/webp,image/apng,image/svg+xml,image/*,*/*;q=0.8";
         assert_eq!(choose(browser).unwrap(), ImageFormat::Png);
         assert_eq!(choose("text/html").unwrap_err().status(), 406);

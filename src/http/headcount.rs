@@ -1,4 +1,4 @@
-//! How many of something there may be, in all and of one client.
+//! A counter with two limits: one in total and one per client.
 
 use std::collections::HashMap;
 
@@ -7,7 +7,7 @@ use tokio::sync::watch;
 
 use crate::engine::Client;
 
-/// Those that are there.
+/// Counts open places, in total and per client.
 pub struct Headcount {
     most: usize,
     most_per_client: usize,
@@ -20,7 +20,7 @@ impl Headcount {
         Self { most, most_per_client, by_client: Mutex::default(), open: watch::Sender::new(0) }
     }
 
-    /// Counts one more, if there may be one more.
+    /// Counts one more place and returns true, unless a limit is reached.
     pub fn take(&self, client: Client) -> bool {
         let mut by_client = self.by_client.lock();
         let own = by_client.get(&client).copied().unwrap_or(0);
@@ -43,7 +43,7 @@ impl Headcount {
         self.open.send_modify(|open| *open -= 1);
     }
 
-    /// How many there are.
+    /// Returns the number of open places, as a watched value.
     pub fn open(&self) -> watch::Receiver<usize> {
         self.open.subscribe()
     }

@@ -6,9 +6,9 @@ use axum::http::HeaderValue;
 
 use crate::engine::Receipt;
 
-/// `Server-Timing`: queue, batch (recording, with the numbers of frames that shared it and its passes), each GPU
-/// pass by its name, device-wait, readback, encode-wait, encode, total; milliseconds. Those before the total add up to it, but for what lies between
-/// passes. Passes that did not run, and times that the adapter cannot give, are left out: their time is in the readback's then.
+/// `Server-Timing` in milliseconds: queue, batch (recording, with the numbers of frames and passes in the batch), each GPU
+/// pass by its name, device-wait, readback, encode-wait, encode, total. The entries before the total add up to it, except for time between
+/// passes. Passes that did not run and times that the adapter cannot give are left out; their time then counts as readback.
 pub fn server_timing(receipt: &Receipt) -> Option<HeaderValue> {
     let mut line = String::with_capacity(512);
     entry(&mut line, "queue", receipt.queue_ns, format_args!("waiting for the GPU"));
@@ -32,7 +32,7 @@ pub fn server_timing(receipt: &Receipt) -> Option<HeaderValue> {
     HeaderValue::from_str(&line).ok()
 }
 
-/// A metric: a token, a duration, and what a browser shows in its place, a quoted string.
+/// Appends a metric: a token, a duration, and a quoted description for the browser to show.
 fn entry(line: &mut String, name: &str, ns: u64, words: std::fmt::Arguments<'_>) {
     let comma = if line.is_empty() { "" } else { ", " };
     let (ms, us) = (ns / 1_000_000, ns / 1000 % 1000);
@@ -40,7 +40,7 @@ fn entry(line: &mut String, name: &str, ns: u64, words: std::fmt::Arguments<'_>)
     let _ = write!(line, "{comma}{name};dur={ms}.{us:03};desc=\"{words}\"");
 }
 
-/// `Pointillist-Warning`: why nothing can be seen, where that is so.
+/// `Pointillist-Warning`: the reason why nothing is visible, if nothing is.
 pub fn warning(receipt: &Receipt) -> Option<HeaderValue> {
     HeaderValue::from_str(&format!("nothing is visible: {}", receipt.nothing_visible.as_ref()?))
         .ok()

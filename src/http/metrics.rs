@@ -1,5 +1,5 @@
-//! `/metrics`: what the server counts itself, the stages that the engine tells of every frame, and the engine's counters read
-//! at scrape time.
+//! `/metrics`: the server's own counters, histograms of the stages that the engine reports for every frame, and the engine's
+//! counters, read at scrape time.
 
 use std::fmt;
 use std::sync::Arc;
@@ -39,14 +39,14 @@ struct PassLabel {
     pass: &'static str,
 }
 
-/// Histograms with a label.
+/// A family of histograms by label.
 type Histograms<L> = Family<L, Histogram, fn() -> Histogram>;
 
-/// A registry, and each metric that is put into it.
+/// A registry that returns each metric as it is registered.
 struct Shelf(Registry);
 
 impl Shelf {
-    /// Registers a metric and gives it.
+    /// Registers a metric and returns it.
     fn put<M: Metric + Clone>(&mut self, name: &str, help: &str, metric: M) -> M {
         self.0.register(name, help, metric.clone());
         metric
@@ -64,7 +64,7 @@ impl Shelf {
     }
 }
 
-/// Of 0.1 ms to about 26 s.
+/// Buckets from 0.1 ms to about 26 s.
 fn seconds_histogram() -> Histogram {
     Histogram::new(exponential_buckets(1e-4, 2.0, 19))
 }
@@ -73,7 +73,7 @@ fn by_label<L: Clone + Eq + std::hash::Hash>() -> Histograms<L> {
     Family::new_with_constructor(seconds_histogram)
 }
 
-/// What each stage of a frame takes, told by the engine.
+/// Durations of each stage of a frame, as reported by the engine.
 struct Stages {
     queue: Histograms<ClassLabel>,
     batch: Histogram,
@@ -144,7 +144,7 @@ impl Observer for Stages {
     }
 }
 
-/// The server's own counters, with the registry that knows them.
+/// The server's own counters, with their registry.
 pub struct Metrics {
     shelf: Shelf,
     requests: Family<RequestLabels, Counter>,
@@ -158,7 +158,7 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Counts what the engine tells from now on.
+    /// Registers the metrics and observes the engine from now on.
     pub fn new(engine: &Engine, jobs: Option<&Jobs>) -> Self {
         let mut shelf = Shelf(Registry::with_prefix("pointillist"));
         let requests = Family::default();
@@ -207,7 +207,7 @@ impl Metrics {
         self.requests.get_or_create(&RequestLabels { route, method, status }).inc();
     }
 
-    /// Counts a frame that is being sent.
+    /// Counts a frame that is sent.
     pub fn frame(&self, frame: &EncodedFrame) {
         self.frames_sent.inc();
         self.image_bytes.inc_by(frame.bytes.len() as u64);
@@ -218,7 +218,7 @@ impl Metrics {
         self.upload_bytes.inc_by(bytes);
     }
 
-    /// The OpenMetrics text.
+    /// Returns the OpenMetrics text.
     pub fn exposition(&self) -> Result<String, fmt::Error> {
         let mut text = String::new();
         exposition::encode(&mut text, &self.shelf.0)?;
@@ -230,7 +230,7 @@ fn seconds_of(ns: u64) -> f64 {
     ns as f64 * 1e-9
 }
 
-/// Reads the engine's statistics when scraped.
+/// Reads the engine's statistics at scrape time.
 struct EngineCollector(Engine);
 
 impl fmt::Debug for EngineCollector {
@@ -301,7 +301,7 @@ impl Collector for EngineCollector {
     }
 }
 
-/// Counts jobs when scraped.
+/// Counts jobs at scrape time.
 struct JobCollector(Jobs);
 
 impl fmt::Debug for JobCollector {

@@ -1,24 +1,24 @@
-//! The daemon's HTTP floor (7): requests become jobs, results become answers. Translation only; what
-//! can be drawn, and whether there is room for it, the [engine](crate::engine) decides.
+//! The daemon's HTTP floor (7): requests become jobs, results become answers. Translation only; the
+//! [engine](crate::engine) decides what can be drawn and whether there is room for it.
 //!
 //! ```text
 //! connection → server (limits, timeouts) → gate (access, counters, panics) → handler
 //!                                              frame   params → engine.etag → 304
 //!                                                                  └→ engine.submit → image + receipt
-//!                                              frames  the same, pose after pose, as multipart/mixed
+//!                                              frames  one frame for each pose, as multipart/mixed
 //!                                              stream  WebSocket: poses in, the newest one's frame out
-//!                                              mjpeg   a path's frames in their time, as an <img> shows them
+//!                                              mjpeg   a path's frames in real time, as an <img> shows them
 //!                                              upload  body → disk → engine.load → 201, or 202
-//!                                              jobs    films, drawn without anybody waiting; files and events
+//!                                              jobs    films, drawn in the background; files and events
 //! ```
 //!
-//! Who asks shares the device with all others: by its key, or by its address where there are no keys ([`Caller`]).
+//! Clients share the device. A client is known by its key, or by its address where there are no keys ([`Caller`]).
 //!
 //! Every request has a name ([`naming`]): answers, receipts, problems and log lines carry it.
 //!
-//! A frame's entity tag is known before any GPU work, so the path to a 304 is short: one middleware,
-//! a span only at debug level, one look at the engine. A client that goes away drops the handler's future, and with it
-//! the ticket, which frees the job's place in the queue.
+//! A frame's entity tag is known before any GPU work, so the path to a 304 is short: one middleware, a span only at debug level,
+//! one look-up in the engine. When a client disconnects, the handler's future is dropped, and with it the ticket, which frees the
+//! job's place in the queue.
 
 pub mod access;
 mod body;
@@ -77,26 +77,26 @@ pub use upload::quota::UploadLimits;
 use crate::engine::{Client, Engine};
 use crate::jobs::Jobs;
 
-/// How the HTTP side is set up.
+/// Configuration of the HTTP side.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// Canonical folder of scenes; uploads go below it.
+    /// Canonical folder of scenes; uploads are stored below it.
     pub root: PathBuf,
     pub access: access::Access,
     /// Origins whose pages may read answers; empty for none.
     pub cors_origins: Vec<String>,
-    /// Bytes of one upload, all files together.
+    /// Largest upload in bytes, all files together.
     pub max_upload_bytes: u64,
     pub upload_limits: UploadLimits,
     pub max_connections: usize,
-    /// Longest wait for a frame, whatever the client says.
+    /// Longest wait for a frame, whatever the client asks for.
     pub frame_timeout: Duration,
-    /// Longest wait for the head of a request, and for the next piece of its body; after the same time
-    /// a body must have come at a least rate.
+    /// Longest wait for a request's head and for the next piece of its body. After this time a body must also have arrived at a
+    /// minimum rate.
     pub read_timeout: Duration,
-    /// How long answers in flight may take when the server stops.
+    /// Longest time that answers in flight may take when the server stops.
     pub drain: Duration,
-    /// How long a server that is to stop goes on serving, while `/readyz` already says no.
+    /// Time for which a stopping server goes on serving while `/readyz` already says no.
     pub drain_delay: Duration,
     /// Whether clients may add scenes.
     pub uploads: bool,
@@ -106,7 +106,7 @@ pub struct Settings {
     pub watches: WatchLimits,
 }
 
-/// What every handler shares.
+/// State shared by all handlers.
 pub struct App {
     pub(crate) engine: Engine,
     pub(crate) settings: Settings,
@@ -114,20 +114,20 @@ pub struct App {
     pub(crate) registry: registry::Registry,
     pub(crate) uploads: upload::quota::Quota,
     pub(crate) streams: stream::Streams,
-    /// Who watches jobs.
+    /// Counts the watchers of jobs.
     pub(crate) watchers: headcount::Headcount,
-    /// Or why there are none.
+    /// The jobs, or the reason why there are none.
     pub(crate) jobs: Result<Jobs, String>,
-    /// Keys the numbers of callers, so that nobody chooses one that is another's.
+    /// Key of the hash that numbers callers, so that no caller can choose a number that is another's.
     callers: RandomState,
-    /// Whose pages may read `Server-Timing`.
+    /// Origins whose pages may read `Server-Timing`.
     timing_origins: Option<HeaderValue>,
     /// The rules in force.
     access: parking_lot::RwLock<Arc<access::Access>>,
     phase: AtomicU8,
 }
 
-/// What the server as a whole is doing.
+/// Phase of the server's life.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
     /// Scenes given at the start are being loaded.
@@ -167,7 +167,7 @@ impl App {
         }
     }
 
-    /// Reads the access rules again and puts them in force. Rules that cannot be read leave the earlier ones.
+    /// Reads the access rules again and puts them in force. If they cannot be read, the earlier rules stay.
     pub fn reread_access(&self) {
         let Some(reread) = &self.settings.reread_access else {
             tracing::info!("no API keys to read again");
@@ -194,16 +194,16 @@ impl App {
     }
 }
 
-/// Who sent a request, as far as shares and limits go; put beside every request that has passed the access rules.
+/// Identity of a request's sender for shares and limits; attached to every request that has passed the access rules.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Caller(pub Client);
 
-/// The key that a request came with, where keys are asked for; put beside [`Caller`].
+/// The key of a request, where keys are required; attached beside [`Caller`].
 #[derive(Clone, Debug)]
 pub(crate) struct Owner {
-    /// The key's.
+    /// Name of the key.
     pub name: Option<String>,
-    /// May do what is others' to do. So may everybody where there are no keys.
+    /// Whether the key may change what others own. Without keys everybody may.
     pub is_admin: bool,
 }
 
@@ -245,7 +245,7 @@ const UNMATCHED: &str = "unmatched";
 
 const TIMING_ALLOW_ORIGIN: HeaderName = HeaderName::from_static("timing-allow-origin");
 
-/// The routes with everything around them.
+/// Builds the routes with all middleware.
 pub fn router(app: Arc<App>) -> Router {
     let cors = cors(&app.settings.cors_origins);
     let router = Router::new()
@@ -278,7 +278,7 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/v1/jobs/{id}/video.mp4", get(jobs::video::video))
         .fallback(service::unknown_route)
         .method_not_allowed_fallback(service::method_not_allowed)
-        // Each handler bounds its own body, while it reads.
+        // Each handler limits its own body while it reads.
         .layer(DefaultBodyLimit::disable())
         .layer(CatchPanicLayer::custom(panicked))
         .layer(axum::middleware::from_fn_with_state(app.clone(), gate));
@@ -289,7 +289,7 @@ pub fn router(app: Arc<App>) -> Router {
     router.with_state(app)
 }
 
-/// A name, access and counters, around every handler.
+/// Wraps every handler: gives the request a name, checks access, counts.
 async fn gate(State(app): State<Arc<App>>, mut request: Request, next: Next) -> Response {
     let matched = request.extensions().get::<MatchedPath>().map(MatchedPath::as_str);
     let route = matched
@@ -309,10 +309,10 @@ async fn gate(State(app): State<Arc<App>>, mut request: Request, next: Next) -> 
     response
 }
 
-/// The answer of whoever is allowed to ask.
+/// Checks access and answers the request.
 async fn answer(app: &App, route: &'static str, request: Request, next: Next) -> Response {
     let method = request.method().clone();
-    // A client that waits for `100 Continue` sends nothing that would have to be read after a refusal.
+    // A client that waits for `100 Continue` sends no body after a refusal, so there is nothing to read.
     let expects = request.headers().contains_key(header::EXPECT);
     let (request, rest) = if request.body().is_end_stream() || expects {
         (request, None)
@@ -392,7 +392,7 @@ fn cors(origins: &[String]) -> Option<CorsLayer> {
     )
 }
 
-/// Path parameters whose failure is a problem like any other.
+/// Path parameters whose failure becomes a problem.
 pub(crate) struct Segments<T>(pub T);
 
 impl<T, S> FromRequestParts<S> for Segments<T>
@@ -412,7 +412,7 @@ where
     }
 }
 
-/// An address without a query: one that nothing looks at would be silently ignored.
+/// Refuses a query on addresses that read none, because the query would be silently ignored.
 pub(crate) struct NoQuery;
 
 impl<S: Send + Sync> FromRequestParts<S> for NoQuery {

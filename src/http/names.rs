@@ -1,4 +1,4 @@
-//! Names in uploads: which are taken, and what follows from them.
+//! Rules for names in uploads, and what follows from the names.
 //!
 //! Names are refused, not repaired: a repaired one would no longer be the one that a scene mentions.
 
@@ -12,10 +12,10 @@ const MAX_ID_BYTES: usize = 64;
 pub const ID_PATTERN: &str = "^[a-z0-9_-]{1,64}$";
 /// Longest name of an uploaded file.
 pub const MAX_FILE_NAME_BYTES: usize = 128;
-/// [`valid_file_name`] as a regular expression, but for the length.
+/// [`valid_file_name`] as a regular expression, without the limit on length.
 pub const FILE_NAME_PATTERN: &str = r#"^[^./\\:*?"<>|\x00-\x1f\x7f-\x9f]([^/\\:*?"<>|\x00-\x1f\x7f-\x9f]*[^./\\:*?"<>| \x00-\x1f\x7f-\x9f])?$"#;
 
-/// An id as a client may choose it.
+/// Checks an id that a client chose.
 pub fn valid_id(id: String) -> Result<String, Problem> {
     let good = |c: u8| c.is_ascii_lowercase() || c.is_ascii_digit() || c == b'-' || c == b'_';
     if (1..=MAX_ID_BYTES).contains(&id.len()) && id.bytes().all(good) {
@@ -24,8 +24,8 @@ pub fn valid_id(id: String) -> Result<String, Problem> {
     Err(Problem::parameter("id", "not a valid id", "1 to 64 of a-z, 0-9, - and _"))
 }
 
-/// A file's name as it may stand in an upload's folder. Refused, not repaired: a repaired name would
-/// no longer be the one that the scene mentions.
+/// Checks the name of a file in an upload's folder. A bad name is refused, not repaired: a repaired name
+/// would no longer be the one that the scene mentions.
 pub fn valid_file_name(name: &str) -> Result<String, Problem> {
     let fail = |reason: &str| {
         let shown: String = name.chars().take(64).collect();
@@ -50,7 +50,7 @@ pub fn valid_file_name(name: &str) -> Result<String, Problem> {
     Ok(name.to_owned())
 }
 
-/// Letters that are written as others in an id, as they are without their marks.
+/// Latin letters with marks and ligatures, and how an id spells them.
 const LATIN: [(&str, &str); 23] = [
     ("àáâãäåāăą", "a"),
     ("æ", "ae"),
@@ -76,11 +76,11 @@ const LATIN: [(&str, &str); 23] = [
     ("ýÿŷ", "y"),
     ("źżž", "z"),
 ];
-/// Marks that some systems write behind their letters.
+/// Combining marks, which some systems write behind their letters.
 const MARKS: std::ops::RangeInclusive<char> = '\u{300}'..='\u{36f}';
 
-/// An id from a file's name: small letters without their marks, digits and underscores, with a hyphen for what lies between; `scene`
-/// where nothing is left.
+/// Makes an id from a file's name: lower-case letters without marks, digits and underscores, with hyphens for everything between
+/// them; `scene` where nothing is left.
 pub fn slug(name: &str) -> String {
     let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
     let mut slug = String::new();
@@ -98,12 +98,12 @@ pub fn slug(name: &str) -> String {
     if slug.is_empty() { "scene".to_owned() } else { slug.to_owned() }
 }
 
-/// Whether a file of this name is a scene.
+/// Returns whether a file of this name is a scene.
 pub fn is_json_name(name: &str) -> bool {
     name.to_ascii_lowercase().ends_with(".json")
 }
 
-/// The file name in `Content-Disposition`, if any.
+/// Returns the file name in `Content-Disposition`, if any.
 pub fn disposition_name(headers: &HeaderMap) -> Result<Option<String>, Problem> {
     let Some(value) = headers.get(header::CONTENT_DISPOSITION) else { return Ok(None) };
     let value = String::from_utf8_lossy(value.as_bytes());
@@ -115,12 +115,12 @@ pub fn disposition_name(headers: &HeaderMap) -> Result<Option<String>, Problem> 
     valid_file_name(name).map(Some)
 }
 
-/// Extensions of files that other files name, and that are no scene of their own.
+/// Extensions of files that belong to other files and are no scene by themselves.
 const COMPANIONS: [&str; 11] =
     ["mtl", "png", "jpg", "jpeg", "webp", "bmp", "tga", "bin", "gif", "hdr", "txt"];
 
-/// Which of several files to load: the one named, else the scene, else the only one that is not
-/// there for another's sake.
+/// Chooses the file to load: the one named, else the scene, else the only file that is not a
+/// companion of another.
 pub fn main_file(names: &[String], named: Option<&str>) -> Result<String, Problem> {
     const ACCEPTED: &str =
         "?name= of the file to load, or one scene, or one asset with its companions";
@@ -153,7 +153,7 @@ pub fn main_file(names: &[String], named: Option<&str>) -> Result<String, Proble
     }
 }
 
-/// The problem for a form of which more than one file could be what is to be loaded.
+/// Builds the problem for a form in which several files could be the one to load.
 fn several(files: &[&String]) -> Problem {
     const MOST_SHOWN: usize = 4;
     let shown: Vec<String> =

@@ -1,4 +1,4 @@
-//! Under which name a request is found in logs, receipts and problems: what `X-Request-Id` calls it, or one that no other has.
+//! The request's id, which appears in logs, receipts and problems: the one in `X-Request-Id`, or a new unique one.
 
 use std::future::Future;
 
@@ -9,22 +9,22 @@ use crate::engine::RequestId;
 pub const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 
 tokio::task_local! {
-    /// Of the request that this task answers.
+    /// Id of the request that this task answers.
     static CURRENT: RequestId;
 }
 
-/// What a request is called. A name that cannot be used (see [`RequestId::parse`]) is replaced: the answer tells by what.
+/// Returns the request's id. An unusable `X-Request-Id` (see [`RequestId::parse`]) is replaced; the answer carries the new one.
 pub fn of(headers: &HeaderMap) -> RequestId {
     let given = headers.get(&REQUEST_ID).and_then(|value| value.to_str().ok());
     given.and_then(RequestId::parse).unwrap_or_else(RequestId::fresh)
 }
 
-/// Has all that `work` says be about the request `id`.
+/// Runs `work` under the request id `id`.
 pub async fn within<T>(id: RequestId, work: impl Future<Output = T>) -> T {
     CURRENT.scope(id, work).await
 }
 
-/// The request that is being answered, if this is a part of that.
+/// Returns the id of the request that this task answers, if there is one.
 pub fn current() -> Option<RequestId> {
     CURRENT.try_with(Clone::clone).ok()
 }

@@ -77,7 +77,7 @@ pub async fn show(
 ) -> Result<Json<PathDocument>, Problem> {
     match app.engine.camera_path(&id, &name) {
         Ok(path) => Ok(Json(PathDocument::from(&path))),
-        // Here it is a part of the address.
+        // Here the name is part of the address, not a parameter.
         Err(EngineError::BadParameter { reason, accepted, .. }) => {
             Err(Problem::new(Kind::UnknownPath, reason).at("name").accepted(accepted))
         }
@@ -99,7 +99,7 @@ mod tests {
             { "t": 4, "eye": [5, 0.30000000000000004, 0], "target": [0, 0, 0], "up": [0, 0, 1], "fov": 33.3 } ] }"#;
         let path = parse_path(text, "p", DVec3::Y).unwrap();
         let answered = serde_json::to_string(&PathDocument::from(&path)).unwrap();
-        // Another up: nothing is left to be filled in.
+        // The answer has every field, so parsing with another up gives the same path.
         assert_eq!(parse_path(&answered, "p", DVec3::X).unwrap(), path);
     }
 }

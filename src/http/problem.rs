@@ -1,8 +1,7 @@
 //! Errors as `application/problem+json` (RFC 9457).
 //!
-//! Everything that can go wrong below this floor knows no HTTP; the one `match` in
-//! `From<EngineError>` gives each case its [`Kind`], and [`Kind::facts`] gives each kind its status,
-//! its stable `type` and its title. Internal errors are logged there, once, and never sent.
+//! Errors below this floor know no HTTP. The one `match` in `From<EngineError>` gives each case its [`Kind`], and [`Kind::facts`]
+//! gives each kind its status, its stable `type` and its title. Internal errors are logged there, once, and never sent.
 
 use std::time::Duration;
 
@@ -18,7 +17,7 @@ use crate::math::CameraError;
 use crate::memory::Interrupt;
 use crate::scene::SceneError;
 
-/// What kinds of problem there are. Each has one status and one `type` for good.
+/// Kinds of problem. Each has one status and one `type` that never change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Kind {
     MalformedRequest,
@@ -142,7 +141,7 @@ impl Kind {
         Kind::Internal,
     ];
 
-    /// Status, `type` and title.
+    /// Returns status, `type` and title.
     pub fn facts(self) -> (u16, &'static str, &'static str) {
         use Kind::*;
         match self {
@@ -306,7 +305,7 @@ pub struct Problem {
     pub accepted: Option<String>,
     /// When trying again is worthwhile.
     pub retry_after_ms: Option<u64>,
-    /// Of the request that it answers; `None`: the one that is being answered when this is sent.
+    /// Id of the request that this answers; `None` stands for the request that is being answered when this is sent.
     pub request_id: Option<RequestId>,
 }
 
@@ -358,7 +357,7 @@ impl Problem {
         }
     }
 
-    /// A parameter that cannot be used as given.
+    /// Builds the problem of a parameter that cannot be used as given.
     pub fn parameter(
         name: impl Into<String>,
         reason: impl std::fmt::Display,
@@ -371,7 +370,7 @@ impl Problem {
         problem
     }
 
-    /// Logs `inner` and keeps it from the client.
+    /// Logs `inner` and hides it from the client.
     pub fn internal(inner: impl std::fmt::Display) -> Self {
         let request_id = naming::current();
         let request_id = request_id.as_ref().map(RequestId::as_str);
@@ -394,13 +393,13 @@ impl Problem {
         self
     }
 
-    /// Of a request that is not the one being answered, or of a part of it.
+    /// Attaches the id of another request, or of a part of this one.
     pub fn named(mut self, request_id: RequestId) -> Self {
         self.request_id = Some(request_id);
         self
     }
 
-    /// Makes paths below `root` relative to it: where the server keeps its files is its own affair.
+    /// Makes paths below `root` relative, so that clients do not see where the server keeps its files.
     pub fn hide_root(mut self, root: &std::path::Path) -> Self {
         let prefix = format!("{}{}", root.display(), std::path::MAIN_SEPARATOR);
         if prefix.len() > 1 {
@@ -413,14 +412,14 @@ impl Problem {
         self.kind.facts().0
     }
 
-    /// The body, also used for parts of a multipart answer.
+    /// Returns the body as JSON; also used for parts of a multipart answer.
     pub fn to_json(&self) -> String {
-        // Strings and numbers only: cannot fail.
+        // This cannot fail: there are only strings and numbers.
         serde_json::to_string(self).unwrap_or_default()
     }
 }
 
-/// Whole seconds for `Retry-After`, rounded up, at least one.
+/// Returns whole seconds for `Retry-After`, rounded up, at least one.
 fn retry_after_seconds(after_ms: u64) -> u64 {
     after_ms.div_ceil(1000).max(1)
 }
@@ -523,7 +522,7 @@ impl From<EngineError> for Problem {
     }
 }
 
-/// Whether a failed read is about which file was named, or what is in it, rather than the machine.
+/// Returns whether a failed read is due to the file's name or content rather than to the machine.
 fn is_users_fault(error: &std::io::Error) -> bool {
     use std::io::ErrorKind::*;
     matches!(
@@ -547,7 +546,7 @@ impl From<CameraError> for Problem {
     }
 }
 
-/// A file of an upload that could not be written.
+/// Builds the problem of an upload's file that could not be written.
 pub fn storage(error: &std::io::Error) -> Problem {
     tracing::error!(%error, "an upload cannot be stored");
     let detail = match error.kind() {
@@ -562,10 +561,10 @@ pub fn storage(error: &std::io::Error) -> Problem {
     Problem::new(Kind::OutOfDisk, detail)
 }
 
-/// The known name nearest to `name`, when one is near enough to be meant.
+/// Returns the known name nearest to `name`, if one is near enough to be meant.
 pub fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let lower = name.to_lowercase();
-    // A word of one or two letters is like every longer one that begins with it.
+    // A candidate of one or two letters would match every longer name that begins with it.
     let is_short = |candidate: &str| candidate.len() <= 2 && lower.len() > candidate.len() + 1;
     known
         .into_iter()

@@ -1,7 +1,7 @@
 //! Problems for requests whose head cannot be read.
 //!
-//! The HTTP library answers such a request itself, with a status and an empty body, before any handler knows of it. The connection finds that
-//! answer among the bytes that are written, and sends a whole one in its place. No handler answers with these statuses.
+//! The HTTP library answers such a request itself, with a status and an empty body, before any handler runs. The connection finds
+//! that answer in the bytes written and sends a complete answer instead. No handler answers with these statuses.
 
 use axum::http::HeaderMap;
 use bytes::Bytes;
@@ -10,7 +10,7 @@ use super::naming;
 use super::problem::{Kind, PROBLEM_JSON, Problem};
 use super::server::{MAX_HEAD_BYTES, MAX_HEADERS};
 
-/// The answer to send in place of `answer`, if that is one of the library's own.
+/// Returns the answer to send in place of `answer`, if `answer` is one of the library's own.
 pub fn instead_of(answer: &[u8]) -> Option<Bytes> {
     let rest = answer.strip_prefix(b"HTTP/1.1 ").or_else(|| answer.strip_prefix(b"HTTP/1.0 "))?;
     let problem = match rest.get(..3)? {

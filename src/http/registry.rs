@@ -1,4 +1,4 @@
-//! Scenes that are on their way: loading, or failed while nobody was waiting.
+//! Scenes that are loading, or whose load failed while nobody waited.
 //!
 //! ```text
 //! reserve ──► loading ──► (engine knows it)          finish
@@ -8,7 +8,7 @@
 //!                         or, without files, until the id is used again
 //! ```
 //!
-//! A load can be cancelled: it ends at its next step, and its reservation goes with it.
+//! A load can be cancelled: it ends at its next step, and its reservation ends with it.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -22,7 +22,7 @@ use super::problem::{Kind, Problem};
 use crate::engine::Source;
 use crate::memory::Admission;
 
-/// Failures without files that are remembered; the oldest is forgotten first.
+/// Largest number of remembered failures without files; the oldest is forgotten first.
 const MAX_FAILED: usize = 64;
 
 #[derive(Clone, Debug)]
@@ -34,7 +34,7 @@ pub enum Entry {
     Failed {
         at: Instant,
         problem: Problem,
-        /// What can be loaded again; `None` where no files were kept.
+        /// Files that can be loaded again; `None` where none were kept.
         source: Option<Source>,
     },
 }
@@ -42,11 +42,11 @@ pub enum Entry {
 #[derive(Clone, Default)]
 pub struct Registry {
     entries: Arc<Mutex<HashMap<String, Entry>>>,
-    /// Told whenever a reservation ends.
+    /// Notified whenever a reservation ends.
     ended: Arc<Notify>,
 }
 
-/// An id that is taken until this is dropped, finished, or failed.
+/// A reserved id; freed when this is dropped, finished, or failed.
 pub struct Reservation {
     registry: Registry,
     id: String,
@@ -55,7 +55,7 @@ pub struct Reservation {
 }
 
 impl Registry {
-    /// Takes `id` for a load, unless it is loading now, `is_loaded`, or has failed and can be loaded again.
+    /// Reserves `id` for a load, unless the id is loading, is loaded (`is_loaded`), or has failed and can be loaded again.
     pub fn reserve(
         &self,
         id: &str,
@@ -64,7 +64,7 @@ impl Registry {
     ) -> Result<Reservation, Problem> {
         let mut entries = self.entries.lock();
         let is_free = matches!(entries.get(id), None | Some(Entry::Failed { source: None, .. }));
-        // Asked under the lock: a load that has just finished is in the engine before it leaves here.
+        // Check under the lock: a load that has just finished is in the engine before it leaves the registry.
         if !is_free || is_loaded(id) {
             return Err(Problem::new(Kind::SceneExists, format!("a scene `{id}` exists"))
                 .at("id")
@@ -75,7 +75,7 @@ impl Registry {
         Ok(Reservation { registry: self.clone(), id: id.to_owned(), admission, settled: false })
     }
 
-    /// Takes the id of a failure that can be loaded again.
+    /// Reserves the id of a failed load that can be repeated.
     pub fn retry(&self, id: &str, admission: Admission) -> Option<(Reservation, Source)> {
         let mut entries = self.entries.lock();
         let entry = entries.get_mut(id)?;
@@ -90,7 +90,7 @@ impl Registry {
         self.entries.lock().get(id).cloned()
     }
 
-    /// Everything on its way, by id.
+    /// Lists all entries by id.
     pub fn list(&self) -> Vec<(String, Entry)> {
         let mut list: Vec<_> =
             self.entries.lock().iter().map(|(id, entry)| (id.clone(), entry.clone())).collect();
@@ -98,7 +98,7 @@ impl Registry {
         list
     }
 
-    /// Has the load of `id` end at its next step. False where nothing is loading.
+    /// Cancels the load of `id`, which ends at its next step. Returns false where nothing is loading.
     pub fn cancel(&self, id: &str) -> bool {
         match self.entries.lock().get(id) {
             Some(Entry::Loading { admission, .. }) => {
@@ -120,7 +120,7 @@ impl Registry {
         }
     }
 
-    /// Forgets a failure. False when there is none.
+    /// Forgets a failure. Returns false when there is none.
     pub fn forget(&self, id: &str) -> bool {
         let mut entries = self.entries.lock();
         match entries.get(id) {
@@ -135,22 +135,22 @@ impl Reservation {
         &self.id
     }
 
-    /// What the load holds, and the handle that cancels it.
+    /// Returns the load's admission, which reserves its memory and can cancel it.
     pub fn admission(&self) -> &Admission {
         &self.admission
     }
 
-    /// The engine has the scene now.
+    /// Ends the reservation of a scene that the engine now has.
     pub fn finish(self) {}
 
-    /// Keeps `problem` for whoever asks, and `source` for whoever wants it loaded again.
+    /// Keeps `problem` for later requests, and `source` for a retry.
     pub fn fail(mut self, problem: Problem, source: Option<Source>) {
         self.settled = true;
         let mut entries = self.registry.entries.lock();
         entries.insert(self.id.clone(), Entry::Failed { at: Instant::now(), problem, source });
         let failed = |entry: &Entry| match entry {
             Entry::Failed { at, source: None, .. } => Some(*at),
-            // What lies on the disk is listed as long as it does.
+            // Failures with files stay listed as long as the files exist.
             _ => None,
         };
         if entries.values().filter_map(failed).count() > MAX_FAILED {
@@ -237,7 +237,7 @@ mod tests {
         }
         assert_eq!(registry.list().len(), MAX_FAILED);
         assert!(registry.get("s0").is_none());
-        // Those that can be loaded again stay.
+        // Failures that can be loaded again are kept.
         let source = Some(Source::at("a.ply"));
         reserve(&registry, "kept").unwrap().fail(problem(), source);
         for i in 0..2 * MAX_FAILED {

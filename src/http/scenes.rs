@@ -1,4 +1,4 @@
-//! What is loaded: list, one, move a node, remove.
+//! Handlers for loaded scenes: list, show, move a node, remove.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -83,7 +83,7 @@ pub async fn show(
     Segments(id): Segments<String>,
     _: NoQuery,
 ) -> Result<Json<SceneState>, Problem> {
-    // Looked up first: a scene is in the engine before it leaves the registry.
+    // Look up the registry first: a scene is in the engine before it leaves the registry.
     let entry = app.registry.get(&id);
     match app.engine.scene(&id) {
         Ok(info) => Ok(Json(SceneState::Ready(Box::new(info)))),
@@ -111,7 +111,7 @@ pub async fn remove(
 ) -> Result<StatusCode, Problem> {
     let was_loading = app.registry.cancel(&id);
     if was_loading {
-        // Its next step may be one of some seconds.
+        // The load's next step may take some seconds.
         let ended = tokio::time::timeout(LONGEST_STEP, app.registry.ended(&id)).await;
         ended.map_err(|_| {
             let detail = format!("the load of scene `{id}` is cancelled and about to end");
@@ -130,8 +130,8 @@ pub async fn remove(
     let name = id.clone();
     tokio::task::spawn_blocking(move || {
         worker.engine.scene(&name)?;
-        // The id is taken until the files are gone, so that those of the next upload stay. The folder of uploads may be another
-        // daemon's.
+        // The id stays taken until the files are gone, so that the files of the next upload are not removed. Without uploads the
+        // folder of uploads may belong to another daemon.
         if worker.settings.uploads {
             upload::store::remove_files(&worker.settings.root, &name);
         }
@@ -143,7 +143,7 @@ pub async fn remove(
     .map_err(|error: crate::engine::EngineError| frame::missing(&app, &id, error.into()))
 }
 
-/// Wait for a load that was cancelled to end.
+/// Longest wait for a cancelled load to end.
 const LONGEST_STEP: Duration = Duration::from_secs(30);
 
 /// A new place for a node, or its visibility. The transform is given whole, as in a scene file:
@@ -303,7 +303,7 @@ impl NodeChange {
     }
 }
 
-/// The bounds that a scene file has, too.
+/// Checks the bounds that a scene file also has.
 fn within<'a>(
     mut numbers: impl Iterator<Item = &'a f64>,
     most: f64,

@@ -1,4 +1,4 @@
-//! Listening, limits on connections, start and stop.
+//! Listener, limits on connections, start and stop.
 //!
 //! ```text
 //! listen ─► Starting ──scenes loaded──► Serving ──SIGTERM──► Leaving ──`drain_delay`──► Draining ─► exit
@@ -12,10 +12,9 @@
 //! a render thread that panicked: /healthz and /readyz 503, and the watchdog is no longer patted
 //! ```
 //!
-//! A connection has to produce the head of a request within `read_timeout`, an idle one is closed
-//! after the same time, and one that takes no bytes of its answer for [`STALLED_WRITE`] is dropped.
-//! Beyond `max_connections` a connection is told so and closed, at the cost of one small write; a few of them at a time are read
-//! first, since who asks whether the server is well should hear that it is.
+//! A connection must send the head of a request within `read_timeout`; an idle connection is closed after the same time, and a
+//! connection that accepts no bytes of its answer for [`STALLED_WRITE`] is dropped. A connection beyond `max_connections` gets a
+//! short refusal and is closed. A few of these at a time are read first, so that health probes are answered.
 
 use std::future::Future;
 use std::net::{SocketAddr, TcpListener};
@@ -42,17 +41,17 @@ use super::upload::store::Earlier;
 use super::{App, Phase, refusal, router, service, upload};
 use crate::engine::{Engine, Readiness, Source};
 
-/// A client that reads nothing of its answer for this long is given up.
+/// Time after which a client that reads nothing of its answer is dropped.
 const STALLED_WRITE: Duration = Duration::from_secs(60);
-/// Bytes of the longest request head.
+/// Longest request head in bytes.
 pub const MAX_HEAD_BYTES: usize = 32 << 10;
 pub const MAX_HEADERS: usize = 64;
 /// Requests in flight on one HTTP/2 connection.
 const MAX_STREAMS: u32 = 128;
-/// An HTTP/2 preface has this length, and so has, nearly, the shortest HTTP/1 request.
+/// Length of an HTTP/2 preface, which is also nearly that of the shortest HTTP/1 request.
 const PREFACE_BYTES: u64 = 24;
-/// How long, and for how many bytes, a connection reads on after a head that it refused: closing it at once would reset it, and the client
-/// might never see the answer.
+/// Limits of reading on after a refused head, in time and bytes: closing at once would reset the connection, and the client might
+/// never see the answer.
 const LINGER: Duration = Duration::from_secs(1);
 const LINGER_BYTES: usize = 1 << 20;
 
@@ -61,14 +60,14 @@ const LINGER_BYTES: usize = 1 << 20;
 pub struct StartScenes {
     /// Id and file.
     pub scenes: Vec<(String, PathBuf)>,
-    /// Whether somebody asked for them by name, so that none of them loading is a failure.
+    /// Whether the scenes were named explicitly, so that it is a failure if none of them loads.
     pub required: bool,
 }
 
-/// Serves until told to stop. `listening` is called as soon as requests are answered, `ready` once scenes are loaded.
+/// Serves until a signal to stop. Calls `listening` as soon as requests are answered, and `ready` once scenes are loaded.
 ///
 /// # Errors
-/// The listener, or every scene that was asked for by name.
+/// A failed listener, or the failure of every scene that was asked for by name.
 pub async fn serve(
     app: Arc<App>,
     listener: TcpListener,
@@ -80,12 +79,12 @@ pub async fn serve(
     listener.set_nonblocking(true)?;
     let handle = Handle::new();
     let mut signals = Signals::new()?;
-    // All ids are taken before the first request is answered, so that no upload comes into the place of another.
+    // Reserve all ids before the first request is answered, so that no upload takes the id of a scene.
     let (asked, required) = (start.scenes.len(), start.required);
     let reserved = reserve_scenes(&app, start).await?;
     let mut server = tokio::spawn(run(app.clone(), listener, handle.clone()));
     if let Ok(jobs) = &app.jobs {
-        // Those whose scenes are not loaded yet wait for them.
+        // Jobs whose scenes are not loaded yet wait for them.
         jobs.start()?;
     }
     listening(address);
@@ -134,7 +133,7 @@ pub async fn serve(
         app.streams.closed().await;
         let (engine, jobs) = (app.engine.clone(), app.jobs.clone());
         let _ = tokio::task::spawn_blocking(move || {
-            // Jobs before the engine: they note how far they have come.
+            // Stop jobs before the engine, because they record their progress.
             if let Ok(jobs) = &jobs {
                 jobs.wait();
             }
@@ -142,7 +141,7 @@ pub async fn serve(
         })
         .await;
     };
-    // The grace of connections, and as much again for the engine's last jobs.
+    // The drain time of connections, and as much again for the engine's last jobs.
     let patience = app.settings.drain * 2 + Duration::from_secs(1);
     tokio::select! {
         done = tokio::time::timeout(patience, drained) => match done {
@@ -186,7 +185,7 @@ async fn run(
     server.serve(router(app).into_make_service_with_connect_info::<SocketAddr>()).await
 }
 
-/// A scene that is to be loaded at the start.
+/// A scene to load at the start.
 struct Reserved {
     reservation: Result<Reservation, Problem>,
     id: String,
@@ -195,9 +194,9 @@ struct Reserved {
     refusal: Option<Problem>,
 }
 
-/// Finds kept uploads and takes the ids of all scenes, those asked for first.
+/// Finds kept uploads and reserves the ids of all scenes, first of those asked for by name.
 async fn reserve_scenes(app: &Arc<App>, start: StartScenes) -> anyhow::Result<Vec<Reserved>> {
-    // They may be another daemon's, which alone cleans up there.
+    // Without uploads the folder may belong to another daemon, which alone cleans it up.
     let root = app.settings.uploads.then(|| app.settings.root.clone());
     let earlier = tokio::task::spawn_blocking(move || {
         root.map_or_else(Vec::new, |root| upload::store::earlier(&root))
@@ -217,8 +216,8 @@ async fn reserve_scenes(app: &Arc<App>, start: StartScenes) -> anyhow::Result<Ve
     Ok(scenes.into_iter().map(reserve).collect())
 }
 
-/// Loads one after the other: each may need most of the memory. The first `asked` scenes were asked for by name; where that was
-/// `required`, at least one of them must load.
+/// Loads scenes one after the other, because each may need most of the memory. The first `asked` scenes were asked for by name;
+/// if `required`, at least one of them must load.
 async fn load_scenes(
     app: &Arc<App>,
     reserved: Vec<Reserved>,
@@ -240,7 +239,7 @@ async fn load_scenes(
             (Err(problem), ..) => Err(problem),
         };
         match result {
-            // The engine has told of it.
+            // The engine has logged the scene.
             Ok(_) => {}
             Err(problem) => {
                 failed += usize::from(index < asked);
@@ -257,8 +256,8 @@ async fn load_scenes(
 
 const SIGTERM: &str = "SIGTERM";
 
-/// Waits for SIGTERM or SIGINT, for commands that are no daemon. Within a runtime; from the call on such signals no longer end
-/// the process.
+/// Waits for SIGTERM or SIGINT, for commands other than the daemon. Needs a runtime. From this call on, these signals no longer
+/// end the process.
 pub fn stop_signal() -> std::io::Result<impl Future<Output = &'static str>> {
     #[cfg(unix)]
     {
@@ -279,19 +278,19 @@ pub fn stop_signal() -> std::io::Result<impl Future<Output = &'static str>> {
     })
 }
 
-/// Signals to the daemon; from its making on they no longer end the process by themselves.
+/// Signals to the daemon; once this exists, they no longer end the process by themselves.
 #[cfg(unix)]
 struct Signals {
     terminate: tokio::signal::unix::Signal,
     interrupt: tokio::signal::unix::Signal,
     hangup: tokio::signal::unix::Signal,
-    /// Standard error was a terminal at the start, so that a hangup means that it has gone.
+    /// Whether standard error was a terminal at the start, so that a hangup means that the terminal has gone.
     has_terminal: bool,
 }
 
 #[cfg(unix)]
 impl Signals {
-    /// Begins to listen, within a runtime.
+    /// Begins to listen for signals; needs a runtime.
     fn new() -> std::io::Result<Signals> {
         use std::io::IsTerminal;
         use tokio::signal::unix::{SignalKind, signal};
@@ -303,7 +302,7 @@ impl Signals {
         })
     }
 
-    /// Waits for a signal to stop and gives its name. Hangups that are none have the access rules read again.
+    /// Waits for a signal to stop and returns its name. A hangup that is no such signal has the access rules read again.
     async fn stop(&mut self, app: &App) -> &'static str {
         loop {
             tokio::select! {
@@ -320,7 +319,7 @@ impl Signals {
     }
 }
 
-/// Interrupts from a console.
+/// Console interrupts.
 #[cfg(not(unix))]
 struct Signals;
 
@@ -336,19 +335,19 @@ impl Signals {
     }
 }
 
-/// Tells the service manager, where there is one.
+/// Notifies the service manager, where there is one.
 fn notify(state: &[sd_notify::NotifyState]) {
     if let Err(error) = sd_notify::notify(state) {
         tracing::warn!(%error, "the service manager cannot be told");
     }
 }
 
-/// Whether the render loop moves, or may yet.
+/// Returns whether the render loop moves, or may still do so.
 fn is_alive(readiness: &Readiness) -> bool {
     !matches!(readiness, Readiness::Stalled { .. } | Readiness::Failed)
 }
 
-/// Pats the service manager's watchdog while the render loop moves, at twice its pace.
+/// Pats the service manager's watchdog twice in each of its periods while the render loop moves.
 async fn watchdog(app: Arc<App>) {
     let Some(period) = sd_notify::watchdog_enabled() else { return };
     loop {
@@ -359,17 +358,17 @@ async fn watchdog(app: Arc<App>) {
     }
 }
 
-/// Lets connections in, as many as there are places.
+/// Accepts connections up to the limit.
 #[derive(Clone)]
 struct Doorkeeper {
     app: Arc<App>,
     places: Arc<Semaphore>,
-    /// For those who find no place and may ask how the server is.
+    /// Permits for connections beyond the limit that may be health probes.
     probes: Arc<Semaphore>,
     read_timeout: Duration,
 }
 
-/// Connections beyond all places that are read from at the same time, and how much.
+/// Limits of connections beyond `max_connections` that are read: their number, bytes and time.
 const PROBES: usize = 16;
 const PROBE_BYTES: usize = 2048;
 const PROBE_READ: Duration = Duration::from_millis(300);
@@ -404,10 +403,10 @@ impl<S: Send + 'static> Accept<TcpStream, S> for Doorkeeper {
     }
 }
 
-/// The answer to a probe, if the connection begins with one.
+/// Returns the answer to a health probe, if the connection begins with one.
 async fn probed(app: &Arc<App>, stream: &mut TcpStream) -> Option<Response> {
     let mut head = Vec::new();
-    // The whole head: what is closed with bytes unread is reset, and the answer may be lost with it.
+    // Read the whole head: a connection closed with unread bytes is reset, and the answer may be lost.
     while !head.windows(4).any(|end| end == b"\r\n\r\n") {
         if head.len() >= PROBE_BYTES || stream.read_buf(&mut head).await.ok()? == 0 {
             return None;
@@ -423,7 +422,7 @@ async fn probed(app: &Arc<App>, stream: &mut TcpStream) -> Option<Response> {
     })
 }
 
-/// Answers, by default that there is no place, and closes.
+/// Sends an answer, by default that there is no place, and closes.
 async fn turn_away(stream: &mut TcpStream, answer: Option<Response>) -> std::io::Result<()> {
     let answer = answer.unwrap_or_else(|| {
         let problem = Problem::new(Kind::Busy, "too many connections");
@@ -442,8 +441,8 @@ async fn turn_away(stream: &mut TcpStream, answer: Option<Response>) -> std::io:
     stream.shutdown().await
 }
 
-/// A connection that holds its place, with the two limits that the HTTP library does not have: time
-/// for the first bytes, which it reads before it knows which protocol they are, and time for writes.
+/// A connection that holds its place, with two limits that the HTTP library lacks: time for the first
+/// bytes, which the library reads before it knows their protocol, and time for writes.
 struct Guarded {
     stream: TcpStream,
     _place: OwnedSemaphorePermit,
@@ -451,11 +450,11 @@ struct Guarded {
     preface_until: Pin<Box<Sleep>>,
     write_until: Pin<Box<Sleep>>,
     is_write_pending: bool,
-    /// What is sent in place of an answer of the HTTP library.
+    /// Answer that replaces one of the HTTP library.
     instead: Option<Instead>,
 }
 
-/// An answer on its way, and what is read after it.
+/// An answer in transit, and the bytes read after it.
 struct Instead {
     rest: Bytes,
     unread: usize,
@@ -475,7 +474,7 @@ impl Guarded {
         }
     }
 
-    /// Sends a whole answer in place of one of the HTTP library; `None` where these bytes are no such answer.
+    /// Sends a whole answer in place of one of the HTTP library; `None` where these bytes are not such an answer.
     fn poll_instead(
         &mut self,
         context: &mut Context<'_>,
@@ -519,7 +518,7 @@ impl Guarded {
         Poll::Ready(Ok(()))
     }
 
-    /// Turns a write that waits too long into an error.
+    /// Turns a write that takes too long into an error.
     fn bounded<T>(
         &mut self,
         context: &mut Context<'_>,

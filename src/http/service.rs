@@ -1,4 +1,4 @@
-//! What a server offers beside frames: health, readiness, metrics, limits, its contract.
+//! Handlers for health, readiness, metrics, limits and the contract.
 
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;

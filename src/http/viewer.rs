@@ -1,8 +1,8 @@
-//! The viewer: one page and the files that it names, all in the binary.
+//! Serves the viewer: one page and its files, all embedded in the binary.
 //!
-//! Everything is revalidated by its hash, so that a newer daemon never runs with an older page's scripts. Nothing but these files and
-//! this server's answers is let into the page ([`POLICY`]). A debug build with `POINTILLIST_VIEWER=src/viewer` reads the files from
-//! that folder instead.
+//! Clients revalidate every file by its hash, so that a newer daemon never runs with an older page's scripts. The page may load
+//! only these files and this server's answers ([`POLICY`]). A debug build with `POINTILLIST_VIEWER=src/viewer` reads the files
+//! from that folder instead.
 
 use std::borrow::Cow;
 use std::fmt::Write;
@@ -18,7 +18,7 @@ const HTML: &str = "text/html; charset=utf-8";
 const CSS: &str = "text/css; charset=utf-8";
 const JS: &str = "text/javascript; charset=utf-8";
 
-/// What the page may load and run, and from where.
+/// Content security policy of the page.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' blob: data:; media-src 'self' blob:; \
                       base-uri 'none'; form-action 'none'; frame-ancestors 'self'";
 
@@ -33,7 +33,7 @@ macro_rules! files {
     };
 }
 
-/// The page first.
+/// The page comes first.
 static FILES: [File; 26] = files![
     "index.html",
     "style.css",
@@ -167,7 +167,7 @@ mod tests {
 
     use super::*;
 
-    /// Files that a text names, as `./name.js` in scripts or `/viewer/name.css` in the page.
+    /// Returns the files that a text names, as `./name.js` in scripts or `/viewer/name.css` in the page.
     fn named(text: &str) -> BTreeSet<&str> {
         text.split(['"', '\''])
             .filter_map(|word| word.strip_prefix("./").or_else(|| word.strip_prefix("/viewer/")))

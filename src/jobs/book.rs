@@ -1,4 +1,4 @@
-//! All jobs and what may become of them. Pure: times come in, and which records changed comes out; no clock, lock or file.
+//! State of all jobs. Pure: times come in, changed records come out; it uses no clock, lock or file.
 //!
 //! ```text
 //!               ┌──────── a pause, a kill, a scene that is gone ───────┐
@@ -12,27 +12,27 @@
 //!            └──waited too long─────►
 //! ```
 //!
-//! A running job goes through phases, each with so many places for all jobs together ([`Slots`]): what it needs is baked, its
-//! frames are drawn, and its video is coded. Between two phases it waits for a place, and others have the one that it leaves. Of
-//! those that wait the next is of the owner who has the fewest at work, and of those the one that came first.
+//! A running job goes through phases, each with a limited number of places ([`Slots`]): its inputs are baked, its frames are
+//! drawn, and its video is coded. Between two phases the job waits for a place, and others may take the one that it leaves. The
+//! next job belongs to the owner with the fewest jobs at work; among that owner's jobs it is the oldest.
 //!
-//! Who works on a job, or on its files, holds it until that is over ([`Book::release`]), also when the job was cancelled or removed
-//! meanwhile; no runner gets it before, even if it was resumed. Who is the last to hold a job that was removed clears up after it. Done,
-//! failed and cancelled jobs are forgotten when they have been that for as long as [`Limits::ttl_ms`].
+//! Whoever works on a job or its files holds the job until the work is over ([`Book::release`]), even if the job is cancelled or
+//! removed meanwhile. No other runner gets the job before, even if it was resumed. The last holder of a removed job deletes its
+//! files. Done, failed and cancelled jobs are forgotten after [`Limits::ttl_ms`].
 
 use std::collections::BTreeMap;
 
 pub use super::record::{Failure, FailureKind, Made, Record, Repeat, State, Video};
 use super::spec::Spec;
 
-/// What a book takes on.
+/// Limits of a book.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// Jobs that are not done, failed or cancelled.
+    /// Largest number of jobs that are not done, failed or cancelled.
     pub most_unfinished: usize,
-    /// Jobs at all.
+    /// Largest number of jobs.
     pub most: usize,
-    /// How long an ended job is kept, and a queued one waits for its scene.
+    /// Time for which an ended job is kept, and for which a queued job waits for its scene.
     pub ttl_ms: u64,
     pub slots: Slots,
 }
@@ -40,17 +40,17 @@ pub struct Limits {
 /// A job's number.
 pub type JobId = u64;
 
-/// What is done for a job.
+/// One phase of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
-    /// What its frames need, and others may need too.
+    /// Baking of the data that its frames, and perhaps others, need.
     Baking,
     Drawing,
-    /// The video of its frames.
+    /// Coding of the video.
     Coding,
 }
 
-/// Jobs that may be in each phase at a time.
+/// Largest number of jobs in each phase at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Slots {
     pub baking: usize,
@@ -67,7 +67,7 @@ impl Slots {
         }
     }
 
-    /// Jobs that are worked on at a time.
+    /// Returns the largest number of jobs at work at a time.
     pub fn all(&self) -> usize {
         self.baking + self.drawing + self.coding
     }
@@ -76,7 +76,7 @@ impl Slots {
 /// What a job needs before its frames can be drawn.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Need {
-    /// Something that is not there and may come.
+    /// Something is missing that may appear later.
     Missing(String),
     Bake,
     Nothing,
@@ -87,24 +87,24 @@ pub enum Need {
 pub enum Outcome {
     Done,
     Failed(Failure),
-    /// The daemon stops; the next one goes on.
+    /// The daemon stops; the next process goes on.
     Paused,
     /// Something is missing that may come back.
     Waits(String),
-    /// It is to go on in this phase.
+    /// The job goes on in this phase.
     Next(Phase),
 }
 
-/// Why a job is not taken on, or not changed.
+/// Reason for refusing to create or change a job.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Refusal {
     Unknown,
-    /// The state that it is in does not allow it.
+    /// The job's state does not allow the change.
     State {
         state: &'static str,
         accepted: &'static str,
     },
-    /// The key was used for another job.
+    /// The idempotency key was used for another job.
     KeyReused {
         id: JobId,
     },
@@ -116,30 +116,30 @@ pub enum Refusal {
     },
 }
 
-/// What [`Book::admit`] found.
+/// Result of [`Book::admit`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Admitted {
     New(JobId),
-    /// It was asked for before.
+    /// The same request has created this job before.
     Before(JobId),
 }
 
-/// What time has made of jobs.
+/// Result of [`Book::expire`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Expired {
-    /// Removed, and held by who asked.
+    /// Removed jobs, held by the caller.
     pub forgotten: Vec<Record>,
     pub failed: Vec<JobId>,
 }
 
-/// What a runner does.
+/// Work of a runner.
 #[derive(Clone, Debug, PartialEq)]
 struct Work {
     phase: Phase,
     owner: Option<String>,
 }
 
-/// Who makes a job, and under which name.
+/// Creator of a job, and the id of the request.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Origin {
     pub owner: Option<String>,
@@ -151,23 +151,23 @@ pub struct Origin {
 pub struct Book {
     limits: Limits,
     jobs: BTreeMap<JobId, Record>,
-    /// How many hold a job. Some may be in `jobs` no more.
+    /// Number of holders of each held job, which may no longer be in `jobs`.
     held: BTreeMap<JobId, usize>,
-    /// Jobs that runners have, and what they do for each.
+    /// Jobs at work, with the work of their runners.
     at_work: BTreeMap<JobId, Work>,
-    /// Phases that running jobs wait for, when no runner has them.
+    /// Next phases of running jobs that no runner has.
     due: BTreeMap<JobId, Phase>,
     next_id: JobId,
     next_turn: u64,
 }
 
 impl Book {
-    /// A book of what an earlier process has kept. What was running then is queued again, in its old place. No id up to `last_id` is
-    /// given out again.
+    /// Builds a book of the records that an earlier process has kept. Jobs that were running are queued again in their old
+    /// places. Ids up to `last_id` are not given out again.
     pub fn new(limits: Limits, kept: impl IntoIterator<Item = Record>, last_id: JobId) -> Book {
         let mut jobs: BTreeMap<JobId, Record> = BTreeMap::new();
         for mut record in kept {
-            // What waited may have what it waits for soon, and has its time for that anew.
+            // A missing input may appear soon, and the time to wait for it starts again.
             if !record.has_ended() {
                 record.state = State::Queued { waits_for: None };
             }
@@ -194,7 +194,7 @@ impl Book {
         self.jobs.get(&id).ok_or(Refusal::Unknown)
     }
 
-    /// All jobs by their numbers.
+    /// Returns all jobs in order of their numbers.
     pub fn all(&self) -> impl Iterator<Item = &Record> {
         self.jobs.values()
     }
@@ -203,13 +203,13 @@ impl Book {
         self.held.contains_key(&id)
     }
 
-    /// Keeps runners from a job until [`Book::release`].
+    /// Keeps other runners from a job until [`Book::release`].
     pub fn hold(&mut self, id: JobId) {
         *self.held.entry(id).or_insert(0) += 1;
     }
 
-    /// Lets go of a job once. True when it was removed meanwhile and nobody else holds it: what it has left is the caller's to
-    /// remove.
+    /// Releases one hold on a job. Returns true when the job was removed meanwhile and nobody else holds it: the caller then
+    /// deletes its files.
     pub fn release(&mut self, id: JobId) -> bool {
         if let Some(holders) = self.held.get_mut(&id) {
             *holders -= 1;
@@ -220,7 +220,7 @@ impl Book {
         !self.is_held(id) && !self.jobs.contains_key(&id)
     }
 
-    /// Puts a record back that could not be changed on the disk: in the place of that which has its turn since, or where there is none.
+    /// Restores a record whose change could not be written to disk: in place of the one with this turn, or where there is none.
     pub fn restore(&mut self, mut record: Record, turn: u64) {
         if record.state == State::Running && !self.at_work.contains_key(&record.id) {
             record.state = State::Queued { waits_for: None };
@@ -231,7 +231,7 @@ impl Book {
         }
     }
 
-    /// The job that the same owner has made with the same key.
+    /// Returns the job that the same owner has created with the same key.
     pub fn repeated(&self, asked: &Repeat) -> Option<&Record> {
         let same = |known: &Repeat| known.owner == asked.owner && known.key == asked.key;
         self.jobs.values().find(|job| job.repeat.as_ref().is_some_and(same))
@@ -241,7 +241,7 @@ impl Book {
         self.jobs.values().filter(|job| !job.has_ended()).count()
     }
 
-    /// Takes on a job, or finds the one that was made by the same request before.
+    /// Creates a job, or finds the one that the same request has created before.
     pub fn admit(
         &mut self,
         spec: Spec,
@@ -287,7 +287,7 @@ impl Book {
         Ok(Admitted::New(id))
     }
 
-    /// Notes what a job that was just made will come to, as far as its path tells now.
+    /// Records the length of a new job's film, as far as its path tells.
     pub fn expect(&mut self, id: JobId, total: u64, fps: f64) {
         if let Some(job) = self.jobs.get_mut(&id) {
             (job.made.total, job.made.fps) = (Some(total), Some(fps));
@@ -304,7 +304,7 @@ impl Book {
         self.next_turn - 1
     }
 
-    /// The job whose turn it is, which runs from now on and is held, and in which phase. `need` says what a job lacks.
+    /// Takes the next job to run and its phase; the job is then running and held. `need` returns what a job lacks.
     pub fn next(&mut self, now_ms: u64, need: impl Fn(&Spec) -> Need) -> Option<(JobId, Phase)> {
         let ready = self.jobs.values().filter_map(|job| {
             let phase = self.phase_of(job, &need)?;
@@ -326,7 +326,7 @@ impl Book {
         Some((id, phase))
     }
 
-    /// What is to be done next for a job that waits and has all that it waits for.
+    /// Returns the next phase of a job that waits and has everything that it needs.
     fn phase_of(&self, job: &Record, need: impl Fn(&Spec) -> Need) -> Option<Phase> {
         let is_due = match job.state {
             State::Queued { .. } => Phase::Drawing,
@@ -337,7 +337,7 @@ impl Book {
             return None;
         }
         match (is_due, need(&job.spec)) {
-            // It has its frames.
+            // The frames are there.
             (Phase::Coding, _) => Some(Phase::Coding),
             (_, Need::Bake) => Some(Phase::Baking),
             (_, Need::Nothing) => Some(Phase::Drawing),
@@ -345,13 +345,13 @@ impl Book {
         }
     }
 
-    /// Notes what queued jobs wait for, and since when; those that changed.
+    /// Updates what queued jobs wait for, and since when; returns the changed jobs.
     pub fn note_missing(&mut self, now_ms: u64, need: impl Fn(&Spec) -> Need) -> Vec<JobId> {
         let mut changed = Vec::new();
         for job in self.jobs.values_mut() {
             let is_due = self.due.get(&job.id).is_some_and(|phase| *phase != Phase::Coding);
             if job.state == State::Running && is_due && !self.held.contains_key(&job.id) {
-                // Gone while it waited for a place.
+                // The input disappeared while the job waited for a place.
                 if let Need::Missing(what) = need(&job.spec) {
                     self.due.remove(&job.id);
                     (job.state, job.since_ms) = (State::Queued { waits_for: Some(what) }, now_ms);
@@ -372,7 +372,7 @@ impl Book {
         changed
     }
 
-    /// Notes how a run ended, whose runner holds the job still. False when the job was removed meanwhile.
+    /// Records the end of a run; its runner still holds the job. Returns false when the job was removed meanwhile.
     pub fn left(
         &mut self,
         id: JobId,
@@ -385,7 +385,7 @@ impl Book {
         let Some(job) = self.jobs.get_mut(&id) else { return false };
         job.made = made;
         job.drawn += drawn;
-        // Whoever cancelled it, and perhaps resumed it since, has decided already.
+        // A client has cancelled the job, and perhaps resumed it since; that decision stands.
         if job.state != State::Running {
             return true;
         }
@@ -403,7 +403,7 @@ impl Book {
         true
     }
 
-    /// Ends a job that has not ended. A runner that holds it is to be told.
+    /// Cancels a job that has not ended. The caller must stop a runner that holds it.
     pub fn cancel(&mut self, id: JobId, now_ms: u64) -> Result<(), Refusal> {
         let job = self.jobs.get_mut(&id).ok_or(Refusal::Unknown)?;
         match job.state {
@@ -412,7 +412,7 @@ impl Book {
                 self.due.remove(&id);
                 Ok(())
             }
-            // Asked for twice, it is as it was asked for.
+            // Cancelling twice changes nothing.
             State::Cancelled => Ok(()),
             _ => Err(Refusal::State {
                 state: job.state.name(),
@@ -421,7 +421,7 @@ impl Book {
         }
     }
 
-    /// Queues an ended job again, behind all others: what is missing of it is made, also where it was done.
+    /// Queues an ended job again, behind all others. The run makes what is missing, even if the job was done.
     pub fn resume(&mut self, id: JobId, now_ms: u64) -> Result<(), Refusal> {
         let state = &self.get(id)?.state;
         match state {
@@ -441,7 +441,7 @@ impl Book {
         Ok(())
     }
 
-    /// Takes a job out and holds it. A runner may hold it as well ([`Book::is_held`]) and is to be told.
+    /// Removes a job and holds it. A runner may hold it as well ([`Book::is_held`]); the caller must stop that.
     pub fn remove(&mut self, id: JobId) -> Result<Record, Refusal> {
         let record = self.jobs.remove(&id).ok_or(Refusal::Unknown)?;
         self.due.remove(&id);
@@ -449,8 +449,7 @@ impl Book {
         Ok(record)
     }
 
-    /// Moves all times by so many milliseconds, because the clock was put there: nothing becomes older or younger by that. Those that
-    /// were moved.
+    /// Shifts all times after the system's clock jumped, so that no job becomes older or younger. Returns the changed jobs.
     pub fn shift(&mut self, by_ms: i64) -> Vec<JobId> {
         for job in self.jobs.values_mut() {
             job.created_ms = job.created_ms.saturating_add_signed(by_ms);
@@ -459,7 +458,7 @@ impl Book {
         self.jobs.keys().copied().collect()
     }
 
-    /// Forgets what ended long ago, and ends what has waited too long.
+    /// Forgets jobs that ended long ago, and fails those that waited too long.
     pub fn expire(&mut self, now_ms: u64) -> Expired {
         let ttl_ms = self.limits.ttl_ms;
         let (mut expired, mut forgotten) = (Expired::default(), Vec::new());
@@ -478,7 +477,7 @@ impl Book {
                 _ => forgotten.push(job.id),
             }
         }
-        // What a runner still holds has been cancelled long ago and will be let go.
+        // A job that a runner still holds was cancelled long ago and will be released.
         forgotten.retain(|id| !self.is_held(*id));
         expired.forgotten = forgotten.into_iter().filter_map(|id| self.remove(id).ok()).collect();
         expired

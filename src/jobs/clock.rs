@@ -1,19 +1,20 @@
-//! Time as jobs count it: milliseconds since 1970 that pass as fast as the process's own clock does, wherever the system's clock is put.
+//! The clock of jobs: milliseconds since 1970 that advance with the process's monotonic clock, even when the system's clock is
+//! changed.
 
 use std::time::{Duration, Instant, SystemTime};
 
-/// How far the system's clock may be from where it should be before that counts as a jump: more than any correction of its pace does
-/// between two looks.
+/// Difference between the two clocks above which the system's clock counts as having jumped: larger than slewing between two
+/// checks causes.
 const SLACK: Duration = Duration::from_secs(2);
 
-/// A clock that was set once, or after a jump. Pure: both times come from outside.
+/// A clock that was set once, or after a jump. Pure: the caller passes both times.
 #[derive(Clone, Copy, Debug)]
 pub struct Clock {
     set_at: Instant,
     set_ms: u64,
 }
 
-/// Milliseconds since 1970 by the system's clock.
+/// Returns milliseconds since 1970 by the system's clock.
 pub fn wall_ms() -> u64 {
     let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
@@ -24,14 +25,14 @@ impl Clock {
         Clock { set_at: at, set_ms: wall_ms }
     }
 
-    /// Milliseconds since 1970, as they passed since the clock was set.
+    /// Returns milliseconds since 1970, advanced by the time since the clock was set.
     pub fn ms(&self, at: Instant) -> u64 {
         let passed = at.saturating_duration_since(self.set_at).as_millis();
         self.set_ms.saturating_add(u64::try_from(passed).unwrap_or(u64::MAX))
     }
 
-    /// Sets the clock where the system's has jumped: by how many milliseconds, also backwards; 0 where it has not. All times that were
-    /// taken from this clock before are to be moved by as much.
+    /// Sets the clock when the system's clock has jumped. Returns the jump in milliseconds, which may be negative, or 0. The
+    /// caller must shift all times taken from this clock before by the same amount.
     pub fn follow(&mut self, at: Instant, wall_ms: u64) -> i64 {
         let own_ms = self.ms(at);
         if u128::from(own_ms.abs_diff(wall_ms)) <= SLACK.as_millis() {
@@ -53,7 +54,7 @@ mod tests {
         let at = |ms: u64| start + Duration::from_millis(ms);
         let mut clock = Clock::new(start, 1_000_000);
         assert_eq!(clock.ms(at(500)), 1_000_500);
-        // Slewed: not followed, and not moved.
+        // A slewed clock is not followed.
         assert_eq!(clock.follow(at(1000), 1_002_900), 0);
         assert_eq!(clock.ms(at(1000)), 1_001_000);
         assert_eq!(clock.follow(at(2000), 9_002_000), 8_000_000);

@@ -1,4 +1,4 @@
-//! What becomes of jobs by time alone, and what of them could not be written yet.
+//! The keeper thread: expires jobs, and retries writes that failed.
 
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -8,12 +8,12 @@ use super::clock::{Clock, wall_ms};
 use super::runner::need;
 use super::shared::Shared;
 
-/// How often jobs are looked through.
+/// Interval between sweeps over the jobs.
 const SWEEP_EVERY: Duration = Duration::from_secs(1);
-/// How long after something could not be removed it is tried again.
+/// Delay before a failed removal is tried again.
 const REST: Duration = Duration::from_secs(30);
 
-/// The keeper's thread: until the daemon stops.
+/// Runs the keeper's thread until the daemon stops.
 pub(super) fn run(shared: &Shared) {
     let mut rest_until = Instant::now();
     while !shared.stopping.load(Ordering::Relaxed) {
@@ -30,7 +30,7 @@ pub(super) fn run(shared: &Shared) {
     }
 }
 
-/// Tells of jobs whose scenes came or went.
+/// Notifies watchers of jobs whose scenes appeared or disappeared.
 fn note_missing(shared: &Shared) {
     let changed = {
         let mut book = shared.book.lock();
@@ -41,8 +41,8 @@ fn note_missing(shared: &Shared) {
     }
 }
 
-/// Whose time is over. Where the system's clock has jumped, jobs keep the age that they have, and which of them are to be written anew
-/// is told first. Pure.
+/// Expires jobs. Where the system's clock has jumped, jobs keep their age; the first list names those whose records must be
+/// written again. Pure.
 fn look(book: &mut Book, clock: &mut Clock, at: Instant, wall_ms: u64) -> (Vec<JobId>, Expired) {
     let moved = match clock.follow(at, wall_ms) {
         0 => Vec::new(),
@@ -51,7 +51,7 @@ fn look(book: &mut Book, clock: &mut Clock, at: Instant, wall_ms: u64) -> (Vec<J
     (moved, book.expire(clock.ms(at)))
 }
 
-/// Forgets and fails jobs whose time is over. False when one could not be forgotten.
+/// Forgets and fails expired jobs. Returns false when one could not be forgotten.
 fn expire(shared: &Shared) -> bool {
     let (moved, expired) = {
         let mut book = shared.book.lock();
@@ -61,7 +61,7 @@ fn expire(shared: &Shared) -> bool {
         tracing::warn!(jobs = moved.len(), "the system's clock has jumped; no job ends by that");
     }
     for id in moved {
-        // Told where it fails, and tried again.
+        // A failure is logged in `keep` and retried later.
         let _ = shared.keep(id);
         if let Ok(live) = shared.live(id) {
             live.changed();
@@ -79,7 +79,7 @@ fn expire(shared: &Shared) -> bool {
         }
     }
     for id in expired.failed {
-        // Told where it fails, and tried again.
+        // A failure is logged in `keep` and retried later.
         let _ = shared.keep(id);
         if let Ok(live) = shared.live(id) {
             live.changed();
@@ -88,13 +88,13 @@ fn expire(shared: &Shared) -> bool {
     is_fine
 }
 
-/// Writes what is owed to the database.
+/// Writes owed records to the database.
 fn pay(shared: &Shared) {
     for id in shared.store.owed() {
         let (is_known, is_held) = {
             let mut book = shared.book.lock();
             let known = (book.get(id).is_ok(), book.is_held(id));
-            // Whoever holds it writes it.
+            // The holder of the job writes the record.
             if !known.1 {
                 book.hold(id);
             }
@@ -112,7 +112,7 @@ fn pay(shared: &Shared) {
             shared.recount(id, live);
         }
         let bytes = live.map_or(0, |live| live.bytes());
-        // Clears up after it where it is gone.
+        // This deletes the files of a removed job.
         shared.release(id, bytes);
     }
 }
@@ -125,7 +125,7 @@ mod tests {
 
     const HOUR_MS: u64 = 3_600_000;
 
-    /// Whatever the system's clock is put to, an ended job is kept for its time, and a waiting one waits for it.
+    /// Whatever time the system's clock is set to, an ended job is kept for its time, and a waiting job waits for its time.
     #[test]
     fn a_clock_that_jumps_ends_no_job() {
         let slots = Slots { baking: 1, drawing: 1, coding: 1 };
@@ -142,7 +142,7 @@ mod tests {
         }
         book.cancel(ids[0], clock.ms(at(1000))).unwrap();
         book.note_missing(clock.ms(at(1000)), |_| Need::Missing("no scene".to_owned()));
-        // A year ahead, where it was, and back to 1970.
+        // The clock jumps a year ahead, back, and to 1970.
         let mut passed = 2000;
         for wall_ms in [9000 * HOUR_MS, 5 * HOUR_MS, 0] {
             let (moved, expired) = look(&mut book, &mut clock, at(passed), wall_ms);
@@ -153,10 +153,10 @@ mod tests {
                 (Vec::new(), Expired::default())
             );
             let age_ms = clock.ms(at(passed)) - book.get(ids[0]).unwrap().since_ms;
-            // Nothing is older than 1970.
+            // No job is older than 1970.
             assert!(age_ms == passed - 1000 || wall_ms == 0, "{age_ms} of {passed}");
         }
-        // And when the time is over, it is.
+        // The jobs still expire when their time is over.
         let wall_ms = clock.ms(at(HOUR_MS + 10_000));
         let (_, expired) = look(&mut book, &mut clock, at(HOUR_MS + 10_000), wall_ms);
         assert_eq!(expired.failed, [ids[1]]);

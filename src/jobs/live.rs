@@ -1,4 +1,4 @@
-//! What a job is doing right now, for those who watch: shared between its runner and everybody who asks.
+//! The current activity of a job, shared between its runner and its watchers.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -10,20 +10,20 @@ use tokio::sync::watch;
 
 use crate::film::video::Reel;
 
-/// The rate is measured over the last so long.
+/// Period over which the rate is measured.
 const WINDOW: Duration = Duration::from_secs(10);
-/// Frames that come within so short a time have come together, as those of a batch do.
+/// Frames within this time count as having arrived together, as those of a batch do.
 const TOGETHER: Duration = Duration::from_millis(50);
-/// From the first frames on, before there is a rate.
+/// Time after the first frames before a rate is given.
 const LEAST: Duration = Duration::from_secs(1);
 
-/// Frames of a job by their numbers.
+/// Frames of a job by number.
 pub use crate::film::Records as Frames;
 
-/// What a run is at.
+/// Stage of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Stage {
-    /// Not running, getting ready, or waiting for a place in the next stage.
+    /// The job is not running, is getting ready, or waits for a place in the next stage.
     #[default]
     None,
     Baking,
@@ -31,24 +31,24 @@ pub enum Stage {
     Video,
 }
 
-/// Numbers that change with every frame.
+/// Counters that change with every frame.
 #[derive(Clone, Debug, Default)]
 pub struct Progress {
     pub stage: Stage,
-    /// Frames of the job that are there, and that are wanted.
+    /// Number of finished frames, and of all frames of the job.
     pub done: u64,
     pub total: Option<u64>,
-    /// Drawn in this run.
+    /// Frames drawn in this run.
     pub drawn: u64,
-    /// Frames that are in the video so far.
+    /// Frames coded into the video so far.
     pub coded: u64,
-    /// How much of what the frames need is baked, of 1.
+    /// Progress of baking, from 0 to 1.
     pub baked: f64,
     pace: Pace,
 }
 
 impl Progress {
-    /// Frames a second of late, and the seconds that what is left takes at that rate.
+    /// Returns the recent frames per second, and the remaining seconds at that rate.
     pub fn pace(&self, now: Instant) -> (Option<f64>, Option<f64>) {
         let rate = self.pace.rate(now);
         let at = if self.stage == Stage::Video { self.coded } else { self.done };
@@ -66,10 +66,10 @@ impl Progress {
     }
 }
 
-/// When the last few frames came, and how many each time. Pure.
+/// Times and numbers of the last frames. Pure.
 ///
-/// The first to come are no measure: they waited for what is made once, pipelines above all. Nor is how fast those of one batch
-/// follow each other.
+/// The first frames are not measured, because they wait for one-time work, above all for pipelines. Nor are the gaps between the
+/// frames of one batch.
 #[derive(Clone, Debug, Default)]
 struct Pace {
     marks: VecDeque<(Instant, u64)>,
@@ -81,7 +81,7 @@ impl Pace {
             Some((at, count)) if now.saturating_duration_since(*at) < TOGETHER => *count += 1,
             _ => self.marks.push_back((now, 1)),
         }
-        // Two of them also where frames are rarer than that.
+        // Keep two marks even if frames are rarer than the window.
         while self.marks.len() > 2
             && self.marks.front().is_some_and(|&(first, _)| now - first > WINDOW)
         {
@@ -89,7 +89,7 @@ impl Pace {
         }
     }
 
-    /// Frames a second from the oldest mark until now; `None` where that would be a guess.
+    /// Returns frames per second from the oldest mark until now; `None` where that would be a guess.
     fn rate(&self, now: Instant) -> Option<f64> {
         let (first, _) = self.marks.front()?;
         let frames: u64 = self.marks.iter().skip(1).map(|(_, count)| count).sum();
@@ -98,31 +98,31 @@ impl Pace {
     }
 }
 
-/// Why a run is to stop before its end.
+/// Reason for stopping a run before its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stop {
-    /// Cancelled or removed.
+    /// The job was cancelled or removed.
     Cancelled,
-    /// The daemon ends.
+    /// The daemon stops.
     Paused,
     /// The quota is used up.
     Full,
 }
 
-/// One job's, for as long as it is known.
+/// Live state of one known job.
 pub struct Live {
     pub progress: Mutex<Progress>,
-    /// Bytes on the disk.
+    /// Bytes on disk.
     pub bytes: AtomicU64,
-    /// Frames that are there, while a run draws; at other times the manifest has them.
+    /// Finished frames while a run draws; at other times they are read from the manifest.
     pub drawing: RwLock<Option<Frames>>,
     /// See [`Live::turns`].
     turns: AtomicU64,
     pub stop: AtomicBool,
-    /// What is to be made of the frames, from when they are all there until it is made.
+    /// The video to make, from when all frames are there until it is made.
     pub reel: Mutex<Option<Reel>>,
     why: Mutex<Option<Stop>>,
-    /// Grows whenever anything of the job changes.
+    /// Increases with every change of the job.
     version: watch::Sender<u64>,
 }
 
@@ -140,7 +140,7 @@ impl Live {
         })
     }
 
-    /// Has a run stop; the first reason counts.
+    /// Makes a run stop; the first reason counts.
     pub fn stop(&self, why: Stop) {
         self.why.lock().get_or_insert(why);
         self.stop.store(true, Ordering::Relaxed);
@@ -151,13 +151,13 @@ impl Live {
         *self.why.lock()
     }
 
-    /// Forgets what an earlier run was told.
+    /// Clears the stop request of an earlier run.
     pub fn rearm(&self) {
         *self.why.lock() = None;
         self.stop.store(false, Ordering::Relaxed);
     }
 
-    /// Grows whenever a run takes the job or leaves it: what the manifest said before may not be so any more.
+    /// Increases whenever a run takes or leaves the job: earlier reads of the manifest may then be stale.
     pub fn turns(&self) -> u64 {
         self.turns.load(Ordering::SeqCst)
     }
@@ -166,7 +166,7 @@ impl Live {
         self.turns.fetch_add(1, Ordering::SeqCst);
     }
 
-    /// Tells everybody who watches.
+    /// Notifies all watchers.
     pub fn changed(&self) {
         self.version.send_modify(|version| *version += 1);
     }
@@ -197,26 +197,26 @@ mod tests {
         }
         progress.done = 100;
         assert_eq!(progress.pace(at(10_000)), (Some(10.0), Some(90.0)));
-        // Four times as fast since: soon nothing of before counts.
+        // At four times the rate, earlier frames soon no longer count.
         for i in 0..=400 {
             progress.step(at(10_000 + i * 25));
         }
         let rate = progress.pace(at(20_000)).0.unwrap();
         assert!((39.0..=41.0).contains(&rate), "{rate}");
-        // A run that stands still slows down.
+        // The rate of a run that stalls goes down.
         assert!(progress.pace(at(60_000)).0.unwrap() < 10.0);
         progress.begin(Stage::Video);
         assert_eq!(progress.pace(at(70_001)), (None, None));
     }
 
-    /// Nothing is told by what does not last: the first frame, which waits for pipelines, and how a batch comes.
+    /// The rate ignores what does not last: the wait of the first frame for pipelines, and the gaps within a batch.
     #[test]
     fn a_rate_is_told_when_it_is_one() {
         let start = Instant::now();
         let at = |ms: u64| start + Duration::from_millis(ms);
         let mut progress = Progress { total: Some(361), ..Progress::default() };
         progress.begin(Stage::Frames);
-        // After seven seconds, and then sixteen together every 1.6 seconds: ten a second.
+        // One frame after seven seconds, then sixteen together every 1.6 seconds: ten per second.
         progress.step(at(7_000));
         progress.done = 1;
         assert_eq!(progress.pace(at(7_900)), (None, None));
@@ -233,12 +233,12 @@ mod tests {
                 "{batch}: {eta_s:?}"
             );
         }
-        // All at once is no rate.
+        // Frames that all arrive at once give no rate.
         progress.begin(Stage::Frames);
         (0..16).for_each(|i| progress.step(at(50_000 + i)));
         assert_eq!(progress.pace(at(50_020)).0, None);
         assert_eq!(progress.pace(at(52_000)).0, None);
-        // One in half a minute is.
+        // One frame every half minute gives a rate.
         progress.begin(Stage::Frames);
         (0..3).for_each(|i| progress.step(at(60_000 + i * 30_000)));
         let rate = progress.pace(at(120_000)).0.unwrap();

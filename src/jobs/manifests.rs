@@ -1,4 +1,4 @@
-//! Manifests of jobs that are not drawn, as they were read last.
+//! Cache of the manifests of jobs that are not being drawn.
 
 use std::collections::VecDeque;
 use std::io;
@@ -12,18 +12,18 @@ use super::live::{Frames, Live};
 use super::store::Place;
 use crate::film::{self, FilmError};
 
-/// Manifests that are held in memory at most.
+/// Largest number of manifests in memory.
 const MOST: usize = 4;
-/// And records in all of them together; a single one may have more.
+/// Largest number of records in all of them together; a single manifest may have more.
 const MOST_RECORDS: usize = 200_000;
 
-/// The last few that somebody asked for.
+/// The manifests that were requested last.
 #[derive(Default)]
 pub struct Manifests {
     known: Mutex<VecDeque<Manifest>>,
 }
 
-/// A manifest as it was in one turn of a job ([`Live::turns`]). Its length tells nothing: frames of one size give lines of one length.
+/// A manifest during one turn of a job ([`Live::turns`]). Frames of one size give lines of one length, so length shows no change.
 struct Manifest {
     id: JobId,
     turn: u64,
@@ -31,7 +31,7 @@ struct Manifest {
 }
 
 impl Manifests {
-    /// Notes that a run takes a job or leaves it: what was read of its manifest before is not what it says any more.
+    /// Records that a run takes or leaves a job: earlier reads of its manifest are then stale.
     pub fn turn(&self, id: JobId, live: &Live) {
         live.turn();
         self.forget(id);
@@ -41,12 +41,12 @@ impl Manifests {
         self.known.lock().retain(|known| known.id != id);
     }
 
-    /// The frames that a job's manifest tells of; none where there is none.
+    /// Returns the frames in a job's manifest; none where there is no manifest.
     ///
     /// # Errors
-    /// A manifest that cannot be read, or that is none.
+    /// The manifest cannot be read or is malformed.
     pub fn frames(&self, id: JobId, live: &Live, place: &Place) -> Result<Arc<Frames>, JobError> {
-        // Before the file is read: what is read while that changes is of a turn that is over then.
+        // Read the turn before the file: if the file changes during the read, the result belongs to a turn that is over.
         let turn = live.turns();
         let found = {
             let known = self.known.lock();
@@ -90,7 +90,7 @@ mod tests {
     use super::*;
     use crate::film::manifest::{self, Header, Record};
 
-    /// Writes a manifest of one frame whose file begins with `digit`.
+    /// Writes a manifest of one frame whose checksum begins with `digit`.
     fn write(place: &Place, digit: char) {
         let header = Header {
             manifest: manifest::VERSION,
@@ -119,7 +119,7 @@ mod tests {
         frames[&0].sha256.chars().next().unwrap()
     }
 
-    /// What is read while a run begins counts until the run writes, and not a moment longer, as long as both are of one length.
+    /// A manifest read while a run begins is valid only until the run writes, even if both versions have the same length.
     #[test]
     fn a_manifest_counts_for_one_turn() {
         let at = tempfile::tempdir().unwrap();
@@ -131,7 +131,7 @@ mod tests {
         assert_eq!(sum(&manifests, 7, &live, &place), 'a');
         write(&place, 'b');
         assert_eq!(sum(&manifests, 7, &live, &place), 'a', "it is held");
-        // Whoever has the job says that it is another now.
+        // The run has begun a new turn.
         manifests.turn(7, &live);
         assert_eq!(sum(&manifests, 7, &live, &place), 'b');
         manifests.forget(7);

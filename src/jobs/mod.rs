@@ -1,4 +1,4 @@
-//! Camera-path jobs (floor 6): films that are drawn without anybody waiting, and go on after whatever ended the process.
+//! Camera-path jobs (floor 6): films that are drawn in the background and survive the end of the process.
 //!
 //! ```text
 //!             create, cancel, resume, remove
@@ -11,14 +11,14 @@
 //!   who watches ◄── [`live`] ◄──────┘ progress, rate, frames that are there
 //! ```
 //!
-//! What is durable is the record of a job (what it is to do, and in which state it is) and the folder of its frames with its manifest. A
-//! process that is killed leaves both as they are; the next one queues what was running again, and `film` keeps every finished frame
-//! and draws the others. Progress is not kept: the manifest is the progress.
+//! Two things are durable: the record of a job (its specification and state), and the folder of its frames with the manifest. A
+//! process that is killed leaves both as they are. The next process queues running jobs again; `film` keeps every finished frame
+//! and draws the others. Progress is not stored, because the manifest shows it.
 //!
-//! The book's lock is never held over work on the disk. Who changes a job changes the book first and has the record written then, as
-//! the book has it by that time; meanwhile the job is held, so that no runner begins what is not durable yet.
+//! The book's lock is never held during disk access. To change a job, a thread changes the book first and then has the record
+//! written in the book's current state. Meanwhile it holds the job, so that no runner begins what is not durable yet.
 //!
-//! Frames go to the engine as those of [`Client::Job`](crate::engine::Client), after all that somebody waits for.
+//! Frames go to the engine as [`Client::Job`](crate::engine::Client), after all interactive frames.
 
 pub mod book;
 mod clock;
@@ -56,22 +56,22 @@ use self::store::Store;
 use crate::engine::Engine;
 use crate::film::Record as FrameRecord;
 
-/// How jobs are set up.
+/// Configuration of jobs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Config {
-    /// Where they are kept.
+    /// State folder.
     pub folder: PathBuf,
     pub limits: Limits,
-    /// Bytes of all jobs together on the disk.
+    /// Largest number of bytes of all jobs on disk.
     pub most_bytes: u64,
 }
 
-/// Why something cannot be done for a job.
+/// Error of an operation on jobs.
 #[derive(Debug, thiserror::Error)]
 pub enum JobError {
     #[error("{0:?}")]
     Refused(Refusal),
-    /// Over the quota.
+    /// The quota is exceeded.
     #[error("jobs take {used} bytes on the disk, of {limit} that they may")]
     Full { used: u64, limit: u64 },
     #[error(transparent)]
@@ -86,44 +86,44 @@ impl From<Refusal> for JobError {
     }
 }
 
-/// A job as it is now.
+/// A snapshot of a job.
 #[derive(Clone, Debug)]
 pub struct View {
     pub record: Record,
     pub stage: Stage,
     pub done: u64,
     pub total: Option<u64>,
-    /// Frames that are in the video so far, while it is made.
+    /// Frames coded into the video so far, while it is made.
     pub coded: u64,
-    /// How much of what the frames need is baked, of 1, while it is.
+    /// Progress of baking from 0 to 1, while it runs.
     pub baked: f64,
-    /// Frames a second of late.
+    /// Recent frames per second.
     pub rate: Option<f64>,
     pub eta_s: Option<f64>,
     pub bytes: u64,
     pub expires_ms: Option<u64>,
-    /// Grows with every change, from 0 when the process begins.
+    /// Increases with every change, from 0 at the start of the process.
     pub version: u64,
 }
 
-/// Where a frame is.
+/// State of one frame.
 #[derive(Clone, Debug)]
 pub enum Found {
-    /// It is in this file.
+    /// The frame is in this file.
     There { record: Arc<FrameRecord>, file: PathBuf },
-    /// It will be, or would be had the job not ended.
+    /// The frame is not drawn yet, or was not before the job ended.
     NotDrawn,
     /// The job has no such frame.
     NoSuch { first: u64, last: u64 },
-    /// Only the video was asked for, and it is made.
+    /// The frame was removed because only the video was requested, which is made.
     Dropped,
 }
 
-/// Jobs in each state, and what they did.
+/// Numbers of jobs in each state, and of their frames and bytes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Counts {
     pub by_state: [(&'static str, u64); 5],
-    /// Frames drawn since the process began.
+    /// Frames drawn since the start of the process.
     pub drawn: u64,
     pub bytes: u64,
 }
@@ -135,10 +135,10 @@ pub struct Jobs {
 }
 
 impl Jobs {
-    /// Takes the state folder and finds what earlier processes left there. Nothing is drawn before [`Jobs::start`].
+    /// Opens the state folder and loads the jobs of earlier processes. Nothing is drawn before [`Jobs::start`].
     ///
     /// # Errors
-    /// A folder that is another daemon's or cannot be written.
+    /// The folder belongs to another daemon or cannot be written.
     pub fn open(engine: Engine, config: Config) -> Result<Jobs, StateError> {
         let now = clock::wall_ms();
         let mut opened = Store::open(&config.folder, now)?;
@@ -149,12 +149,12 @@ impl Jobs {
         let mut lives = HashMap::new();
         let mut used = 0;
         for record in &mut opened.records {
-            // Nothing was before now: the clock has been put back meanwhile.
+            // No time may lie in the future: the clock has been put back meanwhile.
             record.since_ms = record.since_ms.min(now);
             record.created_ms = record.created_ms.min(now);
             let place = store.place(record.id);
             if record.state == State::Done && !record.spec.want.frames {
-                // Was killed when it had come so far.
+                // The process was killed before it removed the frames.
                 let _ = place.drop_frames();
             }
             let live = Live::new(place.bytes());
@@ -188,10 +188,10 @@ impl Jobs {
         })
     }
 
-    /// Begins to draw what is queued.
+    /// Starts drawing queued jobs.
     ///
     /// # Errors
-    /// No thread could be had.
+    /// A thread could not be started.
     pub fn start(&self) -> std::io::Result<()> {
         let mut threads = self.shared.threads.lock();
         let mut start = |name: String, work: fn(&Shared)| {
@@ -201,14 +201,14 @@ impl Jobs {
             std::io::Result::Ok(())
         };
         start("job-keeper".into(), keeper::run)?;
-        // One for each place in each phase: none waits for a thread.
+        // One thread for each place in each phase, so that no phase waits for a thread.
         for number in 0..self.shared.config.limits.slots.all() {
             start(format!("jobs-{number}"), runner::run)?;
         }
         Ok(())
     }
 
-    /// Has what runs stop after the frame at hand, to go on in the next process. Does not wait for it.
+    /// Makes runs stop after the current frame; the next process goes on. Does not wait for them.
     pub fn pause(&self) {
         self.shared.stopping.store(true, Ordering::Relaxed);
         for live in self.shared.lives.read().values() {
@@ -224,7 +224,7 @@ impl Jobs {
     /// Waits until nothing runs any more, after [`Jobs::pause`]. Blocks.
     pub fn wait(&self) {
         for thread in std::mem::take(&mut *self.shared.threads.lock()) {
-            // A thread that panicked has told so.
+            // A thread that panicked has logged it.
             let _ = thread.join();
         }
     }
@@ -233,7 +233,7 @@ impl Jobs {
         &self.shared.config
     }
 
-    /// What all jobs take on the disk.
+    /// Returns the bytes of all jobs on disk.
     pub fn used_bytes(&self) -> u64 {
         self.shared.used.load(Ordering::Relaxed)
     }
@@ -251,12 +251,12 @@ impl Jobs {
         self.shared.store.place(id)
     }
 
-    /// Takes on a job, or finds the one that the same request has made before; true when it is new. It is durable when this returns.
-    /// `film`: how many frames it will have and how many a second, where that was looked at. Blocks for a few milliseconds, as does all
-    /// that changes jobs.
+    /// Creates a job, or finds the one that the same request has created before; returns true for a new job. The job is durable
+    /// when this returns. `film` has the number of frames and the frames per second, if they were checked. Like all changes of
+    /// jobs, this blocks for a few milliseconds.
     ///
     /// # Errors
-    /// Limits, the quota, a database that cannot be written.
+    /// Limits, the quota, or a database that cannot be written.
     pub fn create(
         &self,
         spec: Spec,
@@ -265,7 +265,7 @@ impl Jobs {
         film: Option<(u64, f64)>,
     ) -> Result<(JobId, bool), JobError> {
         let shared = &self.shared;
-        // Who asks for the same meanwhile is not told of a job that may come to nothing.
+        // Serialise creation, so that a concurrent repeat of the request is not told of a job that may fail.
         let _alone = shared.creating.lock();
         let (id, record) = {
             let mut book = shared.book.lock();
@@ -290,7 +290,7 @@ impl Jobs {
             live.progress.lock().total = film.map(|(total, _)| total);
             shared.lives.write().insert(id, live);
         } else {
-            // What of it has been written is removed, or else the next process finds it.
+            // Remove everything that has been written; otherwise the next process would find it.
             let removed = shared.book.lock().remove(id);
             if removed.is_ok() {
                 shared.release(id, 0);
@@ -301,29 +301,29 @@ impl Jobs {
         kept.map(|()| (id, true))
     }
 
-    /// Whether there is a job of this key, be it of the same request or not.
+    /// Returns whether there is a job with this key, whether or not from the same request.
     pub fn is_known(&self, repeat: &Repeat) -> bool {
         self.shared.book.lock().repeated(repeat).is_some()
     }
 
-    /// Whose key made a job; `None` where there were no keys.
+    /// Returns the owner's key of a job; `None` where there were no keys.
     ///
     /// # Errors
-    /// There is none.
+    /// The job does not exist.
     pub fn owner(&self, id: JobId) -> Result<Option<String>, JobError> {
         Ok(self.shared.book.lock().get(id)?.owner.clone())
     }
 
-    /// A job as it is now.
+    /// Returns a snapshot of a job.
     ///
     /// # Errors
-    /// There is none.
+    /// The job does not exist.
     pub fn view(&self, id: JobId) -> Result<View, JobError> {
         let book = self.shared.book.lock();
         self.shared.view(book.get(id)?.clone(), &book)
     }
 
-    /// All jobs, the newest first.
+    /// Returns all jobs, the newest first.
     pub fn list(&self) -> Vec<View> {
         let book = self.shared.book.lock();
         let mut views: Vec<View> =
@@ -332,33 +332,33 @@ impl Jobs {
         views
     }
 
-    /// Hears of every change of a job.
+    /// Returns a receiver that is notified of every change of a job.
     ///
     /// # Errors
-    /// There is none.
+    /// The job does not exist.
     pub fn watch(&self, id: JobId) -> Result<watch::Receiver<u64>, JobError> {
         Ok(self.shared.live(id)?.watch())
     }
 
-    /// Ends a job that is queued or running; what is drawn stays.
+    /// Cancels a job that is queued or running; finished frames stay.
     ///
     /// # Errors
-    /// There is none, or it has ended otherwise. A database that cannot be written: it is cancelled all the same.
+    /// The job does not exist, or has ended otherwise. If the database cannot be written, the job is cancelled nevertheless.
     pub fn cancel(&self, id: JobId) -> Result<(), JobError> {
         let shared = &self.shared;
         {
             let mut book = shared.book.lock();
             book.cancel(id, shared.now_ms())?;
-            // Within the lock: or else it stops who has resumed it since.
+            // Stop it under the lock: otherwise this could stop a run that was resumed since.
             shared.live(id)?.stop(Stop::Cancelled);
         }
         Ok(shared.keep(id)?)
     }
 
-    /// Queues a job again that has ended: what of it is missing or damaged is made, also where it was done.
+    /// Queues an ended job again. The run makes what is missing or damaged, even if the job was done.
     ///
     /// # Errors
-    /// There is none, it is running; limits, the quota; a database that cannot be written. It stays as it is then.
+    /// The job does not exist or is running; limits, the quota; a database that cannot be written. The job then stays as it is.
     pub fn resume(&self, id: JobId) -> Result<(), JobError> {
         let shared = &self.shared;
         let live = shared.live(id)?;
@@ -382,21 +382,21 @@ impl Jobs {
         Ok(kept?)
     }
 
-    /// Forgets a job, whatever state it is in, and removes its files. A full disk does not keep it from that.
+    /// Forgets a job in any state, and removes its files. This works on a full disk, too.
     ///
     /// # Errors
-    /// There is none; a folder that cannot be written.
+    /// The job does not exist; a folder that cannot be written.
     pub fn remove(&self, id: JobId) -> Result<(), JobError> {
-        // One that is being made is none yet.
+        // A job that is still being created does not count.
         self.shared.live(id)?;
         let record = self.shared.book.lock().remove(id)?;
         Ok(self.shared.discard(record)?)
     }
 
-    /// Where a frame of a job is. May read the manifest.
+    /// Finds a frame of a job. May read the manifest.
     ///
     /// # Errors
-    /// There is no such job; a manifest that cannot be read.
+    /// The job does not exist; a manifest that cannot be read.
     pub fn frame(&self, id: JobId, number: u64) -> Result<Found, JobError> {
         let record = self.shared.book.lock().get(id)?.clone();
         if let Some(record) = self.frame_record(id, number)? {
@@ -407,7 +407,7 @@ impl Jobs {
             return Ok(Found::There { record: record.0, file });
         }
         let first = record.spec.from.unwrap_or(0);
-        // Before the path was looked at, nobody knows its end.
+        // The end is unknown before the path was looked up.
         let total = self.shared.live(id)?.progress.lock().total;
         let last = total.map(|total| first + total.saturating_sub(1));
         match last {
@@ -416,7 +416,7 @@ impl Jobs {
         }
     }
 
-    /// What the manifest says of a frame, and whether its file was removed since.
+    /// Returns a frame's record in the manifest, and whether its file was removed since.
     fn frame_record(
         &self,
         id: JobId,
@@ -435,7 +435,7 @@ impl Jobs {
         Ok(self.shared.frames(id, &live)?.get(&number).map(|record| (record.clone(), dropped)))
     }
 
-    /// Jobs by state, and what they did.
+    /// Returns the numbers of jobs by state, and of their frames and bytes.
     pub fn counts(&self) -> Counts {
         let names = ["queued", "running", "done", "failed", "cancelled"];
         let mut by_state = names.map(|name| (name, 0));
@@ -452,7 +452,7 @@ impl Jobs {
         }
     }
 
-    /// When a place in the queue may be free: what the running job has left to do by its own rate, or a minute.
+    /// Estimates when a place in the queue may be free: the remaining time of the running job at its rate, or a minute.
     pub fn retry_after(&self) -> Duration {
         const MOST: f64 = 3600.0;
         let now = Instant::now();

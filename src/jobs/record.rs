@@ -1,15 +1,15 @@
-//! What is kept of a job: what it is to do, in which state it is, and what it has made.
+//! The stored record of a job: its specification, state and results.
 
 use serde::{Deserialize, Serialize};
 
 use super::book::{JobId, Limits};
 use super::spec::Spec;
 
-/// What has become of a job.
+/// State of a job.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum State {
-    /// Its turn comes, when what it waits for is there.
+    /// The job waits for its turn, and for the input in `waits_for`.
     Queued {
         waits_for: Option<String>,
     },
@@ -19,19 +19,19 @@ pub enum State {
     Cancelled,
 }
 
-/// What kinds of failure there are.
+/// Kinds of failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FailureKind {
     /// The scene was edited while its frames were drawn.
     SceneChanged,
-    /// The scene was not there for as long as jobs wait.
+    /// The scene was missing for longer than jobs wait.
     SceneGone,
     /// The path or a setting no longer fits the scene.
     Refused,
-    /// Over the quota of all jobs.
+    /// The quota of all jobs was exceeded.
     DiskQuota,
-    /// A file that cannot be written or read.
+    /// A file could not be written or read.
     Storage,
     /// The engine gave up.
     Engine,
@@ -39,7 +39,7 @@ pub enum FailureKind {
     Video,
     /// The record of the job was lost and found again from its folder.
     Recovered,
-    /// A defect.
+    /// A defect of the program.
     Internal,
 }
 
@@ -50,25 +50,25 @@ pub struct Failure {
     pub detail: String,
 }
 
-/// Who made a job under which name, so that asking twice makes one job.
+/// Identifies a request by owner and key, so that repeating it creates no second job.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Repeat {
-    /// Whose names these are; two owners may use the same.
+    /// Owner of the key; two owners may use the same key.
     pub owner: String,
     pub key: String,
-    /// Of what was asked for.
+    /// Fingerprint of the request.
     pub fingerprint: String,
 }
 
-/// What is known of what a job has made; of one that runs, of its last run.
+/// Results of a job; for a running job, those of its last run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Made {
-    /// Frames that are wanted, once that is known.
+    /// Number of all frames, once it is known.
     pub total: Option<u64>,
     pub done: u64,
-    /// Frames a second and size of the film.
+    /// Frames per second of the film.
     pub fps: Option<f64>,
-    /// Of the manifest, once all frames are there.
+    /// Checksum of the manifest, once all frames are there.
     pub manifest_sha256: Option<String>,
     pub video: Option<Video>,
 }
@@ -85,10 +85,10 @@ pub struct Video {
 pub struct Record {
     pub id: JobId,
     pub spec: Spec,
-    /// Whose key made it; `None` where there were no keys.
+    /// Key that created it; `None` where there were no keys.
     #[serde(default)]
     pub owner: Option<String>,
-    /// What the request is called that made it.
+    /// Id of the request that created it.
     #[serde(default)]
     pub request_id: Option<String>,
     pub repeat: Option<Repeat>,
@@ -96,21 +96,21 @@ pub struct Record {
     pub made: Made,
     /// Milliseconds since 1970.
     pub created_ms: u64,
-    /// When it came into its state.
+    /// Time when it entered its state.
     pub since_ms: u64,
-    /// Place in the queue: the least is next.
+    /// Place in the queue: the smallest is next.
     pub turn: u64,
     /// Frames drawn, in all runs together.
     pub drawn: u64,
 }
 
 impl Record {
-    /// Whether nothing more happens by itself.
+    /// Returns whether the job has ended.
     pub fn has_ended(&self) -> bool {
         !matches!(self.state, State::Queued { .. } | State::Running)
     }
 
-    /// When an ended job is forgotten, or one that waits for something fails; milliseconds since 1970.
+    /// Returns when an ended job is forgotten, or a waiting one fails; milliseconds since 1970.
     pub fn expires_ms(&self, limits: &Limits) -> Option<u64> {
         let expires =
             self.has_ended() || matches!(self.state, State::Queued { waits_for: Some(_) });
@@ -119,7 +119,7 @@ impl Record {
 }
 
 impl State {
-    /// As programs match on it.
+    /// Returns the stable name for programs.
     pub fn name(&self) -> &'static str {
         match self {
             State::Queued { .. } => "queued",

@@ -1,4 +1,4 @@
-//! Baking for those who wait: one service for all who draw, whoever they are.
+//! The bake service: one queue of bakes for frames, streams, films and jobs.
 //!
 //! ```text
 //! frame, stream, film, job ──► ticket ─┐
@@ -6,9 +6,9 @@
 //!                              dropped: the last one has the bake stop at its next step
 //! ```
 //!
-//! There are two things to wait for ([`Goal`]): normals and kernels of large clouds, which are not estimated when these are read, and
-//! point trees, which need them. A second request for the same goal joins the running bake. A bake that is stopped has left nothing
-//! unfinished behind: assets that it had finished are kept, the others are as they were.
+//! There are two goals ([`Goal`]): normals and kernels of large clouds, which are not estimated when these are read, and point
+//! trees, which need them. A second request for the same goal joins the running bake. A stopped bake keeps the assets that it had
+//! finished and leaves the others as they were.
 
 mod roster;
 
@@ -28,42 +28,42 @@ use super::EngineError;
 use super::library::Loaded;
 use crate::bake::cache::BakeCache;
 
-/// Bakes at a time. Each uses all cores for most of its time, and much memory.
+/// Largest number of concurrent bakes. Each uses all cores for most of its time, and much memory.
 const MOST: usize = 2;
-/// Progress is told in such parts of the whole.
+/// Number of steps in which progress is reported.
 const STEPS: f64 = 1000.0;
-/// How often who waits on a thread looks whether it still has to.
+/// Interval at which a blocking waiter checks whether it still has to wait.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
-/// What those who bake are asked, and what they tell.
+/// Handle of a running bake: asks whether to stop, and reports progress.
 #[derive(Clone, Copy)]
 pub struct Watch<'a> {
     stop: Option<&'a AtomicBool>,
     done: Option<&'a AtomicU32>,
-    /// The part of the whole that is being done: where it begins, and how much it is.
+    /// Start and length of the part of the whole that is being done.
     part: [f64; 2],
 }
 
-/// What was being baked is wanted no more.
+/// Nobody waits for the bake any more.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Abandoned;
 
 impl<'a> Watch<'a> {
-    /// Nobody's: never stopped.
+    /// A handle that belongs to no bake and is never stopped.
     pub const NONE: Watch<'static> = Watch { stop: None, done: None, part: [0.0, 1.0] };
 
     fn new(stop: &'a AtomicBool, done: &'a AtomicU32) -> Watch<'a> {
         Watch { stop: Some(stop), done: Some(done), part: [0.0, 1.0] }
     }
 
-    /// Of a part of the work: from `first` to `first + size`, of 1.
+    /// Returns a handle for a part of the work: from `first` to `first + size`, of 1.
     pub fn part(&self, first: f64, size: f64) -> Watch<'a> {
         let [begin, whole] = self.part;
         Watch { part: [begin + first * whole, size * whole], ..*self }
     }
 
     /// # Errors
-    /// The work is to end here.
+    /// The work must stop here.
     pub fn check(&self) -> Result<(), Abandoned> {
         match self.stop {
             Some(stop) if stop.load(Ordering::Relaxed) => Err(Abandoned),
@@ -71,7 +71,7 @@ impl<'a> Watch<'a> {
         }
     }
 
-    /// So much of this part is done, of 1.
+    /// Reports progress within this part, from 0 to 1.
     pub fn tell(&self, done: f64) {
         if let Some(told) = self.done {
             let [begin, size] = self.part;
@@ -80,7 +80,7 @@ impl<'a> Watch<'a> {
         }
     }
 
-    /// For those who cannot be told otherwise.
+    /// Returns the stop flag, for code that cannot call [`Watch::check`].
     pub fn stop_flag(&self) -> Option<&'a AtomicBool> {
         self.stop
     }
@@ -88,7 +88,7 @@ impl<'a> Watch<'a> {
 
 type Reply = Result<(), EngineError>;
 
-/// What is made of a scene.
+/// The data that a bake makes for a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Goal {
     /// Normals and kernels of all samples.
@@ -98,15 +98,15 @@ pub enum Goal {
 }
 
 impl Goal {
-    /// Tells the bakes of all scenes apart.
+    /// Returns a key that is unique among the bakes of all scenes.
     fn key(self, scene: &Loaded) -> u64 {
         scene.model.uid << 1 | u64::from(self == Goal::Trees)
     }
 }
 
-/// Where scenes are whose samples have got what they lacked.
+/// The owner of the scenes, which replaces a scene by its completed version.
 pub trait Scenes: Send + Sync {
-    /// Estimates what the samples of a scene lack, and puts the whole scene in its place. Gives it back.
+    /// Estimates what the samples of a scene lack, replaces the scene by the whole one, and returns that.
     fn make_whole(
         &self,
         scene: &Arc<Loaded>,
@@ -114,25 +114,25 @@ pub trait Scenes: Send + Sync {
     ) -> Result<Result<Arc<Loaded>, EngineError>, Abandoned>;
 }
 
-/// One bake that somebody waits for.
+/// One bake with waiters.
 struct Bake {
     work: Work,
     waiting: Vec<oneshot::Sender<Reply>>,
 }
 
-/// What a bake's thread has of it.
+/// State shared with a bake's thread.
 #[derive(Clone)]
 struct Work {
     scene: Arc<Loaded>,
     goal: Goal,
     stop: Arc<AtomicBool>,
-    /// In [`STEPS`].
+    /// Progress in [`STEPS`].
     done: Arc<AtomicU32>,
 }
 
 struct State {
     roster: Roster,
-    /// All that the roster knows as wanted.
+    /// All bakes that the roster lists as wanted.
     bakes: HashMap<BakeId, Bake>,
 }
 
@@ -143,7 +143,7 @@ pub struct Bakes {
     scenes: OnceLock<Weak<dyn Scenes>>,
 }
 
-/// A bake that somebody waits for. Await it, or wait on a thread; dropping it gives it up.
+/// Waits for a bake: await it, or wait on a thread. Dropping it gives up waiting.
 pub struct BakeTicket {
     bakes: Arc<Bakes>,
     id: BakeId,
@@ -157,12 +157,12 @@ impl Bakes {
         Arc::new(Bakes { state: Mutex::new(state), cache, scenes: OnceLock::new() })
     }
 
-    /// Names those who keep the scenes. Only the first call counts.
+    /// Sets the owner of the scenes. Only the first call has an effect.
     pub fn serve(&self, scenes: Weak<dyn Scenes>) {
         let _ = self.scenes.set(scenes);
     }
 
-    /// Waits for what is made of a scene, with all others who do.
+    /// Waits for a goal of a scene, together with all others who wait for it.
     pub fn join(self: &Arc<Bakes>, scene: Arc<Loaded>, goal: Goal) -> BakeTicket {
         let (sender, receiver) = oneshot::channel();
         let mut state = self.state.lock();
@@ -186,7 +186,7 @@ impl Bakes {
         BakeTicket { bakes: self.clone(), id, done, receiver }
     }
 
-    /// Begins what may begin.
+    /// Starts waiting bakes while there is room.
     fn begin(self: &Arc<Bakes>) {
         loop {
             let mut state = self.state.lock();
@@ -205,13 +205,13 @@ impl Bakes {
         }
     }
 
-    /// Tells those who wait.
+    /// Answers all waiters.
     fn finish(&self, id: BakeId, reply: Reply) {
         let mut state = self.state.lock();
         let bake = if state.roster.finished(id) { state.bakes.remove(&id) } else { None };
         drop(state);
         for sender in bake.into_iter().flat_map(|bake| bake.waiting) {
-            // Who has gone meanwhile needs no answer.
+            // A waiter that has gone needs no answer.
             let _ = sender.send(reply.clone());
         }
     }
@@ -229,7 +229,7 @@ impl Bakes {
         }
     }
 
-    /// How much of a scene's estimates is done, while somebody waits for these or for point trees, which need them.
+    /// Returns the progress of a scene's estimates while somebody waits for them or for point trees, which need them.
     pub fn estimating(&self, scene: &Loaded) -> Option<f64> {
         let state = self.state.lock();
         let works = state.bakes.values().map(|bake| &bake.work);
@@ -237,17 +237,17 @@ impl Bakes {
         own.map(Work::estimated).reduce(f64::max)
     }
 
-    /// Bakes that are under way, also such as are stopping.
+    /// Returns the number of running bakes, including those that are stopping.
     pub fn running(&self) -> usize {
         self.state.lock().roster.running()
     }
 }
 
-/// Share of estimating in estimating and building trees.
+/// Share of the estimates in the time of estimating and building trees.
 const ESTIMATING: f64 = 0.3;
 
 impl Work {
-    /// How much of the estimates is done, of 1.
+    /// Returns the progress of the estimates, from 0 to 1.
     fn estimated(&self) -> f64 {
         let done = f64::from(self.done.load(Ordering::Relaxed)) / STEPS;
         match self.goal {
@@ -260,7 +260,7 @@ impl Work {
         let watch = Watch::new(&self.stop, &self.done);
         match catch_unwind(AssertUnwindSafe(|| self.work(bakes, &watch))) {
             Ok(Ok(reply)) => reply,
-            // Nobody hears it.
+            // Nobody waits for this answer.
             Ok(Err(Abandoned)) => Err(EngineError::Internal("baking was given up".into())),
             Err(_) => Err(EngineError::Internal("baking panicked; the log says how".into())),
         }
@@ -288,17 +288,17 @@ impl Work {
 }
 
 impl BakeTicket {
-    /// How much is done, of 1.
+    /// Returns the progress, from 0 to 1.
     pub fn progress(&self) -> f64 {
         f64::from(self.done.load(Ordering::Relaxed)) / STEPS
     }
 
-    /// How it has ended, if it has; told once.
+    /// Returns the result once, if the bake has ended.
     pub fn outcome(&mut self) -> Option<Reply> {
         self.receiver.try_recv().ok()
     }
 
-    /// Waits on a thread that runs no async tasks.
+    /// Blocks until the bake ends; not for threads that run async tasks.
     ///
     /// # Errors
     /// A geometry that no tree can be built of.
@@ -306,7 +306,7 @@ impl BakeTicket {
         self.wait_while(|_| true).unwrap_or(Err(EngineError::ShuttingDown))
     }
 
-    /// The same for as long as `is_wanted`, which is asked with the progress; `None` when it was not.
+    /// Waits like [`BakeTicket::wait`] while `is_wanted`, called with the progress, returns true; `None` when it returned false.
     pub fn wait_while(&mut self, mut is_wanted: impl FnMut(f64) -> bool) -> Option<Reply> {
         use oneshot::error::TryRecvError;
         while is_wanted(self.progress()) {

@@ -1,4 +1,4 @@
-//! Who waits for which bake, and which are under way. Pure.
+//! State of waiting and running bakes. Pure.
 //!
 //! ```text
 //! join ──► waits ──next──► runs ──finished──► (answered)
@@ -8,45 +8,45 @@
 
 use std::collections::BTreeMap;
 
-/// Tells a bake from every other.
+/// Unique number of a bake.
 pub type BakeId = u64;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Entry {
-    /// What is baked.
+    /// Key of the baked data.
     key: u64,
     waiting: usize,
     runs: bool,
 }
 
-/// What [`Roster::join`] has found.
+/// Result of [`Roster::join`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Joined {
-    /// A bake that is to be begun.
+    /// A new bake, which has not begun.
     New(BakeId),
-    /// One that others wait for already.
+    /// A bake that others wait for already.
     Shared(BakeId),
 }
 
-/// What [`Roster::leave`] has left.
+/// Result of [`Roster::leave`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Left {
-    /// Others wait still, or it has ended.
+    /// Others still wait, or the bake has ended.
     Nothing,
-    /// A bake that had not begun and never will.
+    /// The bake had not begun and is removed.
     Forgotten,
-    /// One that is to stop.
+    /// The bake runs and must stop.
     Stopping,
 }
 
 /// All bakes.
 #[derive(Clone, Debug)]
 pub struct Roster {
-    /// Under way at the same time.
+    /// Largest number of concurrent bakes.
     most: usize,
-    /// Those that are wanted, in the order of their coming.
+    /// Wanted bakes in the order of arrival.
     wanted: BTreeMap<BakeId, Entry>,
-    /// Told to stop, and not ended yet.
+    /// Number of bakes that were told to stop and have not ended yet.
     stopping: usize,
     next_id: BakeId,
 }
@@ -56,7 +56,7 @@ impl Roster {
         Roster { most, wanted: BTreeMap::new(), stopping: 0, next_id: 0 }
     }
 
-    /// Somebody waits for the bake of `key`.
+    /// Adds a waiter for the bake of `key`.
     pub fn join(&mut self, key: u64) -> Joined {
         if let Some((id, entry)) = self.wanted.iter_mut().find(|(_, entry)| entry.key == key) {
             entry.waiting += 1;
@@ -68,7 +68,7 @@ impl Roster {
         Joined::New(id)
     }
 
-    /// Somebody waits no more.
+    /// Removes a waiter.
     pub fn leave(&mut self, id: BakeId) -> Left {
         let Some(entry) = self.wanted.get_mut(&id) else { return Left::Nothing };
         entry.waiting -= 1;
@@ -85,7 +85,7 @@ impl Roster {
         self.stopping + self.wanted.values().filter(|entry| entry.runs).count()
     }
 
-    /// The bake to begin, if there is room for one.
+    /// Returns the next bake to begin, if there is room for one.
     pub fn next(&mut self) -> Option<BakeId> {
         if self.running() >= self.most {
             return None;
@@ -95,7 +95,7 @@ impl Roster {
         Some(*id)
     }
 
-    /// A bake that was under way has ended. True when somebody waits for what has come of it.
+    /// Records that a running bake has ended. Returns true if somebody waits for its result.
     pub fn finished(&mut self, id: BakeId) -> bool {
         let is_wanted = self.wanted.remove(&id).is_some();
         if !is_wanted {
@@ -130,8 +130,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever happens: never more at once than may be, each bake begins once at most and is wanted when it does, nobody is
-        /// forgotten, and two for the same key are never both wanted.
+        /// In every order of events: the limit holds, each bake begins at most once and is wanted when it begins, no waiter is
+        /// forgotten, and no two wanted bakes have the same key.
         #[test]
         fn rosters_stay_in_order(most in 1usize..4, steps in prop::collection::vec((0u8..4, 0usize..8), 1..100)) {
             let mut roster = Roster::new(most);
@@ -173,7 +173,7 @@ mod tests {
                 keys.sort_unstable();
                 prop_assert!(keys.windows(2).all(|pair| pair[0] != pair[1]));
             }
-            // All that are waited for begin in the end.
+            // All wanted bakes begin in the end.
             for id in under_way { roster.finished(id); waiting.remove(&id); }
             while let Some(id) = roster.next() {
                 prop_assert!(waiting.remove(&id).is_some());

@@ -1,4 +1,4 @@
-//! Assets whose trees are built with temporary files, because building them in memory would take more than it may.
+//! Builds the trees of assets with temporary files where building in memory would exceed the limit.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -17,18 +17,18 @@ use crate::engine::{EngineConfig, EngineError};
 use crate::residency::model::AssetModel;
 use crate::scene::{AssetSource, Scene};
 
-/// Bytes of memory that reading a point and building the tree above it take, at most; measured.
+/// Upper bound of the memory that reading a point and building its tree take, in bytes; measured.
 const BYTES_A_POINT: u64 = 450;
-/// Of building the tree alone, beside the packed samples.
+/// Bytes per sample for building the tree alone, beside the packed samples.
 pub const BYTES_A_SAMPLE: u64 = 350;
 
-/// A file of points, an asset of a scene, that is too large to be baked in memory.
+/// A file of points, used as an asset of a scene, that is too large to be baked in memory.
 pub struct Large {
     index: usize,
     file: PointBlocks,
 }
 
-/// Which assets of a scene are.
+/// Returns the assets of a scene that are too large.
 pub fn large_assets(
     description: &Scene,
     options: &ReadOptions,
@@ -43,7 +43,7 @@ pub fn large_assets(
         if source.sample.is_some() || source.features || is_operand.contains(&index) {
             continue;
         }
-        // What is wrong with a file is told by those who read it.
+        // Errors of a file are reported by its reader.
         let Ok(Some(file)) = PointBlocks::open(&source.path, options) else { continue };
         if file.announced().saturating_mul(BYTES_A_POINT) > limit {
             large.push(Large { index, file });
@@ -146,8 +146,8 @@ fn bake_large(
     })
 }
 
-/// Builds the tree of an asset in memory with temporary files, where building it in memory would take more than it may, and reads
-/// it from the cache that it was written to. `None`: it is to be built in memory.
+/// Builds the tree of an asset with temporary files, where building it in memory would exceed the limit, and reads the tree from
+/// the cache to which it was written. `None` if the tree fits in memory.
 pub fn build_large(
     asset: &AssetModel,
     cache: &BakeCache,
@@ -181,7 +181,7 @@ fn grow(
 ) -> Result<Option<Vec<PackedGeometry>>, BakeFault> {
     let spill = cache.spill(samples.positions.len() as u64)?;
     let memory = Memory::of_part(limit);
-    // Leaves are the first half of the work, more or less.
+    // Leaves take about half of the time.
     let progress = |phase: Phase, done: f64| match phase {
         Phase::Leaves => watch.tell(0.5 * done),
         Phase::Nodes => watch.tell(0.5 + 0.4 * done),

@@ -5,7 +5,7 @@ use super::*;
 use crate::assets::Material;
 use crate::bake::pack::PackedTexture;
 
-/// A scene of a cloud and a mesh, which has a hundred triangles, and a folder for the cache.
+/// A scene of a cloud and a mesh of a hundred triangles, and a folder for the cache.
 struct Stage {
     folder: tempfile::TempDir,
     config: EngineConfig,
@@ -59,7 +59,7 @@ impl Stage {
         self.config.bake_cache.as_ref()
     }
 
-    /// Trees of a fresh load of all assets, printed with every field, and where they came from.
+    /// Loads all assets anew and returns their trees, printed with every field, and the source of each.
     fn trees(&self) -> (Vec<String>, Vec<BakeSource>) {
         let print = |asset: &std::sync::Arc<AssetModel>| {
             let (tree, source) = asset_tree(asset, self.cache()).unwrap();
@@ -266,7 +266,7 @@ fn files_are_baked_without_a_gpu_and_told_in_order() {
     assert_eq!((&json["source"], &json["tree"]["leaves"]), (&"cached".into(), &3000.into()));
 }
 
-/// What takes more memory than it may is built with temporary files: from the file, or from the samples in memory.
+/// Assets beyond the memory limit are built with temporary files, from the file or from the samples in memory.
 #[test]
 fn large_assets_become_the_same_entries() {
     let mut stage = Stage::new();
@@ -302,7 +302,7 @@ fn large_assets_become_the_same_entries() {
         assert_eq!(format!("{:?}", again.tree), format!("{:?}", first.tree));
         assert_eq!((again.samples, again.triangles), (first.samples, first.triangles));
     }
-    // Whoever changes the file meanwhile gets an error, or another asset, but never a wrong one.
+    // A file that is changed meanwhile gives an error or another asset, never a wrong one.
     std::fs::write(stage.folder.path().join("cloud.ply"), "ply\nbroken").unwrap();
     assert!(bake_file(&stage.path(), &stage.config, |_| ()).is_err());
 }

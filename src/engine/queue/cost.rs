@@ -1,4 +1,4 @@
-//! What frames cost the device, by what frames like them did. Pure: it is told what was measured.
+//! Estimates the device time of frames from measurements of similar frames. Pure: the caller passes the measurements.
 //!
 //! ```text
 //! same kind, same size          mean of its last frames
@@ -6,28 +6,28 @@
 //! unknown                       mean of all frames
 //! ```
 //!
-//! A kind is a scene with the settings that decide how it is drawn. Means are exponentially weighted: the last four frames or
-//! so decide, and the first is believed at once.
+//! A kind is a scene together with the settings that decide how it is drawn. Means are exponentially weighted: about the last
+//! four frames decide, and the first measurement is taken as it is.
 
 use std::collections::HashMap;
 use std::hash::Hash;
 use std::time::Duration;
 
-/// Before anything was measured.
+/// Estimate before anything was measured.
 const FIRST_NS: f64 = 20e6;
-/// Of a new measurement in its mean.
+/// Weight of a new measurement in its mean.
 const WEIGHT: f64 = 0.25;
-/// Entries of either table; when it is full, the half that was measured the longest ago is forgotten.
+/// Largest number of entries in either table; a full table drops the half with the oldest measurements.
 const MOST_KINDS: usize = 1024;
-/// What a pixel more costs at most, until it was measured.
+/// Largest cost of an additional pixel, until it was measured.
 const MOST_PIXEL_NS: f64 = 100.0;
-/// No frame is free.
+/// Smallest cost of a frame.
 const LEAST_NS: u64 = 1000;
 
 /// Kind and size of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct CostKey {
-    /// A hash of the scene and the settings.
+    /// Hash of the scene and the settings.
     pub kind: u64,
     pub pixels: u64,
 }
@@ -36,7 +36,7 @@ pub struct CostKey {
 struct Mean {
     ns: f64,
     pixels: f64,
-    /// When it was measured last, in measurements.
+    /// Number of the last measurement.
     at: u64,
 }
 
@@ -54,7 +54,7 @@ pub struct Costs {
     sizes: HashMap<CostKey, Mean>,
     kinds: HashMap<u64, Mean>,
     all: Option<Mean>,
-    /// Time that passes for a nanosecond of what is estimated, while there is enough to do.
+    /// Elapsed time per nanosecond of estimated device time, while there is enough to do.
     pace: f64,
     measured: u64,
 }
@@ -66,12 +66,12 @@ impl Default for Costs {
 }
 
 impl Costs {
-    /// Device time of a frame, in nanoseconds.
+    /// Returns the estimated device time of a frame, in nanoseconds.
     pub fn estimate_ns(&self, key: CostKey) -> u64 {
         let pixels = key.pixels as f64;
         let scaled = |mean: &Mean| {
             let in_part = mean.ns * (0.5 + 0.5 * pixels / mean.pixels.max(1.0));
-            // A thumbnail's time is hardly its pixels'.
+            // The time of a thumbnail hardly depends on its pixels.
             in_part.min(mean.ns + MOST_PIXEL_NS * (pixels - mean.pixels).max(0.0))
         };
         let ns = match (self.sizes.get(&key), self.kinds.get(&key.kind)) {
@@ -82,7 +82,7 @@ impl Costs {
         (ns as u64).max(LEAST_NS)
     }
 
-    /// A frame took `ns` of the device.
+    /// Records that a frame took `ns` of device time.
     pub fn measured(&mut self, key: CostKey, ns: u64) {
         self.measured += 1;
         let (ns, pixels, at) = (ns as f64, key.pixels as f64, self.measured);
@@ -95,19 +95,19 @@ impl Costs {
         }
     }
 
-    /// A batch that was estimated at `cost_ns` came `took` after the one before it, or after it was begun.
+    /// Records that a batch estimated at `cost_ns` landed `took` after the previous batch, or after it was begun.
     pub fn landed(&mut self, cost_ns: u64, took: Duration) {
         if cost_ns >= LEAST_NS {
-            // One batch that waited for a shader to be compiled says little of the next.
+            // The clamp limits the effect of a batch that waited for a shader to be compiled.
             let pace = took.as_nanos() as f64 / cost_ns as f64;
             let pace = pace.clamp(0.5 * self.pace, 2.0 * self.pace);
             self.pace = (self.pace + WEIGHT * (pace - self.pace)).clamp(0.1, 100.0);
         }
     }
 
-    /// How long `cost_ns` of work will take.
+    /// Returns how long `cost_ns` of work will take.
     pub fn duration(&self, cost_ns: u64) -> Duration {
-        // Below a factor of one the estimate is what is wrong, and about to be put right.
+        // A pace below one means that the estimate is wrong and about to be corrected.
         Duration::from_nanos((cost_ns as f64 * self.pace.max(1.0)) as u64)
     }
 }
@@ -167,7 +167,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig { cases: 64, rng_seed: RngSeed::Fixed(0x51ea_0002), ..ProptestConfig::default() })]
-        /// Whatever came before, after a dozen equal frames the estimate is theirs to a twentieth of what it was wrong by.
+        /// After a dozen equal frames, a twentieth of the estimate's earlier error is left, whatever was measured before.
         #[test]
         fn estimates_follow(before in prop::collection::vec(1_000u64..1_000_000_000, 0..20), now in 1_000u64..1_000_000_000) {
             let mut costs = Costs::default();

@@ -1,58 +1,59 @@
-//! When clients ask again. Who draws a frame, looks at it and asks for the next leaves the device idle in between for a moment, and a
-//! frame of a job begun then would keep the next one waiting (anticipatory scheduling: S. Iyer, P. Druschel, SOSP 2001).
+//! Predicts when clients ask again. A client that draws a frame, looks at it and asks for the next leaves the device idle for a
+//! moment. A job's frame begun then would delay the client's next frame (anticipatory scheduling: S. Iyer, P. Druschel, SOSP
+//! 2001).
 //!
 //! ```text
 //! client   frame ▓▓▓▓│·pause·│▓▓▓▓│·pause·│▓▓▓▓          A: frames of jobs that end by then may be drawn
 //! jobs               └ A ┘B  └ ...                       B: wait, for twice the pause and PATIENCE at most
 //! ```
 //!
-//! Pauses are from a frame's landing to its client's next asking, encoding and the way there and back with them; exponentially
-//! weighted means.
+//! A pause lasts from a frame's landing to its client's next request, including encoding and the round trip; means are
+//! exponentially weighted.
 
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use super::Client;
 
-/// A client that pauses for longer is not waited for.
+/// The queue does not wait for a client with a longer pause.
 pub const MOST_PAUSE: Duration = Duration::from_millis(80);
-/// Beside twice its pause, for how long a client is waited for.
+/// Time for which a client is waited for, beside twice its pause.
 pub const PATIENCE: Duration = Duration::from_millis(2);
-/// What is taken for the pause of a client that has not asked twice.
+/// Assumed pause of a client that has not asked twice.
 const FIRST_PAUSE: Duration = Duration::from_millis(4);
-/// Of a pause, what counts at most: who came back after long was away.
+/// Upper limit of a measured pause; a client that comes back later was away.
 const LONGEST: Duration = Duration::from_secs(1);
-/// For so long a client is remembered that asks for nothing.
+/// Time for which an inactive client is remembered.
 const MEMORY: Duration = Duration::from_secs(10);
-/// When more clients than these are known, those that may be are forgotten.
+/// Above this number of clients, those that may be forgotten are.
 const MOST_CLIENTS: usize = 256;
 
 #[derive(Clone, Copy, Debug)]
 struct Habit {
     pause: Duration,
-    /// When a frame landed after which it has not asked for another.
+    /// Time when a frame landed after which the client has not asked again.
     landed: Option<Instant>,
-    /// When it asked or got a frame last.
+    /// Time of its last request or frame.
     seen: Instant,
 }
 
-/// What is expected of those that have just got a frame.
+/// Expected requests of clients that have just got a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Expected {
-    /// Until one of them may ask.
+    /// Time until one of them may ask.
     pub free: Duration,
-    /// Until one of them is waited for no longer.
+    /// Time after which none of them is waited for.
     pub until: Duration,
 }
 
-/// The clients that somebody waits for frame by frame.
+/// Pauses of the clients that wait for each frame.
 #[derive(Debug, Default)]
 pub struct Habits {
     clients: HashMap<Client, Habit>,
 }
 
 impl Habits {
-    /// A client asks for a frame.
+    /// Records a client's request for a frame.
     pub fn asked(&mut self, client: Client, now: Instant) {
         self.forget(now);
         let first = Habit { pause: FIRST_PAUSE, landed: None, seen: now };
@@ -64,7 +65,7 @@ impl Habits {
         }
     }
 
-    /// A client's frame is drawn.
+    /// Records that a client's frame is drawn.
     pub fn landed(&mut self, client: Client, now: Instant) {
         if let Some(habit) = self.clients.get_mut(&client) {
             habit.landed = Some(now);
@@ -72,12 +73,12 @@ impl Habits {
         }
     }
 
-    /// Whether a client asks again soon after a frame, as far as is known.
+    /// Returns whether a client is known to ask again soon after a frame.
     pub fn is_quick(&self, client: Client) -> bool {
         self.clients.get(&client).is_some_and(|habit| habit.pause <= MOST_PAUSE)
     }
 
-    /// Who is waited for now.
+    /// Returns when requests of waiting clients are expected.
     pub fn expected(&self, now: Instant) -> Option<Expected> {
         let waited_for = self.clients.values().filter_map(|habit| {
             let since = now.saturating_duration_since(habit.landed?);

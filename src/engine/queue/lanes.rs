@@ -1,8 +1,8 @@
-//! Lanes of clients that share the device by time: start-time fair queueing (P. Goyal, H. M. Vin, H. Cheng, SIGCOMM 1996), with
-//! what a frame costs estimated when it is taken and put right when it was measured.
+//! Lanes of clients that share the device by time: start-time fair queueing (P. Goyal, H. M. Vin, H. Cheng, SIGCOMM 1996). The
+//! cost of a frame is estimated when the frame is taken and corrected when it was measured.
 //!
-//! Every client has a virtual time, the device time that it was given. Who has had the least is next. A client that has had
-//! nothing waiting begins at the least of those that wait, so that it is early but has saved up nothing:
+//! Every client has a virtual time, the device time that it was given. The client with the least is next. A client that had
+//! nothing waiting starts at the least time of those that wait, so that it is early but has saved up nothing:
 //!
 //! ```text
 //! time      A ████████            A and B waited all the while; B is next
@@ -10,39 +10,39 @@
 //!           C ██░░░               C comes back: it begins where B is, before B if it is a stream
 //! ```
 //!
-//! The parts of one owner, as the streams and the requests of one caller are, share what one client gets: each is charged as many times what it cost
-//! as there are parts about.
+//! The streams and requests of one caller are parts of one owner, and share what one client gets: each part is charged its cost
+//! times the number of active parts.
 //!
-//! Where new clients come without end, all of them begin there; so that this place moves on nevertheless, it rises with the
-//! device's time at least as fast as a quarter of a client's share.
+//! If new clients arrive without end, all of them start at that place. To keep it moving, it rises with the device's time at
+//! least as fast as a quarter of a client's share.
 
 use std::collections::{HashMap, VecDeque};
 use std::time::{Duration, Instant};
 
 use super::{Client, Waiting};
 
-/// Within its client's lane a job goes before those whose deadlines are later, and before none that came so long before it.
+/// Within its lane a job goes before jobs with later deadlines, but not before jobs that arrived this much earlier.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// The least of a client's share by which the place moves on where new clients begin.
+/// Divisor of a client's share: the slowest rate at which the start of new clients rises.
 const FLOOR_SHARE: u64 = 4;
-/// Batches after which a client that has nothing waiting is forgotten, with what it was given too much.
+/// Batches after which a client with nothing waiting is forgotten, together with its debt.
 const LONGEST_DEBT: u64 = 256;
 
-/// A job that may be drawn, and what its client was charged for it.
+/// A job that may be drawn, and the amount charged to its client.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Granted<J> {
     pub client: Client,
-    /// Device time, estimated.
+    /// Estimated device time.
     pub cost_ns: u64,
     pub job: J,
 }
 
-/// A job that waits.
+/// A waiting job.
 #[derive(Debug)]
 struct Entry<J> {
     job: J,
     cost_ns: u64,
-    /// What a lane is sorted by.
+    /// Sort key of the lane.
     due: Instant,
 }
 
@@ -52,28 +52,28 @@ struct Lane<J> {
     cost_ns: u64,
 }
 
-/// What a client has had.
+/// Device time that a client was given.
 #[derive(Clone, Copy, Debug)]
 struct Account {
     time_ns: u64,
-    /// When it came or was served last, in such events: who has waited longest is first of equals.
+    /// Number of its last arrival or service, counted in such events; among equals the longest waiting goes first.
     turn: u64,
-    /// In which it was served last.
+    /// Batch in which it was served last.
     batch: Option<u64>,
 }
 
 /// The clients of one side of the queue.
 #[derive(Debug)]
 pub struct Lanes<J> {
-    /// None is empty.
+    /// Lanes of clients; none is empty.
     lanes: HashMap<Client, Lane<J>>,
-    /// Of everybody who has a lane or was served lately.
+    /// Accounts of all clients that have a lane or were served lately.
     accounts: HashMap<Client, Account>,
-    /// Where a client begins that has had nothing waiting.
+    /// Virtual time at which a client starts that had nothing waiting.
     now_ns: u64,
-    /// What `now_ns` is at least.
+    /// Lower bound of `now_ns`.
     floor_ns: u64,
-    /// Of owners with more than one, how many of their clients are about.
+    /// Number of active clients, for owners with more than one.
     parts: HashMap<u64, u64>,
     waiting: usize,
     cost_ns: u64,
@@ -104,17 +104,17 @@ impl<J: Waiting> Lanes<J> {
         self.waiting == 0
     }
 
-    /// Of all that wait.
+    /// Returns the cost of all waiting jobs.
     pub fn cost_ns(&self) -> u64 {
         self.cost_ns
     }
 
-    /// Whether a client has something waiting.
+    /// Returns whether a client has a job waiting.
     pub fn has_lane(&self, client: Client) -> bool {
         self.lanes.contains_key(&client)
     }
 
-    /// Clients that wait, or were served since the batch `since`.
+    /// Returns the clients that wait, or were served since the batch `since`.
     pub fn about(&self, since: u64) -> impl Iterator<Item = Client> {
         let served = move |(client, account): (&Client, &Account)| {
             let is_about = account.batch >= Some(since) || self.lanes.contains_key(client);
@@ -133,12 +133,12 @@ impl<J: Waiting> Lanes<J> {
         self.parts = parts;
     }
 
-    /// How many times what it costs a client is charged.
+    /// Returns the factor by which a client's costs are charged.
     fn parts_of(&self, client: Client) -> u64 {
         client.owner().and_then(|owner| self.parts.get(&owner)).map_or(1, |parts| (*parts).max(1))
     }
 
-    /// Adds a job in the order of what is due.
+    /// Adds a job to its lane in order of deadlines.
     pub fn push(&mut self, client: Client, job: J, cost_ns: u64, now: Instant) {
         let due = job.deadline().map_or(now + PATIENCE, |deadline| deadline.min(now + PATIENCE));
         let lane = self.lane(client, cost_ns);
@@ -153,7 +153,7 @@ impl<J: Waiting> Lanes<J> {
         lane.entries.push_front(Entry { job, cost_ns, due });
     }
 
-    /// A client's lane, which is about to be given a job.
+    /// Returns a client's lane, to which the caller adds a job.
     fn lane(&mut self, client: Client, cost_ns: u64) -> &mut Lane<J> {
         self.waiting += 1;
         self.cost_ns += cost_ns;
@@ -170,14 +170,14 @@ impl<J: Waiting> Lanes<J> {
         lane
     }
 
-    /// Whether a job of `client` waits.
+    /// Returns whether a job of `client` waits.
     pub fn holds(&self, client: Client, is_it: impl Fn(&J) -> bool) -> bool {
         self.lanes
             .get(&client)
             .is_some_and(|lane| lane.entries.iter().any(|entry| is_it(&entry.job)))
     }
 
-    /// Puts `new` where a job of `client` waits.
+    /// Replaces a waiting job of `client` by `new`.
     pub fn replace(
         &mut self,
         client: Client,
@@ -197,7 +197,7 @@ impl<J: Waiting> Lanes<J> {
         Ok(std::mem::replace(&mut entry.job, new))
     }
 
-    /// Takes a job of `client` out.
+    /// Removes a job of `client`.
     pub fn remove(&mut self, client: Client, is_it: impl Fn(&J) -> bool) -> Option<J> {
         let lane = self.lanes.get_mut(&client)?;
         let at = lane.entries.iter().position(|entry| is_it(&entry.job))?;
@@ -216,12 +216,12 @@ impl<J: Waiting> Lanes<J> {
         Some(entry)
     }
 
-    /// Takes out what nobody waits for.
+    /// Removes jobs that nobody waits for.
     pub fn drop_abandoned(&mut self) -> Vec<J> {
         self.take_if(Waiting::is_abandoned)
     }
 
-    /// Takes everything out.
+    /// Removes everything.
     pub fn drain(&mut self) -> Vec<J> {
         self.take_if(|_| true)
     }
@@ -243,8 +243,8 @@ impl<J: Waiting> Lanes<J> {
         out
     }
 
-    /// Who is next of those that wait and are not in `sated`: of those with the least time a stream, then who was served the
-    /// longest ago. With its time.
+    /// Returns the next client that waits and is not in `sated`, with its time. Among clients with the least time streams come
+    /// first, then the client that was served the longest ago.
     pub fn next(&self, sated: &[Client]) -> Option<(Client, u64)> {
         let waiting = self.lanes.keys().filter(|client| !sated.contains(client));
         let order = |client: &Client| {
@@ -255,25 +255,25 @@ impl<J: Waiting> Lanes<J> {
         least.min_by_key(|(order, _)| *order).map(|((time_ns, ..), client)| (client, time_ns))
     }
 
-    /// The least time of those that wait or are in `served`.
+    /// Returns the least time of clients that wait or are in `served`.
     pub fn least_time_ns(&self, served: &[Client]) -> u64 {
         let about = self.lanes.keys().chain(served);
         let times = about.filter_map(|client| self.accounts.get(client));
         times.map(|account| account.time_ns).min().unwrap_or(self.now_ns)
     }
 
-    /// A client's first job, with what it costs.
+    /// Returns a client's first job with its cost.
     pub fn front(&self, client: Client) -> Option<(&J, u64)> {
         let entry = self.lanes.get(&client)?.entries.front()?;
         Some((&entry.job, entry.cost_ns))
     }
 
-    /// Takes a client's first job without charging for it: it will not be drawn.
+    /// Removes a client's first job without a charge: it will not be drawn.
     pub fn discard(&mut self, client: Client) -> Option<J> {
         self.take_at(client, 0).map(|entry| entry.job)
     }
 
-    /// Takes a client's first job and charges for it.
+    /// Removes a client's first job and charges for it.
     pub fn grant(&mut self, client: Client, batch: u64) -> Option<Granted<J>> {
         let waiting = self.lanes.len() as u64;
         self.now_ns = self.now_ns.max(self.least_time_ns(&[]));
@@ -294,7 +294,7 @@ impl<J: Waiting> Lanes<J> {
         *account = Account { time_ns, turn: self.turns, batch: Some(batch) };
     }
 
-    /// Puts right what a client was charged.
+    /// Corrects the charge of a client.
     pub fn correct(&mut self, client: Client, charged_ns: u64, measured_ns: u64) {
         let parts = self.parts_of(client);
         if let Some(account) = self.accounts.get_mut(&client) {
@@ -304,8 +304,8 @@ impl<J: Waiting> Lanes<J> {
         }
     }
 
-    /// Forgets who has nothing waiting, was not served since the batch `since`, and has had no more than others. When the
-    /// device `is_idle` and nobody waits, nobody has had more than others.
+    /// Forgets clients that have nothing waiting, were not served since the batch `since`, and have had no more than others. When
+    /// the device `is_idle` and nobody waits, no client has had more than others.
     pub fn forget(&mut self, since: u64, batch: u64, is_idle: bool) {
         let (now_ns, lanes) = (self.now_ns, &self.lanes);
         let settled = is_idle && self.waiting == 0;
@@ -320,7 +320,7 @@ impl<J: Waiting> Lanes<J> {
         }
     }
 
-    /// Device time given to others and to `client` before a job of `cost_ns`, due at `due`, that it would add now.
+    /// Returns the device time for others and for `client` before a job of `cost_ns`, due at `due`, if it were added now.
     pub fn ahead_ns(
         &self,
         client: Client,

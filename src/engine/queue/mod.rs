@@ -1,8 +1,9 @@
-//! The queue of frames that wait: bounded, fair, and pure. It holds no lock, channel or clock.
+//! The queue of waiting frames: bounded, fair, and pure. It holds no lock, channel or clock.
 //!
-//! Three classes share the device. Streams and plain requests come first, on one side; jobs are on the other and take what is left,
-//! and [`Shares::jobs`] of the device's time where nothing is. On each side clients share by device time ([`lanes`]): a client
-//! of 4K frames and one of thumbnails get as much of it each, whatever that is in frames. Streams and requests of one caller count as one client.
+//! Three classes share the device. Streams and plain requests form one side and come first; jobs form the other and get the
+//! remaining time, or the share [`Shares::jobs`] where nothing remains. On each side clients share by device time ([`lanes`]): a
+//! client of 4K frames and one of thumbnails get equal time, whatever that is in frames. Streams and requests of one caller count
+//! as one client.
 //!
 //! ```text
 //!  stream  ─▶ lane ─┐
@@ -14,15 +15,15 @@
 //!                      credit −= cost                         for each frame of a job
 //! ```
 //!
-//! While several clients are about (waiting, or among those that the last few batches were for), none has more of a batch than
-//! one frame, or [`SHARE_NS`] of small ones: a client that has only one frame waiting at a time, as a stream has, would otherwise
-//! wait for many of a client that has a hundred. For the same reason batches are short in time while there are streams, those of
-//! jobs before all, and no batch of jobs follows another under way while others are about: their frames wait for one batch of jobs at
-//! most. Nor does a batch of jobs that is not their turn go in behind the frame of a stream, or of anybody who asks for one after
-//! the other, while that is under way, nor in the pause after it, unless it ends before the next is expected ([`habits`]): a
-//! frame cannot be interrupted, and the next pose would find the device taken.
+//! While several clients are active (waiting, or served in the last few batches), each gets at most one frame of a batch, or
+//! [`SHARE_NS`] of small ones. Otherwise a stream, which has only one frame waiting at a time, would wait for many frames of a
+//! client that has a hundred. For the same reason batches are short while there are streams, and batches of jobs are shortest.
+//! While others are active, no batch of jobs follows another in flight, so that a frame waits for at most one batch of jobs. A
+//! batch of jobs out of its turn does not go in behind the frame of a stream, or of a client that asks for one frame after the
+//! other, nor in the pause after it, unless the batch ends before the next request is expected ([`habits`]): a frame cannot be
+//! interrupted, and the next pose would find the device taken.
 //!
-//! Costs are estimates ([`cost`]), put right when a frame was measured ([`Queue::settle`]).
+//! Costs are estimates ([`cost`]), corrected when a frame was measured ([`Queue::settle`]).
 
 pub mod cost;
 pub mod encoding;
@@ -36,38 +37,37 @@ use habits::Habits;
 pub use lanes::Granted;
 use lanes::Lanes;
 
-/// What the queue needs to know of a job.
+/// The queue's view of a job.
 pub trait Waiting {
-    /// Nobody waits for it any more.
+    /// Returns whether nobody waits for it any more.
     fn is_abandoned(&self) -> bool;
     fn deadline(&self) -> Option<Instant>;
     /// Pixels to draw and read back.
     fn pixels(&self) -> u64;
 }
 
-/// Who asks, and so who shares the device with the others.
+/// A client, one of those who share the device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Client {
-    /// Whoever gave no name, all together.
+    /// All callers without a name together.
     #[default]
     Unnamed,
-    /// The caller of plain requests, by a number that the caller of the engine chose.
+    /// The caller of plain requests; the number is chosen by the engine's caller.
     Caller(u64),
-    /// One stream, by a number of its own and that of the caller who has it. What one caller's streams and requests get together is
-    /// one client's share.
+    /// One stream, with its own number and that of its caller. A caller's streams and requests together get one client's share.
     Stream { of: u64, number: u64 },
-    /// The frames of one job, by a number that the caller of the engine chose.
+    /// The frames of one job; the number is chosen by the engine's caller.
     Job(u64),
 }
 
 /// How urgent a frame is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Class {
-    /// Somebody moves and looks: a stream.
+    /// Of a stream, where the view moves.
     Interactive,
     /// A plain request.
     Request,
-    /// Of a job, for which nobody waits frame by frame.
+    /// Of a job, where nobody waits for single frames.
     Job,
 }
 
@@ -84,7 +84,7 @@ impl Class {
 }
 
 impl Client {
-    /// The caller whose share of the device it takes a part of.
+    /// Returns the caller with whom it shares the device.
     fn owner(self) -> Option<u64> {
         match self {
             Client::Stream { of, .. } | Client::Caller(of) => Some(of),
@@ -101,24 +101,24 @@ impl Client {
     }
 }
 
-/// How the device is shared, and what may wait for it.
+/// Limits of the queue and shares of the device.
 #[derive(Clone, Copy, Debug)]
 pub struct Shares {
-    /// Jobs that may wait, of streams and requests together; of [`Class::Job`] half as many besides.
+    /// Largest number of waiting jobs of streams and requests together; half as many of [`Class::Job`] may wait besides.
     pub capacity: usize,
-    /// Device time that may wait, as estimated, in nanoseconds; in halves likewise.
+    /// Largest estimated device time of waiting jobs, in nanoseconds; likewise half of it besides.
     pub capacity_ns: u64,
-    /// Of the device's time, what [`Class::Job`] gets however much else there is: above 0, below 1.
+    /// Minimum share of the device's time for [`Class::Job`]: above 0, below 1.
     pub jobs: f64,
 }
 
-/// What is going on when a batch is taken.
+/// State of the engine when a batch is taken.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment {
     pub now: Instant,
-    /// Device time under way, as estimated.
+    /// Estimated device time in flight.
     pub flying_ns: u64,
-    /// Whether frames of jobs are under way.
+    /// Whether frames of jobs are in flight.
     pub are_jobs_flying: bool,
     /// Whether there are streams, even if they have not asked for a frame lately.
     pub are_streams_open: bool,
@@ -126,57 +126,57 @@ pub struct Moment {
     pub are_jobs_held: bool,
 }
 
-/// What came out of the queue.
+/// Result of taking a batch.
 #[derive(Debug)]
 pub struct Taken<J> {
-    /// To be drawn in one submission.
+    /// Jobs to draw in one submission.
     pub batch: Vec<Granted<J>>,
-    /// Their deadline has passed.
+    /// Jobs whose deadline has passed.
     pub expired: Vec<J>,
-    /// Nobody waits for them.
+    /// Jobs that nobody waits for.
     pub abandoned: Vec<J>,
     /// Nothing was taken, because somebody is about to ask or encoders are behind: how long jobs wait for that.
     pub held_for: Option<Duration>,
 }
 
-/// Frames of a batch hold this many pixels together at most, unless there is only one: results of a batch come back
-/// together, so a large frame must not wait for another.
+/// Largest number of pixels of a batch, unless it has only one frame: results of a batch come back together, so a large frame
+/// must not delay another.
 pub const BATCH_PIXELS: u64 = 1 << 20;
-/// For the same reason, and because more gains nothing: what a batch takes of the device at most, unless it is one frame.
+/// Largest device time of a batch, unless it is one frame, for the same reason and because longer batches gain nothing.
 pub const BATCH_NS: u64 = 100_000_000;
-/// The same while there are streams.
+/// Largest device time of a batch while there are streams.
 pub const INTERACTIVE_BATCH_NS: u64 = 32_000_000;
-/// The same of a batch of jobs, while others are about.
+/// Largest device time of a batch of jobs while others are active.
 pub const JOB_BATCH_NS: u64 = 16_000_000;
-/// What a client's frames of one batch take of the device, unless it is one frame, or as much as another's, or nobody else is
-/// about. Also how much more than others somebody may have had who gets into a batch with them.
+/// Largest device time of one client's frames in a batch, unless it is one frame, or no more than another's, or no other client
+/// is active. Also the largest lead over others with which a client still gets into a batch with them.
 pub const SHARE_NS: u64 = 2_000_000;
-/// What jobs can owe of their share for having had the device while nobody else wanted it.
+/// Largest debt of jobs for using the device while nobody else wanted it.
 pub const MOST_DEBT_NS: i64 = 100_000_000;
 
-/// For so many batches a client counts as being about after it was served.
+/// Number of batches for which a client counts as active after it was served.
 const MEMORY: u64 = 8;
 
-/// Jobs by side, class and client.
+/// Waiting jobs by side, class and client.
 #[derive(Debug)]
 pub struct Queue<J> {
     shares: Shares,
-    /// Were taken before and given back: their turn is now.
+    /// Jobs that were taken and given back: they are next.
     returned: VecDeque<Granted<J>>,
     returned_ns: u64,
-    /// Streams and requests.
+    /// Lanes of streams and requests.
     first: Lanes<J>,
     jobs: Lanes<J>,
     /// Device time that jobs may have before others, in nanoseconds.
     credit_ns: i64,
     /// Whether the last batch was of jobs.
     were_jobs_last: bool,
-    /// Of streams and requests.
+    /// Pauses of streams and requests.
     habits: Habits,
-    /// Since when the device is idle because jobs wait for somebody to ask.
+    /// Time since which the device is idle because jobs wait for a client to ask.
     held_since: Option<Instant>,
     batches: u64,
-    /// Under way when the last batch had been taken.
+    /// Device time in flight when the last batch had been taken.
     flying_ns: u64,
 }
 
@@ -213,10 +213,10 @@ impl<J: Waiting> Queue<J> {
         }
     }
 
-    /// Admits a job that is estimated to cost `cost_ns`, or gives it back when the queue is full even after jobs that nobody
-    /// waits for were dropped. Those are returned beside.
+    /// Admits a job with estimated cost `cost_ns`, or returns it if the queue is full even after dropping abandoned jobs. Also
+    /// returns the dropped jobs.
     ///
-    /// A client that has none waiting is let in up to twice the bounds, so that one client that fills the queue does not keep
+    /// A client with nothing waiting is admitted up to twice the limits, so that one client that fills the queue does not keep
     /// the others out.
     pub fn admit(
         &mut self,
@@ -237,7 +237,7 @@ impl<J: Waiting> Queue<J> {
         (Ok(()), dropped)
     }
 
-    /// A client's frame is drawn, and will be on its way to it.
+    /// Records that a client's frame is drawn and about to be sent.
     pub fn landed(&mut self, client: Client, now: Instant) {
         if client.class() != Class::Job {
             self.habits.landed(client, now);
@@ -254,7 +254,7 @@ impl<J: Waiting> Queue<J> {
             most = most.saturating_mul(2);
             most_ns = most_ns.saturating_mul(2);
         }
-        // What costs more than may wait waits alone.
+        // A job that costs more than the limit waits alone.
         let fits_time = side.is_empty() || side.cost_ns().saturating_add(cost_ns) <= most_ns;
         side.len() < most && fits_time
     }
@@ -274,12 +274,12 @@ impl<J: Waiting> Queue<J> {
         dropped
     }
 
-    /// Whether a job of `client` waits in its lane.
+    /// Returns whether a job of `client` waits in its lane.
     pub fn holds(&self, client: Client, is_it: impl Fn(&J) -> bool) -> bool {
         self.first.holds(client, &is_it) || self.jobs.holds(client, is_it)
     }
 
-    /// Puts `new` where a job of `client` waits, and gives that one; `new` comes back when it waits no more.
+    /// Replaces a waiting job of `client` by `new` and returns the old job; returns `new` if the old job no longer waits.
     pub fn replace(
         &mut self,
         client: Client,
@@ -290,18 +290,18 @@ impl<J: Waiting> Queue<J> {
         self.side(client.class()).replace(client, is_old, new, cost_ns)
     }
 
-    /// Takes a job of `client` out of its lane.
+    /// Removes a job of `client` from its lane.
     pub fn remove(&mut self, client: Client, is_it: impl Fn(&J) -> bool) -> Option<J> {
         self.side(client.class()).remove(client, is_it)
     }
 
-    /// Puts a job first in a client's lane, whatever the capacity: it had been admitted before, for somebody else.
+    /// Puts a job first in a client's lane, beyond the limits: it had been admitted before, for another client.
     pub fn hand_over(&mut self, client: Client, job: J, cost_ns: u64, now: Instant) {
         self.side(client.class()).push_front(client, job, cost_ns, now);
     }
 
-    /// Puts jobs back at the front, in their order, whatever the capacity: they had been admitted before. Frames of jobs come
-    /// first in their lanes alone.
+    /// Puts jobs back at the front in their order, beyond the limits: they had been admitted before. Frames of jobs come first
+    /// only in their own lanes.
     pub fn put_back(&mut self, granted: Vec<Granted<J>>, now: Instant) {
         for granted in granted.into_iter().rev() {
             self.settle(granted.client, granted.cost_ns, 0);
@@ -314,13 +314,13 @@ impl<J: Waiting> Queue<J> {
         }
     }
 
-    /// Puts right what a client was charged for a frame that cost `measured_ns`.
+    /// Corrects a client's charge for a frame that cost `measured_ns`.
     pub fn settle(&mut self, client: Client, charged_ns: u64, measured_ns: u64) {
         let more_ns = signed(measured_ns).saturating_sub(signed(charged_ns));
         let class = client.class();
         self.side(class).correct(client, charged_ns, measured_ns);
         if class == Class::Job {
-            // No more than for one frame: how dear it is was known to nobody.
+            // The debt is limited to that of one frame, because nobody knew its cost.
             let most = MOST_DEBT_NS.max(signed(measured_ns));
             self.credit_ns = self.credit_ns.saturating_sub(more_ns).max(-most);
         } else if !self.jobs.is_empty() {
@@ -328,13 +328,13 @@ impl<J: Waiting> Queue<J> {
         }
     }
 
-    /// Jobs wait while others were given `ns` of the device.
+    /// Adds credit for jobs that wait while others get `ns` of the device.
     fn earn(&mut self, ns: f64) {
         let share = self.shares.jobs;
         self.credit_ns = self.credit_ns.saturating_add((ns * share / (1.0 - share)) as i64);
     }
 
-    /// Jobs were given `ns` of the device, which nobody else wanted or not.
+    /// Charges jobs for `ns` of the device; `is_left_over` if nobody else wanted it.
     fn spend(&mut self, ns: u64, is_left_over: bool) {
         let left = self.credit_ns.saturating_sub(signed(ns));
         let least = if is_left_over { self.credit_ns.min(-MOST_DEBT_NS) } else { i64::MIN };
@@ -357,13 +357,13 @@ impl<J: Waiting> Queue<J> {
         let is_stream = |client: Client| client.class() == Class::Interactive;
         let is_watched = moment.are_streams_open || self.first.about(oldest).any(is_stream);
         let are_others_about = is_watched || self.first.about(oldest).next().is_some();
-        // One batch of jobs is what somebody's next frame may have to wait for.
+        // A client's next frame may have to wait for one batch of jobs, and no more.
         let is_one_enough = is_watched || are_others_about && self.first.is_empty();
         let may_jobs = !(moment.are_jobs_held || is_one_enough && moment.are_jobs_flying);
         let was_their_turn = is_watched && self.were_jobs_last;
         let expected = self.habits.expected(moment.now);
         if let Some(since) = self.held_since.take() {
-            // The device was kept for others.
+            // The device was kept idle for others.
             self.earn(moment.now.saturating_duration_since(since).as_nanos() as f64);
         }
         let is_jobs_turn = may_jobs && !was_their_turn && self.credit_ns > 0;
@@ -435,18 +435,18 @@ impl<J: Waiting> Queue<J> {
         }
     }
 
-    /// Whether there were any.
+    /// Takes a batch of jobs; returns whether there were any.
     fn take_jobs(&mut self, room: Room, now: Instant, taken: &mut Taken<J>) -> bool {
         let Room { max, are_others_about, is_left_over, free } = room;
         let free_ns = free.map_or(u64::MAX, |free| free.as_nanos() as u64);
         let next = self.jobs.next(&[]).and_then(|(client, _)| self.jobs.front(client));
-        // Those that nobody waits for any more, or are late, are taken out in any case.
+        // Jobs that are abandoned or late are taken out in any case.
         let is_alive = |job: &J| !job.is_abandoned() && !is_late(job, now);
         if next.is_some_and(|(job, cost_ns)| is_alive(job) && cost_ns > free_ns) {
             return false;
         }
         let limit_ns = if are_others_about { JOB_BATCH_NS } else { BATCH_NS };
-        // All of them have frames waiting all the while: their times alone make their shares equal.
+        // Their times alone make the shares equal, because all of them always have frames waiting.
         let limit_ns = limit_ns.min(free_ns);
         let frame = Frame { max, limit_ns, is_alone: true, batch: self.batches + 1, now };
         let ns = compose(&mut self.jobs, frame, taken);
@@ -454,7 +454,7 @@ impl<J: Waiting> Queue<J> {
         ns > 0
     }
 
-    /// Device time until a job would be begun that `client` adds now, with what it costs itself: estimated, and as others share.
+    /// Returns the estimated device time until a job of `client`, added now, would begin, plus the job's own cost.
     pub fn ahead_ns(
         &self,
         client: Client,
@@ -466,7 +466,7 @@ impl<J: Waiting> Queue<J> {
         let under_way_ns = self.flying_ns.saturating_add(self.returned_ns);
         if client.class() == Class::Job {
             let own_ns = self.jobs.ahead_ns(client, deadline, cost_ns, now);
-            // Others are before all that jobs have beyond their share.
+            // Others go before everything that exceeds the share of jobs.
             let most_ns = (own_ns.saturating_add(cost_ns)) as f64 * (1.0 - share) / share;
             let others_ns = self.first.cost_ns().min(most_ns as u64);
             return under_way_ns.saturating_add(own_ns).saturating_add(others_ns);
@@ -477,14 +477,14 @@ impl<J: Waiting> Queue<J> {
         under_way_ns.saturating_add(own_ns).saturating_add(of_jobs)
     }
 
-    /// Device time of what waits on the side of `class` and is under way.
+    /// Returns the device time of work in flight and of jobs that wait on the side of `class`.
     pub fn backlog_ns(&self, class: Class) -> u64 {
         let first_ns = self.first.cost_ns().saturating_add(self.returned_ns);
         let jobs_ns = if class == Class::Job { self.jobs.cost_ns() } else { 0 };
         self.flying_ns.saturating_add(first_ns).saturating_add(jobs_ns)
     }
 
-    /// Device time that is under way, as estimated.
+    /// Sets the estimated device time in flight.
     pub fn set_flying_ns(&mut self, flying_ns: u64) {
         self.flying_ns = flying_ns;
     }
@@ -499,36 +499,36 @@ impl<J: Waiting> Queue<J> {
     }
 }
 
-/// What a batch of jobs may hold.
+/// Limits of a batch of jobs.
 #[derive(Clone, Copy)]
 struct Room {
     max: usize,
     are_others_about: bool,
-    /// Whether nobody else wants the time.
+    /// Whether no other client wants the time.
     is_left_over: bool,
-    /// Until somebody else may ask.
+    /// Time until another client may ask.
     free: Option<Duration>,
 }
 
-/// What a batch may hold.
+/// Limits of a batch.
 #[derive(Clone, Copy)]
 struct Frame {
     max: usize,
     limit_ns: u64,
-    /// Whether a client may have all of it.
+    /// Whether one client may fill the batch.
     is_alone: bool,
-    /// This batch's number.
+    /// Number of the batch.
     batch: u64,
     now: Instant,
 }
 
-/// Adds jobs of one side to a batch that may hold some, and gives what they cost.
+/// Adds jobs of one side to a batch, and returns their cost.
 fn compose<J: Waiting>(side: &mut Lanes<J>, frame: Frame, taken: &mut Taken<J>) -> u64 {
     let mut batch_ns: u64 = taken.batch.iter().map(|granted| granted.cost_ns).sum();
     let mut pixels: u64 = taken.batch.iter().map(|granted| granted.job.pixels()).sum();
     let before_ns = batch_ns;
     let (mut sated, mut served) = (Vec::new(), Vec::new());
-    // What each of `served` has of this batch.
+    // Time of each of `served` in this batch.
     let mut parts_ns: Vec<u64> = Vec::new();
     while taken.batch.len() < frame.max {
         let Some((client, time_ns)) = side.next(&sated) else { break };
@@ -571,7 +571,7 @@ fn is_late<J: Waiting>(job: &J, now: Instant) -> bool {
     job.deadline().is_some_and(|deadline| deadline <= now)
 }
 
-/// Whether a batch of `pixels` takes another job.
+/// Returns whether a batch of `pixels` has room for another job.
 fn fits<J: Waiting>(pixels: u64, job: &J) -> bool {
     pixels == 0 || pixels.saturating_add(job.pixels()) <= BATCH_PIXELS
 }
@@ -580,8 +580,8 @@ fn signed(ns: u64) -> i64 {
     i64::try_from(ns).unwrap_or(i64::MAX)
 }
 
-/// How late a frame would be that waits for `wait` and then takes `own`; `None` when it would be in time, or is the next, which
-/// it costs nobody anything to try.
+/// Returns how late a frame would be that waits for `wait` and then takes `own`; `None` if it is in time, or if it is next, when
+/// trying costs nobody anything.
 pub fn lateness(
     deadline: Option<Instant>,
     now: Instant,

@@ -1,4 +1,4 @@
-//! `POST /v1/jobs`: everything that can be known to fail is refused here, before the job is one.
+//! `POST /v1/jobs`: refuses a job that is known to fail before it is created.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -24,10 +24,10 @@ use crate::http::{App, Owner, Phase, body};
 use crate::jobs::{FrameSpec, Origin, PathChoice, Repeat, Spec, Want, find_shots};
 use crate::json::whole;
 
-/// Bytes of the request: some thousand keys of a path.
+/// Largest body in bytes, enough for some thousand keys of a path.
 const MAX_BODY_BYTES: u64 = 256 << 10;
 pub const MAX_KEY_BYTES: usize = 255;
-/// What can be wanted of a job: frames and a video.
+/// Number of outputs that a job can have: frames and a video.
 pub const MAX_WANTED: usize = 2;
 
 /// A film to draw. Beside these, any parameter that a frame's query may have, but for its pose and `deadline_ms`.
@@ -65,7 +65,7 @@ pub enum Wanted {
 }
 
 const NAMES: [&str; 7] = ["scene", "path", "fps", "from", "to", "want", "bitrate_kbps"];
-/// Parameters of a frame that a path gives, or that mean nothing where nobody waits.
+/// Frame parameters that the path sets, or that have no meaning in a job.
 pub const NOT_HERE: [(&str, &str); 9] = [
     ("camera", "the path says where frames are seen from"),
     ("eye", "the path says where frames are seen from"),
@@ -126,7 +126,7 @@ pub async fn create(
         key,
         fingerprint: spec.fingerprint(),
     });
-    // What was taken on once needs no second look, which it might not pass any more.
+    // A job that is known was checked when it was created; the check might fail now.
     let known = repeat.as_ref().is_some_and(|repeat| jobs.is_known(repeat));
     let film = if known { None } else { Some(check(&app, &spec)?) };
     let origin = Origin { owner: owner.name, request_id: Some(request_id.to_string()) };
@@ -143,7 +143,7 @@ pub async fn create(
         .into_response())
 }
 
-/// The key of a request that may be repeated.
+/// Returns the `Idempotency-Key` of a request.
 fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
     const NAME: &str = "Idempotency-Key";
     let fail = |reason: &str| {
@@ -164,14 +164,14 @@ fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
     if bytes.is_empty() || bytes.len() > MAX_KEY_BYTES {
         return fail("has no usable length");
     }
-    // A tab passes for visible elsewhere.
+    // `to_str` accepts tabs as visible characters.
     match value.to_str() {
         Ok(key) if !key.contains('\t') => Ok(Some(key.to_owned())),
         _ => fail("holds a character that is neither visible ASCII nor a space"),
     }
 }
 
-/// What a body asks for, as far as can be told without looking at a scene.
+/// Reads the specification of a job from a body, as far as possible without looking at a scene.
 fn spec(value: Value) -> Result<Spec, Problem> {
     let Some(object) = value.as_object() else {
         return Err(Problem::new(Kind::BadBody, "the body is no object").accepted(NAMES.join(", ")));
@@ -236,7 +236,7 @@ fn spec(value: Value) -> Result<Spec, Problem> {
     })
 }
 
-/// Whether a job can be drawn, as far as can be told without drawing: how many frames it will have, and how many a second.
+/// Checks that a job can be drawn, as far as possible without drawing. Returns its number of frames and frames per second.
 fn check(app: &App, spec: &Spec) -> Result<(u64, f64), Problem> {
     let request = spec.request();
     app.engine
@@ -245,7 +245,7 @@ fn check(app: &App, spec: &Spec) -> Result<(u64, f64), Problem> {
     encode::accepts(request.format, request.output)
         .map_err(|error| Problem::new(Kind::BadParameter, error.to_string()).at("format"))?;
     let shots = find_shots(&app.engine, spec).map_err(film_problem)?;
-    // What is baked when the job begins cannot be asked before.
+    // A scene that must be baked is not checked: baking waits until the job begins.
     if !app.engine.must_bake(&request) {
         app.engine.etag(&request).map_err(|error| missing(app, &spec.scene, error.into()))?;
     }

@@ -1,8 +1,7 @@
 //! `GET /v1/jobs/{id}/events`: a job's progress as server-sent events (the `EventSource` of the HTML standard).
 //!
-//! Every event carries the whole job, so that none is needed to understand the next: a client that comes late or reads slowly
-//! misses nothing but steps in between. Its id tells which state that was; who comes back with that id hears nothing until there
-//! is news.
+//! Every event carries the whole job, so no event depends on an earlier one: a client that comes late or reads slowly misses only
+//! steps in between. The event's id names the state. A client that reconnects with that id gets no event until the state changes.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -21,11 +20,11 @@ use crate::http::problem::Problem;
 use crate::http::{App, Caller, Owner, Segments};
 use crate::jobs::{JobId, Jobs, View};
 
-/// Events come no faster than this.
+/// Shortest time between two events.
 const PACE: Duration = Duration::from_millis(100);
 /// A comment keeps proxies from closing a connection on which nothing happens.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
-/// After which a client that lost its connection is asked to come back.
+/// Delay after which a client that lost its connection is asked to reconnect.
 const RETRY: Duration = Duration::from_secs(2);
 
 /// Progress of a job as server-sent events: the job as it is now, then whenever something changes, until it has ended.
@@ -61,18 +60,18 @@ pub async fn events(
     let known =
         headers.get("last-event-id").and_then(|value| value.to_str().ok()).map(str::to_owned);
     if JobState::new(&view).has_ended() && known.as_ref() == Some(&event_id(&jobs, &view)) {
-        // What an `EventSource` takes for the end; it would come back for ever.
+        // An `EventSource` takes this status for the end; after any other it would reconnect for ever.
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
     let told = told(jobs, job_id(&id)?, known, Watcher::take(&app, client)?);
     let mut response =
         Sse::new(told).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response();
-    // Some proxies collect answers before they pass them on.
+    // Some proxies buffer answers before they forward them.
     response.headers_mut().insert("x-accel-buffering", axum::http::HeaderValue::from_static("no"));
     Ok(response)
 }
 
-/// Tells one state of a job from all others, also from those of earlier processes.
+/// Returns an id for one state of a job, unique across states and across processes.
 fn event_id(jobs: &Jobs, view: &View) -> String {
     format!("{:x}-{}", jobs.epoch(), view.version)
 }
@@ -87,7 +86,7 @@ fn told(
         let Ok(mut changes) = jobs.watch(id) else { return };
         let mut known = known;
         loop {
-            // Before it is looked at: what changes meanwhile is told next.
+            // Mark changes as seen before reading the job, so that a change during the read is sent next.
             changes.mark_unchanged();
             let worker = jobs.clone();
             let Ok(found) = tokio::task::spawn_blocking(move || worker.view(id)).await else { return };
@@ -105,7 +104,7 @@ fn told(
                     StateName::Cancelled => "cancelled",
                 };
                 let event = Event::default().event(name).id(&event_id).retry(RETRY);
-                // Cannot fail: numbers are finite.
+                // This cannot fail: all numbers are finite.
                 let Ok(event) = event.json_data(&job) else { return };
                 yield Ok(event);
                 known = Some(event_id);
@@ -113,11 +112,11 @@ fn told(
             if job.has_ended() || jobs.is_paused() {
                 return;
             }
-            // Of many changes the last is told. Removing a job is a change as well.
+            // Changes within this time are merged into one event. Removing a job is a change as well.
             tokio::time::sleep(PACE).await;
-            // A job that is gone has no more changes: the next look tells.
+            // The sender is gone once the job is removed; the next read finds out.
             let change = tokio::time::timeout_at(watcher.until, changes.changed()).await;
-            // Also where there is always news.
+            // The time limit also ends a stream that always has news.
             if change.is_err() || watcher.is_over() {
                 let reason = serde_json::json!({ "id": id.to_string(), "reason": watcher.reason() });
                 yield Ok(Event::default().event("reconnect").retry(RETRY).data(reason.to_string()));

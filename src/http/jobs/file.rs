@@ -1,4 +1,4 @@
-//! Files as answers: entity tags, and byte ranges as RFC 9110 §14 has them, one at a time.
+//! Files as answers, with entity tags and single byte ranges (RFC 9110 §14).
 
 use std::path::Path;
 
@@ -13,35 +13,35 @@ use super::wire::job_storage;
 use crate::http::conditional::none_match_hits;
 use crate::http::problem::{Kind, Problem};
 
-/// Bytes that are read at a time.
+/// Bytes read at a time.
 const CHUNK: usize = 64 << 10;
 
-/// Where an answer's bytes are.
+/// Source of an answer's bytes.
 pub enum Content<'a> {
     Memory(Bytes),
     File(&'a Path),
 }
 
-/// A file that does not change under its tag.
+/// A file whose content never changes under the same tag.
 pub struct Served<'a> {
     pub content: Content<'a>,
     pub bytes: u64,
-    /// SHA-256 of what is in it.
+    /// SHA-256 of the content.
     pub sha256: &'a str,
     pub content_type: HeaderValue,
 }
 
-/// Which bytes of `length` a request wants.
+/// Bytes that a request wants.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Wanted {
     All,
-    /// From the first to the last of them, both included.
+    /// From the first byte to the last, both included.
     Part(u64, u64),
-    /// What is not there.
+    /// The range is beyond the end of the file.
     None,
 }
 
-/// What a `Range` header means for so many bytes. What is no single range of bytes is ignored, as the standard has it.
+/// Interprets a `Range` header for a file of `length` bytes. Anything but a single range of bytes is ignored, as RFC 9110 says.
 fn wanted(range: Option<&str>, length: u64) -> Wanted {
     let Some(set) = range.and_then(|range| range.trim().strip_prefix("bytes=")) else {
         return Wanted::All;
@@ -52,7 +52,7 @@ fn wanted(range: Option<&str>, length: u64) -> Wanted {
     if !is_number(first) || !is_number(last) {
         return Wanted::All;
     }
-    // What has more digits than a number is beyond every file's end.
+    // A number with too many digits is beyond the end of every file.
     let number = |text: &str| text.parse::<u64>().unwrap_or(u64::MAX);
     let part = |first, last| if first < length { Wanted::Part(first, last) } else { Wanted::None };
     match (first.is_empty(), last.is_empty()) {
@@ -65,10 +65,10 @@ fn wanted(range: Option<&str>, length: u64) -> Wanted {
     }
 }
 
-/// Answers with a file, or the part of it that is asked for.
+/// Answers with a file, or with the part of it that the request asks for.
 ///
 /// # Errors
-/// 416; a file that cannot be read.
+/// 416 for a range beyond the end; a file that cannot be read.
 pub async fn serve(
     served: &Served<'_>,
     method: &Method,
@@ -88,7 +88,7 @@ pub async fn serve(
         return Ok(response);
     }
     let text = |name| request.get(name).and_then(|value: &HeaderValue| value.to_str().ok());
-    // A range of another version is worth nothing: the whole of this one is.
+    // If the client's range belongs to another version, it gets the whole of this one.
     let is_same = text(header::IF_RANGE).is_none_or(|known| known.trim() == etag);
     let range = if *method == Method::GET && is_same { text(header::RANGE) } else { None };
     let (first, count, status) = match wanted(range, served.bytes) {

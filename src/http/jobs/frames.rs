@@ -24,7 +24,7 @@ use crate::http::problem::{Kind, PROBLEM_JSON, Problem};
 use crate::http::{App, Caller, Owner, Segments};
 use crate::jobs::{Found, JobError, JobId, Jobs};
 
-/// Longer files are held against their length alone, and not read into memory.
+/// Longer files are checked by their length alone, and not read into memory.
 const MOST_CHECKED_BYTES: u64 = 32 << 20;
 
 /// A frame of a job, as soon as it is drawn. One whose file was damaged since is not sent: 410, and `resume` draws it again.
@@ -91,8 +91,8 @@ pub async fn frame(
     serve(&served, &method, &headers).await
 }
 
-/// Where a frame is, and what `read` finds in its file; `None` where that is not what the record says. A run that draws frames anew may
-/// exchange the file between the two looks: then there is another record, or none yet.
+/// Looks up a frame's record and applies `read` to its file; `None` where the file does not match the record. A run that redraws
+/// frames may replace the file between the two steps; the record is then another one, or missing.
 fn steady<T>(
     jobs: &Jobs,
     id: JobId,
@@ -114,21 +114,21 @@ fn steady<T>(
     }
 }
 
-/// A frame's file that is as its record says.
+/// A frame's file that matches its record.
 enum Whole {
     Checked(Bytes),
-    /// As far as its length goes.
+    /// Only the length was checked.
     Long,
 }
 
-/// All bytes of a frame's file; `None` where it is damaged or gone.
+/// Reads all bytes of a frame's file; `None` where it is damaged or gone.
 fn sound(record: &Record, file: &Path) -> Result<Option<Vec<u8>>, JobError> {
     let folder = file.parent().unwrap_or(Path::new(""));
     let failed = |error| JobError::Io { file: file.to_owned(), error };
     read_sound(folder, record).map_err(failed)
 }
 
-/// What is in a frame's file; `None` where it is damaged or gone.
+/// Checks a frame's file and returns its content; `None` where it is damaged or gone.
 fn content(record: &Record, file: &Path) -> Result<Option<Whole>, JobError> {
     if record.bytes <= MOST_CHECKED_BYTES {
         return Ok(sound(record, file)?.map(|bytes| Whole::Checked(bytes.into())));
@@ -188,7 +188,7 @@ pub async fn manifest(
         let file = jobs.place(id).manifest();
         match std::fs::read(&file) {
             Ok(mut text) => {
-                // A line that is being written is not one yet.
+                // Cut off a line that is still being written.
                 let whole = text.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
                 text.truncate(whole);
                 Ok(text)
@@ -271,7 +271,7 @@ pub async fn multipart(
     Ok(response)
 }
 
-/// The frame to begin with.
+/// Reads the number of the first frame from the query.
 fn from(query: Option<&str>) -> Result<Option<u64>, Problem> {
     const ACCEPTED: &str = "a whole number";
     let mut from = None;
@@ -290,7 +290,7 @@ struct FilmParts {
     content_type: &'static str,
 }
 
-/// What comes next of a film.
+/// The next step of a film's stream.
 enum Next {
     Frame(Arc<Record>, Vec<u8>),
     Later,
@@ -298,10 +298,10 @@ enum Next {
 }
 
 impl FilmParts {
-    /// Frame `number`, if it is there.
+    /// Returns frame `number`, if it is there.
     fn next(&self, number: u64) -> Result<Next, Problem> {
         let problem = |error| job_problem(&self.jobs, &self.id.to_string(), error);
-        // Looked up first: a job that has ended before its frame is not found draws none after.
+        // Look up the state first: if the job has ended before its frame is missing, the frame never comes.
         let view = self.jobs.view(self.id).map_err(problem)?;
         let job = JobState::new(&view);
         let (found, bytes) = steady(&self.jobs, self.id, number, sound).map_err(problem)?;
@@ -329,7 +329,7 @@ impl FilmParts {
     }
 }
 
-/// The answer's body. Nothing is read ahead of what the client takes.
+/// Builds the answer's body. Nothing is read before the client asks for it.
 fn parts(
     film: FilmParts,
     first: u64,
@@ -341,12 +341,12 @@ fn parts(
         let mut number = first;
         let Ok(mut changes) = film.jobs.watch(film.id) else { return };
         loop {
-            // Before it is looked for: what comes meanwhile counts as a change.
+            // Mark changes as seen before looking for the frame: anything that happens meanwhile counts as a change.
             changes.mark_unchanged();
             let worker = film.clone();
             let next = tokio::task::spawn_blocking(move || worker.next(number)).await;
             let next = match next.map_err(Problem::internal).and_then(|next| next) {
-                // Also where frames are there: who takes them slowly has no place for ever.
+                // The time limit also applies while frames are there: a slow reader does not keep its place for ever.
                 Ok(Next::Later | Next::Frame(..)) if watcher.is_over() => {
                     let detail = format!("{}, and frame {number} was not sent yet", watcher.reason());
                     Err(Problem::new(Kind::FrameNotDrawn, detail)
@@ -361,7 +361,7 @@ fn parts(
                     number += 1;
                 }
                 Ok(Next::Later) => {
-                    // The job was removed: the next look tells.
+                    // An error means that the job was removed; the next look finds out.
                     let _ = tokio::time::timeout_at(watcher.until, changes.changed()).await;
                 }
                 Ok(Next::End) => break,

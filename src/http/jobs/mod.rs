@@ -1,20 +1,20 @@
-//! `/v1/jobs`: films that are drawn without anybody waiting. Translation only; [`crate::jobs`] does the work.
+//! `/v1/jobs`: films that are drawn in the background. Translation only; [`crate::jobs`] does the work.
 //!
 //! | file | answers |
 //! |---|---|
 //! | [`create`] | `POST /v1/jobs`: from a body to a [`Spec`](crate::jobs::Spec) |
-//! | here | what is there, and what may be done to it: list, show, cancel, resume, delete |
+//! | here | list, show, cancel, resume and delete jobs |
 //! | [`wire`] | a job as JSON, and its refusals and failures as problems |
 //! | [`events`] | progress as server-sent events |
 //! | [`frames`] | finished frames: one, the manifest, all in one stream |
 //! | [`video`] | the video |
-//! | [`watchers`] | how many may follow jobs, and for how long |
+//! | [`watchers`] | limits on the number and duration of answers that follow jobs |
 //! | [`file`](mod@file) | files as answers: entity tags and byte ranges |
 //!
-//! A job is its key's: another one's needs a key for everything ([`blocking`] sees to that, and lists show none else). Without keys all
-//! jobs are everybody's.
+//! A job belongs to the key that made it. Other keys need the admin scope ([`blocking`] checks that), and lists show a key only
+//! its own jobs. Without keys all jobs belong to everybody.
 //!
-//! What changes a job waits for the disk, and so runs on a blocking thread.
+//! Changes of a job wait for the disk and therefore run on a blocking thread.
 
 pub mod create;
 pub mod events;
@@ -41,23 +41,23 @@ use crate::jobs::{JobError, JobId, Jobs};
 /// The jobs of this server.
 ///
 /// # Errors
-/// 503 where it has none.
+/// 503 where the server has no jobs.
 fn jobs(app: &App) -> Result<Jobs, Problem> {
     app.jobs.clone().map_err(|reason| {
         Problem::new(Kind::JobsOff, reason).accepted("a daemon with --state FOLDER")
     })
 }
 
-/// A job's number, as addresses have it.
+/// Reads a job's number from an address.
 ///
 /// # Errors
-/// 404: what is no number is no job.
+/// 404: text that is no number names no job.
 fn job_id(text: &str) -> Result<JobId, Problem> {
     let is_plain = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     text.parse().ok().filter(|_| is_plain).ok_or_else(|| wire::unknown_job(text))
 }
 
-/// Refuses what a query asks for where none is looked at.
+/// Refuses any query parameter.
 fn no_query(uri: &Uri) -> Result<(), Problem> {
     match pairs(uri.query())?.first() {
         Some((name, _)) => Err(unknown_name(name, &[], &[]).accepted("no parameters here")),
@@ -65,7 +65,7 @@ fn no_query(uri: &Uri) -> Result<(), Problem> {
     }
 }
 
-/// Does something with jobs on a thread that may block, for the job of an address, if it is `owner`'s.
+/// Runs a closure on a thread that may block; for the job of an address, only if the job belongs to `owner`.
 async fn blocking<T: Send + 'static>(
     app: &Arc<App>,
     owner: &Owner,
@@ -87,7 +87,7 @@ async fn blocking<T: Send + 'static>(
 }
 
 impl Owner {
-    /// Whether this one may use what `owner` has made.
+    /// Returns whether this key may use what `owner` has made.
     fn is_theirs(&self, owner: Option<&str>) -> bool {
         self.is_admin || owner.is_some() && owner == self.name.as_deref()
     }
@@ -116,7 +116,7 @@ pub async fn list(
     Ok(Json(JobList::new(&views)))
 }
 
-/// The state that listed jobs are to be in.
+/// Reads the state by which listed jobs are filtered.
 fn wanted_state(query: Option<&str>) -> Result<Option<StateName>, Problem> {
     let mut state = None;
     for (name, value) in pairs(query)? {

@@ -54,7 +54,7 @@ pub async fn video(
     let Some(video) = &view.record.made.video else {
         return Err(no_video(&JobState::new(&view), view.record.spec.want.video));
     };
-    // Long as it may be it is not read through for each range of it.
+    // Only the length is checked: a video may be long, and players ask for many ranges of it.
     if length != Some(video.bytes) {
         return Err(damaged(&id, "the video"));
     }

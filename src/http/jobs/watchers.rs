@@ -1,4 +1,4 @@
-//! Answers that last as long as a job does: how many there may be, and for how long.
+//! Limits on answers that last as long as a job: how many there may be, and for how long.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -10,14 +10,14 @@ use crate::http::App;
 use crate::http::headcount::Headcount;
 use crate::http::problem::{Kind, Problem};
 
-/// What watchers of jobs are allowed.
+/// Limits of job watchers.
 #[derive(Clone, Copy, Debug)]
 pub struct WatchLimits {
-    /// At the same time.
+    /// Largest number at the same time.
     pub most: usize,
-    /// Of one client.
+    /// Largest number per client.
     pub most_per_client: usize,
-    /// After so long one that waits is sent away, to come again.
+    /// Longest duration of one answer; the client then has to reconnect.
     pub longest: Duration,
 }
 
@@ -27,17 +27,17 @@ impl WatchLimits {
     }
 }
 
-/// A watcher's place, free again when this is dropped.
+/// A watcher's place; dropping it frees the place.
 pub struct Watcher {
     app: Arc<App>,
     client: Client,
-    /// When it is over.
+    /// End of the answer.
     pub until: Instant,
 }
 
 impl Watcher {
     /// # Errors
-    /// 503 when there are as many as there may be.
+    /// 503 when the limit is reached.
     pub fn take(app: &Arc<App>, client: Client) -> Result<Watcher, Problem> {
         if !app.watchers.take(client) {
             return Err(Problem::new(Kind::Busy, "too many watch jobs").accepted(
@@ -52,7 +52,7 @@ impl Watcher {
         Instant::now() >= self.until
     }
 
-    /// Why it is over.
+    /// Returns the reason for ending the answer.
     pub fn reason(&self) -> String {
         format!("this answer has lasted {} seconds", self.app.settings.watches.longest.as_secs())
     }

@@ -2,11 +2,11 @@
 //!
 //! ```text
 //! timeline (which frame is due; pure) ─▶ the engine's seat ─▶ part ─▶ part ─▶ …
-//!                                          │ a frame that waits there is exchanged when the next one is due
+//!                                          │ the next due frame replaces a frame that still waits there
 //! ```
 //!
-//! The body is drawn as it is read: a client that does not read has nothing drawn for it, and goes on with the frame that is due
-//! when it reads again, unless that is later than a stream may be idle ([`watched`]). Without a path it shows one view, and again whenever the scene changes.
+//! A frame is drawn only when the client reads: after a pause the stream goes on with the frame that is due, unless the pause was
+//! longer than a stream may be idle ([`watched`]). Without a path it shows one view, and shows it again when the scene changes.
 
 mod screening;
 mod timeline;
@@ -37,12 +37,12 @@ use crate::engine::{EncodedFrame, FrameRequest, Origin, RequestId};
 use crate::plan::Given;
 use crate::scene::CameraPath;
 
-/// Frames a second that can be asked for.
+/// Range of frames per second that a client can ask for.
 pub const FPS_RANGE: [f64; 2] = [0.1, 120.0];
-/// Of a view that does not move: how soon a change of the scene is shown after the one before.
+/// Largest frame rate of a still view, which is redrawn only when the scene changes.
 const DEFAULT_FPS: f64 = 30.0;
 
-/// What its query may hold.
+/// Parameters that the query may hold.
 pub const NAMES: Names = Names {
     own: &["path", "fps", "loop"],
     without: &[("deadline_ms", "frames that are late are left out")],
@@ -93,7 +93,7 @@ pub async fn mjpeg(
     let show = wanted.show(&app, &request).map_err(|problem| missing(&app, &id, problem))?;
     let mut screening =
         Screening::new(app.clone(), Origin { client, request_id }, request, show, mark)?;
-    // Whatever is wrong is said before the first byte: the first frame is drawn here.
+    // The first frame is drawn here, so that errors are reported before the first byte.
     let first = match method {
         Method::HEAD => None,
         _ => Some(screening.first().await.map_err(|problem| missing(&app, &id, problem))?),
@@ -107,7 +107,7 @@ pub async fn mjpeg(
     headers.insert(header::CONTENT_TYPE, content_type);
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
     headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
-    // nginx would keep frames back until it has a buffer full of them.
+    // nginx would otherwise buffer frames.
     headers.insert(HeaderName::from_static("x-accel-buffering"), HeaderValue::from_static("no"));
     Ok(response)
 }
@@ -180,10 +180,10 @@ fn check_fps(fps: f64, whose: &str) -> Result<(), Problem> {
     Err(Problem::parameter("fps", reason, format!("{least} to {most} frames a second")))
 }
 
-/// Bytes of an image that are handed over at a time: whoever takes little of it at a time still reads.
+/// Bytes of an image handed over at a time, so small that a slow reader still counts as reading.
 const PIECE_BYTES: usize = 32 << 10;
 
-/// The answer's body. A part ends with the next one's delimiter, because only then a browser shows it.
+/// Builds the answer's body. A part ends with the next part's delimiter, because a browser shows it only then.
 fn parts(
     mut screening: Screening,
     first: Option<Arc<EncodedFrame>>,
@@ -191,7 +191,7 @@ fn parts(
 ) -> impl Stream<Item = Bytes> {
     async_stream::stream! {
         let delimiter = Bytes::from(format!("\r\n--{boundary}"));
-        // The first line of all has none before it that would have to end.
+        // Skip the line break before the first delimiter; no part precedes it.
         yield delimiter.slice(2..);
         let mut next = first;
         while let Some(frame) = next {

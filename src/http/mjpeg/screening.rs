@@ -1,4 +1,5 @@
-//! A screening: a film that is shown as it is drawn, and kept nowhere. Waits until a frame is due, has it drawn, and copes with a busy engine.
+//! A screening: a film that is drawn while it is shown, and not stored. It waits until a frame is due, draws it, and copes
+//! with a busy engine.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -15,10 +16,10 @@ use crate::http::problem::{Kind, Problem};
 use crate::http::stream::Place;
 use crate::scene::PathSampler;
 
-/// A picture that does not change is sent again so often, so that nobody on the way takes the connection for dead.
+/// Interval at which an unchanged picture is sent again, so that no proxy takes the connection for dead.
 const REPEAT: Duration = Duration::from_secs(15);
 
-/// What is to be shown.
+/// What a screening shows.
 pub enum Show {
     Path {
         timeline: Timeline,
@@ -26,7 +27,7 @@ pub enum Show {
         start_s: f64,
         sampler: PathSampler,
     },
-    /// One view, and again when the scene has changed, `least` after it was shown.
+    /// One view, drawn again when the scene has changed, at least `least` after the last drawing.
     View {
         least: Duration,
     },
@@ -36,32 +37,32 @@ pub enum Show {
 pub struct Screening {
     app: Arc<App>,
     seat: Seat,
-    /// Frames are named after it.
+    /// Name of the request; the names of the frames derive from it.
     name: RequestId,
     request: FrameRequest,
     show: Show,
     mark: Option<SceneMark>,
     changes: watch::Receiver<u64>,
     draining: watch::Receiver<bool>,
-    /// When tick 0, or the view, was shown.
+    /// When tick 0, or the view, was first shown.
     began: Instant,
-    /// The tick that is shown; of a view, how often it was drawn anew.
+    /// The tick that is shown; for a view, the number of redraws.
     shown: u64,
     last: Option<Arc<EncodedFrame>>,
-    /// Among the streams.
+    /// The place among the streams.
     _place: Place,
 }
 
 /// Why there are no more frames.
 enum End {
-    /// The path's, the scene's or the server's.
+    /// The path, the scene or the server has ended.
     Over,
     Failed(EngineError),
 }
 
 impl Screening {
     /// # Errors
-    /// There are as many streams as there may be.
+    /// Fails when the number of streams has reached its limit.
     pub fn new(
         app: Arc<App>,
         origin: Origin,
@@ -92,7 +93,7 @@ impl Screening {
         })
     }
 
-    /// The first frame, from which on time counts.
+    /// Draws the first frame; time counts from its arrival.
     pub async fn first(&mut self) -> Result<Arc<EncodedFrame>, Problem> {
         let request = self.wanted(0);
         bake(&self.app, &request).await?;
@@ -103,7 +104,7 @@ impl Screening {
         Ok(frame)
     }
 
-    /// The request for a tick.
+    /// Returns the request for a tick.
     fn wanted(&self, tick: u64) -> FrameRequest {
         let mut request = self.request.clone();
         if let Show::Path { timeline, fps, start_s, sampler } = &self.show {
@@ -113,7 +114,7 @@ impl Screening {
         request
     }
 
-    /// What of the path is shown; of a view, how often it was drawn anew.
+    /// Returns the frame's number on the path; for a view, the number of redraws.
     pub fn frame_number(&self) -> u64 {
         self.number_at(self.shown)
     }
@@ -135,7 +136,7 @@ impl Screening {
         self.last = Some(frame.clone());
     }
 
-    /// The next frame, when it is due.
+    /// Returns the next frame when it is due.
     pub async fn next(&mut self) -> Option<Arc<EncodedFrame>> {
         let result = match self.show {
             Show::Path { timeline, .. } => self.next_of_path(timeline).await,
@@ -168,7 +169,7 @@ impl Screening {
         }
     }
 
-    /// Waits until so long after the beginning.
+    /// Waits until `due` after the beginning.
     async fn pause(&mut self, due: Duration) -> Result<(), End> {
         let Some(until) = self.began.checked_add(due) else { return Err(End::Over) };
         tokio::select! {
@@ -225,7 +226,7 @@ impl Screening {
             }
             let due = match next {
                 Some(Next::WaitUntil(due)) => self.began.checked_add(due),
-                // It is being drawn already, and the newer one comes after it.
+                // The engine already draws the old request; the newer one follows.
                 _ => None,
             };
             let wake_at = due.map_or(late_at, |due| due.min(late_at));
@@ -242,7 +243,7 @@ impl Screening {
                     ticket = self.ask(tick).await?;
                 }
                 None if Instant::now() >= late_at => {
-                    // Dropping a ticket cancels what waits.
+                    // Dropping a ticket cancels its waiting request.
                     ticket = self.ask(tick).await?;
                     late_at = Instant::now() + self.app.settings.frame_timeout;
                 }
@@ -251,7 +252,7 @@ impl Screening {
         }
     }
 
-    /// Queues a tick's request; waits for a place in the queue, and for what has to be baked.
+    /// Queues a tick's request; waits for a place in the queue and for baking.
     async fn ask(&mut self, tick: u64) -> Result<FrameTicket, End> {
         loop {
             let request = self.wanted(tick);
@@ -273,7 +274,7 @@ impl Screening {
         }
     }
 
-    /// Waits where waiting helps.
+    /// Handles an error by waiting, where waiting helps.
     async fn recover(&mut self, error: EngineError) -> Result<(), End> {
         const LEAST_PAUSE: Duration = Duration::from_millis(5);
         match error {

@@ -1,8 +1,7 @@
-//! Which frame of a path is due. Pure: it is told the time.
+//! Decides which frame of a path is due. Pure: the caller passes the time.
 //!
-//! A tick is the place of a frame in the time that passes: the first frame is tick 0, and tick `n` is due `n / fps` seconds later.
-//! Ticks that could not be drawn in their time are left out, so that what is shown keeps the path's own time. The last tick is
-//! never left out.
+//! A tick counts frames in the time that passes: the first frame is tick 0, and tick `n` is due `n / fps` seconds later.
+//! Ticks that could not be drawn in time are skipped, so that the film keeps the path's own time. The last tick is never skipped.
 
 use std::time::Duration;
 
@@ -10,17 +9,17 @@ use std::time::Duration;
 #[derive(Clone, Copy, Debug)]
 pub struct Timeline {
     fps: f64,
-    /// Frames of the path, at least one.
+    /// Number of frames of the path, at least one.
     count: u64,
     loops: bool,
 }
 
-/// What is to be done now.
+/// The next action.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Next {
     /// Draw this tick.
     Draw(u64),
-    /// Wait until so long after the start.
+    /// Wait until this long after the start.
     WaitUntil(Duration),
     End,
 }
@@ -30,25 +29,25 @@ impl Timeline {
         Self { fps, count: count.max(1), loops }
     }
 
-    /// What to do `elapsed` after tick 0 was shown, when `shown` was the last tick so far.
+    /// Returns the action at time `elapsed` after tick 0 was shown, when `shown` is the last tick shown.
     pub fn next(&self, shown: u64, elapsed: Duration) -> Next {
         let last = self.count - 1;
         if !self.loops && shown >= last {
             return Next::End;
         }
-        // A timer that fires when a tick is due is not to be sent back for a rounding error.
+        // Without this slack, a rounding error could make a timer that fires on time wait again.
         const SLACK: f64 = 1e-6;
         let now = (elapsed.as_secs_f64() * self.fps + SLACK) as u64;
         let now = if self.loops { now } else { now.min(last) };
         if now > shown {
             return Next::Draw(now);
         }
-        // Both are finite and positive; a duration that is too long for the type is never reached.
+        // Both numbers are finite and positive; a time too long for `Duration` is never reached.
         let due_s = (shown + 1) as f64 / self.fps;
         Next::WaitUntil(Duration::try_from_secs_f64(due_s).unwrap_or(Duration::MAX))
     }
 
-    /// The number of the path's frame that a tick shows.
+    /// Returns the number of the path's frame that a tick shows.
     pub fn frame(&self, tick: u64) -> u64 {
         if self.loops { tick % self.count } else { tick.min(self.count - 1) }
     }
@@ -78,8 +77,9 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig { cases: 200, rng_seed: RngSeed::Fixed(0x51ea_0003), ..ProptestConfig::default() })]
-        /// Whatever drawing takes: ticks grow, none is early, none is late by more than what drawing the one before took, and a
-        /// path that does not loop ends with its last frame, in its own time.
+        /// For all drawing times: ticks grow, none is early, none is later than the time that the previous drawing took, and a
+        /// path that
+        /// does not loop ends with its last frame at the right time.
         #[test]
         fn playing_keeps_the_time(
             fps in 0.1..120.0f64,

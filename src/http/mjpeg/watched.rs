@@ -1,6 +1,7 @@
-//! Takes a film away from who does not read it, so that its place is free for others.
+//! Ends a film that its client does not read, so that its place is free for others.
 //!
-//! A body that is not read is not asked for its next piece; nothing within it would notice. So it lies where a watcher can take it, too.
+//! The server polls a body only when the client reads, so code inside the body cannot notice that reading stopped. The film is
+//! therefore shared with a watcher task that can drop it.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -12,22 +13,22 @@ use futures::Stream;
 use parking_lot::Mutex;
 use tokio::task::JoinHandle;
 
-/// What the watcher and the body share.
+/// State shared by the watcher and the body.
 struct Shared<S> {
-    /// Gone when it was taken away.
+    /// `None` once the watcher has dropped the film.
     film: Option<Pin<Box<S>>>,
     /// When the last piece was handed over, if the next one has not been asked for.
     handed_at: Option<Instant>,
 }
 
-/// A body that ends when nobody has asked for its next piece for too long.
+/// A body that ends when its next piece has not been asked for in too long a time.
 pub struct Watched<S> {
     shared: Arc<Mutex<Shared<S>>>,
     watcher: JoinHandle<()>,
 }
 
 impl<S: Send + 'static> Watched<S> {
-    /// Within a runtime. `patience`: from when a piece was handed over until the next one has to be asked for.
+    /// Needs a runtime. `patience` is the longest time between handing over a piece and the request for the next one.
     pub fn new(film: S, patience: Duration) -> Self {
         let handed_at = Some(Instant::now());
         let shared = Arc::new(Mutex::new(Shared { film: Some(Box::pin(film)), handed_at }));
@@ -38,7 +39,7 @@ impl<S: Send + 'static> Watched<S> {
 impl<S> Drop for Watched<S> {
     fn drop(&mut self) {
         self.watcher.abort();
-        // Here and not when the watcher has ended: its place is free at once.
+        // Drop the film here rather than when the watcher ends, so that its place is free at once.
         self.shared.lock().film = None;
     }
 }
@@ -49,7 +50,7 @@ impl<S: Stream<Item = Bytes> + Send + 'static> Stream for Watched<S> {
     fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Self::Item>> {
         let mut shared = self.shared.lock();
         let Some(film) = &mut shared.film else {
-            // An error, so that the connection ends and not what looks like the whole film.
+            // Return an error, so that the connection breaks: a clean end would look like the whole film.
             return Poll::Ready(Some(Err(std::io::ErrorKind::TimedOut.into())));
         };
         let piece = film.as_mut().poll_next(context);
@@ -61,7 +62,7 @@ impl<S: Stream<Item = Bytes> + Send + 'static> Stream for Watched<S> {
 async fn watch<S>(shared: Arc<Mutex<Shared<S>>>, patience: Duration) {
     loop {
         let handed_at = shared.lock().handed_at;
-        // Of one that is being waited for, the next piece comes later than now.
+        // While a piece is being waited for, the deadline of the next one counts from now.
         let due = handed_at.unwrap_or_else(Instant::now) + patience;
         tokio::time::sleep_until(due.into()).await;
         let mut shared = shared.lock();
@@ -80,7 +81,7 @@ mod tests {
 
     const PATIENCE: Duration = Duration::from_millis(200);
 
-    /// Pieces that come `after` so long each, and whether somebody still has them.
+    /// Builds a film whose pieces come `after` apart, and an `Arc` that shows whether the film still exists.
     fn film(after: Duration) -> (Watched<impl Stream<Item = Bytes> + Send>, Arc<()>) {
         let place = Arc::new(());
         let held = place.clone();

@@ -14,11 +14,11 @@ use crate::plan::{self, Kind, Output};
 use crate::residency::layout::MOST_ROWS;
 use crate::scene::{LARGEST_COORDINATE, LARGEST_SCALE};
 
-/// Where the words stand that a request may have for a format: those of answers, and another one for JPEG.
+/// Schema of the format names that a request may use: those of answers, and `jpg`.
 const WANTED_FORMAT: &str = "#/components/schemas/WantedFormat";
 const JPG: &str = "jpg";
 
-/// How many numbers a property of this name holds, in requests and answers alike.
+/// Number of numbers in a property of this name, in requests and answers alike.
 const LENGTHS: [(&str, usize); 10] = [
     ("eye", 3),
     ("target", 3),
@@ -32,12 +32,12 @@ const LENGTHS: [(&str, usize); 10] = [
     ("depth_range", 2),
 ];
 
-/// The entry of [`LENGTHS`] for a name.
+/// Returns the entry of [`LENGTHS`] for a name.
 pub fn length_of(name: &str) -> Option<(&'static str, usize)> {
     LENGTHS.into_iter().find(|(known, _)| *known == name)
 }
 
-/// What a frame's parameter of this name may be, in a query and in JSON alike.
+/// Returns the bounds of a frame's parameter, in a query and in JSON alike.
 fn of_frame(name: &str) -> Option<Value> {
     Some(match name {
         "camera" => json!({ "minLength": 1, "maxLength": params::MAX_NAME_CHARS }),
@@ -60,7 +60,7 @@ fn of_frame(name: &str) -> Option<Value> {
     })
 }
 
-/// What a parameter of an operation may be.
+/// Returns the bounds of an operation's parameter.
 pub fn of_parameter(path: &str, place: &str, name: &str) -> Option<Value> {
     if path.ends_with("/mjpeg") && name == "format" {
         return Some(json!({ "$ref": null, "type": "string", "enum": [ImageFormat::Jpeg, JPG] }));
@@ -87,7 +87,7 @@ pub fn of_parameter(path: &str, place: &str, name: &str) -> Option<Value> {
         ("query", "fps") => json!({ "minimum": least_fps, "maximum": most_fps }),
         ("query", "from") => json!({ "minimum": 0, "maximum": MOST_FRAMES }),
         ("header", "Idempotency-Key") => {
-            // HTTP takes blanks and tabs around a header's value away.
+            // HTTP strips blanks and tabs around a header's value.
             json!({ "pattern": "^[\\t ]*[!-~]([ -~]*[!-~])?[\\t ]*$", "minLength": 1, "maxLength": job::MAX_KEY_BYTES })
         }
         ("query", _) => return of_frame(name),
@@ -95,7 +95,7 @@ pub fn of_parameter(path: &str, place: &str, name: &str) -> Option<Value> {
     })
 }
 
-/// Parameters of a frame that an operation's query does not take.
+/// Returns whether an operation's query refuses a frame's parameter.
 pub fn is_refused(path: &str, name: &str) -> bool {
     let without = match path {
         "/v1/scenes/{id}/mjpeg" => mjpeg::NAMES.without,
@@ -105,7 +105,7 @@ pub fn is_refused(path: &str, name: &str) -> bool {
     without.iter().any(|(refused, _)| *refused == name)
 }
 
-/// Bounds of the schemas, before flattened ones take properties over.
+/// Adds bounds to the schemas, before flattened schemas take over their properties.
 pub fn of_schemas(document: &mut Value) {
     each_object(document, &mut |object| {
         let Some(Value::Object(properties)) = object.get_mut("properties") else { return };
@@ -148,7 +148,7 @@ pub fn of_schemas(document: &mut Value) {
     of_node_changes(schemas);
 }
 
-/// Bounds of `PATCH …/nodes/{node}`.
+/// Adds the bounds of `PATCH …/nodes/{node}`.
 fn of_node_changes(schemas: &mut Value) {
     let most = LARGEST_COORDINATE;
     let factor = json!({ "anyOf": [number(1.0 / LARGEST_SCALE, LARGEST_SCALE), number(-LARGEST_SCALE, -1.0 / LARGEST_SCALE)] });
@@ -175,7 +175,7 @@ fn of_node_changes(schemas: &mut Value) {
     narrow(&mut properties["matrix"], json!({ "prefixItems": rows }));
 }
 
-/// Bounds of the bodies that hold a frame's parameters among their own, once these are in one object.
+/// Adds the bounds of bodies that mix a frame's parameters with their own, after both are merged into one object.
 pub fn of_bodies(schemas: &mut Value) {
     let frames = &mut schemas["FramesRequest"]["properties"];
     narrow(&mut frames["poses"], json!({ "minItems": 1, "maxItems": frames::MAX_POSES }));
@@ -201,14 +201,14 @@ pub fn of_bodies(schemas: &mut Value) {
     narrow(&mut properties["bitrate_kbps"], json!({ "minimum": least_kbps, "maximum": most_kbps }));
 }
 
-/// A path by its name, or itself.
+/// Schema of a job's path: a name, or the path itself.
 fn path_of_job(description: &str) -> Value {
     json!({ "description": description, "oneOf": [
         { "type": "string", "minLength": 1, "maxLength": params::MAX_NAME_CHARS },
         { "$ref": "#/components/schemas/PathFile" } ] })
 }
 
-/// What can be uploaded: the body of each media type.
+/// Adds the upload's body for each media type.
 pub fn of_uploads(document: &mut Value) {
     let content = &mut document["paths"]["/v1/scenes"]["post"]["requestBody"]["content"];
     content["application/json"]["schema"] = json!({ "$ref": "#/components/schemas/SceneFile" });
@@ -222,12 +222,12 @@ pub fn of_uploads(document: &mut Value) {
             { "type": "array", "items": { "type": "string", "format": "binary" }, "minItems": 1, "maxItems": upload::MAX_FILES } ] } });
 }
 
-/// Adds keywords to a schema, and to its items' where there are some among them; `null` removes one.
+/// Adds keywords to a schema; `items` extends the schema of the items. A `null` removes a keyword.
 pub fn narrow(schema: &mut Value, keywords: Value) {
     let Value::Object(keywords) = keywords else { return };
     for (keyword, value) in keywords {
         match (keyword.as_str(), &value) {
-            // What stood there before.
+            // The removed value is not needed.
             (_, Value::Null) => drop(schema.as_object_mut().map(|schema| schema.remove(&keyword))),
             ("items", Value::Object(_)) => narrow(&mut schema["items"], value),
             _ => schema[keyword] = value,

@@ -1,9 +1,8 @@
 //! The contract, generated from the handlers and wire types.
 //!
-//! Handlers document their successes; which problems each operation answers stands in one table
-//! here, so that every status, with the `type`s behind it, is in the document. [`tidy`] straightens the
-//! generator's schemas, [`bounds`] adds the ranges and lengths that the handlers enforce. `openapi.yaml` at
-//! the root of the repository is this document; a test holds the two equal.
+//! Handlers document their successes. One table here lists the problems that each operation answers, so the document has every
+//! status and its `type`s. [`tidy`] straightens the generator's schemas, and [`bounds`] adds the ranges and lengths that the
+//! handlers enforce. `openapi.yaml` at the root of the repository is this document; a test holds the two equal.
 
 mod bounds;
 mod tidy;
@@ -82,10 +81,10 @@ use crate::engine::Receipt;
 )]
 struct Contract;
 
-/// The contract as JSON.
+/// Returns the contract as JSON.
 ///
 /// # Errors
-/// None that the types allow; the serialiser's, if any.
+/// The types allow none; passes on an error of the serialiser.
 pub fn openapi_json() -> anyhow::Result<Value> {
     let mut document = serde_json::to_value(Contract::openapi())?;
     let scene = tidy::adopt(&mut document, crate::scene::json_schema(), "File");
@@ -101,10 +100,10 @@ pub fn openapi_json() -> anyhow::Result<Value> {
     Ok(document)
 }
 
-/// The contract as `openapi.yaml` has it.
+/// Returns the contract as in `openapi.yaml`.
 ///
 /// # Errors
-/// None that the types allow; the serialiser's, if any.
+/// The types allow none; passes on an error of the serialiser.
 pub fn openapi_yaml() -> anyhow::Result<String> {
     let yaml = tidy::plain_numbers(&yaml_serde::to_string(&tidy::ordered(&openapi_json()?))?);
     Ok(format!(
@@ -112,7 +111,7 @@ pub fn openapi_yaml() -> anyhow::Result<String> {
     ))
 }
 
-/// Gives parameters their bounds, and leaves out those that an operation refuses.
+/// Adds bounds to parameters and removes those that an operation refuses.
 fn parameters(document: &mut Value) {
     let Some(paths) = document["paths"].as_object_mut() else { return };
     for (path, item) in paths {
@@ -141,7 +140,7 @@ fn parameters(document: &mut Value) {
     }
 }
 
-/// What each operation may answer beside its successes; access and internal errors are added to all.
+/// Lists the problems that an operation may answer; access and internal errors are added to all operations.
 fn problems(path: &str, method: &str) -> &'static [Kind] {
     use Kind::*;
     match (path, method) {
@@ -319,7 +318,7 @@ fn problems(path: &str, method: &str) -> &'static [Kind] {
     }
 }
 
-/// Whether an operation looks at its query, if only to refuse one.
+/// Returns whether an operation reads its query, if only to refuse one.
 fn reads_query(path: &str) -> bool {
     path.starts_with("/v1/") && path != "/v1/scene-schema.json"
 }
@@ -337,7 +336,7 @@ impl Modify for Problems {
                 Kind::Internal,
             ]);
             if path.contains('{') {
-                // A segment that is not UTF-8, or that is empty.
+                // A segment may be empty or not UTF-8.
                 kinds.push(Kind::UnknownRoute);
             }
             if reads_query(path) {
@@ -377,7 +376,7 @@ fn answer(kinds: &[Kind]) -> RefOr<utoipa::openapi::Response> {
     )
 }
 
-/// API keys, for every operation that may need one.
+/// Documents API keys for every operation that may need one.
 struct Keys;
 
 impl Modify for Keys {
@@ -439,7 +438,7 @@ mod tests {
         );
     }
 
-    /// YAML 1.1 takes `1e100` for text, YAML 1.2 does not.
+    /// YAML 1.1 reads `1e100` as text; YAML 1.2 reads it as a number.
     #[test]
     fn numbers_are_numbers_to_every_reader_of_yaml() {
         let yaml = openapi_yaml().unwrap();
@@ -463,7 +462,7 @@ mod tests {
         let text = openapi_yaml().unwrap();
         for kind in Kind::ALL {
             let (_, urn, _) = kind.facts();
-            // What only a job's `error` can be stands there, without what all have in common.
+            // Types that occur only in a job's `error` are listed there without the common prefix.
             let short = urn.rsplit(':').next().unwrap();
             assert!(text.contains(urn) || text.contains(&format!("`{short}`")), "{kind:?}");
         }

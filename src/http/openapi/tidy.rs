@@ -1,14 +1,15 @@
-//! Schemas as clients and validators need them: the generator's output, straightened.
+//! Corrects the generated schemas so that clients and validators can use them.
 //!
-//! `utoipa` writes a flattened field as `allOf` of the outer and the inner object. Where the inner object refuses unknown properties,
-//! that schema refuses every document. It also lets query parameters be `null`, and it knows neither lengths nor ranges.
+//! `utoipa` writes a flattened field as `allOf` of the outer and the inner object. Where the inner object refuses unknown
+//! properties, that schema refuses every document. `utoipa` also lets query parameters be `null`, and knows neither lengths nor
+//! ranges.
 
 use serde_json::{Map, Value, json};
 
-/// The schemas of the document by name.
+/// The document's schemas by name.
 type Schemas = Map<String, Value>;
 
-/// Replaces every `allOf` of objects by the one object that it stands for.
+/// Replaces every `allOf` of objects by one equivalent object.
 pub fn flatten(document: &mut Value) {
     let Some(schemas) = document.pointer("/components/schemas").and_then(Value::as_object) else {
         return;
@@ -23,7 +24,7 @@ pub fn flatten(document: &mut Value) {
     });
 }
 
-/// One object that is described by all `parts`; `None` where one of them is no object.
+/// Merges `parts` into one object; `None` where a part is no object.
 fn merged(parts: &[Value], known: &Schemas) -> Option<Map<String, Value>> {
     let (mut properties, mut required) = (Map::new(), Vec::new());
     let mut is_closed = false;
@@ -54,7 +55,7 @@ fn merged(parts: &[Value], known: &Schemas) -> Option<Map<String, Value>> {
     Some(whole)
 }
 
-/// The object schema that a part of an `allOf` is, or refers to.
+/// Returns the object schema that a part of an `allOf` is, or refers to.
 fn resolved(part: &Value, known: &Schemas) -> Option<Map<String, Value>> {
     let object = part.as_object()?;
     if let Some(name) = object.get("$ref").and_then(Value::as_str) {
@@ -66,7 +67,7 @@ fn resolved(part: &Value, known: &Schemas) -> Option<Map<String, Value>> {
     (object.get("type") == Some(&json!("object"))).then(|| object.clone())
 }
 
-/// What `oneOf` of a schema and `null` says beside `null`.
+/// Returns the other half of a `oneOf` of a schema and `null`.
 fn without_null(schema: &Value) -> Option<Value> {
     let variants = schema.get("oneOf")?.as_array()?;
     let (nulls, mut others): (Vec<&Value>, Vec<&Value>) =
@@ -74,7 +75,7 @@ fn without_null(schema: &Value) -> Option<Value> {
     (nulls.len() == 1 && others.len() == 1).then(|| others.remove(0).clone())
 }
 
-/// A parameter in an address or a header is there or not: it is never `null`.
+/// Removes `null` from a parameter of an address or header: it is there or not, never `null`.
 pub fn never_null(schema: &mut Value) {
     if let Some(inner) = without_null(schema) {
         *schema = inner;
@@ -88,14 +89,14 @@ pub fn never_null(schema: &mut Value) {
     }
 }
 
-/// Takes a property out of an object schema.
+/// Removes a property from an object schema.
 pub fn remove_property(schema: &mut Value, name: &str) {
     if let Some(properties) = schema.get_mut("properties").and_then(Value::as_object_mut) {
         properties.remove(name);
     }
 }
 
-/// Moves the definitions of a JSON Schema document to `components/schemas`, with `prefix` before their names, and gives what is left of it.
+/// Moves the definitions of a JSON Schema document to `components/schemas` under names with `prefix`, and returns the rest.
 pub fn adopt(document: &mut Value, mut schema: Value, prefix: &str) -> Value {
     let mut definitions = Map::new();
     if let Some(object) = schema.as_object_mut() {
@@ -121,7 +122,7 @@ pub fn adopt(document: &mut Value, mut schema: Value, prefix: &str) -> Value {
     schema
 }
 
-/// Calls `change` with every object, the inner ones first.
+/// Calls `change` with every object, inner objects first.
 pub fn each_object(value: &mut Value, change: &mut impl FnMut(&mut Map<String, Value>)) {
     match value {
         Value::Object(object) => {
@@ -133,7 +134,7 @@ pub fn each_object(value: &mut Value, change: &mut impl FnMut(&mut Map<String, V
     }
 }
 
-/// Keys in the order in which a reader wants them; others follow in alphabetical order.
+/// Order of keys for readers; other keys follow in alphabetical order.
 const ORDER: [&str; 34] = [
     "openapi",
     "info",
@@ -171,7 +172,7 @@ const ORDER: [&str; 34] = [
     "security",
 ];
 
-/// The document for YAML, with its keys in the order of [`ORDER`].
+/// Returns the document for YAML, with its keys in the order of [`ORDER`].
 pub fn ordered(value: &Value) -> yaml_serde::Value {
     match value {
         Value::Object(object) => {
@@ -196,7 +197,7 @@ pub fn ordered(value: &Value) -> yaml_serde::Value {
     }
 }
 
-/// YAML with its exponents as YAML 1.1 and 1.2 have them: `1.0e+100` instead of `1e100`.
+/// Rewrites exponents so that YAML 1.1 and 1.2 both read numbers: `1.0e+100` instead of `1e100`.
 pub fn plain_numbers(yaml: &str) -> String {
     let mut plain = String::with_capacity(yaml.len());
     for line in yaml.lines() {

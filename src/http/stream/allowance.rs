@@ -1,16 +1,16 @@
-//! How many messages a client may send. Pure: it is told the time.
+//! Limits how many messages a client may send, as a token bucket. Pure: the caller passes the time.
 //!
-//! Each message takes a coin; coins come back at a steady rate, up to a purse full. So a burst after a network that stood still is taken,
-//! and a rate beyond what any client needs is not: reading would take a core, whatever the client does with what it is sent.
+//! Each message takes a token; tokens return at a steady rate up to the size of the bucket. The bucket absorbs a burst after a
+//! network stall. A higher rate than any client needs is refused, because reading it would take a core.
 
 use std::time::Instant;
 
-/// Messages in a second. Mice tell of themselves up to a thousand times; nothing else comes near that.
+/// Messages per second. Mice report up to a thousand times a second; no other source comes near.
 pub const MOST_PER_SECOND: u32 = 1000;
-/// Messages at once.
+/// Size of the bucket: messages at once.
 const PURSE: u32 = 4 * MOST_PER_SECOND;
 
-/// What a client may still send.
+/// The token bucket of one client.
 #[derive(Debug)]
 pub struct Allowance {
     coins: f64,
@@ -22,7 +22,7 @@ impl Allowance {
         Self { coins: f64::from(PURSE), at: now }
     }
 
-    /// Takes a message into account. False: it is one too many.
+    /// Takes a token for a message. Returns false if there is none.
     #[must_use]
     pub fn take(&mut self, now: Instant) -> bool {
         let passed = now.saturating_duration_since(self.at).as_secs_f64();
@@ -39,7 +39,7 @@ mod tests {
     use super::*;
     use std::time::Duration;
 
-    /// When the first of messages at `per_second` is one too many, within a minute.
+    /// Returns when the first of messages at `per_second` is refused, within a minute.
     fn refused_after(per_second: u32) -> Option<f64> {
         let start = Instant::now();
         let mut allowance = Allowance::new(start);

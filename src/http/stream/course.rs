@@ -1,4 +1,4 @@
-//! Which pose is to be drawn next, and how well. Pure: it is told the time.
+//! Decides which pose to draw next, and how well. Pure: the caller passes the time.
 //!
 //! ```text
 //! set ──▶ new ──▶ moving frame asked for ──REST, nothing newer──▶ still frame asked for
@@ -10,14 +10,14 @@ use std::time::{Duration, Instant};
 
 use super::wire::Quality;
 
-/// A pose that nothing followed for so long is at rest.
+/// A pose is at rest when none has followed for this long.
 pub const REST: Duration = Duration::from_millis(200);
 
-/// The newest pose, and what became of it. `P` is whatever describes it.
+/// The newest pose and the state of its frames. `P` describes the pose.
 #[derive(Debug)]
 pub struct Course<P> {
     aim: Option<Aim<P>>,
-    /// Poses that a newer one followed before a frame of them was begun.
+    /// Number of poses that a newer one replaced before any frame of them was requested.
     overtaken: u64,
 }
 
@@ -27,7 +27,7 @@ struct Aim<P> {
     pose: P,
     arrived: Instant,
     may_move: bool,
-    /// The best frame asked for.
+    /// Quality of the best frame requested so far.
     asked: Option<Quality>,
 }
 
@@ -36,7 +36,7 @@ impl<P> Course<P> {
         Self { aim: None, overtaken: 0 }
     }
 
-    /// Takes a newer pose; the last is overtaken if it was not asked for.
+    /// Sets a newer pose. The previous pose counts as overtaken if no frame of it was requested.
     pub fn set(&mut self, seq: u64, pose: P, moving: Option<bool>, now: Instant) {
         if self.aim.as_ref().is_some_and(|aim| aim.asked.is_none()) {
             self.overtaken += 1;
@@ -45,7 +45,7 @@ impl<P> Course<P> {
         self.aim = Some(Aim { seq, pose, arrived: now, may_move, asked: None });
     }
 
-    /// What is to be asked for now: which pose, and how well.
+    /// Returns the pose to request now, and its quality.
     pub fn wanted(&self, now: Instant) -> Option<(u64, &P, Quality)> {
         let aim = self.aim.as_ref()?;
         let may_move = aim.may_move && now < aim.arrived + REST;
@@ -57,35 +57,35 @@ impl<P> Course<P> {
         Some((aim.seq, &aim.pose, quality))
     }
 
-    /// When something will be wanted though nothing comes.
+    /// Returns the time when a frame will be wanted even if no message arrives.
     pub fn wake_at(&self, now: Instant) -> Option<Instant> {
         let aim = self.aim.as_ref()?;
         let rests = aim.arrived + REST;
         (aim.may_move && aim.asked != Some(Quality::Still) && rests > now).then_some(rests)
     }
 
-    /// What was wanted has been asked for. Nothing better will be, if it is `Still`.
+    /// Records that the wanted frame was requested. After `Still`, nothing better follows.
     pub fn asked(&mut self, quality: Quality) {
         if let Some(aim) = &mut self.aim {
             aim.asked = Some(quality);
         }
     }
 
-    /// A frame of pose `seq` that had been asked for will not come, because a newer request took its place.
+    /// Records that a requested frame of pose `seq` will not come, because a newer request replaced it.
     pub fn replaced(&mut self, seq: u64) {
         if self.aim.as_ref().is_none_or(|aim| aim.seq != seq) {
             self.overtaken += 1;
         }
     }
 
-    /// The pose is to be drawn once more.
+    /// Has the pose drawn once more.
     pub fn again(&mut self) {
         if let Some(aim) = &mut self.aim {
             aim.asked = None;
         }
     }
 
-    /// The pose cannot be drawn.
+    /// Drops the pose, which cannot be drawn.
     pub fn give_up(&mut self) {
         self.aim = None;
     }
@@ -132,8 +132,8 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig { cases: 300, rng_seed: RngSeed::Fixed(0x51ea_0002), ..ProptestConfig::default() })]
-        /// Whatever comes and whenever frames are asked for: never an older pose than the newest, each pose at most once moving
-        /// and once still, the last one still in the end, and each is either drawn or counted as overtaken.
+        /// For every order of poses and requests: no pose older than the newest is requested, each pose is requested at most once
+        /// moving and once still, the last one ends still, and each pose is either drawn or counted as overtaken.
         #[test]
         fn the_newest_pose_wins(steps in prop::collection::vec((0u64..150, 0u8..6), 1..120)) {
             let mut now = Instant::now();

@@ -7,8 +7,8 @@
 //!             └─▶ outbox ─▶ writer
 //! ```
 //!
-//! The newest pose wins: a stream has one frame being drawn and one waiting at most, and a newer pose takes the place of the one
-//! that waits, with its turn. Acknowledgements open the window ([`pacing`]); without them there are no more frames.
+//! The newest pose wins: a stream has at most one frame being drawn and one waiting. A newer pose replaces the waiting one and
+//! keeps its turn. Acknowledgements open the window ([`pacing`]); without them no more frames are sent.
 
 mod allowance;
 mod course;
@@ -43,7 +43,7 @@ use session::Session;
 /// The subprotocol that is chosen when a client offers it.
 const PROTOCOL: &str = "pointillist";
 
-/// What the address may hold.
+/// Parameters that the address may hold.
 const QUERY_NAMES: Names = Names { own: &[], without: WITHOUT };
 
 /// Poses in, frames out, over a WebSocket.
@@ -99,10 +99,10 @@ pub async fn stream(
             .at("Upgrade")
             .accepted("a WebSocket handshake over HTTP/1.1, version 13")
     })?;
-    // A message a little over the limit is read to its end, so that the close that answers it is not lost to a reset.
+    // A message slightly over the limit is read to its end, because a reset would otherwise lose the close that answers it.
     let most = 4 * MAX_MESSAGE_BYTES;
     let upgrade = upgrade.protocols([PROTOCOL]).max_message_size(most).max_frame_size(most);
-    // Before the handshake is answered: who was answered first has come first.
+    // Take the place before answering the handshake, so that places go to clients in the order of the answers.
     let place = Place::take(&app, client);
     Ok(upgrade.on_upgrade(move |socket| async move {
         let Some(place) = place else {

@@ -1,7 +1,7 @@
-//! What a frame of a pose is: as it was asked for, or quicker while the pose moves. Pure.
+//! Turns a pose into a frame request: as asked for, or cheaper while the pose moves. Pure.
 //!
-//! A moving frame is smaller, is a JPEG where a browser would show one, and is drawn with less detail where it is of `lod=spt`: what
-//! such a frame costs depends little on its pixels once they are few, and much on the error that it may have.
+//! A moving frame is smaller, is a JPEG where a browser would show one, and has less detail with `lod=spt`. The cost of such a
+//! frame depends little on its pixels once they are few, and much on the accepted error.
 
 use std::time::Instant;
 
@@ -13,26 +13,26 @@ use crate::http::params::FrameParams;
 use crate::http::problem::Problem;
 use crate::plan::{Lod, MaxError, Output, StillFrame};
 
-/// No side of a moving frame is made shorter than this.
+/// Shortest side of a moving frame.
 const LEAST_SIDE: u32 = 64;
-/// Where less was asked for, no moving frame may be wrong by more of its own pixels.
+/// Largest error of a moving frame in its own pixels, unless a larger one was asked for.
 const MOST_ERROR_PX: f32 = 4.0;
 
-/// A frame as it will be asked for.
+/// A frame to request.
 pub struct Wanted {
     pub request: FrameRequest,
     pub quality: Quality,
-    /// Width and height as a share of what was asked for.
+    /// Width and height as a share of the requested size.
     pub scale: f64,
 }
 
-/// What the header of a frame says of how it was made.
+/// Fields of a frame's header that say how it was made.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Made {
     pub format: ImageFormat,
-    /// Of a JPEG.
+    /// JPEG quality, for a JPEG.
     pub jpeg_quality: Option<u8>,
-    /// Of a frame of `lod=spt`.
+    /// Accepted error, with `lod=spt`.
     pub max_error_px: Option<f32>,
 }
 
@@ -47,10 +47,10 @@ impl Made {
     }
 }
 
-/// The frame that a pose asks for. Colours come as JPEG where no format is given.
+/// Builds the frame that a pose asks for. Colours are sent as JPEG where no format is given.
 ///
 /// # Errors
-/// What of the parameters cannot be used.
+/// Names the parameters that cannot be used.
 pub fn still_request(id: &str, params: &FrameParams) -> Result<FrameRequest, Problem> {
     let format = match (params.format()?, params.output()?) {
         (Some(format), _) => format,
@@ -60,7 +60,7 @@ pub fn still_request(id: &str, params: &FrameParams) -> Result<FrameRequest, Pro
     params.request(id, format, Instant::now())
 }
 
-/// A frame of the given quality. Where a moving one comes out as good as was asked for, it is called still.
+/// Builds a frame of the given quality. A moving frame that comes out as good as requested counts as still.
 ///
 /// # Errors
 /// As [`still_request`].
@@ -97,7 +97,7 @@ pub fn wanted(
     Ok(Wanted { request, quality, scale })
 }
 
-/// What a moving frame may be wrong by. Of full detail nothing looks at it.
+/// Returns the error that a moving frame may have. Frames of full detail ignore it.
 fn moving_error(asked: MaxError, coarseness: f64) -> MaxError {
     let px = asked.px() * coarseness as f32;
     MaxError::new(px.min(MOST_ERROR_PX.max(asked.px()))).unwrap_or(asked)
@@ -151,7 +151,7 @@ mod tests {
         assert_eq!(moving("w=64&h=64&quality=50", 1.0).quality, Quality::Still);
         assert_eq!(moving("w=64&h=64&quality=90", 1.0).quality, Quality::Moving);
         assert_eq!(moving("w=64&h=64&format=png", 1.0).quality, Quality::Moving);
-        // Of full detail there is no error to be larger.
+        // Full detail has no error that could grow.
         assert_eq!(coarse("w=64&h=64&format=raw", 0.25, 4.0).quality, Quality::Still);
         assert_eq!(coarse("w=64&h=64&format=raw&lod=spt", 0.25, 4.0).quality, Quality::Moving);
     }

@@ -1,7 +1,7 @@
-//! What waits to be written, and the task that writes it, so that a session reads on while a large frame is under way.
+//! The queue of outgoing messages and the task that writes them, so that a session reads on while a large frame is sent.
 //!
-//! It is bounded: a session asks for frames only while few are unwritten ([`Outbox::has_room_for_frames`]), and reads only while
-//! there is room for what it may have to say about it ([`Outbox::may_read`]).
+//! The queue is bounded: a session requests frames only while few are unwritten ([`Outbox::has_room_for_frames`]), and reads only
+//! while there is room for the replies to what it reads ([`Outbox::may_read`]).
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -15,14 +15,14 @@ use tokio::task::JoinHandle;
 
 use super::wire::Close;
 
-/// Messages that wait, of which this many places are kept for what has to be said whatever was read.
+/// Capacity of the queue; `KEPT` of its places are reserved for replies to messages that were read.
 const PLACES: usize = 32;
 const KEPT: usize = 16;
-/// Frames that are finished and not written: one that is being written and one behind it.
+/// Largest number of finished frames that are not written: one being written and one behind it.
 const MOST_FRAMES: usize = 2;
-/// How long a client has to answer a close.
+/// Time for a client to answer a close.
 const CLOSING: Duration = Duration::from_secs(2);
-/// How long a close that nobody waits for an answer to has to arrive: what is ended with bytes unread is reset.
+/// Time for a close to arrive when no answer is awaited: ending a connection with unread bytes resets it.
 const ARRIVING: Duration = Duration::from_millis(500);
 
 pub struct Outbox {
@@ -39,7 +39,7 @@ impl Outbox {
         Self { sender, unwritten_frames, writer }
     }
 
-    /// Whether `asked` more frames will find room.
+    /// Returns whether there will be room for `asked` more frames.
     pub fn has_room_for_frames(&self, asked: usize) -> bool {
         self.unwritten_frames.load(Ordering::Relaxed) + asked <= MOST_FRAMES
     }
@@ -48,13 +48,13 @@ impl Outbox {
         self.sender.capacity() >= KEPT
     }
 
-    /// Waits until [`Outbox::may_read`].
+    /// Waits until [`Outbox::may_read`] is true.
     pub async fn room(&self) {
-        // A writer that ended is seen by `ended`.
+        // An error means that the writer ended, which `ended` reports.
         let _ = self.sender.reserve_many(KEPT).await;
     }
 
-    /// Hands a message to the writer. False when it cannot be: the stream is over.
+    /// Hands a message to the writer. Returns false if the stream is over.
     pub fn push(&self, message: Message) -> bool {
         if matches!(message, Message::Binary(_)) {
             self.unwritten_frames.fetch_add(1, Ordering::Relaxed);
@@ -62,12 +62,12 @@ impl Outbox {
         self.sender.try_send(message).is_ok()
     }
 
-    /// Waits until nothing can be written any more.
+    /// Waits until the writer has ended.
     pub async fn ended(&self) {
         self.sender.closed().await;
     }
 
-    /// Writes what waits and then the close, and waits for the client's; neither for long.
+    /// Writes waiting messages and then the close, and waits for the client's close; both for a limited time.
     pub async fn close(self, close: Close, source: SplitStream<WebSocket>) {
         let Outbox { sender, mut writer, .. } = self;
         let closing = async {
@@ -81,7 +81,7 @@ impl Outbox {
         writer.abort();
     }
 
-    /// The same, of a client whose messages cannot be read any more.
+    /// Closes a stream whose client's messages cannot be read any more.
     pub async fn close_unread(self, close: Close, source: SplitStream<WebSocket>) {
         let Outbox { sender, mut writer, .. } = self;
         let writing = async {
@@ -96,14 +96,14 @@ impl Outbox {
         drop(source);
     }
 
-    /// The client has closed: what is left of the handshake, and no more frames.
+    /// Finishes the handshake of a close by the client; no more frames are sent.
     pub async fn closed(self, source: SplitStream<WebSocket>) {
         self.writer.abort();
         let _ = tokio::time::timeout(CLOSING, drained(source)).await;
     }
 }
 
-/// Reads to the end: reading is also what sends the answer to a close.
+/// Reads to the end, which also sends the answer to a close.
 async fn drained(mut source: SplitStream<WebSocket>) {
     while let Some(Ok(_)) = source.next().await {}
 }
@@ -125,7 +125,7 @@ async fn write(
     }
 }
 
-/// Closes a socket before anything was said on it.
+/// Closes a socket before any message was sent.
 pub async fn refuse(socket: WebSocket, close: Close) {
     let (sink, source) = socket.split();
     Outbox::start(sink).close(close, source).await;

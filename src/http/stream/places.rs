@@ -1,4 +1,4 @@
-//! How many streams there may be, in all and of one client, and how they are told that the server stops.
+//! Limits the number of streams, in total and per client, and tells streams that the server stops.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,24 +9,24 @@ use crate::engine::Client;
 use crate::http::App;
 use crate::http::headcount::Headcount;
 
-/// What streams are allowed.
+/// Limits of streams.
 #[derive(Clone, Copy, Debug)]
 pub struct StreamLimits {
-    /// At the same time.
+    /// Largest number at the same time.
     pub most: usize,
-    /// Of one client.
+    /// Largest number per client.
     pub most_per_client: usize,
-    /// Without a message from the client, or, of a film, without any of it being taken.
+    /// Longest time without a message from the client or, for a film, without the client reading any of it.
     pub idle: Duration,
 }
 
-/// The streams that are open.
+/// Counts the open streams.
 pub struct Streams {
     count: Headcount,
     draining: watch::Sender<bool>,
 }
 
-/// A stream's place, free again when this is dropped.
+/// A stream's place; dropping it frees the place.
 pub struct Place {
     app: Arc<App>,
     client: Client,
@@ -50,15 +50,15 @@ impl Streams {
         self.draining.subscribe()
     }
 
-    /// Waits until there is no stream.
+    /// Waits until no stream is open.
     pub async fn closed(&self) {
-        // The sender is ours, so it cannot be gone.
+        // `self` holds the sender, so it cannot be gone.
         let _ = self.count.open().wait_for(|open| *open == 0).await;
     }
 }
 
 impl Place {
-    /// `None` when there are as many as there may be.
+    /// Returns `None` when the limit is reached.
     pub fn take(app: &Arc<App>, client: Client) -> Option<Place> {
         app.streams.count.take(client).then(|| {
             app.metrics.streams_open.inc();

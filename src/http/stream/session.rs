@@ -1,4 +1,4 @@
-//! One stream's task: what comes from its client, from the engine and from the clock, one after the other.
+//! The task of one stream, which handles events from its client, the engine and the clock in turn.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -24,28 +24,28 @@ use crate::http::App;
 use crate::http::params::FrameParams;
 use crate::http::problem::{Kind, Problem};
 
-/// Frames asked for and not come: one being drawn, one waiting.
+/// Largest number of outstanding frames: one being drawn, one waiting.
 const MOST_ASKED: usize = 2;
-/// Messages that are read before it is asked whether anything else has happened.
+/// Largest number of messages that are read before other events get a turn.
 const MOST_IN_A_ROW: usize = 64;
 
 pub struct Session {
     app: Arc<App>,
     id: String,
-    /// What the connection is called.
+    /// Name of the connection.
     name: RequestId,
     mark: Option<SceneMark>,
     source: SplitStream<WebSocket>,
     outbox: Outbox,
     seat: Seat,
-    /// What a pose leaves out.
+    /// Values of parameters that a pose leaves out.
     settings: FrameParams,
     course: Course<FrameParams>,
     pacer: Pacer,
     asked: VecDeque<Asked>,
     frames: u64,
     baking: Option<BakeTicket>,
-    /// The engine takes nothing before.
+    /// The engine accepts nothing before this time.
     retry_at: Option<Instant>,
     heard_at: Instant,
     allowance: Allowance,
@@ -67,7 +67,7 @@ struct Asked {
     at: Instant,
 }
 
-/// What a session waits for.
+/// An event that a session waits for.
 enum Happening {
     Message(Option<Result<Message, axum::Error>>),
     Frame(Result<Arc<EncodedFrame>, EngineError>),
@@ -75,15 +75,15 @@ enum Happening {
     ScenesChanged,
     Draining,
     WriterEnded,
-    /// A timer, or room where there was none.
+    /// A timer has fired, or the outbox has room again.
     Turn,
 }
 
 /// How a stream ends.
 enum End {
-    /// By the server, with a code.
+    /// The server closes it with a code.
     Close(Close),
-    /// The same, where what comes cannot be read any more.
+    /// The server closes it with a code, and incoming messages cannot be read any more.
     CloseUnread(Close),
     /// The client has closed it.
     Closed,
@@ -125,7 +125,7 @@ impl Session {
         }
     }
 
-    /// Runs until either side ends it, with `first` for a pose if it is given.
+    /// Runs until either side ends the stream; `first`, if given, is the first pose.
     pub async fn run(mut self, first: Option<FrameParams>, place: Place) {
         let end = match self.begin(first) {
             Ok(()) => self.serve().await,
@@ -133,7 +133,7 @@ impl Session {
         };
         self.count_overtaken();
         let Session { outbox, source, seat, asked, baking, .. } = self;
-        // Cancels what waits, before the close is waited for.
+        // This cancels waiting requests before the wait for the close.
         drop((asked, seat, baking));
         match end {
             End::Close(close) => outbox.close(close, source).await,
@@ -167,7 +167,7 @@ impl Session {
         }
     }
 
-    /// Waits for the next thing to happen.
+    /// Waits for the next event.
     async fn next(&mut self) -> Happening {
         let deadline = self.wake_at(Instant::now());
         let may_read = self.outbox.may_read();
@@ -201,8 +201,8 @@ impl Session {
                 () = self.outbox.room(), if !may_read => Happening::Turn,
             }
         };
-        // Messages before frames: a pose that has come already is newer than what is finished. But not for ever: a client that sends
-        // without a pause is still sent its frames, and its timers run.
+        // Messages go before frames, because a pose that has arrived is newer than a finished frame. The limit makes sure that a
+        // client that sends without a pause still gets its frames, and that its timers run.
         let happening = if self.messages_in_a_row < MOST_IN_A_ROW {
             tokio::select! { biased; happening = message => happening, happening = other => happening }
         } else {
@@ -215,7 +215,7 @@ impl Session {
         happening
     }
 
-    /// When something is due though nothing happens.
+    /// Returns the time of the next timer.
     fn wake_at(&self, now: Instant) -> Instant {
         let idle = self.heard_at + self.app.settings.streams.idle;
         let late = self.asked.front().map(|asked| asked.at + self.app.settings.frame_timeout);
@@ -225,7 +225,7 @@ impl Session {
         timers.into_iter().flatten().fold(idle, Instant::min)
     }
 
-    /// The frame whose acknowledgement a frame waits for, and when the client is told so.
+    /// Returns the frame whose acknowledgement is missing, and when the client is reminded of it.
     fn reminder(&self, now: Instant) -> Option<(u64, Instant)> {
         let waits = !self.has_reminded
             && self.asked.is_empty()
@@ -281,10 +281,11 @@ impl Session {
     fn message(&mut self, message: Message) -> Result<(), End> {
         let now = Instant::now();
         if !self.allowance.take(now) {
-            // Read on for a moment, and forgotten: who is stuck with sending does not hear why it should not.
+            // The close reads on briefly and discards what arrives: a client that is blocked in sending would never see the
+            // reason.
             return Err(End::Close(Close::Flood));
         }
-        // An answer to a ping says that the client's library is there, which is not the client.
+        // A pong comes from the client's library and does not show that the client itself is alive.
         if !matches!(message, Message::Pong(_)) {
             self.heard_at = now;
         }
@@ -321,19 +322,19 @@ impl Session {
         incoming.pose.map_or(Ok(()), |pose| self.pose(pose))
     }
 
-    /// Takes a pose, or says what is wrong with it and leaves all as it is.
+    /// Accepts a pose, or reports what is wrong with it and changes nothing.
     fn pose(&mut self, message: PoseMessage) -> Result<(), End> {
         let PoseMessage { seq, moving, reset, params } = message;
         let params = if reset { params } else { params.or(&self.settings) };
         let checked = still_request(&self.id, &params).and_then(|request| {
-            // What has to be baked is looked at when it has been.
+            // A scene that must be baked is checked after baking.
             if !self.app.engine.must_bake(&request) {
                 self.app.engine.etag(&request)?;
             }
             Ok(())
         });
         match checked {
-            // Of a scene that is gone the session is about to hear.
+            // The session is about to be told that the scene is gone.
             Err(problem) if problem.kind == Kind::UnknownScene => Ok(()),
             Err(problem) => self.tell(&Event::Problem { seq: Some(seq), problem }),
             Ok(()) => {
@@ -344,7 +345,7 @@ impl Session {
         }
     }
 
-    /// Asks the engine for what is wanted, in place of what waits there, if there is room for it.
+    /// Requests the wanted frame if there is room, in place of a request that still waits.
     fn ask(&mut self) -> Result<(), End> {
         let now = Instant::now();
         if self.baking.is_some() || self.retry_at.is_some_and(|at| at > now) {
@@ -378,7 +379,7 @@ impl Session {
         Ok(())
     }
 
-    /// Queues a request; `None` when that has to wait for frames or acknowledgements.
+    /// Queues a request; returns `None` when it has to wait for frames or acknowledgements.
     fn place(&mut self, request: FrameRequest) -> Result<Option<FrameTicket>, EngineError> {
         let number = self.frames + self.asked.len() as u64;
         if !self.asked.is_empty()
@@ -399,7 +400,7 @@ impl Session {
         self.seat.ask_as(self.name.part(number + 1), request).map(Some)
     }
 
-    /// Sends what the engine has finished.
+    /// Sends a frame that the engine has finished.
     fn frame(&mut self, reply: Result<Arc<EncodedFrame>, EngineError>) -> Result<(), End> {
         let Some(asked) = self.asked.pop_front() else { return Ok(()) };
         let frame = match reply {
@@ -443,14 +444,14 @@ impl Session {
         self.push(message)
     }
 
-    /// What an error of the engine means for the stream.
+    /// Handles an error of the engine.
     fn failed(&mut self, seq: Option<u64>, error: EngineError) -> Result<(), End> {
         const LEAST_PAUSE: Duration = Duration::from_millis(5);
         match error {
             EngineError::Busy { retry_after } | EngineError::DeviceLost { retry_after } => {
                 let pause = retry_after.clamp(LEAST_PAUSE, Duration::from_secs(1));
                 self.retry_at = Some(Instant::now() + pause);
-                // Also where it was lost with a frame of it under way.
+                // This also applies when the device was lost with a frame in flight.
                 self.course.again();
                 Ok(())
             }
@@ -468,7 +469,7 @@ impl Session {
         }
     }
 
-    /// Tells of a scene that is not what it was, and has the pose drawn again.
+    /// Reports a changed scene and has the pose drawn again.
     fn look_at_scene(&mut self) -> Result<(), End> {
         let mark = self.app.engine.scene_mark(&self.id);
         if mark == self.mark && mark.is_some() {

@@ -1,4 +1,4 @@
-//! What goes over the socket, and with which codes it is closed.
+//! Messages on the socket, and the codes with which it is closed.
 //!
 //! ```text
 //! client ─▶ server   text     {"seq": 7, "eye": [0, 1, 9], "target": [0, 0, 0], "moving": true}
@@ -23,31 +23,31 @@ use crate::http::problem::{Kind, Problem};
 use crate::json::whole::Whole;
 use crate::scene::check_keys;
 
-/// Bytes of one message of the client.
+/// Largest message of a client in bytes.
 pub const MAX_MESSAGE_BYTES: usize = 64 << 10;
 
 /// Why the server closes a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Close {
-    /// It drains.
+    /// The server drains.
     GoingAway,
-    /// What came is no WebSocket frame.
+    /// The client sent data that is no WebSocket frame.
     BrokenProtocol,
-    /// A binary message came.
+    /// The client sent a binary message.
     NotText,
     /// A text message is not UTF-8.
     NotUtf8,
-    /// More messages came than any client needs.
+    /// The client sent more messages than any client needs.
     Flood,
     /// A message was over [`MAX_MESSAGE_BYTES`].
     TooLarge,
-    /// It cannot draw any more.
+    /// The server can no longer draw.
     Failed,
     /// The scene was deleted.
     Deleted,
     /// Nothing came from the client for too long.
     Idle,
-    /// There are as many streams as there may be.
+    /// The number of streams has reached its limit.
     TooMany,
 }
 
@@ -66,7 +66,7 @@ impl Close {
         Close::TooMany,
     ];
 
-    /// Code (RFC 6455 §7.4; 4000 and above are this protocol's own) and reason.
+    /// Returns the code (RFC 6455 §7.4; 4000 and above are this protocol's own) and the reason.
     pub fn facts(self) -> (u16, &'static str) {
         match self {
             Close::GoingAway => (1001, "the server is shutting down"),
@@ -82,7 +82,7 @@ impl Close {
         }
     }
 
-    /// What the client is told of a message that could not be read; `None` when the connection is lost and nobody would hear.
+    /// Returns the close for a message that could not be read; `None` when the connection is lost and no close would arrive.
     pub fn of_fault(error: axum::Error) -> Option<Close> {
         let error = error.into_inner().downcast::<SocketError>().ok()?;
         match *error {
@@ -100,29 +100,29 @@ impl Close {
     }
 }
 
-/// A message of the client, taken apart; it may be several things at once.
+/// A parsed message of the client; it may have several parts at once.
 #[derive(Debug, Default)]
 pub struct Incoming {
-    /// The number of a frame; those before it are acknowledged with it.
+    /// Number of an acknowledged frame; earlier frames are acknowledged with it.
     pub ack: Option<u64>,
     pub ping: Option<Value>,
     pub pose: Option<PoseMessage>,
 }
 
-/// What of a frame's parameters a stream does not have.
+/// Frame parameters that a stream does not have.
 pub const WITHOUT: &[(&str, &str)] =
     &[("deadline_ms", "a stream draws the newest pose, and no other late")];
 
-/// What a message may hold.
+/// Fields that a message may hold.
 const MESSAGE_NAMES: Names =
     Names { own: &["seq", "moving", "reset", "ack", "ping"], without: WITHOUT };
 
-/// What to show from now on.
+/// A new pose.
 #[derive(Debug)]
 pub struct PoseMessage {
     pub seq: u64,
     pub moving: Option<bool>,
-    /// What is left out is as it is where nothing was said, instead of as before.
+    /// Whether parameters left out take their defaults instead of the previous pose's values.
     pub reset: bool,
     pub params: FrameParams,
 }
@@ -145,7 +145,7 @@ pub struct PoseFields {
 
 impl Incoming {
     /// # Errors
-    /// What cannot be used, by its name.
+    /// Names the parameter that cannot be used.
     pub fn read(text: &str) -> Result<Incoming, Problem> {
         const MESSAGE: &str = "a pose with `seq`, or `ack`, or `ping`";
         let unreadable = |why: String| {
@@ -234,9 +234,9 @@ pub struct FrameHeader<'a> {
 }
 
 impl FrameHeader<'_> {
-    /// The binary message.
+    /// Returns the binary message.
     pub fn message(&self, image: &[u8]) -> Message {
-        // Strings and numbers only: cannot fail.
+        // This cannot fail: there are only strings and numbers.
         let header = serde_json::to_vec(self).unwrap_or_default();
         Message::Binary(pack(&header, image))
     }
@@ -250,23 +250,23 @@ fn pack(header: &[u8], image: &[u8]) -> Bytes {
     message.freeze()
 }
 
-/// A text message of the server.
+/// A text message from the server.
 #[derive(Debug, Serialize)]
 #[serde(tag = "event", rename_all = "lowercase")]
 pub enum Event<'a> {
-    /// The scene that is shown, first of all and whenever it changes.
+    /// The scene that is shown; sent first and after every change.
     Scene {
         scene: &'a str,
         revision: u64,
     },
-    /// It is no more; the stream is closed.
+    /// The scene was deleted; the stream is closed.
     Deleted {
         scene: &'a str,
     },
     Pong {
         ping: Value,
     },
-    /// A message that was not understood, or a pose that could not be drawn.
+    /// A message was not understood, or a pose could not be drawn.
     Problem {
         #[serde(skip_serializing_if = "Option::is_none")]
         seq: Option<u64>,
@@ -277,7 +277,7 @@ pub enum Event<'a> {
 
 impl Event<'_> {
     pub fn message(&self) -> Message {
-        // Strings and numbers only: cannot fail.
+        // This cannot fail: there are only strings and numbers.
         Message::text(serde_json::to_string(self).unwrap_or_default())
     }
 }
@@ -369,7 +369,7 @@ mod tests {
         let mut codes: Vec<u16> = Close::ALL.iter().map(|close| close.facts().0).collect();
         codes.dedup();
         assert_eq!(codes.len(), Close::ALL.len());
-        // A control frame holds 125 bytes, two of them the code's.
+        // A control frame holds 125 bytes; the code takes two of them.
         assert!(Close::ALL.iter().all(|close| close.facts().1.len() <= 123));
     }
 }

@@ -6,9 +6,9 @@
 //!        names          fails, disconnects too         is refused              `Prefer: wait` ─► 202
 //! ```
 //!
-//! A scene as a bare JSON body names files of the server's root; one in a form names the files that
-//! come with it. What was uploaded stays on disk ([`store`]) until `DELETE` and is loaded again at the next start. [`quota`]
-//! limits how many uploads there are and how many bytes.
+//! A scene sent as a bare JSON body names files of the server's root; a scene in a form names the files that come with it.
+//! Uploads stay on disk ([`store`]) until `DELETE` and are loaded again at the next start. [`quota`] limits their number and
+//! bytes.
 
 pub mod quota;
 pub mod store;
@@ -39,10 +39,10 @@ use crate::engine::{Engine, EngineError, SceneInfo, Source};
 use crate::memory::{Admission, Interrupt};
 use crate::scene::{Up, UpForm};
 
-/// Wait for a scene to load where the client does not say, and at most.
+/// Default and longest wait for a scene to load.
 const DEFAULT_WAIT: Duration = Duration::from_secs(10);
 const MAX_WAIT: Duration = Duration::from_secs(300);
-/// Files of one form.
+/// Largest number of files in one form.
 pub const MAX_FILES: usize = 256;
 const SCENE_FILE: &str = "scene.json";
 
@@ -87,7 +87,7 @@ pub async fn create(
             .accepted("a daemon that was started without --no-uploads"));
     }
     let share = app.uploads.admit(owner.name.as_deref())?;
-    // A given id is taken before the body is received, so that a clash is answered at once.
+    // Reserve a given id before the body is received, so that a clash is answered at once.
     let reservation = target.id.as_deref().map(|id| reserve(&app, id)).transpose()?;
     let limit = app.settings.max_upload_bytes;
     body::check_length(&headers, limit)?;
@@ -166,7 +166,7 @@ pub async fn retry(
     answer(&app, &headers, &id, loading, Origin::Kept).await
 }
 
-/// What the query says.
+/// Parameters of the query.
 struct Target {
     id: Option<String>,
     name: Option<String>,
@@ -196,7 +196,7 @@ impl Target {
 }
 
 impl Target {
-    /// Refuses `up` for a scene, whose cameras and paths may depend on its own.
+    /// Refuses `up` for a scene, because its cameras and paths may depend on its own up direction.
     fn check_up(&self, main: &str) -> Result<(), Problem> {
         if self.up.is_none() || !is_json_name(main) {
             return Ok(());
@@ -206,7 +206,7 @@ impl Target {
     }
 }
 
-/// A unit vector.
+/// Reads a parameter as a unit vector.
 fn direction(name: &str, value: &str) -> Result<DVec3, Problem> {
     let Up(up) = number(name, value, Up::ACCEPTED)?;
     let unusable = || Problem::parameter(name, "is too short or too long", Up::ACCEPTED);
@@ -217,7 +217,7 @@ fn reserve(app: &App, id: &str) -> Result<Reservation, Problem> {
     app.registry.reserve(id, app.engine.admission(), |id| app.engine.scene(id).is_ok())
 }
 
-/// The name's slug, or that with a number behind it.
+/// Reserves the name's slug, or the slug with a number appended.
 fn reserve_derived(app: &App, name: &str) -> Result<Reservation, Problem> {
     let slug = slug(name);
     let mut result = reserve(app, &slug);
@@ -232,12 +232,12 @@ fn reserve_derived(app: &App, name: &str) -> Result<Reservation, Problem> {
     result
 }
 
-/// Files on disk that are not a scene yet; removed unless [`Received::settle`]d.
+/// Files on disk that are not a scene yet; they are removed unless [`Received::settle`] is called.
 struct Received {
     folder: PartialFolder,
-    /// Name of the file to load, and what an id is made from.
+    /// Name of the file to load; the id may be derived from it.
     main: String,
-    /// Whether names of files count from the server's root.
+    /// Whether names of files are relative to the server's root.
     from_root: bool,
 }
 
@@ -265,7 +265,7 @@ impl Drop for PartialFolder {
 }
 
 impl Received {
-    /// Moves the files and their record to their place, where they outlast the process.
+    /// Moves the files and their record to their final place, where they outlast the process.
     fn settle(
         mut self,
         root: &Path,
@@ -275,7 +275,7 @@ impl Received {
     ) -> Result<Source, Problem> {
         let folder = store::folder_of(root, id);
         if folder.exists() {
-            // The id is reserved and not loaded, so these are remains.
+            // The id is reserved and not loaded, so these files are left over from an earlier upload.
             store::remove_folder(&folder);
         }
         let key = share.key().map(str::to_owned);
@@ -318,7 +318,7 @@ async fn receive(
         None => return Err(unnamed(&media_type)),
     };
     target.check_up(&main)?;
-    // A bare scene names files of the root.
+    // A scene without a form names files of the root.
     let from_root = is_json_name(&main);
     if from_root {
         budget.limit_to(app.engine.limits().max_json_bytes);
@@ -339,19 +339,19 @@ fn unnamed(media_type: &str) -> Problem {
     Problem::parameter("name", "an asset needs a file name", "?name=FILE.EXTENSION")
 }
 
-/// Bytes that may still come, and how long to wait for them.
+/// Limits on bytes and waiting while an upload is received.
 struct Budget {
     left: u64,
     limit: u64,
-    /// Of what all uploads may hold.
+    /// Share of the limits on all uploads.
     share: Share,
-    /// Of the load to come: nothing more is received once it is cancelled.
+    /// Admission of the load to come: receiving stops once it is cancelled.
     admission: Admission,
     patience: body::Patience,
 }
 
 impl Budget {
-    /// Lowers the limit, before anything has come.
+    /// Lowers the limit; to be called before any bytes arrive.
     fn limit_to(&mut self, limit: u64) {
         self.limit = self.limit.min(limit);
         self.left = self.limit;
@@ -390,7 +390,7 @@ async fn write_file<E: std::fmt::Display>(
         budget.take(chunk.len())?;
         file.write_all(&chunk).await.map_err(|error| storage(&error))?;
     }
-    // What is acknowledged is there after a power cut.
+    // Acknowledged files must outlast a power cut.
     file.sync_all().await.map_err(|error| storage(&error))
 }
 
@@ -437,16 +437,16 @@ async fn receive_form(
 
 type Loading = tokio::task::JoinHandle<Result<SceneInfo, Problem>>;
 
-/// Where the files of a load come from, which decides what becomes of them when it fails.
+/// Origin of a load's files, which decides whether they are removed when it fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Origin {
-    /// An upload that was never loaded: what is refused for good is removed.
+    /// A new upload: its files are removed when the load fails for good.
     Fresh,
-    /// Files of the root, or an upload of an earlier time: they stay.
+    /// Files of the root, or an earlier upload: they stay.
     Kept,
 }
 
-/// Loads a scene under a reserved id, whether or not anybody waits; a failure stays with the id.
+/// Loads a scene under a reserved id even if nobody waits; the id keeps a failure.
 pub async fn load(
     app: Arc<App>,
     reservation: Reservation,
@@ -456,7 +456,7 @@ pub async fn load(
     let engine: Engine = app.engine.clone();
     let (id, root) = (reservation.id().to_owned(), app.settings.root.clone());
     let (file, admission) = (source.clone(), reservation.admission().clone());
-    // Without uploads, the folder of uploads is another daemon's.
+    // Without uploads, the folder of uploads may belong to another daemon.
     let records = app.settings.uploads;
     let outcome = tokio::task::spawn_blocking(move || {
         if records {
@@ -484,7 +484,7 @@ pub async fn load(
             Ok(info)
         }
         Ok(None) => {
-            // Before the id is free: from then on the folder may be another upload's.
+            // Forget the files before the id is free: afterwards the folder may belong to another upload.
             forget_files(&app, &id).await;
             tracing::info!(id, "load cancelled");
             Err(EngineError::Interrupted(Interrupt::Cancelled).into())
@@ -492,7 +492,7 @@ pub async fn load(
         Err(problem) => {
             let mut problem = problem.hide_root(&app.settings.root);
             problem.detail = problem.detail.replace(&format!("{FOLDER}/{id}/"), "");
-            // There may be memory for it later.
+            // There may be enough memory later.
             let stays = origin == Origin::Kept || problem.kind == Kind::OutOfMemory;
             if !stays {
                 forget_files(&app, &id).await;
@@ -503,7 +503,7 @@ pub async fn load(
     }
 }
 
-/// Removes what was uploaded as `id`, from the disk and from what uploads hold.
+/// Removes the files of upload `id` and their share of the limits.
 pub async fn forget_files(app: &Arc<App>, id: &str) {
     if !app.settings.uploads {
         return;
@@ -516,13 +516,13 @@ pub async fn forget_files(app: &Arc<App>, id: &str) {
     app.uploads.forget(id);
 }
 
-/// Notes of all loads that are under way that they end with the process, and not the process with them.
+/// Records for all running loads that the process ends by itself, so that they do not count as having killed it.
 pub fn stand_down(app: &App) {
     if !app.settings.uploads {
         return;
     }
     for (id, entry) in app.registry.list() {
-        // The record of a failed upload keeps what is held against it.
+        // The record of a failed upload keeps its count of deaths.
         if matches!(entry, Entry::Loading { .. })
             && let Err(error) = store::set_aside(&app.settings.root, &id)
         {
@@ -545,7 +545,7 @@ async fn answer(
         Ok(finished) => match finished.map_err(Problem::internal)? {
             Ok(info) => (StatusCode::CREATED, SceneState::Ready(Box::new(info))),
             Err(problem) => {
-                // Told here, so nobody needs to ask for it.
+                // The failure is reported here, so no entry needs to keep it.
                 if origin == Origin::Fresh && app.registry.forget(id) {
                     forget_files(app, id).await;
                 }

@@ -1,4 +1,4 @@
-//! How many uploads there may be, and how many bytes of them: in all, and of one API key.
+//! Limits on the number and bytes of uploads: in total and per API key.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use parking_lot::Mutex;
 
 use crate::http::problem::{Kind, Problem};
 
-/// Limits on uploads. Those of a key apply where keys are asked for.
+/// Limits on uploads. The limits per key apply where keys are required.
 #[derive(Clone, Copy, Debug)]
 pub struct UploadLimits {
     pub scenes: u64,
@@ -16,19 +16,19 @@ pub struct UploadLimits {
     pub bytes_per_key: u64,
 }
 
-/// What uploads hold.
+/// Number and bytes of uploads.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Held {
     pub scenes: u64,
     pub bytes: u64,
 }
 
-/// The limits on uploads and what is held of them; clones share it.
+/// Limits on uploads and their current use; clones share both.
 #[derive(Clone)]
 pub struct Quota {
     limits: UploadLimits,
     tally: Arc<Mutex<Tally>>,
-    /// Shares of uploads that have an id.
+    /// Shares of uploads by id.
     kept: Arc<Mutex<HashMap<String, Share>>>,
 }
 
@@ -38,7 +38,7 @@ struct Tally {
     of_key: HashMap<String, Held>,
 }
 
-/// One upload's part of a [`Quota`], given back when this is dropped.
+/// One upload's share of a [`Quota`]; dropping it gives the share back.
 pub struct Share {
     limits: UploadLimits,
     tally: Arc<Mutex<Tally>>,
@@ -60,7 +60,7 @@ impl Quota {
         self.kept.lock().insert(id.to_owned(), share);
     }
 
-    /// Gives back the share of an upload, if there is one.
+    /// Releases the share of an upload, if there is one.
     pub fn forget(&self, id: &str) {
         self.kept.lock().remove(id);
     }
@@ -69,10 +69,10 @@ impl Quota {
         self.tally.lock().all
     }
 
-    /// Takes the place of one scene for the key that uploads it.
+    /// Reserves one scene for the key that uploads it.
     ///
     /// # Errors
-    /// 429 when there are as many scenes as there may be.
+    /// 429 when the number of scenes has reached its limit.
     pub fn admit(&self, key: Option<&str>) -> Result<Share, Problem> {
         let mut tally = self.tally.lock();
         let full = |found: u64, limit: u64, whose: &str| {
@@ -94,7 +94,7 @@ impl Quota {
         Ok(self.share(key, 0))
     }
 
-    /// The share of an upload that is on the disk already, whatever the limits are now.
+    /// Counts an upload that is already on disk, even beyond the limits.
     pub fn known(&self, key: Option<&str>, bytes: u64) -> Share {
         self.tally.lock().add(key, Held { scenes: 1, bytes });
         self.share(key, bytes)
@@ -128,10 +128,10 @@ impl Share {
         self.bytes
     }
 
-    /// Takes room for more bytes.
+    /// Reserves more bytes.
     ///
     /// # Errors
-    /// 507 with the figures when uploads would be over their share of the disk.
+    /// 507 with the figures when uploads would exceed their limit on disk.
     pub fn take(&mut self, bytes: u64) -> Result<(), Problem> {
         let limits = self.limits;
         let mut tally = self.tally.lock();
@@ -213,7 +213,7 @@ mod tests {
         drop(a);
         b.take(5).unwrap();
         assert_eq!(quota.held(), Held { scenes: 1, bytes: 45 });
-        // What is on the disk is counted even where the limits were larger before.
+        // Files on disk are counted even if earlier limits were larger.
         let known = quota.known(None, 1000);
         assert_eq!(b.take(1).unwrap_err().status(), 507);
         drop((known, b));

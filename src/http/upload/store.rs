@@ -1,4 +1,4 @@
-//! Uploads on disk: a folder each, with a record of what was uploaded and how loading it went.
+//! Uploads on disk: one folder each, with a record of the upload and the state of its load.
 //!
 //! ```text
 //! received ──► loading ──► loaded          at the next start:
@@ -8,8 +8,8 @@
 //!                                            the upload is listed as failed, until retry or DELETE
 //! ```
 //!
-//! The record is beside the files, under a name that no upload may have. It is on the disk before a loader begins, so
-//! that an upload that takes the process down does so once.
+//! The record lies beside the files, under a name that no upload may have. It is on disk before a loader begins, so that an
+//! upload that crashes the process does so only once.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -22,31 +22,31 @@ use crate::engine::Source;
 use crate::http::names::{main_file, valid_id};
 use crate::http::problem::{Kind, Problem};
 
-/// Folder below the root that uploads live in.
+/// Folder of uploads below the root.
 pub const FOLDER: &str = "uploads";
-/// Begins with a dot, as no uploaded file does.
+/// The name begins with a dot, which no uploaded file's name does.
 const RECORD: &str = ".upload.json";
 const PARTIAL: &str = ".partial-";
 
-/// What is known of an upload.
+/// Record of an upload.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Record {
     /// Name of the file to load.
     pub main: String,
-    /// Whether names of files in the scene count from the server's root, rather than from beside the scene.
+    /// Whether names of files in the scene are relative to the server's root rather than to the scene.
     pub from_root: bool,
-    /// Which way is up, where the upload said so.
+    /// Up direction, where the upload gave one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub up: Option<[f64; 3]>,
-    /// Name of the API key that it came with.
+    /// Name of the API key of the upload.
     pub key: Option<String>,
     /// Bytes of all files.
     pub bytes: u64,
     pub stage: Stage,
-    /// Whether it has been loaded at some time.
+    /// Whether it has ever been loaded.
     pub was_loaded: bool,
-    /// Loads in a row that ended with the process.
+    /// Number of consecutive loads that ended with the process.
     pub deaths: u32,
 }
 
@@ -58,14 +58,14 @@ pub enum Stage {
     Loaded,
 }
 
-/// An upload of an earlier run.
+/// An upload from an earlier run.
 pub struct Earlier {
     pub id: String,
-    /// What to load; `None` where nothing says which file that is.
+    /// File to load; `None` where nothing says which file that is.
     pub source: Option<Source>,
     pub key: Option<String>,
     pub bytes: u64,
-    /// Why it is not loaded.
+    /// Reason why it is not loaded.
     pub refusal: Option<Problem>,
 }
 
@@ -75,7 +75,7 @@ impl Record {
         Record { main, from_root, up: None, key, bytes, stage, was_loaded: false, deaths: 0 }
     }
 
-    /// Where the upload with this record is loaded from.
+    /// Returns the source of the upload with this record.
     pub fn source(&self, root: &Path, id: &str) -> Source {
         Source {
             path: folder_of(root, id).join(&self.main),
@@ -84,18 +84,18 @@ impl Record {
         }
     }
 
-    /// The record of an upload.
+    /// Reads the record of an upload.
     ///
     /// # Errors
-    /// It is not there, or is no record.
+    /// The record is missing or malformed.
     pub fn read(folder: &Path) -> io::Result<Record> {
         Ok(serde_json::from_slice(&fs::read(folder.join(RECORD))?)?)
     }
 
-    /// Puts the record into the upload's folder, whole or not at all.
+    /// Writes the record into the upload's folder atomically.
     ///
     /// # Errors
-    /// The disk.
+    /// Errors of the disk.
     pub fn write(&self, folder: &Path) -> io::Result<()> {
         let fresh = folder.join(".upload.json.new");
         let mut file = File::create(&fresh)?;
@@ -106,7 +106,7 @@ impl Record {
     }
 }
 
-/// Makes what was created, renamed or removed in a folder outlast a power cut.
+/// Makes changes of a folder's entries survive a power cut.
 pub fn sync_folder(folder: &Path) -> io::Result<()> {
     if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
 }
@@ -115,13 +115,13 @@ pub fn folder_of(root: &Path, id: &str) -> PathBuf {
     root.join(FOLDER).join(id)
 }
 
-/// Whether there are files of an upload with this id.
+/// Returns whether there are files of an upload with this id.
 pub fn holds(root: &Path, id: &str) -> bool {
-    // Ids of scenes found in the root need not be ones that uploads can have.
+    // Scenes found in the root may have ids that uploads cannot have.
     valid_id(id.to_owned()).is_ok() && folder_of(root, id).is_dir()
 }
 
-/// Removes what was uploaded as `id`.
+/// Removes the files of upload `id`.
 pub fn remove_files(root: &Path, id: &str) {
     if holds(root, id) {
         remove_folder(&folder_of(root, id));
@@ -137,17 +137,17 @@ pub fn remove_folder(path: &Path) {
     }
 }
 
-/// Name of a folder for files that are not an upload yet.
+/// Returns the name of a folder for files that are not an upload yet.
 pub fn partial(root: &Path, number: u64) -> PathBuf {
     root.join(FOLDER).join(format!("{PARTIAL}{}-{number}", std::process::id()))
 }
 
-/// Notes that a loader begins.
+/// Records that a loader begins.
 pub fn begin(root: &Path, id: &str) -> io::Result<()> {
     change(root, id, |record| record.stage = Stage::Loading)
 }
 
-/// Notes that an upload has been loaded.
+/// Records that an upload has been loaded.
 pub fn finish(root: &Path, id: &str) -> io::Result<()> {
     change(root, id, |record| {
         record.stage = Stage::Loaded;
@@ -156,7 +156,7 @@ pub fn finish(root: &Path, id: &str) -> io::Result<()> {
     })
 }
 
-/// Notes that a loader ended without a scene while the process lives on.
+/// Records that a loader ended without a scene while the process lives on.
 pub fn set_aside(root: &Path, id: &str) -> io::Result<()> {
     change(root, id, |record| {
         if record.stage == Stage::Loading {
@@ -166,7 +166,7 @@ pub fn set_aside(root: &Path, id: &str) -> io::Result<()> {
     })
 }
 
-/// Changes the record of an upload. A scene without one was not uploaded.
+/// Changes the record of an upload. A scene without a record was not uploaded.
 fn change(root: &Path, id: &str, edit: impl FnOnce(&mut Record)) -> io::Result<()> {
     if !holds(root, id) {
         return Ok(());
@@ -180,7 +180,7 @@ fn change(root: &Path, id: &str, edit: impl FnOnce(&mut Record)) -> io::Result<(
     record.write(&folder)
 }
 
-/// Uploads of earlier runs, by id. What was left unfinished is removed.
+/// Lists uploads of earlier runs by id, and removes unfinished ones.
 pub fn earlier(root: &Path) -> Vec<Earlier> {
     let Ok(folders) = fs::read_dir(root.join(FOLDER)) else { return Vec::new() };
     let mut found = Vec::new();
@@ -210,7 +210,7 @@ fn look_at(root: &Path, id: String, folder: &Path) -> Earlier {
         record.deaths += 1;
         record.stage = if record.was_loaded { Stage::Loaded } else { Stage::Received };
     }
-    // One that was loaded before may only have been in the way of something else.
+    // An upload that loaded before gets a second try: another load may have caused the crash.
     if record.deaths > u32::from(record.was_loaded) {
         let times = match record.deaths {
             1 => "once".to_owned(),
@@ -230,7 +230,7 @@ fn look_at(root: &Path, id: String, folder: &Path) -> Earlier {
     Earlier { id, source, key: record.key, bytes: record.bytes, refusal }
 }
 
-/// The record of an upload that has none: versions before kept none, and took the only file that can be loaded.
+/// Guesses the record of an upload without one: earlier versions kept none and loaded the only possible file.
 fn guess(folder: &Path, error: io::Error) -> Result<Record, Problem> {
     let refused = |detail: String| {
         Problem::new(Kind::LoadLost, detail).accepted("DELETE /v1/scenes/{id}, and a new upload")
@@ -279,7 +279,7 @@ mod tests {
         let refused = || -> Vec<bool> {
             earlier(root).iter().map(|upload| upload.refusal.is_some()).collect()
         };
-        // By id: fatal, known, new. One that was loaded before is tried once more.
+        // In order of id: fatal, known, new. An upload that was loaded before is tried once more.
         assert_eq!(refused(), [true, false, false]);
         assert_eq!(refused(), [true, false, false]);
         begin(root, "known").unwrap();
@@ -293,7 +293,7 @@ mod tests {
             Record::read(&folder_of(root, "known")).unwrap(),
             record(Stage::Loaded, true, 0)
         );
-        // A loader that ends by itself leaves nothing to hold against the upload.
+        // A loader that ends by itself does not count against the upload.
         begin(root, "new").unwrap();
         set_aside(root, "new").unwrap();
         assert!(earlier(root)[2].refusal.is_none());
@@ -321,7 +321,7 @@ mod tests {
         assert_eq!(found[1].bytes, 10);
         assert_eq!(found[1].source, Some(Source::at(root.join("uploads/one/a.obj"))));
         assert!(!root.join("uploads/.partial-1-1").exists());
-        // Now there is a record.
+        // The upload now has a record.
         assert_eq!(Record::read(&folder_of(root, "one")).unwrap().main, "a.obj");
     }
 }

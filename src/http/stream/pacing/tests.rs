@@ -6,13 +6,13 @@ fn ms(ms: f64) -> Duration {
     Duration::from_secs_f64(ms / 1000.0)
 }
 
-/// An engine, a link and a decoder with times of their own, and a pose that always moves.
+/// Simulates an engine, a link and a decoder, with a pose that always moves.
 struct Bench {
-    /// Of a frame of all pixels.
+    /// Time to draw all pixels of a frame.
     draw_ms: f64,
-    /// Of a frame as fine as was asked for, however many its pixels.
+    /// Time to draw a frame's detail at the requested error, independent of its pixels.
     detail_ms: f64,
-    /// There and back.
+    /// Round trip.
     distance_ms: f64,
     bytes_per_ms: f64,
     decode_ms: f64,
@@ -20,7 +20,7 @@ struct Bench {
     answers_pings: bool,
 }
 
-/// On the same machine, with a decoder that is no bother.
+/// A client on the same machine, with a decoder that takes no time.
 const NEAR: Bench = Bench {
     draw_ms: 0.0,
     detail_ms: 0.0,
@@ -31,7 +31,7 @@ const NEAR: Bench = Bench {
     answers_pings: true,
 };
 
-/// What came of it in the last second: frames, and the longest from asking to acknowledgement, then and ever.
+/// Results: frames in the last second, and the longest time from request to acknowledgement, in that second and overall.
 struct Seen {
     frames: usize,
     oldest_ever_ms: f64,
@@ -43,7 +43,7 @@ struct Seen {
 }
 
 impl Bench {
-    /// Asks for a frame whenever it may, for `seconds`, in steps of a millisecond.
+    /// Requests a frame whenever allowed, for `seconds`, in steps of a millisecond.
     fn run(&self, seconds: usize) -> Seen {
         let start = Instant::now();
         let mut pacer = Pacer::new();
@@ -130,12 +130,12 @@ fn a_slow_engine_draws_smaller_frames() {
 
 #[test]
 fn an_engine_that_fewer_pixels_do_not_help_draws_less_detail() {
-    // As the plaza: 300 ms in full, 112 of them at a sixteenth of the pixels, and 37 at four times the error.
+    // Modelled on the plaza: 300 ms in full, 112 ms at a sixteenth of the pixels, and 37 ms at four times the error.
     let mut bench = Bench { draw_ms: 200.0, detail_ms: 100.0, ..NEAR };
     let seen = bench.run(6);
     assert!((0.25..0.3).contains(&seen.scale), "{}", seen.scale);
     assert!(seen.coarseness > 3.0 && seen.frames >= 22, "{} {}", seen.coarseness, seen.frames);
-    // Half as dear, it has room for pixels before it has room for detail.
+    // At half the cost, pixels grow before detail does.
     (bench.draw_ms, bench.detail_ms) = (100.0, 50.0);
     let seen = bench.run(6);
     assert!((1.2..3.0).contains(&seen.coarseness), "{}", seen.coarseness);
@@ -144,7 +144,7 @@ fn an_engine_that_fewer_pixels_do_not_help_draws_less_detail() {
 
 #[test]
 fn a_slow_link_gets_less_and_no_queue() {
-    // A megabyte a second for frames of 400 KB.
+    // One megabyte per second, with frames of 400 KB.
     let bench = Bench {
         draw_ms: 5.0,
         detail_ms: 0.0,
@@ -163,7 +163,7 @@ fn a_slow_link_gets_less_and_no_queue() {
 
 #[test]
 fn a_very_slow_link_never_has_old_frames_on_it() {
-    // 60 and 20 kilobytes a second, for frames of 120 KB, with and without a client that answers pings.
+    // 60 and 20 kilobytes per second, with frames of 120 KB, with and without a client that answers pings.
     for (bytes_per_ms, answers_pings) in [(60.0, true), (60.0, false), (20.0, true)] {
         let bench = Bench {
             draw_ms: 10.0,
@@ -175,7 +175,7 @@ fn a_very_slow_link_never_has_old_frames_on_it() {
             answers_pings,
         };
         let seen = bench.run(20);
-        // The first frame is of a quarter of the pixels, whatever the link; nothing takes much longer than it.
+        // The first frame has a quarter of the pixels on every link; no frame takes much longer.
         let first_ms = 0.25 * 1.2e5 * 70.0 / 80.0 / bytes_per_ms + 100.0;
         assert!(seen.oldest_ever_ms < 1.2 * first_ms, "{} of {first_ms}", seen.oldest_ever_ms);
         assert!(seen.oldest_ms < 3.0 * 0.0625 * 1.2e5 / bytes_per_ms + 100.0, "{}", seen.oldest_ms);
@@ -188,7 +188,7 @@ fn a_very_slow_link_never_has_old_frames_on_it() {
 fn a_path_that_became_longer_is_no_slow_link() {
     let start = Instant::now();
     let mut pacer = Pacer::new();
-    // Pinged once, 10 ms away; from then on 200 ms away, with a rest now and then.
+    // The first ping measures 10 ms; later the distance is 200 ms, with an occasional pause.
     let mut now = start;
     for number in 1..60 {
         let distance = ms(if number < 4 { 10.0 } else { 200.0 });
@@ -260,8 +260,8 @@ fn a_large_still_is_waited_for() {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 400, rng_seed: RngSeed::Fixed(0x51ea_0003), ..ProptestConfig::default() })]
-    /// Whatever is drawn, sent and acknowledged whenever: the window bounds what is on the way, numbers stay in their ranges, and
-    /// once all is acknowledged a frame may be asked for.
+    /// For every sequence of frames drawn, sent and acknowledged: the window bounds the frames in flight, numbers stay in their
+    /// ranges, and once all frames are acknowledged, another may be requested.
     #[test]
     fn bounds_hold(steps in prop::collection::vec((0u64..400, 0u8..4, 0u64..5_000_000), 1..150)) {
         let mut now = Instant::now();
