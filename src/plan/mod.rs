@@ -10,8 +10,8 @@ mod table;
 use serde::Serialize;
 
 pub use settings::{
-    Choice, ErrorMode, Given, Kind, Lod, MaxError, Output, Paint, Reconstruct, Rule, Setting,
-    SettingError, Settings, StillFrame, UsedSettings, Wait, declared,
+    Choice, ErrorMode, Given, Lod, MaxError, Output, Paint, Reconstruct, Rule, Setting,
+    SettingError, SettingKind, Settings, StillFrame, UsedSettings, Wait, declared,
 };
 
 pub(crate) use table::pass_table;

@@ -35,7 +35,7 @@ pub struct Setting {
     /// Description, in sentences.
     pub help: String,
     #[serde(flatten)]
-    pub kind: Kind,
+    pub kind: SettingKind,
     /// Where one of these does not hold, a value other than the default is refused.
     pub needs: Vec<Rule>,
     /// Where one of these does not hold, the setting has no effect worth a control. `output`, `samples` and `lights` are facts of the
@@ -47,7 +47,7 @@ pub struct Setting {
 #[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[schema(as = SettingKind)]
-pub enum Kind {
+pub enum SettingKind {
     Choice {
         choices: Vec<Choice>,
         /// `null`: as the scene has it.
@@ -63,7 +63,7 @@ pub enum Kind {
     },
 }
 
-/// A value of a [`Kind::Choice`].
+/// A value of a [`SettingKind::Choice`].
 #[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
 #[schema(as = SettingChoice)]
 pub struct Choice {
@@ -148,43 +148,43 @@ impl Rule {
     }
 }
 
-impl Kind {
-    fn choice<T: ValueEnum>(default: Option<T>) -> Kind {
+impl SettingKind {
+    fn choice<T: ValueEnum>(default: Option<T>) -> SettingKind {
         let values = T::value_variants().iter().filter_map(ValueEnum::to_possible_value);
         let choices = values.map(|value| Choice {
             value: value.get_name().to_owned(),
             help: value.get_help().map(ToString::to_string).unwrap_or_default(),
         });
         let default = default.and_then(|default| default.to_possible_value());
-        Kind::Choice {
+        SettingKind::Choice {
             choices: choices.collect(),
             default: default.map(|value| value.get_name().to_owned()),
         }
     }
 
-    fn scenes<T: ValueEnum>() -> Kind {
-        Kind::choice::<T>(None)
+    fn scenes<T: ValueEnum>() -> SettingKind {
+        SettingKind::choice::<T>(None)
     }
 
-    fn own<T: ValueEnum + Default>() -> Kind {
-        Kind::choice(Some(T::default()))
+    fn own<T: ValueEnum + Default>() -> SettingKind {
+        SettingKind::choice(Some(T::default()))
     }
 
     /// The values, in words.
     pub fn accepted(&self) -> String {
         match self {
-            Kind::Choice { choices, .. } => {
+            SettingKind::Choice { choices, .. } => {
                 let values: Vec<&str> =
                     choices.iter().map(|choice| choice.value.as_str()).collect();
                 values.join(if values.len() == 2 { " or " } else { ", " })
             }
-            Kind::Flag => "true or false".to_owned(),
-            Kind::Number { least, most, unit, .. } => format!("{least} to {most} {unit}"),
+            SettingKind::Flag => "true or false".to_owned(),
+            SettingKind::Number { least, most, unit, .. } => format!("{least} to {most} {unit}"),
         }
     }
 
     fn is_default(&self, value: &Value) -> bool {
-        matches!(self, Kind::Choice { default: Some(default), .. } if value == default)
+        matches!(self, SettingKind::Choice { default: Some(default), .. } if value == default)
     }
 }
 
@@ -286,7 +286,7 @@ macro_rules! settings {
 settings! {
     /// Level of detail; `full` where none is given.
     lod: Lod => Lod {
-        label: "Detail", kind: Kind::own::<Lod>(), needs: [], useful_with: []
+        label: "Detail", kind: SettingKind::own::<Lod>(), needs: [], useful_with: []
     }
     /// Error that `spt` may make, in pixels, 0.05 to 64; 1 where none is given.
     max_error_px: f32 => MaxError {
@@ -294,33 +294,33 @@ settings! {
     }
     /// Way in which splats of `spt` measure that error; `unified` where none is given.
     error_mode: ErrorMode => ErrorMode {
-        label: "Error seen", kind: Kind::own::<ErrorMode>(),
+        label: "Error seen", kind: SettingKind::own::<ErrorMode>(),
         needs: [TREES, Rule::new("reconstruct", SPLATS.is, "points are chosen by their size, from whatever side they are seen")],
         useful_with: [SURELY_SPLATS]
     }
     /// What the colours of samples show; `colors` where none is given.
     paint: Paint => Paint {
-        label: "Colours", kind: Kind::own::<Paint>(), needs: [TREES], useful_with: [COLORS]
+        label: "Colours", kind: SettingKind::own::<Paint>(), needs: [TREES], useful_with: [COLORS]
     }
     /// What samples are drawn as; `auto` where none is given. The receipt says what `auto` chose and why.
     reconstruct: Reconstruct => Reconstruct {
-        label: "Samples as", kind: Kind::own::<Reconstruct>(), needs: [], useful_with: [SAMPLES]
+        label: "Samples as", kind: SettingKind::own::<Reconstruct>(), needs: [], useful_with: [SAMPLES]
     }
     /// Projection of splats to the image; as the scene has it where none is given.
     filter: Filter => Option<Filter> {
-        label: "Filter", kind: Kind::scenes::<Filter>(), needs: [SPLATS], useful_with: [SAMPLES, SURELY_SPLATS]
+        label: "Filter", kind: SettingKind::scenes::<Filter>(), needs: [SPLATS], useful_with: [SAMPLES, SURELY_SPLATS]
     }
     /// Whether splats are convolved with a low-pass filter of the image; as the scene has it where none is given.
     prefilter: bool => Option<bool> {
-        label: "Prefilter", kind: Kind::Flag, needs: [SPLATS], useful_with: [SAMPLES, SURELY_SPLATS]
+        label: "Prefilter", kind: SettingKind::Flag, needs: [SPLATS], useful_with: [SAMPLES, SURELY_SPLATS]
     }
     /// What happens where splats overlap; as the scene has it where none is given.
     blend: Blend => Option<Blend> {
-        label: "Blend", kind: Kind::scenes::<Blend>(), needs: [PASSES], useful_with: [SAMPLES, THREE_PASSES]
+        label: "Blend", kind: SettingKind::scenes::<Blend>(), needs: [PASSES], useful_with: [SAMPLES, THREE_PASSES]
     }
     /// When splats are lit; as the scene has it where none is given.
     shading: Shading => Option<Shading> {
-        label: "Light", kind: Kind::scenes::<Shading>(), needs: [PASSES],
+        label: "Light", kind: SettingKind::scenes::<Shading>(), needs: [PASSES],
         useful_with: [SAMPLES, THREE_PASSES, COLORS, Rule::new("blend", &["weighted"], ""), Rule::new("lights", &["some"], "")]
     }
 }
@@ -426,7 +426,7 @@ impl Given {
     pub fn check(&self) -> Result<(), SettingError> {
         let given = words(self);
         for setting in declared() {
-            let (Some(value), Kind::Number { least, most, .. }) =
+            let (Some(value), SettingKind::Number { least, most, .. }) =
                 (given.get(setting.name), &setting.kind)
             else {
                 continue;
@@ -454,8 +454,8 @@ impl Given {
             }
             if let Some(rule) = setting.needs.iter().find(|rule| !rule.holds(&used)) {
                 let default = match &setting.kind {
-                    Kind::Choice { default, .. } => default.clone(),
-                    Kind::Flag | Kind::Number { .. } => None,
+                    SettingKind::Choice { default, .. } => default.clone(),
+                    SettingKind::Flag | SettingKind::Number { .. } => None,
                 };
                 return Err(SettingError {
                     setting: setting.name,

@@ -10,7 +10,7 @@ use crate::http::jobs::create as job;
 use crate::http::names::{FILE_NAME_PATTERN, ID_PATTERN, MAX_FILE_NAME_BYTES};
 use crate::http::{frames, mjpeg, params, stream, upload};
 use crate::math::{FARTHEST, FOV_RANGE_DEG};
-use crate::plan::{self, Kind, Output};
+use crate::plan::{self, Output, SettingKind};
 use crate::residency::layout::MOST_ROWS;
 use crate::scene::{LARGEST_COORDINATE, LARGEST_SCALE};
 
@@ -54,8 +54,8 @@ fn of_frame(name: &str) -> Option<Value> {
         }
         "deadline_ms" => json!({ "exclusiveMinimum": 0, "maximum": params::MAX_DEADLINE_MS }),
         setting => match plan::declared().iter().find(|known| known.name == setting)?.kind {
-            Kind::Number { least, most, .. } => number(least, most),
-            Kind::Choice { .. } | Kind::Flag => return None,
+            SettingKind::Number { least, most, .. } => number(least, most),
+            SettingKind::Choice { .. } | SettingKind::Flag => return None,
         },
     })
 }

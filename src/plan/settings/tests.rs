@@ -13,12 +13,12 @@ fn given(query: &str) -> Given {
 /// A value of a setting that is not its default, with what it needs beside it.
 fn other_value(setting: &Setting) -> Given {
     let value = match &setting.kind {
-        Kind::Choice { choices, default } => {
+        SettingKind::Choice { choices, default } => {
             let other = choices.iter().find(|choice| Some(&choice.value) != default.as_ref());
             other.unwrap().value.clone()
         }
-        Kind::Flag => "false".to_owned(),
-        Kind::Number { least, .. } => least.to_string(),
+        SettingKind::Flag => "false".to_owned(),
+        SettingKind::Number { least, .. } => least.to_string(),
     };
     let mut given = Given::default();
     for rule in &setting.needs {
@@ -58,14 +58,14 @@ fn declarations_are_complete() {
         assert!(setting.help.ends_with('.') && !setting.help.contains("  "), "{}", setting.help);
         for rule in setting.needs.iter().chain(&setting.useful_with) {
             let kind = declaration(rule.of).map(|setting| &setting.kind);
-            let Some(Kind::Choice { choices, .. }) = kind else {
+            let Some(SettingKind::Choice { choices, .. }) = kind else {
                 assert!(["output", "samples", "lights"].contains(&rule.of), "{}", rule.of);
                 continue;
             };
             let is_value = |value: &&str| choices.iter().any(|choice| choice.value == *value);
             assert!(rule.is.iter().all(is_value), "{}", setting.name);
         }
-        if let Kind::Choice { choices, .. } = &setting.kind {
+        if let SettingKind::Choice { choices, .. } = &setting.kind {
             assert!(choices.iter().all(|choice| !choice.help.is_empty()), "{}", setting.name);
         }
     }
@@ -126,13 +126,15 @@ fn page() -> String {
     );
     for setting in declared() {
         let (values, default) = match &setting.kind {
-            Kind::Choice { choices, default } => {
+            SettingKind::Choice { choices, default } => {
                 let values: Vec<String> =
                     choices.iter().map(|choice| format!("`{}`", choice.value)).collect();
                 (values.join(", "), default.as_ref().map(|value| format!("`{value}`")))
             }
-            Kind::Flag => ("`true`, `false`".to_owned(), None),
-            Kind::Number { default, .. } => (setting.kind.accepted(), Some(default.to_string())),
+            SettingKind::Flag => ("`true`, `false`".to_owned(), None),
+            SettingKind::Number { default, .. } => {
+                (setting.kind.accepted(), Some(default.to_string()))
+            }
         };
         let default = default.unwrap_or_else(|| "the scene’s".to_owned());
         let needs = setting.needs_in_words(|name, value| format!("{name}={value}"));
@@ -142,7 +144,7 @@ fn page() -> String {
     }
     page += "\n## Values\n\n| setting | value | meaning |\n|---|---|---|\n";
     for setting in declared() {
-        let Kind::Choice { choices, .. } = &setting.kind else { continue };
+        let SettingKind::Choice { choices, .. } = &setting.kind else { continue };
         for Choice { value, help } in choices {
             page += &format!("| `{}` | `{value}` | {help} |\n", setting.name);
         }

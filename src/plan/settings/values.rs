@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Given, Kind, Settings};
+use super::{Given, SettingKind, Settings};
 use crate::scene::{Blend, Shading, Splats};
 
 /// What a frame waits for whose samples lack normals or kernels, where it is left open how they are drawn.
@@ -100,9 +100,9 @@ impl MaxError {
         self.px
     }
 
-    pub(super) fn kind() -> Kind {
+    pub(super) fn kind() -> SettingKind {
         let [least, most] = MaxError::RANGE_PX.map(exact);
-        Kind::Number { least, most, default: exact(MaxError::default().px), unit: "pixels" }
+        SettingKind::Number { least, most, default: exact(MaxError::default().px), unit: "pixels" }
     }
 }
 
