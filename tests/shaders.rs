@@ -126,7 +126,7 @@ fn every_composition_is_valid() {
     let (depths, sums, single) = (12, 32, 8);
     let over_pixels = 6 * 2;
     let lists = 3 * 2;
-    let others = 10;
+    let others = 9;
     assert_eq!(
         checked,
         2 * 6 + 6 * (2 * 2 + 2) + 5 * (depths + sums + single) + over_pixels + lists + others

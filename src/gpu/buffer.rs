@@ -76,13 +76,15 @@ impl Scratch {
         Self { buffer: Buffer::new(gpu, label, 16, usage), label, usage }
     }
 
-    /// At least `bytes` large.
-    pub fn reserve(&mut self, gpu: &Gpu, bytes: u64) {
-        if bytes > self.buffer.size() {
+    /// Makes the buffer at least `bytes` large; whether it had to be made anew.
+    pub fn reserve(&mut self, gpu: &Gpu, bytes: u64) -> bool {
+        let grows = bytes > self.buffer.size();
+        if grows {
             // A quarter more than asked spares the next few sizes, within what can be bound.
             let roomy = (bytes + bytes / 4).min(gpu.max_binding_bytes()).max(bytes);
             self.buffer = Buffer::new(gpu, self.label, roomy, self.usage);
         }
+        grows
     }
 
     pub fn buffer(&self) -> &Buffer {

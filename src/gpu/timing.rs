@@ -130,6 +130,25 @@ impl Timer {
         )
     }
 
+    /// Times commands that `fill` records outside of passes.
+    pub fn fill(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        fill: impl FnOnce(&mut wgpu::CommandEncoder),
+    ) -> Option<Span> {
+        let next = self.next().zip(self.set.as_ref());
+        if let Some(((span, true), set)) = next {
+            stamp_alone(encoder, set, Some(span.begin), None);
+        }
+        fill(encoder);
+        match next {
+            Some(((span, _), set)) if self.between => encoder.write_timestamp(set, span.end),
+            Some(((span, _), set)) => stamp_alone(encoder, set, None, Some(span.end)),
+            None => {}
+        }
+        next.map(|((span, _), _)| span)
+    }
+
     /// Begins a timed render pass whose single attachment is thrown away.
     pub fn raster<'e>(
         &mut self,
@@ -173,4 +192,21 @@ impl Timer {
         encoder.resolve_query_set(set, 0..self.used, buffer, 0);
         Some((buffer, u64::from(self.used) * 8))
     }
+}
+
+/// Takes stamps in a pass that does nothing else.
+fn stamp_alone(
+    encoder: &mut wgpu::CommandEncoder,
+    query_set: &wgpu::QuerySet,
+    begin: Option<u32>,
+    end: Option<u32>,
+) {
+    drop(encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+        label: Some("stamp"),
+        timestamp_writes: Some(wgpu::ComputePassTimestampWrites {
+            query_set,
+            beginning_of_pass_write_index: begin,
+            end_of_pass_write_index: end,
+        }),
+    }));
 }

@@ -220,7 +220,7 @@ pub fn write_variants(variants: &[Variant]) -> String {
 pub fn read_variants(text: &[u8]) -> Vec<Variant> {
     let read: Vec<ReadVariant> = serde_json::from_slice(text).unwrap_or_default();
     let known = |read: ReadVariant| {
-        let root = Pass::ALL.iter().find(|pass| pass.shader() == read.root)?.shader();
+        let root = shaders::roots().into_iter().find(|root| *root == read.root)?;
         Some(Variant { root, choices: read.choices, constants: read.constants })
     };
     read.into_iter().filter_map(known).take(MOST_KEPT).collect()

@@ -9,7 +9,7 @@ use crate::passes::project::LANES;
 use crate::passes::recorder::DISPATCH_ROW;
 use crate::passes::resolve::TILE;
 use crate::passes::scratch::{DEPTHS_BYTES, MOST_ENTRIES};
-use crate::passes::select::{clear, compact, cull, depth_pyramid, place};
+use crate::passes::select::{compact, cull, depth_pyramid, place};
 use crate::passes::shaders::{Choices, composed};
 use crate::passes::slabs::SLABS;
 use crate::plan::{Output, TURNS};
@@ -64,9 +64,6 @@ fn threads(module: &Module) -> u32 {
 
 #[test]
 fn direct_dispatches_cover_what_they_must() {
-    let module_of_clear = module("select/clear");
-    let pairs = scalar(&module_of_clear, "PAIRS_EACH") * threads(&module_of_clear);
-    assert_eq!(2 * pairs, clear::PIXELS);
     let module_of_cull = module("select/cull");
     assert_eq!(scalar(&module_of_cull, "GROUP") * threads(&module_of_cull), cull::ENTRIES);
     assert_eq!(threads(&module("select/place")), place::INSTANCES);
@@ -91,7 +88,6 @@ fn what_is_hidden_is_asked_of_as_many() {
 #[test]
 fn rows_of_dispatches_are_as_long() {
     let roots = [
-        "select/clear",
         "select/place",
         "select/cull",
         "select/scan",
@@ -188,11 +184,10 @@ fn array_length(module: &Module, name: &str) -> u32 {
 
 #[test]
 fn views_fit_their_records() {
-    let clear = module("select/clear");
-    assert_eq!(scalar(&clear, "STATS_WORDS") as usize * 4, size_of::<GpuStats>());
-    assert_eq!(array_length(&clear, "frames"), MOST_VIEWS);
-    // An entry of the list of large triangles: two rows and a view in one word.
     let walk = module("project/walk_triangles");
+    assert_eq!(scalar(&walk, "STATS_WORDS") as usize * 4, size_of::<GpuStats>());
+    assert_eq!(array_length(&walk, "frames"), MOST_VIEWS);
+    // An entry of the list of large triangles: two rows and a view in one word.
     let row_bits = scalar(&walk, "ROW_BITS");
     assert_eq!(1 << row_bits, MOST_ROWS);
     assert_eq!(scalar(&walk, "ROW_MASK"), MOST_ROWS - 1);

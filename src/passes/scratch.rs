@@ -133,13 +133,14 @@ impl Scratch {
     pub fn reserve(&mut self, gpu: &Gpu, scene: &ResidentScene, task: &FrameTask) {
         let ((width, height), views) = (task.size(), u64::from(task.count()));
         let pixels = views * u64::from(width) * u64::from(height);
-        // A pair of pixels is cleared at a time.
-        self.visibility.reserve(gpu, pixels.next_multiple_of(2) * 8);
+        self.visibility.reserve(gpu, pixels * 8);
         self.pixels.reserve(gpu, pixels * 4);
         if task.plan.runs(Pass::Shade) {
             self.normals.reserve(gpu, pixels * 4);
         }
-        self.sums.iter_mut().take(task.sums()).for_each(|sums| sums.reserve(gpu, pixels * 8));
+        for sums in &mut self.sums[..task.sums()] {
+            sums.reserve(gpu, pixels * 8);
+        }
         if task.plan.runs(Pass::ResolveFused) {
             self.layers.reserve(gpu, pixels * LAYERS_BYTES);
         }
@@ -171,7 +172,11 @@ impl Scratch {
             self.segments.reserve(gpu, segments * size_of::<GpuSegment>() as u64);
             self.sizes.reserve(gpu, 16);
         }
-        self.large.reserve(gpu, 16 + u64::from(self.large_capacity) * 8);
+        if self.large.reserve(gpu, 16 + u64::from(self.large_capacity) * 8) {
+            // An indirect draw of one instance. Frames change the number of vertices alone.
+            let head = [0u32, 1, 0, 0];
+            gpu.queue.write_buffer(self.large.buffer().raw(), 0, bytemuck::cast_slice(&head));
+        }
     }
 
     pub fn large_capacity(&self) -> u32 {

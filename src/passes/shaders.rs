@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::gpu::shader::{Composed, ShaderError, compose};
-use crate::plan::{Pass, pass_table};
+use crate::plan::{Kind, Pass, pass_table};
 
 macro_rules! fragments {
     ($($name:literal),+ $(,)?) => {
@@ -20,9 +20,22 @@ macro_rules! roots {
     ($($pass:ident $kind:ident $folder:ident/$file:ident $half:literal
         [$($stage:ident)+] $per:ident [$($reason:ident)*];)+) => {
         /// The text of each pass's own file.
-        const ROOT_SOURCES: &[&str] = &[$(include_str!(concat!(
-            "../../shaders/", stringify!($folder), "/", stringify!($file), ".wgsl"
-        ))),+];
+        const ROOT_SOURCES: &[Option<&str>] = &[$(root!($kind $folder $file)),+];
+    };
+}
+
+macro_rules! root {
+    (Fill $folder:ident $file:ident) => {
+        None
+    };
+    ($kind:ident $folder:ident $file:ident) => {
+        Some(include_str!(concat!(
+            "../../shaders/",
+            stringify!($folder),
+            "/",
+            stringify!($file),
+            ".wgsl"
+        )))
     };
 }
 pass_table!(roots);
@@ -33,7 +46,7 @@ const MEASURES: &[&str] = &["measure/measure_splats"];
 /// The files that have entry points, by their names below `shaders/`.
 pub fn roots() -> Vec<&'static str> {
     let mut roots = MEASURES.to_vec();
-    for pass in Pass::ALL {
+    for pass in Pass::ALL.iter().filter(|pass| pass.kind() != Kind::Fill) {
         if !roots.contains(&pass.shader()) {
             roots.push(pass.shader());
         }
@@ -43,10 +56,10 @@ pub fn roots() -> Vec<&'static str> {
 
 /// The text of a file of `shaders/`.
 pub fn source(name: &str) -> Option<&'static str> {
-    let shared = SHARED.iter().copied().zip(SHARED_SOURCES);
-    let roots = Pass::ALL.iter().map(|pass| pass.shader()).zip(ROOT_SOURCES);
+    let shared = SHARED.iter().copied().zip(SHARED_SOURCES.iter().copied().map(Some));
+    let roots = Pass::ALL.iter().map(|pass| pass.shader()).zip(ROOT_SOURCES.iter().copied());
     let embedded = || shared.chain(roots).find(|(file, _)| *file == name);
-    on_disk(name).or_else(|| embedded().map(|(_, text)| *text))
+    on_disk(name).or_else(|| embedded()?.1)
 }
 
 /// In debug builds, the folder `POINTILLIST_SHADERS` stands in for what was embedded, so that shaders can be worked on

@@ -94,7 +94,7 @@ impl Pass {
         self.line().name
     }
 
-    /// The pass's WGSL file below `shaders/`.
+    /// The pass's WGSL file below `shaders/`, where it has one.
     pub fn shader(self) -> &'static str {
         self.line().shader
     }

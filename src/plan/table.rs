@@ -4,7 +4,8 @@
 //! A line names, from left to right:
 //!
 //! 1. the variant of [`Pass`];
-//! 2. the kind of pipeline: `Compute` has one entry point, named after its file; `Raster` has `vertex` and `fragment`;
+//! 2. the kind of the pass: `Compute` has one entry point, named after its file; `Raster` has `vertex` and `fragment`; `Fill` has no
+//!    shader;
 //! 3. the WGSL file below `shaders/`, which is also the path of the recording function below `passes/`;
 //! 4. what the pass's name has behind the file's;
 //! 5. the stages in which it is recorded, the one that it belongs to first;
@@ -20,7 +21,7 @@ use crate::scene::{Blend, Shading};
 macro_rules! pass_table {
     ($reader:ident) => {
         $reader! {
-            Clear                Compute select/clear                  ""    [Select]            Frame     [];
+            Clear                Fill    select/clear                  ""    [Select]            Frame     [];
             CullGroups           Compute select/cull_groups            ""    [Select]            Frame     [FULL_DETAIL];
             ListGroups           Compute select/list_groups            ""    [Select]            Frame     [FULL_DETAIL];
             Place                Compute select/place                  ""    [Select]            Frame     [];
@@ -91,11 +92,13 @@ pub enum Per {
     Triangles,
 }
 
-/// The kind of pipeline that a shader makes.
+/// What carries a pass out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     Compute,
     Raster,
+    /// Commands that fill buffers.
+    Fill,
 }
 
 /// Why a frame does without a pass.

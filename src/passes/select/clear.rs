@@ -1,23 +1,29 @@
-//! Empties what the passes of all views gather in.
+//! Empties what the passes of all views gather in: by commands that fill buffers, which software drivers carry out several times
+//! as fast as a shader.
 
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::Recorder;
 use crate::passes::scratch::LAYERS_BYTES;
 use crate::plan::Pass;
-
-/// Pixels that a workgroup clears; as in the shader.
-pub const PIXELS: u32 = 2 * 16 * 64;
+use crate::residency::layout::GpuStats;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
-    let (width, height) = recorder.task.size();
-    let pixels = recorder.task.count() * width * height;
-    let (sums, layers) = (&recorder.context.scratch.sums, &recorder.context.scratch.layers);
-    for sums in &sums[..recorder.task.sums()] {
-        recorder.encoder.clear_buffer(sums.buffer().raw(), 0, Some(u64::from(pixels) * 8));
+    let (task, scratch) = (recorder.task, &*recorder.context.scratch);
+    let ((width, height), views) = (task.size(), u64::from(task.count()));
+    let pixels = views * u64::from(width) * u64::from(height);
+    let mut buffers = vec![
+        (&scratch.visibility, Some(pixels * 8)),
+        (&scratch.stats, Some(views * size_of::<GpuStats>() as u64)),
+        (&scratch.dispatches, None),
+        (&scratch.portions, None),
+        (&scratch.depths, None),
+    ];
+    buffers.extend(scratch.sums[..task.sums()].iter().map(|sums| (sums, Some(pixels * 8))));
+    if task.plan.runs(Pass::FuseSplats) {
+        buffers.push((&scratch.layers, Some(pixels * LAYERS_BYTES)));
     }
-    if recorder.task.plan.runs(Pass::FuseSplats) {
-        let bytes = u64::from(pixels) * LAYERS_BYTES;
-        recorder.encoder.clear_buffer(layers.buffer().raw(), 0, Some(bytes));
-    }
-    recorder.rows(pixels.div_ceil(PIXELS), 1, Vec::new())
+    let buffers: Vec<_> =
+        buffers.into_iter().map(|(found, bytes)| (found.buffer().raw().clone(), bytes)).collect();
+    recorder.zero(&buffers);
+    Ok(())
 }
