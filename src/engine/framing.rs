@@ -85,9 +85,16 @@ impl SceneOutline {
         SceneOutline { points: directions.par_iter().filter_map(farthest_along).collect() }
     }
 
-    /// The camera of the default view, for a frame of this aspect. `up` is not zero.
-    pub fn camera(&self, up: DVec3, front: Option<DVec3>, fov_deg: f64, aspect: f64) -> Camera {
-        framing::frame(&self.points, &self.look(up, front, fov_deg, aspect))
+    /// The camera of the default view, for a frame of this aspect. `up` is not zero. Something may be drawn as far as `reach` around each
+    /// point.
+    pub fn camera(
+        &self,
+        up: DVec3,
+        front: Option<DVec3>,
+        (fov_deg, aspect, reach): (f64, f64, f64),
+    ) -> Camera {
+        let look = Look { reach, ..self.look(up, front, fov_deg, aspect) };
+        framing::frame(&self.points, &look)
     }
 
     /// From where the scene shows what it is: terrain from above at an angle, upright things from the front at eye height, a plate
@@ -114,7 +121,7 @@ impl SceneOutline {
         let (turn_sin, turn_cos) = turn_deg.to_radians().sin_cos();
         let (sin, cos) = elevation_deg.to_radians().sin_cos();
         let backward = front * (turn_cos * cos) + right * (turn_sin * cos) + up * sin;
-        Look { backward, up, fov_deg, aspect }
+        Look { backward, up, fov_deg, aspect, reach: 0.0 }
     }
 }
 

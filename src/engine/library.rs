@@ -38,6 +38,9 @@ use crate::residency::once::MadeOnce;
 use crate::residency::spacing;
 use crate::scene::{AssetRef, CameraPath, Light, Node, Scene, SceneError};
 
+/// How far splats usually reach, in distances between neighbouring samples.
+const SPLAT_REACH: f64 = 2.0;
+
 static NEXT_UID: AtomicU64 = AtomicU64::new(1);
 
 /// A number that no asset and no scene of this process has had.
@@ -937,7 +940,8 @@ impl Loaded {
         }
         let outline = self.outline.get_or_init(|| SceneOutline::of(&self.model));
         let front = self.description.front.filter(|_| up_given.is_none());
-        Ok(outline.camera(anywhere.up, front, anywhere.fov_deg, aspect))
+        let reach = SPLAT_REACH * spacing::usual(self.patches());
+        Ok(outline.camera(anywhere.up, front, (anywhere.fov_deg, aspect, reach)))
     }
 }
 
