@@ -311,9 +311,6 @@ pub fn load(
             splats.cutoff * splats.width
         ));
     }
-    if description.lights.iter().any(|light| matches!(light, Light::Sun { shadows: true, .. })) {
-        warnings.push("lights ask for shadows, which this version does not draw".to_owned());
-    }
     let digest = hasher.finalize().into();
     let id = id.to_owned();
     drop(assembler);
@@ -958,6 +955,16 @@ pub fn check_path(path: &Path, root: &Path) -> Result<PathBuf, EngineError> {
             file: display,
             reason: "lies outside the scene root".to_owned(),
         }));
+    }
+    if !path.is_file() {
+        // A pipe would be waited for, for ever.
+        let reason = if path.is_dir() {
+            "is a folder; name one file in it: a scene (.json), or a file of points or triangles"
+        } else {
+            "is no regular file; write a pipe's content to a file first"
+        };
+        let reason = reason.to_owned();
+        return Err(asset_error(AssetError::Unsupported { file: display, reason }));
     }
     Ok(path)
 }
