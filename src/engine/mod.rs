@@ -152,7 +152,7 @@ pub enum EngineError {
     #[error("{what} take {needed} bytes, of which this adapter binds {limit} at once")]
     OverBinding { what: &'static str, needed: u64, limit: u64 },
     /// A limit of [`Limits`] was exceeded.
-    #[error("{what} ({found}) is over the limit of {limit}")]
+    #[error("{found} is more than the limit of {limit} {what}")]
     OverLimit { what: &'static str, found: u64, limit: u64 },
     /// A load that was cancelled, or that there is no host memory for.
     #[error(transparent)]
@@ -462,9 +462,19 @@ impl Engine {
             })
             .map_err(|error| EngineError::Internal(error.to_string()))?;
         match receiver.recv() {
-            Ok(Ok(())) => Ok(Engine {
-                inner: Arc::new(Inner { shared, thread: parking_lot::Mutex::new(Some(thread)) }),
-            }),
+            Ok(Ok(())) => {
+                let (asked, (limit, _)) =
+                    (shared.config.max_pixels, resolve::frame_limits(&shared));
+                if asked > limit {
+                    tracing::warn!(
+                        asked,
+                        limit,
+                        "the adapter binds fewer pixels than --max-pixels"
+                    );
+                }
+                let thread = parking_lot::Mutex::new(Some(thread));
+                Ok(Engine { inner: Arc::new(Inner { shared, thread }) })
+            }
             Ok(Err(error)) => Err(EngineError::NoGpu(error.to_string())),
             Err(_) => {
                 Err(EngineError::Internal("the render thread ended while it opened the GPU".into()))
@@ -526,8 +536,8 @@ impl Engine {
         let mut loaded = library::load(id, &source, &shared.config, &shared.cache, admission)?;
         self.check_fits(&mut loaded)?;
         admission.check()?;
-        let info = loaded.info.clone();
         let kept = std::mem::take(&mut loaded.kept);
+        let info = self.info(&loaded);
         shared.library.write().insert(loaded);
         for kept in kept {
             shared.write_apart(move || kept.write());
@@ -582,7 +592,7 @@ impl Engine {
             let mut patched = loaded.patched(node, patch, &shared.config)?;
             // A node that comes to light may draw more than there is room for.
             self.check_fits(&mut patched)?;
-            let info = patched.info.clone();
+            let info = self.info(&patched);
             if shared.library.write().replace(&loaded, patched) {
                 shared.scenes_changed();
                 tracing::info!(id, node, revision = info.revision, "scene changed");

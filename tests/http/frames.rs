@@ -31,6 +31,11 @@ fn a_frame_of_nothing_warns() {
     );
     let why = behind.receipt()["nothing_visible"].clone();
     assert!(warning.ends_with(why.as_str().unwrap()), "{why}");
+    let far = client.get("/v1/scenes/grid/frame?eye=0,0,3000&target=0,0,0&w=192&h=128");
+    let drawn = far.receipt()["samples"]["drawn"].as_u64().unwrap();
+    assert!((1..20).contains(&drawn), "{drawn}");
+    let warning = far.header("pointillist-warning").unwrap();
+    assert!(warning.starts_with("hardly anything is visible"), "{warning}");
 }
 
 #[test]
