@@ -347,6 +347,16 @@ fn render_writes_to_standard_output() {
     assert!(told.contains("`tiff`") && told.contains("--format"), "{told}");
     let narrow = [&small[..], &["--max-side", "31"]].concat();
     assert!(shell.complaint(&narrow).contains("31"));
+    std::fs::create_dir(shell.path("folder.d")).unwrap();
+    let told = shell.complaint(&["render", "folder.d", "-o", "a.png"]);
+    assert!(told.contains("is a folder; name one file in it"), "{told}");
+    #[cfg(unix)]
+    {
+        // Without a writer it would be waited for, for ever.
+        assert!(Command::new("mkfifo").arg(shell.path("pipe.ply")).status().unwrap().success());
+        let told = shell.complaint(&["render", "pipe.ply", "-o", "a.png"]);
+        assert!(told.contains("no regular file"), "{told}");
+    }
     let few = [&small[..], &["--max-pixels", "767"]].concat();
     assert!(shell.complaint(&few).contains("767"));
     assert_eq!(shell.run(&["render", "cloud.ply", "--colour"]).status.code(), Some(2));

@@ -176,8 +176,10 @@ fn what_the_daemon_refuses_is_said_at_once() {
         &[],
     );
     let url = format!("http://{}", daemon.address);
-    let said = complaint(&url, &[]);
-    assert!(said.contains("--scene") && said.contains("grid") && said.contains("other"), "{said}");
+    // Without --scene the first is taken, and named.
+    let said = complaint(&url, &["--lod", "some"]);
+    assert!(said.contains("--scene ") && said.contains("the first of 2 that are ready"), "{said}");
+    assert!(said.contains("422"), "{said}");
     let said = complaint(&url, &["--scene", "gird"]);
     assert!(said.contains("404"), "{said}");
     let said = complaint(&url, &["--scene", "grid", "--lod", "some"]);

@@ -118,7 +118,7 @@ struct RateArgs {
 /// What frames are asked for. All but the pose is handed to the daemon as it stands: it knows what it accepts.
 #[derive(Args, Clone, Debug)]
 struct FrameArgs {
-    /// Which scene [default: the only one]
+    /// Which scene [default: the first that is ready]
     #[arg(long, value_name = "ID")]
     scene: Option<String>,
     /// Where frames are seen from
@@ -342,7 +342,7 @@ fn stream_clients(
     })
 }
 
-/// The scene asked for, or the only one that is ready.
+/// The scene asked for, or the first that is ready.
 async fn find_scene(
     connections: &Connections,
     prefix: &str,
@@ -362,14 +362,12 @@ async fn find_scene(
         None => {
             let list: List = connections.json(&format!("{prefix}/v1/scenes")).await?;
             let mut ready = list.scenes.into_iter().filter(|scene| scene.state == "ready");
-            match (ready.next(), ready.next()) {
-                (Some(only), None) => only.id,
-                (None, _) => bail!("the daemon has no scene that is ready"),
-                (Some(first), Some(second)) => {
-                    let rest = ready.map(|scene| format!(", {}", scene.id)).collect::<String>();
-                    bail!("say which --scene: there are {}, {}{rest}", first.id, second.id)
-                }
+            let first = ready.next().context("the daemon has no scene that is ready")?;
+            let others = ready.count();
+            if others > 0 {
+                say!("--scene {}, the first of {} that are ready", first.id, others + 1);
             }
+            first.id
         }
     };
     let path = format!("{prefix}/v1/scenes/{}", percent_encoded(&id));

@@ -34,7 +34,7 @@ pub struct SceneArgs {
     /// Scene data that may lie on the GPU, in MiB
     #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
     gpu_budget_mib: Option<u64>,
-    /// Width times height of the largest frame [default: 16777216]
+    /// Width times height of the largest frame, as far as the adapter allows [default: 16777216]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     max_pixels: Option<u64>,
     /// Longest side of a frame [default: 8192]

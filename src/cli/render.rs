@@ -127,8 +127,8 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     if let Some(file) = &args.receipt {
         write(file, &serde_json::to_vec_pretty(&median.receipt)?)?;
     }
-    if let Some(why) = &median.receipt.nothing_visible {
-        say!("warning: nothing is visible: {why}");
+    if let Some(why) = median.receipt.hardly_visible() {
+        say!("warning: {why}");
     }
     say!(
         "{}: {}, loaded in {:.2} s; {}",

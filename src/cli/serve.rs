@@ -93,7 +93,7 @@ pub struct ServeArgs {
     /// Images of jobs that are encoded at a time [default: one a core]; requests and streams have a thread more each
     #[arg(long, env = "POINTILLIST_ENCODER_THREADS", value_name = "N")]
     pub encoder_threads: Option<usize>,
-    /// Width times height of the largest frame [default: 16777216]
+    /// Width times height of the largest frame, as far as the adapter allows [default: 16777216]
     #[arg(long, env = "POINTILLIST_MAX_PIXELS", value_name = "N")]
     pub max_pixels: Option<u64>,
     /// Longest side of a frame [default: 8192]

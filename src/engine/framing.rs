@@ -86,9 +86,16 @@ impl SceneOutline {
         SceneOutline { points: directions.par_iter().filter_map(farthest_along).collect() }
     }
 
-    /// Returns the camera of the default view for a frame of this aspect. `up` must not be zero.
-    pub fn camera(&self, up: DVec3, front: Option<DVec3>, fov_deg: f64, aspect: f64) -> Camera {
-        framing::frame(&self.points, &self.look(up, front, fov_deg, aspect))
+    /// Returns the camera of the default view for a frame of this aspect. `up` must not be zero. Samples may be drawn as far as `reach`
+    /// around each point.
+    pub fn camera(
+        &self,
+        up: DVec3,
+        front: Option<DVec3>,
+        (fov_deg, aspect, reach): (f64, f64, f64),
+    ) -> Camera {
+        let look = Look { reach, ..self.look(up, front, fov_deg, aspect) };
+        framing::frame(&self.points, &look)
     }
 
     /// Chooses the view direction: terrain is seen from above at an angle, upright things from the front at eye height, a plate
@@ -115,7 +122,7 @@ impl SceneOutline {
         let (turn_sin, turn_cos) = turn_deg.to_radians().sin_cos();
         let (sin, cos) = elevation_deg.to_radians().sin_cos();
         let backward = front * (turn_cos * cos) + right * (turn_sin * cos) + up * sin;
-        Look { backward, up, fov_deg, aspect }
+        Look { backward, up, fov_deg, aspect, reach: 0.0 }
     }
 }
 

@@ -107,6 +107,9 @@ fn stands_alone(file: &Path) -> bool {
 /// Hashes a file, which errors call `name`.
 pub fn digest_file(file: &Path, name: &str, admission: &Admission) -> Result<[u8; 32], AssetError> {
     let fail = |source| AssetError::Io { file: name.to_owned(), source };
+    if !std::fs::metadata(file).map_err(fail)?.is_file() {
+        return Err(AssetError::unsupported(name, "is not a regular file"));
+    }
     let mut hasher = Sha256::new();
     let mut reader = File::open(file).map_err(fail)?;
     let mut buffer = vec![0; 1 << 20];

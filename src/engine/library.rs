@@ -38,6 +38,9 @@ use crate::residency::once::MadeOnce;
 use crate::residency::spacing;
 use crate::scene::{AssetRef, CameraPath, Light, Node, Scene, SceneError};
 
+/// How far splats usually reach, in distances between neighbouring samples.
+const SPLAT_REACH: f64 = 2.0;
+
 static NEXT_UID: AtomicU64 = AtomicU64::new(1);
 
 /// Returns a number that no asset and no scene of this process has had.
@@ -307,9 +310,6 @@ pub fn load(
             "splats end at {} standard deviations; estimated kernels close a surface from {CUTOFF} on",
             splats.cutoff * splats.width
         ));
-    }
-    if description.lights.iter().any(|light| matches!(light, Light::Sun { shadows: true, .. })) {
-        warnings.push("lights ask for shadows, which this version does not draw".to_owned());
     }
     let digest = hasher.finalize().into();
     let id = id.to_owned();
@@ -931,7 +931,8 @@ impl Loaded {
         }
         let outline = self.outline.get_or_init(|| SceneOutline::of(&self.model));
         let front = self.description.front.filter(|_| up_given.is_none());
-        Ok(outline.camera(anywhere.up, front, anywhere.fov_deg, aspect))
+        let reach = SPLAT_REACH * spacing::usual(self.patches());
+        Ok(outline.camera(anywhere.up, front, (anywhere.fov_deg, aspect, reach)))
     }
 }
 
@@ -948,6 +949,16 @@ pub fn check_path(path: &Path, root: &Path) -> Result<PathBuf, EngineError> {
             file: display,
             reason: "lies outside the scene root".to_owned(),
         }));
+    }
+    if !path.is_file() {
+        // A pipe would be waited for, for ever.
+        let reason = if path.is_dir() {
+            "is a folder; name one file in it: a scene (.json), or a file of points or triangles"
+        } else {
+            "is no regular file; write a pipe's content to a file first"
+        };
+        let reason = reason.to_owned();
+        return Err(asset_error(AssetError::Unsupported { file: display, reason }));
     }
     Ok(path)
 }

@@ -162,7 +162,7 @@ pub enum EngineError {
     #[error("{what} take {needed} bytes, of which this adapter binds {limit} at once")]
     OverBinding { what: &'static str, needed: u64, limit: u64 },
     /// A limit of [`Limits`] was exceeded.
-    #[error("{what} ({found}) is over the limit of {limit}")]
+    #[error("{found} is more than the limit of {limit} {what}")]
     OverLimit { what: &'static str, found: u64, limit: u64 },
     /// A load was cancelled, or there is not enough host memory for it.
     #[error(transparent)]
@@ -474,9 +474,19 @@ impl Engine {
             })
             .map_err(|error| EngineError::Internal(error.to_string()))?;
         match receiver.recv() {
-            Ok(Ok(())) => Ok(Engine {
-                inner: Arc::new(Inner { shared, thread: parking_lot::Mutex::new(Some(thread)) }),
-            }),
+            Ok(Ok(())) => {
+                let (asked, (limit, _)) =
+                    (shared.config.max_pixels, resolve::frame_limits(&shared));
+                if asked > limit {
+                    tracing::warn!(
+                        asked,
+                        limit,
+                        "the adapter binds fewer pixels than --max-pixels"
+                    );
+                }
+                let thread = parking_lot::Mutex::new(Some(thread));
+                Ok(Engine { inner: Arc::new(Inner { shared, thread }) })
+            }
             Ok(Err(error)) => Err(EngineError::NoGpu(error.to_string())),
             Err(_) => {
                 Err(EngineError::Internal("the render thread ended while it opened the GPU".into()))
@@ -538,8 +548,8 @@ impl Engine {
         let mut loaded = library::load(id, &source, &shared.config, &shared.cache, admission)?;
         self.check_fits(&mut loaded)?;
         admission.check()?;
-        let info = loaded.info.clone();
         let kept = std::mem::take(&mut loaded.kept);
+        let info = self.info(&loaded);
         shared.library.write().insert(loaded);
         for kept in kept {
             shared.write_apart(move || kept.write());
@@ -597,7 +607,7 @@ impl Engine {
             if let Some(hook) = &shared.config.patch_hook {
                 hook();
             }
-            let info = patched.info.clone();
+            let info = self.info(&patched);
             if shared.library.write().replace(&loaded, patched) {
                 shared.scenes_changed();
                 tracing::info!(id, node, revision = info.revision, "scene changed");

@@ -5,6 +5,9 @@ use utoipa::ToSchema;
 
 use crate::plan::{FramePlan, Pass, UsedSettings};
 
+/// Fewer pixels than this are easily overlooked.
+const FEW_PIXELS: u64 = 20;
+
 /// What was understood, what was done, and what it cost. Times and counts that the adapter cannot
 /// give are `null`, never invented.
 #[derive(Clone, Debug, Default, Serialize, ToSchema)]
@@ -60,6 +63,20 @@ pub struct Receipt {
 }
 
 impl Receipt {
+    /// Why little or nothing can be seen, where that is so.
+    pub fn hardly_visible(&self) -> Option<String> {
+        if let Some(why) = &self.nothing_visible {
+            return Some(format!("nothing is visible: {why}"));
+        }
+        let pixels = u64::from(self.camera.width) * u64::from(self.camera.height);
+        let drawn = self.samples.drawn.filter(|_| self.triangles.stored == 0)?;
+        let is_little = drawn < FEW_PIXELS && drawn * FEW_PIXELS * FEW_PIXELS < pixels;
+        is_little.then(|| {
+            let plural = if drawn == 1 { "" } else { "s" };
+            format!("hardly anything is visible: {drawn} pixel{plural} of the image show samples")
+        })
+    }
+
     /// `gpu_ns`, divided equally among the frames that were drawn together.
     pub fn gpu_share_ns(&self) -> Option<u64> {
         self.gpu_ns.map(|ns| ns / u64::from(self.views.max(1)))

@@ -63,7 +63,12 @@ fn check_size(shared: &Shared, request: &FrameRequest) -> Result<(), EngineError
     }
     let found = u64::from(request.width) * u64::from(request.height);
     if found > max_pixels {
-        return Err(EngineError::OverLimit { what: "pixels", found, limit: max_pixels });
+        let what = if found > shared.config.max_pixels {
+            "pixels"
+        } else {
+            "pixels that this adapter binds at once, which no setting raises"
+        };
+        return Err(EngineError::OverLimit { what, found, limit: max_pixels });
     }
     Ok(())
 }

@@ -72,7 +72,7 @@ pub(super) fn around(
     fov: f64,
 ) -> Pose {
     let backward = backward / backward.length();
-    let look = Look { backward, up, fov_deg: fov, aspect: 1.0 };
+    let look = Look { backward, up, fov_deg: fov, aspect: 1.0, reach: 0.0 };
     let Camera { eye, target, .. } = frame(points, &look);
     Pose { name, eye, target, fov }
 }

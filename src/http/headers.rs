@@ -40,10 +40,13 @@ fn entry(line: &mut String, name: &str, ns: u64, words: std::fmt::Arguments<'_>)
     let _ = write!(line, "{comma}{name};dur={ms}.{us:03};desc=\"{words}\"");
 }
 
-/// `Pointillist-Warning`: the reason why nothing is visible, if nothing is.
+/// `Pointillist-Warning`: the reason why little or nothing is visible, and a note where the frame is not final.
 pub fn warning(receipt: &Receipt) -> Option<HeaderValue> {
-    HeaderValue::from_str(&format!("nothing is visible: {}", receipt.nothing_visible.as_ref()?))
-        .ok()
+    let provisional = receipt.settings.provisional.as_ref().map(|why| {
+        format!("the frame is provisional: {why}; wait=complete waits for the final frame")
+    });
+    let warnings: Vec<String> = receipt.hardly_visible().into_iter().chain(provisional).collect();
+    if warnings.is_empty() { None } else { HeaderValue::from_str(&warnings.join("; ")).ok() }
 }
 
 /// `Pointillist-Receipt`: the receipt as one line of JSON.

@@ -13,6 +13,8 @@ use super::Camera;
 
 /// Share of the frame's width or height that the content takes, whichever it fills first.
 const FILLED: f64 = 0.9;
+/// Share that it may take together with what is drawn around its points.
+const FILLED_AROUND: f64 = 0.98;
 /// Nothing may be nearer to the eye than this share of the content's size.
 const NEAREST: f64 = 0.05;
 /// Distance from which content without any size is seen.
@@ -28,6 +30,8 @@ pub struct Look {
     pub fov_deg: f64,
     /// Width of the frame over its height.
     pub aspect: f64,
+    /// Distance around each point within which something is drawn.
+    pub reach: f64,
 }
 
 /// Largest values of `p + t z` and `−p + t z`.
@@ -37,10 +41,10 @@ fn planes(points: &[DVec3], axis: usize, t: f64) -> (f64, f64) {
     })
 }
 
-/// Distance along the viewing axis from which everything fits between the planes of slope `t`.
-fn needed(points: &[DVec3], axis: usize, t: f64) -> f64 {
+/// Distance along the viewing axis from which everything fits between the planes of slope `t`, with a sphere around each point.
+fn needed(points: &[DVec3], axis: usize, t: f64, radius: f64) -> f64 {
     let (high, low) = planes(points, axis, t);
-    (high + low) / (2.0 * t)
+    (0.5 * (high + low) + radius * (1.0 + t * t).sqrt()) / t
 }
 
 /// Place of an eye, `distance` along the viewing axis, from which the content is in the middle of the frame.
@@ -49,7 +53,7 @@ fn centred(points: &[DVec3], axis: usize, widest: f64, distance: f64) -> f64 {
     let (mut narrow, mut wide) = (0.0, widest);
     for _ in 0..48 {
         let middle = 0.5 * (narrow + wide);
-        if middle > 0.0 && needed(points, axis, middle) <= distance {
+        if middle > 0.0 && needed(points, axis, middle, 0.0) <= distance {
             wide = middle;
         } else {
             narrow = middle;
@@ -61,7 +65,7 @@ fn centred(points: &[DVec3], axis: usize, widest: f64, distance: f64) -> f64 {
 
 /// The camera that shows all `points`, filling nine tenths of the frame's width or of its height.
 pub fn frame(points: &[DVec3], look: &Look) -> Camera {
-    let Look { backward, up, fov_deg, aspect } = *look;
+    let Look { backward, up, fov_deg, aspect, reach } = *look;
     let side = up.cross(backward);
     let right = side / side.length();
     let above = backward.cross(right);
@@ -77,14 +81,18 @@ pub fn frame(points: &[DVec3], look: &Look) -> Camera {
     let size = (high - low).length();
     let front = points.iter().map(|v| v.z).fold(0.0, f64::max);
     let back = points.iter().map(|v| v.z).fold(0.0, f64::min);
-    let tan_y = FILLED * (0.5 * fov_deg).to_radians().tan();
-    let tan_x = tan_y * aspect;
+    let tan = (0.5 * fov_deg).to_radians().tan();
+    let [tan_x, tan_y] = [aspect, 1.0].map(|sides| FILLED * tan * sides);
     let least = if size > 0.0 { NEAREST * size } else { FROM_A_POINT };
     // Less than this does not change the coordinates.
     let mut distance = front + least.max(1e-12 * centre.length());
     let (mut x, mut y) = (0.0, 0.0);
     if size > 0.0 {
-        distance = distance.max(needed(&points, 0, tan_x)).max(needed(&points, 1, tan_y));
+        for (axis, sides) in [aspect, 1.0].into_iter().enumerate() {
+            for (filled, radius) in [(FILLED, 0.0), (FILLED_AROUND, reach)] {
+                distance = distance.max(needed(&points, axis, filled * tan * sides, radius));
+            }
+        }
         x = centred(&points, 0, tan_x, distance);
         y = centred(&points, 1, tan_y, distance);
     }
@@ -101,7 +109,13 @@ mod tests {
     use super::*;
 
     fn look(backward: DVec3, aspect: f64) -> Look {
-        Look { backward: backward.normalize_or(DVec3::Z), up: DVec3::Y, fov_deg: 40.0, aspect }
+        Look {
+            backward: backward.normalize_or(DVec3::Z),
+            up: DVec3::Y,
+            fov_deg: 40.0,
+            aspect,
+            reach: 0.0,
+        }
     }
 
     /// Smallest and largest image coordinates of `points`, as shares of the frame from 0 to 1.
@@ -149,6 +163,20 @@ mod tests {
             }
             prop_assert!((0.5 * (low + high) - 0.5).abs().max_element() < 2e-3, "{low} {high}");
         }
+    }
+
+    #[test]
+    fn there_is_room_for_what_is_drawn_around_points() {
+        let square = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::new(1.0, 1.0, 0.0)];
+        let shown_with = |reach| {
+            let camera = frame(&square, &Look { reach, ..look(DVec3::Z, 1.0) });
+            let places = square.map(|p| [p - DVec3::Y * reach, p + DVec3::Y * reach]);
+            (camera, shown(&places.concat(), &camera, 1.0))
+        };
+        // Splats within the margin change nothing.
+        assert_eq!(shown_with(0.02).0, shown_with(0.0).0);
+        let (_, [low, high]) = shown_with(0.5);
+        assert!((0.005..0.03).contains(&low.y) && (0.97..0.995).contains(&high.y), "{low} {high}");
     }
 
     #[test]

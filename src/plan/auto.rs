@@ -1,8 +1,8 @@
 //! What samples are drawn as where `reconstruct=auto` leaves the choice.
 //!
 //! Points leave a pixel empty where no sample falls into it: `e^(-1/s²)` of a randomly sampled surface whose samples lie `s`
-//! pixels apart, 2 % at half a pixel and 37 % at one. [`choose`] draws splats where the median of the picture has more holes
-//! than at [`DENSE_PX`].
+//! pixels apart, 2 % at half a pixel and 37 % at one. [`choose`] draws splats where more than a tenth of what samples cover has more
+//! holes than at [`DENSE_PX`]: the median would let the sparse parts of an uneven scan be riddled with holes.
 
 use crate::bake::spacing::Patch;
 use crate::math::View;
@@ -12,9 +12,11 @@ use super::{Lod, Reconstruct};
 /// Most accepted error of point trees, in pixels, up to which their nodes are as dense as pixels.
 const COARSE_PX: f64 = 1.0;
 /// Samples that lie closer together, in pixels, are drawn as points.
-pub const DENSE_PX: f64 = 0.7;
+pub const DENSE_PX: f64 = 0.6;
+/// Share of what samples cover that has to be as dense.
+const DENSE_SHARE: f64 = 0.9;
 /// Farther apart, samples cover no more of the picture: strays in an empty sky do not decide how the rest is drawn.
-const SPARSE_PX: f64 = 8.0;
+const SPARSE_PX: f64 = 3.0;
 /// Share of a patch's radius from which its samples are seen at the nearest.
 const NEAREST: f64 = 0.25;
 
@@ -70,7 +72,10 @@ impl Choice {
             } else {
                 usize::from(px < 9.5)
             };
-            format!("samples lie {px:.digits$} px apart at the median")
+            format!(
+                "samples lie up to {px:.digits$} px apart in {:.0} % of what they cover",
+                100.0 * DENSE_SHARE
+            )
         };
         match self.reason {
             Reason::NoSamples => "the scene has no samples".to_owned(),
@@ -101,19 +106,19 @@ pub fn choose(grounds: &Grounds) -> Choice {
     Choice { reconstruct, spacing_px: grounds.spacing_px, reason }
 }
 
-/// How far apart neighbouring samples lie in the image, in pixels: the median over what they cover of it. `None` where no patch is in
-/// view.
+/// How far apart neighbouring samples lie in the image at most, in pixels, in [`DENSE_SHARE`] of what they cover of it. `None` where no
+/// patch is in view.
 pub fn spacing_px(patches: &[Patch], view: &View) -> Option<f64> {
     let mut seen: Vec<(f64, f64)> =
         patches.iter().filter_map(|patch| in_view(patch, view)).collect();
     seen.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-    let half = 0.5 * seen.iter().map(|(_, weight)| weight).sum::<f64>();
+    let dense = DENSE_SHARE * seen.iter().map(|(_, weight)| weight).sum::<f64>();
     let mut sum = 0.0;
-    let median = seen.iter().find(|(_, weight)| {
+    let reached = seen.iter().find(|(_, weight)| {
         sum += weight;
-        sum >= half
+        sum >= dense
     });
-    median.map(|(px, _)| *px)
+    reached.map(|(px, _)| *px)
 }
 
 /// The spacing of a patch in pixels, and how many pixels it covers of the image.
@@ -185,13 +190,19 @@ mod tests {
     }
 
     #[test]
-    fn the_median_is_over_what_is_covered_and_strays_have_no_say() {
+    fn nine_tenths_of_what_is_covered_decide_and_strays_have_no_say() {
         let far = (0..10).map(|i| patch(DVec3::new(f64::from(i), 0.0, -390.0), 0.01));
         let near = patch(DVec3::new(0.0, -1.0, 5.0), 0.01);
         let view = view(10.0, 1000);
         let both: Vec<Patch> = far.chain([near]).collect();
         assert!(spacing_px(&both, &view).unwrap() > 1.0, "what is near covers most");
         let ground = (0..10).map(|i| patch(DVec3::new(f64::from(i) - 5.0, 0.0, 0.0), 0.004));
+        let uneven = ground.clone().chain([patch(DVec3::Y, 0.009)]);
+        let px = spacing_px(&uneven.collect::<Vec<_>>(), &view).unwrap();
+        assert!(
+            px > DENSE_PX,
+            "an eleventh of the samples leaves holes in a third of the picture: {px}"
+        );
         let stray = Patch { centre: DVec3::ZERO, radius: 5.0, spacing: 1.0, samples: 5.0 };
         let px = spacing_px(&ground.chain([stray]).collect::<Vec<_>>(), &view).unwrap();
         assert!((px - 0.4).abs() < 1e-3, "{px}");
@@ -227,9 +238,9 @@ mod tests {
         let because = |px| choose(&grounds(Some(px))).because();
         let coarse = Grounds { lod: Lod::Spt, max_error_px: 2.5, ..grounds(None) };
         assert_eq!(choose(&coarse).because(), "nodes of point trees may be 2.5 px wide");
-        assert_eq!(because(3.21), "samples lie 3.2 px apart at the median");
-        assert_eq!(because(0.512), "samples lie 0.51 px apart at the median");
-        assert_eq!(because(0.0123), "samples lie 0.012 px apart at the median");
-        assert_eq!(because(14.4), "samples lie 14 px apart at the median");
+        assert_eq!(because(3.21), "samples lie up to 3.2 px apart in 90 % of what they cover");
+        assert_eq!(because(0.512), "samples lie up to 0.51 px apart in 90 % of what they cover");
+        assert_eq!(because(0.0123), "samples lie up to 0.012 px apart in 90 % of what they cover");
+        assert_eq!(because(14.4), "samples lie up to 14 px apart in 90 % of what they cover");
     }
 }

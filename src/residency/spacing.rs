@@ -48,3 +48,16 @@ pub fn patches(model: &SceneModel) -> Vec<Patch> {
         .collect();
     if run > 1 { merged(&placed, PATCHES) } else { placed }
 }
+
+/// Distance between neighbouring samples, at the median over samples; 0 where there are none.
+pub fn usual(patches: &[Patch]) -> f64 {
+    let mut spacings: Vec<(f64, f64)> =
+        patches.iter().map(|patch| (patch.spacing, patch.samples)).collect();
+    spacings.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+    let mut left = 0.5 * spacings.iter().map(|(_, samples)| samples).sum::<f64>();
+    let reached = spacings.iter().find(|(_, samples)| {
+        left -= samples;
+        left <= 0.0
+    });
+    reached.map_or(0.0, |(spacing, _)| *spacing)
+}

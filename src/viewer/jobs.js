@@ -2,7 +2,7 @@
 
 import { getJson, reach } from './api.js';
 import { $, button, bytes, complain, count } from './message.js';
-import { Reel, downloadLink, hasFrames, jobUrl } from './reel.js';
+import { Reel, downloadLink, hasFrames, jobUrl, showVideo } from './reel.js';
 
 const POLL_MS = 2000;
 
@@ -15,6 +15,8 @@ export class Jobs {
     this.doubtful = null; // the one that is asked about, whether it is to be deleted
     this.timer = 0;
     this.onGone = this.onList = () => {};
+    this.played = null;
+    $('job-video-close').addEventListener('click', () => this.play(null));
     $('jobs').addEventListener('toggle', () => { if ($('jobs').open) this.refresh(); });
     document.addEventListener('visibilitychange', () => { if (!document.hidden && $('jobs').open) this.refresh(); });
   }
@@ -74,7 +76,7 @@ export class Jobs {
       const link = downloadLink(document.createElement('a'), job.links.video, `${job.scene}-${job.id}.mp4`);
       link.textContent = `Download (${bytes(job.video.bytes)})`;
       link.dataset.act = `video ${job.id}`;
-      found.push(link);
+      found.push(act('play', 'Play', () => this.play(job)), link);
     }
     if (hasFrames(job)) found.push(act('frames', 'Look at the frames', () => this.reel.open(job.id)));
     if (isUnderWay(job)) found.push(act('cancel', 'Cancel', () => this.post(job.id, '/cancel')));
@@ -83,6 +85,15 @@ export class Jobs {
     away.title = `Delete film ${job.id} …`;
     away.setAttribute('aria-label', away.title);
     return [...found, away];
+  }
+
+  // Plays the video of a film above the list; null: none any more.
+  play(job) {
+    this.played = job?.id;
+    $('job-player').hidden = !job;
+    $('job-video-title').textContent = job ? `Film ${job.id} of ${job.scene}` : '';
+    showVideo($('job-video'), job?.links.video ?? null);
+    if (job) $('job-player').scrollIntoView({ block: 'nearest' });
   }
 
   doubt(id, focused) {
@@ -105,6 +116,7 @@ export class Jobs {
     try {
       await reach(jobUrl(id), { method: 'DELETE' });
       if (this.reel.job?.id === id) this.reel.close();
+      if (this.played === id) this.play(null);
       this.onGone(id);
     } catch (problem) {
       complain(problem, 'film');

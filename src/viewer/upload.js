@@ -12,6 +12,8 @@ const POLL_MS = 700;
 let cancel = null, isSending = false;
 // Groups of files, a scene each.
 const queue = [];
+// Complaints about uploads that were refused, of the last choice of files and of those before it. The latter go once something has been sent.
+const failed = new Set(), stale = new Set();
 
 // on: {added(id), path(text, name), left()} when a scene is there, a camera path was dropped, it is over one way or another.
 export function watch(on) {
@@ -58,6 +60,8 @@ async function take(files, on) {
   if (faults.length > 0) return complain({ title: 'Nothing was sent', detail: faults.join(' ') }, 'drop');
   const { paths, uploads, fault } = await sorted(files);
   if (fault) return complain({ title: 'Nothing was sent', detail: fault }, 'drop');
+  failed.forEach(of => stale.add(of));
+  failed.clear();
   queue.push(...uploads);
   if (!isSending) await work(on);
   for (const path of paths) on.path(await path.text(), path.name);
@@ -72,10 +76,18 @@ async function work(on) {
     try {
       const fault = faultOfGroup(group);
       if (fault) throw { title: `${namesOf(group)} cannot be sent together`, detail: fault };
-      added = await send(group) || added;
+      const id = await send(group);
+      if (id) {
+        quiet(...stale);
+        stale.clear();
+      }
+      added = id || added;
     } catch (problem) {
       const again = [['Send again', () => { quiet(of); queue.push(group); if (!isSending) work(on); }]];
-      complain(problem, of, problem.status === 0 || problem.status >= 429 ? again : []);
+      const isRefused = problem.status !== 0 && !(problem.status >= 429);
+      stale.delete(of);
+      if (isRefused) failed.add(of);
+      complain(problem, of, isRefused ? [] : again);
     }
     cancel = null;
   }

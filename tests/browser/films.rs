@@ -152,6 +152,11 @@ fn a_video_is_there_after_a_reload() {
     let video = "const v = document.getElementById('film-video'); return v.checkVisibility() && (v.videoWidth > 0 || v.error?.code > 2 || !v.canPlayType('video/mp4; codecs=\"avc1.42E01E\"')) ? new URL(v.src).pathname : ''";
     let path = browser.wait_for("the film in its place", PATIENCE, video);
     assert!(path.as_str().unwrap().ends_with("/video.mp4"), "{path}");
+    // And above the list of all films, whoever had it made.
+    browser.script("document.querySelector('[data-act^=\"play \"]').click()");
+    let path =
+        browser.wait_for("a film of the list", PATIENCE, &video.replace("film-video", "job-video"));
+    assert!(path.as_str().unwrap().ends_with("/video.mp4"), "{path}");
     browser.script("document.getElementById('jobs').scrollIntoView()");
     browser.shoot("wide-films.png");
     assert_eq!(

@@ -47,6 +47,11 @@ fn files_are_sent_shown_and_refused_in_words() {
     let obj = "mtllib red.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n";
     drop_files(&browser, &[("shape.obj", obj), ("red.mtl", "newmtl red\nKd 1 0 0\n")]);
     shows(&browser, "shape");
+    browser.wait_for(
+        "the refusal to go when the next upload is there",
+        PATIENCE,
+        "return document.getElementById('message').hidden",
+    );
     browser.choose("#scene", "ball");
     shows(&browser, "ball");
     let severe: Vec<String> =

@@ -8,7 +8,9 @@ use std::time::Duration;
 
 use pointillist::assets::Progress;
 use pointillist::bake::cache::BakeCache;
-use pointillist::engine::{BakeSource, EngineError, EstimateState, FrameRequest, Latch, SceneInfo};
+use pointillist::engine::{
+    BakeSource, EngineError, EstimateState, FrameRequest, Latch, NodePatch, SceneInfo,
+};
 use pointillist::memory::HostMemory;
 use pointillist::plan::{Output, Reconstruct, Settings, Wait};
 use serde_json::json;
@@ -67,6 +69,17 @@ fn modest() -> Vec<FrameRequest> {
         with("cloud", Reconstruct::Points, Output::Depth),
         with("lit", Reconstruct::Points, Output::Id),
     ]
+}
+
+#[test]
+fn loading_and_patching_say_that_nothing_is_estimated_yet() {
+    let (studio, _latch) = deferred();
+    assert_eq!(studio.load("again", "wall.ply").estimates.state, EstimateState::Deferred);
+    let patch = NodePatch { visible: Some(true), ..NodePatch::default() };
+    let patched = studio.engine.patch("cloud", "wall", &patch).unwrap();
+    assert_eq!(patched.estimates.state, EstimateState::Deferred);
+    let eager = self::studio(usize::MAX, &Arc::new(Latch::default()));
+    assert_eq!(eager.load("again", "wall.ply").estimates.state, EstimateState::Complete);
 }
 
 #[test]
@@ -142,7 +155,7 @@ fn revisions_that_come_meanwhile_are_completed_too() {
     let (studio, latch) = deferred();
     let request = with("cloud", Reconstruct::Splats, Output::Color);
     let ticket = studio.engine.begin_bake(&request).unwrap().unwrap();
-    let patch = pointillist::engine::NodePatch {
+    let patch = NodePatch {
         world_from_node: Some(glam::DAffine3::from_translation(glam::DVec3::X * 0.1)),
         visible: None,
     };

@@ -43,6 +43,25 @@ fn sizes_have_limits() {
 }
 
 #[test]
+fn a_limit_of_the_adapter_is_told_apart_from_one_of_the_settings() {
+    let studio = Studio::with(|config| {
+        (config.max_pixels, config.max_binding_bytes) = (1 << 30, Some(1 << 20));
+    });
+    studio.load_two();
+    assert_eq!(studio.engine.limits().max_pixels, 1 << 17);
+    let refused = |studio: &Studio, width, height| {
+        studio.engine.submit(front("cloud", width, height)).err().unwrap().to_string()
+    };
+    let said = refused(&studio, 4096, 4096);
+    assert!(said.starts_with("16777216 is more than the limit of 131072 pixels"), "{said}");
+    assert!(said.contains("this adapter"), "{said}");
+    let studio = Studio::with(|config| config.max_pixels = 100);
+    studio.load_two();
+    let said = refused(&studio, 11, 10);
+    assert_eq!(said, "110 is more than the limit of 100 pixels");
+}
+
+#[test]
 fn the_largest_frame_is_drawn() {
     let studio = Studio::new();
     studio.load_two();

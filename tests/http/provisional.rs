@@ -50,6 +50,8 @@ fn provisional_frames_have_no_tag_and_final_ones_have() {
         assert_eq!(text(answer.headers(), "etag"), None, "{method}");
         assert_eq!(text(answer.headers(), "cache-control").unwrap(), "no-store", "{method}");
     }
+    let warning = text(ask("GET", "", None).headers(), "pointillist-warning").unwrap();
+    assert!(warning.contains("provisional") && warning.contains("wait=complete"), "{warning}");
     let receipt = text(ask("GET", "", None).headers(), "pointillist-receipt").unwrap();
     assert!(receipt.contains("normals and kernels are being estimated"), "{receipt}");
     // What has to wait is bounded by its deadline.
@@ -63,6 +65,7 @@ fn provisional_frames_have_no_tag_and_final_ones_have() {
     assert_eq!(engine.scene("cloud").unwrap().estimates.state, EstimateState::Complete);
     let tag = text(last.headers(), "etag").unwrap();
     let same = ask("GET", "format=png", None);
+    assert_eq!(text(same.headers(), "pointillist-warning"), None);
     assert_eq!(text(same.headers(), "etag").unwrap(), tag, "waiting makes no other picture");
     assert!(!text(same.headers(), "pointillist-receipt").unwrap().contains("estimated ("));
     assert_eq!(ask("GET", "format=png", Some(&tag)).status(), 304);

@@ -29,9 +29,9 @@ impl Role {
     pub(super) fn named(name: &str) -> Self {
         let name = name.trim_matches(['"', '\'', ' ', '/', '#']).to_ascii_lowercase();
         match name.strip_prefix("scalar_").unwrap_or(&name) {
-            "x" | "easting" | "points:0" => Self::X,
-            "y" | "northing" | "points:1" => Self::Y,
-            "z" | "elevation" | "altitude" | "points:2" => Self::Z,
+            "x" | "easting" | "longitude" | "lon" | "points:0" => Self::X,
+            "y" | "northing" | "latitude" | "lat" | "points:1" => Self::Y,
+            "z" | "elevation" | "altitude" | "height" | "alt" | "points:2" => Self::Z,
             "r" | "red" | "diffuse_red" => Self::Red,
             "g" | "green" | "diffuse_green" => Self::Green,
             "b" | "blue" | "diffuse_blue" => Self::Blue,

@@ -34,6 +34,18 @@ fn three_columns_in_every_separator() {
 }
 
 #[test]
+fn positions_of_surveys_are_named_in_many_ways() {
+    let expected = [DVec3::new(8.5, 47.25, 410.0)];
+    for text in [
+        "longitude;latitude;height\n8,5;47,25;410\n",
+        "Lat,Lon,Alt\n47.25,8.5,410\n",
+        "easting northing elevation\n8.5 47.25 410\n",
+    ] {
+        assert_eq!(cloud_of(text).positions, expected, "{text:?}");
+    }
+}
+
+#[test]
 fn columns_are_told_by_content() {
     let cloud = cloud_of("0 0 0 0\n0 0 0 10\n");
     assert_eq!(cloud.intensity, Some(vec![0, 65535]));
