@@ -208,26 +208,23 @@ mod tests {
         assert_eq!(point.counts.frames, 200);
         assert!(point.latency.p90_ns.unwrap() > 150_000_000, "{:?}", point.latency);
         assert!(point.begun_late_max_ns.unwrap() > 200_000_000);
-        // Without the schedule all of these would have looked quick but one.
-        assert!(point.service.p95_ns.unwrap() < 100_000_000, "{:?}", point.service);
     }
 
     #[test]
     fn what_is_over_the_limit_is_counted_and_delays_nobody() {
-        let slow = Simulated { takes: Duration::from_millis(400), ..QUICK };
-        let (point, requests) = run(slow, Step { under_way_at_most: 8, ..STEP });
-        assert_eq!((requests, point.requests), (220, 200));
+        // None of the first eight ends before the last one is due.
+        let slow = Simulated { takes: Duration::from_secs(3600), ..QUICK };
+        let warmup = Duration::ZERO;
+        let (point, requests) = run(slow, Step { under_way_at_most: 8, warmup, ..STEP });
+        assert_eq!((requests, point.requests), (200, 200));
         let Point { counts, .. } = point;
-        assert_eq!(counts.frames + counts.not_sent, 200);
-        assert!((8..=24).contains(&counts.frames), "{counts:?}");
+        assert_eq!((counts.timed_out, counts.not_sent), (8, 192), "{counts:?}");
     }
 
     #[test]
     fn requests_are_given_up_in_time() {
-        let slow = Simulated { takes: Duration::from_secs(60), ..QUICK };
-        let began = Instant::now();
+        let slow = Simulated { takes: Duration::from_secs(3600), ..QUICK };
         let (point, _) = run(slow, Step { timeout: Duration::from_millis(200), ..STEP });
-        assert!(began.elapsed() < Duration::from_secs(10));
         assert_eq!((point.counts.timed_out, point.latency.p50_ns), (200, None));
     }
 
