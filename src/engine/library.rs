@@ -311,6 +311,9 @@ pub fn load(
             splats.cutoff * splats.width
         ));
     }
+    if description.lights.iter().any(|light| matches!(light, Light::Sun { shadows: true, .. })) {
+        warnings.push("lights ask for shadows, which this version does not draw".to_owned());
+    }
     let digest = hasher.finalize().into();
     let id = id.to_owned();
     drop(assembler);

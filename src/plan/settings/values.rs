@@ -153,7 +153,7 @@ pub struct UsedSettings {
     /// Why `auto` chose this, with figures.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub because: Option<String>,
-    /// Distance between neighbouring samples in pixels at the median over the picture, where `auto` looked at it.
+    /// Distance between neighbouring samples, in pixels, that 90 % of what samples cover does not exceed, where `auto` looked at it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub spacing_px: Option<f64>,
     /// Why that is not what was asked for.
