@@ -25,6 +25,10 @@ fn depth_pyramid(@builtin(global_invocation_id) invocation: vec3<u32>) {
             // Beyond the image its last row and column go on.
             let at = min(corner + vec2<u32>(k % TILE_PX, k / TILE_PX), frame.size_px - vec2<u32>(1u));
             least = min(least, visibility[frame.first_pixel + at.y * frame.size_px.x + at.x].y);
+            // Nothing is less than a pixel that shows nothing.
+            if least == 0u {
+                break;
+            }
         }
         pyramid[record + 1u + tile] = least;
         whole = min(whole, least);
