@@ -132,7 +132,6 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
         let splats = settings.splats(&loaded.model.splats);
         let adapter = AdapterFacts {
             atomics_64: adapter.atomics_64,
-            atomic_sums_64: adapter.atomic_sums_64,
             rasterises: adapter.rasterises,
             draws_hidden: shared.config.draw_hidden,
         };

@@ -38,8 +38,6 @@ pub const TURNS: u32 = 7;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AdapterFacts {
     pub atomics_64: bool,
-    /// Integers of 64 bits can be added and exchanged, not only compared.
-    pub atomic_sums_64: bool,
     /// Large triangles go to the rasteriser rather than to a walk in compute.
     pub rasterises: bool,
     /// What is hidden is drawn as well: for tests and measurements.
@@ -214,19 +212,15 @@ mod tests {
 
     use crate::scene::Shading;
 
-    const WIDE: AdapterFacts = AdapterFacts {
-        atomics_64: true,
-        atomic_sums_64: true,
-        rasterises: true,
-        draws_hidden: false,
-    };
+    const WIDE: AdapterFacts =
+        AdapterFacts { atomics_64: true, rasterises: true, draws_hidden: false };
 
     /// Plans of scenes, outputs, ways to draw samples and adapters of every kind.
     fn every_plan() -> Vec<FramePlan> {
         let sides = [false, true];
         let mut adapters = Vec::new();
         for (atomics_64, rasterises, draws_hidden) in iproduct(sides, sides, sides) {
-            adapters.push(AdapterFacts { atomics_64, rasterises, draws_hidden, ..WIDE });
+            adapters.push(AdapterFacts { atomics_64, rasterises, draws_hidden });
         }
         let mut scenes = Vec::new();
         for (has_samples, has_triangles, trees) in iproduct(sides, sides, sides) {
