@@ -100,7 +100,7 @@ impl Assembler {
     /// Does the same as [`Assembler::asset`] without estimating normals and kernels of clouds with more than `most` points.
     ///
     /// # Errors
-    /// As [`Assembler::asset`].
+    /// Fails in the same cases as [`Assembler::asset`].
     pub fn asset_without_estimates(
         &mut self,
         index: usize,

@@ -33,7 +33,7 @@ use super::neighbors::{MAX_NEIGHBORS, Neighbors};
 use super::normals::{complete_attributes, evenly, is_radius, median_of};
 use crate::assets::{Kernel, PointCloud};
 
-/// Where the disks end that have to cover the surface, in standard deviations.
+/// Radius of the disks that have to cover the surface, in standard deviations.
 pub const CUTOFF: f32 = 2.0;
 /// Longest axis over shortest.
 const MAX_RATIO: f32 = 8.0;
@@ -77,7 +77,7 @@ const LARGEST: f32 = 10.0;
 const SMALLEST: f32 = 0.05;
 /// Nothing is smaller, in whatever unit.
 const TINY: f32 = 1e-18;
-/// Where nothing tells a size.
+/// Size of a sample if nothing determines it.
 const LONE: f32 = 0.25;
 
 /// Cosines and sines of the directions of half a turn.
@@ -209,8 +209,8 @@ fn mean_distance(near: &[Vec3]) -> f32 {
     sum / count.max(1.0)
 }
 
-/// Whether a sample at the origin is much farther from its neighbours than these are from each other. The sixth neighbours are
-/// compared, so that pairs and triples, of strays as of samples, tell nothing.
+/// Tells whether a sample at the origin is much farther from its neighbours than they are from each other. The test compares the
+/// sixth neighbours, so pairs and triples (of strays as of samples) have no effect.
 fn is_isolated(near: &[Vec3]) -> bool {
     let (Some(own), true) = (near.get(RANK - 1), near.len() > RANK) else { return false };
     let mut least = [[f32::INFINITY; RANK]; MAX_NEIGHBORS];
@@ -234,8 +234,8 @@ fn is_isolated(near: &[Vec3]) -> bool {
     own.length_squared() > ISOLATED * ISOLATED * ranked[near.len() / 2]
 }
 
-/// Whether there is a gap behind the nearest two or more neighbours. Samples at the same place are no neighbours here: files may hold each
-/// sample several times.
+/// Tells whether there is a gap behind the nearest two or more neighbours. Samples at the same position do not count as
+/// neighbours here, because files may hold each sample several times.
 fn is_grouped(near: &[Vec3]) -> bool {
     let distances = near.iter().map(|q| q.length_squared()).filter(|&d| d > 0.0).skip(1);
     distances.clone().zip(distances.skip(1)).any(|(last, next)| next > GAP * GAP * last)
@@ -377,7 +377,7 @@ impl Bounds {
     /// Gives a stray the median and keeps all others near it.
     pub(super) fn apply(&self, fit: Fit, normal: Vec3) -> Kernel {
         let Fit { kernel, most, is_grouped } = fit;
-        // So short that f32 has not kept the direction.
+        // An axis so short that f32 has not kept its direction.
         let is_vague = |axis: Vec3| axis.as_dvec3().length() < 1e-30;
         let is_stray = is_grouped && longest_axis(&kernel) > self.grouped;
         if is_stray || !is_kernel(&kernel) || is_vague(kernel.u) || is_vague(kernel.v) {

@@ -1,4 +1,4 @@
-//! How far apart samples lie, from their order alone.
+//! Estimates the distance between samples from their order alone.
 //!
 //! Packed samples are sorted along a Morton curve, so that [`GROUP`] consecutive ones lie together. The two longer sides `a ≥ b` of
 //! their box tell how densely they cover what they lie on, about `√(a b / n)` on a surface and, seen from the side, in a volume such

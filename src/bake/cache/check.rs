@@ -64,7 +64,7 @@ fn check_mesh(mesh: &PackedMesh) -> Result<(), &'static str> {
         holds(u64::from(chunk.vertex_first) == vertices, "a chunk's vertices are not the next")?;
         vertices += u64::from(chunk.vertex_count);
         let triangles = &mesh.triangles[chunk.first as usize..][..chunk.count as usize];
-        // The last index without a mask: nothing is above it.
+        // The last index needs no mask: no bits lie above it.
         let is_inside = |word: &u32| {
             [word & 0x3ff, word >> 10 & 0x3ff, word >> 20].iter().all(|&v| v < chunk.vertex_count)
         };

@@ -59,7 +59,7 @@ pub(super) struct Place {
     pub(super) index: u32,
 }
 
-/// How a point's paint becomes its colour.
+/// Interpretation of a point's paint word.
 #[derive(Clone, Copy)]
 enum Paint {
     Color,

@@ -5,7 +5,7 @@ use glam::DVec2;
 use super::edges::Sharp;
 use crate::assets::{Clip, ClipLine};
 
-/// What may jut out, or be missing, in radii of the disk.
+/// Maximum length by which a disk may jut out or fall short, in radii of the disk.
 const TOLERANCE: f64 = 0.04;
 /// Lines reach this much (in standard deviations) beyond their edge, so that both sides meet whatever the rounding.
 const OVERLAP: f64 = 1e-4;
