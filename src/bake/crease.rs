@@ -231,7 +231,7 @@ fn fan_normals(faces: &Faces, fan: &[u32], crease_cosine: f64) -> Vec<Vec3> {
         .collect()
 }
 
-/// The same for a fan with very many triangles, whose normals are summed by direction first.
+/// Does the same for a fan with very many triangles, whose normals are summed by direction first.
 fn large_fan_normals(faces: &Faces, fan: &[u32], crease_cosine: f64) -> Vec<Vec3> {
     let mut slots: WordMap<(i32, i32, i32), usize> = WordMap::default();
     // The first normal of each direction, and the weighted sum of all of them.

@@ -80,7 +80,7 @@ pub struct PackedChunk {
     pub range: NodeRange,
 }
 
-/// What the normals of samples say about the surface.
+/// Information that the normals of samples give about the surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Sides {

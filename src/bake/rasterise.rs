@@ -10,9 +10,9 @@
 //! 3. *Colour.* As [`sample_mesh`](super::sample_mesh) does it; what an alpha cut-off removes goes last.
 //!
 //! We deviate from the paper, which rasterises along all three axes and merges what it finds: one axis is enough
-//! where slopes are at most √2, and gives little more than half of the samples. Its samples have splats as large as the worst slope
-//! needs; ours are ellipses, which appear as circles of one size along the triangle's axis: [`REACH`] cells, where
-//! half a cell's diagonal, 0.71, is what a flat surface needs and the rest is for surfaces that curve between samples.
+//! where slopes are at most √2, and gives little more than half of the samples. Its samples have splats as large as the worst
+//! slope needs; ours are ellipses, which appear as circles of one size along the triangle's axis: [`REACH`] cells, where half a
+//! cell's diagonal, 0.71, is what a flat surface needs and the rest is for surfaces that curve between samples.
 //!
 //! Cubes, balls, needles, strips, fans, sheets and specks: 0 of 20 000 random places are open, about two disks lie over
 //! one. A plane across an axis has a sample for each square of the spacing, one that slopes fewer, by the cosine of the

@@ -91,7 +91,7 @@ fn crowded_places_match_all_pairs() {
     }
 }
 
-/// What a search for all neighbours looks at, beside what it looks at for as many random points.
+/// Work of a search for all neighbours, relative to that for as many random points.
 fn effort(points: Vec<[f32; 3]>) -> f64 {
     let visited = |points: &[[f32; 3]]| {
         let tree = PointTree::new(points.iter().copied());

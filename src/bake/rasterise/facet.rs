@@ -11,11 +11,11 @@ use crate::assets::Mesh;
 /// Where the grid begins below the mesh's bounds, in cells: so little that what is made of whole cells needs no more than
 /// these, and so unlike a fraction that no model's own raster falls on the centres of cells.
 const BEFORE: DVec3 = DVec3::new(3.819_660e-3, 2.928_932e-3, 3.542_487e-3);
-/// Where two axes are as good, but for this part, the later one is taken: what is rounded decides nothing.
+/// Relative tolerance between two equally good axes: the later one is taken, so that rounding decides nothing.
 const TIE: f64 = 1e-6;
 /// Height over length of the flattest triangle whose normal is more than rounding.
 const FLATTEST: f64 = 1e-12;
-/// How far off, in cells, a division may put what the edges' sides then decide.
+/// Maximum error of a division, in cells; the edges' sides then decide.
 const SLACK: f64 = 1e-3;
 
 /// Three grids of cubic cells with one origin, each for one axis: what is seen along the axis.
@@ -227,7 +227,7 @@ impl Facet {
         let at = DVec2::new(column as f64 + 0.5, row as f64 + 0.5);
         let weights = self.weights(at);
         let [a, b, c] = self.corners;
-        // Where rounding has a say, on the triangle rather than at the centre.
+        // If rounding matters, the position is on the triangle rather than at the centre.
         let on = a * weights[0] + b * weights[1] + c * weights[2];
         self.with_normal(back(self.axis, on), weights)
     }

@@ -25,9 +25,9 @@
 //! sin α ≤ sin β + sin θ cos β      max(cos α, S) ≤ max(cos β, S) + sin θ sin β
 //! ```
 //!
-//! and with `a' ≥ a + 1.5 sin θ`, `a' ≥ a + (1 + 0.58 a) sin θ` the sum is below `a' sin β + max(cos β, S)` wherever that is below 1: there
-//! `tan β/2 > a'`, so that `cot β < 1/(2a')`. From the way to the parent to the child's own it is a turn of at most `δ/r`, which
-//! [`share_seen`] adds to both terms when a node is looked at.
+//! and with `a' ≥ a + 1.5 sin θ`, `a' ≥ a + (1 + 0.58 a) sin θ` the sum is below `a' sin β + max(cos β, S)` wherever that is
+//! below 1: there `tan β/2 > a'`, so that `cot β < 1/(2a')`. From the way to the parent to the child's own it is a turn of at
+//! most `δ/r`, which [`share_seen`] adds to both terms when a node is looked at.
 
 use super::node::Node;
 use glam::Vec3;
