@@ -1,7 +1,7 @@
-//! A scene's assets, ready to be drawn by whatever renderer: files read, meshes sampled, features found, solids combined.
+//! Prepares a scene's assets for any renderer: reads files, samples meshes, finds features, combines solids.
 //!
-//! The engine and the reference of [`crate::accuracy`] both take their geometry from [`Assembler::asset`]. What several
-//! solids are made of is read and sampled once.
+//! The engine and the reference renderer of [`crate::accuracy`] both take their geometry from [`Assembler::asset`]. An asset that
+//! several solids use is read and sampled once.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -18,27 +18,27 @@ use crate::assets::{self, Asset, AssetError, Clip, Geometry, PointCloud, ReadOpt
 use crate::memory::Interrupt;
 use crate::scene::{AssetRef, AssetSource, FileSource, Scene, SceneError, Solid};
 
-/// [`Asset::format`] of what is made of other assets.
+/// [`Asset::format`] of solids, which are made of other assets.
 pub const SOLID_FORMAT: &str = "csg";
-/// [`Asset::format`] of what others are made of and no node draws.
+/// [`Asset::format`] of operands, which solids use and no node draws.
 pub const OPERAND_FORMAT: &str = "operand";
-/// More samples than this are not combined.
+/// Maximum number of samples of a combined solid.
 const MAX_SAMPLES: u64 = 50_000_000;
 /// Bytes of a sample of a solid.
 const SAMPLE_BYTES: u64 = 128;
-/// Bytes of a sample while a mesh is sampled: the sample itself, its cell and what is thrown for it.
+/// Bytes of a sample while a mesh is sampled: the sample itself, its cell and its darts.
 const SAMPLING_BYTES: u64 = 320;
 
 /// Why an asset was not assembled.
 #[derive(Debug, thiserror::Error)]
 pub enum AssembleError {
-    /// A file that cannot be read.
+    /// A file cannot be read.
     #[error(transparent)]
     Asset(#[from] AssetError),
     /// The load was cancelled, or there is no memory for it.
     #[error(transparent)]
     Interrupted(#[from] Interrupt),
-    /// What the scene asks of an asset does not go with what its file holds; names the place in the scene.
+    /// The scene's request does not fit the contents of an asset's file; the error names the place in the scene.
     #[error(transparent)]
     Scene(#[from] SceneError),
 }
@@ -48,24 +48,24 @@ pub enum AssembleError {
 pub struct Prepared {
     pub asset: Asset,
     pub traits: AssetTraits,
-    /// Clouds, by their number, that have yet to be given normals or kernels ([`super::estimate`]).
+    /// Indices of clouds that still lack normals or kernels ([`super::estimate`]).
     pub lacking: Vec<usize>,
-    /// Measured where the scene is this asset alone, to tell which way is up.
+    /// Measured if the scene is this asset alone, to guess the up direction.
     pub shape: Option<Shape>,
 }
 
 /// Assembles the assets of one scene.
 pub struct Assembler {
-    /// What errors call the scene.
+    /// The scene's name in errors.
     scene: String,
     assets: Vec<AssetRef>,
     operands_only: Vec<bool>,
     is_operand: Vec<bool>,
     is_bare: bool,
     options: ReadOptions,
-    /// Files that something is made of, as read and sampled.
+    /// Files that solids are made of, as read and sampled.
     files: HashMap<usize, Rc<Asset>>,
-    /// What solids are made of.
+    /// Clouds that solids are made of.
     clouds: HashMap<usize, Rc<PointCloud>>,
 }
 
@@ -88,19 +88,19 @@ impl Assembler {
         }
     }
 
-    /// The asset with this index in the scene, as it is drawn. One that no node draws, and others are made of, has no
+    /// The asset with this index in the scene, ready to be drawn. An asset that only serves as an operand of others has no
     /// geometry.
     ///
     /// # Errors
-    /// A file that cannot be read, or that does not hold what the scene asks for.
+    /// Fails if a file cannot be read or does not hold what the scene asks for.
     pub fn asset(&mut self, index: usize) -> Result<Prepared, AssembleError> {
         self.asset_without_estimates(index, usize::MAX)
     }
 
-    /// As [`Assembler::asset`], but for normals and kernels of clouds with more than `most` points.
+    /// Does the same as [`Assembler::asset`] without estimating normals and kernels of clouds with more than `most` points.
     ///
     /// # Errors
-    /// As [`Assembler::asset`].
+    /// Fails in the same cases as [`Assembler::asset`].
     pub fn asset_without_estimates(
         &mut self,
         index: usize,
@@ -135,7 +135,7 @@ impl Assembler {
         Ok(Prepared { asset, traits, lacking, shape })
     }
 
-    /// A file as read and, where asked for, sampled.
+    /// Reads a file and samples it if the scene asks for samples.
     fn file(&mut self, index: usize, source: &FileSource) -> Result<Rc<Asset>, AssembleError> {
         if let Some(known) = self.files.get(&index) {
             return Ok(known.clone());
@@ -167,7 +167,7 @@ impl Assembler {
                     *geometry = Geometry::Points(cloud);
                 }
             }
-            // Their colours are the samples' now.
+            // The samples have taken their colours.
             materials.clear();
             textures.clear();
         }
@@ -192,7 +192,7 @@ impl Assembler {
         Ok(asset)
     }
 
-    /// Samples of an asset if every solid kept all of its operands', each as often as it is used.
+    /// The number of samples of an asset if every solid kept all samples of its operands, counted once per use.
     fn expanded_samples(
         &mut self,
         index: usize,
@@ -219,7 +219,7 @@ impl Assembler {
 
     /// The recursion is as deep as solids are nested, which a scene's limits bound.
     fn combine(&mut self, index: usize, solid: &Solid) -> Result<PointCloud, AssembleError> {
-        // Counted before anything is combined, which takes long.
+        // The count comes first because combining takes long.
         let expanded = self.expanded_samples(index, &mut HashMap::new())?;
         let most = MAX_SAMPLES.min(self.options.max_vertices);
         if expanded > most {
@@ -260,7 +260,7 @@ impl Assembler {
         })
     }
 
-    /// All samples of an asset in one frame, with kernels; `None` where a mesh is among them.
+    /// All samples of an asset in one frame, with kernels; `None` if it contains a mesh.
     fn cloud(&mut self, index: usize) -> Result<Option<Rc<PointCloud>>, AssembleError> {
         if let Some(known) = self.clouds.get(&index) {
             return Ok(Some(known.clone()));
@@ -303,7 +303,7 @@ fn no_geometry() -> Prepared {
     Prepared { asset, traits, lacking: Vec::new(), shape: None }
 }
 
-/// The samples of all placements; `None` where a mesh is placed.
+/// The samples of all placements; `None` if a mesh is placed.
 fn placed_samples(asset: &Asset) -> Option<PointCloud> {
     let mut all: Option<PointCloud> = None;
     for placement in &asset.placements {
@@ -319,7 +319,7 @@ fn placed_samples(asset: &Asset) -> Option<PointCloud> {
     Some(all.unwrap_or_default())
 }
 
-/// Both clouds' samples, with what both have. Colours and clips are filled up instead.
+/// Joins two clouds, keeping the attributes that both have. Missing colours and clips are filled in instead.
 fn joined(a: PointCloud, b: PointCloud) -> PointCloud {
     fn both<T>(a: Option<Vec<T>>, b: Option<Vec<T>>) -> Option<Vec<T>> {
         let (mut a, b) = (a?, b?);

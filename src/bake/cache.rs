@@ -1,18 +1,18 @@
-//! A folder of baked geometries, so that what has been baked once is only read the next time.
+//! A folder of baked geometries, so that each geometry is baked once and only read later.
 //!
-//! An entry is a file named after its key, which stands for everything that decides what is baked: the asset's bytes and the
-//! options. [`entry`] says how its bytes are laid out.
+//! An entry is a file named after its key, which stands for everything that decides the baked result: the asset's bytes and the
+//! options. [`entry`] describes its layout.
 //!
-//! *Writing.* A temporary file beside the entry is filled, synchronised and renamed, so that a reader sees a whole entry or
-//! none, and of two writers the later one wins.
+//! *Writing.* A temporary file beside the entry is filled, synchronised and renamed. A reader sees a whole entry or none, and of
+//! two writers the later one wins.
 //!
-//! *Reading.* Nothing in a file is believed before its length and its SHA-256 are right, and even then every length and index
-//! that a shader would follow is checked. What fails is removed, and baked again.
+//! *Reading.* Nothing in a file is used before its length and its SHA-256 have been verified. Then every length and index that a
+//! shader would follow is checked as well. An entry that fails is removed and baked again.
 //!
 //! *Notes* are small texts under keys of their own, with a SHA-256 before them; they count as entries.
 //!
-//! *Room.* An entry's time of modification is when it was last used: reading refreshes it. After each writing the entries that
-//! were used the longest ago go, until the rest fits. Files with other names are left alone.
+//! *Eviction.* The modification time of an entry is the time of its last use: reading refreshes it. After each write, the least
+//! recently used entries are removed until the rest fits (LRU). Files with other names are left alone.
 
 mod check;
 mod entry;
@@ -31,10 +31,10 @@ use super::external::{Spill, Spilled, disk_bytes};
 use super::pack::PackedGeometry;
 use super::tree::TreeStatistics;
 
-/// Of an entry's bytes and of what they mean. It must be raised with every change of either: of the layout, of the records of
-/// [`super::pack`] and of the codes of [`super::tree`]. What is baked from the same input has a version of its own in the key
-/// ([`super::tree::BAKING_VERSION`]). The crate's version has no part in an entry, so that a release which changes none of these
-/// keeps its users' folders.
+/// Version of an entry's bytes and of their meaning. Raise it with every change of the layout, of the records of [`super::pack`]
+/// or of the codes of [`super::tree`]. The result of baking has a version of its own in the key
+/// ([`super::tree::BAKING_VERSION`]). The crate's version is not part of an entry, so a release that changes none of these keeps
+/// its users' folders.
 pub const FORMAT_VERSION: u32 = 2;
 
 const EXTENSION: &str = "bake";
@@ -42,7 +42,7 @@ const NOTE_EXTENSION: &str = "note";
 const MOST_NOTE_BYTES: u64 = 1 << 20;
 const WRITING_PREFIX: &str = "writing-";
 const WRITING_SUFFIX: &str = ".tmp";
-/// No writer takes this long: who left a temporary file this old has crashed.
+/// Age at which a temporary file counts as left over from a crash: no writer takes this long.
 const ABANDONED: Duration = Duration::from_secs(24 * 60 * 60);
 
 /// A folder of baked geometries.
@@ -61,28 +61,28 @@ struct Found {
 }
 
 impl BakeCache {
-    /// Does not touch the disk. `max_bytes`: of all entries together.
+    /// Creates the cache object without touching the disk. `max_bytes` limits the total size of all entries.
     pub fn new(folder: impl Into<PathBuf>, max_bytes: u64) -> BakeCache {
         BakeCache { folder: folder.into(), max_bytes, bake_bytes: None }
     }
 
-    /// Where entries are; it may not be there yet.
+    /// The folder of the entries; it may not exist yet.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// Of all entries together.
+    /// Maximum total size of all entries, in bytes.
     pub fn max_bytes(&self) -> u64 {
         self.max_bytes
     }
 
-    /// What building may take of memory, in bytes: what takes more is built with temporary files in this folder.
+    /// Sets the memory limit of a build, in bytes; larger builds use temporary files in this folder.
     #[must_use]
     pub fn with_bake_bytes(self, bytes: Option<u64>) -> BakeCache {
         BakeCache { bake_bytes: bytes, ..self }
     }
 
-    /// What building may take of memory: as it was given, else half of what is free now, where the system tells that.
+    /// The memory limit of a build: the given value, else half of the memory that is free now, if the system reports it.
     pub fn bake_bytes(&self) -> Option<u64> {
         self.bake_bytes.or_else(|| {
             let info = fs::read_to_string("/proc/meminfo").ok()?;
@@ -92,28 +92,28 @@ impl BakeCache {
         })
     }
 
-    /// Room for the temporary files that building the tree of so many samples takes at most.
+    /// The folder and limit for the temporary files of a tree with this many samples.
     ///
     /// # Errors
-    /// A folder that cannot be made.
+    /// Fails if the folder cannot be created.
     pub fn spill(&self, samples: u64) -> io::Result<Spill> {
         fs::create_dir_all(&self.folder)?;
         Ok(Spill::new(&self.folder, disk_bytes(samples)))
     }
 
-    /// The user's cache folder: `$XDG_CACHE_HOME/pointillist`, else `$HOME/.cache/pointillist`; none where neither variable is an
+    /// The user's cache folder: `$XDG_CACHE_HOME/pointillist`, else `$HOME/.cache/pointillist`; `None` if neither variable is an
     /// absolute path.
     pub fn default_folder() -> Option<PathBuf> {
         user_folder(std::env::var_os("XDG_CACHE_HOME"), std::env::var_os("HOME"))
     }
 
-    /// Whether there is a file for this key, damaged or not.
+    /// Tells whether there is a file for this key, damaged or not.
     pub fn holds(&self, key: &[u8; 32]) -> bool {
         self.path(key).is_file()
     }
 
-    /// What was baked for this key, where a whole and undamaged entry of [`FORMAT_VERSION`] is there. Any other file in its place
-    /// is removed, with a warning. Materials are the asset's: that it has those which chunks name is the caller's to check.
+    /// Loads the geometries for this key if a whole and undamaged entry of [`FORMAT_VERSION`] exists. Any other file in its place
+    /// is removed, with a warning. Materials belong to the asset: the caller checks that it has those which chunks name.
     pub fn load(&self, key: &[u8; 32]) -> Option<Vec<PackedGeometry>> {
         let path = self.path(key);
         match read(&path, key) {
@@ -122,41 +122,41 @@ impl BakeCache {
                 Some(geometries)
             }
             Err(Refusal::Io(error)) if error.kind() == io::ErrorKind::NotFound => None,
-            // The file may be whole and only out of reach.
+            // The file may be intact and only temporarily unreadable.
             Err(Refusal::Io(error)) => {
                 tracing::warn!(file = %path.display(), %error, "a baked geometry cannot be read");
                 None
             }
             Err(reason) => {
                 tracing::warn!(file = %path.display(), %reason, "a baked geometry is removed");
-                // Where another process has just put a whole one in its place, that one goes: it is baked once more.
+                // If another process has just put an intact entry in its place, that one is removed and baked once more.
                 remove(&path);
                 None
             }
         }
     }
 
-    /// The figures of the point tree that is there for this key, where it is the only geometry of a whole and undamaged entry of
-    /// [`FORMAT_VERSION`]. It is not read into memory; what is in its place otherwise stays.
+    /// The figures of the point tree for this key, if it is the only geometry of a whole and undamaged entry of
+    /// [`FORMAT_VERSION`]. The tree is not read into memory, and any other file stays in place.
     pub fn figures(&self, key: &[u8; 32]) -> Option<TreeStatistics> {
         let path = self.path(key);
         let found = open(&path).and_then(|(mut file, bytes)| entry::figures(&mut file, bytes, key));
         found.ok().inspect(|_| touch(&path))
     }
 
-    /// Puts an entry in place of what is there for this key, if anything, and makes room for it. One that is larger than
-    /// `max_bytes` by itself is not written; whether it was.
+    /// Writes the entry for this key, replacing an existing one, and evicts others to make room. An entry larger than `max_bytes`
+    /// is not written. Returns whether it was written.
     ///
     /// # Errors
-    /// `InvalidInput` for geometries that [`BakeCache::load`] would refuse; whatever keeps the folder from being made, written or
-    /// listed. What was there before is still there then, whole.
+    /// Returns `InvalidInput` for geometries that [`BakeCache::load`] would refuse, or the I/O error if the folder cannot be
+    /// created, written or listed. The previous entry then stays intact.
     pub fn store(&self, key: &[u8; 32], geometries: &[PackedGeometry]) -> io::Result<bool> {
         let entry = Entry::of(geometries)
             .map_err(|refusal| io::Error::new(io::ErrorKind::InvalidInput, refusal))?;
         self.write(key, entry.bytes(), |out| entry.write(out, key))
     }
 
-    /// As [`BakeCache::store`], of a single point tree that lies in files.
+    /// Does the same as [`BakeCache::store`] for a single point tree that lies in files.
     ///
     /// # Errors
     /// As [`BakeCache::store`].
@@ -166,7 +166,7 @@ impl BakeCache {
         self.write(key, entry.bytes(), |out| entry.write(out, key))
     }
 
-    /// The note under this key, where a whole one is there.
+    /// The note for this key, if an undamaged one exists.
     pub fn load_note(&self, key: &[u8; 32]) -> Option<Vec<u8>> {
         let path = self.path(key).with_extension(NOTE_EXTENSION);
         let (file, bytes) = open(&path).ok()?;
@@ -182,7 +182,7 @@ impl BakeCache {
         Some(text.to_vec())
     }
 
-    /// Puts a note in place of what is there for this key, if anything.
+    /// Writes the note for this key, replacing an existing one.
     ///
     /// # Errors
     /// As [`BakeCache::store`].
@@ -222,7 +222,7 @@ impl BakeCache {
         write: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>,
     ) -> io::Result<()> {
         fs::create_dir_all(&self.folder)?;
-        // Removed when dropped, which it is on errors.
+        // The file is removed when dropped, which happens on errors.
         let mut file = tempfile::Builder::new()
             .prefix(WRITING_PREFIX)
             .suffix(WRITING_SUFFIX)
@@ -239,12 +239,12 @@ impl BakeCache {
         self.folder.join(name).with_extension(EXTENSION)
     }
 
-    /// Removes what crashed writers have left, and the entries used the longest ago, `newest` last.
+    /// Removes leftovers of crashed writers, and the least recently used entries; `newest` counts as the most recent.
     fn make_room(&self, newest: &Path) -> io::Result<()> {
         let mut entries = Vec::new();
         for item in fs::read_dir(&self.folder)? {
             let item = item?;
-            // Gone meanwhile, or nothing of ours.
+            // The file has been removed meanwhile, or is not ours.
             let Ok(metadata) = item.metadata() else { continue };
             let Some(kind) = NameKind::of(&item.file_name().to_string_lossy()) else { continue };
             if !metadata.is_file() {
@@ -268,10 +268,10 @@ impl BakeCache {
     }
 }
 
-/// Which entries have to go so that the others take `max_bytes` at most: those used the longest ago, `newest` last.
+/// The entries to evict so that the others take at most `max_bytes`: the least recently used first, `newest` last.
 fn surplus(mut entries: Vec<Found>, max_bytes: u64, newest: &Path) -> Vec<PathBuf> {
     let mut bytes: u64 = entries.iter().map(|entry| entry.bytes).sum();
-    // The clock of a file system may be too coarse to tell the newest.
+    // The file system's timestamps may be too coarse to order the newest.
     entries.sort_by(|a, b| {
         (a.path == newest, a.used, &a.path).cmp(&(b.path == newest, b.used, &b.path))
     });
@@ -312,9 +312,9 @@ fn read(path: &Path, key: &[u8; 32]) -> Result<Vec<PackedGeometry>, Refusal> {
     entry::read(&mut file, bytes, key)
 }
 
-/// An entry's file and its length.
+/// Opens an entry's file; returns it with its length.
 fn open(path: &Path) -> Result<(File, u64), Refusal> {
-    // Before it is opened: a pipe would keep us waiting.
+    // This check precedes opening: opening a pipe would block.
     if !fs::symlink_metadata(path)?.is_file() {
         return Err(Refusal::Foreign);
     }
@@ -323,7 +323,7 @@ fn open(path: &Path) -> Result<(File, u64), Refusal> {
     Ok((file, bytes))
 }
 
-/// Notes that an entry is in use. Where that fails it only goes earlier.
+/// Refreshes an entry's time of last use. If that fails, the entry is only evicted earlier.
 fn touch(path: &Path) {
     let touched = File::options()
         .write(true)

@@ -2,16 +2,16 @@
 
 use crate::assets::PointCloud;
 
-/// What neither intensity nor class tells apart.
+/// Colour of points that neither intensity nor class distinguishes.
 pub(super) const NEUTRAL: [u8; 4] = [204, 204, 204, 255];
 /// Intensities below and above these fractions of all points become the darkest and the lightest grey.
 const STRETCH: [f64; 2] = [0.01, 0.99];
 /// The darkest grey, which stands out from the default background (`#202428`).
 const FLOOR: f64 = 80.0;
-/// Grey that the median intensity has at least, as a share of the way from the darkest to the lightest: most intensities of a
-/// survey are low, and few returns are very bright.
+/// Minimum grey of the median intensity, as a share of the range from the darkest to the lightest: most intensities of a survey
+/// are low, and few returns are very bright.
 const MEDIAN: f64 = 0.45;
-/// Exponents below this would make noise of the lowest intensities.
+/// Minimum exponent: a smaller one would turn the lowest intensities into noise.
 const LEAST_EXPONENT: f64 = 0.4;
 
 /// Colours of the ASPRS standard classes 0 to 22 (LAS 1.4 R15, table 17): vegetation in greens,
@@ -64,7 +64,7 @@ pub fn fill_colors(cloud: &mut PointCloud) -> bool {
     matches!(palette, Palette::Greys { .. })
 }
 
-/// How often each intensity and each class is there.
+/// Histograms of intensities and classes.
 #[derive(Clone, Debug)]
 pub(super) struct Counts {
     intensities: Vec<u64>,
@@ -83,7 +83,7 @@ impl Counts {
         classes.iter().for_each(|&class| self.classes[usize::from(class)] += 1);
     }
 
-    /// How points are coloured that have no colours.
+    /// The palette of points without colours.
     pub(super) fn palette(&self) -> Palette {
         if let Some([low, median, high]) = self.stretch() {
             let extent = high - low;
@@ -96,7 +96,7 @@ impl Counts {
         if several { Palette::Classes } else { Palette::Neutral }
     }
 
-    /// Percentiles of the intensity: low, median, high. `None` if all points have the same.
+    /// Percentiles of the intensity: low, median, high. `None` if all points have the same intensity.
     fn stretch(&self) -> Option<[f64; 3]> {
         let total: u64 = self.intensities.iter().sum();
         let percentile = |fraction: f64| {
@@ -181,7 +181,7 @@ mod tests {
     #[test]
     fn most_of_a_cloud_with_few_bright_returns_is_not_dark() {
         let mut cloud = cloud(1000);
-        // As surveys have them: most returns are weak, and a few come from reflectors.
+        // Intensities as in surveys: most returns are weak, and a few come from reflectors.
         cloud.intensity =
             Some((0..1000).map(|i| if i < 970 { 2 + i % 40 } else { 3000 }).collect());
         assert!(fill_colors(&mut cloud));

@@ -56,7 +56,7 @@ pub fn smooth_normals(mesh: &mut Mesh, crease_deg: f64) {
     assign(mesh, &corners);
 }
 
-/// What each triangle contributes.
+/// Contributions of each triangle.
 struct Faces {
     /// Unit normals, zero for triangles without area or with indices that do not exist.
     normals: Vec<Vec3>,
@@ -97,7 +97,7 @@ fn face(mesh: &Mesh, triangle: &[u32; 3]) -> Option<(Vec3, [f32; 3])> {
 
 /// The corners around each place: corner `3 t + i` is the `i`-th of triangle `t`.
 struct Fans {
-    /// Where each place's corners begin in `corners`; one more at the end.
+    /// Start of each position's corners in `corners`; one more at the end.
     starts: Vec<u32>,
     corners: Vec<u32>,
 }
@@ -231,7 +231,7 @@ fn fan_normals(faces: &Faces, fan: &[u32], crease_cosine: f64) -> Vec<Vec3> {
         .collect()
 }
 
-/// The same for a fan with very many triangles, whose normals are summed by direction first.
+/// Does the same for a fan with very many triangles, whose normals are summed by direction first.
 fn large_fan_normals(faces: &Faces, fan: &[u32], crease_cosine: f64) -> Vec<Vec3> {
     let mut slots: WordMap<(i32, i32, i32), usize> = WordMap::default();
     // The first normal of each direction, and the weighted sum of all of them.

@@ -1,12 +1,12 @@
-//! Normals and kernels of large clouds, packed as they are found.
+//! Estimates normals and kernels of large clouds and packs them piece by piece.
 //!
-//! What comes out is word for word what [`super::prepare::prepare_geometry`] and [`super::pack::pack_samples`] make of the same
-//! cloud, with less memory, with progress, and with a place to stop at. The cloud is ordered along the curve first. A piece of
-//! the curve at a time gets a tree of its own points and of the chunks around it, and the piece's chunks are packed at once.
+//! The result equals word for word that of [`super::prepare::prepare_geometry`] and [`super::pack::pack_samples`] for the same
+//! cloud, but takes less memory, reports progress and can be cancelled. The cloud is first sorted along the curve. For one piece
+//! of the curve at a time, a tree is built of the piece's points and of the chunks around it, and the piece's chunks are packed
+//! at once.
 //!
-//! A neighbourhood is complete where its reach is no longer than that of the margin around the piece. The few others are
-//! searched for once more among all chunks ([`Chunks::neighborhood`]). Ties are broken by the points' own numbers, so that pieces leave no
-//! seam.
+//! A neighbourhood is complete if its reach is no longer than the margin around the piece. The few others are searched again
+//! among all chunks ([`Chunks::neighborhood`]). Ties are broken by the points' indices, so pieces leave no seam.
 
 mod chunks;
 
@@ -21,7 +21,7 @@ use super::pack::{CHUNK, Grid, KERNEL_DETAIL, PackError, PackedSamples, Packing,
 use crate::assets::PointCloud;
 use crate::math::Bounds;
 
-/// Chunks of a piece.
+/// Number of chunks in a piece.
 const PIECE: usize = 512;
 
 /// Why a cloud was not packed.
@@ -33,12 +33,12 @@ pub enum EstimateError {
     Stopped,
 }
 
-/// Whether some sample of a cloud has to be given a normal or a kernel from its neighbours.
+/// Tells whether some sample of a cloud needs a normal or a kernel estimated from its neighbours.
 pub fn lacks_estimates(cloud: &PointCloud) -> bool {
     lacks_normals(cloud) || !has_radii(cloud)
 }
 
-/// Whether some sample of a cloud has to be given a normal from its neighbours.
+/// Tells whether some sample of a cloud needs a normal estimated from its neighbours.
 pub fn lacks_normals(cloud: &PointCloud) -> bool {
     let count = cloud.positions.len();
     let normals = cloud.normals.as_ref().filter(|normals| normals.len() == count);
@@ -51,11 +51,11 @@ fn has_radii(cloud: &PointCloud) -> bool {
     radii.is_some_and(|radii| radii.iter().all(is_radius))
 }
 
-/// Packs a cloud that has neither kernels nor clip lines, with the normals and kernels that it lacks. `tell` gets the part that is
-/// done, of 1.
+/// Packs a cloud without kernels and clip lines and estimates the normals and kernels that it lacks. `tell` receives the
+/// progress, from 0 to 1.
 ///
 /// # Errors
-/// See [`PackError`]; `stop` has become true.
+/// Fails with a [`PackError`], or when `stop` has become true.
 pub fn pack_estimated(
     cloud: PointCloud,
     stop: Option<&AtomicBool>,
@@ -100,7 +100,7 @@ fn pack_in_pieces(
     if Grid::with_detail(&bounds, detail)? == packing.grid() {
         return Ok(packing.finish());
     }
-    // Kernels so long that cells are larger for them: the curve runs otherwise.
+    // Long kernels enlarge the cells of the grid, which changes the curve.
     drop(packing);
     estimate_kernels(&mut cloud);
     Ok(pack_samples(&cloud)?)

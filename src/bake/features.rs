@@ -27,12 +27,12 @@ use super::neighbors::MAX_NEIGHBORS;
 use super::normals::{least_direction, nearest};
 use crate::assets::{Clip, ClipLine, Kernel, PointCloud};
 
-/// How features are told from bends.
+/// Options that distinguish features from bends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeatureOptions {
     /// Sides that meet at a smaller angle between their normals, in degrees, are one smooth surface.
     pub crease_deg: f64,
-    /// How far samples may lie from the plane of their side, in spacings.
+    /// Maximum distance of samples from the plane of their side, in spacings.
     pub noise: f64,
 }
 
@@ -116,7 +116,7 @@ pub fn detect_features(cloud: &mut PointCloud, options: &FeatureOptions) {
     cloud.clips = clips;
 }
 
-/// What a sample's surroundings are read from.
+/// The arrays from which a sample's surroundings are read.
 struct Field<'a> {
     positions: &'a [DVec3],
     normals: &'a [DVec3],
@@ -262,7 +262,7 @@ fn turned(kernel: &Kernel, normal: DVec3) -> Kernel {
     }
 }
 
-/// Where a kernel ends at other planes. `mates` are the samples of its own side.
+/// The clip of a kernel at other planes. `mates` are the samples of its own side.
 fn clip(kernel: &Kernel, others: &[Plane], mates: &[DVec3], spacing: f64) -> Clip {
     let [a, b] = [kernel.u, kernel.v].map(|axis| axis.as_dvec3().normalize_or_zero());
     let flat = |at: DVec3| DVec2::new(at.dot(a), at.dot(b));

@@ -1,11 +1,11 @@
-//! Meshes for point trees (Dachsbacher et al. 2003, §3.8): samples for where triangles are smaller than what may be wrong, and the
-//! triangles for everywhere else.
+//! Meshes for point trees (Dachsbacher et al. 2003, §3.8): samples where triangles are smaller than the accepted error, and the
+//! triangles everywhere else.
 //!
-//! A triangle is drawn while its longest side `s` is more than the accepted error, `s > T(z)`; each of its samples has `s` for an
-//! error, and so stands in for it from where it is not. Both are drawn about the border, where a triangle's near end is asked and a
-//! sample's own place: there is no seam. Since no sample of a triangle is drawn where the triangle is larger than the accepted
-//! error, large triangles have one, whose disk covers them, and only small ones are rasterised
-//! ([`rasterise_mesh`]), with about one sample for each of usual size.
+//! A triangle is drawn while its longest side `s` exceeds the accepted error, `s > T(z)`. Each of its samples has the error `s`,
+//! and so replaces the triangle where it is not drawn. Around the border both are drawn, because the test uses the triangle's
+//! near end and the sample's own position: there is no seam. No sample of a triangle is drawn where the triangle is larger than
+//! the accepted error. Large triangles therefore have one sample, whose disk covers them, and only small ones are rasterised
+//! ([`rasterise_mesh`]), with about one sample for each triangle of usual size.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -21,21 +21,21 @@ use crate::assets::{Material, Mesh, MeshPart, PointCloud, Texture};
 /// A mesh, prepared for a point tree.
 pub struct HybridMesh {
     pub samples: PointCloud,
-    /// What each sample stands for.
+    /// The measures of each sample.
     pub stands: Vec<Measures>,
-    /// Of each triangle: up to which error it is drawn, in mesh units.
+    /// The error up to which each triangle is drawn, in mesh units.
     pub sides: Vec<f32>,
 }
 
 /// Usual triangles are rasterised with this many samples along their longest side.
 const PER_SIDE: f64 = 1.5;
-/// From this many cells on a triangle has a single sample.
+/// Size in cells from which on a triangle has a single sample.
 const LARGE: f64 = 4.0;
-/// Codes of errors are larger than what they stand for, by less than this.
+/// Upper bound of the factor by which coding enlarges an error.
 const ROUNDED: f32 = 1.02;
 
-/// Whether a mesh is the surface of solids, none of which is inside out: every edge has as many triangles on one side as on the other,
-/// and whatever hangs together has a volume that is inside. Vertices at one place are one.
+/// Tells whether a mesh is the surface of solids, none of them inside out: every edge has as many triangles on one side as on the
+/// other, and every connected part encloses a positive volume. Vertices at one position count as one.
 pub fn is_watertight(mesh: &Mesh) -> bool {
     let mut places: Vec<[u64; 3]> = mesh.positions.iter().map(|p| weld_key(*p)).collect();
     let of_vertex = places.clone();
@@ -65,7 +65,7 @@ pub fn is_watertight(mesh: &Mesh) -> bool {
     let mut volumes = vec![None; places.len()];
     for (place, corners) in triangles {
         let [a, b, c] = corners.map(|v| mesh.positions[v as usize]);
-        // Of a closed surface the volume is the same from anywhere; from near it, more exact.
+        // A closed surface's volume does not depend on the origin; a near origin is more exact.
         let (origin, volume) = volumes[whole.of(place)].get_or_insert((a, 0.0));
         *volume += (a - *origin).dot((b - *origin).cross(c - *origin));
     }
@@ -73,7 +73,7 @@ pub fn is_watertight(mesh: &Mesh) -> bool {
     balanced && volumes.peek().is_some() && volumes.all(|(_, volume)| volume > 0.0)
 }
 
-/// What hangs together.
+/// Connected components.
 struct Parts {
     above: Vec<usize>,
 }
@@ -97,7 +97,7 @@ impl Parts {
     }
 }
 
-/// The corners of a triangle that can be drawn.
+/// The corners of a triangle, if it can be drawn.
 fn corners(mesh: &Mesh, triangle: [u32; 3]) -> Option<[DVec3; 3]> {
     let corner = |v: u32| mesh.positions.get(v as usize).copied().filter(|p| p.is_finite());
     let corners = [corner(triangle[0])?, corner(triangle[1])?, corner(triangle[2])?];
@@ -109,10 +109,10 @@ fn longest_side([a, b, c]: [DVec3; 3]) -> f64 {
     (b - a).length().max((c - b).length()).max((a - c).length())
 }
 
-/// Samples a mesh, whose parts refer to `materials`, and these to `textures`.
+/// Samples a mesh. Its parts refer to `materials`, and the materials to `textures`.
 ///
 /// # Errors
-/// More samples than `max_samples`.
+/// Fails if there would be more samples than `max_samples`.
 pub fn hybrid_mesh(
     mesh: &Mesh,
     materials: &[Material],
@@ -179,7 +179,7 @@ fn area_of([a, b, c]: [DVec3; 3]) -> f64 {
     0.5 * (b - a).cross(c - a).length()
 }
 
-/// What each sample has of its triangle's area; that of triangles without samples is shared out to all.
+/// The share of its triangle's area that each sample has; the area of triangles without samples is distributed over all samples.
 fn areas(mesh: &Mesh, triangles: &[u32]) -> Vec<f32> {
     let area = |triangle| corners(mesh, triangle).map_or(0.0, area_of);
     let areas: Vec<f64> = mesh.triangles.iter().map(|&triangle| area(triangle)).collect();
@@ -195,14 +195,14 @@ fn areas(mesh: &Mesh, triangles: &[u32]) -> Vec<f32> {
     triangles.iter().map(share).collect()
 }
 
-/// The face's normal on the side that its vertices' normals look to.
+/// The face's normal, on the side of its vertices' normals.
 fn outward(mesh: &Mesh, triangle: [u32; 3], normal: Vec3) -> Vec3 {
     let Some(normals) = &mesh.normals else { return normal };
     let sum: Vec3 = triangle.iter().filter_map(|&v| normals.get(v as usize)).sum();
     if sum.dot(normal) < 0.0 { -normal } else { normal }
 }
 
-/// The triangles that are wanted, with all vertices; and the number of each in the whole mesh.
+/// The wanted triangles, with all vertices, and the index of each in the whole mesh.
 fn part_of(mesh: &Mesh, wanted: impl Fn(usize) -> bool) -> (Mesh, Vec<u32>) {
     let mut numbers = Vec::with_capacity(mesh.triangles.len());
     let mut parts = Vec::with_capacity(mesh.parts.len());
@@ -232,7 +232,7 @@ mod tests {
     use super::*;
     use crate::scene::random::SplitMix64;
 
-    /// A level grid of small triangles beside one large one.
+    /// A flat grid of small triangles beside a large one.
     fn mixed() -> Mesh {
         let mut mesh = Mesh::default();
         for y in 0..21 {
@@ -269,7 +269,7 @@ mod tests {
         assert!((400..2000).contains(&small), "{small}");
     }
 
-    /// Wherever one looks at a triangle from, it is drawn where one of its samples is not.
+    /// From any viewpoint, a triangle is drawn where one of its samples is not.
     #[test]
     fn a_sample_or_its_triangle_is_drawn() {
         let mesh = mixed();
@@ -302,7 +302,7 @@ mod tests {
         let mut inside_out = solid.clone();
         inside_out.triangles.iter_mut().for_each(|triangle| triangle.swap(0, 1));
         assert!(!is_watertight(&inside_out));
-        // Each triangle with vertices of its own.
+        // Each triangle gets vertices of its own.
         let mut split = Mesh::default();
         for triangle in &solid.triangles {
             let first = split.positions.len() as u32;

@@ -14,11 +14,11 @@
 //! 3. At the border of a cloud a cell is open. A sample whose neighbours lie to one side takes, of every two opposite
 //!    directions, the shorter extent; one whose neighbours lie all in one direction is a stray.
 //!
-//! 4. Where neighbours lie on no surface, a tangent plane means little. A sample whose sixth neighbour is [`ISOLATED`] times as far as
-//!    its neighbours' own sixth neighbours is a stray, too: an echo in the air, alone or one of up to six. A small group far from all
-//!    others is a group of strays, whatever these others are: any three groups lie on a plane. In a volume, such as a tree,
-//!    and along a wire, kernels are circles that reach three quarters of the way to the nearest few. The less flat a neighbourhood
-//!    is, the less its kernel may exceed the cloud's median.
+//! 4. Where neighbours lie on no surface, a tangent plane means little. A sample whose sixth neighbour is [`ISOLATED`] times as
+//!    far as its neighbours' own sixth neighbours is a stray, too: an echo in the air, alone or one of up to six. A small group
+//!    far from all others is a group of strays, whatever these others are: any three groups lie on a plane. In a volume, such as
+//!    a tree, and along a wire, kernels are circles that reach three quarters of the way to the nearest few. The less flat a
+//!    neighbourhood is, the less its kernel may exceed the cloud's median.
 //!
 //! Neighbours are the same that normals and radii come from, found in one search.
 //!
@@ -33,7 +33,7 @@ use super::neighbors::{MAX_NEIGHBORS, Neighbors};
 use super::normals::{complete_attributes, evenly, is_radius, median_of};
 use crate::assets::{Kernel, PointCloud};
 
-/// Where the disks end that have to cover the surface, in standard deviations.
+/// Radius of the disks that have to cover the surface, in standard deviations.
 pub const CUTOFF: f32 = 2.0;
 /// Longest axis over shortest.
 const MAX_RATIO: f32 = 8.0;
@@ -49,17 +49,17 @@ const NEAREST: f32 = 0.2;
 /// Length of the mean offset over the root of the mean square: about 0.6 at a straight border, 0.85 at a right corner.
 const BORDER: f32 = 0.45;
 const STRAY: f32 = 0.95;
-/// Distance of a stray's sixth neighbour over the median of its neighbours' own: 0.7 on surfaces, and 2 or more at 30 in a million samples
-/// that are spread at random.
+/// Distance of a stray's sixth neighbour over the median of its neighbours' own: 0.7 on surfaces, and 2 or more at 30 in a
+/// million samples that are spread at random.
 const ISOLATED: f32 = 2.0;
-/// Neighbour whose distance tells how dense samples are: few enough that the sixth is a sample of the clump that most neighbours of a
-/// stray lie in, and enough that samples spread at random differ little.
+/// Neighbour whose distance tells how dense samples are: few enough that the sixth is a sample of the clump that most neighbours
+/// of a stray lie in, and enough that samples spread at random differ little.
 const RANK: usize = 6;
 /// Distance of the next neighbour over that of a group's farthest member.
 const GAP: f32 = 4.0;
 /// Longest kernel that a sample of such a group has, in medians of the cloud; one that would have a longer one is a stray.
 const GROUPED: f32 = 4.0;
-/// Where more than one sample in so many is in such a group, groups are how the surface was sampled, and no strays.
+/// If more than one sample in this many is in such a group, groups are how the surface was sampled, not strays.
 const RARE: usize = 20;
 /// Thickness of a neighbourhood over its half width: up to the first it is a surface; from the second on kernels are bounded by
 /// what is near; from the third on it is a volume. A right edge has 0.43.
@@ -77,7 +77,7 @@ const LARGEST: f32 = 10.0;
 const SMALLEST: f32 = 0.05;
 /// Nothing is smaller, in whatever unit.
 const TINY: f32 = 1e-18;
-/// Where nothing tells a size.
+/// Size of a sample if nothing determines it.
 const LONE: f32 = 0.25;
 
 /// Cosines and sines of the directions of half a turn.
@@ -209,8 +209,8 @@ fn mean_distance(near: &[Vec3]) -> f32 {
     sum / count.max(1.0)
 }
 
-/// Whether a sample at the origin is much farther from its neighbours than these are from each other. The sixth neighbours are
-/// compared, so that pairs and triples, of strays as of samples, tell nothing.
+/// Tells whether a sample at the origin is much farther from its neighbours than they are from each other. The test compares the
+/// sixth neighbours, so pairs and triples (of strays as of samples) have no effect.
 fn is_isolated(near: &[Vec3]) -> bool {
     let (Some(own), true) = (near.get(RANK - 1), near.len() > RANK) else { return false };
     let mut least = [[f32::INFINITY; RANK]; MAX_NEIGHBORS];
@@ -234,15 +234,15 @@ fn is_isolated(near: &[Vec3]) -> bool {
     own.length_squared() > ISOLATED * ISOLATED * ranked[near.len() / 2]
 }
 
-/// Whether there is a gap behind the nearest two or more neighbours. Samples at the same place are no neighbours here: files may hold each
-/// sample several times.
+/// Tells whether there is a gap behind the nearest two or more neighbours. Samples at the same position do not count as
+/// neighbours here, because files may hold each sample several times.
 fn is_grouped(near: &[Vec3]) -> bool {
     let distances = near.iter().map(|q| q.length_squared()).filter(|&d| d > 0.0).skip(1);
     distances.clone().zip(distances.skip(1)).any(|(last, next)| next > GAP * GAP * last)
 }
 
-/// Thickness of a neighbourhood, with the sample itself, across its tangent plane over its half width in it, and its width in the plane
-/// over its length: 0 to 1.
+/// Thickness of a neighbourhood, with the sample itself, across its tangent plane over its half width in it, and its width in the
+/// plane over its length: 0 to 1.
 fn proportions(near: &[Vec3], offsets: &[Vec2], normal: Vec3) -> [f32; 2] {
     let inverse = 1.0 / (near.len() as f32 + 1.0);
     let (mut high, mut high_squared) = (0.0f32, 0.0f32);
@@ -377,7 +377,7 @@ impl Bounds {
     /// Gives a stray the median and keeps all others near it.
     pub(super) fn apply(&self, fit: Fit, normal: Vec3) -> Kernel {
         let Fit { kernel, most, is_grouped } = fit;
-        // So short that f32 has not kept the direction.
+        // An axis so short that f32 has not kept its direction.
         let is_vague = |axis: Vec3| axis.as_dvec3().length() < 1e-30;
         let is_stray = is_grouped && longest_axis(&kernel) > self.grouped;
         if is_stray || !is_kernel(&kernel) || is_vague(kernel.u) || is_vague(kernel.v) {

@@ -5,20 +5,20 @@
 //! - [`estimate_kernels`] gives them kernels as well, whose disks leave no holes, in the same search;
 //! - [`fill_colors`] gives them colours, from intensity or class;
 //! - [`sample_mesh`] turns meshes into samples whose disks cover them and end at their sharp edges;
-//! - [`rasterise_mesh`] turns them into many more, fast, whose disks cover them;
+//! - [`rasterise_mesh`] turns meshes into many more samples, faster, whose disks cover them;
 //! - [`detect_features`] finds sharp edges in points, and where their kernels end there;
 //! - [`smooth_normals`] gives meshes vertex normals, splitting vertices at creases;
 //! - [`csg`] combines sampled solids;
-//! - [`assemble`] reads, samples and combines what a scene's assets are made of;
-//! - [`prepare`] applies these as a file needs them, the same for the GPU and for the reference renderer;
-//! - [`hybrid`] samples meshes for point trees, which keep the triangles for where they are the better;
-//! - [`tree`] builds point trees, from which a frame takes the detail that it can show;
+//! - [`assemble`] reads, samples and combines the files of a scene's assets;
+//! - [`prepare`] applies these steps as a file needs them, for the GPU and for the reference renderer alike;
+//! - [`hybrid`] samples meshes for point trees, which keep the triangles where triangles are better;
+//! - [`tree`] builds point trees, from which a frame selects its level of detail;
 //! - [`external`] builds the point trees of files that do not fit into memory;
-//! - [`estimate`] gives large clouds normals and kernels, a piece at a time, as it packs them;
-//! - [`spacing`] tells how far apart packed samples lie;
-//! - [`outline`] finds the few points of a geometry that decide which cameras show it whole;
-//! - [`pack`] puts geometry into the records that the GPU reads;
-//! - [`cache`] keeps what was baked in a folder.
+//! - [`estimate`] estimates normals and kernels of large clouds piece by piece while packing them;
+//! - [`spacing`] measures the distance between packed samples;
+//! - [`outline`] finds the few points of a geometry that decide which cameras show all of it;
+//! - [`pack`] encodes geometry in the records that the GPU reads;
+//! - [`cache`] keeps baked geometries in a folder.
 
 pub mod assemble;
 pub mod cache;

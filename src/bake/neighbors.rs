@@ -8,12 +8,12 @@
 //! gathered leaves whose box is nearer than its own k-th neighbour so far. Distances are computed
 //! for a whole leaf at a time, on separate arrays of x, y and z, which compilers vectorise.
 //!
-//! Of points at the same distance those with the smaller indices are nearer, so that neighbours are the same whatever other points
-//! are in the tree: lattices, and scans with coordinates in centimetres, have many such.
+//! Points at equal distance are ordered by index, so that neighbours do not depend on the other points in the tree: lattices, and
+//! scans with coordinates in centimetres, have many equal distances.
 //!
-//! Of many points at one place only the first [`COPIES`] are in the tree: no query finds more of them. All others have the
-//! same neighbours, the first ones, which are known without a search. So points without depth at a scanner's own place, or
-//! coordinates that a file has rounded to one, cost no more than others.
+//! If many points share a position, only the first [`COPIES`] are in the tree: no query finds more of them. All others have the
+//! same neighbours, the first ones, which are known without a search. Points without depth at a scanner's own position, or
+//! coordinates that a file has rounded to one position, therefore cost no more than others.
 //!
 //! Measured with 1 M points on a sphere, one in eight of them in a cluster of a 300th of its size,
 //! k = 12, optimised for a generic x86-64, on a 2-core virtual machine, tree included: 0.69 s on one
@@ -186,7 +186,7 @@ fn place_of(key: u64) -> usize {
     (key & 0xffff_ffff) as usize
 }
 
-/// What a leaf's queries reuse.
+/// Buffers that a leaf's queries reuse.
 struct Scratch {
     best: [[u64; MAX_NEIGHBORS]; LEAF_POINTS],
     distances: [f32; LEAF_POINTS],
@@ -224,7 +224,7 @@ impl PointTree {
             .collect();
         let (mut shape, mut boxes) = Self::ordered(&mut items);
         let (mut crowds, mut others) = (Vec::new(), Vec::new());
-        // Where many points are at one place, some leaf holds nothing else.
+        // If many points share one position, some leaf holds nothing else.
         let is_crowded = |leaf: usize| {
             let holds = shape.range(shape.levels, leaf).len();
             holds > COPIES && boxes[(1 << shape.levels) + leaf].is_place()
@@ -515,7 +515,7 @@ fn bound(best: &[u64]) -> f32 {
     }
 }
 
-/// How a number of points is halved.
+/// The shape of the tree: how a number of points is halved.
 #[derive(Clone, Copy)]
 struct Shape {
     count: usize,

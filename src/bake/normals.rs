@@ -82,7 +82,7 @@ pub(super) fn is_radius(radius: &f32) -> bool {
     *radius > 0.0 && radius.is_finite()
 }
 
-/// What a search is to give.
+/// The results that a search has to compute.
 struct Wants<'a> {
     neighbors: usize,
     normals: bool,
@@ -91,7 +91,7 @@ struct Wants<'a> {
     given: &'a [Vec3],
 }
 
-/// What a search gave for each point, zero where unknown; what was not wanted is empty.
+/// The results of a search for each point, zero if unknown; results that were not requested are empty.
 #[derive(Default)]
 struct Estimates {
     normals: Vec<Vec3>,
@@ -204,7 +204,7 @@ pub(super) fn evenly<T>(all: &[T]) -> impl Iterator<Item = &T> {
     all.iter().step_by(stride(all.len()))
 }
 
-/// Of so many elements every how-manieth is taken for them all.
+/// The stride of a sample of `count` elements that stands for all of them.
 pub(super) fn stride(count: usize) -> usize {
     count.div_ceil(SAMPLES).max(1)
 }

@@ -64,7 +64,7 @@ pub fn inverse_extent(bounds: &Bounds) -> DVec3 {
     DVec3::new(inverse(extent.x), inverse(extent.y), inverse(extent.z))
 }
 
-/// How far a box reaches along a direction.
+/// The extent of a box along a direction.
 pub fn reach_of(bounds: &Bounds, direction: DVec3) -> f64 {
     if bounds.is_empty() {
         return f64::NEG_INFINITY;
@@ -181,7 +181,7 @@ impl Rest {
         if rest.holds(all.min) && rest.holds(all.max) {
             return Rest::everything();
         }
-        // What was guessed from some is counted on all.
+        // The guess from a sample is verified on all points.
         let centre = core.centre();
         let (mut lost, mut most) = (0.0, f64::INFINITY);
         let straddling = geometry.chunks().iter().filter(|chunk| {
@@ -224,7 +224,7 @@ impl Rest {
     }
 }
 
-/// How far from the box around the rest a stray must be, in diagonals of that box. Of few samples it takes more to be sure.
+/// Minimum distance of a stray from the box around the rest, in diagonals of that box; larger if there are few samples.
 fn gap(geometry: &PackedGeometry) -> f64 {
     match geometry {
         PackedGeometry::Samples(cloud) if cloud.positions.len() < 10_000 => 1.5,

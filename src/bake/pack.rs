@@ -1,11 +1,12 @@
-//! Geometries → the chunks that the GPU holds.
+//! Packs geometries into the chunks that the GPU holds.
 //!
-//! Positions become integers on a grid of the asset whose step is a power of two, about 2⁻²⁹ of the asset's size: finer than
-//! f32 could say at the asset's edge, and exact to subtract, so that what is near the eye keeps all its digits however far
-//! it is from the asset's origin. Samples and triangles are sorted along a Morton curve and cut into chunks of at most
-//! 1024, the unit of culling and of a workgroup. A sample's position is stored in 64 bits (3 × 21, relative to its chunk);
-//! a sample takes 20 bytes with colour, normal and reconstruction kernel. Samples that carry clip lines are kept apart, in chunks of
-//! their own behind the others, and take 8 bytes more, so that the others do not pay for them. A triangle takes 4 bytes and its vertices 28 each.
+//! Positions become integers on a grid of the asset whose step is a power of two, about 2⁻²⁹ of the asset's size. That is finer
+//! than f32 at the asset's edge, and differences are exact, so geometry near the eye keeps all its digits however far it is from
+//! the asset's origin. Samples and triangles are sorted along a Morton curve and cut into chunks of at most 1024, the unit of
+//! culling and of a workgroup. A sample's position is stored in 64 bits (3 × 21, relative to its chunk); a sample takes 20 bytes
+//! with colour, normal and reconstruction kernel. Samples with clip lines take 8 bytes more. They are stored in separate chunks
+//! behind the others, so that samples without clip lines do not pay for them. A triangle takes 4 bytes and each of its vertices
+//! 28.
 
 mod kernel;
 mod order;
@@ -27,25 +28,25 @@ use super::colors::NEUTRAL;
 use crate::assets::{Clip, Kernel, Material, Mesh, PointCloud};
 use crate::math::Bounds;
 
-/// Samples, or triangles, or vertices in a chunk at most.
+/// Maximum number of samples, triangles or vertices in a chunk.
 pub const CHUNK: usize = 1024;
 /// `shift` of a chunk of triangles.
 pub const TRIANGLES: u32 = u32::MAX;
-/// Normal words that stand for none.
+/// The normal word that means no normal.
 pub const NO_NORMAL: u32 = 0x8000_8000;
 /// Bytes of a sample.
 pub const SAMPLE_BYTES: u64 = 20;
-/// Bytes more of a sample with clip lines.
+/// Additional bytes of a sample with clip lines.
 pub const CLIP_BYTES: u64 = 8;
-/// Bytes more of a sample that is a node of a point tree.
+/// Additional bytes of a sample that is a node of a point tree.
 pub const NODE_BYTES: u64 = 8;
-/// Cells are at least this part of the longest kernel: shaders square its length in cells, which f32 has to hold. It only
-/// matters where samples lie closer together than 10⁻⁹ of their kernels, or at one place.
+/// Minimum size of a cell relative to the longest kernel: shaders square the kernel's length in cells, and the square has to fit
+/// into f32. The limit only matters where samples lie closer together than 10⁻⁹ of their kernels, or at one position.
 pub(super) const KERNEL_DETAIL: f64 = 1.0 / (1u64 << 60) as f64;
 /// Words of a mesh vertex: grid position, colour, normal, texture coordinates.
 pub const VERTEX_WORDS: usize = 7;
 
-/// A grid that positions are counted on: `local = origin + step · grid`.
+/// The grid on which positions are stored: `local = origin + step · grid`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Grid {
     pub origin: DVec3,
@@ -73,22 +74,22 @@ pub struct PackedChunk {
     pub material: u32,
     /// Samples: longest axis of a kernel, in steps of 2^shift cells.
     pub kernel_base: f32,
-    /// Samples: what normals tell.
+    /// Samples: what the normals say about the surface.
     pub sides: Sides,
-    /// Of point trees: which nodes or triangles are in it.
+    /// Point trees: bounds of the nodes or triangles in the chunk.
     pub range: NodeRange,
 }
 
-/// What the normals of samples tell of the surface.
+/// Information that the normals of samples give about the surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Sides {
-    /// Nothing: they may look either way.
+    /// Nothing: a normal may point to either side.
     #[default]
     Unknown = 0,
-    /// Outside from inside.
+    /// Normals point outwards.
     Oriented = 1,
-    /// So, and the surface is closed: from outside its back is never seen.
+    /// Normals point outwards and the surface is closed: its back is never seen from outside.
     Closed = 2,
 }
 
@@ -101,19 +102,19 @@ impl PackedChunk {
     }
 }
 
-/// What the nodes of a chunk of a point tree have in common, or the triangles that stand for its leaves. Lengths in grid cells.
+/// Bounds over the nodes of a chunk of a point tree, or over the triangles that its leaves stand for. Lengths are in grid cells.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NodeRange {
-    /// What codes of errors, sizes and distances count from: see [`crate::bake::tree`].
+    /// The base of the codes of errors, sizes and distances: see [`crate::bake::tree`].
     pub base: f32,
-    /// The largest error that a parent has, of this chunk and of those behind it; of triangles their longest side.
+    /// The largest error of a parent, in this chunk and those behind it; for triangles, their longest side.
     pub error_parent: f32,
     /// The largest size of a parent, likewise.
     pub size_parent: f32,
     /// The smallest error and size of a node.
     pub error_least: f32,
     pub size_least: f32,
-    /// The longest way from a node to its parent, of this chunk and of those behind it.
+    /// The longest distance from a node to its parent, in this chunk and those behind it.
     pub delta_most: f32,
 }
 
@@ -126,13 +127,13 @@ pub struct PackedSamples {
     pub positions: Vec<[u32; 2]>,
     /// sRGB8 colour and octahedral normal.
     pub attributes: Vec<[u32; 2]>,
-    /// Of each sample: logarithms of the axes' lengths, 11 bits each, and an angle.
+    /// For each sample: logarithms of the axes' lengths, 11 bits each, and an angle.
     pub kernels: Vec<u32>,
-    /// Of each sample from `clipped_first` on: two lines.
+    /// For each sample from `clipped_first` on: two clip lines.
     pub clips: Vec<[u32; 2]>,
     /// The first sample with clip lines; a chunk begins there.
     pub clipped_first: u32,
-    /// Of point trees, for each node: what is asked before it is drawn (see [`crate::bake::tree`]).
+    /// Point trees: the two words of each node, which decide whether it is drawn (see [`crate::bake::tree`]).
     pub nodes: Vec<[u32; 2]>,
 }
 
@@ -159,7 +160,7 @@ impl Grid {
     /// The grid of a box: 2²⁹ cells or fewer across its longest side.
     ///
     /// # Errors
-    /// A box that is not finite or longer than 1e30.
+    /// Fails if the box is not finite or longer than 1e30.
     pub fn of(bounds: &Bounds) -> Result<Grid, PackError> {
         Grid::with_detail(bounds, 0.0)
     }
@@ -171,7 +172,7 @@ impl Grid {
             return Err(PackError::TooFar { extent });
         }
         let origin = bounds.centre();
-        // Below this the coordinates themselves have no more digits.
+        // Below this step the coordinates themselves have no more digits.
         let least = (origin.abs().max_element() * f64::EPSILON).max(1e-30).max(detail);
         let step = (extent / f64::from(1 << 29)).max(least).log2().ceil().exp2();
         let reach = (0.5 * extent / step).ceil() as i32 + 1;
@@ -180,7 +181,7 @@ impl Grid {
 
     /// The nearest grid point.
     pub fn quantise(&self, position: DVec3) -> IVec3 {
-        // Of a power of two the inverse is exact.
+        // The inverse of a power of two is exact.
         let cells = (position - self.origin) * (1.0 / self.step);
         IVec3::new(nearest(cells.x), nearest(cells.y), nearest(cells.z))
     }
@@ -191,7 +192,7 @@ impl Grid {
     }
 }
 
-/// The nearest whole number, away from zero between two. Without an instruction for it, `round` is a call.
+/// The nearest integer; halves round away from zero. On targets without a rounding instruction, `round` would be a function call.
 fn nearest(value: f64) -> i32 {
     let whole = value as i32;
     let rest = value - f64::from(whole);
@@ -208,13 +209,13 @@ pub fn spread(v: u64) -> u64 {
     (x | x << 2) & 0x1249_2492_4924_9249
 }
 
-/// Place along a Morton curve, from the upper 21 of 30 bits a coordinate.
+/// Morton code of a cell, from the upper 21 of 30 bits per coordinate.
 pub(super) fn morton(cell: IVec3) -> u64 {
     let part = |v: i32| spread((i64::from(v) + (1 << 29)).clamp(0, (1 << 30) - 1) as u64 >> 9);
     part(cell.x) | part(cell.y) << 1 | part(cell.z) << 2
 }
 
-/// Unit vector → two signed 16-bit numbers (octahedral map); [`NO_NORMAL`] for zero or non-finite vectors.
+/// Encodes a unit vector as two signed 16-bit numbers (octahedral map); [`NO_NORMAL`] for zero or non-finite vectors.
 pub fn octahedral(normal: Vec3) -> u32 {
     let sum = normal.abs().element_sum();
     if !(sum > 0.0 && sum.is_finite()) {
@@ -231,7 +232,7 @@ pub fn octahedral(normal: Vec3) -> u32 {
     u32::from(snorm(x)) | u32::from(snorm(y)) << 16
 }
 
-/// The unit vector of a normal word, in the shaders' own steps; zero for [`NO_NORMAL`].
+/// Decodes a normal word to a unit vector with the shaders' own steps; zero for [`NO_NORMAL`].
 pub fn octahedral_decode(word: u32) -> Vec3 {
     if word == NO_NORMAL {
         return Vec3::ZERO;
@@ -265,7 +266,7 @@ pub fn pack_samples(cloud: &PointCloud) -> Result<PackedSamples, PackError> {
     let bounds = Bounds::of_all(&cloud.positions);
     let grid = Grid::with_detail(&bounds, f64::from(longest_axis(cloud)) * KERNEL_DETAIL)?;
     let count = cloud.positions.len();
-    // Those with clip lines come behind the others.
+    // Samples with clip lines come behind the others.
     let key = |index: usize| {
         let place = morton(grid.quantise(cloud.positions[index]));
         place | if cloud.is_clipped(index) { CLIPPED } else { 0 }
@@ -320,7 +321,7 @@ pub fn pack_samples(cloud: &PointCloud) -> Result<PackedSamples, PackError> {
     Ok(out)
 }
 
-/// Of keys along the curve, those of samples with clip lines.
+/// Flag in the sort key of samples with clip lines.
 const CLIPPED: u64 = 1 << 63;
 
 /// The longest axis of a kernel.
@@ -333,20 +334,20 @@ fn longest_axis(cloud: &PointCloud) -> f32 {
     longest.reduce(|| 0.0, f32::max)
 }
 
-/// A sample on its way into a chunk.
+/// A sample to be packed into a chunk.
 pub(super) struct Sample<'a> {
     pub(super) cell: IVec3,
     pub(super) color: [u8; 4],
     pub(super) normal: Vec3,
     pub(super) shape: Shape,
-    /// Of those with clip lines.
+    /// The clip lines, if the sample has any.
     pub(super) clip: Option<&'a Clip>,
 }
 
 /// A sample's kernel, in the units of positions.
 pub(super) enum Shape {
     Ellipse(Kernel),
-    /// Across the normal, with this standard deviation.
+    /// A circle across the normal, with this standard deviation.
     Circle(f32),
 }
 
@@ -363,7 +364,7 @@ impl<'a> Sample<'a> {
     }
 }
 
-/// Chunks, one behind the other.
+/// Concatenates chunks.
 pub(super) fn joined(grid: Grid, runs: Vec<PackedRun>, clipped_first: u32) -> PackedSamples {
     let count = runs.iter().map(|run| run.positions.len()).sum();
     let mut out = PackedSamples {
@@ -386,7 +387,7 @@ pub(super) fn joined(grid: Grid, runs: Vec<PackedRun>, clipped_first: u32) -> Pa
     out
 }
 
-/// One chunk and what it holds.
+/// One chunk and its samples.
 pub(super) struct PackedRun {
     pub(super) chunk: PackedChunk,
     pub(super) positions: Vec<[u32; 2]>,
@@ -396,7 +397,7 @@ pub(super) struct PackedRun {
 }
 
 impl PackedRun {
-    /// Copies its words, but for clip lines, to where they stay.
+    /// Copies the chunk's words, except clip lines, to their final place.
     fn put(
         self,
         positions: &mut [[u32; 2]],
@@ -410,7 +411,7 @@ impl PackedRun {
     }
 }
 
-/// Packs up to [`CHUNK`] samples, all of them with clip lines or (not `clipped`) none.
+/// Packs up to [`CHUNK`] samples: all with clip lines if `clipped`, else all without.
 pub(super) fn pack_run(
     grid: &Grid,
     samples: Vec<Sample>,
@@ -432,7 +433,7 @@ pub(super) fn pack_run(
     };
     let attributes: Vec<[u32; 2]> =
         samples.iter().map(|sample| [rgba_word(sample.color), octahedral(sample.normal)]).collect();
-    // In the units of the stored coordinates.
+    // Factor to the units of the stored coordinates.
     let scale = (1.0 / (grid.step * f64::from(1u32 << shift))) as f32;
     let scaled = |kernel: &Kernel| Kernel { u: kernel.u * scale, v: kernel.v * scale };
     let lengths: Vec<(f32, f32)> = samples
@@ -497,9 +498,9 @@ pub fn pack_mesh(mesh: &Mesh) -> Result<PackedMesh, PackError> {
     pack_triangles(mesh, grid, None)
 }
 
-/// Packs a mesh for a point tree: `sides` are the errors up to which triangles are drawn, in mesh units. Triangles are sorted by
-/// them, in bands of half an octave, so that a frame finds those that it needs. `grid` is that of the samples that stand in for them,
-/// and holds the whole mesh.
+/// Packs a mesh for a point tree. `sides` are the errors up to which triangles are drawn, in mesh units. Triangles are sorted by
+/// `sides` in bands of half an octave, so that a frame finds the triangles that it needs. `grid` is the grid of the samples that
+/// stand in for the triangles, and holds the whole mesh.
 ///
 /// # Errors
 /// See [`PackError`].
@@ -518,7 +519,7 @@ fn pack_triangles(mesh: &Mesh, grid: Grid, sides: Option<&[f32]>) -> Result<Pack
         at = end;
     }
     let longest = sides.map_or(0.0, |sides| sides.iter().copied().fold(0.0, f32::max));
-    // The longest first.
+    // The longest triangles come first.
     let band = |index: usize| {
         let side = sides.map_or(0.0, |sides| sides[index]);
         if side > 0.0 { (2.0 * (longest / side).log2()) as u32 } else { u32::MAX }
@@ -557,7 +558,7 @@ fn pack_triangles(mesh: &Mesh, grid: Grid, sides: Option<&[f32]>) -> Result<Pack
             let range = chunk.first as usize..(chunk.first + chunk.count) as usize;
             let own = order[range].iter().map(|&(.., index)| sides[index as usize]);
             behind = own.fold(behind, f32::max);
-            // Of this chunk and of those behind it, as of nodes.
+            // The bound covers this chunk and those behind it, as for nodes.
             chunk.range.error_parent = behind / grid.step as f32;
             chunk.range.size_parent = chunk.range.error_parent;
         }
@@ -652,7 +653,7 @@ impl MeshPacker<'_> {
     }
 }
 
-/// An asset, packed: what the CPU keeps so that the GPU can be filled again at any time.
+/// A packed asset, kept on the CPU so that the GPU can be refilled at any time.
 #[derive(Clone, Debug, Default)]
 pub struct PackedAsset {
     pub geometries: Vec<PackedGeometry>,
@@ -681,7 +682,7 @@ impl PackedGeometry {
         }
     }
 
-    /// Bytes in the pages of the GPU.
+    /// Bytes of GPU pages.
     pub fn gpu_bytes(&self) -> u64 {
         match self {
             PackedGeometry::Samples(samples) => {

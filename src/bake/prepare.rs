@@ -1,9 +1,9 @@
-//! What a file goes through before it is drawn, by whatever renderer.
+//! Prepares a file for drawing, for any renderer.
 //!
-//! The engine packs the result for the GPU, the reference of [`crate::accuracy`] gives it to the oracle as it is. Both
-//! take every step from here, so that a frame and its reference show the same scene: which description a path stands for
-//! ([`describe`]), the attributes that geometries lack ([`prepare_geometry`]), what a bare file says about its lights
-//! and its up ([`adapt_bare_asset`]), and which geometry stands where under which number ([`placed`]).
+//! The engine packs the result for the GPU; the reference renderer of [`crate::accuracy`] passes it to the oracle unchanged. Both
+//! take every step from here, so that a frame and its reference show the same scene: the description that a path stands for
+//! ([`describe`]), the attributes that geometries lack ([`prepare_geometry`]), the lights and up direction of a bare file
+//! ([`adapt_bare_asset`]), and the position and number of each geometry ([`placed`]).
 
 use std::borrow::Borrow;
 use std::path::Path;
@@ -20,10 +20,10 @@ use crate::scene::{self, Instance, Scene, SceneError, SceneLimits};
 
 /// Angle between faces, in degrees, above which a mesh without normals keeps its edge.
 const CREASE_DEG: f64 = 35.0;
-/// What an asset's file itself held.
+/// The contents of an asset's file before preparation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AssetTraits {
-    /// As [`crate::assets::Asset::format`].
+    /// Same value as [`crate::assets::Asset::format`].
     pub format: &'static str,
     /// Some geometry had colours.
     pub has_colors: bool,
@@ -31,7 +31,7 @@ pub struct AssetTraits {
     pub shows_intensity: bool,
     /// Some geometry had normals.
     pub has_normals: bool,
-    /// Some geometry had none, so that they come from the neighbourhood.
+    /// Some geometry had no normals, so they are estimated from the neighbourhood.
     pub normals_estimated: bool,
     /// Some geometry is a mesh.
     pub has_triangles: bool,
@@ -39,7 +39,7 @@ pub struct AssetTraits {
     pub has_materials: bool,
 }
 
-/// One drawn copy of one geometry. Its number is its place in the list that [`placed`] gives.
+/// One drawn copy of one geometry. Its number is its index in the list from [`placed`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlacedGeometry {
     /// Index into [`Scene::assets`].
@@ -51,7 +51,7 @@ pub struct PlacedGeometry {
     pub material: Option<usize>,
 }
 
-/// Whether a path names a scene file; what is none is drawn as a scene of its own.
+/// Tells whether a path names a scene file; any other file is drawn as a scene of its own.
 pub fn is_scene_file(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"))
 }
@@ -59,7 +59,7 @@ pub fn is_scene_file(path: &Path) -> bool {
 /// The scene that the file at `path` (below `root`) stands for.
 ///
 /// # Errors
-/// A scene file that [`scene::load`] refuses.
+/// Fails for a scene file that [`scene::load`] refuses.
 pub fn describe(path: &Path, root: &Path, limits: &SceneLimits) -> Result<Scene, SceneError> {
     describe_within(path, None, root, limits, &Admission::default())
 }
@@ -67,7 +67,7 @@ pub fn describe(path: &Path, root: &Path, limits: &SceneLimits) -> Result<Scene,
 /// The scene that the file at `path` stands for, as [`scene::load_within`] reads it.
 ///
 /// # Errors
-/// A scene file that [`scene::load_within`] refuses.
+/// Fails for a scene file that [`scene::load_within`] refuses.
 pub fn describe_within(
     path: &Path,
     base: Option<&Path>,
@@ -82,11 +82,11 @@ pub fn describe_within(
     Ok(Scene::from_asset(&stem, path.to_path_buf()))
 }
 
-/// Gives a geometry the colours, normals, radii and kernels that it lacks, and notes in `traits`, whose format is known
-/// already, what it had. The admission holds what was added.
+/// Gives a geometry the colours, normals, radii and kernels that it lacks, and records in `traits`, whose format is already set,
+/// which attributes it had. The admission holds the memory of the added attributes.
 ///
 /// # Errors
-/// The load was cancelled, or there is no memory for it; the geometry is as it was then, or prepared in part.
+/// Fails if the load was cancelled or there is no memory for it; the geometry is then unchanged or prepared in part.
 pub fn prepare_geometry(
     geometry: &mut Geometry,
     traits: &mut AssetTraits,
@@ -107,7 +107,7 @@ pub fn prepare_geometry(
             traits.has_triangles = true;
             traits.has_materials |= mesh.parts.iter().any(|part| part.material.is_some());
             let had = (mesh.colors.is_some(), mesh.normals.is_some());
-            // A glTF mesh without normals is to be drawn flat (glTF 2.0, 3.7.2.1).
+            // A glTF mesh without normals is drawn flat (glTF 2.0, 3.7.2.1).
             smooth_normals(mesh, if traits.format.starts_with("gl") { 0.0 } else { CREASE_DEG });
             had
         }
@@ -119,7 +119,7 @@ pub fn prepare_geometry(
     admission.check()
 }
 
-/// Bytes that [`prepare_geometry`] adds to a geometry at most, and that it needs only meanwhile.
+/// Maximum bytes that [`prepare_geometry`] adds to a geometry, and that it needs temporarily.
 fn preparation_bytes(geometry: &Geometry) -> (u64, u64) {
     match geometry {
         Geometry::Points(cloud) => {
@@ -136,11 +136,11 @@ fn preparation_bytes(geometry: &Geometry) -> (u64, u64) {
     }
 }
 
-/// Gives a cloud of more than `most` points what a picture of unlit points needs, and nothing more. Returns whether that was done:
-/// a cloud that needs no estimates is left as it is.
+/// Gives a cloud of more than `most` points only the attributes that a picture of unlit points needs. Returns whether it did: a
+/// cloud that needs no estimates is left unchanged.
 ///
 /// # Errors
-/// The load was cancelled, or there is no memory for the colours.
+/// Fails if the load was cancelled or there is no memory for the colours.
 pub fn prepare_points(
     geometry: &mut Geometry,
     traits: &mut AssetTraits,
@@ -163,15 +163,15 @@ pub fn prepare_points(
     traits.normals_estimated |= cloud.normals.is_none();
     cloud.oriented = cloud.normals.is_some();
     traits.shows_intensity |= fill_colors(cloud);
-    // Nobody asks for these once there are colours.
+    // Colours replace these attributes.
     (cloud.intensity, cloud.classification) = (None, None);
     Ok(true)
 }
 
-/// What the file of a bare asset tells of how it is to be looked at.
+/// Hints from a bare asset's file about the initial view.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Outlook<'a> {
-    /// Up as the user wants it, instead of a guess.
+    /// The up direction that the user set, in place of a guess.
     pub up: Option<DVec3>,
     pub shape: Option<&'a Shape>,
     /// Box around everything that is drawn.
@@ -210,7 +210,7 @@ pub fn adapt_bare_asset(description: &mut Scene, assets: &[AssetTraits], outlook
     description.up_because = because;
 }
 
-/// The horizontal direction from the middle of a box to a place beside it, if that is not so far that it means nothing.
+/// The horizontal direction from the middle of a box to a position outside it; `None` if the position is implausibly far away.
 fn outside(bounds: &Bounds, up: DVec3, place: DVec3) -> Option<DVec3> {
     const FARTHEST_EXTENTS: f64 = 10.0;
     let up = up.try_normalize()?;
@@ -221,7 +221,7 @@ fn outside(bounds: &Bounds, up: DVec3, place: DVec3) -> Option<DVec3> {
     offset.try_normalize().filter(|_| is_beside && is_near)
 }
 
-/// The box around what can be seen: vertices that no triangle uses are left out.
+/// The box of the visible geometry: vertices that no triangle uses are left out.
 pub fn drawn_bounds(geometry: &Geometry) -> Bounds {
     match geometry {
         Geometry::Points(cloud) => Bounds::of_all(&cloud.positions),
@@ -232,8 +232,8 @@ pub fn drawn_bounds(geometry: &Geometry) -> Bounds {
     }
 }
 
-/// Every geometry that a scene draws, instance by instance and placement by placement. `placements` has one list for
-/// each of the scene's assets.
+/// Lists every geometry that a scene draws, by instance and then by placement. `placements` has one list for each of the scene's
+/// assets.
 pub fn placed<'a, P: Borrow<Vec<Placement>>>(
     description: &Scene,
     placements: &'a [P],
@@ -241,7 +241,7 @@ pub fn placed<'a, P: Borrow<Vec<Placement>>>(
     placed_instances(description.instances(), placements)
 }
 
-/// As [`placed`], of some of a scene's instances.
+/// Does the same as [`placed`] for some of a scene's instances.
 pub fn placed_instances<'a, P: Borrow<Vec<Placement>>>(
     instances: Vec<Instance>,
     placements: &'a [P],

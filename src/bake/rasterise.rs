@@ -10,9 +10,9 @@
 //! 3. *Colour.* As [`sample_mesh`](super::sample_mesh) does it; what an alpha cut-off removes goes last.
 //!
 //! We deviate from the paper, which rasterises along all three axes and merges what it finds: one axis is enough
-//! where slopes are at most √2, and gives little more than half of the samples. Its samples have splats as large as the worst slope
-//! needs; ours are ellipses, which appear as circles of one size along the triangle's axis: [`REACH`] cells, where
-//! half a cell's diagonal, 0.71, is what a flat surface needs and the rest is for surfaces that curve between samples.
+//! where slopes are at most √2, and gives little more than half of the samples. Its samples have splats as large as the worst
+//! slope needs; ours are ellipses, which appear as circles of one size along the triangle's axis: [`REACH`] cells, where half a
+//! cell's diagonal, 0.71, is what a flat surface needs and the rest is for surfaces that curve between samples.
 //!
 //! Cubes, balls, needles, strips, fans, sheets and specks: 0 of 20 000 random places are open, about two disks lie over
 //! one. A plane across an axis has a sample for each square of the spacing, one that slopes fewer, by the cosine of the
@@ -38,7 +38,7 @@ use super::sample::SampleError;
 use super::sample::color::Colors;
 use crate::assets::{Material, Mesh, PointCloud, Texture};
 
-/// How a mesh is rasterised into samples.
+/// Options for rasterising a mesh into samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RasteriseOptions {
     /// Side of a cell in mesh units. `None` gives about as many samples as there are vertices, or twice as many as there
@@ -131,7 +131,7 @@ pub fn rasterise_mesh(
     Ok(finish(samples, &grid, mesh, &Colors::of(mesh, materials, textures)))
 }
 
-/// What is to be known of all triangles together.
+/// Figures of all triangles together.
 #[derive(Clone, Copy, Debug)]
 struct Extent {
     /// Sum of the areas as they appear along each triangle's axis.
@@ -228,7 +228,7 @@ fn centres(mesh: &Mesh, grid: &Grid, limit: u64) -> Result<Vec<Sample>, SampleEr
     Ok(runs.concat())
 }
 
-/// What `of_rows` gives for bands of rows, in their order.
+/// Runs `of_rows` on bands of rows and returns the results in their order.
 fn in_bands<T: Clone + Send>(
     rows: Range<i64>,
     per_band: i64,
@@ -379,7 +379,7 @@ fn finish(mut samples: Vec<Sample>, grid: &Grid, mesh: &Mesh, colors: &Colors) -
         colors.on(sample.triangle, corners, grid.mesh_from_cells(sample.at), radius)
     };
     let is_flat = colors.is_flat();
-    // Where all of a part has one colour, it is found once and kept.
+    // If a whole part has one colour, the colour is found once and kept.
     let known = |known: &mut Option<(usize, Option<[u8; 4]>)>, sample: &Sample| {
         let part = colors.part(sample.triangle);
         match *known {

@@ -1,9 +1,9 @@
-//! How far apart samples lie, from their order alone.
+//! Estimates the distance between samples from their order alone.
 //!
-//! Packed samples are sorted along a Morton curve, so that [`GROUP`] consecutive ones lie together. The two longer sides `a ≥ b` of
-//! their box tell how densely they cover what they lie on, about `√(a b / n)` on a surface and, seen from the side, in a volume such
-//! as a tree, and `a / (n − 1)` along a wire. The median of a chunk's groups ignores groups that a few stray samples stretch, and
-//! repeated samples count once. No neighbour is searched: a million samples take about a millisecond.
+//! Packed samples are sorted along a Morton curve, so that [`GROUP`] consecutive ones lie together. The two longer sides `a ≥ b`
+//! of their box tell how densely they cover what they lie on, about `√(a b / n)` on a surface and, seen from the side, in a
+//! volume such as a tree, and `a / (n − 1)` along a wire. The median of a chunk's groups ignores groups that a few stray samples
+//! stretch, and repeated samples count once. No neighbour is searched: a million samples take about a millisecond.
 
 use glam::{DAffine3, DVec3, IVec3};
 

@@ -126,17 +126,17 @@ fn ramp(value: f64, low: f64, high: f64) -> f64 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// How well the asset stands on an end, 0 to 1.
+/// Score of how well the asset stands on an end, 0 to 1.
 fn stands(end: &End) -> f64 {
     (end.footprint / 0.5).min(1.0) * firmness(end)
 }
 
-/// How flat an end is on which the asset stands, 0 to 1.
+/// Score of how flat an end is on which the asset stands, 0 to 1.
 fn flatness(end: &End) -> f64 {
     (end.flat_footprint / 0.4).min(1.0) * ramp(end.flat, 0.002, 0.02) * firmness(end)
 }
 
-/// Whether the centre of mass lies well above a support of some substance, 0 to 1.
+/// Measures how well the centre of mass lies above a support of some substance, 0 to 1.
 fn firmness(end: &End) -> f64 {
     ramp(end.balance, 0.0, 0.1) * ramp(end.tilt, 0.03, 0.12) * ramp(end.contact, 0.006, 0.015)
 }

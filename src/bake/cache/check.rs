@@ -1,11 +1,11 @@
-//! What passes and shaders take for granted of a packed geometry: an index that they follow leads to something.
+//! Checks the invariants of packed geometry that passes and shaders rely on: every index is within its array.
 
 use crate::bake::pack::{
     CHUNK, Grid, NodeRange, PackedChunk, PackedGeometry, PackedMesh, PackedSamples, TRIANGLES,
 };
 
 /// # Errors
-/// The first thing that does not hold.
+/// Returns the first violation.
 pub(super) fn check(geometry: &PackedGeometry) -> Result<(), &'static str> {
     check_grid(geometry.grid())?;
     match geometry {
@@ -24,7 +24,7 @@ fn check_grid(grid: &Grid) -> Result<(), &'static str> {
     holds(grid.reach >= 0, "its grid reaches nowhere")
 }
 
-/// The same of a point tree without clip lines whose samples, nodes and attributes lie in files and are `count` each.
+/// Checks a point tree without clip lines whose samples, nodes and attributes lie in files, `count` of each.
 pub(super) fn check_spilled(
     grid: &Grid,
     chunks: &[PackedChunk],
@@ -64,7 +64,7 @@ fn check_mesh(mesh: &PackedMesh) -> Result<(), &'static str> {
         holds(u64::from(chunk.vertex_first) == vertices, "a chunk's vertices are not the next")?;
         vertices += u64::from(chunk.vertex_count);
         let triangles = &mesh.triangles[chunk.first as usize..][..chunk.count as usize];
-        // The last index without a mask: nothing is above it.
+        // The last index needs no mask: no bits lie above it.
         let is_inside = |word: &u32| {
             [word & 0x3ff, word >> 10 & 0x3ff, word >> 20].iter().all(|&v| v < chunk.vertex_count)
         };
@@ -74,7 +74,7 @@ fn check_mesh(mesh: &PackedMesh) -> Result<(), &'static str> {
     holds(u32::try_from(vertices).is_ok(), "there are too many vertices")
 }
 
-/// Chunks lie one behind the other and hold all `count` samples or triangles.
+/// Checks that chunks are consecutive and hold all `count` samples or triangles.
 fn check_chunks(chunks: &[PackedChunk], count: usize) -> Result<(), &'static str> {
     holds(u32::try_from(count).is_ok(), "there are too many samples or triangles")?;
     let mut next = 0u64;

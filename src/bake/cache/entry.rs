@@ -7,11 +7,11 @@
 //!                          or: chunks │ vertices │ triangles
 //! trailer   SHA-256 of all the above
 //! ```
-//! All of it is 32-bit little-endian words; numbers of 64 bits are two of them, the lower one first. Sections lie without gaps in
-//! the table's order; arrays of words are read to where they stay.
+//! All values are 32-bit little-endian words; 64-bit numbers are two words, the lower one first. Sections lie without gaps in the
+//! table's order; arrays of words are read directly to their destination.
 //!
-//! A file is gone through twice, for its checksum and then for what is in it: a damaged length is never used. That what the
-//! table says adds up to the file's length bounds what is allocated also where somebody has made up a checksum.
+//! A file is read twice, for its checksum and then for its contents, so a damaged length is never used. The sizes in the table
+//! have to add up to the file's length, which bounds allocations even if a checksum is forged.
 
 use std::io::{self, Read, Seek, SeekFrom, Write};
 
@@ -28,9 +28,9 @@ use crate::bake::pack::{PackedChunk, PackedGeometry, PackedMesh, PackedSamples};
 use crate::bake::tree::TreeStatistics;
 
 const MAGIC: [u8; 8] = *b"PTLSBAKE";
-/// Words that are written at once.
+/// Number of words written at once.
 const BLOCK: usize = 1 << 14;
-/// Bytes that are hashed at once.
+/// Number of bytes hashed at once.
 const HASHED: usize = 1 << 20;
 
 /// Why a file is not believed, or geometries are not written.
@@ -54,7 +54,7 @@ pub(super) enum Refusal {
     Invalid { geometry: usize, what: &'static str },
 }
 
-/// Geometries that may be written.
+/// Geometries that passed the checks for writing.
 pub(super) struct Entry<'a> {
     geometries: &'a [PackedGeometry],
     table: Vec<Record>,
@@ -62,7 +62,7 @@ pub(super) struct Entry<'a> {
 
 impl<'a> Entry<'a> {
     /// # Errors
-    /// Geometries that [`read`] would refuse.
+    /// Fails for geometries that [`read`] would refuse.
     pub(super) fn of(geometries: &'a [PackedGeometry]) -> Result<Entry<'a>, Refusal> {
         for (index, geometry) in geometries.iter().enumerate() {
             check(geometry).map_err(|what| Refusal::Invalid { geometry: index, what })?;
@@ -84,7 +84,7 @@ impl<'a> Entry<'a> {
             for chunk in geometry.chunks() {
                 writer.put(&chunk_to_words(chunk))?;
             }
-            // By all their names, so that no new field is forgotten.
+            // Naming all fields makes the compiler report a new one.
             match geometry {
                 PackedGeometry::Samples(PackedSamples {
                     grid: _,
@@ -120,7 +120,7 @@ pub(super) struct SpilledEntry<'a> {
 
 impl<'a> SpilledEntry<'a> {
     /// # Errors
-    /// A tree that [`read`] would refuse.
+    /// Fails for a tree that [`read`] would refuse.
     pub(super) fn of(tree: &'a Spilled) -> Result<SpilledEntry<'a>, Refusal> {
         let invalid = |what| Refusal::Invalid { geometry: 0, what };
         check_spilled(&tree.grid, &tree.chunks, tree.len()).map_err(invalid)?;
@@ -158,7 +158,7 @@ impl<'a> SpilledEntry<'a> {
 struct Writer<W> {
     out: W,
     hasher: Sha256,
-    /// Little-endian words on their way.
+    /// Buffered little-endian words.
     block: Vec<u32>,
 }
 
@@ -204,7 +204,7 @@ pub(super) fn read(
     key: &[u8; 32],
 ) -> Result<Vec<PackedGeometry>, Refusal> {
     read_whole(source, bytes, key).map_err(|refusal| match refusal {
-        // It became shorter meanwhile.
+        // The file was truncated meanwhile.
         Refusal::Io(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
             Refusal::Length { found: bytes }
         }
@@ -212,7 +212,7 @@ pub(super) fn read(
     })
 }
 
-/// Whether the file is whole and of this key; how many geometries it says it has.
+/// Checks that the file is whole and has this key; returns its number of geometries.
 pub(super) fn verify(
     source: &mut (impl Read + Seek),
     bytes: u64,
@@ -246,7 +246,7 @@ pub(super) fn verify(
     Ok(header[3])
 }
 
-/// The figures of the only geometry of an entry, a point tree, of which little is in memory at a time.
+/// The figures of an entry's only geometry, a point tree, read in small parts.
 pub(super) fn figures(
     source: &mut (impl Read + Seek),
     bytes: u64,
@@ -317,7 +317,7 @@ fn hash(source: &mut impl Read, bytes: u64) -> io::Result<[u8; 32]> {
     Ok(hasher.finalize().into())
 }
 
-/// None where a flag is neither 0 nor 1. The table has been checked against the file's length.
+/// Returns `None` if a flag is neither 0 nor 1. The table has been checked against the file's length.
 fn read_geometry(source: &mut impl Read, record: &Record) -> io::Result<Option<PackedGeometry>> {
     let grid = record.grid;
     match record.sections {

@@ -10,25 +10,25 @@ use crate::bake::pack::{
 pub(super) const HEADER_WORDS: usize = 14;
 /// Kind, `clipped_first`, grid 9, lengths of sections.
 pub(super) const RECORD_WORDS: usize = 11 + SECTIONS;
-/// Of a chunk.
+/// Words of a chunk.
 pub(super) const CHUNK_WORDS: usize = 20;
-/// A SHA-256.
+/// Length of a SHA-256.
 pub(super) const TRAILER_BYTES: u64 = 32;
 
 const SECTIONS: usize = 6;
 const SAMPLES: u32 = 0;
 const MESH: u32 = 1;
-/// Words of an element of each section.
+/// Words per element of each section.
 const SAMPLES_WORDS: [usize; SECTIONS] = [CHUNK_WORDS, 2, 2, 1, 2, 2];
 const MESH_WORDS: [usize; SECTIONS] = [CHUNK_WORDS, VERTEX_WORDS, 1, 0, 0, 0];
 
-/// What the table says of a geometry.
+/// The table's record of a geometry.
 pub(super) struct Record {
     pub(super) grid: Grid,
     pub(super) sections: Sections,
 }
 
-/// How many elements each section has.
+/// Number of elements of each section.
 pub(super) enum Sections {
     Samples {
         chunks: u32,
@@ -47,9 +47,9 @@ pub(super) enum Sections {
 }
 
 impl Record {
-    /// Of a geometry that has been checked: its lengths fit 32 bits.
+    /// Builds the record of a checked geometry: its lengths fit 32 bits.
     pub(super) fn of(geometry: &PackedGeometry) -> Record {
-        // By all their names, so that a new field is not forgotten.
+        // Naming all fields makes the compiler report a new one.
         let sections = match geometry {
             PackedGeometry::Samples(PackedSamples {
                 grid: _,
@@ -107,7 +107,7 @@ impl Record {
         ]
     }
 
-    /// None for a kind that there is not, or sections that it does not have.
+    /// Returns `None` for an unknown kind, or for sections that the kind does not have.
     pub(super) fn from_words(words: &[u32; RECORD_WORDS]) -> Option<Record> {
         let [kind, clipped_first, x0, x1, y0, y1, z0, z1, step0, step1, reach, lengths @ ..] =
             *words;
@@ -172,7 +172,7 @@ impl Sections {
 /// Bytes of the file that a table describes.
 pub(super) fn file_bytes(table: &[Record]) -> u64 {
     let fixed = 4 * (HEADER_WORDS + RECORD_WORDS * table.len()) as u64 + TRAILER_BYTES;
-    // No file is as long as what this saturates at.
+    // No file is as long as the saturated sum.
     table.iter().map(Record::bytes).fold(fixed, u64::saturating_add)
 }
 
@@ -214,7 +214,7 @@ pub(super) fn chunk_to_words(chunk: &PackedChunk) -> [u32; CHUNK_WORDS] {
     ]
 }
 
-/// None where `sides` is none of its values.
+/// Returns `None` if `sides` has an invalid value.
 pub(super) fn chunk_from_words(words: &[u32; CHUNK_WORDS]) -> Option<PackedChunk> {
     let [
         x,
@@ -260,7 +260,7 @@ pub(super) fn whole([low, high]: [u32; 2]) -> u64 {
     u64::from(low) | u64::from(high) << 32
 }
 
-/// Bytes as words; what fills none is left out.
+/// Converts bytes to words; an incomplete last word is dropped.
 pub(super) fn words_of(bytes: &[u8]) -> Vec<u32> {
     bytes.as_chunks::<4>().0.iter().map(|&word| u32::from_le_bytes(word)).collect()
 }

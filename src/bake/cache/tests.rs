@@ -177,7 +177,7 @@ fn what_was_used_the_longest_ago_goes_first() {
     assert!(cache.load(&[0; 32]).is_some());
     cache.store(&[3; 32], &all).unwrap();
     assert_eq!([has(0), has(1), has(2), has(3)], [true, false, true, true]);
-    // What was just written stays, whatever the clocks say.
+    // The entry just written stays, whatever the clocks say.
     for key in [0, 2, 3] {
         let ahead = SystemTime::now() + Duration::from_secs(3600);
         let file = File::options().write(true).open(cache.path(&[key; 32])).unwrap();

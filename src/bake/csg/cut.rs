@@ -1,4 +1,4 @@
-//! What is left of one sample: all of it, nothing, or a part behind clip lines.
+//! Cuts one sample: keeps all of it, nothing, or a part behind clip lines.
 
 use glam::{DVec2, Vec2};
 
@@ -12,8 +12,8 @@ const STEPS: usize = 3;
 const PARALLEL: f64 = 0.052;
 /// Parallel planes nearer than this, in radii, are one.
 const COINCIDENT: f64 = 0.05;
-/// What is kept must reach this far beyond the other surface, in radii: slivers that rounding leaves along an edge that
-/// both solids share are none.
+/// Minimum distance, in radii, that a kept part must reach beyond the other surface. It removes slivers that rounding leaves
+/// along an edge that both solids share.
 const SLIVER: f64 = 0.01;
 /// Points along each axis of the grid on which ways of clipping a disk are compared.
 const GRID: usize = 21;
@@ -102,11 +102,11 @@ fn parallel(sample: &Sample, radius: f64, plane: &Plane, rule: Rule) -> Side {
     }
     let same = plane.normal.dot(sample.normal) > 0.0;
     let keep = if same { rule.keep_same } else { rule.keep_opposite };
-    // As if the sample lay on the side that the rule keeps, or on the one that it drops.
+    // The sample is treated as if it lay on the side that the rule keeps, or on the side that it drops.
     Side::Everywhere(if keep == rule.keep_inside { -radius } else { radius })
 }
 
-/// Of all ways to clip with up to two lines, the one that comes nearest to what should be kept.
+/// Clips with up to two lines, choosing the way that comes nearest to the part to be kept.
 fn clip(sample: &Sample, local: &Local, sides: &[Side], rule: Rule) -> Option<Sample> {
     let value = |kernel: Vec2| local.value(|face| sides[face].at(kernel));
     let inside = |kernel: Vec2| value(kernel) < 0.0;

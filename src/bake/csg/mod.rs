@@ -27,7 +27,7 @@ use crate::assets::{Clip, Kernel, PointCloud};
 use crate::memory::{Admission, Interrupt};
 use crate::scene::CsgOperation;
 
-/// Where kernels of sampled surfaces end, in standard deviations.
+/// Cut-off radius of kernels of sampled surfaces, in standard deviations.
 const CUTOFF: f64 = crate::bake::CUTOFF as f64;
 
 /// Bytes of a sample while two solids are combined: its copy, and its entry in the search tree.
@@ -127,7 +127,7 @@ impl Sample {
         self.position + self.u * f64::from(at.x) + self.v * f64::from(at.y)
     }
 
-    /// The same surface seen from its other side. `u × v` goes on looking along the normal.
+    /// Returns the same surface seen from its other side. `u × v` still points along the normal.
     fn flipped(mut self) -> Self {
         self.normal = -self.normal;
         self.v = -self.v;
@@ -172,7 +172,8 @@ fn to_cloud(samples: Vec<Sample>, colored: bool) -> PointCloud {
 struct Rule {
     /// The part inside the other solid rather than the part outside.
     keep_inside: bool,
-    /// Whether faces that coincide with a face of the other solid stay, by whether both look the same way.
+    /// Faces that coincide with a face of the other solid stay: those that look the same way, and those that look the opposite
+    /// way.
     keep_same: bool,
     keep_opposite: bool,
 }

@@ -44,7 +44,7 @@ impl Plane {
     }
 }
 
-/// How a solid's faces lie to one another.
+/// The relation of a solid's faces to one another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Edge {
     Convex,
@@ -57,9 +57,9 @@ pub(super) struct Face {
     pub plane: Plane,
     /// The sample that stands for it.
     pub seed: usize,
-    /// How it joins the primary face; of no meaning for that face itself.
+    /// The edge to the primary face; meaningless for that face itself.
     edge: Edge,
-    /// How it joins the first other face of the same kind.
+    /// The edge to the first other face of the same kind.
     among: Edge,
 }
 
@@ -108,7 +108,7 @@ impl<'a> Surface<'a> {
         }
     }
 
-    /// Whether the surface may come within `reach` of a place; beyond, the place is outside.
+    /// Tells whether the surface may come within `reach` of a position; if not, the position is outside.
     pub fn may_reach(&self, at: DVec3, reach: f64) -> bool {
         !self.samples.is_empty()
             && at.cmpge(self.bounds.min - DVec3::splat(reach)).all()
@@ -187,7 +187,7 @@ impl<'a> Surface<'a> {
         self.samples[a].normal.dot(self.samples[b].normal) > SAME_FACE
     }
 
-    /// What edge two faces form; `None` where one sees the other before it and not the other way round.
+    /// The edge that two faces form; `None` if one sees the other before it and not the other way round.
     fn edge(&self, a: usize, b: usize) -> Option<Edge> {
         let (sample_a, sample_b) = (&self.samples[a], &self.samples[b]);
         let across = self.anchors[b] - self.anchors[a];

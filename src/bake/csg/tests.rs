@@ -172,7 +172,7 @@ fn inside_is_told_from_outside() {
     }
 }
 
-/// Whether any kept part of a disk comes within `near` of a place.
+/// Tells whether any kept part of a disk comes within `near` of a position.
 fn is_covered(samples: &[Sample], at: DVec3, near: f64) -> bool {
     samples.iter().any(|s| {
         let offset = at - s.position;
@@ -294,7 +294,7 @@ fn operations_agree_with_volumes_and_repeat() {
                 CsgOperation::Difference => a.max(-b).max(-c),
             }
         };
-        // What is kept lies on the result's surface: at most as far off as a disk's rim is above a sphere.
+        // Kept parts lie on the result's surface, off by at most the height of a disk's rim above a sphere.
         let off = samples_of(&made).iter().fold(0.0f64, |worst, s| {
             let anchor = s.clip.keeps(Vec2::ZERO).then_some(s.position);
             anchor.map_or(worst, |at| worst.max(distance(at).abs()))

@@ -14,21 +14,21 @@ use crate::assets::{Kernel, PointCloud};
 /// Quantile of sampled neighbour distances that a margin covers, before [`GENEROUS`].
 const QUANTILE: f64 = 0.99;
 const GENEROUS: f32 = 2.0;
-/// With fewer sampled neighbourhoods a piece takes those of the whole cloud as the measure.
+/// With fewer sampled neighbourhoods, a piece uses those of the whole cloud.
 const ENOUGH: usize = 16;
-/// A margin holds at most this many times as many chunks as its piece.
+/// Maximum number of chunks in a margin, as a multiple of the piece's.
 const MOST_MARGIN: usize = 4;
-/// Rounding of squared distances.
+/// Tolerance for rounding of squared distances.
 const SLACK: f32 = 1.0001;
 
-/// What neighbours are to tell.
+/// The attributes to be estimated from neighbours.
 #[derive(Clone, Copy)]
 pub(super) struct Wanted {
     pub(super) normals: bool,
     pub(super) kernels: bool,
 }
 
-/// What neighbours have told of a point.
+/// The estimates for a point.
 #[derive(Clone, Copy, Default)]
 struct Fitted {
     normal: Vec3,
@@ -54,7 +54,7 @@ impl Extent {
         self.0[0] == self.0[1]
     }
 
-    /// Squared; infinite where one of them is empty.
+    /// Squared distance; infinite if one of the boxes is empty.
     fn distance(&self, other: &Extent) -> f32 {
         let ([min, max], [low, high]) = (self.0, other.0);
         (0..3).fold(0.0, |sum, axis| {
@@ -68,17 +68,17 @@ impl Extent {
 #[derive(Clone, Copy)]
 struct Local {
     place: [f32; 3],
-    /// Number in the cloud.
+    /// Index in the cloud.
     index: u32,
-    /// Place in its piece, [`MARGIN`] of others.
+    /// Index in its piece; [`MARGIN`] for points of other pieces.
     slot: u32,
 }
 
 const MARGIN: u32 = u32::MAX;
 
-/// Squared reaches of the neighbourhoods of some points, and what they say of all.
+/// Squared reaches of sampled neighbourhoods, and the bounds that they give for all.
 pub(super) struct Sampled {
-    /// Place along the curve, and how far the farthest neighbour is.
+    /// Index along the curve, and squared distance of the farthest neighbour.
     reaches: Vec<(usize, f32)>,
     bounds: KernelBounds,
 }
@@ -128,7 +128,7 @@ impl<'a> Chunks<'a> {
         chunk * CHUNK..self.order.len().min((chunk + 1) * CHUNK)
     }
 
-    /// The neighbourhoods of every `step`-th point of the cloud, which decide for all how long kernels may be.
+    /// Samples the neighbourhoods of every `step`-th point of the cloud, which bound the kernels of all points.
     pub(super) fn sampled(&self, step: usize) -> Sampled {
         let ranks: Vec<usize> = (0..self.order.len())
             .into_par_iter()
@@ -144,7 +144,7 @@ impl<'a> Chunks<'a> {
         Sampled { reaches, bounds: KernelBounds::of_some(&fits) }
     }
 
-    /// Normals and kernels of all points of some chunks, in the order of the curve.
+    /// Estimates normals and kernels of all points of some chunks, in the order of the curve.
     pub(super) fn estimate(&self, piece: Range<usize>, sampled: &Sampled) -> Vec<(Vec3, Kernel)> {
         let ranks = self.ranks(piece.start).start..self.ranks(piece.end - 1).end;
         let (margin, reach) = self.margin(&piece, sampled.reach(&ranks));
@@ -152,7 +152,7 @@ impl<'a> Chunks<'a> {
         let others = margin.into_par_iter().flat_map(|chunk| self.ranks(chunk).into_par_iter());
         let mut local: Vec<Local> =
             own.chain(others.map(|rank| self.local(rank, &ranks))).collect();
-        // Those at one distance are told apart by their order.
+        // Points at equal distances are ordered by their position in the list.
         local.par_sort_unstable_by_key(|point| point.index);
         let tree = PointTree::new(local.iter().map(|point| point.place));
         let found = tree.map_neighbors(NORMAL_NEIGHBORS, |neighbors| {
@@ -161,7 +161,7 @@ impl<'a> Chunks<'a> {
                 return None;
             }
             let farthest = farthest(&neighbors);
-            // Of points at one place it does not matter which are the neighbours.
+            // Any points at the same position are equally good neighbours.
             if farthest * SLACK <= reach || farthest == 0.0 {
                 Some((point.slot, self.fitted(&neighbors, point.index), None))
             } else {
@@ -175,7 +175,7 @@ impl<'a> Chunks<'a> {
             out[slot as usize] = fitted;
             strays.extend(farthest.map(|farthest| (slot, farthest)));
         }
-        // A margin that was cut down holds too little to tell how far neighbours may be.
+        // A margin that was cut down holds too few points to bound the distance of neighbours.
         let completed: Vec<(u32, Fitted)> = strays
             .into_par_iter()
             .map(|(slot, farthest)| {
@@ -197,7 +197,8 @@ impl<'a> Chunks<'a> {
         Local { place: self.place(index), index, slot }
     }
 
-    /// Chunks around a piece within a squared reach, or within the smaller one that is returned, where those would be too many.
+    /// Finds the chunks around a piece within a squared reach. If those are too many, the reach is reduced; the reach used is
+    /// returned.
     fn margin(&self, piece: &Range<usize>, mut reach: f32) -> (Vec<usize>, f32) {
         if piece.len() == self.count {
             return (Vec::new(), f32::INFINITY);
@@ -225,14 +226,15 @@ impl<'a> Chunks<'a> {
                 return (margin, reach);
             }
             if reach <= f32::MIN_POSITIVE {
-                // Too many at one place: nothing is complete.
+                // Too many points share one position: no neighbourhood is complete.
                 return (Vec::new(), -1.0);
             }
             reach *= 0.25;
         }
     }
 
-    /// What all other points tell of one, and how far its farthest neighbour is, squared; none is farther than `most`.
+    /// Estimates one point from all others; also returns the squared distance of its farthest neighbour. `most` bounds that
+    /// distance.
     fn neighborhood(&self, index: u32, most: f32) -> (Fitted, f32) {
         let place = self.place(index);
         let point = Extent([place; 2]);
@@ -243,7 +245,7 @@ impl<'a> Chunks<'a> {
                 continue;
             }
             if node < self.leaves {
-                // The nearer child is taken first: it comes last onto the stack.
+                // The nearer child is pushed last, so it is visited first.
                 let far = |child: usize| self.boxes[child].distance(&point);
                 let (left, right) = (2 * node, 2 * node + 1);
                 stack.extend(if far(left) <= far(right) { [right, left] } else { [left, right] });
@@ -255,7 +257,7 @@ impl<'a> Chunks<'a> {
             }
             let is_place = self.boxes[node].is_place();
             for &other in self.order[self.ranks(chunk)].iter().filter(|&&other| other != index) {
-                // Points at one place are in their order: behind one that is too many there are only such.
+                // Points at one position are sorted by index: if one is rejected, all that follow are as well.
                 if !nearest.add(place, self.place(other), other) && is_place {
                     break;
                 }
@@ -288,7 +290,7 @@ impl<'a> Chunks<'a> {
         Fitted { normal, fit }
     }
 
-    /// What a file gives goes before what neighbours tell.
+    /// Values from the file take precedence over estimates.
     fn settle(&self, index: u32, fitted: Fitted, bounds: &KernelBounds) -> (Vec3, Kernel) {
         let given = self.given_normal(index);
         let normal = if given == Vec3::ZERO { fitted.normal } else { given };
@@ -302,7 +304,7 @@ impl<'a> Chunks<'a> {
 }
 
 impl Sampled {
-    /// A little more than the reach of most neighbourhoods in a stretch of the curve, squared.
+    /// The squared reach of most neighbourhoods in a stretch of the curve, enlarged by a margin.
     fn reach(&self, ranks: &Range<usize>) -> f32 {
         let first = self.reaches.partition_point(|&(rank, _)| rank < ranks.start);
         let end = self.reaches.partition_point(|&(rank, _)| rank < ranks.end);
@@ -315,7 +317,7 @@ impl Sampled {
     }
 }
 
-/// Squared distance of the farthest neighbour; infinite where there are too few.
+/// Squared distance of the farthest neighbour; infinite if there are too few neighbours.
 fn farthest(neighbors: &Neighbors) -> f32 {
     match neighbors.len() == NORMAL_NEIGHBORS {
         true => neighbors.distances_squared().last().unwrap_or(f32::INFINITY),
@@ -323,14 +325,14 @@ fn farthest(neighbors: &Neighbors) -> f32 {
     }
 }
 
-/// The nearest so far, nearest first.
+/// The nearest points so far, nearest first.
 struct Nearest {
     most: f32,
     found: Vec<(f32, u32, [f32; 3])>,
 }
 
 impl Nearest {
-    /// Points that are farther do not count.
+    /// Squared distance beyond which points do not count.
     fn bound(&self) -> f32 {
         match self.found.get(NORMAL_NEIGHBORS - 1) {
             Some(&(farthest, ..)) => farthest,
@@ -338,7 +340,7 @@ impl Nearest {
         }
     }
 
-    /// Whether the point is among the nearest.
+    /// Adds a point; returns whether it is among the nearest.
     fn add(&mut self, [x, y, z]: [f32; 3], place: [f32; 3], index: u32) -> bool {
         let (dx, dy, dz) = (place[0] - x, place[1] - y, place[2] - z);
         let distance = dx * dx + dy * dy + dz * dz;

@@ -4,7 +4,7 @@ use crate::bake::prepare::{AssetTraits, prepare_geometry};
 use crate::memory::Admission;
 use crate::scene::random::SplitMix64;
 
-/// Numbers from 0 to 1.
+/// Random points with coordinates from 0 to 1.
 fn random(count: usize, seed: u64) -> Vec<DVec3> {
     let mut numbers = SplitMix64::new(seed);
     let mut next = || (numbers.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
@@ -40,10 +40,10 @@ fn pieces_are_packed_as_all_at_once() {
     let surface: Vec<DVec3> = random(20_000, 1).into_iter().map(flat).collect();
     check("surface", of(surface.clone()));
     check("volume", of(random(15_000, 2)));
-    // Coordinates in centimetres: many distances are equal, and many points are at one place.
+    // Rounding the coordinates makes many distances equal and puts many points at one position.
     let coarse = |p: &DVec3| (p * 5.0).round() / 5.0;
     check("lattice", of(surface.iter().map(coarse).collect()));
-    // A dense cluster, strays far away from everything, and a few thousand points at one place.
+    // A dense cluster, distant strays, and a few thousand points at one position.
     let cluster = random(9_000, 3).into_iter().map(|p| p * 0.01);
     let strays = random(30, 4).into_iter().map(|p| (p - 0.5) * 1e5);
     let same = (0..3000).map(|_| DVec3::splat(0.5));

@@ -1,9 +1,9 @@
-//! Second phase: normals and kernels, from neighbours, a piece of the points at a time.
+//! Second phase: estimates normals and kernels from neighbours, one piece of the points at a time.
 //!
-//! Beside a piece's own points those within a reach of its box are in memory: the reach of most neighbourhoods, as a sample of them
-//! tells. A neighbourhood that fits into that reach is complete. The others, of strays and of places much sparser than the rest,
-//! wait, and are completed from each piece that may hold a nearer point. So neighbours are those of the whole cloud, and there is
-//! no seam.
+//! Besides a piece's own points, memory holds the points within a margin of its box. The margin is the reach of most
+//! neighbourhoods, estimated from a sample. A neighbourhood that fits into the margin is complete. The other neighbourhoods, of
+//! strays and of places much sparser than the rest, wait and are completed from each piece that may hold a nearer point.
+//! Neighbours are therefore those of the whole cloud, and there is no seam.
 
 use std::io;
 
@@ -19,31 +19,31 @@ use super::spill::SpillFile;
 use super::{Phase, Work};
 use crate::assets::Kernel;
 
-/// What neighbours tell of a point.
+/// The normal and kernel of a point, estimated from its neighbours.
 #[derive(Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Fitted {
     normal: [f32; 3],
     u: [f32; 3],
     v: [f32; 3],
-    /// As [`Fit::most`].
+    /// Same value as [`Fit::most`].
     most: f32,
-    /// As [`Fit::is_grouped`], 0 or 1.
+    /// Same value as [`Fit::is_grouped`], as 0 or 1.
     is_grouped: u32,
 }
 
-/// What neighbours tell of each point, in the order of the points' file, and the bounds that kernels have.
+/// The estimates of all points, in the order of the points' file, and the bounds of kernels.
 pub(super) struct Fits {
     file: Option<SpillFile<Fitted>>,
     bounds: Option<Bounds>,
 }
 
-/// Neighbourhoods whose reach is taken as a measure for all.
+/// Number of sampled neighbourhoods that determine the margin.
 const SAMPLED: usize = 512;
-/// Of those this share fits into the reach, and more than that.
+/// Share of the sampled neighbourhoods that fit into the margin, and the factor by which the margin is enlarged.
 const QUANTILE: f64 = 0.95;
 const GENEROUS: f32 = 1.5;
-/// Rounding.
+/// Tolerance for rounding.
 const SLACK: f32 = 1.0001;
 
 impl Fits {
@@ -106,7 +106,7 @@ impl Fits {
         Ok((point[0], normal, kernel))
     }
 
-    /// What a file gives goes before what neighbours tell.
+    /// Values from the file take precedence over estimates.
     fn settle(&self, point: &Point, fitted: Fitted) -> (Vec3, Kernel) {
         let given = point.normal();
         let normal = if given == Vec3::ZERO { Vec3::from(fitted.normal) } else { given };
@@ -128,7 +128,7 @@ impl Fitted {
         Kernel { u: self.u.into(), v: self.v.into() }
     }
 
-    /// From the neighbours of a point with this normal, if it is not zero.
+    /// Builds the estimate from the neighbours of a point with this normal, if it is not zero.
     fn of(points: &Points, neighbors: &Neighbors, given: Vec3) -> Fitted {
         let normal = if points.lacks_normals { points.frame.normal(neighbors) } else { Vec3::ZERO };
         let own = if given == Vec3::ZERO { normal } else { given };
@@ -146,7 +146,7 @@ impl Fitted {
     }
 }
 
-/// Bounds of all kernels, from some.
+/// Bounds of all kernels, from a sample of them.
 fn bounds(points: &Points, file: &SpillFile<Fitted>) -> io::Result<Bounds> {
     let step = stride(points.file.count() as usize) as u32;
     let mut some = Vec::new();
@@ -169,19 +169,19 @@ fn bounds(points: &Points, file: &SpillFile<Fitted>) -> io::Result<Bounds> {
 #[derive(Clone, Copy)]
 struct Local {
     place: [f32; 3],
-    /// In the file as it was read.
+    /// Index in the file as it was read.
     index: u32,
-    /// In its piece, of the piece's own points.
+    /// Index in the piece, for the piece's own points.
     slot: Option<u32>,
 }
 
-/// What is known of a piece's points, and which of them are not complete.
+/// The estimates of a piece's points, and the points whose neighbourhoods are incomplete.
 struct Found {
     fitted: Vec<Fitted>,
     strays: Vec<Stray>,
 }
 
-/// A point whose neighbours may lie outside of what was in memory, though none is farther than this, squared.
+/// A point whose neighbours may lie outside the points in memory, with a bound on their squared distance.
 struct Stray {
     slot: u32,
     farthest: f32,
@@ -211,7 +211,7 @@ fn near(points: &Points, number: usize, work: &Work) -> io::Result<Found> {
         let (margin, left) = margin(points, number, reach, work)?;
         reach = left;
         local.extend(margin);
-        // Those at one distance are told apart by their order.
+        // Points at equal distances are ordered by their position in the list.
         local.par_sort_unstable_by_key(|point| point.index);
     }
     let tree = PointTree::new(local.iter().map(|point| point.place));
@@ -221,7 +221,7 @@ fn near(points: &Points, number: usize, work: &Work) -> io::Result<Found> {
             true => neighbors.distances_squared().last().unwrap_or(f32::INFINITY),
             false => f32::INFINITY,
         };
-        // Neighbours at the same place are as good as any others there.
+        // Any neighbours at the same position are equally good.
         if alone || farthest * SLACK <= reach || farthest == 0.0 {
             let given = given.get(slot as usize).copied().unwrap_or(Vec3::ZERO);
             Some((Fitted::of(points, &neighbors, given), None))
@@ -240,14 +240,14 @@ fn near(points: &Points, number: usize, work: &Work) -> io::Result<Found> {
     Ok(out)
 }
 
-/// A little more than the squared reach of most neighbourhoods within a piece.
+/// The squared reach of most neighbourhoods within a piece, enlarged by [`GENEROUS`].
 fn usual_reach(local: &[Local]) -> f32 {
     let tree = PointTree::new(local.iter().map(|point| point.place));
     let places = local.iter().step_by(local.len().div_ceil(SAMPLED).max(1));
     let mut reaches: Vec<f32> = places
         .map(|point| {
             let mut found = Vec::new();
-            // It finds the point itself, too.
+            // The search also finds the point itself.
             tree.nearest(point.place, NORMAL_NEIGHBORS + 1, &mut found);
             found.last().map_or(0.0, |&(distance, _)| distance)
         })
@@ -257,8 +257,8 @@ fn usual_reach(local: &[Local]) -> f32 {
     reaches.get(at).map_or(0.0, |reach| reach * GENEROUS * GENEROUS)
 }
 
-/// Other pieces' points within a squared reach of a piece's box, or within the smaller one that is returned, where those would be
-/// too many.
+/// Loads other pieces' points within a squared reach of a piece's box. If those are too many, the reach is reduced; the reach
+/// used is returned.
 fn margin(
     points: &Points,
     number: usize,
@@ -279,7 +279,7 @@ fn margin(
             }
             margin.push(Local { place: at, index, slot: None });
             while margin.len() > most {
-                // Too many at one place: nothing is complete.
+                // Too many points share one position: no neighbourhood is complete.
                 reach = if reach > f32::MIN_POSITIVE { reach * 0.25 } else { -1.0 };
                 margin.retain(|point| piece.distance_squared(point.place) <= reach);
             }
@@ -288,13 +288,13 @@ fn margin(
     Ok((margin, reach))
 }
 
-/// A stray that is looked for neighbours for.
+/// A stray whose neighbours are being searched.
 struct Waiting {
-    /// Place in the points' file.
+    /// Index in the points' file.
     at: u64,
     place: [f32; 3],
     index: u32,
-    /// No neighbour is farther, squared.
+    /// Bound on the squared distance of neighbours.
     farthest: f32,
     found: Nearest,
 }
@@ -308,7 +308,7 @@ impl Waiting {
     }
 }
 
-/// The nearest so far, nearest first.
+/// The nearest points so far, nearest first.
 #[derive(Clone, Copy, Default)]
 struct Nearest {
     count: usize,
@@ -331,7 +331,7 @@ impl Nearest {
     }
 }
 
-/// Finds the neighbours of those that wait, in all pieces, and writes what they tell.
+/// Finds the neighbours of the waiting points in all pieces, and writes their estimates.
 fn complete(
     points: &Points,
     mut waiting: Vec<Waiting>,

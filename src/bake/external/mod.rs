@@ -1,7 +1,7 @@
 //! Point trees of more samples than fit into memory.
 //!
-//! What is read, estimated, packed and built is what would be in memory, word for word; it only comes in another order, from one
-//! sort to the next:
+//! Reading, estimating, packing and building give the same words as in memory. Only the order of the work differs, from one sort
+//! to the next:
 //!
 //! ```text
 //! points.rs   file → points along a Morton curve                    (sorted by place)
@@ -13,7 +13,7 @@
 //!             → packed nodes, chunk by chunk                        (sorted by parent, and back)
 //! ```
 //!
-//! Records that do not fit are in temporary files ([`spill`]), sorted in runs and merged ([`sort`]).
+//! Records that do not fit into memory go to temporary files ([`spill`]), sorted in runs and merged ([`sort`]).
 
 mod fit;
 mod pack;
@@ -41,17 +41,17 @@ pub enum BakeFault {
     Asset(#[from] AssetError),
     #[error(transparent)]
     Pack(#[from] PackError),
-    /// Of the temporary files.
+    /// I/O error of a temporary file.
     #[error(transparent)]
     Io(#[from] io::Error),
     #[error("there are no points")]
     Empty,
 }
 
-/// What is being done.
+/// The phase of the work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
-    /// Going through a file for the first time.
+    /// The first pass over a file.
     Survey,
     Read,
     Neighbors,
@@ -88,59 +88,59 @@ impl Phase {
     }
 }
 
-/// Bytes for what is being worked on.
+/// Memory budget of the work, in bytes.
 #[derive(Clone, Copy, Debug)]
 pub struct Memory(usize);
 
-/// What the program itself, its threads and small buffers take.
+/// Memory of the program itself, its threads and small buffers, in bytes.
 const PROGRAM_BYTES: u64 = 40 << 20;
 
 impl Memory {
-    /// The least that a process may be held to, in bytes.
+    /// The smallest memory limit of a process, in bytes.
     pub const LEAST: u64 = 64 << 20;
 
-    /// For a process that is to take this much in all.
+    /// The budget of a process that may take this much in all.
     pub fn of_process(bytes: u64) -> Memory {
         Memory(bytes.max(Memory::LEAST).saturating_sub(PROGRAM_BYTES) as usize)
     }
 
-    /// For a part of a process that does more.
+    /// The budget of one task in a process that also does other work.
     pub fn of_part(bytes: u64) -> Memory {
         Memory::of_process(bytes.saturating_add(PROGRAM_BYTES))
     }
 
-    /// For records that are being collected.
+    /// Bytes for records that are being collected.
     fn to_sort(self) -> usize {
         self.0 / 5 * 2
     }
 
-    /// Points of a piece whose neighbours are being sought; those of its margin may be as many.
+    /// Maximum number of points in a piece; the points of its margin may be as many.
     fn of_pieces(self) -> usize {
         (self.0 / PIECE_BYTES).max(1000)
     }
 
-    /// For those that are being read meanwhile.
+    /// Bytes for records that are read meanwhile.
     fn to_merge(self) -> usize {
         self.0 / 5
     }
 }
 
-/// Memory that a point of a piece takes while its neighbours are sought, with one of the margin and its share of what waits.
+/// Bytes per point of a piece during the neighbour search, including one point of the margin and its share of the waiting points.
 const PIECE_BYTES: usize = 400;
-/// Bytes of temporary files a sample at most; nodes of a tree may be twice as many as samples.
+/// Maximum bytes of temporary files per sample; a tree may have twice as many nodes as samples.
 const DISK_BYTES: u64 = 400;
 
-/// Bytes of temporary files that so many samples take at most.
+/// Maximum bytes of temporary files for this many samples.
 pub fn disk_bytes(samples: u64) -> u64 {
     samples.saturating_mul(DISK_BYTES).saturating_add(64 << 20)
 }
 
-/// Where work is done, with how much memory, and who is told how far it is: a part of 1.
+/// Environment of the work: temporary files, memory budget and progress callback, which gets a fraction of 1.
 pub struct Work<'a> {
     spill: &'a Spill,
     memory: Memory,
     progress: &'a (dyn Fn(Phase, f64) + Sync),
-    /// What was told last, in thousandths.
+    /// The last reported progress, in thousandths.
     told: AtomicU64,
     stop: Option<&'a AtomicBool>,
 }
@@ -154,7 +154,7 @@ impl<'a> Work<'a> {
         Work { spill, memory, progress, told: AtomicU64::new(u64::MAX), stop: None }
     }
 
-    /// Fails soon after `stop` has become true.
+    /// Returns an error soon after `stop` has become true.
     pub fn stopped_by(self, stop: Option<&'a AtomicBool>) -> Work<'a> {
         Work { stop, ..self }
     }
@@ -164,7 +164,7 @@ impl<'a> Work<'a> {
         if is_stopped { Err(io::Error::other("stopped before its end")) } else { Ok(()) }
     }
 
-    /// May be called as often as one likes.
+    /// Reports progress; may be called often.
     fn tell(&self, phase: Phase, done: f64) {
         let steps = (phase as u64) << 32 | (done * 1000.0) as u64;
         if self.told.swap(steps, Ordering::Relaxed) != steps {
@@ -173,8 +173,8 @@ impl<'a> Work<'a> {
     }
 }
 
-/// A file's points as [`super::pack::pack_samples`] packs them, with the attributes that
-/// [`super::prepare::prepare_geometry`] gives them.
+/// Packs a file's points as [`super::pack::pack_samples`] does, with the attributes that [`super::prepare::prepare_geometry`]
+/// gives them.
 ///
 /// # Errors
 /// See [`BakeFault`].
@@ -188,7 +188,7 @@ pub fn pack_points(
     pack::pack(&points, &fits, &survey.bounds, work)
 }
 
-/// The tree that [`super::tree::build_tree`] builds of packed samples without clip lines, and its figures.
+/// Builds the same tree as [`super::tree::build_tree`], from packed samples without clip lines, and its figures.
 ///
 /// # Errors
 /// See [`BakeFault`].

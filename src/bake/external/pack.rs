@@ -1,4 +1,4 @@
-//! Third phase: samples as the GPU holds them, a chunk at a time.
+//! Third phase: packs samples for the GPU, one chunk at a time.
 
 use std::io;
 
@@ -16,14 +16,14 @@ use super::spill::{Spill, SpillFile};
 use super::{BakeFault, Phase, Work};
 use crate::math::Bounds;
 
-/// Packed samples without clip lines, in files: as [`PackedSamples`].
+/// Packed samples without clip lines, in files: the counterpart of [`PackedSamples`].
 pub struct Spilled {
     pub grid: Grid,
     pub chunks: Vec<PackedChunk>,
     pub positions: SpillFile<[u32; 2]>,
     pub attributes: SpillFile<[u32; 2]>,
     pub kernels: SpillFile<u32>,
-    /// Of point trees.
+    /// Node words, for point trees.
     pub nodes: SpillFile<[u32; 2]>,
 }
 
@@ -54,7 +54,7 @@ impl Spilled {
         self.kernels.extend(&run.kernels)
     }
 
-    /// One chunk by itself.
+    /// Reads one chunk.
     pub(super) fn load(&self, chunk: &PackedChunk) -> io::Result<PackedSamples> {
         let range = u64::from(chunk.first)..u64::from(chunk.first + chunk.count);
         Ok(PackedSamples {
@@ -70,14 +70,14 @@ impl Spilled {
     }
 }
 
-/// Packs chunks some at a time, and hands them on with whom they came for.
+/// Packs chunks in batches and passes them on, each with the values `T` that came with its samples.
 pub(super) struct Packer<T> {
     pub(super) out: Spilled,
     oriented: bool,
     chunks: Vec<Vec<(T, Sample<'static>)>>,
 }
 
-/// Chunks that are packed at a time.
+/// Number of chunks packed at a time.
 const BATCH: usize = 32;
 
 impl<T: Send + Sync> Packer<T> {
@@ -85,7 +85,7 @@ impl<T: Send + Sync> Packer<T> {
         Ok(Packer { out: Spilled::new(grid, spill)?, oriented, chunks: Vec::new() })
     }
 
-    /// `given` gets each chunk with its place in the list, and what its samples are of.
+    /// Adds a chunk. `given` receives each packed chunk with the index of its first sample and the values of its samples.
     pub(super) fn push(
         &mut self,
         chunk: Vec<(T, Sample<'static>)>,
@@ -116,7 +116,7 @@ impl<T: Send + Sync> Packer<T> {
     }
 }
 
-/// Where a point comes once more is known of the grid.
+/// A point's position along the final curve, known once the grid is.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct Moved {
@@ -133,7 +133,7 @@ impl Sortable for Moved {
     }
 }
 
-/// Packs points with what their neighbours have told.
+/// Packs points with the estimates from their neighbours.
 pub(super) fn pack(
     points: &Points,
     fits: &Fits,
@@ -172,7 +172,7 @@ pub(super) fn pack(
             add(sample(point, normal, kernel))
         })?;
     } else {
-        // Kernels so long that cells are larger for them: the curve runs otherwise.
+        // Long kernels enlarge the cells of the grid, which changes the curve.
         let mut sorter = Sorter::new(work.spill, work.memory.to_sort(), work.memory.to_merge());
         let mut at = 0;
         points.file.each_block(|block| {

@@ -1,7 +1,7 @@
-//! Which points are in memory at a time: those of neighbouring cells of the curve, up to a number.
+//! Splits points into pieces that are in memory one at a time: neighbouring cells of the curve, up to a number of points.
 //!
-//! A piece that was any stretch of the curve could have a box that holds half of all points: the curve leaps. Its cells' boxes hold
-//! little else.
+//! The curve jumps, so the box of an arbitrary stretch could hold half of all points. The boxes of a piece's cells hold few
+//! points of other pieces.
 
 use std::io;
 use std::ops::Range;
@@ -18,7 +18,7 @@ pub(super) struct Piece {
     boxes: Vec<Extent>,
 }
 
-/// A box by its lower and its upper corner.
+/// A box, given by its lower and upper corners.
 #[derive(Clone, Copy)]
 struct Extent([[f32; 3]; 2]);
 
@@ -33,20 +33,20 @@ impl Extent {
 }
 
 impl Piece {
-    /// Squared distance of a place from the nearest of its boxes.
+    /// Squared distance of a position from the nearest of the piece's boxes.
     pub(super) fn distance_squared(&self, place: [f32; 3]) -> f32 {
         let place = Extent([place; 2]);
         self.boxes.iter().fold(f32::INFINITY, |least, own| least.min(own.distance_squared(&place)))
     }
 
-    /// Squared distance between the boxes of two.
+    /// Squared distance between the boxes of two pieces.
     pub(super) fn gap_squared(&self, other: &Piece) -> f32 {
         let pairs = self.boxes.iter().flat_map(|a| other.boxes.iter().map(move |b| (a, b)));
         pairs.fold(f32::INFINITY, |least, (a, b)| least.min(a.distance_squared(b)))
     }
 }
 
-/// Cuts `count` points, whose codes ascend, into pieces of up to `most`.
+/// Cuts `count` points in ascending order of code into pieces of up to `most`.
 pub(super) fn cut(
     count: u64,
     most: u64,
@@ -78,7 +78,7 @@ fn split(
         return Ok(());
     }
     if level == 0 {
-        // Nothing tells them apart any more.
+        // The codes are equal and cannot be split any further.
         let mut begin = range.start;
         while begin < range.end {
             let end = range.end.min(begin + most);
@@ -110,7 +110,7 @@ fn split(
     Ok(())
 }
 
-/// Where the points of a cell end.
+/// The end of the points of a cell.
 fn end_of(
     range: Range<u64>,
     cell: u64,
@@ -148,7 +148,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let spill = Spill::new(folder.path(), u64::MAX);
         let mut places = spill.file().unwrap();
-        // A square of 128 × 128, along the curve; its last corner is a place for a thousand more.
+        // A square of 128 × 128 points along the curve; a thousand more share its last corner.
         let mut codes: Vec<(u64, [f32; 3])> = (0..128 * 128u32)
             .map(|i| {
                 let at = glam::IVec3::new((i % 128) as i32, (i / 128) as i32, 0);
@@ -170,7 +170,7 @@ mod tests {
             for &(_, at) in &codes[piece.range.start as usize..piece.range.end as usize] {
                 assert_eq!(piece.distance_squared(at), 0.0);
             }
-            // A stretch of the curve in its middle would have all of them in its box.
+            // The box of a stretch from the middle of the curve would hold all of them.
             let within = codes.iter().filter(|(_, at)| piece.distance_squared(*at) == 0.0).count();
             assert!(within <= 300 || codes[next as usize].1 == [127.0, 127.0, 0.0], "{within}");
             next = piece.range.end;

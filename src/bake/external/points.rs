@@ -1,4 +1,4 @@
-//! First phase: a file's points along a Morton curve, and what only all of them tell.
+//! First phase: sorts a file's points along a Morton curve and collects the figures that need all points.
 
 use std::io;
 
@@ -19,12 +19,12 @@ use crate::assets::{AssetError, PointBlocks, PointCloud, Survey};
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Point {
-    /// Place along the curve.
+    /// Morton code.
     place: u64,
     pub(super) position: [f64; 3],
-    /// Zero where it is not known.
+    /// Zero if unknown.
     pub(super) normal: [f32; 3],
-    /// Zero where the file has none.
+    /// Zero if the file has none.
     pub(super) radius: f32,
     /// Place in the file.
     pub(super) index: u32,
@@ -50,7 +50,7 @@ impl Point {
     }
 }
 
-/// Where a point is, for those who look for neighbours.
+/// A point's position, for the neighbour search.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Place {
@@ -59,7 +59,7 @@ pub(super) struct Place {
     pub(super) index: u32,
 }
 
-/// How a point's paint becomes its colour.
+/// Interpretation of a point's paint word.
 #[derive(Clone, Copy)]
 enum Paint {
     Color,
@@ -69,9 +69,9 @@ enum Paint {
 /// All points of a file along the curve of `grid`.
 pub(super) struct Points {
     pub(super) file: SpillFile<Point>,
-    /// Where each of them is, in the coordinates of `frame`.
+    /// Positions of the points, in the coordinates of `frame`.
     pub(super) places: SpillFile<Place>,
-    /// What is in memory at a time.
+    /// The pieces that are in memory one at a time.
     pub(super) pieces: Vec<Piece>,
     pub(super) grid: Grid,
     pub(super) frame: Frame,
@@ -91,7 +91,7 @@ impl Points {
         }
     }
 
-    /// Reads the file and sorts what is in it.
+    /// Reads the file and sorts its points.
     pub(super) fn read(
         source: &PointBlocks,
         survey: &Survey,
@@ -111,7 +111,7 @@ impl Points {
                 for record in records(&block, &grid, index) {
                     if let Err(error) = sorter.push(record) {
                         failed = Some(error);
-                        // Any error ends it.
+                        // Any error ends the reading.
                         return Err(AssetError::io(
                             &folder.display().to_string(),
                             io::Error::other(""),
@@ -154,11 +154,11 @@ impl Points {
     }
 }
 
-/// What is known once all points have been seen.
+/// Figures of the whole file, known after all points have been read.
 #[derive(Default)]
 struct Gathered {
     counts: Counts,
-    /// Evenly spread positions.
+    /// An evenly spread sample of positions.
     some: Vec<DVec3>,
     has_colors: bool,
     has_normals: bool,
@@ -206,7 +206,7 @@ fn records(block: &PointCloud, grid: &Grid, first: u32) -> impl Iterator<Item = 
 }
 
 impl Point {
-    /// The standard deviation of the kernel that the file gives, if it does.
+    /// The standard deviation of the kernel that the file gives, if any.
     pub(super) fn deviation(&self) -> Option<f32> {
         is_radius(&self.radius).then_some(self.radius / CUTOFF)
     }

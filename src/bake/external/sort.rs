@@ -1,4 +1,4 @@
-//! Sorting more records than fit into memory: runs that do, each sorted and written, then merged as they are read.
+//! External merge sort: runs that fit into memory are sorted and written, then merged as they are read.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -10,17 +10,17 @@ use rayon::prelude::*;
 
 use super::spill::{Spill, SpillFile, Walk};
 
-/// Bytes of a run that are read at once, at least.
+/// Minimum number of bytes of a run that are read at once.
 const LEAST_BLOCK: usize = 16 << 10;
 
-/// Records that are sorted by a key; no two have the same.
+/// A record sorted by a key; keys are unique.
 pub trait Sortable: Pod + Send + Sync {
     type Key: Ord + Copy + Send;
 
     fn key(&self) -> Self::Key;
 }
 
-/// Takes records in any order.
+/// Collects records in any order.
 pub struct Sorter<R> {
     spill: Spill,
     records: Vec<R>,
@@ -29,11 +29,11 @@ pub struct Sorter<R> {
     merge_bytes: usize,
 }
 
-/// Sorted ranges of one file; none where everything is in memory.
+/// Sorted ranges of one file; `None` if all records are in memory.
 type Runs<R> = Option<(SpillFile<R>, Vec<Range<u64>>)>;
 
 impl<R: Sortable> Sorter<R> {
-    /// With this much memory for what comes, and this much for what is read.
+    /// `sort_bytes` is the memory for incoming records, `merge_bytes` the memory for reading.
     pub fn new(spill: &Spill, sort_bytes: usize, merge_bytes: usize) -> Sorter<R> {
         let capacity = (sort_bytes / size_of::<R>()).max(16);
         Sorter { spill: spill.clone(), records: Vec::new(), capacity, runs: None, merge_bytes }
@@ -92,7 +92,7 @@ impl<R: Sortable> Sorter<R> {
     }
 }
 
-/// Records in order.
+/// Sorted records.
 pub struct Sorted<R> {
     records: Vec<R>,
     runs: Runs<R>,
@@ -104,7 +104,7 @@ impl<R: Sortable> Sorted<R> {
         self.runs.as_ref().map_or(self.records.len() as u64, |(file, _)| file.count())
     }
 
-    /// From the first on, as often as it is asked for.
+    /// Starts reading at the first record; may be called repeatedly.
     pub fn walk(&self) -> io::Result<Merge<'_, R>> {
         match &self.runs {
             Some((file, ranges)) => Merge::of_runs(file, ranges, self.merge_bytes),
@@ -115,7 +115,7 @@ impl<R: Sortable> Sorted<R> {
     }
 }
 
-/// Goes through records in order.
+/// Iterates over records in order.
 pub struct Merge<'a, R: Sortable> {
     memory: std::slice::Iter<'a, R>,
     runs: Vec<(Walk<'a, R>, R)>,

@@ -1,8 +1,7 @@
 //! Temporary files of records.
 //!
-//! They lie beside what is made of them and have no name where the system lets a file be without one (Unix), or are deleted by the
-//! system with the last handle (Windows): whatever ends the process ends them. How many bytes they take together is counted, and
-//! bounded.
+//! The files lie beside the result. On Unix they have no name where the system allows it, and on Windows the system deletes them
+//! with the last handle, so they disappear however the process ends. Their total size is counted and bounded.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -14,10 +13,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use bytemuck::Pod;
 
-/// Bytes that are written at once.
+/// Size of the write buffer in bytes.
 const BLOCK_BYTES: usize = 64 << 10;
 
-/// A folder for temporary files, and what they may take.
+/// A folder for temporary files, with a limit on their total size.
 #[derive(Clone)]
 pub struct Spill {
     folder: PathBuf,
@@ -45,7 +44,7 @@ impl Room {
 }
 
 impl Spill {
-    /// `limit`: bytes of all files together.
+    /// `limit` is the maximum total size of all files, in bytes.
     pub fn new(folder: &Path, limit: u64) -> Spill {
         let room = Room { used: AtomicU64::new(0), most: AtomicU64::new(0), limit };
         Spill { folder: folder.to_owned(), room: Arc::new(room) }
@@ -55,15 +54,15 @@ impl Spill {
         &self.folder
     }
 
-    /// The most bytes that there have been at a time.
+    /// The peak total size, in bytes.
     pub fn most_bytes(&self) -> u64 {
         self.room.most.load(Ordering::Relaxed)
     }
 
-    /// A new file.
+    /// Creates a file.
     ///
     /// # Errors
-    /// A folder that cannot be written.
+    /// Fails if the folder cannot be written.
     pub fn file<R: Pod>(&self) -> io::Result<SpillFile<R>> {
         Ok(SpillFile {
             file: tempfile::tempfile_in(&self.folder)?,
@@ -75,12 +74,12 @@ impl Spill {
     }
 }
 
-/// A file of records, written one behind the other and read anywhere.
+/// A file of records: written sequentially, read at any position.
 pub struct SpillFile<R> {
     file: File,
-    /// What is not written yet.
+    /// Records not written yet.
     block: Vec<R>,
-    /// Records in the file.
+    /// Number of records in the file.
     written: u64,
     room: Arc<Room>,
     records: PhantomData<R>,
@@ -107,7 +106,7 @@ impl<R: Pod> SpillFile<R> {
         Ok(())
     }
 
-    /// Writes what is not written yet, which reading does not see.
+    /// Writes the buffered records; reads do not see them before.
     pub fn flush(&mut self) -> io::Result<()> {
         if self.block.is_empty() {
             return Ok(());
@@ -132,20 +131,20 @@ impl<R: Pod> SpillFile<R> {
         file.read_exact(bytemuck::cast_slice_mut(into))
     }
 
-    /// Reads a range at once.
+    /// Reads a whole range into memory.
     pub fn load(&self, range: Range<u64>) -> io::Result<Vec<R>> {
         let mut records = vec![R::zeroed(); (range.end - range.start) as usize];
         self.read(range.start, &mut records)?;
         Ok(records)
     }
 
-    /// Goes through a range, with this many bytes in memory at a time.
+    /// Iterates over a range, with this many bytes in memory at a time.
     pub fn walk(&self, range: Range<u64>, bytes: usize) -> Walk<'_, R> {
         let count = (bytes / size_of::<R>()).max(1);
         Walk { file: self, range, block: Vec::new(), at: 0, count }
     }
 
-    /// Goes through all records, a block at a time.
+    /// Iterates over all records, a block at a time.
     pub fn each_block(&self, mut take: impl FnMut(&[R]) -> io::Result<()>) -> io::Result<()> {
         let count = (BLOCK_BYTES / size_of::<R>()).max(1) as u64;
         let mut block = vec![R::zeroed(); count.min(self.written) as usize];
@@ -167,7 +166,7 @@ impl<R> Drop for SpillFile<R> {
     }
 }
 
-/// Records of a file, one after the other.
+/// Iterator over the records of a file.
 pub struct Walk<'a, R> {
     file: &'a SpillFile<R>,
     range: Range<u64>,
@@ -221,7 +220,7 @@ mod tests {
         })
         .unwrap();
         assert_eq!(sum, (0..50_000).sum::<u64>() + 92);
-        // Without a name, or hidden: nobody else finds them.
+        // The file has no name or is hidden, so no other process finds it.
         #[cfg(unix)]
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
         assert_eq!(spill.most_bytes(), 400_000);

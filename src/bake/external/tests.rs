@@ -17,7 +17,7 @@ fn numbers(seed: u64) -> impl FnMut() -> f64 {
     move || numbers.unit()
 }
 
-/// An ascii PLY file of these properties.
+/// An ASCII PLY file with these properties.
 fn ply(properties: &str, rows: &[Vec<f64>]) -> Vec<u8> {
     let mut text = format!("ply\nformat ascii 1.0\nelement vertex {}\n", rows.len());
     for property in properties.split(' ') {
@@ -33,7 +33,7 @@ fn ply(properties: &str, rows: &[Vec<f64>]) -> Vec<u8> {
     text.into_bytes()
 }
 
-/// Points of a bumpy sphere far from the origin, denser on one side, some of them far away from all others.
+/// Points of a bumpy sphere far from the origin, denser on one side, with some strays far away.
 fn sphere(count: usize) -> Vec<DVec3> {
     let mut next = numbers(5);
     let point = |i: usize| {
@@ -46,7 +46,7 @@ fn sphere(count: usize) -> Vec<DVec3> {
     (0..count).map(point).collect()
 }
 
-/// What is read, prepared and built in memory.
+/// The result of reading, preparing and building in memory.
 fn in_memory(path: &Path) -> (PackedSamples, PackedSamples) {
     let mut geometry = read(path, &ReadOptions::default()).unwrap().geometries.remove(0);
     let admission = crate::memory::Admission::default();
@@ -73,7 +73,7 @@ fn check_equal(found: &Spilled, expected: &PackedSamples, what: &str) {
     }
 }
 
-/// Bakes a file both ways, and from packed samples in memory; every word has to be the same.
+/// Bakes a file in memory, externally, and externally from packed samples; all words must be equal.
 fn check(name: &str, bytes: &[u8], memory: usize) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
@@ -93,7 +93,7 @@ fn check(name: &str, bytes: &[u8], memory: usize) {
         assert_eq!(format!("{found:?}"), format!("{statistics:?}"));
     }
     drop(spilled);
-    // Of all temporary files nothing is left.
+    // No temporary file is left.
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
 }
 
@@ -112,7 +112,7 @@ fn scans_are_baked_alike_with_little_memory() {
 
 #[test]
 fn lattices_are_baked_alike() {
-    // All neighbours are as far as others; some places are taken twice, or by a hundred.
+    // All neighbour distances are equal; some positions occur twice or a hundred times.
     let rows: Vec<Vec<f64>> = (0..20_000)
         .map(|i| {
             let i = if i % 100 == 7 { i - 1 } else { i };
@@ -155,7 +155,7 @@ fn laser_scans_and_odd_ones_are_baked_alike() {
     for count in [1, 2, 5, 40, 3000] {
         check("one place.ply", &ply("x y z", &vec![place.clone(); count]), 300 * KIB);
     }
-    // Kernels that are huge beside all distances: the grid follows from them.
+    // Kernels much longer than all distances determine the grid.
     let rows: Vec<Vec<f64>> =
         (0..3000).map(|i| vec![f64::from(i) * 1e-12, 0.0, 0.0, 1e9]).collect();
     check("kernels.ply", &ply("x y z radius", &rows), 300 * KIB);

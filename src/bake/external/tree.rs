@@ -1,8 +1,9 @@
-//! The last phases: the tree above packed samples, and its nodes in sequence.
+//! The last phases: build the tree above packed samples and write its nodes in sequence.
 //!
-//! Leaves come along the curve, and nodes above them as soon as their cells are complete, so that no more than one way from the root
-//! down is in memory ([`Stack`]). It is gone twice: measures count from the largest, which must be known before any code is. Nodes are
-//! sorted by their bands, packed as they come, and learn afterwards, sorted by their parents, how far these are.
+//! Leaves arrive in Morton order, and each inner node is built as soon as its cell is complete, so memory holds only one path
+//! from the root down ([`Stack`]). There are two passes over the tree: codes count from the largest measure, which must be known
+//! first. Nodes are sorted by their bands and packed as they arrive. Afterwards they are sorted by their parents to find the
+//! distance to each parent.
 
 use std::io;
 
@@ -26,7 +27,7 @@ use super::{BakeFault, Phase, Work};
 use crate::assets::Kernel;
 use crate::math::Bounds;
 
-/// Packed samples to build a tree of; none have clip lines.
+/// Packed samples without clip lines, the input of a tree.
 #[derive(Clone, Copy)]
 pub enum Packed<'a> {
     Spilled(&'a Spilled),
@@ -48,7 +49,7 @@ impl Packed<'_> {
         }
     }
 
-    /// Calls `take` with each sample, in order, without its code, and the grid's place of it.
+    /// Calls `take` with each sample, in order, with its grid cell but without its code.
     fn each(self, mut take: impl FnMut(Leaf) -> io::Result<()>) -> io::Result<()> {
         let mut sample = 0;
         for chunk in self.chunks() {
@@ -85,9 +86,9 @@ impl Packed<'_> {
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct Leaf {
-    /// Place along the octree's curve.
+    /// Morton code in the octree.
     code: u64,
-    /// On the samples' grid.
+    /// Cell on the samples' grid.
     cell: [i32; 3],
     sample: u32,
     color: u32,
@@ -122,18 +123,18 @@ impl Leaf {
     }
 }
 
-/// A node on its way into the sequence.
+/// A node to be placed in the sequence.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct Ranked {
-    /// Place along the curve, behind all below it.
+    /// Rank along the curve, after all nodes below it.
     rank: u32,
     /// The parent's rank, or [`NO_RANK`].
     parent: u32,
     cell: [i32; 3],
     color: u32,
     normal: [f32; 3],
-    /// Of a leaf its kernel; else `u.x` is the disk's standard deviation.
+    /// A leaf's kernel; of an inner node, `u.x` is the disk's standard deviation.
     u: [f32; 3],
     v: [f32; 3],
     is_leaf: u32,
@@ -177,14 +178,14 @@ impl Sortable for Ranked {
     }
 }
 
-/// A node without a parent yet, and the sample that it is.
+/// A node without a parent yet, with its sample if it is a leaf.
 struct Open {
     node: Node,
     rank: u32,
     leaf: Option<Leaf>,
 }
 
-/// Goes through the tree above leaves; `found` gets each node once its parent is there: rank and node of that.
+/// Builds the tree above leaves. `found` receives each node once its parent is known, with the parent's rank and node.
 fn raise(
     leaves: &Sorted<Leaf>,
     grid: &Grid,
@@ -221,7 +222,7 @@ fn raise(
     root.map_or(Ok(()), |root| found(&root, None))
 }
 
-/// The tree above packed samples, and its figures.
+/// Builds the tree above packed samples, and its figures.
 pub(super) fn grow(packed: Packed, work: &Work) -> Result<(Spilled, TreeStatistics), BakeFault> {
     let samples = packed.grid();
     let (mut bounds, mut longest, mut count) = (Bounds::EMPTY, 0.0f32, 0u64);
@@ -259,7 +260,7 @@ pub(super) fn grow(packed: Packed, work: &Work) -> Result<(Spilled, TreeStatisti
     sequence.with_parents(base, work)
 }
 
-/// All nodes, sorted by their bands.
+/// Returns all nodes, sorted by their bands.
 fn ranked(
     leaves: &Sorted<Leaf>,
     samples: &Grid,
@@ -299,13 +300,13 @@ fn ranked(
     sorter.finish()
 }
 
-/// Where a node lies, for itself and for those below it.
+/// A node's cell, for the node itself and for its children.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct Placed {
-    /// Of the node, or of the parent.
+    /// Rank of the node (`child` is 0) or of its parent.
     rank: u32,
-    /// 0, or one more than the place in the sequence of one below it.
+    /// 0, or one plus the child's index in the sequence.
     child: u32,
     cell: [i32; 3],
 }
@@ -318,7 +319,7 @@ impl Sortable for Placed {
     }
 }
 
-/// How far the parent is.
+/// The distance of a node's parent.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct Way {
@@ -334,12 +335,12 @@ impl Sortable for Way {
     }
 }
 
-/// Nodes in sequence, but for the ways to their parents.
+/// Nodes in sequence, without the distances to their parents.
 struct Sequence {
     out: Spilled,
     words: SpillFile<[u32; 2]>,
     placed: Sorted<Placed>,
-    /// The root's place.
+    /// The root's index.
     root: u32,
 }
 

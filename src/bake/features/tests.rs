@@ -29,8 +29,8 @@ fn count(cloud: &PointCloud) -> usize {
     cloud.clips.iter().flatten().filter(|clip| **clip != Clip::NONE).count()
 }
 
-/// Of the samples of a cube whose disks cross an edge: how many, how many with a line, and the worst distance of a line
-/// from the nearest edge; and how many of the lines of all others are there.
+/// Counts the samples of a cube whose disks cross an edge, those of them with a line, the worst distance of a line from the
+/// nearest edge, and the lines of all other samples.
 fn against_cube(cloud: &PointCloud) -> (usize, usize, f64, f64) {
     let (kernels, normals) = (cloud.kernels.as_ref().unwrap(), cloud.normals.as_ref().unwrap());
     let (mut crossing, mut lined, mut worst) = (0, 0, 0.0f64);

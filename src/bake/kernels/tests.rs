@@ -16,7 +16,7 @@ fn cloud(positions: Vec<DVec3>) -> PointCloud {
     cloud
 }
 
-/// What every kernel promises.
+/// Checks the guarantees of every kernel.
 fn check(cloud: &PointCloud) {
     let (kernels, normals) = (cloud.kernels.as_ref().unwrap(), cloud.normals.as_ref().unwrap());
     assert_eq!(kernels.len(), cloud.positions.len());
@@ -124,7 +124,7 @@ fn strays_and_duplicates_stay_near_the_median() {
             assert!((0.04 * middle..11.0 * middle).contains(&axis.length()), "{kernel:?}");
         }
     }
-    // Those in the air are no larger than the others.
+    // Strays in the air are no larger than the others.
     for stray in &kernels[900..902] {
         assert!(stray.u.length() < 1.5 * middle && stray.v.length() < 1.5 * middle, "{stray:?}");
     }
@@ -277,7 +277,7 @@ fn radii_of_the_file_are_the_disks() {
         }
     }
     assert!(cloud.kernels.as_ref().unwrap()[7].u.length() < 1.0);
-    // What is there stays, what is broken does not.
+    // Existing kernels stay; broken ones are replaced.
     let own = Kernel { u: Vec3::X * 9.0, v: Vec3::Y };
     let kernels = cloud.kernels.as_mut().unwrap();
     (kernels[0], kernels[1]) = (own, Kernel { u: Vec3::NAN, v: Vec3::X });

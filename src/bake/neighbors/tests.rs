@@ -45,7 +45,7 @@ fn distance_squared(a: [f32; 3], b: [f32; 3]) -> f32 {
     (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum()
 }
 
-/// Of those at one distance the smaller indices come first.
+/// Checks the search against all pairs; at equal distance the smaller index comes first.
 fn check_against_all_pairs(points: &[[f32; 3]], k: usize) {
     for (index, found) in neighbors(points, k).into_iter().enumerate() {
         let distance = |&other: &u32| distance_squared(points[index], points[other as usize]);
@@ -91,7 +91,7 @@ fn crowded_places_match_all_pairs() {
     }
 }
 
-/// What a search for all neighbours looks at, beside what it looks at for as many random points.
+/// Work of a search for all neighbours, relative to that for as many random points.
 fn effort(points: Vec<[f32; 3]>) -> f64 {
     let visited = |points: &[[f32; 3]]| {
         let tree = PointTree::new(points.iter().copied());
@@ -122,7 +122,7 @@ fn no_cloud_costs_more_than_four_times_a_random_one() {
         let plane = (0..COUNT).map(|i| [(i / copies % 30) as f32, (i / copies / 30) as f32, 0.0]);
         clouds.push(("a plane of copies", plane.collect()));
     }
-    // Of ten points `share` lie within a cluster, the others anywhere.
+    // Of every ten points, `share` lie in a cluster and the others anywhere.
     let mut cloud = |share: usize, at: f32, size: f32| {
         let mut point = |i: usize| {
             let [x, y, z] = [random(), random(), random()];

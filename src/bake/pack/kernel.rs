@@ -1,10 +1,10 @@
 //! Reconstruction kernels and clip lines in 32 bits each.
 //!
-//! A kernel's axes lie in the tangent plane, so that beside the normal two lengths and an angle tell all. Lengths are stored
-//! as logarithms below the chunk's largest (11 bits, steps of 1/128 octave, 0 for none: an error of 0.27 % at most over 16
-//! octaves), the angle as a rational parameter (10 bits, 0.002 rad) against a frame that follows from the normal alone
-//! (Duff et al. 2017, "Building an orthonormal basis, revisited"), decoded as the shader decodes it. A clip line takes 16 bits
-//! for its direction and 16 for its offset.
+//! A kernel's axes lie in the tangent plane, so two lengths and an angle describe it in addition to the normal. Lengths are
+//! stored as logarithms below the chunk's largest (11 bits, steps of 1/128 octave, 0 for none: an error of at most 0.27 % over 16
+//! octaves). The angle is stored as a rational parameter (10 bits, 0.002 rad) against a frame that follows from the normal alone
+//! (Duff et al. 2017, "Building an orthonormal basis, revisited"), decoded as in the shader. A clip line takes 16 bits for its
+//! direction and 16 for its offset.
 
 use std::f32::consts::TAU;
 
@@ -12,15 +12,15 @@ use glam::{Vec2, Vec3};
 
 use crate::assets::{Clip, ClipLine, Kernel};
 
-/// Steps of an octave.
+/// Codes per octave.
 const STEPS: f32 = 128.0;
 /// Largest code of a length.
 const LENGTH_MASK: u32 = 0x7ff;
-/// Values of the angle's parameter on either side of 0.
+/// Number of values of the angle's parameter on either side of 0.
 const ANGLE_STEPS: f32 = 511.0;
 /// Offsets of clip lines are stored up to this many standard deviations.
 pub(super) const OFFSET_RANGE: f32 = 8.0;
-/// A clip line's word where there is none: it keeps everything.
+/// The word for a missing clip line: it keeps everything.
 pub const NO_LINE: u32 = 0x8000;
 
 /// The tangent frame that follows from a unit normal.
@@ -31,9 +31,9 @@ pub fn frame(n: Vec3) -> (Vec3, Vec3) {
     (Vec3::new(1.0 + s * n.x * n.x * a, s * b, -s * n.x), Vec3::new(b, s + n.y * n.y * a, -n.y))
 }
 
-/// Lengths of a kernel's axes; zero where they are no numbers.
+/// Lengths of a kernel's axes; zero if not finite.
 pub fn lengths(kernel: &Kernel) -> (f32, f32) {
-    // Squares of f32 under- and overflow.
+    // The squares could underflow or overflow in f32.
     let length = |axis: Vec3| {
         Some(axis.as_dvec3().length() as f32).filter(|length| length.is_finite()).unwrap_or(0.0)
     };
@@ -48,16 +48,16 @@ fn length_code(length: f32, base: f32) -> u32 {
     1 + (below.round() as u32).min(LENGTH_MASK - 1)
 }
 
-/// The stored angle of a kernel's first axis against the normal's own frame: the tangent of its half.
+/// The stored angle of a kernel's first axis against the normal's own frame: the tangent of half the angle.
 fn angle_parameter(kernel: &Kernel, normal: Vec3) -> i32 {
     if normal == Vec3::ZERO || lengths(kernel).0 == 0.0 { 0 } else { turn(kernel, normal) }
 }
 
-/// As [`angle_parameter`], of a first axis and a normal that have a direction.
+/// Computes [`angle_parameter`] for a non-zero first axis and normal.
 fn turn(kernel: &Kernel, normal: Vec3) -> i32 {
     let (t, b) = frame(normal);
     let (x, y) = (f64::from(kernel.u.dot(t)), f64::from(kernel.u.dot(b)));
-    // Of a direction and its opposite one lies within a quarter turn.
+    // Either a direction or its opposite lies within a quarter turn.
     let (x, y) = if x < 0.0 { (-x, -y) } else { (x, y) };
     let below = x + (x * x + y * y).sqrt();
     if below > 0.0 {
@@ -67,19 +67,20 @@ fn turn(kernel: &Kernel, normal: Vec3) -> i32 {
     }
 }
 
-/// A kernel's word. `lengths` are its own ([`lengths`]); `normal` as the GPU decodes it, or zero; `base` is the longest axis of the
-/// chunk in the units of `kernel`.
+/// Encodes a kernel. The pair holds its axes' lengths ([`lengths`]); `normal` is the normal as the GPU decodes it, or zero;
+/// `base` is the longest axis of the chunk in the units of `kernel`.
 pub fn kernel_word(kernel: &Kernel, (u, v): (f32, f32), normal: Vec3, base: f32) -> u32 {
     let angle = if normal == Vec3::ZERO || u == 0.0 { 0 } else { turn(kernel, normal) };
     length_code(u, base) | length_code(v, base) << 11 | ((angle + ANGLE_STEPS as i32) as u32) << 22
 }
 
-/// The code of a kernel's longer axis, of its word: steps of 1/128 octave below the chunk's longest, from 1 on; `None` of no extent.
+/// The code of a kernel's longer axis, from its word: steps of 1/128 octave below the chunk's longest, from 1 on; `None` if it
+/// has no extent.
 pub fn longer_axis(word: u32) -> Option<u32> {
     [word & LENGTH_MASK, word >> 11 & LENGTH_MASK].into_iter().filter(|&code| code > 0).min()
 }
 
-/// The word of a circular kernel, in whatever direction its axes look.
+/// The word of a circular kernel; the direction of its axes does not matter.
 pub fn circle_word(radius: f32, base: f32) -> u32 {
     let code = length_code(radius, base);
     code | code << 11 | (ANGLE_STEPS as u32) << 22
@@ -115,13 +116,13 @@ fn line_word(line: Option<ClipLine>, signs: Vec2) -> u32 {
         return NO_LINE;
     }
     let direction = ((angle / TAU * 65536.0).round() as i32 & 0xffff) as u32;
-    // The least value stands for no line.
+    // The smallest value is reserved for no line.
     let offset = (line.offset / OFFSET_RANGE).clamp(-1.0, 1.0) * 32767.0;
     direction << 16 | u32::from(offset.round() as i16 as u16)
 }
 
-/// The words of a clip, in the coordinates of the stored kernel, whose axes may run the other way. Ascending words keep
-/// what both lines keep, descending ones what either keeps.
+/// Encodes clip lines in the coordinates of the stored kernel, whose axes may be reversed. Ascending words mean the intersection
+/// of what the lines keep, descending words the union.
 pub fn clip_words(clip: &Clip, kernel: &Kernel, normal: Vec3) -> [u32; 2] {
     let mut signs = Vec2::ONE;
     if normal != Vec3::ZERO {
@@ -143,7 +144,7 @@ mod tests {
         if code == 0 { 0.0 } else { base * ((1.0 - code as f32) / STEPS).exp2() }
     }
 
-    /// What the shader makes of a word.
+    /// Decodes a word as the shader does.
     fn decoded(word: u32, normal: Vec3, base: f32) -> Kernel {
         let (t, b) = frame(normal);
         let p = ((word >> 22) as f32 - ANGLE_STEPS) / ANGLE_STEPS;
@@ -193,7 +194,7 @@ mod tests {
             let stored = decoded(word_of(&kernel, n), n, 1.0);
             let direction = (word >> 16) as f32 / 65536.0 * TAU;
             let found = (word as u16 as i16) as f32 / 32767.0 * OFFSET_RANGE;
-            // A point on the line, and one well inside.
+            // Checks a point on the line and one well inside.
             for (inside, at) in [(0.0, normal * offset), (1.0, normal * (offset + 1.0))] {
                 let point = kernel.u * at.x + kernel.v * at.y;
                 let s = point.dot(stored.u) / stored.u.length_squared();

@@ -1,8 +1,8 @@
-//! Places along a curve: which of many elements comes where, by a key of 64 bits.
+//! Sorts many elements by a key of 64 bits, such as their position along a curve.
 //!
-//! Elements are first dealt into buckets by the upper bits of their keys, then each bucket is sorted by itself, so that most
-//! comparisons happen in the processor's cache and there is never a second copy of all entries. Keys are computed again for every
-//! pass instead of being kept: 16 bytes an element are held at most, and 4 when the order is returned.
+//! Elements are first distributed into buckets by the upper bits of their keys, then each bucket is sorted. Most comparisons
+//! therefore happen in the processor's cache, and there is never a second copy of all entries. Keys are recomputed for every pass
+//! instead of being kept: the peak is 16 bytes per element, and the returned order takes 4.
 
 use std::ops::Range;
 
@@ -10,18 +10,18 @@ use rayon::prelude::*;
 
 /// Bits of a key that choose a bucket.
 const BUCKET_BITS: u32 = 16;
-/// Fewer elements are sorted in one piece.
+/// Below this number elements are sorted in one piece.
 const FEW: usize = 1 << 16;
 /// Buckets with more entries are sorted by all threads together.
 const LARGE: usize = 1 << 20;
-/// Runs of buckets that are dealt into at a time: each goes through all elements once.
+/// Maximum number of runs of buckets; each run is one pass over all elements.
 const MOST_RUNS: usize = 8;
 
-/// Key and number of an element.
+/// Key and index of an element.
 type Entry = (u64, u32);
 
-/// The numbers of `count` elements, at most 2³², by ascending key; elements with equal keys keep their order. Also how many keys are
-/// less than `split`.
+/// Returns the indices of `count` elements (at most 2³²) by ascending key, in a stable order, and the number of keys less than
+/// `split`.
 pub(super) fn by_key(
     count: usize,
     split: u64,
@@ -74,7 +74,7 @@ fn sort_in_buckets(entries: &mut [Entry], key: &(impl Fn(usize) -> u64 + Sync)) 
     });
 }
 
-/// How many keys each bucket gets.
+/// Counts the keys of each bucket.
 fn count_buckets(count: usize, key: &(impl Fn(usize) -> u64 + Sync)) -> Vec<u32> {
     let buckets = 1usize << BUCKET_BITS;
     let part = count.div_ceil(rayon::current_num_threads()).max(FEW);
@@ -107,7 +107,7 @@ fn runs_of(counts: &[u32], size: usize) -> Vec<Range<usize>> {
     runs
 }
 
-/// Sorts the buckets of a run, which lie one behind the other.
+/// Sorts the buckets of a run, which are stored consecutively.
 fn sort_each(entries: &mut [Entry], counts: &[u32]) {
     let mut rest = entries;
     let mut buckets = Vec::new();
@@ -146,7 +146,7 @@ mod tests {
         let mut numbers = SplitMix64::new(7);
         let keys: Vec<u64> = (0..3 * FEW).map(|_| numbers.next_u64()).collect();
         for count in [0, 1, 2, 1000, FEW - 1, FEW, 3 * FEW] {
-            // Spread over all buckets, in a few of them, in one of them, and many equal ones.
+            // The keys spread over all buckets, over a few, or lie in one; many are equal.
             check(count, 1 << 63, |i| keys[i]);
             check(count, 1 << 63, |i| keys[i] & 0x8000_ffff_ffff_ffff);
             check(count, 500, |i| keys[i] >> 40);

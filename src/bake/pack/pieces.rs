@@ -1,4 +1,4 @@
-//! Clouds that are packed a piece at a time, as more becomes known of their samples.
+//! Packs clouds one piece at a time, as their samples' normals and kernels become known.
 
 use std::ops::Range;
 
@@ -12,7 +12,7 @@ use super::{
 use crate::assets::{Kernel, PointCloud};
 use crate::bake::colors::NEUTRAL;
 
-/// A cloud without clip lines on its way into chunks.
+/// A cloud without clip lines that is being packed into chunks.
 pub(in crate::bake) struct Packing<'a> {
     cloud: &'a PointCloud,
     order: Vec<u32>,
@@ -21,10 +21,10 @@ pub(in crate::bake) struct Packing<'a> {
 }
 
 impl<'a> Packing<'a> {
-    /// Puts the points in order along the curve of `grid`.
+    /// Sorts the points along the curve of `grid`.
     ///
     /// # Errors
-    /// A position that is not finite.
+    /// Fails if a position is not finite.
     pub(in crate::bake) fn new(
         cloud: &'a PointCloud,
         grid: Grid,
@@ -46,7 +46,7 @@ impl<'a> Packing<'a> {
         Ok(Packing { cloud, order, longest: 0.0, out })
     }
 
-    /// The points' numbers along the curve.
+    /// The points' indices in the order of the curve.
     pub(in crate::bake) fn take_order(&mut self) -> Vec<u32> {
         std::mem::take(&mut self.order)
     }
@@ -60,7 +60,7 @@ impl<'a> Packing<'a> {
         self.longest
     }
 
-    /// Packs the chunks that come next, with the normal and kernel of each point by its place along the curve.
+    /// Packs the next chunks, with the normal and kernel of each point by its index along the curve.
     pub(in crate::bake) fn fill(
         &mut self,
         order: &[u32],
@@ -104,7 +104,7 @@ impl<'a> Packing<'a> {
         }
     }
 
-    /// The samples, once all chunks are filled.
+    /// Returns the samples; call it after all chunks are filled.
     pub(in crate::bake) fn finish(self) -> PackedSamples {
         self.out
     }

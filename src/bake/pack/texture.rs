@@ -1,4 +1,4 @@
-//! Textures with all their levels.
+//! Textures with all their mip levels.
 
 use rayon::prelude::*;
 
@@ -6,19 +6,19 @@ use super::rgba_word;
 use crate::assets::tidy::{linear_from_srgb, srgb_byte_from_linear};
 use crate::assets::{Filter, Texture, Wrap};
 
-/// A texture with all its levels, largest first, as sRGB8 words.
+/// A texture with all its mip levels, largest first, as sRGB8 words.
 #[derive(Clone, Debug)]
 pub struct PackedTexture {
     pub width: u32,
     pub height: u32,
     pub levels: u32,
-    /// Two bits an axis: 0 repeat, 1 mirror, 2 clamp.
+    /// Two bits per axis: 0 repeat, 1 mirror, 2 clamp.
     pub wrap: u32,
     pub nearest: bool,
     pub texels: Vec<u32>,
 }
 
-/// Builds every level of a texture: each texel the average, in linear light, of the 2×2 above it.
+/// Builds every mip level of a texture: each texel is the average, in linear light, of the 2×2 texels of the larger level.
 pub fn pack_texture(texture: &Texture) -> PackedTexture {
     let (mut width, mut height) = (texture.width as usize, texture.height as usize);
     let mut level: Vec<[u8; 4]> = texture.rgba.clone();
@@ -63,7 +63,7 @@ pub fn pack_texture(texture: &Texture) -> PackedTexture {
     }
 }
 
-/// The largest level of a packed texture.
+/// The largest mip level of a packed texture.
 pub fn unpack_texture(packed: &PackedTexture) -> Texture {
     let wrap = |bits: u32| match bits & 3 {
         0 => Wrap::Repeat,

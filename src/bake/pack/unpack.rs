@@ -1,4 +1,4 @@
-//! Packed geometry → what it was packed from, up to the steps of its records: what baking starts from once the file is gone.
+//! Unpacks geometry, up to the rounding of its records: baking starts from the result once the source file is gone.
 
 use glam::{IVec3, Vec2, Vec3};
 
@@ -6,7 +6,7 @@ use super::kernel::{self, NO_LINE};
 use super::{NO_NORMAL, PackedMesh, PackedSamples, Sides, octahedral_decode};
 use crate::assets::{Clip, ClipLine, Kernel, Mesh, MeshPart, PointCloud};
 
-/// The samples of packed samples, in their order.
+/// Unpacks samples, in their order.
 pub fn unpack_samples(packed: &PackedSamples) -> PointCloud {
     let count = packed.positions.len();
     let mut cloud = PointCloud {
@@ -53,7 +53,7 @@ fn clip([a, b]: [u32; 2]) -> Clip {
     Clip { lines: [line(a), line(b)], either: a > b }
 }
 
-/// The triangles of a packed mesh, in their order. A vertex that several chunks share comes once for each of them.
+/// Unpacks a mesh's triangles, in their order. A vertex shared by several chunks is repeated for each of them.
 pub fn unpack_mesh(packed: &PackedMesh) -> Mesh {
     let words = &packed.vertices;
     let cell = |w: &[u32; super::VERTEX_WORDS]| IVec3::new(w[0] as i32, w[1] as i32, w[2] as i32);
@@ -116,7 +116,7 @@ mod tests {
         let packed = pack_samples(&cloud).unwrap();
         let back = unpack_samples(&packed);
         let again = pack_samples(&back).unwrap();
-        // Boxes, and so orders and steps, may differ by a rounding: places and attributes are compared instead.
+        // Boxes may differ by a rounding, and with them orders and steps: the test compares positions and attributes instead.
         assert_eq!(again.positions.len(), packed.positions.len());
         assert_eq!(again.clipped_first, packed.clipped_first);
         let once_more = unpack_samples(&again);

@@ -11,7 +11,7 @@ use super::{REACH, STRETCH};
 use crate::assets::Kernel;
 use crate::scene::random::mix;
 
-/// How far above or below a place, in cells, a disk may be that covers it.
+/// Maximum height difference, in cells, between a disk and a position that it covers.
 const RISE: f64 = 0.5;
 /// Cosine between normals, below which a disk is seen too much from its edge, or from behind, to cover a face.
 const FACING: f64 = 0.25;
@@ -58,7 +58,7 @@ impl Sample {
         }
     }
 
-    /// Whether the disk, seen along the normal of a face, lies over all of a convex part of it, and near.
+    /// Tells whether the disk, seen along the normal of a face, lies over all of a convex part of it, and near.
     ///
     /// A place `d` from the sample is seen at `o = d + s · n_f` in the sample's plane, `s = −d · n / (n · n_f)`. The
     /// disk's width is [`REACH`] across the slope and `stretch` times that along it, so that with the component `o_a` of
@@ -145,7 +145,7 @@ impl Index {
         (((bits ^ bits >> 32) as usize) << 4 | in_square) & (self.heads.len() - 1)
     }
 
-    /// Whether some sample's disk lies over all of a convex part of a facet.
+    /// Tells whether some sample's disk lies over all of a convex part of a facet.
     pub(super) fn covers(&self, samples: &[Sample], facet: &Facet, part: &[DVec3]) -> bool {
         let middle = part.iter().sum::<DVec3>() / part.len().max(1) as f64;
         (0..3).any(|step| {
@@ -165,8 +165,8 @@ impl Index {
         })
     }
 
-    /// Whether a disk of a sample in a cell of the facet's own grid, at the depth of a convex part of it, lies over all
-    /// of that part: the first that [`covers`](Self::covers) asks, and mostly the answer.
+    /// Tells whether a disk of a sample in a cell of the facet's own grid, at the depth of a convex part of the facet, lies over
+    /// all of that part. [`covers`](Self::covers) makes this test first, and it is mostly sufficient.
     pub(super) fn covers_here(
         &self,
         samples: &[Sample],

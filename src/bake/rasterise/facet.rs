@@ -11,11 +11,11 @@ use crate::assets::Mesh;
 /// Where the grid begins below the mesh's bounds, in cells: so little that what is made of whole cells needs no more than
 /// these, and so unlike a fraction that no model's own raster falls on the centres of cells.
 const BEFORE: DVec3 = DVec3::new(3.819_660e-3, 2.928_932e-3, 3.542_487e-3);
-/// Where two axes are as good, but for this part, the later one is taken: what is rounded decides nothing.
+/// Relative tolerance between two equally good axes: the later one is taken, so that rounding decides nothing.
 const TIE: f64 = 1e-6;
 /// Height over length of the flattest triangle whose normal is more than rounding.
 const FLATTEST: f64 = 1e-12;
-/// How far off, in cells, a division may put what the edges' sides then decide.
+/// Maximum error of a division, in cells; the edges' sides then decide.
 const SLACK: f64 = 1e-3;
 
 /// Three grids of cubic cells with one origin, each for one axis: what is seen along the axis.
@@ -77,7 +77,7 @@ fn back(axis: u8, local: DVec3) -> DVec3 {
 struct Edge {
     start: DVec2,
     run: DVec2,
-    /// Whether the triangle is on the left.
+    /// The triangle is on the left.
     is_left: bool,
 }
 
@@ -112,11 +112,11 @@ pub(super) struct Facet {
     pub axis: u8,
     /// Unit length, in the mesh's axes.
     pub normal: DVec3,
-    /// As the axis sees them ([`along`]).
+    /// Corners in the axis's coordinates ([`along`]).
     corners: [DVec3; 3],
     /// Each opposite to its corner.
     edges: [Edge; 3],
-    /// Of the corners, where the face agrees with them.
+    /// Normals of the corners, if the face agrees with them.
     smooth: Option<[Vec3; 3]>,
     /// Depth over distance across.
     slope: DVec2,
@@ -212,7 +212,7 @@ impl Facet {
         if low > high { 0..0 } else { low.floor() as i64..(high.floor() as i64).saturating_add(1) }
     }
 
-    /// Where the outline crosses a line of constant y.
+    /// Finds the crossings of the outline with a line of constant y.
     fn crossings(&self, y: f64, mut take: impl FnMut(f64)) {
         for index in 0..3 {
             let (a, b) = (self.corners[index], self.corners[(index + 1) % 3]);
@@ -227,7 +227,7 @@ impl Facet {
         let at = DVec2::new(column as f64 + 0.5, row as f64 + 0.5);
         let weights = self.weights(at);
         let [a, b, c] = self.corners;
-        // Where rounding has a say, on the triangle rather than at the centre.
+        // If rounding matters, the position is on the triangle rather than at the centre.
         let on = a * weights[0] + b * weights[1] + c * weights[2];
         self.with_normal(back(self.axis, on), weights)
     }
@@ -246,7 +246,7 @@ impl Facet {
         Sample { at, normal, triangle: self.triangle, axis: self.axis }
     }
 
-    /// How much of each corner is in a place, as the axis sees it.
+    /// Barycentric weights of a position, as the axis sees it.
     fn weights(&self, at: DVec2) -> [f64; 3] {
         let [a, b, c] = self.edges.map(|edge| edge.weight(at));
         let scale = (a + b + c).recip();
@@ -264,7 +264,7 @@ impl Facet {
         })
     }
 
-    /// What of the triangle lies in a cell.
+    /// The part of the triangle that lies in a cell.
     pub(super) fn part(&self, [column, row]: [i64; 2]) -> Part {
         let low = DVec2::new(column as f64, row as f64);
         let high = low + 1.0;

@@ -409,7 +409,7 @@ fn what_cannot_be_sampled_is_skipped_or_refused() {
     let error = rasterise_mesh(&cube(), &[], &[], &few(Some(0.001))).unwrap_err();
     let SampleError::TooMany { count, limit: 1000 } = error else { unreachable!() };
     assert!(count.abs_diff(6_000_000) < 2);
-    // What has hardly an area takes many samples along its length; so do many such.
+    // A triangle with hardly any area takes many samples along its length; so do many such triangles.
     let needle = |length: f64| vec![DVec3::ZERO, DVec3::X * length, DVec3::new(length, 1e-6, 0.0)];
     let needle = |length: f64| mesh(needle(length), vec![[0, 1, 2]]);
     for length in [1e9, 300.0] {

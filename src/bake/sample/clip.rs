@@ -5,7 +5,7 @@ use glam::DVec2;
 use super::edges::Sharp;
 use crate::assets::{Clip, ClipLine};
 
-/// What may jut out, or be missing, in radii of the disk.
+/// Maximum length by which a disk may jut out or fall short, in radii of the disk.
 const TOLERANCE: f64 = 0.04;
 /// Lines reach this much (in standard deviations) beyond their edge, so that both sides meet whatever the rounding.
 const OVERLAP: f64 = 1e-4;
@@ -19,10 +19,10 @@ pub(super) struct Lines {
 
 /// The lines at which a disk of `radius` ends, or `None` if it takes more than two and is not the `last` try.
 ///
-/// The nearest edge gives the first line. Edges that lie behind it, or on it (a straight or slightly curved edge in pieces), need none. The
-/// nearest of the others gives the second; both lines have to keep (a convex corner). Where no other is left, but an
-/// edge leads from the first one's end to the region behind the line, the face goes on there: a reflex corner, where
-/// either line may keep.
+/// The nearest edge gives the first line. Edges that lie behind it, or on it (a straight or slightly curved edge in pieces), need
+/// none. The nearest of the others gives the second; both lines have to keep (a convex corner). Where no other is left, but an
+/// edge leads from the first one's end to the region behind the line, the face goes on there: a reflex corner, where either line
+/// may keep.
 pub(super) fn choose(edges: &[Sharp], radius: f64, last: bool) -> Option<Lines> {
     let slack = TOLERANCE * radius;
     let crossed: Vec<(&Sharp, [DVec2; 2])> = edges

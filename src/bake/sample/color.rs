@@ -22,7 +22,7 @@ struct Pyramid {
 pub(in crate::bake) struct Colors<'a> {
     mesh: &'a Mesh,
     materials: &'a [Material],
-    /// As the materials refer to them; empty for those that none uses or that are broken.
+    /// Indexed as by the materials; empty for textures that none uses or that are broken.
     pyramids: Vec<Option<Pyramid>>,
     linear: [f32; 256],
     /// Ends of the parts, in triangles.
@@ -63,7 +63,7 @@ impl<'a> Colors<'a> {
         self.ends.partition_point(|&end| end <= u64::from(triangle))
     }
 
-    /// Whether each part has the same colour all over.
+    /// Tells whether each part has a single colour.
     pub(in crate::bake) fn is_flat(&self) -> bool {
         self.mesh.colors.is_none() && self.pyramids.iter().all(Option::is_none)
     }

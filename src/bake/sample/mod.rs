@@ -28,7 +28,7 @@ use super::kernels::{CUTOFF, circle};
 use crate::assets::{Clip, Kernel, Material, Mesh, PointCloud, Texture};
 use crate::scene::random::SplitMix64;
 
-/// How a mesh is sampled.
+/// Options for sampling a mesh.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SampleOptions {
     /// About the distance between neighbouring samples, in mesh units: a sample stands for a square of this side. `None`
@@ -179,7 +179,7 @@ struct Sample {
 const NONE: u32 = u32::MAX;
 
 impl Sample {
-    /// Whether the disk, scaled, stands for the whole of a piece of a face.
+    /// Tells whether the scaled disk stands for the whole of a piece of a face.
     fn covers<const N: usize>(&self, piece: [DVec3; N], normal: DVec3, scale: f64) -> bool {
         if self.normal.dot(normal) < FACING {
             return false;
@@ -225,7 +225,7 @@ impl Sampler<'_> {
         ((point - self.faces[0].corners[0]) / self.radius).floor().as_ivec3()
     }
 
-    /// Whether an earlier sample stands for the whole of a piece.
+    /// Tells whether an earlier sample stands for the whole of a piece.
     fn is_covered<const N: usize>(&self, piece: [DVec3; N], normal: DVec3, scale: f64) -> bool {
         // A disk that covers a piece is centred within a radius of its first corner, nearly: its plane may be a little off.
         let cell = self.cell(piece.iter().sum::<DVec3>() / N as f64);
@@ -248,7 +248,7 @@ impl Sampler<'_> {
         let per_area = DARTS / (self.radius * self.radius);
         let mut random = SplitMix64::new(0x5a3e);
         let mut darts: Vec<(u32, [f32; 2])> = Vec::with_capacity((area * per_area) as usize + 1);
-        // What a face's share leaves over goes to the next: small faces get theirs, too.
+        // The remainder of a face's share carries over to the next face, so small faces also get samples.
         let mut due = 0.5;
         for (face, index) in self.faces.iter().zip(0u32..) {
             due += face.area * per_area;

@@ -286,7 +286,7 @@ fn colours_are_averaged_in_linear_light() {
             assert_eq!(r, if white { 255 } else { 0 }, "{x} {y}");
         }
     }
-    // What a cut-off removes is not there.
+    // Texels below the alpha cut-off are holes.
     let mut holes = checker(128);
     holes.rgba.iter_mut().for_each(|texel| texel[3] = texel[0]);
     let cut = sample_mesh(&quad, &[material], &[holes], &options).unwrap();

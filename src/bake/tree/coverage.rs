@@ -1,24 +1,27 @@
-//! How much of its disk a node's leaves cover, and so how often it is drawn where it is smaller than what it is drawn as.
+//! Coverage: the part of its disk that a node's leaves cover. It sets the probability that a node smaller than its drawn
+//! footprint is drawn.
 //!
-//! A node that is drawn covers a pixel or more, however little is below it. So that a crowd of such nodes covers as much of the image
-//! as their leaves do, each is drawn with the probability that it has to cover a pixel, by a number of its own that never changes:
-//! as the eye comes nearer, they appear one by one (continuous thinning, Coconu & Hege 2002). With `A` the area of the leaves in the
-//! image, `D` the area that the node is drawn as, and `f` the part of the image around it that its surface covers,
+//! A drawn node covers a pixel or more, however small its leaves are. To make a set of such nodes cover as much of the image as
+//! their leaves do, each node is drawn with the probability that it has to cover a pixel. Each node compares that probability
+//! with a fixed random number of its own, so nodes appear one by one as the eye comes nearer (continuous thinning, Coconu & Hege
+//! 2002). With `A` the area of the leaves in the image, `D` the area that the node is drawn as, and `f` the fraction of the image
+//! around it that its surface covers,
 //!
 //! ```text
 //! p = 1 − (1 − f)^(A / (f D))        A / D where f = 0, 1 where f = 1
 //! ```
 //!
-//! `f D / A` nodes lie over a pixel, and all of them leave it empty in `1 − f` of cases. Were `f` not known, surfaces would have holes
-//! where they are cut into nodes smaller than a pixel. It is what the nodes above cover, in four steps ([`FULL`]): full if any of
-//! them is, since what is cut off a surface at the border of a cell covers little of its own disk.
+//! `f D / A` nodes lie over a pixel, and all of them leave it empty in `1 − f` of cases. Without `f`, surfaces would have holes
+//! where they are cut into nodes smaller than a pixel. `f` is the coverage of the node's ancestors in four steps ([`FULL`]). It
+//! is full if any ancestor is full, because a piece cut off a surface at the border of a cell covers little of its own disk.
 //!
-//! Stored in the alpha byte of a node's colour: `f` (2 bits) and the covered part of a disk as large as the node's size, in eighths of an
-//! octave (6 bits). [`EXACT`] stands for what is drawn always, and does not stand for others: leaves of scans. [`FILLS`] stands for
-//! what does, and is never thinned.
+//! The alpha byte of a node's colour stores `f` (2 bits) and the covered part of a disk as large as the node's size, in eighths
+//! of an octave (6 bits). [`EXACT`] marks leaves of scans, which are always drawn and stand for no other sample. [`FILLS`] marks
+//! nodes that stand for others and are never thinned.
 //!
-//! Areas are what is seen along the normal; of a node without one the mean over all directions. That is half of a sheet's area, a quarter
-//! of a closed surface's, whose other half is hidden (Cauchy). Leaves that hang together loosely hide each other as random ones do.
+//! Areas are projected along the normal; a node without a normal has the mean over all directions. The mean is half of a sheet's
+//! area and a quarter of a closed surface's, whose other half is hidden (Cauchy). Loosely connected leaves hide each other as
+//! random leaves do.
 
 use std::f32::consts::PI;
 
@@ -26,42 +29,42 @@ use glam::Vec3;
 
 use super::node::{NO_NODE, Node};
 
-/// The byte of what is drawn always.
+/// Coverage byte of nodes that are always drawn.
 pub const EXACT: u8 = 255;
-/// Of a scan's kernel as it is cut off, the part that its sample stands for: disks overlap.
+/// The part of a scan's cut-off kernel that its sample stands for; less than 1 because disks overlap.
 pub const OWN: f32 = 0.5;
-/// Of the pairs of leaves in a ball, those in different octants hide each other 1.75 times less than all do; and balls are about twice
-/// as large as what leaves fill of them.
+/// Leaves of a ball in different octants hide each other 1.75 times less than all pairs of leaves do, and balls are about twice
+/// as large as the part that leaves fill.
 const BESIDE: f32 = 0.9;
-/// The byte of what is never thinned and stands for several points of a scan or things of a crowd. They fill the pixels that they are
-/// in, where disks of a mesh are drawn only at pixels whose centres they cover.
+/// Coverage byte of nodes that stand for several points of a scan or things of a crowd and are never thinned. They fill the
+/// pixels that they are in, while disks of a mesh are drawn only at pixels whose centres they cover.
 const FILLS: u8 = 254;
-/// Codes of an octave, and how many there are; the last two of a full surface would be [`FILLS`] and [`EXACT`].
+/// Codes per octave, and the number of codes; the last two codes of a full surface would collide with [`FILLS`] and [`EXACT`].
 const STEPS: f32 = 8.0;
 const CODES: u32 = 62;
-/// Parts of a disk that the nodes above cover, from which on it counts as covered by [`AROUND`]. Of a whole surface a cell covers at
-/// most 2/π of the circle around it, and of the disk that holds its leaves' disks less.
+/// Thresholds of the covered part of an ancestor's disk for the steps of [`AROUND`]. A cell of a whole surface covers at most 2/π
+/// of the circle around it, and less of the disk that holds its leaves' disks.
 const FULL: [f32; 3] = [0.1, 0.2, 0.3];
-/// What `f` is by its code.
+/// `f` by its code.
 pub const AROUND: [f32; 4] = [0.0, 0.5, 0.8, 1.0];
-/// The code of what is never thinned.
+/// Code of `f` for nodes that are never thinned.
 pub const WHOLE: u8 = 3;
 
-/// What leaves are leaves of.
+/// The kind of data that leaves come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Matter {
-    /// A scan. Nothing tells sparse from badly sampled: below its root nothing is thinned.
+    /// A scan. Sparse matter cannot be told from sparse sampling, so nothing below the root is thinned.
     Points,
     /// A mesh that is the surface of solids.
     Closed,
     /// Any other mesh.
     Open,
-    /// Roots of trees, whose areas are what is seen of them.
+    /// Roots of trees; their areas are already visible areas.
     Crowd,
 }
 
 impl Matter {
-    /// The part of a leaf's area that is seen, on the average.
+    /// The visible fraction of a leaf's area, averaged over all directions.
     pub fn share(self, normal: Vec3) -> f32 {
         match self {
             Matter::Points | Matter::Closed => 0.25,
@@ -70,7 +73,7 @@ impl Matter {
         }
     }
 
-    /// What is seen of several, on the average, in a ball of this radius.
+    /// The visible area of several leaves in a ball of this radius, averaged over all directions.
     pub fn joined(self, areas: f32, radius: f32) -> f32 {
         let disk = PI * radius * radius;
         let joined = match self {
@@ -81,7 +84,7 @@ impl Matter {
     }
 }
 
-/// The area that is seen of a node: along its normal, or else on the average.
+/// The visible area of a node: along its normal, or the mean over all directions if it has none.
 pub fn seen(node: &Node) -> f32 {
     if node.normal == Vec3::ZERO {
         return node.mean;
@@ -89,31 +92,31 @@ pub fn seen(node: &Node) -> f32 {
     node.flat.min(PI * node.radius * node.radius)
 }
 
-/// Which part of its disk a node covers at the most, from wherever it is seen: the code of `f` for those below it.
+/// The code of `f` for the nodes below `node`, from the largest part of its disk that it covers from any direction.
 fn fullness(node: &Node) -> u8 {
     let disk = PI * node.radius * node.radius;
     let area = match (node.normal == Vec3::ZERO, node.matter) {
         (false, _) => node.flat,
-        // A thin wall's two sides are one to look at.
+        // The two sides of a thin wall look like one.
         (true, Matter::Closed | Matter::Open | Matter::Points) => 0.5 * node.weight,
-        // What is in front of a surface is no part of it.
+        // Objects in front of a surface are not part of the surface.
         (true, Matter::Crowd) => 0.0,
     };
     FULL.iter().filter(|&&least| area >= least * disk).count() as u8
 }
 
-/// Of a node: the code of `f`, where that of its parent, which is known, is `parent`.
+/// The code of `f` of a node; `parent` is its parent with the parent's code.
 fn around(node: &Node, parent: Option<(&Node, u8)>) -> u8 {
     match (parent, node.matter) {
         (None, _) => 0,
         (Some(_), Matter::Points) => WHOLE,
-        // What looks nowhere in a crowd is an object, or several, before others.
+        // A node of a crowd without a normal is an object, or several, in front of others.
         (Some(_), Matter::Crowd) if node.normal == Vec3::ZERO => 0,
         (Some((parent, above)), _) => fullness(parent).max(above),
     }
 }
 
-/// Sets what lies around nodes, whose parents come behind them.
+/// Sets the code of `f` of all nodes. Parents come after their children in the list.
 pub(super) fn look_around(nodes: &mut [Node]) {
     for at in (0..nodes.len()).rev() {
         let parent = match nodes[at].parent {
@@ -124,12 +127,12 @@ pub(super) fn look_around(nodes: &mut [Node]) {
     }
 }
 
-/// What is around a node of a scan.
+/// The code of `f` of a scan's node.
 pub fn around_point(is_root: bool) -> u8 {
     if is_root { 0 } else { WHOLE }
 }
 
-/// The byte of a node whose size, as it is coded, is `size`.
+/// The coverage byte of a node; `size` is its size as coded.
 pub fn byte(node: &Node, size: f32) -> u8 {
     let is_thinned = size > 0.0 && !node.blank;
     if !is_thinned {
@@ -143,13 +146,14 @@ pub fn byte(node: &Node, size: f32) -> u8 {
     node.around.min(WHOLE) << 6 | code
 }
 
-/// The area that is seen of a node of this byte and size; `None` of [`EXACT`].
+/// The visible area of a node with this byte and size; `None` for [`EXACT`].
 pub fn area(byte: u8, size: f32) -> Option<f32> {
     let part = (-f32::from(byte & 63) / STEPS).exp2();
     (byte != EXACT).then_some(part * PI * size * size)
 }
 
-/// How probable it is that a node is drawn of which `share` times what it is drawn as is seen, as shaders decide it.
+/// The probability that a node is drawn, by the same formula as the shaders. `share` is the visible area divided by the drawn
+/// area.
 pub fn probability(byte: u8, share: f32) -> f32 {
     let around = AROUND[usize::from(byte >> 6)];
     match byte >> 6 {

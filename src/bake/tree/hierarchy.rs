@@ -1,4 +1,4 @@
-//! The octree: its leaves along a Morton curve, merged cell by cell.
+//! The octree: leaves sorted along a Morton curve and merged cell by cell.
 
 use std::ops::Range;
 
@@ -13,22 +13,23 @@ use super::stack::{CHILDREN, Stack, shared_level};
 use crate::assets::{Kernel, PointCloud};
 use crate::math::Bounds;
 
-/// Levels of the octree: bits of a Morton code's coordinate.
+/// Levels of the octree: bits per coordinate in a Morton code.
 const LEVELS: u32 = 21;
-/// Leaves that a thread takes at most, unless they share a cell of the finest level.
+/// Maximum number of leaves per parallel task, unless more leaves share a cell of the finest level.
 const PIECE: usize = 1 << 12;
 
-/// Nodes, the leaves first, in the order of their codes, then the others, each as soon as all below it are there; and which sample
-/// each leaf is.
+/// The nodes of a tree: leaves first, in Morton order, then inner nodes, each after all nodes below it. `samples` maps each leaf
+/// to its sample.
 pub struct Tree {
     pub nodes: Vec<Node>,
     pub samples: Vec<u32>,
-    /// For each node that is no leaf, the last leaf below it.
+    /// The last leaf below each inner node.
     ends: Vec<u32>,
 }
 
 impl Tree {
-    /// All nodes from `first` on, each behind what is below it and before what lies farther along the curve.
+    /// All nodes except the leaves before `first`, in post-order: each node follows its descendants and precedes nodes farther
+    /// along the curve.
     pub fn along_the_curve(&self, first: usize) -> Vec<u32> {
         let mut order = Vec::with_capacity(self.nodes.len() - first);
         let mut ends = self.ends.iter().zip(self.samples.len() as u32..).peekable();
@@ -44,7 +45,7 @@ impl Tree {
     }
 }
 
-/// The codes of positions in a box, and which they are, in order.
+/// The Morton codes of positions in a box with the index of each position, sorted.
 fn codes(positions: &[DVec3], bounds: &Bounds) -> Vec<(u64, u32)> {
     let cells = Cells::of(bounds);
     let mut codes: Vec<(u64, u32)> = positions
@@ -56,21 +57,21 @@ fn codes(positions: &[DVec3], bounds: &Bounds) -> Vec<(u64, u32)> {
     codes
 }
 
-/// The octree's finest cells.
+/// The grid of the octree's finest cells.
 pub struct Cells {
     origin: DVec3,
     scale: f64,
 }
 
 impl Cells {
-    /// Of a box.
+    /// Divides a box into cells.
     pub fn of(bounds: &Bounds) -> Cells {
         let extent = bounds.extent().max_element();
         let scale = if extent > 0.0 { f64::from((1u32 << LEVELS) - 1) / extent } else { 0.0 };
         Cells { origin: bounds.min, scale }
     }
 
-    /// The place of the cell that holds a position along a Morton curve.
+    /// The Morton code of the cell that holds a position.
     pub fn code(&self, position: DVec3) -> u64 {
         let cell = ((position - self.origin) * self.scale).to_array().map(|v| u64::from(v as u32));
         spread(cell[0]) | spread(cell[1]) << 1 | spread(cell[2]) << 2
@@ -117,7 +118,7 @@ pub fn build(
     Tree { nodes, samples, ends }
 }
 
-/// Leaves that fill a cell each.
+/// Splits the leaves into ranges that each fill an octree cell.
 fn pieces(codes: &[(u64, u32)]) -> Vec<Range<usize>> {
     let mut pieces = Vec::new();
     let mut open = vec![(0..codes.len(), LEVELS)];
@@ -126,7 +127,7 @@ fn pieces(codes: &[(u64, u32)]) -> Vec<Range<usize>> {
             pieces.extend((!range.is_empty()).then_some(range));
             continue;
         }
-        // The eight cells within, the first on top.
+        // Push the eight child cells so that the first is on top.
         let mut end = range.end;
         while end > range.start {
             let cell = codes[end - 1].0 >> (3 * (level - 1));
@@ -140,7 +141,7 @@ fn pieces(codes: &[(u64, u32)]) -> Vec<Range<usize>> {
     pieces
 }
 
-/// What is above the leaves of a piece, numbered from the piece's first leaf on.
+/// The inner nodes above the leaves of a piece, numbered from the piece's first leaf on.
 struct Branch {
     nodes: Vec<Node>,
     ends: Vec<u32>,
@@ -180,7 +181,7 @@ impl Branch {
     }
 }
 
-/// The node above some.
+/// Builds the parent of `members`.
 fn above<'a>(members: &[u32], node: impl Fn(u32) -> &'a Node) -> Node {
     let mut children = [node(members[0]); CHILDREN];
     for (child, &member) in children.iter_mut().zip(members) {
@@ -189,7 +190,8 @@ fn above<'a>(members: &[u32], node: impl Fn(u32) -> &'a Node) -> Node {
     Node::above(&children[..members.len().min(CHILDREN)])
 }
 
-/// Puts branches behind the leaves, and above them what joins them; where each of these ends.
+/// Appends the branches' nodes to the leaves, then the nodes that join the branches. Returns the last leaf below each appended
+/// node.
 fn join(
     codes: &[(u64, u32)],
     pieces: &[Range<usize>],

@@ -1,34 +1,36 @@
-//! Sequential point trees (Dachsbacher, Vogelgsang, Stamminger 2003): samples → a hierarchy of disks, laid out as a list that is
-//! selected from without walking a tree.
+//! Sequential point trees (Dachsbacher, Vogelgsang, Stamminger 2003): a hierarchy of disks above samples, laid out as a list. The
+//! renderer selects nodes from the list without walking a tree.
 //!
-//! 1. *Hierarchy* ([`hierarchy`]). Samples, sorted along a Morton curve, are merged octree cell by octree cell, each as soon as
-//!    all of it has been seen ([`stack`]); cells with a single member pass through. An inner node is a disk with its children's mean
-//!    normal and colour.
-//! 2. *Errors* ([`node`]). What may be seen of the difference between a node's disk and the leaves below it. Errors do not
-//!    decrease on the way up.
-//! 3. *Sequence* ([`sequence`]). Nodes are sorted by their parents' errors, descending, and cut into chunks. Where `T(z)` is the
-//!    error that may be accepted at depth `z`, a node is drawn where
+//! 1. *Hierarchy* ([`hierarchy`]). Samples are sorted along a Morton curve and merged per octree cell. A cell is merged as soon
+//!    as its last member has arrived ([`stack`]); a cell with a single member adds no node. An inner node is a disk with its
+//!    children's mean normal and colour.
+//! 2. *Errors* ([`node`]). A node's error bounds the visible difference between its disk and the leaves below it. Errors do not
+//!    decrease towards the root.
+//! 3. *Sequence* ([`sequence`]). Nodes are sorted by their parents' errors, descending, and cut into chunks. With `T(z)` the
+//!    error accepted at depth `z`, a node is drawn where
 //!
 //!    ```text
 //!    e ≤ T(z)   and   T(z − δ) < e_parent
 //!    ```
 //!
-//!    with `δ` the way to its parent: the topmost acceptable node above a leaf passes both, so every leaf has a drawn
+//!    with `δ` the distance to its parent. The topmost acceptable node above a leaf passes both tests, so every leaf has a drawn
 //!    ancestor-or-self. A view needs the chunks with `e_parent > T(z_near − δ)`.
 //!
-//! Beyond the paper: errors are bounds with respect to the leaves and not to the children alone (each level passes on what it
-//! added), so that a promised error is kept; the sequence keeps the curve's order within bands of half an octave of `e_parent`, so
-//! that chunks can be culled by the frustum, which the paper's order forbids (§3.7), and sorting is dealing out to bands; each node carries two measures, its
-//! error for disks that overlap and its size for samples that are drawn as one pixel each.
+//! This implementation differs from the paper in three points. Errors are bounds with respect to the leaves and not to the
+//! children alone (each level passes on what it added), so a promised error is kept. The sequence keeps the Morton order within
+//! bands of half an octave of `e_parent`: chunks can be culled by the frustum, which the paper's order forbids (§3.7), and
+//! sorting is a bucket sort by band. Each node carries two measures: its error, for disks that overlap, and its size, for samples
+//! that are drawn as one pixel each.
 //!
-//! A node's two words, from the lowest bit on: of the error, then of the size, its own code (11 bits) and its parent's (11 bits). Then
-//! in the first `δ` (4 bits), the node's tilt (4) and two bits of its parent's, in the second the level (5), how far the leaves'
-//! normals are from the node's (3, [`cone_sine`]) and the other two. A code `c` stands for `base · 2^(−c/64)`, with 0 in a parent's
-//! place for no parent and 2047 for none at all; `δ` counts in quarters of an octave below twice the parent's size. Rounding makes
-//! errors and distances larger, never smaller, and the same number has the same code in both places. [`tilt`] is what errors are
-//! by the angle that a node is seen at, and why a child knows its parent's.
+//! A node is two words. The lowest 22 bits of the first word hold the codes of the error, those of the second word the codes of
+//! the size: the node's own code (11 bits), then its parent's (11 bits). Above them the first word has `δ` (4 bits), the node's
+//! tilt (4) and two bits of its parent's tilt; the second word has the level (5), the spread of the leaves' normals around the
+//! node's normal (3, [`cone_sine`]) and the other two bits of the parent's tilt. A code `c` stands for `base · 2^(−c/64)`. Code 0
+//! in a parent's place means no parent, and 2047 stands for zero. `δ` counts in quarters of an octave below twice the parent's
+//! size. Rounding makes errors and distances larger, never smaller, and equal numbers have equal codes in both places. [`tilt`]
+//! describes how the error depends on the viewing angle, and why a child stores its parent's tilt.
 
-/// What trees are made of, for those who make them otherwise.
+/// The building blocks of trees, for builders outside this module (the external build).
 pub(in crate::bake) mod parts {
     pub use super::coverage::{Matter, around_point, byte};
     pub use super::hierarchy::Cells;
@@ -63,17 +65,19 @@ use super::pack::{
 };
 use crate::math::Bounds;
 
-/// Of what is built from the same asset: a part of the key that trees are cached by. It must be raised whenever the trees of some
-/// asset change, whichever file that happens in: of this folder, [`super::hybrid`], `bake/rasterise.rs`, [`super::pack`].
+/// Version of the trees that are built from an asset: part of the key that trees are cached by. Raise it whenever the trees of
+/// some asset change, wherever the change is: in this folder, [`super::hybrid`], `bake/rasterise.rs` or [`super::pack`].
 pub const BAKING_VERSION: u32 = 8;
-/// Hash of what this version bakes of the assets of `tree/version.rs`, whose test fails where trees have changed and this has not.
+/// Hash of the trees that this version bakes from the assets of `tree/version.rs`. Its test fails if the trees change and the
+/// version does not.
 #[cfg(test)]
 const BAKING_DIGEST: &str = "7f08157e3776f688";
 
-/// Builds the tree above samples with normals and kernels; what they lack is drawn as a facing disk, or not at all.
+/// Builds the tree above samples with normals and kernels. A sample without a normal is drawn as a facing disk, one without a
+/// kernel not at all.
 ///
-/// `stands` are what leaves stand for beyond themselves: a leaf is not drawn where its error is not acceptable, because
-/// something finer is drawn there (triangles, or another tree). Without them leaves are exact.
+/// `stands` are the measures of what each leaf replaces (triangles, or another tree). Where a leaf's error is not acceptable, the
+/// leaf is not drawn and the finer representation is. Without `stands` leaves are exact.
 ///
 /// # Errors
 /// See [`PackError`].
@@ -84,7 +88,8 @@ pub fn build_tree(
     build_tree_within(cloud, stands, Bounds::EMPTY, false)
 }
 
-/// As [`build_tree`], on a grid that holds the box `also` as well, and of a surface that is `closed` or may not be.
+/// Does the same as [`build_tree`] on a grid that also holds the box `also`; `closed` says that the surface is known to be
+/// closed.
 ///
 /// # Errors
 /// See [`PackError`].
@@ -107,9 +112,9 @@ pub fn build_tree_within(
     Ok(packed)
 }
 
-/// The tree above leaves that are trees themselves. Each leaf has a node here as well, which is drawn where the root of its tree would
-/// be: from afar thousands of them are a chunk of nodes and not as many instances. For each leaf, in an order in which neighbours in
-/// space are neighbours: its number, and what stands above what its own tree draws, which is this node.
+/// Builds the tree above leaves that are trees themselves. Each leaf is a node here, drawn in place of the root of its own tree,
+/// so thousands of distant instances become one chunk of nodes. Also returns for each leaf its number and the [`Above`] of its
+/// tree, which is this leaf node. The leaves are in Morton order, so neighbours in the list are neighbours in space.
 ///
 /// # Errors
 /// See [`PackError`].
@@ -118,11 +123,11 @@ pub fn build_crowd(
     stands: &[Measures],
 ) -> Result<(PackedSamples, Vec<(u32, Above)>), PackError> {
     let (mut tree, grid) = raise(roots, Some(stands), Bounds::EMPTY, Matter::Crowd)?;
-    // Whether what is below is in play is asked of the errors from all sides.
+    // The test that activates the tree below a leaf uses errors that do not depend on the viewing angle.
     tree.nodes.iter_mut().for_each(node::Node::see_alike);
     let (packed, _) = sequence::sequence(roots, &tree, grid, 0);
     let (base, step) = (sequence::base_of(&tree, grid), grid.step as f32);
-    // Shaders compute these anew, and may round otherwise.
+    // Shaders recompute these values and may round differently.
     let up = |value: f32| (value * 1.001).min(f32::MAX);
     let above = tree.samples.iter().zip(&tree.nodes).map(|(&sample, leaf)| {
         let measures = sequence::measures_of(leaf, step);
@@ -136,8 +141,8 @@ pub fn build_crowd(
     Ok((packed, above.collect()))
 }
 
-/// An error, and what stands for it where samples are drawn as one pixel each, in units of the positions; the area that is there, 0 of
-/// what is as large as its kernel.
+/// The error of a node, its size (the measure used where samples are drawn as one pixel each), both in units of the positions,
+/// and its area. An area of 0 means the area of the kernel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Measures {
     pub error: f32,
@@ -145,7 +150,7 @@ pub struct Measures {
     pub area: f32,
 }
 
-/// The node above a tree as a whole: its measures, and the way to its centre, in world units.
+/// The node above a whole tree: its measures, and the distance to its centre, in world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Above {
     pub error: f32,
@@ -154,7 +159,7 @@ pub struct Above {
 }
 
 impl Above {
-    /// There is none.
+    /// The tree has no node above it.
     pub const NOTHING: Above = Above { error: f32::MAX, size: f32::MAX, delta: 0.0 };
 }
 
@@ -167,25 +172,26 @@ fn raise(
     finite(&cloud.positions)?;
     let longest = cloud.kernels.iter().flatten().map(node::kernel_length).fold(0.0f32, f32::max);
     let bounds = Bounds::of(cloud.positions.iter().copied());
-    // Nodes lie within the leaves' disks, at most a disk outside of the box.
+    // Nodes lie within the leaves' disks, so at most one disk outside the box.
     let grown = bounds.grown(f64::from(2.0 * super::CUTOFF * longest));
     let grid = Grid::with_detail(&grown.union(also), f64::from(longest) * KERNEL_DETAIL)?;
     Ok((hierarchy::build(cloud, stands, &bounds, matter), grid))
 }
 
-/// A node as an eye sees it, in camera units.
+/// A node as seen from the eye, in camera units.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen {
     /// Depth along the viewing axis.
     pub z: f32,
     /// Distance from the eye.
     pub far: f32,
-    /// Of the angle between its normal and the way to the eye; [`UNTILTED`] where errors are the same from all sides.
+    /// Cosine of the angle between the node's normal and the direction to the eye; [`UNTILTED`] if the error does not depend on
+    /// the angle.
     pub cosine: f32,
 }
 
-/// Whether a node is drawn, as shaders decide it. `measure`: 0 by its error, 1 by its size; `base` in camera units, `lod` the error
-/// that may be accepted at depth 1 of the viewing axis.
+/// Tells whether a node is drawn, by the same test as the shaders. `measure` selects error (0) or size (1); `base` is in camera
+/// units, `lod` is the accepted error at depth 1 along the viewing axis.
 pub fn is_drawn(words: [u32; 2], measure: usize, base: f32, lod: f32, seen: Seen) -> bool {
     let accepted = |z: f32, far: f32| {
         let near = z.max(0.0);
@@ -217,7 +223,7 @@ pub struct Root {
 }
 
 impl Root {
-    /// `None` of an empty tree.
+    /// Returns the root of a tree; `None` if the tree is empty.
     pub fn of(tree: &PackedSamples) -> Option<Root> {
         let roots =
             tree.nodes.iter().position(|[error, _]| error >> CODE_BITS & CODE == NO_PARENT)?;
@@ -248,7 +254,7 @@ impl Root {
     }
 }
 
-/// What depths may be wrong by in f32, in parts of them.
+/// Relative error of depths in f32.
 pub const SLACK: f32 = 4e-6;
 
 /// Figures of a built tree.
@@ -258,13 +264,14 @@ pub struct TreeStatistics {
     pub inner: u64,
     /// Nodes by height above the leaves.
     pub levels: Vec<u64>,
-    /// Nodes by error, in octaves below `base`: entry `i` counts errors in `(base · 2^−(i+1), base · 2^−i]`. The last entry counts
-    /// those without.
+    /// Nodes by error, in octaves below `base`: entry `i` counts errors in `(base · 2^−(i+1), base · 2^−i]`. The last entry
+    /// counts nodes without an error.
     pub errors: Vec<u64>,
-    /// What errors count from, in units of the positions: twice the largest error or size. Of several trees the largest.
+    /// The error that code 0 stands for, in units of the positions: twice the largest error or size. For several trees, the
+    /// largest base.
     pub base: f32,
     pub chunks: u64,
-    /// On the GPU.
+    /// Bytes on the GPU.
     pub bytes: u64,
 }
 
@@ -290,7 +297,7 @@ impl TreeStatistics {
         }
     }
 
-    /// Once all nodes have been counted.
+    /// Fills in the totals after all nodes have been counted.
     pub(in crate::bake) fn finish(&mut self, grid: &Grid, chunks: &[PackedChunk], clips: u64) {
         let count: u64 = self.levels.iter().sum();
         self.leaves = self.levels.first().copied().unwrap_or(0);
@@ -302,7 +309,7 @@ impl TreeStatistics {
             + clips * super::pack::CLIP_BYTES;
     }
 
-    /// Both together. Errors stay in octaves below the base of the tree that each is in.
+    /// Adds the figures of another tree. Errors stay in octaves below the base of their own tree.
     pub fn with(mut self, other: &TreeStatistics) -> TreeStatistics {
         let add = |sums: &mut Vec<u64>, more: &[u64]| {
             sums.resize(sums.len().max(more.len()), 0);

@@ -1,4 +1,4 @@
-//! A node: a disk that stands for all leaves below it, and how far it is from them.
+//! A node: a disk that stands for all leaves below it, with its distance from them.
 
 use std::f32::consts::PI;
 
@@ -13,37 +13,37 @@ use crate::assets::Kernel;
 #[derive(Clone, Copy, Debug)]
 pub struct Node {
     pub position: DVec3,
-    /// Unit, or zero where the leaves' normals cancel: the disk then faces the eye.
+    /// Unit vector, or zero where the leaves' normals cancel: the disk then faces the eye.
     pub normal: Vec3,
-    /// The disk covers what lies below, seen along its normal.
+    /// Radius of the disk, which covers everything below it, seen along its normal.
     pub radius: f32,
-    /// No leaf's disk is farther from the plane.
+    /// Bound on the distance of the leaves' disks from the plane.
     pub lift: f32,
-    /// No place on the disk, seen along its normal, is farther from a leaf's disk.
+    /// Bound on the distance of any point on the disk from a leaf's disk, seen along the normal.
     pub spread: f32,
-    /// No leaf's normal is farther from the normal, in radians; π where it is not known.
+    /// Bound on the angle between a leaf's normal and this normal, in radians; π if unknown.
     pub cone: f32,
     pub error: f32,
-    /// What of the error is the same from all sides: contrast of colours, and what leaves stand for.
+    /// The part of the error that does not depend on the viewing angle: colour contrast and what leaves stand for.
     pub even: f32,
-    /// All of it is.
+    /// The whole error is independent of the viewing angle.
     pub alike: bool,
-    /// As the error, for those who draw one pixel a node: how far leaves are from the centre, and what they stand for.
+    /// The error if each node is drawn as one pixel: the distance of leaves from the centre, and what they stand for.
     pub size: f32,
     /// Area of the leaves.
     pub weight: f32,
-    /// That area as seen along the normal.
+    /// Area of the leaves as seen along the normal.
     pub flat: f32,
-    /// What is seen of it, on the average over all directions.
+    /// Visible area, averaged over all directions.
     pub mean: f32,
     pub matter: Matter,
-    /// No leaf has a normal: nodes are drawn as these are, unlit.
+    /// No leaf has a normal: inner nodes are drawn unlit, as the leaves are.
     pub blank: bool,
-    /// How much there is around it, see [`coverage`].
+    /// Code of the coverage around the node, see [`coverage`].
     pub around: u8,
     /// sRGB, 0..=255.
     pub color: Vec3,
-    /// Mean square of the leaves' differences from the colour, of one channel.
+    /// Mean square difference of the leaves from the colour, per channel.
     pub variance: f32,
     pub parent: u32,
     /// Height above the leaves.
@@ -52,15 +52,15 @@ pub struct Node {
 
 pub const NO_NODE: u32 = u32::MAX;
 
-/// Shorter sums of normals, in parts of what they would be were all alike, say nothing.
+/// Weighted means of unit normals that are shorter than this give no normal.
 const LEAST_NORMAL: f32 = 0.4;
-/// Standard deviations of colour, of 255, from which on it counts, and at which a node's error is its radius: what is averaged over
-/// a disk may be off by that (§3.9 takes the diameter, but there errors are those of both sides).
+/// Standard deviations of colour (of 255) at which contrast begins to count, and at which a node's error is its radius: the mean
+/// over a disk may be off by the radius (§3.9 takes the diameter, but there errors are those of both sides).
 const FAINT: f32 = 4.0;
 const STRONG: f32 = 24.0;
-/// Between those places it may be farther by this factor; measured on lattices of dots.
+/// Factor by which the distance may be larger between the sampled places; measured on lattices of dots.
 const BETWEEN: f32 = 1.2;
-/// Places on a disk of radius 1 at which it is asked how far the leaves are: its centre, and two rings.
+/// Places on a disk of radius 1 at which the distance of the leaves is measured: its centre, and two rings.
 const PLACES: [Vec2; 19] = {
     // Sines of multiples of 30°.
     const H: f32 = 0.866_025_4;
@@ -88,20 +88,20 @@ const PLACES: [Vec2; 19] = {
     ]
 };
 
-/// Length of a kernel's longer axis; 0 where it is no number.
+/// Length of a kernel's longer axis; 0 if it is not finite.
 pub fn kernel_length(kernel: &Kernel) -> f32 {
     let length = kernel.u.length().max(kernel.v.length());
     if length.is_finite() { length } else { 0.0 }
 }
 
-/// What a kernel stands for by itself.
+/// The area that a kernel stands for by itself.
 fn kernel_area(kernel: &Kernel) -> f32 {
     let area = coverage::OWN * PI * CUTOFF * CUTOFF * kernel.u.length() * kernel.v.length();
     if area.is_finite() { area } else { 0.0 }
 }
 
 impl Node {
-    /// A sample as it is, which may stand for something finer.
+    /// Builds the leaf of a sample, which may stand for something finer.
     pub fn leaf(
         position: DVec3,
         normal: Vec3,
@@ -117,14 +117,14 @@ impl Node {
             0.0 => kernel_area(kernel),
             area => area,
         };
-        // Samples without a size count, too.
+        // Samples without a size count as well.
         let weight = area.clamp(f32::MIN_POSITIVE, f32::MAX);
         Node {
             position,
             normal,
             radius,
             lift: 0.0,
-            // What is cut off its disk is not there.
+            // The clipped part of the disk is missing.
             spread: if is_clipped { radius } else { 0.0 },
             cone: if normal == Vec3::ZERO { PI } else { 0.0 },
             error: known(stands.error),
@@ -144,9 +144,9 @@ impl Node {
         }
     }
 
-    /// The node above `children`, of which there are two or more.
+    /// Builds the parent of `children`, at least two.
     pub fn above(children: &[&Node]) -> Node {
-        // Weights of one node may be 10³⁰ times another's.
+        // Weights may differ by a factor of 10³⁰.
         let total: f64 = children.iter().map(|child| f64::from(child.weight)).sum();
         let share = |child: &Node| (f64::from(child.weight) / total) as f32;
         let origin = children[0].position;
@@ -208,7 +208,7 @@ impl Node {
         node
     }
 
-    /// The area of its leaves, seen along a direction.
+    /// The area of the leaves, seen along a direction.
     fn seen_along(&self, direction: Vec3) -> f32 {
         if self.normal == Vec3::ZERO {
             return coverage::seen(self);
@@ -216,12 +216,12 @@ impl Node {
         self.flat * self.normal.dot(direction).abs()
     }
 
-    /// Makes errors what they are from all sides, from whichever it is seen.
+    /// Makes the error independent of the viewing angle.
     pub fn see_alike(&mut self) {
         self.alike = true;
     }
 
-    /// No leaf is farther from the centre: leaves lie in a ball, or in a cylinder about the disk.
+    /// Bound on the distance of leaves from the centre: they lie in a ball, or in a cylinder about the disk.
     fn reach(&self) -> f32 {
         if self.normal == Vec3::ZERO { self.radius } else { self.radius.hypot(self.lift) }
     }
@@ -239,7 +239,7 @@ impl Node {
             let way = (child.position - self.position).as_vec3().length();
             most.max(way + child.reach())
         });
-        // A disk that faces the eye shows none of the shape within, and is as wide as all of it.
+        // A disk that faces the eye shows nothing of the shape within and is as wide as all of it.
         self.lift = self.radius;
         self.spread = 0.0;
     }
@@ -252,7 +252,7 @@ impl Node {
             (Vec2::new(way.dot(a), way.dot(b)), way.dot(self.normal))
         });
         let places = &places[..children.len().min(8)];
-        // The smallest circle around all, nearly (Bădoiu & Clarkson 2003).
+        // An approximation of the smallest enclosing circle (Bădoiu & Clarkson 2003).
         let mut centre = Vec2::ZERO;
         for step in 0..4 {
             let far = places.iter().zip(children).map(|((at, _), child)| {
@@ -264,7 +264,7 @@ impl Node {
         }
         let (mut low, mut high) = (f32::MAX, f32::MIN);
         for ((at, height), child) in places.iter().zip(children) {
-            // What is below the child lies in a cylinder about its disk, or in a ball.
+            // The child's leaves lie in a cylinder about its disk, or in a ball.
             let cosine = child.normal.dot(self.normal);
             let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
             let lift = if child.normal == Vec3::ZERO { 0.0 } else { child.lift };
@@ -276,17 +276,17 @@ impl Node {
         }
         self.lift = 0.5 * (high - low);
         let raise = 0.5 * (high + low);
-        // The farthest from what lies below: between children as well as beyond them.
+        // The largest distance from the leaves, between children as well as beyond them.
         let at: [Vec2; PLACES.len()] = PLACES.map(|place| centre + place * self.radius);
         let mut least = [f32::MAX; PLACES.len()];
         for ((place, _), child) in places.iter().zip(children) {
-            // A disk seen at an angle holds a circle that is smaller by it.
+            // A disk seen at an angle contains a circle scaled by the cosine.
             let seen = if child.normal == Vec3::ZERO { 1.0 } else { child.normal.dot(self.normal) };
             let extent = child.radius * seen.abs() - child.spread;
             for (least, at) in least.iter_mut().zip(&at) {
                 let (x, y) = (at.x - place.x, at.y - place.y);
                 let way = (x * x + y * y).sqrt() - extent;
-                // Rather than `min`, which minds NaN: four lanes at a time.
+                // A comparison vectorises to four lanes; `min` has to handle NaN.
                 *least = if way < *least { way } else { *least };
             }
         }

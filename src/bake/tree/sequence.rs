@@ -1,4 +1,4 @@
-//! The hierarchy as a list: order, chunks, codes.
+//! Lays the hierarchy out as a list: order, chunks, codes.
 
 use glam::IVec3;
 use rayon::prelude::*;
@@ -12,31 +12,31 @@ use super::node::Node;
 use super::{Measures, coverage, tilt};
 use crate::assets::{Kernel, PointCloud};
 
-/// Bits of a code, and a word of them.
+/// Bits of a code, and the mask of a code in a word.
 pub const CODE_BITS: u32 = 11;
 pub const CODE: u32 = (1 << CODE_BITS) - 1;
-/// Where `δ` is in the first word, and the level and the cone in the second.
+/// Position of `δ` in the first word, and of the level and the cone in the second.
 const DELTA_SHIFT: u32 = 2 * CODE_BITS;
 pub const LEVEL_SHIFT: u32 = 2 * CODE_BITS;
 const CONE_SHIFT: u32 = LEVEL_SHIFT + 5;
-/// The code of an error or size of nothing at all.
+/// The code of an error or size of zero.
 pub const NONE: u32 = CODE;
-/// In a parent's place: there is none.
+/// The code in a parent's place that means no parent.
 pub const NO_PARENT: u32 = 0;
-/// Steps of an octave, of errors and sizes and of distances.
+/// Codes per octave, for errors and sizes and for distances.
 pub(super) const STEPS: f32 = 64.0;
 const DELTA_STEPS: f32 = 4.0;
-/// Sizes of nodes above leaves are no less, in cells, so that twice the size holds the way to those below and what the grid rounds.
-/// Where a chunk's own coordinates are coarser than that, the way may be more, and has the code of what is as long as any.
+/// Minimum size of inner nodes, in cells: twice the size then covers the distance to the children and the rounding of the grid.
+/// Where a chunk's own coordinates are coarser, the distance may be longer and gets code 0, which stands for any length.
 const LEAST_SIZE: f32 = 2.0;
-/// Stands for what no error reaches.
+/// A value that no error reaches.
 const INFINITE: f32 = 1e30;
-/// Nodes of the first chunks: what is seen from afar shall not cost a whole chunk's test.
+/// Nodes in the first chunks, which are small so that distant views do not test a whole chunk.
 const FIRST_CHUNKS: [usize; 2] = [64, 192];
-/// Nodes at the front of a list that are strictly sorted, by the smaller of their parents' codes: so that what comes behind one
-/// that is not wanted by either measure is not wanted either.
+/// Nodes at the front of a list that are strictly sorted by the smaller of their parents' codes. If a node there is rejected by
+/// both measures, all nodes behind it are as well.
 pub const SORTED: u32 = (FIRST_CHUNKS[0] + FIRST_CHUNKS[1]) as u32;
-/// Chunks of fewer nodes take some of the next band.
+/// Minimum number of nodes in a chunk: smaller chunks take nodes from the next band.
 const LEAST_CHUNK: usize = 256;
 
 /// The largest code whose value is no less than `value`.
@@ -45,7 +45,7 @@ pub(super) fn code(value: f32, base: f32) -> u32 {
         return NONE;
     }
     let below = ((base / value).log2() * STEPS).floor().clamp(1.0, (NONE - 1) as f32) as u32;
-    // Rounding of the logarithm.
+    // The logarithm may have rounded the code up.
     if decode(below, base) < value { below.saturating_sub(1).max(1) } else { below }
 }
 
@@ -54,13 +54,13 @@ pub fn decode(code: u32, base: f32) -> f32 {
     if code == NONE { 0.0 } else { base * (-(code as f32) / STEPS).exp2() }
 }
 
-/// The largest code of a way that is no less than `value`; `size` is the parent's code.
+/// The largest code of a distance that is at least `value`; `size` is the code of the parent's size.
 pub(super) fn delta_code(value: f32, size: u32, base: f32) -> u32 {
     let least = |code: &u32| delta_of(*code, size, base) >= value;
     (1..16).rev().find(least).unwrap_or(0)
 }
 
-/// Of a code and the parent's code of its size: from twice that on, or as large as any.
+/// The distance of a code, counted down from twice the parent's size (code `size`); code 0 stands for any length.
 fn delta_of(code: u32, size: u32, base: f32) -> f32 {
     match code {
         0 => base,
@@ -68,7 +68,7 @@ fn delta_of(code: u32, size: u32, base: f32) -> f32 {
     }
 }
 
-/// The sine of a cone's half angle, of a node's second word; the largest code says nothing.
+/// The sine of a cone's half angle, from a node's second word; the largest code means unknown.
 pub fn cone_sine(size: u32) -> f32 {
     sine_of(size >> CONE_SHIFT & 7)
 }
@@ -82,24 +82,24 @@ fn cone_code(cone: f32) -> u32 {
     (0..7).find(|&code| sine <= sine_of(code)).unwrap_or(7)
 }
 
-/// How far a node's parent is, of its words; 0 where there is none.
+/// The distance of a node's parent, from the node's words; 0 without a parent.
 pub fn decode_delta([error, size]: [u32; 2], base: f32) -> f32 {
     let size = size >> CODE_BITS & CODE;
     if size == NO_PARENT { 0.0 } else { delta_of(error >> DELTA_SHIFT & 15, size, base) }
 }
 
-/// What is coded of a node's measures.
+/// The measures of a node that are coded: inner nodes have a minimum size.
 pub fn measures_of(node: &Node, step: f32) -> Measures {
     let least = if node.level > 0 { LEAST_SIZE * step } else { 0.0 };
     Measures { error: node.error, size: node.size.max(least), area: 0.0 }
 }
 
-/// What codes count from, in cells, of the largest measure: twice that, so that no code of a node is that of no parent.
+/// The base of the codes, in cells: twice the largest measure, so that no node's own code equals [`NO_PARENT`].
 pub fn base_from(most: f32, step: f32) -> f32 {
     2.0 * (most / step).max(LEAST_SIZE)
 }
 
-/// Of a node: its error and size, and its parent's.
+/// Codes of a node's error and size, and of its parent's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Codes {
     pub error: u16,
@@ -108,11 +108,11 @@ pub struct Codes {
     pub size_parent: u16,
 }
 
-/// Bands of both measures of a parent.
+/// Number of bands of a parent's two measures.
 const BANDS: usize = 1 << 11;
 
 impl Codes {
-    /// Of an error and a size, and of the parent's, if there is one.
+    /// Codes of a node's measures and of its parent's, if there is one.
     pub fn of(own: Measures, parent: Option<Measures>, base: f32, step: f32) -> Codes {
         let code = |value: f32| code(value / step, base) as u16;
         let none = NO_PARENT as u16;
@@ -124,24 +124,24 @@ impl Codes {
         }
     }
 
-    /// Half octaves of the parent's error, octaves of its size.
+    /// The band: half octaves of the parent's error, then octaves of its size.
     pub fn band(self) -> u16 {
         self.error_parent / 32 * 32 + self.size_parent / 64
     }
 
-    /// What the first nodes are sorted by.
+    /// The sort key of the first nodes.
     fn first_of_parents(self) -> u16 {
         self.error_parent.min(self.size_parent)
     }
 }
 
-/// What a tree's codes count from, in cells.
+/// The base of a tree's codes, in cells.
 pub fn base_of(tree: &Tree, grid: Grid) -> f32 {
     let measures = tree.nodes.par_iter().map(|node| node.error.max(node.size));
     base_from(measures.reduce(|| 0.0, f32::max), grid.step as f32)
 }
 
-/// What a measure of a tree's node is once it has been packed.
+/// The value of a measure after packing.
 pub fn rounded(value: f32, base: f32, step: f32) -> f32 {
     decode(code(value / step, base), base) * step
 }
@@ -178,9 +178,9 @@ impl Nodes<'_> {
     }
 }
 
-/// The packed tree, and which node of `tree` each of its nodes is.
+/// Packs the tree. Also returns the node of `tree` behind each packed node.
 ///
-/// Nodes before `first` are left out.
+/// Leaves before `first` are left out.
 pub fn sequence(
     cloud: &PointCloud,
     tree: &Tree,
@@ -208,7 +208,7 @@ pub fn sequence(
     let runs: Vec<PackedRun> = lists.par_iter().map(pack).collect();
     let order: Vec<u32> = lists.into_iter().flat_map(|(_, run)| run).collect();
     let mut out = joined(grid, runs, clipped_first as u32);
-    // Where the GPU finds each node: the way to a parent is between those places.
+    // The cells that the GPU decodes: distances to parents are measured between them.
     let mut cells = vec![IVec3::ZERO; tree.nodes.len()];
     for chunk in &out.chunks {
         let range = chunk.first as usize..(chunk.first + chunk.count) as usize;
@@ -265,7 +265,7 @@ impl Tilts {
     }
 }
 
-/// A node's words but for the way to its parent.
+/// A node's words without the distance to its parent.
 pub fn words(codes: Codes, node: &Node, tilts: Tilts) -> [u32; 2] {
     let Codes { error, size, error_parent, size_parent } = codes;
     let [first, second] = tilt::bits(tilts.own, tilts.parent);
@@ -279,17 +279,17 @@ pub fn words(codes: Codes, node: &Node, tilts: Tilts) -> [u32; 2] {
     ]
 }
 
-/// The length of a way, in cells, and a little.
+/// The length of a vector, in cells, plus a margin of 0.1 %.
 pub fn way_length(way: IVec3) -> f32 {
     way.as_dvec3().length() as f32 * 1.001
 }
 
-/// What the first word says of a way of this length to a parent of that size.
+/// The bits of the first word for a parent at this distance; `size_parent` is the code of the parent's size.
 pub fn delta_bits(length: f32, size_parent: u32, base: f32) -> u32 {
     if size_parent == NO_PARENT { 0 } else { delta_code(length, size_parent, base) << DELTA_SHIFT }
 }
 
-/// The same nodes sorted by their bands, of which there are `count`; within them as they were.
+/// Sorts nodes by their bands, numbered below `count`; a stable bucket sort.
 fn in_bands(nodes: &[u32], count: usize, band: impl Fn(u32) -> usize) -> Vec<u32> {
     let mut begins = vec![0; count + 1];
     nodes.iter().for_each(|&node| begins[band(node) + 1] += 1);
@@ -314,14 +314,14 @@ fn cut(order: &[u32], codes: &[Codes]) -> Vec<Vec<u32>> {
     chunks
 }
 
-/// Cuts nodes, which come in order, into chunks; what has the largest parents comes first, in small ones.
+/// Cuts a sorted stream of nodes into chunks. The nodes with the largest parents come first, in small chunks.
 pub struct Cutter<T> {
-    /// The first ones, until all are there that they are to be sorted with.
+    /// The first nodes, buffered until all that are sorted with them have arrived.
     head: Option<Vec<(T, Codes)>>,
-    /// How many more chunks have a size of their own.
+    /// Number of small first chunks still to come.
     firsts: usize,
     chunk: Vec<T>,
-    /// Of what came last.
+    /// Band of the last node.
     band: u16,
 }
 
@@ -330,10 +330,10 @@ impl<T> Cutter<T> {
         Cutter { head: Some(Vec::new()), firsts: FIRST_CHUNKS.len(), chunk: Vec::new(), band: 0 }
     }
 
-    /// Takes the next node; `give` gets what is a chunk by then.
+    /// Takes the next node; `give` receives each chunk that is complete.
     pub fn push(&mut self, node: T, codes: Codes, give: &mut impl FnMut(Vec<T>)) {
         if let Some(head) = &mut self.head {
-            // Bands differ in order only within: the first nodes are strictly sorted.
+            // A band is unordered inside; the first nodes are strictly sorted.
             let all = FIRST_CHUNKS.iter().sum::<usize>();
             let alike = head.last().is_some_and(|(_, last)| last.band() == codes.band());
             if head.len() < all || (head.len() < 2 * CHUNK && alike) {
@@ -373,23 +373,23 @@ impl<T> Cutter<T> {
     }
 }
 
-/// What the nodes of each chunk have in common.
+/// Sets the ranges of all chunks.
 fn set_ranges(samples: &mut PackedSamples, base: f32) {
     for chunk in &mut samples.chunks {
         let nodes = &samples.nodes[chunk.first as usize..(chunk.first + chunk.count) as usize];
         chunk.range = range_of(nodes, base);
     }
-    // Those with clip lines are another list.
+    // Nodes with clip lines form a separate list.
     let plain = samples.chunks.partition_point(|chunk| chunk.first < samples.clipped_first);
     let (plain, with_lines) = samples.chunks.split_at_mut(plain);
     reach_behind(plain);
     reach_behind(with_lines);
 }
 
-/// What some nodes, by their words, have in common.
+/// The range of some nodes, from their words.
 pub fn range_of(nodes: &[[u32; 2]], base: f32) -> NodeRange {
     let parent = |code: u32| if code == NO_PARENT { INFINITE } else { decode(code, base) };
-    // Of codes the larger ones stand for less.
+    // A larger code stands for a smaller value.
     let (mut own, mut above, mut delta) = ([0; 2], [NONE; 2], 0.0f32);
     for words in nodes {
         for (measure, word) in words.iter().enumerate() {
@@ -408,7 +408,7 @@ pub fn range_of(nodes: &[[u32; 2]], base: f32) -> NodeRange {
     }
 }
 
-/// Makes ranges those of the chunks behind them, too.
+/// Extends the range of each chunk by the ranges of the chunks behind it.
 pub fn reach_behind(chunks: &mut [PackedChunk]) {
     let mut behind = NodeRange::default();
     for chunk in chunks.iter_mut().rev() {

@@ -1,6 +1,6 @@
-//! Merging what comes in the order of its codes, octree cell by octree cell, as soon as a cell is complete.
+//! Merges elements that arrive in Morton order, octree cell by octree cell, as soon as a cell is complete.
 
-/// Children of a node at most.
+/// Maximum number of children of a node.
 pub const CHILDREN: usize = 8;
 
 /// The level of the smallest cell that two codes share: 0 where they are equal.
@@ -8,16 +8,17 @@ pub fn shared_level(a: u64, b: u64) -> u32 {
     (u64::BITS - (a ^ b).leading_zeros()).div_ceil(3)
 }
 
-/// What waits for more of its cell.
+/// Elements that wait for more members of their cell.
 pub struct Stack<T> {
-    /// Cells that are not complete yet, larger ones first, and what is in each, whose own cells are smaller.
+    /// Incomplete cells as (level, members), larger cells first. The members' own cells are smaller.
     cells: Vec<(u32, Vec<T>)>,
-    /// What came last, and its cells that are complete.
+    /// The last element, merged with its complete cells.
     last: Option<T>,
-    /// Members of one cell of the finest level may be more than a node has children: what has been merged how often.
+    /// Members of one cell of the finest level, which may exceed the number of children of a node: entry `i` holds results of `i`
+    /// merges.
     rounds: Vec<Vec<T>>,
     is_crowded: bool,
-    /// Lists to be used again.
+    /// Empty lists for reuse.
     spare: Vec<Vec<T>>,
 }
 
@@ -32,8 +33,8 @@ impl<T> Stack<T> {
         }
     }
 
-    /// Makes ready for what comes next and shares a cell of `level`, and none smaller, with what came before: merges what is complete.
-    /// The first shares none.
+    /// Prepares for the next element: merges the cells that are complete. `level` is the level of the smallest cell that the next
+    /// element shares with the last; the first element shares none.
     pub fn advance(&mut self, level: u32, merge: &mut impl FnMut(&[T]) -> T) {
         let Some(last) = self.last.take() else { return };
         let last = self.complete(level, last, merge);
@@ -48,18 +49,18 @@ impl<T> Stack<T> {
         }
     }
 
-    /// Takes what comes next, after [`Stack::advance`].
+    /// Takes the next element; call [`Stack::advance`] first.
     pub fn put(&mut self, next: T) {
         self.last = Some(next);
     }
 
-    /// The only one that is left; none of nothing.
+    /// Merges everything that is left into one element; `None` if there were no elements.
     pub fn finish(mut self, merge: &mut impl FnMut(&[T]) -> T) -> Option<T> {
         let last = self.last.take()?;
         Some(self.complete(u32::MAX, last, merge))
     }
 
-    /// Merges `last` with what is in cells smaller than those of `level`, which nothing more comes into.
+    /// Merges `last` with the members of all cells smaller than `level`, which are complete.
     fn complete(&mut self, level: u32, mut last: T, merge: &mut impl FnMut(&[T]) -> T) -> T {
         if level > 0 && self.is_crowded {
             last = self.settle(last, merge);
@@ -74,7 +75,7 @@ impl<T> Stack<T> {
         last
     }
 
-    /// One more of a cell of the finest level, which is not the last.
+    /// Adds a member that is not the last of its cell, at the finest level.
     fn crowd(&mut self, mut member: T, merge: &mut impl FnMut(&[T]) -> T) {
         self.is_crowded = true;
         for round in 0.. {
@@ -91,7 +92,7 @@ impl<T> Stack<T> {
         }
     }
 
-    /// Merges all of a cell of the finest level with its last member.
+    /// Merges all members of a cell of the finest level with its last member.
     fn settle(&mut self, last: T, merge: &mut impl FnMut(&[T]) -> T) -> T {
         self.is_crowded = false;
         let mut carried = last;
@@ -132,7 +133,7 @@ mod tests {
                 let all: Vec<u64> = members.iter().flat_map(|part| part.codes.clone()).collect();
                 assert!(all.is_sorted());
                 let level = shared_level(all[0], all[all.len() - 1]);
-                // Nothing but all of its cell; at the finest level perhaps a part.
+                // A merge covers exactly its cell; at the finest level it may cover a part.
                 let cell = |code: u64| code.checked_shr(3 * level).unwrap_or(0);
                 let whole = codes.iter().filter(|&&code| cell(code) == cell(all[0])).count();
                 assert!(if level == 0 { all.len() <= whole } else { all.len() == whole });
@@ -149,7 +150,7 @@ mod tests {
             }
             let root = stack.finish(&mut merge).unwrap();
             prop_assert_eq!(&root.codes, &codes);
-            // A level for each of the octree's, and for each multiplication of equal codes.
+            // One level for each of the octree's, and one for each factor of eight of equal codes.
             prop_assert!(root.height <= 21 + 3);
             prop_assert!(merges < codes.len());
         }

@@ -16,7 +16,7 @@ fn random(seed: u64) -> impl FnMut() -> f64 {
     move || (numbers.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// Samples of a sphere, evenly, whose disks cover it.
+/// Evenly distributed samples of a sphere, whose disks cover it.
 fn sphere(count: usize, radius: f64) -> PointCloud {
     let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
     let spacing = radius * (4.0 * std::f64::consts::PI / count as f64).sqrt();
@@ -37,7 +37,7 @@ fn sphere(count: usize, radius: f64) -> PointCloud {
     }
 }
 
-/// Samples anywhere, some at one place, with disks of all sizes.
+/// Random samples, some at one position, with disks of all sizes.
 fn scattered(count: usize, seed: u64) -> PointCloud {
     let mut next = random(seed);
     let mut cloud = PointCloud::default();
@@ -92,7 +92,7 @@ fn there_is_one_root_and_every_node_has_few_children() {
         }
         assert!(children[..leaves].iter().all(|&count| count == 0));
         assert!(children[leaves..].iter().all(|&count| (2..=8).contains(&count)));
-        // Parents come behind their children.
+        // Parents come after their children.
         let behind = |(index, node): (usize, &Node)| node.parent as usize > index;
         assert!(tree.nodes.iter().enumerate().all(behind));
         let mut seen = tree.samples.clone();
@@ -147,7 +147,7 @@ fn a_node_stands_for_all_leaves_below_it() {
     }
 }
 
-/// Along any direction in its plane a disk ends no farther than its spread beyond some leaf's disk.
+/// In any direction within its plane, a disk ends at most its spread beyond some leaf's disk.
 #[test]
 fn a_disk_reaches_little_beyond_its_leaves() {
     let cloud = sphere(3000, 2.0);
@@ -165,13 +165,13 @@ fn a_disk_reaches_little_beyond_its_leaves() {
                 (Vec2::new(way.dot(a), way.dot(b)), leaf.radius * leaf.normal.dot(node.normal))
             })
             .collect();
-        // Places that the tree was not built with.
+        // These are other places than those that the tree was built with.
         for turn in 0..40 {
             let (sin, cos) = (turn as f32 * 2.399_963).sin_cos();
             let place = Vec2::new(cos, sin) * node.radius * ((turn as f32 + 0.5) / 40.0).sqrt();
             let way = |(at, radius): &(Vec2, f32)| (place - *at).length() - radius;
             let nearest = leaves.iter().map(way).fold(f32::MAX, f32::min);
-            // Between those there may be a little more.
+            // Between the sampled places the distance may be a little larger.
             assert!(nearest <= node.spread + 0.1 * node.radius, "{nearest} {node:?}");
         }
         if index > tree.samples.len() + 60 {
@@ -190,7 +190,7 @@ fn errors_grow_upwards_and_with_the_size_of_the_disk() {
         }
         assert!(node.error.is_finite() && node.radius.is_finite());
     }
-    // A disk of radius r on a sphere of radius 2 is r²/4 away from it, half of that where it lies between.
+    // A disk of radius r on a sphere of radius 2 is r²/4 away from it, or half of that if it lies in between.
     let inner = tree.nodes.iter().filter(|node| node.level > 0 && node.radius < 0.5);
     for node in inner {
         let sagitta = node.radius * node.radius / 4.0;
@@ -229,7 +229,7 @@ fn codes_are_bounds_and_keep_the_order() {
         assert!(decode(code, base) >= value && decode(code, base) <= value * 1.018, "{value}");
         assert!(code <= last.1 && value >= last.0 && code != NO_PARENT);
         last = (value, code);
-        // Of a parent that is half as large, or larger by far.
+        // The parent is half as large, or far larger.
         for factor in [0.5, 3.0, 40.0] {
             let size = sequence::code(value * factor, base);
             let words = |value| [sequence::delta_bits(value, size, base), size << CODE_BITS];
@@ -294,7 +294,7 @@ fn the_first_chunks_are_small_and_chunks_say_what_is_in_them() {
     let statistics = TreeStatistics::of(&packed);
     assert_eq!(statistics.leaves, 30_000);
     assert!(statistics.inner < 20_000, "{statistics:?}");
-    // 28 bytes a node.
+    // A node takes 28 bytes.
     assert_eq!(statistics.bytes, 28 * packed.nodes.len() as u64);
 }
 
@@ -309,23 +309,23 @@ fn trees_are_equal_whatever_the_number_of_threads() {
     assert!(a.nodes == b.nodes && a.positions == b.positions && a.attributes == b.attributes);
 }
 
-/// What a camera sees of packed nodes, in the precision of shaders.
+/// A camera that selects packed nodes in the precision of shaders.
 struct Camera {
     eye: Vec3,
     forward: Vec3,
-    /// Of cells to camera space.
+    /// Maps grid cells to camera space.
     axes: glam::Mat3,
     lod: f32,
     split: bool,
 }
 
 impl Camera {
-    /// Which nodes of the tree are drawn by a measure.
+    /// The nodes of the tree that are drawn by a measure.
     fn drawn(&self, packed: &PackedSamples, order: &[u32], measure: usize) -> Vec<bool> {
         let mut drawn = vec![false; order.len()];
         let [x, y, z] = self.axes.to_cols_array_2d().map(Vec3::from);
         let stretch = x.length().max(y.length()).max(z.length());
-        // As shaders decide it: otherwise errors are those from all sides.
+        // Shaders make the same test: under a non-uniform scale errors do not depend on the angle.
         let one = x.length_squared();
         let off =
             [y.length_squared() - one, z.length_squared() - one, x.dot(y), y.dot(z), z.dot(x)];
@@ -351,7 +351,7 @@ impl Camera {
     }
 }
 
-/// A leaf that neither is drawn nor has an ancestor that is.
+/// Finds a leaf that is not drawn and has no drawn ancestor.
 fn uncovered(tree: &Tree, drawn: &[bool]) -> Option<usize> {
     (0..tree.samples.len()).find(|&leaf| {
         let mut at = leaf as u32;
@@ -362,8 +362,7 @@ fn uncovered(tree: &Tree, drawn: &[bool]) -> Option<usize> {
     })
 }
 
-/// From close to far away, fewer nodes are drawn where errors are those of the angle that they are seen at, and none is
-/// missing.
+/// At any distance, errors by viewing angle draw fewer nodes, and no leaf is left uncovered.
 #[test]
 fn a_split_error_draws_fewer_nodes_of_a_curved_surface() {
     let cloud = sphere(20_000, 2.0);
@@ -386,8 +385,8 @@ fn a_split_error_draws_fewer_nodes_of_a_curved_surface() {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
-    /// Whatever the eye, the scale, also one for each axis, and the accepted error, every leaf has a drawn ancestor-or-self: decided
-    /// in f32 from the packed words and places, as shaders do.
+    /// For any eye, scale (also one per axis) and accepted error, every leaf has a drawn ancestor-or-self. The test runs in f32
+    /// on the packed words and positions, as in shaders.
     #[test]
     fn every_leaf_is_covered(
         seed in 0u64..1000,
@@ -413,7 +412,7 @@ proptest! {
     }
 }
 
-/// A level sheet of triangles, and the unit sphere.
+/// A flat sheet of triangles, and the unit sphere.
 fn meshes() -> [(bool, crate::assets::Mesh); 2] {
     let side = 40u32;
     let at =
@@ -452,7 +451,7 @@ fn mesh_tree((closed, mesh): &(bool, crate::assets::Mesh)) -> PackedSamples {
     build_tree_within(&hybrid.samples, Some(&hybrid.stands), bounds, *closed).unwrap()
 }
 
-/// Whatever error is accepted, and however small its nodes then are: of a surface only the root is ever thinned.
+/// For any accepted error, and however small the nodes then are, only the root of a surface is ever thinned.
 #[test]
 fn whole_surfaces_are_not_thinned() {
     let scan = build_tree(&sphere(4000, 2.0), None).unwrap();
@@ -474,7 +473,7 @@ fn a_root_knows_what_its_leaves_cover() {
     let area = |tree: &PackedSamples| Root::of(tree).unwrap().measures.area;
     let found = [area(&mesh_tree(&sheet)), area(&mesh_tree(&ball))];
     assert!(near(found[0], 39.0 * 39.0) && near(found[1], std::f32::consts::PI), "{found:?}");
-    // The same of a scan, as far as its kernels tell.
+    // A scan's area is known only from its kernels.
     let found = area(&build_tree(&sphere(4000, 2.0), None).unwrap());
     assert!((0.7..1.5).contains(&(found / (4.0 * std::f32::consts::PI))), "{found}");
 }

@@ -1,47 +1,47 @@
-//! Errors by the angle that a node is seen at: the split error mode (Dachsbacher et al. 2003, §3.4, §3.7).
+//! Errors by viewing angle: the split error mode (Dachsbacher et al. 2003, §3.4, §3.7).
 //!
-//! Of a node's error `e = √(lift² + spread²)` an eye that looks along the normal sees the spread, and one in the plane the lift. At an
-//! angle `α` between view and normal the paper takes `lift · sin α + spread · cos α`. The second term is what a spread towards the eye is
-//! foreshortened to; one sideways is not. Within a surface the neighbours lie there, where it ends nothing does. So the cosine
-//! counts as no less than [`SIDEWAYS`], and an end is at most `1 / SIDEWAYS` times as far off as was accepted. A bound that holds
-//! sideways too is `e` for nearly all nodes.
+//! A node's error is `e = √(lift² + spread²)`. An eye that looks along the normal sees the spread, and an eye in the disk's plane
+//! sees the lift. At an angle `α` between view and normal the paper takes `lift · sin α + spread · cos α`. The cosine
+//! foreshortens a spread towards the eye, but not a sideways spread. Within a surface, neighbours cover a sideways spread; at the
+//! border of a surface nothing does. Therefore the cosine counts as at least [`SIDEWAYS`], and a border is off by at most
+//! `1 / SIDEWAYS` times the accepted error. A bound that also holds sideways would be `e` for nearly all nodes.
 //!
-//! A node has little room: since the spread is most of `e` for nearly all, it is taken for all of it, and what is left to know is one
-//! number, the *tilt* `a`:
+//! A node has few bits to spare. The spread is most of `e` for nearly all nodes, so it is taken as equal to `e`, and one number
+//! remains to be stored, the *tilt* `a`:
 //!
 //! ```text
 //! seen(α) = e · min(1, a · sin α + max(cos α, SIDEWAYS))
 //! ```
 //!
-//! in half octaves from 1/256 on ([`code_of`]), or without an end: the same from all sides. What is the same from all sides in part,
-//! contrast of colours and what leaves stand for, makes `a` larger.
+//! `a` is coded in half octaves from 1/256 on ([`code_of`]); the last code means infinite, an error that is independent of the
+//! angle. The parts of the error that do not depend on the angle (colour contrast and what leaves stand for) make `a` larger.
 //!
-//! A child is drawn where its parent may not be accepted, by the parent's own normal and place, which it does not know; where it
-//! took the parent's error for less than the parent does, there would be a gap. It holds a bound instead: a tilt for the parent
-//! against the child's normal ([`seen_from`]). With `θ` between the normals and `β` between the child's normal and the way to
-//! the parent,
+//! A child is drawn where its parent may not be accepted. That test uses the parent's normal and position, which the child does
+//! not store. If the child took the parent's error for less than the parent does, there would be a gap. The child stores a bound
+//! instead: a tilt for the parent relative to the child's normal ([`seen_from`]). With `θ` between the normals and `β` between
+//! the child's normal and the direction to the parent,
 //!
 //! ```text
 //! sin α ≤ sin β + sin θ cos β      max(cos α, S) ≤ max(cos β, S) + sin θ sin β
 //! ```
 //!
-//! and with `a' ≥ a + 1.5 sin θ`, `a' ≥ a + (1 + 0.58 a) sin θ` the sum is below `a' sin β + max(cos β, S)` wherever that is below 1: there
-//! `tan β/2 > a'`, so that `cot β < 1/(2a')`. From the way to the parent to the child's own it is a turn of at most `δ/r`, which
-//! [`share_seen`] adds to both terms when a node is looked at.
+//! and with `a' ≥ a + 1.5 sin θ`, `a' ≥ a + (1 + 0.58 a) sin θ` the sum is below `a' sin β + max(cos β, S)` wherever that is
+//! below 1: there `tan β/2 > a'`, so that `cot β < 1/(2a')`. From the way to the parent to the child's own it is a turn of at
+//! most `δ/r`, which [`share_seen`] adds to both terms when a node is looked at.
 
 use super::node::Node;
 use glam::Vec3;
 
-/// The least cosine that a spread counts with.
+/// The least cosine that scales the spread.
 pub const SIDEWAYS: f32 = 0.5;
-/// A cosine for nodes whose errors are the same from all sides.
+/// Cosine passed for nodes whose error is the same from all directions.
 pub const UNTILTED: f32 = 2.0;
-/// Without an end.
+/// Code of an infinite tilt: the error is the same from all directions.
 pub(super) const ALIKE: u32 = 15;
-/// Codes of an octave, and the octaves that they begin below 1.
+/// Codes per octave, and the number of octaves below 1 at which the codes begin.
 const STEPS: f32 = 2.0;
 const OCTAVES: f32 = 8.0;
-/// What a shader may lose of sines, and stored normals of directions.
+/// Rounding error of sines in shaders, and of stored normals.
 pub(super) const SLACK: f32 = 0.004;
 const NORMAL_SLACK: f32 = 3e-4;
 
@@ -50,24 +50,24 @@ fn decode(code: u32) -> f32 {
     if code >= ALIKE { f32::INFINITY } else { (code as f32 / STEPS - OCTAVES).exp2() }
 }
 
-/// The least code that stands for no less than `tilt`.
+/// The smallest code whose tilt is at least `tilt`.
 fn code_of(tilt: f32) -> u32 {
     (0..ALIKE).find(|&code| decode(code) >= tilt).unwrap_or(ALIKE)
 }
 
-/// A node's own code.
+/// The code of a node's own tilt.
 pub(super) fn of_node(node: &Node) -> u32 {
     let is_disk = node.level > 0 && node.normal != Vec3::ZERO && node.error > 0.0;
     if !is_disk || node.alike {
         return ALIKE;
     }
-    // What is the same from all sides is the most above the rest where the cosine ends to count.
+    // The angle-independent part exceeds the rest most at the angle where the cosine reaches its lower bound.
     let least_sine = (1.0 - SIDEWAYS * SIDEWAYS).sqrt();
     let even = (node.even / node.error - SIDEWAYS) / least_sine;
     code_of(1.0001 * (node.lift / node.error).max(even))
 }
 
-/// The code that a child of this normal has of its parent.
+/// The code of the parent's tilt that a child with this normal stores.
 pub(super) fn seen_from(parent: &Node, normal: Vec3) -> u32 {
     let own = of_node(parent);
     if own == ALIKE || normal == Vec3::ZERO {
@@ -78,7 +78,8 @@ pub(super) fn seen_from(parent: &Node, normal: Vec3) -> u32 {
     code_of(own + sine * (1.0 + 0.58 * own).max(1.5))
 }
 
-/// Which part of a node's error is seen at an angle of this cosine, or at most at one that is `turn` away from it (in radians).
+/// The fraction of a node's error seen at an angle with this cosine, or the largest fraction at any angle within `turn` radians
+/// of it.
 pub fn share_seen(code: u32, cosine: f32, turn: f32) -> f32 {
     if code == ALIKE {
         return 1.0;
@@ -87,12 +88,12 @@ pub fn share_seen(code: u32, cosine: f32, turn: f32) -> f32 {
     (decode(code) * (sine + turn) + cosine.max(SIDEWAYS) + turn).min(1.0)
 }
 
-/// A node's code and its parent's, of its words.
+/// Decodes a node's own tilt code and its parent's from the node's words.
 pub(super) fn of_words([error, size]: [u32; 2]) -> [u32; 2] {
     [error >> 26 & 15, error >> 30 | size >> 30 << 2]
 }
 
-/// What the two words say of a node's own tilt and of its parent's.
+/// The bits that the two words store of a node's own tilt and of its parent's.
 pub(super) fn bits(own: u32, parent: u32) -> [u32; 2] {
     [own << 26 | parent << 30, parent >> 2 << 30]
 }
@@ -137,7 +138,7 @@ mod tests {
     }
 
     proptest! {
-        /// The coded share is no less than what the formula says.
+        /// The coded share is at least the exact share of the formula.
         #[test]
         fn shares_hold_lift_and_spread(
             lift in 0f32..1.0, spread in 0f32..1.0, even in 0f32..1.0, angle in 0f32..1.57,
@@ -150,7 +151,7 @@ mod tests {
             prop_assert!((SIDEWAYS..=1.0).contains(&share));
         }
 
-        /// Whatever the eye and the normals, a child takes its parent's error for no less than the parent does.
+        /// For any eye and normals, a child never underestimates its parent's error.
         #[test]
         fn children_do_not_think_too_little_of_their_parents(
             lift in 0f32..1.0,
@@ -164,7 +165,7 @@ mod tests {
             let normal = unit(near);
             let parent = node(normal, lift * lift, 1.0, 0.0);
             let child = (normal + unit(off) * bend.exp2()).try_normalize().unwrap_or(normal);
-            // The parent in the origin, the child beside it.
+            // The parent is at the origin, the child beside it.
             let (eye, place) = (unit(eye) * distance.exp2(), unit(aside));
             let cosine = |normal: Vec3, way: Vec3| (normal.dot(way) / way.length()).abs().min(1.0);
             let seen = share_seen(of_node(&parent), cosine(normal, eye), 0.0);

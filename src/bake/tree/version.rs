@@ -1,4 +1,4 @@
-//! That trees do not change unnoticed: what is built of a few assets, against what this version built of them.
+//! Regression test: the trees of a few assets have the digest recorded for this version.
 
 use glam::{DVec3, Vec2, Vec3};
 use sha2::{Digest, Sha256};
@@ -10,7 +10,7 @@ use crate::bake::kernels::circle;
 use crate::bake::pack::{PackedMesh, pack_hybrid};
 use crate::scene::random::SplitMix64;
 
-/// Places on a wavy sheet; only what every machine computes alike.
+/// Positions and normals on a wavy sheet, from operations that every machine computes identically.
 fn sheet(side: usize) -> (Vec<DVec3>, Vec<Vec3>) {
     let at = |i: usize| {
         let [x, y] = [i % side, i / side].map(|v| 2.0 * v as f64 / (side - 1) as f64 - 1.0);
@@ -25,7 +25,7 @@ fn colors(count: usize) -> Vec<[u8; 4]> {
     (0..count).map(|i| [(i / 7) as u8, if i % 40 < 20 { 30 } else { 220 }, 90, 255]).collect()
 }
 
-/// A scan with oblong kernels, some of them cut.
+/// A scan with oblong kernels, some of them clipped.
 fn scan() -> PackedSamples {
     let (positions, normals) = sheet(48);
     let count = positions.len();
@@ -48,7 +48,7 @@ fn scan() -> PackedSamples {
     build_tree(&cloud, None).unwrap()
 }
 
-/// Samples anywhere, many at one place, of all sizes, some that face the eye.
+/// Random samples of all sizes; many share a position, some face the eye.
 fn scattered() -> PackedSamples {
     let mut numbers = SplitMix64::new(11);
     let mut next = || (numbers.next_u64() >> 40) as f32 / (1 << 24) as f32;
@@ -104,7 +104,7 @@ fn add_samples(hash: &mut Sha256, samples: &PackedSamples) {
     hash.update(bytemuck::cast_slice(&samples.kernels));
 }
 
-/// On other systems functions such as the logarithm may round otherwise.
+/// On other systems, functions such as the logarithm may round differently.
 #[test]
 #[cfg_attr(
     not(all(target_arch = "x86_64", target_os = "linux", target_env = "gnu")),

@@ -70,7 +70,7 @@ fn every_other_length_is_refused() {
     for length in 0..bytes.len() {
         let refusal = read_bytes(&bytes[..length]).unwrap_err();
         assert!(matches!(refusal, Refusal::Length { .. }), "{length} bytes: {refusal}");
-        // Of a file that becomes shorter while it is read.
+        // The file becomes shorter while it is read.
         let cut = entry::read(&mut Cursor::new(&bytes[..length]), bytes.len() as u64, &KEY);
         assert!(matches!(cut.unwrap_err(), Refusal::Length { .. }), "{length} bytes");
     }
@@ -117,7 +117,7 @@ fn a_table_with_a_right_checksum_is_refused_before_anything_is_allocated_for_it(
     }
 }
 
-/// Of a small tree, samples or mesh, changed in one thing.
+/// Refusal of a small tree, samples or mesh with one change.
 fn refused(change: impl Fn(&mut Vec<PackedGeometry>)) -> &'static str {
     let mut all = small();
     change(&mut all);
