@@ -1,6 +1,6 @@
 //! Settings of a frame, each declared once.
 //!
-//! [`settings!`] takes the declarations and makes of them
+//! `settings!` takes the declarations and makes of them
 //! - [`Given`]: the settings as a request gives them, in a query, a JSON body, a message of a stream, options of a command or a stored
 //!   job; what is `None` has its default, or is the scene's to say,
 //! - [`Settings`]: those that a frame is drawn with,

@@ -1,9 +1,9 @@
 //! The table of passes: every pass of this program, one line each, in the order in which they run.
 //!
-//! [`Pass`], its names, the plan, the embedded shaders, the pipelines, the recording and the receipts follow from these lines.
+//! [`super::Pass`], its names, the plan, the embedded shaders, the pipelines, the recording and the receipts follow from these lines.
 //! A line names, from left to right:
 //!
-//! 1. the variant of [`Pass`];
+//! 1. the variant of [`super::Pass`];
 //! 2. the kind of the pass: `Compute` has one entry point, named after its file; `Raster` has `vertex` and `fragment`; `Fill` has no
 //!    shader;
 //! 3. the WGSL file below `shaders/`, which is also the path of the recording function below `passes/`;
