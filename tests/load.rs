@@ -177,13 +177,13 @@ fn what_the_daemon_refuses_is_said_at_once() {
     );
     let url = format!("http://{}", daemon.address);
     // Without --scene the first is taken, and named.
-    let said = complaint(&url, &["--lod", "some"]);
+    let said = complaint(&url, &["--max-error-px", "2"]);
     assert!(said.contains("--scene ") && said.contains("the first of 2 that are ready"), "{said}");
     assert!(said.contains("422"), "{said}");
     let said = complaint(&url, &["--scene", "gird"]);
     assert!(said.contains("404"), "{said}");
-    let said = complaint(&url, &["--scene", "grid", "--lod", "some"]);
-    assert!(said.contains("422") && said.contains("lod"), "{said}");
+    let said = complaint(&url, &["--scene", "grid", "--max-error-px", "2"]);
+    assert!(said.contains("422") && said.contains("max_error_px"), "{said}");
     let said = complaint(&url, &["--scene", "grid", "--poses", "cameras"]);
     assert!(said.contains("needs two"), "{said}");
     let said = complaint("https://127.0.0.1:1", &[]);
