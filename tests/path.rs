@@ -357,10 +357,14 @@ fn other_shaders_draw_all_anew() {
     };
     studio.flown("f", &["--to", "4"]);
     let before = studio.records("f");
-    let shader = include_str!("../shaders/resolve/shade.wgsl");
+    let shader = include_str!("../shaders/resolve/resolve_samples.wgsl");
     let shaders = studio.at("shaders");
     fs::create_dir_all(shaders.join("resolve")).unwrap();
-    fs::write(shaders.join("resolve/shade.wgsl"), format!("{shader}// Another shader.\n")).unwrap();
+    fs::write(
+        shaders.join("resolve/resolve_samples.wgsl"),
+        format!("{shader}// Another shader.\n"),
+    )
+    .unwrap();
     for expected in ["7 frames drawn", "0 frames drawn, 7 kept"] {
         let mut command = studio.fly("f", &["--to", "6"]);
         command.env("POINTILLIST_SHADERS", &shaders);

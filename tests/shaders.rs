@@ -64,6 +64,7 @@ fn compositions(root: &str) -> Vec<(String, Choices, Composed)> {
     all = widen(all, "SUMS", |choices, side| choices.wide_sums = side);
     all = widen(all, "NORMAL_SUMS", |choices, side| choices.normal_sums = side);
     all = widen(all, "LIT", |choices, side| choices.lit = side);
+    all = widen(all, "FINISH", |choices, side| choices.kept = side);
     all = widen(all, "NODES", |choices, side| choices.nodes = side);
     // Each of them in a pass of its own.
     let lists = ["ENTRIES", "LIST", "MEMBERS"].into_iter().find(|alias| asks(alias));
@@ -122,9 +123,9 @@ fn every_composition_is_valid() {
     // a thread each, all or by turns, with and without votes, and from a list by thread and by rasteriser; splats'
     // depths: those of samples, with and without clip lines. Sums: clip lines, width, normals, lights, trees; in a single pass: clip
     // lines, lights, trees. Each of these a thread a splat, all or by turns, with and without votes, and from a list. Passes over pixels: with and
-    // without votes, and of samples with and without trees. Lists: of everything, or of trees. Others: without choices.
+    // without votes, of samples with and without trees, with outputs written at once or later. Lists: of everything, or of trees. Others: without choices.
     let (depths, sums, single) = (12, 32, 8);
-    let over_pixels = 6 * 2;
+    let over_pixels = 5 * 2 * 2 + 2;
     let lists = 3 * 2;
     let others = 9;
     assert_eq!(

@@ -1,12 +1,10 @@
 // Colours of pixels that show splats blended in a single pass: the nearest slab, with the one behind it.
 //!include shared/frame
 //!include shared/scene
-//!include shared/colour
 //!include shared/kept
 //!include shared/resolve
 //!include shared/slabs
 
-@group(0) @binding(1) var<storage, read_write> visibility: array<vec2<u32>>;
 // Even slab, then odd one; lower half, then upper.
 @group(0) @binding(5) var<storage, read> layers: array<vec4<u32>>;
 
@@ -49,13 +47,10 @@ fn resolve_fused(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
         column.mine = (words.y | words.w) != 0u;
         if column.mine {
             let sums = fused(words);
-            let color = srgb_from_linear(sums.rgb / max(sums.a, 1.0));
-            pixels[column.pixel] = pack4x8unorm(vec4<f32>(color, 1.0));
+            pixels[column.pixel] = color_word(sums.rgb / max(sums.a, 1.0));
             // What triangles have there lies behind.
             visibility[column.pixel] = vec2<u32>(0u);
             resolved++;
-        } else if column.inside && visibility[column.pixel].y == 0u {
-            pixels[column.pixel] = frame.background;
         }
         column_step(&column);
     }

@@ -1,18 +1,12 @@
 // Attributes of the pixels that show a sample of one page.
 //!include shared/frame
 //!include shared/scene
-//!include shared/octahedral
-//!include shared/colour
-//!include shared/material
 //!include shared/normals
 //!include shared/resolve
 //!include NODES
 
-@group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 // sRGB8 colour and octahedral normal.
 @group(1) @binding(0) var<storage, read> attributes: array<vec2<u32>>;
-@group(1) @binding(3) var<storage, read> instances: array<Instance>;
-@group(1) @binding(4) var<storage, read> materials: array<Material>;
 
 fn sample_color(own: u32, over_plus_one: u32) -> u32 {
     let plain = own | 0xff000000u;
@@ -23,34 +17,30 @@ fn sample_color(own: u32, over_plus_one: u32) -> u32 {
     if (over.overrides & OVERRIDE_BASE_COLOR) == 0u {
         return plain;
     }
-    let c = linear_from_srgb(unpack4x8unorm(own).rgb) * over.base_color.rgb;
-    return pack4x8unorm(vec4<f32>(srgb_from_linear(c), 1.0));
+    return color_word(linear_color(own) * over.base_color.rgb);
 }
 
 fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
-    if OUTPUT == OUTPUT_DEPTH {
-        pixels[pixel] = bitcast<u32>(1.0 / bitcast<f32>(word.y));
-        return;
-    }
+    var surface: Surface;
+    surface.inverse_depth = bitcast<f32>(word.y);
     let id = ~word.x;
-    let slot = frame.first_slot + (id >> SLOT_SHIFT);
-    let instance = slots[slot].instance;
+    surface.slot = id >> SLOT_SHIFT;
     if OUTPUT == OUTPUT_ID {
-        pixels[pixel] = instances[instance].id;
-        return;
+        surface.id = instances[slots[frame.first_slot + surface.slot].instance].id;
     }
-    let sample = slots[slot].first + (id & SLOT_MASK);
-    let packed = attributes[sample];
-    if OUTPUT == OUTPUT_NORMAL || SHADED {
-        let towards = world_from_camera(ray_through(pixel_centre(at)));
-        let n = facing_normal(turned(normal_map(instance), octahedral_decode(packed.y)), towards);
-        if OUTPUT == OUTPUT_NORMAL {
-            pixels[pixel] = normal_word(n);
-            return;
+    if OUTPUT == OUTPUT_COLOR || OUTPUT == OUTPUT_NORMAL {
+        let slot = frame.first_slot + surface.slot;
+        let instance = slots[slot].instance;
+        let sample = slots[slot].first + (id & SLOT_MASK);
+        let packed = attributes[sample];
+        if needs_normal() {
+            let towards = world_from_camera(ray_through(pixel_centre(at)));
+            surface.normal = facing_normal(turned(normal_map(instance), octahedral_decode(packed.y)), towards);
+            surface.is_ball = is_ball(packed);
         }
-        normals[pixel] = select(octahedral_encode(n), BALL, is_ball(packed));
+        surface.color = sample_color(painted(sample, packed.x), instances[instance].material);
     }
-    pixels[pixel] = sample_color(painted(sample, packed.x), instances[instance].material);
+    finish(pixel, at, surface);
 }
 
 @compute @workgroup_size(64)

@@ -1,8 +1,6 @@
 // Normalisation, last of three passes (Zwicker et al. 2004, §6): the sums of pixels that show splats, divided by their weights.
 //!include shared/frame
 //!include shared/scene
-//!include shared/octahedral
-//!include shared/colour
 //!include shared/normals
 //!include shared/kept
 //!include shared/resolve
@@ -11,11 +9,8 @@
 @group(0) @binding(6) var<storage, read> sums_1: array<vec2<u32>>;
 @group(0) @binding(7) var<storage, read> sums_2: array<vec2<u32>>;
 @group(0) @binding(8) var<storage, read> sums_3: array<vec2<u32>>;
-// Where pixels are lit, the offset is taken back.
-@group(0) @binding(1) var<storage, read_write> visibility: array<vec2<u32>>;
-@group(1) @binding(3) var<storage, read> instances: array<Instance>;
 
-// Pixels are lit once all is blended; otherwise splats were lit, or there are no lights.
+// Normals and depths were blended: pixels are lit, or need both for something else. Otherwise splats were lit, or there are no lights.
 override DEFERRED: bool = true;
 // What looks everywhere is lit as a ball.
 override BALLS: bool = false;
@@ -37,41 +32,36 @@ fn blended_normal(sums: vec3<u32>, inverse_weight: f32, at: vec2<u32>) -> vec3<f
 }
 
 fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
+    var surface: Surface;
+    surface.slot = slot_of(word);
     if OUTPUT == OUTPUT_ID {
-        let slot = frame.first_slot + slot_of(word);
-        pixels[pixel] = instances[slots[slot].instance].id;
+        surface.id = instances[slots[frame.first_slot + surface.slot].instance].id;
+        finish(pixel, at, surface);
         return;
     }
     let first = sums_0[pixel];
     let second = sums_1[pixel];
     let inverse_weight = 1.0 / max(f32(first.y), 1.0);
+    // Splats count behind the nearest one as well: the offset is taken back.
+    let nearest = bitcast<f32>(word.y & ~FACING_BITS);
     if OUTPUT == OUTPUT_DEPTH {
         let share = fma(f32(second.y), 4294967296.0, f32(second.x)) / DEPTH_ONE * inverse_weight;
-        pixels[pixel] = bitcast<u32>(share / bitcast<f32>(word.y & ~FACING_BITS));
-        return;
+        surface.inverse_depth = nearest / share;
+    } else if OUTPUT == OUTPUT_NORMAL {
+        surface.normal = blended_normal(vec3<u32>(first.x, second.xy), inverse_weight, at);
+    } else {
+        surface.color = color_word(vec3<f32>(vec3<u32>(first.x, second.xy)) * inverse_weight);
+        surface.inverse_depth = nearest;
+        if DEFERRED {
+            let third = sums_2[pixel];
+            let fourth = sums_3[pixel];
+            let sums = vec3<u32>(third.xy, fourth.x);
+            surface.normal = blended_normal(sums, inverse_weight, at);
+            surface.is_ball = BALLS && is_ball(sums, inverse_weight);
+            surface.inverse_depth = nearest / clamp(f32(fourth.y) * inverse_weight, 1e-6, 1.0);
+        }
     }
-    if OUTPUT == OUTPUT_NORMAL {
-        pixels[pixel] = normal_word(blended_normal(vec3<u32>(first.x, second.xy), inverse_weight, at));
-        return;
-    }
-    let color = vec3<f32>(vec3<u32>(first.x, second.xy)) * inverse_weight;
-    pixels[pixel] = pack4x8unorm(vec4<f32>(srgb_from_linear(color), 1.0));
-    if !SHADED {
-        return;
-    }
-    if !DEFERRED {
-        normals[pixel] = NO_NORMAL;
-        return;
-    }
-    let third = sums_2[pixel];
-    let fourth = sums_3[pixel];
-    let sums = vec3<u32>(third.xy, fourth.x);
-    normals[pixel] = octahedral_encode(blended_normal(sums, inverse_weight, at));
-    if BALLS && is_ball(sums, inverse_weight) {
-        normals[pixel] = BALL;
-    }
-    let share = clamp(f32(fourth.y) * inverse_weight, 1e-6, 1.0);
-    visibility[pixel].y = bitcast<u32>(bitcast<f32>(word.y & ~FACING_BITS) / share);
+    finish(pixel, at, surface);
 }
 
 @compute @workgroup_size(64)

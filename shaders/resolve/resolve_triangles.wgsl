@@ -1,19 +1,12 @@
 // Attributes of the pixels that show a triangle of one page: interpolated perspective-correctly at the pixel's centre.
 //!include shared/frame
 //!include shared/scene
-//!include shared/octahedral
-//!include shared/colour
-//!include shared/material
 //!include shared/mesh
 //!include shared/barycentric
 //!include shared/texture
 //!include shared/normals
 //!include shared/resolve
 
-@group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
-@group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
-@group(1) @binding(3) var<storage, read> instances: array<Instance>;
-@group(1) @binding(4) var<storage, read> materials: array<Material>;
 @group(1) @binding(5) var<storage, read> textures: array<Texture>;
 @group(1) @binding(6) var<storage, read> texels_0: array<u32>;
 @group(1) @binding(7) var<storage, read> texels_1: array<u32>;
@@ -55,7 +48,7 @@ fn shown_slot(slot: u32) -> Shown {
     shown.first = chunks[chunk].first;
     shown.vertex_first = chunks[chunk].vertex_first;
     shown.placed = placed[frame.first_instance + instance];
-    if OUTPUT == OUTPUT_NORMAL || SHADED {
+    if needs_normal() {
         shown.normals = normal_map(instance);
     }
     if OUTPUT == OUTPUT_COLOR {
@@ -68,7 +61,7 @@ fn shown_slot(slot: u32) -> Shown {
 }
 
 fn corner_color(word: u32) -> vec3<f32> {
-    return linear_from_srgb(unpack4x8unorm(vertices[word + 3u]).rgb);
+    return linear_color(vertices[word + 3u]);
 }
 
 fn corner_normal(word: u32) -> vec3<f32> {
@@ -80,74 +73,66 @@ fn corner_uv(word: u32) -> vec2<f32> {
 }
 
 fn shown_corners(shown: Shown, triangle: u32) -> Corners {
-    var surface: Corners;
-    let corners = corner_words(shown.first + triangle, shown.vertex_first);
-    surface.form = barycentric_forms(
-        vertex_camera(shown.placed, corners.x),
-        vertex_camera(shown.placed, corners.y),
-        vertex_camera(shown.placed, corners.z),
+    var corners: Corners;
+    let words = corner_words(shown.first + triangle, shown.vertex_first);
+    corners.form = barycentric_forms(
+        vertex_camera(shown.placed, words.x),
+        vertex_camera(shown.placed, words.y),
+        vertex_camera(shown.placed, words.z),
     );
-    if OUTPUT == OUTPUT_NORMAL || SHADED {
-        let n = corner_normal(corners.x);
+    if needs_normal() {
+        let n = corner_normal(words.x);
         if all(n == vec3<f32>(0.0)) {
-            surface.normal[0] = world_from_camera(surface.form.all);
+            corners.normal[0] = world_from_camera(corners.form.all);
         } else {
-            surface.normal[0] = turned(shown.normals, n);
-            surface.normal[1] = turned(shown.normals, corner_normal(corners.y) - n);
-            surface.normal[2] = turned(shown.normals, corner_normal(corners.z) - n);
+            corners.normal[0] = turned(shown.normals, n);
+            corners.normal[1] = turned(shown.normals, corner_normal(words.y) - n);
+            corners.normal[2] = turned(shown.normals, corner_normal(words.z) - n);
         }
     }
     if OUTPUT == OUTPUT_COLOR {
-        let color = corner_color(corners.x);
-        surface.color[0] = color;
-        surface.color[1] = corner_color(corners.y) - color;
-        surface.color[2] = corner_color(corners.z) - color;
+        let color = corner_color(words.x);
+        corners.color[0] = color;
+        corners.color[1] = corner_color(words.y) - color;
+        corners.color[2] = corner_color(words.z) - color;
     }
     if OUTPUT == OUTPUT_COLOR && TEXTURES {
-        let uv = corner_uv(corners.x);
-        surface.uv[0] = uv;
-        surface.uv[1] = corner_uv(corners.y) - uv;
-        surface.uv[2] = corner_uv(corners.z) - uv;
+        let uv = corner_uv(words.x);
+        corners.uv[0] = uv;
+        corners.uv[1] = corner_uv(words.y) - uv;
+        corners.uv[2] = corner_uv(words.z) - uv;
     }
-    return surface;
+    return corners;
 }
 
-fn surface_color(surface: Corners, material: Material, w: Weights) -> vec3<f32> {
-    var color = material.base_color.rgb * (surface.color[0] + w.b * surface.color[1] + w.c * surface.color[2]);
+fn surface_color(corners: Corners, material: Material, w: Weights) -> vec3<f32> {
+    var color = material.base_color.rgb * (corners.color[0] + w.b * corners.color[1] + w.c * corners.color[2]);
     if TEXTURES && material.texture != 0u {
         color *= sample_texture(
             textures[material.texture - 1u],
-            surface.uv[0] + w.b * surface.uv[1] + w.c * surface.uv[2],
-            w.dx.x * surface.uv[1] + w.dx.y * surface.uv[2],
-            w.dy.x * surface.uv[1] + w.dy.y * surface.uv[2],
+            corners.uv[0] + w.b * corners.uv[1] + w.c * corners.uv[2],
+            w.dx.x * corners.uv[1] + w.dx.y * corners.uv[2],
+            w.dy.x * corners.uv[1] + w.dy.y * corners.uv[2],
         ).rgb;
     }
     return color;
 }
 
-fn resolve(column: Column, shown: Shown, surface: Corners) {
-    let pixel = column.pixel;
-    if OUTPUT == OUTPUT_DEPTH {
-        pixels[pixel] = bitcast<u32>(1.0 / bitcast<f32>(column.word.y));
-        return;
-    }
-    if OUTPUT == OUTPUT_ID {
-        pixels[pixel] = shown.id;
-        return;
-    }
-    let ray = ray_through(pixel_centre(column.at));
-    let w = barycentric_weights(surface.form, ray);
-    if OUTPUT == OUTPUT_NORMAL || SHADED {
-        let own = surface.normal[0] + w.b * surface.normal[1] + w.c * surface.normal[2];
-        let n = facing_normal(own, world_from_camera(ray));
-        if OUTPUT == OUTPUT_NORMAL {
-            pixels[pixel] = normal_word(n);
-            return;
+fn resolve(column: Column, shown: Shown, corners: Corners) {
+    var surface: Surface;
+    surface.slot = shown.slot;
+    surface.id = shown.id;
+    surface.inverse_depth = bitcast<f32>(column.word.y);
+    if OUTPUT == OUTPUT_COLOR || OUTPUT == OUTPUT_NORMAL {
+        let ray = ray_through(pixel_centre(column.at));
+        let w = barycentric_weights(corners.form, ray);
+        if needs_normal() {
+            let own = corners.normal[0] + w.b * corners.normal[1] + w.c * corners.normal[2];
+            surface.normal = facing_normal(own, world_from_camera(ray));
         }
-        normals[pixel] = octahedral_encode(n);
+        surface.color = color_word(surface_color(corners, shown.material, w));
     }
-    let color = surface_color(surface, shown.material, w);
-    pixels[pixel] = pack4x8unorm(vec4<f32>(srgb_from_linear(color), 1.0));
+    finish(column.pixel, column.at, surface);
 }
 
 @compute @workgroup_size(64)
@@ -171,13 +156,13 @@ fn resolve_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_inv
         loop {
             // Of a pixel that shows nothing: no id of a triangle.
             let id = select(0u, column.word.x, column.mine);
-            var surface: Corners;
+            var corners: Corners;
             if column.mine && (OUTPUT == OUTPUT_COLOR || OUTPUT == OUTPUT_NORMAL) {
-                surface = shown_corners(shown, ~id & SLOT_MASK);
+                corners = shown_corners(shown, ~id & SLOT_MASK);
             }
             loop {
                 if column.mine {
-                    resolve(column, shown, surface);
+                    resolve(column, shown, corners);
                     resolved++;
                 }
                 resolve_next(&column, begin, count);

@@ -11,6 +11,7 @@
 @group(2) @binding(1) var<storage, read_write> ranks: array<u32>;
 @group(2) @binding(2) var<storage, read_write> group_counts: array<u32>;
 @group(2) @binding(3) var<storage, read_write> depths: array<atomic<u32>>;
+@group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
 
 // What is hidden by what is nearer is looked for.
 override HIDES: bool = false;
@@ -18,15 +19,30 @@ override HIDES: bool = false;
 const NOT_VISIBLE: u32 = 0xffffffffu;
 const NO_INSTANCE: u32 = 0xffffffffu;
 
-fn is_wanted(chunk: Chunk, box: Box, scale: f32) -> bool {
-    // Splats reach beyond their centres, and the low-pass filter widens them in the image. Both are 0 for points.
-    var radius = 0.0;
-    if chunk.shift != TRIANGLES {
-        radius = splat_reach(chunk, scale);
+// How far splats reach beyond their centres; 0 for points and triangles.
+fn reach_of(chunk: Chunk, scale: f32) -> f32 {
+    if chunk.shift == TRIANGLES {
+        return 0.0;
     }
+    return splat_reach(chunk, scale);
+}
+
+// The low-pass filter widens splats in the image.
+fn is_wanted(chunk: Chunk, box: Box, scale: f32, radius: f32) -> bool {
     let deep = box_deep(box);
     return chunk_is_wanted(chunk, scale, box.centre.z - deep, box.centre.z + deep, box_far(box))
         && box_is_seen(box.centre, box.x, box.y, box.z, radius, frame.splat_cutoff * frame.splat_lowpass_px);
+}
+
+// Extends the bounds of all that may be drawn.
+fn note_bounds(least: vec2<f32>, most: vec2<f32>) {
+    let size = vec2<f32>(frame.size_px);
+    let begin = vec2<u32>(clamp(floor(least), vec2<f32>(0.0), size));
+    let end = vec2<u32>(clamp(ceil(most), vec2<f32>(0.0), size));
+    atomicMax(&stats[frame.view].drawn_before[0], frame.size_px.x - begin.x);
+    atomicMax(&stats[frame.view].drawn_before[1], frame.size_px.y - begin.y);
+    atomicMax(&stats[frame.view].drawn_end[0], end.x);
+    atomicMax(&stats[frame.view].drawn_end[1], end.y);
 }
 
 // Adds a chunk to what begins at its depth.
@@ -55,8 +71,12 @@ fn cull(@builtin(global_invocation_id) invocation: vec3<u32>) {
     if first >= entry_count() {
         return;
     }
+    // A splat fills a pixel at least.
+    let filter_px = select(0.0, max(frame.splat_cutoff * frame.splat_lowpass_px, 1.0), frame.splat_width > 0.0);
     var walk = walk_from(first);
     var rank = 0u;
+    var least = vec2<f32>(frame.size_px);
+    var most = vec2<f32>(0.0);
     for (var k = 0u; k < GROUP; k++) {
         let entry = walk_next(&walk);
         var mine = NOT_VISIBLE;
@@ -64,9 +84,14 @@ fn cull(@builtin(global_invocation_id) invocation: vec3<u32>) {
             let chunk = chunks[entry.chunk];
             let at = placed[frame.first_instance + entry.instance];
             let box = grid_box(at, chunk.origin, chunk.extent);
-            if is_wanted(chunk, box, stretch(at)) {
+            let scale = stretch(at);
+            let reach = reach_of(chunk, scale);
+            if is_wanted(chunk, box, scale, reach) {
                 mine = rank;
                 rank++;
+                let bounds = drawn_bounds(Box(box.centre, box.x, box.y, box.z, box.slack + reach), filter_px);
+                least = min(least, bounds.least);
+                most = max(most, bounds.most);
                 if HIDES {
                     note_depth(box, first + k);
                 }
@@ -75,4 +100,7 @@ fn cull(@builtin(global_invocation_id) invocation: vec3<u32>) {
         ranks[frame.first_entry + first + k] = mine;
     }
     group_counts[frame.first_group + group] = rank;
+    if rank > 0u {
+        note_bounds(least, most);
+    }
 }

@@ -81,12 +81,6 @@ fn is_hidden(bounds: BoxBounds) -> bool {
     return true;
 }
 
-// Bounds of what is drawn of a box, where that is splats that reach so many pixels beyond their own outlines.
-fn drawn_bounds(box: Box, filter_px: f32) -> BoxBounds {
-    let bounds = box_bounds(box);
-    return BoxBounds(bounds.near, bounds.least - vec2<f32>(filter_px), bounds.most + vec2<f32>(filter_px));
-}
-
 // The longest kernel axis of a part, in parts of its chunk's.
 fn longest_of(words: vec2<u32>) -> f32 {
     return exp2((1.0 - 8.0 * f32(words.x >> 24u)) * 0.0078125);

@@ -25,3 +25,12 @@ fn srgb_from_linear(c: vec3<f32>) -> vec3<f32> {
     high = fma(high, quarter, vec3<f32>(-0.06461178));
     return select(high, low, clamped <= vec3<f32>(0.0031308));
 }
+
+// An opaque linear colour as sRGB8.
+fn color_word(c: vec3<f32>) -> u32 {
+    return pack4x8unorm(vec4<f32>(srgb_from_linear(c), 1.0));
+}
+
+fn linear_color(word: u32) -> vec3<f32> {
+    return linear_from_srgb(unpack4x8unorm(word).rgb);
+}

@@ -10,9 +10,9 @@ const TILE: vec2<u32> = vec2<u32>(64u, 16u);
 struct Column {
     at: vec2<u32>,
     pixel: u32,
-    // One row below the tile.
+    // One row below what may be drawn of the tile.
     bottom: u32,
-    // The tile may be wider than what is left of the image.
+    // The tile may be wider than what may be drawn.
     inside: bool,
     word: vec2<u32>,
     // The pixel is for this pass to draw.
@@ -20,12 +20,16 @@ struct Column {
 }
 
 fn column_begin(group: vec3<u32>, lane: u32) -> Column {
-    let size = frame.size_px;
+    // Where nothing may be drawn, a tile costs no more than this.
+    let before = vec2<u32>(atomicLoad(&stats[frame.view].drawn_before[0]), atomicLoad(&stats[frame.view].drawn_before[1]));
+    let end = vec2<u32>(atomicLoad(&stats[frame.view].drawn_end[0]), atomicLoad(&stats[frame.view].drawn_end[1]));
+    let begin = frame.size_px - before;
+    let corner = group.xy * TILE;
     var column: Column;
-    column.at = group.xy * TILE + vec2<u32>(lane, 0u);
-    column.pixel = frame.first_pixel + column.at.y * size.x + column.at.x;
-    column.bottom = min((group.y + 1u) * TILE.y, size.y);
-    column.inside = column.at.x < size.x;
+    column.at = vec2<u32>(corner.x + lane, max(corner.y, begin.y));
+    column.pixel = frame.first_pixel + column.at.y * frame.size_px.x + column.at.x;
+    column.bottom = select(min(corner.y + TILE.y, end.y), 0u, corner.x >= end.x || corner.x + TILE.x <= begin.x);
+    column.inside = column.at.x >= begin.x && column.at.x < end.x;
     return column;
 }
 
@@ -41,9 +45,16 @@ fn column_is_pixel(column: Column) -> bool {
 fn column_load(column: ptr<function, Column>) {
     (*column).word = vec2<u32>(0u);
     if column_is_pixel(*column) {
-        (*column).word = visibility[(*column).pixel];
+        (*column).word.y = visibility[(*column).pixel].y;
     }
     (*column).mine = (*column).word.y != 0u;
+    if (*column).mine {
+        (*column).word.x = visibility[(*column).pixel].x;
+    }
+}
+
+fn pixel_centre(at: vec2<u32>) -> vec2<f32> {
+    return vec2<f32>(at) + vec2<f32>(0.5);
 }
 
 fn column_step(column: ptr<function, Column>) {

@@ -12,8 +12,6 @@ struct Frame {
     size_px: vec2<u32>,
     entry_count: u32,
     instance_count: u32,
-    // sRGB8 of pixels that nothing covers.
-    background: u32,
     light_count: u32,
     // Longest side in pixels of a triangle's box that compute still walks itself.
     small_triangle_px: i32,
@@ -57,6 +55,9 @@ struct Frame {
     instance_groups: u32,
     // Segments of the scene.
     segment_count: u32,
+    // Of eye-dome lighting: its strength, and how far the neighbours lie that a pixel is compared with.
+    edl_strength: f32,
+    edl_radius_px: f32,
 }
 
 @group(0) @binding(0) var<uniform> frames: array<Frame, 16>;

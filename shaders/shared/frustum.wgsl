@@ -63,6 +63,12 @@ fn box_bounds(box: Box) -> BoxBounds {
     );
 }
 
+// Bounds of what is drawn of a box, where that is splats that reach so many pixels beyond their own outlines.
+fn drawn_bounds(box: Box, filter_px: f32) -> BoxBounds {
+    let bounds = box_bounds(box);
+    return BoxBounds(bounds.near, bounds.least - vec2<f32>(filter_px), bounds.most + vec2<f32>(filter_px));
+}
+
 // The part of the image within bounds.
 fn cover_of(bounds: BoxBounds) -> f32 {
     let size = vec2<f32>(frame.size_px);

@@ -13,9 +13,9 @@ struct Light {
     place_lo: vec4<f32>,
 }
 
-@group(1) @binding(7) var<storage, read> lights: array<Light>;
+@group(1) @binding(9) var<storage, read> lights: array<Light>;
 // The first of them once more: uniforms at fixed places are read once for a whole vector of threads.
-@group(1) @binding(8) var<uniform> few_lights: array<Light, 4>;
+@group(1) @binding(10) var<uniform> few_lights: array<Light, 4>;
 
 // Some material reflects specularly.
 override SPECULAR: bool = true;

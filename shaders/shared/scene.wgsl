@@ -127,8 +127,7 @@ struct Segment {
 // Which segment a pass draws.
 struct SegmentUse {
     index: u32,
-    // 1 for the frame's first resolve, which also writes the background.
-    first: u32,
+    unused: u32,
 }
 
 // Where a segment's visible slots lie among those of a view.
@@ -171,12 +170,13 @@ struct Stats {
     nodes_drawn: atomic<u32>,
     // Of all views together, in the first one's record: some workgroup had more to walk than it may; the frame is not shown.
     walk_cut: atomic<u32>,
-    unused_1: atomic<u32>,
-    unused_2: atomic<u32>,
+    // Bounds in pixels of all that may be drawn: how far they begin before the image's right and lower edges, and where they end.
+    drawn_before: array<atomic<u32>, 2>,
+    drawn_end: array<atomic<u32>, 2>,
 }
 
 // Words of a view's record, and places in it for those who only read.
-const STATS_WORDS: u32 = 20u;
+const STATS_WORDS: u32 = 22u;
 const STAT_LARGE_LONGEST: u32 = 8u;
 const STAT_LARGE_UNITS: u32 = 9u;
 const STAT_LARGE_WRAPPED: u32 = 10u;

@@ -1,5 +1,5 @@
 // What a splat has to give to pixels: its colour, lit or not, and its normal.
-//!include shared/outputs
+//!include shared/output
 override OVERRIDES: bool = true;
 // Colour frames that a shade pass follows: normals are blended too.
 override DEFERRED: bool = true;

@@ -14,7 +14,7 @@ use super::trace::{FrameSpans, Origin, RequestId};
 use super::{EncodedFrame, EngineError, FrameRequest};
 use crate::math::View;
 use crate::plan::auto::Choice;
-use crate::plan::{FramePlan, MaxError, Reconstruct};
+use crate::plan::{EyeDome, FramePlan, MaxError, Reconstruct};
 use crate::residency::model::{Extent, SceneModel};
 use crate::scene::{Blend, Splats};
 
@@ -52,6 +52,10 @@ pub struct Drawing {
     pub instead_because: Option<&'static str>,
     /// How samples are drawn, if not as points.
     pub splats: Option<Splats>,
+    /// Eye-dome lighting, where it is on.
+    pub edl: Option<EyeDome>,
+    /// Linear RGB and straight alpha of pixels that show nothing.
+    pub background: [f32; 4],
 }
 
 /// A frame that somebody waits for.

@@ -660,6 +660,7 @@ fn facts(model: &SceneModel) -> SceneFacts {
     SceneFacts {
         has_samples: counts.samples > 0,
         has_triangles: counts.triangles > 0,
+        has_normals: model.assets.iter().any(|asset| asset.has_normals),
         lights: model.lights.len() as u32,
         trees: false,
         chunks: counts.chunks,

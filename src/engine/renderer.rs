@@ -338,6 +338,8 @@ impl Renderer {
             max_error_px: first.resolved.max_error.px(),
             error_mode: first.request.settings.error_mode,
             paint: first.request.settings.paint,
+            edl: drawing.edl,
+            background: drawing.background,
             entry_capacity: self.scratch.entry_capacity(),
         }
     }

@@ -14,7 +14,9 @@ use crate::encode::{self, EncodeError};
 use crate::math::{Camera, CameraError, FOV_RANGE_DEG, View};
 use crate::passes::{LAYERS_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
-use crate::plan::{AdapterFacts, Lod, Output, Reconstruct, Settings, Wait, plan};
+use crate::plan::{
+    AdapterFacts, Background, Edl, FrameFacts, Lod, Output, Reconstruct, Settings, Wait, plan,
+};
 
 /// Most pixels and longest side of a frame on this adapter.
 pub fn frame_limits(shared: &Shared) -> (u64, u32) {
@@ -135,8 +137,13 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
             rasterises: adapter.rasterises,
             draws_hidden: shared.config.draw_hidden,
         };
-        let plan = plan(&facts, request.output, splats.as_ref(), &adapter);
-        Drawing { plan, reconstruct: settings.reconstruct, instead_because, splats }
+        let edl = settings.eye_dome(&facts);
+        let frame = FrameFacts { output: request.output, splats, edl };
+        let plan = plan(&facts, &frame, &adapter);
+        let background = settings.background.map(Background::linear);
+        let background = background.unwrap_or(loaded.model.background);
+        let reconstruct = settings.reconstruct;
+        Drawing { plan, reconstruct, instead_because, splats, edl, background }
     };
     let other = settings.in_three_passes();
     let is_single = settings.reconstruct == Reconstruct::Fuzzy && facts.has_samples;
@@ -240,6 +247,9 @@ fn no_single_pass(request: &FrameRequest, adapter: &Adapter) -> Option<&'static 
     let pixels = u64::from(request.width) * u64::from(request.height);
     if request.output != Output::Color {
         return Some("a single pass has nothing but colours");
+    }
+    if request.settings.edl == Edl::On {
+        return Some("a single pass has no depths for eye-dome lighting");
     }
     if !adapter.atomic_sums_64 {
         return Some("a single pass needs 64-bit atomics that add and exchange");

@@ -26,7 +26,7 @@ use super::{EncodedFrame, EngineError};
 use crate::gpu::{GpuError, GpuOptions};
 use crate::memory;
 use crate::passes::srgb8;
-use crate::plan::{Pass, Reconstruct, Settings, UsedSettings};
+use crate::plan::{Edl, Pass, Reconstruct, Settings, UsedSettings};
 use crate::residency::layout::GpuStats;
 use crate::residency::layout::MOST_ROWS;
 
@@ -341,7 +341,7 @@ fn accepted(stats: &GpuStats) -> u64 {
 /// Why a frame shows nothing, where it does.
 fn nothing_visible(drawn: &Drawn) -> Option<String> {
     let resolved = &drawn.job.resolved;
-    let background = srgb8(resolved.model.background).to_le_bytes();
+    let background = srgb8(drawn.job.drawing().background).to_le_bytes();
     let is_blank = drawn.stats.pixels_of_samples == 0 && drawn.image.is_blank(background);
     is_blank.then(|| framing::why_nothing(&resolved.extent.bounds, &resolved.view))
 }
@@ -355,7 +355,8 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
     let as_splats = runs(Pass::ProjectSplats) || runs(Pass::FuseSplats);
     let samples = runs(Pass::ProjectSamples) || as_splats;
     let splats = |count: u32| as_splats.then_some(u64::from(count));
-    let used = Settings { reconstruct: drawing.reconstruct, ..job.request.settings };
+    let edl = if runs(Pass::WriteOutput) { Edl::On } else { Edl::Off };
+    let used = Settings { reconstruct: drawing.reconstruct, edl, ..job.request.settings };
     Receipt {
         request_id: job.request_id.as_str().to_owned(),
         scene: job.request.scene.clone(),

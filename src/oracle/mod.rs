@@ -11,12 +11,14 @@
 //!    pixels show them before the triangles, and the weighted means of those that make up the nearest surface.
 //! 3. `surface`: colour (`texture` included), normal and material where the ray meets the winner.
 //! 4. `shade`: Phong, or the colour as it is.
+//! 5. `edl`: eye-dome lighting, where it is asked for.
 //!
 //! Work is split by rows of the image; the order of primitives does not matter to the result, so that it
 //! is the same on any number of threads.
 
 mod blend;
 pub mod color;
+mod edl;
 mod footprint;
 mod predicates;
 mod prepare;
@@ -41,6 +43,7 @@ use rayon::prelude::*;
 
 use crate::assets::{Geometry, Material, Texture};
 use crate::math::View;
+use crate::plan::EyeDome;
 use crate::scene::{Light, MaterialSpec, Splats};
 
 use blend::Blended;
@@ -57,6 +60,8 @@ pub struct OracleScene<'a> {
     pub background: [f32; 4],
     /// How samples are drawn as splats; `None` draws one pixel a sample.
     pub splats: Option<Splats>,
+    /// Eye-dome lighting, computed from the depths at the pixels' centres.
+    pub edl: Option<EyeDome>,
 }
 
 /// One geometry at one place.
@@ -111,7 +116,7 @@ impl OracleFrame {
 pub fn render(scene: &OracleScene<'_>, view: &View, supersample: u32) -> OracleFrame {
     let prepared = Prepared::new(scene, view);
     let shown = shown(&prepared, view, 1);
-    let color = match supersample {
+    let mut color = match supersample {
         0 | 1 => colors(&prepared, view, &shown),
         n => {
             let fine_view = visibility::finer(view, n);
@@ -130,6 +135,14 @@ pub fn render(scene: &OracleScene<'_>, view: &View, supersample: u32) -> OracleF
         Shown::Hit(hit) => hit.depth,
         Shown::Splats(blended) => blended.depth,
     };
+    let depth: Vec<f64> = shown.iter().map(depth).collect();
+    if let Some(edl) = &scene.edl {
+        let size = (width, view.height as usize);
+        color.par_iter_mut().enumerate().for_each(|(i, color)| {
+            let factor = edl::factor(edl, &depth, size, (i % width, i / width));
+            color[..3].iter_mut().for_each(|channel| *channel *= factor);
+        });
+    }
     let id = |shown: &Shown| match shown {
         Shown::Nothing => 0,
         Shown::Hit(hit) => prepared.instance(hit) + 1,
@@ -139,7 +152,7 @@ pub fn render(scene: &OracleScene<'_>, view: &View, supersample: u32) -> OracleF
         width: view.width,
         height: view.height,
         normal: normal.collect(),
-        depth: shown.iter().map(depth).collect(),
+        depth,
         id: shown.iter().map(id).collect(),
         color,
     }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::slabs::Slabs;
 use crate::math::View;
-use crate::plan::{ErrorMode, FramePlan, Output, Paint, Pass};
+use crate::plan::{ErrorMode, EyeDome, FramePlan, Output, Paint, Pass};
 use crate::residency::layout::{GpuFrame, two_floats};
 use crate::residency::model::{Extent, SceneModel};
 use crate::residency::{GROUP, ResidentScene};
@@ -40,13 +40,16 @@ pub struct FrameTask {
     pub error_mode: ErrorMode,
     /// What the colours of samples show.
     pub paint: Paint,
+    /// Eye-dome lighting, where it is on.
+    pub edl: Option<EyeDome>,
+    /// Linear RGB and straight alpha of pixels that show nothing.
+    pub background: [f32; 4],
     /// Entries that such a frame may list.
     pub entry_capacity: u32,
 }
 
 /// Beyond it a few triangles would take all the rounds of loops that lavapipe lets a thread have: 65535.
 pub const MOST_SMALL_TRIANGLE_PX: u32 = 60;
-/// Linear RGB and straight alpha → sRGB8 word.
 /// The bytes of a linear colour in an image, red lowest.
 pub fn srgb8(color: [f32; 4]) -> u32 {
     let encode = |c: f32| {
@@ -77,10 +80,10 @@ impl FrameTask {
         self.views.first().map_or((0, 0), |view| (view.width, view.height))
     }
 
-    /// Whether pixels that show splats are lit after normals are blended.
+    /// Whether normals and depths of splats are blended beside their colours: pixels are lit afterwards, or an effect needs depths.
     pub fn is_deferred(&self) -> bool {
         let deferred = self.splats.is_some_and(|splats| splats.shading == Shading::Deferred);
-        deferred && self.output == Output::Color && self.plan.runs(Pass::Shade)
+        (deferred && self.plan.lights_pixels) || self.plan.runs(Pass::WriteOutput)
     }
 
     /// How many of a pixel's sums are in use; without blended splats none is.
@@ -105,6 +108,15 @@ impl FrameTask {
     /// Whether nodes are drawn by the angle that they are seen at: it says nothing of what is one pixel each.
     pub fn splits_errors(&self) -> bool {
         self.splats.is_some() && self.error_mode == ErrorMode::Split
+    }
+
+    /// Word of pixels that show nothing.
+    pub fn background_word(&self) -> u32 {
+        match self.output {
+            Output::Color => srgb8(self.background),
+            Output::Depth => f32::INFINITY.to_bits(),
+            Output::Normal | Output::Id => 0,
+        }
     }
 
     /// How many views there are.
@@ -136,7 +148,6 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         size_px: [view.width, view.height],
         entry_count: entries,
         instance_count: scene.instance_end,
-        background: srgb8(task.model.background),
         light_count: scene.light_count,
         small_triangle_px: task.small_triangle_px.min(MOST_SMALL_TRIANGLE_PX) as i32,
         large_capacity: task.large_capacity,
@@ -168,6 +179,8 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         entry_capacity: task.entry_capacity,
         instance_groups: scene.instance_groups(),
         segment_count: scene.pages.len() as u32,
-        padding: [0; 3],
+        edl_strength: task.edl.map_or(0.0, |edl| edl.strength),
+        edl_radius_px: task.edl.map_or(0.0, |edl| edl.radius_px),
+        padding: [0; 2],
     }
 }

@@ -1,16 +1,6 @@
 //! The passes of a frame and how they are recorded (floor 4).
 //!
-//! ```text
-//! clear ─ place ─ cull ─ scan ─ compact          which chunks are seen, and the map from each to the image
-//!    └─ project_samples ┐
-//!       project_splats ─ walk_splats             everything into one visibility buffer: 1/z ‖ id
-//!       project_triangles ─ rasterise_triangles
-//!    └─ blend_splats ─ blend_walked               weighted sums of the splats at the visible surface
-//!    └─ fuse_splats ─ fuse_walked                 or both in one, behind the triangles
-//!    └─ resolve_fused|splats|samples, …_triangles attributes of the visible pixels only
-//!       shade                                     lights, once a pixel
-//! ```
-//! `plan/table.rs` has them all, with the path of each pass's shader, which is that of its module here as well.
+//! `plan/table.rs` lists them in order, with the path of each pass's shader, which is that of its module here as well.
 //!
 //! Frames of one scene, size and output go through the passes together: a dispatch counts the views in z, and each view has
 //! its share of every buffer.

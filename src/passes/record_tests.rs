@@ -109,7 +109,7 @@ fn groups_of_entries_are_as_long() {
 
 #[test]
 fn tiles_are_as_large() {
-    for root in ["resolve/resolve_samples", "resolve/resolve_triangles", "resolve/shade"] {
+    for root in ["resolve/resolve_samples", "resolve/resolve_triangles", "resolve/write_output"] {
         assert_eq!(vector(&module(root), "TILE"), [TILE.0, TILE.1], "{root}");
     }
 }
@@ -196,6 +196,6 @@ fn views_fit_their_records() {
 
 #[test]
 fn lights_fit_their_records() {
-    let shade = module("resolve/shade");
-    assert_eq!(array_length(&shade, "few_lights"), FEW_LIGHTS);
+    let resolve = module("resolve/resolve_triangles");
+    assert_eq!(array_length(&resolve, "few_lights"), FEW_LIGHTS);
 }

@@ -216,16 +216,6 @@ impl<'a, 'c> Recorder<'a, 'c> {
         Ok(())
     }
 
-    /// Records a pass that sets buffers to zero: the first bytes of each, or all of it.
-    pub fn zero(&mut self, buffers: &[(wgpu::Buffer, Option<u64>)]) {
-        let span = self.context.timer.fill(self.encoder, |encoder| {
-            for (buffer, bytes) in buffers {
-                encoder.clear_buffer(buffer, 0, *bytes);
-            }
-        });
-        self.finish(span);
-    }
-
     /// Records a compute pass over the whole scene, launched in one dimension that takes a second row where one is not
     /// enough, for each of `views`.
     pub fn rows(
@@ -283,7 +273,8 @@ impl<'a, 'c> Recorder<'a, 'c> {
         Ok(())
     }
 
-    fn finish(&mut self, span: Option<Span>) {
+    /// Notes when the pass ran.
+    pub fn finish(&mut self, span: Option<Span>) {
         self.context.timer.settle(self.encoder);
         self.spans.push(PassSpan { pass: self.pass, span });
     }

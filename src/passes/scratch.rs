@@ -1,5 +1,7 @@
 //! Buffers that every frame uses and none keeps.
 
+use std::collections::HashMap;
+
 use super::frame::FrameTask;
 use super::select::depth_pyramid::{BLOCK_PX, BLOCK_WORDS};
 use crate::gpu::Gpu;
@@ -44,6 +46,8 @@ pub struct Scratch {
     pub segments: buffer::Scratch,
     pub sizes: buffer::Scratch,
     pub uniforms: buffer::Scratch,
+    /// Buffers full of one word each, from which frames copy their background.
+    backgrounds: HashMap<u32, wgpu::Buffer>,
     attachment: Option<(u32, u32, wgpu::TextureView)>,
     /// Ids that the list of large triangles holds.
     large_capacity: u32,
@@ -52,6 +56,10 @@ pub struct Scratch {
     /// Entries of the list of large triangles that are walked side by side.
     walk_stride: u32,
 }
+
+/// Size of a buffer that backgrounds are copied from, and how many are kept.
+pub const BACKGROUND_BYTES: u64 = 1 << 18;
+const MOST_BACKGROUNDS: usize = 32;
 
 /// Bytes that each pixel takes where splats are blended in a single pass: two words.
 pub const LAYERS_BYTES: u64 = 16;
@@ -111,6 +119,7 @@ impl Scratch {
                 "uniforms",
                 wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
             ),
+            backgrounds: HashMap::new(),
             attachment: None,
             large_capacity: LARGE_INITIAL.min(most_large(gpu)),
             entry_capacity: ENTRIES_INITIAL.min(most_entries(gpu)),
@@ -135,7 +144,7 @@ impl Scratch {
         let pixels = views * u64::from(width) * u64::from(height);
         self.visibility.reserve(gpu, pixels * 8);
         self.pixels.reserve(gpu, pixels * 4);
-        if task.plan.runs(Pass::Shade) {
+        if task.plan.runs(Pass::WriteOutput) {
             self.normals.reserve(gpu, pixels * 4);
         }
         for sums in &mut self.sums[..task.sums()] {
@@ -206,6 +215,29 @@ impl Scratch {
     pub fn grow_walk(&mut self, stride: u32) -> bool {
         self.walk_stride = self.walk_stride.max((stride * 8).min(MOST_STRIDE));
         self.walk_stride > stride
+    }
+
+    /// A buffer of [`BACKGROUND_BYTES`] that is full of `word`.
+    pub fn background(&mut self, gpu: &Gpu, word: u32) -> wgpu::Buffer {
+        if self.backgrounds.len() >= MOST_BACKGROUNDS && !self.backgrounds.contains_key(&word) {
+            // Frames that use them hold them until they are drawn.
+            self.backgrounds.clear();
+        }
+        let buffer = self.backgrounds.entry(word).or_insert_with(|| {
+            let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("background"),
+                size: BACKGROUND_BYTES,
+                usage: wgpu::BufferUsages::COPY_SRC,
+                mapped_at_creation: true,
+            });
+            if let Ok(mut view) = buffer.get_mapped_range_mut(..) {
+                let words = vec![word; BACKGROUND_BYTES as usize / 4];
+                view.copy_from_slice(bytemuck::cast_slice(&words));
+            }
+            buffer.unmap();
+            buffer
+        });
+        buffer.clone()
     }
 
     /// An attachment of the frame's size that render passes need and nobody reads.

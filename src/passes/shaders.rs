@@ -92,7 +92,12 @@ fragments![
     "shared/normals",
     "shared/phong",
     "shared/kept",
-    "shared/outputs",
+    "shared/output",
+    "shared/surface",
+    "shared/light",
+    "shared/edl",
+    "shared/finish_written",
+    "shared/finish_kept",
     "shared/large",
     "shared/list",
     "shared/walk",
@@ -207,6 +212,8 @@ pub struct Choices {
     pub nodes: bool,
     /// `PORTION`: which slots are drawn.
     pub portion: Portion,
+    /// `FINISH`: a later pass writes the output.
+    pub kept: bool,
 }
 
 impl Default for Choices {
@@ -222,12 +229,13 @@ impl Default for Choices {
             trees: false,
             nodes: false,
             portion: Portion::All,
+            kept: false,
         }
     }
 }
 
 impl Choices {
-    fn aliases(&self) -> [(&'static str, &'static str); 12] {
+    fn aliases(&self) -> [(&'static str, &'static str); 13] {
         let either = |choice, yes, no| if choice { yes } else { no };
         [
             ("VOTE", either(self.subgroups, "shared/vote_subgroup", "shared/vote_alone")),
@@ -249,6 +257,7 @@ impl Choices {
             ("MEMBERS", either(self.trees, "shared/members_listed", "shared/members_all")),
             ("NODES", either(self.nodes, "shared/nodes_tree", "shared/nodes_none")),
             ("PORTION", self.portion.fragment()),
+            ("FINISH", either(self.kept, "shared/finish_kept", "shared/finish_written")),
         ]
     }
 }

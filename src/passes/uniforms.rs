@@ -38,9 +38,8 @@ impl Uniforms {
         let records: Vec<GpuFrame> =
             (0..task.count()).map(|number| frame_record(task, scene, number)).collect();
         let views = self.push(&records);
-        let segments = (0..scene.pages.len() as u32)
-            .map(|index| self.push(&[index, u32::from(index == 0), 0u32, 0u32]))
-            .collect();
+        let segments =
+            (0..scene.pages.len() as u32).map(|index| self.push(&[index, 0, 0, 0])).collect();
         GroupUniforms { views, segments }
     }
 

@@ -10,20 +10,23 @@ mod table;
 use serde::Serialize;
 
 pub use settings::{
-    Choice, ErrorMode, Given, Lod, MaxError, Output, Paint, Reconstruct, Rule, Setting,
-    SettingError, SettingKind, Settings, StillFrame, UsedSettings, Wait, declared,
+    Background, Choice, Edl, EdlRadius, EdlStrength, ErrorMode, Given, Lod, MaxError, Output,
+    Paint, Reconstruct, Rule, Setting, SettingError, SettingKind, Settings, StillFrame,
+    UsedSettings, Wait, declared,
 };
 
 pub(crate) use table::pass_table;
 pub use table::{Kind, MANY_CHUNKS, Per, Stage};
 
-use crate::scene::{Blend, Splats};
+use crate::scene::{Blend, Shading, Splats};
 
 /// What a plan depends on in a scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SceneFacts {
     pub has_samples: bool,
     pub has_triangles: bool,
+    /// Some file gives normals.
+    pub has_normals: bool,
     pub lights: u32,
     /// Its assets are point trees, from which a frame takes the detail that it shows.
     pub trees: bool,
@@ -111,6 +114,24 @@ impl Pass {
     }
 }
 
+/// Eye-dome lighting (Boucheny 2009, §4): depths of neighbouring pixels darken what lies behind them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EyeDome {
+    pub strength: f32,
+    /// Distance of the neighbours, in pixels.
+    pub radius_px: f32,
+}
+
+/// What a plan depends on in the frame itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FrameFacts {
+    pub output: Output,
+    /// How samples are drawn, if not as points.
+    pub splats: Option<Splats>,
+    /// Eye-dome lighting, where it is on.
+    pub edl: Option<EyeDome>,
+}
+
 /// One line of a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct PlannedPass {
@@ -123,6 +144,8 @@ pub struct PlannedPass {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct FramePlan {
     pub passes: Vec<PlannedPass>,
+    /// Light is computed for each pixel, from its normal.
+    pub lights_pixels: bool,
 }
 
 /// Passes that are recorded one after the other, once or for each segment of a kind.
@@ -178,42 +201,55 @@ impl FramePlan {
 /// What a pass may be skipped for.
 struct Facts<'a> {
     scene: &'a SceneFacts,
-    output: Output,
-    splats: Option<&'a Splats>,
+    frame: &'a FrameFacts,
     adapter: &'a AdapterFacts,
 }
 
 impl Facts<'_> {
     fn blends(&self, blend: Blend) -> bool {
-        self.splats.is_some_and(|splats| splats.blend == blend)
+        self.frame.splats.is_some_and(|splats| splats.blend == blend)
     }
 
     /// Whether splats are blended, in one pass or in several.
     fn is_blended(&self) -> bool {
         self.blends(Blend::Weighted) || self.blends(Blend::Interleaved)
     }
+
+    /// Whether light is computed for each pixel. Splats that are lit one by one need none after they are blended.
+    fn lights_pixels(&self) -> bool {
+        let by_splat = self.frame.splats.is_some_and(|splats| splats.shading == Shading::Splat);
+        let only_splats = self.scene.has_samples && !self.scene.has_triangles;
+        let is_done = by_splat && self.is_blended() && only_splats;
+        self.frame.output == Output::Color && self.scene.lights > 0 && !is_done
+    }
 }
 
-/// Plans a frame; `splats`: how samples are drawn, if not as points.
-pub fn plan(
-    scene: &SceneFacts,
-    output: Output,
-    splats: Option<&Splats>,
-    adapter: &AdapterFacts,
-) -> FramePlan {
-    let facts = Facts { scene, output, splats, adapter };
+/// Plans a frame.
+pub fn plan(scene: &SceneFacts, frame: &FrameFacts, adapter: &AdapterFacts) -> FramePlan {
+    let facts = Facts { scene, frame, adapter };
     let planned = |&pass: &Pass| PlannedPass { pass, skipped: pass.skipped(&facts) };
-    FramePlan { passes: Pass::ALL.iter().map(planned).collect() }
+    FramePlan {
+        passes: Pass::ALL.iter().map(planned).collect(),
+        lights_pixels: facts.lights_pixels(),
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    use crate::scene::Shading;
-
     const WIDE: AdapterFacts =
         AdapterFacts { atomics_64: true, rasterises: true, draws_hidden: false };
+
+    fn plan(
+        scene: &SceneFacts,
+        output: Output,
+        splats: Option<&Splats>,
+        adapter: &AdapterFacts,
+    ) -> FramePlan {
+        let frame = FrameFacts { output, splats: splats.copied(), edl: None };
+        super::plan(scene, &frame, adapter)
+    }
 
     /// Plans of scenes, outputs, ways to draw samples and adapters of every kind.
     fn every_plan() -> Vec<FramePlan> {
@@ -225,7 +261,14 @@ mod tests {
         let mut scenes = Vec::new();
         for (has_samples, has_triangles, trees) in iproduct(sides, sides, sides) {
             for (lights, chunks) in [(0, 1), (2, 1), (0, MANY_CHUNKS), (2, MANY_CHUNKS)] {
-                scenes.push(SceneFacts { has_samples, has_triangles, lights, trees, chunks });
+                scenes.push(SceneFacts {
+                    has_samples,
+                    has_triangles,
+                    lights,
+                    trees,
+                    chunks,
+                    ..SceneFacts::default()
+                });
             }
         }
         let mut splats = vec![None];
@@ -263,15 +306,14 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_without_lights_runs_no_triangle_or_shade_pass() {
+    fn a_scan_without_lights_runs_no_triangle_pass_and_is_not_lit() {
         let facts = SceneFacts { has_samples: true, ..Default::default() };
         let plan = plan(&facts, Output::Color, None, &WIDE);
         assert!(plan.runs(Pass::ProjectSamples) && plan.runs(Pass::ResolveSamples));
-        for pass in
-            [Pass::ProjectTriangles, Pass::RasteriseTriangles, Pass::ResolveTriangles, Pass::Shade]
-        {
+        for pass in [Pass::ProjectTriangles, Pass::RasteriseTriangles, Pass::ResolveTriangles] {
             assert!(!plan.runs(pass), "{pass:?}");
         }
+        assert!(!plan.lights_pixels);
         assert!(!plan.runs(Pass::ProjectSamplesId));
     }
 
@@ -295,7 +337,7 @@ mod tests {
                 &first,
                 &["depth_pyramid", "cull_hidden"],
                 &second,
-                &["resolve_samples", "resolve_triangles", "shade"],
+                &["resolve_samples", "resolve_triangles"],
             ]
             .concat()
         );
@@ -333,19 +375,25 @@ mod tests {
     }
 
     #[test]
-    fn only_color_is_shaded() {
+    fn only_color_is_lit() {
         let facts = SceneFacts { has_samples: true, lights: 2, ..Default::default() };
-        assert!(plan(&facts, Output::Color, None, &WIDE).runs(Pass::Shade));
+        assert!(plan(&facts, Output::Color, None, &WIDE).lights_pixels);
         for output in [Output::Depth, Output::Normal, Output::Id] {
-            assert!(!plan(&facts, output, None, &WIDE).runs(Pass::Shade));
+            assert!(!plan(&facts, output, None, &WIDE).lights_pixels);
         }
     }
 
     #[test]
-    fn an_empty_scene_still_has_a_background() {
-        assert!(
-            plan(&SceneFacts::default(), Output::Color, None, &WIDE).runs(Pass::ResolveSamples)
-        );
+    fn effects_that_look_at_neighbours_write_the_output_last() {
+        let facts = SceneFacts { has_samples: true, ..Default::default() };
+        for output in [Output::Color, Output::Depth, Output::Normal, Output::Id] {
+            let edl = Some(EyeDome { strength: 1.0, radius_px: 1.0 });
+            let frame = FrameFacts { output, splats: None, edl };
+            let plan = super::plan(&facts, &frame, &WIDE);
+            assert_eq!(plan.runs(Pass::WriteOutput), output == Output::Color);
+            let frame = FrameFacts { edl: None, ..frame };
+            assert!(!super::plan(&facts, &frame, &WIDE).runs(Pass::WriteOutput));
+        }
     }
 
     #[test]
@@ -433,26 +481,29 @@ mod tests {
         let deferred = Splats::default();
         let depth = ["project_splats", "walk_splats"];
         let blend = ["blend_splats", "blend_walked", "resolve_splats"];
-        assert_eq!(
-            runs(&deferred, Output::Color, &facts),
-            [&depth[..], &blend[..], &["shade"]].concat()
-        );
+        let is_lit = |splats: &Splats, facts: &SceneFacts| {
+            plan(facts, Output::Color, Some(splats), &WIDE).lights_pixels
+        };
+        assert_eq!(runs(&deferred, Output::Color, &facts), [&depth[..], &blend[..]].concat());
+        assert!(is_lit(&deferred, &facts));
         assert_eq!(runs(&deferred, Output::Depth, &facts), [&depth[..], &blend[..]].concat());
         assert_eq!(runs(&deferred, Output::Id, &facts), [&depth[..], &["resolve_splats"]].concat());
         let lit = Splats { shading: Shading::Splat, ..deferred };
         assert_eq!(runs(&lit, Output::Color, &facts), [&depth[..], &blend[..]].concat());
+        assert!(!is_lit(&lit, &facts));
         let mixed = SceneFacts { has_triangles: true, ..facts };
-        assert!(runs(&lit, Output::Color, &mixed).contains(&"shade"));
+        assert!(is_lit(&lit, &mixed));
         let opaque = Splats { blend: Blend::Opaque, ..lit };
         assert_eq!(
             runs(&opaque, Output::Color, &facts),
-            [&depth[..], &["resolve_samples", "shade"]].concat()
+            [&depth[..], &["resolve_samples"]].concat()
         );
+        assert!(is_lit(&opaque, &facts));
         let fused = Splats { blend: Blend::Interleaved, ..lit };
         let single = ["fuse_splats", "fuse_walked", "resolve_fused"];
         assert_eq!(runs(&fused, Output::Color, &facts), single);
-        assert_eq!(runs(&fused, Output::Color, &mixed).last(), Some(&"shade"));
+        assert!(!is_lit(&fused, &facts) && is_lit(&fused, &mixed));
         let empty = SceneFacts::default();
-        assert_eq!(runs(&deferred, Output::Color, &empty), ["resolve_samples"]);
+        assert!(runs(&deferred, Output::Color, &empty).is_empty());
     }
 }

@@ -19,7 +19,8 @@ use serde_json::{Map, Value};
 mod values;
 
 pub use values::{
-    ErrorMode, Lod, MaxError, Output, Paint, Reconstruct, StillFrame, UsedSettings, Wait,
+    Background, Edl, EdlRadius, EdlStrength, ErrorMode, Lod, MaxError, Output, Paint, Reconstruct,
+    StillFrame, UsedSettings, Wait,
 };
 
 use crate::scene::{Blend, Filter, Shading};
@@ -36,7 +37,7 @@ pub struct Setting {
     pub help: String,
     #[serde(flatten)]
     pub kind: SettingKind,
-    /// Where one of these does not hold, a value other than the default is refused.
+    /// Where one of these does not hold, a value is refused, unless it is the default of a choice.
     pub needs: Vec<Rule>,
     /// Where one of these does not hold, the setting has no effect worth a control. `output`, `samples` and `lights` are facts of the
     /// frame and its scene.
@@ -55,6 +56,8 @@ pub enum SettingKind {
     },
     /// `true` or `false`; where it is not given, as the scene has it.
     Flag,
+    /// An sRGB colour; where it is not given, the scene's.
+    Color,
     Number {
         least: f64,
         most: f64,
@@ -105,8 +108,8 @@ impl SettingError {
             Accepted::Values(values) => values.clone(),
             Accepted::With(needs, default) => {
                 let default = default.as_ref().map(|value| format!("`{value}`"));
-                let default = default.unwrap_or_else(|| "left out".to_owned());
-                format!("together with {}, or {default}", in_words(needs, pair))
+                let default = default.unwrap_or_else(|| "no value".to_owned());
+                format!("use it with {}, or use {default}", in_words(needs, pair))
             }
         }
     }
@@ -179,7 +182,10 @@ impl SettingKind {
                 values.join(if values.len() == 2 { " or " } else { ", " })
             }
             SettingKind::Flag => "true or false".to_owned(),
-            SettingKind::Number { least, most, unit, .. } => format!("{least} to {most} {unit}"),
+            SettingKind::Color => "transparent, #rrggbb or #rrggbbaa".to_owned(),
+            SettingKind::Number { least, most, unit, .. } => {
+                format!("{least} to {most} {unit}").trim_end().to_owned()
+            }
         }
     }
 
@@ -189,16 +195,18 @@ impl SettingKind {
 }
 
 /// Where samples are drawn as splats, or may be.
-const SPLATS: Rule = Rule::new("reconstruct", &["splats", "fuzzy", "auto"], "only splats have one");
+const SPLATS: Rule =
+    Rule::new("reconstruct", &["splats", "fuzzy", "auto"], "this setting applies to splats only");
 /// Splats whose passes blend and light them apart.
 const PASSES: Rule = Rule::new(
     "reconstruct",
     &["splats", "auto"],
-    "points have none, and splats in a single pass are blended and lit in one way only",
+    "points are not blended, and `fuzzy` has a fixed blend and shading",
 );
-const TREES: Rule = Rule::new("lod", &["spt"], "full detail has no error and no levels");
+const TREES: Rule = Rule::new("lod", &["spt"], "this setting applies to `lod=spt` only");
 /// Samples in the scene, or those of meshes whose detail is chosen.
 const SAMPLES: Rule = Rule::new("samples", &["some"], "");
+const EDL: Rule = Rule::new("edl", &["on", "auto"], "eye-dome lighting is off");
 const SURELY_SPLATS: Rule = Rule::new("reconstruct", &["splats", "fuzzy"], "");
 const THREE_PASSES: Rule = Rule::new("reconstruct", &["splats"], "");
 const COLORS: Rule = Rule::new("output", &["color"], "");
@@ -284,44 +292,61 @@ macro_rules! settings {
 }
 
 settings! {
-    /// Level of detail; `full` where none is given.
+    /// Level of detail.
     lod: Lod => Lod {
         label: "Detail", kind: SettingKind::own::<Lod>(), needs: [], useful_with: []
     }
-    /// Error that `spt` may make, in pixels, 0.05 to 64; 1 where none is given.
+    /// Largest accepted error of `lod=spt`, in pixels.
     max_error_px: f32 => MaxError {
         label: "Error", kind: MaxError::kind(), needs: [TREES], useful_with: []
     }
-    /// Way in which splats of `spt` measure that error; `unified` where none is given.
+    /// How `lod=spt` measures the error of a splat.
     error_mode: ErrorMode => ErrorMode {
         label: "Error seen", kind: SettingKind::own::<ErrorMode>(),
-        needs: [TREES, Rule::new("reconstruct", SPLATS.is, "points are chosen by their size, from whatever side they are seen")],
+        needs: [TREES, Rule::new("reconstruct", SPLATS.is, "points are selected by their size alone")],
         useful_with: [SURELY_SPLATS]
     }
-    /// What the colours of samples show; `colors` where none is given.
+    /// What the colours of samples represent.
     paint: Paint => Paint {
         label: "Colours", kind: SettingKind::own::<Paint>(), needs: [TREES], useful_with: [COLORS]
     }
-    /// What samples are drawn as; `auto` where none is given. The receipt says what `auto` chose and why.
+    /// What samples are drawn as. The receipt says what `auto` chose and why.
     reconstruct: Reconstruct => Reconstruct {
         label: "Samples as", kind: SettingKind::own::<Reconstruct>(), needs: [], useful_with: [SAMPLES]
     }
-    /// Projection of splats to the image; as the scene has it where none is given.
+    /// Projection of splats to the image; the scene's value by default.
     filter: Filter => Option<Filter> {
         label: "Filter", kind: SettingKind::scenes::<Filter>(), needs: [SPLATS], useful_with: [SAMPLES, SURELY_SPLATS]
     }
-    /// Whether splats are convolved with a low-pass filter of the image; as the scene has it where none is given.
+    /// Whether splats are convolved with a low-pass filter of the image; the scene's value by default.
     prefilter: bool => Option<bool> {
         label: "Prefilter", kind: SettingKind::Flag, needs: [SPLATS], useful_with: [SAMPLES, SURELY_SPLATS]
     }
-    /// What happens where splats overlap; as the scene has it where none is given.
+    /// How overlapping splats are combined; the scene's value by default.
     blend: Blend => Option<Blend> {
         label: "Blend", kind: SettingKind::scenes::<Blend>(), needs: [PASSES], useful_with: [SAMPLES, THREE_PASSES]
     }
-    /// When splats are lit; as the scene has it where none is given.
+    /// Whether lighting is computed for each pixel or for each splat; the scene's value by default.
     shading: Shading => Option<Shading> {
         label: "Light", kind: SettingKind::scenes::<Shading>(), needs: [PASSES],
         useful_with: [SAMPLES, THREE_PASSES, COLORS, Rule::new("blend", &["weighted"], ""), Rule::new("lights", &["some"], "")]
+    }
+    /// Eye-dome lighting: darkens pixels whose neighbours are nearer (Boucheny 2009). `auto` uses it for samples that have no normals and
+    /// are not lit.
+    edl: Edl => Edl {
+        label: "Eye-dome light", kind: SettingKind::own::<Edl>(), needs: [], useful_with: [COLORS]
+    }
+    /// Strength of eye-dome lighting.
+    edl_strength: f32 => EdlStrength {
+        label: "Strength", kind: EdlStrength::kind(), needs: [EDL], useful_with: [COLORS]
+    }
+    /// Distance of the neighbours that eye-dome lighting compares a pixel with, in pixels.
+    edl_radius_px: f32 => EdlRadius {
+        label: "Radius", kind: EdlRadius::kind(), needs: [EDL], useful_with: [COLORS]
+    }
+    /// Colour of pixels that show nothing; the scene's value by default. JPEG and video cannot store transparency and show black.
+    background: Background => Option<Background> {
+        label: "Background", kind: SettingKind::Color, needs: [], useful_with: [COLORS]
     }
 }
 
@@ -341,7 +366,7 @@ fn read<T: DeserializeOwned>(name: &'static str, value: Value) -> Result<Option<
             other => other.to_string(),
         };
         let shown: String = shown.chars().take(64).collect();
-        unusable(name, format!("`{shown}` cannot be used"))
+        unusable(name, format!("`{shown}` is not a value of this setting"))
     })
 }
 
@@ -369,13 +394,12 @@ impl Given {
             let reason = "given twice".to_owned();
             return Err(SettingError { setting: setting.name, reason, accepted });
         }
-        let number = || text.parse::<f64>().ok().and_then(serde_json::Number::from_f64);
-        let value = match text {
-            "true" => Value::Bool(true),
-            "false" => Value::Bool(false),
-            _ => number().map_or_else(|| Value::String(text.to_owned()), Value::Number),
+        let value = match declaration(name).map(|setting| &setting.kind) {
+            Some(SettingKind::Flag) => text.parse().map(Value::Bool).ok(),
+            Some(SettingKind::Number { .. }) => serde_json::from_str(text).ok(),
+            _ => None,
         };
-        self.set(name, value)
+        self.set(name, value.filter(|value| !value.is_null()).unwrap_or_else(|| text.into()))
     }
 
     /// Names and values of what is given, as a query has them.
@@ -389,7 +413,7 @@ impl Given {
         words(self).into_iter().map(|(name, value)| (name, text(value))).collect()
     }
 
-    /// Without what `other` tells under the same name.
+    /// Removes the settings that `other` also names.
     #[must_use]
     pub fn beside(mut self, other: &impl Serialize) -> Given {
         for name in words(other).keys().filter(|name| Given::NAMES.contains(&name.as_str())) {
@@ -403,8 +427,8 @@ impl Given {
         words(self).contains_key(name)
     }
 
-    /// Fills what is missing from `defaults`, but for settings that this one's own make meaningless: with points asked for, nothing that
-    /// only splats have is inherited, with full detail no accepted error.
+    /// Fills what is missing from `defaults`, except settings that do not apply to the values given here: beside `reconstruct=points`, no
+    /// setting of splats is inherited.
     #[must_use]
     pub fn or(&self, defaults: &Given) -> Given {
         let mut merged = self.over(defaults);
@@ -431,9 +455,12 @@ impl Given {
             else {
                 continue;
             };
-            // What is not finite is `null`.
-            if value.as_f64().is_none_or(|number| !(*least..=*most).contains(&number)) {
-                return Err(unusable(setting.name, format!("{value} is out of range")));
+            // Numbers that are not finite are `null` in JSON.
+            let number = value.as_f64().map(|number| values::exact(number as f32));
+            if number.is_none_or(|number| !(*least..=*most).contains(&number)) {
+                let shown = number.map_or_else(|| value.to_string(), |number| number.to_string());
+                let reason = format!("{shown} is outside {least} to {most}");
+                return Err(unusable(setting.name, reason));
             }
         }
         Ok(())
@@ -455,7 +482,7 @@ impl Given {
             if let Some(rule) = setting.needs.iter().find(|rule| !rule.holds(&used)) {
                 let default = match &setting.kind {
                     SettingKind::Choice { default, .. } => default.clone(),
-                    SettingKind::Flag | SettingKind::Number { .. } => None,
+                    _ => None,
                 };
                 return Err(SettingError {
                     setting: setting.name,
@@ -469,7 +496,7 @@ impl Given {
 }
 
 impl Settings {
-    /// The canonical form: every setting that has a say in the frame, and no other. Frames with the same applied settings are the same.
+    /// The canonical form: every setting that affects the frame, and no other. Frames with the same applied settings are the same.
     #[must_use]
     pub fn applied(&self) -> Given {
         let used = words(self);

@@ -15,7 +15,7 @@
 //! Buffers are not listed here: a shader declares what it binds, and `passes/bindings.rs` finds the buffer by its name.
 
 use super::Facts;
-use crate::scene::{Blend, Shading};
+use crate::scene::Blend;
 
 /// Hands the lines of the table to the macro `$reader`.
 macro_rules! pass_table {
@@ -51,9 +51,9 @@ macro_rules! pass_table {
             FuseWalked           Compute reconstruct/fuse_walked       ""    [Fuse]              Samples   [NO_SAMPLES AS_POINTS NOT_FUSED];
             ResolveFused         Compute resolve/resolve_fused         ""    [Resolve]           Frame     [NO_SAMPLES AS_POINTS NOT_FUSED];
             ResolveSplats        Compute resolve/resolve_splats        ""    [Resolve]           Frame     [NO_SAMPLES AS_POINTS FUSED OPAQUE];
-            ResolveSamples       Compute resolve/resolve_samples       ""    [Resolve]           Frame     [ONLY_TRIANGLES BLENDED];
+            ResolveSamples       Compute resolve/resolve_samples       ""    [Resolve]           Frame     [NO_SAMPLES BLENDED];
             ResolveTriangles     Compute resolve/resolve_triangles     ""    [Resolve]           Frame     [NO_TRIANGLES];
-            Shade                Compute resolve/shade                 ""    [Resolve]           Frame     [NOT_COLOR NO_LIGHTS LIT_ALONE];
+            WriteOutput          Compute resolve/write_output          ""    [Resolve]           Frame     [NOT_COLOR NO_NEIGHBOURS];
         }
     };
 }
@@ -118,27 +118,22 @@ macro_rules! reasons {
 
 reasons! {
     NO_SAMPLES: "the scene has no samples", |f| !f.scene.has_samples;
-    ONLY_TRIANGLES: "the scene has no samples", |f| !f.scene.has_samples && f.scene.has_triangles;
     NO_TRIANGLES: "the scene has no triangles", |f| !f.scene.has_triangles;
-    NO_LIGHTS: "the scene has no lights", |f| f.scene.lights == 0;
     FULL_DETAIL: "the level of detail is full", |f| !f.scene.trees;
-    NOTHING_TO_HIDE: "nothing is drawn that can be hidden",
+    NOTHING_TO_HIDE: "nothing in the frame can be occluded",
         |f| (!f.scene.has_samples || f.blends(Blend::Interleaved)) && !f.scene.has_triangles;
-    FEW_CHUNKS: "the scene is of few chunks", |f| f.scene.chunks < MANY_CHUNKS;
-    DRAWS_HIDDEN: "what is hidden is to be drawn", |f| f.adapter.draws_hidden;
+    FEW_CHUNKS: "the scene has fewer than 128 chunks", |f| f.scene.chunks < MANY_CHUNKS;
+    DRAWS_HIDDEN: "occlusion culling is off", |f| f.adapter.draws_hidden;
     WIDE: "the adapter has 64-bit atomics", |f| f.adapter.atomics_64;
     RASTERISES: "the adapter's rasteriser draws large triangles", |f| f.adapter.rasterises;
     WALKS: "the adapter's rasteriser is slower than walk_triangles", |f| !f.adapter.rasterises;
-    AS_POINTS: "samples are drawn as points", |f| f.splats.is_none();
-    AS_SPLATS: "samples are drawn as splats", |f| f.splats.is_some();
+    AS_POINTS: "samples are drawn as points", |f| f.frame.splats.is_none();
+    AS_SPLATS: "samples are drawn as splats", |f| f.frame.splats.is_some();
     OPAQUE: "splats are not blended", |f| !f.blends(Blend::Weighted);
     FUSED: "splats are blended in a single pass", |f| f.blends(Blend::Interleaved);
     NOT_FUSED: "splats are not blended in a single pass", |f| !f.blends(Blend::Interleaved);
     BLENDED: "splats are blended", |f| f.scene.has_samples && f.is_blended();
-    LIT_ALONE: "splats are lit one by one", |f| {
-        let alone = f.splats.is_some_and(|splats| splats.shading == Shading::Splat);
-        alone && f.is_blended() && f.scene.has_samples && !f.scene.has_triangles
-    };
-    NOT_COLOR: "the output is not color", |f| f.output != super::Output::Color;
-    IDS: "the output is id", |f| f.output == super::Output::Id;
+    NO_NEIGHBOURS: "no effect depends on neighbouring pixels", |f| f.frame.edl.is_none();
+    NOT_COLOR: "the output is not color", |f| f.frame.output != super::Output::Color;
+    IDS: "the output is id", |f| f.frame.output == super::Output::Id;
 }

@@ -155,7 +155,8 @@ pub struct GpuStats {
     pub entries_wanted: u32,
     pub nodes_drawn: u32,
     pub walk_cut: u32,
-    pub unused: [u32; 2],
+    /// Bounds of all that may be drawn, see `shared/scene.wgsl`.
+    pub drawn_bounds: [u32; 4],
 }
 
 /// `Material` of `shared/material.wgsl`.
@@ -195,7 +196,7 @@ pub struct GpuTexture {
     pub unused: u32,
 }
 
-/// `Light` of `resolve/shade.wgsl`.
+/// `Light` of `shared/phong.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct GpuLight {
@@ -212,7 +213,7 @@ pub const MOST_VIEWS: u32 = 16;
 /// Rows of an image at most: what fourteen bits of a list's entry hold.
 pub const MOST_ROWS: u32 = 1 << 14;
 
-/// Lights that are bound as uniforms; as in `resolve/shade.wgsl`. The list of lights has room for as many at least.
+/// Lights that are bound as uniforms; as in `shared/phong.wgsl`. The list of lights has room for as many at least.
 pub const FEW_LIGHTS: u32 = 4;
 
 /// `Frame` of `shared/frame.wgsl`.
@@ -229,7 +230,6 @@ pub struct GpuFrame {
     pub size_px: [u32; 2],
     pub entry_count: u32,
     pub instance_count: u32,
-    pub background: u32,
     pub light_count: u32,
     pub small_triangle_px: i32,
     pub large_capacity: u32,
@@ -258,8 +258,10 @@ pub struct GpuFrame {
     pub entry_capacity: u32,
     pub instance_groups: u32,
     pub segment_count: u32,
+    pub edl_strength: f32,
+    pub edl_radius_px: f32,
     /// Records lie 16 bytes apart.
-    pub padding: [u32; 3],
+    pub padding: [u32; 2],
 }
 
 /// An f64 as the sum of two f32: 48 bits of mantissa.
@@ -376,7 +378,6 @@ mod tests {
                 size_px,
                 entry_count,
                 instance_count,
-                background,
                 light_count,
                 small_triangle_px,
                 large_capacity,
@@ -404,7 +405,9 @@ mod tests {
                 lod_scale,
                 entry_capacity,
                 instance_groups,
-                segment_count
+                segment_count,
+                edl_strength,
+                edl_radius_px
             )],
         );
         let with_materials = concat!(
@@ -441,7 +444,8 @@ mod tests {
                 "Texture", GpuTexture, first, page, width, height, levels, wrap, nearest, unused
             )],
         );
-        let shade = crate::passes::shaders::composed("resolve/shade", &Default::default()).unwrap();
+        let resolve =
+            crate::passes::shaders::composed("resolve/resolve_samples", &Default::default());
         let light: Mirror = (
             "Light",
             size_of::<GpuLight>(),
@@ -455,7 +459,7 @@ mod tests {
                 std::mem::offset_of!(GpuLight, place_lo),
             ],
         );
-        check(&shade.source, &[light]);
+        check(&resolve.unwrap().source, &[light]);
     }
 
     #[test]

@@ -44,7 +44,7 @@ fn record(model: &SceneModel, instance: &ModelInstance, material_start: u32) -> 
     gpu_instance(grid, &instance.world_from_geometry, material, instance.id)
 }
 
-/// Nothing to draw: one empty segment, for which the resolve pass still writes the background.
+/// Page of the one empty segment of a scene without anything to draw.
 const NO_PAGE: Page = Page { kind: PageKind::Samples, index: 0 };
 
 impl Residency {

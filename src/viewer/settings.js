@@ -8,6 +8,8 @@ const declared = await getJson('/v1/settings').then(answer => answer.settings, p
 
 export const NAMES = ['output', ...declared.map(setting => setting.name), 'quality'];
 
+const COLOR = 'transparent|#?([0-9a-fA-F]{3}|[0-9a-fA-F]{6}|[0-9a-fA-F]{8})';
+
 let scene = null;
 // Settings of the frame that was drawn last, with what the scene says.
 let drawn = {};
@@ -20,6 +22,15 @@ function control(setting) {
     const input = document.createElement('input');
     Object.assign(input, { id: setting.name, type: 'number', min: setting.least, max: setting.most, step: 'any', inputMode: 'decimal', placeholder: setting.default });
     label.append(input);
+    return label;
+  }
+  if (setting.kind === 'color') {
+    const input = document.createElement('input'), hints = document.createElement('datalist');
+    Object.assign(input, { id: setting.name, type: 'text', pattern: COLOR, placeholder: 'as the scene', size: 12 });
+    hints.id = `${setting.name}-hints`;
+    hints.append(...['transparent', '#000000', '#ffffff'].map(color => new Option(color)));
+    input.setAttribute('list', hints.id);
+    label.append(input, hints);
     return label;
   }
   const list = document.createElement('select');
@@ -39,7 +50,8 @@ function control(setting) {
 $('output').parentElement.after(...declared.map(control));
 
 const isNumber = name => $(name).type === 'number';
-const isDefault = name => isNumber(name) ? $(name).value === '' || !$(name).validity.valid : $(name).selectedIndex === 0;
+const isWritten = name => $(name).tagName === 'INPUT';
+const isDefault = name => isWritten(name) ? $(name).value === '' || !$(name).validity.valid : $(name).selectedIndex === 0;
 
 // What rules are held against: the settings and the scene. What nobody knows yet is missing.
 function facts() {
@@ -69,7 +81,7 @@ function showSettings() {
 export function ofScene(info) {
   if (info !== scene) drawn = {};
   scene = info;
-  for (const setting of declared) if (setting.default == null) $(setting.name).options[0].text = 'as the scene';
+  for (const setting of declared) if (setting.default == null && !isWritten(setting.name)) $(setting.name).options[0].text = 'as the scene';
   showSettings();
 }
 
@@ -96,6 +108,7 @@ export function refused(name, value) {
     const { min, max } = $(name), number = value.trim() === '' ? NaN : Number(value);
     return number >= Number(min) && number <= Number(max) ? null : `${min} to ${max}`;
   }
+  if (isWritten(name)) return new RegExp(`^(${$(name).pattern})$`).test(value) ? null : 'transparent, #rrggbb or #rrggbbaa';
   const values = [...$(name).options].map(o => o.value);
   return values.includes(value) ? null : values.filter(Boolean).join(', ');
 }
@@ -103,7 +116,7 @@ export function refused(name, value) {
 export function restore(params) {
   for (const name of NAMES) {
     const value = params.get(name);
-    if (isNumber(name)) $(name).value = value !== null && refused(name, value) === null ? value : '';
+    if (isWritten(name)) $(name).value = value !== null && refused(name, value) === null ? value : '';
     else $(name).selectedIndex = Math.max(0, [...$(name).options].findIndex(o => o.value === value));
   }
   showSettings();
@@ -112,7 +125,7 @@ export function restore(params) {
 // What the scene says, where nothing else was asked for.
 export function nameDefaults(used) {
   drawn = used;
-  for (const { name } of declared.filter(setting => setting.default == null && setting.kind !== 'number')) {
+  for (const { name } of declared.filter(setting => setting.default == null && !isWritten(setting.name))) {
     const list = $(name), found = [...list.options].find(o => o.value === String(used[name]));
     if (list.value === '' && found) list.options[0].text = `scene: ${found.text}`;
   }
@@ -122,7 +135,10 @@ export function nameDefaults(used) {
 export function onChange(changed) {
   for (const name of NAMES) {
     $(name).addEventListener('change', () => {
-      if (isNumber(name)) fault($(name), $(name).validity.valid ? null : `${$(name).min} to ${$(name).max}; drawn with ${$(name).placeholder}`);
+      if (isWritten(name)) {
+        const problem = $(name).value === '' ? null : refused(name, $(name).value);
+        fault($(name), problem && `${problem}; drawn with ${isNumber(name) ? $(name).placeholder : "the scene's"}`);
+      }
       showSettings();
       changed();
     });

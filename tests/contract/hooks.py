@@ -191,6 +191,11 @@ def map_case(context, case):
         # Links lead to what was made before, but also to what all other cases are about.
         if label.startswith("DELETE") and case.path_parameters.get("id") in ("grid", "1"):
             case.path_parameters["id"] = "999999999"
+        # Only that scene names a path and cameras; an upload makes scenes without them.
+        names = {name for part in (case.query, case.body) if isinstance(part, dict) for name in part}
+        if "/mjpeg" in label or names & {"path", "camera"}:
+            if "id" in (case.path_parameters or {}) and label.split()[1].startswith("/v1/scenes"):
+                case.path_parameters["id"] = "grid"
     elif case.path_parameters and is_positive(case, ParameterLocation.PATH):
         known_ids(case, label)
     if isinstance(case.query, dict):

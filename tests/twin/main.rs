@@ -10,6 +10,7 @@
 )]
 
 mod counts;
+mod effects;
 mod files;
 mod fuzzy;
 mod golden;

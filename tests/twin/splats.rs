@@ -145,10 +145,6 @@ fn every_setting_is_the_oracles() {
             let least = if blend == Blend::Opaque { 36.0 } else { 44.0 };
             let frames = check(&case, &view, settings, settings, least);
             assert_eq!(frames.ran(Pass::BlendSplats), blend == Blend::Weighted);
-            assert_eq!(
-                frames.ran(Pass::Shade),
-                blend == Blend::Opaque || shading == Shading::Deferred
-            );
         }
     }
 }

@@ -10,7 +10,7 @@ use pointillist::assets::ReadOptions;
 use pointillist::encode::ImageFormat;
 use pointillist::engine::{Engine, EngineConfig, FrameRequest, NodePatch, Pose, Receipt};
 use pointillist::math::{Camera, View};
-use pointillist::plan::{Output, Pass, Reconstruct, Settings};
+use pointillist::plan::{Edl, Output, Pass, Reconstruct, Settings};
 use pointillist::scene::SceneLimits;
 use serde_json::Value;
 
@@ -218,6 +218,9 @@ pub fn look(eye: [f64; 3], target: [f64; 3], fov_deg: f64) -> View {
 }
 
 fn frames(engine: &Engine, scene: &str, view: &View, settings: Settings) -> Frames {
+    // The oracle uses eye-dome light only where a test asks for it.
+    let edl = if settings.edl == Edl::Auto { Edl::Off } else { settings.edl };
+    let settings = Settings { edl, ..settings };
     // All four wait at once, so that they share a submission.
     let outputs = [Output::Color, Output::Depth, Output::Normal, Output::Id];
     let tickets = outputs.map(|output| {

@@ -172,6 +172,7 @@ fn settings_of_splats_in_both_notations() {
         blend: Some(Blend::Opaque),
         shading: Some(Shading::Splat),
         wait: Default::default(),
+        ..Settings::default()
     };
     assert_eq!(asked, expected);
     let json = serde_json::json!({"reconstruct": "splats", "filter": "exact", "prefilter": false,

@@ -111,7 +111,7 @@ fn constants(recorder: &Recorder, walked: bool) -> Constants {
         constants.push(("CROWDED", u32::from(recorder.scene.sample_count >= SUMS_ROOM)));
     }
     if is_lit(recorder) {
-        constants.extend(super::resolve::shade::light_constants(looks, lights));
+        constants.extend(super::resolve::light_constants(looks, lights));
     }
     constants.extend(recorder.task.splats.iter().flat_map(|s| splat_constants(s, walked)));
     constants.extend(node_constants(recorder, segment));

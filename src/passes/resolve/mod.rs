@@ -1,17 +1,20 @@
-//! Attributes of the visible pixels only, and their light.
+//! The surfaces of visible pixels, and the output that they make.
 
 pub mod resolve_fused;
 pub mod resolve_samples;
 pub mod resolve_splats;
 pub mod resolve_triangles;
-pub mod shade;
+pub mod write_output;
 
 use super::frame::output_number;
 use super::pipelines::Constants;
 use super::recorder::{Launch, Recorder};
+use super::shaders::Choices;
 use crate::plan::Pass;
+use crate::residency::Looks;
+use crate::residency::layout::FEW_LIGHTS;
 
-/// Pixels that a workgroup resolves or shades; as in the shaders.
+/// Pixels that a workgroup resolves; as in the shaders.
 pub const TILE: (u32, u32) = (64, 16);
 
 /// A launch of a workgroup for every tile of every view.
@@ -20,12 +23,46 @@ pub fn tiles(recorder: &Recorder) -> Launch {
     Launch::Direct([width.div_ceil(TILE.0), height.div_ceil(TILE.1), recorder.task.count()])
 }
 
+/// Overrides of `shared/phong` and of what asks pixels or splats for their materials.
+pub fn light_constants(looks: Looks, lights: u32) -> Constants {
+    vec![
+        ("SPECULAR", u32::from(looks.specular)),
+        ("POINT_LIGHTS", u32::from(looks.point_lights)),
+        ("MATERIALS", u32::from(looks.overrides || looks.specular || looks.unlit)),
+        ("FEW_LIGHTS", if lights > FEW_LIGHTS { 0 } else { lights }),
+    ]
+}
+
+/// Fragments of a resolve pass: surfaces are kept if a later pass writes the output.
+fn choices(recorder: &Recorder) -> Choices {
+    Choices { kept: recorder.task.plan.runs(Pass::WriteOutput), ..Choices::default() }
+}
+
+/// Overrides of the fragments that light surfaces and write the output.
+fn output_constants(recorder: &Recorder) -> Constants {
+    let (scene, is_lit) = (recorder.scene, recorder.task.plan.lights_pixels);
+    let mut constants = vec![
+        ("OUTPUT", output_number(recorder.task.output)),
+        ("SHADED", u32::from(is_lit)),
+        ("OVERRIDES", u32::from(scene.looks.overrides)),
+    ];
+    if is_lit {
+        constants.extend(light_constants(scene.looks, scene.light_count));
+    }
+    constants
+}
+
 fn constants(recorder: &Recorder) -> Constants {
     let looks = recorder.scene.looks;
-    vec![
-        ("OUTPUT", output_number(recorder.task.output)),
-        ("SHADED", u32::from(recorder.task.plan.runs(Pass::Shade))),
-        ("OVERRIDES", u32::from(looks.overrides)),
-        ("TEXTURES", u32::from(looks.textures)),
-    ]
+    let mut constants = if choices(recorder).kept {
+        vec![
+            ("OUTPUT", output_number(recorder.task.output)),
+            ("SHADED", u32::from(recorder.task.plan.lights_pixels)),
+            ("OVERRIDES", u32::from(looks.overrides)),
+        ]
+    } else {
+        output_constants(recorder)
+    };
+    constants.push(("TEXTURES", u32::from(looks.textures)));
+    constants
 }

@@ -1,6 +1,6 @@
 //! Pixels that show a sample.
 
-use super::{constants, tiles};
+use super::{choices, constants, tiles};
 use crate::gpu::shader::ShaderError;
 use crate::passes::reconstruct::{is_tree, paint_constants};
 use crate::passes::recorder::{Call, Recorder};
@@ -13,7 +13,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let mut constants = constants(recorder);
     constants.extend(paint_constants(recorder, first));
     recorder.compute(Call {
-        choices: Choices { nodes: is_tree(recorder, first), ..Choices::default() },
+        choices: Choices { nodes: is_tree(recorder, first), ..choices(recorder) },
         constants,
         segments: &segments,
         launch: tiles(recorder),

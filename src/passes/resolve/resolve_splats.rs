@@ -1,18 +1,17 @@
 //! Pixels that show blended splats.
 
-use super::{constants, tiles};
+use super::{choices, constants, tiles};
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, Recorder};
-use crate::passes::shaders::Choices;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let mut constants = constants(recorder);
     constants.push(("DEFERRED", u32::from(recorder.task.is_deferred())));
     constants.push(("BALLS", u32::from(recorder.task.model.trees)));
     recorder.compute(Call {
-        choices: Choices::default(),
+        choices: choices(recorder),
         constants,
-        // One for all: sums belong to no page. The first segment's resolve writes the background.
+        // One for all: sums belong to no page.
         segments: &[Some(0)],
         launch: tiles(recorder),
     })

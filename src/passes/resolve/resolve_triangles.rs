@@ -1,15 +1,14 @@
 //! Pixels that show a triangle.
 
-use super::{constants, tiles};
+use super::{choices, constants, tiles};
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, Recorder};
-use crate::passes::shaders::Choices;
 use crate::residency::PageKind;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let segments = recorder.segments(&[PageKind::Triangles]);
     recorder.compute(Call {
-        choices: Choices::default(),
+        choices: choices(recorder),
         constants: constants(recorder),
         segments: &segments,
         launch: tiles(recorder),

@@ -1,14 +1,17 @@
-//! Empties what the passes of all views gather in: by commands that fill buffers, which software drivers carry out several times
-//! as fast as a shader.
+//! Empties what the passes of all views gather in, and gives every pixel the background: by commands, which software drivers carry
+//! out several times as fast as a shader.
 
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::Recorder;
-use crate::passes::scratch::LAYERS_BYTES;
+use crate::passes::scratch::{BACKGROUND_BYTES, LAYERS_BYTES};
 use crate::plan::Pass;
 use crate::residency::layout::GpuStats;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
-    let (task, scratch) = (recorder.task, &*recorder.context.scratch);
+    let task = recorder.task;
+    let background =
+        recorder.context.scratch.background(recorder.context.gpu, task.background_word());
+    let scratch = &*recorder.context.scratch;
     let ((width, height), views) = (task.size(), u64::from(task.count()));
     let pixels = views * u64::from(width) * u64::from(height);
     let mut buffers = vec![
@@ -22,8 +25,17 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     if task.plan.runs(Pass::FuseSplats) {
         buffers.push((&scratch.layers, Some(pixels * LAYERS_BYTES)));
     }
-    let buffers: Vec<_> =
-        buffers.into_iter().map(|(found, bytes)| (found.buffer().raw().clone(), bytes)).collect();
-    recorder.zero(&buffers);
+    let image = scratch.pixels.buffer().raw();
+    let buffers = buffers.into_iter().map(|(found, bytes)| (found.buffer().raw(), bytes));
+    let span = recorder.context.timer.fill(recorder.encoder, |encoder| {
+        for (buffer, bytes) in buffers {
+            encoder.clear_buffer(buffer, 0, bytes);
+        }
+        for begin in (0..pixels * 4).step_by(BACKGROUND_BYTES as usize) {
+            let bytes = BACKGROUND_BYTES.min(pixels * 4 - begin);
+            encoder.copy_buffer_to_buffer(&background, 0, image, begin, bytes);
+        }
+    });
+    recorder.finish(span);
     Ok(())
 }

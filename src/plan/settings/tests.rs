@@ -1,4 +1,5 @@
 use super::*;
+use crate::plan::SceneFacts;
 use serde_json::json;
 
 fn given(query: &str) -> Given {
@@ -18,6 +19,7 @@ fn other_value(setting: &Setting) -> Given {
             other.unwrap().value.clone()
         }
         SettingKind::Flag => "false".to_owned(),
+        SettingKind::Color => "#102030".to_owned(),
         SettingKind::Number { least, .. } => least.to_string(),
     };
     let mut given = Given::default();
@@ -81,11 +83,11 @@ fn what_does_not_go_together_is_refused() {
         refused("error_mode=split"),
         (
             "error_mode",
-            "together with `lod=spt` and `reconstruct=splats`, `fuzzy` or `auto`, or `unified`"
+            "use it with `lod=spt` and `reconstruct=splats`, `fuzzy` or `auto`, or use `unified`"
                 .to_owned()
         )
     );
-    assert_eq!(refused("max_error_px=2").1, "together with `lod=spt`, or left out");
+    assert_eq!(refused("max_error_px=2").1, "use it with `lod=spt`, or use no value");
     assert_eq!(refused("lod=spt&max_error_px=65").1, "0.05 to 64 pixels");
     // What changes nothing is no fault.
     for harmless in ["error_mode=unified", "paint=colors", "lod=full&reconstruct=auto"] {
@@ -114,14 +116,47 @@ fn settings_without_meaning_are_not_inherited() {
     assert!(given("").or(&given("paint=levels")).resolve().is_err());
 }
 
+#[test]
+fn backgrounds_are_read_as_they_are_written() {
+    for (text, written) in [
+        ("transparent", "transparent"),
+        ("#00000000", "transparent"),
+        ("fff", "#ffffff"),
+        ("000000", "#000000"),
+        ("#20242880", "#20242880"),
+    ] {
+        let background = given(&format!("background={text}")).background.unwrap();
+        assert_eq!(background.to_string(), written);
+        assert_eq!(given(&format!("background={written}")).background, Some(background));
+    }
+    let refused = Given::default().set_text("background", "blue").unwrap_err();
+    assert_eq!(refused.accepted(|_, _| String::new()), "transparent, #rrggbb or #rrggbbaa");
+}
+
+#[test]
+fn eye_dome_light_is_for_samples_without_normals_and_light() {
+    let scan = SceneFacts { has_samples: true, ..SceneFacts::default() };
+    let used = |query: &str, scene| given(query).resolve().unwrap().eye_dome(&scene).is_some();
+    assert!(used("", scan) && used("edl=on", scan) && !used("edl=off", scan));
+    for other in [
+        SceneFacts { has_normals: true, ..scan },
+        SceneFacts { lights: 1, ..scan },
+        SceneFacts { has_triangles: true, ..scan },
+        SceneFacts::default(),
+    ] {
+        assert!(!used("", other) && used("edl=on", other) && !used("edl=off", other));
+    }
+    assert!(!used("reconstruct=fuzzy", scan) && used("reconstruct=fuzzy&edl=on", scan));
+}
+
 /// The page of the docs that the declarations make.
 fn page() -> String {
     let mut page = String::from(
         "# Settings of a frame\n\n\
          How a frame is drawn. Settings are parameters of a frame (`?lod=spt`), fields of a JSON body, of a message of a stream and of a job \
          (`\"lod\": \"spt\"`), and options of `render`, `path` and `load` (`--lod spt`; `_` becomes `-`). The viewer has a control for each. \
-         `GET /v1/settings` serves the same list as JSON. The receipt of a frame names the settings that had a say in it.\n\n\
-         A setting that needs another is refused without it, unless it has its default.\n\n\
+         `GET /v1/settings` serves the same list as JSON. The receipt of a frame names the settings that affected it.\n\n\
+         A setting that needs another is refused without it, unless its value is the default of a choice.\n\n\
          | setting | values | default | needs | meaning |\n|---|---|---|---|---|\n",
     );
     for setting in declared() {
@@ -132,6 +167,7 @@ fn page() -> String {
                 (values.join(", "), default.as_ref().map(|value| format!("`{value}`")))
             }
             SettingKind::Flag => ("`true`, `false`".to_owned(), None),
+            SettingKind::Color => ("`transparent`, `#rrggbb`, `#rrggbbaa`".to_owned(), None),
             SettingKind::Number { default, .. } => {
                 (setting.kind.accepted(), Some(default.to_string()))
             }

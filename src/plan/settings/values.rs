@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Given, SettingKind, Settings};
-use crate::scene::{Blend, Shading, Splats};
+use crate::plan::{EyeDome, SceneFacts};
+use crate::scene::{Blend, Shading, Splats, color};
 
 /// What a frame waits for whose samples lack normals or kernels, where it is left open how they are drawn.
 #[derive(
@@ -56,6 +57,22 @@ impl Settings {
         }
     }
 
+    /// Eye-dome lighting of a scene, if it is used.
+    pub fn eye_dome(&self, scene: &SceneFacts) -> Option<EyeDome> {
+        let is_shapeless = scene.has_samples && !scene.has_triangles && !scene.has_normals;
+        let is_used = match self.edl {
+            Edl::Auto => {
+                is_shapeless && scene.lights == 0 && self.reconstruct != Reconstruct::Fuzzy
+            }
+            Edl::On => true,
+            Edl::Off => false,
+        };
+        is_used.then_some(EyeDome {
+            strength: self.edl_strength.get(),
+            radius_px: self.edl_radius_px.get(),
+        })
+    }
+
     /// The settings with what a scene has where they leave it open.
     #[must_use]
     pub fn settled(&self, splats: Option<&Splats>) -> Settings {
@@ -79,69 +96,173 @@ impl Settings {
     }
 }
 
-/// An error that may be accepted, in pixels: 1 unless said otherwise.
-#[derive(Clone, Copy, Debug, Serialize)]
-#[serde(transparent)]
-pub struct MaxError {
-    px: f32,
+/// Declares types of bounded numbers: name, unit, range and default.
+macro_rules! numbers {
+    ($($(#[doc = $doc:literal])+ $name:ident: $least:literal to $most:literal $unit:literal, $default:literal;)+) => {$(
+        $(#[doc = $doc])+
+        #[derive(Clone, Copy, Debug, Serialize)]
+        #[serde(transparent)]
+        pub struct $name(f32);
+
+        impl $name {
+            /// Least and largest value.
+            pub const RANGE: [f32; 2] = [$least, $most];
+
+            /// `None` for values outside the range.
+            pub fn new(value: f32) -> Option<$name> {
+                ($least..=$most).contains(&value).then_some($name(value))
+            }
+
+            pub fn get(self) -> f32 {
+                self.0
+            }
+
+            pub(super) fn kind() -> SettingKind {
+                let [least, most] = $name::RANGE.map(exact);
+                SettingKind::Number { least, most, default: exact($default), unit: $unit }
+            }
+        }
+
+        impl From<f32> for $name {
+            /// The default for values outside the range; [`Given::check`] refuses these before.
+            fn from(value: f32) -> Self {
+                $name::new(value).unwrap_or_default()
+            }
+        }
+
+        impl Default for $name {
+            fn default() -> Self {
+                $name($default)
+            }
+        }
+
+        impl PartialEq for $name {
+            fn eq(&self, other: &Self) -> bool {
+                self.0.to_bits() == other.0.to_bits()
+            }
+        }
+
+        impl Eq for $name {}
+
+        impl std::hash::Hash for $name {
+            fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
+                self.0.to_bits().hash(state);
+            }
+        }
+    )+};
+}
+
+numbers! {
+    /// Accepted error, in pixels.
+    MaxError: 0.05 to 64.0 "pixels", 1.0;
+    /// Strength of eye-dome lighting: doubling it squares what is left of a pixel's light.
+    EdlStrength: 0.0 to 10.0 "", 0.6;
+    /// Distance of the neighbours that eye-dome lighting compares a pixel with, in pixels.
+    EdlRadius: 1.0 to 16.0 "pixels", 1.4;
 }
 
 impl MaxError {
-    /// Least and most that can be asked for.
-    pub const RANGE_PX: [f32; 2] = [0.05, 64.0];
-
-    /// `None` for what is out of [`MaxError::RANGE_PX`].
-    pub fn new(px: f32) -> Option<MaxError> {
-        let [least, most] = MaxError::RANGE_PX;
-        (least..=most).contains(&px).then_some(MaxError { px })
-    }
-
     pub fn px(self) -> f32 {
-        self.px
-    }
-
-    pub(super) fn kind() -> SettingKind {
-        let [least, most] = MaxError::RANGE_PX.map(exact);
-        SettingKind::Number { least, most, default: exact(MaxError::default().px), unit: "pixels" }
+        self.get()
     }
 }
 
-/// The number that is written like this one, not the nearest to its bits: 0.05 and not 0.05000000074505806.
-fn exact(number: f32) -> f64 {
+/// The number with the same shortest decimal form: 0.05 and not 0.05000000074505806.
+pub(super) fn exact(number: f32) -> f64 {
     number.to_string().parse().unwrap_or(f64::from(number))
 }
 
-impl From<f32> for MaxError {
-    /// The default for a number that [`MaxError::new`] refuses; [`Given::check`] has told of it before.
-    fn from(px: f32) -> Self {
-        MaxError::new(px).unwrap_or_default()
+/// A colour of the background: sRGB and straight alpha, a byte each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Background([u8; 4]);
+
+impl Background {
+    /// Linear RGB and straight alpha.
+    pub fn linear(self) -> [f32; 4] {
+        color::to_linear(self.0.map(|byte| f64::from(byte) / 255.0))
     }
 }
 
-impl Default for MaxError {
-    fn default() -> Self {
-        MaxError { px: 1.0 }
+impl std::fmt::Display for Background {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.0 {
+            [0, 0, 0, 0] => write!(f, "transparent"),
+            [r, g, b, 255] => write!(f, "#{r:02x}{g:02x}{b:02x}"),
+            [r, g, b, a] => write!(f, "#{r:02x}{g:02x}{b:02x}{a:02x}"),
+        }
     }
 }
 
-impl PartialEq for MaxError {
-    fn eq(&self, other: &Self) -> bool {
-        self.px.to_bits() == other.px.to_bits()
+impl std::str::FromStr for Background {
+    type Err = String;
+
+    /// `#` may be left out: it would end a URL.
+    fn from_str(text: &str) -> Result<Background, String> {
+        if text == "transparent" {
+            return Ok(Background([0; 4]));
+        }
+        let digits = text.strip_prefix('#').unwrap_or(text);
+        let channels = color::parse_hex(&format!("#{digits}"));
+        let channels = channels.ok_or_else(|| format!("`{text}` is no colour"))?;
+        Ok(Background(channels.map(|channel| (channel * 255.0).round() as u8)))
     }
 }
 
-impl Eq for MaxError {}
-
-impl std::hash::Hash for MaxError {
-    fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
-        self.px.to_bits().hash(state);
+impl Serialize for Background {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
     }
+}
+
+impl<'de> Deserialize<'de> for Background {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        text.parse().map_err(serde::de::Error::custom)
+    }
+}
+
+impl utoipa::PartialSchema for Background {
+    fn schema() -> utoipa::openapi::RefOr<utoipa::openapi::schema::Schema> {
+        let pattern = "^(transparent|#?([0-9a-fA-F]{3}|[0-9a-fA-F]{6}|[0-9a-fA-F]{8}))$";
+        utoipa::openapi::ObjectBuilder::new()
+            .schema_type(utoipa::openapi::schema::Type::String)
+            .pattern(Some(pattern))
+            .into()
+    }
+}
+
+impl utoipa::ToSchema for Background {}
+
+/// When eye-dome lighting is used.
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    Hash,
+    Serialize,
+    Deserialize,
+    utoipa::ToSchema,
+    clap::ValueEnum,
+)]
+#[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
+pub enum Edl {
+    /// For samples that have no normals and are not lit, except with `reconstruct=fuzzy`
+    #[default]
+    Auto,
+    /// Always; `reconstruct=fuzzy` is drawn in three passes instead
+    On,
+    /// Never
+    Off,
 }
 
 /// Settings as a frame was drawn with them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct UsedSettings {
-    /// Settings that had a say in the frame.
+    /// Settings that affected the frame.
     #[serde(flatten)]
     pub applied: Given,
     /// Why the same request will be answered by another frame in a while: normals and kernels are being estimated.
@@ -188,7 +309,7 @@ pub enum Lod {
     Spt,
 }
 
-/// How the error of a point tree's node is seen (Dachsbacher et al. 2003, §3.4).
+/// How the error of a point tree's node is measured (Dachsbacher et al. 2003, §3.4).
 #[derive(
     Clone,
     Copy,
@@ -213,7 +334,7 @@ pub enum ErrorMode {
     Split,
 }
 
-/// What the colours of samples show.
+/// What the colours of samples represent.
 #[derive(
     Clone,
     Copy,
@@ -230,10 +351,10 @@ pub enum ErrorMode {
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub enum Paint {
-    /// The surface's own.
+    /// Colours of the surface.
     #[default]
     Colors,
-    /// How high above the leaves of its tree each node stands (Dachsbacher et al. 2003, Fig. 1).
+    /// Height of each node above the leaves of its tree (Dachsbacher et al. 2003, Fig. 1).
     Levels,
 }
 

@@ -1,0 +1,64 @@
+// The output of kept surfaces: effects that look at neighbouring pixels, light, and the pixel's word.
+//!include shared/frame
+//!include shared/scene
+//!include VOTE
+//!include shared/column
+//!include shared/colour
+//!include shared/material
+//!include shared/octahedral
+//!include shared/output
+//!include shared/light
+//!include shared/edl
+// Some instance overrides its asset's materials.
+override OVERRIDES: bool = true;
+
+@group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
+@group(0) @binding(2) var<storage, read_write> pixels: array<u32>;
+@group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
+@group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
+@group(1) @binding(3) var<storage, read> instances: array<Instance>;
+@group(1) @binding(4) var<storage, read> materials: array<Material>;
+@group(2) @binding(0) var<storage, read> slots: array<Slot>;
+
+@group(0) @binding(3) var<storage, read> normals: array<u32>;
+
+// The surface that a resolve pass kept.
+fn kept_surface(column: Column) -> Surface {
+    let packed = normals[column.pixel];
+    var surface: Surface;
+    surface.color = pixels[column.pixel];
+    surface.normal = octahedral_decode(packed);
+    surface.is_ball = packed == BALL;
+    surface.inverse_depth = bitcast<f32>(column.word.y);
+    surface.slot = slot_of(column.word);
+    return surface;
+}
+
+@compute @workgroup_size(64)
+fn write_output(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    begin_view(group.z);
+    var column = column_begin(group, lane);
+    column_load(&column);
+    loop {
+        loop {
+            if column_ends(column) || any_lane(column.mine) {
+                break;
+            }
+            column_step(&column);
+            column_load(&column);
+        }
+        if column_ends(column) {
+            break;
+        }
+        if column.mine {
+            var surface = kept_surface(column);
+            if SHADED {
+                surface.color = lit_color(surface, column.at);
+            }
+            surface.color = color_word(linear_color(surface.color) * eye_dome(column.at, surface.inverse_depth));
+            pixels[column.pixel] = output_word(surface);
+        }
+        column_step(&column);
+        column_load(&column);
+    }
+}

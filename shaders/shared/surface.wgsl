@@ -1,0 +1,23 @@
+// The resolved surface: what a pixel shows, before light and effects. Every resolve pass makes one, and `finish` takes it: it writes the
+// output at once (shared/finish_written), or keeps the surface for passes that look at neighbouring pixels (shared/finish_kept).
+struct Surface {
+    // Linear light without lighting, kept as sRGB8; see `color_word`. Coverage in the highest byte.
+    color: u32,
+    // World space, unit length, turned towards the eye; zero if the surface has none and is not lit.
+    normal: vec3<f32>,
+    // The surface reflects like a ball: it has all normals alike.
+    is_ball: bool,
+    // 1/z, z being the distance along the viewing axis.
+    inverse_depth: f32,
+    // Slot of the chunk, counted from the view's first one.
+    slot: u32,
+    // Id of the instance, where the output shows it.
+    id: u32,
+}
+
+// Light is computed for each pixel, from its normal.
+override SHADED: bool = true;
+
+fn needs_normal() -> bool {
+    return OUTPUT == OUTPUT_NORMAL || SHADED;
+}

@@ -1,0 +1,48 @@
+//! Eye-dome lighting (Boucheny 2009, §4), from the depths of a frame's pixels.
+
+use crate::plan::EyeDome;
+
+/// The factor by which the light of pixel (x, y) is reduced; `depth` holds the frame's depths row by row.
+pub fn factor(
+    edl: &EyeDome,
+    depth: &[f64],
+    (width, height): (usize, usize),
+    (x, y): (usize, usize),
+) -> f64 {
+    let own = depth[y * width + x];
+    if own.is_infinite() {
+        return 1.0;
+    }
+    let radius = f64::from(edl.radius_px);
+    let neighbours = (0..8).map(|k| {
+        let (sine, cosine) = (f64::from(k) * std::f64::consts::FRAC_PI_4).sin_cos();
+        let at =
+            |from: usize, offset: f64| from.checked_add_signed((radius * offset).round() as isize);
+        (at(x, cosine), at(y, sine))
+    });
+    let before = neighbours.filter_map(|(x, y)| {
+        let (x, y) = (x.filter(|&x| x < width)?, y.filter(|&y| y < height)?);
+        let neighbour = depth[y * width + x];
+        (neighbour < own).then(|| (own / neighbour).log2())
+    });
+    (-300.0 * f64::from(edl.strength) * before.sum::<f64>() / 8.0).exp()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pixels_behind_an_edge_are_dark_and_others_are_not() {
+        let edl = EyeDome { strength: 1.0, radius_px: 1.0 };
+        let (near, far) = (1.0, 1.01);
+        let depth = [near, far, far, far, f64::INFINITY, far];
+        let of = |x| factor(&edl, &depth, (6, 1), (x, 0));
+        assert_eq!([of(0), of(2), of(3), of(4), of(5)], [1.0; 5]);
+        // One of eight neighbours stands 1 % before it.
+        let expected = (-300.0 * 1.01f64.log2() / 8.0).exp();
+        assert!((of(1) - expected).abs() < 1e-12 && expected < 0.6);
+        let twice = EyeDome { strength: 2.0, ..edl };
+        assert!((factor(&twice, &depth, (6, 1), (1, 0)) - expected * expected).abs() < 1e-12);
+    }
+}
