@@ -14,7 +14,7 @@ use super::trace::{FrameSpans, Origin, RequestId};
 use super::{EncodedFrame, EngineError, FrameRequest};
 use crate::math::View;
 use crate::plan::auto::Choice;
-use crate::plan::{FramePlan, MaxError, Reconstruct};
+use crate::plan::{FramePlan, Settings};
 use crate::residency::model::{Extent, SceneModel};
 use crate::scene::{Blend, Splats};
 
@@ -37,21 +37,34 @@ pub struct Resolved {
     pub auto: Option<Choice>,
     /// The drawing for splats that overflow a single pass.
     pub in_three_passes: Option<Drawing>,
-    /// Accepted error in pixels, in a scene of point trees.
-    pub max_error: MaxError,
     /// Key that is equal for requests whose frames are equal to the byte.
     pub key: String,
 }
 
-/// One way to draw a frame.
+/// One way to draw a frame. Passes take all settings from here, so that equal drawings are drawn alike.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Drawing {
     pub plan: FramePlan,
-    pub reconstruct: Reconstruct,
+    /// Canonical form of the settings, with what the scene adds to them.
+    pub settings: Settings,
     /// Reason for not drawing as requested.
     pub instead_because: Option<&'static str>,
     /// How samples are drawn, if not as points.
     pub splats: Option<Splats>,
+}
+
+impl Drawing {
+    /// `scene`: what the scene says of splats.
+    pub fn new(
+        settings: &Settings,
+        scene: &Splats,
+        instead_because: Option<&'static str>,
+        plan: impl FnOnce(Option<&Splats>) -> FramePlan,
+    ) -> Drawing {
+        let splats = settings.splats(scene);
+        let settings = settings.settled(splats.as_ref()).effective();
+        Drawing { plan: plan(splats.as_ref()), settings, instead_because, splats }
+    }
 }
 
 /// A frame that somebody waits for.
@@ -210,7 +223,8 @@ impl Job {
         }
     }
 
-    /// Returns a key that is equal for jobs that the same dispatches can draw; `None` if no other job can share them.
+    /// Returns a key that is equal for jobs that the same dispatches can draw; `None` if no other job can share them. The key holds
+    /// everything but the view that a task takes from its first job.
     pub fn group_key(&self) -> Option<impl PartialEq + use<>> {
         let FrameRequest { output, width, height, .. } = self.request;
         let drawing = self.drawing().clone();
@@ -280,5 +294,57 @@ impl Waiting for Arc<Job> {
 
     fn pixels(&self) -> u64 {
         u64::from(self.request.width) * u64::from(self.request.height)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::{self, AdapterFacts, Given, Output, SceneFacts, SettingKind};
+
+    fn drawing(settings: &Settings) -> Drawing {
+        let facts = SceneFacts { has_samples: true, trees: true, chunks: 1, ..Default::default() };
+        let adapter = AdapterFacts::default();
+        Drawing::new(settings, &Splats::default(), None, |splats| {
+            plan::plan(&facts, Output::Color, splats, &adapter)
+        })
+    }
+
+    /// A task takes its settings from the first job of a group, whose members have equal drawings.
+    #[test]
+    fn drawings_of_different_settings_differ() {
+        for setting in plan::declared() {
+            let values: Vec<String> = match &setting.kind {
+                SettingKind::Choice { choices, .. } => {
+                    choices.iter().map(|choice| choice.value.clone()).collect()
+                }
+                SettingKind::Flag => vec!["true".to_owned(), "false".to_owned()],
+                SettingKind::Number { least, most, .. } => {
+                    vec![least.to_string(), most.to_string()]
+                }
+            };
+            let mut needed = Given::default();
+            for rule in &setting.needs {
+                needed.set_text(rule.of, rule.is[0]).unwrap();
+            }
+            let drawings = values.iter().map(|value| {
+                let mut given = needed;
+                given.set_text(setting.name, value).unwrap();
+                drawing(&given.resolve().unwrap())
+            });
+            let drawings: Vec<Drawing> = drawings.collect();
+            for (index, one) in drawings.iter().enumerate() {
+                assert!(!drawings[..index].contains(one), "{}={}", setting.name, values[index]);
+            }
+        }
+    }
+
+    #[test]
+    fn settings_without_effect_leave_drawings_equal() {
+        let points = Settings::drawn_as(plan::Reconstruct::Points);
+        let fine = Settings { max_error_px: 0.5.into(), ..points };
+        assert_eq!(drawing(&fine), drawing(&points), "full detail accepts no error");
+        let trees = |settings: Settings| drawing(&Settings { lod: plan::Lod::Spt, ..settings });
+        assert_ne!(trees(fine), trees(points));
     }
 }

@@ -762,7 +762,7 @@ impl Engine {
 
     /// Returns how the samples of a frame would be drawn, which a request may leave open.
     pub fn drawn_as(&self, request: &FrameRequest) -> Result<Reconstruct, EngineError> {
-        Ok(resolve::resolve(self.shared(), request)?.drawing.reconstruct)
+        Ok(resolve::resolve(self.shared(), request)?.drawing.settings.reconstruct)
     }
 
     /// Returns the plan for a request.

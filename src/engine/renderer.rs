@@ -335,9 +335,9 @@ impl Renderer {
             large_capacity: self.scratch.large_capacity(),
             walk_stride: self.scratch.walk_stride(),
             large_units_limit: self.large_units_limit,
-            max_error_px: first.resolved.max_error.px(),
-            error_mode: first.request.settings.error_mode,
-            paint: first.request.settings.paint,
+            max_error_px: drawing.settings.max_error_px.px(),
+            error_mode: drawing.settings.error_mode,
+            paint: drawing.settings.paint,
             entry_capacity: self.scratch.entry_capacity(),
         }
     }

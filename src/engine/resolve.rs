@@ -129,14 +129,14 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
         ..request.settings
     };
     let way = |settings: &Settings, instead_because| {
-        let splats = settings.splats(&loaded.model.splats);
         let adapter = AdapterFacts {
             atomics_64: adapter.atomics_64,
             rasterises: adapter.rasterises,
             draws_hidden: shared.config.draw_hidden,
         };
-        let plan = plan(&facts, request.output, splats.as_ref(), &adapter);
-        Drawing { plan, reconstruct: settings.reconstruct, instead_because, splats }
+        Drawing::new(settings, &loaded.model.splats, instead_because, |splats| {
+            plan(&facts, request.output, splats, &adapter)
+        })
     };
     let other = settings.in_three_passes();
     let is_single = settings.reconstruct == Reconstruct::Fuzzy && facts.has_samples;
@@ -167,18 +167,7 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     };
     let key = entity_tag(&loaded, request, &tagged, &view, &adapter);
     let extent = loaded.extent;
-    Ok(Resolved {
-        model,
-        view,
-        camera,
-        extent,
-        drawing,
-        provisional,
-        auto,
-        in_three_passes,
-        max_error: request.settings.max_error_px,
-        key,
-    })
+    Ok(Resolved { model, view, camera, extent, drawing, provisional, auto, in_three_passes, key })
 }
 
 /// What has to be made of a scene before a request's frame can be drawn.

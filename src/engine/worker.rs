@@ -26,7 +26,7 @@ use super::{EncodedFrame, EngineError};
 use crate::gpu::{GpuError, GpuOptions};
 use crate::memory;
 use crate::passes::srgb8;
-use crate::plan::{Pass, Reconstruct, Settings, UsedSettings};
+use crate::plan::{Pass, Reconstruct, UsedSettings};
 use crate::residency::layout::GpuStats;
 use crate::residency::layout::MOST_ROWS;
 
@@ -355,7 +355,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
     let as_splats = runs(Pass::ProjectSplats) || runs(Pass::FuseSplats);
     let samples = runs(Pass::ProjectSamples) || as_splats;
     let splats = |count: u32| as_splats.then_some(u64::from(count));
-    let used = Settings { reconstruct: drawing.reconstruct, ..job.request.settings };
+    let applied = drawing.settings.applied();
     Receipt {
         request_id: job.request_id.as_str().to_owned(),
         scene: job.request.scene.clone(),
@@ -365,7 +365,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
         views: drawn.views,
         camera: resolved.camera.clone(),
         settings: UsedSettings {
-            applied: used.applied().beside(&drawing.splats),
+            applied: applied.beside(&drawing.splats),
             provisional: resolved.provisional.clone(),
             asked: resolved.auto.map(|_| Reconstruct::Auto),
             because: resolved.auto.map(|choice| choice.because()),
@@ -373,7 +373,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
             instead_because: drawing.instead_because,
             splats: drawing.splats,
         },
-        max_error_px: used.applied().max_error_px,
+        max_error_px: applied.max_error_px,
         estimated_error_px: None,
         passes: PassReceipt::list(&drawing.plan, &drawn.pass_ns),
         nothing_visible: nothing_visible(drawn),
