@@ -51,7 +51,7 @@ impl Waiting for Drawn {
 /// Frames of equal format, output and size take about equally long.
 fn cost_key(job: &Arc<Job>) -> CostKey {
     let mut hasher = DefaultHasher::new();
-    (job.request.format as u8, job.request.output as u8).hash(&mut hasher);
+    (job.frame.request.format as u8, job.frame.request.output as u8).hash(&mut hasher);
     CostKey { kind: hasher.finish(), pixels: job.pixels() }
 }
 

@@ -9,9 +9,8 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::thread::JoinHandle;
-use std::time::Duration;
 
-use parking_lot::{Condvar, Mutex};
+use parking_lot::Mutex;
 use serde::Serialize;
 
 use super::EngineError;
@@ -43,30 +42,6 @@ pub struct Estimates {
     pub done: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-}
-
-/// Keeps estimates from beginning while it is shut, so that tests need not be quick.
-#[derive(Debug, Default)]
-pub struct Latch {
-    is_open: Mutex<bool>,
-    opened: Condvar,
-}
-
-impl Latch {
-    pub fn open(&self) {
-        *self.is_open.lock() = true;
-        self.opened.notify_all();
-    }
-
-    pub(super) fn pass(&self, watch: &Watch<'_>) -> Result<(), Abandoned> {
-        const LOOK_EVERY: Duration = Duration::from_millis(5);
-        let mut is_open = self.is_open.lock();
-        while !*is_open {
-            watch.check()?;
-            self.opened.wait_for(&mut is_open, LOOK_EVERY);
-        }
-        Ok(())
-    }
 }
 
 /// Estimates that frames do not wait for, by scene.
@@ -181,13 +156,18 @@ impl Shared {
         }
     }
 
-    /// The scene with everything that its samples lack. Blocks.
-    pub fn whole(&self, scene: &Arc<Loaded>) -> Result<Arc<Loaded>, EngineError> {
-        match self.make_whole(scene, &Watch::NONE) {
-            Ok(whole) => whole,
-            // Nobody could have told it to stop.
-            Err(Abandoned) => Err(EngineError::Internal("estimating was given up".into())),
+    /// Begins a bake of a loaded scene, or joins it if it runs already.
+    ///
+    /// # Errors
+    /// [`EngineError::UnknownScene`] if the scene was deleted.
+    pub fn begin_bake(&self, scene: &Arc<Loaded>, goal: Goal) -> Result<BakeTicket, EngineError> {
+        let id = &scene.model.id;
+        // Held while the bake is joined, so that a deletion either comes first or finds the bake and cancels it.
+        let library = self.library.read();
+        if library.get(id).is_none_or(|held| held.load() != scene.load()) {
+            return Err(EngineError::UnknownScene { id: id.clone() });
         }
+        Ok(self.bakes.join(scene.clone(), goal))
     }
 
     /// Has something written on a thread of its own, which [`Shared::finish_writing`] waits for.

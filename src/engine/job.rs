@@ -7,84 +7,28 @@ use std::time::Instant;
 use parking_lot::Mutex;
 use tokio::sync::oneshot;
 
-use super::queue::cost::CostKey;
 use super::queue::{Client, Granted, Waiting};
-use super::receipt::CameraReceipt;
+use super::resolved::{Drawing, ResolvedFrame};
 use super::trace::{FrameSpans, Origin, RequestId};
 use super::{EncodedFrame, EngineError, FrameRequest};
-use crate::math::View;
-use crate::plan::auto::Choice;
-use crate::plan::{FramePlan, Settings};
-use crate::residency::model::{Extent, SceneModel};
-use crate::scene::{Blend, Splats};
+use crate::scene::Blend;
 
 /// Weight of a splat in a single pass; leaves room for 68 splats of full weight over a pixel.
 const SINGLE_PASS_WEIGHT: f32 = 15.0;
 
 pub type Reply = Result<Arc<EncodedFrame>, EngineError>;
 
-/// A resolved request: everything that can be wrong with it has been checked.
-#[derive(Clone)]
-pub struct Resolved {
-    pub model: Arc<SceneModel>,
-    pub view: View,
-    pub camera: CameraReceipt,
-    pub extent: Extent,
-    pub drawing: Drawing,
-    /// Reason why the frame will change in a while, with the progress towards that.
-    pub provisional: Option<String>,
-    /// How samples are drawn where the request left that open, and why.
-    pub auto: Option<Choice>,
-    /// The drawing for splats that overflow a single pass.
-    pub in_three_passes: Option<Drawing>,
-    /// Key that is equal for requests whose frames are equal to the byte.
-    pub key: String,
-}
-
-/// One way to draw a frame. Passes take all settings from here, so that equal drawings are drawn alike.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Drawing {
-    pub plan: FramePlan,
-    /// Canonical form of the settings, with what the scene adds to them.
-    pub settings: Settings,
-    /// Reason for not drawing as requested.
-    pub instead_because: Option<&'static str>,
-    /// How samples are drawn, if not as points.
-    pub splats: Option<Splats>,
-}
-
-impl Drawing {
-    /// `scene`: what the scene says of splats.
-    pub fn new(
-        settings: &Settings,
-        scene: &Splats,
-        instead_because: Option<&'static str>,
-        plan: impl FnOnce(Option<&Splats>) -> FramePlan,
-    ) -> Drawing {
-        let splats = settings.splats(scene);
-        let settings = settings.settled(splats.as_ref()).effective();
-        Drawing { plan: plan(splats.as_ref()), settings, instead_because, splats }
-    }
-}
-
 /// A frame that somebody waits for.
 pub struct Job {
-    pub resolved: Resolved,
-    pub request: FrameRequest,
+    pub frame: Arc<ResolvedFrame>,
     pub enqueued: Instant,
     /// Id of the first request that asked for this frame.
     pub request_id: RequestId,
     /// Span of all work for this frame.
     pub span: tracing::Span,
-    pub cost_key: CostKey,
     /// Estimated device time.
     pub cost_ns: u64,
-    /// Span of its time in the queue, until it is taken.
-    queue_span: Mutex<Option<tracing::Span>>,
-    /// Client in whose lane it waits or waited.
-    lane: Mutex<Client>,
-    /// Client and amount charged for it, from when it is taken until the charge is settled.
-    charged: Mutex<Option<(Client, u64)>>,
+    turn: Mutex<Turn>,
     waiters: Mutex<Waiters>,
     attempts: AtomicU32,
     redraws: AtomicU32,
@@ -93,6 +37,16 @@ pub struct Job {
     halvings: AtomicU32,
     /// Whether the first way to draw the frame overflowed at some pixel.
     too_full: AtomicBool,
+}
+
+/// The frame's place in the queue, and what it was charged.
+struct Turn {
+    /// Client in whose lane it waits or waited.
+    lane: Client,
+    /// Client and amount charged for it, from when it is taken until the charge is settled.
+    charged: Option<(Client, u64)>,
+    /// Span of its time in the queue, until it is taken.
+    queue_span: Option<tracing::Span>,
 }
 
 struct Waiter {
@@ -111,24 +65,20 @@ impl Job {
     /// `cost_ns` is the estimated device time.
     pub fn new(
         origin: Origin,
-        resolved: Resolved,
-        request: FrameRequest,
-        (cost_key, cost_ns): (CostKey, u64),
+        resolved: Arc<ResolvedFrame>,
+        cost_ns: u64,
     ) -> (Arc<Job>, oneshot::Receiver<Reply>) {
         let (sender, receiver) = oneshot::channel();
-        let FrameSpans { frame, queue } = FrameSpans::open(&origin, &request, cost_ns);
+        let FrameSpans { frame, queue } = FrameSpans::open(&origin, &resolved.request, cost_ns);
         let job = Job {
             enqueued: Instant::now(),
             request_id: origin.request_id.clone(),
             span: frame,
-            cost_key,
             cost_ns,
-            queue_span: Mutex::new(Some(queue)),
-            lane: Mutex::new(origin.client),
-            charged: Mutex::new(None),
+            turn: Mutex::new(Turn { lane: origin.client, charged: None, queue_span: Some(queue) }),
             waiters: Mutex::new(Waiters {
                 senders: vec![Waiter { origin, sender }],
-                deadline: request.deadline,
+                deadline: resolved.request.deadline,
                 answered: false,
             }),
             attempts: AtomicU32::new(0),
@@ -136,42 +86,42 @@ impl Job {
             alone: AtomicBool::new(false),
             halvings: AtomicU32::new(0),
             too_full: AtomicBool::new(false),
-            resolved,
-            request,
+            frame: resolved,
         };
         (Arc::new(job), receiver)
     }
 
     /// Returns the client in whose lane the frame waits or waited.
     pub fn lane(&self) -> Client {
-        *self.lane.lock()
+        self.turn.lock().lane
     }
 
     pub fn set_lane(&self, client: Client) {
-        *self.lane.lock() = client;
+        self.turn.lock().lane = client;
     }
 
     /// Records that drawing begins.
     pub fn taken(&self, client: Client, charged_ns: u64) {
-        self.queue_span.lock().take();
-        *self.charged.lock() = Some((client, charged_ns));
+        let mut turn = self.turn.lock();
+        turn.queue_span = None;
+        turn.charged = Some((client, charged_ns));
     }
 
     /// Returns the client and the amount charged for the frame while it is drawn.
     pub fn charged(&self) -> Option<(Client, u64)> {
-        *self.charged.lock()
+        self.turn.lock().charged
     }
 
     /// Takes the charge back out when drawing ends.
     pub fn settle(&self) -> Option<(Client, u64)> {
-        self.charged.lock().take()
+        self.turn.lock().charged.take()
     }
 
     /// Prepares the frame for waiting again.
     pub fn granted(self: Arc<Self>) -> Granted<Arc<Job>> {
         let (client, cost_ns) = self.settle().unwrap_or((self.lane(), self.cost_ns));
         let queue = FrameSpans::queue(&self.span, &self.request_id, self.cost_ns);
-        *self.queue_span.lock() = Some(queue);
+        self.turn.lock().queue_span = Some(queue);
         Granted { client, cost_ns, job: self }
     }
 
@@ -226,12 +176,12 @@ impl Job {
     /// Returns a key that is equal for jobs that the same dispatches can draw; `None` if no other job can share them. The key holds
     /// everything but the view that a task takes from its first job.
     pub fn group_key(&self) -> Option<impl PartialEq + use<>> {
-        let FrameRequest { output, width, height, .. } = self.request;
+        let FrameRequest { output, width, height, .. } = self.frame.request;
         let drawing = self.drawing().clone();
         let halvings = self.halvings.load(Ordering::Relaxed);
-        let key = (self.resolved.model.uid, drawing, halvings, output, width, height);
+        let key = (self.frame.model.uid, drawing, halvings, output, width, height);
         // Frames of point trees cannot share their lists of nodes.
-        (!self.is_alone() && !self.resolved.model.trees).then_some(key)
+        (!self.is_alone() && !self.frame.model.trees).then_some(key)
     }
 
     /// Counts a redraw because a list was full; false after more redraws than growing lists explain.
@@ -241,8 +191,8 @@ impl Job {
 
     /// Returns the current way to draw the frame.
     pub fn drawing(&self) -> &Drawing {
-        let other = self.resolved.in_three_passes.as_ref();
-        other.filter(|_| self.too_full.load(Ordering::Relaxed)).unwrap_or(&self.resolved.drawing)
+        let other = self.frame.in_three_passes.as_ref();
+        other.filter(|_| self.too_full.load(Ordering::Relaxed)).unwrap_or(&self.frame.drawing)
     }
 
     fn is_single_pass(&self) -> bool {
@@ -293,58 +243,6 @@ impl Waiting for Arc<Job> {
     }
 
     fn pixels(&self) -> u64 {
-        u64::from(self.request.width) * u64::from(self.request.height)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::plan::{self, AdapterFacts, Given, Output, SceneFacts, SettingKind};
-
-    fn drawing(settings: &Settings) -> Drawing {
-        let facts = SceneFacts { has_samples: true, trees: true, chunks: 1, ..Default::default() };
-        let adapter = AdapterFacts::default();
-        Drawing::new(settings, &Splats::default(), None, |splats| {
-            plan::plan(&facts, Output::Color, splats, &adapter)
-        })
-    }
-
-    /// A task takes its settings from the first job of a group, whose members have equal drawings.
-    #[test]
-    fn drawings_of_different_settings_differ() {
-        for setting in plan::declared() {
-            let values: Vec<String> = match &setting.kind {
-                SettingKind::Choice { choices, .. } => {
-                    choices.iter().map(|choice| choice.value.clone()).collect()
-                }
-                SettingKind::Flag => vec!["true".to_owned(), "false".to_owned()],
-                SettingKind::Number { least, most, .. } => {
-                    vec![least.to_string(), most.to_string()]
-                }
-            };
-            let mut needed = Given::default();
-            for rule in &setting.needs {
-                needed.set_text(rule.of, rule.is[0]).unwrap();
-            }
-            let drawings = values.iter().map(|value| {
-                let mut given = needed;
-                given.set_text(setting.name, value).unwrap();
-                drawing(&given.resolve().unwrap())
-            });
-            let drawings: Vec<Drawing> = drawings.collect();
-            for (index, one) in drawings.iter().enumerate() {
-                assert!(!drawings[..index].contains(one), "{}={}", setting.name, values[index]);
-            }
-        }
-    }
-
-    #[test]
-    fn settings_without_effect_leave_drawings_equal() {
-        let points = Settings::drawn_as(plan::Reconstruct::Points);
-        let fine = Settings { max_error_px: 0.5.into(), ..points };
-        assert_eq!(drawing(&fine), drawing(&points), "full detail accepts no error");
-        let trees = |settings: Settings| drawing(&Settings { lod: plan::Lod::Spt, ..settings });
-        assert_ne!(trees(fine), trees(points));
+        u64::from(self.frame.request.width) * u64::from(self.frame.request.height)
     }
 }

@@ -837,9 +837,6 @@ impl Loaded {
         config: &EngineConfig,
         watch: &Watch<'_>,
     ) -> Result<Arc<AssetModel>, Stop> {
-        if let Some(latch) = &config.estimate_latch {
-            latch.pass(watch)?;
-        }
         let (began, key) = (std::time::Instant::now(), self.keys[index]);
         let admission = Admission::new(&config.memory);
         let found =

@@ -1,4 +1,21 @@
-//! The engine (floor 5): takes jobs and returns encoded frames with receipts. One thread owns the device.
+//! The engine (floor 5): takes requests and returns encoded frames with receipts. One thread owns the device.
+//!
+//! # Order of locks
+//!
+//! A thread that holds a lock takes only locks further down this list. Locks of one line are never held together.
+//!
+//! | lock | guards | held during |
+//! |---|---|---|
+//! | `Shared::patching` | the next revision of any scene | a patch, with its list of instances |
+//! | [`MadeOnce`](crate::residency::once::MadeOnce) of a scene, then of an asset | the making of trees or estimates | a bake; others wait with a time limit and ask whether they are still wanted |
+//! | `Shared::library` | the map of scenes | a lookup or an exchange |
+//! | `Background::running` | estimates that no frame waits for | a lookup |
+//! | `Bakes::state` | waiting and running bakes | a lookup |
+//! | `Shared::state` | queue, costs, unanswered frames | a decision of the queue |
+//! | `Undone::state` | frames that wait for an encoder | a decision of the queue |
+//! | a frame's own locks, `Shared::{loading, adapter, resident, cache}`, `Background::writers` | one value each | a read or a write |
+//!
+//! Nobody draws, encodes, bakes, reads a file or answers a caller under a lock, but under the first two.
 
 pub mod bakes;
 mod baking;
@@ -18,6 +35,7 @@ pub mod receipt;
 mod renderer;
 mod request;
 mod resolve;
+mod resolved;
 mod seat;
 mod shared;
 mod trace;
@@ -33,16 +51,17 @@ use bytes::Bytes;
 use glam::DVec3;
 use serde::Serialize;
 
-pub use bakes::BakeTicket;
+pub use bakes::{BakeTicket, Latch};
 pub use baking::{BakeEvent, BakeSource, BakedAsset, bake_file};
 pub use encoders::EncodeHook;
-pub use estimates::{EstimateState, Estimates, Latch};
+pub use estimates::{EstimateState, Estimates};
 pub use observe::Observer;
 pub use priming::PrimeConfig;
 pub use queue::{Class, Client};
 pub use receipt::Receipt;
 pub use renderer::Renderer;
 pub use request::{FrameRequest, Pose};
+pub use resolved::{Resolution, ResolvedFrame, UnbakedFrame};
 pub use seat::Seat;
 pub use trace::{Origin, RequestId};
 
@@ -50,10 +69,10 @@ use crate::assets::{AssetError, ReadOptions};
 use crate::bake::cache::BakeCache;
 use crate::math::Camera;
 use crate::memory::{self, Admission, HostMemory, Interrupt};
-use crate::plan::Reconstruct;
 use crate::residency::Part;
 use crate::scene::{CameraPath, SceneError, SceneLimits};
 
+use self::bakes::Goal;
 use self::shared::Shared;
 
 /// Default of [`EngineConfig::job_share`].
@@ -117,9 +136,12 @@ pub struct EngineConfig {
     pub patch_hook: Option<Arc<dyn Fn() + Send + Sync>>,
     /// Clouds of so many points get the normals and kernels that they lack when they are read, larger ones when a frame needs them.
     pub estimate_at_once: usize,
-    /// For tests: estimates of large clouds do not begin while this is shut.
+    /// For tests: bakes do not begin while this is shut.
     #[doc(hidden)]
-    pub estimate_latch: Option<Arc<Latch>>,
+    pub bake_latch: Option<Arc<Latch>>,
+    /// For tests: is called whenever a request is resolved.
+    #[doc(hidden)]
+    pub resolve_hook: Option<Arc<dyn Fn() + Send + Sync>>,
     /// For tests: files that changed more recently than this are not kept packed.
     #[doc(hidden)]
     pub settled_after: Duration,
@@ -438,7 +460,8 @@ impl EngineConfig {
             large_units_limit: None,
             estimate_at_once: ESTIMATE_AT_ONCE,
             patch_hook: None,
-            estimate_latch: None,
+            bake_latch: None,
+            resolve_hook: None,
             settled_after: SETTLED_AFTER,
             bake_cache: None,
             prime: None,
@@ -584,8 +607,10 @@ impl Engine {
     pub fn remove(&self, id: &str) -> Result<(), EngineError> {
         let shared = self.shared();
         let removed = shared.library.write().remove(id);
-        removed.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
+        let unknown = EngineError::UnknownScene { id: id.to_owned() };
+        let removed = removed.ok_or_else(|| unknown.clone())?;
         shared.background.end(id);
+        shared.bakes.cancel(removed.load(), &unknown);
         shared.wake_for_removal();
         shared.scenes_changed();
         tracing::info!(id, "scene deleted");
@@ -599,8 +624,7 @@ impl Engine {
         // are still requested: the library is locked only for looking up and replacing.
         let _alone = shared.patching.lock();
         loop {
-            let loaded = shared.library.read().get(id);
-            let loaded = loaded.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
+            let loaded = shared.loaded(id)?;
             let mut patched = loaded.patched(node, patch, &shared.config)?;
             // A node that becomes visible may draw more than fits.
             self.check_fits(&mut patched)?;
@@ -622,16 +646,12 @@ impl Engine {
     }
 
     pub fn scene(&self, id: &str) -> Result<SceneInfo, EngineError> {
-        let loaded = self.shared().library.read().get(id);
-        loaded
-            .map(|loaded| self.info(&loaded))
-            .ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })
+        Ok(self.info(&*self.shared().loaded(id)?))
     }
 
     /// Returns a camera path that the scene names.
     pub fn camera_path(&self, id: &str, name: &str) -> Result<CameraPath, EngineError> {
-        let loaded = self.shared().library.read().get(id);
-        loaded.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?.camera_path(name)
+        self.shared().loaded(id)?.camera_path(name)
     }
 
     fn info(&self, loaded: &library::Loaded) -> SceneInfo {
@@ -643,21 +663,49 @@ impl Engine {
         }
     }
 
-    /// Returns the strong entity tag (quoted) of the frame for `request`. Validates the request; needs no GPU work.
-    pub fn etag(&self, request: &FrameRequest) -> Result<String, EngineError> {
-        Ok(resolve::resolve(self.shared(), request)?.key)
+    /// Resolves a request: checks it and decides how it is drawn, once for all that follows. Needs no GPU work and never bakes.
+    ///
+    /// # Errors
+    /// Any error of the request.
+    pub fn resolve(&self, request: FrameRequest) -> Result<Resolution, EngineError> {
+        resolve::resolve(&self.inner.shared, request)
     }
 
-    /// Returns the tag as [`Engine::etag`] does; `None` for a frame that will change once normals and kernels are estimated.
-    pub fn final_etag(&self, request: &FrameRequest) -> Result<Option<String>, EngineError> {
-        let resolved = resolve::resolve(self.shared(), request)?;
-        Ok(resolved.provisional.is_none().then_some(resolved.key))
+    /// Resolves a request after the bake that it needs, if any. Blocks; async code has [`Engine::resolve`].
+    ///
+    /// # Errors
+    /// Any error of the request, or of the bake.
+    pub fn resolve_blocking(
+        &self,
+        request: FrameRequest,
+    ) -> Result<Arc<ResolvedFrame>, EngineError> {
+        match self.resolve(request)? {
+            Resolution::Ready(frame) => Ok(frame),
+            Resolution::NeedsBake(unbaked) => unbaked.bake_blocking(),
+        }
+    }
+
+    /// Checks a request without resolving it, as far as that is possible before any bake.
+    ///
+    /// # Errors
+    /// Any error of the request's scene, size, format or pose.
+    pub fn check(&self, request: &FrameRequest) -> Result<(), EngineError> {
+        let shared = self.shared();
+        resolve::check(shared, &*shared.loaded(&request.scene)?, request).map(drop)
+    }
+
+    /// Returns the strong entity tag (quoted) of the frame for `request`. Blocks as [`Engine::resolve_blocking`] does.
+    ///
+    /// # Errors
+    /// As [`Engine::resolve_blocking`].
+    pub fn etag(&self, request: &FrameRequest) -> Result<String, EngineError> {
+        Ok(self.resolve_blocking(request.clone())?.etag().to_owned())
     }
 
     /// Returns whether a frame for this request must wait for a bake, which [`Engine::bake`] does.
     pub fn must_bake(&self, request: &FrameRequest) -> bool {
-        let loaded = self.shared().library.read().get(&request.scene);
-        loaded.is_some_and(|loaded| resolve::goal(&loaded, request).is_some())
+        let loaded = self.shared().loaded(&request.scene);
+        loaded.is_ok_and(|loaded| resolve::goal(&loaded, request).is_some())
     }
 
     /// Builds what a request needs and is missing: the scene's point trees, or normals and kernels of large clouds. Blocks for
@@ -670,21 +718,25 @@ impl Engine {
     }
 
     /// Begins a bake and returns its ticket, shared with all others who wait for the bake; `None` when everything is there. The
-    /// bake is given up when nobody waits any more.
+    /// bake is given up when nobody waits any more, and when the scene is deleted.
     ///
     /// # Errors
     /// An unknown scene.
     pub fn begin_bake(&self, request: &FrameRequest) -> Result<Option<BakeTicket>, EngineError> {
-        let loaded = self.shared().library.read().get(&request.scene);
-        let loaded =
-            loaded.ok_or_else(|| EngineError::UnknownScene { id: request.scene.clone() })?;
+        let loaded = self.shared().loaded(&request.scene)?;
         let goal = resolve::goal(&loaded, request);
-        Ok(goal.map(|goal| self.shared().bakes.join(loaded, goal)))
+        goal.map(|goal| self.shared().begin_bake(&loaded, goal)).transpose()
     }
 
     /// Returns the number of running bakes of [`Engine::begin_bake`], including those that are being given up.
     pub fn bakes_running(&self) -> usize {
         self.shared().bakes.running()
+    }
+
+    /// Returns the number of tickets of bakes that have not ended. For tests.
+    #[doc(hidden)]
+    pub fn bake_waiters(&self) -> usize {
+        self.shared().bakes.waiters()
     }
 
     /// Builds or reads the point trees of all of a scene's assets, keeps them for frames, and returns their statistics. Blocks
@@ -697,13 +749,14 @@ impl Engine {
         id: &str,
         tell: impl FnMut(BakeEvent),
     ) -> Result<Vec<BakedAsset>, EngineError> {
-        let loaded = self.shared().library.read().get(id);
-        let loaded = loaded.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
-        let loaded = self.shared().whole(&loaded)?;
+        let mut loaded = self.shared().loaded(id)?;
+        if !loaded.is_whole() {
+            loaded = self.shared().begin_bake(&loaded, Goal::Estimates)?.wait_for_scene()?;
+        }
         loaded.bake_each(self.shared().config.bake_cache.as_ref(), true, tell)
     }
 
-    /// Queues a frame.
+    /// Queues a frame. Blocks as [`Engine::resolve_blocking`] does; async code has [`Engine::queue`].
     ///
     /// # Errors
     /// Any error of the request, or [`EngineError::Busy`]; nothing is queued then.
@@ -720,22 +773,20 @@ impl Engine {
         origin: impl Into<Origin>,
         request: FrameRequest,
     ) -> Result<FrameTicket, EngineError> {
-        self.submit_tagged(origin, request).map(|(_, ticket)| ticket)
+        self.queue(origin, self.resolve_blocking(request)?)
     }
 
-    /// Queues a frame and returns its tag (as of [`Engine::etag`]), which stays valid even if the scene changes meanwhile.
+    /// Queues a resolved frame. It shows the scene as it was resolved, even if the scene changes meanwhile.
     ///
     /// # Errors
-    /// As [`Engine::submit`].
-    pub fn submit_tagged(
+    /// [`EngineError::Busy`] and other refusals of the queue; nothing is queued then.
+    pub fn queue(
         &self,
         origin: impl Into<Origin>,
-        request: FrameRequest,
-    ) -> Result<(String, FrameTicket), EngineError> {
-        let resolved = resolve::resolve(self.shared(), &request)?;
-        let tag = resolved.key.clone();
-        let (_, receiver) = self.shared().enqueue(origin.into(), resolved, request)?;
-        Ok((tag, FrameTicket { receiver }))
+        frame: Arc<ResolvedFrame>,
+    ) -> Result<FrameTicket, EngineError> {
+        let (_, receiver) = self.shared().enqueue(origin.into(), frame)?;
+        Ok(FrameTicket { receiver })
     }
 
     /// Returns a place in the queue for a client that wants only the newest frame. Seats of the client `of` share the device's
@@ -758,16 +809,6 @@ impl Engine {
     pub fn scene_mark(&self, id: &str) -> Option<SceneMark> {
         let loaded = self.shared().library.read().get(id)?;
         Some(SceneMark { uid: loaded.model.uid, revision: loaded.model.revision })
-    }
-
-    /// Returns how the samples of a frame would be drawn, which a request may leave open.
-    pub fn drawn_as(&self, request: &FrameRequest) -> Result<Reconstruct, EngineError> {
-        Ok(resolve::resolve(self.shared(), request)?.drawing.settings.reconstruct)
-    }
-
-    /// Returns the plan for a request.
-    pub fn plan(&self, request: &FrameRequest) -> Result<crate::plan::FramePlan, EngineError> {
-        Ok(resolve::resolve(self.shared(), request)?.drawing.plan)
     }
 
     pub fn readiness(&self) -> Readiness {

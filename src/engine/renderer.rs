@@ -286,7 +286,7 @@ impl Renderer {
             .zip(recorded)
             .map(|(jobs, (landing, pixel_bytes, spans))| {
                 landing.map();
-                let gpu_bytes = jobs.first().map_or(0, |job| job.resolved.model.gpu_bytes());
+                let gpu_bytes = jobs.first().map_or(0, |job| job.frame.model.gpu_bytes());
                 FlyingGroup {
                     jobs,
                     landing,
@@ -310,8 +310,8 @@ impl Renderer {
 
     /// Views of a job's scene that may be drawn together: what each needs of a buffer must fit it as often.
     fn most_views(&self, job: &Job) -> usize {
-        let Some(scene) = self.residency.scene(&job.resolved.model.id) else { return 1 };
-        let size = (job.request.width, job.request.height);
+        let Some(scene) = self.residency.scene(&job.frame.model.id) else { return 1 };
+        let size = (job.frame.request.width, job.frame.request.height);
         let largest = Scratch::largest(scene, size, &job.drawing().plan);
         let shared = if self.gpu.is_cpu { SHARED_BYTES_CPU } else { SHARED_BYTES };
         let room = self.gpu.max_binding_bytes().min(shared) / largest.max(1);
@@ -323,12 +323,12 @@ impl Renderer {
         let first = &jobs[0];
         let drawing = first.drawing();
         FrameTask {
-            model: first.resolved.model.clone(),
-            views: jobs.iter().map(|job| job.resolved.view).collect(),
-            output: first.request.output,
+            model: first.frame.model.clone(),
+            views: jobs.iter().map(|job| job.frame.view).collect(),
+            output: first.frame.request.output,
             plan: drawing.plan.clone(),
             splats: drawing.splats,
-            extent: first.resolved.extent,
+            extent: first.frame.extent,
             small_splat_px: self.small_splat_px,
             weight_one: first.weight_one(),
             small_triangle_px: self.small_triangle_px,
@@ -394,8 +394,7 @@ impl Renderer {
             if !slow || self.gpu.is_lost() || flight.began.elapsed() > PATIENCE {
                 return waited;
             }
-            let frames: Vec<&str> =
-                flight.jobs().map(|job| job.resolved.model.id.as_str()).collect();
+            let frames: Vec<&str> = flight.jobs().map(|job| job.frame.model.id.as_str()).collect();
             let elapsed_s = flight.began.elapsed().as_secs();
             tracing::warn!(?frames, elapsed_s, "the GPU is still drawing");
         }
@@ -604,8 +603,8 @@ impl std::fmt::Display for Names<'_> {
 }
 
 fn image(job: &Job, bytes: &[u8]) -> FrameImage {
-    let (width, height) = (job.request.width, job.request.height);
-    match job.request.output {
+    let (width, height) = (job.frame.request.width, job.frame.request.height);
+    match job.frame.request.output {
         Output::Color => {
             FrameImage::Color { width, height, rgba: bytemuck::pod_collect_to_vec(bytes) }
         }

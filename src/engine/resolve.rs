@@ -1,20 +1,24 @@
-//! Requests → what they mean for the scene as it is now. Everything that can be wrong with a request is found here, before any
-//! work on the GPU.
+//! Resolves requests in a scene as it is now. Everything that can be wrong with a request is found here, before any work on the GPU.
+
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::sync::Arc;
 
 use glam::DVec3;
 use sha2::{Digest, Sha256};
 
 use super::bakes::Goal;
-use super::job::{Drawing, Resolved};
 use super::library::Loaded;
+use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
+use super::resolved::{Drawing, Resolution, ResolvedFrame, UnbakedFrame};
 use super::shared::{Adapter, Shared};
 use super::{EngineError, FrameRequest, Pose};
 use crate::encode::{self, EncodeError};
 use crate::math::{Camera, CameraError, FOV_RANGE_DEG, View};
 use crate::passes::{LAYERS_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
-use crate::plan::{AdapterFacts, Lod, Output, Reconstruct, Settings, Wait, plan};
+use crate::plan::{AdapterFacts, Lod, Output, Reconstruct, SceneFacts, Settings, Wait, plan};
+use crate::residency::model::SceneModel;
 
 /// Most pixels and longest side of a frame on this adapter.
 pub fn frame_limits(shared: &Shared) -> (u64, u32) {
@@ -83,10 +87,15 @@ fn unfit_format(error: EncodeError) -> EngineError {
     EngineError::BadParameter { parameter: "format", reason, accepted: accepted.to_owned() }
 }
 
-/// Validates a request against the scene as it is now.
-pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, EngineError> {
-    let loaded = shared.library.read().get(&request.scene);
-    let loaded = loaded.ok_or_else(|| EngineError::UnknownScene { id: request.scene.clone() })?;
+/// Checks everything of a request but what only a baked scene can tell.
+///
+/// # Errors
+/// Any error of the size, the format or the pose.
+pub fn check(
+    shared: &Shared,
+    loaded: &Loaded,
+    request: &FrameRequest,
+) -> Result<(View, CameraReceipt), EngineError> {
     check_size(shared, request)?;
     if !(1..=100).contains(&request.quality) {
         return Err(EngineError::BadParameter {
@@ -96,32 +105,66 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
         });
     }
     encode::accepts(request.format, request.output).map_err(unfit_format)?;
-    let (view, camera) = pose(&loaded, request)?;
-    let adapter = shared.adapter();
-    let loaded = match goal(&loaded, request) {
-        Some(_) => shared.whole(&loaded)?,
-        None => loaded,
-    };
-    let (model, facts) = match request.settings.lod {
-        Lod::Full => (loaded.model.clone(), loaded.facts),
-        Lod::Spt => {
-            let trees = loaded.trees(shared.config.bake_cache.as_ref())?;
-            (trees.model, trees.facts)
+    pose(loaded, request)
+}
+
+/// Resolves a request in the latest revision of its scene. Never bakes.
+///
+/// # Errors
+/// Any error of the request.
+pub fn resolve(shared: &Arc<Shared>, request: FrameRequest) -> Result<Resolution, EngineError> {
+    let loaded = shared.loaded(&request.scene)?;
+    resolve_in(shared, loaded, request)
+}
+
+/// Does the work of [`resolve`] in a given revision of the scene.
+pub fn resolve_in(
+    shared: &Arc<Shared>,
+    loaded: Arc<Loaded>,
+    request: FrameRequest,
+) -> Result<Resolution, EngineError> {
+    if let Some(hook) = &shared.config.resolve_hook {
+        hook();
+    }
+    let checked = check(shared, &loaded, &request)?;
+    let baked = match goal(&loaded, &request) {
+        None if request.settings.lod == Lod::Full => Ok((loaded.model.clone(), loaded.facts)),
+        None => {
+            loaded.trees().transpose()?.map(|trees| (trees.model, trees.facts)).ok_or(Goal::Trees)
         }
+        Some(goal) => Err(goal),
     };
+    Ok(match baked {
+        Ok(drawn) => Resolution::Ready(decide(shared, &loaded, request, checked, drawn)),
+        Err(goal) => {
+            let shared = shared.clone();
+            Resolution::NeedsBake(Box::new(UnbakedFrame { shared, scene: loaded, goal, request }))
+        }
+    })
+}
+
+/// Decides how a checked request is drawn. `model` is the scene or its point trees.
+fn decide(
+    shared: &Shared,
+    loaded: &Arc<Loaded>,
+    request: FrameRequest,
+    (view, camera): (View, CameraReceipt),
+    (model, facts): (Arc<SceneModel>, SceneFacts),
+) -> Arc<ResolvedFrame> {
+    let adapter = shared.adapter();
     let is_open = request.settings.reconstruct == Reconstruct::Auto;
-    let mut auto = is_open.then(|| choose_for(&loaded, request, facts.has_samples, &view));
+    let mut auto = is_open.then(|| choose_for(loaded, &request, facts.has_samples, &view));
     let mut provisional = None;
     if let Some(choice) = &mut auto
         && loaded.lacks(choice.reconstruct, request.settings.lod, request.output)
     {
-        provisional = Some(match shared.estimate_in_background(&loaded) {
+        provisional = Some(match shared.estimate_in_background(loaded) {
             Ok(done) => {
                 format!("normals and kernels are being estimated ({:.0} %)", done * 100.0)
             }
             Err(error) => format!("normals and kernels cannot be estimated: {error}"),
         });
-        let grounds = grounds(&loaded, request, facts.has_samples, &view);
+        let grounds = grounds(loaded, &request, facts.has_samples, &view);
         *choice = auto::choose(&auto::Grounds { has_kernels: false, ..grounds });
     }
     let settings = Settings {
@@ -147,7 +190,7 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     };
     let refused = if !is_single {
         None
-    } else if let Some(reason) = no_single_pass(request, &adapter) {
+    } else if let Some(reason) = no_single_pass(&request, &adapter) {
         Some(reason)
     } else {
         (!fits()).then_some("the scene is too deep for the slabs of a single pass")
@@ -165,16 +208,38 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
         drawing: &drawing,
         is_provisional: provisional.is_some(),
     };
-    let key = entity_tag(&loaded, request, &tagged, &view, &adapter);
-    let extent = loaded.extent;
-    Ok(Resolved { model, view, camera, extent, drawing, provisional, auto, in_three_passes, key })
+    let key = entity_tag(loaded, &request, &tagged, &view, &adapter);
+    let cost_key = cost_key(&request, &settings);
+    Arc::new(ResolvedFrame {
+        request,
+        model,
+        view,
+        camera,
+        extent: loaded.extent,
+        drawing,
+        provisional,
+        auto,
+        in_three_passes,
+        key,
+        cost_key,
+        adapter: adapter.name,
+    })
+}
+
+/// Returns the key of frames that cost about the same.
+fn cost_key(request: &FrameRequest, settings: &Settings) -> CostKey {
+    let FrameRequest { scene, width, height, output, .. } = request;
+    let mut hasher = DefaultHasher::new();
+    scene.hash(&mut hasher);
+    (*output as u8, settings.canonical()).hash(&mut hasher);
+    CostKey { kind: hasher.finish(), pixels: u64::from(*width) * u64::from(*height) }
 }
 
 /// What has to be made of a scene before a request's frame can be drawn.
 pub fn goal(loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
     let Settings { lod, reconstruct, wait, .. } = request.settings;
     if lod == Lod::Spt {
-        return (!loaded.has_trees()).then_some(Goal::Trees);
+        return loaded.trees().is_none().then_some(Goal::Trees);
     }
     if loaded.is_whole() {
         return None;

@@ -11,9 +11,9 @@ use std::sync::{Arc, Weak};
 
 use super::job::Job;
 use super::queue::Client;
-use super::resolve::resolve;
+use super::resolved::ResolvedFrame;
 use super::trace::{Origin, RequestId};
-use super::{Engine, EngineError, FrameRequest, FrameTicket};
+use super::{Engine, EngineError, FrameTicket};
 
 /// The place of one stream, which shares the device with all other clients.
 pub struct Seat {
@@ -37,57 +37,46 @@ impl Seat {
         Self { engine: engine.clone(), client, last: Weak::new() }
     }
 
-    /// Queues a request behind earlier requests of this seat.
+    /// Queues a frame behind earlier frames of this seat.
     ///
     /// # Errors
-    /// As [`Engine::submit`].
-    pub fn ask(&mut self, request: FrameRequest) -> Result<FrameTicket, EngineError> {
-        self.ask_as(RequestId::fresh(), request)
-    }
-
-    /// Queues a request as [`Seat::ask`] does, under the given id.
-    ///
-    /// # Errors
-    /// As [`Engine::submit`].
-    pub fn ask_as(
+    /// As [`Engine::queue`].
+    pub fn ask(
         &mut self,
         request_id: RequestId,
-        request: FrameRequest,
+        frame: Arc<ResolvedFrame>,
     ) -> Result<FrameTicket, EngineError> {
-        let shared = self.engine.shared();
-        let resolved = resolve(shared, &request)?;
         let origin = Origin { client: self.client, request_id };
-        let (job, receiver) = shared.enqueue(origin, resolved, request)?;
+        let (job, receiver) = self.engine.shared().enqueue(origin, frame)?;
         self.last = Arc::downgrade(&job);
         Ok(FrameTicket { receiver })
     }
 
-    /// Replaces the last request, whose ticket then fails; `None` when that request is being drawn already, or shares a frame
+    /// Returns the last frame if it can be replaced.
+    fn replaceable(&self) -> Option<Arc<Job>> {
+        let last = self.last.upgrade()?;
+        self.engine.shared().is_waiting(self.client, &last).then_some(last)
+    }
+
+    /// Returns whether the last frame waits in the queue, so that [`Seat::replace`] would replace it.
+    pub fn has_replaceable(&self) -> bool {
+        self.replaceable().is_some()
+    }
+
+    /// Replaces the last frame, whose ticket then fails; `None` when that frame is being drawn already, or shares a frame
     /// that another client asked for first.
     ///
     /// # Errors
-    /// Any error of the request; the last request then goes on waiting.
-    pub fn replace(&mut self, request: FrameRequest) -> Result<Option<FrameTicket>, EngineError> {
-        self.replace_as(RequestId::fresh(), request)
-    }
-
-    /// Replaces the last request as [`Seat::replace`] does, under the given id.
-    ///
-    /// # Errors
-    /// As [`Seat::replace`].
-    pub fn replace_as(
+    /// As [`Engine::queue`]; the last frame then goes on waiting.
+    pub fn replace(
         &mut self,
         request_id: RequestId,
-        request: FrameRequest,
+        frame: &Arc<ResolvedFrame>,
     ) -> Result<Option<FrameTicket>, EngineError> {
-        let Some(last) = self.last.upgrade() else { return Ok(None) };
-        let shared = self.engine.shared();
-        if !shared.is_waiting(self.client, &last) {
-            return Ok(None);
-        }
-        let resolved = resolve(shared, &request)?;
+        let Some(last) = self.replaceable() else { return Ok(None) };
         let origin = Origin { client: self.client, request_id };
-        let Some((job, receiver)) = shared.replace(origin, &last, resolved, request)? else {
+        let shared = self.engine.shared();
+        let Some((job, receiver)) = shared.replace(origin, &last, frame.clone())? else {
             return Ok(None);
         };
         self.last = Arc::downgrade(&job);

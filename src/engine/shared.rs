@@ -1,7 +1,6 @@
 //! What the render thread, the encoders and the callers share.
 
 use std::collections::{HashMap, HashSet};
-use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
@@ -12,14 +11,14 @@ use tokio::sync::{oneshot, watch};
 use super::bakes::Bakes;
 use super::encoders::Undone;
 use super::estimates::Background;
-use super::job::{Job, Reply, Resolved};
-use super::library::{AssetCache, Library};
+use super::job::{Job, Reply};
+use super::library::{AssetCache, Library, Loaded};
 use super::observe::Observer;
-use super::queue::cost::{CostKey, Costs};
+use super::queue::cost::Costs;
 use super::queue::{Class, Client, Granted, Moment, Queue, Shares, Taken, lateness};
+use super::resolved::ResolvedFrame;
 use super::trace::Origin;
-use super::{EngineConfig, EngineError, EngineStats, FrameRequest, Readiness};
-use crate::plan::Settings;
+use super::{EngineConfig, EngineError, EngineStats, Readiness};
 use crate::residency::model::SceneModel;
 
 /// The adapter in use.
@@ -131,17 +130,6 @@ fn at_least(wait: Duration) -> Duration {
     wait.max(Duration::from_millis(50))
 }
 
-/// What frames have in common that cost about the same.
-fn cost_key(request: &FrameRequest, resolved: &Resolved) -> CostKey {
-    let FrameRequest { scene, width, height, settings, output, .. } = request;
-    let reconstruct = resolved.auto.map_or(settings.reconstruct, |choice| choice.reconstruct);
-    let mut hasher = DefaultHasher::new();
-    scene.hash(&mut hasher);
-    (*output as u8, Settings { reconstruct, ..*settings }.canonical()).hash(&mut hasher);
-    let pixels = u64::from(*width) * u64::from(*height);
-    CostKey { kind: hasher.finish(), pixels }
-}
-
 pub struct Shared {
     pub config: EngineConfig,
     pub library: RwLock<Library>,
@@ -184,7 +172,7 @@ impl Shared {
         let (capacity, jobs) = (config.queue_capacity, config.job_share);
         let queue = Queue::new(Shares { capacity, capacity_ns, jobs });
         Self {
-            bakes: Bakes::new(config.bake_cache.clone()),
+            bakes: Bakes::new(&config),
             undone: Undone::new(config.encoder_threads, config.job_share),
             config,
             library: RwLock::default(),
@@ -216,28 +204,35 @@ impl Shared {
         }
     }
 
-    /// Queues a resolved request, or joins it to an equal one that has not been answered. Gives the job beside.
+    /// Returns the latest revision of a scene.
+    ///
+    /// # Errors
+    /// [`EngineError::UnknownScene`].
+    pub fn loaded(&self, id: &str) -> Result<Arc<Loaded>, EngineError> {
+        let loaded = self.library.read().get(id);
+        loaded.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })
+    }
+
+    /// Queues a resolved frame, or joins it to an equal one that has not been answered. Gives the job beside.
     pub fn enqueue(
         &self,
         origin: Origin,
-        resolved: Resolved,
-        request: FrameRequest,
+        frame: Arc<ResolvedFrame>,
     ) -> Result<Queued, EngineError> {
-        let cost_key = cost_key(&request, &resolved);
         let now = Instant::now();
         let mut state = self.state.lock();
         state.check_open()?;
-        if let Some(joined) = self.join(&mut state, &origin, &resolved, &request) {
+        if let Some(joined) = self.join(&mut state, &origin, &frame) {
             return Ok(joined);
         }
         let client = origin.client;
-        let cost_ns = state.costs.estimate_ns(cost_key);
-        if let Some(late) = state.lateness(client, request.deadline, cost_ns, now) {
+        let cost_ns = state.costs.estimate_ns(frame.cost_key);
+        if let Some(late) = state.lateness(client, frame.request.deadline, cost_ns, now) {
             self.stats.hopeless.fetch_add(1, Ordering::Relaxed);
             return Err(EngineError::DeadlineExceeded { retry_after: at_least(late) });
         }
-        let key = resolved.key.clone();
-        let (job, receiver) = Job::new(origin, resolved, request, (cost_key, cost_ns));
+        let key = frame.key.clone();
+        let (job, receiver) = Job::new(origin, frame, cost_ns);
         let (admitted, dropped) = state.queue.admit(client, job.clone(), cost_ns, now);
         for gone in dropped {
             self.forget(&mut state, &gone);
@@ -264,18 +259,16 @@ impl Shared {
         &self,
         origin: Origin,
         old: &Arc<Job>,
-        resolved: Resolved,
-        request: FrameRequest,
+        frame: Arc<ResolvedFrame>,
     ) -> Result<Option<Queued>, EngineError> {
         let is_old = |job: &Arc<Job>| Arc::ptr_eq(job, old);
         let client = origin.client;
-        let cost_key = cost_key(&request, &resolved);
         let mut state = self.state.lock();
         state.check_open()?;
         if !state.queue.holds(client, is_old) {
             return Ok(None);
         }
-        let joined = self.join(&mut state, &origin, &resolved, &request);
+        let joined = self.join(&mut state, &origin, &frame);
         if joined.as_ref().is_some_and(|(job, _)| is_old(job)) {
             return Ok(joined);
         }
@@ -285,9 +278,9 @@ impl Shared {
                 joined
             }
             None => {
-                let key = resolved.key.clone();
-                let cost_ns = state.costs.estimate_ns(cost_key);
-                let (job, receiver) = Job::new(origin, resolved, request, (cost_key, cost_ns));
+                let key = frame.key.clone();
+                let cost_ns = state.costs.estimate_ns(frame.cost_key);
+                let (job, receiver) = Job::new(origin, frame, cost_ns);
                 if state.queue.replace(client, is_old, job.clone(), cost_ns).is_err() {
                     return Ok(None);
                 }
@@ -308,15 +301,9 @@ impl Shared {
 
     /// Joins a request to an equal one that has not been answered. One that waits as a job's comes forward for whoever is more
     /// urgent.
-    fn join(
-        &self,
-        state: &mut State,
-        origin: &Origin,
-        resolved: &Resolved,
-        request: &FrameRequest,
-    ) -> Option<Queued> {
-        let job = state.by_key.get(&resolved.key)?.clone();
-        let receiver = job.join(origin.clone(), request.deadline)?;
+    fn join(&self, state: &mut State, origin: &Origin, frame: &ResolvedFrame) -> Option<Queued> {
+        let job = state.by_key.get(&frame.key)?.clone();
+        let receiver = job.join(origin.clone(), frame.request.deadline)?;
         self.stats.coalesced.fetch_add(1, Ordering::Relaxed);
         let lane = job.lane();
         if lane.class() == Class::Job && origin.client.class() != Class::Job {
@@ -332,8 +319,8 @@ impl Shared {
 
     /// Takes `job` out of the register, unless a later one of the same key is there.
     fn forget(&self, state: &mut State, job: &Arc<Job>) {
-        if state.by_key.get(&job.resolved.key).is_some_and(|found| Arc::ptr_eq(found, job)) {
-            state.by_key.remove(&job.resolved.key);
+        if state.by_key.get(&job.frame.key).is_some_and(|found| Arc::ptr_eq(found, job)) {
+            state.by_key.remove(&job.frame.key);
         }
     }
 
@@ -342,7 +329,7 @@ impl Shared {
         if let Err(error) = &reply {
             self.stats.failed.fetch_add(1, Ordering::Relaxed);
             if let EngineError::Internal(text) = error {
-                tracing::debug!(scene = job.resolved.model.id, error = text, "a frame failed");
+                tracing::debug!(scene = job.frame.model.id, error = text, "a frame failed");
             }
         }
         self.forget(&mut self.state.lock(), job);
@@ -428,7 +415,7 @@ impl Shared {
             queue.settle(client, charged_ns, measured_ns.unwrap_or(charged_ns));
             cost_ns += measured_ns.unwrap_or(charged_ns);
             if let Some(ns) = measured_ns {
-                costs.measured(job.cost_key, ns);
+                costs.measured(job.frame.cost_key, ns);
             }
         }
         costs.landed(cost_ns, took);

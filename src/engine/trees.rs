@@ -233,25 +233,16 @@ fn hybrid(
 }
 
 impl Loaded {
-    /// Whether [`Loaded::trees`] costs nothing.
-    pub fn has_trees(&self) -> bool {
-        self.trees.get().is_some()
-    }
-
-    /// The scene's point trees, read from `cache` or built when they are first asked for: that may take seconds.
+    /// Returns the scene's point trees, if they are baked.
     ///
     /// # Errors
     /// A geometry that cannot be packed with its disks.
-    pub fn trees(&self, cache: Option<&BakeCache>) -> Result<TreeScene, EngineError> {
-        match self.trees_watched(cache, &Watch::NONE) {
-            Ok(trees) => trees,
-            // Nobody could have told it to stop.
-            Err(Abandoned) => Err(EngineError::Internal("baking was given up".into())),
-        }
+    pub fn trees(&self) -> Option<Result<TreeScene, EngineError>> {
+        self.trees.get().cloned()
     }
 
-    /// The same, given up when `watch` says so, and with its progress told.
-    pub fn trees_watched(
+    /// Reads the scene's point trees from `cache`, or builds them, which may take seconds. Stops when `watch` says so.
+    pub fn bake_trees(
         &self,
         cache: Option<&BakeCache>,
         watch: &Watch<'_>,

@@ -202,7 +202,7 @@ fn make_resident(shared: &Shared, renderer: &mut Renderer, batch: Vec<Arc<Job>>)
     let mut ready: Vec<Arc<Job>> = Vec::with_capacity(batch.len());
     let mut later = Vec::new();
     for job in batch {
-        let model = &job.resolved.model;
+        let model = &job.frame.model;
         if !ready.is_empty() && !renderer.residency.is_current(model) {
             later.push(job);
             continue;
@@ -295,7 +295,7 @@ fn publish(shared: &Shared, renderer: &mut Renderer) {
 /// Encodes a frame, writes its receipt and answers whoever waits.
 pub fn finish(shared: &Shared, drawn: Drawn) {
     let began = Instant::now();
-    let request = &drawn.job.request;
+    let request = &drawn.job.frame.request;
     let span = FrameSpans::encode(&drawn.job.span, &drawn.job.request_id, request.format);
     let entered = span.enter();
     let encoded = crate::encode::encode(&drawn.image, request.format, request.quality);
@@ -340,7 +340,7 @@ fn accepted(stats: &GpuStats) -> u64 {
 
 /// Why a frame shows nothing, where it does.
 fn nothing_visible(drawn: &Drawn) -> Option<String> {
-    let resolved = &drawn.job.resolved;
+    let resolved = &drawn.job.frame;
     let background = srgb8(resolved.model.background).to_le_bytes();
     let is_blank = drawn.stats.pixels_of_samples == 0 && drawn.image.is_blank(background);
     is_blank.then(|| framing::why_nothing(&resolved.extent.bounds, &resolved.view))
@@ -348,7 +348,7 @@ fn nothing_visible(drawn: &Drawn) -> Option<String> {
 
 fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
     let job = &drawn.job;
-    let resolved = &job.resolved;
+    let resolved = &job.frame;
     let counts = resolved.model.counts();
     let drawing = job.drawing();
     let runs = |pass| drawing.plan.runs(pass);
@@ -358,7 +358,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
     let applied = drawing.settings.applied();
     Receipt {
         request_id: job.request_id.as_str().to_owned(),
-        scene: job.request.scene.clone(),
+        scene: resolved.request.scene.clone(),
         revision: resolved.model.revision,
         adapter: shared.adapter().name,
         batch_size: drawn.batch_size,
