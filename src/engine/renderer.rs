@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use parking_lot::Mutex;
 
 use super::EngineError;
+use super::frame_job::FrameJob;
 use super::group::groups;
-use super::job::Job;
 use crate::encode::FrameImage;
 use crate::gpu::bind::BindCache;
 use crate::gpu::readback::{Landing, Ring};
@@ -56,7 +56,7 @@ pub struct InFlight {
 
 /// Frames that the same dispatches draw: their pixels one behind the other, then their counters.
 struct FlyingGroup {
-    jobs: Vec<Arc<Job>>,
+    jobs: Vec<Arc<FrameJob>>,
     landing: Landing,
     /// Of one frame.
     pixel_bytes: u64,
@@ -69,7 +69,7 @@ struct FlyingGroup {
 
 /// A frame in host memory.
 pub struct Drawn {
-    pub job: Arc<Job>,
+    pub job: Arc<FrameJob>,
     pub image: FrameImage,
     pub stats: GpuStats,
     /// Time of every pass that ran, in order, for all `views`; `None` where the adapter cannot say.
@@ -92,10 +92,10 @@ pub struct Drawn {
 pub struct Landed {
     pub drawn: Vec<Drawn>,
     /// To be drawn again: the device was lost.
-    pub again: Vec<Arc<Job>>,
+    pub again: Vec<Arc<FrameJob>>,
     /// To be drawn again: a list was too short, or cut into too few parts, or splats too heavy, which is mended.
-    pub redraw: Vec<Arc<Job>>,
-    pub failed: Vec<(Arc<Job>, EngineError)>,
+    pub redraw: Vec<Arc<FrameJob>>,
+    pub failed: Vec<(Arc<FrameJob>, EngineError)>,
     pub lost: bool,
 }
 
@@ -109,7 +109,7 @@ const SHARED_BYTES_CPU: u64 = 4 << 20;
 const STATS_BYTES: u64 = size_of::<GpuStats>() as u64;
 
 impl InFlight {
-    pub fn jobs(&self) -> impl Iterator<Item = &Arc<Job>> {
+    pub fn jobs(&self) -> impl Iterator<Item = &Arc<FrameJob>> {
         self.groups.iter().flat_map(|group| &group.jobs)
     }
 }
@@ -133,7 +133,7 @@ impl FlyingGroup {
 }
 
 impl Landed {
-    fn refuse(&mut self, jobs: Vec<Arc<Job>>, error: &EngineError) {
+    fn refuse(&mut self, jobs: Vec<Arc<FrameJob>>, error: &EngineError) {
         self.failed.extend(jobs.into_iter().map(|job| (job, error.clone())));
     }
 }
@@ -236,8 +236,8 @@ impl Renderer {
     /// The whole batch, with the reason.
     pub fn submit(
         &mut self,
-        jobs: Vec<Arc<Job>>,
-    ) -> Result<InFlight, (Vec<Arc<Job>>, EngineError)> {
+        jobs: Vec<Arc<FrameJob>>,
+    ) -> Result<InFlight, (Vec<Arc<FrameJob>>, EngineError)> {
         let began = Instant::now();
         let span = batch_span(&jobs);
         let entered = span.enter();
@@ -309,7 +309,7 @@ impl Renderer {
     }
 
     /// Views of a job's scene that may be drawn together: what each needs of a buffer must fit it as often.
-    fn most_views(&self, job: &Job) -> usize {
+    fn most_views(&self, job: &FrameJob) -> usize {
         let Some(scene) = self.residency.scene(&job.frame.model.id) else { return 1 };
         let size = (job.frame.request.width, job.frame.request.height);
         let largest = Scratch::largest(scene, size, &job.drawing().plan);
@@ -318,7 +318,7 @@ impl Renderer {
         room.clamp(1, u64::from(MOST_VIEWS)) as usize
     }
 
-    fn task(&self, jobs: &[Arc<Job>]) -> FrameTask {
+    fn task(&self, jobs: &[Arc<FrameJob>]) -> FrameTask {
         // Groups are never empty.
         let first = &jobs[0];
         let drawing = first.drawing();
@@ -577,12 +577,12 @@ impl Renderer {
 }
 
 /// The span of a submission, with the names of its frames.
-fn batch_span(jobs: &[Arc<Job>]) -> tracing::Span {
+fn batch_span(jobs: &[Arc<FrameJob>]) -> tracing::Span {
     tracing::debug_span!(parent: None, "batch", size = jobs.len(), frames = %Names(jobs))
 }
 
 /// Tells what each pass of frames that were drawn together took.
-fn tell_passes(jobs: &[Arc<Job>], pass_ns: &[(Pass, Option<u64>)]) {
+fn tell_passes(jobs: &[Arc<FrameJob>], pass_ns: &[(Pass, Option<u64>)]) {
     for (pass, gpu_ns) in pass_ns {
         let (name, views, frames) = (pass.name(), jobs.len(), Names(jobs));
         tracing::debug!(pass = name, gpu_ns, views, %frames, "drawn");
@@ -590,7 +590,7 @@ fn tell_passes(jobs: &[Arc<Job>], pass_ns: &[(Pass, Option<u64>)]) {
 }
 
 /// The names of frames, which are written only when somebody reads them.
-struct Names<'a>(&'a [Arc<Job>]);
+struct Names<'a>(&'a [Arc<FrameJob>]);
 
 impl std::fmt::Display for Names<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -602,7 +602,7 @@ impl std::fmt::Display for Names<'_> {
     }
 }
 
-fn image(job: &Job, bytes: &[u8]) -> FrameImage {
+fn image(job: &FrameJob, bytes: &[u8]) -> FrameImage {
     let (width, height) = (job.frame.request.width, job.frame.request.height);
     match job.frame.request.output {
         Output::Color => {

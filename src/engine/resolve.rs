@@ -6,12 +6,12 @@ use std::sync::Arc;
 use glam::DVec3;
 use sha2::{Digest, Sha256};
 
-use super::bakes::Goal;
+use super::bake_service::Goal;
 use super::library::Loaded;
 use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
 use super::resolved::{Drawing, Resolution, ResolvedFrame, UnbakedFrame};
-use super::shared::{Adapter, Shared};
+use super::state::{Adapter, EngineState};
 use super::{EngineError, FrameRequest, Pose};
 use crate::encode::{self, EncodeError};
 use crate::math::{Camera, CameraError, FOV_RANGE_DEG, View};
@@ -21,12 +21,12 @@ use crate::plan::{AdapterFacts, Lod, Output, Reconstruct, SceneFacts, Settings, 
 use crate::residency::model::SceneModel;
 
 /// Most pixels and longest side of a frame on this adapter.
-pub fn frame_limits(shared: &Shared) -> (u64, u32) {
-    let adapter = shared.adapter();
+pub fn frame_limits(state: &EngineState) -> (u64, u32) {
+    let adapter = state.adapter();
     // The visibility buffer has eight bytes a pixel and is bound whole.
     (
-        shared.config.max_pixels.min(adapter.max_binding_bytes / 8),
-        shared.config.max_side.min(adapter.max_side),
+        state.config.max_pixels.min(adapter.max_binding_bytes / 8),
+        state.config.max_side.min(adapter.max_side),
     )
 }
 
@@ -47,8 +47,8 @@ fn bad_camera(error: CameraError) -> EngineError {
     }
 }
 
-fn check_size(shared: &Shared, request: &FrameRequest) -> Result<(), EngineError> {
-    let (max_pixels, max_side) = frame_limits(shared);
+fn check_size(state: &EngineState, request: &FrameRequest) -> Result<(), EngineError> {
+    let (max_pixels, max_side) = frame_limits(state);
     for (parameter, value) in [("w", request.width), ("h", request.height)] {
         if value == 0 {
             return Err(EngineError::BadParameter {
@@ -67,7 +67,7 @@ fn check_size(shared: &Shared, request: &FrameRequest) -> Result<(), EngineError
     }
     let found = u64::from(request.width) * u64::from(request.height);
     if found > max_pixels {
-        let what = if found > shared.config.max_pixels {
+        let what = if found > state.config.max_pixels {
             "pixels"
         } else {
             "pixels that this adapter binds at once, which no setting raises"
@@ -92,11 +92,11 @@ fn unfit_format(error: EncodeError) -> EngineError {
 /// # Errors
 /// Any error of the size, the format or the pose.
 pub fn check(
-    shared: &Shared,
+    state: &EngineState,
     loaded: &Loaded,
     request: &FrameRequest,
 ) -> Result<(View, CameraReceipt), EngineError> {
-    check_size(shared, request)?;
+    check_size(state, request)?;
     if !(1..=100).contains(&request.quality) {
         return Err(EngineError::BadParameter {
             parameter: "quality",
@@ -112,21 +112,21 @@ pub fn check(
 ///
 /// # Errors
 /// Any error of the request.
-pub fn resolve(shared: &Arc<Shared>, request: FrameRequest) -> Result<Resolution, EngineError> {
-    let loaded = shared.loaded(&request.scene)?;
-    resolve_in(shared, loaded, request)
+pub fn resolve(state: &Arc<EngineState>, request: FrameRequest) -> Result<Resolution, EngineError> {
+    let loaded = state.loaded(&request.scene)?;
+    resolve_in(state, loaded, request)
 }
 
 /// Does the work of [`resolve`] in a given revision of the scene.
 pub fn resolve_in(
-    shared: &Arc<Shared>,
+    state: &Arc<EngineState>,
     loaded: Arc<Loaded>,
     request: FrameRequest,
 ) -> Result<Resolution, EngineError> {
-    if let Some(hook) = &shared.config.resolve_hook {
+    if let Some(hook) = &state.config.resolve_hook {
         hook();
     }
-    let checked = check(shared, &loaded, &request)?;
+    let checked = check(state, &loaded, &request)?;
     let baked = match goal(&loaded, &request) {
         None if request.settings.lod == Lod::Full => Ok((loaded.model.clone(), loaded.facts)),
         None => {
@@ -135,30 +135,30 @@ pub fn resolve_in(
         Some(goal) => Err(goal),
     };
     Ok(match baked {
-        Ok(drawn) => Resolution::Ready(decide(shared, &loaded, request, checked, drawn)),
+        Ok(drawn) => Resolution::Ready(decide(state, &loaded, request, checked, drawn)),
         Err(goal) => {
-            let shared = shared.clone();
-            Resolution::NeedsBake(Box::new(UnbakedFrame { shared, scene: loaded, goal, request }))
+            let state = state.clone();
+            Resolution::NeedsBake(Box::new(UnbakedFrame { state, scene: loaded, goal, request }))
         }
     })
 }
 
 /// Decides how a checked request is drawn. `model` is the scene or its point trees.
 fn decide(
-    shared: &Shared,
+    state: &EngineState,
     loaded: &Arc<Loaded>,
     request: FrameRequest,
     (view, camera): (View, CameraReceipt),
     (model, facts): (Arc<SceneModel>, SceneFacts),
 ) -> Arc<ResolvedFrame> {
-    let adapter = shared.adapter();
+    let adapter = state.adapter();
     let is_open = request.settings.reconstruct == Reconstruct::Auto;
     let mut auto = is_open.then(|| choose_for(loaded, &request, facts.has_samples, &view));
     let mut provisional = None;
     if let Some(choice) = &mut auto
         && loaded.lacks(choice.reconstruct, request.settings.lod, request.output)
     {
-        provisional = Some(match shared.estimate_in_background(loaded) {
+        provisional = Some(match state.estimate_in_background(loaded) {
             Ok(done) => {
                 format!("normals and kernels are being estimated ({:.0} %)", done * 100.0)
             }
@@ -175,7 +175,7 @@ fn decide(
         let adapter = AdapterFacts {
             atomics_64: adapter.atomics_64,
             rasterises: adapter.rasterises,
-            draws_hidden: shared.config.draw_hidden,
+            draws_hidden: state.config.draw_hidden,
         };
         Drawing::new(settings, &loaded.model.splats, instead_because, |splats| {
             plan(&facts, request.output, splats, &adapter)

@@ -9,12 +9,12 @@
 
 use std::sync::Arc;
 
-use super::bakes::{BakeTicket, Goal};
+use super::bake_service::{BakeTicket, Goal};
 use super::library::Loaded;
 use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
 use super::resolve::resolve_in;
-use super::shared::Shared;
+use super::state::EngineState;
 use super::{EngineError, FrameRequest};
 use crate::math::View;
 use crate::plan::auto::Choice;
@@ -63,7 +63,7 @@ pub enum Resolution {
 
 /// A valid request whose scene lacks what only a bake makes: point trees, or normals and kernels of a large cloud.
 pub struct UnbakedFrame {
-    pub(super) shared: Arc<Shared>,
+    pub(super) state: Arc<EngineState>,
     pub(super) scene: Arc<Loaded>,
     pub(super) goal: Goal,
     pub(super) request: FrameRequest,
@@ -105,7 +105,7 @@ impl UnbakedFrame {
     /// # Errors
     /// [`EngineError::UnknownScene`] if the scene was deleted meanwhile.
     pub fn begin(&self) -> Result<BakeTicket, EngineError> {
-        self.shared.begin_bake(&self.scene, self.goal)
+        self.state.begin_bake(&self.scene, self.goal)
     }
 
     /// Waits for the bake and resolves the request in the scene as it was when the bake began, even if the scene has a newer
@@ -117,7 +117,7 @@ impl UnbakedFrame {
         let mut unbaked = self;
         loop {
             let scene = unbaked.begin()?.scene().await?;
-            match resolve_in(&unbaked.shared, scene, unbaked.request)? {
+            match resolve_in(&unbaked.state, scene, unbaked.request)? {
                 Resolution::Ready(frame) => return Ok(frame),
                 Resolution::NeedsBake(next) => unbaked = *next,
             }
@@ -132,7 +132,7 @@ impl UnbakedFrame {
         let mut unbaked = self;
         loop {
             let scene = unbaked.begin()?.wait_for_scene()?;
-            match resolve_in(&unbaked.shared, scene, unbaked.request)? {
+            match resolve_in(&unbaked.state, scene, unbaked.request)? {
                 Resolution::Ready(frame) => return Ok(frame),
                 Resolution::NeedsBake(next) => unbaked = *next,
             }

@@ -8,8 +8,8 @@ use tokio::sync::watch;
 
 use super::timeline::{Next, Timeline};
 use crate::engine::{
-    EncodedFrame, EngineError, FrameRequest, FrameTicket, Origin, Pose, RequestId, Resolution,
-    SceneMark, Seat,
+    EncodedFrame, EngineError, FrameRequest, FrameTicket, LatestSlot, Origin, Pose, RequestId,
+    Resolution, SceneMark,
 };
 use crate::http::App;
 use crate::http::frame::{resolve, wait};
@@ -37,7 +37,7 @@ pub enum Show {
 /// A film that is being shown.
 pub struct Screening {
     app: Arc<App>,
-    seat: Seat,
+    slot: LatestSlot,
     /// Name of the request; the names of the frames derive from it.
     name: RequestId,
     request: FrameRequest,
@@ -79,7 +79,7 @@ impl Screening {
                 .retry_after(Duration::from_secs(1))
         })?;
         Ok(Screening {
-            seat: app.engine.seat(origin.client),
+            slot: app.engine.latest_slot(origin.client),
             name: origin.request_id,
             request,
             show,
@@ -98,7 +98,7 @@ impl Screening {
     pub async fn first(&mut self) -> Result<Arc<EncodedFrame>, Problem> {
         let request = self.wanted(0);
         let frame = resolve(&self.app, request).await?;
-        let ticket = self.seat.ask(self.name_of(0), frame)?;
+        let ticket = self.slot.ask(self.name_of(0), frame)?;
         let frame = wait(&self.app, ticket, None).await?;
         self.began = Instant::now();
         self.sent(&frame);
@@ -218,11 +218,11 @@ impl Screening {
         loop {
             let next = timeline.map(|timeline| timeline.next(tick, self.began.elapsed()));
             if let Some(Next::Draw(newer)) = next
-                && self.seat.has_replaceable()
+                && self.slot.has_replaceable()
                 && let Resolution::Ready(frame) =
                     self.app.engine.resolve(self.wanted(newer)).map_err(End::Failed)?
                 && let Some(newer_ticket) =
-                    self.seat.replace(self.name_of(newer), &frame).map_err(End::Failed)?
+                    self.slot.replace(self.name_of(newer), &frame).map_err(End::Failed)?
             {
                 (ticket, tick) = (newer_ticket, newer);
             }
@@ -272,7 +272,7 @@ impl Screening {
                     continue;
                 }
             };
-            match self.seat.ask(self.name_of(tick), frame) {
+            match self.slot.ask(self.name_of(tick), frame) {
                 Ok(ticket) => return Ok(ticket),
                 Err(error) => self.recover(error).await?,
             }

@@ -17,8 +17,8 @@ use super::pacing::Pacer;
 use super::places::Place;
 use super::wire::{Close, Event, FrameHeader, Incoming, MAX_MESSAGE_BYTES, PoseMessage, Quality};
 use crate::engine::{
-    BakeTicket, Client, EncodedFrame, EngineError, FrameTicket, RequestId, Resolution,
-    ResolvedFrame, SceneMark, Seat,
+    BakeTicket, Client, EncodedFrame, EngineError, FrameTicket, LatestSlot, RequestId, Resolution,
+    ResolvedFrame, SceneMark,
 };
 use crate::http::App;
 use crate::http::params::FrameParams;
@@ -37,7 +37,7 @@ pub struct Session {
     mark: Option<SceneMark>,
     source: SplitStream<WebSocket>,
     outbox: Outbox,
-    seat: Seat,
+    slot: LatestSlot,
     /// Values of parameters that a pose leaves out.
     settings: FrameParams,
     course: Course<FrameParams>,
@@ -104,7 +104,7 @@ impl Session {
             mark: None,
             source,
             outbox: Outbox::start(sink),
-            seat: app.engine.seat(client),
+            slot: app.engine.latest_slot(client),
             settings: FrameParams::default(),
             course: Course::new(),
             pacer: Pacer::new(),
@@ -132,9 +132,9 @@ impl Session {
             Err(end) => end,
         };
         self.count_overtaken();
-        let Session { outbox, source, seat, asked, baking, .. } = self;
+        let Session { outbox, source, slot, asked, baking, .. } = self;
         // This cancels waiting requests before the wait for the close.
-        drop((asked, seat, baking));
+        drop((asked, slot, baking));
         match end {
             End::Close(close) => outbox.close(close, source).await,
             End::CloseUnread(close) => outbox.close_unread(close, source).await,
@@ -383,7 +383,7 @@ impl Session {
 
     /// Returns whether a request would replace one that still waits.
     fn has_replaceable(&self) -> bool {
-        !self.asked.is_empty() && self.seat.has_replaceable()
+        !self.asked.is_empty() && self.slot.has_replaceable()
     }
 
     /// Returns whether another frame may be under way.
@@ -398,7 +398,7 @@ impl Session {
     fn place(&mut self, frame: Arc<ResolvedFrame>) -> Result<Option<FrameTicket>, EngineError> {
         let number = self.frames + self.asked.len() as u64;
         if !self.asked.is_empty()
-            && let Some(ticket) = self.seat.replace(self.name.part(number), &frame)?
+            && let Some(ticket) = self.slot.replace(self.name.part(number), &frame)?
         {
             if let Some(old) = self.asked.pop_back() {
                 self.course.replaced(old.seq);
@@ -408,7 +408,7 @@ impl Session {
         if !self.has_room() {
             return Ok(None);
         }
-        self.seat.ask(self.name.part(number + 1), frame).map(Some)
+        self.slot.ask(self.name.part(number + 1), frame).map(Some)
     }
 
     /// Sends a frame that the engine has finished.

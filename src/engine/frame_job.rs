@@ -19,7 +19,7 @@ const SINGLE_PASS_WEIGHT: f32 = 15.0;
 pub type Reply = Result<Arc<EncodedFrame>, EngineError>;
 
 /// A frame that somebody waits for.
-pub struct Job {
+pub struct FrameJob {
     pub frame: Arc<ResolvedFrame>,
     pub enqueued: Instant,
     /// Id of the first request that asked for this frame.
@@ -61,16 +61,16 @@ struct Waiters {
     answered: bool,
 }
 
-impl Job {
+impl FrameJob {
     /// `cost_ns` is the estimated device time.
     pub fn new(
         origin: Origin,
         resolved: Arc<ResolvedFrame>,
         cost_ns: u64,
-    ) -> (Arc<Job>, oneshot::Receiver<Reply>) {
+    ) -> (Arc<FrameJob>, oneshot::Receiver<Reply>) {
         let (sender, receiver) = oneshot::channel();
         let FrameSpans { frame, queue } = FrameSpans::open(&origin, &resolved.request, cost_ns);
-        let job = Job {
+        let job = FrameJob {
             enqueued: Instant::now(),
             request_id: origin.request_id.clone(),
             span: frame,
@@ -118,7 +118,7 @@ impl Job {
     }
 
     /// Prepares the frame for waiting again.
-    pub fn granted(self: Arc<Self>) -> Granted<Arc<Job>> {
+    pub fn granted(self: Arc<Self>) -> Granted<Arc<FrameJob>> {
         let (client, cost_ns) = self.settle().unwrap_or((self.lane(), self.cost_ns));
         let queue = FrameSpans::queue(&self.span, &self.request_id, self.cost_ns);
         self.turn.lock().queue_span = Some(queue);
@@ -233,7 +233,7 @@ impl Job {
     }
 }
 
-impl Waiting for Arc<Job> {
+impl Waiting for Arc<FrameJob> {
     fn is_abandoned(&self) -> bool {
         self.waiters.lock().senders.iter().all(|waiter| waiter.sender.is_closed())
     }

@@ -9,21 +9,21 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 
-use super::job::Job;
+use super::frame_job::FrameJob;
 use super::queue::Client;
 use super::resolved::ResolvedFrame;
 use super::trace::{Origin, RequestId};
 use super::{Engine, EngineError, FrameTicket};
 
 /// The place of one stream, which shares the device with all other clients.
-pub struct Seat {
+pub struct LatestSlot {
     engine: Engine,
     client: Client,
-    /// The last job. Weak, so that an idle seat does not keep a removed scene alive.
-    last: Weak<Job>,
+    /// The last job. Weak, so that an idle slot does not keep a removed scene alive.
+    last: Weak<FrameJob>,
 }
 
-impl Seat {
+impl LatestSlot {
     pub(super) fn new(engine: &Engine, of: Client) -> Self {
         static NEXT: AtomicU64 = AtomicU64::new(0);
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
@@ -33,11 +33,11 @@ impl Seat {
             Client::Unnamed | Client::Job(_) => number,
         };
         let client = Client::Stream { of, number };
-        engine.shared().open_streams.fetch_add(1, Ordering::Relaxed);
+        engine.state().open_streams.fetch_add(1, Ordering::Relaxed);
         Self { engine: engine.clone(), client, last: Weak::new() }
     }
 
-    /// Queues a frame behind earlier frames of this seat.
+    /// Queues a frame behind earlier frames of this slot.
     ///
     /// # Errors
     /// As [`Engine::queue`].
@@ -47,18 +47,18 @@ impl Seat {
         frame: Arc<ResolvedFrame>,
     ) -> Result<FrameTicket, EngineError> {
         let origin = Origin { client: self.client, request_id };
-        let (job, receiver) = self.engine.shared().enqueue(origin, frame)?;
+        let (job, receiver) = self.engine.state().enqueue(origin, frame)?;
         self.last = Arc::downgrade(&job);
         Ok(FrameTicket { receiver })
     }
 
     /// Returns the last frame if it can be replaced.
-    fn replaceable(&self) -> Option<Arc<Job>> {
+    fn replaceable(&self) -> Option<Arc<FrameJob>> {
         let last = self.last.upgrade()?;
-        self.engine.shared().is_waiting(self.client, &last).then_some(last)
+        self.engine.state().is_waiting(self.client, &last).then_some(last)
     }
 
-    /// Returns whether the last frame waits in the queue, so that [`Seat::replace`] would replace it.
+    /// Returns whether the last frame waits in the queue, so that [`LatestSlot::replace`] would replace it.
     pub fn has_replaceable(&self) -> bool {
         self.replaceable().is_some()
     }
@@ -75,8 +75,8 @@ impl Seat {
     ) -> Result<Option<FrameTicket>, EngineError> {
         let Some(last) = self.replaceable() else { return Ok(None) };
         let origin = Origin { client: self.client, request_id };
-        let shared = self.engine.shared();
-        let Some((job, receiver)) = shared.replace(origin, &last, frame.clone())? else {
+        let state = self.engine.state();
+        let Some((job, receiver)) = state.replace(origin, &last, frame.clone())? else {
             return Ok(None);
         };
         self.last = Arc::downgrade(&job);
@@ -84,8 +84,8 @@ impl Seat {
     }
 }
 
-impl Drop for Seat {
+impl Drop for LatestSlot {
     fn drop(&mut self) {
-        self.engine.shared().open_streams.fetch_sub(1, Ordering::Relaxed);
+        self.engine.state().open_streams.fetch_sub(1, Ordering::Relaxed);
     }
 }

@@ -140,7 +140,7 @@ struct State {
 }
 
 /// All bakes of an engine.
-pub struct Bakes {
+pub struct BakeService {
     state: Mutex<State>,
     cache: Option<BakeCache>,
     /// Bakes do not begin while this is shut.
@@ -150,16 +150,16 @@ pub struct Bakes {
 
 /// Waits for a bake: await it, or wait on a thread. Dropping it gives up waiting.
 pub struct BakeTicket {
-    bakes: Arc<Bakes>,
+    bakes: Arc<BakeService>,
     id: BakeId,
     done: Arc<AtomicU32>,
     receiver: oneshot::Receiver<Reply>,
 }
 
-impl Bakes {
-    pub fn new(config: &EngineConfig) -> Arc<Bakes> {
+impl BakeService {
+    pub fn new(config: &EngineConfig) -> Arc<BakeService> {
         let state = State { roster: Roster::new(MOST), bakes: HashMap::new() };
-        Arc::new(Bakes {
+        Arc::new(BakeService {
             state: Mutex::new(state),
             cache: config.bake_cache.clone(),
             latch: config.bake_latch.clone(),
@@ -173,7 +173,7 @@ impl Bakes {
     }
 
     /// Waits for a goal of a scene, together with all others who wait for it.
-    pub fn join(self: &Arc<Bakes>, scene: Arc<Loaded>, goal: Goal) -> BakeTicket {
+    pub fn join(self: &Arc<BakeService>, scene: Arc<Loaded>, goal: Goal) -> BakeTicket {
         let (sender, receiver) = oneshot::channel();
         let mut state = self.state.lock();
         let (id, done) = match state.roster.join(goal.key(&scene)) {
@@ -197,7 +197,7 @@ impl Bakes {
     }
 
     /// Starts waiting bakes while there is room.
-    fn begin(self: &Arc<Bakes>) {
+    fn begin(self: &Arc<BakeService>) {
         loop {
             let mut state = self.state.lock();
             let Some(id) = state.roster.next() else { return };
@@ -226,7 +226,7 @@ impl Bakes {
         }
     }
 
-    fn leave(self: &Arc<Bakes>, id: BakeId) {
+    fn leave(self: &Arc<BakeService>, id: BakeId) {
         let mut state = self.state.lock();
         if state.roster.leave(id) != Left::Nothing
             && let Some(bake) = state.bakes.remove(&id)
@@ -293,7 +293,7 @@ impl Work {
         }
     }
 
-    fn run(&self, bakes: &Bakes) -> Reply {
+    fn run(&self, bakes: &BakeService) -> Reply {
         let watch = Watch::new(&self.stop, &self.done);
         match catch_unwind(AssertUnwindSafe(|| self.work(bakes, &watch))) {
             Ok(Ok(reply)) => reply,
@@ -303,7 +303,7 @@ impl Work {
         }
     }
 
-    fn work(&self, bakes: &Bakes, watch: &Watch<'_>) -> Result<Reply, Abandoned> {
+    fn work(&self, bakes: &BakeService, watch: &Watch<'_>) -> Result<Reply, Abandoned> {
         if let Some(latch) = &bakes.latch {
             latch.pass(watch)?;
         }
