@@ -48,7 +48,7 @@ pub fn run(args: &InspectArgs) -> Result<()> {
     args.scene.check_up()?;
     let (engine, mut scene) = args.scene.load(|_| ())?;
     scene.id.clone_from(&scene.name);
-    let plan = engine.plan(&FrameRequest {
+    let frame = engine.resolve_blocking(FrameRequest {
         scene: ID.to_owned(),
         pose: Pose::FIT,
         width: 1024,
@@ -69,7 +69,7 @@ pub fn run(args: &InspectArgs) -> Result<()> {
         scene,
         adapter: engine.adapter(),
         gpu_budget_bytes: engine.limits().gpu_budget_bytes,
-        plan,
+        plan: frame.plan().clone(),
         trees: trees.transpose()?,
     };
     if args.json {

@@ -9,19 +9,19 @@ use std::time::Instant;
 use parking_lot::{Condvar, Mutex};
 
 use super::EngineError;
-use super::job::Job;
+use super::frame_job::FrameJob;
 use super::queue::cost::CostKey;
 use super::queue::encoding::EncodeQueue;
 use super::queue::{Class, Client, Granted, Waiting};
+use super::render_thread::finish;
 use super::renderer::Drawn;
-use super::shared::Shared;
-use super::worker::finish;
+use super::state::EngineState;
 
 /// Is told the class of each frame before it is encoded, on the encoder's thread.
 pub type EncodeHook = Arc<dyn Fn(Class) + Send + Sync>;
 
 /// Drawn frames that wait for an encoder.
-pub struct Undone {
+pub struct EncodeBacklog {
     state: Mutex<State>,
     /// A frame may be taken, or the engine ends.
     work: Condvar,
@@ -49,17 +49,17 @@ impl Waiting for Drawn {
 }
 
 /// Frames of equal format, output and size take about equally long.
-fn cost_key(job: &Arc<Job>) -> CostKey {
+fn cost_key(job: &Arc<FrameJob>) -> CostKey {
     let mut hasher = DefaultHasher::new();
-    (job.request.format as u8, job.request.output as u8).hash(&mut hasher);
+    (job.frame.request.format as u8, job.frame.request.output as u8).hash(&mut hasher);
     CostKey { kind: hasher.finish(), pixels: job.pixels() }
 }
 
-impl Undone {
-    pub fn new(encoders: usize, job_share: f64) -> Undone {
+impl EncodeBacklog {
+    pub fn new(encoders: usize, job_share: f64) -> EncodeBacklog {
         let queue = EncodeQueue::new(encoders, job_share);
         let state = Mutex::new(State { queue, closed: false });
-        Undone { state, work: Condvar::new(), room: Condvar::new() }
+        EncodeBacklog { state, work: Condvar::new(), room: Condvar::new() }
     }
 
     /// Whether encoders keep up with the frames of jobs.
@@ -68,7 +68,7 @@ impl Undone {
     }
 
     /// Adds a frame. Waits while encoders do not keep up with streams and requests; frames of jobs are not drawn then
-    /// ([`Undone::has_room_for_jobs`]), so that nobody waits for their encoding here.
+    /// ([`EncodeBacklog::has_room_for_jobs`]), so that nobody waits for their encoding here.
     fn push(&self, drawn: Drawn) {
         let lane = drawn.job.lane();
         let is_urgent = |other: &Client| lane.class() == Class::Job && other.class() != Class::Job;
@@ -85,7 +85,7 @@ impl Undone {
     }
 
     /// Has the frame of a job come forward, for `client`, if it waits here.
-    pub fn advance(&self, job: &Arc<Job>, client: Client) {
+    pub fn advance(&self, job: &Arc<FrameJob>, client: Client) {
         let is_it = |drawn: &Drawn| Arc::ptr_eq(&drawn.job, job);
         let key = cost_key(job);
         self.state.lock().queue.advance(job.lane(), client, is_it, key, Instant::now());
@@ -121,57 +121,57 @@ impl Undone {
 
 /// The running threads. Dropping them waits for the frames that were drawn.
 pub struct Encoders {
-    shared: Arc<Shared>,
+    state: Arc<EngineState>,
     threads: Vec<JoinHandle<()>>,
 }
 
 impl Encoders {
-    pub fn start(shared: &Arc<Shared>) -> Encoders {
-        let count = shared.undone.state.lock().queue.threads();
+    pub fn start(state: &Arc<EngineState>) -> Encoders {
+        let count = state.encode_backlog.state.lock().queue.threads();
         let start = |number: usize| {
-            let shared = shared.clone();
+            let state = state.clone();
             let name = format!("encode-{number}");
-            std::thread::Builder::new().name(name).spawn(move || encode(&shared)).ok()
+            std::thread::Builder::new().name(name).spawn(move || encode(&state)).ok()
         };
-        Encoders { shared: shared.clone(), threads: (0..count).filter_map(start).collect() }
+        Encoders { state: state.clone(), threads: (0..count).filter_map(start).collect() }
     }
 
     /// Has a frame encoded and answered.
     pub fn push(&self, drawn: Drawn) {
         if self.threads.is_empty() {
             let failed = EngineError::Internal("no encoder thread could be started".to_owned());
-            return self.shared.answer(&drawn.job, Err(failed));
+            return self.state.answer(&drawn.job, Err(failed));
         }
-        self.shared.undone.push(drawn);
+        self.state.encode_backlog.push(drawn);
     }
 }
 
 impl Drop for Encoders {
     fn drop(&mut self) {
-        self.shared.undone.close();
+        self.state.encode_backlog.close();
         for thread in self.threads.drain(..) {
             let _ = thread.join();
         }
     }
 }
 
-fn encode(shared: &Shared) {
-    while let Some(Granted { client, cost_ns, job: drawn }) = shared.undone.next() {
+fn encode(state: &EngineState) {
+    while let Some(Granted { client, cost_ns, job: drawn }) = state.encode_backlog.next() {
         let (job, began) = (drawn.job.clone(), Instant::now());
         // A caller is answered even if an encoder is defective.
         let finished = catch_unwind(AssertUnwindSafe(|| {
-            if let Some(hook) = &shared.config.encode_hook {
+            if let Some(hook) = &state.config.encode_hook {
                 hook(client.class());
             }
-            finish(shared, drawn);
+            finish(state, drawn);
         }));
         if finished.is_err() {
             let failed = EngineError::Internal("the encoder failed".to_owned());
-            shared.answer(&job, Err(failed));
+            state.answer(&job, Err(failed));
         }
-        shared.undone.done(client, cost_ns, cost_key(&job), began);
+        state.encode_backlog.done(client, cost_ns, cost_key(&job), began);
         if client.class() == Class::Job {
-            shared.wake_for_jobs();
+            state.wake_for_jobs();
         }
     }
 }

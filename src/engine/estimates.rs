@@ -1,7 +1,7 @@
 //! Scenes of large clouds, which are drawn as points before normals and kernels of their samples are estimated.
 //!
 //! ```text
-//! load ──► points alone ──a frame that needs more──► estimated by the bakes ([`super::bakes`]) ──► whole, at the same revision
+//! load ──► points alone ──a frame that needs more──► estimated by the bakes ([`super::bake_service`]) ──► whole, at the same revision
 //! ```
 //! A frame that leaves it open how samples are drawn does not wait: it gets points, its receipt says so, and the estimate
 //! runs on in the background until it has ended or the scene is deleted.
@@ -9,16 +9,15 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::thread::JoinHandle;
-use std::time::Duration;
 
-use parking_lot::{Condvar, Mutex};
+use parking_lot::Mutex;
 use serde::Serialize;
 
 use super::EngineError;
-use super::bakes::{Abandoned, BakeTicket, Goal, Scenes, Watch};
-use super::kept::keep_whole;
+use super::bake_service::{Abandoned, BakeTicket, Goal, Scenes, Watch};
+use super::cloud_cache::keep_whole;
 use super::library::Loaded;
-use super::shared::Shared;
+use super::state::EngineState;
 use crate::memory::Interrupt;
 use crate::plan::{Lod, Output, Reconstruct};
 
@@ -43,30 +42,6 @@ pub struct Estimates {
     pub done: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-}
-
-/// Keeps estimates from beginning while it is shut, so that tests need not be quick.
-#[derive(Debug, Default)]
-pub struct Latch {
-    is_open: Mutex<bool>,
-    opened: Condvar,
-}
-
-impl Latch {
-    pub fn open(&self) {
-        *self.is_open.lock() = true;
-        self.opened.notify_all();
-    }
-
-    pub(super) fn pass(&self, watch: &Watch<'_>) -> Result<(), Abandoned> {
-        const LOOK_EVERY: Duration = Duration::from_millis(5);
-        let mut is_open = self.is_open.lock();
-        while !*is_open {
-            watch.check()?;
-            self.opened.wait_for(&mut is_open, LOOK_EVERY);
-        }
-        Ok(())
-    }
 }
 
 /// Estimates that frames do not wait for, by scene.
@@ -120,7 +95,7 @@ impl Loaded {
     }
 }
 
-impl Shared {
+impl EngineState {
     /// Has the samples of a scene estimated in the background; how much is done, of 1, or why it cannot be.
     pub fn estimate_in_background(&self, scene: &Arc<Loaded>) -> Result<f64, EngineError> {
         let (id, load) = (&scene.model.id, scene.load());
@@ -136,7 +111,7 @@ impl Shared {
         let entry = running.entry(id.clone()).or_insert_with(|| {
             before.unwrap_or_else(|| Running {
                 load,
-                ticket: self.bakes.join(scene.clone(), Goal::Estimates),
+                ticket: self.bake_service.join(scene.clone(), Goal::Estimates),
                 failed: None,
             })
         });
@@ -166,7 +141,7 @@ impl Shared {
         let mut running = self.background.running.lock();
         let own = running.get_mut(&scene.model.id).filter(|entry| entry.load == scene.load());
         let Some(entry) = own else {
-            return match self.bakes.estimating(scene) {
+            return match self.bake_service.estimating(scene) {
                 Some(done) => told(EstimateState::Running, done),
                 None => told(EstimateState::Deferred, 0.0),
             };
@@ -181,16 +156,21 @@ impl Shared {
         }
     }
 
-    /// The scene with everything that its samples lack. Blocks.
-    pub fn whole(&self, scene: &Arc<Loaded>) -> Result<Arc<Loaded>, EngineError> {
-        match self.make_whole(scene, &Watch::NONE) {
-            Ok(whole) => whole,
-            // Nobody could have told it to stop.
-            Err(Abandoned) => Err(EngineError::Internal("estimating was given up".into())),
+    /// Begins a bake of a loaded scene, or joins it if it runs already.
+    ///
+    /// # Errors
+    /// [`EngineError::UnknownScene`] if the scene was deleted.
+    pub fn begin_bake(&self, scene: &Arc<Loaded>, goal: Goal) -> Result<BakeTicket, EngineError> {
+        let id = &scene.model.id;
+        // Held while the bake is joined, so that a deletion either comes first or finds the bake and cancels it.
+        let library = self.library.read();
+        if library.get(id).is_none_or(|held| held.load() != scene.load()) {
+            return Err(EngineError::UnknownScene { id: id.clone() });
         }
+        Ok(self.bake_service.join(scene.clone(), goal))
     }
 
-    /// Has something written on a thread of its own, which [`Shared::finish_writing`] waits for.
+    /// Has something written on a thread of its own, which [`EngineState::finish_writing`] waits for.
     pub fn write_apart(&self, write: impl FnOnce() + Send + 'static) {
         let mut writers = self.background.writers.lock();
         writers.retain(|writer| !writer.is_finished());
@@ -230,7 +210,7 @@ impl Shared {
     }
 }
 
-impl Scenes for Shared {
+impl Scenes for EngineState {
     fn make_whole(
         &self,
         scene: &Arc<Loaded>,

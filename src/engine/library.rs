@@ -10,11 +10,11 @@ use glam::DVec3;
 use parking_lot::Mutex;
 use sha2::{Digest, Sha256};
 
-use super::bakes::{Abandoned, Watch};
+use super::asset_keys::{AssetKey, AssetKeys, digest_file, digest_packed};
+use super::bake_service::{Abandoned, Watch};
+use super::cloud_cache::{CloudEntry, UnwrittenCloud};
 use super::framing::{self, SceneOutline};
-use super::kept::{Keeping, Kept};
-use super::keys::{AssetKey, AssetKeys, digest_file, digest_packed};
-use super::trees::TreeScene;
+use super::point_trees::TreeScene;
 use super::{
     AssetInfo, EngineConfig, EngineError, EstimateState, Estimates, NamedCamera, NodePatch,
     SceneInfo, Source,
@@ -78,7 +78,7 @@ pub struct Loaded {
     /// The scene's file, or that of its only asset.
     path: PathBuf,
     /// Large clouds that were just read and are to be kept on disk.
-    pub kept: Vec<Kept>,
+    pub unwritten: Vec<UnwrittenCloud>,
 }
 
 struct CachedAsset {
@@ -248,10 +248,10 @@ pub fn load(
     let shares_operands = description.assets.iter().any(|asset| !asset.operands().is_empty());
     let most = config.estimate_at_once;
     let mut asset_keys = Vec::with_capacity(description.assets.len());
-    let mut kept = Vec::new();
+    let mut unwritten = Vec::new();
     for (index, reference) in description.assets.iter().enumerate() {
-        let keeping = Keeping::of(reference, config, !is_scene).filter(|_| !operands_only[index]);
-        let note = keeping.as_ref().and_then(|keeping| keeping.note(config));
+        let entry = CloudEntry::of(reference, config, !is_scene).filter(|_| !operands_only[index]);
+        let note = entry.as_ref().and_then(|entry| entry.note(config));
         if let Some(note) = &note {
             keys.know(index, note.digest);
         }
@@ -263,11 +263,11 @@ pub fn load(
             pack_asset(reference, prepared, key.digest, Completeness::Points, admission)
                 .map_err(Stop::error)?
         } else {
-            let known = keeping.as_ref().zip(note.as_ref());
+            let known = entry.as_ref().zip(note.as_ref());
             let mut was_read = false;
             let asset = cache.get_or_read(key, !is_scene, || {
-                if let Some((keeping, note)) = known
-                    && let Some(asset) = keeping.asset(&reference.name, note, admission)?
+                if let Some((entry, note)) = known
+                    && let Some(asset) = entry.asset(&reference.name, note, admission)?
                 {
                     return Ok(asset);
                 }
@@ -275,7 +275,7 @@ pub fn load(
                 read_asset(reference, (index, most), &mut assembler, key, admission)
             })?;
             if was_read && key.alone {
-                kept.extend(keeping.and_then(|keeping| keeping.keep(&asset)));
+                unwritten.extend(entry.and_then(|entry| entry.keep(&asset)));
             }
             asset
         };
@@ -329,7 +329,7 @@ pub fn load(
         keys: asset_keys,
         path: path.to_owned(),
     };
-    Ok(Loaded { kept, ..build(parts, config, None, admission)? })
+    Ok(Loaded { unwritten, ..build(parts, config, None, admission)? })
 }
 
 /// Returns the options for reading files: below the root, and within the load's memory.
@@ -651,7 +651,7 @@ fn build(
         placements,
         keys,
         path,
-        kept: Vec::new(),
+        unwritten: Vec::new(),
     })
 }
 
@@ -838,9 +838,6 @@ impl Loaded {
         config: &EngineConfig,
         watch: &Watch<'_>,
     ) -> Result<Arc<AssetModel>, Stop> {
-        if let Some(latch) = &config.estimate_latch {
-            latch.pass(watch)?;
-        }
         let (began, key) = (std::time::Instant::now(), self.keys[index]);
         let admission = Admission::new(&config.memory);
         let found =

@@ -1,28 +1,46 @@
-//! The engine (floor 5): takes jobs and returns encoded frames with receipts. One thread owns the device.
+//! The engine (floor 5): takes requests and returns encoded frames with receipts. One thread owns the device.
+//!
+//! # Order of locks
+//!
+//! A thread that holds a lock takes only locks further down this list. Locks of one line are never held together.
+//!
+//! | lock | guards | held during |
+//! |---|---|---|
+//! | `EngineState::patching` | the next revision of any scene | a patch, with its list of instances |
+//! | [`MadeOnce`](crate::residency::once::MadeOnce) of a scene, then of an asset | the making of trees or estimates | a bake; others wait with a time limit and ask whether they are still wanted |
+//! | `EngineState::library` | the map of scenes | a lookup or an exchange |
+//! | `Background::running` | estimates that no frame waits for | a lookup |
+//! | `BakeService::state` | waiting and running bakes | a lookup |
+//! | `EngineState::schedule` | queue, costs, unanswered frames | a decision of the queue |
+//! | `EncodeBacklog::state` | frames that wait for an encoder | a decision of the queue |
+//! | a frame's own locks, `EngineState::{loading, adapter, resident, cache}`, `Background::writers` | one value each | a read or a write |
+//!
+//! Nobody draws, encodes, bakes, reads a file or answers a caller under a lock, but under the first two.
 
-pub mod bakes;
-mod baking;
-mod crowd;
+mod asset_keys;
+pub mod bake_service;
+mod cloud_cache;
 mod encoders;
 mod estimates;
+mod frame_job;
 mod framing;
 mod group;
-mod job;
-mod kept;
-mod keys;
+mod instance_trees;
+mod latest_slot;
 mod library;
 mod observe;
+mod point_tree_cache;
+mod point_trees;
 mod priming;
 pub mod queue;
 pub mod receipt;
+mod render_thread;
 mod renderer;
 mod request;
 mod resolve;
-mod seat;
-mod shared;
+mod resolved;
+mod state;
 mod trace;
-mod trees;
-mod worker;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
@@ -33,28 +51,29 @@ use bytes::Bytes;
 use glam::DVec3;
 use serde::Serialize;
 
-pub use bakes::BakeTicket;
-pub use baking::{BakeEvent, BakeSource, BakedAsset, bake_file};
+pub use bake_service::{BakeTicket, Latch};
 pub use encoders::EncodeHook;
-pub use estimates::{EstimateState, Estimates, Latch};
+pub use estimates::{EstimateState, Estimates};
+pub use latest_slot::LatestSlot;
 pub use observe::Observer;
+pub use point_tree_cache::{BakeEvent, BakeSource, BakedAsset, bake_file};
 pub use priming::PrimeConfig;
 pub use queue::{Class, Client};
 pub use receipt::Receipt;
 pub use renderer::Renderer;
 pub use request::{FrameRequest, Pose};
-pub use seat::Seat;
+pub use resolved::{Resolution, ResolvedFrame, UnbakedFrame};
 pub use trace::{Origin, RequestId};
 
 use crate::assets::{AssetError, ReadOptions};
 use crate::bake::cache::BakeCache;
 use crate::math::Camera;
 use crate::memory::{self, Admission, HostMemory, Interrupt};
-use crate::plan::Reconstruct;
 use crate::residency::Part;
 use crate::scene::{CameraPath, SceneError, SceneLimits};
 
-use self::shared::Shared;
+use self::bake_service::Goal;
+use self::state::EngineState;
 
 /// Default of [`EngineConfig::job_share`].
 pub const DEFAULT_JOB_SHARE: f64 = 0.1;
@@ -117,9 +136,12 @@ pub struct EngineConfig {
     pub patch_hook: Option<Arc<dyn Fn() + Send + Sync>>,
     /// Clouds of so many points get the normals and kernels that they lack when they are read, larger ones when a frame needs them.
     pub estimate_at_once: usize,
-    /// For tests: estimates of large clouds do not begin while this is shut.
+    /// For tests: bakes do not begin while this is shut.
     #[doc(hidden)]
-    pub estimate_latch: Option<Arc<Latch>>,
+    pub bake_latch: Option<Arc<Latch>>,
+    /// For tests: is called whenever a request is resolved.
+    #[doc(hidden)]
+    pub resolve_hook: Option<Arc<dyn Fn() + Send + Sync>>,
     /// For tests: files that changed more recently than this are not kept packed.
     #[doc(hidden)]
     pub settled_after: Duration,
@@ -147,7 +169,7 @@ pub enum EngineError {
     SceneExists { id: String },
     #[error("the queue is full")]
     Busy { retry_after: Duration },
-    /// A newer request replaced this request of a [`Seat`].
+    /// A newer request replaced this request of a [`LatestSlot`].
     #[error("a newer request took this one's place")]
     Overtaken,
     /// The deadline has passed, or will pass given what is queued before the frame and what such frames have cost.
@@ -360,30 +382,30 @@ pub struct Engine {
 }
 
 struct Inner {
-    shared: Arc<Shared>,
+    state: Arc<EngineState>,
     thread: parking_lot::Mutex<Option<std::thread::JoinHandle<()>>>,
 }
 
 impl Drop for Inner {
     fn drop(&mut self) {
-        self.shared.stop();
-        self.shared.background.end_all();
+        self.state.stop();
+        self.state.background.end_all();
         if let Some(thread) = self.thread.lock().take() {
             let _ = thread.join();
         }
-        self.shared.finish_writing();
+        self.state.finish_writing();
     }
 }
 
 /// An identifier that is being loaded; released in every case when this is dropped.
 struct Reserved<'a> {
-    shared: &'a Shared,
+    state: &'a EngineState,
     id: &'a str,
 }
 
 impl Drop for Reserved<'_> {
     fn drop(&mut self) {
-        self.shared.loading.lock().remove(self.id);
+        self.state.loading.lock().remove(self.id);
     }
 }
 
@@ -438,7 +460,8 @@ impl EngineConfig {
             large_units_limit: None,
             estimate_at_once: ESTIMATE_AT_ONCE,
             patch_hook: None,
-            estimate_latch: None,
+            bake_latch: None,
+            resolve_hook: None,
             settled_after: SETTLED_AFTER,
             bake_cache: None,
             prime: None,
@@ -455,16 +478,16 @@ impl Engine {
     /// # Errors
     /// No adapter, or one that lacks what the passes need; the message says what to install.
     pub fn start(config: EngineConfig) -> Result<Engine, EngineError> {
-        let shared = Arc::new(Shared::new(config));
-        let scenes: std::sync::Weak<Shared> = Arc::downgrade(&shared);
-        shared.bakes.serve(scenes);
+        let state = Arc::new(EngineState::new(config));
+        let scenes: std::sync::Weak<EngineState> = Arc::downgrade(&state);
+        state.bake_service.serve(scenes);
         let (sender, receiver) = std::sync::mpsc::sync_channel(1);
-        let for_thread = shared.clone();
+        let for_thread = state.clone();
         let thread = std::thread::Builder::new()
             .name("render".into())
             .spawn(move || {
                 let ran = catch_unwind(AssertUnwindSafe(|| {
-                    worker::run(&for_thread, |opened| {
+                    render_thread::run(&for_thread, |opened| {
                         let _ = sender.send(opened);
                     });
                 }));
@@ -475,8 +498,7 @@ impl Engine {
             .map_err(|error| EngineError::Internal(error.to_string()))?;
         match receiver.recv() {
             Ok(Ok(())) => {
-                let (asked, (limit, _)) =
-                    (shared.config.max_pixels, resolve::frame_limits(&shared));
+                let (asked, (limit, _)) = (state.config.max_pixels, resolve::frame_limits(&state));
                 if asked > limit {
                     tracing::warn!(
                         asked,
@@ -485,7 +507,7 @@ impl Engine {
                     );
                 }
                 let thread = parking_lot::Mutex::new(Some(thread));
-                Ok(Engine { inner: Arc::new(Inner { shared, thread }) })
+                Ok(Engine { inner: Arc::new(Inner { state, thread }) })
             }
             Ok(Err(error)) => Err(EngineError::NoGpu(error.to_string())),
             Err(_) => {
@@ -494,8 +516,8 @@ impl Engine {
         }
     }
 
-    fn shared(&self) -> &Shared {
-        &self.inner.shared
+    fn state(&self) -> &EngineState {
+        &self.inner.state
     }
 
     /// Loads a scene file or a single asset file (below the root) under `id`. Blocks: reads, bakes, checks the
@@ -506,7 +528,7 @@ impl Engine {
 
     /// Returns a load's admission to host memory, which is also the handle that cancels it.
     pub fn admission(&self) -> Admission {
-        Admission::new(&self.shared().config.memory)
+        Admission::new(&self.state().config.memory)
     }
 
     /// Loads like [`Engine::load`], until the admission is cancelled.
@@ -519,14 +541,14 @@ impl Engine {
         source: &Source,
         admission: &Admission,
     ) -> Result<SceneInfo, EngineError> {
-        let shared = self.shared();
+        let state = self.state();
         let exists = || EngineError::SceneExists { id: id.to_owned() };
-        if !shared.loading.lock().insert(id.to_owned()) {
+        if !state.loading.lock().insert(id.to_owned()) {
             return Err(exists());
         }
-        let _reserved = Reserved { shared, id };
+        let _reserved = Reserved { state, id };
         // Check again under the reservation: its previous holder may have loaded the scene.
-        if shared.library.read().holds(id) {
+        if state.library.read().holds(id) {
             return Err(exists());
         }
         let loaded = self.load_reserved(id, source, admission);
@@ -541,20 +563,20 @@ impl Engine {
         source: &Source,
         admission: &Admission,
     ) -> Result<SceneInfo, EngineError> {
-        let shared = self.shared();
+        let state = self.state();
         let began = std::time::Instant::now();
-        let path = library::check_path(&source.path, &shared.config.root)?;
+        let path = library::check_path(&source.path, &state.config.root)?;
         let source = Source { path, ..source.clone() };
-        let mut loaded = library::load(id, &source, &shared.config, &shared.cache, admission)?;
+        let mut loaded = library::load(id, &source, &state.config, &state.cache, admission)?;
         self.check_fits(&mut loaded)?;
         admission.check()?;
-        let kept = std::mem::take(&mut loaded.kept);
+        let unwritten = std::mem::take(&mut loaded.unwritten);
         let info = self.info(&loaded);
-        shared.library.write().insert(loaded);
-        for kept in kept {
-            shared.write_apart(move || kept.write());
+        state.library.write().insert(loaded);
+        for cloud in unwritten {
+            state.write_apart(move || cloud.write());
         }
-        shared.scenes_changed();
+        state.scenes_changed();
         let (samples, triangles) = (info.samples, info.triangles);
         let elapsed_ms = began.elapsed().as_millis() as u64;
         tracing::info!(id, samples, triangles, elapsed_ms, "scene loaded");
@@ -564,7 +586,7 @@ impl Engine {
     /// Checks that a scene alone fits the GPU, at least where frames list the parts that they need. If the whole scene does not
     /// fit, the scene gets a warning.
     fn check_fits(&self, loaded: &mut library::Loaded) -> Result<(), EngineError> {
-        let adapter = self.shared().adapter();
+        let adapter = self.state().adapter();
         let fits = |part| {
             let (binding, budget) = (adapter.max_binding_bytes, adapter.budget);
             crate::residency::check_fits(binding, budget, &loaded.model, part)
@@ -582,34 +604,35 @@ impl Engine {
 
     /// Forgets a scene and frees its GPU memory.
     pub fn remove(&self, id: &str) -> Result<(), EngineError> {
-        let shared = self.shared();
-        let removed = shared.library.write().remove(id);
-        removed.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
-        shared.background.end(id);
-        shared.wake_for_removal();
-        shared.scenes_changed();
+        let state = self.state();
+        let removed = state.library.write().remove(id);
+        let unknown = EngineError::UnknownScene { id: id.to_owned() };
+        let removed = removed.ok_or_else(|| unknown.clone())?;
+        state.background.end(id);
+        state.bake_service.cancel(removed.load(), &unknown);
+        state.wake_for_removal();
+        state.scenes_changed();
         tracing::info!(id, "scene deleted");
         Ok(())
     }
 
     /// Moves, shows or hides a top-level node. The scene gets a new revision; only transforms are uploaded.
     pub fn patch(&self, id: &str, node: &str, patch: &NodePatch) -> Result<SceneInfo, EngineError> {
-        let shared = self.shared();
+        let state = self.state();
         // Two patches must not start from the same revision. Listing the instances again may take a while, during which frames
         // are still requested: the library is locked only for looking up and replacing.
-        let _alone = shared.patching.lock();
+        let _alone = state.patching.lock();
         loop {
-            let loaded = shared.library.read().get(id);
-            let loaded = loaded.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
-            let mut patched = loaded.patched(node, patch, &shared.config)?;
+            let loaded = state.loaded(id)?;
+            let mut patched = loaded.patched(node, patch, &state.config)?;
             // A node that becomes visible may draw more than fits.
             self.check_fits(&mut patched)?;
-            if let Some(hook) = &shared.config.patch_hook {
+            if let Some(hook) = &state.config.patch_hook {
                 hook();
             }
             let info = self.info(&patched);
-            if shared.library.write().replace(&loaded, patched) {
-                shared.scenes_changed();
+            if state.library.write().replace(&loaded, patched) {
+                state.scenes_changed();
                 tracing::info!(id, node, revision = info.revision, "scene changed");
                 return Ok(info);
             }
@@ -618,46 +641,70 @@ impl Engine {
     }
 
     pub fn scenes(&self) -> Vec<SceneInfo> {
-        self.shared().library.read().all().iter().map(|loaded| self.info(loaded)).collect()
+        self.state().library.read().all().iter().map(|loaded| self.info(loaded)).collect()
     }
 
     pub fn scene(&self, id: &str) -> Result<SceneInfo, EngineError> {
-        let loaded = self.shared().library.read().get(id);
-        loaded
-            .map(|loaded| self.info(&loaded))
-            .ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })
+        Ok(self.info(&*self.state().loaded(id)?))
     }
 
     /// Returns a camera path that the scene names.
     pub fn camera_path(&self, id: &str, name: &str) -> Result<CameraPath, EngineError> {
-        let loaded = self.shared().library.read().get(id);
-        loaded.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?.camera_path(name)
+        self.state().loaded(id)?.camera_path(name)
     }
 
     fn info(&self, loaded: &library::Loaded) -> SceneInfo {
-        let shared = self.shared();
+        let state = self.state();
         SceneInfo {
-            resident: shared.is_resident(&loaded.info.id),
-            estimates: shared.estimates(loaded),
+            resident: state.is_resident(&loaded.info.id),
+            estimates: state.estimates(loaded),
             ..loaded.info.clone()
         }
     }
 
-    /// Returns the strong entity tag (quoted) of the frame for `request`. Validates the request; needs no GPU work.
-    pub fn etag(&self, request: &FrameRequest) -> Result<String, EngineError> {
-        Ok(resolve::resolve(self.shared(), request)?.key)
+    /// Resolves a request: checks it and decides how it is drawn, once for all that follows. Needs no GPU work and never bakes.
+    ///
+    /// # Errors
+    /// Any error of the request.
+    pub fn resolve(&self, request: FrameRequest) -> Result<Resolution, EngineError> {
+        resolve::resolve(&self.inner.state, request)
     }
 
-    /// Returns the tag as [`Engine::etag`] does; `None` for a frame that will change once normals and kernels are estimated.
-    pub fn final_etag(&self, request: &FrameRequest) -> Result<Option<String>, EngineError> {
-        let resolved = resolve::resolve(self.shared(), request)?;
-        Ok(resolved.provisional.is_none().then_some(resolved.key))
+    /// Resolves a request after the bake that it needs, if any. Blocks; async code has [`Engine::resolve`].
+    ///
+    /// # Errors
+    /// Any error of the request, or of the bake.
+    pub fn resolve_blocking(
+        &self,
+        request: FrameRequest,
+    ) -> Result<Arc<ResolvedFrame>, EngineError> {
+        match self.resolve(request)? {
+            Resolution::Ready(frame) => Ok(frame),
+            Resolution::NeedsBake(unbaked) => unbaked.bake_blocking(),
+        }
+    }
+
+    /// Checks a request without resolving it, as far as that is possible before any bake.
+    ///
+    /// # Errors
+    /// Any error of the request's scene, size, format or pose.
+    pub fn check(&self, request: &FrameRequest) -> Result<(), EngineError> {
+        let state = self.state();
+        resolve::check(state, &*state.loaded(&request.scene)?, request).map(drop)
+    }
+
+    /// Returns the strong entity tag (quoted) of the frame for `request`. Blocks as [`Engine::resolve_blocking`] does.
+    ///
+    /// # Errors
+    /// As [`Engine::resolve_blocking`].
+    pub fn etag(&self, request: &FrameRequest) -> Result<String, EngineError> {
+        Ok(self.resolve_blocking(request.clone())?.etag().to_owned())
     }
 
     /// Returns whether a frame for this request must wait for a bake, which [`Engine::bake`] does.
     pub fn must_bake(&self, request: &FrameRequest) -> bool {
-        let loaded = self.shared().library.read().get(&request.scene);
-        loaded.is_some_and(|loaded| resolve::goal(&loaded, request).is_some())
+        let loaded = self.state().loaded(&request.scene);
+        loaded.is_ok_and(|loaded| resolve::goal(&loaded, request).is_some())
     }
 
     /// Builds what a request needs and is missing: the scene's point trees, or normals and kernels of large clouds. Blocks for
@@ -670,21 +717,25 @@ impl Engine {
     }
 
     /// Begins a bake and returns its ticket, shared with all others who wait for the bake; `None` when everything is there. The
-    /// bake is given up when nobody waits any more.
+    /// bake is given up when nobody waits any more, and when the scene is deleted.
     ///
     /// # Errors
     /// An unknown scene.
     pub fn begin_bake(&self, request: &FrameRequest) -> Result<Option<BakeTicket>, EngineError> {
-        let loaded = self.shared().library.read().get(&request.scene);
-        let loaded =
-            loaded.ok_or_else(|| EngineError::UnknownScene { id: request.scene.clone() })?;
+        let loaded = self.state().loaded(&request.scene)?;
         let goal = resolve::goal(&loaded, request);
-        Ok(goal.map(|goal| self.shared().bakes.join(loaded, goal)))
+        goal.map(|goal| self.state().begin_bake(&loaded, goal)).transpose()
     }
 
     /// Returns the number of running bakes of [`Engine::begin_bake`], including those that are being given up.
     pub fn bakes_running(&self) -> usize {
-        self.shared().bakes.running()
+        self.state().bake_service.running()
+    }
+
+    /// Returns the number of tickets of bakes that have not ended. For tests.
+    #[doc(hidden)]
+    pub fn bake_waiters(&self) -> usize {
+        self.state().bake_service.waiters()
     }
 
     /// Builds or reads the point trees of all of a scene's assets, keeps them for frames, and returns their statistics. Blocks
@@ -697,13 +748,14 @@ impl Engine {
         id: &str,
         tell: impl FnMut(BakeEvent),
     ) -> Result<Vec<BakedAsset>, EngineError> {
-        let loaded = self.shared().library.read().get(id);
-        let loaded = loaded.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })?;
-        let loaded = self.shared().whole(&loaded)?;
-        loaded.bake_each(self.shared().config.bake_cache.as_ref(), true, tell)
+        let mut loaded = self.state().loaded(id)?;
+        if !loaded.is_whole() {
+            loaded = self.state().begin_bake(&loaded, Goal::Estimates)?.wait_for_scene()?;
+        }
+        loaded.bake_each(self.state().config.bake_cache.as_ref(), true, tell)
     }
 
-    /// Queues a frame.
+    /// Queues a frame. Blocks as [`Engine::resolve_blocking`] does; async code has [`Engine::queue`].
     ///
     /// # Errors
     /// Any error of the request, or [`EngineError::Busy`]; nothing is queued then.
@@ -720,68 +772,56 @@ impl Engine {
         origin: impl Into<Origin>,
         request: FrameRequest,
     ) -> Result<FrameTicket, EngineError> {
-        self.submit_tagged(origin, request).map(|(_, ticket)| ticket)
+        self.queue(origin, self.resolve_blocking(request)?)
     }
 
-    /// Queues a frame and returns its tag (as of [`Engine::etag`]), which stays valid even if the scene changes meanwhile.
+    /// Queues a resolved frame. It shows the scene as it was resolved, even if the scene changes meanwhile.
     ///
     /// # Errors
-    /// As [`Engine::submit`].
-    pub fn submit_tagged(
+    /// [`EngineError::Busy`] and other refusals of the queue; nothing is queued then.
+    pub fn queue(
         &self,
         origin: impl Into<Origin>,
-        request: FrameRequest,
-    ) -> Result<(String, FrameTicket), EngineError> {
-        let resolved = resolve::resolve(self.shared(), &request)?;
-        let tag = resolved.key.clone();
-        let (_, receiver) = self.shared().enqueue(origin.into(), resolved, request)?;
-        Ok((tag, FrameTicket { receiver }))
+        frame: Arc<ResolvedFrame>,
+    ) -> Result<FrameTicket, EngineError> {
+        let (_, receiver) = self.state().enqueue(origin.into(), frame)?;
+        Ok(FrameTicket { receiver })
     }
 
     /// Returns a place in the queue for a client that wants only the newest frame. Seats of the client `of` share the device's
     /// time.
-    pub fn seat(&self, of: Client) -> Seat {
-        Seat::new(self, of)
+    pub fn latest_slot(&self, of: Client) -> LatestSlot {
+        LatestSlot::new(self, of)
     }
 
     /// Sets the observer of batches and frames; only the first call succeeds. Returns whether this one did.
     pub fn observe(&self, observer: Arc<dyn Observer>) -> bool {
-        self.shared().observer.set(observer).is_ok()
+        self.state().observer.set(observer).is_ok()
     }
 
     /// Changes whenever a scene is loaded, patched or removed.
     pub fn changes(&self) -> tokio::sync::watch::Receiver<u64> {
-        self.shared().changes.subscribe()
+        self.state().changes.subscribe()
     }
 
     /// Returns a mark that is unique to the scene and its revision; `None` when there is no such scene.
     pub fn scene_mark(&self, id: &str) -> Option<SceneMark> {
-        let loaded = self.shared().library.read().get(id)?;
+        let loaded = self.state().library.read().get(id)?;
         Some(SceneMark { uid: loaded.model.uid, revision: loaded.model.revision })
     }
 
-    /// Returns how the samples of a frame would be drawn, which a request may leave open.
-    pub fn drawn_as(&self, request: &FrameRequest) -> Result<Reconstruct, EngineError> {
-        Ok(resolve::resolve(self.shared(), request)?.drawing.reconstruct)
-    }
-
-    /// Returns the plan for a request.
-    pub fn plan(&self, request: &FrameRequest) -> Result<crate::plan::FramePlan, EngineError> {
-        Ok(resolve::resolve(self.shared(), request)?.drawing.plan)
-    }
-
     pub fn readiness(&self) -> Readiness {
-        self.shared().readiness()
+        self.state().readiness()
     }
 
     pub fn stats(&self) -> EngineStats {
-        self.shared().snapshot()
+        self.state().snapshot()
     }
 
     pub fn limits(&self) -> Limits {
-        let config = &self.shared().config;
-        let adapter = self.shared().adapter();
-        let (max_pixels, max_side) = resolve::frame_limits(self.shared());
+        let config = &self.state().config;
+        let adapter = self.state().adapter();
+        let (max_pixels, max_side) = resolve::frame_limits(self.state());
         Limits {
             max_pixels,
             max_side,
@@ -805,13 +845,13 @@ impl Engine {
 
     /// Returns the name of the adapter, as in receipts.
     pub fn adapter(&self) -> String {
-        self.shared().adapter().name
+        self.state().adapter().name
     }
 
     /// Refuses new jobs and finishes the accepted ones. Blocks.
     pub fn drain(&self) {
-        self.shared().stop();
-        while self.shared().has_unanswered() {
+        self.state().stop();
+        while self.state().has_unanswered() {
             std::thread::sleep(std::time::Duration::from_millis(5));
         }
     }
@@ -819,24 +859,24 @@ impl Engine {
     /// Makes the render thread panic, for tests.
     #[doc(hidden)]
     pub fn break_render_thread(&self) {
-        self.shared().break_render_thread();
+        self.state().break_render_thread();
     }
 
     /// Waits until pipelines have been built ahead, at most for `patience`, and returns whether they have been.
     #[doc(hidden)]
     pub fn await_primed(&self, patience: Duration) -> bool {
-        self.shared().await_primed(patience)
+        self.state().await_primed(patience)
     }
 
     /// Makes the driver refuse the next submission, for tests.
     #[doc(hidden)]
     pub fn spoil_next_submission(&self) {
-        self.shared().spoil_next_submission();
+        self.state().spoil_next_submission();
     }
 
     /// Loses the device on purpose, for tests of its recovery.
     #[doc(hidden)]
     pub fn lose_device(&self) {
-        self.shared().lose_device();
+        self.state().lose_device();
     }
 }

@@ -12,7 +12,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use super::renderer::Renderer;
-use super::shared::Shared;
+use super::state::EngineState;
 use crate::gpu::Gpu;
 use crate::gpu::pipeline_store::Kept;
 use crate::passes::{Pipelines, Prime, Variant, common, read_variants, write_variants};
@@ -39,11 +39,11 @@ pub struct Primer {
 
 impl Primer {
     /// Starts the thread, if the engine is configured to have one.
-    pub fn start(shared: &Arc<Shared>, renderer: &Renderer) -> Option<Primer> {
-        let config = shared.config.prime.clone()?;
+    pub fn start(state: &Arc<EngineState>, renderer: &Renderer) -> Option<Primer> {
+        let config = state.config.prime.clone()?;
         let (stop, stopped) = sync_channel(1);
         let task = Task {
-            shared: shared.clone(),
+            state: state.clone(),
             gpu: renderer.gpu.clone(),
             pipelines: renderer.pipelines.clone(),
             stopped,
@@ -69,7 +69,7 @@ impl Drop for Primer {
 }
 
 struct Task {
-    shared: Arc<Shared>,
+    state: Arc<EngineState>,
     gpu: Arc<Gpu>,
     pipelines: Arc<Pipelines>,
     stopped: Receiver<()>,
@@ -84,7 +84,7 @@ impl Task {
             variants.extend(others);
         }
         self.prime(&variants);
-        self.shared.set_primed();
+        self.state.set_primed();
         let mut saved = 0;
         while !self.waits(SAVE_EVERY) {
             self.save(&earlier, &mut saved);
@@ -95,7 +95,7 @@ impl Task {
     fn prime(&self, variants: &[Variant]) {
         let prime = Prime::new(&self.gpu);
         for variant in variants {
-            while !self.shared.is_idle() {
+            while !self.state.is_idle() {
                 if self.waits(GLANCE) {
                     return;
                 }
@@ -105,7 +105,7 @@ impl Task {
             }
             match prime.build(&self.pipelines, variant) {
                 Ok(is_submitted) => {
-                    self.shared.stats.pipelines_primed.fetch_add(1, Ordering::Relaxed);
+                    self.state.stats.pipelines_primed.fetch_add(1, Ordering::Relaxed);
                     if is_submitted && self.await_driver() {
                         return;
                     }

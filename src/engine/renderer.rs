@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use parking_lot::Mutex;
 
 use super::EngineError;
+use super::frame_job::FrameJob;
 use super::group::groups;
-use super::job::Job;
 use crate::encode::FrameImage;
 use crate::gpu::bind::BindCache;
 use crate::gpu::readback::{Landing, Ring};
@@ -56,7 +56,7 @@ pub struct InFlight {
 
 /// Frames that the same dispatches draw: their pixels one behind the other, then their counters.
 struct FlyingGroup {
-    jobs: Vec<Arc<Job>>,
+    jobs: Vec<Arc<FrameJob>>,
     landing: Landing,
     /// Of one frame.
     pixel_bytes: u64,
@@ -69,7 +69,7 @@ struct FlyingGroup {
 
 /// A frame in host memory.
 pub struct Drawn {
-    pub job: Arc<Job>,
+    pub job: Arc<FrameJob>,
     pub image: FrameImage,
     pub stats: GpuStats,
     /// Time of every pass that ran, in order, for all `views`; `None` where the adapter cannot say.
@@ -92,10 +92,10 @@ pub struct Drawn {
 pub struct Landed {
     pub drawn: Vec<Drawn>,
     /// To be drawn again: the device was lost.
-    pub again: Vec<Arc<Job>>,
+    pub again: Vec<Arc<FrameJob>>,
     /// To be drawn again: a list was too short, or cut into too few parts, or splats too heavy, which is mended.
-    pub redraw: Vec<Arc<Job>>,
-    pub failed: Vec<(Arc<Job>, EngineError)>,
+    pub redraw: Vec<Arc<FrameJob>>,
+    pub failed: Vec<(Arc<FrameJob>, EngineError)>,
     pub lost: bool,
 }
 
@@ -109,7 +109,7 @@ const SHARED_BYTES_CPU: u64 = 4 << 20;
 const STATS_BYTES: u64 = size_of::<GpuStats>() as u64;
 
 impl InFlight {
-    pub fn jobs(&self) -> impl Iterator<Item = &Arc<Job>> {
+    pub fn jobs(&self) -> impl Iterator<Item = &Arc<FrameJob>> {
         self.groups.iter().flat_map(|group| &group.jobs)
     }
 }
@@ -133,7 +133,7 @@ impl FlyingGroup {
 }
 
 impl Landed {
-    fn refuse(&mut self, jobs: Vec<Arc<Job>>, error: &EngineError) {
+    fn refuse(&mut self, jobs: Vec<Arc<FrameJob>>, error: &EngineError) {
         self.failed.extend(jobs.into_iter().map(|job| (job, error.clone())));
     }
 }
@@ -236,8 +236,8 @@ impl Renderer {
     /// The whole batch, with the reason.
     pub fn submit(
         &mut self,
-        jobs: Vec<Arc<Job>>,
-    ) -> Result<InFlight, (Vec<Arc<Job>>, EngineError)> {
+        jobs: Vec<Arc<FrameJob>>,
+    ) -> Result<InFlight, (Vec<Arc<FrameJob>>, EngineError)> {
         let began = Instant::now();
         let span = batch_span(&jobs);
         let entered = span.enter();
@@ -286,7 +286,7 @@ impl Renderer {
             .zip(recorded)
             .map(|(jobs, (landing, pixel_bytes, spans))| {
                 landing.map();
-                let gpu_bytes = jobs.first().map_or(0, |job| job.resolved.model.gpu_bytes());
+                let gpu_bytes = jobs.first().map_or(0, |job| job.frame.model.gpu_bytes());
                 FlyingGroup {
                     jobs,
                     landing,
@@ -309,37 +309,37 @@ impl Renderer {
     }
 
     /// Views of a job's scene that may be drawn together: what each needs of a buffer must fit it as often.
-    fn most_views(&self, job: &Job) -> usize {
-        let Some(scene) = self.residency.scene(&job.resolved.model.id) else { return 1 };
-        let size = (job.request.width, job.request.height);
+    fn most_views(&self, job: &FrameJob) -> usize {
+        let Some(scene) = self.residency.scene(&job.frame.model.id) else { return 1 };
+        let size = (job.frame.request.width, job.frame.request.height);
         let largest = Scratch::largest(scene, size, &job.drawing().plan);
         let shared = if self.gpu.is_cpu { SHARED_BYTES_CPU } else { SHARED_BYTES };
         let room = self.gpu.max_binding_bytes().min(shared) / largest.max(1);
         room.clamp(1, u64::from(MOST_VIEWS)) as usize
     }
 
-    fn task(&self, jobs: &[Arc<Job>]) -> FrameTask {
+    fn task(&self, jobs: &[Arc<FrameJob>]) -> FrameTask {
         // Groups are never empty.
         let first = &jobs[0];
         let drawing = first.drawing();
         FrameTask {
-            model: first.resolved.model.clone(),
-            views: jobs.iter().map(|job| job.resolved.view).collect(),
-            output: first.request.output,
+            model: first.frame.model.clone(),
+            views: jobs.iter().map(|job| job.frame.view).collect(),
+            output: first.frame.request.output,
             plan: drawing.plan.clone(),
             splats: drawing.splats,
-            extent: first.resolved.extent,
+            extent: first.frame.extent,
             small_splat_px: self.small_splat_px,
             weight_one: first.weight_one(),
             small_triangle_px: self.small_triangle_px,
             large_capacity: self.scratch.large_capacity(),
             walk_stride: self.scratch.walk_stride(),
             large_units_limit: self.large_units_limit,
-            max_error_px: first.resolved.max_error.px(),
-            error_mode: first.request.settings.error_mode,
-            paint: first.request.settings.paint,
-            edl: drawing.edl,
-            background: drawing.background,
+            max_error_px: drawing.settings.max_error_px.px(),
+            error_mode: drawing.settings.error_mode,
+            paint: drawing.settings.paint,
+            edl: drawing.settings.eye_dome(),
+            background: drawing.background(&first.frame.model),
             entry_capacity: self.scratch.entry_capacity(),
         }
     }
@@ -396,8 +396,7 @@ impl Renderer {
             if !slow || self.gpu.is_lost() || flight.began.elapsed() > PATIENCE {
                 return waited;
             }
-            let frames: Vec<&str> =
-                flight.jobs().map(|job| job.resolved.model.id.as_str()).collect();
+            let frames: Vec<&str> = flight.jobs().map(|job| job.frame.model.id.as_str()).collect();
             let elapsed_s = flight.began.elapsed().as_secs();
             tracing::warn!(?frames, elapsed_s, "the GPU is still drawing");
         }
@@ -580,12 +579,12 @@ impl Renderer {
 }
 
 /// The span of a submission, with the names of its frames.
-fn batch_span(jobs: &[Arc<Job>]) -> tracing::Span {
+fn batch_span(jobs: &[Arc<FrameJob>]) -> tracing::Span {
     tracing::debug_span!(parent: None, "batch", size = jobs.len(), frames = %Names(jobs))
 }
 
 /// Tells what each pass of frames that were drawn together took.
-fn tell_passes(jobs: &[Arc<Job>], pass_ns: &[(Pass, Option<u64>)]) {
+fn tell_passes(jobs: &[Arc<FrameJob>], pass_ns: &[(Pass, Option<u64>)]) {
     for (pass, gpu_ns) in pass_ns {
         let (name, views, frames) = (pass.name(), jobs.len(), Names(jobs));
         tracing::debug!(pass = name, gpu_ns, views, %frames, "drawn");
@@ -593,7 +592,7 @@ fn tell_passes(jobs: &[Arc<Job>], pass_ns: &[(Pass, Option<u64>)]) {
 }
 
 /// The names of frames, which are written only when somebody reads them.
-struct Names<'a>(&'a [Arc<Job>]);
+struct Names<'a>(&'a [Arc<FrameJob>]);
 
 impl std::fmt::Display for Names<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -605,9 +604,9 @@ impl std::fmt::Display for Names<'_> {
     }
 }
 
-fn image(job: &Job, bytes: &[u8]) -> FrameImage {
-    let (width, height) = (job.request.width, job.request.height);
-    match job.request.output {
+fn image(job: &FrameJob, bytes: &[u8]) -> FrameImage {
+    let (width, height) = (job.frame.request.width, job.frame.request.height);
+    match job.frame.request.output {
         Output::Color => {
             FrameImage::Color { width, height, rgba: bytemuck::pod_collect_to_vec(bytes) }
         }

@@ -1,30 +1,34 @@
-//! Requests → what they mean for the scene as it is now. Everything that can be wrong with a request is found here, before any
-//! work on the GPU.
+//! Resolves requests in a scene as it is now. Everything that can be wrong with a request is found here, before any work on the GPU.
+
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::sync::Arc;
 
 use glam::DVec3;
 use sha2::{Digest, Sha256};
 
-use super::bakes::Goal;
-use super::job::{Drawing, Resolved};
+use super::bake_service::Goal;
 use super::library::Loaded;
+use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
-use super::shared::{Adapter, Shared};
+use super::resolved::{Drawing, Resolution, ResolvedFrame, UnbakedFrame};
+use super::state::{Adapter, EngineState};
 use super::{EngineError, FrameRequest, Pose};
 use crate::encode::{self, EncodeError};
 use crate::math::{Camera, CameraError, FOV_RANGE_DEG, View};
 use crate::passes::{LAYERS_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
 use crate::plan::{
-    AdapterFacts, Background, Edl, FrameFacts, Lod, Output, Reconstruct, Settings, Wait, plan,
+    AdapterFacts, Edl, FrameFacts, Lod, Output, Reconstruct, SceneFacts, Settings, Wait, plan,
 };
+use crate::residency::model::SceneModel;
 
 /// Most pixels and longest side of a frame on this adapter.
-pub fn frame_limits(shared: &Shared) -> (u64, u32) {
-    let adapter = shared.adapter();
+pub fn frame_limits(state: &EngineState) -> (u64, u32) {
+    let adapter = state.adapter();
     // The visibility buffer has eight bytes a pixel and is bound whole.
     (
-        shared.config.max_pixels.min(adapter.max_binding_bytes / 8),
-        shared.config.max_side.min(adapter.max_side),
+        state.config.max_pixels.min(adapter.max_binding_bytes / 8),
+        state.config.max_side.min(adapter.max_side),
     )
 }
 
@@ -45,8 +49,8 @@ fn bad_camera(error: CameraError) -> EngineError {
     }
 }
 
-fn check_size(shared: &Shared, request: &FrameRequest) -> Result<(), EngineError> {
-    let (max_pixels, max_side) = frame_limits(shared);
+fn check_size(state: &EngineState, request: &FrameRequest) -> Result<(), EngineError> {
+    let (max_pixels, max_side) = frame_limits(state);
     for (parameter, value) in [("w", request.width), ("h", request.height)] {
         if value == 0 {
             return Err(EngineError::BadParameter {
@@ -65,7 +69,7 @@ fn check_size(shared: &Shared, request: &FrameRequest) -> Result<(), EngineError
     }
     let found = u64::from(request.width) * u64::from(request.height);
     if found > max_pixels {
-        let what = if found > shared.config.max_pixels {
+        let what = if found > state.config.max_pixels {
             "pixels"
         } else {
             "pixels that this adapter binds at once, which no setting raises"
@@ -85,11 +89,16 @@ fn unfit_format(error: EncodeError) -> EngineError {
     EngineError::BadParameter { parameter: "format", reason, accepted: accepted.to_owned() }
 }
 
-/// Validates a request against the scene as it is now.
-pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, EngineError> {
-    let loaded = shared.library.read().get(&request.scene);
-    let loaded = loaded.ok_or_else(|| EngineError::UnknownScene { id: request.scene.clone() })?;
-    check_size(shared, request)?;
+/// Checks everything of a request but what only a baked scene can tell.
+///
+/// # Errors
+/// Any error of the size, the format or the pose.
+pub fn check(
+    state: &EngineState,
+    loaded: &Loaded,
+    request: &FrameRequest,
+) -> Result<(View, CameraReceipt), EngineError> {
+    check_size(state, request)?;
     if !(1..=100).contains(&request.quality) {
         return Err(EngineError::BadParameter {
             parameter: "quality",
@@ -98,52 +107,84 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
         });
     }
     encode::accepts(request.format, request.output).map_err(unfit_format)?;
-    let (view, camera) = pose(&loaded, request)?;
-    let adapter = shared.adapter();
-    let loaded = match goal(&loaded, request) {
-        Some(_) => shared.whole(&loaded)?,
-        None => loaded,
-    };
-    let (model, facts) = match request.settings.lod {
-        Lod::Full => (loaded.model.clone(), loaded.facts),
-        Lod::Spt => {
-            let trees = loaded.trees(shared.config.bake_cache.as_ref())?;
-            (trees.model, trees.facts)
+    pose(loaded, request)
+}
+
+/// Resolves a request in the latest revision of its scene. Never bakes.
+///
+/// # Errors
+/// Any error of the request.
+pub fn resolve(state: &Arc<EngineState>, request: FrameRequest) -> Result<Resolution, EngineError> {
+    let loaded = state.loaded(&request.scene)?;
+    resolve_in(state, loaded, request)
+}
+
+/// Does the work of [`resolve`] in a given revision of the scene.
+pub fn resolve_in(
+    state: &Arc<EngineState>,
+    loaded: Arc<Loaded>,
+    request: FrameRequest,
+) -> Result<Resolution, EngineError> {
+    if let Some(hook) = &state.config.resolve_hook {
+        hook();
+    }
+    let checked = check(state, &loaded, &request)?;
+    let baked = match goal(&loaded, &request) {
+        None if request.settings.lod == Lod::Full => Ok((loaded.model.clone(), loaded.facts)),
+        None => {
+            loaded.trees().transpose()?.map(|trees| (trees.model, trees.facts)).ok_or(Goal::Trees)
         }
+        Some(goal) => Err(goal),
     };
+    Ok(match baked {
+        Ok(drawn) => Resolution::Ready(decide(state, &loaded, request, checked, drawn)),
+        Err(goal) => {
+            let state = state.clone();
+            Resolution::NeedsBake(Box::new(UnbakedFrame { state, scene: loaded, goal, request }))
+        }
+    })
+}
+
+/// Decides how a checked request is drawn. `model` is the scene or its point trees.
+fn decide(
+    state: &EngineState,
+    loaded: &Arc<Loaded>,
+    request: FrameRequest,
+    (view, camera): (View, CameraReceipt),
+    (model, facts): (Arc<SceneModel>, SceneFacts),
+) -> Arc<ResolvedFrame> {
+    let adapter = state.adapter();
     let is_open = request.settings.reconstruct == Reconstruct::Auto;
-    let mut auto = is_open.then(|| choose_for(&loaded, request, facts.has_samples, &view));
+    let mut auto = is_open.then(|| choose_for(loaded, &request, facts.has_samples, &view));
     let mut provisional = None;
     if let Some(choice) = &mut auto
         && loaded.lacks(choice.reconstruct, request.settings.lod, request.output)
     {
-        provisional = Some(match shared.estimate_in_background(&loaded) {
+        provisional = Some(match state.estimate_in_background(loaded) {
             Ok(done) => {
                 format!("normals and kernels are being estimated ({:.0} %)", done * 100.0)
             }
             Err(error) => format!("normals and kernels cannot be estimated: {error}"),
         });
-        let grounds = grounds(&loaded, request, facts.has_samples, &view);
+        let grounds = grounds(loaded, &request, facts.has_samples, &view);
         *choice = auto::choose(&auto::Grounds { has_kernels: false, ..grounds });
     }
     let settings = Settings {
         reconstruct: auto.map_or(request.settings.reconstruct, |choice| choice.reconstruct),
         ..request.settings
-    };
+    }
+    .with_edl_decided(&facts, request.output);
     let way = |settings: &Settings, instead_because| {
-        let splats = settings.splats(&loaded.model.splats);
         let adapter = AdapterFacts {
             atomics_64: adapter.atomics_64,
             rasterises: adapter.rasterises,
-            draws_hidden: shared.config.draw_hidden,
+            draws_hidden: state.config.draw_hidden,
         };
-        let edl = settings.eye_dome(&facts);
-        let frame = FrameFacts { output: request.output, splats, edl };
-        let plan = plan(&facts, &frame, &adapter);
-        let background = settings.background.map(Background::linear);
-        let background = background.unwrap_or(loaded.model.background);
-        let reconstruct = settings.reconstruct;
-        Drawing { plan, reconstruct, instead_because, splats, edl, background }
+        Drawing::new(settings, &loaded.model.splats, instead_because, |splats| {
+            let splats = splats.copied();
+            let frame = FrameFacts { output: request.output, splats, edl: settings.eye_dome() };
+            plan(&facts, &frame, &adapter)
+        })
     };
     let other = settings.in_three_passes();
     let is_single = settings.reconstruct == Reconstruct::Fuzzy && facts.has_samples;
@@ -154,7 +195,7 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
     };
     let refused = if !is_single {
         None
-    } else if let Some(reason) = no_single_pass(request, &adapter) {
+    } else if let Some(reason) = no_single_pass(&request, &adapter) {
         Some(reason)
     } else {
         (!fits()).then_some("the scene is too deep for the slabs of a single pass")
@@ -172,27 +213,38 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
         drawing: &drawing,
         is_provisional: provisional.is_some(),
     };
-    let key = entity_tag(&loaded, request, &tagged, &view, &adapter);
-    let extent = loaded.extent;
-    Ok(Resolved {
+    let key = entity_tag(loaded, &request, &tagged, &view, &adapter);
+    let cost_key = cost_key(&request, &settings);
+    Arc::new(ResolvedFrame {
+        request,
         model,
         view,
         camera,
-        extent,
+        extent: loaded.extent,
         drawing,
         provisional,
         auto,
         in_three_passes,
-        max_error: request.settings.max_error_px,
         key,
+        cost_key,
+        adapter: adapter.name,
     })
+}
+
+/// Returns the key of frames that cost about the same.
+fn cost_key(request: &FrameRequest, settings: &Settings) -> CostKey {
+    let FrameRequest { scene, width, height, output, .. } = request;
+    let mut hasher = DefaultHasher::new();
+    scene.hash(&mut hasher);
+    (*output as u8, settings.canonical()).hash(&mut hasher);
+    CostKey { kind: hasher.finish(), pixels: u64::from(*width) * u64::from(*height) }
 }
 
 /// What has to be made of a scene before a request's frame can be drawn.
 pub fn goal(loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
     let Settings { lod, reconstruct, wait, .. } = request.settings;
     if lod == Lod::Spt {
-        return (!loaded.has_trees()).then_some(Goal::Trees);
+        return loaded.trees().is_none().then_some(Goal::Trees);
     }
     if loaded.is_whole() {
         return None;

@@ -15,7 +15,7 @@ use super::shots::{Shots, file_name};
 use super::survey::{self, Slot};
 use crate::engine::{
     Client, EncodedFrame, Engine, EngineError, FrameRequest, FrameTicket, Origin, Pose, Receipt,
-    SceneMark,
+    Resolution, ResolvedFrame, SceneMark,
 };
 use crate::plan::Reconstruct;
 
@@ -83,6 +83,7 @@ pub fn run(
     let film = &film.decided()?;
     let first = *film.shots.wanted().start();
     let asked = film.shots.wanted().count() as u64;
+    film.engine.bake(&film.request(first))?;
     // Refused before a folder is made for it.
     film.slot(first)?;
     let mut folder = Folder::open(film.folder)?;
@@ -171,7 +172,7 @@ impl Film<'_> {
             let step = self.shots.count().div_ceil(ASKED).max(1) as usize;
             let mut drawn_as = Reconstruct::Points;
             for number in (0..self.shots.count()).step_by(step) {
-                drawn_as = self.engine.drawn_as(&self.request(number))?;
+                drawn_as = self.engine.resolve_blocking(self.request(number))?.reconstruct();
                 if drawn_as != Reconstruct::Points {
                     break;
                 }
@@ -199,9 +200,17 @@ impl Film<'_> {
         FrameRequest { pose, deadline: None, ..self.request.clone() }
     }
 
+    /// Resolves a frame. A scene that has to be baked once more is another one.
+    fn resolve(&self, number: u64) -> Result<Arc<ResolvedFrame>, FilmError> {
+        match self.engine.resolve(self.request(number))? {
+            Resolution::Ready(frame) => Ok(frame),
+            Resolution::NeedsBake(_) => Err(FilmError::SceneChanged { frame: number }),
+        }
+    }
+
     /// A frame as it is to be.
     fn slot(&self, number: u64) -> Result<Slot, FilmError> {
-        let tag = plain(&self.engine.etag(&self.request(number))?);
+        let tag = plain(self.resolve(number)?.etag());
         let file = file_name(number, self.request.format);
         Ok(Slot { number, t: self.shots.shot(number).t, file, tag })
     }
@@ -233,7 +242,7 @@ impl Film<'_> {
             file: file_name(*number, self.request.format),
             bytes: frame.bytes.len() as u64,
             sha256: manifest::checksum(&frame.bytes),
-            tag: plain(tag),
+            tag: tag.clone(),
         }
     }
 
@@ -278,7 +287,7 @@ fn plain(tag: &str) -> String {
 /// A frame that was sent.
 struct Sent {
     number: u64,
-    tag: String,
+    frame: Arc<ResolvedFrame>,
     ticket: FrameTicket,
 }
 
@@ -312,15 +321,16 @@ impl Drawing<'_> {
         while !self.is_stopped() {
             self.send()?;
             // Whatever is left to send was sent, or waits for those in flight.
-            let Some(Sent { number, tag, ticket }) = self.flight.pop_front() else {
+            let Some(Sent { number, frame, ticket }) = self.flight.pop_front() else {
                 return Ok(None);
             };
             // What was sent shows the scene as it was by then: after a change none of it is worth waiting for.
             self.film.check_scene(number)?;
             match ticket.wait() {
-                Ok(frame) => {
+                Ok(drawn) => {
                     self.refusals = 0;
-                    return Ok(Some(Drawn { number, tag, frame }));
+                    let tag = plain(frame.etag());
+                    return Ok(Some(Drawn { number, tag, frame: drawn }));
                 }
                 Err(error) => {
                     self.queue.push_front(number);
@@ -342,8 +352,12 @@ impl Drawing<'_> {
             && let Some(number) = self.queue.pop_front()
         {
             let origin = self.film.origin(number);
-            match self.film.engine.submit_tagged(origin, self.film.request(number)) {
-                Ok((tag, ticket)) => self.flight.push_back(Sent { number, tag, ticket }),
+            let frame = self.film.resolve(number).map_err(|error| match error {
+                FilmError::Engine(error) => FilmError::Frame { frame: number, error },
+                other => other,
+            })?;
+            match self.film.engine.queue(origin, frame.clone()) {
+                Ok(ticket) => self.flight.push_back(Sent { number, frame, ticket }),
                 Err(error) => {
                     self.queue.push_front(number);
                     // Others fill its queue. Those of ours that are in it make room when they are drawn.

@@ -11,7 +11,10 @@ use axum::response::{IntoResponse, Response};
 use super::problem::{Kind, Problem};
 use super::{App, Caller, Segments, conditional, headers};
 use crate::encode::ImageFormat;
-use crate::engine::{EncodedFrame, EngineError, FrameRequest, FrameTicket, Origin, RequestId};
+use crate::engine::{
+    EncodedFrame, EngineError, FrameRequest, FrameTicket, Origin, RequestId, Resolution,
+    ResolvedFrame,
+};
 use crate::plan::Given;
 
 use super::params::FrameParams;
@@ -84,9 +87,9 @@ pub async fn frame(
             .and_then(|seconds| now.checked_add(Duration::from_secs(seconds)));
     }
 
-    bake(&app, &request).await.map_err(|problem| missing(&app, &id, problem))?;
-    let etag = app.engine.final_etag(&request).map_err(|error| missing(&app, &id, error.into()))?;
-    let tag = match &etag {
+    let resolved = resolve(&app, request).await.map_err(|problem| missing(&app, &id, problem))?;
+    let etag = resolved.final_etag();
+    let tag = match etag {
         Some(etag) => Some(
             HeaderValue::from_str(etag)
                 .map_err(|_| Problem::internal(format!("the tag {etag:?} is no header")))?,
@@ -94,7 +97,7 @@ pub async fn frame(
         // The next answer may be another picture.
         None => None,
     };
-    if etag.as_ref().is_some_and(|etag| conditional::none_match_hits(&request_headers, etag)) {
+    if etag.is_some_and(|etag| conditional::none_match_hits(&request_headers, etag)) {
         app.metrics.not_modified.inc();
         let mut response = StatusCode::NOT_MODIFIED.into_response();
         validators(response.headers_mut(), tag, negotiated);
@@ -111,8 +114,8 @@ pub async fn frame(
         return Ok(response);
     }
 
-    let ticket = app.engine.submit_for(Origin { client, request_id }, request.clone())?;
-    let frame = wait(&app, ticket, request.deadline).await?;
+    let ticket = app.engine.queue(Origin { client, request_id }, resolved.clone())?;
+    let frame = wait(&app, ticket, resolved.request.deadline).await?;
     app.metrics.frame(&frame);
     let mut response = Response::new(Body::from(frame.bytes.clone()));
     let headers = response.headers_mut();
@@ -120,23 +123,25 @@ pub async fn frame(
         headers.insert(name, value);
     }
     headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
-    // A scene that changed meanwhile leaves open which revision the image shows.
-    let is_final = frame.receipt.settings.provisional.is_none();
-    let tag = tag.filter(|_| is_final && etag.is_some_and(|etag| still(&app, &request, &etag)));
+    // After a loss of the GPU another adapter may have drawn the frame.
+    let tag = tag.filter(|_| frame.receipt.adapter == resolved.adapter());
     validators(headers, tag, negotiated);
     Ok(response)
 }
 
-/// Has the engine build what the request needs and is not there, which may take seconds. It is given up when nobody waits for it, but
-/// not at once after a deadline: who had one will be back.
-pub async fn bake(app: &Arc<App>, request: &FrameRequest) -> Result<(), Problem> {
-    let Some(ticket) = app.engine.begin_bake(request)? else { return Ok(()) };
-    let Some(deadline) = request.deadline else { return Ok(ticket.await?) };
-    let mut ticket = Box::pin(ticket);
-    match tokio::time::timeout_at(deadline.into(), &mut ticket).await {
+/// Resolves a request after the bake that it needs, which may take seconds. A bake that nobody waits for is given up, but only a while
+/// after a deadline: the client will try again.
+pub async fn resolve(app: &App, request: FrameRequest) -> Result<Arc<ResolvedFrame>, Problem> {
+    let unbaked = match app.engine.resolve(request)? {
+        Resolution::Ready(frame) => return Ok(frame),
+        Resolution::NeedsBake(unbaked) => unbaked,
+    };
+    let Some(deadline) = unbaked.request().deadline else { return Ok(unbaked.bake().await?) };
+    let mut frame = Box::pin(unbaked.bake());
+    match tokio::time::timeout_at(deadline.into(), &mut frame).await {
         Ok(result) => Ok(result?),
         Err(_) => {
-            tokio::spawn(tokio::time::timeout(BAKE_AFTER_DEADLINE, ticket));
+            tokio::spawn(tokio::time::timeout(BAKE_AFTER_DEADLINE, frame));
             Err(EngineError::DeadlineExceeded { retry_after: RETRY_LATE }.into())
         }
     }
@@ -210,8 +215,4 @@ fn validators(headers: &mut HeaderMap, etag: Option<HeaderValue>, negotiated: bo
     if negotiated {
         headers.insert(header::VARY, HeaderValue::from_static("accept"));
     }
-}
-
-fn still(app: &App, request: &FrameRequest, etag: &str) -> bool {
-    app.engine.etag(request).is_ok_and(|now| now == etag)
 }

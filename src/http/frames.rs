@@ -19,7 +19,7 @@ use futures::Stream;
 use serde::Deserialize;
 use utoipa::ToSchema;
 
-use super::frame::{bake, choose_format, missing, receipt_headers, wait};
+use super::frame::{choose_format, missing, receipt_headers, resolve, wait};
 use super::params::FrameParams;
 use super::problem::{Kind, PROBLEM_JSON, Problem};
 use super::{App, Caller, NoQuery, Segments, body};
@@ -167,18 +167,18 @@ impl Batch {
         wait_for_place: bool,
     ) -> Option<Result<Promised, Problem>> {
         let turn = Instant::now();
+        let request = match params.request(&self.id, *format, turn) {
+            Ok(request) => request,
+            Err(problem) => return Some(Err(problem)),
+        };
+        let frame = match resolve(&self.app, request).await {
+            Ok(frame) => frame,
+            Err(problem) => return Some(Err(problem)),
+        };
         loop {
-            let request = match params.request(&self.id, *format, turn) {
-                Ok(request) => request,
-                Err(problem) => return Some(Err(problem)),
-            };
-            if let Err(problem) = bake(&self.app, &request).await {
-                return Some(Err(problem));
-            }
             let origin = Origin { client: self.client, request_id: self.name(index) };
-            let deadline = request.deadline;
-            match self.app.engine.submit_for(origin, request) {
-                Ok(ticket) => return Some(Ok((ticket, deadline))),
+            match self.app.engine.queue(origin, frame.clone()) {
+                Ok(ticket) => return Some(Ok((ticket, frame.request.deadline))),
                 Err(EngineError::Busy { retry_after }) if turn.elapsed() < MAX_QUEUEING => {
                     if !wait_for_place {
                         return None;

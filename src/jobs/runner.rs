@@ -2,7 +2,7 @@
 //!
 //! | phase | what | stops |
 //! |---|---|---|
-//! | baking | waits for the engine's bake ([`crate::engine::bakes`]) with all others who do | at its next step, if nobody else waits |
+//! | baking | waits for the engine's bake ([`crate::engine::bake_service`]) with all others who do | at its next step, if nobody else waits |
 //! | drawing | `film`: many frames of a job are with the engine at once; jobs share the device as clients of it | after the frame at hand |
 //! | coding | the video of the frames that are there | after the frame at hand |
 

@@ -510,6 +510,12 @@ impl Settings {
         given
     }
 
+    /// The canonical form as settings: a setting without a say in the frame has its default. Equal for frames that are drawn alike.
+    #[must_use]
+    pub fn effective(&self) -> Settings {
+        Settings::from(self.applied())
+    }
+
     /// Bytes of the canonical form, for hashes.
     pub fn canonical(&self) -> Vec<u8> {
         words(&self.applied())

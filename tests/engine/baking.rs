@@ -1,13 +1,14 @@
 //! Frames of point trees that are built, read from the cache, or built again because an entry was damaged: the same bytes.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use pointillist::bake::cache::BakeCache;
-use pointillist::engine::{BakeSource, EngineError, FrameRequest};
+use pointillist::engine::{BakeSource, EngineError, FrameRequest, Latch, NodePatch, Resolution};
 use pointillist::plan::Lod;
 use serde_json::json;
 
-use super::studio::{Studio, eventually, front, same, wall};
+use super::studio::{Studio, cloud_scene, eventually, front, same, wall};
 
 /// A frame of both scenes of a fresh engine, and where their trees came from.
 fn frames(cache: Option<&Path>) -> (Vec<Vec<u8>>, Vec<BakeSource>) {
@@ -116,4 +117,90 @@ fn who_waits_for_the_same_bake_waits_together_and_nobody_bakes_for_nobody() {
     assert!(!studio.bytes(&request).is_empty());
     let unknown = front("none", 8, 8);
     assert!(matches!(engine.begin_bake(&unknown), Err(EngineError::UnknownScene { .. })));
+}
+
+/// Requests whose scenes are not baked yet wait for the bakes that all others wait for, and end with the scene.
+#[test]
+fn deleting_a_scene_ends_its_bakes() {
+    let latch = Arc::new(Latch::default());
+    let studio = Studio::with(|config| config.bake_latch = Some(latch.clone()));
+    let engine = &studio.engine;
+    studio.load_two();
+    let mut request = front("cloud", 64, 48);
+    request.settings.lod = Lod::Spt;
+    let Resolution::NeedsBake(unbaked) = engine.resolve(request.clone()).unwrap() else {
+        panic!("there are no trees yet")
+    };
+    assert_eq!(engine.bakes_running(), 0, "resolving begins nothing");
+    let unknown = |error| matches!(error, EngineError::UnknownScene { .. });
+    std::thread::scope(|scope| {
+        let waiting = [
+            scope.spawn(|| {
+                unknown(engine.begin_bake(&request).unwrap().unwrap().wait().unwrap_err())
+            }),
+            scope.spawn(|| unknown(engine.etag(&request).unwrap_err())),
+            scope.spawn(|| unknown(engine.submit(request.clone()).err().unwrap())),
+        ];
+        eventually("all to wait", || engine.bake_waiters() == waiting.len());
+        assert_eq!(engine.bakes_running(), 1);
+        engine.remove("cloud").unwrap();
+        assert!(waiting.into_iter().all(|waiter| waiter.join().unwrap()));
+    });
+    // Another scene of the same name is none of its business.
+    studio.load("cloud", "cloud.json");
+    assert!(unbaked.begin().is_err_and(unknown));
+    eventually("the end of the bake", || engine.bakes_running() == 0);
+    latch.open();
+    assert!(!studio.bytes(&request).is_empty());
+}
+
+/// Bakes are few at a time, whoever asks for them and however.
+#[test]
+fn frames_and_tags_bake_within_the_limit() {
+    let latch = Arc::new(Latch::default());
+    let studio = Studio::with(|config| config.bake_latch = Some(latch.clone()));
+    let engine = &studio.engine;
+    let names: Vec<String> = (0..6).map(|number| format!("cloud{number}")).collect();
+    for name in &names {
+        studio.write(&format!("{name}.ply"), wall(20, |x, y| [x as u8, y as u8, name.len() as u8]));
+        studio.load_json(name, &cloud_scene(&format!("{name}.ply")));
+    }
+    std::thread::scope(|scope| {
+        for (number, name) in names.iter().enumerate() {
+            scope.spawn(move || {
+                let mut request = front(name, 32, 24);
+                request.settings.lod = Lod::Spt;
+                match number % 2 {
+                    0 => drop(engine.etag(&request).unwrap()),
+                    _ => drop(engine.submit(request).unwrap().wait().unwrap()),
+                }
+            });
+        }
+        eventually("all to wait", || engine.bake_waiters() == names.len());
+        assert_eq!(engine.bakes_running(), 2);
+        latch.open();
+    });
+    assert_eq!((engine.bakes_running(), engine.bake_waiters()), (0, 0));
+}
+
+/// The frame of a request that waited for a bake shows the revision that was baked, so that patches cannot keep it waiting.
+#[test]
+fn patches_during_a_bake_delay_no_frame() {
+    let latch = Arc::new(Latch::default());
+    let studio = Studio::with(|config| config.bake_latch = Some(latch.clone()));
+    let engine = &studio.engine;
+    studio.load_two();
+    let mut request = front("cloud", 32, 24);
+    request.settings.lod = Lod::Spt;
+    let frame = std::thread::scope(|scope| {
+        let frame = scope.spawn(|| engine.submit(request.clone()).unwrap().wait().unwrap());
+        eventually("the bake", || engine.bakes_running() == 1);
+        engine
+            .patch("cloud", "wall", &NodePatch { visible: Some(false), ..NodePatch::default() })
+            .unwrap();
+        latch.open();
+        frame.join().unwrap()
+    });
+    assert_eq!(frame.receipt.revision, 1);
+    assert_eq!(studio.frame(&request).receipt.revision, 2);
 }

@@ -9,7 +9,7 @@ use std::time::Duration;
 use pointillist::assets::Progress;
 use pointillist::bake::cache::BakeCache;
 use pointillist::engine::{
-    BakeSource, EngineError, EstimateState, FrameRequest, Latch, NodePatch, SceneInfo,
+    BakeSource, Engine, EngineError, EstimateState, FrameRequest, Latch, NodePatch, SceneInfo,
 };
 use pointillist::memory::HostMemory;
 use pointillist::plan::{Output, Reconstruct, Settings, Wait};
@@ -25,7 +25,7 @@ const SIDE: u32 = 60;
 fn studio(at_once: usize, latch: &Arc<Latch>) -> Studio {
     let studio = Studio::with(|config| {
         config.estimate_at_once = at_once;
-        config.estimate_latch = Some(latch.clone());
+        config.bake_latch = Some(latch.clone());
     });
     studio.write("wall.ply", wall(SIDE as usize, |x, y| [(x * 4) as u8, (y * 4) as u8, 90]));
     studio.load_json("cloud", &cloud_scene("wall.ply"));
@@ -193,6 +193,10 @@ fn scenes_that_come_later_share_what_was_estimated() {
     assert_eq!(info.estimates.state, EstimateState::Complete);
 }
 
+fn final_etag(engine: &Engine, request: &FrameRequest) -> Option<String> {
+    engine.resolve_blocking(request.clone()).unwrap().final_etag().map(str::to_owned)
+}
+
 /// Samples lie about two pixels apart.
 fn open(scene: &str, wait: Wait) -> FrameRequest {
     let settings = Settings { reconstruct: Reconstruct::Auto, wait, ..Settings::default() };
@@ -206,7 +210,7 @@ fn auto_draws_what_is_there_and_says_that_it_is_provisional() {
         let engine = &studio.engine;
         let request = open(scene, Wait::Ready);
         assert!(!engine.must_bake(&request));
-        assert_eq!(engine.final_etag(&request).unwrap(), None, "it will be another frame");
+        assert_eq!(final_etag(engine, &request), None, "it will be another frame");
         let frame = studio.frame(&request);
         let settings = &frame.receipt.settings;
         assert_eq!(settings.applied.reconstruct, Some(Reconstruct::Points));
@@ -227,7 +231,7 @@ fn auto_draws_what_is_there_and_says_that_it_is_provisional() {
         let dense = FrameRequest { width: 24, height: 18, ..open("cloud", Wait::Ready) };
         let early = studio.frame(&dense);
         assert_eq!(early.receipt.settings.provisional, None);
-        let early = (engine.final_etag(&dense).unwrap().unwrap(), early.bytes.to_vec());
+        let early = (final_etag(engine, &dense).unwrap(), early.bytes.to_vec());
         latch.open();
         eventually("the estimate", || state(&studio, scene) == EstimateState::Complete);
         let frame = studio.frame(&request);
@@ -235,11 +239,8 @@ fn auto_draws_what_is_there_and_says_that_it_is_provisional() {
         assert_eq!(frame.receipt.settings.applied.reconstruct, Some(Reconstruct::Splats));
         let eager = self::studio(usize::MAX, &latch);
         same(&frame.bytes, &eager.bytes(&request), "the final frame");
-        assert_eq!(
-            engine.final_etag(&request).unwrap(),
-            eager.engine.final_etag(&request).unwrap()
-        );
-        let late = (engine.final_etag(&dense).unwrap().unwrap(), studio.bytes(&dense));
+        assert_eq!(final_etag(engine, &request), final_etag(&eager.engine, &request));
+        let late = (final_etag(engine, &dense).unwrap(), studio.bytes(&dense));
         assert!(late == early, "the same tag, the same bytes");
     }
 }

@@ -4,7 +4,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, RwLock, mpsc};
 use std::time::{Duration, Instant};
 
-use pointillist::engine::{Class, Client, EngineError, FrameRequest, Readiness};
+use pointillist::engine::{
+    Class, Client, EngineError, FrameRequest, FrameTicket, LatestSlot, Readiness, RequestId,
+    ResolvedFrame,
+};
 
 use super::studio::{Studio, eventually, front, orbit};
 
@@ -124,25 +127,37 @@ fn dropping_the_engine_keeps_promises_too() {
     assert!(tickets.into_iter().all(|ticket| ticket.wait().is_ok()));
 }
 
+fn resolved(studio: &Studio, number: u32) -> Arc<ResolvedFrame> {
+    studio.engine.resolve_blocking(orbit("solid", number, 64)).unwrap()
+}
+
+fn ask(slot: &mut LatestSlot, studio: &Studio, number: u32) -> FrameTicket {
+    slot.ask(RequestId::fresh(), resolved(studio, number)).unwrap()
+}
+
+fn replace(slot: &mut LatestSlot, studio: &Studio, number: u32) -> Option<FrameTicket> {
+    slot.replace(RequestId::fresh(), &resolved(studio, number)).unwrap()
+}
+
 #[test]
-fn a_seat_draws_the_newest_and_answers_those_before() {
+fn a_latest_slot_draws_the_newest_and_answers_those_before() {
     let studio = Studio::new();
     studio.load_two();
     let mut overtaken = 0;
-    // The render thread may take the seat's request before it is replaced, but not ten times.
+    // The render thread may take the slot's request before it is replaced, but not ten times.
     for round in 0..10 {
-        let mut seat = studio.engine.seat(Client::Unnamed);
+        let mut slot = studio.engine.latest_slot(Client::Unnamed);
         let busy = studio.keep_busy("cloud");
         let before = studio.engine.stats();
-        let mut last = seat.ask(orbit("solid", 0, 64)).unwrap();
+        let mut last = ask(&mut slot, &studio, 0);
         for number in 1..20 {
-            let Some(newer) = seat.replace(orbit("solid", number, 64)).unwrap() else { break };
+            let Some(newer) = replace(&mut slot, &studio, number) else { break };
             let older = std::mem::replace(&mut last, newer).wait();
             assert!(matches!(older, Err(EngineError::Overtaken)), "{older:?}");
             overtaken += 1;
         }
         assert!(last.wait().is_ok());
-        assert!(seat.replace(orbit("solid", 30, 64)).unwrap().is_none(), "nothing waits");
+        assert!(replace(&mut slot, &studio, 30).is_none(), "nothing waits");
         assert!(busy.into_iter().all(|ticket| ticket.wait().is_ok()));
         let after = studio.engine.stats();
         assert_eq!(after.overtaken, overtaken, "round {round}: from {}", before.overtaken);
@@ -159,13 +174,14 @@ fn whoever_shares_an_overtaken_frame_still_gets_it() {
     let studio = Studio::new();
     studio.load_two();
     for _ in 0..10 {
-        let (mut seat, mut other) =
-            (studio.engine.seat(Client::Unnamed), studio.engine.seat(Client::Unnamed));
+        let (mut slot, mut other) = (
+            studio.engine.latest_slot(Client::Unnamed),
+            studio.engine.latest_slot(Client::Unnamed),
+        );
         let busy = studio.keep_busy("cloud");
-        let mine = seat.ask(orbit("solid", 0, 64)).unwrap();
-        let shared =
-            [studio.submit(&orbit("solid", 0, 64)), other.ask(orbit("solid", 0, 64)).unwrap()];
-        let replaced = seat.replace(orbit("solid", 1, 64)).unwrap();
+        let mine = ask(&mut slot, &studio, 0);
+        let shared = [studio.submit(&orbit("solid", 0, 64)), ask(&mut other, &studio, 0)];
+        let replaced = replace(&mut slot, &studio, 1);
         let was_replaced = replaced.is_some();
         drop(mine);
         assert!(replaced.is_none_or(|ticket| ticket.wait().is_ok()));

@@ -22,6 +22,7 @@ mod load;
 mod mjpeg;
 mod naming;
 mod provisional;
+mod resolving;
 mod schema;
 mod soak;
 mod stream;

@@ -16,7 +16,7 @@ fn provisional_frames_have_no_tag_and_final_ones_have() {
     let latch = Arc::new(Latch::default());
     let mut config = EngineConfig::new(folder.path());
     config.estimate_at_once = 100;
-    config.estimate_latch = Some(latch.clone());
+    config.bake_latch = Some(latch.clone());
     let engine = Engine::start(config).unwrap();
     let mut ply = String::from("ply\nformat ascii 1.0\nelement vertex 400\n");
     ply += "property float x\nproperty float y\nproperty float z\n";

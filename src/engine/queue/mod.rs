@@ -20,22 +20,22 @@
 //! client that has a hundred. For the same reason batches are short while there are streams, and batches of jobs are shortest.
 //! While others are active, no batch of jobs follows another in flight, so that a frame waits for at most one batch of jobs. A
 //! batch of jobs out of its turn does not go in behind the frame of a stream, or of a client that asks for one frame after the
-//! other, nor in the pause after it, unless the batch ends before the next request is expected ([`habits`]): a frame cannot be
+//! other, nor in the pause after it, unless the batch ends before the next request is expected ([`pause_predictor`]): a frame cannot be
 //! interrupted, and the next pose would find the device taken.
 //!
 //! Costs are estimates ([`cost`]), corrected when a frame was measured ([`Queue::settle`]).
 
 pub mod cost;
 pub mod encoding;
-mod habits;
 mod lanes;
+mod pause_predictor;
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use habits::Habits;
 pub use lanes::Granted;
 use lanes::Lanes;
+use pause_predictor::PausePredictor;
 
 /// The queue's view of a job.
 pub trait Waiting {
@@ -172,7 +172,7 @@ pub struct Queue<J> {
     /// Whether the last batch was of jobs.
     were_jobs_last: bool,
     /// Pauses of streams and requests.
-    habits: Habits,
+    pauses: PausePredictor,
     /// Time since which the device is idle because jobs wait for a client to ask.
     held_since: Option<Instant>,
     batches: u64,
@@ -191,7 +191,7 @@ impl<J: Waiting> Queue<J> {
             jobs: Lanes::default(),
             credit_ns: 0,
             were_jobs_last: false,
-            habits: Habits::default(),
+            pauses: PausePredictor::default(),
             held_since: None,
             batches: 0,
             flying_ns: 0,
@@ -231,7 +231,7 @@ impl<J: Waiting> Queue<J> {
             return (Err(job), dropped);
         }
         if client.class() != Class::Job {
-            self.habits.asked(client, now);
+            self.pauses.asked(client, now);
         }
         self.side(client.class()).push(client, job, cost_ns, now);
         (Ok(()), dropped)
@@ -240,7 +240,7 @@ impl<J: Waiting> Queue<J> {
     /// Records that a client's frame is drawn and about to be sent.
     pub fn landed(&mut self, client: Client, now: Instant) {
         if client.class() != Class::Job {
-            self.habits.landed(client, now);
+            self.pauses.landed(client, now);
         }
     }
 
@@ -361,7 +361,7 @@ impl<J: Waiting> Queue<J> {
         let is_one_enough = is_watched || are_others_about && self.first.is_empty();
         let may_jobs = !(moment.are_jobs_held || is_one_enough && moment.are_jobs_flying);
         let was_their_turn = is_watched && self.were_jobs_last;
-        let expected = self.habits.expected(moment.now);
+        let expected = self.pauses.expected(moment.now);
         if let Some(since) = self.held_since.take() {
             // The device was kept idle for others.
             self.earn(moment.now.saturating_duration_since(since).as_nanos() as f64);
@@ -383,7 +383,7 @@ impl<J: Waiting> Queue<J> {
                 self.earn(ns as f64);
             }
         }
-        let follows = |client| is_stream(client) || self.habits.is_quick(client);
+        let follows = |client| is_stream(client) || self.pauses.is_quick(client);
         let is_followed = moment.flying_ns > 0 && self.first.about(oldest).any(follows);
         if taken.batch.is_empty() && may_jobs && !is_followed {
             let free = expected.map(|expected| expected.free);

@@ -1,7 +1,7 @@
 //! `GET /v1/scenes/{id}/mjpeg`: a film for any `<img>`, as `multipart/x-mixed-replace`.
 //!
 //! ```text
-//! timeline (which frame is due; pure) ─▶ the engine's seat ─▶ part ─▶ part ─▶ …
+//! timeline (which frame is due; pure) ─▶ a latest slot of the engine ─▶ part ─▶ part ─▶ …
 //!                                          │ the next due frame replaces a frame that still waits there
 //! ```
 //!

@@ -8,10 +8,11 @@ use tokio::sync::watch;
 
 use super::timeline::{Next, Timeline};
 use crate::engine::{
-    EncodedFrame, EngineError, FrameRequest, FrameTicket, Origin, Pose, RequestId, SceneMark, Seat,
+    EncodedFrame, EngineError, FrameRequest, FrameTicket, LatestSlot, Origin, Pose, RequestId,
+    Resolution, SceneMark,
 };
 use crate::http::App;
-use crate::http::frame::{bake, wait};
+use crate::http::frame::{resolve, wait};
 use crate::http::problem::{Kind, Problem};
 use crate::http::stream::Place;
 use crate::scene::PathSampler;
@@ -36,7 +37,7 @@ pub enum Show {
 /// A film that is being shown.
 pub struct Screening {
     app: Arc<App>,
-    seat: Seat,
+    slot: LatestSlot,
     /// Name of the request; the names of the frames derive from it.
     name: RequestId,
     request: FrameRequest,
@@ -78,7 +79,7 @@ impl Screening {
                 .retry_after(Duration::from_secs(1))
         })?;
         Ok(Screening {
-            seat: app.engine.seat(origin.client),
+            slot: app.engine.latest_slot(origin.client),
             name: origin.request_id,
             request,
             show,
@@ -96,8 +97,8 @@ impl Screening {
     /// Draws the first frame; time counts from its arrival.
     pub async fn first(&mut self) -> Result<Arc<EncodedFrame>, Problem> {
         let request = self.wanted(0);
-        bake(&self.app, &request).await?;
-        let ticket = self.seat.ask_as(self.name_of(0), request)?;
+        let frame = resolve(&self.app, request).await?;
+        let ticket = self.slot.ask(self.name_of(0), frame)?;
         let frame = wait(&self.app, ticket, None).await?;
         self.began = Instant::now();
         self.sent(&frame);
@@ -217,10 +218,11 @@ impl Screening {
         loop {
             let next = timeline.map(|timeline| timeline.next(tick, self.began.elapsed()));
             if let Some(Next::Draw(newer)) = next
-                && let Some(newer_ticket) = self
-                    .seat
-                    .replace_as(self.name_of(newer), self.wanted(newer))
-                    .map_err(End::Failed)?
+                && self.slot.has_replaceable()
+                && let Resolution::Ready(frame) =
+                    self.app.engine.resolve(self.wanted(newer)).map_err(End::Failed)?
+                && let Some(newer_ticket) =
+                    self.slot.replace(self.name_of(newer), &frame).map_err(End::Failed)?
             {
                 (ticket, tick) = (newer_ticket, newer);
             }
@@ -255,19 +257,22 @@ impl Screening {
     /// Queues a tick's request; waits for a place in the queue and for baking.
     async fn ask(&mut self, tick: u64) -> Result<FrameTicket, End> {
         loop {
-            let request = self.wanted(tick);
-            match self.app.engine.begin_bake(&request) {
-                Ok(None) => {}
-                Ok(Some(ticket)) => tokio::select! {
+            let frame = match self.app.engine.resolve(self.wanted(tick)) {
+                Ok(Resolution::Ready(frame)) => frame,
+                Ok(Resolution::NeedsBake(unbaked)) => tokio::select! {
                     _ = self.draining.wait_for(|draining| *draining) => return Err(End::Over),
-                    baked = ticket => baked.map_err(End::Failed)?,
+                    baked = unbaked.bake() => match baked {
+                        Ok(frame) => frame,
+                        Err(EngineError::UnknownScene { .. }) => return Err(End::Over),
+                        Err(error) => return Err(End::Failed(error)),
+                    },
                 },
                 Err(error) => {
                     self.recover(error).await?;
                     continue;
                 }
-            }
-            match self.seat.ask_as(self.name_of(tick), request) {
+            };
+            match self.slot.ask(self.name_of(tick), frame) {
                 Ok(ticket) => return Ok(ticket),
                 Err(error) => self.recover(error).await?,
             }

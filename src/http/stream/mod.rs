@@ -3,7 +3,7 @@
 //! ```text
 //! reader ─▶ session ──▶ course (which pose, how well; pure)
 //!             │   └───▶ pacing (how many, how large; pure)
-//!             ├─ ask, replace ─▶ the engine's seat ─▶ frames
+//!             ├─ ask, replace ─▶ a latest slot of the engine ─▶ frames
 //!             └─▶ outbox ─▶ writer
 //! ```
 //!

@@ -17,8 +17,8 @@ use super::pacing::Pacer;
 use super::places::Place;
 use super::wire::{Close, Event, FrameHeader, Incoming, MAX_MESSAGE_BYTES, PoseMessage, Quality};
 use crate::engine::{
-    BakeTicket, Client, EncodedFrame, EngineError, FrameRequest, FrameTicket, RequestId, SceneMark,
-    Seat,
+    BakeTicket, Client, EncodedFrame, EngineError, FrameTicket, LatestSlot, RequestId, Resolution,
+    ResolvedFrame, SceneMark,
 };
 use crate::http::App;
 use crate::http::params::FrameParams;
@@ -37,7 +37,7 @@ pub struct Session {
     mark: Option<SceneMark>,
     source: SplitStream<WebSocket>,
     outbox: Outbox,
-    seat: Seat,
+    slot: LatestSlot,
     /// Values of parameters that a pose leaves out.
     settings: FrameParams,
     course: Course<FrameParams>,
@@ -104,7 +104,7 @@ impl Session {
             mark: None,
             source,
             outbox: Outbox::start(sink),
-            seat: app.engine.seat(client),
+            slot: app.engine.latest_slot(client),
             settings: FrameParams::default(),
             course: Course::new(),
             pacer: Pacer::new(),
@@ -132,9 +132,9 @@ impl Session {
             Err(end) => end,
         };
         self.count_overtaken();
-        let Session { outbox, source, seat, asked, baking, .. } = self;
+        let Session { outbox, source, slot, asked, baking, .. } = self;
         // This cancels waiting requests before the wait for the close.
-        drop((asked, seat, baking));
+        drop((asked, slot, baking));
         match end {
             End::Close(close) => outbox.close(close, source).await,
             End::CloseUnread(close) => outbox.close_unread(close, source).await,
@@ -326,13 +326,8 @@ impl Session {
     fn pose(&mut self, message: PoseMessage) -> Result<(), End> {
         let PoseMessage { seq, moving, reset, params } = message;
         let params = if reset { params } else { params.or(&self.settings) };
-        let checked = still_request(&self.id, &params).and_then(|request| {
-            // A scene that must be baked is checked after baking.
-            if !self.app.engine.must_bake(&request) {
-                self.app.engine.etag(&request)?;
-            }
-            Ok(())
-        });
+        let checked = still_request(&self.id, &params)
+            .and_then(|request| Ok(self.app.engine.check(&request)?));
         match checked {
             // The session is about to be told that the scene is gone.
             Err(problem) if problem.kind == Kind::UnknownScene => Ok(()),
@@ -352,6 +347,9 @@ impl Session {
             return Ok(());
         }
         let Some((seq, params, quality)) = self.course.wanted(now) else { return Ok(()) };
+        if !self.has_replaceable() && !self.has_room() {
+            return Ok(());
+        }
         let found = wanted(&self.id, params, quality, self.pacer.pace());
         let Wanted { request, quality, scale } = match found {
             Ok(wanted) => wanted,
@@ -360,16 +358,20 @@ impl Session {
                 return self.tell(&Event::Problem { seq: Some(seq), problem });
             }
         };
-        match self.app.engine.begin_bake(&request) {
-            Ok(None) => {}
-            Ok(baking) => {
-                self.baking = baking;
-                return Ok(());
+        let resolved = self.app.engine.resolve(request).and_then(|resolution| match resolution {
+            Resolution::Ready(frame) => Ok(Some(frame)),
+            Resolution::NeedsBake(unbaked) => {
+                self.baking = Some(unbaked.begin()?);
+                Ok(None)
             }
+        });
+        let frame = match resolved {
+            Ok(Some(frame)) => frame,
+            Ok(None) => return Ok(()),
             Err(error) => return self.failed(Some(seq), error),
-        }
-        let made = Made::of(&request);
-        let ticket = match self.place(request) {
+        };
+        let made = Made::of(&frame.request);
+        let ticket = match self.place(frame) {
             Ok(Some(ticket)) => ticket,
             Ok(None) => return Ok(()),
             Err(error) => return self.failed(Some(seq), error),
@@ -379,25 +381,34 @@ impl Session {
         Ok(())
     }
 
-    /// Queues a request; returns `None` when it has to wait for frames or acknowledgements.
-    fn place(&mut self, request: FrameRequest) -> Result<Option<FrameTicket>, EngineError> {
+    /// Returns whether a request would replace one that still waits.
+    fn has_replaceable(&self) -> bool {
+        !self.asked.is_empty() && self.slot.has_replaceable()
+    }
+
+    /// Returns whether another frame may be under way.
+    fn has_room(&self) -> bool {
+        let asked = self.asked.len();
+        asked < MOST_ASKED
+            && self.pacer.may_ask(asked)
+            && self.outbox.has_room_for_frames(asked + 1)
+    }
+
+    /// Queues a frame; returns `None` when it has to wait for frames or acknowledgements.
+    fn place(&mut self, frame: Arc<ResolvedFrame>) -> Result<Option<FrameTicket>, EngineError> {
         let number = self.frames + self.asked.len() as u64;
         if !self.asked.is_empty()
-            && let Some(ticket) = self.seat.replace_as(self.name.part(number), request.clone())?
+            && let Some(ticket) = self.slot.replace(self.name.part(number), &frame)?
         {
             if let Some(old) = self.asked.pop_back() {
                 self.course.replaced(old.seq);
             }
             return Ok(Some(ticket));
         }
-        let asked = self.asked.len();
-        let has_room = asked < MOST_ASKED
-            && self.pacer.may_ask(asked)
-            && self.outbox.has_room_for_frames(asked + 1);
-        if !has_room {
+        if !self.has_room() {
             return Ok(None);
         }
-        self.seat.ask_as(self.name.part(number + 1), request).map(Some)
+        self.slot.ask(self.name.part(number + 1), frame).map(Some)
     }
 
     /// Sends a frame that the engine has finished.

@@ -136,7 +136,11 @@ fn backgrounds_are_read_as_they_are_written() {
 #[test]
 fn eye_dome_light_is_for_samples_without_normals_and_light() {
     let scan = SceneFacts { has_samples: true, ..SceneFacts::default() };
-    let used = |query: &str, scene| given(query).resolve().unwrap().eye_dome(&scene).is_some();
+    let used = |query: &str, scene| {
+        let settings = given(query).resolve().unwrap();
+        assert_eq!(settings.with_edl_decided(&scene, Output::Depth).eye_dome(), None);
+        settings.with_edl_decided(&scene, Output::Color).eye_dome().is_some()
+    };
     assert!(used("", scan) && used("edl=on", scan) && !used("edl=off", scan));
     for other in [
         SceneFacts { has_normals: true, ..scan },

@@ -57,8 +57,9 @@ impl Settings {
         }
     }
 
-    /// Eye-dome lighting of a scene, if it is used.
-    pub fn eye_dome(&self, scene: &SceneFacts) -> Option<EyeDome> {
+    /// The settings with `edl` on or off.
+    #[must_use]
+    pub fn with_edl_decided(&self, scene: &SceneFacts, output: Output) -> Settings {
         let is_shapeless = scene.has_samples && !scene.has_triangles && !scene.has_normals;
         let is_used = match self.edl {
             Edl::Auto => {
@@ -67,7 +68,13 @@ impl Settings {
             Edl::On => true,
             Edl::Off => false,
         };
-        is_used.then_some(EyeDome {
+        let edl = if is_used && output == Output::Color { Edl::On } else { Edl::Off };
+        Settings { edl, ..*self }
+    }
+
+    /// Eye-dome lighting, if it is on.
+    pub fn eye_dome(&self) -> Option<EyeDome> {
+        (self.edl == Edl::On).then(|| EyeDome {
             strength: self.edl_strength.get(),
             radius_px: self.edl_radius_px.get(),
         })

@@ -7,75 +7,28 @@ use std::time::Instant;
 use parking_lot::Mutex;
 use tokio::sync::oneshot;
 
-use super::queue::cost::CostKey;
 use super::queue::{Client, Granted, Waiting};
-use super::receipt::CameraReceipt;
+use super::resolved::{Drawing, ResolvedFrame};
 use super::trace::{FrameSpans, Origin, RequestId};
 use super::{EncodedFrame, EngineError, FrameRequest};
-use crate::math::View;
-use crate::plan::auto::Choice;
-use crate::plan::{EyeDome, FramePlan, MaxError, Reconstruct};
-use crate::residency::model::{Extent, SceneModel};
-use crate::scene::{Blend, Splats};
+use crate::scene::Blend;
 
 /// Weight of a splat in a single pass; leaves room for 68 splats of full weight over a pixel.
 const SINGLE_PASS_WEIGHT: f32 = 15.0;
 
 pub type Reply = Result<Arc<EncodedFrame>, EngineError>;
 
-/// A resolved request: everything that can be wrong with it has been checked.
-#[derive(Clone)]
-pub struct Resolved {
-    pub model: Arc<SceneModel>,
-    pub view: View,
-    pub camera: CameraReceipt,
-    pub extent: Extent,
-    pub drawing: Drawing,
-    /// Reason why the frame will change in a while, with the progress towards that.
-    pub provisional: Option<String>,
-    /// How samples are drawn where the request left that open, and why.
-    pub auto: Option<Choice>,
-    /// The drawing for splats that overflow a single pass.
-    pub in_three_passes: Option<Drawing>,
-    /// Accepted error in pixels, in a scene of point trees.
-    pub max_error: MaxError,
-    /// Key that is equal for requests whose frames are equal to the byte.
-    pub key: String,
-}
-
-/// One way to draw a frame.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Drawing {
-    pub plan: FramePlan,
-    pub reconstruct: Reconstruct,
-    /// Reason for not drawing as requested.
-    pub instead_because: Option<&'static str>,
-    /// How samples are drawn, if not as points.
-    pub splats: Option<Splats>,
-    /// Eye-dome lighting, where it is on.
-    pub edl: Option<EyeDome>,
-    /// Linear RGB and straight alpha of pixels that show nothing.
-    pub background: [f32; 4],
-}
-
 /// A frame that somebody waits for.
-pub struct Job {
-    pub resolved: Resolved,
-    pub request: FrameRequest,
+pub struct FrameJob {
+    pub frame: Arc<ResolvedFrame>,
     pub enqueued: Instant,
     /// Id of the first request that asked for this frame.
     pub request_id: RequestId,
     /// Span of all work for this frame.
     pub span: tracing::Span,
-    pub cost_key: CostKey,
     /// Estimated device time.
     pub cost_ns: u64,
-    /// Span of its time in the queue, until it is taken.
-    queue_span: Mutex<Option<tracing::Span>>,
-    /// Client in whose lane it waits or waited.
-    lane: Mutex<Client>,
-    /// Client and amount charged for it, from when it is taken until the charge is settled.
-    charged: Mutex<Option<(Client, u64)>>,
+    turn: Mutex<Turn>,
     waiters: Mutex<Waiters>,
     attempts: AtomicU32,
     redraws: AtomicU32,
@@ -84,6 +37,16 @@ pub struct Job {
     halvings: AtomicU32,
     /// Whether the first way to draw the frame overflowed at some pixel.
     too_full: AtomicBool,
+}
+
+/// The frame's place in the queue, and what it was charged.
+struct Turn {
+    /// Client in whose lane it waits or waited.
+    lane: Client,
+    /// Client and amount charged for it, from when it is taken until the charge is settled.
+    charged: Option<(Client, u64)>,
+    /// Span of its time in the queue, until it is taken.
+    queue_span: Option<tracing::Span>,
 }
 
 struct Waiter {
@@ -98,28 +61,24 @@ struct Waiters {
     answered: bool,
 }
 
-impl Job {
+impl FrameJob {
     /// `cost_ns` is the estimated device time.
     pub fn new(
         origin: Origin,
-        resolved: Resolved,
-        request: FrameRequest,
-        (cost_key, cost_ns): (CostKey, u64),
-    ) -> (Arc<Job>, oneshot::Receiver<Reply>) {
+        resolved: Arc<ResolvedFrame>,
+        cost_ns: u64,
+    ) -> (Arc<FrameJob>, oneshot::Receiver<Reply>) {
         let (sender, receiver) = oneshot::channel();
-        let FrameSpans { frame, queue } = FrameSpans::open(&origin, &request, cost_ns);
-        let job = Job {
+        let FrameSpans { frame, queue } = FrameSpans::open(&origin, &resolved.request, cost_ns);
+        let job = FrameJob {
             enqueued: Instant::now(),
             request_id: origin.request_id.clone(),
             span: frame,
-            cost_key,
             cost_ns,
-            queue_span: Mutex::new(Some(queue)),
-            lane: Mutex::new(origin.client),
-            charged: Mutex::new(None),
+            turn: Mutex::new(Turn { lane: origin.client, charged: None, queue_span: Some(queue) }),
             waiters: Mutex::new(Waiters {
                 senders: vec![Waiter { origin, sender }],
-                deadline: request.deadline,
+                deadline: resolved.request.deadline,
                 answered: false,
             }),
             attempts: AtomicU32::new(0),
@@ -127,42 +86,42 @@ impl Job {
             alone: AtomicBool::new(false),
             halvings: AtomicU32::new(0),
             too_full: AtomicBool::new(false),
-            resolved,
-            request,
+            frame: resolved,
         };
         (Arc::new(job), receiver)
     }
 
     /// Returns the client in whose lane the frame waits or waited.
     pub fn lane(&self) -> Client {
-        *self.lane.lock()
+        self.turn.lock().lane
     }
 
     pub fn set_lane(&self, client: Client) {
-        *self.lane.lock() = client;
+        self.turn.lock().lane = client;
     }
 
     /// Records that drawing begins.
     pub fn taken(&self, client: Client, charged_ns: u64) {
-        self.queue_span.lock().take();
-        *self.charged.lock() = Some((client, charged_ns));
+        let mut turn = self.turn.lock();
+        turn.queue_span = None;
+        turn.charged = Some((client, charged_ns));
     }
 
     /// Returns the client and the amount charged for the frame while it is drawn.
     pub fn charged(&self) -> Option<(Client, u64)> {
-        *self.charged.lock()
+        self.turn.lock().charged
     }
 
     /// Takes the charge back out when drawing ends.
     pub fn settle(&self) -> Option<(Client, u64)> {
-        self.charged.lock().take()
+        self.turn.lock().charged.take()
     }
 
     /// Prepares the frame for waiting again.
-    pub fn granted(self: Arc<Self>) -> Granted<Arc<Job>> {
+    pub fn granted(self: Arc<Self>) -> Granted<Arc<FrameJob>> {
         let (client, cost_ns) = self.settle().unwrap_or((self.lane(), self.cost_ns));
         let queue = FrameSpans::queue(&self.span, &self.request_id, self.cost_ns);
-        *self.queue_span.lock() = Some(queue);
+        self.turn.lock().queue_span = Some(queue);
         Granted { client, cost_ns, job: self }
     }
 
@@ -214,14 +173,15 @@ impl Job {
         }
     }
 
-    /// Returns a key that is equal for jobs that the same dispatches can draw; `None` if no other job can share them.
+    /// Returns a key that is equal for jobs that the same dispatches can draw; `None` if no other job can share them. The key holds
+    /// everything but the view that a task takes from its first job.
     pub fn group_key(&self) -> Option<impl PartialEq + use<>> {
-        let FrameRequest { output, width, height, .. } = self.request;
+        let FrameRequest { output, width, height, .. } = self.frame.request;
         let drawing = self.drawing().clone();
         let halvings = self.halvings.load(Ordering::Relaxed);
-        let key = (self.resolved.model.uid, drawing, halvings, output, width, height);
+        let key = (self.frame.model.uid, drawing, halvings, output, width, height);
         // Frames of point trees cannot share their lists of nodes.
-        (!self.is_alone() && !self.resolved.model.trees).then_some(key)
+        (!self.is_alone() && !self.frame.model.trees).then_some(key)
     }
 
     /// Counts a redraw because a list was full; false after more redraws than growing lists explain.
@@ -231,8 +191,8 @@ impl Job {
 
     /// Returns the current way to draw the frame.
     pub fn drawing(&self) -> &Drawing {
-        let other = self.resolved.in_three_passes.as_ref();
-        other.filter(|_| self.too_full.load(Ordering::Relaxed)).unwrap_or(&self.resolved.drawing)
+        let other = self.frame.in_three_passes.as_ref();
+        other.filter(|_| self.too_full.load(Ordering::Relaxed)).unwrap_or(&self.frame.drawing)
     }
 
     fn is_single_pass(&self) -> bool {
@@ -273,7 +233,7 @@ impl Job {
     }
 }
 
-impl Waiting for Arc<Job> {
+impl Waiting for Arc<FrameJob> {
     fn is_abandoned(&self) -> bool {
         self.waiters.lock().senders.iter().all(|waiter| waiter.sender.is_closed())
     }
@@ -283,6 +243,6 @@ impl Waiting for Arc<Job> {
     }
 
     fn pixels(&self) -> u64 {
-        u64::from(self.request.width) * u64::from(self.request.height)
+        u64::from(self.frame.request.width) * u64::from(self.frame.request.height)
     }
 }

@@ -12,21 +12,21 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use super::encoders::Encoders;
+use super::frame_job::FrameJob;
 use super::framing;
-use super::job::Job;
 use super::priming::Primer;
 use super::queue::Class;
 use super::receipt::{
     InstanceCounts, PassReceipt, Receipt, SampleCounts, SplatCounts, TriangleCounts,
 };
 use super::renderer::{Drawn, InFlight, Renderer};
-use super::shared::{Adapter, Flying, Phase, Shared};
+use super::state::{Adapter, EngineState, Flying, Phase};
 use super::trace::FrameSpans;
 use super::{EncodedFrame, EngineError};
 use crate::gpu::{GpuError, GpuOptions};
 use crate::memory;
 use crate::passes::srgb8;
-use crate::plan::{Edl, Pass, Reconstruct, Settings, UsedSettings};
+use crate::plan::{Pass, Reconstruct, UsedSettings};
 use crate::residency::layout::GpuStats;
 use crate::residency::layout::MOST_ROWS;
 
@@ -36,31 +36,31 @@ const DEPTH: usize = 2;
 const IDLE: Duration = Duration::from_millis(250);
 
 /// Opens the device and runs until told to stop. `opened` hears once whether that worked.
-pub fn run(shared: &Arc<Shared>, opened: impl FnOnce(Result<(), GpuError>)) {
+pub fn run(state: &Arc<EngineState>, opened: impl FnOnce(Result<(), GpuError>)) {
     let options = GpuOptions {
-        force_32_bit: shared.config.force_32_bit,
-        rasterise: shared.config.rasterise,
+        force_32_bit: state.config.force_32_bit,
+        rasterise: state.config.rasterise,
         adapter: None,
-        max_binding_bytes: shared.config.max_binding_bytes,
-        pipeline_folder: shared.config.prime.as_ref().and_then(|prime| prime.folder.clone()),
+        max_binding_bytes: state.config.max_binding_bytes,
+        pipeline_folder: state.config.prime.as_ref().and_then(|prime| prime.folder.clone()),
         pipeline_source: crate::passes::shaders::fingerprint(),
     };
-    let mut renderer = match open(shared, &options) {
+    let mut renderer = match open(state, &options) {
         Ok(renderer) => renderer,
         Err(error) => return opened(Err(error)),
     };
-    let encoders = Encoders::start(shared);
+    let encoders = Encoders::start(state);
     opened(Ok(()));
-    let mut primer = Primer::start(shared, &renderer);
+    let mut primer = Primer::start(state, &renderer);
     loop {
-        match serve(shared, &mut renderer, &encoders) {
+        match serve(state, &mut renderer, &encoders) {
             Stop::Done => break,
-            Stop::Lost => match reopen(shared, &options) {
+            Stop::Lost => match reopen(state, &options) {
                 Some(fresh) => {
                     // The thread that is replaced still has the lost device.
                     drop(primer);
                     renderer = fresh;
-                    primer = Primer::start(shared, &renderer);
+                    primer = Primer::start(state, &renderer);
                 }
                 None => break,
             },
@@ -74,23 +74,20 @@ enum Stop {
     Lost,
 }
 
-fn open(shared: &Shared, options: &GpuOptions) -> Result<Renderer, GpuError> {
+fn open(state: &EngineState, options: &GpuOptions) -> Result<Renderer, GpuError> {
     let mut renderer = Renderer::open(options, |gpu| {
-        shared
-            .config
-            .gpu_budget_bytes
-            .unwrap_or_else(|| (gpu.max_binding_bytes() * 24).min(4 << 30))
+        state.config.gpu_budget_bytes.unwrap_or_else(|| (gpu.max_binding_bytes() * 24).min(4 << 30))
     })?;
-    if let Some(pixels) = shared.config.small_triangle_px {
+    if let Some(pixels) = state.config.small_triangle_px {
         renderer.set_small_triangle_px(pixels);
     }
-    if let Some(pixels) = shared.config.small_splat_px {
+    if let Some(pixels) = state.config.small_splat_px {
         renderer.set_small_splat_px(pixels);
     }
-    if let Some(units) = shared.config.large_units_limit {
+    if let Some(units) = state.config.large_units_limit {
         renderer.set_large_units_limit(units);
     }
-    shared.set_adapter(Adapter {
+    state.set_adapter(Adapter {
         name: renderer.gpu.name.clone(),
         renderer: options.pipeline_source.clone(),
         atomics_64: renderer.gpu.atomics_64,
@@ -100,24 +97,24 @@ fn open(shared: &Shared, options: &GpuOptions) -> Result<Renderer, GpuError> {
         max_side: renderer.gpu.limits.max_texture_dimension_2d.min(MOST_ROWS),
         budget: renderer.residency.budget(),
     });
-    shared.set_phase(Phase::Ready);
+    state.set_phase(Phase::Ready);
     Ok(renderer)
 }
 
 /// Tries until an adapter answers again or the engine stops.
-fn reopen(shared: &Shared, options: &GpuOptions) -> Option<Renderer> {
-    shared.set_phase(Phase::Lost);
-    shared.stats.device_losses.fetch_add(1, Ordering::Relaxed);
+fn reopen(state: &EngineState, options: &GpuOptions) -> Option<Renderer> {
+    state.set_phase(Phase::Lost);
+    state.stats.device_losses.fetch_add(1, Ordering::Relaxed);
     tracing::warn!("the GPU was lost; opening it again and bringing the scenes back");
     let mut pause = Duration::from_millis(50);
     loop {
-        match open(shared, options) {
+        match open(state, options) {
             Ok(renderer) => return Some(renderer),
             Err(error) => tracing::error!(%error, "the GPU cannot be opened again yet"),
         }
-        if shared.is_stopping() {
-            for job in shared.take_all() {
-                shared.answer(&job, Err(EngineError::ShuttingDown));
+        if state.is_stopping() {
+            for job in state.take_all() {
+                state.answer(&job, Err(EngineError::ShuttingDown));
             }
             return None;
         }
@@ -126,50 +123,50 @@ fn reopen(shared: &Shared, options: &GpuOptions) -> Option<Renderer> {
     }
 }
 
-fn serve(shared: &Arc<Shared>, renderer: &mut Renderer, encoders: &Encoders) -> Stop {
+fn serve(state: &Arc<EngineState>, renderer: &mut Renderer, encoders: &Encoders) -> Stop {
     let mut flights: VecDeque<InFlight> = VecDeque::new();
     let mut last_landed = Instant::now();
     loop {
-        assert!(!shared.is_to_break(), "told to break");
-        let work = shared.next_batch(flying(&flights), IDLE);
+        assert!(!state.is_to_break(), "told to break");
+        let work = state.next_batch(flying(&flights), IDLE);
         // The batch just taken is refused: a device may die between any two commands.
-        if shared.take_lose_request() {
+        if state.take_lose_request() {
             renderer.gpu.device.destroy();
         }
-        if !work.batch.is_empty() && shared.take_spoil_request() {
+        if !work.batch.is_empty() && state.take_spoil_request() {
             renderer.spoil_next();
         }
-        shared.beat(!work.batch.is_empty() || !flights.is_empty());
+        state.beat(!work.batch.is_empty() || !flights.is_empty());
         let idle = work.batch.is_empty();
         if !idle {
-            let batch = make_resident(shared, renderer, work.batch);
+            let batch = make_resident(state, renderer, work.batch);
             if !batch.is_empty() {
                 match renderer.submit(batch) {
                     Ok(flight) => flights.push_back(flight),
                     Err((jobs, error)) => {
                         for job in jobs {
-                            shared.refund(&job);
-                            shared.answer(&job, Err(error.clone()));
+                            state.refund(&job);
+                            state.answer(&job, Err(error.clone()));
                         }
                     }
                 }
             }
         }
         // Before anybody is answered, so that who has seen a frame finds its scene resident.
-        publish(shared, renderer);
+        publish(state, renderer);
         while flights.len() >= DEPTH
             || (idle && !flights.is_empty())
-            || (!flights.is_empty() && shared.is_queue_empty())
+            || (!flights.is_empty() && state.is_queue_empty())
         {
             let Some(flight) = flights.pop_front() else { break };
-            let (mut again, lost) = land(shared, renderer, flight, encoders, &mut last_landed);
+            let (mut again, lost) = land(state, renderer, flight, encoders, &mut last_landed);
             if lost {
                 // What flies behind it may still have arrived.
                 for flight in flights.drain(..) {
-                    again.extend(land(shared, renderer, flight, encoders, &mut last_landed).0);
+                    again.extend(land(state, renderer, flight, encoders, &mut last_landed).0);
                 }
             }
-            retry(shared, again);
+            retry(state, again);
             if lost {
                 return Stop::Lost;
             }
@@ -198,11 +195,15 @@ fn flying(flights: &VecDeque<InFlight>) -> Flying {
 
 /// Brings the scenes of a batch to the GPU. Jobs of other scenes than the first wait for the next batch when bringing theirs
 /// might push the first one out.
-fn make_resident(shared: &Shared, renderer: &mut Renderer, batch: Vec<Arc<Job>>) -> Vec<Arc<Job>> {
-    let mut ready: Vec<Arc<Job>> = Vec::with_capacity(batch.len());
+fn make_resident(
+    state: &EngineState,
+    renderer: &mut Renderer,
+    batch: Vec<Arc<FrameJob>>,
+) -> Vec<Arc<FrameJob>> {
+    let mut ready: Vec<Arc<FrameJob>> = Vec::with_capacity(batch.len());
     let mut later = Vec::new();
     for job in batch {
-        let model = &job.resolved.model;
+        let model = &job.frame.model;
         if !ready.is_empty() && !renderer.residency.is_current(model) {
             later.push(job);
             continue;
@@ -210,34 +211,34 @@ fn make_resident(shared: &Shared, renderer: &mut Renderer, batch: Vec<Arc<Job>>)
         match renderer.ensure(model) {
             Ok(()) => ready.push(job),
             Err(error) => {
-                shared.refund(&job);
-                shared.answer(&job, Err(error));
+                state.refund(&job);
+                state.answer(&job, Err(error));
             }
         }
     }
-    shared.put_back(later);
+    state.put_back(later);
     ready
 }
 
 /// Lands one submission: the jobs to draw again on another device, and whether this one is to be given up.
 fn land(
-    shared: &Shared,
+    state: &EngineState,
     renderer: &mut Renderer,
     flight: InFlight,
     encoders: &Encoders,
     last_landed: &mut Instant,
-) -> (Vec<Arc<Job>>, bool) {
+) -> (Vec<Arc<FrameJob>>, bool) {
     // Not what it waited behind the one before.
     let began = flight.began.max(*last_landed);
     let landed = renderer.land(flight, *last_landed);
     *last_landed = Instant::now();
     let took = began.elapsed();
-    shared.stats.batches.fetch_add(1, Ordering::Relaxed);
-    if let Some(observer) = shared.observer.get() {
+    state.stats.batches.fetch_add(1, Ordering::Relaxed);
+    if let Some(observer) = state.observer.get() {
         observer.batch(landed.drawn.len());
     }
     let frames = landed.drawn.len().max(1) as u32;
-    let costs: Vec<(Arc<Job>, Option<u64>)> = landed
+    let costs: Vec<(Arc<FrameJob>, Option<u64>)> = landed
         .drawn
         .iter()
         .map(|drawn| {
@@ -248,34 +249,34 @@ fn land(
         })
         .chain(landed.failed.iter().map(|(job, _)| (job.clone(), None)))
         .collect();
-    shared.settle(&costs, took);
+    state.settle(&costs, took);
     for drawn in landed.drawn {
         encoders.push(drawn);
     }
     for (job, error) in landed.failed {
-        shared.answer(&job, Err(error));
+        state.answer(&job, Err(error));
     }
     let (redraw, stuck): (Vec<_>, Vec<_>) =
         landed.redraw.into_iter().partition(|job| job.may_redraw());
     for job in stuck {
         let text = "a list of large triangles that grows has still no room".to_owned();
-        shared.answer(&job, Err(EngineError::Internal(text)));
+        state.answer(&job, Err(EngineError::Internal(text)));
     }
-    shared.put_back(redraw);
+    state.put_back(redraw);
     (landed.again, landed.lost)
 }
 
-fn retry(shared: &Shared, jobs: Vec<Arc<Job>>) {
+fn retry(state: &EngineState, jobs: Vec<Arc<FrameJob>>) {
     let (again, hopeless): (Vec<_>, Vec<_>) = jobs.into_iter().partition(|job| job.try_again());
     for job in hopeless {
-        shared.answer(&job, Err(EngineError::DeviceLost { retry_after: Duration::from_secs(1) }));
+        state.answer(&job, Err(EngineError::DeviceLost { retry_after: Duration::from_secs(1) }));
     }
-    shared.put_back(again);
+    state.put_back(again);
 }
 
 /// Tells the others what is on the GPU, after freeing what was removed.
-fn publish(shared: &Shared, renderer: &mut Renderer) {
-    let removed = shared.set_resident(renderer.residency.ids());
+fn publish(state: &EngineState, renderer: &mut Renderer) {
+    let removed = state.set_resident(renderer.residency.ids());
     for id in &removed {
         renderer.remove(id);
     }
@@ -283,7 +284,7 @@ fn publish(shared: &Shared, renderer: &mut Renderer) {
         // Not here: frames wait for this thread.
         rayon::spawn(memory::release_unused);
     }
-    let stats = &shared.stats;
+    let stats = &state.stats;
     stats.gpu_bytes_resident.store(renderer.residency.used(), Ordering::Relaxed);
     stats.evictions.store(renderer.residency.evictions(), Ordering::Relaxed);
     stats.uploads.store(renderer.residency.uploads(), Ordering::Relaxed);
@@ -293,27 +294,27 @@ fn publish(shared: &Shared, renderer: &mut Renderer) {
 }
 
 /// Encodes a frame, writes its receipt and answers whoever waits.
-pub fn finish(shared: &Shared, drawn: Drawn) {
+pub fn finish(state: &EngineState, drawn: Drawn) {
     let began = Instant::now();
-    let request = &drawn.job.request;
+    let request = &drawn.job.frame.request;
     let span = FrameSpans::encode(&drawn.job.span, &drawn.job.request_id, request.format);
     let entered = span.enter();
     let encoded = crate::encode::encode(&drawn.image, request.format, request.quality);
     let encode = began.elapsed();
     let reply = match encoded {
         Ok(encoded) => {
-            let mut receipt = receipt(shared, &drawn);
+            let mut receipt = receipt(state, &drawn);
             receipt.encode_wait_ns =
                 began.saturating_duration_since(drawn.landed).as_nanos() as u64;
             receipt.encode_ns = encode.as_nanos() as u64;
             receipt.depth_range = encoded.depth_range;
             receipt.bytes = encoded.bytes.len() as u64;
             receipt.total_ns = drawn.job.enqueued.elapsed().as_nanos() as u64;
-            shared.stats.frames.fetch_add(1, Ordering::Relaxed);
-            shared.stats.encode_ns.fetch_add(receipt.encode_ns, Ordering::Relaxed);
+            state.stats.frames.fetch_add(1, Ordering::Relaxed);
+            state.stats.encode_ns.fetch_add(receipt.encode_ns, Ordering::Relaxed);
             let share_ns = receipt.gpu_share_ns().unwrap_or(0);
-            shared.stats.gpu_ns.fetch_add(share_ns, Ordering::Relaxed);
-            if let Some(observer) = shared.observer.get() {
+            state.stats.gpu_ns.fetch_add(share_ns, Ordering::Relaxed);
+            if let Some(observer) = state.observer.get() {
                 observer.frame(drawn.job.lane().class(), &receipt);
             }
             Ok(Arc::new(EncodedFrame {
@@ -326,7 +327,7 @@ pub fn finish(shared: &Shared, drawn: Drawn) {
     };
     drop(entered);
     drop(span);
-    shared.answer(&drawn.job, reply);
+    state.answer(&drawn.job, reply);
 }
 
 fn wide(words: [u32; 2]) -> u64 {
@@ -340,33 +341,33 @@ fn accepted(stats: &GpuStats) -> u64 {
 
 /// Why a frame shows nothing, where it does.
 fn nothing_visible(drawn: &Drawn) -> Option<String> {
-    let resolved = &drawn.job.resolved;
-    let background = srgb8(drawn.job.drawing().background).to_le_bytes();
+    let resolved = &drawn.job.frame;
+    let background = drawn.job.drawing().background(&resolved.model);
+    let background = srgb8(background).to_le_bytes();
     let is_blank = drawn.stats.pixels_of_samples == 0 && drawn.image.is_blank(background);
     is_blank.then(|| framing::why_nothing(&resolved.extent.bounds, &resolved.view))
 }
 
-fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
+fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
     let job = &drawn.job;
-    let resolved = &job.resolved;
+    let resolved = &job.frame;
     let counts = resolved.model.counts();
     let drawing = job.drawing();
     let runs = |pass| drawing.plan.runs(pass);
     let as_splats = runs(Pass::ProjectSplats) || runs(Pass::FuseSplats);
     let samples = runs(Pass::ProjectSamples) || as_splats;
     let splats = |count: u32| as_splats.then_some(u64::from(count));
-    let edl = if runs(Pass::WriteOutput) { Edl::On } else { Edl::Off };
-    let used = Settings { reconstruct: drawing.reconstruct, edl, ..job.request.settings };
+    let applied = drawing.settings.applied();
     Receipt {
         request_id: job.request_id.as_str().to_owned(),
-        scene: job.request.scene.clone(),
+        scene: resolved.request.scene.clone(),
         revision: resolved.model.revision,
-        adapter: shared.adapter().name,
+        adapter: state.adapter().name,
         batch_size: drawn.batch_size,
         views: drawn.views,
         camera: resolved.camera.clone(),
         settings: UsedSettings {
-            applied: used.applied().beside(&drawing.splats),
+            applied: applied.beside(&drawing.splats),
             provisional: resolved.provisional.clone(),
             asked: resolved.auto.map(|_| Reconstruct::Auto),
             because: resolved.auto.map(|choice| choice.because()),
@@ -374,7 +375,7 @@ fn receipt(shared: &Shared, drawn: &Drawn) -> Receipt {
             instead_because: drawing.instead_because,
             splats: drawing.splats,
         },
-        max_error_px: used.applied().max_error_px,
+        max_error_px: applied.max_error_px,
         estimated_error_px: None,
         passes: PassReceipt::list(&drawing.plan, &drawn.pass_ns),
         nothing_visible: nothing_visible(drawn),

@@ -62,7 +62,7 @@ struct Over {
 }
 
 /// The trees over the instances of one revision of a scene.
-pub struct Crowd {
+pub struct InstanceTrees {
     /// Instances of the scene as loaded.
     instances: Instances,
     /// The cube reaches from −2ᵉ to 2ᵉ along each axis.
@@ -72,7 +72,7 @@ pub struct Crowd {
 }
 
 /// A scene of trees together with the trees over its instances.
-pub struct Crowded {
+pub struct InstanceTreeScene {
     /// The scene's own assets, then the trees over blocks, then the tree over all.
     pub assets: Vec<Arc<AssetModel>>,
     pub instances: Instances,
@@ -89,16 +89,16 @@ struct Roots<'a> {
     of_geometry: Vec<Vec<Option<Root>>>,
 }
 
-impl Crowd {
-    /// Builds the trees over the instances of `model`; `assets` are its assets as trees, `before` an earlier revision's crowd.
+impl InstanceTrees {
+    /// Builds the trees over the instances of `model`; `assets` are its assets as trees, `before` an earlier revision's trees.
     ///
     /// # Errors
     /// Positions that no tree can be built over.
     pub fn over(
         model: &SceneModel,
         assets: &[Arc<AssetModel>],
-        before: Option<&Crowd>,
-    ) -> Result<(Crowd, Crowded), EngineError> {
+        before: Option<&InstanceTrees>,
+    ) -> Result<(InstanceTrees, InstanceTreeScene), EngineError> {
         let roots = Roots::of(model, assets);
         let exponent = exponent(&model.instances.bounds());
         let runs = model.instances.runs();
@@ -141,20 +141,23 @@ impl Crowd {
             .map(|(_, range)| (range.len() == 1).then(|| members[range.start]))
             .collect();
         let loose = &members[placed..];
-        let crowded = crowded(&roots, assets, &blocks, &lone, loose, made)?;
-        Ok((Crowd { instances: model.instances.clone(), exponent, members, blocks }, crowded))
+        let made_scene = made_scene(&roots, assets, &blocks, &lone, loose, made)?;
+        Ok((
+            InstanceTrees { instances: model.instances.clone(), exponent, members, blocks },
+            made_scene,
+        ))
     }
 }
 
 /// Builds a tree over the blocks, and collects everything that is drawn in one list.
-fn crowded(
+fn made_scene(
     roots: &Roots<'_>,
     assets: &[Arc<AssetModel>],
     blocks: &[Arc<Block>],
     lone: &[Option<Member>],
     loose: &[Member],
     made: usize,
-) -> Result<Crowded, EngineError> {
+) -> Result<InstanceTreeScene, EngineError> {
     let mut assets = assets.to_vec();
     let mut runs: Vec<Arc<InstanceRun>> = Vec::with_capacity(blocks.len() + 1);
     let (top, above) = tree_over(blocks.iter().map(|block| block.root.clone()))?;
@@ -181,7 +184,13 @@ fn crowded(
         assets.push(Arc::new(tree_asset(top, bounds)));
     }
     runs.push(Arc::new(RunMeter::new(&assets).run(last)));
-    Ok(Crowded { assets, instances: Instances::new(runs), nodes, blocks: blocks.len(), made })
+    Ok(InstanceTreeScene {
+        assets,
+        instances: Instances::new(runs),
+        nodes,
+        blocks: blocks.len(),
+        made,
+    })
 }
 
 /// Returns an instance of a tree over others, which is in world space.
@@ -450,7 +459,7 @@ impl Changes {
         Changes::new(Vec::new(), added, Vec::new())
     }
 
-    fn since(before: &Crowd, roots: &Roots<'_>, exponent: i32) -> Changes {
+    fn since(before: &InstanceTrees, roots: &Roots<'_>, exponent: i32) -> Changes {
         let (mut removed, mut added, mut renumbered) = (Vec::new(), Vec::new(), Vec::new());
         let runs = before.instances.runs().iter().zip(roots.model.instances.runs());
         for (number, (old, new)) in runs.enumerate() {

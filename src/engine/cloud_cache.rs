@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use super::EngineConfig;
-use super::keys::file_kind;
+use super::asset_keys::file_kind;
 use super::library::{ReadAsset, next_uid};
 use crate::assets::{FORMATS, Placement};
 use crate::bake::cache::BakeCache;
@@ -172,7 +172,7 @@ fn vec3(bits: &[u64]) -> DVec3 {
 
 /// The cache and a file's identity in it, for files whose samples may be kept.
 #[derive(Clone)]
-pub struct Keeping {
+pub struct CloudEntry {
     cache: BakeCache,
     identity: [u8; 32],
     file: PathBuf,
@@ -184,15 +184,15 @@ pub struct Keeping {
     settled_after: Duration,
 }
 
-impl Keeping {
+impl CloudEntry {
     /// Identifies an asset's file; `None` for an asset made of several files, and without a cache.
-    pub fn of(reference: &AssetRef, config: &EngineConfig, is_bare: bool) -> Option<Keeping> {
+    pub fn of(reference: &AssetRef, config: &EngineConfig, is_bare: bool) -> Option<CloudEntry> {
         let cache = config.bake_cache.clone()?;
         let AssetSource::File(source) = &reference.source else { return None };
         if source.sample.is_some() || source.features {
             return None;
         }
-        let mut keeping = Keeping {
+        let mut entry = CloudEntry {
             cache,
             identity: [0; 32],
             file: source.path.clone(),
@@ -200,8 +200,8 @@ impl Keeping {
             estimate_at_once: config.estimate_at_once,
             settled_after: config.settled_after,
         };
-        (keeping.identity, _) = keeping.identity().ok()??;
-        Some(keeping)
+        (entry.identity, _) = entry.identity().ok()??;
+        Some(entry)
     }
 
     /// Returns whether the file is still the one whose identity was taken.
@@ -297,7 +297,7 @@ impl Keeping {
     }
 
     /// Prepares to keep an asset that was just read, if it is a large cloud and the file is unchanged.
-    pub fn keep(&self, read: &ReadAsset) -> Option<Kept> {
+    pub fn keep(&self, read: &ReadAsset) -> Option<UnwrittenCloud> {
         let deferred = read.model.deferred.as_ref()?;
         if !self.is_same() {
             return None;
@@ -337,25 +337,25 @@ impl Keeping {
         let is_plain = model.packed.materials.is_empty()
             && model.packed.textures.is_empty()
             && FORMATS.contains(&model.format);
-        is_plain.then(|| Kept { keeping: self.clone(), note, model: model.clone() })
+        is_plain.then(|| UnwrittenCloud { entry: self.clone(), note, model: model.clone() })
     }
 }
 
 /// A cloud to be written.
-pub struct Kept {
-    keeping: Keeping,
+pub struct UnwrittenCloud {
+    entry: CloudEntry,
     note: Note,
     model: Arc<AssetModel>,
 }
 
-impl Kept {
+impl UnwrittenCloud {
     /// Writes samples and note once the file has settled. A cache that cannot be written costs a warning, and the next process
     /// has to read the file again.
     pub fn write(self) {
-        if !self.keeping.settles() {
+        if !self.entry.settles() {
             return;
         }
-        let cache = &self.keeping.cache;
+        let cache = &self.entry.cache;
         let [points, whole] =
             [false, true].map(|is_whole| samples_key(&self.note.digest, is_whole));
         // The estimate may have finished first.
@@ -365,7 +365,7 @@ impl Kept {
         };
         let written = stored.and_then(|stored| {
             let text = serde_json::to_vec(&self.note).map_err(io::Error::other)?;
-            if stored { cache.store_note(&self.keeping.identity, &text) } else { Ok(()) }
+            if stored { cache.store_note(&self.entry.identity, &text) } else { Ok(()) }
         });
         if let Err(error) = written {
             let folder = cache.folder().display();
@@ -392,7 +392,7 @@ fn samples_key(digest: &[u8; 32], is_whole: bool) -> [u8; 32] {
     hasher.chain_update(digest).finalize().into()
 }
 
-impl Keeping {
+impl CloudEntry {
     /// Returns the file's identity and the age of its last change; `None` if it is no file. The identity differs between files,
     /// and before and after a change, and needs no reading of the whole file.
     #[cfg(unix)]

@@ -1,7 +1,6 @@
 //! What the render thread, the encoders and the callers share.
 
 use std::collections::{HashMap, HashSet};
-use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
@@ -9,17 +8,17 @@ use std::time::{Duration, Instant};
 use parking_lot::{Condvar, Mutex, RwLock};
 use tokio::sync::{oneshot, watch};
 
-use super::bakes::Bakes;
-use super::encoders::Undone;
+use super::bake_service::BakeService;
+use super::encoders::EncodeBacklog;
 use super::estimates::Background;
-use super::job::{Job, Reply, Resolved};
-use super::library::{AssetCache, Library};
+use super::frame_job::{FrameJob, Reply};
+use super::library::{AssetCache, Library, Loaded};
 use super::observe::Observer;
-use super::queue::cost::{CostKey, Costs};
+use super::queue::cost::Costs;
 use super::queue::{Class, Client, Granted, Moment, Queue, Shares, Taken, lateness};
+use super::resolved::ResolvedFrame;
 use super::trace::Origin;
-use super::{EngineConfig, EngineError, EngineStats, FrameRequest, Readiness};
-use crate::plan::Settings;
+use super::{EngineConfig, EngineError, EngineStats, Readiness};
 use crate::residency::model::SceneModel;
 
 /// The adapter in use.
@@ -67,11 +66,11 @@ pub struct Stats {
     pub pipelines_primed: AtomicU64,
 }
 
-struct State {
-    queue: Queue<Arc<Job>>,
+struct Schedule {
+    queue: Queue<Arc<FrameJob>>,
     costs: Costs,
     /// Every job that has not been answered, by its key.
-    by_key: HashMap<String, Arc<Job>>,
+    by_key: HashMap<String, Arc<FrameJob>>,
     /// A scene was removed and the render thread has not looked yet.
     removed: bool,
     stopping: bool,
@@ -83,9 +82,9 @@ struct State {
 }
 
 /// A job, and where its frame will come.
-type Queued = (Arc<Job>, oneshot::Receiver<Reply>);
+type Queued = (Arc<FrameJob>, oneshot::Receiver<Reply>);
 
-impl State {
+impl Schedule {
     /// Whether jobs are taken on.
     fn check_open(&self) -> Result<(), EngineError> {
         if self.phase == Phase::Failed {
@@ -120,7 +119,7 @@ impl State {
     }
 
     /// Has a job that waits in no lane wait in that of `client`, before all others.
-    fn hand_over(&mut self, client: Client, job: &Arc<Job>) {
+    fn hand_over(&mut self, client: Client, job: &Arc<FrameJob>) {
         job.set_lane(client);
         self.queue.hand_over(client, job.clone(), job.cost_ns, Instant::now());
     }
@@ -131,18 +130,7 @@ fn at_least(wait: Duration) -> Duration {
     wait.max(Duration::from_millis(50))
 }
 
-/// What frames have in common that cost about the same.
-fn cost_key(request: &FrameRequest, resolved: &Resolved) -> CostKey {
-    let FrameRequest { scene, width, height, settings, output, .. } = request;
-    let reconstruct = resolved.auto.map_or(settings.reconstruct, |choice| choice.reconstruct);
-    let mut hasher = DefaultHasher::new();
-    scene.hash(&mut hasher);
-    (*output as u8, Settings { reconstruct, ..*settings }.canonical()).hash(&mut hasher);
-    let pixels = u64::from(*width) * u64::from(*height);
-    CostKey { kind: hasher.finish(), pixels }
-}
-
-pub struct Shared {
+pub struct EngineState {
     pub config: EngineConfig,
     pub library: RwLock<Library>,
     /// Identifiers being loaded.
@@ -150,15 +138,15 @@ pub struct Shared {
     /// Held while a scene is patched.
     pub patching: Mutex<()>,
     pub cache: AssetCache,
-    pub bakes: Arc<Bakes>,
+    pub bake_service: Arc<BakeService>,
     /// Frames that are drawn and not encoded.
-    pub undone: Undone,
+    pub encode_backlog: EncodeBacklog,
     /// Estimates that frames do not wait for.
     pub background: Background,
     pub stats: Stats,
     /// Counts changes of scenes: loaded, patched, removed.
     pub changes: watch::Sender<u64>,
-    state: Mutex<State>,
+    schedule: Mutex<Schedule>,
     wake: Condvar,
     primed: Condvar,
     adapter: RwLock<Adapter>,
@@ -178,14 +166,14 @@ fn render_thread_ended() -> EngineError {
 /// Longer than this at one batch and the loop is said to stall.
 const STALL: Duration = Duration::from_secs(20);
 
-impl Shared {
+impl EngineState {
     pub fn new(config: EngineConfig) -> Self {
         let capacity_ns = u64::try_from(config.queue_time.as_nanos()).unwrap_or(u64::MAX);
         let (capacity, jobs) = (config.queue_capacity, config.job_share);
         let queue = Queue::new(Shares { capacity, capacity_ns, jobs });
         Self {
-            bakes: Bakes::new(config.bake_cache.clone()),
-            undone: Undone::new(config.encoder_threads, config.job_share),
+            bake_service: BakeService::new(&config),
+            encode_backlog: EncodeBacklog::new(config.encoder_threads, config.job_share),
             config,
             library: RwLock::default(),
             loading: Mutex::default(),
@@ -194,7 +182,7 @@ impl Shared {
             background: Background::default(),
             stats: Stats::default(),
             changes: watch::Sender::new(0),
-            state: Mutex::new(State {
+            schedule: Mutex::new(Schedule {
                 queue,
                 costs: Costs::default(),
                 by_key: HashMap::new(),
@@ -216,46 +204,53 @@ impl Shared {
         }
     }
 
-    /// Queues a resolved request, or joins it to an equal one that has not been answered. Gives the job beside.
+    /// Returns the latest revision of a scene.
+    ///
+    /// # Errors
+    /// [`EngineError::UnknownScene`].
+    pub fn loaded(&self, id: &str) -> Result<Arc<Loaded>, EngineError> {
+        let loaded = self.library.read().get(id);
+        loaded.ok_or_else(|| EngineError::UnknownScene { id: id.to_owned() })
+    }
+
+    /// Queues a resolved frame, or joins it to an equal one that has not been answered. Gives the job beside.
     pub fn enqueue(
         &self,
         origin: Origin,
-        resolved: Resolved,
-        request: FrameRequest,
+        frame: Arc<ResolvedFrame>,
     ) -> Result<Queued, EngineError> {
-        let cost_key = cost_key(&request, &resolved);
         let now = Instant::now();
-        let mut state = self.state.lock();
-        state.check_open()?;
-        if let Some(joined) = self.join(&mut state, &origin, &resolved, &request) {
+        let mut schedule = self.schedule.lock();
+        schedule.check_open()?;
+        if let Some(joined) = self.join(&mut schedule, &origin, &frame) {
             return Ok(joined);
         }
         let client = origin.client;
-        let cost_ns = state.costs.estimate_ns(cost_key);
-        if let Some(late) = state.lateness(client, request.deadline, cost_ns, now) {
+        let cost_ns = schedule.costs.estimate_ns(frame.cost_key);
+        if let Some(late) = schedule.lateness(client, frame.request.deadline, cost_ns, now) {
             self.stats.hopeless.fetch_add(1, Ordering::Relaxed);
             return Err(EngineError::DeadlineExceeded { retry_after: at_least(late) });
         }
-        let key = resolved.key.clone();
-        let (job, receiver) = Job::new(origin, resolved, request, (cost_key, cost_ns));
-        let (admitted, dropped) = state.queue.admit(client, job.clone(), cost_ns, now);
+        let key = frame.key.clone();
+        let (job, receiver) = FrameJob::new(origin, frame, cost_ns);
+        let (admitted, dropped) = schedule.queue.admit(client, job.clone(), cost_ns, now);
         for gone in dropped {
-            self.forget(&mut state, &gone);
+            self.forget(&mut schedule, &gone);
             self.stats.cancelled.fetch_add(1, Ordering::Relaxed);
         }
         if admitted.is_err() {
             self.stats.refused.fetch_add(1, Ordering::Relaxed);
-            return Err(EngineError::Busy { retry_after: state.backlog(client.class()) });
+            return Err(EngineError::Busy { retry_after: schedule.backlog(client.class()) });
         }
-        state.by_key.insert(key, job.clone());
-        drop(state);
+        schedule.by_key.insert(key, job.clone());
+        drop(schedule);
         self.wake.notify_one();
         Ok((job, receiver))
     }
 
     /// Whether `job` waits in the lane of `client`.
-    pub fn is_waiting(&self, client: Client, job: &Arc<Job>) -> bool {
-        self.state.lock().queue.holds(client, |other| Arc::ptr_eq(job, other))
+    pub fn is_waiting(&self, client: Client, job: &Arc<FrameJob>) -> bool {
+        self.schedule.lock().queue.holds(client, |other| Arc::ptr_eq(job, other))
     }
 
     /// Has a request take the place of `old`, which its client waits for; `None` when that waits in the queue no more. Whoever else
@@ -263,44 +258,42 @@ impl Shared {
     pub fn replace(
         &self,
         origin: Origin,
-        old: &Arc<Job>,
-        resolved: Resolved,
-        request: FrameRequest,
+        old: &Arc<FrameJob>,
+        frame: Arc<ResolvedFrame>,
     ) -> Result<Option<Queued>, EngineError> {
-        let is_old = |job: &Arc<Job>| Arc::ptr_eq(job, old);
+        let is_old = |job: &Arc<FrameJob>| Arc::ptr_eq(job, old);
         let client = origin.client;
-        let cost_key = cost_key(&request, &resolved);
-        let mut state = self.state.lock();
-        state.check_open()?;
-        if !state.queue.holds(client, is_old) {
+        let mut schedule = self.schedule.lock();
+        schedule.check_open()?;
+        if !schedule.queue.holds(client, is_old) {
             return Ok(None);
         }
-        let joined = self.join(&mut state, &origin, &resolved, &request);
+        let joined = self.join(&mut schedule, &origin, &frame);
         if joined.as_ref().is_some_and(|(job, _)| is_old(job)) {
             return Ok(joined);
         }
         let new = match joined {
             Some(joined) => {
-                state.queue.remove(client, is_old);
+                schedule.queue.remove(client, is_old);
                 joined
             }
             None => {
-                let key = resolved.key.clone();
-                let cost_ns = state.costs.estimate_ns(cost_key);
-                let (job, receiver) = Job::new(origin, resolved, request, (cost_key, cost_ns));
-                if state.queue.replace(client, is_old, job.clone(), cost_ns).is_err() {
+                let key = frame.key.clone();
+                let cost_ns = schedule.costs.estimate_ns(frame.cost_key);
+                let (job, receiver) = FrameJob::new(origin, frame, cost_ns);
+                if schedule.queue.replace(client, is_old, job.clone(), cost_ns).is_err() {
                     return Ok(None);
                 }
-                state.by_key.insert(key, job.clone());
+                schedule.by_key.insert(key, job.clone());
                 (job, receiver)
             }
         };
         if let Some(other) = old.waiter_beside(client) {
-            state.hand_over(other, old);
+            schedule.hand_over(other, old);
         } else {
-            self.forget(&mut state, old);
+            self.forget(&mut schedule, old);
             self.stats.overtaken.fetch_add(1, Ordering::Relaxed);
-            drop(state);
+            drop(schedule);
             old.answer(Err(EngineError::Overtaken));
         }
         Ok(Some(new))
@@ -310,115 +303,114 @@ impl Shared {
     /// urgent.
     fn join(
         &self,
-        state: &mut State,
+        schedule: &mut Schedule,
         origin: &Origin,
-        resolved: &Resolved,
-        request: &FrameRequest,
+        frame: &ResolvedFrame,
     ) -> Option<Queued> {
-        let job = state.by_key.get(&resolved.key)?.clone();
-        let receiver = job.join(origin.clone(), request.deadline)?;
+        let job = schedule.by_key.get(&frame.key)?.clone();
+        let receiver = job.join(origin.clone(), frame.request.deadline)?;
         self.stats.coalesced.fetch_add(1, Ordering::Relaxed);
         let lane = job.lane();
         if lane.class() == Class::Job && origin.client.class() != Class::Job {
-            let is_it = |other: &Arc<Job>| Arc::ptr_eq(other, &job);
-            if state.queue.remove(lane, is_it).is_some() {
-                state.hand_over(origin.client, &job);
+            let is_it = |other: &Arc<FrameJob>| Arc::ptr_eq(other, &job);
+            if schedule.queue.remove(lane, is_it).is_some() {
+                schedule.hand_over(origin.client, &job);
             } else {
-                self.undone.advance(&job, origin.client);
+                self.encode_backlog.advance(&job, origin.client);
             }
         }
         Some((job, receiver))
     }
 
     /// Takes `job` out of the register, unless a later one of the same key is there.
-    fn forget(&self, state: &mut State, job: &Arc<Job>) {
-        if state.by_key.get(&job.resolved.key).is_some_and(|found| Arc::ptr_eq(found, job)) {
-            state.by_key.remove(&job.resolved.key);
+    fn forget(&self, schedule: &mut Schedule, job: &Arc<FrameJob>) {
+        if schedule.by_key.get(&job.frame.key).is_some_and(|found| Arc::ptr_eq(found, job)) {
+            schedule.by_key.remove(&job.frame.key);
         }
     }
 
     /// Answers a job for good.
-    pub fn answer(&self, job: &Arc<Job>, reply: Reply) {
+    pub fn answer(&self, job: &Arc<FrameJob>, reply: Reply) {
         if let Err(error) = &reply {
             self.stats.failed.fetch_add(1, Ordering::Relaxed);
             if let EngineError::Internal(text) = error {
-                tracing::debug!(scene = job.resolved.model.id, error = text, "a frame failed");
+                tracing::debug!(scene = job.frame.model.id, error = text, "a frame failed");
             }
         }
-        self.forget(&mut self.state.lock(), job);
+        self.forget(&mut self.schedule.lock(), job);
         job.answer(reply);
     }
 
     /// The next jobs to draw. Waits up to `patience` for some when nothing is `flying`.
     pub fn next_batch(&self, flying: Flying, patience: Duration) -> Batch {
-        let mut state = self.state.lock();
-        state.queue.set_flying_ns(flying.cost_ns);
+        let mut schedule = self.schedule.lock();
+        schedule.queue.set_flying_ns(flying.cost_ns);
         let may_wait = flying.flights == 0;
-        if may_wait && state.queue.is_empty() && !state.stopping && !state.removed {
-            state.busy_since = None;
-            self.wake.wait_for(&mut state, patience);
+        if may_wait && schedule.queue.is_empty() && !schedule.stopping && !schedule.removed {
+            schedule.busy_since = None;
+            self.wake.wait_for(&mut schedule, patience);
         }
-        state.removed = false;
+        schedule.removed = false;
         let moment = Moment {
             now: Instant::now(),
             flying_ns: flying.cost_ns,
             are_jobs_flying: flying.has_jobs,
             are_streams_open: self.open_streams.load(Ordering::Relaxed) > 0,
-            are_jobs_held: !self.undone.has_room_for_jobs(),
+            are_jobs_held: !self.encode_backlog.has_room_for_jobs(),
         };
         let max = self.config.max_batch;
-        let mut found = state.queue.take(max, moment);
+        let mut found = schedule.queue.take(max, moment);
         // Frames that encoders have no room for are drawn before the end nevertheless.
-        let may_hold = may_wait && (moment.are_jobs_held || !state.stopping);
+        let may_hold = may_wait && (moment.are_jobs_held || !schedule.stopping);
         if let Some(held_for) = found.held_for.filter(|_| may_hold) {
-            state.busy_since = None;
-            self.wake.wait_for(&mut state, held_for.min(patience));
-            let are_jobs_held = !self.undone.has_room_for_jobs();
+            schedule.busy_since = None;
+            self.wake.wait_for(&mut schedule, held_for.min(patience));
+            let are_jobs_held = !self.encode_backlog.has_room_for_jobs();
             let moment = Moment { now: Instant::now(), are_jobs_held, ..moment };
-            let Taken { batch, expired, abandoned, .. } = state.queue.take(max, moment);
+            let Taken { batch, expired, abandoned, .. } = schedule.queue.take(max, moment);
             found.batch = batch;
             found.expired.extend(expired);
             found.abandoned.extend(abandoned);
         }
         let Taken { batch, expired, abandoned, .. } = found;
         for job in expired.iter().chain(&abandoned) {
-            self.forget(&mut state, job);
+            self.forget(&mut schedule, job);
         }
-        let stopping = state.stopping && state.queue.is_empty() && batch.is_empty();
-        let retry_after = expired.first().map(|job| state.backlog(job.lane().class()));
-        drop(state);
+        let stopping = schedule.stopping && schedule.queue.is_empty() && batch.is_empty();
+        let retry_after = expired.first().map(|job| schedule.backlog(job.lane().class()));
+        drop(schedule);
         self.stats.cancelled.fetch_add(abandoned.len() as u64, Ordering::Relaxed);
         self.stats.expired.fetch_add(expired.len() as u64, Ordering::Relaxed);
         for job in expired {
             let retry_after = retry_after.unwrap_or_default();
             job.answer(Err(EngineError::DeadlineExceeded { retry_after }));
         }
-        let taken = |Granted { client, cost_ns, job }: Granted<Arc<Job>>| {
+        let taken = |Granted { client, cost_ns, job }: Granted<Arc<FrameJob>>| {
             job.taken(client, cost_ns);
             job
         };
         Batch { batch: batch.into_iter().map(taken).collect(), stopping }
     }
 
-    pub fn put_back(&self, jobs: Vec<Arc<Job>>) {
+    pub fn put_back(&self, jobs: Vec<Arc<FrameJob>>) {
         if !jobs.is_empty() {
-            let granted = jobs.into_iter().map(Job::granted).collect();
-            self.state.lock().queue.put_back(granted, Instant::now());
+            let granted = jobs.into_iter().map(FrameJob::granted).collect();
+            self.schedule.lock().queue.put_back(granted, Instant::now());
         }
     }
 
     /// A job that was taken has had nothing of the device.
-    pub fn refund(&self, job: &Job) {
+    pub fn refund(&self, job: &FrameJob) {
         if let Some((client, charged_ns)) = job.settle() {
-            self.state.lock().queue.settle(client, charged_ns, 0);
+            self.schedule.lock().queue.settle(client, charged_ns, 0);
         }
     }
 
     /// Puts right what clients were charged for jobs that are under way no more, by the device time that each took, and folds
     /// in that their submission `took` so long.
-    pub fn settle(&self, jobs: &[(Arc<Job>, Option<u64>)], took: Duration) {
-        let mut state = self.state.lock();
-        let State { queue, costs, .. } = &mut *state;
+    pub fn settle(&self, jobs: &[(Arc<FrameJob>, Option<u64>)], took: Duration) {
+        let mut schedule = self.schedule.lock();
+        let Schedule { queue, costs, .. } = &mut *schedule;
         let mut cost_ns = 0;
         let now = Instant::now();
         for (job, measured_ns) in jobs {
@@ -428,75 +420,75 @@ impl Shared {
             queue.settle(client, charged_ns, measured_ns.unwrap_or(charged_ns));
             cost_ns += measured_ns.unwrap_or(charged_ns);
             if let Some(ns) = measured_ns {
-                costs.measured(job.cost_key, ns);
+                costs.measured(job.frame.cost_key, ns);
             }
         }
         costs.landed(cost_ns, took);
     }
 
-    pub fn take_all(&self) -> Vec<Arc<Job>> {
-        self.state.lock().queue.drain()
+    pub fn take_all(&self) -> Vec<Arc<FrameJob>> {
+        self.schedule.lock().queue.drain()
     }
 
     pub fn is_queue_empty(&self) -> bool {
-        self.state.lock().queue.is_empty()
+        self.schedule.lock().queue.is_empty()
     }
 
     /// Whether no frame waits or is being drawn.
     pub fn is_idle(&self) -> bool {
-        let state = self.state.lock();
-        state.queue.is_empty() && state.busy_since.is_none()
+        let schedule = self.schedule.lock();
+        schedule.queue.is_empty() && schedule.busy_since.is_none()
     }
 
-    /// Tells whoever waits in [`Shared::await_primed`].
+    /// Tells whoever waits in [`EngineState::await_primed`].
     pub fn set_primed(&self) {
-        self.state.lock().primed = true;
+        self.schedule.lock().primed = true;
         self.primed.notify_all();
     }
 
     /// Waits until pipelines are primed or `patience` is over; whether they are.
     pub fn await_primed(&self, patience: Duration) -> bool {
-        let mut state = self.state.lock();
-        self.primed.wait_while_for(&mut state, |state| !state.primed, patience);
-        state.primed
+        let mut schedule = self.schedule.lock();
+        self.primed.wait_while_for(&mut schedule, |schedule| !schedule.primed, patience);
+        schedule.primed
     }
 
     pub fn is_stopping(&self) -> bool {
-        self.state.lock().stopping
+        self.schedule.lock().stopping
     }
 
     /// No new jobs from now on.
     pub fn stop(&self) {
-        self.state.lock().stopping = true;
+        self.schedule.lock().stopping = true;
         self.wake.notify_all();
     }
 
     /// Whether jobs that were accepted are still unanswered.
     pub fn has_unanswered(&self) -> bool {
-        !self.state.lock().by_key.is_empty()
+        !self.schedule.lock().by_key.is_empty()
     }
 
     /// Has the render thread look whether encoders have room for frames of jobs again.
     pub fn wake_for_jobs(&self) {
         // Between its look and its wait it holds the lock.
-        drop(self.state.lock());
+        drop(self.schedule.lock());
         self.wake.notify_one();
     }
 
     /// Has the render thread free the scenes that the library no longer holds.
     pub fn wake_for_removal(&self) {
-        self.state.lock().removed = true;
+        self.schedule.lock().removed = true;
         self.wake.notify_one();
     }
 
     /// Fails whatever is unanswered and takes nothing more: the render thread is gone.
     pub fn abandon(&self) {
-        let jobs: Vec<Arc<Job>> = {
-            let mut state = self.state.lock();
-            state.stopping = true;
-            state.phase = Phase::Failed;
-            state.queue.drain();
-            state.by_key.drain().map(|(_, job)| job).collect()
+        let jobs: Vec<Arc<FrameJob>> = {
+            let mut schedule = self.schedule.lock();
+            schedule.stopping = true;
+            schedule.phase = Phase::Failed;
+            schedule.queue.drain();
+            schedule.by_key.drain().map(|(_, job)| job).collect()
         };
         self.stats.failed.fetch_add(jobs.len() as u64, Ordering::Relaxed);
         for job in jobs {
@@ -535,27 +527,27 @@ impl Shared {
     }
 
     pub fn set_phase(&self, phase: Phase) {
-        self.state.lock().phase = phase;
+        self.schedule.lock().phase = phase;
     }
 
     pub fn beat(&self, busy: bool) {
-        self.state.lock().busy_since = busy.then(Instant::now);
+        self.schedule.lock().busy_since = busy.then(Instant::now);
     }
 
     pub fn readiness(&self) -> Readiness {
-        let state = self.state.lock();
+        let schedule = self.schedule.lock();
         // Before all: who drains, ends; who failed, waits to be ended.
-        if state.phase == Phase::Failed {
+        if schedule.phase == Phase::Failed {
             return Readiness::Failed;
         }
-        if state.stopping {
+        if schedule.stopping {
             return Readiness::Draining;
         }
-        match state.phase {
+        match schedule.phase {
             Phase::Starting => Readiness::Starting,
             Phase::Lost => Readiness::DeviceLost,
             Phase::Failed => Readiness::Failed,
-            Phase::Ready => match state.busy_since.map(|since| since.elapsed()) {
+            Phase::Ready => match schedule.busy_since.map(|since| since.elapsed()) {
                 Some(busy) if busy > STALL => {
                     Readiness::Stalled { for_ms: busy.as_millis() as u64 }
                 }
@@ -601,7 +593,7 @@ impl Shared {
             refused: read(&self.stats.refused),
             hopeless: read(&self.stats.hopeless),
             failed: read(&self.stats.failed),
-            queued: self.state.lock().queue.len() as u64,
+            queued: self.schedule.lock().queue.len() as u64,
             device_losses: read(&self.stats.device_losses),
             evictions: read(&self.stats.evictions),
             uploads: read(&self.stats.uploads),
@@ -626,9 +618,9 @@ pub struct Flying {
     pub has_jobs: bool,
 }
 
-/// What [`Shared::next_batch`] found.
+/// What [`EngineState::next_batch`] found.
 pub struct Batch {
-    pub batch: Vec<Arc<Job>>,
+    pub batch: Vec<Arc<FrameJob>>,
     /// Told to stop, and nothing is left to do.
     pub stopping: bool,
 }

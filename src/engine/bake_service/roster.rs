@@ -81,6 +81,12 @@ impl Roster {
         if runs { Left::Stopping } else { Left::Forgotten }
     }
 
+    /// Removes a bake with all its waiters.
+    pub fn cancel(&mut self, id: BakeId) {
+        let runs = self.wanted.remove(&id).is_some_and(|entry| entry.runs);
+        self.stopping += usize::from(runs);
+    }
+
     pub fn running(&self) -> usize {
         self.stopping + self.wanted.values().filter(|entry| entry.runs).count()
     }
@@ -133,7 +139,7 @@ mod tests {
         /// In every order of events: the limit holds, each bake begins at most once and is wanted when it begins, no waiter is
         /// forgotten, and no two wanted bakes have the same key.
         #[test]
-        fn rosters_stay_in_order(most in 1usize..4, steps in prop::collection::vec((0u8..4, 0usize..8), 1..100)) {
+        fn rosters_stay_in_order(most in 1usize..4, steps in prop::collection::vec((0u8..5, 0usize..8), 1..100)) {
             let mut roster = Roster::new(most);
             let (mut waiting, mut begun, mut under_way) = (BTreeMap::<BakeId, (u64, usize)>::new(), Vec::new(), Vec::new());
             for (what, which) in steps {
@@ -161,6 +167,11 @@ mod tests {
                         };
                         if entry.1 == 0 { waiting.remove(&id); }
                         prop_assert_eq!(roster.leave(id), expected);
+                    },
+                    3 => if let Some(&id) = waiting.keys().nth(which) {
+                        waiting.remove(&id);
+                        roster.cancel(id);
+                        prop_assert_eq!(roster.leave(id), Left::Nothing);
                     },
                     _ => if !under_way.is_empty() {
                         let id = under_way.remove(which % under_way.len());

@@ -1,6 +1,6 @@
 //! Bakes point trees asset by asset: reads them from the cache on disk, or builds them and writes them to the cache.
 //!
-//! An entry's key is the hash of all inputs of its trees ([`super::keys::tree_key`]). Trees over a scene's instances are built
+//! An entry's key is the hash of all inputs of its trees ([`super::asset_keys::tree_key`]). Trees over a scene's instances are built
 //! quickly and not cached. If the cache cannot be written, bakes log a warning, and the next process has to build again. Assets
 //! that would exceed the memory limit of baking are built with temporary files beside the cache ([`large`]).
 
@@ -14,10 +14,10 @@ use serde::Serialize;
 
 pub(super) use self::large::BYTES_A_SAMPLE;
 use self::large::{bake_apart, build_large, large_assets};
-use super::bakes::Watch;
-use super::keys::tree_key;
+use super::asset_keys::tree_key;
+use super::bake_service::Watch;
 use super::library::{AssetCache, Loaded, check_path, load, scene_error};
-use super::trees::{Halt, asset_tree, bake};
+use super::point_trees::{Halt, asset_tree, bake};
 use super::{EngineConfig, EngineError, Source};
 use crate::bake::cache::BakeCache;
 use crate::bake::external::Phase;

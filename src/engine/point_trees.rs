@@ -1,15 +1,15 @@
 //! Scenes of point trees: what `lod=spt` draws instead of a scene's assets as they are.
 //!
 //! A tree is built from an asset's packed samples when a frame first asks for it, or read from the cache on disk
-//! ([`super::baking`]), and kept with the asset, so that scenes and revisions share it. The scene of trees is a scene of its own to the GPU ([`SceneModel::trees`]): it comes and goes by itself.
+//! ([`super::point_tree_cache`]), and kept with the asset, so that scenes and revisions share it. The scene of trees is a scene of its own to the GPU ([`SceneModel::trees`]): it comes and goes by itself.
 
 use std::sync::{Arc, OnceLock};
 
 use super::EngineError;
-use super::bakes::{Abandoned, Watch};
-use super::baking::{BYTES_A_SAMPLE, BakeSource, read_or_build};
-use super::crowd::{Crowd, Crowded};
+use super::bake_service::{Abandoned, Watch};
+use super::instance_trees::{InstanceTreeScene, InstanceTrees};
 use super::library::{Loaded, asset_error, next_uid};
+use super::point_tree_cache::{BYTES_A_SAMPLE, BakeSource, read_or_build};
 use crate::assets::{AssetError, MeshPart, Texture};
 use crate::bake::cache::BakeCache;
 use crate::bake::hybrid::{hybrid_mesh, is_watertight};
@@ -31,7 +31,7 @@ pub struct TreeScene {
     pub model: Arc<SceneModel>,
     pub facts: SceneFacts,
     /// The trees over its instances, where there are enough of them.
-    pub crowd: Option<Arc<Crowd>>,
+    pub instance_trees: Option<Arc<InstanceTrees>>,
 }
 
 /// Why there are no trees of an asset.
@@ -233,25 +233,16 @@ fn hybrid(
 }
 
 impl Loaded {
-    /// Whether [`Loaded::trees`] costs nothing.
-    pub fn has_trees(&self) -> bool {
-        self.trees.get().is_some()
-    }
-
-    /// The scene's point trees, read from `cache` or built when they are first asked for: that may take seconds.
+    /// Returns the scene's point trees, if they are baked.
     ///
     /// # Errors
     /// A geometry that cannot be packed with its disks.
-    pub fn trees(&self, cache: Option<&BakeCache>) -> Result<TreeScene, EngineError> {
-        match self.trees_watched(cache, &Watch::NONE) {
-            Ok(trees) => trees,
-            // Nobody could have told it to stop.
-            Err(Abandoned) => Err(EngineError::Internal("baking was given up".into())),
-        }
+    pub fn trees(&self) -> Option<Result<TreeScene, EngineError>> {
+        self.trees.get().cloned()
     }
 
-    /// The same, given up when `watch` says so, and with its progress told.
-    pub fn trees_watched(
+    /// Reads the scene's point trees from `cache`, or builds them, which may take seconds. Stops when `watch` says so.
+    pub fn bake_trees(
         &self,
         cache: Option<&BakeCache>,
         watch: &Watch<'_>,
@@ -297,18 +288,18 @@ impl Loaded {
         let before = self.trees_before.lock().take();
         let count = self.model.instances.len();
         let instances;
-        let mut crowd = None;
-        if count < LEAST_CROWD {
+        let mut instance_trees = None;
+        if count < LEAST_INSTANCES {
             // Of trees the same instances add up to other sums.
             let meter = RunMeter::new(&assets);
             let run = meter.run(self.model.instances.iter().copied().collect());
             instances = Instances::new(vec![Arc::new(run)]);
         } else {
             let began = std::time::Instant::now();
-            let before = before.and_then(|before| before.crowd);
-            let (over, crowded) = Crowd::over(&self.model, &assets, before.as_deref())?;
+            let before = before.and_then(|before| before.instance_trees);
+            let (over, made_scene) = InstanceTrees::over(&self.model, &assets, before.as_deref())?;
             let elapsed_ms = began.elapsed().as_millis() as u64;
-            let Crowded { nodes, blocks, made, .. } = crowded;
+            let InstanceTreeScene { nodes, blocks, made, .. } = made_scene;
             tracing::info!(
                 scene = self.model.id,
                 instances = count,
@@ -318,8 +309,8 @@ impl Loaded {
                 elapsed_ms,
                 "trees over instances built"
             );
-            (assets, instances) = (crowded.assets, crowded.instances);
-            crowd = Some(Arc::new(over));
+            (assets, instances) = (made_scene.assets, made_scene.instances);
+            instance_trees = Some(Arc::new(over));
         }
         let model = SceneModel {
             uid: next_uid(),
@@ -333,7 +324,7 @@ impl Loaded {
         let counts = model.counts();
         let (has_samples, chunks) = (counts.samples > 0, counts.chunks);
         let facts = SceneFacts { trees: true, has_samples, chunks, ..self.facts };
-        Ok(TreeScene { model: Arc::new(model), facts, crowd })
+        Ok(TreeScene { model: Arc::new(model), facts, instance_trees })
     }
 
     /// The trees of this revision, or else of the last one before that had some.
@@ -351,4 +342,4 @@ const ALWAYS: f32 = 1e30;
 const MAX_SAMPLES: u64 = 1 << 28;
 
 /// Scenes of fewer instances have no tree over them.
-const LEAST_CROWD: usize = 16;
+const LEAST_INSTANCES: usize = 16;

@@ -10,6 +10,7 @@
 //! trees, which need them. A second request for the same goal joins the running bake. A stopped bake keeps the assets that it had
 //! finished and leaves the others as they were.
 
+mod latch;
 mod roster;
 
 use std::collections::HashMap;
@@ -23,9 +24,10 @@ use std::time::Duration;
 use parking_lot::Mutex;
 use tokio::sync::oneshot;
 
+pub use self::latch::Latch;
 use self::roster::{BakeId, Joined, Left, Roster};
-use super::EngineError;
 use super::library::Loaded;
+use super::{EngineConfig, EngineError};
 use crate::bake::cache::BakeCache;
 
 /// Largest number of concurrent bakes. Each uses all cores for most of its time, and much memory.
@@ -86,7 +88,8 @@ impl<'a> Watch<'a> {
     }
 }
 
-type Reply = Result<(), EngineError>;
+/// The scene with what was baked.
+type Reply = Result<Arc<Loaded>, EngineError>;
 
 /// The data that a bake makes for a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -137,24 +140,31 @@ struct State {
 }
 
 /// All bakes of an engine.
-pub struct Bakes {
+pub struct BakeService {
     state: Mutex<State>,
     cache: Option<BakeCache>,
+    /// Bakes do not begin while this is shut.
+    latch: Option<Arc<Latch>>,
     scenes: OnceLock<Weak<dyn Scenes>>,
 }
 
 /// Waits for a bake: await it, or wait on a thread. Dropping it gives up waiting.
 pub struct BakeTicket {
-    bakes: Arc<Bakes>,
+    bakes: Arc<BakeService>,
     id: BakeId,
     done: Arc<AtomicU32>,
     receiver: oneshot::Receiver<Reply>,
 }
 
-impl Bakes {
-    pub fn new(cache: Option<BakeCache>) -> Arc<Bakes> {
+impl BakeService {
+    pub fn new(config: &EngineConfig) -> Arc<BakeService> {
         let state = State { roster: Roster::new(MOST), bakes: HashMap::new() };
-        Arc::new(Bakes { state: Mutex::new(state), cache, scenes: OnceLock::new() })
+        Arc::new(BakeService {
+            state: Mutex::new(state),
+            cache: config.bake_cache.clone(),
+            latch: config.bake_latch.clone(),
+            scenes: OnceLock::new(),
+        })
     }
 
     /// Sets the owner of the scenes. Only the first call has an effect.
@@ -163,7 +173,7 @@ impl Bakes {
     }
 
     /// Waits for a goal of a scene, together with all others who wait for it.
-    pub fn join(self: &Arc<Bakes>, scene: Arc<Loaded>, goal: Goal) -> BakeTicket {
+    pub fn join(self: &Arc<BakeService>, scene: Arc<Loaded>, goal: Goal) -> BakeTicket {
         let (sender, receiver) = oneshot::channel();
         let mut state = self.state.lock();
         let (id, done) = match state.roster.join(goal.key(&scene)) {
@@ -187,7 +197,7 @@ impl Bakes {
     }
 
     /// Starts waiting bakes while there is room.
-    fn begin(self: &Arc<Bakes>) {
+    fn begin(self: &Arc<BakeService>) {
         loop {
             let mut state = self.state.lock();
             let Some(id) = state.roster.next() else { return };
@@ -216,7 +226,7 @@ impl Bakes {
         }
     }
 
-    fn leave(self: &Arc<Bakes>, id: BakeId) {
+    fn leave(self: &Arc<BakeService>, id: BakeId) {
         let mut state = self.state.lock();
         if state.roster.leave(id) != Left::Nothing
             && let Some(bake) = state.bakes.remove(&id)
@@ -229,12 +239,39 @@ impl Bakes {
         }
     }
 
+    /// Ends the bakes of all revisions of a deleted scene. Those who wait for them get `error`.
+    pub fn cancel(&self, load: u64, error: &EngineError) {
+        let cancelled: Vec<Bake> = {
+            let mut state = self.state.lock();
+            let State { roster, bakes } = &mut *state;
+            bakes
+                .extract_if(|_, bake| bake.work.scene.load() == load)
+                .map(|(id, bake)| {
+                    roster.cancel(id);
+                    bake
+                })
+                .collect()
+        };
+        for Bake { work, waiting } in cancelled {
+            work.stop.store(true, Ordering::Relaxed);
+            for sender in waiting {
+                // A waiter that has gone needs no answer.
+                let _ = sender.send(Err(error.clone()));
+            }
+        }
+    }
+
     /// Returns the progress of a scene's estimates while somebody waits for them or for point trees, which need them.
     pub fn estimating(&self, scene: &Loaded) -> Option<f64> {
         let state = self.state.lock();
         let works = state.bakes.values().map(|bake| &bake.work);
         let own = works.filter(|work| work.scene.model.uid == scene.model.uid);
         own.map(Work::estimated).reduce(f64::max)
+    }
+
+    /// Returns the number of tickets of bakes that have not ended.
+    pub fn waiters(&self) -> usize {
+        self.state.lock().bakes.values().map(|bake| bake.waiting.len()).sum()
     }
 
     /// Returns the number of running bakes, including those that are stopping.
@@ -256,7 +293,7 @@ impl Work {
         }
     }
 
-    fn run(&self, bakes: &Bakes) -> Reply {
+    fn run(&self, bakes: &BakeService) -> Reply {
         let watch = Watch::new(&self.stop, &self.done);
         match catch_unwind(AssertUnwindSafe(|| self.work(bakes, &watch))) {
             Ok(Ok(reply)) => reply,
@@ -266,7 +303,10 @@ impl Work {
         }
     }
 
-    fn work(&self, bakes: &Bakes, watch: &Watch<'_>) -> Result<Reply, Abandoned> {
+    fn work(&self, bakes: &BakeService, watch: &Watch<'_>) -> Result<Reply, Abandoned> {
+        if let Some(latch) = &bakes.latch {
+            latch.pass(watch)?;
+        }
         let (mut scene, mut begin) = (self.scene.clone(), 0.0);
         if !scene.is_whole() {
             let share = if self.goal == Goal::Estimates { 1.0 } else { ESTIMATING };
@@ -280,10 +320,10 @@ impl Work {
             begin = share;
         }
         if self.goal == Goal::Estimates {
-            return Ok(Ok(()));
+            return Ok(Ok(scene));
         }
-        let trees = scene.trees_watched(bakes.cache.as_ref(), &watch.part(begin, 1.0 - begin))?;
-        Ok(trees.map(drop))
+        let trees = scene.bake_trees(bakes.cache.as_ref(), &watch.part(begin, 1.0 - begin))?;
+        Ok(trees.map(|_| scene))
     }
 }
 
@@ -294,24 +334,39 @@ impl BakeTicket {
     }
 
     /// Returns the result once, if the bake has ended.
-    pub fn outcome(&mut self) -> Option<Reply> {
-        self.receiver.try_recv().ok()
+    pub fn outcome(&mut self) -> Option<Result<(), EngineError>> {
+        Some(self.receiver.try_recv().ok()?.map(drop))
     }
 
     /// Blocks until the bake ends; not for threads that run async tasks.
     ///
     /// # Errors
     /// A geometry that no tree can be built of.
-    pub fn wait(mut self) -> Reply {
-        self.wait_while(|_| true).unwrap_or(Err(EngineError::ShuttingDown))
+    pub fn wait(self) -> Result<(), EngineError> {
+        self.wait_for_scene().map(drop)
+    }
+
+    /// Does the work of [`BakeTicket::wait`] and returns the scene with what was baked.
+    pub(super) fn wait_for_scene(mut self) -> Reply {
+        let (_, closed) = oneshot::channel();
+        let receiver = std::mem::replace(&mut self.receiver, closed);
+        receiver.blocking_recv().unwrap_or(Err(EngineError::ShuttingDown))
+    }
+
+    /// Waits for the bake and returns the scene with what was baked.
+    pub(super) async fn scene(mut self) -> Reply {
+        (&mut self.receiver).await.unwrap_or(Err(EngineError::ShuttingDown))
     }
 
     /// Waits like [`BakeTicket::wait`] while `is_wanted`, called with the progress, returns true; `None` when it returned false.
-    pub fn wait_while(&mut self, mut is_wanted: impl FnMut(f64) -> bool) -> Option<Reply> {
+    pub fn wait_while(
+        &mut self,
+        mut is_wanted: impl FnMut(f64) -> bool,
+    ) -> Option<Result<(), EngineError>> {
         use oneshot::error::TryRecvError;
         while is_wanted(self.progress()) {
             match self.receiver.try_recv() {
-                Ok(reply) => return Some(reply),
+                Ok(reply) => return Some(reply.map(drop)),
                 Err(TryRecvError::Empty) => std::thread::sleep(LOOK_EVERY),
                 Err(TryRecvError::Closed) => return Some(Err(EngineError::ShuttingDown)),
             }
@@ -321,11 +376,11 @@ impl BakeTicket {
 }
 
 impl std::future::Future for BakeTicket {
-    type Output = Reply;
+    type Output = Result<(), EngineError>;
 
-    fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Reply> {
+    fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
         let polled = Pin::new(&mut self.receiver).poll(context);
-        polled.map(|reply| reply.unwrap_or(Err(EngineError::ShuttingDown)))
+        polled.map(|reply| reply.unwrap_or(Err(EngineError::ShuttingDown)).map(drop))
     }
 }
 

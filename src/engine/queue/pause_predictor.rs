@@ -48,11 +48,11 @@ pub struct Expected {
 
 /// Pauses of the clients that wait for each frame.
 #[derive(Debug, Default)]
-pub struct Habits {
+pub struct PausePredictor {
     clients: HashMap<Client, Habit>,
 }
 
-impl Habits {
+impl PausePredictor {
     /// Records a client's request for a frame.
     pub fn asked(&mut self, client: Client, now: Instant) {
         self.forget(now);
@@ -104,63 +104,65 @@ mod tests {
 
     #[test]
     fn who_asks_after_each_frame_is_waited_for() {
-        let (mut habits, start, who) = (Habits::default(), Instant::now(), Client::Caller(1));
-        habits.landed(who, start);
-        assert_eq!(habits.expected(start), None, "it was never heard of");
+        let (mut pauses, start, who) =
+            (PausePredictor::default(), Instant::now(), Client::Caller(1));
+        pauses.landed(who, start);
+        assert_eq!(pauses.expected(start), None, "it was never heard of");
         let mut now = start;
         for _ in 0..30 {
-            habits.asked(who, now);
-            assert_eq!(habits.expected(now), None, "it has asked");
+            pauses.asked(who, now);
+            assert_eq!(pauses.expected(now), None, "it has asked");
             now += 20 * MS;
-            habits.landed(who, now);
+            pauses.landed(who, now);
             now += 10 * MS;
         }
-        assert!(habits.is_quick(who));
+        assert!(pauses.is_quick(who));
         now -= 10 * MS;
-        let Expected { free, until } = habits.expected(now + 4 * MS).unwrap();
+        let Expected { free, until } = pauses.expected(now + 4 * MS).unwrap();
         assert!(free > 5 * MS && free < 7 * MS, "{free:?}");
         assert!(until > 17 * MS && until < 19 * MS, "{until:?}");
-        assert_eq!(habits.expected(now + 15 * MS).unwrap().free, Duration::ZERO);
-        assert_eq!(habits.expected(now + 23 * MS), None, "it is away");
+        assert_eq!(pauses.expected(now + 15 * MS).unwrap().free, Duration::ZERO);
+        assert_eq!(pauses.expected(now + 23 * MS), None, "it is away");
     }
 
     #[test]
     fn who_asks_now_and_then_is_not() {
-        let (mut habits, mut now, who) = (Habits::default(), Instant::now(), Client::Caller(1));
+        let (mut pauses, mut now, who) =
+            (PausePredictor::default(), Instant::now(), Client::Caller(1));
         for _ in 0..20 {
-            habits.asked(who, now);
-            habits.landed(who, now);
+            pauses.asked(who, now);
+            pauses.landed(who, now);
             now += 300 * MS;
         }
-        assert!(!habits.is_quick(who));
-        habits.landed(who, now);
-        assert_eq!(habits.expected(now), None);
+        assert!(!pauses.is_quick(who));
+        pauses.landed(who, now);
+        assert_eq!(pauses.expected(now), None);
     }
 
     #[test]
     fn the_first_of_several_decides() {
-        let (mut habits, start) = (Habits::default(), Instant::now());
+        let (mut pauses, start) = (PausePredictor::default(), Instant::now());
         for (number, pause) in [(1, 40), (2, 10)] {
             let mut now = start;
             for _ in 0..40 {
-                habits.asked(Client::Caller(number), now);
-                habits.landed(Client::Caller(number), now);
+                pauses.asked(Client::Caller(number), now);
+                pauses.landed(Client::Caller(number), now);
                 now += pause * MS;
             }
-            habits.asked(Client::Caller(number), now);
-            habits.landed(Client::Caller(number), start);
+            pauses.asked(Client::Caller(number), now);
+            pauses.landed(Client::Caller(number), start);
         }
-        let expected = habits.expected(start).unwrap();
+        let expected = pauses.expected(start).unwrap();
         assert!(expected.free < 11 * MS && expected.until < 23 * MS, "{expected:?}");
     }
 
     #[test]
     fn clients_without_end_are_forgotten() {
-        let (mut habits, mut now) = (Habits::default(), Instant::now());
+        let (mut pauses, mut now) = (PausePredictor::default(), Instant::now());
         for number in 0..20_000 {
-            habits.asked(Client::Caller(number), now);
+            pauses.asked(Client::Caller(number), now);
             now += 20 * MS;
         }
-        assert!(habits.clients.len() < 1000, "{}", habits.clients.len());
+        assert!(pauses.clients.len() < 1000, "{}", pauses.clients.len());
     }
 }

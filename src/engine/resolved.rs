@@ -1,0 +1,214 @@
+//! Resolved frames: requests after every check and every decision.
+//!
+//! ```text
+//! FrameRequest ──resolve──▶ ResolvedFrame ──▶ queue ──▶ render thread ──▶ receipt
+//!                    └────▶ UnbakedFrame ──bake──▶ ResolvedFrame
+//! ```
+//! [`super::Engine::resolve`] looks the scene up once. The frame keeps that revision of it: the entity tag, the queue, the render thread
+//! and the receipt all read the same value, and none of them asks the library again.
+
+use std::sync::Arc;
+
+use super::bake_service::{BakeTicket, Goal};
+use super::library::Loaded;
+use super::queue::cost::CostKey;
+use super::receipt::CameraReceipt;
+use super::resolve::resolve_in;
+use super::state::EngineState;
+use super::{EngineError, FrameRequest};
+use crate::math::View;
+use crate::plan::auto::Choice;
+use crate::plan::{Background, FramePlan, Reconstruct, Settings};
+use crate::residency::model::{Extent, SceneModel};
+use crate::scene::Splats;
+
+/// A checked request, with everything that was decided for it.
+pub struct ResolvedFrame {
+    pub request: FrameRequest,
+    pub(super) model: Arc<SceneModel>,
+    pub(super) view: View,
+    pub(super) camera: CameraReceipt,
+    pub(super) extent: Extent,
+    pub(super) drawing: Drawing,
+    /// Reason why the frame will change in a while, with the progress towards that.
+    pub(super) provisional: Option<String>,
+    /// How samples are drawn where the request left that open, and why.
+    pub(super) auto: Option<Choice>,
+    /// The drawing for splats that overflow a single pass.
+    pub(super) in_three_passes: Option<Drawing>,
+    /// Key that is equal for requests whose frames are equal to the byte.
+    pub(super) key: String,
+    pub(super) cost_key: CostKey,
+    /// Name of the adapter that the frame was resolved for.
+    pub(super) adapter: String,
+}
+
+/// One way to draw a frame. Passes take all settings from here, so that equal drawings are drawn alike.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Drawing {
+    pub plan: FramePlan,
+    /// Canonical form of the settings, with what the scene adds to them.
+    pub settings: Settings,
+    /// Reason for not drawing as requested.
+    pub instead_because: Option<&'static str>,
+    /// How samples are drawn, if not as points.
+    pub splats: Option<Splats>,
+}
+
+/// Result of [`super::Engine::resolve`].
+pub enum Resolution {
+    Ready(Arc<ResolvedFrame>),
+    NeedsBake(Box<UnbakedFrame>),
+}
+
+/// A valid request whose scene lacks what only a bake makes: point trees, or normals and kernels of a large cloud.
+pub struct UnbakedFrame {
+    pub(super) state: Arc<EngineState>,
+    pub(super) scene: Arc<Loaded>,
+    pub(super) goal: Goal,
+    pub(super) request: FrameRequest,
+}
+
+impl ResolvedFrame {
+    /// Returns the strong entity tag (quoted): a hash of all that decides the frame's bytes.
+    pub fn etag(&self) -> &str {
+        &self.key
+    }
+
+    /// Returns the entity tag; `None` for a frame that will change once normals and kernels are estimated.
+    pub fn final_etag(&self) -> Option<&str> {
+        self.provisional.is_none().then_some(&self.key)
+    }
+
+    /// Returns the name of the adapter that the entity tag is for.
+    pub fn adapter(&self) -> &str {
+        &self.adapter
+    }
+
+    /// Returns how samples are drawn, which a request may leave open.
+    pub fn reconstruct(&self) -> Reconstruct {
+        self.drawing.settings.reconstruct
+    }
+
+    pub fn plan(&self) -> &FramePlan {
+        &self.drawing.plan
+    }
+}
+
+impl UnbakedFrame {
+    pub fn request(&self) -> &FrameRequest {
+        &self.request
+    }
+
+    /// Begins the bake, or joins it if it runs already.
+    ///
+    /// # Errors
+    /// [`EngineError::UnknownScene`] if the scene was deleted meanwhile.
+    pub fn begin(&self) -> Result<BakeTicket, EngineError> {
+        self.state.begin_bake(&self.scene, self.goal)
+    }
+
+    /// Waits for the bake and resolves the request in the scene as it was when the bake began, even if the scene has a newer
+    /// revision by then. Dropping the future gives up waiting.
+    ///
+    /// # Errors
+    /// Any error of the bake or of the request; [`EngineError::UnknownScene`] if the scene is deleted meanwhile.
+    pub async fn bake(self) -> Result<Arc<ResolvedFrame>, EngineError> {
+        let mut unbaked = self;
+        loop {
+            let scene = unbaked.begin()?.scene().await?;
+            match resolve_in(&unbaked.state, scene, unbaked.request)? {
+                Resolution::Ready(frame) => return Ok(frame),
+                Resolution::NeedsBake(next) => unbaked = *next,
+            }
+        }
+    }
+
+    /// Does the work of [`UnbakedFrame::bake`]. Blocks; not for threads that run async tasks or parallel work.
+    ///
+    /// # Errors
+    /// As [`UnbakedFrame::bake`].
+    pub fn bake_blocking(self) -> Result<Arc<ResolvedFrame>, EngineError> {
+        let mut unbaked = self;
+        loop {
+            let scene = unbaked.begin()?.wait_for_scene()?;
+            match resolve_in(&unbaked.state, scene, unbaked.request)? {
+                Resolution::Ready(frame) => return Ok(frame),
+                Resolution::NeedsBake(next) => unbaked = *next,
+            }
+        }
+    }
+}
+
+impl Drawing {
+    /// `scene`: what the scene says of splats.
+    pub fn new(
+        settings: &Settings,
+        scene: &Splats,
+        instead_because: Option<&'static str>,
+        plan: impl FnOnce(Option<&Splats>) -> FramePlan,
+    ) -> Drawing {
+        let splats = settings.splats(scene);
+        let settings = settings.settled(splats.as_ref()).effective();
+        Drawing { plan: plan(splats.as_ref()), settings, instead_because, splats }
+    }
+
+    /// Linear RGB and straight alpha of pixels that show nothing.
+    pub fn background(&self, model: &SceneModel) -> [f32; 4] {
+        self.settings.background.map_or(model.background, Background::linear)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::{self, AdapterFacts, FrameFacts, Given, Output, SceneFacts, SettingKind};
+
+    fn drawing(settings: &Settings) -> Drawing {
+        let facts = SceneFacts { has_samples: true, trees: true, chunks: 1, ..Default::default() };
+        let adapter = AdapterFacts::default();
+        Drawing::new(settings, &Splats::default(), None, |splats| {
+            let frame = FrameFacts { output: Output::Color, splats: splats.copied(), edl: None };
+            plan::plan(&facts, &frame, &adapter)
+        })
+    }
+
+    /// A task takes its settings from the first job of a group, whose members have equal drawings.
+    #[test]
+    fn drawings_of_different_settings_differ() {
+        for setting in plan::declared() {
+            let values: Vec<String> = match &setting.kind {
+                SettingKind::Choice { choices, .. } => {
+                    choices.iter().map(|choice| choice.value.clone()).collect()
+                }
+                SettingKind::Flag => vec!["true".to_owned(), "false".to_owned()],
+                SettingKind::Color => vec!["transparent".to_owned(), "#102030".to_owned()],
+                SettingKind::Number { least, most, .. } => {
+                    vec![least.to_string(), most.to_string()]
+                }
+            };
+            let mut needed = Given::default();
+            for rule in &setting.needs {
+                needed.set_text(rule.of, rule.is[0]).unwrap();
+            }
+            let drawings = values.iter().map(|value| {
+                let mut given = needed;
+                given.set_text(setting.name, value).unwrap();
+                drawing(&given.resolve().unwrap())
+            });
+            let drawings: Vec<Drawing> = drawings.collect();
+            for (index, one) in drawings.iter().enumerate() {
+                assert!(!drawings[..index].contains(one), "{}={}", setting.name, values[index]);
+            }
+        }
+    }
+
+    #[test]
+    fn settings_without_effect_leave_drawings_equal() {
+        let points = Settings::drawn_as(plan::Reconstruct::Points);
+        let fine = Settings { max_error_px: 0.5.into(), ..points };
+        assert_eq!(drawing(&fine), drawing(&points), "full detail accepts no error");
+        let trees = |settings: Settings| drawing(&Settings { lod: plan::Lod::Spt, ..settings });
+        assert_ne!(trees(fine), trees(points));
+    }
+}
