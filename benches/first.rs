@@ -74,7 +74,7 @@ fn measure(query: &str) -> anyhow::Result<Times> {
         warm_primed: Vec::new(),
         second: Vec::new(),
     };
-    let path = format!("/v1/scenes/plaza/frame?w=640&h=480&{query}");
+    let path = format!("/v1/scenes/plaza/frame?camera=overview&w=640&h=480&{query}");
     for _ in 0..pick(5, 1) {
         let folder = tempfile::tempdir()?;
         let fresh = |name: &str| folder.path().join(name);

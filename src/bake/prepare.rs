@@ -20,6 +20,12 @@ use crate::scene::{self, Instance, Scene, SceneError, SceneLimits};
 
 /// Angle between faces, in degrees, above which a mesh without normals keeps its edge.
 const CREASE_DEG: f64 = 35.0;
+/// Luminance of a surface under the lights of a bare file, as a share of that of its colours, about.
+const LIT: f64 = 0.5;
+/// Median luminance below which what is drawn stands out badly from the default background.
+const DARK: f64 = 0.085;
+/// Background of bare files that are mostly dark: `#c4cad0` in linear RGB.
+const LIGHT_BACKGROUND: [f32; 4] = [0.552, 0.591, 0.631, 1.0];
 /// The contents of an asset's file before preparation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AssetTraits {
@@ -180,8 +186,8 @@ pub struct Outlook<'a> {
     pub sensor: Option<Sensor>,
 }
 
-/// Adapts the description of a bare asset file: a scan's own colours and intensities are shown unlit; the first view is the
-/// sensor's, and up is the user's, the sensor's, or a guess.
+/// Adapts the description of a bare asset file: a scan's own colours and intensities are shown unlit; dark content has a
+/// light background; the first view is the sensor's, and up is the user's, the sensor's, or a guess.
 pub fn adapt_bare_asset(description: &mut Scene, assets: &[AssetTraits], outlook: &Outlook) {
     let scan = |asset: &AssetTraits| {
         let is_painted = asset.has_colors || asset.shows_intensity;
@@ -189,6 +195,10 @@ pub fn adapt_bare_asset(description: &mut Scene, assets: &[AssetTraits], outlook
     };
     if assets.iter().all(scan) {
         description.lights.clear();
+    }
+    let drawn = if description.lights.is_empty() { 1.0 } else { LIT };
+    if outlook.shape.is_some_and(|shape| shape.lightness * drawn < DARK) {
+        description.background = LIGHT_BACKGROUND;
     }
     let bounds = outlook.bounds;
     let format = assets.first().map_or("", |asset| asset.format);
@@ -320,6 +330,26 @@ mod tests {
             .sum();
         let white = srgb_byte_from_linear(brightest);
         assert!((210..=230).contains(&white), "{white}");
+    }
+
+    #[test]
+    fn dark_bare_files_have_a_light_background() {
+        let scan = AssetTraits { has_colors: true, ..traits("laz") };
+        let mesh = AssetTraits { has_triangles: true, ..traits("obj") };
+        let background = |asset, lightness| {
+            let mut scene = Scene::from_asset("a", "a".into());
+            let shape = Shape { lightness, ..Shape::default() };
+            let outlook = Outlook { shape: Some(&shape), ..Outlook::default() };
+            adapt_bare_asset(&mut scene, &[asset], &outlook);
+            scene.background
+        };
+        let usual = Scene::from_asset("a", "a".into()).background;
+        assert_eq!(background(scan, 1.0), usual);
+        assert_eq!(background(scan, 0.12), usual);
+        assert_eq!(background(mesh, 0.12), LIGHT_BACKGROUND, "light is dimmer than colours");
+        assert_eq!(background(scan, 0.02), LIGHT_BACKGROUND);
+        let bytes = LIGHT_BACKGROUND.map(srgb_byte_from_linear);
+        assert_eq!(bytes[..3], [0xc4, 0xca, 0xd0]);
     }
 
     #[test]

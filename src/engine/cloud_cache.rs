@@ -93,11 +93,12 @@ struct KeptShape {
     symmetry: [u64; 3],
     ends: [[[u64; 8]; 2]; 3],
     is_cloud: bool,
+    lightness: u64,
 }
 
 impl KeptShape {
     fn of(shape: &Shape) -> KeptShape {
-        let Shape { extent, symmetry, ends, is_cloud } = *shape;
+        let Shape { extent, symmetry, ends, is_cloud, lightness } = *shape;
         let end = |end: End| {
             let End {
                 footprint,
@@ -125,6 +126,7 @@ impl KeptShape {
             symmetry: bits(symmetry),
             ends: ends.map(|both| both.map(end)),
             is_cloud,
+            lightness: lightness.to_bits(),
         }
     }
 
@@ -148,6 +150,7 @@ impl KeptShape {
             symmetry: self.symmetry.map(f64::from_bits),
             ends: self.ends.map(|both| both.map(end)),
             is_cloud: self.is_cloud,
+            lightness: f64::from_bits(self.lightness),
         }
     }
 }

@@ -28,6 +28,10 @@ const ASIDE_DEG: [f64; 3] = [27.0, 20.0, 14.0];
 /// Elevation of the eye in degrees, by height over width: maps and terrain from above, statues at eye height.
 const ELEVATION_DEG: [(f64, f64); 5] =
     [(0.003, 60.0), (0.05, 42.0), (0.3, 33.0), (1.0, 22.0), (2.0, 9.0)];
+/// Length over width above which content is long.
+const LONG: f64 = 1.5;
+/// Height over width below which content counts as land.
+const LAND: f64 = 0.3;
 /// Height over width above which content counts as upright.
 const UPRIGHT: f64 = 1.3;
 
@@ -38,6 +42,11 @@ pub struct SceneOutline {
 }
 
 impl SceneOutline {
+    /// The outline of a box.
+    pub fn around(bounds: &Bounds) -> SceneOutline {
+        SceneOutline { points: bounds.corners().to_vec() }
+    }
+
     pub fn of(model: &SceneModel) -> SceneOutline {
         let outlines: Vec<&[Outline]> = model.assets.iter().map(|asset| asset.outlines()).collect();
         let outline = |instance: &ModelInstance| &outlines[instance.asset][instance.geometry];
@@ -118,7 +127,7 @@ impl SceneOutline {
             (ends[0] + ends[1]).max(0.0)
         };
         let (width, height, depth) = (along(right), along(up), along(front));
-        let (turn_deg, elevation_deg) = angles(width, height, depth);
+        let (turn_deg, elevation_deg) = angles(width, height, depth, aspect);
         let (turn_sin, turn_cos) = turn_deg.to_radians().sin_cos();
         let (sin, cos) = elevation_deg.to_radians().sin_cos();
         let backward = front * (turn_cos * cos) + right * (turn_sin * cos) + up * sin;
@@ -126,20 +135,26 @@ impl SceneOutline {
     }
 }
 
-/// Returns the angle from the front towards the right, and the elevation, for a box of this shape; in degrees.
-fn angles(width: f64, height: f64, depth: f64) -> (f64, f64) {
+/// Returns the angle from the front towards the right, and the elevation, for a box of this shape in a frame of this aspect; in
+/// degrees.
+fn angles(width: f64, height: f64, depth: f64, aspect: f64) -> (f64, f64) {
     let [most, upright, plate] = ASIDE_DEG;
     let (thin, wide) = (width.min(depth), width.max(depth));
     if wide > 0.0 && thin <= PLATE * wide && thin <= PLATE * height {
         let turn = if depth <= width { plate } else { 90.0 - plate };
         return (turn, elevation(f64::INFINITY));
     }
-    // Long content lies across the frame.
-    let turned = depth > 2.0 * width;
     let flatness = height / (width * depth).sqrt();
     let flatness = if flatness.is_nan() { 1.0 } else { flatness };
+    let narrow = (1.0 - aspect).max(0.0);
+    // Long content lies across the frame; land in a portrait frame leads away from the eye.
+    let turned =
+        if narrow > 0.0 && flatness < LAND { width > LONG * depth } else { depth > LONG * width };
     let aside = if flatness > UPRIGHT { upright } else { most };
-    (if turned { 90.0 - aside } else { aside }, elevation(flatness))
+    // What is seen from above is higher in the image, which fills a portrait frame.
+    let from_above = ELEVATION_DEG[0].1 - elevation(flatness);
+    let raised = from_above.max(0.0) * narrow * (1.0 - flatness / UPRIGHT).max(0.0);
+    (if turned { 90.0 - aside } else { aside }, elevation(flatness) + raised)
 }
 
 fn elevation(flatness: f64) -> f64 {
@@ -245,24 +260,30 @@ mod tests {
     #[test]
     fn shapes_are_seen_from_where_they_show() {
         // Terrain is seen from above, a statue at eye height, and a cube from between.
-        let elevation = |w, h, d| angles(w, h, d).1;
+        let elevation = |w, h, d| angles(w, h, d, 1.5).1;
         assert!((38.0..48.0).contains(&elevation(1000.0, 40.0, 800.0)));
         assert!((18.0..26.0).contains(&elevation(1.0, 1.0, 1.0)));
         assert!((5.0..12.0).contains(&elevation(1.0, 2.5, 1.0)));
         assert!(elevation(1.0, 0.0, 1.0) > 55.0, "a sheet that lies is seen from above");
         // A wall is seen from its face, whichever way it stands.
         let facing = |w, h, d| {
-            let (turn, elevation) = angles(w, h, d);
+            let (turn, elevation) = angles(w, h, d, 1.5);
             let (sin, cos) = turn.to_radians().sin_cos();
             (sin * elevation.to_radians().cos(), cos * elevation.to_radians().cos())
         };
         assert!(facing(10.0, 6.0, 0.2).1 > 0.9);
         assert!(facing(0.0, 6.0, 10.0).0 > 0.9);
-        // A train is seen from its side.
+        // A train is seen from its side, and so is an animal.
         assert!(facing(3.0, 4.0, 60.0).0 > 0.7);
+        assert!(facing(0.94, 1.69, 1.72).0 > 0.7);
+        // Land leads into a portrait frame and is seen from higher up. A statue stands as in other frames.
+        let portrait = |w, h, d| angles(w, h, d, 0.46);
+        assert!(portrait(1000.0, 40.0, 400.0).0 > 45.0 && portrait(400.0, 40.0, 1000.0).0 < 45.0);
+        assert!(portrait(1000.0, 40.0, 800.0).1 > elevation(1000.0, 40.0, 800.0) + 5.0);
+        assert_eq!(portrait(1.0, 2.5, 1.0), angles(1.0, 2.5, 1.0, 1.5));
         for shape in [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] {
             let [w, h, d] = shape;
-            let (turn, elevation) = angles(w, h, d);
+            let (turn, elevation) = angles(w, h, d, 1.5);
             assert!(turn.is_finite() && elevation.is_finite(), "{shape:?}");
         }
     }

@@ -930,7 +930,10 @@ impl Loaded {
             let seen = sensor.camera_for(aspect);
             return Ok(Camera { fov_deg: fov_deg.unwrap_or(seen.fov_deg), ..seen });
         }
-        let outline = self.outline.get_or_init(|| SceneOutline::of(&self.model));
+        let outline = self.outline.get_or_init(|| match self.description.subject {
+            Some(subject) => SceneOutline::around(&subject),
+            None => SceneOutline::of(&self.model),
+        });
         let front = self.description.front.filter(|_| up_given.is_none());
         let reach = SPLAT_REACH * spacing::usual(self.patches());
         Ok(outline.camera(anywhere.up, front, (anywhere.fov_deg, aspect, reach)))

@@ -25,6 +25,11 @@ pub(super) fn vector(v: DVec3) -> String {
     format!("[{}, {}, {}]", round(v.x), round(v.y), round(v.z))
 }
 
+/// The box that a frame without a pose shows.
+fn subject(bounds: &Bounds) -> String {
+    format!("  \"subject\": [{}, {}]", vector(bounds.min), vector(bounds.max))
+}
+
 pub(super) fn cameras(poses: &[Pose]) -> String {
     let lines: Vec<String> = poses
         .iter()
@@ -55,7 +60,7 @@ pub(super) fn path(name: &str, keys: &[(f64, DVec3, DVec3)]) -> String {
 }
 
 pub(super) const DAYLIGHT: &str = r##"  "lights": [
-    { "kind": "sun", "direction": [-0.5, -1, -0.7], "color": "#fff2dd", "intensity": 0.85, "shadows": true },
+    { "kind": "sun", "direction": [-0.5, -1, -0.7], "color": "#fff2dd", "intensity": 0.85 },
     { "kind": "headlight", "intensity": 0.15 },
     { "kind": "ambient", "color": "#dce6f5", "intensity": 0.25 }
   ]"##;
@@ -114,13 +119,17 @@ pub fn town(name: &str, scan: Generated, size_m: f64) -> GeneratedScene {
     GeneratedScene { json, assets: vec![(asset, scan)] }
 }
 
-/// One solid, lit, with cameras around it.
-pub fn solid(name: &str, asset: Generated) -> GeneratedScene {
-    let bounds = match &asset {
+fn bounds_of(asset: &Generated) -> Bounds {
+    match asset {
         Generated::Points(cloud) => Bounds::of(cloud.positions.iter().copied()),
         Generated::Mesh(mesh) => Bounds::of(mesh.mesh.positions.iter().copied()),
         Generated::Scene(_) | Generated::Scenes(_) => Bounds::EMPTY,
-    };
+    }
+}
+
+/// One solid, lit, with cameras around it.
+pub fn solid(name: &str, asset: Generated) -> GeneratedScene {
+    let bounds = bounds_of(&asset);
     let textured = matches!(&asset, Generated::Mesh(GeneratedMesh { texture: Some(_), .. }));
     let file = format!("{name}-{}", if textured { "mesh.obj" } else { "asset.ply" });
     let (middle, reach) = (bounds.centre(), bounds.extent().max_element().max(1e-6));
@@ -176,7 +185,8 @@ pub fn amphora(name: &str, amphora: Generated, height: f64) -> GeneratedScene {
         around(6.0, 0.0, 2.1),
     ];
     let json = format!(
-        "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"assets\": {{\n    \"amphora\": {{ \"file\": \"{mesh}\" }},\n    \"floor\": {{ \"file\": \"{floor}\" }}\n  }},\n  \"nodes\": [\n    {{ \"name\": \"amphora\", \"asset\": \"amphora\" }},\n    {{ \"name\": \"floor\", \"asset\": \"floor\" }}\n  ],\n{DAYLIGHT},\n  \"background\": \"#aebccb\",\n{},\n{}\n}}\n",
+        "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"assets\": {{\n    \"amphora\": {{ \"file\": \"{mesh}\" }},\n    \"floor\": {{ \"file\": \"{floor}\" }}\n  }},\n  \"nodes\": [\n    {{ \"name\": \"amphora\", \"asset\": \"amphora\" }},\n    {{ \"name\": \"floor\", \"asset\": \"floor\" }}\n  ],\n{DAYLIGHT},\n  \"background\": \"#aebccb\",\n{},\n{},\n{}\n}}\n",
+        subject(&bounds_of(&amphora)),
         cameras(&poses),
         path("turn", &keys)
     );
@@ -186,6 +196,9 @@ pub fn amphora(name: &str, amphora: Generated, height: f64) -> GeneratedScene {
 
 /// Distance between assemblies in metres.
 const PITCH_M: f64 = 8.0;
+/// Distance from the middle of an assembly to the sides of what the default view shows.
+const SUBJECT_M: f64 = 4.0;
+const SUBJECT_HEIGHT_M: f64 = 12.0;
 
 /// Forty by forty assemblies.
 pub fn plaza(name: &str, count: u64, seed: u64, progress: &Progress) -> GeneratedScene {
@@ -202,25 +215,31 @@ pub fn plaza(name: &str, count: u64, seed: u64, progress: &Progress) -> Generate
     let extent = DVec3::new(half, 0.0, half);
     let square = Bounds { min: -extent, max: extent + DVec3::Y * 5.0 };
     let poses = [
-        around("overview", &square.corners(), DVec3::new(0.5, 0.7, 1.0), DVec3::Y, 40.0),
-        Pose {
-            name: "walk",
-            eye: DVec3::new(0.0, 1.7, 0.35 * half),
-            target: DVec3::new(0.4, 1.6, -0.2 * half),
-            fov: 50.0,
-        },
         Pose {
             name: "assembly",
             eye: DVec3::new(5.2, 1.9, 9.4),
             target: DVec3::new(3.9, 1.3, 4.0),
             fov: 38.0,
         },
+        Pose {
+            name: "walk",
+            eye: DVec3::new(4.5, 2.2, 0.35 * half + 2.5),
+            target: DVec3::new(3.9, 1.5, -0.2 * half),
+            fov: 50.0,
+        },
+        around("overview", &square.corners(), DVec3::new(0.5, 0.4, 1.0), DVec3::Y, 40.0),
     ];
+    // An aisle between two rows of trees, above the statues that stand in it.
+    let aisle = |y: f64, z: f64| DVec3::new(0.5 * PITCH_M, y, z * half);
     let keys = [
         (0.0, DVec3::new(0.55, 0.42, 1.25) * half, DVec3::ZERO),
-        (3.0, DVec3::new(8.0, 6.0, 0.5 * half), DVec3::new(0.0, 1.0, 0.0)),
-        (6.0, DVec3::new(0.0, 1.8, -0.3 * half), DVec3::new(0.0, 1.6, -0.6 * half)),
+        (3.0, aisle(6.0, 0.5), aisle(1.0, 0.0)),
+        (6.0, aisle(2.9, -0.3), aisle(1.6, -0.6)),
     ];
+    // One assembly and the sky above it, so that the view reaches from there to the horizon.
+    let centre = DVec3::new(0.5, 0.0, 0.5) * PITCH_M;
+    let reach = DVec3::new(SUBJECT_M, 0.0, SUBJECT_M);
+    let shown = Bounds { min: centre - reach, max: centre + reach + DVec3::Y * SUBJECT_HEIGHT_M };
     let listed: Vec<String> = assets
         .iter()
         .map(|(asset, _)| format!("    \"{asset}\": {{ \"file\": \"{name}-{asset}.ply\" }}"))
@@ -256,10 +275,12 @@ pub fn plaza(name: &str, count: u64, seed: u64, progress: &Progress) -> Generate
 {DAYLIGHT},
   "background": "#b9cbdd",
 {},
+{},
 {}
 }}
 "##,
         listed.join(",\n"),
+        subject(&shown),
         cameras(&poses),
         path("approach", &keys)
     );

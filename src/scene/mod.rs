@@ -36,7 +36,7 @@ pub use wire::{json_schema, path_json_schema};
 
 use glam::{DAffine3, DVec3};
 
-use crate::math::{Camera, SensorView};
+use crate::math::{Bounds, Camera, SensorView};
 use crate::memory::Interrupt;
 
 /// A validated scene.
@@ -56,6 +56,8 @@ pub struct Scene {
     pub up: DVec3,
     /// Says where `up` is from, as an ending of "+z is up: it …".
     pub up_because: String,
+    /// Box that the default view shows in place of the whole scene.
+    pub subject: Option<Bounds>,
     /// View of the camera that took the points of a bare asset file, if the file tells it; the default view.
     pub sensor: Option<SensorView>,
     /// Horizontal direction, of unit length, to the scanner that took the points of a bare asset file from outside.

@@ -70,6 +70,9 @@ pub(super) struct SceneFile {
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, CameraWire>")]
     pub cameras: Named<CameraWire>,
+    /// Min and max corner of the box that a frame without a pose shows. When absent, such a frame shows the whole scene.
+    #[serde(default)]
+    pub subject: Option<[[f64; 3]; 2]>,
     /// Camera paths by name.
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, PathWire>")]

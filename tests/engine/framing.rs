@@ -178,7 +178,8 @@ fn shipped_cameras_show_their_subject_whole() {
         ("town", &["overview", "above"], 1..2),
         ("plaza", &["overview"], 1..u32::MAX),
     ] {
-        studio.engine.load(scene, &root.join(format!("{scene}.json"))).unwrap();
+        let info = studio.engine.load(scene, &root.join(format!("{scene}.json"))).unwrap();
+        assert!(info.warnings.is_empty(), "{scene}: {:?}", info.warnings);
         for camera in cameras {
             for (width, height) in SIZES {
                 let request = FrameRequest { output: Output::Id, ..front(scene, width, height) };
@@ -198,5 +199,19 @@ fn shipped_cameras_show_their_subject_whole() {
                 assert!(most > 0.25, "{what} takes {share:?}");
             }
         }
+    }
+}
+
+#[test]
+fn scene_with_a_subject_shows_the_subject_by_default() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes");
+    let studio = Studio::below(&root, |_| {});
+    studio.engine.load("textured", &root.join("textured.json")).unwrap();
+    for (width, height) in SIZES {
+        let request = FrameRequest { width, height, ..fit("textured", 1, Output::Id) };
+        let (share, _) = taken(&ids(&studio.frame(&request)), width, |id| id == 1);
+        let most = share[0].max(share[1]);
+        // The amphora is rounder than its box.
+        assert!((0.6..0.93).contains(&most), "at {width} × {height} the amphora takes {share:?}");
     }
 }

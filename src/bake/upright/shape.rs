@@ -1,7 +1,8 @@
-//! Measures what tells up from down, on samples of an asset's surface.
+//! Measures what tells up from down, and how light it is, on samples of an asset's surface.
 
 use glam::{DVec2, DVec3, Vec3};
 
+use super::lightness::lightness;
 use crate::assets::{Asset, Geometry, Mesh, Placement, PointCloud};
 
 /// Samples that are measured at most.
@@ -28,6 +29,8 @@ pub struct Shape {
     pub ends: [[End; 2]; 3],
     /// The asset consists of points.
     pub is_cloud: bool,
+    /// Median linear luminance of the file's colours, 0 to 1; 1 without colours.
+    pub lightness: f64,
 }
 
 /// Measurements of one end of an asset. Areas are relative to the outline of the asset as it is seen along the axis.
@@ -78,7 +81,12 @@ impl Shape {
             sample.position = (sample.position - low) / longest;
         }
         let extent = (high - low) / longest;
-        let mut shape = Shape { extent: extent.to_array(), is_cloud, ..Shape::default() };
+        let mut shape = Shape {
+            extent: extent.to_array(),
+            is_cloud,
+            lightness: lightness(asset),
+            ..Shape::default()
+        };
         let count = samples.len() as f64;
         let centroid = samples.iter().map(|s| s.position).sum::<DVec3>() / count;
         for axis in 0..3 {
@@ -256,14 +264,14 @@ fn surface(asset: &Asset) -> Vec<Sample> {
     samples
 }
 
-fn as_mesh(geometry: &Geometry) -> Option<&Mesh> {
+pub(super) fn as_mesh(geometry: &Geometry) -> Option<&Mesh> {
     match geometry {
         Geometry::Mesh(mesh) => Some(mesh),
         Geometry::Points(_) => None,
     }
 }
 
-fn as_cloud(geometry: &Geometry) -> Option<&PointCloud> {
+pub(super) fn as_cloud(geometry: &Geometry) -> Option<&PointCloud> {
     match geometry {
         Geometry::Points(cloud) => Some(cloud),
         Geometry::Mesh(_) => None,
@@ -277,7 +285,10 @@ fn corners(mesh: &Mesh, placement: &Placement, triangle: [u32; 3]) -> [DVec3; 3]
     })
 }
 
-fn areas<'a>(mesh: &'a Mesh, placement: &'a Placement) -> impl Iterator<Item = f64> + 'a {
+pub(super) fn areas<'a>(
+    mesh: &'a Mesh,
+    placement: &'a Placement,
+) -> impl Iterator<Item = f64> + 'a {
     mesh.triangles.iter().map(|triangle| {
         let [a, b, c] = corners(mesh, placement, *triangle);
         let area = 0.5 * (b - a).cross(c - a).length();

@@ -231,6 +231,9 @@ fn refusals_beyond_nodes() {
     top(r#""up": "w""#, "up", "`w` is no axis");
     top(r#""up": [0, 0, 0]"#, "up", "zero");
     top(r#""background": "blue""#, "background", "#rrggbb");
+    top(r#""subject": [[0, 0, 0], [1, -1, 1]]"#, "subject", "must not exceed");
+    top(r#""subject": [[1, 1, 1], [1, 1, 1]]"#, "subject", "must differ");
+    top(r#""subject": [[0, 0, 0], [1, 1, 1e300]]"#, "subject[1][2]", "outside");
     top(r#""background": [1, 2, 0]"#, "background[1]", "outside 0..=1");
     top(r#""lights": [{"kind": "sun"}]"#, "lights[0]", "needs `direction`");
     top(

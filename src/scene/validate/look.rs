@@ -12,7 +12,7 @@ use super::super::{CameraPath, Light, MaterialSpec, PathKey, Splats, Up};
 use super::{
     DEFAULT_FOV_DEG, LARGEST_COORDINATE, LARGEST_INTENSITY, Place, Valid, coordinates, unit, within,
 };
-use crate::math::Camera;
+use crate::math::{Bounds, Camera};
 
 pub(super) fn material(name: &str, wire: &MaterialWire, place: Place<'_>) -> Valid<MaterialSpec> {
     let base_color = match &wire.color {
@@ -118,6 +118,20 @@ pub(super) fn splats(wire: Option<&SplatsWire>) -> Valid<Splats> {
         }
     }
     Ok(splats)
+}
+
+/// A box with room inside along at least one axis.
+pub(super) fn subject([min, max]: [[f64; 3]; 2]) -> Valid<Bounds> {
+    let root = Place::Root;
+    let place = root.key("subject");
+    let bounds =
+        Bounds { min: coordinates(min, place.index(0))?, max: coordinates(max, place.index(1))? };
+    if bounds.min.cmpgt(bounds.max).any() || bounds.min == bounds.max {
+        return place.refuse(
+            "the first corner must not exceed the second along any axis, and must differ from it",
+        );
+    }
+    Ok(bounds)
 }
 
 pub(super) fn background(wire: Option<&ColorWire>) -> Valid<[f32; 4]> {

@@ -145,6 +145,7 @@ pub(super) fn scene(
             None => "scene files have y up unless they say otherwise",
         }
         .to_owned(),
+        subject: wire.subject.map(look::subject).transpose()?,
         sensor: None,
         front: None,
     };
