@@ -8,7 +8,7 @@ use std::path::Path;
 use sha2::{Digest, Sha256};
 
 use super::EngineError;
-use super::library::asset_error;
+use super::error::asset_error;
 use crate::assets::{AssetError, Material};
 use crate::bake::external::{SpillFile, Spilled};
 use crate::bake::pack::{

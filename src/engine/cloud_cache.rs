@@ -21,8 +21,9 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use super::EngineConfig;
+use super::asset_cache::ReadAsset;
 use super::asset_keys::file_kind;
-use super::library::{ReadAsset, next_uid};
+use super::uid::next_uid;
 use crate::assets::{FORMATS, Placement};
 use crate::bake::cache::BakeCache;
 use crate::bake::pack::{PackedAsset, PackedGeometry};

@@ -6,83 +6,123 @@
 //! A frame that leaves it open how samples are drawn does not wait: it gets points, its receipt says so, and the estimate
 //! runs on in the background until it has ended or the scene is deleted.
 
-use std::collections::HashMap;
 use std::sync::Arc;
-use std::thread::JoinHandle;
 
-use parking_lot::Mutex;
-use serde::Serialize;
-
-use super::EngineError;
-use super::bake_service::{Abandoned, BakeTicket, Goal, Scenes, Watch};
+use super::asset_keys::AssetKeys;
+use super::background_estimates::Running;
+use super::bake_service::{BakeTicket, Goal, Scenes};
 use super::cloud_cache::keep_whole;
-use super::library::Loaded;
+use super::error::asset_error;
+use super::load::{Stop, whole_asset};
+use super::loaded::{Loaded, Parts, build};
 use super::state::EngineState;
-use crate::memory::Interrupt;
+use super::watch::{Abandoned, Watch};
+use super::{EngineConfig, EngineError, EstimateState, Estimates};
+use crate::assets::AssetError;
+use crate::memory::{Admission, Interrupt};
 use crate::plan::{Lod, Output, Reconstruct};
-
-/// Whether the samples of a scene have their normals and kernels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, utoipa::ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum EstimateState {
-    /// All samples have normals and kernels.
-    Complete,
-    /// Not yet: no frame has needed them.
-    Deferred,
-    Running,
-    /// They cannot be estimated; `reason` says why.
-    Failed,
-}
-
-/// How far the estimate of a scene's normals and kernels is.
-#[derive(Clone, Debug, PartialEq, Serialize, utoipa::ToSchema)]
-pub struct Estimates {
-    pub state: EstimateState,
-    /// Part that is done, of 1.
-    pub done: f64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub reason: Option<String>,
-}
-
-/// Estimates that frames do not wait for, by scene.
-#[derive(Default)]
-pub struct Background {
-    running: Mutex<HashMap<String, Running>>,
-    /// What is being written to the cache.
-    writers: Mutex<Vec<JoinHandle<()>>>,
-}
-
-struct Running {
-    /// [`Loaded::load`] of the scene.
-    load: u64,
-    ticket: BakeTicket,
-    failed: Option<EngineError>,
-}
-
-impl Running {
-    fn look(&mut self) {
-        if let Some(Err(error)) = self.ticket.outcome() {
-            tracing::warn!(%error, "normals and kernels cannot be estimated");
-            self.failed = Some(error);
-        }
-    }
-}
-
-impl Background {
-    /// Ends what runs for a scene that is gone or whole.
-    pub fn end(&self, scene: &str) {
-        let ended = self.running.lock().remove(scene);
-        // Its ticket takes a lock of its own.
-        drop(ended);
-    }
-
-    pub fn end_all(&self) {
-        let ended = std::mem::take(&mut *self.running.lock());
-        drop(ended);
-    }
-}
+use crate::residency::model::AssetModel;
 
 impl Loaded {
+    /// Reads the files of assets that lack normals or kernels again and estimates these. [`Loaded::completed`] then returns the
+    /// scene with them.
+    pub fn estimate(
+        &self,
+        config: &EngineConfig,
+        watch: &Watch<'_>,
+    ) -> Result<Result<(), EngineError>, Abandoned> {
+        let lacking = || {
+            let assets = self.model.assets.iter().enumerate();
+            assets.filter_map(|(index, asset)| Some((index, asset, asset.deferred.as_ref()?)))
+        };
+        let size = |asset: &AssetModel| asset.counts().0 as f64;
+        let total = lacking().map(|(_, asset, _)| size(asset)).sum::<f64>().max(1.0);
+        let mut done = 0.0;
+        for (index, asset, deferred) in lacking() {
+            let part = size(asset) / total;
+            let watch = watch.part(done, part);
+            let made = deferred
+                .whole
+                .get_or_try(|| Ok(watch.check()?), || self.whole_asset(index, config, &watch));
+            match made {
+                Ok(_) => {}
+                Err(Stop::Failed(error)) => return Ok(Err(error)),
+                Err(Stop::Abandoned) => return Err(Abandoned),
+            }
+            done += part;
+        }
+        Ok(Ok(()))
+    }
+
+    /// Returns the scene with everything that its samples lack. Blocks.
+    pub fn into_whole(self, config: &EngineConfig) -> Result<Loaded, EngineError> {
+        match self.estimate(config, &Watch::NONE) {
+            Ok(estimated) => estimated?,
+            Err(Abandoned) => return Err(Stop::Abandoned.error()),
+        }
+        Ok(self.completed(config)?.unwrap_or(self))
+    }
+
+    /// Returns the assets with estimates, each with the hash of its content.
+    pub fn estimated(&self) -> Vec<([u8; 32], Arc<AssetModel>)> {
+        let whole = |asset: &Arc<AssetModel>| asset.deferred.as_ref()?.whole.get().cloned();
+        let assets = self.model.assets.iter().zip(&self.keys);
+        // The cache finds assets by the content of one file.
+        let alone = assets.filter(|(_, key)| key.alone);
+        alone.filter_map(|(asset, key)| Some((key.digest, whole(asset)?))).collect()
+    }
+
+    fn whole_asset(
+        &self,
+        index: usize,
+        config: &EngineConfig,
+        watch: &Watch<'_>,
+    ) -> Result<Arc<AssetModel>, Stop> {
+        let (began, key) = (std::time::Instant::now(), self.keys[index]);
+        let admission = Admission::new(&config.memory);
+        let found =
+            AssetKeys::within(&admission).of(&self.description, index).map_err(Stop::Failed)?;
+        if found.digest != key.digest {
+            return Err(Stop::Failed(asset_error(AssetError::Malformed {
+                file: self.description.assets[index].label(),
+                place: "file".to_owned(),
+                reason: "has changed since the scene was loaded, so that its normals and kernels \
+                    cannot be estimated; delete the scene and load it again"
+                    .to_owned(),
+            })));
+        }
+        let asset = (index, key);
+        let whole = whole_asset(&self.path, &self.description, asset, config, watch, &admission)?;
+        let elapsed_ms = began.elapsed().as_millis() as u64;
+        let (samples, _) = whole.counts();
+        tracing::info!(asset = whole.name, samples, elapsed_ms, "normals and kernels estimated");
+        Ok(whole)
+    }
+
+    /// Returns the scene with incomplete assets replaced by whole ones, at the same revision; `None` while these are not there,
+    /// or where nothing was lacking.
+    pub fn completed(&self, config: &EngineConfig) -> Result<Option<Loaded>, EngineError> {
+        let whole = |asset: &Arc<AssetModel>| match &asset.deferred {
+            Some(deferred) => deferred.whole.get().cloned(),
+            None => Some(asset.clone()),
+        };
+        let assets: Option<Vec<_>> = self.model.assets.iter().map(whole).collect();
+        let Some(assets) = assets.filter(|_| !self.is_whole()) else { return Ok(None) };
+        let parts = Parts {
+            id: self.model.id.clone(),
+            revision: self.model.revision,
+            description: self.description.clone(),
+            assets,
+            placements: self.placements.clone(),
+            warnings: self.info.warnings.clone(),
+            digest: self.digest,
+            keys: self.keys.clone(),
+            path: self.path.clone(),
+        };
+        let whole = build(parts, config, None, &Admission::new(&config.memory))?;
+        Ok(Some(Loaded { order: self.order, ..whole }))
+    }
+
     /// Whether a frame needs normals or kernels that are not there.
     pub fn lacks(&self, reconstruct: Reconstruct, lod: Lod, output: Output) -> bool {
         if self.is_whole() {

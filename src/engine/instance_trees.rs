@@ -18,7 +18,7 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::EngineError;
-use super::library::next_uid;
+use super::uid::next_uid;
 use crate::assets::PointCloud;
 use crate::bake::pack::{PackedAsset, PackedGeometry, PackedSamples, spread};
 use crate::bake::tree::{Above, Measures, Root, build_crowd};

@@ -17,17 +17,27 @@
 //!
 //! Nobody draws, encodes, bakes, reads a file or answers a caller under a lock, but under the first two.
 
+mod asset_cache;
 mod asset_keys;
+mod background_estimates;
+mod bake_files;
 pub mod bake_service;
 mod cloud_cache;
+mod config;
+mod encode_backlog;
 mod encoders;
+mod error;
 mod estimates;
+mod finish;
 mod frame_job;
 mod framing;
 mod group;
+mod info;
 mod instance_trees;
 mod latest_slot;
 mod library;
+mod load;
+mod loaded;
 mod observe;
 mod point_tree_cache;
 mod point_trees;
@@ -40,339 +50,45 @@ mod request;
 mod resolve;
 mod resolved;
 mod state;
+mod stats;
+mod ticket;
 mod trace;
+mod uid;
+mod watch;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use bytes::Bytes;
-use glam::DVec3;
-use serde::Serialize;
-
+pub use bake_files::{BakeEvent, BakedAsset, bake_file};
 pub use bake_service::{BakeTicket, Latch};
+pub use config::{DEFAULT_JOB_SHARE, ESTIMATE_AT_ONCE, EngineConfig};
 pub use encoders::EncodeHook;
-pub use estimates::{EstimateState, Estimates};
+pub use error::EngineError;
+pub use info::{
+    AssetInfo, EstimateState, Estimates, Limits, NamedCamera, NodePatch, SceneInfo, SceneMark,
+    Source,
+};
 pub use latest_slot::LatestSlot;
 pub use observe::Observer;
-pub use point_tree_cache::{BakeEvent, BakeSource, BakedAsset, bake_file};
+pub use point_tree_cache::BakeSource;
 pub use priming::PrimeConfig;
 pub use queue::{Class, Client};
 pub use receipt::Receipt;
 pub use renderer::Renderer;
 pub use request::{FrameRequest, Pose};
-pub use resolved::{Resolution, ResolvedFrame, UnbakedFrame};
+pub use resolve::{Resolution, UnbakedFrame};
+pub use resolved::ResolvedFrame;
+pub use stats::{EngineStats, Readiness};
+pub use ticket::{EncodedFrame, FrameTicket};
 pub use trace::{Origin, RequestId};
 
-use crate::assets::{AssetError, ReadOptions};
-use crate::bake::cache::BakeCache;
-use crate::math::Camera;
-use crate::memory::{self, Admission, HostMemory, Interrupt};
+use crate::memory::{self, Admission};
 use crate::residency::Part;
-use crate::scene::{CameraPath, SceneError, SceneLimits};
+use crate::scene::CameraPath;
 
 use self::bake_service::Goal;
 use self::state::EngineState;
-
-/// Default of [`EngineConfig::job_share`].
-pub const DEFAULT_JOB_SHARE: f64 = 0.1;
-
-/// Number of points whose neighbours are found in a tenth of a second: below it, waiting costs less than drawing a second
-/// picture.
-pub const ESTIMATE_AT_ONCE: usize = 200_000;
-
-/// Upper bound of the time step of a file system's clock.
-const SETTLED_AFTER: Duration = Duration::from_secs(2);
-
-/// Configuration of the engine.
-#[derive(Clone)]
-pub struct EngineConfig {
-    /// Scenes and the files they name are read below this folder only.
-    pub root: PathBuf,
-    /// Bytes of scene data that may stay on the GPU; `None`: three quarters of what the adapter can bind, at most 4 GiB.
-    pub gpu_budget_bytes: Option<u64>,
-    /// Host memory for loaded scenes, loading and baking.
-    pub memory: HostMemory,
-    /// Jobs that may wait; more are refused with [`EngineError::Busy`].
-    pub queue_capacity: usize,
-    /// Largest estimated device time of waiting frames; more is refused likewise.
-    pub queue_time: Duration,
-    /// Minimum share of the device's time for frames of jobs ([`Client::Job`]); above 0, below 1.
-    pub job_share: f64,
-    /// Largest number of frames recorded into one submission.
-    pub max_batch: usize,
-    /// Frames of jobs that are encoded at a time. Requests and streams have a thread more each.
-    pub encoder_threads: usize,
-    /// For tests: is called before each frame is encoded.
-    #[doc(hidden)]
-    pub encode_hook: Option<EncodeHook>,
-    /// Width · height of one frame.
-    pub max_pixels: u64,
-    /// Longest side of a frame.
-    pub max_side: u32,
-    /// Never use 64-bit atomics, even where the adapter has them.
-    pub force_32_bit: bool,
-    /// Largest number of bytes that a shader binds at once; `None`: as many as the adapter can. Less means smaller pages.
-    pub max_binding_bytes: Option<u64>,
-    /// For measurements: boxes of triangles with a longer side than this go to the rasteriser; `None`: the measured best.
-    #[doc(hidden)]
-    pub small_triangle_px: Option<u32>,
-    /// For tests and measurements: draws chunks that are hidden behind others, too.
-    #[doc(hidden)]
-    pub draw_hidden: bool,
-    /// For measurements: boxes of splats with a longer side than this go to walk_splats; `None`: the measured best.
-    #[doc(hidden)]
-    pub small_splat_px: Option<u32>,
-    /// For tests: largest area of the boxes of a frame's large triangles, in units of 4096 pixels; `None`: about ten seconds'
-    /// work.
-    #[doc(hidden)]
-    pub large_units_limit: Option<u32>,
-    /// For measurements and tests: whether large triangles go to the rasteriser; `None`: the measured best.
-    #[doc(hidden)]
-    pub rasterise: Option<bool>,
-    /// For tests: is called when a patch has listed the instances anew, before the scene is exchanged.
-    #[doc(hidden)]
-    pub patch_hook: Option<Arc<dyn Fn() + Send + Sync>>,
-    /// Clouds of so many points get the normals and kernels that they lack when they are read, larger ones when a frame needs them.
-    pub estimate_at_once: usize,
-    /// For tests: bakes do not begin while this is shut.
-    #[doc(hidden)]
-    pub bake_latch: Option<Arc<Latch>>,
-    /// For tests: is called whenever a request is resolved.
-    #[doc(hidden)]
-    pub resolve_hook: Option<Arc<dyn Fn() + Send + Sync>>,
-    /// For tests: files that changed more recently than this are not kept packed.
-    #[doc(hidden)]
-    pub settled_after: Duration,
-    /// Cache of point trees and large clouds between processes; `None`: they are built and read anew.
-    pub bake_cache: Option<BakeCache>,
-    /// Pipelines that are built before frames need them; `None`: none.
-    pub prime: Option<PrimeConfig>,
-    /// Up direction of bare asset files, instead of a guess.
-    pub up: Option<DVec3>,
-    pub read: ReadOptions,
-    pub scene: SceneLimits,
-}
-
-/// Errors in words that a user can act on. Knows nothing of HTTP.
-#[derive(Debug, Clone, thiserror::Error)]
-pub enum EngineError {
-    #[error("there is no scene `{id}`")]
-    UnknownScene { id: String },
-    #[error("there is no node `{node}` in scene `{scene}`")]
-    UnknownNode { scene: String, node: String },
-    /// A parameter that cannot be used; `accepted` says what would be accepted.
-    #[error("{parameter}: {reason}; accepted: {accepted}")]
-    BadParameter { parameter: &'static str, reason: String, accepted: String },
-    #[error("a scene `{id}` is already loaded")]
-    SceneExists { id: String },
-    #[error("the queue is full")]
-    Busy { retry_after: Duration },
-    /// A newer request replaced this request of a [`LatestSlot`].
-    #[error("a newer request took this one's place")]
-    Overtaken,
-    /// The deadline has passed, or will pass given what is queued before the frame and what such frames have cost.
-    #[error("the deadline passes before the frame can be had")]
-    DeadlineExceeded { retry_after: Duration },
-    #[error("the GPU was lost; scenes are being rebuilt")]
-    DeviceLost { retry_after: Duration },
-    #[error("shutting down")]
-    ShuttingDown,
-    #[error("{what} needs {needed} bytes on the GPU, the budget is {budget}")]
-    OutOfGpuMemory { what: String, needed: u64, budget: u64 },
-    #[error("{what} take {needed} bytes, of which this adapter binds {limit} at once")]
-    OverBinding { what: &'static str, needed: u64, limit: u64 },
-    /// A limit of [`Limits`] was exceeded.
-    #[error("{found} is more than the limit of {limit} {what}")]
-    OverLimit { what: &'static str, found: u64, limit: u64 },
-    /// A load was cancelled, or there is not enough host memory for it.
-    #[error(transparent)]
-    Interrupted(#[from] Interrupt),
-    #[error("{0}")]
-    Asset(Arc<AssetError>),
-    #[error("{0}")]
-    Scene(Arc<SceneError>),
-    /// No adapter can draw; the text says what to install.
-    #[error("{0}")]
-    NoGpu(String),
-    #[error("internal error: {0}")]
-    Internal(String),
-}
-
-/// What `GET /v1/limits` lists.
-#[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
-pub struct Limits {
-    pub max_pixels: u64,
-    pub max_side: u32,
-    pub queue_capacity: usize,
-    pub max_batch: usize,
-    pub gpu_budget_bytes: u64,
-    /// Host memory that loaded scenes, loading and baking may hold together, and what they hold now.
-    pub host_memory_bytes: u64,
-    pub host_memory_in_use_bytes: u64,
-    pub max_vertices: u64,
-    pub max_triangles: u64,
-    pub max_texels: u64,
-    pub max_decompressed_bytes: u64,
-    pub max_nodes: u64,
-    pub max_depth: u32,
-    pub max_instances: u64,
-    pub max_json_bytes: u64,
-    /// Objects of a scene's JSON, whatever they are.
-    pub max_json_objects: u64,
-    /// Solids that one asset is made of, each counted as often as it is used.
-    pub max_operands: u64,
-}
-
-/// A loaded scene as callers see it.
-#[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
-pub struct SceneInfo {
-    pub id: String,
-    pub name: String,
-    /// Grows with every change.
-    pub revision: u64,
-    /// World-space box: min and max corner, `null` when empty.
-    pub bounds: Option<[[f64; 3]; 2]>,
-    pub samples: u64,
-    pub triangles: u64,
-    pub instances: u64,
-    pub assets: Vec<AssetInfo>,
-    /// Bytes that the scene needs on the GPU, and whether it is there now.
-    pub gpu_bytes: u64,
-    pub resident: bool,
-    /// Whether normals and kernels of its samples are there. Those of large clouds are estimated when a frame needs them.
-    pub estimates: Estimates,
-    pub cameras: Vec<NamedCamera>,
-    pub paths: Vec<String>,
-    /// Names of top-level nodes, as `PATCH` takes them.
-    pub nodes: Vec<String>,
-    pub lights: usize,
-    /// Which way is up: what a pose without `up` uses.
-    pub up: [f64; 3],
-    /// Why that way is up: a guess names its evidence.
-    pub up_because: String,
-    pub warnings: Vec<String>,
-}
-
-#[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
-pub struct AssetInfo {
-    pub name: String,
-    pub format: &'static str,
-    pub samples: u64,
-    pub triangles: u64,
-    pub has_colors: bool,
-    /// Colours were not in the file and show the intensity.
-    pub shows_intensity: bool,
-    pub has_normals: bool,
-    /// Normals were not in the file and come from the neighbourhood.
-    pub normals_estimated: bool,
-}
-
-#[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
-pub struct NamedCamera {
-    pub name: String,
-    pub eye: [f64; 3],
-    pub target: [f64; 3],
-    pub up: [f64; 3],
-    pub fov: f64,
-}
-
-impl NamedCamera {
-    pub fn new(name: &str, camera: &Camera) -> Self {
-        Self {
-            name: name.to_owned(),
-            eye: camera.eye.into(),
-            target: camera.target.into(),
-            up: camera.up.into(),
-            fov: camera.fov_deg,
-        }
-    }
-}
-
-/// Source of a scene.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Source {
-    /// A scene file or an asset file.
-    pub path: PathBuf,
-    /// Folder to which file names in a scene are relative; `None`: the scene file's own.
-    pub base: Option<PathBuf>,
-    /// Up direction of a bare asset file, instead of [`EngineConfig::up`].
-    pub up: Option<DVec3>,
-}
-
-impl Source {
-    /// Returns the source of a file whose names are relative to its own folder.
-    pub fn at(path: impl Into<PathBuf>) -> Source {
-        Source { path: path.into(), base: None, up: None }
-    }
-}
-
-/// Identifies a scene at one revision.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SceneMark {
-    /// Unique among all scenes of a process and their revisions.
-    uid: u64,
-    pub revision: u64,
-}
-
-/// Changes to one top-level node; `None` leaves a property as it is.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct NodePatch {
-    pub world_from_node: Option<glam::DAffine3>,
-    pub visible: Option<bool>,
-}
-
-/// A finished frame.
-#[derive(Clone, Debug)]
-pub struct EncodedFrame {
-    pub bytes: Bytes,
-    pub content_type: &'static str,
-    pub receipt: Receipt,
-}
-
-/// Whether frames can be drawn now, and if not, why.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Readiness {
-    Ready,
-    Starting,
-    Stalled {
-        for_ms: u64,
-    },
-    DeviceLost,
-    Draining,
-    /// The render thread ended because of a defect: only a new process can draw again.
-    Failed,
-}
-
-/// Counters for `/metrics`, cumulative since the start.
-#[derive(Clone, Debug, Default)]
-pub struct EngineStats {
-    pub frames: u64,
-    pub batches: u64,
-    pub coalesced: u64,
-    pub cancelled: u64,
-    /// Jobs that a newer one replaced before they were begun.
-    pub overtaken: u64,
-    pub expired: u64,
-    pub refused: u64,
-    /// Jobs refused because the queue left no time until their deadline.
-    pub hopeless: u64,
-    pub failed: u64,
-    pub queued: u64,
-    pub device_losses: u64,
-    pub evictions: u64,
-    pub uploads: u64,
-    /// Records of instances written to the GPU; an edit writes those that it moved, and their neighbours.
-    pub instances_written: u64,
-    pub gpu_bytes_resident: u64,
-    pub gpu_ns: u64,
-    pub encode_ns: u64,
-    /// Pipelines that a frame had to build or to wait for, on the device in use.
-    pub pipelines_late: u64,
-    /// Pipelines that were built before frames needed them.
-    pub pipelines_primed: u64,
-}
 
 /// A handle of the running engine; clones share it. When the last handle is dropped, the render thread finishes the accepted jobs
 /// and ends.
@@ -406,69 +122,6 @@ struct Reserved<'a> {
 impl Drop for Reserved<'_> {
     fn drop(&mut self) {
         self.state.loading.lock().remove(self.id);
-    }
-}
-
-/// A promised frame. Await it; dropping it cancels the job unless somebody else waits for the same frame
-/// or it has been submitted already.
-pub struct FrameTicket {
-    receiver: tokio::sync::oneshot::Receiver<Result<Arc<EncodedFrame>, EngineError>>,
-}
-
-impl FrameTicket {
-    /// Blocks until the frame is there; not for threads that run async tasks.
-    pub fn wait(self) -> Result<Arc<EncodedFrame>, EngineError> {
-        self.receiver.blocking_recv().unwrap_or(Err(EngineError::ShuttingDown))
-    }
-}
-
-impl std::future::Future for FrameTicket {
-    type Output = Result<Arc<EncodedFrame>, EngineError>;
-
-    fn poll(
-        mut self: std::pin::Pin<&mut Self>,
-        context: &mut std::task::Context<'_>,
-    ) -> std::task::Poll<Self::Output> {
-        std::pin::Pin::new(&mut self.receiver)
-            .poll(context)
-            .map(|result| result.unwrap_or(Err(EngineError::ShuttingDown)))
-    }
-}
-
-impl EngineConfig {
-    /// Returns the defaults for scenes below `root`.
-    pub fn new(root: impl Into<PathBuf>) -> Self {
-        let cores = std::thread::available_parallelism().map_or(2, usize::from);
-        Self {
-            root: root.into(),
-            gpu_budget_bytes: None,
-            memory: HostMemory::unlimited(),
-            queue_capacity: 256,
-            queue_time: Duration::from_secs(30),
-            job_share: DEFAULT_JOB_SHARE,
-            max_batch: 16,
-            encoder_threads: cores.clamp(1, 8),
-            encode_hook: None,
-            max_pixels: 1 << 24,
-            max_side: 8192,
-            force_32_bit: false,
-            max_binding_bytes: None,
-            small_triangle_px: None,
-            draw_hidden: false,
-            small_splat_px: None,
-            rasterise: None,
-            large_units_limit: None,
-            estimate_at_once: ESTIMATE_AT_ONCE,
-            patch_hook: None,
-            bake_latch: None,
-            resolve_hook: None,
-            settled_after: SETTLED_AFTER,
-            bake_cache: None,
-            prime: None,
-            read: ReadOptions::default(),
-            up: None,
-            scene: SceneLimits::default(),
-        }
     }
 }
 
@@ -565,9 +218,9 @@ impl Engine {
     ) -> Result<SceneInfo, EngineError> {
         let state = self.state();
         let began = std::time::Instant::now();
-        let path = library::check_path(&source.path, &state.config.root)?;
+        let path = load::check_path(&source.path, &state.config.root)?;
         let source = Source { path, ..source.clone() };
-        let mut loaded = library::load(id, &source, &state.config, &state.cache, admission)?;
+        let mut loaded = load::load(id, &source, &state.config, &state.cache, admission)?;
         self.check_fits(&mut loaded)?;
         admission.check()?;
         let unwritten = std::mem::take(&mut loaded.unwritten);
@@ -585,7 +238,7 @@ impl Engine {
 
     /// Checks that a scene alone fits the GPU, at least where frames list the parts that they need. If the whole scene does not
     /// fit, the scene gets a warning.
-    fn check_fits(&self, loaded: &mut library::Loaded) -> Result<(), EngineError> {
+    fn check_fits(&self, loaded: &mut loaded::Loaded) -> Result<(), EngineError> {
         let adapter = self.state().adapter();
         let fits = |part| {
             let (binding, budget) = (adapter.max_binding_bytes, adapter.budget);
@@ -653,7 +306,7 @@ impl Engine {
         self.state().loaded(id)?.camera_path(name)
     }
 
-    fn info(&self, loaded: &library::Loaded) -> SceneInfo {
+    fn info(&self, loaded: &loaded::Loaded) -> SceneInfo {
         let state = self.state();
         SceneInfo {
             resident: state.is_resident(&loaded.info.id),

@@ -1,30 +1,20 @@
-//! Bakes point trees asset by asset: reads them from the cache on disk, or builds them and writes them to the cache.
+//! Point trees of assets, read from the cache on disk, or built and written to the cache.
 //!
 //! An entry's key is the hash of all inputs of its trees ([`super::asset_keys::tree_key`]). Trees over a scene's instances are built
-//! quickly and not cached. If the cache cannot be written, bakes log a warning, and the next process has to build again. Assets
-//! that would exceed the memory limit of baking are built with temporary files beside the cache ([`large`]).
-
-mod large;
-
-use std::collections::HashSet;
-use std::path::Path;
-use std::time::Instant;
+//! quickly and not cached. If the cache cannot be written, bakes log a warning, and the next process has to build again. Trees that
+//! would exceed the memory limit of baking are built with temporary files beside the cache.
 
 use serde::Serialize;
 
-pub(super) use self::large::BYTES_A_SAMPLE;
-use self::large::{bake_apart, build_large, large_assets};
+use super::EngineError;
 use super::asset_keys::tree_key;
-use super::bake_service::Watch;
-use super::library::{AssetCache, Loaded, check_path, load, scene_error};
-use super::point_trees::{Halt, asset_tree, bake};
-use super::{EngineConfig, EngineError, Source};
+use super::error::asset_error;
+use super::watch::{Abandoned, Watch};
+use crate::assets::AssetError;
 use crate::bake::cache::BakeCache;
-use crate::bake::external::Phase;
-use crate::bake::pack::PackedGeometry;
-use crate::bake::prepare;
-use crate::bake::tree::TreeStatistics;
-use crate::memory::Admission;
+use crate::bake::external::{BakeFault, Memory, Packed, Phase, Work, grow_tree};
+use crate::bake::pack::{PackError, PackedGeometry, PackedSamples};
+use crate::memory::{Interrupt, OutOfMemory};
 use crate::residency::model::AssetModel;
 
 /// Source of an asset's point trees, and whether they were stored.
@@ -45,141 +35,52 @@ pub enum BakeSource {
     Kept,
 }
 
-/// Statistics of an asset's point trees.
-#[derive(Clone, Debug, Serialize)]
-pub struct BakedAsset {
-    pub name: String,
-    /// Samples of the asset as it was read.
-    pub samples: u64,
-    pub triangles: u64,
-    #[serde(flatten)]
-    pub source: BakeSource,
-    /// Time of reading or building, and of writing.
-    pub elapsed_ns: u64,
-    /// Statistics of all its trees together.
-    pub tree: TreeStatistics,
-    /// Triangles drawn where samples would be too coarse, and their bytes on the GPU.
-    pub triangles_beside: u64,
-    pub triangle_bytes: u64,
+/// Bytes per sample for building the tree alone, beside the packed samples.
+pub const BYTES_A_SAMPLE: u64 = 350;
+
+/// Why there are no trees of an asset.
+#[derive(Debug)]
+pub(super) enum Halt {
+    Pack(PackError),
+    Abandoned,
+    OutOfMemory(OutOfMemory),
 }
 
-/// Progress of baking.
-#[derive(Clone, Copy, Debug)]
-pub enum BakeEvent<'a> {
-    /// Counts samples and triangles of all assets, each asset once; or counts assets, where some are not read as a whole.
-    Started {
-        asset: &'a str,
-        done: u64,
-        total: u64,
-    },
-    /// Progress of one phase, from 0 to 1, of an asset that is built with temporary files.
-    Phase {
-        phase: Phase,
-        done: f64,
-    },
-    Finished(&'a BakedAsset),
+impl From<PackError> for Halt {
+    fn from(error: PackError) -> Halt {
+        Halt::Pack(error)
+    }
 }
 
-/// Bakes the assets of the scene file or asset file at `path` (below the configuration's root) into the cache, one after the
-/// other. Nothing is kept in memory. Needs no GPU.
-///
-/// Files of points that would take more memory than the cache allows ([`BakeCache::bake_bytes`]) are not read as a whole.
-///
-/// # Errors
-/// A scene that is refused; a geometry that no tree can be built of; temporary files that cannot be written.
-pub fn bake_file(
-    path: &Path,
-    config: &EngineConfig,
-    tell: impl FnMut(BakeEvent) + Send,
-) -> Result<Vec<BakedAsset>, EngineError> {
-    let path = check_path(path, &config.root)?;
-    let cache = config.bake_cache.as_ref();
-    let description = prepare::describe(&path, &config.root, &config.scene).map_err(scene_error)?;
-    let large = large_assets(&description, &config.read, cache)?;
-    match cache {
-        Some(cache) if !large.is_empty() => {
-            bake_apart(&path, &description, &large, config, cache, tell)
-        }
-        _ => {
-            let (assets, admission) = (AssetCache::default(), Admission::new(&config.memory));
-            let loaded = load("scene", &Source::at(path), config, &assets, &admission)?;
-            loaded.into_whole(config)?.bake_each(cache, false, tell)
+impl From<OutOfMemory> for Halt {
+    fn from(error: OutOfMemory) -> Halt {
+        Halt::OutOfMemory(error)
+    }
+}
+
+impl From<Abandoned> for Halt {
+    fn from(_: Abandoned) -> Halt {
+        Halt::Abandoned
+    }
+}
+
+impl Halt {
+    /// What callers are told: an error, or that nobody waits.
+    pub fn outcome<T>(self, asset: &AssetModel) -> Result<Result<T, EngineError>, Abandoned> {
+        match self {
+            Halt::Pack(error) => Ok(Err(tree_error(asset, &error))),
+            Halt::OutOfMemory(error) => Ok(Err(Interrupt::from(error).into())),
+            Halt::Abandoned => Err(Abandoned),
         }
     }
 }
 
-impl Loaded {
-    /// Returns the trees of all drawable assets, each once. `keep` keeps them for frames, as [`Loaded::trees`] does.
-    pub(super) fn bake_each(
-        &self,
-        cache: Option<&BakeCache>,
-        keep: bool,
-        mut tell: impl FnMut(BakeEvent),
-    ) -> Result<Vec<BakedAsset>, EngineError> {
-        let elements = |asset: &AssetModel| {
-            let (samples, triangles) = asset.counts();
-            samples + triangles
-        };
-        let mut seen = HashSet::new();
-        // Another scene may have read the same file under another name.
-        let names = self.info.assets.iter().map(|asset| asset.name.as_str());
-        let assets: Vec<_> = self
-            .model
-            .assets
-            .iter()
-            .zip(names)
-            .filter(|(asset, _)| seen.insert(asset.uid) && elements(asset) > 0)
-            .collect();
-        let total = assets.iter().map(|(asset, _)| elements(asset)).sum();
-        let (mut done, mut baked) = (0, Vec::with_capacity(assets.len()));
-        for (asset, name) in assets {
-            tell(BakeEvent::Started { asset: name, done, total });
-            let began = Instant::now();
-            let told = if keep || asset.tree.get().is_some() {
-                let (tree, source) = asset_tree(asset, cache)?;
-                figures(name, asset, &tree, source, began)
-            } else {
-                let (tree, source) = bake(asset, cache)?;
-                figures(name, asset, &tree, source, began)
-            };
-            tell(BakeEvent::Finished(&told));
-            done += elements(asset);
-            baked.push(told);
-        }
-        Ok(baked)
-    }
-}
-
-fn figures(
-    name: &str,
-    asset: &AssetModel,
-    tree: &AssetModel,
-    source: BakeSource,
-    began: Instant,
-) -> BakedAsset {
-    let (samples, triangles) = asset.counts();
-    let mut told = BakedAsset {
-        name: name.to_owned(),
-        samples,
-        triangles,
-        source,
-        elapsed_ns: began.elapsed().as_nanos() as u64,
-        tree: TreeStatistics::default(),
-        triangles_beside: 0,
-        triangle_bytes: 0,
-    };
-    for geometry in &tree.packed.geometries {
-        match geometry {
-            PackedGeometry::Samples(samples) => {
-                told.tree = told.tree.with(&TreeStatistics::of(samples));
-            }
-            PackedGeometry::Mesh(mesh) => {
-                told.triangles_beside += mesh.triangles.len() as u64;
-                told.triangle_bytes += geometry.gpu_bytes();
-            }
-        }
-    }
-    told
+pub(super) fn tree_error(asset: &AssetModel, error: &PackError) -> EngineError {
+    asset_error(AssetError::Malformed {
+        file: asset.name.clone(),
+        place: "positions".to_owned(),
+        reason: error.to_string(),
+    })
 }
 
 /// Returns the geometries of an asset's trees: a tree for each of its own geometries, then the triangles of each mesh.
@@ -258,5 +159,49 @@ fn fits(asset: &AssetModel, found: &[PackedGeometry]) -> Result<(), &'static str
     Ok(())
 }
 
-#[cfg(test)]
-mod tests;
+/// Builds the tree of an asset with temporary files, where building it in memory would exceed the limit, and reads the tree from
+/// the cache to which it was written. `None` if the tree fits in memory.
+pub fn build_large(
+    asset: &AssetModel,
+    cache: &BakeCache,
+    key: &[u8; 32],
+    watch: &Watch<'_>,
+) -> Result<Option<Vec<PackedGeometry>>, Halt> {
+    let [PackedGeometry::Samples(samples)] = &asset.packed.geometries[..] else { return Ok(None) };
+    let count = samples.positions.len() as u64;
+    let Some(limit) = cache.bake_bytes() else { return Ok(None) };
+    if count.saturating_mul(BYTES_A_SAMPLE) <= limit || !samples.clips.is_empty() {
+        return Ok(None);
+    }
+    match grow(samples, limit, cache, key, watch) {
+        Ok(built) => Ok(built),
+        Err(BakeFault::Pack(error)) => Err(error.into()),
+        Err(_) if watch.check().is_err() => Err(Halt::Abandoned),
+        Err(error) => {
+            let folder = cache.folder().display();
+            tracing::warn!(asset = asset.name, %folder, %error, "point trees are built in memory");
+            Ok(None)
+        }
+    }
+}
+
+fn grow(
+    samples: &PackedSamples,
+    limit: u64,
+    cache: &BakeCache,
+    key: &[u8; 32],
+    watch: &Watch<'_>,
+) -> Result<Option<Vec<PackedGeometry>>, BakeFault> {
+    let spill = cache.spill(samples.positions.len() as u64)?;
+    let memory = Memory::of_part(limit);
+    // Leaves take about half of the time.
+    let progress = |phase: Phase, done: f64| match phase {
+        Phase::Leaves => watch.tell(0.5 * done),
+        Phase::Nodes => watch.tell(0.5 + 0.4 * done),
+        _ => {}
+    };
+    let work = Work::new(&spill, memory, &progress).stopped_by(watch.stop_flag());
+    let (tree, _) = grow_tree(Packed::Memory(samples), &work)?;
+    let stored = cache.store_spilled(key, &tree)?;
+    Ok(if stored { cache.load(key) } else { None })
+}

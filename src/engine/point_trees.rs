@@ -6,11 +6,12 @@
 use std::sync::{Arc, OnceLock};
 
 use super::EngineError;
-use super::bake_service::{Abandoned, Watch};
 use super::instance_trees::{InstanceTreeScene, InstanceTrees};
-use super::library::{Loaded, asset_error, next_uid};
-use super::point_tree_cache::{BYTES_A_SAMPLE, BakeSource, read_or_build};
-use crate::assets::{AssetError, MeshPart, Texture};
+use super::loaded::{Loaded, TreeScene};
+use super::point_tree_cache::{BYTES_A_SAMPLE, BakeSource, Halt, read_or_build, tree_error};
+use super::uid::next_uid;
+use super::watch::{Abandoned, Watch};
+use crate::assets::{MeshPart, Texture};
 use crate::bake::cache::BakeCache;
 use crate::bake::hybrid::{hybrid_mesh, is_watertight};
 use crate::bake::pack::{
@@ -19,46 +20,11 @@ use crate::bake::pack::{
 };
 use crate::bake::tree::{build_tree, build_tree_within};
 use crate::math::Bounds;
-use crate::memory::{Interrupt, OutOfMemory, Reservation};
+use crate::memory::{Interrupt, Reservation};
 use crate::plan::SceneFacts;
 use crate::residency::instances::{Instances, RunMeter};
 use crate::residency::model::{AssetModel, SceneModel};
 use crate::residency::once::MadeOnce;
-
-/// A scene of trees, and what a plan depends on in it.
-#[derive(Clone)]
-pub struct TreeScene {
-    pub model: Arc<SceneModel>,
-    pub facts: SceneFacts,
-    /// The trees over its instances, where there are enough of them.
-    pub instance_trees: Option<Arc<InstanceTrees>>,
-}
-
-/// Why there are no trees of an asset.
-#[derive(Debug)]
-pub(super) enum Halt {
-    Pack(PackError),
-    Abandoned,
-    OutOfMemory(OutOfMemory),
-}
-
-impl From<PackError> for Halt {
-    fn from(error: PackError) -> Halt {
-        Halt::Pack(error)
-    }
-}
-
-impl From<OutOfMemory> for Halt {
-    fn from(error: OutOfMemory) -> Halt {
-        Halt::OutOfMemory(error)
-    }
-}
-
-impl From<Abandoned> for Halt {
-    fn from(_: Abandoned) -> Halt {
-        Halt::Abandoned
-    }
-}
 
 /// The trees of an asset, and where they came from.
 type Grown = (Arc<AssetModel>, BakeSource);
@@ -98,25 +64,6 @@ fn asset_tree_watched(
         Ok(Err(error)) => Ok(Err(tree_error(asset, error))),
         Err(halt) => halt.outcome(asset),
     }
-}
-
-impl Halt {
-    /// What callers are told: an error, or that nobody waits.
-    fn outcome<T>(self, asset: &AssetModel) -> Result<Result<T, EngineError>, Abandoned> {
-        match self {
-            Halt::Pack(error) => Ok(Err(tree_error(asset, &error))),
-            Halt::OutOfMemory(error) => Ok(Err(Interrupt::from(error).into())),
-            Halt::Abandoned => Err(Abandoned),
-        }
-    }
-}
-
-pub(super) fn tree_error(asset: &AssetModel, error: &PackError) -> EngineError {
-    asset_error(AssetError::Malformed {
-        file: asset.name.clone(),
-        place: "positions".to_owned(),
-        reason: error.to_string(),
-    })
 }
 
 /// Reads the trees of an asset from the cache, or builds them.

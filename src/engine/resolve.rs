@@ -6,11 +6,11 @@ use std::sync::Arc;
 use glam::DVec3;
 use sha2::{Digest, Sha256};
 
-use super::bake_service::Goal;
-use super::library::Loaded;
+use super::bake_service::{BakeTicket, Goal};
+use super::loaded::Loaded;
 use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
-use super::resolved::{Drawing, Resolution, ResolvedFrame, UnbakedFrame};
+use super::resolved::{Drawing, ResolvedFrame};
 use super::state::{Adapter, EngineState};
 use super::{EngineError, FrameRequest, Pose};
 use crate::encode::{self, EncodeError};
@@ -21,6 +21,65 @@ use crate::plan::{
     AdapterFacts, Edl, FrameFacts, Lod, Output, Reconstruct, SceneFacts, Settings, Wait, plan,
 };
 use crate::residency::model::SceneModel;
+
+/// Result of [`super::Engine::resolve`].
+pub enum Resolution {
+    Ready(Arc<ResolvedFrame>),
+    NeedsBake(Box<UnbakedFrame>),
+}
+
+/// A valid request whose scene lacks what only a bake makes: point trees, or normals and kernels of a large cloud.
+pub struct UnbakedFrame {
+    pub(super) state: Arc<EngineState>,
+    scene: Arc<Loaded>,
+    goal: Goal,
+    request: FrameRequest,
+}
+
+impl UnbakedFrame {
+    pub fn request(&self) -> &FrameRequest {
+        &self.request
+    }
+
+    /// Begins the bake, or joins it if it runs already.
+    ///
+    /// # Errors
+    /// [`EngineError::UnknownScene`] if the scene was deleted meanwhile.
+    pub fn begin(&self) -> Result<BakeTicket, EngineError> {
+        self.state.begin_bake(&self.scene, self.goal)
+    }
+
+    /// Waits for the bake and resolves the request in the scene as it was when the bake began, even if the scene has a newer
+    /// revision by then. Dropping the future gives up waiting.
+    ///
+    /// # Errors
+    /// Any error of the bake or of the request; [`EngineError::UnknownScene`] if the scene is deleted meanwhile.
+    pub async fn bake(self) -> Result<Arc<ResolvedFrame>, EngineError> {
+        let mut unbaked = self;
+        loop {
+            let scene = unbaked.begin()?.scene().await?;
+            match resolve_in(&unbaked.state, scene, unbaked.request)? {
+                Resolution::Ready(frame) => return Ok(frame),
+                Resolution::NeedsBake(next) => unbaked = *next,
+            }
+        }
+    }
+
+    /// Does the work of [`UnbakedFrame::bake`]. Blocks; not for threads that run async tasks or parallel work.
+    ///
+    /// # Errors
+    /// As [`UnbakedFrame::bake`].
+    pub fn bake_blocking(self) -> Result<Arc<ResolvedFrame>, EngineError> {
+        let mut unbaked = self;
+        loop {
+            let scene = unbaked.begin()?.wait_for_scene()?;
+            match resolve_in(&unbaked.state, scene, unbaked.request)? {
+                Resolution::Ready(frame) => return Ok(frame),
+                Resolution::NeedsBake(next) => unbaked = *next,
+            }
+        }
+    }
+}
 
 /// Most pixels and longest side of a frame on this adapter.
 pub fn frame_limits(state: &EngineState) -> (u64, u32) {

@@ -9,13 +9,9 @@
 
 use std::sync::Arc;
 
-use super::bake_service::{BakeTicket, Goal};
-use super::library::Loaded;
+use super::FrameRequest;
 use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
-use super::resolve::resolve_in;
-use super::state::EngineState;
-use super::{EngineError, FrameRequest};
 use crate::math::View;
 use crate::plan::auto::Choice;
 use crate::plan::{Background, FramePlan, Reconstruct, Settings};
@@ -55,20 +51,6 @@ pub struct Drawing {
     pub splats: Option<Splats>,
 }
 
-/// Result of [`super::Engine::resolve`].
-pub enum Resolution {
-    Ready(Arc<ResolvedFrame>),
-    NeedsBake(Box<UnbakedFrame>),
-}
-
-/// A valid request whose scene lacks what only a bake makes: point trees, or normals and kernels of a large cloud.
-pub struct UnbakedFrame {
-    pub(super) state: Arc<EngineState>,
-    pub(super) scene: Arc<Loaded>,
-    pub(super) goal: Goal,
-    pub(super) request: FrameRequest,
-}
-
 impl ResolvedFrame {
     /// Returns the strong entity tag (quoted): a hash of all that decides the frame's bytes.
     pub fn etag(&self) -> &str {
@@ -92,51 +74,6 @@ impl ResolvedFrame {
 
     pub fn plan(&self) -> &FramePlan {
         &self.drawing.plan
-    }
-}
-
-impl UnbakedFrame {
-    pub fn request(&self) -> &FrameRequest {
-        &self.request
-    }
-
-    /// Begins the bake, or joins it if it runs already.
-    ///
-    /// # Errors
-    /// [`EngineError::UnknownScene`] if the scene was deleted meanwhile.
-    pub fn begin(&self) -> Result<BakeTicket, EngineError> {
-        self.state.begin_bake(&self.scene, self.goal)
-    }
-
-    /// Waits for the bake and resolves the request in the scene as it was when the bake began, even if the scene has a newer
-    /// revision by then. Dropping the future gives up waiting.
-    ///
-    /// # Errors
-    /// Any error of the bake or of the request; [`EngineError::UnknownScene`] if the scene is deleted meanwhile.
-    pub async fn bake(self) -> Result<Arc<ResolvedFrame>, EngineError> {
-        let mut unbaked = self;
-        loop {
-            let scene = unbaked.begin()?.scene().await?;
-            match resolve_in(&unbaked.state, scene, unbaked.request)? {
-                Resolution::Ready(frame) => return Ok(frame),
-                Resolution::NeedsBake(next) => unbaked = *next,
-            }
-        }
-    }
-
-    /// Does the work of [`UnbakedFrame::bake`]. Blocks; not for threads that run async tasks or parallel work.
-    ///
-    /// # Errors
-    /// As [`UnbakedFrame::bake`].
-    pub fn bake_blocking(self) -> Result<Arc<ResolvedFrame>, EngineError> {
-        let mut unbaked = self;
-        loop {
-            let scene = unbaked.begin()?.wait_for_scene()?;
-            match resolve_in(&unbaked.state, scene, unbaked.request)? {
-                Resolution::Ready(frame) => return Ok(frame),
-                Resolution::NeedsBake(next) => unbaked = *next,
-            }
-        }
     }
 }
 

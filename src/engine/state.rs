@@ -1,22 +1,25 @@
 //! What the render thread, the encoders and the callers share.
 
 use std::collections::{HashMap, HashSet};
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use parking_lot::{Condvar, Mutex, RwLock};
 use tokio::sync::{oneshot, watch};
 
+use super::asset_cache::AssetCache;
+use super::background_estimates::Background;
 use super::bake_service::BakeService;
-use super::encoders::EncodeBacklog;
-use super::estimates::Background;
+use super::encode_backlog::EncodeBacklog;
 use super::frame_job::{FrameJob, Reply};
-use super::library::{AssetCache, Library, Loaded};
+use super::library::Library;
+use super::loaded::Loaded;
 use super::observe::Observer;
 use super::queue::cost::Costs;
 use super::queue::{Class, Client, Granted, Moment, Queue, Shares, Taken, lateness};
 use super::resolved::ResolvedFrame;
+use super::stats::Stats;
 use super::trace::Origin;
 use super::{EngineConfig, EngineError, EngineStats, Readiness};
 use crate::residency::model::SceneModel;
@@ -42,28 +45,6 @@ pub enum Phase {
     Lost,
     /// The render thread panicked.
     Failed,
-}
-
-#[derive(Default)]
-pub struct Stats {
-    pub frames: AtomicU64,
-    pub batches: AtomicU64,
-    pub coalesced: AtomicU64,
-    pub cancelled: AtomicU64,
-    pub overtaken: AtomicU64,
-    pub expired: AtomicU64,
-    pub refused: AtomicU64,
-    pub hopeless: AtomicU64,
-    pub failed: AtomicU64,
-    pub device_losses: AtomicU64,
-    pub evictions: AtomicU64,
-    pub uploads: AtomicU64,
-    pub instances_written: AtomicU64,
-    pub gpu_bytes_resident: AtomicU64,
-    pub gpu_ns: AtomicU64,
-    pub encode_ns: AtomicU64,
-    pub pipelines_late: AtomicU64,
-    pub pipelines_primed: AtomicU64,
 }
 
 struct Schedule {
@@ -582,28 +563,8 @@ impl EngineState {
     }
 
     pub fn snapshot(&self) -> EngineStats {
-        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        EngineStats {
-            frames: read(&self.stats.frames),
-            batches: read(&self.stats.batches),
-            coalesced: read(&self.stats.coalesced),
-            cancelled: read(&self.stats.cancelled),
-            overtaken: read(&self.stats.overtaken),
-            expired: read(&self.stats.expired),
-            refused: read(&self.stats.refused),
-            hopeless: read(&self.stats.hopeless),
-            failed: read(&self.stats.failed),
-            queued: self.schedule.lock().queue.len() as u64,
-            device_losses: read(&self.stats.device_losses),
-            evictions: read(&self.stats.evictions),
-            uploads: read(&self.stats.uploads),
-            instances_written: read(&self.stats.instances_written),
-            gpu_bytes_resident: read(&self.stats.gpu_bytes_resident),
-            gpu_ns: read(&self.stats.gpu_ns),
-            encode_ns: read(&self.stats.encode_ns),
-            pipelines_late: read(&self.stats.pipelines_late),
-            pipelines_primed: read(&self.stats.pipelines_primed),
-        }
+        let queued = self.schedule.lock().queue.len() as u64;
+        self.stats.snapshot(queued)
     }
 }
 

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use parking_lot::{Condvar, Mutex};
 
-use super::{Abandoned, Watch};
+use crate::engine::watch::{Abandoned, Watch};
 
 /// Keeps bakes from beginning while it is shut. For tests.
 #[derive(Debug, Default)]

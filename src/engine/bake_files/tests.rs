@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use super::*;
 use crate::assets::Material;
 use crate::bake::pack::PackedTexture;
+use crate::engine::asset_keys::tree_key;
 
 /// A scene of a cloud and a mesh of a hundred triangles, and a folder for the cache.
 struct Stage {

@@ -1,0 +1,384 @@
+//! Loaded scenes in host memory, and the changes made to them later.
+
+use std::ops::Range;
+use std::path::PathBuf;
+use std::sync::{Arc, OnceLock};
+
+use glam::DVec3;
+use parking_lot::Mutex;
+use sha2::{Digest, Sha256};
+
+use super::asset_keys::AssetKey;
+use super::cloud_cache::UnwrittenCloud;
+use super::framing::{self, SceneOutline};
+use super::instance_trees::InstanceTrees;
+use super::uid::next_uid;
+use super::{
+    AssetInfo, EngineConfig, EngineError, EstimateState, Estimates, NamedCamera, NodePatch,
+    SceneInfo,
+};
+use crate::assets::Placement;
+use crate::bake::prepare;
+use crate::bake::spacing::Patch;
+use crate::bake::tree::Above;
+use crate::math::{Bounds, Camera, CameraError};
+use crate::memory::{Admission, Reservation};
+use crate::plan::SceneFacts;
+use crate::residency::instances::{Instances, RunMeter};
+use crate::residency::model::{AssetModel, Extent, ModelInstance, SceneModel};
+use crate::residency::once::MadeOnce;
+use crate::residency::spacing;
+use crate::scene::{CameraPath, Node, Scene};
+
+/// How far splats usually reach, in distances between neighbouring samples.
+const SPLAT_REACH: f64 = 2.0;
+
+/// A scene and what was derived from it.
+pub struct Loaded {
+    pub model: Arc<SceneModel>,
+    pub facts: SceneFacts,
+    pub extent: Extent,
+    /// Outline for the default view, computed on first use.
+    pub(super) outline: OnceLock<SceneOutline>,
+    /// Increases with each load; all revisions of a scene have the same.
+    pub(super) order: u64,
+    pub info: SceneInfo,
+    /// See [`Loaded::patches`].
+    pub(super) patches: OnceLock<Vec<Patch>>,
+    /// Hash of the description and of every file's content.
+    pub digest: [u8; 32],
+    pub(super) description: Scene,
+    /// The top-level nodes of each run of instances, the same in all revisions.
+    pub(super) nodes: Arc<[Range<usize>]>,
+    /// Memory of the description and of the list of instances.
+    pub(super) _memory: Reservation,
+    /// See [`Loaded::trees`].
+    pub(super) trees: MadeOnce<Result<TreeScene, EngineError>>,
+    /// Trees of the latest earlier revision that had some, until there are new ones.
+    pub(super) trees_before: Mutex<Option<TreeScene>>,
+    /// For each asset, the placements of its geometries.
+    pub(super) placements: Vec<Arc<Vec<Placement>>>,
+    /// For each asset, its content key.
+    pub(super) keys: Vec<AssetKey>,
+    /// The scene's file, or that of its only asset.
+    pub(super) path: PathBuf,
+    /// Large clouds that were just read and are to be kept on disk.
+    pub unwritten: Vec<UnwrittenCloud>,
+}
+
+/// The parts of a scene, as read.
+pub struct Parts {
+    pub id: String,
+    pub revision: u64,
+    pub description: Scene,
+    pub assets: Vec<Arc<AssetModel>>,
+    pub placements: Vec<Arc<Vec<Placement>>>,
+    pub warnings: Vec<String>,
+    pub digest: [u8; 32],
+    pub keys: Vec<AssetKey>,
+    pub path: PathBuf,
+}
+
+/// Bytes of an instance, including its temporary entries while the list is made.
+const INSTANCE_BYTES: u64 = 2 * size_of::<ModelInstance>() as u64;
+
+/// Largest number of instances in a run of top-level nodes, unless the run is one node.
+const RUN: u64 = 4096;
+
+/// Lists the instances of a description in runs. Runs of `before`, the last revision, are reused unless they have the changed
+/// node.
+fn unfold(
+    parts: &Parts,
+    nodes: &[Range<usize>],
+    before: Option<(&Instances, usize)>,
+    most: u64,
+) -> Result<Instances, EngineError> {
+    let unfolding = parts.description.unfolding();
+    let meter = RunMeter::new(&parts.assets);
+    let mut next = 1u64;
+    let mut runs = Vec::with_capacity(nodes.len());
+    for (index, nodes) in nodes.iter().enumerate() {
+        let kept = before.filter(|(_, changed)| !nodes.contains(changed));
+        let kept = kept.and_then(|(before, _)| before.runs().get(index));
+        let run = match kept {
+            Some(run) if run.members.first().is_none_or(|first| u64::from(first.id) == next) => {
+                run.clone()
+            }
+            // The numbers shift when an earlier run has changed its length.
+            Some(run) => Arc::new(run.numbered_from(next as u32)),
+            None => {
+                let instances = unfolding.instances(nodes.clone());
+                let placed = prepare::placed_instances(instances, &parts.placements);
+                let members = placed.zip(next..).map(|(placed, id)| ModelInstance {
+                    asset: placed.asset,
+                    geometry: placed.geometry,
+                    world_from_geometry: placed.world_from_geometry,
+                    material: placed.material,
+                    id: id as u32,
+                    above: Above::NOTHING,
+                });
+                // One instance over the limit is enough to detect the excess.
+                let room = usize::try_from((most + 2).saturating_sub(next)).unwrap_or(usize::MAX);
+                Arc::new(meter.run(members.take(room).collect()))
+            }
+        };
+        next += run.members.len() as u64;
+        if next - 1 > most {
+            let (what, found) = ("instances", next - 1);
+            return Err(EngineError::OverLimit { what, found, limit: most });
+        }
+        runs.push(run);
+    }
+    Ok(Instances::new(runs))
+}
+
+/// Builds a scene from its parts: completely, or as `before` with one node changed.
+pub fn build(
+    parts: Parts,
+    config: &EngineConfig,
+    before: Option<(&Loaded, usize)>,
+    admission: &Admission,
+) -> Result<Loaded, EngineError> {
+    let nodes = match before {
+        Some((loaded, _)) => loaded.nodes.clone(),
+        None => parts.description.node_runs(RUN).into(),
+    };
+    let known = before.map(|(loaded, changed)| (&loaded.model.instances, changed));
+    let listed = parts.description.instance_count().saturating_mul(INSTANCE_BYTES);
+    admission.grow("a list of instances", listed)?;
+    let instances = unfold(&parts, &nodes, known, config.scene.max_instances)?;
+    let Parts { id, revision, description, assets, placements, warnings, digest, keys, path } =
+        parts;
+    let model = SceneModel {
+        uid: next_uid(),
+        id,
+        name: description.name.clone(),
+        revision,
+        assets,
+        instances,
+        materials: description.materials.clone(),
+        lights: description.lights.clone(),
+        background: description.background,
+        cameras: description.cameras.clone(),
+        up: description.up,
+        splats: description.splats,
+        trees: false,
+        totals: OnceLock::new(),
+    };
+    let extent = model.extent();
+    let info = describe(&model, &description, &extent.bounds, warnings);
+    Ok(Loaded {
+        facts: facts(&model),
+        model: Arc::new(model),
+        extent,
+        outline: OnceLock::new(),
+        order: before.map_or_else(next_uid, |(loaded, _)| loaded.order),
+        info,
+        patches: OnceLock::new(),
+        digest,
+        description,
+        nodes,
+        _memory: admission.keep(admission.held()),
+        trees: MadeOnce::default(),
+        trees_before: Mutex::new(before.and_then(|(loaded, _)| loaded.latest_trees())),
+        placements,
+        keys,
+        path,
+        unwritten: Vec::new(),
+    })
+}
+
+fn facts(model: &SceneModel) -> SceneFacts {
+    let counts = model.counts();
+    SceneFacts {
+        has_samples: counts.samples > 0,
+        has_triangles: counts.triangles > 0,
+        has_normals: model.assets.iter().any(|asset| asset.has_normals),
+        lights: model.lights.len() as u32,
+        trees: false,
+        chunks: counts.chunks,
+    }
+}
+
+fn node_name(node: &Node, index: usize) -> String {
+    node.name.clone().unwrap_or_else(|| index.to_string())
+}
+
+fn describe(
+    model: &SceneModel,
+    description: &Scene,
+    bounds: &Bounds,
+    warnings: Vec<String>,
+) -> SceneInfo {
+    let counts = model.counts();
+    SceneInfo {
+        id: model.id.clone(),
+        name: model.name.clone(),
+        revision: model.revision,
+        bounds: (!bounds.is_empty()).then(|| [bounds.min.into(), bounds.max.into()]),
+        samples: counts.samples,
+        triangles: counts.triangles,
+        instances: counts.instances,
+        assets: model
+            .assets
+            .iter()
+            .zip(&description.assets)
+            .map(|(asset, reference)| {
+                let (samples, triangles) = asset.counts();
+                AssetInfo {
+                    // Another scene may have read the same file under another name.
+                    name: reference.name.clone(),
+                    format: asset.format,
+                    samples,
+                    triangles,
+                    has_colors: asset.has_colors,
+                    shows_intensity: asset.shows_intensity,
+                    has_normals: asset.has_normals,
+                    normals_estimated: asset.normals_estimated,
+                }
+            })
+            .collect(),
+        gpu_bytes: model.gpu_bytes(),
+        resident: false,
+        estimates: Estimates { state: EstimateState::Complete, done: 1.0, reason: None },
+        cameras: model
+            .cameras
+            .iter()
+            .map(|(name, camera)| NamedCamera::new(name, camera))
+            .collect(),
+        paths: description.paths.iter().map(|(name, _)| name.clone()).collect(),
+        nodes: description
+            .nodes
+            .iter()
+            .enumerate()
+            .map(|(index, node)| node_name(node, index))
+            .collect(),
+        lights: model.lights.len(),
+        up: if model.up == DVec3::ZERO { DVec3::Y } else { model.up }.into(),
+        up_because: description.up_because.clone(),
+        warnings,
+    }
+}
+
+impl Loaded {
+    /// Returns the scene with one top-level node changed, at the next revision.
+    pub fn patched(
+        &self,
+        node: &str,
+        patch: &NodePatch,
+        config: &EngineConfig,
+    ) -> Result<Loaded, EngineError> {
+        let mut description = self.description.clone();
+        let index = description
+            .nodes
+            .iter()
+            .enumerate()
+            .position(|(index, candidate)| node_name(candidate, index) == node)
+            .ok_or_else(|| EngineError::UnknownNode {
+                scene: self.model.id.clone(),
+                node: node.to_owned(),
+            })?;
+        if let Some(transform) = patch.world_from_node {
+            description.nodes[index].parent_from_node = transform;
+        }
+        if let Some(visible) = patch.visible {
+            description.nodes[index].visible = visible;
+        }
+        let mut hasher = Sha256::new();
+        hasher.update(self.digest);
+        hasher.update(format!("{node}{patch:?}"));
+        let parts = Parts {
+            id: self.model.id.clone(),
+            revision: self.model.revision + 1,
+            description,
+            assets: self.model.assets.clone(),
+            placements: self.placements.clone(),
+            warnings: self.info.warnings.clone(),
+            digest: hasher.finalize().into(),
+            keys: self.keys.clone(),
+            path: self.path.clone(),
+        };
+        build(parts, config, Some((self, index)), &Admission::new(&config.memory))
+    }
+
+    /// Returns the load's number, which all revisions of a scene share and no later scene of the same id has.
+    pub fn load(&self) -> u64 {
+        self.order
+    }
+
+    /// Returns whether all samples have normals and kernels.
+    pub fn is_whole(&self) -> bool {
+        self.model.assets.iter().all(|asset| asset.deferred.is_none())
+    }
+
+    /// Returns whether some sample has no normal yet.
+    pub fn lacks_normals(&self) -> bool {
+        let deferred = self.model.assets.iter().filter_map(|asset| asset.deferred.as_ref());
+        deferred.into_iter().any(|deferred| deferred.lacks_normals)
+    }
+
+    /// Returns a camera path that the scene names.
+    pub fn camera_path(&self, name: &str) -> Result<CameraPath, EngineError> {
+        let found = self.description.paths.iter().find(|(known, _)| known == name);
+        found.map(|(_, path)| path.clone()).ok_or_else(|| EngineError::BadParameter {
+            parameter: "path",
+            reason: format!("the scene has no path `{name}`"),
+            accepted: if self.info.paths.is_empty() {
+                "a path of one's own: this scene names none".to_owned()
+            } else {
+                self.info.paths.join(", ")
+            },
+        })
+    }
+
+    /// Returns the positions and spacing of its samples in patches, measured on first use.
+    pub fn patches(&self) -> &[Patch] {
+        self.patches.get_or_init(|| spacing::patches(&self.model))
+    }
+
+    /// Returns the up direction.
+    pub fn up(&self) -> DVec3 {
+        if self.model.up == DVec3::ZERO { DVec3::Y } else { self.model.up }
+    }
+
+    /// Returns the default view: the sensor's where the file has one, else a view of everything but strays, as large as the frame
+    /// allows. Without `up` it uses the scene's up direction.
+    ///
+    /// # Errors
+    /// An `up` that is zero or not finite; a field of view that no camera has.
+    pub fn fit(
+        &self,
+        aspect: f64,
+        up_given: Option<DVec3>,
+        fov_deg: Option<f64>,
+    ) -> Result<Camera, CameraError> {
+        // These checks do not depend on the eye's position.
+        let anywhere = Camera {
+            eye: DVec3::ZERO,
+            target: DVec3::ONE,
+            up: up_given.unwrap_or_else(|| self.up()),
+            fov_deg: fov_deg.unwrap_or(framing::FOV_DEG),
+        };
+        anywhere.view(1, 1)?;
+        if let (Some(sensor), None) = (&self.description.sensor, up_given) {
+            let seen = sensor.camera_for(aspect);
+            return Ok(Camera { fov_deg: fov_deg.unwrap_or(seen.fov_deg), ..seen });
+        }
+        let outline = self.outline.get_or_init(|| match self.description.subject {
+            Some(subject) => SceneOutline::around(&subject),
+            None => SceneOutline::of(&self.model),
+        });
+        let front = self.description.front.filter(|_| up_given.is_none());
+        let reach = SPLAT_REACH * spacing::usual(self.patches());
+        Ok(outline.camera(anywhere.up, front, (anywhere.fov_deg, aspect, reach)))
+    }
+}
+
+/// A scene of trees, and what a plan depends on in it.
+#[derive(Clone)]
+pub struct TreeScene {
+    pub model: Arc<SceneModel>,
+    pub facts: SceneFacts,
+    /// The trees over its instances, where there are enough of them.
+    pub instance_trees: Option<Arc<InstanceTrees>>,
+}
