@@ -188,6 +188,9 @@ impl<R: Read> Read for Limited<R> {
     }
 }
 
+/// Endings of the images that materials may name.
+const IMAGES: [&str; 7] = [".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tga", ".gif"];
+
 /// The files that an asset may name: relative, and below one root.
 #[derive(Clone, Debug)]
 pub struct Folder {
@@ -210,6 +213,17 @@ impl Folder {
             None => base.clone(),
         };
         Some(Folder { base, root })
+    }
+
+    /// Name of the first image in the asset's folder, in alphabetical order.
+    pub fn image(&self) -> Option<String> {
+        let is_image = |name: &String| {
+            let name = name.to_ascii_lowercase();
+            IMAGES.iter().any(|kind| name.ends_with(kind))
+        };
+        let entries = std::fs::read_dir(&self.base).ok()?;
+        let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+        names.filter(is_image).min()
     }
 
     /// The file that `reference` names.

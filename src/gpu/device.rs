@@ -6,6 +6,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::pipeline_store::{Kept, PipelineStore};
 
+/// Smallest and largest block of memory that is asked for at a time on a CPU adapter.
+const CPU_BLOCK_BYTES: std::ops::Range<u64> = 4 << 20..32 << 20;
+
 /// How the adapter is chosen.
 #[derive(Clone, Debug, Default)]
 pub struct GpuOptions {
@@ -147,7 +150,7 @@ impl Gpu {
             label: Some("pointillist"),
             required_features: features,
             required_limits: limits.clone(),
-            memory_hints: wgpu::MemoryHints::Performance,
+            memory_hints: memory_hints(is_cpu),
             ..Default::default()
         }))
         .map_err(|error| unfit(error.to_string()))?;
@@ -215,10 +218,34 @@ fn pipeline_cache(device: &wgpu::Device, kept: &[u8]) -> wgpu::PipelineCache {
     }
 }
 
+/// On a CPU adapter GPU memory is host memory, which returns to the system a whole block at a time: blocks are small there.
+fn memory_hints(is_cpu: bool) -> wgpu::MemoryHints {
+    if is_cpu {
+        wgpu::MemoryHints::Manual { suballocated_device_memory_block_size: CPU_BLOCK_BYTES }
+    } else {
+        wgpu::MemoryHints::Performance
+    }
+}
+
 fn describe(info: &wgpu::AdapterInfo) -> String {
     if info.driver_info.is_empty() {
         info.name.clone()
     } else {
         format!("{} [{}]", info.name, info.driver_info)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_of_cpu_adapters_comes_in_small_blocks() {
+        use wgpu::MemoryHints::{Manual, Performance};
+        assert!(matches!(
+            memory_hints(true),
+            Manual { suballocated_device_memory_block_size } if suballocated_device_memory_block_size.end <= 32 << 20
+        ));
+        assert!(matches!(memory_hints(false), Performance));
     }
 }

@@ -293,7 +293,7 @@ function choose(id, given = {}) {
   scene = found;
   gone = null;
   store.keepScene(id);
-  quiet('scene', 'frame', 'address', 'edit');
+  quiet('scene', 'frame', 'address', 'edit', 'pivot');
   const asked = given.asked ? address.read(given.asked, scene) : { faults: [] };
   if (asked.faults.length > 0) complain({ title: 'Not all of the address could be used', detail: asked.faults.join('\n') }, 'address');
   if (given.asked) settings.restore(given.asked);
@@ -344,7 +344,9 @@ async function lookAt(place) {
   } catch (problem) {
     return complain(problem, 'frame');
   }
-  if (!point || scene?.id !== id || pose !== before) return;
+  if (scene?.id !== id || pose !== before) return;
+  if (!point) return tell('news', { title: 'Nothing here to turn around', detail: 'Double-click a part of the scene.' }, [['Dismiss', () => quiet('pivot')]], 'pivot');
+  quiet('pivot');
   const began = performance.now(), isStill = matchMedia('(prefers-reduced-motion: reduce)').matches;
   let ticket = -1;
   const step = now => {

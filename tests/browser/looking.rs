@@ -249,7 +249,11 @@ fn the_wheel_zooms_towards_the_pointer_and_a_double_click_sets_the_pivot() {
     // Beside everything there is no point to look at.
     let pose = browser.script("return viewer.pose.target");
     browser.script("const r = viewer.canvas.getBoundingClientRect(); viewer.canvas.dispatchEvent(new MouseEvent('dblclick', { clientX: r.left + 3, clientY: r.top + 60, bubbles: true }))");
-    still_picture(&browser);
+    browser.wait_for(
+        "the message",
+        super::page::PATIENCE,
+        "return document.querySelector('[data-of=pivot]')?.innerText.includes('Nothing here to turn around')",
+    );
     assert_eq!(browser.script("return viewer.pose.target"), pose);
     assert_eq!(browser.console_errors(), Vec::<String>::new());
 }

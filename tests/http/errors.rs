@@ -65,6 +65,17 @@ fn refusals_of_frames() {
     assert_eq!(client.get("/v1/scenes/grid/frame?w=200&h=200").status, 200);
     let reply = client.send("GET", "/v1/scenes/grid/frame", &[("accept", "text/html")], None);
     assert_eq!((reply.status, &reply.problem()["parameter"]), (406, &json!("Accept")));
+    // However far a side is over the limit, the limit named is the one that holds.
+    for side in [257, 100_000] {
+        let problem = client.get(&format!("/v1/scenes/grid/frame?w={side}")).problem();
+        let detail = problem["detail"].as_str().unwrap_or_default();
+        assert!(problem["parameter"] == "w" && detail.contains("limit of 256"), "{problem}");
+        let job = json!({ "scene": "grid", "path": "past", "w": side, "h": 8 }).to_string();
+        let json_type = [("content-type", "application/json")];
+        let problem = client.send("POST", "/v1/jobs", &json_type, Some(job.as_bytes())).problem();
+        let detail = problem["detail"].as_str().unwrap_or_default();
+        assert!(problem["parameter"] == "w" && detail.contains("limit of 256"), "{problem}");
+    }
     let limits = client.get("/v1/limits").json();
     assert_eq!((&limits["max_side"], &limits["max_pixels"]), (&json!(256), &json!(40000)));
 }

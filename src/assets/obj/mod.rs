@@ -275,7 +275,15 @@ impl<'a> Statements<'a> {
             // Every corner may become a vertex, found by a map.
             let corners = self.corners.len() as u64;
             options.admission.grow(&origin.name, corners * CORNER_BYTES)?;
+            let is_unnamed = self.libraries.is_empty() && !self.uvs.is_empty();
             let (mesh, used) = self.weave(&mut warnings)?;
+            if is_unnamed
+                && let Some(image) = origin.folder.as_ref().and_then(|folder| folder.image())
+            {
+                warnings.push(format!(
+                    "{image} is not used: the file has texture coordinates, but names no material library (mtllib) that would name the image"
+                ));
+            }
             let mesh = tidy::finish_mesh(mesh, &origin.name, &mut warnings)?;
             let mut asset = Asset::single("obj", &origin.name, Geometry::Mesh(mesh));
             let library =

@@ -158,3 +158,16 @@ proptest! {
         let _ = read_from(Input::from_bytes(bytes, "a"), &ReadOptions::default());
     }
 }
+
+#[test]
+fn image_that_no_material_names_is_a_warning() {
+    let folder = Folder::new();
+    folder.put("bare.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n");
+    assert!(folder.read("bare.obj").warnings.is_empty(), "no image beside it");
+    folder.put("paint.PNG", "not read");
+    let warnings = folder.read("bare.obj").warnings;
+    assert_eq!(warnings.len(), 1, "{warnings:?}");
+    assert!(warnings[0].starts_with("paint.PNG is not used") && warnings[0].contains("mtllib"));
+    folder.put("plain.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    assert!(folder.read("plain.obj").warnings.is_empty(), "it has no texture coordinates");
+}

@@ -1,11 +1,9 @@
 //! Values that a parameter never takes, whatever stands beside it: the contract's schemas, enforced.
 
 use super::{FrameParams, choice};
-use crate::engine::EngineError;
 use crate::http::problem::Problem;
 use crate::math::{FARTHEST, FOV_RANGE_DEG};
 use crate::plan::Wait;
-use crate::residency::layout::MOST_ROWS;
 use crate::scene::Up;
 
 /// Longest name of a camera, a path or a node in a request.
@@ -49,17 +47,10 @@ impl FrameParams {
             );
         }
         for (name, side) in [("w", self.w), ("h", self.h)] {
-            match side {
-                Some(0) => {
-                    let accepted = "a whole number of pixels, at least 1".to_owned();
-                    return refused(name, "must not be 0".to_owned(), accepted);
-                }
-                Some(side) if side > MOST_ROWS => {
-                    let what = if name == "w" { "pixels in w" } else { "pixels in h" };
-                    let (found, limit) = (u64::from(side), u64::from(MOST_ROWS));
-                    return Err(EngineError::OverLimit { what, found, limit }.into());
-                }
-                _ => {}
+            // The engine knows the largest side, which depends on the adapter.
+            if side == Some(0) {
+                let accepted = "a whole number of pixels, at least 1".to_owned();
+                return refused(name, "must not be 0".to_owned(), accepted);
             }
         }
         let [least, most] = QUALITY_RANGE;
