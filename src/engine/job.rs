@@ -41,6 +41,8 @@ pub struct Resolved {
     pub max_error: MaxError,
     /// Key that is equal for requests whose frames are equal to the byte.
     pub key: String,
+    /// Pixels that are picked: column and row. Where there are any, the frame has their identities in place of its image.
+    pub picks: Arc<[[u32; 2]]>,
 }
 
 /// One way to draw a frame.
@@ -216,8 +218,9 @@ impl Job {
         let drawing = self.drawing().clone();
         let halvings = self.halvings.load(Ordering::Relaxed);
         let key = (self.resolved.model.uid, drawing, halvings, output, width, height);
-        // Frames of point trees cannot share their lists of nodes.
-        (!self.is_alone() && !self.resolved.model.trees).then_some(key)
+        // Frames of point trees cannot share their lists of nodes, and picks read back something else.
+        let is_plain = !self.resolved.model.trees && self.resolved.picks.is_empty();
+        (!self.is_alone() && is_plain).then_some(key)
     }
 
     /// Counts a redraw because a list was full; false after more redraws than growing lists explain.

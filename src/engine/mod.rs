@@ -12,6 +12,7 @@ mod kept;
 mod keys;
 mod library;
 mod observe;
+pub mod pick;
 mod priming;
 pub mod queue;
 pub mod receipt;

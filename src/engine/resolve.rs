@@ -1,6 +1,8 @@
 //! Requests → what they mean for the scene as it is now. Everything that can be wrong with a request is found here, before any
 //! work on the GPU.
 
+use std::sync::Arc;
+
 use glam::DVec3;
 use sha2::{Digest, Sha256};
 
@@ -178,6 +180,7 @@ pub fn resolve(shared: &Shared, request: &FrameRequest) -> Result<Resolved, Engi
         in_three_passes,
         max_error: request.settings.max_error_px,
         key,
+        picks: Arc::default(),
     })
 }
 

@@ -9,6 +9,7 @@
 //!    └─ fuse_splats ─ fuse_walked                 or both in one, behind the triangles
 //!    └─ resolve_fused|splats|samples, …_triangles attributes of the visible pixels only
 //!       shade                                     lights, once a pixel
+//!       identify                                  for picks: the element that each pixel shows
 //! ```
 //! `plan/table.rs` has them all, with the path of each pass's shader, which is that of its module here as well.
 //!

@@ -54,6 +54,7 @@ macro_rules! pass_table {
             ResolveSamples       Compute resolve/resolve_samples       ""    [Resolve]           Frame     [ONLY_TRIANGLES BLENDED];
             ResolveTriangles     Compute resolve/resolve_triangles     ""    [Resolve]           Frame     [NO_TRIANGLES];
             Shade                Compute resolve/shade                 ""    [Resolve]           Frame     [NOT_COLOR NO_LIGHTS LIT_ALONE];
+            Identify             Compute resolve/identify              ""    [Resolve]           Frame     [NOT_PICKED];
         }
     };
 }
@@ -140,5 +141,7 @@ reasons! {
         alone && f.is_blended() && f.scene.has_samples && !f.scene.has_triangles
     };
     NOT_COLOR: "the output is not color", |f| f.output != super::Output::Color;
+    // `FramePlan::with_identities` makes it run.
+    NOT_PICKED: "no pixel is picked", |_| true;
     IDS: "the output is id", |f| f.output == super::Output::Id;
 }

@@ -1,5 +1,6 @@
 //! Attributes of the visible pixels only, and their light.
 
+pub mod identify;
 pub mod resolve_fused;
 pub mod resolve_samples;
 pub mod resolve_splats;
