@@ -125,7 +125,7 @@ fn every_composition_is_valid() {
     // lines, lights, trees. Each of these a thread a splat, all or by turns, with and without votes, and from a list. Passes over pixels: with and
     // without votes, of samples with and without trees, with outputs written at once or later. Lists: of everything, or of trees. Others: without choices.
     let (depths, sums, single) = (12, 32, 8);
-    let over_pixels = 5 * 2 * 2 + 2;
+    let over_pixels = 5 * 2 * 2 + 2 * 2;
     let lists = 3 * 2;
     let others = 9;
     assert_eq!(

@@ -2,26 +2,82 @@
 
 use anyhow::anyhow;
 use clap::{Args, ValueEnum};
+use glam::DVec3;
 
 use super::local::ID;
 use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
+use crate::http::{DEFAULT_FOV_DEG, DEFAULT_QUALITY};
+use crate::math::Camera;
 use crate::plan::{Given, Output, Settings, Wait};
 
-/// Size, settings and quality of frames.
+/// Size and settings of frames.
 #[derive(Args, Clone, Debug)]
-pub struct FrameArgs {
+pub struct DrawArgs {
     /// Width and height in pixels
     #[arg(long, value_name = "WxH", default_value = "1024x1024", value_parser = size)]
     size: (u32, u32),
     #[command(flatten)]
     settings: Given,
+}
+
+/// Size, settings and quality of frames.
+#[derive(Args, Clone, Debug)]
+pub struct FrameArgs {
+    #[command(flatten)]
+    draw: DrawArgs,
     /// Which image of the frame
     #[arg(long, value_enum, default_value = "color")]
     output: Output,
     /// Quality of lossy formats
-    #[arg(long, default_value_t = 85, value_parser = clap::value_parser!(u8).range(1..=100))]
+    #[arg(long, default_value_t = DEFAULT_QUALITY, value_parser = clap::value_parser!(u8).range(1..=100))]
     quality: u8,
+}
+
+/// Where a frame is seen from.
+#[derive(Args, Clone, Debug)]
+pub struct PoseArgs {
+    /// Camera that the scene names [default: one that sees the whole scene]
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["eye", "target", "up", "fov"])]
+    camera: Option<String>,
+    /// Where the eye is, in world space
+    #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, requires = "target")]
+    eye: Option<DVec3>,
+    /// What the eye looks at
+    #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, requires = "eye")]
+    target: Option<DVec3>,
+    /// Vertical field of view in degrees [default: 40]
+    #[arg(long, value_name = "DEG")]
+    fov: Option<f64>,
+}
+
+impl PoseArgs {
+    /// The pose, with this direction as up, where one is given.
+    pub fn pose(&self, up: Option<DVec3>) -> Pose {
+        if let Some(name) = &self.camera {
+            return Pose::Named(name.clone());
+        }
+        let (Some(eye), Some(target)) = (self.eye, self.target) else {
+            return Pose::Fit { up, fov_deg: self.fov };
+        };
+        let fov_deg = self.fov.unwrap_or(DEFAULT_FOV_DEG);
+        match up {
+            Some(up) => Pose::Camera(Camera { eye, target, up, fov_deg }),
+            None => Pose::Upright { eye, target, fov_deg },
+        }
+    }
+}
+
+fn vector(text: &str) -> Result<DVec3, String> {
+    let numbers: Vec<f64> = text
+        .split(',')
+        .map(|part| part.trim().parse::<f64>().ok().filter(|number| number.is_finite()))
+        .collect::<Option<_>>()
+        .ok_or("expected three numbers, as in 0,1.5,-3")?;
+    let [x, y, z] = numbers[..] else {
+        return Err(format!("expected three numbers, got {}", numbers.len()));
+    };
+    Ok(DVec3::new(x, y, z))
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -66,6 +122,17 @@ impl FrameArgs {
     /// # Errors
     /// Options that do not go together.
     pub fn request(&self, pose: Pose, format: ImageFormat) -> anyhow::Result<FrameRequest> {
+        let Self { output, quality, .. } = *self;
+        Ok(FrameRequest { output, format, quality, ..self.draw.request(pose)? })
+    }
+}
+
+impl DrawArgs {
+    /// A frame in colour of the command's only scene.
+    ///
+    /// # Errors
+    /// Options that do not go together.
+    pub fn request(&self, pose: Pose) -> anyhow::Result<FrameRequest> {
         let option = |name: &str| name.replace('_', "-");
         let settings = self.settings.resolve().map_err(|error| {
             let accepted = error.accepted(|name, value| format!("--{} {value}", option(name)));
@@ -78,9 +145,9 @@ impl FrameArgs {
             height: self.size.1,
             // A file has no second picture.
             settings: Settings { wait: Wait::Complete, ..settings },
-            output: self.output,
-            format,
-            quality: self.quality,
+            output: Output::Color,
+            format: ImageFormat::Raw,
+            quality: DEFAULT_QUALITY,
             deadline: None,
         })
     }

@@ -10,6 +10,7 @@ pub mod load;
 mod local;
 mod out;
 pub mod path;
+pub mod pick;
 pub mod render;
 pub mod serve;
 
@@ -39,6 +40,8 @@ enum Command {
     Serve(Box<serve::ServeArgs>),
     /// Draw one frame of a scene or of a single asset file, without a server
     Render(Box<render::RenderArgs>),
+    /// Tell what pixels of a frame show: positions, distances, instances, as JSON
+    Pick(Box<pick::PickArgs>),
     /// Draw a camera path to numbered frames; run again, it draws what is missing
     Path(Box<path::PathArgs>),
     /// Tell what a scene or asset holds, what it needs on the GPU, and which passes would draw it
@@ -64,6 +67,7 @@ pub fn run() -> anyhow::Result<ExitCode> {
     match Cli::parse().command {
         Command::Serve(args) => serve::run(*args),
         Command::Render(args) => render::run(*args),
+        Command::Pick(args) => pick::run(&args),
         Command::Path(args) => path::run(*args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Bake(args) => bake::run(&args),

@@ -5,16 +5,12 @@ use std::time::Instant;
 
 use anyhow::Context;
 use clap::Args;
-use glam::DVec3;
 
-use super::frame::{FormatChoice, FrameArgs};
+use super::frame::{FormatChoice, FrameArgs, PoseArgs};
 use super::local::SceneArgs;
 use super::out::say;
 use crate::encode::ImageFormat;
-use crate::engine::{EncodedFrame, Pose, Receipt};
-use crate::math::Camera;
-
-const DEFAULT_FOV_DEG: f64 = 40.0;
+use crate::engine::{EncodedFrame, Receipt};
 
 /// What to draw, from where, and where to.
 #[derive(Args, Clone, Debug)]
@@ -27,18 +23,8 @@ pub struct RenderArgs {
     /// Format of the image [default: by the extension; png on standard output]
     #[arg(long, value_enum)]
     format: Option<FormatChoice>,
-    /// Camera that the scene names [default: one that sees the whole scene]
-    #[arg(long, value_name = "NAME", conflicts_with_all = ["eye", "target", "up", "fov"])]
-    camera: Option<String>,
-    /// Where the eye is, in world space
-    #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, requires = "target")]
-    eye: Option<DVec3>,
-    /// What the eye looks at
-    #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, requires = "eye")]
-    target: Option<DVec3>,
-    /// Vertical field of view in degrees [default: 40]
-    #[arg(long, value_name = "DEG")]
-    fov: Option<f64>,
+    #[command(flatten)]
+    pose: PoseArgs,
     #[command(flatten)]
     frame: FrameArgs,
     /// Write the frame's receipt, as JSON
@@ -47,18 +33,6 @@ pub struct RenderArgs {
     /// Draw the frame this many times; the receipt is the median one's
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     repeat: u32,
-}
-
-fn vector(text: &str) -> Result<DVec3, String> {
-    let numbers: Vec<f64> = text
-        .split(',')
-        .map(|part| part.trim().parse::<f64>().ok().filter(|number| number.is_finite()))
-        .collect::<Option<_>>()
-        .ok_or("expected three numbers, as in 0,1.5,-3")?;
-    let [x, y, z] = numbers[..] else {
-        return Err(format!("expected three numbers, got {}", numbers.len()));
-    };
-    Ok(DVec3::new(x, y, z))
 }
 
 fn format_of(file: &Path) -> anyhow::Result<ImageFormat> {
@@ -83,21 +57,6 @@ impl RenderArgs {
             None => format_of(&self.file),
         }
     }
-
-    fn pose(&self) -> Pose {
-        if let Some(name) = &self.camera {
-            return Pose::Named(name.clone());
-        }
-        let up = self.scene.up();
-        let (Some(eye), Some(target)) = (self.eye, self.target) else {
-            return Pose::Fit { up, fov_deg: self.fov };
-        };
-        let fov_deg = self.fov.unwrap_or(DEFAULT_FOV_DEG);
-        match up {
-            Some(up) => Pose::Camera(Camera { eye, target, up, fov_deg }),
-            None => Pose::Upright { eye, target, fov_deg },
-        }
-    }
 }
 
 /// Draws and writes.
@@ -106,7 +65,7 @@ impl RenderArgs {
 /// A scene, pose or format that is refused, no GPU, a file that cannot be written.
 pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     super::local::init_log();
-    let request = args.frame.request(args.pose(), args.format()?)?;
+    let request = args.frame.request(args.pose.pose(args.scene.up()), args.format()?)?;
     let begin = Instant::now();
     let (engine, info) = args.scene.load(|_| ())?;
     for warning in &info.warnings {
@@ -172,8 +131,11 @@ fn write(file: &Path, bytes: &[u8]) -> anyhow::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use clap::Parser;
+    use glam::DVec3;
+
+    use super::*;
+    use crate::engine::Pose;
 
     #[derive(Parser)]
     struct Line {
@@ -188,16 +150,17 @@ mod tests {
 
     #[test]
     fn poses() {
-        assert_eq!(parse(&["-o", "a.png"]).unwrap().pose(), Pose::FIT);
+        let pose = |args: RenderArgs| args.pose.pose(args.scene.up());
+        assert_eq!(pose(parse(&["-o", "a.png"]).unwrap()), Pose::FIT);
         let args = parse(&["-o", "a.png", "--eye", "-1,2,3e2", "--target=0,0,0"]).unwrap();
         let eye = DVec3::new(-1.0, 2.0, 300.0);
-        assert_eq!(args.pose(), Pose::Upright { eye, target: DVec3::ZERO, fov_deg: 40.0 });
+        assert_eq!(pose(args), Pose::Upright { eye, target: DVec3::ZERO, fov_deg: 40.0 });
         let args = parse(&[
             "-o", "a.png", "--eye", "1,0,0", "--target", "0,0,0", "--up", "0,0,1", "--fov", "9",
         ]);
-        let Pose::Camera(camera) = args.unwrap().pose() else { panic!("not a camera") };
+        let Pose::Camera(camera) = pose(args.unwrap()) else { panic!("not a camera") };
         assert_eq!((camera.up, camera.fov_deg), (DVec3::Z, 9.0));
-        let upright = parse(&["-o", "a.png", "--up", "-z", "--fov", "30"]).unwrap().pose();
+        let upright = pose(parse(&["-o", "a.png", "--up", "-z", "--fov", "30"]).unwrap());
         assert_eq!(upright, Pose::Fit { up: Some(DVec3::NEG_Z), fov_deg: Some(30.0) });
         assert!(parse(&["-o", "a.png", "--up", "w"]).unwrap_err().contains("x, y, z, -x"));
         assert!(parse(&["-o", "a.png", "--camera", "x", "--up", "z"]).is_err());

@@ -180,8 +180,9 @@ impl FrameJob {
         let drawing = self.drawing().clone();
         let halvings = self.halvings.load(Ordering::Relaxed);
         let key = (self.frame.model.uid, drawing, halvings, output, width, height);
-        // Frames of point trees cannot share their lists of nodes.
-        (!self.is_alone() && !self.frame.model.trees).then_some(key)
+        // Frames of point trees cannot share their lists of nodes, and picks read back something else.
+        let is_plain = !self.frame.model.trees && self.frame.picks.is_empty();
+        (!self.is_alone() && is_plain).then_some(key)
     }
 
     /// Counts a redraw because a list was full; false after more redraws than growing lists explain.

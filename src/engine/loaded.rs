@@ -28,7 +28,7 @@ use crate::residency::instances::{Instances, RunMeter};
 use crate::residency::model::{AssetModel, Extent, ModelInstance, SceneModel};
 use crate::residency::once::MadeOnce;
 use crate::residency::spacing;
-use crate::scene::{CameraPath, Node, Scene};
+use crate::scene::{CameraPath, InstancePaths, Node, Scene};
 
 /// How far splats usually reach, in distances between neighbouring samples.
 const SPLAT_REACH: f64 = 2.0;
@@ -200,7 +200,7 @@ fn facts(model: &SceneModel) -> SceneFacts {
     }
 }
 
-fn node_name(node: &Node, index: usize) -> String {
+pub fn node_name(node: &Node, index: usize) -> String {
     node.name.clone().unwrap_or_else(|| index.to_string())
 }
 
@@ -329,6 +329,19 @@ impl Loaded {
                 self.info.paths.join(", ")
             },
         })
+    }
+
+    /// Returns what finds the nodes above its instances.
+    pub fn instance_paths(&self) -> InstancePaths<'_> {
+        let placements = self.placements.iter().map(|placed| placed.len() as u64).collect();
+        InstancePaths::new(&self.description, placements)
+    }
+
+    /// Returns the names of an asset and of one of its placements.
+    pub fn placement_names(&self, asset: usize, placement: usize) -> (&str, &str) {
+        let asset_name = self.description.assets.get(asset).map_or("", |asset| &asset.name);
+        let placed = self.placements.get(asset).and_then(|placed| placed.get(placement));
+        (asset_name, placed.map_or("", |placed| &placed.name))
     }
 
     /// Returns the positions and spacing of its samples in patches, measured on first use.

@@ -39,6 +39,7 @@ mod library;
 mod load;
 mod loaded;
 mod observe;
+pub mod pick;
 mod point_tree_cache;
 mod point_trees;
 mod priming;

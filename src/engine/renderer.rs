@@ -1,6 +1,7 @@
 //! The device and everything on it: batches go in, host memory with pixels comes out.
 
 use std::cell::RefCell;
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -9,8 +10,10 @@ use parking_lot::Mutex;
 use super::EngineError;
 use super::frame_job::FrameJob;
 use super::group::groups;
+use super::pick;
 use crate::encode::FrameImage;
 use crate::gpu::bind::BindCache;
+use crate::gpu::buffer::Buffer;
 use crate::gpu::readback::{Landing, Ring};
 use crate::gpu::timing::Timer;
 use crate::gpu::{Gpu, GpuError, GpuOptions};
@@ -60,6 +63,8 @@ struct FlyingGroup {
     landing: Landing,
     /// Of one frame.
     pixel_bytes: u64,
+    /// Of a pick: where each geometry's chunks lie in the chunk table.
+    chunk_ranges: Vec<Range<u32>>,
     spans: Vec<PassSpan>,
     large_capacity: u32,
     entry_capacity: u32,
@@ -125,7 +130,11 @@ impl FlyingGroup {
             let frames = self.jobs.iter().zip(pixels.chunks_exact(size)).zip(stats);
             frames
                 .map(|((job, pixels), stats)| {
-                    (image(job, pixels), bytemuck::pod_read_unaligned(stats))
+                    let image = match job.frame.picks.len() {
+                        0 => image(job, pixels),
+                        count => pick::image(count, pixels, &self.chunk_ranges),
+                    };
+                    (image, bytemuck::pod_read_unaligned(stats))
                 })
                 .collect()
         })
@@ -263,8 +272,10 @@ impl Renderer {
         }
         uniforms.write(&self.gpu, &mut self.scratch);
         let mut recorded = Vec::with_capacity(tasks.len());
-        for (task, offset) in tasks.iter().zip(&offsets) {
-            match self.record_group(&mut encoder, &mut timer, task, offset) {
+        for ((task, offset), jobs_of_group) in tasks.iter().zip(&offsets).zip(&groups) {
+            // Groups are never empty, and a pick is a group by itself.
+            let picks = &jobs_of_group[0].frame.picks;
+            match self.record_group(&mut encoder, &mut timer, task, offset, picks) {
                 Ok(group) => recorded.push(group),
                 Err(error) => return Err((jobs, error)),
             }
@@ -287,10 +298,15 @@ impl Renderer {
             .map(|(jobs, (landing, pixel_bytes, spans))| {
                 landing.map();
                 let gpu_bytes = jobs.first().map_or(0, |job| job.frame.model.gpu_bytes());
+                let picking = jobs.first().filter(|job| !job.frame.picks.is_empty());
+                let chunk_ranges = picking
+                    .map(|job| self.residency.chunk_ranges(&job.frame.model))
+                    .unwrap_or_default();
                 FlyingGroup {
                     jobs,
                     landing,
                     pixel_bytes,
+                    chunk_ranges,
                     spans,
                     large_capacity: self.scratch.large_capacity(),
                     entry_capacity: self.scratch.entry_capacity(),
@@ -350,6 +366,7 @@ impl Renderer {
         timer: &mut Timer,
         task: &FrameTask,
         offset: &passes::GroupUniforms,
+        picks: &[[u32; 2]],
     ) -> Result<(Landing, u64, Vec<PassSpan>), EngineError> {
         let internal = |text: String| EngineError::Internal(text);
         let scene = self
@@ -367,16 +384,27 @@ impl Renderer {
         let spans = passes::record(&mut context, encoder, task, scene, offset)
             .map_err(|error| internal(error.to_string()))?;
         let (width, height) = task.size();
-        let pixel_bytes = u64::from(width) * u64::from(height) * 4;
+        let pixel_bytes = match picks.len() {
+            0 => u64::from(width) * u64::from(height) * 4,
+            count => count as u64 * pick::BYTES,
+        };
         let (pixels, stats) =
             (u64::from(task.count()) * pixel_bytes, u64::from(task.count()) * STATS_BYTES);
         let landing = self.ring.take(&self.gpu, pixels + stats);
-        for (source, start, length) in
-            [(&self.scratch.pixels, 0, pixels), (&self.scratch.stats, pixels, stats)]
-        {
-            let source = source.buffer().raw();
-            encoder.copy_buffer_to_buffer(source, 0, landing.buffer(), start, length);
+        let scratch = &self.scratch;
+        let mut copy = |source: &Buffer, from: u64, start: u64, length: u64| {
+            encoder.copy_buffer_to_buffer(source.raw(), from, landing.buffer(), start, length);
+        };
+        let (shown, identities) = (scratch.pixels.buffer(), scratch.visibility.buffer());
+        for (&[x, y], start) in picks.iter().zip((0..).step_by(pick::BYTES as usize)) {
+            let pixel = u64::from(y) * u64::from(width) + u64::from(x);
+            copy(shown, pixel * 4, start, 4);
+            copy(identities, pixel * 8, start + 4, 8);
         }
+        if picks.is_empty() {
+            copy(shown, 0, 0, pixels);
+        }
+        copy(scratch.stats.buffer(), 0, pixels, stats);
         Ok((landing, pixel_bytes, spans))
     }
 

@@ -3,6 +3,8 @@
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
+use std::sync::Arc;
+
 use glam::DVec3;
 use sha2::{Digest, Sha256};
 
@@ -287,6 +289,8 @@ fn decide(
         key,
         cost_key,
         adapter: adapter.name,
+        scene: loaded.clone(),
+        picks: Arc::default(),
     })
 }
 

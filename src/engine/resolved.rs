@@ -19,8 +19,10 @@ use crate::residency::model::{Extent, SceneModel};
 use crate::scene::Splats;
 
 /// A checked request, with everything that was decided for it.
+#[derive(Clone)]
 pub struct ResolvedFrame {
     pub request: FrameRequest,
+    pub(super) scene: Arc<Loaded>,
     pub(super) model: Arc<SceneModel>,
     pub(super) view: View,
     pub(super) camera: CameraReceipt,
@@ -37,6 +39,8 @@ pub struct ResolvedFrame {
     pub(super) cost_key: CostKey,
     /// Name of the adapter that the frame was resolved for.
     pub(super) adapter: String,
+    /// Pixels that are picked: column and row. If there are any, the frame has their identities in place of its image.
+    pub(super) picks: Arc<[[u32; 2]]>,
 }
 
 /// One way to draw a frame. Passes take all settings from here, so that equal drawings are drawn alike.

@@ -111,7 +111,7 @@ pub fn needed(method: &Method, route: &str) -> Option<Scope> {
     match route {
         "/" | "/viewer/{file}" | "/healthz" | "/readyz" | "/openapi.yaml" | "/v1/settings" => None,
         // Renders, and changes nothing.
-        "/v1/scenes/{id}/frames" => Some(Scope::Read),
+        "/v1/scenes/{id}/frames" | "/v1/scenes/{id}/pick" => Some(Scope::Read),
         _ if method == Method::GET || method == Method::HEAD => Some(Scope::Read),
         _ => Some(Scope::Write),
     }
@@ -299,6 +299,7 @@ mod tests {
         let frame = "/v1/scenes/{id}/frame";
         assert_eq!(status(&Method::GET, frame, &bearer("r")), None);
         assert_eq!(status(&Method::POST, "/v1/scenes/{id}/frames", &bearer("r")), None);
+        assert_eq!(status(&Method::POST, "/v1/scenes/{id}/pick", &bearer("r")), None);
         assert_eq!(status(&Method::POST, "/v1/scenes", &bearer("r")), Some(403));
         assert_eq!(status(&Method::POST, "/v1/scenes", &bearer("w")), None);
         assert_eq!(status(&Method::DELETE, "/v1/scenes/{id}", &bearer("r")), Some(403));

@@ -6,6 +6,7 @@
 //!                                              frame   params → engine.etag → 304
 //!                                                                  └→ engine.submit → image + receipt
 //!                                              frames  one frame for each pose, as multipart/mixed
+//!                                              pick    what pixels show: positions, instances
 //!                                              stream  WebSocket: poses in, the newest one's frame out
 //!                                              mjpeg   a path's frames in real time, as an <img> shows them
 //!                                              upload  body → disk → engine.load → 201, or 202
@@ -35,6 +36,7 @@ mod naming;
 mod openapi;
 mod params;
 mod paths;
+mod pick;
 mod problem;
 mod refusal;
 mod registry;
@@ -208,7 +210,7 @@ pub(crate) struct Owner {
 }
 
 /// Every route, as the counters and the access rules name them.
-const ROUTES: [&str; 28] = [
+const ROUTES: [&str; 29] = [
     "/",
     "/viewer/{file}",
     "/healthz",
@@ -224,6 +226,7 @@ const ROUTES: [&str; 28] = [
     "/v1/scenes/{id}/nodes/{node}",
     "/v1/scenes/{id}/frame",
     "/v1/scenes/{id}/frames",
+    "/v1/scenes/{id}/pick",
     "/v1/scenes/{id}/mjpeg",
     "/v1/scenes/{id}/paths/{name}",
     STREAM,
@@ -264,6 +267,7 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/v1/scenes/{id}/nodes/{node}", patch(scenes::patch_node))
         .route("/v1/scenes/{id}/frame", get(frame::frame))
         .route("/v1/scenes/{id}/frames", post(frames::frames))
+        .route("/v1/scenes/{id}/pick", get(pick::pick).post(pick::pick_many))
         .route("/v1/scenes/{id}/mjpeg", get(mjpeg::mjpeg))
         .route("/v1/scenes/{id}/paths/{name}", get(paths::show))
         .route(STREAM, get(stream::stream))

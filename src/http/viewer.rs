@@ -34,7 +34,7 @@ macro_rules! files {
 }
 
 /// The page comes first.
-static FILES: [File; 26] = files![
+static FILES: [File; 27] = files![
     "index.html",
     "style.css",
     "address.js",
@@ -46,10 +46,11 @@ static FILES: [File; 26] = files![
     "film.js",
     "jobs.js",
     "link.js",
+    "measure.js",
     "message.js",
     "overlay.js",
     "path.js",
-    "pivot.js",
+    "pick.js",
     "player.js",
     "pose.js",
     "receipt.js",

@@ -141,7 +141,7 @@ pub struct PlannedPass {
 }
 
 /// The passes of one frame.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct FramePlan {
     pub passes: Vec<PlannedPass>,
     /// Light is computed for each pixel, from its normal.
@@ -159,6 +159,17 @@ pub struct Step {
 impl FramePlan {
     pub fn runs(&self, pass: Pass) -> bool {
         self.passes.iter().any(|planned| planned.pass == pass && planned.skipped.is_none())
+    }
+
+    /// The same frame, which also tells which element each pixel shows.
+    #[must_use]
+    pub fn with_identities(mut self) -> FramePlan {
+        for planned in &mut self.passes {
+            if planned.pass == Pass::Identify {
+                planned.skipped = None;
+            }
+        }
+        self
     }
 
     /// What is recorded, in order.

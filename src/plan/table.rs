@@ -54,6 +54,7 @@ macro_rules! pass_table {
             ResolveSamples       Compute resolve/resolve_samples       ""    [Resolve]           Frame     [NO_SAMPLES BLENDED];
             ResolveTriangles     Compute resolve/resolve_triangles     ""    [Resolve]           Frame     [NO_TRIANGLES];
             WriteOutput          Compute resolve/write_output          ""    [Resolve]           Frame     [NOT_COLOR NO_NEIGHBOURS];
+            Identify             Compute resolve/identify              ""    [Resolve]           Frame     [NOT_PICKED];
         }
     };
 }
@@ -136,4 +137,6 @@ reasons! {
     NO_NEIGHBOURS: "no effect depends on neighbouring pixels", |f| f.frame.edl.is_none();
     NOT_COLOR: "the output is not color", |f| f.frame.output != super::Output::Color;
     IDS: "the output is id", |f| f.frame.output == super::Output::Id;
+    // `FramePlan::with_identities` makes it run.
+    NOT_PICKED: "no pixel is picked", |_| true;
 }

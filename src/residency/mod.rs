@@ -23,12 +23,13 @@ pub mod spacing;
 mod upload;
 
 use std::collections::{HashMap, HashSet};
+use std::ops::Range;
 use std::sync::Arc;
 
 use self::arena::Arena;
 use self::evict::Holding;
 use self::layout::{GpuChunk, GpuEntry, GpuMaterial, GpuSegment, GpuTexture};
-use self::model::SceneModel;
+use self::model::{AssetModel, SceneModel};
 pub use self::parts::PART;
 use self::parts::PartBoxes;
 use self::slots::Slots;
@@ -334,6 +335,18 @@ impl Residency {
 
     pub fn texel_page(&self, index: usize) -> &Buffer {
         self.texels[index].buffer(0)
+    }
+
+    /// The place of each geometry in the chunk table, asset by asset; empty where an asset is not resident.
+    pub fn chunk_ranges(&self, model: &SceneModel) -> Vec<Range<u32>> {
+        let of = |asset: &Arc<AssetModel>| {
+            let resident = self.assets.get(&asset.uid);
+            (0..asset.packed.geometries.len()).map(move |geometry| {
+                let found = resident.and_then(|resident| resident.geometries.get(geometry));
+                found.map_or(0..0, |g| g.chunk_start..g.chunk_start + g.chunk_length)
+            })
+        };
+        model.assets.iter().flat_map(of).collect()
     }
 
     pub fn scene(&self, id: &str) -> Option<&ResidentScene> {

@@ -13,6 +13,7 @@
 mod assets;
 pub mod color;
 mod graph;
+mod instance_path;
 mod instances;
 mod load;
 pub mod path;
@@ -26,6 +27,7 @@ mod validate;
 mod wire;
 
 pub use assets::{AssetRef, AssetSource, CsgOperation, FileSource, MeshSampling, Operand, Solid};
+pub use instance_path::{InstancePath, InstancePaths, PathStep};
 pub use load::{load, load_path, load_within, parse, parse_path};
 pub use path::{CameraPath, Ease, Interpolation, PathKey, PathSampler};
 pub use splats::{Blend, Filter, Shading, Splats};

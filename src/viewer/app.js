@@ -13,8 +13,9 @@ import { Jobs } from './jobs.js';
 import { Link } from './link.js';
 import { $, complain, fault, numberIn, option, quiet, tell } from './message.js';
 import * as overlay from './overlay.js';
+import * as measure from './measure.js';
 import { sampler } from './path.js';
-import { pointAt } from './pivot.js';
+import { pickAt } from './pick.js';
 import { forFrame, isOutOfSight, isSame, turnedTo } from './pose.js';
 import { report } from './receipt.js';
 import { Recorder } from './recorder.js';
@@ -71,6 +72,7 @@ function setPose(next, moving) {
   if (document.activeElement !== $('fov')) showFov();
   showCamera();
   overlay.lost(outOfSight());
+  drawMeasures();
   changed(moving);
 }
 
@@ -140,6 +142,7 @@ function adopt(info, isNewest) {
   if (pose || !isNewest || !info.receipt?.camera) return;
   const { eye, target, up, fov_deg: fov } = info.receipt.camera;
   pose = whole = { eye, target, up, fov };
+  drawMeasures();
   showFov();
 }
 
@@ -301,6 +304,7 @@ function choose(id, given = {}) {
   scenes.show(scene, choose, remove);
   scenes.facts(scene);
   chart.clear();
+  measure.clear();
   films.show();
   recorder.ofScene(scene);
   canvas.setAttribute('aria-label', 'Rendered scene ' + scenes.fullName(scene));
@@ -334,19 +338,43 @@ function chooseCamera(name) {
   changed(false);
 }
 
+// What is seen at a place of the picture: a hit, null, or undefined where it is too late to say.
+async function seenAt(place) {
+  if (!scene || !pose) return undefined;
+  const { id } = scene, before = pose;
+  try {
+    const hit = await pickAt(id, parameters(), place);
+    return scene?.id === id && pose === before ? hit : undefined;
+  } catch (problem) {
+    complain(problem, 'frame');
+    return undefined;
+  }
+}
+
+// Says what is seen at a place of the picture, or measures from there.
+async function readOff(place) {
+  const hit = await seenAt(place);
+  if (hit === undefined) return;
+  measure.hit(hit);
+  drawMeasures();
+}
+
+function drawMeasures() {
+  measure.draw(pose, [canvas.clientWidth, canvas.clientHeight]);
+}
+
+function toggleMeasuring() {
+  measure.toggle();
+  drawMeasures();
+}
+
 // Looks at what is seen at a place of the picture, and turns around it from then on.
 async function lookAt(place) {
-  if (!scene || !pose) return;
-  const { id } = scene, before = pose, [w, h] = fullSize();
-  let point;
-  try {
-    point = await pointAt(id, pose, place, h, settings.parameters());
-  } catch (problem) {
-    return complain(problem, 'frame');
-  }
-  if (scene?.id !== id || pose !== before) return;
-  if (!point) return tell('news', { title: 'Nothing here to turn around', detail: 'Double-click a part of the scene.' }, [['Dismiss', () => quiet('pivot')]], 'pivot');
+  const before = pose, hit = await seenAt(place);
+  if (hit === undefined) return;
+  if (!hit) return tell('news', { title: 'Nothing here to turn around', detail: 'Double-click a part of the scene.' }, [['Dismiss', () => quiet('pivot')]], 'pivot');
   quiet('pivot');
+  const point = hit.position;
   const began = performance.now(), isStill = matchMedia('(prefers-reduced-motion: reduce)').matches;
   let ticket = -1;
   const step = now => {
@@ -361,6 +389,7 @@ async function lookAt(place) {
 
 // A picture of another shape shows the same of what was chosen.
 function resized() {
+  drawMeasures();
   if (!scene) return;
   const found = scene.cameras.find(other => other.name === camera);
   const isWhole = pose && whole && isSame(pose, whole);
@@ -381,12 +410,15 @@ const controls = new Controls(canvas, {
   // A hand on the picture takes it from the path.
   move: (next, moving) => { recorder.player.pause(false); overlay.moved(); setPose(next, moving); },
   reset: () => chooseCamera(camera),
+  click: readOff,
+  isMeasuring: measure.isOn,
   lookAt,
   fit: showWhole,
   help: () => { $('moving-about').open = true; $('moving-about').scrollIntoView({ block: 'nearest' }); },
-  keys: { KeyK: () => recorder.add(), KeyP: () => recorder.toggle() },
+  keys: { KeyK: () => recorder.add(), KeyP: () => recorder.toggle(), KeyM: toggleMeasuring },
 });
 
+$('measure').addEventListener('click', toggleMeasuring);
 settings.onChange(() => { changed(false); recorder.show(); });
 upload.watch({
   added: async id => { await list(); choose(id); canvas.focus({ preventScroll: true }); },

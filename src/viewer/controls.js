@@ -14,7 +14,12 @@ const FLIGHT = {
 const FLY_SPEED = 0.15, HASTE = 3;
 const LEAST_STEP_S = 0.03, LONGEST_STEP_S = 0.1;
 
-// view: {pose(), bounds(), move(pose, moving), reset(), fit(), lookAt(place), help(), keys: {letter: action}}.
+// A second click within this time makes the first one part of a double click.
+const DOUBLE_MS = 300;
+// A pointer that shakes less does not drag.
+const CLICK_PX = 4;
+
+// view: {pose(), bounds(), move(pose, moving), reset(), fit(), click(place), isMeasuring(), lookAt(place), help(), keys: {letter: action}}.
 export class Controls {
   constructor(canvas, view) {
     this.canvas = canvas;
@@ -35,6 +40,13 @@ export class Controls {
       canvas.setPointerCapture(event.pointerId);
       canvas.focus({ preventScroll: true });
       fingers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+      // What begins with one finger or the main button, and ends where it began, is a click.
+      this.pressed = fingers.size === 1 && event.button === 0 ? { x: event.clientX, y: event.clientY } : null;
+    });
+    canvas.addEventListener('pointerup', event => {
+      const from = this.pressed;
+      this.pressed = null;
+      if (from && Math.hypot(event.clientX - from.x, event.clientY - from.y) <= CLICK_PX) this.clicked(this.placeOf(event));
     });
     canvas.addEventListener('pointermove', event => this.pointed(event));
     for (const name of ['pointerup', 'pointercancel', 'lostpointercapture']) {
@@ -50,7 +62,17 @@ export class Controls {
       const factor = Math.exp(Math.max(-200, Math.min(200, pixels)) * 0.0015);
       if (this.isFlying) this.changeSpeed(-Math.sign(pixels)); else this.dolly(factor, this.placeOf(event));
     }, { passive: false });
-    canvas.addEventListener('dblclick', event => this.view.lookAt(this.placeOf(event)));
+    canvas.addEventListener('dblclick', event => {
+      clearTimeout(this.clickTimer);
+      if (!this.view.isMeasuring()) this.view.lookAt(this.placeOf(event));
+    });
+  }
+
+  // While distances are measured, each click counts; otherwise it may be the first half of a double click.
+  clicked(place) {
+    clearTimeout(this.clickTimer);
+    if (this.view.isMeasuring()) this.view.click(place);
+    else this.clickTimer = setTimeout(() => this.view.click(place), DOUBLE_MS);
   }
 
   pointed(event) {

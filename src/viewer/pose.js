@@ -73,10 +73,20 @@ export function dollyTowards(pose, factor, extent, [x, y]) {
   return shifted(nearer, add(mul(right, x * share), mul(up, y * share)));
 }
 
-// Unit direction from the eye through a place of the picture, given as for `dollyTowards`.
-export function rayThrough(pose, [x, y]) {
-  const { right, up, forward } = axes(pose), slope = Math.tan(pose.fov * Math.PI / 360);
-  return unit(add(forward, add(mul(right, x * slope), mul(up, y * slope))));
+// Where a point is in a picture so many pixels wide and high, from its top left. The point lies before the eye.
+export function project(pose, point, [width, height]) {
+  const { right, up, forward } = axes(pose), way = sub(point, pose.eye);
+  const focal = height / 2 / Math.tan(pose.fov * Math.PI / 360) / dot(way, forward);
+  return [width / 2 + dot(way, right) * focal, height / 2 - dot(way, up) * focal];
+}
+
+// The part of a line that lies before the eye, by a ten-thousandth of the distance looked at; null where none does.
+export function clipped(pose, a, b) {
+  const { forward } = axes(pose), near = norm(sub(pose.target, pose.eye)) * 1e-4;
+  const [p, q] = [a, b].map(end => dot(sub(end, pose.eye), forward) - near);
+  if (p <= 0 && q <= 0) return null;
+  const crossing = () => add(a, mul(sub(b, a), p / (p - q)));
+  return [p < 0 ? crossing() : a, q < 0 ? crossing() : b];
 }
 
 // Part of the way from a pose to one with another target: `share` from 0 to 1. The eye stays.

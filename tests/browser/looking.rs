@@ -313,3 +313,68 @@ fn a_frame_that_takes_long_is_said_to_be_on_its_way() {
     still_picture(&browser);
     assert_eq!(browser.script(is_busy), false);
 }
+
+#[test]
+fn clicks_read_coordinates_and_measure() {
+    let Some(driver) = driver_or_skip() else { return };
+    let (_daemon, browser) = opened(&driver);
+    still_picture(&browser);
+    let bar = browser.number("return viewer.canvas.getBoundingClientRect().top");
+    let at = |p: &str| numbers(&browser.script(&format!("{PROJECT} return project({p})")));
+    let click = |place: &[f64]| {
+        browser.drag("mouse", 0, &[(place[0] as i64, (place[1] + bar) as i64)]);
+    };
+    let read = |what: &str, pattern: &str| {
+        let text = "document.getElementById('measured').textContent";
+        browser.wait_for(what, super::page::PATIENCE, &format!("return /{pattern}/.test({text})"));
+        browser.text(&format!("return {text}"))
+    };
+    // The ball's surface: what is seen there is the unit sphere.
+    let surface =
+        |x: f64, y: f64| at(&format!("[{x}, {y}, Math.sqrt(1 - ({x}) ** 2 - ({y}) ** 2)]"));
+    let place = |text: &str| -> Vec<f64> {
+        text.split(", ").map(|number| number.trim().parse().unwrap()).collect()
+    };
+    click(&surface(0.4, 0.2));
+    let text = read("the coordinates", "away");
+    let found = place(text.lines().next().unwrap());
+    let radius = found.iter().map(|v| v * v).sum::<f64>().sqrt();
+    assert!((radius - 1.0).abs() < 0.01, "{text}");
+    assert!((found[0] - 0.4).hypot(found[1] - 0.2) < 0.04, "{text}");
+
+    browser.script("viewer.canvas.focus()");
+    browser.key('m');
+    click(&surface(-0.4, 0.0));
+    read("the first point", "second point");
+    click(&surface(0.4, 0.0));
+    let text = read("the distance", "^[0-9.]+ units\\nfrom");
+    let distance: f64 = text.split(' ').next().unwrap().parse().unwrap();
+    assert!((distance - 0.8).abs() < 0.08, "{text}");
+    let line = "const line = document.getElementById('line'); return ";
+    assert_eq!(browser.text(&format!("{line} line.getAttribute('visibility')")), "visible");
+    let ends = browser.text(&format!("{line} line.getAttribute('points')"));
+    let ends: Vec<f64> = ends.split([' ', ',']).map(|v| v.parse().unwrap()).collect();
+    let expected = surface(0.4, 0.0);
+    assert!((ends[2] - expected[0]).hypot(ends[3] - expected[1]) < 12.0, "{ends:?} {expected:?}");
+    browser.shoot("wide-measured.png");
+    // The line follows the view.
+    browser.key(keys::LEFT);
+    still_picture(&browser);
+    let turned = browser.text(&format!("{line} line.getAttribute('points')"));
+    assert_ne!(turned.split([' ', ',']).map(|v| v.parse().unwrap()).collect::<Vec<f64>>(), ends);
+    let scale = browser.text("return document.getElementById('scale-text').textContent");
+    let (length, unit) = scale.split_once(' ').unwrap();
+    let pixels =
+        browser.number("return document.getElementById('scale-bar').getBoundingClientRect().width");
+    let per_px = browser.number(
+        "const p = viewer.pose; return 2 * Math.hypot(...p.eye.map((v, i) => v - p.target[i])) * \
+         Math.tan(p.fov * Math.PI / 360) / viewer.canvas.clientHeight",
+    );
+    assert_eq!(unit, "units");
+    let long: f64 = length.parse().unwrap();
+    assert!((long / per_px - pixels).abs() < 5.0, "{scale} takes {pixels} px of {per_px}");
+    assert!(matches!(length.trim_start_matches(['0', '.']).chars().next(), Some('1' | '2' | '5')));
+    browser.key('m');
+    assert_eq!(browser.text(&format!("{line} line.getAttribute('visibility')")), "hidden");
+    assert_eq!(browser.console_errors(), Vec::<String>::new());
+}

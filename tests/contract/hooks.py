@@ -127,6 +127,11 @@ def shrink(params):
             params[name] = MOST_PIXELS
 
 
+def within(params):
+    """A pixel that lies in any frame."""
+    params["x"] = params["y"] = 0
+
+
 def follow_job(body):
     for name in [name for name, value in body.items() if value is None]:
         del body[name]
@@ -200,7 +205,7 @@ def map_case(context, case):
         known_ids(case, label)
     if isinstance(case.query, dict):
         query = case.query
-        takes_frames = any(part in label for part in ("/frame", "/mjpeg", "/stream")) and label.startswith("GET /v1/scenes")
+        takes_frames = any(part in label for part in ("/frame", "/mjpeg", "/pick", "/stream")) and label.startswith("GET /v1/scenes")
         if is_positive(case, ParameterLocation.QUERY):
             if takes_frames:
                 follow_frame(query)
@@ -213,6 +218,8 @@ def map_case(context, case):
                 del query["loop"]
         if takes_frames:
             shrink(query)
+            if "/pick" in label and is_positive(case, ParameterLocation.QUERY):
+                within(query)
         if "/mjpeg" in label:
             # An answer without an end would keep the run from going on.
             if query.get("loop") in (True, "true"):
@@ -227,6 +234,15 @@ def map_case(context, case):
     if isinstance(case.body, dict) and is_positive(case, ParameterLocation.BODY):
         if label == "POST /v1/jobs":
             follow_job(case.body)
+        elif label == "POST /v1/scenes/{id}/pick":
+            follow_frame(case.body)
+            shrink(case.body)
+            if "pixels" in case.body:
+                case.body["pixels"] = [[0, 0] for _ in case.body["pixels"]]
+                case.body.pop("x", None)
+                case.body.pop("y", None)
+            else:
+                within(case.body)
         elif label == "POST /v1/scenes/{id}/frames":
             shrink(case.body)
             for pose in case.body["poses"]:

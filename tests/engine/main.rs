@@ -22,6 +22,7 @@ mod limits;
 mod loss;
 mod memory;
 mod paging;
+mod picks;
 mod pipelines;
 mod queueing;
 mod rounds;

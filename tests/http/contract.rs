@@ -68,6 +68,7 @@ fn schemas_and_daemon_agree_on_bodies() {
     let contract = Contract::new();
     let keys = json!({ "keys": [{ "t": 0, "eye": [0, 0, 3], "target": [0, 0, 0] }] });
     let (jobs, frames, node) = ("/v1/jobs", "/v1/scenes/grid/frames", "/v1/scenes/grid/nodes/wall");
+    let pick = "/v1/scenes/grid/pick";
     for (method, path, body, is_fine) in [
         (
             "POST",
@@ -94,6 +95,11 @@ fn schemas_and_daemon_agree_on_bodies() {
         ("POST", jobs, json!({ "scene": "grid", "path": "past", "speed": 2 }), false),
         ("POST", jobs, json!({ "scene": "grid", "path": "past", "want": [] }), false),
         ("POST", jobs, json!({ "scene": "grid", "path": "past", "w": 0 }), false),
+        ("POST", pick, json!({ "w": 8, "h": 8, "x": 1, "y": 2.0 }), true),
+        ("POST", pick, json!({ "w": 8, "h": 8, "pixels": [[1, 2]], "lod": "full" }), true),
+        ("POST", pick, json!({ "w": 8, "h": 8, "pixels": [[1, 2, 3]] }), false),
+        ("POST", pick, json!({ "w": 8, "h": 8, "pixels": [] }), false),
+        ("POST", pick, json!({ "w": 8, "h": 8, "x": 1, "y": 2, "format": "png" }), false),
         (
             "POST",
             frames,
@@ -242,6 +248,7 @@ fn answers_are_documented() {
     let json = "application/json";
     let frame = "/v1/scenes/{id}/frame";
     let frames = "/v1/scenes/{id}/frames";
+    let pick = "/v1/scenes/{id}/pick";
     let stream = "/v1/scenes/{id}/stream";
     let mjpeg = "/v1/scenes/{id}/mjpeg";
     let path = "/v1/scenes/{id}/paths/{name}";
@@ -280,6 +287,12 @@ fn answers_are_documented() {
         ("POST", frames, "/v1/scenes/grid/frames", json, "{\"poses\":[{}],\"w\":8,\"h\":8}"),
         ("POST", frames, "/v1/scenes/grid/frames", "text/plain", "{}"),
         ("POST", frames, "/v1/scenes/grid/frames", json, "{}"),
+        ("GET", pick, "/v1/scenes/grid/pick?camera=front&w=8&h=8&x=4&y=4", "", ""),
+        ("GET", pick, "/v1/scenes/grid/pick?w=8&h=8&x=8&y=4", "", ""),
+        ("GET", pick, "/v1/scenes/none/pick?x=8&y=4", "", ""),
+        ("POST", pick, "/v1/scenes/grid/pick", json, "{\"pixels\":[[1,2],[3,4]],\"w\":8,\"h\":8}"),
+        ("POST", pick, "/v1/scenes/grid/pick", "text/plain", "{}"),
+        ("POST", pick, "/v1/scenes/grid/pick", json, "{}"),
         ("POST", "/v1/scenes", "/v1/scenes?id=a&name=a.ply", "application/octet-stream", &ply),
         ("POST", "/v1/scenes", "/v1/scenes?id=a&name=a.ply", "application/octet-stream", &ply),
         ("POST", "/v1/scenes", "/v1/scenes?name=b.ply", "application/octet-stream", "ply"),

@@ -230,6 +230,7 @@ fn addresses_follow_the_contract() {
             }
             let is_posted = target.ends_with("/v1/jobs")
                 || target.ends_with("/frames")
+                || target.ends_with("/pick")
                 || target.ends_with("/retry")
                 || target.starts_with("/v1/scenes?");
             let method = if is_posted { "POST" } else { "GET" };
@@ -248,6 +249,8 @@ fn schema_of(value: &Value) -> Option<&'static str> {
         () if has("assets") || has("nodes") => "SceneFile",
         () if has("keys") => "PathFile",
         () if has("poses") => "FramesRequest",
+        () if has("pixels") => "PickRequest",
+        () if has("picks") => "Picks",
         () if has("scene") && has("path") => "JobRequest",
         () if has("request_id") && has("passes") => "Receipt",
         () if has("seq") => "StreamPose",
@@ -297,6 +300,12 @@ fn shipped(root: &Path) {
 /// The same request at less cost.
 fn smaller(text: &str) -> String {
     let mut text = text.to_owned();
+    // Pixels that are picked.
+    for (far, near) in
+        [("x=640&y=400", "x=32&y=20"), ("[640, 400], [641, 400]", "[32, 20], [33, 20]")]
+    {
+        text = text.replace(far, near);
+    }
     for (large, small) in [
         ("1280", "64"),
         ("1024", "64"),

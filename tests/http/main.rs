@@ -21,6 +21,7 @@ mod lifecycle;
 mod load;
 mod mjpeg;
 mod naming;
+mod picks;
 mod provisional;
 mod resolving;
 mod schema;

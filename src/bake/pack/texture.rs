@@ -1,5 +1,6 @@
 //! Textures with all their mip levels.
 
+use glam::DVec2;
 use rayon::prelude::*;
 
 use super::rgba_word;
@@ -16,6 +17,26 @@ pub struct PackedTexture {
     pub wrap: u32,
     pub nearest: bool,
     pub texels: Vec<u32>,
+}
+
+impl PackedTexture {
+    /// The texel of the largest level at these coordinates; `None` where there are no texels.
+    pub fn nearest_texel(&self, uv: DVec2) -> Option<u32> {
+        let along = |place: f64, size: u32, wrap: u32| {
+            let (size, index) = (i64::from(size), (place * f64::from(size)).floor() as i64);
+            match wrap & 3 {
+                0 => index.rem_euclid(size.max(1)),
+                1 => {
+                    let phase = index.rem_euclid(2 * size.max(1));
+                    phase.min(2 * size - 1 - phase)
+                }
+                _ => index.clamp(0, (size - 1).max(0)),
+            }
+        };
+        let x = along(uv.x, self.width, self.wrap);
+        let y = along(uv.y, self.height, self.wrap >> 2);
+        self.texels.get((y * i64::from(self.width) + x) as usize).copied()
+    }
 }
 
 /// Builds every mip level of a texture: each texel is the average, in linear light, of the 2×2 texels of the larger level.

@@ -4,11 +4,12 @@ use serde_json::{Value, json};
 
 use super::tidy::{each_object, remove_property};
 use crate::encode::{self, ImageFormat};
+use crate::engine::pick::MOST_PIXELS;
 use crate::film::shots::{FPS_RANGE, MOST_FRAMES};
 use crate::film::video::KBPS_RANGE;
 use crate::http::jobs::create as job;
 use crate::http::names::{FILE_NAME_PATTERN, ID_PATTERN, MAX_FILE_NAME_BYTES};
-use crate::http::{frames, mjpeg, params, stream, upload};
+use crate::http::{frames, mjpeg, params, pick, stream, upload};
 use crate::math::{FARTHEST, FOV_RANGE_DEG};
 use crate::plan::{self, Output, SettingKind};
 use crate::residency::layout::MOST_ROWS;
@@ -19,7 +20,7 @@ const WANTED_FORMAT: &str = "#/components/schemas/WantedFormat";
 const JPG: &str = "jpg";
 
 /// Number of numbers in a property of this name, in requests and answers alike.
-const LENGTHS: [(&str, usize); 10] = [
+const LENGTHS: [(&str, usize); 12] = [
     ("eye", 3),
     ("target", 3),
     ("up", 3),
@@ -30,6 +31,8 @@ const LENGTHS: [(&str, usize); 10] = [
     ("proj", 16),
     ("matrix", 16),
     ("depth_range", 2),
+    ("position", 3),
+    ("normal", 3),
 ];
 
 /// Returns the entry of [`LENGTHS`] for a name.
@@ -85,6 +88,7 @@ pub fn of_parameter(path: &str, place: &str, name: &str) -> Option<Value> {
         }
         ("query", "path") => json!({ "minLength": 1, "maxLength": params::MAX_NAME_CHARS }),
         ("query", "fps") => json!({ "minimum": least_fps, "maximum": most_fps }),
+        ("query", "x" | "y") => json!({ "maximum": MOST_ROWS - 1 }),
         ("query", "from") => json!({ "minimum": 0, "maximum": MOST_FRAMES }),
         ("header", "Idempotency-Key") => {
             // HTTP strips blanks and tabs around a header's value.
@@ -100,6 +104,7 @@ pub fn is_refused(path: &str, name: &str) -> bool {
     let without = match path {
         "/v1/scenes/{id}/mjpeg" => mjpeg::NAMES.without,
         "/v1/scenes/{id}/stream" => stream::WITHOUT,
+        "/v1/scenes/{id}/pick" => pick::NAMES.without,
         _ => return false,
     };
     without.iter().any(|(refused, _)| *refused == name)
@@ -179,6 +184,18 @@ fn of_node_changes(schemas: &mut Value) {
 pub fn of_bodies(schemas: &mut Value) {
     let frames = &mut schemas["FramesRequest"]["properties"];
     narrow(&mut frames["poses"], json!({ "minItems": 1, "maxItems": frames::MAX_POSES }));
+    let place = json!({ "maximum": MOST_ROWS - 1 });
+    let pixels = json!({ "minItems": 2, "maxItems": 2, "items": place });
+    for name in ["x", "y"] {
+        narrow(&mut schemas["PickRequest"]["properties"][name], place.clone());
+    }
+    narrow(
+        &mut schemas["PickRequest"]["properties"]["pixels"],
+        json!({ "minItems": 1, "maxItems": MOST_PIXELS, "items": pixels }),
+    );
+    for (name, _) in pick::NAMES.without {
+        remove_property(&mut schemas["PickRequest"], name);
+    }
     for (name, _) in stream::WITHOUT {
         remove_property(&mut schemas["StreamPose"], name);
     }

@@ -17,7 +17,7 @@ use utoipa::{Modify, OpenApi};
 
 use super::access;
 use super::problem::{Kind, PROBLEM_JSON, ProblemDocument};
-use super::{frame, frames, jobs, mjpeg, paths, scenes, service, stream, upload, viewer};
+use super::{frame, frames, jobs, mjpeg, paths, pick, scenes, service, stream, upload, viewer};
 use crate::engine::Receipt;
 
 #[derive(OpenApi)]
@@ -40,6 +40,8 @@ use crate::engine::Receipt;
     paths(
         frame::frame,
         frames::frames,
+        pick::pick,
+        pick::pick_many,
         stream::stream,
         mjpeg::mjpeg,
         scenes::list,
@@ -183,6 +185,50 @@ fn problems(path: &str, method: &str) -> &'static [Kind] {
             OutOfGpuMemory,
             OutOfMemory,
             ShuttingDown,
+        ],
+        ("/v1/scenes/{id}/pick", "get") => &[
+            UnknownScene,
+            SceneLoading,
+            BadParameter,
+            UnknownParameter,
+            Unavailable,
+            OverLimit,
+            AssetRefused,
+            SceneRefused,
+            UnsupportedAsset,
+            SceneTooLarge,
+            LoadLost,
+            Busy,
+            DeadlineExceeded,
+            FrameTimeout,
+            DeviceLost,
+            ShuttingDown,
+            OutOfGpuMemory,
+            OutOfMemory,
+        ],
+        ("/v1/scenes/{id}/pick", _) => &[
+            UnknownScene,
+            SceneLoading,
+            RequestTimeout,
+            BodyTooLarge,
+            UnsupportedMediaType,
+            BadParameter,
+            UnknownParameter,
+            Unavailable,
+            BadBody,
+            OverLimit,
+            AssetRefused,
+            SceneRefused,
+            UnsupportedAsset,
+            SceneTooLarge,
+            LoadLost,
+            Busy,
+            DeadlineExceeded,
+            FrameTimeout,
+            DeviceLost,
+            ShuttingDown,
+            OutOfGpuMemory,
+            OutOfMemory,
         ],
         ("/v1/scenes/{id}/stream", _) => &[
             UnknownScene,

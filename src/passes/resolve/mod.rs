@@ -1,5 +1,6 @@
 //! The surfaces of visible pixels, and the output that they make.
 
+pub mod identify;
 pub mod resolve_fused;
 pub mod resolve_samples;
 pub mod resolve_splats;

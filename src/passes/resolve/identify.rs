@@ -1,0 +1,15 @@
+//! Which chunk and which of its elements each pixel shows.
+
+use super::tiles;
+use crate::gpu::shader::ShaderError;
+use crate::passes::recorder::{Call, Recorder};
+use crate::passes::shaders::Choices;
+
+pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
+    recorder.compute(Call {
+        choices: Choices::default(),
+        constants: Vec::new(),
+        segments: &[None],
+        launch: tiles(recorder),
+    })
+}

@@ -1,0 +1,77 @@
+// What is read off the picture: the point that was clicked, the distance between two points, and the scale bar.
+
+import { $ } from './message.js';
+import { coordinates, pathOf } from './pick.js';
+import { clipped, digits, norm, project, sub } from './pose.js';
+
+// The longest scale bar, in CSS pixels.
+const LONGEST_PX = 140;
+// Scene files name no units.
+const UNITS = 'units';
+
+let points = [];
+
+export const isOn = () => $('measure').getAttribute('aria-pressed') === 'true';
+
+export function toggle() {
+  $('measure').setAttribute('aria-pressed', !isOn());
+  $('view').classList.toggle('measuring', isOn());
+  clear();
+  if (isOn()) say('Click two points.');
+}
+
+export function clear() {
+  points = [];
+  say('');
+  $('line').setAttribute('visibility', 'hidden');
+}
+
+// Takes what a click has hit; null: nothing.
+export function hit(found) {
+  if (!found) return say('Nothing is seen there.');
+  const where = coordinates(found).join(', '), away = `${digits(found.distance, found.distance)} ${UNITS} away`;
+  if (!isOn()) {
+    points = [found];
+    return say(`${where}\n${away} · ${pathOf(found)}`);
+  }
+  points = points.length === 1 ? [points[0], found] : [found];
+  if (points.length === 1) return say(`From ${where}\nClick the second point.`);
+  say(`${length()} ${UNITS}\nfrom ${coordinates(points[0]).join(', ')}\nto ${where}`);
+}
+
+// As many digits as both points have.
+function length() {
+  const [a, b] = points, step = Math.max(a.resolution, b.resolution);
+  const value = norm(sub(a.position, b.position)), far = Math.max(a.distance, b.distance);
+  const isSurface = [a, b].some(point => point.kind === 'triangle');
+  return isSurface ? digits(value, far) : String(Number(value.toFixed(Math.max(0, Math.min(12, Math.floor(-Math.log10(step)))))));
+}
+
+function say(text) {
+  $('measured').textContent = text;
+  $('measured').hidden = !text;
+}
+
+// Draws what has been measured over a picture of this pose, so many CSS pixels wide and high.
+export function draw(pose, [width, height]) {
+  $('scale').hidden = !pose;
+  if (!pose) return;
+  const [bar, words] = scale(pose, height);
+  $('scale-bar').style.width = `${bar}px`;
+  $('scale-text').textContent = words;
+  const line = $('line');
+  $('marks').setAttribute('viewBox', `0 0 ${width} ${height}`);
+  const ends = points.length > 0 ? clipped(pose, points[0].position, points.at(-1).position) : null;
+  line.setAttribute('visibility', ends ? 'visible' : 'hidden');
+  if (!ends) return;
+  const at = ends.map(end => project(pose, end, [width, height]).map(v => v.toFixed(2)).join(','));
+  line.setAttribute('points', at.join(' '));
+}
+
+// The longest bar of 1, 2 or 5 times a power of ten at the distance of the target: its pixels, and its length in words.
+function scale(pose, height) {
+  const unit = 2 * norm(sub(pose.eye, pose.target)) * Math.tan(pose.fov * Math.PI / 360) / Math.max(1, height);
+  const most = LONGEST_PX * unit, power = 10 ** Math.floor(Math.log10(most));
+  const length = [5, 2, 1].map(factor => factor * power).find(one => one <= most) ?? power;
+  return [length / unit, `${Number(length.toPrecision(1))} ${UNITS}`];
+}
