@@ -184,3 +184,33 @@ fn pixels_outside_the_frame_are_refused() {
     assert_eq!(refused(vec![]).0, "pixels");
     assert_eq!(refused(vec![[0, 0]; 4097]).0, "pixels");
 }
+
+#[test]
+fn a_node_over_several_instances_is_no_instance() {
+    let studio = Studio::new();
+    studio.write("sphere.ply", sphere(12));
+    studio.load_json(
+        "field",
+        &json!({
+            "assets": { "ball": { "file": "sphere.ply" } },
+            "nodes": [{ "asset": "ball", "scale": 0.4,
+                        "repeat": { "grid": [40, 40, 1], "step": [1, 1, 0] } }],
+            "cameras": { "front": { "eye": [0, 0, 900], "target": [0, 0, 0], "fov": 40 } },
+        }),
+    );
+    let request =
+        FrameRequest { settings: spt(8.0, Reconstruct::Points), ..front("field", 60, 60) };
+    let picks = picks(&studio, &request, &every_pixel(&request));
+    let ids = words(&studio, &request, Output::Id).into_iter().map(u32::from_le_bytes);
+    let (mut over, mut hits) = (0, 0);
+    for (pick, id) in picks.iter().zip(ids) {
+        let Some(hit) = &pick.hit else { continue };
+        hits += 1;
+        assert_eq!(hit.instance.as_ref().map_or(0, |instance| instance.id), id, "{hit:?}");
+        over += usize::from(hit.instance.is_none());
+        let at = DVec3::from(hit.position);
+        assert!(at.abs().cmple(DVec3::new(21.0, 21.0, 1.0)).all(), "{hit:?}");
+        assert_eq!(hit.kind, HitKind::Node);
+    }
+    assert!(hits > 0 && over > 0, "{over} of {hits} pixels show nodes over instances");
+}
