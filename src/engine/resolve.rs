@@ -3,8 +3,6 @@
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
-use std::sync::Arc;
-
 use glam::DVec3;
 use sha2::{Digest, Sha256};
 

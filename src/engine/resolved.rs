@@ -10,6 +10,7 @@
 use std::sync::Arc;
 
 use super::FrameRequest;
+use super::loaded::Loaded;
 use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
 use crate::math::View;
