@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Redraws the pictures of README.md, docs/img/*.png: those of the shipped scenes, of the dragon where scripts/data.sh brought it, and
-# of the viewer where Chromium is installed.
+# of the viewer where Chromium and chromedriver are installed.
 #
 #   scripts/pictures.sh [BINARY]
 set -euo pipefail
@@ -25,9 +25,9 @@ else
     echo "pictures: dragon.png stays as it is; make data fetches the dragon"
 fi
 
-browser=$(command -v chromium || command -v chromium-browser || command -v google-chrome || true)
-if [ -z "$browser" ]; then
-    echo "pictures: viewer.png stays as it is; it needs Chromium"
+driver=$(command -v chromedriver || true)
+if [ -z "$driver" ]; then
+    echo "pictures: viewer.png stays as it is; it needs chromedriver and Chromium"
     exit 0
 fi
 log=$(mktemp)
@@ -39,6 +39,4 @@ until grep -q '^curl ' "$log"; do
     sleep 0.2
 done
 url=$(sed -n 's/^viewer: //p' "$log")
-# The picture is taken when the frame at rest has long been there.
-"$browser" --headless --no-sandbox --disable-gpu --hide-scrollbars --window-size=1440,900 --timeout=20000 \
-    --screenshot="$folder/viewer.png" "$url" >/dev/null 2>&1
+python3 scripts/viewer-picture.py "$driver" "$url" "$folder/viewer.png"

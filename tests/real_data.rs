@@ -199,8 +199,12 @@ fn look(engine: &Engine, name: &str) -> Seen {
     assert!(depths.iter().all(|depth| !depth.is_nan() && *depth > 0.0), "{name}: a depth is none");
     let bounds = info.bounds.unwrap_or_else(|| panic!("{name} has no bounds"));
     assert!(bounds.as_flattened().iter().all(|v| v.is_finite()), "{name}: {bounds:?}");
-    let background = [0x20, 0x24, 0x28, 0xff];
     let seen = || depths.iter().map(|depth| depth.is_finite());
+    // Dark files have the light one.
+    let backgrounds = [[0x20, 0x24, 0x28, 0xff], [0xc4, 0xca, 0xd0, 0xff]];
+    let empty = seen().zip(words(&color.bytes)).find(|(seen, _)| !seen);
+    let background = empty.map_or(backgrounds[0], |(_, word)| word);
+    assert!(backgrounds.contains(&background), "{name}: {background:?} where nothing is");
     let count = |test: &dyn Fn([u8; 4]) -> bool, bytes: &[u8]| {
         seen().zip(words(bytes)).filter(|(seen, word)| *seen && test(*word)).count()
     };
