@@ -316,5 +316,4 @@ pub fn normals_from_rgba8(rgba: &[[u8; 4]]) -> Vec<DVec3> {
 }
 
 #[cfg(test)]
-#[path = "metrics_tests.rs"]
 mod tests;

@@ -385,5 +385,4 @@ fn disc_radius(geometry: &PackedGeometry) -> f64 {
 }
 
 #[cfg(test)]
-#[path = "outline_tests.rs"]
 mod tests;

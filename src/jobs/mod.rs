@@ -22,13 +22,13 @@
 
 pub mod book;
 mod clock;
-mod keeper;
 pub mod live;
+mod maintenance;
 mod manifests;
 mod record;
 mod runner;
-mod shared;
 pub mod spec;
+mod state;
 pub mod store;
 
 use std::collections::HashMap;
@@ -51,7 +51,7 @@ pub use store::{Place, StateError};
 use self::book::{Admitted, Book};
 use self::clock::Clock;
 use self::live::{Live, Stop};
-use self::shared::Shared;
+use self::state::JobsState;
 use self::store::Store;
 use crate::engine::Engine;
 use crate::film::Record as FrameRecord;
@@ -131,7 +131,7 @@ pub struct Counts {
 /// All jobs of a daemon; clones share them.
 #[derive(Clone)]
 pub struct Jobs {
-    shared: Arc<Shared>,
+    shared: Arc<JobsState>,
 }
 
 impl Jobs {
@@ -169,7 +169,7 @@ impl Jobs {
             tracing::info!(unfinished, "jobs of an earlier process go on");
         }
         Ok(Jobs {
-            shared: Arc::new(Shared {
+            shared: Arc::new(JobsState {
                 engine,
                 config,
                 store,
@@ -194,13 +194,13 @@ impl Jobs {
     /// A thread could not be started.
     pub fn start(&self) -> std::io::Result<()> {
         let mut threads = self.shared.threads.lock();
-        let mut start = |name: String, work: fn(&Shared)| {
+        let mut start = |name: String, work: fn(&JobsState)| {
             let shared = self.shared.clone();
             let thread = std::thread::Builder::new().name(name).spawn(move || work(&shared))?;
             threads.push(thread);
             std::io::Result::Ok(())
         };
-        start("job-keeper".into(), keeper::run)?;
+        start("job-maintenance".into(), maintenance::run)?;
         // One thread for each place in each phase, so that no phase waits for a thread.
         for number in 0..self.shared.config.limits.slots.all() {
             start(format!("jobs-{number}"), runner::run)?;

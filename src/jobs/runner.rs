@@ -20,8 +20,8 @@ use glam::DVec3;
 use super::JobError;
 use super::book::{Failure, FailureKind, JobId, Made, Need, Outcome, Phase, Record, Video};
 use super::live::{Live, Stage, Stop};
-use super::shared::Shared;
 use super::spec::{PathChoice, Spec};
+use super::state::JobsState;
 use super::store::Place;
 use crate::engine::{Client, Engine, EngineError, Origin, RequestId};
 use crate::film::shots::Shots;
@@ -47,7 +47,7 @@ fn not_loaded(scene: &str) -> String {
 }
 
 /// A runner's thread: until the daemon stops.
-pub(super) fn run(shared: &Shared) {
+pub(super) fn run(shared: &JobsState) {
     while let Some((record, phase, live)) = next(shared) {
         let id = record.id;
         let made = record.made.clone();
@@ -66,7 +66,7 @@ pub(super) fn run(shared: &Shared) {
 }
 
 /// Waits for a job whose turn it is; `None` when the daemon stops.
-fn next(shared: &Shared) -> Option<(Record, Phase, Arc<Live>)> {
+fn next(shared: &JobsState) -> Option<(Record, Phase, Arc<Live>)> {
     let mut book = shared.book.lock();
     loop {
         if shared.stopping.load(Ordering::Relaxed) {
@@ -90,7 +90,7 @@ fn next(shared: &Shared) -> Option<(Record, Phase, Arc<Live>)> {
 }
 
 /// Notes how a run ended, and lets others have the job.
-fn let_go(shared: &Shared, id: JobId, live: &Live, outcome: Outcome, made: Made, drawn: u64) {
+fn let_go(shared: &JobsState, id: JobId, live: &Live, outcome: Outcome, made: Made, drawn: u64) {
     // Before the manifest counts again.
     shared.manifests.turn(id, live);
     *live.drawing.write() = None;
@@ -144,7 +144,7 @@ pub fn find_shots(engine: &Engine, spec: &Spec) -> Result<Shots, FilmError> {
 
 /// One run of a job.
 struct Run<'a> {
-    shared: &'a Shared,
+    shared: &'a JobsState,
     live: &'a Live,
     place: Place,
     record: Record,
@@ -406,7 +406,7 @@ fn full(error: &JobError) -> Outcome {
     Outcome::Failed(failure(FailureKind::DiskQuota, detail))
 }
 
-impl Shared {
+impl JobsState {
     /// Notes that a job has written a file of so many bytes, instead of one of `before` bytes; what all jobs take then.
     fn grow(&self, live: &Live, bytes: u64, before: u64) -> u64 {
         live.bytes.fetch_add(bytes, Ordering::Relaxed);

@@ -8,7 +8,7 @@
 //! A frame is drawn only when the client reads: after a pause the stream goes on with the frame that is due, unless the pause was
 //! longer than a stream may be idle ([`watched`]). Without a path it shows one view, and shows it again when the scene changes.
 
-mod screening;
+mod playback;
 mod timeline;
 mod watched;
 
@@ -24,7 +24,7 @@ use futures::Stream;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use self::screening::{Screening, Show};
+use self::playback::{Playback, Show};
 use self::timeline::Timeline;
 use self::watched::Watched;
 use super::frame::missing;
@@ -91,16 +91,16 @@ pub async fn mjpeg(
     let request = params.request(&id, ImageFormat::Jpeg, Instant::now())?;
     let mark = app.engine.scene_mark(&id);
     let show = wanted.show(&app, &request).map_err(|problem| missing(&app, &id, problem))?;
-    let mut screening =
-        Screening::new(app.clone(), Origin { client, request_id }, request, show, mark)?;
+    let mut playback =
+        Playback::new(app.clone(), Origin { client, request_id }, request, show, mark)?;
     // The first frame is drawn here, so that errors are reported before the first byte.
     let first = match method {
         Method::HEAD => None,
-        _ => Some(screening.first().await.map_err(|problem| missing(&app, &id, problem))?),
+        _ => Some(playback.first().await.map_err(|problem| missing(&app, &id, problem))?),
     };
     let boundary = boundary();
     let content_type = format!("multipart/x-mixed-replace; boundary={boundary}");
-    let film = Watched::new(parts(screening, first, boundary), app.settings.streams.idle);
+    let film = Watched::new(parts(playback, first, boundary), app.settings.streams.idle);
     let mut response = Response::new(Body::from_stream(film));
     let headers = response.headers_mut();
     let content_type = HeaderValue::from_str(&content_type).map_err(Problem::internal)?;
@@ -185,7 +185,7 @@ const PIECE_BYTES: usize = 32 << 10;
 
 /// Builds the answer's body. A part ends with the next part's delimiter, because a browser shows it only then.
 fn parts(
-    mut screening: Screening,
+    mut playback: Playback,
     first: Option<Arc<EncodedFrame>>,
     boundary: String,
 ) -> impl Stream<Item = Bytes> {
@@ -195,14 +195,14 @@ fn parts(
         yield delimiter.slice(2..);
         let mut next = first;
         while let Some(frame) = next {
-            let (head, content) = part(screening.frame_number(), Ok(frame));
+            let (head, content) = part(playback.frame_number(), Ok(frame));
             yield Bytes::from(format!("\r\n{head}"));
             let mut rest = content;
             while !rest.is_empty() {
                 yield rest.split_to(rest.len().min(PIECE_BYTES));
             }
             yield delimiter.clone();
-            next = screening.next().await;
+            next = playback.next().await;
         }
         yield Bytes::from_static(b"--\r\n");
     }

@@ -1,21 +1,21 @@
 //! `GET /v1/scenes/{id}/stream`: a WebSocket on which poses come in and frames go out.
 //!
 //! ```text
-//! reader ─▶ session ──▶ course (which pose, how well; pure)
+//! reader ─▶ session ──▶ schedule (which pose, how well; pure)
 //!             │   └───▶ pacing (how many, how large; pure)
 //!             ├─ ask, replace ─▶ a latest slot of the engine ─▶ frames
-//!             └─▶ outbox ─▶ writer
+//!             └─▶ send_queue ─▶ writer
 //! ```
 //!
 //! The newest pose wins: a stream has at most one frame being drawn and one waiting. A newer pose replaces the waiting one and
 //! keeps its turn. Acknowledgements open the window ([`pacing`]); without them no more frames are sent.
 
 mod allowance;
-mod course;
 mod moving;
-mod outbox;
 mod pacing;
 mod places;
+mod pose_schedule;
+mod send_queue;
 mod session;
 mod wire;
 
@@ -106,7 +106,7 @@ pub async fn stream(
     let place = Place::take(&app, client);
     Ok(upgrade.on_upgrade(move |socket| async move {
         let Some(place) = place else {
-            return outbox::refuse(socket, Close::TooMany).await;
+            return send_queue::refuse(socket, Close::TooMany).await;
         };
         let span = tracing::debug_span!("stream", connection = %request_id, scene = id);
         let session = Session::start(app, id, request_id.clone(), client, socket).run(first, place);

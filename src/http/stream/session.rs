@@ -10,11 +10,11 @@ use futures::stream::SplitStream;
 use tokio::sync::watch;
 
 use super::allowance::Allowance;
-use super::course::Course;
 use super::moving::{Made, Wanted, still_request, wanted};
-use super::outbox::Outbox;
 use super::pacing::Pacer;
 use super::places::Place;
+use super::pose_schedule::PoseSchedule;
+use super::send_queue::SendQueue;
 use super::wire::{Close, Event, FrameHeader, Incoming, MAX_MESSAGE_BYTES, PoseMessage, Quality};
 use crate::engine::{
     BakeTicket, Client, EncodedFrame, EngineError, FrameTicket, LatestSlot, RequestId, Resolution,
@@ -36,11 +36,11 @@ pub struct Session {
     name: RequestId,
     mark: Option<SceneMark>,
     source: SplitStream<WebSocket>,
-    outbox: Outbox,
+    send_queue: SendQueue,
     slot: LatestSlot,
     /// Values of parameters that a pose leaves out.
     settings: FrameParams,
-    course: Course<FrameParams>,
+    schedule: PoseSchedule<FrameParams>,
     pacer: Pacer,
     asked: VecDeque<Asked>,
     frames: u64,
@@ -75,7 +75,7 @@ enum Happening {
     ScenesChanged,
     Draining,
     WriterEnded,
-    /// A timer has fired, or the outbox has room again.
+    /// A timer has fired, or the send queue has room again.
     Turn,
 }
 
@@ -103,10 +103,10 @@ impl Session {
         Self {
             mark: None,
             source,
-            outbox: Outbox::start(sink),
+            send_queue: SendQueue::start(sink),
             slot: app.engine.latest_slot(client),
             settings: FrameParams::default(),
-            course: Course::new(),
+            schedule: PoseSchedule::new(),
             pacer: Pacer::new(),
             asked: VecDeque::new(),
             frames: 0,
@@ -132,13 +132,13 @@ impl Session {
             Err(end) => end,
         };
         self.count_overtaken();
-        let Session { outbox, source, slot, asked, baking, .. } = self;
+        let Session { send_queue, source, slot, asked, baking, .. } = self;
         // This cancels waiting requests before the wait for the close.
         drop((asked, slot, baking));
         match end {
-            End::Close(close) => outbox.close(close, source).await,
-            End::CloseUnread(close) => outbox.close_unread(close, source).await,
-            End::Closed | End::Gone => outbox.closed(source).await,
+            End::Close(close) => send_queue.close(close, source).await,
+            End::CloseUnread(close) => send_queue.close_unread(close, source).await,
+            End::Closed | End::Gone => send_queue.closed(source).await,
         }
         drop(place);
     }
@@ -170,7 +170,7 @@ impl Session {
     /// Waits for the next event.
     async fn next(&mut self) -> Happening {
         let deadline = self.wake_at(Instant::now());
-        let may_read = self.outbox.may_read();
+        let may_read = self.send_queue.may_read();
         let front = async {
             match self.asked.front_mut() {
                 Some(asked) => (&mut asked.ticket).await,
@@ -196,9 +196,9 @@ impl Session {
                 _ = self.changes.changed() => Happening::ScenesChanged,
                 frame = front => Happening::Frame(frame),
                 result = baked => Happening::Baked(result),
-                () = self.outbox.ended() => Happening::WriterEnded,
+                () = self.send_queue.ended() => Happening::WriterEnded,
                 () = tokio::time::sleep_until(deadline.into()) => Happening::Turn,
-                () = self.outbox.room(), if !may_read => Happening::Turn,
+                () = self.send_queue.room(), if !may_read => Happening::Turn,
             }
         };
         // Messages go before frames, because a pose that has arrived is newer than a finished frame. The limit makes sure that a
@@ -219,9 +219,9 @@ impl Session {
     fn wake_at(&self, now: Instant) -> Instant {
         let idle = self.heard_at + self.app.settings.streams.idle;
         let late = self.asked.front().map(|asked| asked.at + self.app.settings.frame_timeout);
-        let retry = self.retry_at.filter(|_| self.course.wanted(now).is_some());
+        let retry = self.retry_at.filter(|_| self.schedule.wanted(now).is_some());
         let reminder = self.reminder(now).map(|(_, at)| at);
-        let timers = [self.course.wake_at(now), late, retry, reminder];
+        let timers = [self.schedule.wake_at(now), late, retry, reminder];
         timers.into_iter().flatten().fold(idle, Instant::min)
     }
 
@@ -230,7 +230,7 @@ impl Session {
         let waits = !self.has_reminded
             && self.asked.is_empty()
             && self.baking.is_none()
-            && self.course.wanted(now).is_some()
+            && self.schedule.wanted(now).is_some()
             && !self.pacer.may_ask(0);
         if waits { self.pacer.unacknowledged() } else { None }
     }
@@ -334,7 +334,7 @@ impl Session {
             Err(problem) => self.tell(&Event::Problem { seq: Some(seq), problem }),
             Ok(()) => {
                 self.settings = params.clone();
-                self.course.set(seq, params, moving, Instant::now());
+                self.schedule.set(seq, params, moving, Instant::now());
                 Ok(())
             }
         }
@@ -346,7 +346,7 @@ impl Session {
         if self.baking.is_some() || self.retry_at.is_some_and(|at| at > now) {
             return Ok(());
         }
-        let Some((seq, params, quality)) = self.course.wanted(now) else { return Ok(()) };
+        let Some((seq, params, quality)) = self.schedule.wanted(now) else { return Ok(()) };
         if !self.has_replaceable() && !self.has_room() {
             return Ok(());
         }
@@ -354,7 +354,7 @@ impl Session {
         let Wanted { request, quality, scale } = match found {
             Ok(wanted) => wanted,
             Err(problem) => {
-                self.course.give_up();
+                self.schedule.give_up();
                 return self.tell(&Event::Problem { seq: Some(seq), problem });
             }
         };
@@ -376,7 +376,7 @@ impl Session {
             Ok(None) => return Ok(()),
             Err(error) => return self.failed(Some(seq), error),
         };
-        self.course.asked(quality);
+        self.schedule.asked(quality);
         self.asked.push_back(Asked { ticket, seq, quality, scale, made, at: now });
         Ok(())
     }
@@ -391,7 +391,7 @@ impl Session {
         let asked = self.asked.len();
         asked < MOST_ASKED
             && self.pacer.may_ask(asked)
-            && self.outbox.has_room_for_frames(asked + 1)
+            && self.send_queue.has_room_for_frames(asked + 1)
     }
 
     /// Queues a frame; returns `None` when it has to wait for frames or acknowledgements.
@@ -401,7 +401,7 @@ impl Session {
             && let Some(ticket) = self.slot.replace(self.name.part(number), &frame)?
         {
             if let Some(old) = self.asked.pop_back() {
-                self.course.replaced(old.seq);
+                self.schedule.replaced(old.seq);
             }
             return Ok(Some(ticket));
         }
@@ -436,7 +436,7 @@ impl Session {
             height: camera.height,
             content_type: frame.content_type,
             bytes: frame.bytes.len(),
-            overtaken: self.course.overtaken(),
+            overtaken: self.schedule.overtaken(),
             receipt: &frame.receipt,
         };
         tracing::debug!(
@@ -463,14 +463,14 @@ impl Session {
                 let pause = retry_after.clamp(LEAST_PAUSE, Duration::from_secs(1));
                 self.retry_at = Some(Instant::now() + pause);
                 // This also applies when the device was lost with a frame in flight.
-                self.course.again();
+                self.schedule.again();
                 Ok(())
             }
             EngineError::ShuttingDown => Err(End::Close(Close::GoingAway)),
             EngineError::UnknownScene { .. } => self.look_at_scene(),
             EngineError::Overtaken => Ok(()),
             error => {
-                self.course.give_up();
+                self.schedule.give_up();
                 self.tell(&Event::Problem { seq, problem: error.into() })?;
                 match self.app.engine.readiness() {
                     crate::engine::Readiness::Failed => Err(End::Close(Close::Failed)),
@@ -492,7 +492,7 @@ impl Session {
             self.tell(&Event::Deleted { scene: &scene })?;
             return Err(End::Close(Close::Deleted));
         };
-        self.course.again();
+        self.schedule.again();
         self.tell(&Event::Scene { scene: &scene, revision })
     }
 
@@ -501,11 +501,11 @@ impl Session {
     }
 
     fn push(&mut self, message: Message) -> Result<(), End> {
-        if self.outbox.push(message) { Ok(()) } else { Err(End::Gone) }
+        if self.send_queue.push(message) { Ok(()) } else { Err(End::Gone) }
     }
 
     fn count_overtaken(&mut self) {
-        let overtaken = self.course.overtaken();
+        let overtaken = self.schedule.overtaken();
         self.app.metrics.poses_overtaken.inc_by(overtaken - self.counted_overtaken);
         self.counted_overtaken = overtaken;
     }

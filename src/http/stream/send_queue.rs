@@ -1,7 +1,7 @@
 //! The queue of outgoing messages and the task that writes them, so that a session reads on while a large frame is sent.
 //!
-//! The queue is bounded: a session requests frames only while few are unwritten ([`Outbox::has_room_for_frames`]), and reads only
-//! while there is room for the replies to what it reads ([`Outbox::may_read`]).
+//! The queue is bounded: a session requests frames only while few are unwritten ([`SendQueue::has_room_for_frames`]), and reads only
+//! while there is room for the replies to what it reads ([`SendQueue::may_read`]).
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -25,13 +25,13 @@ const CLOSING: Duration = Duration::from_secs(2);
 /// Time for a close to arrive when no answer is awaited: ending a connection with unread bytes resets it.
 const ARRIVING: Duration = Duration::from_millis(500);
 
-pub struct Outbox {
+pub struct SendQueue {
     sender: mpsc::Sender<Message>,
     unwritten_frames: Arc<AtomicUsize>,
     writer: JoinHandle<()>,
 }
 
-impl Outbox {
+impl SendQueue {
     pub fn start(sink: SplitSink<WebSocket, Message>) -> Self {
         let (sender, receiver) = mpsc::channel(PLACES);
         let unwritten_frames = Arc::new(AtomicUsize::new(0));
@@ -48,7 +48,7 @@ impl Outbox {
         self.sender.capacity() >= KEPT
     }
 
-    /// Waits until [`Outbox::may_read`] is true.
+    /// Waits until [`SendQueue::may_read`] is true.
     pub async fn room(&self) {
         // An error means that the writer ended, which `ended` reports.
         let _ = self.sender.reserve_many(KEPT).await;
@@ -69,7 +69,7 @@ impl Outbox {
 
     /// Writes waiting messages and then the close, and waits for the client's close; both for a limited time.
     pub async fn close(self, close: Close, source: SplitStream<WebSocket>) {
-        let Outbox { sender, mut writer, .. } = self;
+        let SendQueue { sender, mut writer, .. } = self;
         let closing = async {
             if sender.send(close.message()).await.is_ok() {
                 drop(sender);
@@ -83,7 +83,7 @@ impl Outbox {
 
     /// Closes a stream whose client's messages cannot be read any more.
     pub async fn close_unread(self, close: Close, source: SplitStream<WebSocket>) {
-        let Outbox { sender, mut writer, .. } = self;
+        let SendQueue { sender, mut writer, .. } = self;
         let writing = async {
             if sender.send(close.message()).await.is_ok() {
                 drop(sender);
@@ -128,5 +128,5 @@ async fn write(
 /// Closes a socket before any message was sent.
 pub async fn refuse(socket: WebSocket, close: Close) {
     let (sink, source) = socket.split();
-    Outbox::start(sink).close(close, source).await;
+    SendQueue::start(sink).close(close, source).await;
 }

@@ -1,4 +1,4 @@
-//! The keeper thread: expires jobs, and retries writes that failed.
+//! The maintenance thread: expires jobs, and retries writes that failed.
 
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -6,15 +6,15 @@ use std::time::{Duration, Instant};
 use super::book::{Book, Expired, JobId};
 use super::clock::{Clock, wall_ms};
 use super::runner::need;
-use super::shared::Shared;
+use super::state::JobsState;
 
 /// Interval between sweeps over the jobs.
 const SWEEP_EVERY: Duration = Duration::from_secs(1);
 /// Delay before a failed removal is tried again.
 const REST: Duration = Duration::from_secs(30);
 
-/// Runs the keeper's thread until the daemon stops.
-pub(super) fn run(shared: &Shared) {
+/// Runs the maintenance thread until the daemon stops.
+pub(super) fn run(shared: &JobsState) {
     let mut rest_until = Instant::now();
     while !shared.stopping.load(Ordering::Relaxed) {
         note_missing(shared);
@@ -31,7 +31,7 @@ pub(super) fn run(shared: &Shared) {
 }
 
 /// Notifies watchers of jobs whose scenes appeared or disappeared.
-fn note_missing(shared: &Shared) {
+fn note_missing(shared: &JobsState) {
     let changed = {
         let mut book = shared.book.lock();
         book.note_missing(shared.now_ms(), need(&shared.engine))
@@ -52,7 +52,7 @@ fn look(book: &mut Book, clock: &mut Clock, at: Instant, wall_ms: u64) -> (Vec<J
 }
 
 /// Forgets and fails expired jobs. Returns false when one could not be forgotten.
-fn expire(shared: &Shared) -> bool {
+fn expire(shared: &JobsState) -> bool {
     let (moved, expired) = {
         let mut book = shared.book.lock();
         look(&mut book, &mut shared.clock.lock(), Instant::now(), wall_ms())
@@ -89,7 +89,7 @@ fn expire(shared: &Shared) -> bool {
 }
 
 /// Writes owed records to the database.
-fn pay(shared: &Shared) {
+fn pay(shared: &JobsState) {
     for id in shared.store.owed() {
         let (is_known, is_held) = {
             let mut book = shared.book.lock();

@@ -17,7 +17,7 @@ use super::{Config, JobError, View};
 use crate::engine::Engine;
 
 /// What [`Jobs`](super::Jobs) and their threads share.
-pub struct Shared {
+pub struct JobsState {
     pub engine: Engine,
     pub config: Config,
     pub store: Store,
@@ -40,7 +40,7 @@ pub struct Shared {
     pub epoch: u64,
 }
 
-impl Shared {
+impl JobsState {
     pub fn live(&self, id: JobId) -> Result<Arc<Live>, JobError> {
         self.lives.read().get(&id).cloned().ok_or(JobError::Refused(Refusal::Unknown))
     }

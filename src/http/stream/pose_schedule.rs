@@ -15,7 +15,7 @@ pub const REST: Duration = Duration::from_millis(200);
 
 /// The newest pose and the state of its frames. `P` describes the pose.
 #[derive(Debug)]
-pub struct Course<P> {
+pub struct PoseSchedule<P> {
     aim: Option<Aim<P>>,
     /// Number of poses that a newer one replaced before any frame of them was requested.
     overtaken: u64,
@@ -31,7 +31,7 @@ struct Aim<P> {
     asked: Option<Quality>,
 }
 
-impl<P> Course<P> {
+impl<P> PoseSchedule<P> {
     pub fn new() -> Self {
         Self { aim: None, overtaken: 0 }
     }
@@ -106,28 +106,28 @@ mod tests {
     #[test]
     fn moving_then_still() {
         let start = Instant::now();
-        let mut course = Course::new();
-        assert!(course.wanted(start).is_none());
-        course.set(1, 'a', None, start);
-        assert_eq!(course.wanted(start), Some((1, &'a', Quality::Moving)));
-        course.asked(Quality::Moving);
-        assert!(course.wanted(start + 10 * MS).is_none());
-        assert_eq!(course.wake_at(start + 10 * MS), Some(start + REST));
-        assert_eq!(course.wanted(start + REST), Some((1, &'a', Quality::Still)));
-        course.asked(Quality::Still);
-        assert!(course.wanted(start + 9 * REST).is_none());
-        assert!(course.wake_at(start + 9 * REST).is_none());
-        course.again();
-        assert_eq!(course.wanted(start + 9 * REST), Some((1, &'a', Quality::Still)));
+        let mut schedule = PoseSchedule::new();
+        assert!(schedule.wanted(start).is_none());
+        schedule.set(1, 'a', None, start);
+        assert_eq!(schedule.wanted(start), Some((1, &'a', Quality::Moving)));
+        schedule.asked(Quality::Moving);
+        assert!(schedule.wanted(start + 10 * MS).is_none());
+        assert_eq!(schedule.wake_at(start + 10 * MS), Some(start + REST));
+        assert_eq!(schedule.wanted(start + REST), Some((1, &'a', Quality::Still)));
+        schedule.asked(Quality::Still);
+        assert!(schedule.wanted(start + 9 * REST).is_none());
+        assert!(schedule.wake_at(start + 9 * REST).is_none());
+        schedule.again();
+        assert_eq!(schedule.wanted(start + 9 * REST), Some((1, &'a', Quality::Still)));
     }
 
     #[test]
     fn what_is_said_to_rest_is_drawn_well_at_once() {
         let start = Instant::now();
-        let mut course = Course::new();
-        course.set(1, (), Some(false), start);
-        assert_eq!(course.wanted(start).map(|wanted| wanted.2), Some(Quality::Still));
-        assert!(course.wake_at(start).is_none());
+        let mut schedule = PoseSchedule::new();
+        schedule.set(1, (), Some(false), start);
+        assert_eq!(schedule.wanted(start).map(|wanted| wanted.2), Some(Quality::Still));
+        assert!(schedule.wake_at(start).is_none());
     }
 
     proptest! {
@@ -137,7 +137,7 @@ mod tests {
         #[test]
         fn the_newest_pose_wins(steps in prop::collection::vec((0u64..150, 0u8..6), 1..120)) {
             let mut now = Instant::now();
-            let mut course = Course::new();
+            let mut schedule = PoseSchedule::new();
             let mut newest = 0;
             let mut asked: Vec<(u64, Quality)> = Vec::new();
             for (ms, what) in steps {
@@ -146,26 +146,26 @@ mod tests {
                     0..3 => {
                         newest += 1;
                         let moving = [None, Some(true), Some(false)][usize::from(what)];
-                        course.set(newest, (), moving, now);
+                        schedule.set(newest, (), moving, now);
                     }
-                    _ => if let Some((seq, (), quality)) = course.wanted(now) {
+                    _ => if let Some((seq, (), quality)) = schedule.wanted(now) {
                         prop_assert_eq!(seq, newest);
                         prop_assert!(!asked.contains(&(seq, quality)));
                         asked.push((seq, quality));
-                        course.asked(quality);
+                        schedule.asked(quality);
                     }
                 }
             }
-            while course.wanted(now).is_some() || course.wake_at(now).is_some() {
-                if let Some((seq, (), quality)) = course.wanted(now) {
+            while schedule.wanted(now).is_some() || schedule.wake_at(now).is_some() {
+                if let Some((seq, (), quality)) = schedule.wanted(now) {
                     asked.push((seq, quality));
-                    course.asked(quality);
+                    schedule.asked(quality);
                 }
-                now = course.wake_at(now).unwrap_or(now);
+                now = schedule.wake_at(now).unwrap_or(now);
             }
             let mut drawn: Vec<u64> = asked.iter().map(|asked| asked.0).collect();
             drawn.dedup();
-            prop_assert_eq!(drawn.len() as u64 + course.overtaken(), newest);
+            prop_assert_eq!(drawn.len() as u64 + schedule.overtaken(), newest);
             if newest > 0 {
                 prop_assert_eq!(asked.last(), Some(&(newest, Quality::Still)));
             }

@@ -1,4 +1,4 @@
-//! A screening: a film that is drawn while it is shown, and not stored. It waits until a frame is due, draws it, and copes
+//! A playback: a film that is drawn while it is shown, and not stored. It waits until a frame is due, draws it, and copes
 //! with a busy engine.
 
 use std::sync::Arc;
@@ -20,7 +20,7 @@ use crate::scene::PathSampler;
 /// Interval at which an unchanged picture is sent again, so that no proxy takes the connection for dead.
 const REPEAT: Duration = Duration::from_secs(15);
 
-/// What a screening shows.
+/// What a playback shows.
 pub enum Show {
     Path {
         timeline: Timeline,
@@ -35,7 +35,7 @@ pub enum Show {
 }
 
 /// A film that is being shown.
-pub struct Screening {
+pub struct Playback {
     app: Arc<App>,
     slot: LatestSlot,
     /// Name of the request; the names of the frames derive from it.
@@ -61,7 +61,7 @@ enum End {
     Failed(EngineError),
 }
 
-impl Screening {
+impl Playback {
     /// # Errors
     /// Fails when the number of streams has reached its limit.
     pub fn new(
@@ -70,7 +70,7 @@ impl Screening {
         request: FrameRequest,
         show: Show,
         mark: Option<SceneMark>,
-    ) -> Result<Screening, Problem> {
+    ) -> Result<Playback, Problem> {
         let place = Place::take(&app, origin.client).ok_or_else(|| {
             Problem::new(Kind::Busy, "too many streams are open")
                 .accepted(
@@ -78,7 +78,7 @@ impl Screening {
                 )
                 .retry_after(Duration::from_secs(1))
         })?;
-        Ok(Screening {
+        Ok(Playback {
             slot: app.engine.latest_slot(origin.client),
             name: origin.request_id,
             request,
@@ -150,7 +150,7 @@ impl Screening {
             }
             Err(End::Over) => None,
             Err(End::Failed(error)) => {
-                tracing::warn!(scene = self.request.scene, %error, "a screening ended before its end");
+                tracing::warn!(scene = self.request.scene, %error, "a playback ended before its end");
                 None
             }
         }
