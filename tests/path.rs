@@ -440,7 +440,7 @@ fn what_is_wrong_is_named() {
         (&["--path", "fly", "-o", "f", "--format", "pfm"], "format: pfm cannot hold color"),
         (
             &["--path", "fly", "-o", "f", "--max-error-px", "2"],
-            "--max-error-px: full detail has no error and no levels; accepted: together with `--lod spt`",
+            "--max-error-px: this setting applies to `lod=spt` only; accepted: no value, or one with `--lod spt`",
         ),
         (&["--path", "fly", "-o", "file"], "file: "),
         (&["--path", "fly", "-o", "notes"], "frames.jsonl: not a manifest of frames"),

@@ -182,18 +182,18 @@ mod tests {
         // A picture on the disk is not provisional.
         assert_eq!(plain.settings, Settings { wait: Wait::Complete, ..Settings::default() });
         for (line, expected) in [
-            (&["--paint", "levels"][..], "--paint: full detail has no error and no levels"),
+            (&["--paint", "levels"][..], "--paint: this setting applies to `lod=spt` only"),
             (
                 &["--error-mode", "split"],
                 "`--lod spt` and `--reconstruct splats`, `fuzzy` or `auto`",
             ),
             (
                 &["--lod", "spt", "--reconstruct", "points", "--error-mode", "split"],
-                "--error-mode: points are chosen by their size",
+                "--error-mode: points are selected by their size",
             ),
-            (&["--max-error-px", "2"], "together with `--lod spt`, or left out"),
+            (&["--max-error-px", "2"], "no value, or one with `--lod spt`"),
             (&["--lod", "spt", "--max-error-px", "0"], "accepted: 0.05 to 64 pixels"),
-            (&["--reconstruct", "points", "--filter", "exact"], "--filter: only splats have one"),
+            (&["--reconstruct", "points", "--filter", "exact"], "--filter: this setting applies to splats only"),
             (&["--reconstruct", "fuzzy", "--blend", "opaque"], "`--reconstruct splats` or `auto`"),
         ] {
             let refused = request(line).unwrap_err().to_string();

@@ -107,9 +107,11 @@ impl SettingError {
         match &self.accepted {
             Accepted::Values(values) => values.clone(),
             Accepted::With(needs, default) => {
-                let default = default.as_ref().map(|value| format!("`{value}`"));
-                let default = default.unwrap_or_else(|| "no value".to_owned());
-                format!("use it with {}, or use {default}", in_words(needs, pair))
+                let needs = in_words(needs, pair);
+                match default {
+                    Some(value) => format!("`{value}`, or another value with {needs}"),
+                    None => format!("no value, or one with {needs}"),
+                }
             }
         }
     }

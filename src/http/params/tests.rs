@@ -70,7 +70,7 @@ fn names_are_those_of_the_way_of_asking() {
     assert!(detail.contains("it is never late"), "{detail}");
     let (_, detail, accepted) = problem("sped");
     assert!(detail.contains("did you mean `speed`"), "{detail}");
-    assert!(accepted.starts_with("speed, camera") && accepted.ends_with("shading"), "{accepted}");
+    assert!(accepted.starts_with("speed, camera") && accepted.ends_with("background"), "{accepted}");
     let (_, detail, _) = problem("timeout");
     assert!(!detail.contains("deadline_ms"), "{detail}");
 }

@@ -83,11 +83,11 @@ fn what_does_not_go_together_is_refused() {
         refused("error_mode=split"),
         (
             "error_mode",
-            "use it with `lod=spt` and `reconstruct=splats`, `fuzzy` or `auto`, or use `unified`"
+            "`unified`, or another value with `lod=spt` and `reconstruct=splats`, `fuzzy` or `auto`"
                 .to_owned()
         )
     );
-    assert_eq!(refused("max_error_px=2").1, "use it with `lod=spt`, or use no value");
+    assert_eq!(refused("max_error_px=2").1, "no value, or one with `lod=spt`");
     assert_eq!(refused("lod=spt&max_error_px=65").1, "0.05 to 64 pixels");
     // What changes nothing is no fault.
     for harmless in ["error_mode=unified", "paint=colors", "lod=full&reconstruct=auto"] {
