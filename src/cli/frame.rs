@@ -193,7 +193,10 @@ mod tests {
             ),
             (&["--max-error-px", "2"], "no value, or one with `--lod spt`"),
             (&["--lod", "spt", "--max-error-px", "0"], "accepted: 0.05 to 64 pixels"),
-            (&["--reconstruct", "points", "--filter", "exact"], "--filter: this setting applies to splats only"),
+            (
+                &["--reconstruct", "points", "--filter", "exact"],
+                "--filter: this setting applies to splats only",
+            ),
             (&["--reconstruct", "fuzzy", "--blend", "opaque"], "`--reconstruct splats` or `auto`"),
         ] {
             let refused = request(line).unwrap_err().to_string();

@@ -14,7 +14,7 @@ use super::{EncodedFrame, EngineError, FrameRequest};
 use crate::scene::Blend;
 
 /// Weight of a splat in a single pass; leaves room for 68 splats of full weight over a pixel.
-const SINGLE_PASS_WEIGHT: f32 = 15.0;
+const FUZZY_WEIGHT: f32 = 15.0;
 
 pub type Reply = Result<Arc<EncodedFrame>, EngineError>;
 
@@ -196,21 +196,21 @@ impl FrameJob {
         other.filter(|_| self.too_full.load(Ordering::Relaxed)).unwrap_or(&self.frame.drawing)
     }
 
-    fn is_single_pass(&self) -> bool {
-        self.drawing().splats.is_some_and(|splats| splats.blend == Blend::Interleaved)
+    fn is_fuzzy(&self) -> bool {
+        self.drawing().splats.is_some_and(|splats| splats.blend == Blend::Fuzzy)
     }
 
     /// Returns the integer weight of a splat where its kernel is 1: 15 bits, unless too many overlap; 4 bits in a single pass.
     pub fn weight_one(&self) -> f32 {
-        if self.is_single_pass() {
-            return SINGLE_PASS_WEIGHT;
+        if self.is_fuzzy() {
+            return FUZZY_WEIGHT;
         }
         (1u32 << 15 >> self.halvings.load(Ordering::Relaxed)) as f32
     }
 
     /// Handles overflowing sums of a pixel: from now on splats weigh a 32nd of before, or the frame takes three passes.
     pub fn lighten(&self) {
-        if self.is_single_pass() {
+        if self.is_fuzzy() {
             self.too_full.store(true, Ordering::Relaxed);
             return;
         }

@@ -246,15 +246,15 @@ fn decide(
         })
     };
     let other = settings.in_three_passes();
-    let is_single = settings.reconstruct == Reconstruct::Fuzzy && facts.has_samples;
+    let is_fuzzy = settings.reconstruct == Reconstruct::Fuzzy && facts.has_samples;
     let fits = || {
         let splats = settings.splats(&loaded.model.splats);
         let accepted_px = if facts.trees { settings.max_error_px.px() } else { 0.0 };
         splats.is_none_or(|s| Slabs::new(&s, &loaded.extent, &view, accepted_px).fit())
     };
-    let refused = if !is_single {
+    let refused = if !is_fuzzy {
         None
-    } else if let Some(reason) = no_single_pass(&request, &adapter) {
+    } else if let Some(reason) = no_fuzzy(&request, &adapter) {
         Some(reason)
     } else {
         (!fits()).then_some("the scene is too deep for the slabs of a single pass")
@@ -263,7 +263,7 @@ fn decide(
         Some(_) => way(&other, refused),
         None => way(&settings, None),
     };
-    let in_three_passes = (is_single && refused.is_none()).then(|| {
+    let in_three_passes = (is_fuzzy && refused.is_none()).then(|| {
         way(&other, Some("more splats lie over one pixel than a single pass has room for"))
     });
     let tagged = Tagged {
@@ -355,8 +355,8 @@ fn grounds(
     }
 }
 
-/// Why splats cannot be blended and depth-tested in a single pass.
-fn no_single_pass(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
+/// Why the frame cannot be drawn with `reconstruct=fuzzy`.
+fn no_fuzzy(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
     let pixels = u64::from(request.width) * u64::from(request.height);
     if request.output != Output::Color {
         return Some("a single pass has nothing but colours");

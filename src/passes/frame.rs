@@ -132,8 +132,8 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
     let row = |v: glam::DVec3| [v.x as f32, v.y as f32, v.z as f32, 0.0];
     let eye = view.eye.to_array().map(two_floats);
     let (entries, slots) = scene.entries(task.entry_capacity);
-    let single = task.splats.filter(|splats| splats.blend == Blend::Interleaved);
-    let slabs = single.map_or(Slabs::default(), |s| {
+    let fuzzy = task.splats.filter(|splats| splats.blend == Blend::Fuzzy);
+    let slabs = fuzzy.map_or(Slabs::default(), |s| {
         let accepted_px = if task.model.trees { task.max_error_px } else { 0.0 };
         Slabs::new(&s, &task.extent, view, accepted_px)
     });
@@ -168,7 +168,7 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         splat_width: task.splats.map_or(0.0, |splats| splats.width),
         splat_offset: task.splats.map_or(0.0, |s| match s.blend {
             Blend::Weighted => s.depth_offset,
-            Blend::Opaque | Blend::Interleaved => 0.0,
+            Blend::Opaque | Blend::Fuzzy => 0.0,
         }),
         slab_near: slabs.near as f32,
         slab_per_unit: slabs.per_unit as f32,

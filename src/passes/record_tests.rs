@@ -120,7 +120,7 @@ fn the_walk_has_as_many_threads() {
         "project/walk_triangles",
         "project/walk_splats",
         "reconstruct/blend_walked",
-        "reconstruct/fuse_walked",
+        "reconstruct/fuzzy_walked",
     ] {
         let walk = module(root);
         assert_eq!(scalar(&walk, "LANES"), LANES, "{root}");
@@ -130,7 +130,7 @@ fn the_walk_has_as_many_threads() {
 
 #[test]
 fn slabs_are_as_many() {
-    for root in ["reconstruct/fuse_splats", "resolve/resolve_fused"] {
+    for root in ["reconstruct/fuzzy_splats", "resolve/resolve_fuzzy"] {
         assert_eq!(f64::from(float(&module(root), "SLABS")), SLABS, "{root}");
     }
 }

@@ -125,7 +125,7 @@ impl<'a, 'c> Recorder<'a, 'c> {
 
     /// Which of a segment's slots the pass draws. Splats that are blended in a single pass are drawn wherever they are.
     pub fn portion(&self) -> Portion {
-        if self.task.hides() && self.stage != Stage::Fuse { Portion::Turn } else { Portion::All }
+        if self.task.hides() && self.stage != Stage::Fuzzy { Portion::Turn } else { Portion::All }
     }
 
     /// The scene's segments of some kinds.

@@ -129,7 +129,7 @@ impl Scratch {
 
     /// Bytes of the largest buffer that one view needs.
     pub fn largest(scene: &ResidentScene, (width, height): (u32, u32), plan: &FramePlan) -> u64 {
-        let bytes = if plan.runs(Pass::ResolveFused) { LAYERS_BYTES } else { 8 };
+        let bytes = if plan.runs(Pass::ResolveFuzzy) { LAYERS_BYTES } else { 8 };
         let bytes = [
             u64::from(width) * u64::from(height) * bytes,
             u64::from(scene.instance_end) * size_of::<GpuPlaced>() as u64,
@@ -150,7 +150,7 @@ impl Scratch {
         for sums in &mut self.sums[..task.sums()] {
             sums.reserve(gpu, pixels * 8);
         }
-        if task.plan.runs(Pass::ResolveFused) {
+        if task.plan.runs(Pass::ResolveFuzzy) {
             self.layers.reserve(gpu, pixels * LAYERS_BYTES);
         }
         self.stats.reserve(gpu, views * size_of::<GpuStats>() as u64);

@@ -223,7 +223,7 @@ impl Facts<'_> {
 
     /// Whether splats are blended, in one pass or in several.
     fn is_blended(&self) -> bool {
-        self.blends(Blend::Weighted) || self.blends(Blend::Interleaved)
+        self.blends(Blend::Weighted) || self.blends(Blend::Fuzzy)
     }
 
     /// Whether light is computed for each pixel. Splats that are lit one by one need none after they are blended.
@@ -283,7 +283,7 @@ mod tests {
             }
         }
         let mut splats = vec![None];
-        for blend in [Blend::Opaque, Blend::Weighted, Blend::Interleaved] {
+        for blend in [Blend::Opaque, Blend::Weighted, Blend::Fuzzy] {
             for shading in [Shading::Splat, Shading::Deferred] {
                 splats.push(Some(Splats { blend, shading, ..Splats::default() }));
             }
@@ -365,7 +365,7 @@ mod tests {
         assert!(!asks(points, None, &AdapterFacts { draws_hidden: true, ..WIDE }));
         let splats = Splats::default();
         assert!(asks(points, Some(&splats), &WIDE));
-        let splats = Splats { blend: Blend::Interleaved, ..splats };
+        let splats = Splats { blend: Blend::Fuzzy, ..splats };
         assert!(!asks(points, Some(&splats), &WIDE));
         // Triangles among splats can be hidden.
         assert!(asks(SceneFacts { has_triangles: true, ..points }, Some(&splats), &WIDE));
@@ -510,10 +510,10 @@ mod tests {
             [&depth[..], &["resolve_samples"]].concat()
         );
         assert!(is_lit(&opaque, &facts));
-        let fused = Splats { blend: Blend::Interleaved, ..lit };
-        let single = ["fuse_splats", "fuse_walked", "resolve_fused"];
-        assert_eq!(runs(&fused, Output::Color, &facts), single);
-        assert!(!is_lit(&fused, &facts) && is_lit(&fused, &mixed));
+        let fuzzy = Splats { blend: Blend::Fuzzy, ..lit };
+        let single = ["fuzzy_splats", "fuzzy_walked", "resolve_fuzzy"];
+        assert_eq!(runs(&fuzzy, Output::Color, &facts), single);
+        assert!(!is_lit(&fuzzy, &facts) && is_lit(&fuzzy, &mixed));
         let empty = SceneFacts::default();
         assert!(runs(&deferred, Output::Color, &empty).is_empty());
     }

@@ -32,25 +32,25 @@ macro_rules! pass_table {
             Compact              Compute select/compact                ""    [Select]            Frame     [];
             LaunchPortions       Compute select/launch_portions        ""    [Project Ids Blend] Frame     [NOTHING_TO_HIDE FEW_CHUNKS DRAWS_HIDDEN];
             ProjectSamples       Compute project/project_samples       ""    [Project]           Frame     [NO_SAMPLES AS_SPLATS];
-            ProjectSplats        Compute project/project_splats        ""    [Project]           Samples   [NO_SAMPLES AS_POINTS FUSED];
-            WalkSplats           Compute project/walk_splats           ""    [Project]           Samples   [NO_SAMPLES AS_POINTS FUSED];
+            ProjectSplats        Compute project/project_splats        ""    [Project]           Samples   [NO_SAMPLES AS_POINTS FUZZY];
+            WalkSplats           Compute project/walk_splats           ""    [Project]           Samples   [NO_SAMPLES AS_POINTS FUZZY];
             ProjectTriangles     Compute project/project_triangles     ""    [Project]           Triangles [NO_TRIANGLES];
             RasteriseTriangles   Raster  project/rasterise_triangles   ""    [Project]           Triangles [NO_TRIANGLES WALKS];
             WalkTriangles        Compute project/walk_triangles        ""    [Project]           Triangles [NO_TRIANGLES RASTERISES];
             DepthPyramid         Compute select/depth_pyramid          ""    [Project Blend]     Frame     [NOTHING_TO_HIDE FEW_CHUNKS DRAWS_HIDDEN];
             CullHidden           Compute select/cull_hidden            ""    [Project Blend]     Frame     [NOTHING_TO_HIDE FEW_CHUNKS DRAWS_HIDDEN];
             ProjectSamplesId     Compute project/project_samples       "_id" [Ids]               Frame     [NO_SAMPLES AS_SPLATS WIDE];
-            ProjectSplatsId      Compute project/project_splats        "_id" [Ids]               Samples   [NO_SAMPLES AS_POINTS FUSED WIDE];
-            WalkSplatsId         Compute project/walk_splats           "_id" [Ids]               Samples   [NO_SAMPLES AS_POINTS FUSED WIDE];
+            ProjectSplatsId      Compute project/project_splats        "_id" [Ids]               Samples   [NO_SAMPLES AS_POINTS FUZZY WIDE];
+            WalkSplatsId         Compute project/walk_splats           "_id" [Ids]               Samples   [NO_SAMPLES AS_POINTS FUZZY WIDE];
             ProjectTrianglesId   Compute project/project_triangles     "_id" [Ids]               Triangles [NO_TRIANGLES WIDE];
             RasteriseTrianglesId Raster  project/rasterise_triangles   "_id" [Ids]               Triangles [NO_TRIANGLES WIDE WALKS];
             WalkTrianglesId      Compute project/walk_triangles        "_id" [Ids]               Triangles [NO_TRIANGLES WIDE RASTERISES];
-            BlendSplats          Compute reconstruct/blend_splats      ""    [Blend]             Samples   [NO_SAMPLES AS_POINTS FUSED OPAQUE IDS];
-            BlendWalked          Compute reconstruct/blend_walked      ""    [Blend]             Samples   [NO_SAMPLES AS_POINTS FUSED OPAQUE IDS];
-            FuseSplats           Compute reconstruct/fuse_splats       ""    [Fuse]              Samples   [NO_SAMPLES AS_POINTS NOT_FUSED];
-            FuseWalked           Compute reconstruct/fuse_walked       ""    [Fuse]              Samples   [NO_SAMPLES AS_POINTS NOT_FUSED];
-            ResolveFused         Compute resolve/resolve_fused         ""    [Resolve]           Frame     [NO_SAMPLES AS_POINTS NOT_FUSED];
-            ResolveSplats        Compute resolve/resolve_splats        ""    [Resolve]           Frame     [NO_SAMPLES AS_POINTS FUSED OPAQUE];
+            BlendSplats          Compute reconstruct/blend_splats      ""    [Blend]             Samples   [NO_SAMPLES AS_POINTS FUZZY OPAQUE IDS];
+            BlendWalked          Compute reconstruct/blend_walked      ""    [Blend]             Samples   [NO_SAMPLES AS_POINTS FUZZY OPAQUE IDS];
+            FuzzySplats          Compute reconstruct/fuzzy_splats      ""    [Fuzzy]             Samples   [NO_SAMPLES AS_POINTS NOT_FUZZY];
+            FuzzyWalked          Compute reconstruct/fuzzy_walked      ""    [Fuzzy]             Samples   [NO_SAMPLES AS_POINTS NOT_FUZZY];
+            ResolveFuzzy         Compute resolve/resolve_fuzzy         ""    [Resolve]           Frame     [NO_SAMPLES AS_POINTS NOT_FUZZY];
+            ResolveSplats        Compute resolve/resolve_splats        ""    [Resolve]           Frame     [NO_SAMPLES AS_POINTS FUZZY OPAQUE];
             ResolveSamples       Compute resolve/resolve_samples       ""    [Resolve]           Frame     [NO_SAMPLES BLENDED];
             ResolveTriangles     Compute resolve/resolve_triangles     ""    [Resolve]           Frame     [NO_TRIANGLES];
             WriteOutput          Compute resolve/write_output          ""    [Resolve]           Frame     [NOT_COLOR NO_NEIGHBOURS];
@@ -72,14 +72,14 @@ pub enum Stage {
     /// Weighted sums of the splats at the visible surface.
     Blend,
     /// Splats that are blended and depth-tested in a single pass.
-    Fuse,
+    Fuzzy,
     /// Pixels.
     Resolve,
 }
 
 impl Stage {
     pub const ALL: [Stage; 6] =
-        [Stage::Select, Stage::Project, Stage::Ids, Stage::Blend, Stage::Fuse, Stage::Resolve];
+        [Stage::Select, Stage::Project, Stage::Ids, Stage::Blend, Stage::Fuzzy, Stage::Resolve];
 }
 
 /// What a pass is recorded once for. Passes that follow each other and are recorded for each segment of one kind take turns
@@ -122,7 +122,7 @@ reasons! {
     NO_TRIANGLES: "the scene has no triangles", |f| !f.scene.has_triangles;
     FULL_DETAIL: "the level of detail is full", |f| !f.scene.trees;
     NOTHING_TO_HIDE: "nothing in the frame can be occluded",
-        |f| (!f.scene.has_samples || f.blends(Blend::Interleaved)) && !f.scene.has_triangles;
+        |f| (!f.scene.has_samples || f.blends(Blend::Fuzzy)) && !f.scene.has_triangles;
     FEW_CHUNKS: "the scene has fewer than 128 chunks", |f| f.scene.chunks < MANY_CHUNKS;
     DRAWS_HIDDEN: "occlusion culling is off", |f| f.adapter.draws_hidden;
     WIDE: "the adapter has 64-bit atomics", |f| f.adapter.atomics_64;
@@ -131,8 +131,8 @@ reasons! {
     AS_POINTS: "samples are drawn as points", |f| f.frame.splats.is_none();
     AS_SPLATS: "samples are drawn as splats", |f| f.frame.splats.is_some();
     OPAQUE: "splats are not blended", |f| !f.blends(Blend::Weighted);
-    FUSED: "splats are blended in a single pass", |f| f.blends(Blend::Interleaved);
-    NOT_FUSED: "splats are not blended in a single pass", |f| !f.blends(Blend::Interleaved);
+    FUZZY: "splats are blended in a single pass", |f| f.blends(Blend::Fuzzy);
+    NOT_FUZZY: "splats are not blended in a single pass", |f| !f.blends(Blend::Fuzzy);
     BLENDED: "splats are blended", |f| f.scene.has_samples && f.is_blended();
     NO_NEIGHBOURS: "no effect depends on neighbouring pixels", |f| f.frame.edl.is_none();
     NOT_COLOR: "the output is not color", |f| f.frame.output != super::Output::Color;

@@ -55,12 +55,12 @@ pub enum Blend {
     #[serde(skip_deserializing)]
     #[schemars(skip)]
     #[value(skip)]
-    Interleaved,
+    Fuzzy,
 }
 
 impl Blend {
-    fn is_interleaved(&self) -> bool {
-        *self == Blend::Interleaved
+    fn is_fuzzy(&self) -> bool {
+        *self == Blend::Fuzzy
     }
 }
 
@@ -93,7 +93,7 @@ pub enum Shading {
 pub struct Splats {
     pub filter: Filter,
     /// Left out where `reconstruct=fuzzy` has its own way.
-    #[serde(skip_serializing_if = "Blend::is_interleaved")]
+    #[serde(skip_serializing_if = "Blend::is_fuzzy")]
     pub blend: Blend,
     pub shading: Shading,
     /// Whether kernels are convolved with a low-pass filter of the image (EWA).

@@ -31,7 +31,7 @@ fn check(case: &Case, view: &View, settings: Settings, least: f64) -> [Frames; 2
         case.id,
         drawn.instead_because
     );
-    assert!(single.ran(Pass::FuseSplats) && !single.ran(Pass::ProjectSplats));
+    assert!(single.ran(Pass::FuzzySplats) && !single.ran(Pass::ProjectSplats));
     let three = Settings {
         reconstruct: Reconstruct::Splats,
         blend: Some(Blend::Weighted),
@@ -122,7 +122,7 @@ fn a_single_pass_draws_point_trees() {
                 Settings { lod: Lod::Spt, max_error_px: max_error, ..fuzzy(Filter::Perspective) };
             let [found, ..] = case.each_with(&view, single);
             let [expected, ..] = case.each_with(&view, single.in_three_passes());
-            assert!(found.ran(Pass::FuseSplats) && expected.ran(Pass::BlendSplats));
+            assert!(found.ran(Pass::FuzzySplats) && expected.ran(Pass::BlendSplats));
             let db = metrics::psnr(&expected.color, &found.color).unwrap();
             println!("{scene} {camera}, {px} px: {db:.1} dB");
             assert!(db >= 31.0, "{scene} {camera}, {px} px: {db}");
@@ -144,5 +144,5 @@ fn three_passes_where_one_will_not_do() {
     let [expected, _, _] = case.each_with(&view, three);
     assert!(frames.same_pixels(&expected));
     assert!(frames.covered() > 200, "{}", frames.covered());
-    assert!(frames.ran(Pass::BlendSplats) && !frames.ran(Pass::FuseSplats));
+    assert!(frames.ran(Pass::BlendSplats) && !frames.ran(Pass::FuzzySplats));
 }

@@ -70,7 +70,10 @@ fn names_are_those_of_the_way_of_asking() {
     assert!(detail.contains("it is never late"), "{detail}");
     let (_, detail, accepted) = problem("sped");
     assert!(detail.contains("did you mean `speed`"), "{detail}");
-    assert!(accepted.starts_with("speed, camera") && accepted.ends_with("background"), "{accepted}");
+    assert!(
+        accepted.starts_with("speed, camera") && accepted.ends_with("background"),
+        "{accepted}"
+    );
     let (_, detail, _) = problem("timeout");
     assert!(!detail.contains("deadline_ms"), "{detail}");
 }
@@ -220,9 +223,9 @@ fn settings_of_splats_need_splats() {
         let (parameter, _, accepted) = fault(&format!("reconstruct=fuzzy&{given}"));
         assert!(given.starts_with(&parameter) && accepted.contains("`reconstruct=splats`"));
     }
-    let (parameter, _, accepted) = fault("reconstruct=splats&blend=interleaved");
+    let (parameter, _, accepted) = fault("reconstruct=splats&blend=fuzzy");
     assert_eq!(parameter, "blend");
-    assert!(accepted.contains("opaque") && !accepted.contains("interleaved"), "{accepted}");
+    assert!(accepted.contains("opaque") && !accepted.contains("fuzzy"), "{accepted}");
     let fail = |json| FrameParams::from_json(json, "").unwrap_err().parameter.unwrap();
     assert_eq!(fail(serde_json::json!({"prefilter": "true"})), "prefilter");
     assert_eq!(fail(serde_json::json!({"blend": 1})), "blend");

@@ -2,8 +2,8 @@
 
 pub mod blend_splats;
 pub mod blend_walked;
-pub mod fuse_splats;
-pub mod fuse_walked;
+pub mod fuzzy_splats;
+pub mod fuzzy_walked;
 
 use super::frame::output_number;
 use super::pipelines::Constants;
@@ -105,7 +105,7 @@ fn constants(recorder: &Recorder, walked: bool) -> Constants {
         ("OVERRIDES", u32::from(looks.overrides)),
         ("DEFERRED", u32::from(recorder.task.is_deferred())),
     ];
-    if recorder.task.plan.runs(Pass::FuseSplats) {
+    if recorder.task.plan.runs(Pass::FuzzySplats) {
         constants.push(("HIDES", u32::from(recorder.task.plan.runs(Pass::ProjectTriangles))));
     } else {
         constants.push(("CROWDED", u32::from(recorder.scene.sample_count >= SUMS_ROOM)));

@@ -1,7 +1,7 @@
 //! The surfaces of visible pixels, and the output that they make.
 
 pub mod identify;
-pub mod resolve_fused;
+pub mod resolve_fuzzy;
 pub mod resolve_samples;
 pub mod resolve_splats;
 pub mod resolve_triangles;

@@ -22,7 +22,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
         (&scratch.depths, None),
     ];
     buffers.extend(scratch.sums[..task.sums()].iter().map(|sums| (sums, Some(pixels * 8))));
-    if task.plan.runs(Pass::FuseSplats) {
+    if task.plan.runs(Pass::FuzzySplats) {
         buffers.push((&scratch.layers, Some(pixels * LAYERS_BYTES)));
     }
     let image = scratch.pixels.buffer().raw();

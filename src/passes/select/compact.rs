@@ -9,7 +9,7 @@ pub const ENTRIES: u32 = 64;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let groups = recorder.entries().div_ceil(ENTRIES);
-    let unasked = ("UNASKED", u32::from(recorder.task.plan.runs(Pass::FuseSplats)));
+    let unasked = ("UNASKED", u32::from(recorder.task.plan.runs(Pass::FuzzySplats)));
     let constants = vec![recorder.hides(), unasked];
     recorder.over_lists(groups, Listed::Compact, constants)
 }

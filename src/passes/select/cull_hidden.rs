@@ -10,7 +10,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     // Samples that have been drawn are asked once more before they are blended, now that all that may hide them is drawn.
     let again = recorder.stage == Stage::Blend;
     // Splats that are blended in a single pass are drawn wherever they are.
-    let samples = if recorder.task.plan.runs(Pass::FuseSplats) { &[][..] } else { SAMPLE_PAGES };
+    let samples = if recorder.task.plan.runs(Pass::FuzzySplats) { &[][..] } else { SAMPLE_PAGES };
     let triangles = if again { &[][..] } else { &[PageKind::Triangles] };
     let segments = recorder.segments(&[samples, triangles].concat());
     let splats = ("SPLATS", u32::from(recorder.task.splats.is_some()));

@@ -52,7 +52,7 @@ impl Settings {
             }),
             // What is added up cannot be lit any more.
             Reconstruct::Fuzzy => {
-                Some(Splats { blend: Blend::Interleaved, shading: Shading::Splat, ..of_kernels })
+                Some(Splats { blend: Blend::Fuzzy, shading: Shading::Splat, ..of_kernels })
             }
         }
     }

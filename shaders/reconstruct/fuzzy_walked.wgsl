@@ -17,6 +17,6 @@
 const NARROW: bool = true;
 
 @compute @workgroup_size(8)
-fn fuse_walked(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+fn fuzzy_walked(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     walk_list(group, groups.x, lane);
 }

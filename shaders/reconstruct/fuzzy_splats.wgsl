@@ -17,6 +17,6 @@ const COUNTS: bool = true;
 const NARROW: bool = true;
 
 @compute @workgroup_size(LANES)
-fn fuse_splats(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+fn fuzzy_splats(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     scatter(group, lane);
 }

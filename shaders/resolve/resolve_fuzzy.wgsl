@@ -16,7 +16,7 @@ fn sums_of(word: vec2<u32>) -> vec4<f32> {
 }
 
 // Of both slabs, if they lie side by side and show the same side of a surface, else of the nearer one.
-fn fused(words: vec4<u32>) -> vec4<f32> {
+fn both_slabs(words: vec4<u32>) -> vec4<f32> {
     let even = SLAB_NEAREST - tag_of(words.y);
     let odd = SLAB_NEAREST - tag_of(words.w);
     // Slabs 2n and 2n + 1 have the same number among their kinds.
@@ -32,7 +32,7 @@ fn fused(words: vec4<u32>) -> vec4<f32> {
 }
 
 @compute @workgroup_size(64)
-fn resolve_fused(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+fn resolve_fuzzy(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     begin_view(group.z);
     var column = column_begin(group, lane);
     var resolved = 0u;
@@ -46,7 +46,7 @@ fn resolve_fused(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
         }
         column.mine = (words.y | words.w) != 0u;
         if column.mine {
-            let sums = fused(words);
+            let sums = both_slabs(words);
             pixels[column.pixel] = color_word(sums.rgb / max(sums.a, 1.0));
             // What triangles have there lies behind.
             visibility[column.pixel] = vec2<u32>(0u);
