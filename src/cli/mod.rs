@@ -11,6 +11,8 @@ mod local;
 mod out;
 pub mod path;
 pub mod pick;
+#[cfg(test)]
+mod reference;
 pub mod render;
 pub mod serve;
 

@@ -5,6 +5,8 @@
 //! handlers enforce. `openapi.yaml` at the root of the repository is this document; a test holds the two equal.
 
 mod bounds;
+#[cfg(test)]
+mod reference;
 mod tidy;
 
 use std::collections::BTreeMap;
