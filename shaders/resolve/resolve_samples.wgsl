@@ -23,6 +23,7 @@ fn sample_color(own: u32, over_plus_one: u32) -> u32 {
 fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
     var surface: Surface;
     surface.inverse_depth = bitcast<f32>(word.y);
+    surface.depth_scale = 1.0;
     let id = ~word.x;
     surface.slot = id >> SLOT_SHIFT;
     if OUTPUT == OUTPUT_ID {

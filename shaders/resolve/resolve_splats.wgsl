@@ -43,22 +43,21 @@ fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
     let second = sums_1[pixel];
     let inverse_weight = 1.0 / max(f32(first.y), 1.0);
     // Splats count behind the nearest one as well: the offset is taken back.
-    let nearest = bitcast<f32>(word.y & ~FACING_BITS);
+    surface.inverse_depth = bitcast<f32>(word.y & ~FACING_BITS);
+    surface.depth_scale = 1.0;
     if OUTPUT == OUTPUT_DEPTH {
-        let share = fma(f32(second.y), 4294967296.0, f32(second.x)) / DEPTH_ONE * inverse_weight;
-        surface.inverse_depth = nearest / share;
+        surface.depth_scale = fma(f32(second.y), 4294967296.0, f32(second.x)) / DEPTH_ONE * inverse_weight;
     } else if OUTPUT == OUTPUT_NORMAL {
         surface.normal = blended_normal(vec3<u32>(first.x, second.xy), inverse_weight, at);
     } else {
         surface.color = color_word(vec3<f32>(vec3<u32>(first.x, second.xy)) * inverse_weight);
-        surface.inverse_depth = nearest;
         if DEFERRED {
             let third = sums_2[pixel];
             let fourth = sums_3[pixel];
             let sums = vec3<u32>(third.xy, fourth.x);
             surface.normal = blended_normal(sums, inverse_weight, at);
             surface.is_ball = BALLS && is_ball(sums, inverse_weight);
-            surface.inverse_depth = nearest / clamp(f32(fourth.y) * inverse_weight, 1e-6, 1.0);
+            surface.depth_scale = clamp(f32(fourth.y) * inverse_weight, 1e-6, 1.0);
         }
     }
     finish(pixel, at, surface);

@@ -123,6 +123,7 @@ fn resolve(column: Column, shown: Shown, corners: Corners) {
     surface.slot = shown.slot;
     surface.id = shown.id;
     surface.inverse_depth = bitcast<f32>(column.word.y);
+    surface.depth_scale = 1.0;
     if OUTPUT == OUTPUT_COLOR || OUTPUT == OUTPUT_NORMAL {
         let ray = ray_through(pixel_centre(column.at));
         let w = barycentric_weights(corners.form, ray);

@@ -30,6 +30,7 @@ fn kept_surface(column: Column) -> Surface {
     surface.normal = octahedral_decode(packed);
     surface.is_ball = packed == BALL;
     surface.inverse_depth = bitcast<f32>(column.word.y);
+    surface.depth_scale = 1.0;
     surface.slot = slot_of(column.word);
     return surface;
 }

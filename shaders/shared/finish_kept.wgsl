@@ -4,5 +4,5 @@
 fn finish(pixel: u32, at: vec2<u32>, surface: Surface) {
     pixels[pixel] = surface.color;
     normals[pixel] = select(octahedral_encode(surface.normal), BALL, surface.is_ball);
-    visibility[pixel].y = bitcast<u32>(surface.inverse_depth);
+    visibility[pixel].y = bitcast<u32>(surface.inverse_depth / surface.depth_scale);
 }

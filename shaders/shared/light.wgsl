@@ -19,7 +19,7 @@ fn lit_color(surface: Surface, at: vec2<u32>) -> u32 {
         return surface.color;
     }
     let albedo = linear_color(surface.color);
-    let from_eye = world_from_camera(ray_through(pixel_centre(at))) / surface.inverse_depth;
+    let from_eye = world_from_camera(ray_through(pixel_centre(at))) / (surface.inverse_depth / surface.depth_scale);
     if surface.is_ball {
         return color_word(ball_lights(albedo, material, from_eye));
     }

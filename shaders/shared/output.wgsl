@@ -19,7 +19,7 @@ fn normal_word(n: vec3<f32>) -> u32 {
 // The word of a surface whose light is computed, or which is not lit.
 fn output_word(surface: Surface) -> u32 {
     if OUTPUT == OUTPUT_DEPTH {
-        return bitcast<u32>(1.0 / surface.inverse_depth);
+        return bitcast<u32>(surface.depth_scale / surface.inverse_depth);
     }
     if OUTPUT == OUTPUT_ID {
         return surface.id;

@@ -7,8 +7,9 @@ struct Surface {
     normal: vec3<f32>,
     // The surface reflects like a ball: it has all normals alike.
     is_ball: bool,
-    // 1/z, z being the distance along the viewing axis.
+    // The distance along the viewing axis is depth_scale / inverse_depth; the scale is 1 but for blended splats.
     inverse_depth: f32,
+    depth_scale: f32,
     // Slot of the chunk, counted from the view's first one.
     slot: u32,
     // Id of the instance, where the output shows it.

@@ -17,7 +17,7 @@ pub struct Background {
 }
 
 pub struct Running {
-    /// [`Loaded::load`] of the scene.
+    /// [`Loaded::load`](super::loaded::Loaded::load) of the scene.
     pub load: u64,
     pub ticket: BakeTicket,
     pub failed: Option<EngineError>,

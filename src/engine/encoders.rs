@@ -1,4 +1,4 @@
-//! The encoder threads: each takes the next drawn frame from the [`EncodeQueue`], encodes it and answers.
+//! The encoder threads: each takes the next drawn frame from the [`EncodeQueue`](super::queue::encoding::EncodeQueue), encodes it and answers.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;

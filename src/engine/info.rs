@@ -104,7 +104,7 @@ pub struct Source {
     pub path: PathBuf,
     /// Folder to which file names in a scene are relative; `None`: the scene file's own.
     pub base: Option<PathBuf>,
-    /// Up direction of a bare asset file, instead of [`EngineConfig::up`].
+    /// Up direction of a bare asset file, instead of [`EngineConfig::up`](super::EngineConfig::up).
     pub up: Option<DVec3>,
 }
 
