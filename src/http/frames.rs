@@ -81,10 +81,12 @@ pub async fn frames(
             .at("poses")
             .accepted(format!("1 to {MAX_POSES} poses")));
     }
+    let longest = app.engine.limits().max_side;
     defaults.check()?;
+    defaults.check_sides(longest)?;
     let poses = request.poses.into_iter().enumerate();
     let poses: Result<Vec<FrameParams>, Problem> =
-        poses.map(|(index, pose)| read_pose(index, pose)).collect();
+        poses.map(|(index, pose)| read_pose(index, pose, longest)).collect();
     let poses = poses?;
     app.engine.scene(&id).map_err(|error| missing(&app, &id, error.into()))?;
     let boundary = boundary();
@@ -98,11 +100,11 @@ pub async fn frames(
     Ok(response)
 }
 
-/// The parameters of pose `index`.
-fn read_pose(index: usize, pose: serde_json::Value) -> Result<FrameParams, Problem> {
+/// The parameters of pose `index`; `longest`: the longest side of a frame, in pixels.
+fn read_pose(index: usize, pose: serde_json::Value, longest: u32) -> Result<FrameParams, Problem> {
     let place = format!("poses[{index}]");
     let params = FrameParams::from_json(pose, &place)?;
-    params.check().map_err(|problem| {
+    params.check().and_then(|()| params.check_sides(longest)).map_err(|problem| {
         let parameter = problem.parameter.clone().unwrap_or_default();
         problem.at(format!("{place}.{parameter}"))
     })?;

@@ -289,7 +289,10 @@ fn splats_and_their_receipt() {
     let daemon = Daemon::start_in(with_splats, &[]);
     let client = daemon.client();
     let points = client.get(&format!("{FRAME}&reconstruct=points"));
-    assert_eq!(points.receipt()["settings"], json!({"lod": "full", "reconstruct": "points"}));
+    assert_eq!(
+        points.receipt()["settings"],
+        json!({"edl": "off", "lod": "full", "reconstruct": "points"})
+    );
     assert_eq!(points.receipt()["splats"]["scattered"], Value::Null);
 
     let splats = client.get(&splats_of("grid", ""));
@@ -299,7 +302,7 @@ fn splats_and_their_receipt() {
     let covered = image.pixels().filter(|pixel| **pixel != background).count();
     assert!(covered > 2000, "only {covered} pixels show the wall, which splats close");
     let receipt = splats.receipt();
-    let defaults = json!({"lod": "full", "reconstruct": "splats", "filter": "perspective", "prefilter": true,
+    let defaults = json!({"edl": "off", "lod": "full", "reconstruct": "splats", "filter": "perspective", "prefilter": true,
         "blend": "weighted", "shading": "deferred", "lowpass_px": 0.5, "cutoff": 2.0, "width": 1.0, "depth_offset": 1.0});
     assert_eq!(receipt["settings"], defaults);
     let drawn = |key: &str| receipt["splats"][key].as_u64().unwrap();
@@ -327,7 +330,7 @@ fn splats_and_their_receipt() {
 
     let fuzzy = FRAME.to_owned() + "&reconstruct=fuzzy";
     let receipt = client.get(&fuzzy).receipt();
-    let expected = json!({"lod": "full", "reconstruct": "fuzzy", "filter": "perspective", "prefilter": true,
+    let expected = json!({"edl": "off", "lod": "full", "reconstruct": "fuzzy", "filter": "perspective", "prefilter": true,
         "shading": "splat", "lowpass_px": 0.5, "cutoff": 2.0, "width": 1.0, "depth_offset": 1.0});
     assert_eq!(receipt["settings"], expected);
     assert_eq!(receipt["splats"]["scattered"], 64 * 64);

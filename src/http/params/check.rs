@@ -1,6 +1,7 @@
 //! Values that a parameter never takes, whatever stands beside it: the contract's schemas, enforced.
 
 use super::{FrameParams, choice};
+use crate::engine::EngineError;
 use crate::http::problem::Problem;
 use crate::math::{FARTHEST, FOV_RANGE_DEG};
 use crate::plan::Wait;
@@ -66,6 +67,17 @@ impl FrameParams {
             return refused("deadline_ms", format!("{ms} is out of range"), accepted);
         }
         self.check_words()
+    }
+
+    /// Refuses sizes beyond the longest side of a frame.
+    pub fn check_sides(&self, longest: u32) -> Result<(), Problem> {
+        for (what, side) in [("pixels in w", self.w), ("pixels in h", self.h)] {
+            if let Some(side) = side.filter(|side| *side > longest) {
+                let (found, limit) = (u64::from(side), u64::from(longest));
+                return Err(EngineError::OverLimit { what, found, limit }.into());
+            }
+        }
+        Ok(())
     }
 
     fn check_words(&self) -> Result<(), Problem> {
