@@ -16,7 +16,7 @@ override WHOLE: bool = false;
 @compute @workgroup_size(1)
 fn launch_portions() {
     begin_view(0u);
-    // See shade for why bounds are no uniforms alone.
+    // See all_lights in shared/phong for why bounds are no uniforms alone.
     let segments = min(frame.segment_count, arrayLength(&dispatches));
     let views = min(frame.views, arrayLength(&portions));
     // What the next turn asks, of all views.

@@ -13,7 +13,7 @@ var<workgroup> partial: array<u32, 64>;
 @compute @workgroup_size(64)
 fn list_groups(@builtin(local_invocation_index) lane: u32) {
     begin_view(0u);
-    // See shade for why the bound is no uniform alone.
+    // See all_lights in shared/phong for why the bound is no uniform alone.
     let count = min(frame.instance_groups, arrayLength(&group_flags));
     let share = (count + 63u) / 64u;
     let first = min(lane * share, count);

@@ -75,7 +75,7 @@ fn scan(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     }
     storageBarrier();
     workgroupBarrier();
-    // See shade for why the bound is no uniform alone.
+    // See all_lights in shared/phong for why the bound is no uniform alone.
     let segment_count = min(sizes.segment_count, arrayLength(&segments));
     for (var s = lane; s < segment_count; s += 64u) {
         let segment = segments[s];

@@ -48,7 +48,7 @@ fn select_chunks(@builtin(global_invocation_id) invocation: vec3<u32>) {
         return;
     }
     let group = instance_groups[listed[1u + rank]];
-    // See shade for why the bound is no uniform alone.
+    // See all_lights in shared/phong for why the bound is no uniform alone.
     let segment_count = min(frame.segment_count, arrayLength(&chosen_first));
     for (var segment = 0u; segment < segment_count; segment++) {
         chosen_first[segment * frame.instance_groups + rank] = 0u;

@@ -1,7 +1,7 @@
 // What a splat has to give to pixels: its colour, lit or not, and its normal.
 //!include shared/output
 override OVERRIDES: bool = true;
-// Colour frames that a shade pass follows: normals are blended too.
+// Pixels are lit, or write_output runs, after the splats are blended: normals are blended too.
 override DEFERRED: bool = true;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
 

@@ -442,7 +442,7 @@ impl Engine {
         Ok(FrameTicket { receiver })
     }
 
-    /// Returns a place in the queue for a client that wants only the newest frame. Seats of the client `of` share the device's
+    /// Returns a place in the queue for a client that wants only the newest frame. Slots of the client `of` share the device's
     /// time.
     pub fn latest_slot(&self, of: Client) -> LatestSlot {
         LatestSlot::new(self, of)

@@ -1,8 +1,9 @@
 //! Picks: which element of which instance a pixel shows, and where that is in the world.
 //!
-//! A pick draws the frame with `output=id` and reads, in place of the image, three words for each pixel: the instance's id, and
-//! from `identify` the chunk and the element in it. So a pick names exactly what the frame shows. Positions come from the host's
-//! copy of that element, in f64: a sample's own position, or the point where the pixel's ray meets the triangle.
+//! A pick draws the frame with `output=id`. Instead of the image, it reads three words for each pixel: the id of the instance, the chunk,
+//! and the element in the chunk. The pass `identify` writes the chunk and the element, so a pick names exactly what the frame shows.
+//! Positions are computed in f64 from the host's copy of the element: a sample's own position, or the point where the pixel's ray meets the
+//! triangle.
 
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
@@ -24,12 +25,12 @@ use crate::residency::model::{AssetModel, ModelInstance, SceneModel};
 use crate::scene::InstancePaths;
 use crate::scene::color::{linear_from_srgb, srgb_from_linear};
 
-/// Pixels of one pick at most.
+/// Largest number of pixels in one pick.
 pub const MOST_PIXELS: usize = 4096;
-/// Words of a pixel, and their bytes.
+/// Number of words that are read back for each pixel.
 const WORDS: usize = 3;
 pub(super) const BYTES: u64 = 4 * WORDS as u64;
-/// In place of a geometry's number: nothing is shown.
+/// Number of the geometry for a pixel that shows nothing.
 const NOTHING: u32 = u32::MAX;
 
 /// What a pixel shows.
@@ -112,8 +113,8 @@ impl Engine {
     /// Queues a frame that tells what some of its pixels show. The [`Picker`] reads the frame that the ticket gives.
     ///
     /// # Errors
-    /// A frame that was not resolved with `output=id`; [`EngineError::Busy`]; a pixel outside the frame; none, or more than
-    /// [`MOST_PIXELS`].
+    /// The frame was not resolved with `output=id`, a pixel lies outside the frame, there are no pixels or more than [`MOST_PIXELS`], or the
+    /// queue is full ([`EngineError::Busy`]).
     pub fn pick(
         &self,
         origin: impl Into<Origin>,
@@ -137,7 +138,7 @@ impl Engine {
     }
 }
 
-/// The request of the frame that a pick draws: its output and format do not matter.
+/// Turns the request of a frame into the request that a pick draws. The output and the format of the given request do not matter.
 pub fn request_of(request: FrameRequest) -> FrameRequest {
     FrameRequest { output: Output::Id, format: ImageFormat::Raw, ..request }
 }
@@ -164,8 +165,8 @@ fn check(request: &FrameRequest, pixels: &[[u32; 2]]) -> Result<(), EngineError>
     Ok(())
 }
 
-/// The words that a pick has read back, each chunk of the table exchanged for a geometry and a chunk of it. Geometries are numbered
-/// asset by asset; `ranges` says where their chunks are.
+/// Converts the words that a pick has read back: an index into the table of chunks becomes a geometry and a chunk of that geometry.
+/// Geometries are numbered asset by asset; `ranges` holds the range of chunks of each.
 pub(super) fn image(count: usize, bytes: &[u8], ranges: &[Range<u32>]) -> FrameImage {
     let words: Vec<u32> = bytemuck::pod_collect_to_vec(bytes);
     let mut id = Vec::with_capacity(count * (WORDS + 1));
@@ -184,10 +185,10 @@ pub(super) fn image(count: usize, bytes: &[u8], ranges: &[Range<u32>]) -> FrameI
 }
 
 impl Picker {
-    /// What the pixels show, in the order in which they were given.
+    /// Returns what the pixels show, in the order in which they were given.
     ///
     /// # Errors
-    /// A frame that is none of this pick.
+    /// The frame belongs to another pick.
     pub fn read(&self, frame: &EncodedFrame) -> Result<Vec<Pick>, EngineError> {
         let words: Vec<u32> = bytemuck::pod_collect_to_vec(&frame.bytes);
         if words.len() != (WORDS + 1) * self.pixels.len() {
@@ -217,7 +218,7 @@ impl Picker {
         let &[id, number, chunk, within] = words else { return None };
         let (asset, geometry) = self.geometry(number)?;
         let instance = instances.get(&id).copied();
-        // Nodes over several instances are no instance's, and lie in the world's own axes.
+        // A node over several instances belongs to none of them; its coordinates are those of the world.
         let world = instance.map_or(DAffine3::IDENTITY, |one| one.world_from_geometry);
         let packed = asset.packed.geometries.get(geometry)?;
         let record = packed.chunks().get(chunk as usize)?;
@@ -256,7 +257,7 @@ impl Picker {
         })
     }
 
-    /// The geometry of a number, asset by asset.
+    /// Returns the asset and the index of the geometry with this number. Geometries are numbered asset by asset.
     fn geometry(&self, number: u32) -> Option<(&AssetModel, usize)> {
         let mut rest = number as usize;
         for asset in &self.model.assets {
@@ -347,8 +348,8 @@ fn triangle(
     })
 }
 
-/// Barycentric coordinates of the point where the ray from the origin along `way` meets a triangle, kept within it: the pixel shows
-/// the triangle, so what lies outside is rounding.
+/// Barycentric coordinates of the point where the ray from the origin along `way` meets a triangle, clamped to the triangle. The pixel
+/// shows the triangle, so a point outside is a rounding error.
 fn shares([a, b, c]: [DVec3; 3], way: DVec3) -> [f64; 3] {
     let volumes = [way.dot(b.cross(c)), way.dot(c.cross(a)), way.dot(a.cross(b))];
     let sign = volumes.iter().sum::<f64>().signum();

@@ -301,7 +301,7 @@ fn cost_key(request: &FrameRequest, settings: &Settings) -> CostKey {
     CostKey { kind: hasher.finish(), pixels: u64::from(*width) * u64::from(*height) }
 }
 
-/// What has to be made of a scene before a request's frame can be drawn.
+/// Returns what a bake has to make before the frame can be drawn; `None` if nothing is missing.
 pub fn goal(loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
     let Settings { lod, reconstruct, wait, .. } = request.settings;
     if lod == Lod::Spt {
@@ -330,7 +330,7 @@ pub fn goal(loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
     lacks.then_some(Goal::Estimates)
 }
 
-/// How samples are drawn where the request leaves that open, once they have everything.
+/// Chooses how samples are drawn where the request leaves it open, as if all normals and kernels were there.
 fn choose_for(loaded: &Loaded, request: &FrameRequest, has_samples: bool, view: &View) -> Choice {
     auto::choose(&grounds(loaded, request, has_samples, view))
 }
@@ -451,7 +451,7 @@ fn receipt_of_view(view: &View) -> CameraReceipt {
     }
 }
 
-/// What a frame's tag depends on, beside the scene, the request and the view.
+/// Inputs of an entity tag besides the scene, the request and the view.
 struct Tagged<'a> {
     settings: &'a Settings,
     auto: Option<&'a Choice>,
@@ -459,8 +459,8 @@ struct Tagged<'a> {
     is_provisional: bool,
 }
 
-/// Hash of all that decides a frame's bytes, quoted as HTTP wants it. That of a provisional frame tells it from all others while it is
-/// being drawn; nobody outside gets to see it.
+/// Returns a hash of all that decides a frame's bytes, in quotes as HTTP requires. The tag of a provisional frame only distinguishes it
+/// from other frames while it is being drawn; no client receives it.
 fn entity_tag(
     loaded: &Loaded,
     request: &FrameRequest,

@@ -24,7 +24,7 @@ pub struct FrameTask {
     pub extent: Extent,
     /// Boxes of splats with a longer side than this are walked by several threads.
     pub small_splat_px: u32,
-    /// What a splat weighs in whole numbers where its kernel is 1.
+    /// Integer weight of a splat where its kernel is 1.
     pub weight_one: f32,
     /// Boxes of triangles with a longer side than this go to the rasteriser.
     pub small_triangle_px: u32,
@@ -34,11 +34,11 @@ pub struct FrameTask {
     pub walk_stride: u32,
     /// Units of 4096 pixels that the boxes of large triangles may cover in all.
     pub large_units_limit: u32,
-    /// What may be wrong by how many pixels, where the scene is one of point trees.
+    /// Largest accepted error in pixels, for scenes of point trees.
     pub max_error_px: f32,
-    /// How splats measure that.
+    /// How that error is measured for splats.
     pub error_mode: ErrorMode,
-    /// What the colours of samples show.
+    /// What the colours of samples represent.
     pub paint: Paint,
     /// Eye-dome lighting, where it is on.
     pub edl: Option<EyeDome>,
@@ -65,7 +65,7 @@ pub fn srgb8(color: [f32; 4]) -> u32 {
     ])
 }
 
-/// What shaders call an output.
+/// Returns the number of an output in shaders.
 pub fn output_number(output: Output) -> u32 {
     match output {
         Output::Color => 0,
@@ -86,7 +86,7 @@ impl FrameTask {
         (deferred && self.plan.lights_pixels) || self.plan.runs(Pass::WriteOutput)
     }
 
-    /// How many of a pixel's sums are in use; without blended splats none is.
+    /// Number of sums in use for each pixel; 0 without blended splats.
     pub fn sums(&self) -> usize {
         match (self.plan.runs(Pass::BlendSplats), self.is_deferred()) {
             (false, _) => 0,
@@ -95,17 +95,17 @@ impl FrameTask {
         }
     }
 
-    /// Whether what is near is drawn first, and then only what it does not hide.
+    /// Whether occlusion culling is on: near chunks are drawn first, and then only chunks that they do not hide.
     pub fn hides(&self) -> bool {
         self.plan.runs(Pass::CullHidden)
     }
 
-    /// By which of a node's measures detail is chosen: sizes where samples are drawn as points.
+    /// Measure of a node that decides its detail: 1, its size, where samples are drawn as points; else 0, its error.
     pub fn measure(&self) -> u32 {
         u32::from(self.splats.is_none())
     }
 
-    /// Whether nodes are drawn by the angle that they are seen at: it says nothing of what is one pixel each.
+    /// Whether the error of a node depends on the angle at which it is seen. Points cover one pixel at any angle, so it never does for them.
     pub fn splits_errors(&self) -> bool {
         self.splats.is_some() && self.error_mode == ErrorMode::Split
     }

@@ -28,7 +28,7 @@ pub struct PassSpan {
     pub span: Option<Span>,
 }
 
-/// What recording needs besides the group.
+/// The GPU objects that recording needs, which all groups share.
 pub struct Context<'a> {
     pub gpu: &'a Gpu,
     pub pipelines: &'a Pipelines,
@@ -56,7 +56,7 @@ pub struct Recorder<'a, 'c> {
 /// The segment that a launch draws, if it draws one.
 pub type Segment = Option<usize>;
 
-/// How many workgroups.
+/// Number of workgroups of a dispatch, or the buffer that holds it.
 #[derive(Clone, Copy)]
 pub enum Launch {
     Direct([u32; 3]),
@@ -85,7 +85,7 @@ pub struct Call<'s> {
     /// The fragments that its shader is made of; threads vote where they can.
     pub choices: Choices,
     pub constants: Constants,
-    /// What it is launched for, one after the other.
+    /// Segments that the pass is launched for, one after the other.
     pub segments: &'s [Segment],
     pub launch: Launch,
 }
@@ -105,7 +105,7 @@ impl<'a, 'c> Recorder<'a, 'c> {
         Self { context, encoder, scene, task, uniforms, pass, stage, segment, spans: Vec::new() }
     }
 
-    /// What a pass is recorded for, one after the other.
+    /// Returns the segments that a pass is recorded for, one after the other; `None` stands for the whole frame.
     pub fn segments_of(&self, per: Per) -> Vec<Segment> {
         match per {
             Per::Frame => vec![None],

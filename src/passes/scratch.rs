@@ -18,9 +18,9 @@ pub struct Scratch {
     pub visibility: buffer::Scratch,
     pub pixels: buffer::Scratch,
     pub normals: buffer::Scratch,
-    /// Of splats, two of 32 bits a pixel each.
+    /// Sums of blended splats: two words of 32 bits for each pixel in each buffer.
     pub sums: [buffer::Scratch; 4],
-    /// Of splats in a single pass, see `shared/slabs`.
+    /// Words of splats that are blended in a single pass; see `shared/slabs`.
     pub layers: buffer::Scratch,
     pub stats: buffer::Scratch,
     pub placed: buffer::Scratch,
@@ -31,13 +31,14 @@ pub struct Scratch {
     pub runs: buffer::Scratch,
     pub dispatches: buffer::Scratch,
     pub large: buffer::Scratch,
-    /// Of frames that look for what is hidden: see `shared/portions` and `shared/pyramid`.
+    /// This buffer and the next four serve occlusion culling; see `shared/portions` and `shared/pyramid`.
     pub depths: buffer::Scratch,
     pub portions: buffer::Scratch,
     pub turns: buffer::Scratch,
     pub turn_slots: buffer::Scratch,
     pub pyramid: buffer::Scratch,
-    /// Of scenes of point trees: which groups of instances are in play, what is chosen of each, and the entries listed from that.
+    /// This buffer and the next six serve scenes of point trees: the groups of instances in play, what each instance has chosen, and
+    /// the entries listed from that.
     pub group_flags: buffer::Scratch,
     pub listed: buffer::Scratch,
     pub chosen: buffer::Scratch,
@@ -66,7 +67,7 @@ pub const LAYERS_BYTES: u64 = 16;
 
 /// Launches of a segment: all of its slots, those that are asked, those whose turn it is to be drawn.
 const PORTION_LAUNCHES: usize = 3;
-/// Of a view's record of depths, and of a segment's of portions; as in `shared/portions`.
+/// Size of a view's record of depths; as in `shared/portions`.
 pub const DEPTHS_BYTES: u64 = 1560 * 4;
 const PORTION_BYTES: u64 = 16;
 /// Large triangles that there is room for at first; a frame with more is drawn again with room enough.

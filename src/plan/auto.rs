@@ -13,14 +13,14 @@ use super::{Lod, Reconstruct};
 const COARSE_PX: f64 = 1.0;
 /// Samples that lie closer together, in pixels, are drawn as points.
 pub const DENSE_PX: f64 = 0.6;
-/// Share of what samples cover that has to be as dense.
+/// Share of the area covered by samples that has to be at least as dense.
 const DENSE_SHARE: f64 = 0.9;
 /// Farther apart, samples cover no more of the picture: strays in an empty sky do not decide how the rest is drawn.
 const SPARSE_PX: f64 = 3.0;
 /// Share of a patch's radius from which its samples are seen at the nearest.
 const NEAREST: f64 = 0.25;
 
-/// What the choice depends on.
+/// Facts that decide the choice.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grounds {
     pub lod: Lod,
@@ -33,7 +33,7 @@ pub struct Grounds {
     pub has_kernels: bool,
 }
 
-/// A choice and what it was made by.
+/// A choice, with the spacing and the reason that led to it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Choice {
     pub reconstruct: Reconstruct,
@@ -106,8 +106,8 @@ pub fn choose(grounds: &Grounds) -> Choice {
     Choice { reconstruct, spacing_px: grounds.spacing_px, reason }
 }
 
-/// How far apart neighbouring samples lie in the image at most, in pixels, in [`DENSE_SHARE`] of what they cover of it. `None` where no
-/// patch is in view.
+/// Returns the spacing of neighbouring samples, in pixels, that [`DENSE_SHARE`] of the area covered by samples does not exceed. `None` if
+/// no patch is in view.
 pub fn spacing_px(patches: &[Patch], view: &View) -> Option<f64> {
     let mut seen: Vec<(f64, f64)> =
         patches.iter().filter_map(|patch| in_view(patch, view)).collect();

@@ -20,7 +20,7 @@ pub use table::{Kind, MANY_CHUNKS, Per, Stage};
 
 use crate::scene::{Blend, Shading, Splats};
 
-/// What a plan depends on in a scene.
+/// Facts about a scene that decide the plans of its frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SceneFacts {
     pub has_samples: bool,
@@ -34,16 +34,16 @@ pub struct SceneFacts {
     pub chunks: u64,
 }
 
-/// Turns in which what is far is asked whether it is hidden; as in the shader.
+/// Number of turns in which distant chunks are tested for occlusion; the shaders have the same number.
 pub const TURNS: u32 = 7;
 
-/// What a plan depends on in the adapter.
+/// Facts about the adapter that decide a plan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AdapterFacts {
     pub atomics_64: bool,
     /// Large triangles go to the rasteriser rather than to a walk in compute.
     pub rasterises: bool,
-    /// What is hidden is drawn as well: for tests and measurements.
+    /// Occlusion culling is off, for tests and measurements.
     pub draws_hidden: bool,
 }
 
@@ -122,7 +122,7 @@ pub struct EyeDome {
     pub radius_px: f32,
 }
 
-/// What a plan depends on in the frame itself.
+/// Facts about a frame that decide its plan.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameFacts {
     pub output: Output,
@@ -148,7 +148,7 @@ pub struct FramePlan {
     pub lights_pixels: bool,
 }
 
-/// Passes that are recorded one after the other, once or for each segment of a kind.
+/// Consecutive passes of one stage, recorded once or for each segment of a kind.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Step {
     pub stage: Stage,
@@ -161,7 +161,7 @@ impl FramePlan {
         self.passes.iter().any(|planned| planned.pass == pass && planned.skipped.is_none())
     }
 
-    /// The same frame, which also tells which element each pixel shows.
+    /// Adds `identify` to the plan, which tells which element each pixel shows.
     #[must_use]
     pub fn with_identities(mut self) -> FramePlan {
         for planned in &mut self.passes {
@@ -172,7 +172,7 @@ impl FramePlan {
         self
     }
 
-    /// What is recorded, in order.
+    /// Returns the steps to record, in order.
     pub fn steps(&self) -> Vec<Step> {
         let turns = if self.runs(Pass::CullHidden) { TURNS } else { 0 };
         let mut steps = Vec::new();
@@ -209,7 +209,7 @@ impl FramePlan {
     }
 }
 
-/// What a pass may be skipped for.
+/// All facts that a reason to skip a pass may ask for.
 struct Facts<'a> {
     scene: &'a SceneFacts,
     frame: &'a FrameFacts,

@@ -97,12 +97,12 @@ pub struct SettingError {
 #[derive(Clone, Debug, PartialEq)]
 enum Accepted {
     Values(String),
-    /// What the setting needs beside it, and the default that would do as well.
+    /// Rules of other settings that the setting needs, and the default, which needs none.
     With(Vec<Rule>, Option<String>),
 }
 
 impl SettingError {
-    /// What would be accepted; `pair` writes a setting with its value in the caller's notation.
+    /// Says in words which values would be accepted. `pair` writes a setting with its value in the caller's notation.
     pub fn accepted(&self, pair: impl Fn(&str, &str) -> String) -> String {
         match &self.accepted {
             Accepted::Values(values) => values.clone(),
@@ -196,10 +196,10 @@ impl SettingKind {
     }
 }
 
-/// Where samples are drawn as splats, or may be.
+/// Samples are drawn as splats, or may be.
 const SPLATS: Rule =
     Rule::new("reconstruct", &["splats", "fuzzy", "auto"], "this setting applies to splats only");
-/// Splats whose passes blend and light them apart.
+/// Samples are drawn with `reconstruct=splats`, or may be, so that `blend` and `shading` apply.
 const PASSES: Rule = Rule::new(
     "reconstruct",
     &["splats", "auto"],

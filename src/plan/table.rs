@@ -6,11 +6,11 @@
 //! 1. the variant of [`super::Pass`];
 //! 2. the kind of the pass: `Compute` has one entry point, named after its file; `Raster` has `vertex` and `fragment`; `Fill` has no
 //!    shader;
-//! 3. the WGSL file below `shaders/`, which is also the path of the recording function below `passes/`;
-//! 4. what the pass's name has behind the file's;
-//! 5. the stages in which it is recorded, the one that it belongs to first;
-//! 6. what it is recorded once for;
-//! 7. the reasons for which a frame does without it. It runs where none holds.
+//! 3. the WGSL file below `shaders/`; the recording function has the same path below `passes/`;
+//! 4. the suffix that the name of the pass adds to the name of the file;
+//! 5. the stages in which it is recorded; the first is the one that it belongs to;
+//! 6. whether it is recorded once a frame, or once for each segment of samples or of triangles ([`Per`]);
+//! 7. the reasons to skip it. The pass runs if none of them holds.
 //!
 //! Buffers are not listed here: a shader declares what it binds, and `passes/bindings.rs` finds the buffer by its name.
 
@@ -63,17 +63,17 @@ pub(crate) use pass_table;
 /// Part of a frame. Stages follow each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// Which chunks are seen, and the map from each to the image.
+    /// Selects the visible chunks, and computes the map from each chunk to the image.
     Select,
-    /// Everything into the visibility buffer. Where hidden chunks are looked for, the stage repeats in turns.
+    /// Draws everything into the visibility buffer. With occlusion culling, the stage repeats in turns.
     Project,
-    /// The ids of what was kept, where 64-bit atomics are missing.
+    /// Writes the ids of the nearest elements, where 64-bit atomics are missing.
     Ids,
-    /// Weighted sums of the splats at the visible surface.
+    /// Adds up the weighted splats at the visible surface.
     Blend,
-    /// Splats that are blended and depth-tested in a single pass.
+    /// Blends and depth-tests splats in a single pass.
     Fuzzy,
-    /// Pixels.
+    /// Computes the pixels.
     Resolve,
 }
 
@@ -82,8 +82,8 @@ impl Stage {
         [Stage::Select, Stage::Project, Stage::Ids, Stage::Blend, Stage::Fuzzy, Stage::Resolve];
 }
 
-/// What a pass is recorded once for. Passes that follow each other and are recorded for each segment of one kind take turns
-/// segment by segment, and share the list of what is too large for one thread.
+/// How often a pass is recorded. Consecutive passes over segments of one kind take turns segment by segment, and share the list of
+/// elements that are too large for one thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Per {
     Frame,
@@ -93,7 +93,7 @@ pub enum Per {
     Triangles,
 }
 
-/// What carries a pass out.
+/// Type of GPU commands that make up a pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     Compute,
@@ -102,13 +102,13 @@ pub enum Kind {
     Fill,
 }
 
-/// Why a frame does without a pass.
+/// A reason to skip a pass.
 pub(super) struct Reason {
     pub text: &'static str,
     pub holds: fn(&Facts) -> bool,
 }
 
-/// From so many chunks on it pays to ask which of them are hidden.
+/// Smallest number of chunks for which occlusion culling pays.
 pub const MANY_CHUNKS: u64 = 128;
 
 macro_rules! reasons {

@@ -92,7 +92,7 @@ impl Settings {
         })
     }
 
-    /// What is drawn where a single pass will not do.
+    /// Returns the settings with splats drawn in three passes, for a frame that a single pass cannot draw.
     pub fn in_three_passes(&self) -> Settings {
         Settings {
             reconstruct: Reconstruct::Splats,
