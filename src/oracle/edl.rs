@@ -1,6 +1,6 @@
 //! Eye-dome lighting (Boucheny 2009, §4), from the depths of a frame's pixels.
 
-use crate::plan::EyeDome;
+use crate::scene::EyeDome;
 
 /// The factor by which the light of pixel (x, y) is reduced; `depth` holds the frame's depths row by row.
 pub fn factor(

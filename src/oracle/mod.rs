@@ -43,8 +43,7 @@ use rayon::prelude::*;
 
 use crate::assets::{Geometry, Material, Texture};
 use crate::math::View;
-use crate::plan::EyeDome;
-use crate::scene::{Light, MaterialSpec, Splats};
+use crate::scene::{EyeDome, Light, MaterialSpec, Splats};
 
 use blend::Blended;
 use prepare::Prepared;

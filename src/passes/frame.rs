@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use super::slabs::Slabs;
 use crate::math::View;
-use crate::plan::{ErrorMode, EyeDome, FramePlan, Output, Paint, Pass};
+use crate::plan::{ErrorMode, FramePlan, Output, Paint, Pass};
 use crate::residency::layout::{GpuFrame, two_floats};
 use crate::residency::model::{Extent, SceneModel};
 use crate::residency::{GROUP, ResidentScene};
-use crate::scene::{Blend, Shading, Splats};
+use crate::scene::{Blend, EyeDome, Shading, Splats};
 
 /// Frames of one scene that are drawn together: the model (resident already), where it is seen from, what is wanted.
 #[derive(Clone)]

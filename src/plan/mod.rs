@@ -18,7 +18,7 @@ pub use settings::{
 pub(crate) use table::pass_table;
 pub use table::{Kind, MANY_CHUNKS, Per, Stage};
 
-use crate::scene::{Blend, Shading, Splats};
+use crate::scene::{Blend, EyeDome, Shading, Splats};
 
 /// Facts about a scene that decide the plans of its frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -112,14 +112,6 @@ impl Pass {
         let mut reasons = self.line().reasons.iter();
         reasons.find(|reason| (reason.holds)(facts)).map(|reason| reason.text)
     }
-}
-
-/// Eye-dome lighting (Boucheny 2009, §4): depths of neighbouring pixels darken what lies behind them.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct EyeDome {
-    pub strength: f32,
-    /// Distance of the neighbours, in pixels.
-    pub radius_px: f32,
 }
 
 /// Facts about a frame that decide its plan.

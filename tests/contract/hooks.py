@@ -98,6 +98,8 @@ def follow_settings(params):
         params["reconstruct"] = "splats"
     if (params.keys() & {"filter", "prefilter"} or params.get("error_mode") == "split") and params.get("reconstruct") == "points":
         params["reconstruct"] = "splats"
+    if params.keys() & {"edl_strength", "edl_radius_px"} and params.get("edl") == "off":
+        params["edl"] = "on"
     if "format" in params and params["format"].replace("jpg", "jpeg") not in FORMATS[params.get("output", "color")]:
         params["format"] = "png"
     if "deadline_ms" in params:

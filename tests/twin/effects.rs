@@ -3,8 +3,8 @@
 use pointillist::accuracy::metrics;
 use pointillist::math::View;
 use pointillist::oracle::{self, OracleScene};
-use pointillist::plan::{Background, Edl, EdlStrength, EyeDome, Pass, Reconstruct, Settings};
-use pointillist::scene::Filter;
+use pointillist::plan::{Background, Edl, EdlStrength, Pass, Reconstruct, Settings};
+use pointillist::scene::{EyeDome, Filter};
 use serde_json::json;
 
 use super::files::Shape;

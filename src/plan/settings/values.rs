@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Given, SettingKind, Settings};
-use crate::plan::{EyeDome, SceneFacts};
-use crate::scene::{Blend, Shading, Splats, color};
+use crate::plan::SceneFacts;
+use crate::scene::{Blend, EyeDome, Shading, Splats, color};
 
 /// What a frame waits for whose samples lack normals or kernels, where it is left open how they are drawn.
 #[derive(
