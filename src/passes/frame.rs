@@ -1,4 +1,4 @@
-//! What one frame is, and its uniform record.
+//! The description of one frame, and its uniform record.
 
 use std::sync::Arc;
 
@@ -18,13 +18,13 @@ pub struct FrameTask {
     pub views: Vec<View>,
     pub output: Output,
     pub plan: FramePlan,
-    /// How samples are drawn, if not as points.
+    /// Settings of splats; `None` draws samples as points.
     pub splats: Option<Splats>,
-    /// Where the scene's samples are and how wide, at full detail.
+    /// Place and width of the scene's samples, at full detail.
     pub extent: Extent,
     /// Boxes of splats with a longer side than this are walked by several threads.
     pub small_splat_px: u32,
-    /// What a splat weighs in whole numbers where its kernel is 1.
+    /// Fixed-point weight of a splat where its kernel is 1.
     pub weight_one: f32,
     /// Boxes of triangles with a longer side than this go to the rasteriser.
     pub small_triangle_px: u32,
@@ -34,11 +34,11 @@ pub struct FrameTask {
     pub walk_stride: u32,
     /// Units of 4096 pixels that the boxes of large triangles may cover in all.
     pub large_units_limit: u32,
-    /// What may be wrong by how many pixels, where the scene is one of point trees.
+    /// Accepted error in pixels, in a scene of point trees.
     pub max_error_px: f32,
-    /// How splats measure that.
+    /// How splats measure the accepted error.
     pub error_mode: ErrorMode,
-    /// What the colours of samples show.
+    /// The quantity that the colours of samples show.
     pub paint: Paint,
     /// Eye-dome lighting, where it is on.
     pub edl: Option<EyeDome>,
@@ -65,7 +65,7 @@ pub fn srgb8(color: [f32; 4]) -> u32 {
     ])
 }
 
-/// What shaders call an output.
+/// Returns the number by which shaders know an output.
 pub fn output_number(output: Output) -> u32 {
     match output {
         Output::Color => 0,
@@ -80,13 +80,13 @@ impl FrameTask {
         self.views.first().map_or((0, 0), |view| (view.width, view.height))
     }
 
-    /// Whether normals and depths of splats are blended beside their colours: pixels are lit afterwards, or an effect needs depths.
+    /// Returns whether splats' normals and depths are blended too: pixels are lit afterwards, or an effect needs depths.
     pub fn is_deferred(&self) -> bool {
         let deferred = self.splats.is_some_and(|splats| splats.shading == Shading::Deferred);
         (deferred && self.plan.lights_pixels) || self.plan.runs(Pass::WriteOutput)
     }
 
-    /// How many of a pixel's sums are in use; without blended splats none is.
+    /// Returns how many of a pixel's sums are in use: none without blended splats.
     pub fn sums(&self) -> usize {
         match (self.plan.runs(Pass::BlendSplats), self.is_deferred()) {
             (false, _) => 0,
@@ -95,7 +95,7 @@ impl FrameTask {
         }
     }
 
-    /// Whether what is near is drawn first, and then only what it does not hide.
+    /// Returns whether occlusion culling is on: near slots are drawn first, then only those that they do not hide.
     pub fn hides(&self) -> bool {
         self.plan.runs(Pass::CullHidden)
     }
@@ -105,7 +105,7 @@ impl FrameTask {
         u32::from(self.splats.is_none())
     }
 
-    /// Whether nodes are drawn by the angle that they are seen at: it says nothing of what is one pixel each.
+    /// Returns whether node errors depend on the viewing angle. They do not where each sample is one pixel.
     pub fn splits_errors(&self) -> bool {
         self.splats.is_some() && self.error_mode == ErrorMode::Split
     }
@@ -119,7 +119,7 @@ impl FrameTask {
         }
     }
 
-    /// How many views there are.
+    /// Returns the number of views.
     pub fn count(&self) -> u32 {
         self.views.len() as u32
     }
