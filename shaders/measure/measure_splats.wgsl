@@ -1,4 +1,4 @@
-// What the passes over splats compute of single splats, for `pointillist accuracy --stability`: a thread each.
+// Records the values that the splat passes compute for single splats, for `pointillist accuracy --stability`. One thread a splat.
 //!include shared/frame
 //!include shared/scene
 //!include shared/splat
@@ -21,7 +21,7 @@ struct Probe {
     v: vec3<f32>,
     focal_px: vec2<f32>,
     principal_px: vec2<f32>,
-    // Where kernel coordinates are asked for.
+    // Image positions at which the kernel coordinates are evaluated.
     points_px: array<vec2<f32>, POINTS>,
 }
 

@@ -1,4 +1,4 @@
-// One pixel a sample: a workgroup takes a slot's chunk, its threads take turns at its samples.
+// Draws each sample as one pixel. A workgroup takes a slot's chunk, and its threads take turns at the samples.
 //!include shared/frame
 //!include shared/scene
 //!include shared/octahedral
@@ -17,7 +17,7 @@
 @group(2) @binding(2) var<uniform> segment: SegmentUse;
 //!include PORTION
 
-// Where a sample is in the image.
+// A sample's position in the image.
 struct Place {
     image: vec2<f32>,
     z: f32,
@@ -64,7 +64,7 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
     var looked_at = 0u;
     let size = vec2<f32>(frame.size_px);
     let width = frame.size_px.x;
-    // Most nodes are not drawn: those that are, of up to 32, are gathered before anything dear is done for them.
+    // Most nodes are not drawn. The drawn ones among up to 32 are gathered before any expensive work is done for them.
     let block = select(count, 32u * LANES, TREE);
     var start = lane;
     while start < count {

@@ -1,4 +1,4 @@
-// Visibility of splats, first of three passes (Zwicker et al. 2004, §6): the nearest surface, a little behind itself.
+// Visibility of splats, first of three passes (Zwicker et al. 2004, §6): the nearest surface, shifted slightly backwards.
 //!include shared/frame
 //!include shared/scene
 //!include shared/octahedral

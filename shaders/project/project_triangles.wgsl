@@ -1,6 +1,6 @@
-// Triangles of a few pixels: a thread takes one and walks its box. Coverage is decided in fixed point (1/256 pixel,
-// top-left rule), so that triangles that share an edge share every pixel's verdict; larger ones and those that meet the
-// camera plane are listed for the rasteriser, which snaps to the same grid.
+// Draws triangles of a few pixels: a thread takes one triangle and walks its box. Coverage is decided in fixed point
+// (1/256 pixel, top-left rule), so that triangles that share an edge agree about every pixel. Larger triangles and those that
+// meet the camera plane are listed for the rasteriser, which snaps to the same grid.
 //!include shared/frame
 //!include shared/scene
 //!include VISIBILITY
@@ -35,11 +35,11 @@ fn list_triangle(id: u32, bounds: ImageBounds) {
     }
 }
 
-// On lavapipe all loops of a thread, and of those that go with it, share 65535 rounds, and what comes after is never done: a
-// triangle for which there are none left is listed.
+// On lavapipe all loops of a thread and of its vector share 65535 rounds; code after the last round never runs. A triangle
+// is listed when no rounds are left for it.
 const ROUNDS: u32 = 60000u;
 
-// Returns the rounds that the walk took at most. A CPU's vector of threads takes every way together: what is dear stands once.
+// Returns an upper bound of the walk's rounds. A CPU's vector of threads executes both branches, so expensive code stands once.
 fn triangle(slot_index: u32, at: Placed, chunk: Chunk, one_sided: f32, index: u32, rounds: u32) -> u32 {
     let id = (slot_index << SLOT_SHIFT) | index;
     let corners = corner_words(chunk.first + index, chunk.vertex_first);
@@ -48,14 +48,14 @@ fn triangle(slot_index: u32, at: Placed, chunk: Chunk, one_sided: f32, index: u3
     let c = vertex_camera(at, corners.z);
     let bounds = image_bounds(a, b, c);
     let size = vec2<f32>(frame.size_px);
-    // Not all behind the eye, nor seen from behind (the normal points away from the eye), nor beside the image.
+    // Rejects triangles wholly behind the eye, seen from behind (the normal points away from the eye) or beside the image.
     let seen = max(a.z, max(b.z, c.z)) > NEAREST
         && !(one_sided * facing(a, b, c) > 0.0)
         && !any(bounds.most < vec2<f32>(-1.0)) && !any(bounds.least > size + vec2<f32>(1.0));
     let pa = snap(image_position(a));
     var pb = snap(image_position(b));
     var pc = snap(image_position(c));
-    // First and last pixel whose centre the box may hold.
+    // First and last pixel whose centre the box may contain.
     let snapped_least = min(pa, min(pb, pc));
     let snapped_most = max(pa, max(pb, pc));
     let low = max((snapped_least + vec2<i32>(127)) >> vec2<u32>(8u), vec2<i32>(0));
@@ -66,7 +66,7 @@ fn triangle(slot_index: u32, at: Placed, chunk: Chunk, one_sided: f32, index: u3
     let small = bounds.snaps && max(box.x, box.y) <= frame.small_triangle_px * 256;
     let pixels = vec2<u32>(high - low + vec2<i32>(1));
     let wanted = select(0u, pixels.x * pixels.y, seen && small && holds);
-    // Of the search and of what it finds.
+    // Rounds of the search and of the pixels that it finds.
     let most = most_of_lanes(wanted, longest * longest) + 2u;
     let walks = rounds + most <= ROUNDS;
     if seen && select(!bounds.snaps || holds, holds && !walks, small) {
@@ -74,7 +74,7 @@ fn triangle(slot_index: u32, at: Placed, chunk: Chunk, one_sided: f32, index: u3
     }
     let ab0 = pb - pa;
     let ac0 = pc - pa;
-    // Beyond the walk's size this overflows, and is not asked.
+    // Boxes larger than the walk's limit overflow here; their result is not used.
     let area = ab0.x * ac0.y - ab0.y * ac0.x;
     if area < 0 {
         let swap = pb;

@@ -1,5 +1,5 @@
-// Triangles that are large or meet the camera plane, through the adapter's rasteriser and clipper, into the same
-// visibility buffer. Depth is not interpolated but taken from the triangle's plane, as in the compute walk.
+// Draws triangles that are large or meet the camera plane with the adapter's rasteriser and clipper, into the shared
+// visibility buffer. Depth is not interpolated but computed from the triangle's plane, as in the compute walk.
 //!include shared/frame
 //!include shared/scene
 //!include VISIBILITY
@@ -34,12 +34,12 @@ fn corner_positions(id: u32) -> array<vec3<f32>, 3> {
 @vertex
 fn vertex(@builtin(vertex_index) index: u32) -> Corner {
     begin_view(0u);
-    // All corners in one place: nothing is covered.
+    // All corners coincide, so nothing is covered.
     let nowhere = Corner(vec4<f32>(0.0, 0.0, 0.0, 1.0), 0u, 0u);
     if !list_is_whole(stats[STAT_LARGE_LONGEST]) {
         return nowhere;
     }
-    // All views have one size: the draw's viewport is right for each, and its attachment is nobody's.
+    // All views have one size, so the draw's viewport suits each of them; the attachment is not used.
     let entry = LIST_HEAD + index / 3u * LIST_ENTRY;
     let id = large[entry];
     let view = list_view(large[entry + 1u]);
@@ -63,7 +63,7 @@ fn vertex(@builtin(vertex_index) index: u32) -> Corner {
     if near > NEAREST {
         let pixel = image_position(camera);
         if all(abs(pixel) < vec2<f32>(GUARD_PX)) {
-            // Already snapped: the rasteriser finds the same corner as the compute walk.
+            // The corner is already snapped: the rasteriser gets the corner that the compute walk uses.
             let snapped = round(pixel * 256.0) / 256.0;
             clip = vec4<f32>((2.0 * snapped / size - vec2<f32>(1.0)) * vec2<f32>(1.0, -1.0), 0.5, 1.0);
         }

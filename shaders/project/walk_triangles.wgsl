@@ -1,5 +1,5 @@
-// Triangles that are large or meet the camera plane, for adapters whose rasteriser is slower than this: a CPU's. Eight
-// threads, a CPU's vector, take a triangle in a band of the image and walk their columns of its box.
+// Draws triangles that are large or meet the camera plane, on adapters whose rasteriser is slower than this pass (CPUs). Eight
+// threads, one CPU vector, take a triangle in a band of the image and walk the columns of its box there.
 //
 // Coverage is decided in 64-bit integers on the grid of project_triangles. A triangle that meets the camera plane has
 // no corners to snap: there a pixel's ray is tested against the planes through the eye and each edge (Olano & Greer
@@ -77,7 +77,7 @@ fn walk_snapped(s: Surface, box: Box, lane: i32) {
     }
 }
 
-// A product and what rounding took from it (Dekker), halves of 12 bits each.
+// Returns a product and its rounding error (Dekker), from halves of 12 bits each.
 fn exact_product(x: f32, y: f32) -> vec2<f32> {
     let xh = bitcast<f32>(bitcast<u32>(x) & 0xfffff000u);
     let yh = bitcast<f32>(bitcast<u32>(y) & 0xfffff000u);
@@ -87,7 +87,7 @@ fn exact_product(x: f32, y: f32) -> vec2<f32> {
     return vec2<f32>(product, ((xh * yh - product) + (xh * yl + xl * yh)) + xl * yl);
 }
 
-// p · q − r · s without cancellation; swapping the two products only turns its sign.
+// Computes p · q − r · s without cancellation; swapping the two products only changes the sign.
 fn difference(p: f32, q: f32, r: f32, s: f32) -> f32 {
     let first = exact_product(p, q);
     let second = exact_product(r, s);
@@ -105,7 +105,7 @@ fn edge_plane(p: vec3<f32>, q: vec3<f32>) -> vec3<f32> {
     return n / select(most, 1.0, most < 1e-37);
 }
 
-// Rays in the plane of an edge belong to one of its two triangles: the same for both.
+// Rays in the plane of an edge belong to exactly one of the two triangles that share the edge.
 fn owns(n: vec3<f32>) -> bool {
     return n.x > 0.0 || (n.x == 0.0 && n.y > 0.0);
 }

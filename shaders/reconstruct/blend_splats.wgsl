@@ -15,7 +15,7 @@
 //!include LIT
 //!include shared/scatter
 
-// What is counted, project_splats has counted.
+// project_splats has already counted these samples.
 const COUNTS: bool = false;
 const NARROW: bool = false;
 

@@ -1,4 +1,4 @@
-// The same of large splats, and of those that reach the camera plane.
+// Blends large splats and splats that reach the camera plane in a single pass, as fuzzy_splats does for small ones.
 //!include shared/frame
 //!include shared/scene
 //!include shared/octahedral

@@ -1,5 +1,5 @@
-// Which chunk each pixel shows, and which element of the chunk plus one: the numbers of slots mean nothing after the frame.
-// Pixels that show nothing keep zeros.
+// Writes the chunk that each pixel shows and the element's index in that chunk plus one; slot numbers mean nothing after
+// the frame. Pixels that show nothing keep zeros.
 //!include shared/frame
 //!include shared/scene
 //!include VOTE

@@ -1,11 +1,11 @@
-// Colours of pixels that show splats blended in a single pass: the nearest slab, with the one behind it.
+// Colours of pixels that show splats blended in a single pass: the nearest slab combined with the slab behind it.
 //!include shared/frame
 //!include shared/scene
 //!include shared/kept
 //!include shared/resolve
 //!include shared/slabs
 
-// Even slab, then odd one; lower half, then upper.
+// Each pixel holds the even slab, then the odd slab; of each, the lower half, then the upper half.
 @group(0) @binding(5) var<storage, read> layers: array<vec4<u32>>;
 
 // Red, green, blue and weight.
@@ -15,11 +15,11 @@ fn sums_of(word: vec2<u32>) -> vec4<f32> {
     return vec4<f32>(color / vec3<f32>(RED_GREEN_STEPS, RED_GREEN_STEPS, BLUE_STEPS), f32(weights_of(word.y)));
 }
 
-// Of both slabs, if they lie side by side and show the same side of a surface, else of the nearer one.
+// Adds both slabs if they are adjacent and show one side of a surface; otherwise returns the nearer slab alone.
 fn both_slabs(words: vec4<u32>) -> vec4<f32> {
     let even = SLAB_NEAREST - tag_of(words.y);
     let odd = SLAB_NEAREST - tag_of(words.w);
-    // Slabs 2n and 2n + 1 have the same number among their kinds.
+    // Slabs 2n and 2n + 1 have the same number among the even and the odd slabs.
     let even_first = (even >> 1u) <= (odd >> 1u);
     let apart = select((even >> 1u) - (odd >> 1u) - 1u, (odd >> 1u) - (even >> 1u), even_first);
     let nearer = select(words.zw, words.xy, even_first);
@@ -48,7 +48,7 @@ fn resolve_fuzzy(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
         if column.mine {
             let sums = both_slabs(words);
             pixels[column.pixel] = color_word(sums.rgb / max(sums.a, 1.0));
-            // What triangles have there lies behind.
+            // The triangle at this pixel lies behind the splats.
             visibility[column.pixel] = vec2<u32>(0u);
             resolved++;
         }

@@ -1,4 +1,4 @@
-// Attributes of the pixels that show a sample of one page.
+// Writes the attributes of the pixels that show a sample of one page.
 //!include shared/frame
 //!include shared/scene
 //!include shared/normals
@@ -52,7 +52,7 @@ fn resolve_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
     var column = column_begin(group, lane);
     var resolved = 0u;
     resolve_load(&column, begin, count);
-    // Runs of a chunk are short here: keeping what they have in common costs more than it saves.
+    // Runs of one chunk are short here: caching their common values costs more than it saves.
     loop {
         resolve_seek(&column, begin, count);
         if column_ends(column) {

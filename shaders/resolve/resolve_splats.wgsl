@@ -1,4 +1,4 @@
-// Normalisation, last of three passes (Zwicker et al. 2004, §6): the sums of pixels that show splats, divided by their weights.
+// Normalisation, last of three passes (Zwicker et al. 2004, §6): divides the sums of pixels that show splats by their weights.
 //!include shared/frame
 //!include shared/scene
 //!include shared/normals
@@ -10,12 +10,12 @@
 @group(0) @binding(7) var<storage, read> sums_2: array<vec2<u32>>;
 @group(0) @binding(8) var<storage, read> sums_3: array<vec2<u32>>;
 
-// Normals and depths were blended: pixels are lit, or need both for something else. Otherwise splats were lit, or there are no lights.
+// Normals and depths were blended, for lighting here or for another use. Otherwise splats were lit singly or there are no lights.
 override DEFERRED: bool = true;
-// What looks everywhere is lit as a ball.
+// Surfaces without a preferred direction are lit as balls.
 override BALLS: bool = false;
 
-// What rounding leaves of normals that are not known.
+// Largest squared length that rounding leaves of unknown normals.
 const LEAST_NORMAL: f32 = 1e-4;
 
 fn is_ball(sums: vec3<u32>, inverse_weight: f32) -> bool {
@@ -66,7 +66,7 @@ fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
 @compute @workgroup_size(64)
 fn resolve_splats(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     begin_view(group.z);
-    // Slots of samples come first.
+    // Slots of samples precede all others.
     let last = runs[frame.first_run + max(frame.sample_segments, 1u) - 1u];
     let count = select(0u, last.first_slot + last.count, frame.sample_segments != 0u);
     var column = column_begin(group, lane);

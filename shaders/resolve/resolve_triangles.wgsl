@@ -1,4 +1,4 @@
-// Attributes of the pixels that show a triangle of one page: interpolated perspective-correctly at the pixel's centre.
+// Writes the attributes of the pixels that show a triangle of one page, perspective-correctly interpolated at the pixel's centre.
 //!include shared/frame
 //!include shared/scene
 //!include shared/mesh
@@ -12,7 +12,7 @@
 @group(1) @binding(7) var<storage, read> texels_1: array<u32>;
 @group(2) @binding(3) var<storage, read> placed: array<Placed>;
 
-// What the triangles of a slot have in common.
+// Values that the triangles of a slot have in common.
 struct Shown {
     slot: u32,
     first: u32,
@@ -23,7 +23,7 @@ struct Shown {
     id: u32,
 }
 
-// One of them: positions as interpolation needs them, and attributes of the first corner with what the others differ.
+// One triangle: positions as interpolation needs them, and the first corner's attributes with the differences of the others.
 struct Corners {
     form: Barycentric,
     color: array<vec3<f32>, 3>,
@@ -155,7 +155,7 @@ fn resolve_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_inv
             shown = shown_slot(slot_of(column.word));
         }
         loop {
-            // Of a pixel that shows nothing: no id of a triangle.
+            // A pixel that shows nothing has no triangle id.
             let id = select(0u, column.word.x, column.mine);
             var corners: Corners;
             if column.mine && (OUTPUT == OUTPUT_COLOR || OUTPUT == OUTPUT_NORMAL) {

@@ -1,4 +1,4 @@
-// The output of kept surfaces: effects that look at neighbouring pixels, light, and the pixel's word.
+// Writes the output from kept surfaces: applies effects that read neighbouring pixels, then light, then encodes the pixel.
 //!include shared/frame
 //!include shared/scene
 //!include VOTE
@@ -9,7 +9,7 @@
 //!include shared/output
 //!include shared/light
 //!include shared/edl
-// Some instance overrides its asset's materials.
+// At least one instance overrides its asset's materials.
 override OVERRIDES: bool = true;
 
 @group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;

@@ -1,4 +1,4 @@
-// Visible entries → slots, each with the affine map that takes its samples to the image.
+// Turns visible entries into slots, each with the affine map from its samples to the image.
 //!include shared/frame
 //!include shared/scene
 //!include shared/frustum
@@ -21,7 +21,7 @@
 @group(2) @binding(11) var<storage, read_write> turns: array<u32>;
 @group(2) @binding(12) var<storage, read_write> turn_slots: array<vec2<u32>>;
 
-// What is hidden by what is nearer is looked for.
+// Occlusion culling is on.
 override HIDES: bool = false;
 // Samples are drawn wherever they are.
 override UNASKED: bool = false;
@@ -50,9 +50,9 @@ fn sample_slot(chunk: Chunk, at: Placed, box: Box) -> Slot {
     return slot;
 }
 
-// Lists a slot with what is drawn first, or with what is asked later.
+// Lists a slot for the first draw, or for a later turn of the occlusion test.
 fn list_turn(group: u32, slot: u32, bin: u32, is_near: bool) {
-    // The segment that the group is in.
+    // Finds the segment of the group.
     var low = 0u;
     var high = frame.segment_count;
     while low + 1u < high {
@@ -94,7 +94,7 @@ fn compact(@builtin(global_invocation_id) invocation: vec3<u32>) {
     let at = placed[frame.first_instance + entry.instance];
     let box = grid_box(at, chunk.origin, chunk.extent);
     let own = group_counts[frame.first_group + index / GROUP] + rank;
-    // Of what may be hidden, who asks that counts it.
+    // The pass that tests a slot for occlusion counts its samples.
     var counted = chunk.count;
     if HIDES {
         let bin = depth_bin(box_bounds(box).near);

@@ -1,5 +1,5 @@
-// Which entries (chunk × instance) meet the view frustum, and of point trees the accepted error. The rank of a visible entry within
-// its workgroup and each workgroup's count are kept for the scan, so that the list of slots has the same order in every run.
+// Tests which entries (chunk × instance) meet the view frustum and, for point trees, the accepted error. The pass keeps each
+// visible entry's rank within its workgroup and each workgroup's count for the scan, so that the slot order is deterministic.
 //!include shared/frame
 //!include shared/scene
 //!include shared/frustum
@@ -13,13 +13,13 @@
 @group(2) @binding(3) var<storage, read_write> depths: array<atomic<u32>>;
 @group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
 
-// What is hidden by what is nearer is looked for.
+// Occlusion culling is on.
 override HIDES: bool = false;
 
 const NOT_VISIBLE: u32 = 0xffffffffu;
 const NO_INSTANCE: u32 = 0xffffffffu;
 
-// How far splats reach beyond their centres; 0 for points and triangles.
+// Distance that splats extend beyond their centres; 0 for points and triangles.
 fn reach_of(chunk: Chunk, scale: f32) -> f32 {
     if chunk.shift == TRIANGLES {
         return 0.0;
@@ -34,7 +34,7 @@ fn is_wanted(chunk: Chunk, box: Box, scale: f32, radius: f32) -> bool {
         && box_is_seen(box.centre, box.x, box.y, box.z, radius, frame.splat_cutoff * frame.splat_lowpass_px);
 }
 
-// Extends the bounds of all that may be drawn.
+// Extends the bounds of everything that may be drawn.
 fn note_bounds(least: vec2<f32>, most: vec2<f32>) {
     let size = vec2<f32>(frame.size_px);
     let begin = vec2<u32>(clamp(floor(least), vec2<f32>(0.0), size));
@@ -45,22 +45,22 @@ fn note_bounds(least: vec2<f32>, most: vec2<f32>) {
     atomicMax(&stats[frame.view].drawn_end[1], end.y);
 }
 
-// Adds a chunk to what begins at its depth.
+// Adds a chunk's image cover to the bin of its nearest depth.
 fn note_depth(box: Box, index: u32) {
     let bounds = box_bounds(box);
-    // Fractions of a part count as often as they add up to one.
+    // A dither from the index rounds fractions of a part, so that many chunks sum to about the exact cover.
     let parts = u32(cover_of(bounds) * f32(COVER_ONE) + fract(f32(index & 0xffffu) * 0.618034));
     if parts > 0u {
         let at = frame.view * DEPTHS_WORDS + depth_bin(bounds.near);
         let rows = vec2<u32>(clamp(vec2<f32>(bounds.least.y, bounds.most.y), vec2<f32>(0.0), vec2<f32>(f32(frame.size_px.y))));
         atomicAdd(&depths[at], parts);
-        // From the last row, so that nothing is 0.
+        // Rows are counted from the last one, so that no value is 0.
         atomicMax(&depths[at + DEPTH_TOPS], frame.size_px.y - rows.x);
         atomicMax(&depths[at + DEPTH_BOTTOMS], rows.y);
     }
 }
 
-// One thread a group of entries: no barrier, which costs more than the work on a CPU adapter.
+// One thread takes a group of entries: that needs no barrier, which costs more than the work on a CPU adapter.
 const GROUP: u32 = 32u;
 
 @compute @workgroup_size(32)
@@ -71,7 +71,7 @@ fn cull(@builtin(global_invocation_id) invocation: vec3<u32>) {
     if first >= entry_count() {
         return;
     }
-    // A splat fills a pixel at least.
+    // A splat fills at least one pixel.
     let filter_px = select(0.0, max(frame.splat_cutoff * frame.splat_lowpass_px, 1.0), frame.splat_width > 0.0);
     var walk = walk_from(first);
     var rank = 0u;

@@ -1,5 +1,5 @@
-// Of a scene of point trees: which groups of instances may show anything of their own. The others are beside the frustum, or so far
-// away that nodes of the tree above them stand for all of it.
+// Tests, in a scene of point trees, which groups of instances may show nodes of their own. The other groups lie beside the
+// frustum, or so far away that nodes of the tree above stand for all of them.
 //!include shared/frame
 //!include shared/scene
 //!include shared/frustum

@@ -1,5 +1,5 @@
-// Which of the far slots whose turn it is lie wholly behind what has been drawn: a thread goes through a few and asks for each of their
-// parts. The others are listed, with the parts that are not hidden.
+// Occlusion test of the far slots in this turn: a thread takes several slots and tests each of their parts against what has
+// been drawn. Visible slots are listed with the parts that are not hidden.
 //!include shared/frame
 //!include shared/scene
 //!include shared/frustum
@@ -10,7 +10,7 @@
 
 @group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
-// Of each chunk's sixteen parts, the corners of the box in parts of 255 of the chunk's, and how much shorter kernel axes are.
+// For each of a chunk's sixteen parts: its box's corners in 1/255 of the chunk's box, and how much shorter its kernel axes are.
 @group(1) @binding(3) var<storage, read> parts: array<array<vec2<u32>, 16>>;
 @group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
@@ -25,14 +25,14 @@
 
 // Samples count themselves as they are tested.
 override COUNTS_SAMPLES: bool = false;
-// Asked are those that have been drawn.
+// Tests slots that have already been drawn.
 override AGAIN: bool = false;
 // Samples are drawn as splats.
 override SPLATS: bool = false;
 
-// Tiles, or blocks, that are looked at in each direction at most.
+// Largest number of tiles, or of blocks, that are read in each direction.
 const MOST_ACROSS: u32 = 6u;
-// Pixels, where it is no more.
+// Boxes up to this many pixels are tested pixel by pixel.
 const MOST_PIXELS: u32 = 8u;
 
 // Whether every pixel within bounds shows something nearer.
@@ -46,7 +46,7 @@ fn is_hidden(bounds: BoxBounds) -> bool {
     }
     let low = vec2<u32>(clamp(bounds.least, vec2<f32>(0.0), size - vec2<f32>(1.0)));
     let high = vec2<u32>(clamp(bounds.most, vec2<f32>(0.0), size - vec2<f32>(1.0)));
-    // Rounding of 1/z, here and where it was written.
+    // Allows for rounding of 1/z, here and where it was written.
     let nearest = bitcast<u32>(1.00001 / bounds.near);
     let by_pixels = all(high - low < vec2<u32>(MOST_PIXELS));
     let by_tiles = all(high / TILE_PX - low / TILE_PX < vec2<u32>(MOST_ACROSS));
@@ -81,23 +81,23 @@ fn is_hidden(bounds: BoxBounds) -> bool {
     return true;
 }
 
-// The longest kernel axis of a part, in parts of its chunk's.
+// The longest kernel axis of a part, as a fraction of the chunk's.
 fn longest_of(words: vec2<u32>) -> f32 {
     return exp2((1.0 - 8.0 * f32(words.x >> 24u)) * 0.0078125);
 }
 
-// A corner of a part's box in its chunk's, from 0 to 1.
+// A corner of a part's box, as a fraction of the chunk's box from 0 to 1.
 fn corner_of(word: u32) -> vec3<f32> {
     return vec3<f32>(vec3<u32>(word, word >> 8u, word >> 16u) & vec3<u32>(255u)) / 255.0;
 }
 
-// Of a slot's parts those that are not hidden.
+// Returns the parts of a slot that are not hidden.
 fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
     let at = placed[frame.first_instance + slot.instance];
     let whole = grid_box(at, chunk.origin, chunk.extent);
     let is_splats = SPLATS && chunk.shift != TRIANGLES;
     let reach = select(0.0, splat_reach(chunk, stretch(at)), is_splats);
-    // A splat fills a pixel at least.
+    // A splat fills at least one pixel.
     let filter_px = select(0.0, max(frame.splat_cutoff * frame.splat_lowpass_px, 1.0), is_splats);
     let widened = Box(whole.centre, whole.x, whole.y, whole.z, whole.slack + reach);
     var left = select((chunk.count + PART - 1u) / PART, 0u, is_hidden(drawn_bounds(widened, filter_px)));
@@ -107,7 +107,7 @@ fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
         let words = parts[slot.chunk][left];
         let low = corner_of(words.x);
         let high = corner_of(words.y);
-        // From the chunk's middle, in half its edges.
+        // Measured from the chunk's middle, in units of half its edges.
         let middle = low + high - vec3<f32>(1.0);
         let size = high - low;
         let part = Box(
@@ -124,7 +124,7 @@ fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
     return shown;
 }
 
-// Lists a slot with what is drawn in this turn if any of it is shown.
+// Lists a slot for drawing in this turn if any part of it is visible.
 fn ask(run: Run, slot_index: u32) {
     let slot = slots[frame.first_slot + slot_index];
     let chunk = chunks[slot.chunk];
@@ -144,7 +144,7 @@ fn ask(run: Run, slot_index: u32) {
     turn_slots[frame.first_slot + run.first_slot + place] = vec2<u32>(slot_index, shown);
 }
 
-// Takes from a slot that has been drawn what turned out to be hidden by what was drawn later.
+// Removes from a drawn slot the parts that later draws have hidden.
 fn ask_again(at: u32) {
     let word = turn_slots[at];
     let slot = slots[frame.first_slot + word.x];
@@ -172,7 +172,7 @@ fn cull_hidden(@builtin(global_invocation_id) invocation: vec3<u32>) {
     var index = (invocation.x + invocation.y * DISPATCH_ROW * 64u) * ASKED_EACH;
     let stop = min(index + ASKED_EACH, far);
     loop {
-        // On to the next whose turn it is, before anything dear is done: see shared/resolve.
+        // Seeks the next slot of this turn before any expensive work is done: see shared/resolve.
         var word = NO_TURN;
         loop {
             if index >= stop {

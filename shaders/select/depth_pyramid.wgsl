@@ -1,4 +1,4 @@
-// The hierarchical depth buffer of what has been drawn so far (Greene, Kass & Miller 1993). A thread takes a block.
+// Builds the hierarchical depth buffer of the image drawn so far (Greene, Kass & Miller 1993). One thread takes one block.
 //!include shared/frame
 //!include shared/scene
 //!include shared/pyramid
@@ -16,16 +16,16 @@ fn depth_pyramid(@builtin(global_invocation_id) invocation: vec3<u32>) {
     }
     let block = vec2<u32>(index % blocks.x, index / blocks.x);
     let record = block_record(block);
-    // Numbers that are not negative sort as their bits do.
+    // Non-negative floats sort as their bits do.
     var whole = 0xffffffffu;
     for (var tile = 0u; tile < BLOCK_TILES * BLOCK_TILES; tile++) {
         let corner = block * BLOCK_PX + vec2<u32>(tile % BLOCK_TILES, tile / BLOCK_TILES) * TILE_PX;
         var least = 0xffffffffu;
         for (var k = 0u; k < TILE_PX * TILE_PX; k++) {
-            // Beyond the image its last row and column go on.
+            // The last row and column repeat beyond the image.
             let at = min(corner + vec2<u32>(k % TILE_PX, k / TILE_PX), frame.size_px - vec2<u32>(1u));
             least = min(least, visibility[frame.first_pixel + at.y * frame.size_px.x + at.x].y);
-            // Nothing is less than a pixel that shows nothing.
+            // A pixel that shows nothing has the lowest value.
             if least == 0u {
                 break;
             }

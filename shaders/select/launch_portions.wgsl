@@ -1,5 +1,5 @@
-// Whose turn it is: what was listed since the last. How the passes are launched that draw these slots and ask far ones: enough for the view
-// with the most.
+// Starts the next turn with the slots listed since the last turn, and sizes the indirect dispatches that draw these slots
+// and test far ones. Each dispatch is large enough for the view with the most slots.
 //!include shared/frame
 //!include shared/scene
 //!include shared/portions
@@ -10,7 +10,7 @@
 @group(2) @binding(1) var<storage, read_write> dispatches: array<Dispatch>;
 @group(2) @binding(2) var<storage, read_write> depths: array<u32>;
 
-// All that was listed is drawn in one turn, or asked again.
+// All listed slots are drawn in one turn, or tested again.
 override WHOLE: bool = false;
 
 @compute @workgroup_size(1)
@@ -19,7 +19,7 @@ fn launch_portions() {
     // See all_lights in shared/phong for why bounds are no uniforms alone.
     let segments = min(frame.segment_count, arrayLength(&dispatches));
     let views = min(frame.views, arrayLength(&portions));
-    // What the next turn asks, of all views.
+    // Number of slots that the next turn tests, over all views.
     var next = 0u;
     for (var view = 0u; view < views && !WHOLE; view++) {
         let record = view * DEPTHS_WORDS;

@@ -1,5 +1,5 @@
-// Where the chosen chunks of each group of instances begin in the list of entries, segment by segment, and the launches over that
-// list. One workgroup.
+// Computes where the chosen chunks of each group of instances begin in the list of entries, segment by segment, and sizes
+// the dispatches over that list. One workgroup.
 //!include shared/frame
 //!include shared/scene
 //!include shared/chosen
@@ -12,7 +12,7 @@
 @group(2) @binding(3) var<storage, read_write> sizes: Sizes;
 @group(2) @binding(4) var<storage, read_write> dispatches: array<Dispatch>;
 
-// Pages that a scene's assets lie in, at most.
+// Largest number of pages that hold a scene's assets.
 const MOST_SEGMENTS: u32 = 32u;
 const GROUP: u32 = 32u;
 
@@ -26,7 +26,7 @@ fn list_entries(@builtin(local_invocation_index) lane: u32) {
     let first = min(lane * share, count);
     let end = min(first + share, count);
     let segment_count = min(frame.segment_count, arrayLength(&segments));
-    // The same for all threads.
+    // The value is uniform over all threads.
     var begin = 0u;
     for (var segment = 0u; segment < MOST_SEGMENTS; segment++) {
         if segment >= segment_count {
@@ -35,7 +35,7 @@ fn list_entries(@builtin(local_invocation_index) lane: u32) {
         let row = segment * frame.instance_groups;
         var sum = 0u;
         for (var i = first; i < end; i++) {
-            // Too much in any case; it must not wrap.
+            // Such a sum is too large in any case; the minimum keeps it from wrapping.
             sum = min(sum + min(chosen_first[row + i], 1u << 24u), 1u << 24u);
         }
         partial[lane] = sum;
@@ -56,7 +56,7 @@ fn list_entries(@builtin(local_invocation_index) lane: u32) {
         if lane == 0u {
             segments[segment] = Segment(begin / GROUP, padded);
         }
-        // Likewise: there are up to 32 of them.
+        // The minimum prevents wrapping here as well: there are up to 32 segments.
         begin = min(padded * GROUP, 1u << 26u);
     }
     if lane == 0u {

@@ -1,4 +1,4 @@
-// The groups of instances that may show anything, in order, and the launches over them. One workgroup.
+// Lists in order the groups of instances that may show anything, and sizes the dispatches over them. One workgroup.
 //!include shared/frame
 //!include shared/scene
 //!include shared/chosen
@@ -36,7 +36,7 @@ fn list_groups(@builtin(local_invocation_index) lane: u32) {
     }
     if lane == 63u {
         listed[0] = running;
-        // Behind the segments' own.
+        // These launches follow those of the segments.
         let launches = arrayLength(&dispatches) - LOD_LAUNCHES;
         set_launch(launches + LAUNCH_PLACE, (running * INSTANCE_GROUP + 63u) / 64u, 1u);
         set_launch(launches + LAUNCH_SELECT, (running + 63u) / 64u, 1u);

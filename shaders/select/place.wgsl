@@ -1,9 +1,9 @@
-// Each instance as this frame's eye sees it.
+// Places each instance relative to this frame's eye.
 //
-// The eye may be 1e7 units from the world's origin and a millimetre from the surface. So a grid point near the eye, the
-// anchor, is chosen for each instance, and its camera-space position is summed from terms that are exact in f32
-// (two-float origins; anchors with at most 12 significant bits times axes split into two halves) with an error-free
-// addition. What the other passes add to it are small integers.
+// The eye may be 1e7 units from the world's origin and a millimetre from the surface. The pass therefore chooses a grid point
+// near the eye, the anchor, for each instance. It sums the anchor's camera-space position with an error-free addition, from
+// terms that are exact in f32: two-float origins, and anchors with at most 12 significant bits times axes split into two
+// halves. The other passes only add small integers to that position.
 //!include shared/frame
 //!include shared/scene
 //!include MEMBERS
@@ -12,14 +12,14 @@
 @group(2) @binding(0) var<storage, read_write> placed: array<Placed>;
 @group(2) @binding(1) var<storage, read_write> seen: array<u32>;
 
-// A running sum and what rounding took from it (Knuth's two-sum).
+// A running sum and its rounding error (Knuth's two-sum).
 struct Sum {
     head: vec3<f32>,
     tail: vec3<f32>,
 }
 
-// Compilers may take floats for real numbers and cancel what the sum is made of (Mesa does): not through this. No frame
-// is 2^31 pixels wide, so that the bits stay as they are.
+// Hides a value from compilers that treat floats as real numbers and would cancel the error term (Mesa does). No frame
+// is 2^31 pixels wide, so the bits stay unchanged.
 fn opaque(v: vec3<f32>) -> vec3<f32> {
     return bitcast<vec3<f32>>(bitcast<vec3<u32>>(v) ^ vec3<u32>(frame.size_px.x >> 31u));
 }
@@ -50,14 +50,14 @@ fn place(@builtin(global_invocation_id) invocation: vec3<u32>) {
     offset = add(offset, -frame.eye_lo.xyz);
     let from_eye = offset.head + offset.tail;
 
-    // Where the eye is on the grid, kept inside the asset and cut to 12 significant bits.
+    // The eye's position on the grid, clamped to the asset and cut to 12 significant bits.
     let eye_grid = -vec3<f32>(
         dot(instance.inverse_x.xyz, from_eye),
         dot(instance.inverse_y.xyz, from_eye),
         dot(instance.inverse_z.xyz, from_eye),
     );
     let cell = max(instance.reach / 2048.0, 1.0);
-    // Not a number where products overflowed: any anchor is right for what is that far away.
+    // NaN where products overflowed: at that distance any anchor will do.
     let known = select(vec3<f32>(0.0), eye_grid, eye_grid == eye_grid);
     let inside = clamp(known, vec3<f32>(-instance.reach), vec3<f32>(instance.reach));
     let anchor = vec3<i32>(upper(round(inside / cell) * cell));
@@ -77,7 +77,7 @@ fn place(@builtin(global_invocation_id) invocation: vec3<u32>) {
     out.axis_x = vec4<f32>(camera_from_world(axis_x), 0.0);
     out.axis_y = vec4<f32>(camera_from_world(axis_y), 0.0);
     out.axis_z = vec4<f32>(camera_from_world(axis_z), 0.0);
-    // What cannot be told counts as within.
+    // NaN counts as within the reach.
     let outside = any(abs(known) > vec3<f32>(instance.reach + 1.0)) && all(eye_grid == eye_grid);
     out.position = vec4<f32>(camera_from_world(offset.head + offset.tail), f32(outside));
     out.anchor = vec4<i32>(anchor, 0);

@@ -1,5 +1,5 @@
-// Exclusive prefix sum of the groups' counts, in one workgroup a view; each segment's run of visible slots, and an
-// indirect dispatch that is enough for the longest run among the views.
+// Computes the exclusive prefix sum of the groups' counts, in one workgroup a view, then each segment's run of visible slots
+// and an indirect dispatch large enough for the longest run among the views.
 //!include shared/frame
 //!include shared/scene
 
@@ -13,12 +13,12 @@
 @group(2) @binding(2) var<storage, read_write> runs: array<Run>;
 @group(2) @binding(5) var<storage, read_write> depths: array<u32>;
 
-// What is hidden by what is nearer is looked for.
+// Occlusion culling is on.
 override HIDES: bool = false;
-// Near is what covers the rows that it is in so often.
+// Slots are near until they cover the rows that they occupy this many times.
 const NEAR_LAYERS: f32 = 2.0;
 
-// How often what begins in a part of an octave of depth covers the rows that it is in.
+// How many times the slots of one depth bin cover the rows that they occupy.
 fn layers_of(at: u32) -> f32 {
     let rows = max(depths[at + DEPTH_TOPS] + depths[at + DEPTH_BOTTOMS], frame.size_px.y + 1u) - frame.size_px.y;
     return f32(depths[at]) / f32(COVER_ONE) * f32(frame.size_px.y) / f32(rows);
@@ -39,7 +39,7 @@ fn scan(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         var bin = 0u;
         layers = 0.0;
         for (var turn = 0u; turn < TURNS; turn++) {
-            // Later turns hold more: much of what is far is hidden.
+            // Later turns hold more slots, because much of the far scene is hidden.
             let share = f32(turn) / f32(TURNS);
             let end = NEAR_LAYERS + behind * share * share;
             while bin < DEPTH_BINS && layers < end {

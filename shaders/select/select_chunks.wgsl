@@ -1,5 +1,5 @@
-// How many chunks of each listed instance may have nodes that are drawn: the prefix of its sequence (Dachsbacher et al. 2003, §3.7),
-// found by binary search, page by page. A thread takes a group of instances.
+// Counts the chunks of each listed instance that may have nodes to draw: a prefix of its sequence (Dachsbacher et al. 2003,
+// §3.7), found by binary search, page by page. One thread takes a group of instances.
 //!include shared/frame
 //!include shared/scene
 //!include shared/frustum
@@ -23,7 +23,7 @@ fn parent_of(chunk: u32) -> f32 {
     return select(chunks[chunk].error_parent, chunks[chunk].size_parent, MEASURE == 1u);
 }
 
-// Chunks at the front of a run whose nodes' parents may be too coarse.
+// Number of chunks at the front of a run whose nodes' parents may be too coarse.
 fn prefix(piece: ChunkRun, scale: f32, near: f32, far: f32) -> u32 {
     let delta = scale * chunks[piece.first].delta_most + DEPTH_SLACK * far;
     let limit = accepted(near - delta, far + delta);

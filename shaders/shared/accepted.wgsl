@@ -5,13 +5,13 @@ fn accepted(z: f32, far: f32) -> f32 {
     return frame.lod_scale * near * (near / max(far, NEAREST));
 }
 
-// What f32 may lose of a place in camera space, in parts of its distance.
+// Relative error that f32 may add to a position in camera space, as a fraction of its distance.
 const DEPTH_SLACK: f32 = 4e-6;
 
 // In the split error mode: the least part of a node's error that is seen of it, from wherever.
 const SIDEWAYS: f32 = 0.5;
 
-// Pixels beside the image that what is drawn may reach into it from.
+// Distance in pixels from which a node beside the image may still reach into it.
 fn lod_margin() -> f32 {
     return frame.lod_scale * max(frame.focal_px.x, frame.focal_px.y) + frame.splat_cutoff * frame.splat_lowpass_px;
 }

@@ -28,7 +28,7 @@ fn barycentric_weights(form: Barycentric, ray: vec3<f32>) -> Weights {
     let raw = vec2<f32>(dot(form.b, ray), dot(form.c, ray)) * inverse;
     let per_x = vec2<f32>(form.b.x, form.c.x) - raw * form.all.x;
     let per_y = vec2<f32>(form.b.y, form.c.y) - raw * form.all.y;
-    // The centre may lie outside by what snapping moved the corners.
+    // Snapping may have moved the corners so that the pixel's centre lies outside.
     var w = clamp(raw, vec2<f32>(0.0), vec2<f32>(1.0));
     w /= max(w.x + w.y, 1.0);
     return Weights(w.x, w.y, per_x * inverse / frame.focal_px.x, per_y * inverse / frame.focal_px.y);

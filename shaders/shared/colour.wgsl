@@ -12,7 +12,7 @@ fn linear_from_srgb(c: vec3<f32>) -> vec3<f32> {
     return select(high, low, c <= vec3<f32>(0.04045));
 }
 
-// In powers of the fourth root.
+// The polynomial is in powers of the fourth root.
 fn srgb_from_linear(c: vec3<f32>) -> vec3<f32> {
     let clamped = clamp(c, vec3<f32>(0.0), vec3<f32>(1.0));
     let low = clamped * 12.92;

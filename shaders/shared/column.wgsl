@@ -10,7 +10,7 @@ const TILE: vec2<u32> = vec2<u32>(64u, 16u);
 struct Column {
     at: vec2<u32>,
     pixel: u32,
-    // One row below what may be drawn of the tile.
+    // One row below the last row of the tile that may be drawn.
     bottom: u32,
     // The tile may be wider than what may be drawn.
     inside: bool,
@@ -20,7 +20,7 @@ struct Column {
 }
 
 fn column_begin(group: vec3<u32>, lane: u32) -> Column {
-    // Where nothing may be drawn, a tile costs no more than this.
+    // An empty tile costs no more than this check.
     let before = vec2<u32>(atomicLoad(&stats[frame.view].drawn_before[0]), atomicLoad(&stats[frame.view].drawn_before[1]));
     let end = vec2<u32>(atomicLoad(&stats[frame.view].drawn_end[0]), atomicLoad(&stats[frame.view].drawn_end[1]));
     let begin = frame.size_px - before;

@@ -4,7 +4,7 @@ const EDL_NEIGHBOURS: u32 = 8u;
 // How steeply light falls with the ratio's logarithm; as in Potree, so that strengths mean the same.
 const EDL_STEEPNESS: f32 = 300.0;
 
-// What is left of a pixel's light.
+// Returns the fraction of a pixel's light that remains.
 fn eye_dome(at: vec2<u32>, inverse_depth: f32) -> f32 {
     let diagonal = 0.70710678 * frame.edl_radius_px;
     let own = log2(inverse_depth);

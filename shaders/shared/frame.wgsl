@@ -1,4 +1,4 @@
-// What is the same for every invocation of one view. Camera space: x right, y down, z forward, the eye at the origin.
+// Values that are uniform over all invocations of one view. Camera space: x right, y down, z forward, the eye at the origin.
 struct Frame {
     // Rows of camera_from_world; w is unused.
     right: vec4<f32>,
@@ -32,7 +32,7 @@ struct Frame {
     sample_segments: u32,
     // Longest side in pixels of a splat's box that one thread walks.
     small_splat_px: i32,
-    // What a splat weighs in whole numbers where its kernel is 1.
+    // Fixed-point weight of a splat where its kernel is 1.
     weight_one: f32,
     // Where kernels end in standard deviations; standard deviation of the low-pass filter; what kernels' axes are multiplied
     // by; how far behind a surface splats count, in its splats' radii. All 0 where samples are drawn as points.
@@ -47,15 +47,15 @@ struct Frame {
     slab_meet: f32,
     slab_meet_log2: f32,
     slab_per_octave: f32,
-    // Of point trees: what may be accepted at depth 1 on the optical axis.
+    // Point trees: the accepted error at depth 1 on the optical axis.
     lod_scale: f32,
-    // Entries that there is room for.
+    // Capacity of the list of entries.
     entry_capacity: u32,
-    // Groups of instances.
+    // Number of groups of instances.
     instance_groups: u32,
-    // Segments of the scene.
+    // Number of segments of the scene.
     segment_count: u32,
-    // Of eye-dome lighting: its strength, and how far the neighbours lie that a pixel is compared with.
+    // Eye-dome lighting: its strength, and the distance of the neighbours that a pixel is compared with.
     edl_strength: f32,
     edl_radius_px: f32,
 }

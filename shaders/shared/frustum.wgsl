@@ -1,7 +1,7 @@
-// Boxes in camera space: where they are, and whether they lie beside the view frustum.
+// Boxes in camera space: their bounds, and the test against the view frustum.
 //!include shared/stretch
 
-// Of the terms' magnitude: what f32 may lose while they are summed.
+// Relative error that f32 may add while terms are summed, as a fraction of their magnitude.
 const SLACK: f32 = 4e-6;
 
 // Half edges of a box in camera space, and its middle.
@@ -14,7 +14,7 @@ struct Box {
     slack: f32,
 }
 
-// Of a chunk.
+// The box of a chunk.
 fn grid_box(at: Placed, origin: vec3<i32>, extent: vec3<f32>) -> Box {
     let half = extent * 0.5;
     let x = at.axis_x.xyz * half.x;
@@ -30,12 +30,12 @@ fn box_far(box: Box) -> f32 {
     return length(box.centre) + length(box.x) + length(box.y) + length(box.z);
 }
 
-// Half of what it takes up in depth.
+// Half of the box's extent in depth.
 fn box_deep(box: Box) -> f32 {
     return abs(box.x.z) + abs(box.y.z) + abs(box.z.z);
 }
 
-// Where a box is: nearest depth, and its bounds in the image in pixels. Of boxes that surround the eye, 0 and everything.
+// Bounds of a box: nearest depth, and the rectangle in the image in pixels. Boxes that surround the eye get 0 and everything.
 struct BoxBounds {
     near: f32,
     least: vec2<f32>,

@@ -1,3 +1,3 @@
-// Threads that take a chunk of samples. Each loads what the chunk's samples have in common: on CPU adapters that is a scalar access
-// each, and few threads are better.
+// Number of threads that take a chunk of samples. Each thread loads the chunk's common values; on CPU adapters each such
+// load is a scalar access, so that fewer threads are faster.
 override LANES: u32 = 64u;

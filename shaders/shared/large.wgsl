@@ -1,4 +1,4 @@
-// The list of what is too large for one thread: triangles or splats. What fills it and what draws it must agree.
+// The list of triangles or splats that are too large for one thread. The passes that fill it and draw it share this file.
 
 // Words of the indirect draw that stands before the list of large triangles, and of each entry: id, then what
 // list_word packs.
@@ -21,12 +21,12 @@ fn list_view(word: u32) -> u32 {
     return word >> (2u * ROW_BITS);
 }
 
-// Whether the list is whole.
+// Returns whether the list is complete.
 fn list_is_whole(longest: u32) -> bool {
     return longest <= frame.large_capacity;
 }
 
-// Whether a view's part of it is no dearer than a frame may be.
+// Returns whether a view's part of the list stays within the frame's cost limit.
 fn may_draw(units: u32, wrapped: u32) -> bool {
     return units <= frame.large_units_limit && wrapped == 0u;
 }

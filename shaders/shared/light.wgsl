@@ -1,7 +1,7 @@
 // Light of a resolved surface.
 //!include shared/phong
 
-// Some material is unlit, shines or is overridden: pixels have to ask theirs.
+// Some material is unlit, shines or is overridden, so pixels have to look up theirs.
 override MATERIALS: bool = true;
 
 // sRGB8 of a surface under all lights; `at`: its pixel.

@@ -8,7 +8,7 @@ fn entry_count() -> u32 {
     return sizes.group_count * 32u;
 }
 
-// Who draws nodes counts those that it has looked at.
+// The pass that draws nodes counts those that it has tested.
 const COUNTS_SAMPLES: bool = false;
 // The order of the first nodes is that of their parents' errors.
 const LISTS_SORTED: bool = true;

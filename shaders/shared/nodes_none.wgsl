@@ -1,4 +1,4 @@
-// Samples of an asset as it is: all are drawn.
+// Samples of an asset without a point tree: all are drawn.
 //!include shared/stretch
 @group(1) @binding(1) var<storage, read> kernels: array<u32>;
 

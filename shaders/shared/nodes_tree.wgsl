@@ -9,7 +9,7 @@ override MEASURE: u32 = 0u;
 // Errors are those of the angle that a node is seen at; src/bake/tree/tilt.rs says how, and has the same numbers.
 override SPLIT: bool = false;
 
-// Of each node its kernel, then its two words.
+// For each node its kernel, then its two words.
 @group(1) @binding(1) var<storage, read> kernels: array<u32>;
 
 const CODE_BITS: u32 = 11u;
@@ -50,7 +50,7 @@ fn cone_sine(sample: u32) -> f32 {
     return select(f32(code * code) / 48.0, 2.0, code == 7u);
 }
 
-// Of a code, in units of its base.
+// The value of a code, in units of its base.
 fn code_value(code: u32) -> f32 {
     return select(exp2(f32(code) * -0.015625), 0.0, code == NO_CODE);
 }
@@ -106,7 +106,7 @@ fn mixed(value: u32) -> u32 {
     return x ^ (x >> 16u);
 }
 
-// Of an instance, wherever in memory it is, so that copies are not thinned alike.
+// The key is independent of the instance's place in memory, and differs between copies so that they are not thinned alike.
 fn instance_key(instance: u32) -> u32 {
     let place = bitcast<vec3<u32>>(instances[instance].origin_hi);
     return mixed(mixed(mixed(place.x ^ instances[instance].id) ^ place.y) ^ place.z);

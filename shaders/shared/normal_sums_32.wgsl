@@ -1,4 +1,4 @@
-// As normal_sums_64, where 64-bit atomics are absent.
+// Sums of normals and depths for adapters without 64-bit atomics; see normal_sums_64.
 @group(0) @binding(7) var<storage, read_write> sums_2: array<atomic<u32>>;
 @group(0) @binding(8) var<storage, read_write> sums_3: array<atomic<u32>>;
 

@@ -14,7 +14,7 @@ struct Light {
 }
 
 @group(1) @binding(9) var<storage, read> lights: array<Light>;
-// The first of them once more: uniforms at fixed places are read once for a whole vector of threads.
+// The first lights once more: uniforms at fixed places are read once for a whole vector of threads.
 @group(1) @binding(10) var<uniform> few_lights: array<Light, 4>;
 
 // Some material reflects specularly.
@@ -24,7 +24,7 @@ override POINT_LIGHTS: bool = true;
 // How many lights there are, if `few_lights` has them all, or 0.
 override FEW_LIGHTS: u32 = 0u;
 
-// The light's direction from the surface, and how much of it arrives.
+// Returns the light's direction from the surface, and the fraction of the light that arrives.
 fn arriving(light: Light, from_eye: vec3<f32>, to_eye: vec3<f32>) -> vec4<f32> {
     let sun = vec4<f32>(-light.place_hi.xyz, 1.0);
     let head = vec4<f32>(to_eye, 1.0);

@@ -7,9 +7,9 @@
 //!include shared/octahedral
 //!include shared/output
 //!include FINISH
-// Some instance overrides its asset's materials.
+// At least one instance overrides its asset's materials.
 override OVERRIDES: bool = true;
-// Some material has a texture.
+// At least one material has a texture.
 override TEXTURES: bool = true;
 
 @group(0) @binding(1) var<storage, read_write> visibility: array<vec2<u32>>;
@@ -35,7 +35,7 @@ fn resolve_next(column: ptr<function, Column>, begin: u32, count: u32) {
     resolve_load(column, begin, count);
 }
 
-// Past rows in which no thread has a pixel of the segment.
+// Skips rows in which no thread has a pixel of the segment.
 fn resolve_seek(column: ptr<function, Column>, begin: u32, count: u32) {
     loop {
         if column_ends(*column) || any_lane((*column).mine) {

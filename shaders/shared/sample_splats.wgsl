@@ -1,4 +1,4 @@
-// What passes over a page of samples share: a slot's samples as splats.
+// Reads a slot's samples as splats; shared by the passes over a page of samples.
 //!include NODES
 @group(1) @binding(0) var<storage, read> positions: array<vec2<u32>>;
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
@@ -6,7 +6,7 @@
 @group(1) @binding(6) var<storage, read> attributes: array<vec2<u32>>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
 
-// What the samples of a slot have in common.
+// Values that the samples of a slot have in common.
 struct SplatSlot {
     index: u32,
     row_x: vec4<f32>,
@@ -15,12 +15,12 @@ struct SplatSlot {
     first: u32,
     instance: u32,
     kernel_base: f32,
-    // Of point trees: the base of the nodes' codes in camera space.
+    // Point trees: the base of the nodes' codes in camera space.
     unit: f32,
     // Nodes whose parents have this code or a larger one are not drawn; codes do not decrease.
     limit: u32,
     sorted: bool,
-    // Of the instance.
+    // Key of the instance.
     key: u32,
     // Backs are never seen.
     one_sided: bool,
@@ -93,7 +93,7 @@ fn splat_centre(slot: SplatSlot, sample: u32) -> vec3<f32> {
     );
 }
 
-// Without a normal: a disk that faces the eye.
+// A sample without a normal is a disk that faces the eye.
 fn facing_axes(slot: SplatSlot, p: vec3<f32>, axes: Tangents) -> Tangents {
     let towards = camera_vector(p);
     let most = max(abs(towards.x), max(abs(towards.y), abs(towards.z)));

@@ -1,4 +1,4 @@
-//! What one frame is, and its uniform record.
+//! The description of one frame, and its uniform record.
 
 use std::sync::Arc;
 
@@ -18,9 +18,9 @@ pub struct FrameTask {
     pub views: Vec<View>,
     pub output: Output,
     pub plan: FramePlan,
-    /// How samples are drawn, if not as points.
+    /// Settings of splats; `None` draws samples as points.
     pub splats: Option<Splats>,
-    /// Where the scene's samples are and how wide, at full detail.
+    /// Place and width of the scene's samples, at full detail.
     pub extent: Extent,
     /// Boxes of splats with a longer side than this are walked by several threads.
     pub small_splat_px: u32,
@@ -80,7 +80,7 @@ impl FrameTask {
         self.views.first().map_or((0, 0), |view| (view.width, view.height))
     }
 
-    /// Whether normals and depths of splats are blended beside their colours: pixels are lit afterwards, or an effect needs depths.
+    /// Returns whether splats' normals and depths are blended too: pixels are lit afterwards, or an effect needs depths.
     pub fn is_deferred(&self) -> bool {
         let deferred = self.splats.is_some_and(|splats| splats.shading == Shading::Deferred);
         (deferred && self.plan.lights_pixels) || self.plan.runs(Pass::WriteOutput)
@@ -119,7 +119,7 @@ impl FrameTask {
         }
     }
 
-    /// How many views there are.
+    /// Returns the number of views.
     pub fn count(&self) -> u32 {
         self.views.len() as u32
     }

@@ -7,7 +7,7 @@
 //!
 //! A visibility buffer filled by 64-bit atomics in compute draws points an order of magnitude faster than a rasteriser
 //! (Schütz, Kerbl, Wimmer 2021, "Rendering point clouds with compute shaders"); triangles of a few pixels go the same way.
-//! Where 64-bit atomics are absent, two passes over 32-bit words decide first the depth, then the id.
+//! Without 64-bit atomics, two passes over 32-bit words decide first the depth, then the id.
 
 mod bindings;
 mod frame;
