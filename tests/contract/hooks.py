@@ -106,12 +106,12 @@ def follow_settings(params):
         params["deadline_ms"] = 60_000
 
 
-def follow_frame(params):
+def follow_frame(params, is_query=True):
     for name in [name for name, value in params.items() if value is None]:
         del params[name]
     follow_pose(params)
-    # Either a name or numbers; only lists by themselves are written with commas.
-    if isinstance(params.get("up"), list):
+    # Either a name or numbers; only lists by themselves are written with commas in a query.
+    if is_query and isinstance(params.get("up"), list):
         params["up"] = ",".join(map(str, params["up"]))
     follow_settings(params)
 
@@ -199,7 +199,9 @@ def map_case(context, case):
         if label.startswith("DELETE") and case.path_parameters.get("id") in ("grid", "1"):
             case.path_parameters["id"] = "999999999"
         # Only that scene names a path and cameras; an upload makes scenes without them.
-        names = {name for part in (case.query, case.body) if isinstance(part, dict) for name in part}
+        parts = [part for part in (case.query, case.body) if isinstance(part, dict)]
+        poses = [pose for part in parts for pose in part.get("poses") or [] if isinstance(pose, dict)]
+        names = {name for part in parts + poses for name in part}
         if "/mjpeg" in label or names & {"path", "camera"}:
             if "id" in (case.path_parameters or {}) and label.split()[1].startswith("/v1/scenes"):
                 case.path_parameters["id"] = "grid"
@@ -237,7 +239,7 @@ def map_case(context, case):
         if label == "POST /v1/jobs":
             follow_job(case.body)
         elif label == "POST /v1/scenes/{id}/pick":
-            follow_frame(case.body)
+            follow_frame(case.body, is_query=False)
             shrink(case.body)
             if "pixels" in case.body:
                 case.body["pixels"] = [[0, 0] for _ in case.body["pixels"]]
