@@ -3,25 +3,31 @@
 const EDL_NEIGHBOURS: u32 = 8u;
 // How steeply light falls with the ratio's logarithm; as in Potree, so that strengths mean the same.
 const EDL_STEEPNESS: f32 = 300.0;
+// A neighbour counts by at most this (log2 of the ratio, 0.7 % of the distance): outlines stay a shade and do not turn black where the
+// step is deep.
+const EDL_MOST: f32 = 0.01;
 
 // Returns the fraction of a pixel's light that remains.
 fn eye_dome(at: vec2<u32>, inverse_depth: f32) -> f32 {
     let diagonal = 0.70710678 * frame.edl_radius_px;
     let own = log2(inverse_depth);
     var before = 0.0;
+    var least = EDL_MOST;
     for (var k = 0u; k < EDL_NEIGHBOURS; k++) {
         let axis = vec2<f32>(select(0.0, 1.0, (k & 1u) == 0u), select(1.0, 0.0, (k & 1u) == 0u)) * frame.edl_radius_px;
         let slanted = vec2<f32>(1.0, select(1.0, -1.0, (k & 1u) == 0u)) * diagonal;
         let side = select(1.0, -1.0, (k & 2u) != 0u);
         let offset = side * select(slanted, axis, k < 4u);
+        var nearer = 0.0;
         let place = vec2<i32>(at) + vec2<i32>(round(offset));
         if all(place >= vec2<i32>(0)) && all(place < vec2<i32>(frame.size_px)) {
             let neighbour = bitcast<f32>(visibility[frame.first_pixel + u32(place.y) * frame.size_px.x + u32(place.x)].y);
             // Nothing stands where the background is.
-            if neighbour > inverse_depth {
-                before += log2(neighbour) - own;
-            }
+            nearer = select(0.0, log2(neighbour) - own, neighbour > inverse_depth);
         }
+        before += min(nearer, EDL_MOST);
+        least = min(least, nearer);
     }
-    return exp(-EDL_STEEPNESS * frame.edl_strength * before / f32(EDL_NEIGHBOURS));
+    // All neighbours of a gap between samples stand before it. What they have in common does not darken it.
+    return exp(-EDL_STEEPNESS * frame.edl_strength * (before / f32(EDL_NEIGHBOURS) - least));
 }

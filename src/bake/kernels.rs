@@ -13,12 +13,14 @@
 //!    largest of [`DIRECTIONS`], and a little more for what lies between them, is the kernel's reach.
 //! 3. At the border of a cloud a cell is open. A sample whose neighbours lie to one side takes, of every two opposite
 //!    directions, the shorter extent; one whose neighbours lie all in one direction is a stray.
-//!
 //! 4. Where neighbours lie on no surface, a tangent plane means little. A sample whose sixth neighbour is [`ISOLATED`] times as
 //!    far as its neighbours' own sixth neighbours is a stray, too: an echo in the air, alone or one of up to six. A small group
 //!    far from all others is a group of strays, whatever these others are: any three groups lie on a plane. In a volume, such as
 //!    a tree, and along a wire, kernels are circles that reach three quarters of the way to the nearest few. The less flat a
 //!    neighbourhood is, the less its kernel may exceed the cloud's median.
+//!
+//! 5. What lies within a volume may look flat by chance. Where more than half of a cloud's neighbourhoods are not flat, no kernel
+//!    exceeds what the median neighbourhood allows.
 //!
 //! Neighbours are the same that normals and radii come from, found in one search.
 //!
@@ -361,7 +363,10 @@ impl Bounds {
         let lengths: Vec<f32> = fits.iter().map(|fit| longest_axis(&fit.kernel)).collect();
         let median = median_of(&lengths).unwrap_or(LONE);
         // Between these, squares of lengths are ordinary numbers.
-        let most = (median * LARGEST).clamp(TINY, f32::MAX.sqrt() * 1e-3);
+        let allowed: Vec<f32> =
+            fits.iter().map(|fit| fit.most).filter(|most| *most > 0.0).collect();
+        let allowed = median_of(&allowed).unwrap_or(LARGEST);
+        let most = (median * allowed).clamp(TINY, f32::MAX.sqrt() * 1e-3);
         let least = (median * SMALLEST).clamp(TINY, most);
         let median = median.clamp(least, most);
         let grouped = fits.iter().filter(|fit| fit.is_grouped).count();

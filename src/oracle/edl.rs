@@ -2,6 +2,9 @@
 
 use crate::scene::EyeDome;
 
+/// A neighbour counts by at most this base-2 logarithm of the ratio of distances.
+const MOST: f64 = 0.01;
+
 /// The factor by which the light of pixel (x, y) is reduced; `depth` holds the frame's depths row by row.
 pub fn factor(
     edl: &EyeDome,
@@ -20,12 +23,14 @@ pub fn factor(
             |from: usize, offset: f64| from.checked_add_signed((radius * offset).round() as isize);
         (at(x, cosine), at(y, sine))
     });
-    let before = neighbours.filter_map(|(x, y)| {
-        let (x, y) = (x.filter(|&x| x < width)?, y.filter(|&y| y < height)?);
-        let neighbour = depth[y * width + x];
-        (neighbour < own).then(|| (own / neighbour).log2())
-    });
-    (-300.0 * f64::from(edl.strength) * before.sum::<f64>() / 8.0).exp()
+    let before =
+        neighbours.map(|(x, y)| match (x.filter(|&x| x < width), y.filter(|&y| y < height)) {
+            (Some(x), Some(y)) => (own / depth[y * width + x]).log2().clamp(0.0, MOST),
+            _ => 0.0,
+        });
+    // All neighbours of a gap between samples stand before it. What they have in common does not darken it.
+    let (sum, least) = before.fold((0.0, MOST), |(sum, least), one| (sum + one, one.min(least)));
+    (-300.0 * f64::from(edl.strength) * (sum / 8.0 - least)).exp()
 }
 
 #[cfg(test)]
@@ -35,14 +40,27 @@ mod tests {
     #[test]
     fn pixels_behind_an_edge_are_dark_and_others_are_not() {
         let edl = EyeDome { strength: 1.0, radius_px: 1.0 };
-        let (near, far) = (1.0, 1.01);
+        let (near, far) = (1.0, 1.005);
         let depth = [near, far, far, far, f64::INFINITY, far];
         let of = |x| factor(&edl, &depth, (6, 1), (x, 0));
         assert_eq!([of(0), of(2), of(3), of(4), of(5)], [1.0; 5]);
-        // One of eight neighbours stands 1 % before it.
-        let expected = (-300.0 * 1.01f64.log2() / 8.0).exp();
-        assert!((of(1) - expected).abs() < 1e-12 && expected < 0.6);
+        // One of eight neighbours stands 0.5 % before it.
+        let expected = (-300.0 * 1.005f64.log2() / 8.0).exp();
+        assert!((of(1) - expected).abs() < 1e-12 && expected < 0.8);
         let twice = EyeDome { strength: 2.0, ..edl };
         assert!((factor(&twice, &depth, (6, 1), (1, 0)) - expected * expected).abs() < 1e-12);
+    }
+
+    #[test]
+    fn gaps_between_samples_are_no_darker_than_their_surroundings() {
+        let edl = EyeDome { strength: 0.5, radius_px: 1.0 };
+        let mut depth = [1.0; 25];
+        depth[12] = 2.0;
+        assert_eq!(factor(&edl, &depth, (5, 5), (2, 2)), 1.0);
+        // A groove of one pixel's width is darkened by six neighbours, each by as much as counts.
+        depth[7] = 2.0;
+        depth[17] = 2.0;
+        let groove = factor(&edl, &depth, (5, 5), (2, 2));
+        assert!((groove - (-150.0 * 6.0 * MOST / 8.0f64).exp()).abs() < 1e-12, "{groove}");
     }
 }

@@ -236,6 +236,29 @@ fn volumes_and_wires_get_small_round_kernels() {
 }
 
 /// Edges are thick as neighbourhoods go, and stay closed; so does a noisy surface.
+/// A crown: clumps of leaves in a ball, dense within and sparse around.
+#[test]
+fn leaves_that_lie_flat_by_chance_get_no_large_kernels() {
+    let mut random = noise(9);
+    let mut ball = move |radius: f64| loop {
+        let p = DVec3::from_array(std::array::from_fn(|_| 2.0 * random() - 1.0));
+        if p.length_squared() < 1.0 {
+            break p * radius;
+        }
+    };
+    let mut positions = Vec::new();
+    for clump in 0..300 {
+        let centre = ball(10.0);
+        positions
+            .extend((0..14).map(|leaf| centre + ball(0.1 * f64::from(1 << ((clump + leaf) % 5)))));
+    }
+    let cloud = cloud(positions);
+    let mut lengths: Vec<f32> = cloud.kernels.unwrap().iter().map(longest_axis).collect();
+    lengths.sort_by(f32::total_cmp);
+    let (median, longest) = (lengths[lengths.len() / 2], lengths[lengths.len() - 1]);
+    assert!(longest < 2.5 * median, "{longest} {median}");
+}
+
 #[test]
 fn edges_and_noise_leave_no_holes() {
     let mut positions = grid(40, 40, |x, y| [x, y]);
