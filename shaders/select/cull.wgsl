@@ -72,7 +72,7 @@ fn cull(@builtin(global_invocation_id) invocation: vec3<u32>) {
         return;
     }
     // A splat fills at least one pixel.
-    let filter_px = select(0.0, max(frame.splat_cutoff * frame.splat_lowpass_px, 1.0), frame.splat_width > 0.0);
+    let filter_px = select(0.0, max(frame.splat_cutoff * frame.splat_lowpass_px, 1.0), frame.splat_cutoff > 0.0);
     var walk = walk_from(first);
     var rank = 0u;
     var least = vec2<f32>(frame.size_px);

@@ -29,6 +29,8 @@ override COUNTS_SAMPLES: bool = false;
 override AGAIN: bool = false;
 // Samples are drawn as splats.
 override SPLATS: bool = false;
+// Splats of all samples are discs of one size.
+override DISCS: bool = false;
 
 // Largest number of tiles, or of blocks, that are read in each direction.
 const MOST_ACROSS: u32 = 6u;
@@ -115,7 +117,7 @@ fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
             whole.x * size.x,
             whole.y * size.y,
             whole.z * size.z,
-            fma(reach, longest_of(words), whole.slack),
+            fma(reach, select(longest_of(words), 1.0, DISCS), whole.slack),
         );
         if !is_hidden(drawn_bounds(part, filter_px)) {
             shown |= 1u << left;

@@ -58,6 +58,8 @@ struct Frame {
     // Eye-dome lighting: its strength, and the distance of the neighbours that a pixel is compared with.
     edl_strength: f32,
     edl_radius_px: f32,
+    // Samples as discs: their radius in scene units; `splat_lowpass_px` is their least radius in pixels, and `splat_cutoff` 1.
+    disc_radius: f32,
 }
 
 @group(0) @binding(0) var<uniform> frames: array<Frame, 16>;

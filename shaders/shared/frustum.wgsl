@@ -99,5 +99,6 @@ fn box_is_seen(centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>, radi
 // that is by their disk's radius R and by no more for the filter. Sideways a perspective outline lies within R; the exact filter widens
 // disks by √2 at most, and the affine outline, R (1 + |x/z|) / z on either side of x/z, lies within 2 R wherever all of that is before the eye.
 fn splat_reach(chunk: Chunk, scale: f32) -> f32 {
-    return 2.02 * frame.splat_cutoff * frame.splat_width * chunk.kernel_base * exp2(f32(chunk.shift)) * scale;
+    let reach = 2.02 * frame.splat_cutoff * frame.splat_width * chunk.kernel_base * exp2(f32(chunk.shift)) * scale;
+    return max(reach, frame.disc_radius);
 }

@@ -134,20 +134,44 @@ fn splat_is_chosen(slot: SplatSlot, sample: u32) -> bool {
     return node_is_drawn(at, slot.unit, centre, tilt_cosine(slot, at, centre));
 }
 
+// A sample or node as a disc; nothing if the node is thinned out.
+fn node_disc(slot: SplatSlot, sample: u32, p: vec3<f32>) -> Splat {
+    let at = slot.first + sample;
+    let own = attributes[at];
+    let disc = make_disc((slot.index << SLOT_SHIFT) | sample, p);
+    if !is_whole(own.x) {
+        let centre = camera_vector(p);
+        let radius = disc_px(1.0 / max(p.z, NEAREST));
+        let seen = seen_area(slot.areas, octahedral_decode(own.y), centre);
+        if !is_kept(at, own.x, slot.unit, centre, seen, max(3.1415927 * radius.x * radius.y, 1.0), positions[at], slot.key) {
+            return no_splat();
+        }
+    }
+    return disc;
+}
+
+// A splat that is not drawn.
+fn no_splat() -> Splat {
+    var splat: Splat;
+    splat.way = NOTHING;
+    return splat;
+}
+
 fn splat_of(slot: SplatSlot, sample: u32) -> Splat {
     let at = slot.first + sample;
     let p = splat_centre(slot, sample);
     let centre = camera_vector(p);
     let normal = attributes[at].y;
+    if DISCS {
+        return node_disc(slot, sample, p);
+    }
     let axes = kernel_axes(kernels[at * KERNEL_WORDS], slot.kernel_base, octahedral_decode(normal));
     if !is_whole(attributes[at].x) {
         let seen = seen_area(slot.areas, octahedral_decode(normal), centre);
         // Without a normal it is drawn as a disk that faces the eye, stretched evenly.
         let drawn = drawn_px(slot, axes.u, centre, select(seen, 1.0, normal == NO_NORMAL));
         if !is_kept(at, attributes[at].x, slot.unit, centre, seen, drawn, positions[at], slot.key) {
-            var thinned: Splat;
-            thinned.way = NOTHING;
-            return thinned;
+            return no_splat();
         }
     }
     var image = Tangents(taken(slot, axes.u), taken(slot, axes.v));
@@ -160,9 +184,7 @@ fn splat_of(slot: SplatSlot, sample: u32) -> Splat {
         // Of all leaves below, as seen from anywhere on the disk.
         let reach = cone_sine(at) * length(centre) + 2.0 * frame.splat_cutoff * max(length(u), length(v));
         if dot(across, centre) * orientation > length(across) * reach {
-            var hidden: Splat;
-            hidden.way = NOTHING;
-            return hidden;
+            return no_splat();
         }
     }
     if normal == NO_NORMAL {

@@ -19,6 +19,8 @@ override FILTER: u32 = 1u;
 override PREFILTER: bool = true;
 // Kernel coordinates need a division a pixel: of the exact filter, and of splats that reach the camera plane.
 override GENERAL: bool = true;
+// Samples are discs that face the image plane, not kernels.
+override DISCS: bool = false;
 // Splats are blended, and so have a depth offset.
 override WEIGHTED: bool = true;
 
@@ -419,14 +421,54 @@ fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: ve
     } else {
         set_ellipse(&splat, ellipse);
     }
-    let own = floor(centre);
+    set_way(&splat);
+    return splat;
+}
+
+// Adds the pixel of the centre to the box, and decides who walks it.
+fn set_way(splat: ptr<function, Splat>) {
+    let own = floor((*splat).centre);
     if all(own >= vec2<f32>(0.0)) && all(own < vec2<f32>(frame.size_px)) {
-        splat.low = min(splat.low, vec2<i32>(own));
-        splat.high = max(splat.high, vec2<i32>(own));
+        (*splat).low = min((*splat).low, vec2<i32>(own));
+        (*splat).high = max((*splat).high, vec2<i32>(own));
     }
-    let side = splat.high - splat.low;
+    let side = (*splat).high - (*splat).low;
     if min(side.x, side.y) >= 0 {
-        splat.way = select(SMALL, LARGE, max(side.x, side.y) >= frame.small_splat_px);
+        (*splat).way = select(SMALL, LARGE, max(side.x, side.y) >= frame.small_splat_px);
     }
+}
+
+// Discs reach no farther in pixels.
+const WIDEST_DISC_PX: f32 = 1e6;
+
+// Half the sides of a disc's box in pixels, at a depth.
+fn disc_px(inverse: f32) -> vec2<f32> {
+    return clamp(frame.disc_radius * frame.focal_px * inverse, vec2<f32>(frame.splat_lowpass_px), vec2<f32>(WIDEST_DISC_PX));
+}
+
+// A disc that faces the image plane, at the depth of its centre p, which is multiplied by the intrinsics.
+fn make_disc(id: u32, p: vec3<f32>) -> Splat {
+    var splat: Splat;
+    splat.id = id;
+    splat.way = NOTHING;
+    splat.amplitude = 1.0;
+    splat.high = vec2<i32>(-1);
+    if !(p.z > NEAREST) {
+        return splat;
+    }
+    let inverse = 1.0 / p.z;
+    let radius = disc_px(inverse);
+    splat.centre = p.xy * inverse;
+    splat.s = vec3<f32>(0.0, 1.0 / radius.x, 0.0);
+    splat.t = vec3<f32>(0.0, 0.0, 1.0 / radius.y);
+    splat.n = vec3<f32>(1.0, 0.0, 0.0);
+    splat.own_s = splat.s;
+    splat.own_t = splat.t;
+    splat.inverse = vec3<f32>(inverse, 0.0, 0.0);
+    splat.least = inverse;
+    splat.most = inverse;
+    splat.clip = clip_forms(vec2<u32>(NO_LINE), KernelForms(splat.s, splat.t, splat.n), vec2<f32>(1.0, 0.0), 1.0);
+    set_box(&splat, splat.centre, radius);
+    set_way(&splat);
     return splat;
 }

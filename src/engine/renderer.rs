@@ -344,6 +344,7 @@ impl Renderer {
             output: first.frame.request.output,
             plan: drawing.plan.clone(),
             splats: drawing.splats,
+            discs: drawing.settings.discs(),
             extent: first.frame.extent,
             small_splat_px: self.small_splat_px,
             weight_one: first.weight_one(),

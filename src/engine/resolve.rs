@@ -241,7 +241,9 @@ fn decide(
         };
         Drawing::new(settings, &loaded.model.splats, instead_because, |splats| {
             let splats = splats.copied();
-            let frame = FrameFacts { output: request.output, splats, edl: settings.eye_dome() };
+            let discs = settings.discs().is_some();
+            let edl = settings.eye_dome();
+            let frame = FrameFacts { output: request.output, splats, discs, edl };
             plan(&facts, &frame, &adapter)
         })
     };
@@ -352,6 +354,9 @@ fn grounds(
         spacing_px: auto::spacing_px(loaded.patches(), view).map(|px| px * larger),
         max_error_px: max_error.px(),
         has_kernels: true,
+        has_point_size: Settings { reconstruct: Reconstruct::Points, ..*settings }
+            .discs()
+            .is_some(),
     }
 }
 

@@ -104,13 +104,13 @@ impl Drawing {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::{self, AdapterFacts, FrameFacts, Given, Output, SceneFacts, SettingKind};
+    use crate::plan::{self, AdapterFacts, FrameFacts, Given, SceneFacts, SettingKind};
 
     fn drawing(settings: &Settings) -> Drawing {
         let facts = SceneFacts { has_samples: true, trees: true, chunks: 1, ..Default::default() };
         let adapter = AdapterFacts::default();
         Drawing::new(settings, &Splats::default(), None, |splats| {
-            let frame = FrameFacts { output: Output::Color, splats: splats.copied(), edl: None };
+            let frame = FrameFacts { splats: splats.copied(), ..FrameFacts::default() };
             plan::plan(&facts, &frame, &adapter)
         })
     }

@@ -43,7 +43,7 @@ use rayon::prelude::*;
 
 use crate::assets::{Geometry, Material, Texture};
 use crate::math::View;
-use crate::scene::{EyeDome, Light, MaterialSpec, Splats};
+use crate::scene::{Discs, EyeDome, Light, MaterialSpec, Splats};
 
 use blend::Blended;
 use prepare::Prepared;
@@ -59,6 +59,8 @@ pub struct OracleScene<'a> {
     pub background: [f32; 4],
     /// How samples are drawn as splats; `None` draws one pixel a sample.
     pub splats: Option<Splats>,
+    /// Discs that samples are drawn as where `splats` is `None`; `None` for points of one pixel.
+    pub discs: Option<Discs>,
     /// Eye-dome lighting, computed from the depths at the pixels' centres.
     pub edl: Option<EyeDome>,
 }

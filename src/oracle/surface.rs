@@ -41,7 +41,11 @@ impl Surface {
 pub fn at(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -> Surface {
     let item = &prepared.items[hit.item as usize];
     let mut surface = match item.item.geometry {
-        Geometry::Points(cloud) => sample(view, item, cloud, hit.index),
+        Geometry::Points(cloud) => {
+            // A disc is seen where the pixel's ray meets it.
+            let on_disc = || pixel_ray(view, x, y) * hit.depth;
+            sample(view, item, cloud, hit.index, prepared.scene.discs.map(|_| on_disc()))
+        }
         Geometry::Mesh(mesh) => triangle(prepared, view, item, mesh, (hit, x, y)),
     };
     surface.turn_to_eye();
@@ -58,7 +62,14 @@ pub fn is_cut_out(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: 
     }
 }
 
-fn sample(view: &View, item: &PreparedItem<'_>, cloud: &PointCloud, index: u32) -> Surface {
+/// `seen`: a place in view space other than the sample's own.
+fn sample(
+    view: &View,
+    item: &PreparedItem<'_>,
+    cloud: &PointCloud,
+    index: u32,
+    seen: Option<DVec3>,
+) -> Surface {
     let index = index as usize;
     let grey = [SAMPLE_GREY, SAMPLE_GREY, SAMPLE_GREY, 255];
     let color = cloud.colors.as_ref().and_then(|colors| colors.get(index)).unwrap_or(&grey);
@@ -66,7 +77,7 @@ fn sample(view: &View, item: &PreparedItem<'_>, cloud: &PointCloud, index: u32) 
     let material = overridden(item, &Material::default());
     // A hit comes from a sample that can be drawn, so that none is missing here.
     let position = cloud.positions.get(index).and_then(|&position| item.to_view(position));
-    let position_view = position.unwrap_or(DVec3::ZERO);
+    let position_view = seen.or(position).unwrap_or(DVec3::ZERO);
     surface(
         times(linear_from_srgba8(*color), material.base_color.map(f64::from)),
         view.view_from_world.transpose() * position_view,

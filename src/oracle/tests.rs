@@ -39,7 +39,14 @@ pub fn item(geometry: &Geometry) -> OracleItem<'_> {
 }
 
 pub fn scene<'a>(items: Vec<OracleItem<'a>>) -> OracleScene<'a> {
-    OracleScene { items, lights: &[], background: [0.0, 0.0, 0.0, 1.0], splats: None, edl: None }
+    OracleScene {
+        items,
+        lights: &[],
+        background: [0.0, 0.0, 0.0, 1.0],
+        splats: None,
+        discs: None,
+        edl: None,
+    }
 }
 
 /// Vertices and triangles of a unit ball, `rows` × 2·`rows` facets.

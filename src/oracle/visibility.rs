@@ -1,5 +1,7 @@
 //! Which sample or triangle each pixel shows.
 
+use std::ops::Range;
+
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -156,27 +158,61 @@ fn add_samples(
     (number, item, cloud): (u32, &PreparedItem<'_>, &PointCloud),
 ) {
     let (width, height) = (view.width as usize, view.height as usize);
+    let discs = prepared.scene.discs;
     let project = |(index, &position): (usize, _)| {
         let position_view = item.to_view(position)?;
-        let pixel = view.project(position_view)?.floor();
-        let inside =
-            (0.0..width as f64).contains(&pixel.x) && (0.0..height as f64).contains(&pixel.y);
-        let hit = Hit { depth: -position_view.z, item: number, index: index as u32 };
-        inside.then_some((pixel.x as usize, pixel.y as usize, hit))
+        let centre = view.project(position_view)?;
+        let depth = -position_view.z;
+        let radius = discs.map(|discs| {
+            let in_scene = view.focal_px * (0.5 * f64::from(discs.diameter) / depth);
+            in_scene.max(DVec2::splat(0.5 * f64::from(discs.diameter_px)))
+        });
+        let hit = Hit { depth, item: number, index: index as u32 };
+        Some(SeenPoint { centre, radius, hit })
     };
-    let projected: Vec<(usize, usize, Hit)> =
+    let projected: Vec<SeenPoint> =
         cloud.positions.par_iter().enumerate().filter_map(project).collect();
     let rows = band_rows(height);
     frame.par_chunks_mut((width * rows).max(1)).enumerate().for_each(|(band, pixels)| {
-        let y0 = band * rows;
-        for &(x, y, hit) in &projected {
-            if let Some(row) = y.checked_sub(y0)
-                && let Some(pixel) = pixels.get_mut(row * width + x)
-            {
-                keep_nearer(prepared, pixel, hit);
+        let (y0, y1) = (band * rows, (band * rows + rows).min(height));
+        for point in &projected {
+            let [columns, rows] = point.covered([0..width, y0..y1]);
+            for (x, y) in rows.flat_map(|y| columns.clone().map(move |x| (x, y))) {
+                if point.covers(x, y) {
+                    keep_nearer(prepared, &mut pixels[(y - y0) * width + x], point.hit);
+                }
             }
         }
     });
+}
+
+/// A sample as a point in the image: one pixel, or a disc.
+struct SeenPoint {
+    centre: DVec2,
+    /// Half axes of the disc, in pixels.
+    radius: Option<DVec2>,
+    hit: Hit,
+}
+
+impl SeenPoint {
+    /// The columns and rows, within bounds, that may show the point.
+    fn covered(&self, [columns, rows]: [Range<usize>; 2]) -> [Range<usize>; 2] {
+        let reach = self.radius.unwrap_or_default();
+        let (low, high) = ((self.centre - reach).floor(), (self.centre + reach).floor());
+        // Conversions saturate.
+        let cut = |bounds: Range<usize>, low: f64, high: f64| {
+            let end = if high < 0.0 { 0 } else { (high as usize).saturating_add(1) };
+            bounds.start.max(low as usize)..bounds.end.min(end)
+        };
+        [cut(columns, low.x, high.x), cut(rows, low.y, high.y)]
+    }
+
+    fn covers(&self, x: usize, y: usize) -> bool {
+        let pixel = DVec2::new(x as f64, y as f64);
+        let holds_centre = pixel == self.centre.floor();
+        let away = pixel + 0.5 - self.centre;
+        holds_centre || self.radius.is_some_and(|radius| (away / radius).length_squared() <= 1.0)
+    }
 }
 
 fn add_triangles(

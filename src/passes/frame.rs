@@ -8,7 +8,7 @@ use crate::plan::{ErrorMode, FramePlan, Output, Paint, Pass};
 use crate::residency::layout::{GpuFrame, two_floats};
 use crate::residency::model::{Extent, SceneModel};
 use crate::residency::{GROUP, ResidentScene};
-use crate::scene::{Blend, EyeDome, Shading, Splats};
+use crate::scene::{Blend, Discs, EyeDome, Filter, Shading, Splats};
 
 /// Frames of one scene that are drawn together: the model (resident already), where it is seen from, what is wanted.
 #[derive(Clone)]
@@ -20,6 +20,8 @@ pub struct FrameTask {
     pub plan: FramePlan,
     /// Settings of splats; `None` draws samples as points.
     pub splats: Option<Splats>,
+    /// Discs that samples are drawn as, where `splats` is `None`; `None` for points of one pixel.
+    pub discs: Option<Discs>,
     /// Place and width of the scene's samples, at full detail.
     pub extent: Extent,
     /// Boxes of splats with a longer side than this are walked by several threads.
@@ -78,6 +80,18 @@ pub fn output_number(output: Output) -> u32 {
 impl FrameTask {
     pub fn size(&self) -> (u32, u32) {
         self.views.first().map_or((0, 0), |view| (view.width, view.height))
+    }
+
+    /// Settings of the splats that samples are drawn as; discs are drawn by the passes of opaque splats.
+    pub fn kernels(&self) -> Option<Splats> {
+        let of_discs = |_: Discs| Splats {
+            blend: Blend::Opaque,
+            filter: Filter::Affine,
+            prefilter: false,
+            cutoff: 1.0,
+            ..Splats::default()
+        };
+        self.splats.or(self.discs.map(of_discs))
     }
 
     /// Returns whether splats' normals and depths are blended too: pixels are lit afterwards, or an effect needs depths.
@@ -163,8 +177,12 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         sample_segments: scene.sample_segments(),
         small_splat_px: task.small_splat_px as i32,
         weight_one: task.weight_one,
-        splat_cutoff: task.splats.map_or(0.0, |splats| splats.cutoff),
-        splat_lowpass_px: task.splats.map_or(0.0, |s| if s.prefilter { s.lowpass_px } else { 0.0 }),
+        splat_cutoff: task.kernels().map_or(0.0, |splats| splats.cutoff),
+        splat_lowpass_px: match (task.splats, task.discs) {
+            (Some(splats), _) if splats.prefilter => splats.lowpass_px,
+            (None, Some(discs)) => 0.5 * discs.diameter_px,
+            _ => 0.0,
+        },
         splat_width: task.splats.map_or(0.0, |splats| splats.width),
         splat_offset: task.splats.map_or(0.0, |s| match s.blend {
             Blend::Weighted => s.depth_offset,
@@ -181,6 +199,7 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         segment_count: scene.pages.len() as u32,
         edl_strength: task.edl.map_or(0.0, |edl| edl.strength),
         edl_radius_px: task.edl.map_or(0.0, |edl| edl.radius_px),
-        padding: [0; 2],
+        disc_radius: task.discs.map_or(0.0, |discs| 0.5 * discs.diameter),
+        padding: 0,
     }
 }

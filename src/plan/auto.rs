@@ -31,6 +31,8 @@ pub struct Grounds {
     pub max_error_px: f32,
     /// Kernels of all samples are there; without them nothing but points can be drawn.
     pub has_kernels: bool,
+    /// The request says how large points are.
+    pub has_point_size: bool,
 }
 
 /// A choice, with the spacing and the reason that led to it.
@@ -46,6 +48,7 @@ pub struct Choice {
 pub enum Reason {
     NoSamples,
     NoKernels,
+    PointSize,
     NothingInView,
     /// Samples are denser than pixels.
     Dense,
@@ -79,6 +82,7 @@ impl Choice {
         };
         match self.reason {
             Reason::NoSamples => "the scene has no samples".to_owned(),
+            Reason::PointSize => "a size of points was given".to_owned(),
             Reason::NoKernels => "kernels are not estimated yet".to_owned(),
             Reason::NothingInView => "no sample is in view".to_owned(),
             Reason::Dense | Reason::Sparse => apart(),
@@ -95,6 +99,7 @@ pub fn choose(grounds: &Grounds) -> Choice {
     let coarse = grounds.lod == Lod::Spt && f64::from(grounds.max_error_px) > COARSE_PX;
     let (reconstruct, reason) = match grounds.spacing_px {
         _ if !grounds.has_samples => (Reconstruct::Points, Reason::NoSamples),
+        _ if grounds.has_point_size => (Reconstruct::Points, Reason::PointSize),
         _ if !grounds.has_kernels => (Reconstruct::Points, Reason::NoKernels),
         Some(px) if px > DENSE_PX => (Reconstruct::Splats, Reason::Sparse),
         _ if coarse => (Reconstruct::Splats, Reason::Coarse { max_error_px: grounds.max_error_px }),
@@ -172,6 +177,7 @@ mod tests {
             spacing_px,
             max_error_px: 1.0,
             has_kernels: true,
+            has_point_size: false,
         }
     }
 
@@ -224,6 +230,8 @@ mod tests {
         assert_eq!(drawn(&bare), (Reconstruct::Points, Reason::NoSamples));
         let early = Grounds { has_kernels: false, ..grounds(Some(9.0)) };
         assert_eq!(drawn(&early), (Reconstruct::Points, Reason::NoKernels));
+        let sized = Grounds { has_point_size: true, ..grounds(Some(9.0)) };
+        assert_eq!(drawn(&sized), (Reconstruct::Points, Reason::PointSize));
         let coarse = Grounds { lod: Lod::Spt, max_error_px: 4.0, ..grounds(Some(0.1)) };
         let reason = Reason::Coarse { max_error_px: 4.0 };
         assert_eq!(drawn(&coarse), (Reconstruct::Splats, reason));

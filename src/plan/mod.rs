@@ -11,8 +11,8 @@ use serde::Serialize;
 
 pub use settings::{
     Background, Choice, Edl, EdlRadius, EdlStrength, ErrorMode, Given, Lod, MaxError, Output,
-    Paint, Reconstruct, Rule, Setting, SettingError, SettingKind, Settings, StillFrame,
-    UsedSettings, Wait, declared,
+    Paint, PointSize, PointSizePx, Reconstruct, Rule, Setting, SettingError, SettingKind, Settings,
+    StillFrame, UsedSettings, Wait, declared,
 };
 
 pub(crate) use table::pass_table;
@@ -120,6 +120,8 @@ pub struct FrameFacts {
     pub output: Output,
     /// How samples are drawn, if not as points.
     pub splats: Option<Splats>,
+    /// Points are drawn as discs.
+    pub discs: bool,
     /// Eye-dome lighting, where it is on.
     pub edl: Option<EyeDome>,
 }
@@ -250,7 +252,7 @@ mod tests {
         splats: Option<&Splats>,
         adapter: &AdapterFacts,
     ) -> FramePlan {
-        let frame = FrameFacts { output, splats: splats.copied(), edl: None };
+        let frame = FrameFacts { output, splats: splats.copied(), ..FrameFacts::default() };
         super::plan(scene, &frame, adapter)
     }
 
@@ -391,7 +393,7 @@ mod tests {
         let facts = SceneFacts { has_samples: true, ..Default::default() };
         for output in [Output::Color, Output::Depth, Output::Normal, Output::Id] {
             let edl = Some(EyeDome { strength: 1.0, radius_px: 1.0 });
-            let frame = FrameFacts { output, splats: None, edl };
+            let frame = FrameFacts { output, edl, ..FrameFacts::default() };
             let plan = super::plan(&facts, &frame, &WIDE);
             assert_eq!(plan.runs(Pass::WriteOutput), output == Output::Color);
             let frame = FrameFacts { edl: None, ..frame };

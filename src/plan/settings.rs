@@ -19,8 +19,8 @@ use serde_json::{Map, Value};
 mod values;
 
 pub use values::{
-    Background, Edl, EdlRadius, EdlStrength, ErrorMode, Lod, MaxError, Output, Paint, Reconstruct,
-    StillFrame, UsedSettings, Wait,
+    Background, Edl, EdlRadius, EdlStrength, ErrorMode, Lod, MaxError, Output, Paint, PointSize,
+    PointSizePx, Reconstruct, StillFrame, UsedSettings, Wait,
 };
 
 use crate::scene::{Blend, Filter, Shading};
@@ -199,6 +199,9 @@ impl SettingKind {
 /// Samples are drawn as splats, or may be.
 const SPLATS: Rule =
     Rule::new("reconstruct", &["splats", "fuzzy", "auto"], "this setting applies to splats only");
+/// Samples are drawn as points, or may be.
+const POINTS: Rule =
+    Rule::new("reconstruct", &["points", "auto"], "splats have sizes of their own");
 /// Samples are drawn with `reconstruct=splats`, or may be, so that `blend` and `shading` apply.
 const PASSES: Rule = Rule::new(
     "reconstruct",
@@ -315,6 +318,14 @@ settings! {
     /// What samples are drawn as. The receipt says what `auto` chose and why.
     reconstruct: Reconstruct => Reconstruct {
         label: "Samples as", kind: SettingKind::own::<Reconstruct>(), needs: [], useful_with: [SAMPLES]
+    }
+    /// Least diameter of round points, in pixels. Above 1, `reconstruct=auto` draws points.
+    point_size_px: f32 => PointSizePx {
+        label: "Point size", kind: PointSizePx::kind(), needs: [POINTS], useful_with: [SAMPLES]
+    }
+    /// Diameter of round points in scene units, which shrinks with distance; 0 for none. Above 0, `reconstruct=auto` draws points.
+    point_size: f32 => PointSize {
+        label: "Point size in the scene", kind: PointSize::kind(), needs: [POINTS], useful_with: [SAMPLES]
     }
     /// Projection of splats to the image; the scene's value by default.
     filter: Filter => Option<Filter> {

@@ -31,7 +31,7 @@ macro_rules! pass_table {
             Scan                 Compute select/scan                   ""    [Select]            Frame     [];
             Compact              Compute select/compact                ""    [Select]            Frame     [];
             LaunchPortions       Compute select/launch_portions        ""    [Project Ids Blend] Frame     [NOTHING_TO_HIDE FEW_CHUNKS DRAWS_HIDDEN];
-            ProjectSamples       Compute project/project_samples       ""    [Project]           Frame     [NO_SAMPLES AS_SPLATS];
+            ProjectSamples       Compute project/project_samples       ""    [Project]           Frame     [NO_SAMPLES AS_SPLATS AS_DISCS];
             ProjectSplats        Compute project/project_splats        ""    [Project]           Samples   [NO_SAMPLES AS_POINTS FUZZY];
             WalkSplats           Compute project/walk_splats           ""    [Project]           Samples   [NO_SAMPLES AS_POINTS FUZZY];
             ProjectTriangles     Compute project/project_triangles     ""    [Project]           Triangles [NO_TRIANGLES];
@@ -39,7 +39,7 @@ macro_rules! pass_table {
             WalkTriangles        Compute project/walk_triangles        ""    [Project]           Triangles [NO_TRIANGLES RASTERISES];
             DepthPyramid         Compute select/depth_pyramid          ""    [Project Blend]     Frame     [NOTHING_TO_HIDE FEW_CHUNKS DRAWS_HIDDEN];
             CullHidden           Compute select/cull_hidden            ""    [Project Blend]     Frame     [NOTHING_TO_HIDE FEW_CHUNKS DRAWS_HIDDEN];
-            ProjectSamplesId     Compute project/project_samples       "_id" [Ids]               Frame     [NO_SAMPLES AS_SPLATS WIDE];
+            ProjectSamplesId     Compute project/project_samples       "_id" [Ids]               Frame     [NO_SAMPLES AS_SPLATS AS_DISCS WIDE];
             ProjectSplatsId      Compute project/project_splats        "_id" [Ids]               Samples   [NO_SAMPLES AS_POINTS FUZZY WIDE];
             WalkSplatsId         Compute project/walk_splats           "_id" [Ids]               Samples   [NO_SAMPLES AS_POINTS FUZZY WIDE];
             ProjectTrianglesId   Compute project/project_triangles     "_id" [Ids]               Triangles [NO_TRIANGLES WIDE];
@@ -128,7 +128,8 @@ reasons! {
     WIDE: "the adapter has 64-bit atomics", |f| f.adapter.atomics_64;
     RASTERISES: "the adapter's rasteriser draws large triangles", |f| f.adapter.rasterises;
     WALKS: "the adapter's rasteriser is slower than walk_triangles", |f| !f.adapter.rasterises;
-    AS_POINTS: "samples are drawn as points", |f| f.frame.splats.is_none();
+    AS_POINTS: "samples are drawn as points", |f| f.frame.splats.is_none() && !f.frame.discs;
+    AS_DISCS: "samples are drawn larger than a pixel", |f| f.frame.discs;
     AS_SPLATS: "samples are drawn as splats", |f| f.frame.splats.is_some();
     OPAQUE: "splats are not blended", |f| !f.blends(Blend::Weighted);
     FUZZY: "splats are blended in a single pass", |f| f.blends(Blend::Fuzzy);

@@ -28,7 +28,7 @@ mod validate;
 mod wire;
 
 pub use assets::{AssetRef, AssetSource, CsgOperation, FileSource, MeshSampling, Operand, Solid};
-pub use effects::EyeDome;
+pub use effects::{Discs, EyeDome};
 pub use instance_path::{InstancePath, InstancePaths, PathStep};
 pub use load::{load, load_path, load_within, parse, parse_path};
 pub use path::{CameraPath, Ease, Interpolation, PathKey, PathSampler};

@@ -98,6 +98,9 @@ def follow_settings(params):
         params["reconstruct"] = "splats"
     if (params.keys() & {"filter", "prefilter"} or params.get("error_mode") == "split") and params.get("reconstruct") == "points":
         params["reconstruct"] = "splats"
+    if params.keys() & {"point_size_px", "point_size"} and params.get("reconstruct") in ("splats", "fuzzy"):
+        for name in ("point_size_px", "point_size"):
+            params.pop(name, None)
     if params.keys() & {"edl_strength", "edl_radius_px"} and params.get("edl") == "off":
         params["edl"] = "on"
     if "format" in params and params["format"].replace("jpg", "jpeg") not in FORMATS[params.get("output", "color")]:

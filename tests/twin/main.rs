@@ -17,6 +17,7 @@ mod golden;
 mod instances;
 mod lights;
 mod materials;
+mod point_size;
 mod precision;
 mod random;
 mod real;

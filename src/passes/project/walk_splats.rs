@@ -2,14 +2,13 @@
 
 use super::{band_constant, walk};
 use crate::gpu::shader::ShaderError;
-use crate::passes::reconstruct::{is_clipped, is_tree, node_constants, splat_constants};
+use crate::passes::reconstruct::{is_clipped, is_tree, node_constants, projection_constants};
 use crate::passes::recorder::{Call, Recorder};
 use crate::passes::shaders::Choices;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let segment = recorder.segment;
-    let splats = recorder.task.splats.unwrap_or_default();
-    let mut constants = splat_constants(&splats, true);
+    let mut constants = projection_constants(recorder.task, true);
     constants.extend(node_constants(recorder, segment));
     constants.push(band_constant(recorder));
     recorder.compute(Call {

@@ -5,7 +5,7 @@ pub mod blend_walked;
 pub mod fuzzy_splats;
 pub mod fuzzy_walked;
 
-use super::frame::output_number;
+use super::frame::{FrameTask, output_number};
 use super::pipelines::Constants;
 use super::project::{band_constant, walk};
 use super::recorder::{Call, Recorder, Segment};
@@ -24,6 +24,13 @@ pub fn filter_number(filter: Filter) -> u32 {
         Filter::Perspective => 1,
         Filter::Exact => 2,
     }
+}
+
+/// Overrides of `shared/splat` in a pass that projects samples; `walked`: over the list of large splats.
+pub fn projection_constants(task: &FrameTask, walked: bool) -> Constants {
+    let mut constants = splat_constants(&task.kernels().unwrap_or_default(), walked);
+    constants.extend(task.discs.map(|_| ("DISCS", 1)));
+    constants
 }
 
 /// Overrides of `shared/splat`; `walked`: in a pass over the list of large splats.

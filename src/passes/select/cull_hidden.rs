@@ -13,11 +13,13 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let samples = if recorder.task.plan.runs(Pass::FuzzySplats) { &[][..] } else { SAMPLE_PAGES };
     let triangles = if again { &[][..] } else { &[PageKind::Triangles] };
     let segments = recorder.segments(&[samples, triangles].concat());
-    let splats = ("SPLATS", u32::from(recorder.task.splats.is_some()));
+    let splats = ("SPLATS", u32::from(recorder.task.kernels().is_some()));
     let counts = ("COUNTS_SAMPLES", u32::from(!recorder.scene.has_trees()));
+    let mut constants = vec![counts, splats, ("AGAIN", u32::from(again))];
+    constants.extend(recorder.task.discs.map(|_| ("DISCS", 1)));
     recorder.compute(Call {
         choices: Choices::default(),
-        constants: vec![counts, splats, ("AGAIN", u32::from(again))],
+        constants,
         segments: &segments,
         launch: Launch::Asked,
     })

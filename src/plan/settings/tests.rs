@@ -20,7 +20,9 @@ fn other_value(setting: &Setting) -> Given {
         }
         SettingKind::Flag => "false".to_owned(),
         SettingKind::Color => "#102030".to_owned(),
-        SettingKind::Number { least, .. } => least.to_string(),
+        SettingKind::Number { least, most, default, .. } => {
+            if least == default { most } else { least }.to_string()
+        }
     };
     let mut given = Given::default();
     for rule in &setting.needs {

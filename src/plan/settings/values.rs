@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Given, SettingKind, Settings};
 use crate::plan::SceneFacts;
-use crate::scene::{Blend, EyeDome, Shading, Splats, color};
+use crate::scene::{Blend, Discs, EyeDome, Shading, Splats, color};
 
 /// What a frame waits for whose samples lack normals or kernels, where it is left open how they are drawn.
 #[derive(
@@ -70,6 +70,14 @@ impl Settings {
         };
         let edl = if is_used && output == Output::Color { Edl::On } else { Edl::Off };
         Settings { edl, ..*self }
+    }
+
+    /// Discs that samples are drawn as; `None` for splats and for points of one pixel.
+    pub fn discs(&self) -> Option<Discs> {
+        let (diameter_px, diameter) = (self.point_size_px.get(), self.point_size.get());
+        let is_larger = self.point_size_px != PointSizePx::default() || diameter > 0.0;
+        (self.reconstruct == Reconstruct::Points && is_larger)
+            .then_some(Discs { diameter_px, diameter })
     }
 
     /// Eye-dome lighting, if it is on.
@@ -162,6 +170,10 @@ macro_rules! numbers {
 numbers! {
     /// Accepted error, in pixels.
     MaxError: 0.05 to 64.0 "pixels", 1.0;
+    /// Least diameter of points, in pixels.
+    PointSizePx: 1.0 to 256.0 "pixels", 1.0;
+    /// Diameter of points in scene units.
+    PointSize: 0.0 to 1e9 "scene units", 0.0;
     /// Strength of eye-dome lighting: doubling it squares what is left of a pixel's light.
     EdlStrength: 0.0 to 10.0 "", 0.6;
     /// Distance of the neighbours that eye-dome lighting compares a pixel with, in pixels.
@@ -385,7 +397,7 @@ pub enum Reconstruct {
     /// Points where samples are denser than pixels, splats where they are not.
     #[default]
     Auto = 3,
-    /// One pixel a sample.
+    /// One pixel a sample, or round points of `point_size`.
     Points = 0,
     /// Elliptical Gaussians in the samples' tangent planes (Zwicker et al. 2004).
     Splats = 1,
