@@ -4,9 +4,9 @@
 //! and reopened for one more try of the same change; if that fails too, the next change reopens it:
 //!
 //! ```text
-//!  open ──change fails──► closed ──reopen, try again──► open ──fails again──► closed, error returned
-//!    ▲                                                   │
-//!    └─────────────────────succeeds──────────────────────┘
+//! open ──change fails──► closed ──reopen, try again──► open ──fails again──► closed, error returned
+//!   ▲                                                   │
+//!   └─────────────────────succeeds──────────────────────┘
 //! ```
 
 use std::io;

@@ -1,11 +1,11 @@
 //! The state folder: everything that outlives a process, and all disk access of jobs.
 //!
 //! ```text
-//!  STATE/.lock             held by the daemon that uses this folder
-//!  STATE/jobs.redb         a record for each job (redb: every change is atomic)
-//!  STATE/jobs/7/job.json   specification of job 7: enough to recover the job if the database is lost
-//!  STATE/jobs/7/frames/    see `film`
-//!  STATE/jobs/7/video.mp4
+//! STATE/.lock             held by the daemon that uses this folder
+//! STATE/jobs.redb         a record for each job (redb: every change is atomic)
+//! STATE/jobs/7/job.json   specification of job 7: enough to recover the job if the database is lost
+//! STATE/jobs/7/frames/    see `film`
+//! STATE/jobs/7/video.mp4
 //! ```
 //!
 //! A job's record is in the database before its folder is created. When a job is removed, its `job.json` is first renamed to
