@@ -2,7 +2,7 @@
 //!
 //! | phase | work | stops |
 //! |---|---|---|
-//! | baking | waits for the bake of [`crate::engine::bake_service`], which others may share | at its next step, if nobody else waits |
+//! | baking | waits for [`crate::engine::bake_service`], perhaps with others | at its next step, if nobody else waits |
 //! | drawing | `film`: many frames are with the engine at once; jobs share the device as its clients | after the current frame |
 //! | coding | codes the finished frames into a video | after the current frame |
 
