@@ -1,4 +1,4 @@
-//! The viewer's files, and the API paths that it uses. `tests/browser` tests the viewer in a browser.
+//! The viewer's files, and the camera paths that it requests. `tests/browser` tests the viewer in a browser.
 
 use super::daemon::Daemon;
 
