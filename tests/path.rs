@@ -462,7 +462,7 @@ fn what_is_wrong_is_named() {
 fn a_path_becomes_a_video() {
     use pointillist::film::video::mp4::Summary;
     let studio = Studio::new();
-    // Kill it while it draws frames, and while it codes.
+    // Kill the run while it draws frames. The next run continues.
     let mut child = studio.fly("fly.mp4", &["--fps", "60"]).stderr(Stdio::null()).spawn().unwrap();
     wait_for(&mut child, &studio.at("fly.mp4.frames"), 20);
     child.kill().unwrap();
@@ -597,7 +597,7 @@ fn a_scene_that_is_exchanged_ends_the_run() {
     assert_eq!((report.drawn, report.kept), (FRAMES as u64, 0));
     assert_eq!(studio.contents("f"), studio.contents("other"));
     assert_ne!(studio.contents("f"), whole);
-    // If the scene is exchanged during the survey, the run reports exactly this.
+    // A change of the scene after the survey of a complete folder is no error.
     let ended = studio.filmed(&engine, "f", false, |event| {
         if matches!(event, Event::Surveyed { .. }) {
             exchange("scene.json");
