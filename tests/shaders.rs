@@ -121,11 +121,11 @@ fn every_composition_is_valid() {
     }
     // Numbers of compositions:
     // - Samples: three ways to write; with and without point trees; all at once or in turns.
-    // - Triangles: the same three ways; with and without alpha; a thread each (all at once or in turns, with and without votes), or
-    //   from a list (by threads or by the rasteriser).
-    // - Splats: depths as for samples, with and without clip lines; sums by clip lines, width, normals, lights and trees; a single
-    //   pass by clip lines, lights and trees. Each of these with a thread per splat (all at once or in turns, with and without
-    //   votes), or from a list.
+    // - Triangles: the same three ways; with and without alpha; a thread each (all at once or in turns, with and without votes),
+    //   or from a list (by threads or by the rasteriser).
+    // - Splats: depths as for samples, with and without clip lines; sums by clip lines, width, normals, lights and trees; a
+    //   single pass by clip lines, lights and trees. Each of these with a thread per splat (all at once or in turns, with and
+    //   without votes), or from a list.
     // - Passes over pixels: with and without votes; samples with and without trees; outputs written at once or later.
     // - Lists: of everything, or of trees. Others: no choices.
     let (depths, sums, single) = (12, 32, 8);
