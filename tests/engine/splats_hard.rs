@@ -114,8 +114,8 @@ impl Range {
     }
 
     /// Sums store a splat's share of a colour to half a unit. Its weight is at least 554 units with low-pass filter (1/8 for the
-    /// filter, e⁻² for the cut-off, of 32768), and 4434 without. Channels of 0 or 1 are exact. The result is rounded by half a byte.
-    /// Light only darkens.
+    /// filter, e⁻² for the cut-off, of 32768), and 4434 without. Channels of 0 or 1 are exact. The result is rounded by half a
+    /// byte. Light only darkens.
     fn assert_holds(&self, pixel: &[u8], settings: &Settings, lit: bool, what: &str) {
         let least_weight = if settings.prefilter == Some(true) { 554.0 } else { 4434.0 };
         let exact = settings.blend == Some(Blend::Opaque);
