@@ -1,6 +1,6 @@
-//! Real files, when there are any: every mesh and PLY file loads with the counts and bounds that its
-//! source gives, every broken one is refused in words. `POINTILLIST_DATA` names the folder; without
-//! it, or `../shared/data` beside the checkout, these tests print "skipped" and pass.
+//! Tests with real files: every mesh and PLY file loads with the counts and bounds that its source gives, and every broken one is
+//! refused with a message. `POINTILLIST_DATA` names the folder. Without it, or `../shared/data` beside the checkout, these tests
+//! print "skipped" and pass.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -23,7 +23,7 @@ fn data() -> Option<PathBuf> {
     Some(folder)
 }
 
-/// Vertices, triangles (0: a point cloud), bounds.
+/// File, number of vertices, number of triangles (0 for a point cloud), bounds.
 type Expected = (&'static str, usize, usize, [f64; 6]);
 
 const CLEAN: &[Expected] = &[
@@ -143,7 +143,7 @@ fn counts(asset: &Asset) -> (usize, usize) {
     })
 }
 
-/// What every reader promises.
+/// Checks the invariants of every reader.
 fn check_invariants(name: &str, asset: &Asset) {
     for geometry in &asset.geometries {
         let count = geometry.positions().len();

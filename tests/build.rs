@@ -62,7 +62,7 @@ fn every_source_counts() {
         write(changed.path(), name, text);
         found.push(script::digest(changed.path()).unwrap());
     }
-    // A file under another name.
+    // A renamed file changes the hash.
     let renamed = package();
     fs::rename(renamed.path().join("src/a/b.rs"), renamed.path().join("src/b.rs")).unwrap();
     found.push(script::digest(renamed.path()).unwrap());

@@ -1,4 +1,4 @@
-//! The commands that work without a server, as a shell runs them.
+//! The commands that work without a server, run as by a shell.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that unwraps says where it failed")]
 
 use std::fmt::Write as _;
@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
-/// A folder with a cloud, and a home whose caches are used where nothing else is said.
+/// A folder with a cloud, and a home folder for default caches.
 struct Shell {
     folder: tempfile::TempDir,
 }
@@ -50,12 +50,12 @@ impl Shell {
         self.command(args).output().unwrap()
     }
 
-    /// What a command that succeeds writes as JSON.
+    /// Runs a command that must succeed, and parses its output as JSON.
     fn json(&self, args: &[&str]) -> Value {
         json(&self.run(args))
     }
 
-    /// Where point trees go by default. Drivers have their own caches beside it.
+    /// The default folder of point trees. Drivers have their own caches beside it.
     fn default_cache(&self) -> PathBuf {
         self.path("caches").join("pointillist")
     }
@@ -115,7 +115,7 @@ fn no_cache_writes_nothing() {
     let frame = ["render", "cloud.ply", "--lod", "spt", "--size", "64x64", "-o", "a.raw"];
     assert!(shell.run(&[&frame[..], &["--no-cache"]].concat()).status.success());
     assert!(!shell.default_cache().exists() && !shell.path("c").exists());
-    // And with it, the same frame twice.
+    // With the cache, draw the same frame twice.
     for name in ["b.raw", "c.raw"] {
         assert!(shell.run(&[&frame[..7], &[name]].concat()).status.success());
         assert_eq!(
@@ -162,7 +162,7 @@ fn what_cannot_be_cached_is_an_error_of_bake() {
     assert!(!output.status.success() && text.contains("give --cache FOLDER"), "{text}");
 }
 
-/// A binary PLY file of `count` points of a hilly square, in no order.
+/// Writes a binary PLY file of `count` points of a hilly square, unordered.
 fn write_scan(path: &Path, count: u32) {
     let mut bytes = format!(
         "ply\nformat binary_little_endian 1.0\nelement vertex {count}\nproperty float x\nproperty float y\n\
@@ -184,7 +184,7 @@ fn write_scan(path: &Path, count: u32) {
     std::fs::write(path, bytes).unwrap();
 }
 
-/// The most memory that a command was seen to take until it ended, in MiB.
+/// The largest resident memory of a command that was observed until it ended, in MiB.
 #[cfg(target_os = "linux")]
 fn peak_mib(mut command: Command) -> u64 {
     let mut child = command.stdout(std::process::Stdio::null()).spawn().unwrap();
@@ -201,7 +201,7 @@ fn peak_mib(mut command: Command) -> u64 {
     peak / 1024
 }
 
-/// What does not fit into the memory that baking may take becomes the same entry.
+/// A bake that exceeds its memory limit, and is done out of core, gives the same cache entry.
 #[cfg(target_os = "linux")]
 #[test]
 fn bake_keeps_to_its_memory() {
@@ -228,7 +228,7 @@ fn bake_keeps_to_its_memory() {
     assert_eq!(again["assets"][0]["tree"], first["assets"][0]["tree"]);
 }
 
-/// As above, for measurements: eight million points.
+/// The same for eight million points, as a measurement.
 #[cfg(target_os = "linux")]
 #[test]
 #[ignore = "a measurement"]
@@ -244,7 +244,7 @@ fn bake_keeps_to_its_memory_for_millions() {
     }
 }
 
-/// Who is killed while baking leaves neither an entry nor temporary files.
+/// A killed bake leaves neither an entry nor temporary files.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_killed_bake_leaves_nothing() {
@@ -269,7 +269,7 @@ fn a_killed_bake_leaves_nothing() {
     assert_eq!(baked["assets"][0]["source"], "stored");
 }
 
-/// The report judges the shaders and no copy of their formulas: an error in one of them breaks its bounds.
+/// The report tests the shaders themselves, not a copy of their formulas: an error in a shader breaks its bounds.
 #[cfg(debug_assertions)]
 #[test]
 fn an_error_in_a_shader_breaks_the_bounds_of_the_stability_report() {
@@ -287,7 +287,7 @@ fn an_error_in_a_shader_breaks_the_bounds_of_the_stability_report() {
     assert!(told.contains("break their bounds: ordinary"), "{told}");
 }
 
-/// Whoever has read enough closes the pipe: nobody has failed.
+/// A reader that closes the pipe early is not an error.
 #[test]
 fn a_reader_that_goes_is_no_failure() {
     let shell = Shell::new();
@@ -301,7 +301,7 @@ fn a_reader_that_goes_is_no_failure() {
         &["openapi"],
     ] {
         let (reader, writer) = std::io::pipe().unwrap();
-        // Before a word is written.
+        // Close the pipe before anything is written.
         drop(reader);
         let mut command = shell.command(args);
         command.stdout(writer).stderr(std::process::Stdio::piped());
@@ -310,7 +310,7 @@ fn a_reader_that_goes_is_no_failure() {
         assert_eq!(output.status.code(), Some(0), "{args:?}: {told}");
         assert!(!told.contains("panicked") && !told.contains("roken pipe"), "{args:?}: {told}");
     }
-    // Also of what is said beside it; a failure is one all the same.
+    // The same holds for standard error, and real failures still fail.
     for (args, code) in [
         (&["bake", "cloud.ply", "--no-cache"][..], 0),
         (&["render", "cloud.ply", "--size", "8x8", "-o", "cloud.png"], 0),
@@ -326,7 +326,7 @@ fn a_reader_that_goes_is_no_failure() {
     assert!(shell.path("town.ply").exists());
 }
 
-/// An image on standard output and messages elsewhere; jpg is jpeg; exit statuses are as `--help` says.
+/// Images go to standard output and messages to standard error; `jpg` means JPEG; exit codes are as in `--help`.
 #[test]
 fn render_writes_to_standard_output() {
     let shell = Shell::new();
@@ -352,7 +352,7 @@ fn render_writes_to_standard_output() {
     assert!(told.contains("is a folder; name one file in it"), "{told}");
     #[cfg(unix)]
     {
-        // Without a writer it would be waited for, for ever.
+        // Opening a pipe without a writer would block for ever.
         assert!(Command::new("mkfifo").arg(shell.path("pipe.ply")).status().unwrap().success());
         let told = shell.complaint(&["render", "pipe.ply", "-o", "a.png"]);
         assert!(told.contains("no regular file"), "{told}");
@@ -362,7 +362,7 @@ fn render_writes_to_standard_output() {
     assert_eq!(shell.run(&["render", "cloud.ply", "--colour"]).status.code(), Some(2));
     let help = String::from_utf8(shell.run(&["--help"]).stdout).unwrap();
     assert!(help.contains("Exit status:"), "{help}");
-    // `--output` of commands that draw no frame still is where they write.
+    // For commands that draw no frame, `--output` is still the file to write.
     let generated = shell.run(&["generate", "sphere", "--output", "ball.ply"]);
     let said = String::from_utf8_lossy(&generated.stderr);
     assert!(generated.status.success() && shell.path("ball.ply").exists(), "{said}");

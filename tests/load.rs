@@ -1,4 +1,4 @@
-//! `pointillist load` against the real daemon, and against servers that stall, refuse and fall silent.
+//! Tests `pointillist load` with the real daemon, and with servers that stall, refuse and fall silent.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -89,7 +89,7 @@ fn frames_of_a_daemon_are_measured() {
         assert_eq!(point["rate_per_s"], rate);
         let requests = point["requests"].as_u64().unwrap();
         frames += point["counts"]["frames"].as_u64().unwrap();
-        // Five deviations of a Poisson count.
+        // Within five standard deviations of a Poisson count.
         let expected: f64 = rate * 1.5;
         assert!((requests as f64 - expected).abs() < 5.0 * expected.sqrt(), "{point}");
         assert_eq!(point["counts"]["frames"], requests, "{point}");
@@ -102,10 +102,10 @@ fn frames_of_a_daemon_are_measured() {
     }
     assert!(json["adapter"].as_str().is_some_and(|name| !name.is_empty()), "{json}");
     assert_eq!(json["settings_used"]["asked"], "auto");
-    // Frames of the warm-up and the first one were sent too.
+    // The warm-up's frames and the first frame are sent as well.
     let sent = daemon.client().metric("pointillist_frames_sent_total") - before;
     assert!(sent > frames as f64, "{sent} {frames}");
-    // Connections are kept.
+    // Connections are kept alive.
     assert!(json["connections_opened"].as_u64().unwrap() < sent as u64 / 2, "{json}");
 
     let svg = std::fs::read_to_string(out.join("load.svg")).unwrap();
@@ -120,7 +120,7 @@ fn frames_of_a_daemon_are_measured() {
 
 #[test]
 fn saturation_of_a_daemon_is_found() {
-    // Frames large enough that a few hundred a second are more than any CPU adapter gives, and a short queue.
+    // Frames so large that no CPU adapter draws a few hundred per second, and a short queue.
     let daemon = Daemon::start(&["--queue", "8", "--max-batch", "2"]);
     let url = format!("http://{}", daemon.address);
     let json = report(
@@ -159,7 +159,7 @@ fn saturation_of_a_daemon_is_found() {
         assert_ne!(beyond["verdict"], "keeps_up");
         let last = points.last().unwrap();
         assert!(last["throughput_per_s"].as_f64() < last["offered_per_s"].as_f64());
-        // The queue is short: what it has no room for is refused, and says when to come again.
+        // The queue is short. Requests beyond it are refused, with `Retry-After`.
         let counts = &last["counts"];
         assert!(counts["refused"].as_u64().unwrap() > 0, "{last}");
         assert_eq!(counts["refused"], counts["refused_with_retry_after"]);
@@ -176,7 +176,7 @@ fn what_the_daemon_refuses_is_said_at_once() {
         &[],
     );
     let url = format!("http://{}", daemon.address);
-    // Without --scene the first is taken, and named.
+    // Without --scene the first scene is taken and named.
     let said = complaint(&url, &["--max-error-px", "2"]);
     assert!(said.contains("--scene ") && said.contains("the first of 2 that are ready"), "{said}");
     assert!(said.contains("422"), "{said}");
@@ -197,7 +197,7 @@ fn what_the_daemon_refuses_is_said_at_once() {
 fn keys_are_sent() {
     let folder = tempfile::tempdir().unwrap();
     let keys = folder.path().join("keys");
-    let hash = "2c70e12b7a0646f92279f427c7b38e7334d8e5389cff167a1dc30e73f826b683"; // of `key`
+    let hash = "2c70e12b7a0646f92279f427c7b38e7334d8e5389cff167a1dc30e73f826b683"; // SHA-256 of `key`
     std::fs::write(&keys, format!("loader read {hash}\n")).unwrap();
     let daemon = Daemon::start(&["--api-keys", keys.to_str().unwrap()]);
     let url = format!("http://{}", daemon.address);
@@ -223,7 +223,7 @@ fn streams_beside_requests_are_measured() {
     assert!(point["counts"]["frames"].as_u64().unwrap() > 0, "{point}");
     let beside = &point["streams"];
     let count = |name: &str| beside[name].as_u64().unwrap_or_else(|| panic!("{name}: {beside}"));
-    // Evenly spaced: 25 a second for two seconds, of three.
+    // Evenly spaced poses: 25 per second for two seconds, on three streams.
     assert_eq!((count("poses"), count("lost"), count("broken"), count("problems")), (150, 0, 0, 0));
     assert_eq!(beside["latency"]["answered"], 150, "{beside}");
     let drawn = beside["drawn"]["answered"].as_u64().unwrap();
@@ -251,15 +251,15 @@ fn streams_that_are_refused_count_as_lost() {
     assert!(said.contains("deadline_ms"), "{said}");
 }
 
-/// A server of frames that are a few bytes, which treats the requests for them as `frame` says.
+/// A server of tiny frames, whose answers `frame` decides.
 struct Server {
     address: SocketAddr,
-    /// What it was asked for.
+    /// The requested paths.
     paths: Arc<Mutex<Vec<String>>>,
 }
 
 impl Server {
-    /// `frame` answers the frame of that number on the connection, or false to end it.
+    /// Starts a server. `frame` answers the frame of this number on the connection, and returns false to close it.
     fn start(frame: impl Fn(usize, &mut TcpStream) -> bool + Send + Sync + 'static) -> Server {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap();
@@ -313,17 +313,17 @@ fn serve(
     }
 }
 
-/// A server that stands still twice: it keeps the answers to [`HELD`] requests in a row until all of them have come.
+/// A server that stalls twice: it holds the answers to [`HELD`] consecutive requests until all of them have arrived.
 struct Stalling {
     arrived: Mutex<usize>,
     changed: Condvar,
 }
 
-/// Requests that come while the server stands still.
+/// Number of requests that arrive during a stall.
 const HELD: usize = 50;
 
 impl Stalling {
-    /// Answers a request, unless it belongs to a stall that does not end.
+    /// Answers a request, unless its stall does not end.
     fn answer(&self, number: usize, stream: &mut TcpStream) -> bool {
         let stall =
             [100, 200].map(|first| first..first + HELD).into_iter().find(|s| s.contains(&number));
@@ -336,9 +336,9 @@ impl Stalling {
     }
 }
 
-/// Requests are sent when they are due, however long the server takes for those before. A stall that lasts until 50 of them have come
-/// lasts half a second at 100 a second, and each of the 50 has waited from when it was due: a client that asks again only after an
-/// answer would see two slow requests.
+/// Requests are sent when they are due, however slow earlier answers are. A stall that holds 50 requests lasts half a second at
+/// 100 per second, and the latency of each of the 50 counts from when it was due. A client that waits for each answer before its
+/// next request would see only two slow requests.
 #[test]
 fn a_stall_is_in_the_percentiles() {
     let stalling = Stalling { arrived: Mutex::new(0), changed: Condvar::new() };
@@ -347,8 +347,8 @@ fn a_stall_is_in_the_percentiles() {
     let json = report(&server.url(), &[&args[..], &["--connections", "200"]].concat());
     let point = &json["points"][0];
     assert_eq!(point["counts"]["frames"], 300, "{point}");
-    // Of the requests of a stall, the one that was due first waits for at least 490 ms, the next for 480, and so on. Latencies are
-    // counted in steps of a few percent.
+    // The first request of a stall waits for at least 490 ms, the next one for 480 ms, and so on. Latencies are rounded by a few
+    // per cent.
     let at_least = |percentile: &str, waited_ms: f64| {
         let found = ms(&point["latency"][percentile]);
         assert!(found >= 0.95 * waited_ms, "{percentile}: {found} ms, at least {waited_ms}");
@@ -358,10 +358,10 @@ fn a_stall_is_in_the_percentiles() {
     at_least("p90_ns", 340.0);
 }
 
-/// With one request under way at most, those that are due during a stall are not sent. They count as lost and are not forgotten.
+/// With at most one request in flight, requests that are due during a stall are not sent. They count as lost.
 #[test]
 fn a_stall_is_not_hidden_by_a_limit() {
-    // The first request is tried before the load. The stall ends when the client gives up.
+    // The first request is made before the load begins. The stall ends when the client gives up.
     const ANSWERED: usize = 60;
     let server = Server::start(|number, stream| match number {
         0..=ANSWERED => answer(stream, "200 OK", "frame"),
@@ -378,10 +378,10 @@ fn a_stall_is_not_hidden_by_a_limit() {
     assert!(json["warnings"].to_string().contains("--connections"), "{json}");
 }
 
-/// As k6, oha and vegeta are used in CI: the exit code tells.
+/// The exit code reports broken thresholds, as with k6, oha and vegeta in CI.
 #[test]
 fn broken_thresholds_end_with_their_exit_code() {
-    // Every fifth request is refused; the first one is that which is tried before the load.
+    // Every fifth request is refused. Request 0 is made before the load begins.
     let server = Server::start(|number, stream| match number % 5 {
         1 => answer(stream, "503 Service Unavailable\r\nRetry-After: 1", "{}"),
         _ => answer(stream, "200 OK", "frame"),
@@ -420,7 +420,7 @@ fn every_answer_is_counted_as_what_it_is() {
         2 => answer(stream, "429 Too Many Requests", "{}"),
         3 => answer(stream, "500 Internal Server Error", r#"{"detail":"it broke"}"#),
         4 => stream.write_all(b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\nhalf").is_err(),
-        // Silence: the client gives up.
+        // Do not answer until the client gives up.
         5 => stream.flush().is_ok(),
         _ => answer(stream, "200 OK", "frame"),
     });
@@ -449,7 +449,7 @@ fn every_answer_is_counted_as_what_it_is() {
     assert_eq!(point["verdict"], "unanswered");
     let warnings = json["warnings"].to_string();
     assert!(warnings.contains("it broke") || warnings.contains("connection closed"), "{warnings}");
-    // Another pose each time.
+    // Every request has another pose.
     let mut paths = server.paths.lock().unwrap().clone();
     paths.sort();
     paths.dedup();

@@ -1,4 +1,4 @@
-//! `pointillist path`, as a shell runs it: whole runs, broken ones, and what becomes of the frames.
+//! Tests `pointillist path` as run by a shell: complete and interrupted runs, and the frames on disk.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that unwraps says where it failed")]
 #![cfg(unix)]
 
@@ -72,13 +72,13 @@ impl Studio {
         command
     }
 
-    /// The path `fly` into `folder`, small.
+    /// A command that draws the path `fly` into `folder` as small frames.
     fn fly(&self, folder: &str, more: &[&str]) -> Command {
         let args = ["path", "scene.json", "--path", "fly", "-o", folder];
         self.command(&[&args[..], &SMALL, more].concat())
     }
 
-    /// Runs it to its end; what it says.
+    /// Runs [`Studio::fly`] to its end, and returns its messages.
     fn flown(&self, folder: &str, more: &[&str]) -> String {
         let output = self.fly(folder, more).output().unwrap();
         let told = text(&output);
@@ -98,7 +98,7 @@ impl Studio {
         text(&output)
     }
 
-    /// An engine with the scene, by the name that the program gives it: frames are the same.
+    /// An engine with the scene under the id that the program uses, so that frames are equal.
     fn engine(&self, adjust: impl FnOnce(&mut EngineConfig)) -> Engine {
         let mut config = EngineConfig::new(self.folder.path());
         adjust(&mut config);
@@ -107,7 +107,7 @@ impl Studio {
         engine
     }
 
-    /// The path through the library, of a process that draws other things as well.
+    /// Draws the path through the library, in a process that draws other things as well.
     fn filmed(
         &self,
         engine: &Engine,
@@ -139,7 +139,7 @@ impl Studio {
         film::run(&film, &AtomicBool::new(stop), tell)
     }
 
-    /// Every file of a folder, but for the lock.
+    /// The content of every file in a folder, except for the lock.
     fn contents(&self, folder: &str) -> BTreeMap<String, Vec<u8>> {
         names(&self.at(folder))
             .into_iter()
@@ -147,7 +147,7 @@ impl Studio {
             .collect()
     }
 
-    /// Which file stands behind each name: a frame that is drawn anew is another file.
+    /// The inode of each frame's file. A frame that is drawn again has another inode.
     fn inodes(&self, folder: &str) -> BTreeMap<String, u64> {
         let files =
             names(&self.at(folder)).into_iter().filter(|(name, _)| name.starts_with("frame-"));
@@ -158,7 +158,8 @@ impl Studio {
         records(&fs::read_to_string(self.at(folder).join("frames.jsonl")).unwrap())
     }
 
-    /// Every record has its file, of its length and checksum, and there is no other file; how many there are.
+    /// Checks that every record has its file with the right length and checksum, and that there are no other files. Returns the
+    /// number of records.
     fn check(&self, folder: &str) -> usize {
         let mut files = self.contents(folder);
         let manifest = files.remove("frames.jsonl").unwrap();
@@ -196,7 +197,7 @@ fn text(output: &Ended) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// Waits until a folder has so many frames, or the process has ended.
+/// Waits until a folder has this many frames, or the process has ended.
 fn wait_for(child: &mut Child, folder: &Path, frames: usize) {
     let began = Instant::now();
     while names(folder).iter().filter(|(name, _)| name.starts_with("frame-")).count() < frames {
@@ -223,7 +224,7 @@ fn a_path_becomes_numbered_frames() {
     let last = &studio.records("a/frames")[120];
     assert_eq!((&last["frame"], &last["t"]), (&120.into(), &4.0.into()));
 
-    // The path's first key is a camera of the scene, and its last key is the same: one frame of `render`, bit for bit.
+    // The path's first and last key equal a camera of the scene: these frames equal one of `render` bit by bit.
     let render = ["render", "scene.json", "--camera", "first", "-o", "first.png"];
     studio.succeeds(&render);
     let files = studio.contents("a/frames");
@@ -231,7 +232,7 @@ fn a_path_becomes_numbered_frames() {
     assert!(files["frame-00000.png"] == first && files["frame-00120.png"] == first);
     assert_ne!(files["frame-00060.png"], first);
 
-    // Again: nothing to do. The same path from a file: the same frames.
+    // A second run has nothing to do. The same path from a file gives the same frames.
     let inodes = studio.inodes("a/frames");
     let told = studio.flown("a/frames", &[]);
     assert!(told.contains("0 frames drawn, 121 kept"), "{told}");
@@ -242,7 +243,7 @@ fn a_path_becomes_numbered_frames() {
     assert_eq!(studio.contents("b"), files);
 }
 
-/// Killed at many moments, also while it starts and while it goes through what is there: in the end nothing tells.
+/// Runs that are killed at many moments, also while starting and while checking files: the final result is that of a single run.
 #[test]
 fn killed_runs_leave_no_trace() {
     let studio = Studio::new();
@@ -262,7 +263,7 @@ fn killed_runs_leave_no_trace() {
         }
         child.kill().unwrap();
         child.wait().unwrap();
-        // What the manifest tells of is there, and stays the file that it is through all later runs.
+        // Frames in the manifest exist, and keep their files through all later runs.
         let inodes = studio.inodes("broken");
         for (file, inode) in &kept {
             assert_eq!(inodes[file], *inode, "{file} was drawn again in round {round}");
@@ -299,7 +300,7 @@ fn damaged_frames_are_drawn_again_and_no_others() {
     fs::write(file(7), &files["frame-00007.png"][..50]).unwrap();
     fs::remove_file(file(11)).unwrap();
     fs::write(studio.at("f/.frame-00012.png.part"), "half").unwrap();
-    // A line that a crash cut, and one that something damaged.
+    // A line cut off by a crash, and a damaged line.
     let manifest = String::from_utf8(files["frames.jsonl"].clone()).unwrap();
     let manifest = manifest.replace("{\"frame\":15,", "{\"frime\":15,");
     fs::write(studio.at("f/frames.jsonl"), &manifest[..manifest.len() - 20]).unwrap();
@@ -339,13 +340,13 @@ fn other_settings_draw_all_anew() {
     fs::write(studio.at("cloud.ply"), cloud.replacen("0 0 0", "0 0 1", 1)).unwrap();
     let told = studio.flown("f", &with(&["--output", "normal"]));
     assert!(told.contains("10 frames drawn"), "{told}");
-    // And another format: what was there is left, and named.
+    // In another format the earlier files are kept and named.
     let told = studio.flown("f", &["--to", "9", "--output", "depth", "--format", "exr"]);
     assert!(told.contains("warning: 10 files") && told.contains("frame-00000.jpg"), "{told}");
     assert_eq!(studio.records("f").len(), 10);
 }
 
-/// A film that was begun by one renderer and goes on with another is drawn anew as a whole.
+/// A film that another renderer began is drawn again completely.
 #[cfg(debug_assertions)]
 #[test]
 fn other_shaders_draw_all_anew() {
@@ -396,7 +397,7 @@ fn an_interrupt_ends_a_run_that_goes_on_later() {
     let slow = ["--fps", "1000"];
     let mut child = studio.fly("f", &slow).stderr(Stdio::piped()).spawn().unwrap();
     wait_for(&mut child, &studio.at("f"), 5);
-    // Nobody else draws there meanwhile.
+    // Another process cannot draw into the folder meanwhile.
     let second = studio.fly("f", &slow).output().unwrap();
     let told = text(&second);
     assert!(!second.status.success() && told.contains("another process"), "{told}");
@@ -455,13 +456,13 @@ fn what_is_wrong_is_named() {
     assert!(told.contains("the scene names no paths"), "{told}");
 }
 
-/// A video is as resumable as its frames, which go when it is finished.
+/// A video can be resumed like its frames, which are removed when it is finished.
 #[cfg(feature = "video")]
 #[test]
 fn a_path_becomes_a_video() {
     use pointillist::film::video::mp4::Summary;
     let studio = Studio::new();
-    // Killed while frames are drawn, and while nothing is left to draw.
+    // Kill the run while it draws frames. The next run continues.
     let mut child = studio.fly("fly.mp4", &["--fps", "60"]).stderr(Stdio::null()).spawn().unwrap();
     wait_for(&mut child, &studio.at("fly.mp4.frames"), 20);
     child.kill().unwrap();
@@ -474,7 +475,7 @@ fn a_path_becomes_a_video() {
     let found = video("fly.mp4");
     assert_eq!((found.frames, found.width, found.height), (241, 64, 48));
     assert!((found.duration_s() - 241.0 / 60.0).abs() < 1e-3);
-    // Once more, from the frames that are there; then they are removed, and nothing else is.
+    // Run it again from the existing frames. They are then removed, and no other file is.
     fs::write(studio.at("fly.mp4.frames/notes.txt"), "remember the milk").unwrap();
     let told = studio.flown("fly.mp4", &["--fps", "60", "--bitrate-kbps", "100"]);
     assert!(told.contains("0 frames drawn, 241 kept"), "{told}");
@@ -497,7 +498,7 @@ fn a_path_becomes_a_video() {
     assert!(!studio.at("no.mp4.frames").exists());
 }
 
-/// Without a coder, what to do about it is told before anything is drawn; with `ffmpeg`, that is one.
+/// Without a coder, the command says what to do before it draws anything. `ffmpeg` serves as a coder.
 #[cfg(not(feature = "video"))]
 #[test]
 fn a_video_needs_a_coder() {
@@ -509,7 +510,7 @@ fn a_video_needs_a_coder() {
     assert!(!studio.at("fly.mp4.frames").exists());
 }
 
-/// Neither a queue that others fill nor a device that is lost costs a frame or changes one.
+/// Neither a queue filled by others nor a lost device loses or changes a frame.
 #[test]
 fn what_the_engine_puts_off_is_drawn_later() {
     let studio = Studio::new();
@@ -552,12 +553,12 @@ fn a_scene_that_changes_ends_the_run() {
     });
     assert!(matches!(ended, Err(FilmError::SceneChanged { .. })), "{ended:?}");
     assert!((1..121).contains(&studio.check("f")));
-    // None of those shows the scene as it is now.
+    // None of these frames shows the scene as it is now.
     let report = studio.filmed(&engine, "f", false, |_| ()).unwrap();
     assert_eq!((report.drawn, report.kept), (121, 0));
 }
 
-/// Another scene under the same id begins at the same revision, and is another scene all the same.
+/// A new scene under the same id begins at the same revision, but counts as another scene.
 #[test]
 fn a_scene_that_is_exchanged_ends_the_run() {
     let studio = Studio::new();
@@ -584,7 +585,7 @@ fn a_scene_that_is_exchanged_ends_the_run() {
     assert!(is_told, "{ended:?}");
     let drawn = studio.check("f");
     assert!((1..FRAMES).contains(&drawn), "{drawn}");
-    // What has come shows the scene that it was drawn of: of the other one nothing is kept, of the first all of it.
+    // Frames show the scene of which they were drawn: none are kept for the other scene, and all are kept for the first.
     let report = studio.filmed(&engine, "other", false, |_| ()).unwrap();
     assert_eq!(report.drawn, FRAMES as u64);
     exchange("scene.json");
@@ -596,7 +597,7 @@ fn a_scene_that_is_exchanged_ends_the_run() {
     assert_eq!((report.drawn, report.kept), (FRAMES as u64, 0));
     assert_eq!(studio.contents("f"), studio.contents("other"));
     assert_ne!(studio.contents("f"), whole);
-    // Exchanged while it is looked through, nothing else is said than that.
+    // A change of the scene after the survey of a complete folder is no error.
     let ended = studio.filmed(&engine, "f", false, |event| {
         if matches!(event, Event::Surveyed { .. }) {
             exchange("scene.json");
@@ -605,7 +606,7 @@ fn a_scene_that_is_exchanged_ends_the_run() {
     assert_eq!(ended.unwrap().kept, FRAMES as u64, "all was there, and is of the scene as it was");
 }
 
-/// What is told to stop before anything is drawn leaves all as it is, also of a folder that is full.
+/// A run that is told to stop before it draws anything changes nothing, even in a complete folder.
 #[test]
 fn a_run_that_stops_at_once_keeps_what_is_there() {
     let studio = Studio::new();

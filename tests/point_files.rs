@@ -1,5 +1,5 @@
-//! Real and broken point files, read from a folder that is not part of the repository: the one that
-//! `POINTILLIST_DATA` names, or `../shared/data` beside it. Without the folder nothing is tested.
+//! Tests with real and broken point files from a folder outside the repository: the one that `POINTILLIST_DATA` names, or
+//! `../shared/data` beside the checkout. Without the folder nothing is tested.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a panic is how a test fails")]
 
@@ -39,7 +39,7 @@ fn cloud(asset: &Asset) -> &PointCloud {
     }
 }
 
-/// Every optional vector is as long as the positions, every number finite, every normal a unit.
+/// Checks that every optional vector is as long as the positions, all numbers are finite, and normals have unit length.
 fn check_consistent(cloud: &PointCloud) {
     let count = cloud.positions.len();
     assert!(cloud.positions.iter().all(|p| p.is_finite()));
@@ -57,7 +57,7 @@ struct Expected {
     max: [f64; 3],
     has_color: bool,
     has_normals: bool,
-    /// Of the bounds, in units of the file.
+    /// Tolerance of the bounds, in units of the file.
     tolerance: f64,
 }
 
@@ -139,7 +139,7 @@ const FILES: &[Expected] = &[
         [-9.7795, 4.5139, 295.5247],
         [-6.7741, 7.5155, 298.5322],
     ),
-    // Half of its 1024 points are flagged as withheld.
+    // Half of the 1024 points are flagged as withheld.
     colored("pointclouds/pdrf7-v4-1.4.las", 512, FIXTURE_MIN, FIXTURE_MAX),
     colored("pointclouds/pdrf7-v4-1.4.laz", 512, FIXTURE_MIN, FIXTURE_MAX),
     plain("trees/pine.laz", 73_851, [-1.2493, -1.24, -0.224071], [1.2407, 1.24, 19.935929]),
@@ -165,7 +165,7 @@ fn real_files_hold_what_is_known_of_them() {
     }
 }
 
-/// Values that the same cloud shares across formats, in an order of their own.
+/// The points with their colours, rounded and sorted, to compare the same cloud across formats.
 fn sorted_points(asset: &Asset, tenths: bool) -> Vec<([i64; 3], [u8; 4])> {
     let unit = if tenths { 10.0 } else { 100.0 };
     let cloud = cloud(asset);
@@ -193,7 +193,7 @@ fn the_same_cloud_is_the_same_in_every_format() {
         assert!(a.positions == b.positions && a.colors == b.colors);
         assert!(a.intensity == b.intensity && a.classification == b.classification);
     }
-    // 8-bit values in 16-bit fields, and in their high bytes.
+    // 8-bit values in 16-bit fields, or in their high bytes.
     for (file, max) in [("autzen_trim.las", 236), ("lion_takanawa.copc.laz", 255)] {
         let asset = load(file);
         let brightest = cloud(&asset).colors.iter().flatten().flat_map(|c| &c[..3]).max().copied();
@@ -216,12 +216,12 @@ fn broken_files_are_refused_with_a_reason() {
         assert!(error.starts_with(&format!("{file}: ")), "{error}");
         assert!(error.contains(reason), "{error}");
     }
-    // One variable length record more than there is, but every point.
+    // The header declares one variable length record too many, but all points can be read.
     let asset = read(&data.join("corrupt/bad_vlr_count.las")).unwrap();
     println!("{:?}", asset.warnings);
     assert_eq!(cloud(&asset).positions.len(), 10);
     assert!(asset.warnings[0].contains("declares 3 variable length records; 2 fit"));
-    // Formats that are not theirs are no crash either.
+    // A reader given a file of another format does not crash either.
     for entry in std::fs::read_dir(data.join("corrupt")).unwrap() {
         let path = entry.unwrap().path();
         let options = ReadOptions::default();

@@ -1,9 +1,8 @@
-//! Real files through the whole path: read, baked, brought to the GPU, drawn, encoded. `POINTILLIST_DATA` names the
-//! folder; without it, or `../shared/data` beside the checkout, these tests print "skipped" and pass.
+//! Real files through the whole path: read, baked, uploaded to the GPU, drawn, encoded. `POINTILLIST_DATA` names the folder.
+//! Without it, or `../shared/data` beside the checkout, these tests print "skipped" and pass.
 //!
-//! The tables say which files must be drawn and which must be refused. A file that no table knows must do one or the other:
-//! show something, or be refused in words that name it. With `POINTILLIST_PICTURES` naming a folder, every frame is
-//! written there to be looked at.
+//! The tables list files that must be drawn and files that must be refused. A file in neither table must show something or be
+//! refused with a message that names it. If `POINTILLIST_PICTURES` names a folder, every frame is written there for inspection.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -22,7 +21,7 @@ use pointillist::plan::{Output, Reconstruct, Settings};
 
 const SIDE: u32 = 256;
 
-/// Must be drawn, whatever else happens to be in the folder.
+/// Files that must be drawn, whatever else is in the folder.
 const DRAWN: &[&str] = &[
     "cad/1002_tray_bottom.STL",
     "cad/ADIS16480.STL",
@@ -87,7 +86,7 @@ const DRAWN: &[&str] = &[
     "trees/tree33.xyz",
 ];
 
-/// Must be refused, with these words.
+/// Files that must be refused, with these words.
 const REFUSED: &[(&str, &str)] = &[
     ("corrupt/InvalidCVHeader.e57", ""),
     ("corrupt/Neuron_missing_parents.swc", "lines are not offered yet"),
@@ -130,7 +129,7 @@ const REFUSED: &[(&str, &str)] = &[
     ("trees/AlmondLeaf.png", "image"),
 ];
 
-/// Sound files whose triangles have no area: nothing of them can be seen.
+/// Valid files whose triangles have no area: nothing of them is visible.
 const INVISIBLE: &[&str] = &["corrupt/degenerate_mesh.obj"];
 
 fn data() -> Option<PathBuf> {
@@ -177,7 +176,7 @@ fn words(bytes: &[u8]) -> impl Iterator<Item = [u8; 4]> {
     bytes.as_chunks::<4>().0.iter().copied()
 }
 
-/// What a frame of a scene shows.
+/// Statistics of a scene's frame.
 struct Seen {
     covered: usize,
     /// Covered pixels that differ from the background.
@@ -187,7 +186,7 @@ struct Seen {
     info: SceneInfo,
 }
 
-/// Draws the loaded scene `x` and checks what holds for every scene.
+/// Draws the loaded scene `x`, and checks the invariants of every scene.
 fn look(engine: &Engine, name: &str) -> Seen {
     let info = engine.scene("x").unwrap();
     let draw = |output| {
@@ -200,7 +199,7 @@ fn look(engine: &Engine, name: &str) -> Seen {
     let bounds = info.bounds.unwrap_or_else(|| panic!("{name} has no bounds"));
     assert!(bounds.as_flattened().iter().all(|v| v.is_finite()), "{name}: {bounds:?}");
     let seen = || depths.iter().map(|depth| depth.is_finite());
-    // Dark files have the light one.
+    // Dark files have the light background.
     let backgrounds = [[0x20, 0x24, 0x28, 0xff], [0xc4, 0xca, 0xd0, 0xff]];
     let empty = seen().zip(words(&color.bytes)).find(|(seen, _)| !seen);
     let background = empty.map_or(backgrounds[0], |(_, word)| word);
@@ -219,7 +218,8 @@ fn look(engine: &Engine, name: &str) -> Seen {
     }
 }
 
-/// A scene shows what it has: half a per cent of the frame (a neuron is thin), or a pixel for every fourth point of a small cloud.
+/// Checks that a scene covers enough: half a per cent of the frame (a neuron is thin), or a pixel for every fourth point of a
+/// small cloud.
 fn check_seen(name: &str, seen: &Seen) {
     let pixels = (SIDE * SIDE) as usize;
     let samples = seen.info.samples as usize;
@@ -243,14 +243,14 @@ fn keep_picture(engine: &Engine, name: &str) {
     std::fs::write(Path::new(&folder).join(file), &frame.bytes).unwrap();
 }
 
-/// Largest resident size of this process so far, in bytes.
+/// Peak resident size of this process in bytes.
 fn peak_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
     line.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok().map(|kib| kib << 10)
 }
 
-/// Files that declare what they do not hold are opened by a process with little memory only.
+/// Whether a file may declare more than it holds. Such files are opened by a process with little memory.
 fn is_hostile(name: &str) -> bool {
     name.starts_with("corrupt/")
 }
@@ -301,7 +301,7 @@ fn every_file_is_drawn_or_refused() {
     }
 }
 
-/// A refusal names the file, says something, and what was expected of it.
+/// Checks that a refusal names the file, gives a reason, and says what was expected.
 fn check_refusal(name: &str, words: Option<&str>, text: &str) {
     println!("{text}");
     let file = name.rsplit('/').next().unwrap_or(name);

@@ -1,4 +1,4 @@
-//! Every module that can be composed parses and validates with the capabilities that the device has. Needs no GPU.
+//! Every module that can be composed parses, and validates with the device's capabilities. Needs no GPU.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -13,11 +13,11 @@ use naga::valid::{Capabilities, ValidationFlags, Validator};
 use pointillist::gpu::shader::{self, Composed};
 use pointillist::passes::shaders::{self, Choices, Portion, SHARED, Visibility, roots};
 
-/// What is asked of the device where 64-bit atomics are used.
+/// Capabilities that 64-bit atomics need.
 const WIDE: Capabilities =
     Capabilities::SHADER_INT64.union(Capabilities::SHADER_INT64_ATOMIC_MIN_MAX);
 
-/// What is asked of the device where sums of 64 bits are used.
+/// Capabilities that 64-bit sums need.
 const WIDE_SUMS: Capabilities =
     Capabilities::SHADER_INT64.union(Capabilities::SHADER_INT64_ATOMIC_ALL_OPS);
 
@@ -25,10 +25,10 @@ fn uses(root: &str, alias: &str) -> bool {
     shaders::source(root).unwrap().lines().any(|line| line == format!("//!include {alias}"))
 }
 
-/// Every composition of a root, with what it is called and what it is made of.
+/// Every composition of a root with its name and choices.
 fn compositions(root: &str) -> Vec<(String, Choices, Composed)> {
     let whole = shaders::composed(root, &Choices::default()).unwrap().source;
-    // A choice matters to a root that includes its name, itself or by way of what it includes.
+    // A choice matters to a root that includes its name, directly or through other includes.
     let asks = |alias: &str| {
         uses(root, alias)
             || SHARED.iter().any(|name| {
@@ -66,7 +66,7 @@ fn compositions(root: &str) -> Vec<(String, Choices, Composed)> {
     all = widen(all, "LIT", |choices, side| choices.lit = side);
     all = widen(all, "FINISH", |choices, side| choices.kept = side);
     all = widen(all, "NODES", |choices, side| choices.nodes = side);
-    // Each of them in a pass of its own.
+    // Each of these is used in a pass of its own.
     let lists = ["ENTRIES", "LIST", "MEMBERS"].into_iter().find(|alias| asks(alias));
     all = widen(all, lists.unwrap_or("ENTRIES"), |choices, side| choices.trees = side);
     all.into_iter()
@@ -76,7 +76,7 @@ fn compositions(root: &str) -> Vec<(String, Choices, Composed)> {
         .collect()
 }
 
-/// What a composition may use beyond the core of WGSL.
+/// The capabilities beyond core WGSL that a composition may use.
 fn needed(composed: &Composed, choices: &Choices) -> Capabilities {
     let mut needed = Capabilities::empty();
     if composed.source.contains("fn visibility_write") && choices.visibility == Visibility::Wide {
@@ -119,11 +119,15 @@ fn every_composition_is_valid() {
             checked += 1;
         }
     }
-    // Samples: three ways to write, as they are or of point trees, all of them or by turns; triangles: the same ways, with and without alpha,
-    // a thread each, all or by turns, with and without votes, and from a list by thread and by rasteriser; splats'
-    // depths: those of samples, with and without clip lines. Sums: clip lines, width, normals, lights, trees; in a single pass: clip
-    // lines, lights, trees. Each of these a thread a splat, all or by turns, with and without votes, and from a list. Passes over pixels: with and
-    // without votes, of samples with and without trees, with outputs written at once or later. Lists: of everything, or of trees. Others: without choices.
+    // Numbers of compositions:
+    // - Samples: three ways to write; with and without point trees; all at once or in turns.
+    // - Triangles: the same three ways; with and without alpha; a thread each (all at once or in turns, with and without votes),
+    //   or from a list (by threads or by the rasteriser).
+    // - Splats: depths as for samples, with and without clip lines; sums by clip lines, width, normals, lights and trees; a
+    //   single pass by clip lines, lights and trees. Each of these with a thread per splat (all at once or in turns, with and
+    //   without votes), or from a list.
+    // - Passes over pixels: with and without votes; samples with and without trees; outputs written at once or later.
+    // - Lists: of everything, or of trees. Others: no choices.
     let (depths, sums, single) = (12, 32, 8);
     let over_pixels = 5 * 2 * 2 + 2 * 2;
     let lists = 3 * 2;
@@ -144,7 +148,7 @@ fn nothing_else_needs_more_than_the_core() {
     }
 }
 
-/// Entry points are called as their file; the rasteriser has a vertex and a fragment stage.
+/// Entry points have the name of their file. The rasteriser has a vertex and a fragment stage.
 #[test]
 fn entry_points_are_named_after_their_file() {
     for root in roots() {
@@ -190,7 +194,7 @@ fn every_file_is_embedded_and_used() {
     assert_eq!(used, embedded, "a fragment that no composition includes");
 }
 
-/// Whether an expression's value comes from uniforms and constants alone, and from a uniform at all.
+/// Whether an expression's value comes only from uniforms and constants, and from at least one uniform.
 fn uniform_alone(
     module: &naga::Module,
     function: &naga::Function,
@@ -252,8 +256,8 @@ fn inlined_uniforms(module: &naga::Module, function: &naga::Function, block: &na
     })
 }
 
-/// Mesa's lavapipe puts the values of uniforms that steer a branch or a loop into the shader, which it then builds anew
-/// for every frame: fifty milliseconds that nothing else tells of.
+/// Mesa's lavapipe compiles the values of uniforms that steer a branch or a loop into the shader, and compiles it again when they
+/// change: fifty milliseconds per frame that no timing shows.
 #[test]
 fn no_branch_or_loop_hangs_on_uniforms_alone() {
     for root in roots() {

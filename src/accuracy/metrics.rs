@@ -1,14 +1,14 @@
-//! Distances between two images of one pose.
+//! Error metrics between two images of the same pose.
 //!
-//! All slices hold `width · height` pixels row by row; the first argument is the reference (the
-//! [oracle](crate::oracle), as a rule), the second the image under test.
+//! All slices hold `width · height` pixels row by row. The first argument is the reference (usually the [oracle](crate::oracle)),
+//! the second the image under test.
 
 use std::fmt;
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Slices that are not of one size.
+/// The slices have different sizes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("a reference of {reference} pixels cannot be compared with an image of {image}{expected}")]
 pub struct SizeMismatch {
@@ -17,7 +17,7 @@ pub struct SizeMismatch {
     pub expected: ExpectedSize,
 }
 
-/// The size that both should have had, where it is known.
+/// The size that both slices should have, if it is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ExpectedSize(pub Option<(u32, u32)>);
 
@@ -42,7 +42,7 @@ fn check<A, B>(reference: &[A], image: &[B], size: Option<(u32, u32)>) -> Result
 /// Peak signal-to-noise ratio in dB over the bytes of red, green and blue; infinite for equal images.
 ///
 /// # Errors
-/// Images of different size.
+/// The images have different sizes.
 pub fn psnr(reference: &[[u8; 4]], image: &[[u8; 4]]) -> Result<f64, SizeMismatch> {
     check(reference, image, None)?;
     let squares: u64 = rgb_differences(reference, image).map(|d| u64::from(d).pow(2)).sum();
@@ -56,7 +56,7 @@ pub fn psnr(reference: &[[u8; 4]], image: &[[u8; 4]]) -> Result<f64, SizeMismatc
 /// The largest difference of any red, green or blue byte.
 ///
 /// # Errors
-/// Images of different size.
+/// The images have different sizes.
 pub fn max_error(reference: &[[u8; 4]], image: &[[u8; 4]]) -> Result<u8, SizeMismatch> {
     check(reference, image, None)?;
     Ok(rgb_differences(reference, image).max().unwrap_or(0))
@@ -69,11 +69,11 @@ fn rgb_differences<'a>(a: &'a [[u8; 4]], b: &'a [[u8; 4]]) -> impl Iterator<Item
 /// Mean structural similarity of the luma (Rec. 601, from sRGB bytes), 1 for equal images.
 ///
 /// Wang, Bovik, Sheikh and Simoncelli, *Image Quality Assessment: From Error Visibility to Structural Similarity* (2004): a
-/// Gaussian window of 11 × 11 pixels with σ = 1.5, K₁ = 0.01, K₂ = 0.03, averaged over the windows that lie
-/// inside the image. Along a side shorter than 11 pixels, where none does, windows are cut off at the border instead.
+/// Gaussian window of 11 × 11 pixels with σ = 1.5, K₁ = 0.01, K₂ = 0.03, averaged over the windows that lie inside the image.
+/// Along a side shorter than 11 pixels there are none, and windows are cut off at the border instead.
 ///
 /// # Errors
-/// Slices that are not `width · height` long.
+/// A slice is not `width · height` long.
 pub fn ssim(
     reference: &[[u8; 4]],
     image: &[[u8; 4]],
@@ -116,7 +116,7 @@ fn luma(image: &[[u8; 4]]) -> Vec<f64> {
     image.iter().map(luma).collect()
 }
 
-/// The Gaussian mean around every pixel; weights outside the image are left out and the rest normalised.
+/// The Gaussian mean around every pixel. Weights outside the image are left out, and the rest are normalised.
 fn blur(plane: &[f64], width: usize, height: usize) -> Vec<f64> {
     let weight = |distance: usize| (-(distance as f64).powi(2) / (2.0 * 1.5 * 1.5)).exp();
     let weights: [f64; REACH + 1] = std::array::from_fn(weight);
@@ -134,7 +134,7 @@ fn blur(plane: &[f64], width: usize, height: usize) -> Vec<f64> {
     pixels().map(|i| mean(i / width, height, &|y| across[y * width + i % width])).collect()
 }
 
-/// Where one image has something and the other has not.
+/// Pixels that one image covers and the other does not.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Coverage {
     pub covered_reference: u64,
@@ -154,7 +154,7 @@ pub struct Coverage {
 /// Compares which pixels are covered, from ids (0 is background) or depths (see [`covered_by_depth`]).
 ///
 /// # Errors
-/// Slices that are not `width · height` long.
+/// A slice is not `width · height` long.
 pub fn coverage(
     reference: &[bool],
     image: &[bool],
@@ -191,11 +191,11 @@ pub fn coverage(
     Ok(found)
 }
 
-/// How far, in pixels, a covered pixel of `from` is from the nearest one of `to` at most (the one-sided Hausdorff distance); infinite where
-/// `to` covers none, 0 where `from` covers none.
+/// The one-sided Hausdorff distance in pixels: the largest distance of a covered pixel of `from` to the nearest one of `to`.
+/// Infinite if `to` covers none, 0 if `from` covers none.
 ///
 /// # Errors
-/// Slices that are not `width · height` long.
+/// A slice is not `width · height` long.
 pub fn farthest_px(
     from: &[bool],
     to: &[bool],
@@ -204,7 +204,7 @@ pub fn farthest_px(
 ) -> Result<f64, SizeMismatch> {
     check(from, to, Some((width, height)))?;
     let (width, height) = (width as usize, height as usize);
-    // Along its column, of each pixel; then the nearest column.
+    // The distance of each pixel along its column, then the minimum over columns.
     let mut along = vec![f64::INFINITY; to.len()];
     for x in 0..width {
         for y in 0..height {
@@ -237,17 +237,17 @@ pub fn farthest_px(
     Ok(farthest.sqrt())
 }
 
-/// Covered pixels of an id image.
+/// The covered pixels of an id image.
 pub fn covered_by_id(id: &[u32]) -> Vec<bool> {
     id.iter().map(|&id| id != 0).collect()
 }
 
-/// Covered pixels of a depth image: those with a finite depth.
+/// The covered pixels of a depth image: those with a finite depth.
 pub fn covered_by_depth<T: Copy + Into<f64>>(depth: &[T]) -> Vec<bool> {
     depth.iter().map(|&depth| depth.into().is_finite()).collect()
 }
 
-/// How an error spreads over the pixels that could be compared.
+/// Distribution of an error over the pixels that can be compared.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread {
     pub pixels: u64,
@@ -258,7 +258,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// `None` for no errors at all.
+    /// `None` if there are no errors.
     fn of(mut errors: Vec<f64>) -> Option<Spread> {
         errors.sort_unstable_by(f64::total_cmp);
         let rank = (errors.len() * 99).div_ceil(100);
@@ -271,10 +271,10 @@ impl Spread {
     }
 }
 
-/// `|image − reference| / reference` over the pixels where both depths are finite; `None` where there are none.
+/// `|image − reference| / reference` over the pixels where both depths are finite; `None` if there are none.
 ///
 /// # Errors
-/// Images of different size.
+/// The images have different sizes.
 pub fn depth_error<A, B>(reference: &[A], image: &[B]) -> Result<Option<Spread>, SizeMismatch>
 where
     A: Copy + Into<f64>,
@@ -290,10 +290,10 @@ where
     Ok(Spread::of(errors.collect()))
 }
 
-/// The angle in degrees over the pixels where both have a normal (not zero); `None` where there are none.
+/// The angle in degrees over the pixels where both images have a normal (not zero); `None` if there are none.
 ///
 /// # Errors
-/// Images of different size.
+/// The images have different sizes.
 pub fn normal_error_deg(
     reference: &[DVec3],
     image: &[DVec3],
@@ -305,7 +305,7 @@ pub fn normal_error_deg(
     Ok(Spread::of(reference.iter().zip(image).filter(known).map(angle).collect()))
 }
 
-/// The normals of a normal image: `n · 127 + 128` a byte, zero where alpha is.
+/// The normals of a normal image: `n · 127 + 128` per byte; zero where alpha is zero.
 pub fn normals_from_rgba8(rgba: &[[u8; 4]]) -> Vec<DVec3> {
     let component = |byte: u8| (f64::from(byte) - 128.0) / 127.0;
     let normal = |&[x, y, z, known]: &[u8; 4]| match known {

@@ -1,7 +1,7 @@
-//! How far a frame is from another one, the oracle's above all (floor 6).
+//! The accuracy of frames, above all compared with the oracle (floor 6).
 //!
-//! [`mod@reference`] draws the scenes that the engine draws, [`metrics`] says how far apart two frames are.
-//! [`mod@stability`] holds what shaders compute of splats in f32 against f64, where that is hard.
+//! [`mod@reference`] draws reference frames of the engine's scenes, and [`metrics`] measures the difference of two frames.
+//! [`mod@stability`] compares the shaders' computations of splats in f32 with f64, in cases that are numerically hard.
 pub mod metrics;
 pub mod reference;
 pub mod stability;

@@ -1,11 +1,11 @@
 //! Reference frames of the scenes that the engine draws.
 //!
 //! A [`Reference`] is loaded from the same file as an engine's scene, with the same description, preparation and numbering
-//! ([`crate::bake::assemble`], [`crate::bake::prepare`]), but keeps its geometry in f64 and is drawn by the [`crate::oracle`]. What
-//! packing, the GPU's arithmetic and its passes do to a frame is the difference between the two.
+//! ([`crate::bake::assemble`], [`crate::bake::prepare`]), but keeps its geometry in f64, and the [`crate::oracle`] draws it. The
+//! difference to the engine's frame is the effect of packing, the GPU's arithmetic and its passes.
 //!
-//! Loading costs what the engine's loading costs; a frame costs seconds rather than milliseconds, so that scenes of a few
-//! million primitives and frames of a few hundred pixels a side are what this is for.
+//! Loading takes as long as the engine's loading. A frame takes seconds rather than milliseconds. The reference is meant for
+//! scenes of up to a few million primitives and frames of a few hundred pixels a side.
 
 use std::path::Path;
 
@@ -18,7 +18,7 @@ use crate::oracle::{self, OracleFrame, OracleItem, OracleScene};
 use crate::plan::Output;
 use crate::scene::{Scene, SceneError, SceneLimits, Splats};
 
-/// Why there is no reference.
+/// Why a reference cannot be loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum ReferenceError {
     #[error(transparent)]
@@ -43,16 +43,16 @@ impl From<AssembleError> for ReferenceError {
 #[derive(Debug)]
 pub struct Reference {
     description: Scene,
-    /// Prepared, in the order of the description's assets.
+    /// Prepared assets, in the order of the description.
     assets: Vec<Asset>,
     placed: Vec<PlacedGeometry>,
 }
 
 impl Reference {
-    /// Loads the scene or asset file at `path` as an engine does whose root, read options and limits these are.
+    /// Loads the scene or asset file at `path` as an engine with this root, these read options and these limits does.
     ///
     /// # Errors
-    /// Whatever makes the engine refuse the file as well.
+    /// Any error for which the engine refuses the file.
     pub fn load(
         path: &Path,
         root: &Path,
@@ -83,7 +83,7 @@ impl Reference {
         }
         let placements: Vec<_> = assets.iter().map(|asset| &asset.placements).collect();
         let limit = limits.max_instances;
-        // One more than allowed is enough to know.
+        // One more than the limit suffices to detect an excess.
         let most = usize::try_from(limit).unwrap_or(usize::MAX).saturating_add(1);
         let placed: Vec<PlacedGeometry> =
             prepare::placed(&description, &placements).take(most).collect();
@@ -94,18 +94,18 @@ impl Reference {
         Ok(Reference { description, assets, placed })
     }
 
-    /// The description, as loaded and adapted.
+    /// The scene description, as loaded and adapted.
     pub fn description(&self) -> &Scene {
         &self.description
     }
 
-    /// The pose of a camera that the scene, or else its asset, names.
+    /// The pose of a named camera of the scene, or else of its asset.
     pub fn camera(&self, name: &str) -> Option<Camera> {
         let mut cameras = self.description.cameras.iter();
         cameras.find(|(known, _)| known == name).map(|(_, camera)| *camera)
     }
 
-    /// What the oracle draws, with a pixel for each sample. Instances have the numbers that the engine gives them.
+    /// The scene for the oracle, with a pixel per sample. Instances have the engine's numbers.
     pub fn scene(&self) -> OracleScene<'_> {
         let item = |(number, placed): (usize, &PlacedGeometry)| {
             let asset = &self.assets[placed.asset];
@@ -130,13 +130,13 @@ impl Reference {
         }
     }
 
-    /// Draws a frame. `supersample` as in [`oracle::render`]: 1 samples as the engine does, more gives the smooth
-    /// picture that both approximate.
+    /// Draws a frame. `supersample` is as in [`oracle::render`]: 1 samples as the engine does; more gives the smooth image that
+    /// both approximate.
     pub fn frame(&self, view: &View, supersample: u32) -> OracleFrame {
         self.frame_with(view, supersample, None)
     }
 
-    /// Draws a frame with samples as splats, or with a pixel for each sample where `splats` is `None`.
+    /// Draws a frame with samples as splats, or with a pixel per sample if `splats` is `None`.
     pub fn frame_with(
         &self,
         view: &View,
@@ -148,7 +148,7 @@ impl Reference {
     }
 }
 
-/// The image of a reference frame in the engine's own form: sRGB bytes, f32 depths, normals as bytes, ids.
+/// Converts a reference frame to the engine's form: sRGB bytes, f32 depths, normals as bytes, ids.
 pub fn image(frame: &OracleFrame, output: Output) -> FrameImage {
     let (width, height) = (frame.width, frame.height);
     match output {
@@ -169,11 +169,11 @@ pub fn image(frame: &OracleFrame, output: Output) -> FrameImage {
     }
 }
 
-/// Loads, draws and converts in one go: the reference of the frame that an engine with root `root` and default
-/// limits gives for `view` and `output`.
+/// Loads, draws and converts a frame: the reference of what an engine with root `root` and default limits draws for `view` and
+/// `output`.
 ///
 /// # Errors
-/// See [`Reference::load`].
+/// As [`Reference::load`].
 pub fn reference_frame(
     path: &Path,
     root: &Path,

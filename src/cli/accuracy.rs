@@ -1,4 +1,4 @@
-//! `pointillist accuracy`: what accuracy costs, and whether it holds.
+//! `pointillist accuracy`: reports what accuracy costs, and whether bounds on errors hold.
 
 use std::path::PathBuf;
 
@@ -28,10 +28,10 @@ pub struct AccuracyArgs {
     json: bool,
 }
 
-/// Makes the report, prints it and writes it.
+/// Makes the report, prints it, and writes it to a file.
 ///
 /// # Errors
-/// A report that does not exist yet, a file that cannot be written, a bound that does not hold.
+/// The report does not exist yet, a file cannot be written, or a bound does not hold.
 pub fn run(args: &AccuracyArgs) -> Result<()> {
     if !args.stability {
         bail!("only one report exists yet: ask for it with --stability");

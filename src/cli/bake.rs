@@ -1,4 +1,4 @@
-//! `pointillist bake`: point trees made beforehand, so that the first frame of a process finds them in the cache.
+//! `pointillist bake`: builds point trees in advance, so that the first frame of a process finds them in the cache.
 
 use std::io::IsTerminal;
 use std::path::Path;
@@ -28,7 +28,7 @@ pub struct BakeArgs {
     json: bool,
 }
 
-/// "512M" as bytes; K, M and G are powers of 1024, with or without "iB" or "B".
+/// Parses a size such as "512M" into bytes. K, M and G are powers of 1024, with or without "iB" or "B".
 fn parse_bytes(text: &str) -> Result<u64, String> {
     let wrong = || format!("`{text}` is no size; accepted: a number, or one with K, M or G (512M)");
     let upper = text.trim().to_ascii_uppercase();
@@ -44,20 +44,20 @@ fn parse_bytes(text: &str) -> Result<u64, String> {
     number.parse::<u64>().ok().and_then(|n| n.checked_mul(1 << shift)).ok_or_else(wrong)
 }
 
-/// Everything that is told.
+/// The report in JSON.
 #[derive(Serialize)]
 struct Baking<'a> {
     assets: &'a [BakedAsset],
     /// Absent with --no-cache.
     cache: Option<&'a Path>,
-    /// Reading, building and writing.
+    /// Time for reading, building and writing.
     elapsed_ns: u64,
 }
 
-/// Bakes, with a progress bar on a terminal and a line an asset elsewhere. Needs no GPU.
+/// Bakes, with a progress bar on a terminal and one line per asset elsewhere. Needs no GPU.
 ///
 /// # Errors
-/// A scene that is refused; no folder for the cache, or one that cannot be written or is too small.
+/// The scene is refused, or the cache has no folder, cannot be written or is too small.
 pub fn run(args: &BakeArgs) -> anyhow::Result<()> {
     super::local::init_log();
     let began = Instant::now();
@@ -74,7 +74,7 @@ pub fn run(args: &BakeArgs) -> anyhow::Result<()> {
     }
     let cache = config.bake_cache.as_ref();
     match cache {
-        // Now rather than after minutes of building.
+        // Fail now rather than after minutes of building.
         Some(cache) => std::fs::create_dir_all(cache.folder()).with_context(|| {
             format!("--cache {}: the folder cannot be made", cache.folder().display())
         })?,
@@ -118,7 +118,7 @@ pub fn run(args: &BakeArgs) -> anyhow::Result<()> {
 }
 
 /// # Errors
-/// An asset whose trees are not in the cache now.
+/// The trees of some asset are not in the cache.
 fn check_kept(assets: &[BakedAsset], cache: &BakeCache) -> anyhow::Result<()> {
     let folder = cache.folder().display();
     for asset in assets {
@@ -159,7 +159,7 @@ fn seconds(asset: &BakedAsset) -> f64 {
     asset.elapsed_ns as f64 / 1e9
 }
 
-/// Millions of leaves a second: of a cloud its samples, of a mesh those that it was turned into; `None` of what was not built now.
+/// Millions of leaves built per second: samples of a cloud, or of a mesh. `None` if the tree was not built in this run.
 fn built_rate(asset: &BakedAsset) -> Option<f64> {
     let is_built = !matches!(asset.source, BakeSource::Cached | BakeSource::Kept);
     is_built.then(|| asset.tree.leaves as f64 / 1e6 / seconds(asset).max(1e-9))

@@ -1,4 +1,4 @@
-//! Where commands keep point trees from one run to the next.
+//! The cache in which commands keep point trees between runs.
 
 use std::path::PathBuf;
 
@@ -26,15 +26,15 @@ pub struct CacheArgs {
     pub bake_memory_mib: Option<u64>,
 }
 
-/// The least that building can be held to, in MiB.
+/// Lower bound of `--bake-memory-mib`.
 const LEAST_BAKE_MIB: u64 = Memory::LEAST >> 20;
 
 impl CacheArgs {
-    /// The cache asked for; none where it is not wanted, or where no folder is given and the user has none for caches. Does not touch
-    /// the disk.
+    /// The requested cache; `None` if it is not wanted, or if no folder is given and the user has no folder for caches. Does not
+    /// access the disk.
     ///
     /// # Errors
-    /// A cache of nothing.
+    /// `--cache-max-mib` or `--bake-memory-mib` is too small.
     pub fn open(&self) -> anyhow::Result<Option<BakeCache>> {
         let mib = self.cache_max_mib.unwrap_or(DEFAULT_MAX_MIB);
         ensure!(mib >= 1, "--cache-max-mib {mib}: must be at least 1");

@@ -1,4 +1,4 @@
-//! What the commands that draw have in common: how a frame is drawn, whatever it shows.
+//! Options that all drawing commands share: how a frame is drawn, whatever it shows.
 
 use anyhow::anyhow;
 use clap::{Args, ValueEnum};
@@ -52,7 +52,7 @@ pub struct PoseArgs {
 }
 
 impl PoseArgs {
-    /// The pose, with this direction as up, where one is given.
+    /// The pose, with `up` as its up direction, if there is one.
     pub fn pose(&self, up: Option<DVec3>) -> Pose {
         if let Some(name) = &self.camera {
             return Pose::Named(name.clone());
@@ -117,10 +117,10 @@ pub(super) fn size(text: &str) -> Result<(u32, u32), String> {
 }
 
 impl FrameArgs {
-    /// The frame asked for, of the command's only scene.
+    /// The requested frame of the command's only scene.
     ///
     /// # Errors
-    /// Options that do not go together.
+    /// Options contradict each other.
     pub fn request(&self, pose: Pose, format: ImageFormat) -> anyhow::Result<FrameRequest> {
         let Self { output, quality, .. } = *self;
         Ok(FrameRequest { output, format, quality, ..self.draw.request(pose)? })
@@ -128,10 +128,10 @@ impl FrameArgs {
 }
 
 impl DrawArgs {
-    /// A frame in colour of the command's only scene.
+    /// A colour frame of the command's only scene.
     ///
     /// # Errors
-    /// Options that do not go together.
+    /// Options contradict each other.
     pub fn request(&self, pose: Pose) -> anyhow::Result<FrameRequest> {
         let option = |name: &str| name.replace('_', "-");
         let settings = self.settings.resolve().map_err(|error| {
@@ -143,7 +143,7 @@ impl DrawArgs {
             pose,
             width: self.size.0,
             height: self.size.1,
-            // A file has no second picture.
+            // A file is never replaced by a better frame later.
             settings: Settings { wait: Wait::Complete, ..settings },
             output: Output::Color,
             format: ImageFormat::Raw,
@@ -179,7 +179,7 @@ mod tests {
     fn options_that_do_not_go_together_are_named() {
         let plain = request(&[]).unwrap();
         assert_eq!((plain.width, plain.height, plain.quality), (1024, 1024, 85));
-        // A picture on the disk is not provisional.
+        // A file is never provisional.
         assert_eq!(plain.settings, Settings { wait: Wait::Complete, ..Settings::default() });
         for (line, expected) in [
             (&["--paint", "levels"][..], "--paint: this setting applies to `lod=spt` only"),

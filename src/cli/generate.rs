@@ -35,10 +35,10 @@ pub struct GenerateArgs {
     pub size: Option<f64>,
 }
 
-/// Generates and writes, with a progress bar on a terminal.
+/// Generates an asset or scene and writes it, with a progress bar on a terminal.
 ///
 /// # Errors
-/// Parameters out of range, an extension that does not fit, a file that cannot be written.
+/// Parameters are out of range, the extension does not fit, or a file cannot be written.
 pub fn run(args: GenerateArgs) -> anyhow::Result<()> {
     let begin = Instant::now();
     let bar = ProgressBar::new(1000);

@@ -1,4 +1,4 @@
-//! `pointillist inspect`: what a scene holds and what it would cost.
+//! `pointillist inspect`: shows what a scene contains and what it would cost to draw.
 
 use anyhow::Result;
 use clap::Args;
@@ -25,24 +25,24 @@ pub struct InspectArgs {
     json: bool,
 }
 
-/// Everything that is told.
+/// The report in JSON.
 #[derive(Serialize)]
 struct Inspection {
     #[serde(flatten)]
     scene: SceneInfo,
     adapter: String,
     gpu_budget_bytes: u64,
-    /// The passes of a color frame, each with the reason where it is skipped.
+    /// The passes of a colour frame, with the reason for each one that is skipped.
     plan: FramePlan,
-    /// With --tree: of each asset that has something to draw.
+    /// With --tree: the trees of each asset that has something to draw.
     #[serde(skip_serializing_if = "Option::is_none")]
     trees: Option<Vec<BakedAsset>>,
 }
 
-/// Loads the scene and tells.
+/// Loads the scene and prints the report.
 ///
 /// # Errors
-/// A scene that is refused; no GPU adapter, on which the plan depends.
+/// The scene is refused, or there is no GPU adapter, on which the plan depends.
 pub fn run(args: &InspectArgs) -> Result<()> {
     super::local::init_log();
     args.scene.check_up()?;
@@ -85,7 +85,7 @@ fn table() -> Table {
     table
 }
 
-/// An axis by name, or the vector.
+/// The axis in words if it is one, else the vector.
 fn direction(up: [f64; 3]) -> String {
     for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
         let others = (0..3).filter(|&other| other != axis).all(|other| up[other] == 0.0);

@@ -1,4 +1,4 @@
-//! `pointillist load`: how many frames a second a daemon gives, how late they are, and where that ends.
+//! `pointillist load`: measures throughput and latency of a daemon, and finds the rate at which it saturates.
 
 use std::io::IsTerminal;
 use std::path::PathBuf;
@@ -26,7 +26,7 @@ use crate::load::{drive::Client, plot, tally::Outcome};
 use crate::plan::Given;
 use crate::scene::random::SplitMix64;
 
-/// Rates beyond this are no longer kept by one thread.
+/// Highest rate that a single thread can keep.
 const MOST_PER_S: f64 = 200_000.0;
 const DAY_S: f64 = 86_400.0;
 
@@ -152,7 +152,8 @@ fn rate(text: &str) -> Result<f64, String> {
     number(text, 0.01, MOST_PER_S, "requests per second, 0.01 to 200000")
 }
 
-/// With acknowledgements, no more messages than a daemon takes of a stream.
+/// Parses a rate of poses. Together with acknowledgements, it stays below the rate of messages that a daemon accepts from a
+/// stream.
 fn pose_rate(text: &str) -> Result<f64, String> {
     number(text, 0.01, 400.0, "poses per second, 0.01 to 400")
 }
@@ -181,7 +182,7 @@ fn parameter(text: &str) -> Result<(String, String), String> {
 }
 
 impl FrameArgs {
-    /// Query parameters beside the pose.
+    /// The query parameters besides the pose.
     fn query(&self) -> Vec<(String, String)> {
         let given = [("quality", &self.quality), ("output", &self.output)];
         let (width, height) = self.size;
@@ -232,16 +233,16 @@ impl RateArgs {
     }
 }
 
-/// Runs the load, and prints and writes what came of it.
+/// Runs the load, then prints and writes the report.
 ///
 /// # Errors
-/// A daemon that cannot be reached, a scene or parameter that it refuses, a file that cannot be written; not one frame.
+/// The daemon cannot be reached, refuses the scene or a parameter, or gave no frame at all; or a file cannot be written.
 pub fn run(args: &LoadArgs) -> anyhow::Result<ExitCode> {
     super::local::init_log();
     let settings = args.settings()?;
     let target = Target::parse(&args.url)?;
     if let Some(folder) = &args.out {
-        // Now rather than after minutes of load.
+        // Fail now rather than after minutes of load.
         std::fs::create_dir_all(folder)
             .with_context(|| format!("making the folder {}", folder.display()))?;
     }
@@ -320,14 +321,14 @@ async fn measure(
     .finish())
 }
 
-/// The streams of a run, each with a path of its own.
+/// The streams of a run, each with its own path.
 fn stream_clients(
     args: &LoadArgs,
     target: &Target,
     scene: &SceneAnswer,
 ) -> anyhow::Result<StreamClients> {
     let paths = 0..u64::from(args.streams);
-    // None is that of the requests.
+    // These seeds differ from the seed of the requests' path.
     let seeds = paths.map(|number| SplitMix64::stream(args.seed, number + 1).next_u64());
     let poses: Result<Vec<Poses>, _> =
         seeds.map(|seed| Poses::new(args.frame.poses, scene, seed)).collect();
@@ -342,7 +343,7 @@ fn stream_clients(
     })
 }
 
-/// The scene asked for, or the first that is ready.
+/// The requested scene, or the first one that is ready.
 async fn find_scene(
     connections: &Connections,
     prefix: &str,
@@ -377,17 +378,17 @@ async fn find_scene(
     serde_json::from_value(answer).with_context(|| format!("GET {path}: not a scene as expected"))
 }
 
-/// One frame before all others: what the daemon refuses, it refuses now, and a first frame's preparations are not measured.
+/// Gets one frame before the run begins, so that a refusal shows early and one-time work is not measured.
 async fn try_once(client: &RequestClient, timeout_s: f64) -> anyhow::Result<()> {
-    // Point trees may have to be built for it.
+    // The daemon may have to build point trees first.
     let patience = Duration::from_secs_f64(timeout_s.max(120.0));
-    // No request of the run has this number's pose.
+    // No request of the run has the pose of this number.
     let first = tokio::time::timeout(patience, client.frame(u64::from(u32::MAX)));
     match first.await {
         Err(_) => bail!("no first frame within {} s", patience.as_secs()),
         Ok(Outcome::Answered(answer)) => match answer.status {
             200..=299 => Ok(()),
-            // Somebody else's load: to be measured, not refused.
+            // The daemon is busy with other clients. This is to be measured, not refused.
             429 | 503 => Ok(()),
             status => {
                 bail!("{}", answer.complaint.unwrap_or_else(|| format!("status {status}")))
@@ -398,7 +399,7 @@ async fn try_once(client: &RequestClient, timeout_s: f64) -> anyhow::Result<()> 
     }
 }
 
-/// An interrupt ends the run after what is under way, a second one the program.
+/// A first interrupt ends the run after the requests in flight, a second one ends the program.
 fn stop_on_interrupt(stop: Arc<AtomicBool>) {
     tokio::spawn(async move {
         if tokio::signal::ctrl_c().await.is_ok() {
@@ -410,7 +411,7 @@ fn stop_on_interrupt(stop: Arc<AtomicBool>) {
     });
 }
 
-/// A bar on a terminal, and a line for each step everywhere.
+/// Shows progress: a bar on a terminal, and a line for each step everywhere.
 struct Shown {
     bar: ProgressBar,
 }
@@ -441,7 +442,7 @@ impl Shown {
         }
     }
 
-    /// Moves the bar along for so long.
+    /// Advances the bar for a time of `length`.
     fn follow(&self, length: Duration) {
         const TICK: Duration = Duration::from_millis(100);
         if self.bar.is_hidden() {

@@ -1,4 +1,4 @@
-//! An engine for one scene, as `render` and `inspect` need it, and what `bake` shares with them.
+//! An engine for a single scene, as `render` and `inspect` need it, and parts that `bake` shares with them.
 
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
@@ -48,14 +48,14 @@ pub struct SceneArgs {
     force_32_bit: bool,
 }
 
-/// Identifier of the only scene.
+/// Id of the only scene.
 pub const ID: &str = "scene";
 
 impl SceneFile {
-    /// The scene's absolute path and an engine's configuration for it; reading moves `bar`.
+    /// The scene's absolute path, and an engine's configuration for it. Reading the scene advances `bar`.
     ///
     /// # Errors
-    /// A file that is not there; a setting of the cache that cannot be used.
+    /// The file does not exist, or a setting of the cache cannot be used.
     pub fn config(&self, bar: &ProgressBar) -> anyhow::Result<(PathBuf, EngineConfig)> {
         let path = self
             .scene
@@ -76,15 +76,15 @@ impl SceneFile {
 }
 
 impl SceneArgs {
-    /// The direction that was asked for as up.
+    /// The up direction that was given.
     pub fn up(&self) -> Option<DVec3> {
         self.up.map(|Up(up)| up)
     }
 
-    /// Refuses `--up` for a scene file, whose cameras and paths may depend on its own.
+    /// Refuses `--up` with a scene file, because its cameras and paths may depend on its own up direction.
     ///
     /// # Errors
-    /// A scene file and `--up`.
+    /// The scene is a scene file, and `--up` is given.
     pub fn check_up(&self) -> anyhow::Result<()> {
         if self.up.is_some() && is_scene_file(&self.file.scene) {
             anyhow::bail!(
@@ -97,7 +97,7 @@ impl SceneArgs {
     /// Starts an engine and loads the scene into it, with a progress bar on a terminal.
     ///
     /// # Errors
-    /// No GPU adapter; a scene that is refused.
+    /// There is no GPU adapter, or the scene is refused.
     pub fn load(
         &self,
         adjust: impl FnOnce(&mut EngineConfig),
@@ -117,7 +117,7 @@ impl SceneArgs {
     }
 }
 
-/// A bar of 1000 on standard error where that is a terminal, and nowhere else.
+/// A progress bar with 1000 steps on standard error, hidden where that is no terminal.
 pub fn progress_bar() -> ProgressBar {
     let bar = ProgressBar::new(1000);
     if !std::io::stderr().is_terminal() {
@@ -130,7 +130,7 @@ pub fn progress_bar() -> ProgressBar {
     bar
 }
 
-/// Shows how far baking has come.
+/// Shows the progress of baking.
 pub fn show_baking(bar: &ProgressBar, event: &BakeEvent) {
     match event {
         BakeEvent::Started { asset, done, total } => {
@@ -139,7 +139,7 @@ pub fn show_baking(bar: &ProgressBar, event: &BakeEvent) {
             bar.set_message(format!("baking {asset}"));
         }
         BakeEvent::Phase { phase, done } => {
-            // As many steps as the bar has for reading.
+            // The same number of steps as for reading.
             bar.set_length(1000);
             bar.set_position((done * 1000.0) as u64);
             bar.set_message(phase.name());
@@ -148,12 +148,12 @@ pub fn show_baking(bar: &ProgressBar, event: &BakeEvent) {
     }
 }
 
-/// Errors of the library on standard error, and what `POINTILLIST_LOG` asks for.
+/// Logs errors of the library to standard error, or what `POINTILLIST_LOG` asks for.
 pub fn init_log() {
     use tracing_subscriber::EnvFilter;
     let filter = EnvFilter::try_from_env("POINTILLIST_LOG")
         .unwrap_or_else(|_| EnvFilter::new("warn,wgpu_core=error,wgpu_hal=error,naga=error"));
-    // Somebody else's subscriber is as good.
+    // Fails only if there is a subscriber already, which is as good.
     let _ = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_ansi(std::io::stderr().is_terminal())

@@ -1,4 +1,4 @@
-//! The command line (floor 8): one file a command.
+//! The command line (floor 8): one file per command.
 
 pub mod accuracy;
 pub mod bake;
@@ -20,7 +20,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-/// What the process ends with; as in docs/commands.md.
+/// Exit codes of the process, as in docs/commands.md.
 const EXIT_STATUS: &str = "Exit status:
   0  done; of `serve`: told to stop
   1  failed, with the reason on standard error
@@ -61,10 +61,10 @@ enum Command {
     Openapi,
 }
 
-/// Parses the command line and runs what it says. Gives the exit code of a command that did its work.
+/// Parses the command line and runs the command. Returns the command's exit code.
 ///
 /// # Errors
-/// Whatever the command met.
+/// Any error of the command.
 pub fn run() -> anyhow::Result<ExitCode> {
     match Cli::parse().command {
         Command::Serve(args) => serve::run(*args),

@@ -1,13 +1,13 @@
-//! What commands write on standard output, and say on standard error.
+//! Output of commands: results on standard output, messages on standard error.
 
 use std::io::{self, Write};
 
 use anyhow::Context;
 
-/// Writes text. Whoever reads it may have had enough, as `head` has: that is no failure, and what is left to say is said to nobody.
+/// Writes text to standard output. If the reader has closed the pipe, as `head` does, the rest is dropped without an error.
 ///
 /// # Errors
-/// An output that cannot be written for another reason, a full disk say.
+/// The output cannot be written for another reason, such as a full disk.
 pub fn print(text: &str) -> anyhow::Result<()> {
     print_bytes(text.as_bytes())
 }
@@ -22,13 +22,13 @@ pub fn print_bytes(bytes: &[u8]) -> anyhow::Result<()> {
         .context("standard output cannot be written")
 }
 
-/// Says a line on standard error, to whoever listens; `eprintln!` panics where nobody does, as in `2>&1 | head`.
+/// Writes a line to standard error, and ignores errors. `eprintln!` panics if the reader is gone, as in `2>&1 | head`.
 pub fn say_line(line: std::fmt::Arguments<'_>) {
-    // There is nowhere else to say that it failed.
+    // A failure could be reported nowhere.
     let _ = writeln!(io::stderr(), "{line}");
 }
 
-/// [`say_line`], with what `format!` takes.
+/// [`say_line`] with the arguments of `format!`.
 macro_rules! say {
     ($($line:tt)*) => { $crate::cli::out::say_line(format_args!($($line)*)) };
 }

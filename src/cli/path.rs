@@ -1,4 +1,4 @@
-//! `pointillist path`: a camera path to numbered frames, or to a video of them, in as many runs as it takes.
+//! `pointillist path`: draws a camera path as numbered frames or as a video, in as many runs as it takes.
 
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
@@ -55,14 +55,15 @@ pub struct PathArgs {
     frame: FrameArgs,
 }
 
-/// Draws what is missing, with a progress bar on a terminal and a line every few seconds elsewhere.
+/// Draws the missing frames, with a progress bar on a terminal and a line every few seconds elsewhere.
 ///
 /// # Errors
-/// A scene, path or setting that is refused, no GPU, a folder that cannot be written; being told to stop before the last frame.
+/// The scene, path or a setting is refused, there is no GPU, the folder cannot be written, or a signal stops the run before the
+/// last frame.
 pub fn run(args: PathArgs) -> anyhow::Result<()> {
     super::local::init_log();
     args.scene.check_up()?;
-    // The pose is each frame's own.
+    // The pose is replaced in each frame.
     let mut request = args.frame.request(Pose::FIT, args.format.format())?;
     request.settings.wait = Wait::Whole;
     let target = Target::new(&args)?;
@@ -120,7 +121,7 @@ pub fn run(args: PathArgs) -> anyhow::Result<()> {
     }
 }
 
-/// Where frames go, and what is made of them.
+/// The folder of the frames, and the video if there is one.
 struct Target {
     folder: PathBuf,
     video: Option<VideoFile>,
@@ -170,12 +171,12 @@ impl Target {
     }
 }
 
-/// Whether a name is that of a video rather than of a folder.
+/// Whether the output is a video rather than a folder.
 fn is_video(out: &Path) -> bool {
     out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mp4")) && !out.is_dir()
 }
 
-/// An error in the words of the command line.
+/// Names the option instead of the parameter in an error.
 fn named(error: VideoError) -> anyhow::Error {
     match error {
         VideoError::Unfit { parameter, reason } => {
@@ -189,7 +190,7 @@ fn named(error: VideoError) -> anyhow::Error {
     }
 }
 
-/// Makes the video of frames that are all there.
+/// Codes the video when all frames are finished.
 fn make(video: &VideoFile, reel: &Reel, film: &Film<'_>, stop: &AtomicBool) -> anyhow::Result<()> {
     let bar = progress_bar();
     bar.set_length(reel.frames);
@@ -214,22 +215,22 @@ fn make(video: &VideoFile, reel: &Reel, film: &Film<'_>, stop: &AtomicBool) -> a
     Ok(())
 }
 
-/// Removes what a run has put into the folder beside a video, and the folder where nothing else is in it.
+/// Removes the frames and manifest that a video was made of, and their folder if nothing else is in it.
 fn remove_frames(folder: &Path) -> anyhow::Result<()> {
     film::remove(folder)?;
-    // Somebody's own file stays, and so does the folder then.
+    // The folder stays if it has other files.
     let _ = std::fs::remove_dir(folder);
     Ok(())
 }
 
-/// The scene's path of that name, or else the one in that file.
+/// The scene's path of this name, or else the path in the file of this name.
 fn find(engine: &Engine, info: &SceneInfo, name: &str) -> anyhow::Result<CameraPath> {
     if info.paths.iter().any(|known| known == name) {
         return Ok(engine.camera_path(ID, name)?);
     }
     let file = Path::new(name);
     if file.exists() || file.extension().is_some_and(|extension| extension == "json") {
-        // In one line: what is told of a file that cannot be read holds the system's words already.
+        // On a single line: the error of an unreadable file already contains the system's message.
         return load_path(file, DVec3::from_array(info.up), &SceneLimits::default())
             .map_err(|error| anyhow::anyhow!("--path {error}"));
     }
@@ -242,7 +243,7 @@ fn find(engine: &Engine, info: &SceneInfo, name: &str) -> anyhow::Result<CameraP
     }
 }
 
-/// Builds what the frames need, with a bar: point trees, or normals and kernels of large clouds.
+/// Bakes what the frames need, with a bar: point trees, or normals and kernels of large clouds.
 fn bake(engine: &Engine, request: &FrameRequest) -> anyhow::Result<()> {
     let Some(mut ticket) = engine.begin_bake(request)? else { return Ok(()) };
     let bar = progress_bar();
@@ -255,9 +256,9 @@ fn bake(engine: &Engine, request: &FrameRequest) -> anyhow::Result<()> {
     Ok(baked.unwrap_or(Ok(()))?)
 }
 
-/// Becomes true when the process is told to end, which it does by itself then; told again, it ends at once.
+/// Returns a flag that the first signal sets. The program then stops by itself; a second signal ends it at once.
 fn stop_when_told() -> anyhow::Result<Arc<AtomicBool>> {
-    /// What shells make of a process that SIGINT ended.
+    /// Exit code of a process that SIGINT ended, by convention of shells.
     const INTERRUPTED: i32 = 130;
     let stop = Arc::new(AtomicBool::new(false));
     let told = stop.clone();
@@ -283,10 +284,10 @@ fn stop_when_told() -> anyhow::Result<Arc<AtomicBool>> {
     Ok(stop)
 }
 
-/// Seconds between lines where there is no terminal.
+/// Interval between lines of progress where there is no terminal.
 const LINE_EVERY: Duration = Duration::from_secs(5);
 
-/// How far it has come, for those who watch.
+/// Shows the progress of drawing.
 struct Telling {
     bar: ProgressBar,
     lines: bool,
@@ -294,7 +295,7 @@ struct Telling {
     done: u64,
     drawn: u64,
     gpu_ns: Option<u64>,
-    /// Of all frames drawn: how many the engine drew at once with each.
+    /// Sum over all drawn frames of the number of views in the frame's dispatch.
     views: u64,
     began: Instant,
     told: Instant,
@@ -330,7 +331,7 @@ impl Telling {
                 self.bar.set_length(self.total);
                 self.bar.set_position(*kept);
                 self.bar.set_message("drawing");
-                // What was there already took no time.
+                // Frames that existed already took no time.
                 self.bar.reset_eta();
                 if self.lines && *kept > 0 {
                     say!("{kept} of {} frames are there already", self.total);

@@ -1,4 +1,4 @@
-//! `pointillist pick`: what pixels of a frame show, without a server.
+//! `pointillist pick`: prints which elements the pixels of a frame show, without a server.
 
 use clap::Args;
 
@@ -25,10 +25,10 @@ pub struct PickArgs {
     draw: DrawArgs,
 }
 
-/// Prints what the pixels show.
+/// Prints the picks of the given pixels.
 ///
 /// # Errors
-/// A scene, pose or pixel that is refused, no GPU.
+/// The scene, the pose or a pixel is refused, or there is no GPU.
 pub fn run(args: &PickArgs) -> anyhow::Result<()> {
     super::local::init_log();
     if args.x.len() != args.y.len() {

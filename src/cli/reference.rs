@@ -1,4 +1,4 @@
-//! The page of the docs that lists every command and option, made of the parser's own declarations.
+//! Writes the page of the docs that lists every command and option, from the parser's own declarations.
 
 use clap::{Arg, ArgAction, Command, CommandFactory};
 

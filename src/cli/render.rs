@@ -1,4 +1,4 @@
-//! `pointillist render`: one frame through the same engine that serves many.
+//! `pointillist render`: draws one frame with the engine that the daemon uses.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -59,10 +59,10 @@ impl RenderArgs {
     }
 }
 
-/// Draws and writes.
+/// Draws the frame and writes it.
 ///
 /// # Errors
-/// A scene, pose or format that is refused, no GPU, a file that cannot be written.
+/// The scene, pose or format is refused, there is no GPU, or the file cannot be written.
 pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     super::local::init_log();
     let request = args.frame.request(args.pose.pose(args.scene.up()), args.format()?)?;
@@ -99,7 +99,7 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// How many things a scene shows.
+/// The numbers of samples, triangles and instances, in words.
 pub(super) fn contents(samples: u64, triangles: u64, instances: u64) -> String {
     let mut parts = Vec::new();
     for (count, one, many) in [

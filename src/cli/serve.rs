@@ -1,9 +1,8 @@
 //! `pointillist serve`: the daemon.
 //!
-//! A setting may come from a flag, from the environment (`POINTILLIST_` and the flag's name in
-//! capitals), or from the TOML file given with `--config` (the flag's name without dashes in front);
-//! the first of these that has it wins, and a default stands behind them. [`ServeArgs`] is all
-//! three: clap reads flags and environment into it, serde the file.
+//! A setting may come from a flag, from the environment (`POINTILLIST_` and the flag's name in capitals), or from the TOML file
+//! given with `--config` (the flag's name without leading dashes). The first of these that has the setting wins; otherwise it has
+//! its default. [`ServeArgs`] is all three: clap reads flags and environment into it, serde the file.
 
 use std::io::IsTerminal;
 use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
@@ -195,11 +194,10 @@ pub enum LogFormat {
     Json,
 }
 
-/// Runs the daemon until it is told to stop.
+/// Runs the daemon until a signal stops it.
 ///
 /// # Errors
-/// A setting that cannot be used, an address in use, no GPU adapter, or none of the scenes given
-/// with `--scene` loading.
+/// A setting cannot be used, the address is in use, there is no GPU adapter, or none of the scenes given with `--scene` loads.
 pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     memory::set_up_allocator();
     let args = with_file(args)?;
@@ -228,7 +226,7 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     let ready = |engine: &Engine, address| tell(&example(engine, address, has_keys));
     let result =
         runtime.block_on(serve(app, listener, start, |address| tell(&greeting(address)), ready));
-    // A scene that is still being read is not waited for.
+    // Do not wait for a scene that is still being read.
     runtime.shutdown_timeout(Duration::from_millis(100));
     drop(claim);
     result
@@ -242,7 +240,7 @@ fn init_log(format: LogFormat) {
     let log = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_ansi(std::io::stderr().is_terminal())
-        // With how long it took. There are spans at debug level alone.
+        // Log each span's duration when it ends. There are spans only at debug level.
         .with_span_events(FmtSpan::CLOSE)
         .with_writer(std::io::stderr);
     let result = match format {
@@ -254,7 +252,7 @@ fn init_log(format: LogFormat) {
     }
 }
 
-/// Completes `args` from the file that it names.
+/// Completes `args` with the settings of the file that it names.
 fn with_file(args: ServeArgs) -> anyhow::Result<ServeArgs> {
     let Some(path) = args.config.clone() else { return Ok(args) };
     let text = std::fs::read_to_string(&path)
@@ -272,11 +270,11 @@ fn parse_file(text: &str) -> anyhow::Result<ServeArgs> {
             None => bail!("there is no setting `{key}`; there are: {}", known.join(", ")),
         }
     }
-    // From the text again, so that errors show the line.
+    // Parse the text once more, so that errors show the line.
     Ok(toml::from_str(text)?)
 }
 
-/// Names of the settings that a file may have, as the flags have them.
+/// Names of the settings that a file may have, which are the names of the flags.
 fn setting_names() -> Vec<String> {
     ServeArgs::augment_args(clap::Command::new("serve"))
         .get_arguments()
@@ -287,7 +285,7 @@ fn setting_names() -> Vec<String> {
 }
 
 impl ServeArgs {
-    /// What is missing here is taken from `lower`.
+    /// Takes missing settings from `lower`.
     fn or(self, lower: ServeArgs) -> ServeArgs {
         fn list<T>(upper: Vec<T>, lower: Vec<T>) -> Vec<T> {
             if upper.is_empty() { lower } else { upper }
@@ -352,7 +350,7 @@ fn listen_address(text: &str) -> anyhow::Result<SocketAddr> {
         .with_context(|| format!("--listen {text}: the name has no address"))
 }
 
-/// Who may do what: keys where there is a file, nobody but loopback without one.
+/// The access rules: the keys of the key file, or without one, access from loopback only.
 fn access(args: &ServeArgs, address: SocketAddr) -> anyhow::Result<Access> {
     if let Some(path) = &args.api_keys {
         let text = std::fs::read_to_string(path)
@@ -365,12 +363,12 @@ fn access(args: &ServeArgs, address: SocketAddr) -> anyhow::Result<Access> {
         address.ip().is_loopback() || args.insecure == Some(true),
         "{address} can be reached from other machines: give --api-keys FILE, or --insecure to let everybody in"
     );
-    // Behind a proxy on the same machine, requests carry the proxy's name.
+    // Behind a proxy on the same machine, requests carry the proxy's host name.
     let only_loopback = address.ip().is_loopback() && args.insecure != Some(true);
     Ok(Access::Open { cors_origins: args.cors_origin.clone(), only_loopback })
 }
 
-/// Reads the key file again, where there is one.
+/// Reads the key file again, if there is one.
 fn reread(args: &ServeArgs, address: SocketAddr) -> Option<Reread> {
     args.api_keys.as_ref()?;
     let args = args.clone();
@@ -378,7 +376,7 @@ fn reread(args: &ServeArgs, address: SocketAddr) -> Option<Reread> {
     Some(Reread(Arc::new(read)))
 }
 
-/// `value`, or the default; at least `least`.
+/// Returns `value` or the default, and fails below `least`.
 fn number<T: PartialOrd + std::fmt::Display>(
     name: &str,
     value: Option<T>,
@@ -510,7 +508,7 @@ mod tests {
         assert_eq!(flags(&["--insecure"]).insecure, Some(true));
     }
 
-    /// Every setting in one file: a flag that serde does not know under its own name fails here.
+    /// Tries every flag as a key of the file, and fails if serde does not know the flag by its name.
     #[test]
     fn every_flag_is_a_key_of_the_file() {
         for name in setting_names() {

@@ -1,8 +1,7 @@
 //! OpenEXR, run-length coded without loss, one layer of scan lines.
 //!
-//! Depth is one f32 channel `Z`, infinite where nothing is. Colour is linear half-float `R G B A`, multiplied
-//! by alpha as the format wants it. Normals are half-float `N.X N.Y N.Z` in −1..1, all zero where none is. Ids are
-//! one u32 channel `id`.
+//! Depth is one f32 channel `Z`, infinite where there is nothing. Colour is linear half-float `R G B A`, premultiplied by alpha
+//! as the format requires. Normals are half-float `N.X N.Y N.Z` in −1..1, zero where there is none. Ids are one u32 channel `id`.
 
 use std::io::Cursor;
 
@@ -16,7 +15,7 @@ use super::{EncodeError, Encoded, FrameImage};
 /// Encodes any image.
 ///
 /// # Errors
-/// What the encoder reports.
+/// Errors of the encoder.
 pub fn encode(image: &FrameImage) -> Result<Encoded, EncodeError> {
     let (width, _) = image.size();
     let at = |Vec2(x, y): Vec2<usize>| y * width as usize + x;
@@ -66,7 +65,7 @@ pub fn encode(image: &FrameImage) -> Result<Encoded, EncodeError> {
     Ok(Encoded::new(bytes, "image/x-exr"))
 }
 
-/// A file of one layer.
+/// A file with one layer.
 fn framed<'c, C: WritableChannels<'c> + 'c>(frame: &FrameImage, channels: C) -> Image<Layer<C>> {
     let (width, height) = frame.size();
     let size = (width as usize, height as usize);
@@ -91,7 +90,7 @@ where
     Ok(bytes.into_inner())
 }
 
-/// IEC 61966-2-1.
+/// The sRGB transfer function (IEC 61966-2-1).
 fn linear_from_srgb(byte: u8) -> f32 {
     let value = f32::from(byte) / 255.0;
     if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
@@ -103,7 +102,7 @@ mod tests {
 
     use super::super::FrameImage;
 
-    /// Every channel of the first layer by name, as the format's own reader gives them.
+    /// All channels of the first layer by name, read by the library.
     fn channels(bytes: &[u8]) -> Vec<(String, FlatSamples)> {
         let image = read()
             .no_deep_data()

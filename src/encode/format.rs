@@ -1,4 +1,4 @@
-//! The image formats on offer.
+//! The image formats.
 
 use serde::{Deserialize, Serialize};
 
@@ -22,7 +22,7 @@ pub enum ImageFormat {
 }
 
 impl ImageFormat {
-    /// Finds a format by a name or an extension of files, in any case.
+    /// Finds a format by a name or a file extension, ignoring case.
     pub fn named(name: &str) -> Option<ImageFormat> {
         Some(match name.to_ascii_lowercase().as_str() {
             "png" => ImageFormat::Png,
@@ -36,7 +36,7 @@ impl ImageFormat {
         })
     }
 
-    /// What files of it end in.
+    /// The extension of files in this format.
     pub fn extension(self) -> &'static str {
         match self {
             ImageFormat::Png => "png",

@@ -1,4 +1,4 @@
-//! Pixels before they are encoded.
+//! Images before encoding.
 
 use crate::plan::Output;
 
@@ -7,12 +7,12 @@ use crate::plan::Output;
 pub enum FrameImage {
     /// sRGB with straight alpha.
     Color { width: u32, height: u32, rgba: Vec<[u8; 4]> },
-    /// Distance along the viewing axis in scene units; `f32::INFINITY` where nothing is.
+    /// Distance along the viewing axis in scene units; `f32::INFINITY` where there is nothing.
     Depth { width: u32, height: u32, depth: Vec<f32> },
-    /// Unit vectors as `n · 127 + 128` a byte, alpha 255; all zero where nothing or no normal is.
+    /// Unit vectors as `n · 127 + 128` per byte, with alpha 255; all zero where there is nothing or no normal.
     Normal { width: u32, height: u32, rgba: Vec<[u8; 4]> },
-    /// Instance number plus one (in the order of [`crate::scene::Scene::instances`] with each
-    /// asset's placements expanded), 0 where nothing is.
+    /// Instance number plus one (in the order of [`crate::scene::Scene::instances`], with each asset's placements expanded); 0
+    /// where there is nothing.
     Id { width: u32, height: u32, id: Vec<u32> },
 }
 
@@ -27,7 +27,7 @@ impl FrameImage {
         }
     }
 
-    /// Which of a frame's images this is.
+    /// The output that this image is.
     pub fn output(&self) -> Output {
         match self {
             FrameImage::Color { .. } => Output::Color,
@@ -37,9 +37,9 @@ impl FrameImage {
         }
     }
 
-    /// Whether no pixel shows anything but `background`, an sRGB colour with straight alpha.
+    /// Whether all pixels are `background`, an sRGB colour with straight alpha.
     pub fn is_blank(&self, background: [u8; 4]) -> bool {
-        // What is seen is seen in the middle first.
+        // Check the lower half first: content is usually in the middle.
         fn all<T>(pixels: &[T], blank: impl Fn(&T) -> bool) -> bool {
             let (above, below) = pixels.split_at(pixels.len() / 2);
             below.iter().all(&blank) && above.iter().all(&blank)
@@ -52,7 +52,7 @@ impl FrameImage {
         }
     }
 
-    /// How many pixels are stored; `width · height` in a sound image.
+    /// The number of stored pixels, which is `width · height` in a valid image.
     pub fn pixels(&self) -> usize {
         match self {
             FrameImage::Color { rgba, .. } | FrameImage::Normal { rgba, .. } => rgba.len(),

@@ -1,19 +1,19 @@
 //! JPEG: baseline, fixed Huffman tables, for colour and normals.
 //!
-//! Alpha is dropped: a frame's background is in its pixels already. Chroma has half the resolution each way
-//! below quality 90, the full one from there on.
+//! Alpha is dropped, because the frame's background is already blended into its pixels. Chroma has half the resolution in both
+//! directions below quality 90, and full resolution from 90.
 
 use jpeg_encoder::{ColorType, Encoder};
 
 use super::{EncodeError, Encoded, FrameImage, ImageFormat, unsupported};
 
-/// JPEG stores each side in 16 bits.
+/// Largest side: JPEG stores sides in 16 bits.
 const MAX_SIDE: u32 = u16::MAX as u32;
 
 /// Encodes colour or normals at `quality` 1..=100.
 ///
 /// # Errors
-/// Depth and ids, which lossy coding would ruin, and frames of more than 65535 pixels a side.
+/// The image is depth or ids, which lossy coding would ruin, or a side is longer than 65535 pixels.
 pub fn encode(image: &FrameImage, quality: u8) -> Result<Encoded, EncodeError> {
     let (FrameImage::Color { width, height, rgba } | FrameImage::Normal { width, height, rgba }) =
         image

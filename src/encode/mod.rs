@@ -1,4 +1,4 @@
-//! Pixels → bytes (floor 5): one file per format, and here the table of what each can hold.
+//! Encodes images (floor 5): one file per format, and here the table of what each format can hold.
 //!
 //! | format | colour | depth | normal | id |
 //! |---|---|---|---|---|
@@ -10,12 +10,12 @@
 //! | [`exr`] | linear half `R G B A`, premultiplied | f32 `Z` | half `N.X N.Y N.Z` in −1..1 | u32 `id` |
 //! | [`pfm`] | – | f32 | – | – |
 //!
-//! **Ids in 8-bit channels**: `id = R + 2⁸·G + 2¹⁶·B`. While every id is below 2²⁴ there is no alpha
-//! channel, so that browsers, which multiply by alpha on decoding, keep the numbers intact; an image
-//! with larger ones has an alpha channel that adds `2²⁴·A`.
+//! **Ids in 8-bit channels**: `id = R + 2⁸·G + 2¹⁶·B`. If every id is below 2²⁴, there is no alpha channel, because browsers
+//! multiply by alpha when they decode, which would change the ids. An image with larger ids has an alpha channel that adds
+//! `2²⁴·A`.
 //!
-//! Rows run from the top down in all formats but PFM, which demands the opposite.
-//! Every encoder runs on the calling thread alone: the engine's pool encodes frames side by side.
+//! Rows run from top to bottom in all formats but PFM, which requires the opposite. Each encoder runs on the calling thread; the
+//! engine's pool encodes several frames in parallel.
 
 pub mod exr;
 mod format;
@@ -38,8 +38,8 @@ use crate::plan::Output;
 pub struct Encoded {
     pub bytes: Vec<u8>,
     pub content_type: &'static str,
-    /// Nearest and farthest depth, in scene units, that a client needs to turn 16-bit depth back into
-    /// distances (see [`png::DepthRange`]). `None` for every other image, and where nothing is seen.
+    /// Smallest and largest depth, in scene units, with which a client converts 16-bit depth to distances (see
+    /// [`png::DepthRange`]). `None` for every other image, and where there is nothing.
     pub depth_range: Option<[f32; 2]>,
 }
 
@@ -49,7 +49,7 @@ impl Encoded {
     }
 }
 
-/// A combination of image and format that cannot be.
+/// Why an image cannot be encoded.
 #[derive(Debug, thiserror::Error)]
 pub enum EncodeError {
     #[error("format: {format:?} cannot hold {output:?}: {accepted}")]
@@ -63,10 +63,10 @@ pub enum EncodeError {
     Failed(String),
 }
 
-/// Whether `format` can hold `output`.
+/// Checks whether `format` can hold `output`.
 ///
 /// # Errors
-/// [`EncodeError::Unsupported`], which says which formats can.
+/// [`EncodeError::Unsupported`], with the formats that can.
 pub fn accepts(format: ImageFormat, output: Output) -> Result<(), EncodeError> {
     use ImageFormat::{Exr, Pfm, Png, Qoi, Raw, Webp};
     let (possible, accepted) = match output {
@@ -83,11 +83,11 @@ pub fn accepts(format: ImageFormat, output: Output) -> Result<(), EncodeError> {
     if possible { Ok(()) } else { Err(EncodeError::Unsupported { format, output, accepted }) }
 }
 
-/// Encodes a frame. `quality` is 1..=100 (values outside are refused) and matters to JPEG alone.
+/// Encodes a frame. `quality` must be in 1..=100, and only JPEG uses it.
 ///
 /// # Errors
-/// A format that cannot hold the image or its size, a pixel count that disagrees with the size, an
-/// empty frame, or whatever the encoder reports.
+/// The format cannot hold the image or its size, the number of pixels disagrees with the size, `quality` is out of range, the
+/// frame is empty, or the encoder fails.
 pub fn encode(
     image: &FrameImage,
     format: ImageFormat,
@@ -119,8 +119,8 @@ pub fn encode(
     }
 }
 
-/// The error of an encoder that was called for an image it does not hold. [`encode`] asks
-/// [`accepts`] first; the formats' own functions answer with this when called directly.
+/// The error of an encoder that is called with an image it cannot hold. [`encode`] calls [`accepts`] first, so this only occurs
+/// when a format's own function is called directly.
 fn unsupported(format: ImageFormat, image: &FrameImage) -> EncodeError {
     match accepts(format, image.output()) {
         Err(error) => error,

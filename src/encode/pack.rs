@@ -1,4 +1,4 @@
-//! Pixels as three or four 8-bit channels, for the formats that know nothing else.
+//! Packs pixels into three or four 8-bit channels, for formats that support nothing else.
 
 use std::borrow::Cow;
 
@@ -7,12 +7,12 @@ use super::FrameImage;
 /// Interleaved 8-bit channels, row by row from the top.
 pub(super) struct Packed<'a> {
     pub bytes: Cow<'a, [u8]>,
-    /// Four channels with straight alpha; three otherwise.
+    /// Whether there is a fourth channel with straight alpha.
     pub alpha: bool,
 }
 
-/// Colour, normals or ids as bytes; `None` for depth, which bytes cannot hold. Alpha goes where it says nothing.
-/// Colour and normals with a meaningful alpha are borrowed, the rest is copied.
+/// Packs colour, normals or ids; `None` for depth, which does not fit. An alpha channel without information is dropped. Colour
+/// and normals that keep their alpha are borrowed; everything else is copied.
 pub(super) fn rgb_or_rgba(image: &FrameImage) -> Option<Packed<'_>> {
     let packed = match image {
         FrameImage::Color { rgba, .. } | FrameImage::Normal { rgba, .. } => {
@@ -45,7 +45,7 @@ fn drop_alpha(rgba: &[[u8; 4]]) -> Vec<u8> {
     rgb
 }
 
-/// 4-byte numbers in little-endian order.
+/// Numbers of 4 bytes in little-endian order.
 pub(super) fn little_endian<T: bytemuck::NoUninit>(
     values: &[T],
     to_bytes: impl Fn(&T) -> [u8; 4],

@@ -1,21 +1,21 @@
-//! PFM, the portable float map: depth as f32, for programs that read nothing richer.
+//! PFM, the portable float map: depth as f32, for programs that read no richer format.
 //!
-//! A text header `Pf`, width and height, then the scale `-1.0` whose sign says little-endian, then the rows
-//! from the **bottom** up. Depth is infinite where nothing is.
+//! A text header `Pf`, width and height, then the scale `-1.0`, whose sign means little-endian, then the rows from the **bottom**
+//! up. Depth is infinite where there is nothing.
 
 use super::{EncodeError, Encoded, FrameImage, ImageFormat, pack, unsupported};
 
 /// Encodes depth.
 ///
 /// # Errors
-/// Any other image.
+/// The image is not depth.
 pub fn encode(image: &FrameImage) -> Result<Encoded, EncodeError> {
     let FrameImage::Depth { width, height, depth } = image else {
         return Err(unsupported(ImageFormat::Pfm, image));
     };
     let mut bytes = format!("Pf\n{width} {height}\n-1.0\n").into_bytes();
     bytes.reserve(depth.len() * 4);
-    // `max` because chunks of no pixels are not allowed.
+    // `max`, because chunks of zero pixels are not allowed.
     for row in depth.chunks((*width).max(1) as usize).rev() {
         bytes.extend(pack::little_endian(row, |z| z.to_le_bytes()));
     }

@@ -1,8 +1,8 @@
 //! PNG (ISO/IEC 15948).
 //!
-//! The encoder limits the server long before projection does, so speed goes before size: `fdeflate`'s
-//! one-pass coding after one fixed row filter. Colour without translucency is written without alpha: a
-//! quarter less to filter, sum and send.
+//! Without care, encoding would limit the server's throughput long before drawing does. Speed therefore has priority over size:
+//! `fdeflate`'s one-pass coding after one fixed row filter. Colour without translucency is written without alpha, which saves a
+//! quarter of filtering, checksums and transfer.
 //!
 //! Depth is 16-bit grey, see [`DepthRange`]; ids are explained in the [parent module](super).
 
@@ -10,19 +10,18 @@ use png::{BitDepth, ColorType, DeflateCompression, Encoder, Filter, SrgbRenderin
 
 use super::{EncodeError, Encoded, FrameImage, ImageFormat, pack, unsupported};
 
-/// How 16-bit depth and distances correspond.
+/// The mapping between 16-bit depth and distances.
 ///
-/// 0 means that nothing is there. Otherwise a value `v` in 1..=65535 is the distance
+/// The value 0 means that there is nothing. Otherwise a value `v` in 1..=65535 is the distance
 ///
 /// ```text
 /// z = far − (v − 1) / 65534 · (far − near)
 /// ```
 ///
-/// along the viewing axis in scene units, where `near` (the brightest, 65535) and `far` (the darkest, 1) are
-/// the smallest and largest finite depth in the frame. The error is at most `(far − near) / 131068`. The file
-/// carries both as `tEXt` chunks `near` and `far`, in decimal with enough digits to give the
-/// same f32 back, beside `depth-mapping: linear`; [`Encoded::depth_range`] holds them too. A frame that
-/// shows nothing has neither.
+/// along the viewing axis in scene units, where `near` (the brightest, 65535) and `far` (the darkest, 1) are the smallest and
+/// largest finite depth in the frame. The error is at most `(far − near) / 131068`. The file has both as `tEXt` chunks `near` and
+/// `far`, in decimal with enough digits to restore the f32, beside `depth-mapping: linear`. [`Encoded::depth_range`] has them as
+/// well. An empty frame has neither.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthRange {
     pub near: f32,
@@ -30,7 +29,7 @@ pub struct DepthRange {
 }
 
 impl DepthRange {
-    /// The range of the finite depths, `None` if there are none.
+    /// The range of the finite depths; `None` if there are none.
     pub fn of(depth: &[f32]) -> Option<DepthRange> {
         depth.iter().filter(|z| z.is_finite()).fold(None, |range, &z| {
             let DepthRange { near, far } = range.unwrap_or(DepthRange { near: z, far: z });
@@ -38,7 +37,7 @@ impl DepthRange {
         })
     }
 
-    /// Depth → 16-bit value; 0 for what is not finite.
+    /// Maps a depth to its 16-bit value; 0 if it is not finite.
     pub fn quantise(&self, z: f32) -> u16 {
         if !z.is_finite() {
             return 0;
@@ -52,7 +51,7 @@ impl DepthRange {
         1 + (nearness.clamp(0.0, 1.0) * 65534.0).round() as u16
     }
 
-    /// 16-bit value → depth; infinite for 0.
+    /// Maps a 16-bit value to its depth; infinite for 0.
     pub fn restore(&self, value: u16) -> f32 {
         if value == 0 {
             return f32::INFINITY;
@@ -65,7 +64,7 @@ impl DepthRange {
 /// Encodes any image.
 ///
 /// # Errors
-/// What the encoder reports, such as a frame of more than 2³¹ − 1 pixels a side.
+/// Errors of the encoder, such as for a side longer than 2³¹ − 1 pixels.
 pub fn encode(image: &FrameImage) -> Result<Encoded, EncodeError> {
     let (width, height) = image.size();
     if let FrameImage::Depth { depth, .. } = image {
@@ -120,9 +119,9 @@ fn write(mut encoder: Encoder<'_, &mut Vec<u8>>, data: &[u8]) -> Result<(), Enco
     writer.finish().map_err(failed)
 }
 
-/// The left neighbour predicts. On frames of a noisy, a smooth and a sparsely covered ball at 1024², `Sub` needs 3.2,
-/// 3.3 and 4.8 ms on one core (`Up` 3.2, 3.1, 5.4; `Paeth` 3.5, 3.5, 5.6; adaptive 11.6, 10.4, 12.3) for the smallest sum of
-/// sizes but the adaptive one's, which is 5 % less. zlib's level 1 takes two to five times as long for 10–20 % less.
+/// Predict from the left neighbour. On frames of a noisy, a smooth and a sparsely covered ball at 1024², `Sub` needs 3.2, 3.3 and
+/// 4.8 ms on one core (`Up` 3.2, 3.1, 5.4; `Paeth` 3.5, 3.5, 5.6; adaptive 11.6, 10.4, 12.3). Its total size is the smallest
+/// except for the adaptive filter's, which is 5 % smaller. zlib's level 1 takes two to five times as long for 10–20 % less.
 const FILTER: Filter = Filter::Sub;
 
 fn failed(error: png::EncodingError) -> EncodeError {

@@ -5,7 +5,7 @@ use super::{EncodeError, Encoded, FrameImage, ImageFormat, pack, unsupported};
 /// Encodes colour, normals or ids.
 ///
 /// # Errors
-/// Depth, and frames of more than 400 million pixels.
+/// The image is depth, or has more than 400 million pixels.
 pub fn encode(image: &FrameImage) -> Result<Encoded, EncodeError> {
     let packed = pack::rgb_or_rgba(image).ok_or_else(|| unsupported(ImageFormat::Qoi, image))?;
     let (width, height) = image.size();

@@ -1,11 +1,11 @@
-//! Pixels as they are, without a header: the size is known to whoever asked, and stands in the receipt.
+//! Pixels without a header. The client knows the size from its request, and from the receipt.
 //!
-//! Colour and normals are four bytes `R G B A` a pixel, depth is an IEEE 754 binary32 (infinite where nothing
-//! is), an id a 32-bit integer, both little-endian; top row first.
+//! Colour and normals are four bytes `R G B A` per pixel. Depth is an IEEE 754 binary32 (infinite where there is nothing) and an
+//! id a 32-bit integer, both little-endian. The top row comes first.
 
 use super::{Encoded, FrameImage, pack};
 
-/// Any image, in one copy.
+/// Encodes any image with a single copy.
 pub fn encode(image: &FrameImage) -> Encoded {
     let bytes = match image {
         FrameImage::Color { rgba, .. } | FrameImage::Normal { rgba, .. } => {

@@ -4,13 +4,13 @@ use image_webp::{ColorType, WebPEncoder};
 
 use super::{EncodeError, Encoded, FrameImage, ImageFormat, pack, unsupported};
 
-/// VP8L stores each side, less one, in 14 bits.
+/// Largest side: VP8L stores sides, minus one, in 14 bits.
 const MAX_SIDE: u32 = 1 << 14;
 
 /// Encodes colour, normals or ids.
 ///
 /// # Errors
-/// Depth, and frames of more than 16384 pixels a side.
+/// The image is depth, or a side is longer than 16384 pixels.
 pub fn encode(image: &FrameImage) -> Result<Encoded, EncodeError> {
     let packed = pack::rgb_or_rgba(image).ok_or_else(|| unsupported(ImageFormat::Webp, image))?;
     let (width, height) = image.size();
@@ -19,7 +19,7 @@ pub fn encode(image: &FrameImage) -> Result<Encoded, EncodeError> {
         return Err(EncodeError::TooLarge { format, limit: MAX_SIDE, width, height });
     }
     let color = if packed.alpha { ColorType::Rgba8 } else { ColorType::Rgb8 };
-    // The encoder panics where these disagree.
+    // The encoder would panic if these disagreed.
     if packed.bytes.len() != image.pixels() * if packed.alpha { 4 } else { 3 }
         || image.pixels() as u64 != u64::from(width) * u64::from(height)
     {

@@ -1,7 +1,7 @@
-//! A folder of frames on disk: all that touches files.
+//! A folder of frames on disk: everything that touches files.
 //!
-//! A file comes into its place whole or not at all: it is written under another name in the same folder, brought to the disk, and
-//! renamed. One process at a time draws into a folder, which a lock sees to that ends with the process, however that ends.
+//! Files are written atomically: under another name in the same folder, synced to disk, then renamed. Only one process at a time
+//! draws into a folder. It holds a lock that ends with the process, however the process ends.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -10,9 +10,9 @@ use std::path::{Path, PathBuf};
 use super::manifest::{self, Header, Record, Records};
 use super::{FilmError, MANIFEST};
 
-/// Held while a process draws into the folder, and left there.
+/// Locked while a process draws into the folder. The file stays afterwards.
 const LOCK: &str = ".frames.lock";
-/// What files that are being written are called: the final name between these.
+/// Prefix and suffix of the names of files that are being written.
 const WRITING: [&str; 2] = [".", ".part"];
 
 /// A folder that is locked for this process.
@@ -28,10 +28,10 @@ fn failed(file: &Path) -> impl FnOnce(io::Error) -> FilmError + use<> {
 }
 
 impl Folder {
-    /// Makes the folder where it is not there, locks it, and removes what a process that was killed had not finished writing.
+    /// Creates the folder if it is missing, locks it, and removes unfinished files of a killed process.
     ///
     /// # Errors
-    /// A folder that cannot be made or listed; [`FilmError::Locked`].
+    /// The folder cannot be created or listed; [`FilmError::Locked`].
     pub fn open(path: &Path) -> Result<Folder, FilmError> {
         fs::create_dir_all(path).map_err(failed(path))?;
         let name = path.join(LOCK);
@@ -57,10 +57,10 @@ impl Folder {
         Ok(Folder { path: path.to_owned(), manifest: None, _lock: lock })
     }
 
-    /// What earlier runs say that they finished.
+    /// Returns the records of earlier runs.
     ///
     /// # Errors
-    /// A manifest that cannot be read, or that is none.
+    /// The manifest cannot be read, or the file is not a manifest.
     pub fn records(&self) -> Result<Records, FilmError> {
         let file = self.path.join(MANIFEST);
         match fs::read(&file) {
@@ -72,12 +72,12 @@ impl Folder {
         }
     }
 
-    /// Whether a record's file is there, as long as it says and with its checksum.
+    /// Returns whether a record's file exists, with the length and the checksum of the record.
     pub fn is_intact(&self, record: &Record) -> bool {
         let path = self.path.join(&record.file);
         let is_candidate = fs::symlink_metadata(&path)
             .is_ok_and(|found| found.is_file() && found.len() == record.bytes);
-        // What cannot be read is drawn again, and what cannot be written then is an error.
+        // A file that cannot be read is drawn again. If it cannot be written either, that is an error.
         let sum = || File::open(&path).and_then(manifest::digest);
         is_candidate && sum().is_ok_and(|(_, sha256)| sha256 == record.sha256)
     }
@@ -86,10 +86,10 @@ impl Folder {
         self.path.join(file).is_file()
     }
 
-    /// Writes the manifest anew, in the order of `records`; lines are added to it from then on.
+    /// Writes the manifest anew, in the order of `records`. [`Folder::note`] then appends lines.
     ///
     /// # Errors
-    /// Whatever keeps it from being written.
+    /// The manifest cannot be written.
     pub fn begin<'a>(
         &mut self,
         header: &Header,
@@ -105,10 +105,10 @@ impl Folder {
         Ok(())
     }
 
-    /// Puts a file in its place, instead of what is there.
+    /// Writes a file atomically, in place of an existing one.
     ///
     /// # Errors
-    /// Whatever keeps it from being written; what was there before is there then.
+    /// The file cannot be written. An existing file is then unchanged.
     pub fn put(&self, name: &str, bytes: &[u8]) -> Result<(), FilmError> {
         let file = self.path.join(name);
         let [before, after] = WRITING;
@@ -120,16 +120,16 @@ impl Folder {
             fs::rename(&written, &file)
         };
         write().map_err(|error| {
-            // Nothing of use to anyone; what remains is removed by the next run.
+            // The unfinished file is of no use. If it cannot be removed now, the next run removes it.
             let _ = fs::remove_file(&written);
             failed(&file)(error)
         })
     }
 
-    /// Notes that a frame's file is in its place. A line that a power cut loses costs drawing the frame again.
+    /// Appends the line of a frame whose file is in place. If a power cut loses the line, the frame is drawn again.
     ///
     /// # Errors
-    /// Whatever keeps it from being written.
+    /// The line cannot be written.
     pub fn note(&mut self, record: &Record) -> Result<(), FilmError> {
         let name = self.path.join(MANIFEST);
         let line = manifest::line(record).map_err(io::Error::other);
@@ -140,7 +140,7 @@ impl Folder {
         written.map_err(failed(&name))
     }
 
-    /// Brings the names of files to the disk, where the system can.
+    /// Syncs the folder's entries to disk, where the system can.
     fn sync(&self) -> Result<(), FilmError> {
         #[cfg(unix)]
         File::open(&self.path).and_then(|folder| folder.sync_all()).map_err(failed(&self.path))?;
@@ -148,10 +148,10 @@ impl Folder {
     }
 }
 
-/// What the manifest of a folder tells of, without taking the folder for this process.
+/// Reads the manifest of a folder without locking the folder.
 ///
 /// # Errors
-/// A manifest that cannot be read, or that is none.
+/// The manifest cannot be read, or the file is not a manifest.
 pub fn records(folder: &Path) -> Result<Records, FilmError> {
     let file = folder.join(MANIFEST);
     let text = fs::read(&file).map_err(failed(&file))?;
@@ -161,9 +161,9 @@ pub fn records(folder: &Path) -> Result<Records, FilmError> {
 /// Removes everything that runs have put into a folder, and nothing else.
 ///
 /// # Errors
-/// [`FilmError::Locked`]; a file that cannot be removed.
+/// [`FilmError::Locked`], or a file cannot be removed.
 pub fn remove(folder: &Path) -> Result<(), FilmError> {
-    // Removes what was being written as well.
+    // Opening the folder also removes unfinished files.
     let held = Folder::open(folder)?;
     for record in held.records()?.values() {
         let file = folder.join(&record.file);
@@ -229,7 +229,7 @@ mod tests {
         assert!(!folder.is_intact(&good));
         fs::write(path.join(&good.file), b"fou").unwrap();
         assert!(!folder.is_intact(&good));
-        // What cannot be put in its place is an error that names it, and leaves nothing behind.
+        // A file that cannot be put in place gives an error with its name, and leaves nothing behind.
         fs::create_dir(path.join("frame-00001.raw")).unwrap();
         let refused = folder.put("frame-00001.raw", b"x").unwrap_err().to_string();
         assert!(refused.contains("frame-00001.raw"), "{refused}");

@@ -1,6 +1,7 @@
-//! The manifest of a folder of frames: lines of JSON, the first about all frames, each other about one; and files held against it.
+//! The manifest of a folder of frames: lines of JSON, the first about all frames, each other one about a single frame. Also
+//! checks files against their records.
 //!
-//! A run adds lines at the end, so that what is cut off by a crash is the last one alone; a later line of the same frame counts. What
+//! A run appends lines, so a crash cuts off only the last one. If a frame has several lines, the last one counts. A manifest that
 //! is written anew is in the order of the frames.
 
 use std::collections::BTreeMap;
@@ -15,10 +16,10 @@ use super::shots::is_file_name;
 use crate::encode::ImageFormat;
 use crate::plan::Output;
 
-/// Version of what the lines mean.
+/// Version of the format.
 pub const VERSION: u32 = 1;
 
-/// What holds for all frames. A folder is complete when it has as many records as `frames` says.
+/// The first line: what all frames share. A folder is complete when it has as many records as `frames`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Header {
     /// [`VERSION`].
@@ -26,7 +27,7 @@ pub struct Header {
     /// The scene's name.
     pub scene: String,
     pub fps: f64,
-    /// Frames of the whole path.
+    /// Number of frames of the whole path.
     pub frames: u64,
     pub width: u32,
     pub height: u32,
@@ -38,29 +39,29 @@ pub struct Header {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Record {
     pub frame: u64,
-    /// The path's time, in seconds.
+    /// Time on the path, in seconds.
     pub t: f64,
-    /// In the manifest's own folder.
+    /// Name of the file in the manifest's folder.
     pub file: String,
     pub bytes: u64,
-    /// Of the file, in hexadecimal digits.
+    /// Hash of the file, in hexadecimal digits.
     pub sha256: String,
-    /// Of all that decides what the frame shows, in hexadecimal digits.
+    /// Hash of everything that decides what the frame shows, in hexadecimal digits.
     pub tag: String,
 }
 
-/// Records by their frames, shared: a film may have a million of them, and several look at them.
+/// Records by frame number. They are shared, because a film may have a million of them and several readers.
 pub type Records = BTreeMap<u64, Arc<Record>>;
 
-/// The records of a manifest's text, by frame.
+/// Parses a manifest into records by frame number.
 ///
 /// # Errors
-/// Text that is no manifest, or one of another version. Damaged lines are no errors: their frames count as not there.
+/// The text is not a manifest, or has another version. Damaged lines are no errors: their frames count as missing.
 pub fn parse(text: &[u8]) -> Result<Records, String> {
     if text.is_empty() {
         return Ok(Records::new());
     }
-    // What follows the last end of a line was not written to its end.
+    // Text after the last line end was not written completely.
     let mut lines =
         text.split_inclusive(|&byte| byte == b'\n').filter_map(|line| line.strip_suffix(b"\n"));
     let first = lines.next().ok_or("its first line has no end")?;
@@ -78,10 +79,10 @@ pub fn parse(text: &[u8]) -> Result<Records, String> {
         .collect())
 }
 
-/// The text of a manifest.
+/// Formats a manifest.
 ///
 /// # Errors
-/// Numbers that JSON does not have.
+/// A number that JSON does not have.
 pub fn text<'a>(
     header: &Header,
     records: impl IntoIterator<Item = &'a Record>,
@@ -94,25 +95,25 @@ pub fn text<'a>(
     Ok(text)
 }
 
-/// One frame's line, with its end.
+/// Formats one frame's line, including the line end.
 ///
 /// # Errors
-/// Numbers that JSON does not have.
+/// A number that JSON does not have.
 pub fn line(record: &Record) -> serde_json::Result<Vec<u8>> {
     let mut line = serde_json::to_vec(record)?;
     line.push(b'\n');
     Ok(line)
 }
 
-/// A file's checksum as records have it.
+/// The checksum of a file's content, as in records.
 pub fn checksum(bytes: &[u8]) -> String {
     digits(&Sha256::digest(bytes))
 }
 
-/// Length and checksum of what `reader` gives.
+/// The length and checksum of what `reader` reads.
 ///
 /// # Errors
-/// Those of the reader.
+/// The reader's errors.
 pub fn digest(mut reader: impl Read) -> io::Result<(u64, String)> {
     let (mut hasher, mut length) = (Sha256::new(), 0);
     let mut buffer = vec![0; 1 << 16];
@@ -129,10 +130,10 @@ pub fn digest(mut reader: impl Read) -> io::Result<(u64, String)> {
     }
 }
 
-/// The content of a record's file in `folder`; `None` when that is not what the record says, or not there.
+/// Reads the file of a record in `folder`; `None` if the file is missing or does not match the record.
 ///
 /// # Errors
-/// A file that is there and cannot be read.
+/// The file exists and cannot be read.
 pub fn read_sound(folder: &Path, record: &Record) -> io::Result<Option<Vec<u8>>> {
     match std::fs::read(folder.join(&record.file)) {
         Ok(bytes) => {
@@ -219,7 +220,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever a crash cuts off: the lines before are all there.
+        /// Wherever a crash cuts the text, all complete lines are read.
         #[test]
         fn a_cut_costs_the_line_that_it_hits(count in 0u64..6, kept in 0.0..=1.0f64) {
             let records: Vec<Record> = (0..count).map(|frame| record(frame, frame as u8)).collect();

@@ -1,23 +1,24 @@
-//! A camera path to numbered frames in a folder, in as many runs as it takes (floor 6).
+//! Draws a camera path as numbered frames into a folder, in as many runs as it takes (floor 6).
 //!
 //! ```text
 //! path ──► shots ──► survey ──► draw ──► folder
-//!          when,     what is    engine,  file by file, each whole or not there;
-//!          from      there and  many at  then a line of the manifest
-//!          where     still good once
+//!          when,     what is    engine,  each file atomically,
+//!          from      there and  many at  then its line of
+//!          where     intact     once     the manifest
 //! ```
 //!
-//! The folder's manifest, [`MANIFEST`], has a line for every frame that is finished: its file, how long that is, its checksum, and the
-//! frame's tag, a hash of all that decides what the frame shows (the engine's entity tag: scene, pose, settings). A line is written
-//! after the file that it tells of is in its place. So a run may end at any moment, by a signal, a power cut or an error: the next one
-//! keeps the frames whose files are as their lines say and whose tags are those of the frames that are wanted now, draws the
-//! others, and at its end the manifest is the same, byte for byte, as if there had been a single run.
+//! The folder's manifest, [`MANIFEST`], has a line for every finished frame: its file, the file's length and checksum, and the
+//! frame's tag, a hash of everything that decides what the frame shows (the engine's entity tag: scene, pose, settings). A line
+//! is written after its file is in place, so a run may end at any moment, by a signal, a power cut or an error. The next run
+//! keeps the frames whose files match their lines and whose tags match the frames that are wanted now, and draws the others. At
+//! its end the manifest is the same, byte for byte, as after a single run.
 //!
-//! A run draws one scene at one revision ([`crate::engine::SceneMark`]) and ends when it finds another in its place, also one that was
-//! loaded under the same id. A frame's tag is told when it is sent; before that only frames that the manifest tells of need one.
+//! A run draws one scene at one revision ([`crate::engine::SceneMark`]). It ends when it finds another scene in its place, even
+//! one that was loaded under the same id. A frame's tag is computed when the frame is sent; before that, only frames in the
+//! manifest need one.
 //!
-//! What to do is decided by functions of what was found ([`shots`], [`manifest`], [`survey`]); [`folder`] alone touches files, and
-//! [`mod@run`] the engine. [`video`] makes one file of the frames.
+//! [`shots`], [`manifest`] and [`survey`] decide what to do, and are functions of what was found. Only [`folder`] touches files,
+//! and only [`mod@run`] uses the engine. [`video`] turns the frames into one file.
 
 pub mod folder;
 pub mod manifest;
@@ -44,12 +45,12 @@ pub const MANIFEST: &str = "frames.jsonl";
 pub enum FilmError {
     #[error("the path cannot be followed: {0}")]
     Path(CameraError),
-    /// A choice of frames that the path does not have; `parameter` is `from`, `to` or `fps`.
+    /// The path does not have these frames; `parameter` is `from`, `to` or `fps`.
     #[error("{parameter}: {reason}")]
     BadRange { parameter: &'static str, reason: String },
     #[error("{}: {error}", file.display())]
     Io { file: PathBuf, error: io::Error },
-    /// Some other file has the manifest's name.
+    /// The file with the manifest's name is not a manifest.
     #[error("{}: not a manifest of frames: {reason}", file.display())]
     Foreign { file: PathBuf, reason: String },
     #[error("{}: another process is drawing into this folder", folder.display())]

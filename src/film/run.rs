@@ -1,4 +1,4 @@
-//! Draws what is missing of a path: several frames are with the engine at a time, so that small ones are drawn together.
+//! Draws the missing frames of a path. Several frames are with the engine at a time, so that small ones are drawn in batches.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -19,61 +19,61 @@ use crate::engine::{
 };
 use crate::plan::Reconstruct;
 
-/// Pixels of all frames that are with the engine at a time, of a film that is drawn alone.
+/// Largest number of pixels with the engine at a time, for a film that is drawn alone.
 pub const MOST_PIXELS: u64 = 1 << 26;
-/// Frames that are asked how a film's samples are to be drawn.
+/// Number of frames that decide how a film's samples are drawn.
 const ASKED: u64 = 64;
-/// Finished frames that wait to be written at most.
+/// Largest number of drawn frames that wait to be written.
 const UNWRITTEN: usize = 4;
-/// Times in a row that the engine may put off before that is an error, and how long each of them lasts at most.
+/// Largest number of consecutive refusals by the engine before the run fails, and the longest pause after each.
 const MOST_REFUSALS: u32 = 120;
 const LONGEST_PAUSE: Duration = Duration::from_millis(500);
 
-/// What is drawn, and where to.
+/// What is drawn, and into which folder.
 pub struct Film<'a> {
     pub engine: &'a Engine,
-    /// Scene, size, settings and format of every frame; the pose and the deadline are not looked at.
+    /// Scene, size, settings and format of every frame. Pose and deadline are ignored.
     pub request: FrameRequest,
     pub shots: Shots,
-    /// The scene that the shots were made for: no other one is drawn.
+    /// The scene that the shots were made for. No other scene is drawn.
     pub mark: SceneMark,
     pub folder: &'a Path,
-    /// Whose turn on the device the frames take, and what they are named after. As [`Client::Job`], a full queue is waited for however
-    /// long it is full.
+    /// The frames' share of the device, and the prefix of their ids. A run for a [`Client::Job`] waits for a full queue as long
+    /// as it takes.
     pub origin: Origin,
-    /// Of all frames that are with the engine at a time: [`MOST_PIXELS`], or a share of them.
+    /// Largest number of pixels with the engine at a time: [`MOST_PIXELS`], or a share of it.
     pub most_pixels: u64,
 }
 
-/// What a run tells while it goes on.
+/// Progress of a run.
 pub enum Event<'a> {
-    /// Once, before anything is drawn: of the frames asked for, how many are good as they are, and how many are to be drawn.
-    /// `records` tells of all that are good, also of such as were not asked for.
+    /// Sent once, before anything is drawn: how many of the wanted frames are intact, and how many must be drawn. `records` has
+    /// all intact frames, including ones that are not wanted.
     Surveyed { kept: u64, to_draw: u64, records: &'a Records },
-    /// A frame is in its place.
+    /// A frame's file is in place.
     Drawn { record: &'a Arc<Record>, receipt: &'a Receipt },
 }
 
-/// What a run did.
+/// The result of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Report {
-    /// Of the frames asked for.
+    /// Number of wanted frames that were intact.
     pub kept: u64,
     pub drawn: u64,
-    /// Frames that are asked for and not there, because the run was told to stop.
+    /// Wanted frames that are missing, because the run was told to stop.
     pub missing: u64,
-    /// Files of earlier runs that are no frames of this path with these settings. They are left as they are.
+    /// Files of earlier runs that are not frames of this path with these settings. They are left alone.
     pub left_over: Vec<String>,
 }
 
-/// Draws all frames that are asked for and not there already. When `stop` becomes true it ends after the frame that it waits for; before
-/// anything is drawn, at once, and then without a word of what is there.
+/// Draws all wanted frames that are missing. When `stop` becomes true, the run ends after the frame that it waits for. If nothing
+/// has been drawn yet, it ends at once and reports nothing.
 ///
-/// However it ends, the folder holds whole frames and a manifest of them, and another run goes on from there.
+/// However the run ends, the folder holds complete frames and their manifest, and another run can continue.
 ///
 /// # Errors
-/// A request that the engine refuses, a folder that cannot be written or is another process's, a scene that is changed, removed or
-/// exchanged meanwhile, an engine that ends.
+/// The engine refuses a request or has ended; the folder cannot be written, or another process draws into it; the scene was
+/// changed, removed or replaced meanwhile.
 pub fn run(
     film: &Film<'_>,
     stop: &AtomicBool,
@@ -84,13 +84,13 @@ pub fn run(
     let first = *film.shots.wanted().start();
     let asked = film.shots.wanted().count() as u64;
     film.engine.bake(&film.request(first))?;
-    // Refused before a folder is made for it.
+    // Fail before the folder is created.
     film.slot(first)?;
     let mut folder = Folder::open(film.folder)?;
     let records = folder.records()?;
     let intact = film.intact(&records, &folder, stop)?;
     if stop.load(Ordering::Relaxed) {
-        // Not all were looked at: the manifest stays as it is.
+        // Some records were not checked, so the manifest stays as it is.
         return Ok(Report { missing: asked, ..Report::default() });
     }
     film.check_scene(first)?;
@@ -120,7 +120,7 @@ pub fn run(
         finished.insert(record.frame, record);
         Ok(())
     });
-    // Also after an error, so that the next run finds what there is; but that error is the one to tell of.
+    // Also after an error, so that the next run finds the finished frames. The error of the drawing takes precedence.
     let written = folder.begin(&header, finished.values().map(AsRef::as_ref));
     ended.and(written)?;
     let there = film.shots.wanted().filter(|number| finished.contains_key(number)).count() as u64;
@@ -132,8 +132,7 @@ pub fn run(
     })
 }
 
-/// Draws on this thread and has another one `keep` what is drawn, because bringing a small frame to the disk takes as long as drawing
-/// it.
+/// Draws on this thread and calls `keep` on another one, because writing a small frame to disk takes as long as drawing it.
 fn draw(
     mut drawing: Drawing<'_>,
     mut keep: impl FnMut(Drawn) -> Result<(), FilmError> + Send,
@@ -145,7 +144,7 @@ fn draw(
         while !drawing.is_stopped() {
             match drawing.next() {
                 Ok(Some(frame)) => {
-                    // Nobody listens any more where a frame could not be written.
+                    // The receiver is gone if a frame could not be written.
                     if sender.send(frame).is_err() {
                         break;
                     }
@@ -164,8 +163,8 @@ fn draw(
 }
 
 impl Film<'_> {
-    /// The film with one way to draw samples, where that is left open: a film that changed it midway would flicker. Where any frame
-    /// needs splats, all have them. Frames of the whole path are asked, so that runs over parts of it agree.
+    /// Decides how samples are drawn, if that is left open: a film that changed it midway would flicker. If any frame needs
+    /// splats, all frames get them. Frames of the whole path are asked, so that runs over parts of the path agree.
     fn decided(&self) -> Result<Film<'_>, FilmError> {
         let mut request = self.request.clone();
         if request.settings.reconstruct == Reconstruct::Auto {
@@ -200,7 +199,7 @@ impl Film<'_> {
         FrameRequest { pose, deadline: None, ..self.request.clone() }
     }
 
-    /// Resolves a frame. A scene that has to be baked once more is another one.
+    /// Resolves a frame. A scene that needs another bake has changed.
     fn resolve(&self, number: u64) -> Result<Arc<ResolvedFrame>, FilmError> {
         match self.engine.resolve(self.request(number))? {
             Resolution::Ready(frame) => Ok(frame),
@@ -208,14 +207,14 @@ impl Film<'_> {
         }
     }
 
-    /// A frame as it is to be.
+    /// Describes a frame as it should be now.
     fn slot(&self, number: u64) -> Result<Slot, FilmError> {
         let tag = plain(self.resolve(number)?.etag());
         let file = file_name(number, self.request.format);
         Ok(Slot { number, t: self.shots.shot(number).t, file, tag })
     }
 
-    /// Records of frames of the path that are as they are to be, with their files. Some are missing once `stop` is true.
+    /// Checks the recorded frames of the path, and returns the records that match. Some are missing if `stop` becomes true.
     fn intact(
         &self,
         records: &Records,
@@ -246,7 +245,7 @@ impl Film<'_> {
         }
     }
 
-    /// Holds the scene against what it was. No mark comes again: while it is the same, nothing was drawn of another scene.
+    /// Checks that the scene is still the same. Marks are never reused, so an equal mark means that no other scene was drawn.
     fn check_scene(&self, frame: u64) -> Result<(), FilmError> {
         let id = &self.request.scene;
         match self.engine.scene_mark(id) {
@@ -259,8 +258,8 @@ impl Film<'_> {
         }
     }
 
-    /// Frames that are with the engine at most, and with how many left more are sent: half of them at a time, so that the engine
-    /// finds many to draw together.
+    /// The largest number of frames with the engine, and the number below which more are sent: half of it, so that the engine can
+    /// draw many in one batch.
     fn window(&self) -> (usize, usize) {
         let limits = self.engine.limits();
         let pixels = u64::from(self.request.width) * u64::from(self.request.height);
@@ -272,41 +271,41 @@ impl Film<'_> {
     }
 }
 
-/// See [`Film::window`]: of frames of which so many have room.
+/// Computes [`Film::window`], where `room` is the number of frames that the limit on pixels allows.
 fn window(room: u64, max_batch: usize, queue_capacity: usize) -> (usize, usize) {
     let most = room.min(2 * max_batch as u64) as usize;
     let most = most.min(queue_capacity).max(2);
     (most, most / 2)
 }
 
-/// A tag without its quotes.
+/// Removes the quotes of an entity tag.
 fn plain(tag: &str) -> String {
     tag.trim_matches('"').to_owned()
 }
 
-/// A frame that was sent.
+/// A frame that was sent to the engine.
 struct Sent {
     number: u64,
     frame: Arc<ResolvedFrame>,
     ticket: FrameTicket,
 }
 
-/// A frame that has come.
+/// A frame that the engine has drawn.
 struct Drawn {
     number: u64,
     tag: String,
     frame: Arc<EncodedFrame>,
 }
 
-/// Frames on their way.
+/// The frames of a run.
 struct Drawing<'a> {
     film: &'a Film<'a>,
-    /// Numbers of those that were not sent yet.
+    /// Numbers of the frames that were not sent yet.
     queue: VecDeque<u64>,
     flight: VecDeque<Sent>,
     /// See [`Film::window`].
     window: (usize, usize),
-    /// Times in a row that the engine put off.
+    /// Number of consecutive refusals by the engine.
     refusals: u32,
     stop: &'a AtomicBool,
 }
@@ -316,15 +315,15 @@ impl Drawing<'_> {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// The next frame, and keeps the engine busy meanwhile; `None` after the last, and when told to stop while the engine puts off.
+    /// Returns the next frame, and keeps the engine busy meanwhile. `None` after the last frame, and if told to stop.
     fn next(&mut self) -> Result<Option<Drawn>, FilmError> {
         while !self.is_stopped() {
             self.send()?;
-            // Whatever is left to send was sent, or waits for those in flight.
+            // All frames have been sent, or the remaining ones wait for those in flight.
             let Some(Sent { number, frame, ticket }) = self.flight.pop_front() else {
                 return Ok(None);
             };
-            // What was sent shows the scene as it was by then: after a change none of it is worth waiting for.
+            // Frames in flight show the scene as it was when they were sent. After a change they are not worth waiting for.
             self.film.check_scene(number)?;
             match ticket.wait() {
                 Ok(drawn) => {
@@ -341,7 +340,7 @@ impl Drawing<'_> {
         Ok(None)
     }
 
-    /// Sends frames to the engine, where it has few of them.
+    /// Sends more frames to the engine when few are in flight.
     fn send(&mut self) -> Result<(), FilmError> {
         let (most, few) = self.window;
         if self.flight.len() > few {
@@ -360,7 +359,7 @@ impl Drawing<'_> {
                 Ok(ticket) => self.flight.push_back(Sent { number, frame, ticket }),
                 Err(error) => {
                     self.queue.push_front(number);
-                    // Others fill its queue. Those of ours that are in it make room when they are drawn.
+                    // The queue is full. Our own frames in it make room when they are drawn.
                     if !self.flight.is_empty() && matches!(error, EngineError::Busy { .. }) {
                         break;
                     }
@@ -371,7 +370,7 @@ impl Drawing<'_> {
         Ok(())
     }
 
-    /// Waits a while, where the engine may draw the frame later.
+    /// Pauses after a refusal, if the engine may draw the frame later.
     fn put_off(&mut self, frame: u64, error: EngineError) -> Result<(), FilmError> {
         let is_patient = matches!(self.film.origin.client, Client::Job(_));
         let counts = !(is_patient && matches!(error, EngineError::Busy { .. }));

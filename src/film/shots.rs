@@ -1,4 +1,4 @@
-//! Which frames a path has: their numbers, times, cameras and files. Pure.
+//! Cuts a path into frames: their numbers, times, cameras and files. Pure.
 
 use std::ops::RangeInclusive;
 
@@ -7,9 +7,9 @@ use crate::encode::ImageFormat;
 use crate::math::Camera;
 use crate::scene::{CameraPath, PathSampler};
 
-/// Frames of one path at most, and so the numbers that are looked at.
+/// Largest number of frames of one path.
 pub const MOST_FRAMES: u64 = 1_000_000;
-/// Frames a second that can be asked for.
+/// Range of frames per second.
 pub const FPS_RANGE: [f64; 2] = [0.001, 1000.0];
 
 /// A path cut into frames.
@@ -26,17 +26,17 @@ pub struct Shots {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shot {
     pub number: u64,
-    /// In the path's own seconds.
+    /// Time on the path, in seconds.
     pub t: f64,
     pub camera: Camera,
 }
 
 impl Shots {
-    /// Cuts `path` into frames, `fps` of them a second (the path's own where it is `None`), of which those from `from` to `to`, both
+    /// Cuts `path` into frames at `fps` frames per second (`None` for the path's own rate). The frames from `from` to `to`, both
     /// included, are wanted.
     ///
     /// # Errors
-    /// A path that cannot be followed, a range that holds no frame of it, or more frames than [`MOST_FRAMES`].
+    /// The path cannot be followed, the range is not on the path, or there are more frames than [`MOST_FRAMES`].
     pub fn new(
         path: &CameraPath,
         fps: Option<f64>,
@@ -76,29 +76,29 @@ impl Shots {
         self.fps
     }
 
-    /// Frames of the whole path.
+    /// The number of frames of the whole path.
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// Numbers of the frames that are wanted.
+    /// The numbers of the wanted frames.
     pub fn wanted(&self) -> RangeInclusive<u64> {
         self.wanted.clone()
     }
 
-    /// Frame `number`: what the path shows `number / fps` seconds after its first key.
+    /// Frame `number`: the camera `number / fps` seconds after the path's first key.
     pub fn shot(&self, number: u64) -> Shot {
         let t = self.start_s + number as f64 / self.fps;
         Shot { number, t, camera: self.sampler.at(t) }
     }
 }
 
-/// The file of a frame: `frame-00042.png`.
+/// The file name of a frame, such as `frame-00042.png`.
 pub fn file_name(number: u64, format: ImageFormat) -> String {
     format!("frame-{number:05}.{}", format.extension())
 }
 
-/// Whether a name is one that [`file_name`] gives.
+/// Whether [`file_name`] can give this name.
 pub fn is_file_name(name: &str) -> bool {
     let Some((number, extension)) =
         name.strip_prefix("frame-").and_then(|rest| rest.split_once('.'))

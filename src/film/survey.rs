@@ -1,11 +1,11 @@
-//! What of a folder is kept and what is drawn. Pure: what was found comes in, what to do comes out.
+//! Decides which frames of a folder are kept and which are drawn. Pure: it gets what was found, and returns what to do.
 
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use super::manifest::{Record, Records};
 
-/// A frame as it is to be now.
+/// A frame as it should be now.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Slot {
     pub number: u64,
@@ -14,21 +14,21 @@ pub struct Slot {
     pub tag: String,
 }
 
-/// What a run has to do.
+/// The work of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Survey {
-    /// Frames that are good as they are, also such as were not asked for.
+    /// Frames that are intact, including ones that are not wanted.
     pub kept: Records,
-    /// Numbers of those to draw.
+    /// Numbers of the frames to draw.
     pub draw: Vec<u64>,
-    /// Files of earlier runs that are no frames of this path with these settings, and that nothing will replace.
+    /// Files of earlier runs that are not frames of this path with these settings, and that no frame will replace.
     pub left_over: Vec<String>,
 }
 
-/// A record as it is to be now, where it tells of the frame that is wanted. Whether its file is as it says is for the caller to find out.
+/// The record, updated, if it describes the frame of `slot`. The caller must check the file.
 pub fn promising(slot: &Slot, record: &Arc<Record>) -> Option<Arc<Record>> {
     let is_same = record.file == slot.file && record.tag == slot.tag;
-    // The same picture may have another time where frames come faster or slower.
+    // At another frame rate the same picture may have another time.
     let has_moved = record.t != slot.t;
     is_same.then(|| {
         let moved = || Arc::new(Record { t: slot.t, ..Record::clone(record) });
@@ -36,7 +36,8 @@ pub fn promising(slot: &Slot, record: &Arc<Record>) -> Option<Arc<Record>> {
     })
 }
 
-/// What to do, where those in `intact` are [`promising`] and have whole files. `file_of` names the file that a frame is to have.
+/// Decides the work, where the records in `intact` are [`promising`] and their files are complete. `file_of` names the file of a
+/// frame.
 pub fn survey(
     wanted: RangeInclusive<u64>,
     file_of: impl Fn(u64) -> String,
@@ -73,7 +74,7 @@ mod tests {
         format!("frame-{number:05}.png")
     }
 
-    /// Of the records those that tell of `slots`.
+    /// The records that match `slots`.
     fn promising_of(slots: &BTreeMap<u64, Slot>, records: &Records) -> Vec<Arc<Record>> {
         let slot = |record: &Arc<Record>| promising(slots.get(&record.frame)?, record);
         records.values().filter_map(slot).collect()

@@ -1,18 +1,18 @@
-//! Why nothing was generated.
+//! Errors of generators and writers.
 
 use std::path::Path;
 
-/// Why nothing was generated or written.
+/// Why an asset could not be generated or written.
 #[derive(Debug, thiserror::Error)]
 pub enum GenerateError {
     #[error("{parameter}: {reason}")]
     Parameter { parameter: &'static str, reason: String },
-    /// The file's extension and what was made do not go together.
+    /// The file's extension does not fit the asset.
     #[error("{file}: cannot hold {what}; accepted are {accepted}")]
     Format { file: String, what: &'static str, accepted: &'static str },
     #[error("{file}: cannot be written")]
     Io { file: String, source: std::io::Error },
-    /// A writer of a library failed.
+    /// A library's writer failed.
     #[error("{file}: {reason}")]
     Write { file: String, reason: String },
 }

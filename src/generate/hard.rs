@@ -1,8 +1,8 @@
-//! `hard`: small scenes of splats, each of which is where a renderer goes wrong that forgot a case.
+//! `hard`: small scenes of splats, each a corner case that renderers often miss.
 //!
-//! One function a case; `scenes/README.md` says what each may break, and `tests/engine/splats_hard.rs` draws them all. Samples that
-//! differ in nothing but a tilt or a length are copies of one disk, so that the number at issue stands in the scene file as it
-//! is meant, not as a PLY's f32 rounds it. Ellipses come from scales that differ by axis.
+//! There is one function per case. `scenes/README.md` says what each may break, and `tests/engine/splats_hard.rs` draws all of
+//! them. Samples that differ only in a tilt or a length are copies of one disk, so that the exact number is in the scene file,
+//! not rounded to the f32 of a PLY. Ellipses come from scales that differ by axis.
 
 use glam::{DVec3, Vec3};
 use serde_json::{Map, Value, json};
@@ -14,10 +14,10 @@ use crate::scene::random::SplitMix64;
 
 /// A colour whose linear channels are 0 and 1, which weighted sums keep exactly.
 const PURE: [u8; 3] = [255, 0, 255];
-/// One that rounding may move.
+/// A colour that rounding may change.
 const MIXED: [u8; 3] = [200, 120, 40];
 
-/// A scene in the making.
+/// A scene under construction.
 struct Case {
     name: &'static str,
     assets: Vec<(&'static str, Generated, Value)>,
@@ -43,7 +43,7 @@ impl Case {
         self
     }
 
-    /// A mesh that is drawn as samples so far apart.
+    /// Adds a mesh that is drawn as samples at this spacing.
     fn sampled(mut self, name: &'static str, mesh: GeneratedMesh, spacing: f64) -> Case {
         let how = json!({ "sample": { "spacing": spacing } });
         self.assets.push((name, Generated::Mesh(mesh), how));
@@ -64,7 +64,7 @@ impl Case {
         self
     }
 
-    /// The scene, and solids of its sampled meshes.
+    /// Finishes the scene, with solids made of its sampled meshes.
     fn finish(self, solids: &[(&str, Value)]) -> (String, GeneratedScene) {
         let file = |asset: &str| format!("{}-{asset}.ply", self.name);
         let mut listed = Map::new();
@@ -101,7 +101,7 @@ impl Case {
     }
 }
 
-/// JSON with a line for each entry.
+/// Formats JSON with a line for each entry.
 fn spread(value: &Value) -> String {
     let (open, lines, close): (_, Vec<String>, _) = match value {
         Value::Object(map) if map.values().any(Value::is_object) => {
@@ -116,7 +116,7 @@ fn spread(value: &Value) -> String {
     format!("{open}\n{}\n  {close}", lines.join(",\n"))
 }
 
-/// Samples with whatever they are given.
+/// Samples with their attributes.
 #[derive(Default)]
 struct Disks {
     positions: Vec<DVec3>,
@@ -143,7 +143,7 @@ impl Disks {
         })
     }
 
-    /// Positions and colours alone: the rest comes from the neighbourhood.
+    /// Positions and colours only; everything else is estimated from neighbours.
     fn bare(self) -> Generated {
         Generated::Points(PointCloud {
             positions: self.positions,
@@ -159,7 +159,7 @@ fn disk(normal: DVec3, radius: f64) -> Generated {
     disks.finish()
 }
 
-/// `side` × `side` disks across `normal`, `step` apart; `at` takes two whole steps to a position.
+/// `side` × `side` disks perpendicular to `normal`, `step` apart. `at` maps two coordinates to a position.
 fn sheet(
     side: u32,
     step: f64,
@@ -176,11 +176,11 @@ fn sheet(
     disks.finish()
 }
 
-/// A sphere of radius 1 about the origin.
+/// Disks on a sphere of radius 1 about the origin.
 fn ball(count: u32, radius: f64, colors: impl Fn(DVec3) -> [u8; 3], outwards: f64) -> Generated {
     let mut disks = Disks::default();
     for i in 0..count {
-        // A spiral; the golden angle keeps neighbours apart.
+        // A spiral by the golden angle, which keeps neighbours apart.
         let y = 1.0 - 2.0 * (f64::from(i) + 0.5) / f64::from(count);
         let (sin, cos) = super::numeric::sin_cos(2.399_963_229_728_653 * f64::from(i));
         let r = (1.0 - y * y).sqrt();
@@ -195,7 +195,7 @@ fn striped(p: DVec3) -> [u8; 3] {
     [byte(p.x), byte(p.y), byte(p.z)]
 }
 
-/// All cases, by name.
+/// All cases with their names.
 pub fn corpus() -> Vec<(String, GeneratedScene)> {
     vec![
         edge_on(),
@@ -214,13 +214,13 @@ pub fn corpus() -> Vec<(String, GeneratedScene)> {
     ]
 }
 
-/// Disks that the eye sees at 10⁻¹ … 10⁻¹² rad, and one exactly from the side.
+/// Disks that are seen at 10⁻¹ … 10⁻¹² rad, and one exactly edge-on.
 fn edge_on() -> (String, GeneratedScene) {
     let mut case = Case::new("edge-on").unlit().asset("disk", disk(DVec3::Y, 0.3));
     for power in 0..13 {
         let x = f64::from(power - 6) * 0.5;
         let tilt = if power == 0 { 0.0 } else { 10f64.powi(-power) };
-        // Turned about the x axis; for these angles sine and cosine are exact to the last digit.
+        // Rotated about the x axis. For these angles sine and cosine are exact to the last digit.
         let (sin, cos) = super::numeric::sin_cos(tilt);
         case = case.node(json!({
             "asset": "disk",
@@ -234,7 +234,7 @@ fn edge_on() -> (String, GeneratedScene) {
         .finish(&[])
 }
 
-/// Ground around an eye that stands in it, on it, and a hair above it.
+/// Ground around an eye in it, on it, and slightly above it.
 fn around_the_eye() -> (String, GeneratedScene) {
     let ground = sheet(17, 0.25, DVec3::Y, 0.3, PURE, |x, z| DVec3::new(x, 0.0, z));
     Case::new("around-the-eye")
@@ -252,7 +252,7 @@ fn around_the_eye() -> (String, GeneratedScene) {
         .finish(&[])
 }
 
-/// Radii of 10⁻¹² to 10¹², and ellipses of ratio 10⁶.
+/// Radii of 10⁻¹² to 10¹², and ellipses with a ratio of 10⁶.
 fn axes() -> (String, GeneratedScene) {
     let mut lengths = Disks::default();
     for (i, power) in [-12, -9, -6, -3, -1].into_iter().enumerate() {
@@ -283,7 +283,7 @@ fn axes() -> (String, GeneratedScene) {
         .finish(&[])
 }
 
-/// Every other sample has no normal; nor have the points of a lone pair any that could be estimated.
+/// Every second sample has no normal. The points of a lone pair have none that could be estimated either.
 fn without_normals() -> (String, GeneratedScene) {
     let mut disks = Disks::default();
     for i in 0..100u32 {
@@ -308,7 +308,7 @@ fn without_normals() -> (String, GeneratedScene) {
         .finish(&[])
 }
 
-/// Detail of a millimetre far from the origin. Coordinates are multiples of 2⁻¹⁰, exact wherever they lie.
+/// Millimetre detail far from the origin. Coordinates are multiples of 2⁻¹⁰, which are exact at any distance.
 fn survey(name: &'static str, corner: DVec3) -> (String, GeneratedScene) {
     const MM: f64 = 1.0 / 1024.0;
     let mut random = SplitMix64::new(7);
@@ -332,7 +332,7 @@ fn survey(name: &'static str, corner: DVec3) -> (String, GeneratedScene) {
         .finish(&[])
 }
 
-/// Two sheets whose distance is a millionth of that to the eye: the red one is nearer.
+/// Two sheets at a distance of a millionth of the distance to the eye. The red one is nearer.
 fn layers() -> (String, GeneratedScene) {
     let sheet = |color| sheet(15, 0.125, DVec3::Z, 0.15, color, |x, y| DVec3::new(x, y, 0.0));
     Case::new("layers")
@@ -346,7 +346,7 @@ fn layers() -> (String, GeneratedScene) {
         .finish(&[])
 }
 
-/// Nothing is before the eye.
+/// Everything is behind the eye.
 fn behind() -> (String, GeneratedScene) {
     Case::new("behind")
         .asset("ball", ball(300, 0.2, |_| PURE, 1.0))
@@ -368,7 +368,7 @@ fn fields_of_view() -> (String, GeneratedScene) {
         .finish(&[])
 }
 
-/// Mirrored, sheared, nearly singular, tiny and huge copies.
+/// Mirrored, sheared, nearly singular, tiny and huge instances.
 fn transforms() -> (String, GeneratedScene) {
     let matrix = |columns: [[f64; 3]; 3], x: f64| {
         let [a, b, c] = columns;
@@ -382,7 +382,7 @@ fn transforms() -> (String, GeneratedScene) {
         .node(json!({ "asset": "ball", "scale": 0.4 }))
         .node(matrix([[-0.4, 0.0, 0.0], [0.0, 0.4, 0.0], [0.0, 0.0, 0.4]], -1.0))
         .node(matrix([[0.4, 0.0, 0.0], [0.4, 0.4, 0.0], [0.0, 0.3, 0.4]], 1.0))
-        // All but flat, a line and a point: what scene files just allow.
+        // Nearly a plane, a line and a point: the limits of what scene files may have.
         .node(matrix([[0.4, 0.0, 0.0], [0.0, 0.4, 0.0], [0.4, 0.4, 1e-9]], -2.0))
         .node(matrix([[0.4, 0.2, 0.1], [0.4, 0.2001, 0.1], [0.4, 0.2, 0.1001]], 2.0))
         .node(matrix([[2e-9, 0.0, 0.0], [0.0, 2e-9, 0.0], [0.0, 0.0, 2e-9]], 2.5))
@@ -395,7 +395,7 @@ fn transforms() -> (String, GeneratedScene) {
         .finish(&[])
 }
 
-/// One sample, the same sample five hundred times, a line, a plane: positions and colours alone.
+/// A single sample, five hundred equal samples, a line, a plane: positions and colours only.
 fn few() -> (String, GeneratedScene) {
     let cloud = |count: u32, at: &dyn Fn(f64) -> DVec3| {
         let mut disks = Disks::default();
@@ -423,7 +423,7 @@ fn few() -> (String, GeneratedScene) {
         .finish(&[])
 }
 
-/// Normals that point inwards: seen from outside all look away.
+/// Normals that point inwards: from outside all samples face away.
 fn turned_away() -> (String, GeneratedScene) {
     Case::new("turned-away")
         .asset("ball", ball(400, 0.15, |_| MIXED, -1.0))
@@ -433,8 +433,8 @@ fn turned_away() -> (String, GeneratedScene) {
         .finish(&[])
 }
 
-/// Clip lines that are parallel, coincide, pass through the centre, or leave nothing: slivers and blades thinner than the samples'
-/// distance, walls of nearly equal solids, solids that touch.
+/// Clip lines that are parallel, coincide, pass through the centre, or leave nothing: slivers and blades thinner than the sample
+/// spacing, walls of nearly equal solids, solids that touch.
 fn clips() -> (String, GeneratedScene) {
     let cuboid = |half: DVec3| {
         let mut faces = Faces::default();

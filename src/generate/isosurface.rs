@@ -1,10 +1,9 @@
 //! Meshing the zero set of a signed distance function (naive surface nets, Gibson 1998).
 //!
-//! Space is cut into cubic cells. Every cell whose corners differ in sign gets one vertex, pulled onto
-//! the surface; every grid edge whose ends differ in sign gets a quad of the four cells around it,
-//! facing outwards. So each mesh edge is used once in each direction: the mesh is watertight by
-//! construction. Cells are handled in blocks of 8³, and only blocks that the surface may touch are
-//! evaluated, in parallel and in a fixed order.
+//! Space is divided into cubic cells. Each cell whose corners differ in sign gets a vertex, moved onto the surface. Each grid
+//! edge whose ends differ in sign gets an outward-facing quad of the four cells around it. Each mesh edge is therefore used once
+//! in each direction, which makes the mesh watertight by construction. Cells are processed in blocks of 8³. Only blocks that the
+//! surface may touch are evaluated, in parallel and in a fixed order.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -49,11 +48,11 @@ impl Lattice {
     }
 }
 
-/// A block that the surface may touch: values at its corners, and a vertex for each cell it crosses.
+/// A block that the surface may touch, with the values at its corners and a vertex for each cell that the surface crosses.
 struct Active {
     origin: [i64; 3],
     values: Vec<f64>,
-    /// Cells with a vertex, in order, and where it lies.
+    /// Cells with a vertex, in order, and the vertex.
     crossed: Vec<(usize, DVec3)>,
 }
 
@@ -63,8 +62,8 @@ impl Active {
     }
 }
 
-/// Meshes `{p : distance(p) = 0}` within `bounds` by cells of edge `cell`. `distance` is negative
-/// inside; it may overestimate the true distance by up to a half.
+/// Meshes `{p : distance(p) = 0}` within `bounds` with cells of edge `cell`. `distance` is negative inside. It may overestimate
+/// the true distance by up to a half.
 pub fn isosurface(
     distance: &(dyn Fn(DVec3) -> f64 + Sync),
     bounds: Bounds,
@@ -146,7 +145,7 @@ fn vertex(
     Some(p)
 }
 
-/// The unit vector in which `distance` grows fastest, or zero where it does not.
+/// The unit vector in which `distance` grows fastest, or zero if it does not grow.
 pub fn gradient(distance: &dyn Fn(DVec3) -> f64, p: DVec3, step: f64) -> DVec3 {
     let along = |axis: DVec3| distance(p + axis * step) - distance(p - axis * step);
     let g = DVec3::new(along(DVec3::X), along(DVec3::Y), along(DVec3::Z));
@@ -154,7 +153,7 @@ pub fn gradient(distance: &dyn Fn(DVec3) -> f64, p: DVec3, step: f64) -> DVec3 {
     if length > 1e-300 { g / length } else { DVec3::ZERO }
 }
 
-/// Numbers the vertices and joins them by quads.
+/// Numbers the vertices and connects them by quads.
 fn connect(lattice: &Lattice, active: &[Active]) -> Isosurface {
     const NONE: u32 = u32::MAX;
     let mut mesh = Isosurface::default();
@@ -206,7 +205,7 @@ fn connect(lattice: &Lattice, active: &[Active]) -> Isosurface {
     mesh
 }
 
-/// Two triangles, cut along the shorter diagonal.
+/// Adds a quad as two triangles, split along the shorter diagonal.
 fn push_quad(mesh: &mut Isosurface, [p, q, r, s]: [u32; 4]) {
     let at = |index: u32| mesh.positions[index as usize];
     let split = if (at(p) - at(r)).length_squared() <= (at(q) - at(s)).length_squared() {
@@ -223,7 +222,7 @@ pub(super) mod tests {
 
     use super::*;
 
-    /// Panics unless every edge is used as often one way as the other.
+    /// Panics unless every edge is used equally often in both directions.
     pub fn assert_watertight(triangles: &[[u32; 3]]) {
         let mut balance: HashMap<(u32, u32), i64> = HashMap::new();
         for &[a, b, c] in triangles {
@@ -236,7 +235,7 @@ pub(super) mod tests {
         assert!(balance.values().all(|&n| n == 0), "an edge without its opposite");
     }
 
-    /// Six times the volume that outward-facing triangles enclose, over six.
+    /// The volume enclosed by outward-facing triangles.
     pub fn volume(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
         triangles
             .iter()

@@ -1,9 +1,8 @@
 //! Deterministic procedural assets and scenes (floor 2).
 //!
-//! [`generate`] makes one of the [`Kind`]s from [`Parameters`]; [`write()`] puts it on disk in the
-//! format that the file's extension asks for. Equal parameters give equal bytes on every machine:
-//! randomness comes from [`crate::scene::random`], trigonometry from [`numeric`], and parallel work is
-//! split and merged by index.
+//! [`generate`] makes an asset of one of the [`Kind`]s from [`Parameters`]. [`write()`] writes it to disk in the format of the
+//! file's extension. Equal parameters give equal bytes on every machine: random numbers come from [`crate::scene::random`],
+//! trigonometry from [`numeric`], and parallel work is split and merged by index.
 
 mod error;
 mod hard;
@@ -51,29 +50,29 @@ pub enum Kind {
     Sphere,
 }
 
-/// What generators may be told; `None` is the kind's own default.
+/// Parameters of generators; `None` is the kind's default.
 #[derive(Clone, Debug, Default)]
 pub struct Parameters {
     pub seed: u64,
-    /// Number of points, for point clouds; for a machined part, samples to aim at.
+    /// Number of points of a point cloud; for a machined part, the target number of samples.
     pub points: Option<u64>,
-    /// Number of triangles to aim at, for meshes.
+    /// Target number of triangles of a mesh.
     pub triangles: Option<u64>,
-    /// Edge or height in scene units; for a plaza, assemblies along each edge.
+    /// Edge or height in scene units; for a plaza, the number of assemblies along each edge.
     pub size: Option<f64>,
 }
 
-/// What a generator made.
+/// The result of a generator.
 #[derive(Clone, Debug)]
 pub enum Generated {
     Points(PointCloud),
     Mesh(GeneratedMesh),
     Scene(GeneratedScene),
-    /// A folder's scenes, by name.
+    /// The scenes of a folder, by name.
     Scenes(Vec<(String, GeneratedScene)>),
 }
 
-/// A mesh and how it looks.
+/// A mesh with its material and texture.
 #[derive(Clone, Debug, Default)]
 pub struct GeneratedMesh {
     pub mesh: Mesh,
@@ -81,14 +80,14 @@ pub struct GeneratedMesh {
     pub texture: Option<Texture>,
 }
 
-/// A scene file and the assets that it names, by file name.
+/// The text of a scene file, and the assets that it names by file name.
 #[derive(Clone, Debug)]
 pub struct GeneratedScene {
     pub json: String,
     pub assets: Vec<(String, Generated)>,
 }
 
-/// A parameter's value, or the default, refused outside `low..=high`.
+/// Returns the parameter's value or the default; fails outside `low..=high`.
 fn within<T: PartialOrd + Copy + std::fmt::Display>(
     parameter: &'static str,
     value: Option<T>,
@@ -105,10 +104,10 @@ fn within<T: PartialOrd + Copy + std::fmt::Display>(
     }
 }
 
-/// Makes an asset: points or a mesh, or the scene that `plaza` and `csg-part` are, or all of the scenes of `hard`.
+/// Makes an asset: points or a mesh, the scene of `plaza` or `csg-part`, or all scenes of `hard`.
 ///
 /// # Errors
-/// A parameter outside its range.
+/// A parameter is outside its range.
 pub fn generate(
     kind: Kind,
     parameters: &Parameters,
@@ -151,10 +150,10 @@ pub fn generate(
     })
 }
 
-/// Makes a kind as a scene called `name`: the JSON and the assets beside it.
+/// Makes an asset of a kind as a scene called `name`: the JSON and its assets.
 ///
 /// # Errors
-/// A parameter outside its range.
+/// A parameter is outside its range.
 pub fn generate_scene(
     kind: Kind,
     name: &str,
@@ -189,7 +188,7 @@ pub fn generate_scene(
     })
 }
 
-/// Metres.
+/// Height of the amphora in metres.
 const AMPHORA_HEIGHT: f64 = 0.6;
 
 fn machined_part(name: &str, parameters: &Parameters) -> Result<GeneratedScene, GenerateError> {
@@ -202,7 +201,7 @@ fn town_size(size: Option<f64>) -> Result<f64, GenerateError> {
     within("size", size, 180.0, 40.0, 2_000.0)
 }
 
-/// Assemblies along each edge of the plaza.
+/// Number of assemblies along each edge of the plaza.
 fn plaza_count(size: Option<f64>) -> Result<u64, GenerateError> {
     Ok(within("size", size, 40.0, 1.0, 1_000.0)?.round() as u64)
 }

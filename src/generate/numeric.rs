@@ -1,8 +1,8 @@
-//! Arithmetic that gives the same bits on every machine.
+//! Arithmetic with the same bits on every machine.
 //!
-//! IEEE 754 fixes the results of `+ − × ÷ √` and of rounding, but not those of sine, cosine or
-//! arctangent: the platform's library may pick other code on another processor. Generated assets
-//! are compared byte by byte, so the generators use the polynomials below, good to 1e-12.
+//! IEEE 754 fixes the results of `+ − × ÷ √` and of rounding, but not those of sine, cosine or arctangent: the platform's library
+//! may use different code on different processors. Generated assets are compared byte by byte, so the generators use the
+//! polynomials below, which are accurate to 1e-12.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -15,7 +15,7 @@ pub fn sin_cos(angle: f64) -> (f64, f64) {
     let quarter = (angle * (1.0 / FRAC_PI_2)).round();
     let r = angle - quarter * FRAC_PI_2;
     let s = r * r;
-    // Taylor series about 0, |r| ≤ π/4: the first term left out is below 1e-13.
+    // Taylor series about 0, |r| ≤ π/4. The first omitted term is below 1e-13.
     let sine = r
         * (1.0
             + s * (-1.0 / 6.0
@@ -52,7 +52,7 @@ pub fn atan2(y: f64, x: f64) -> f64 {
     if high == 0.0 {
         return 0.0;
     }
-    // Two halvings of the angle bring the slope below 0.199, where the series is short.
+    // Halving the angle twice brings the slope below 0.199, where few terms of the series suffice.
     let halve = |z: f64| z / (1.0 + (1.0 + z * z).sqrt());
     let z = halve(halve(low / high));
     let s = z * z;
@@ -90,7 +90,7 @@ pub fn noise(p: DVec3, seed: u64) -> f64 {
     2.0 * lerp(along_y(0), along_y(1), w.z) - 1.0
 }
 
-/// `octaves` layers of [`noise`], each of half the size and half the height of the one before.
+/// `octaves` layers of [`noise`], each with half the feature size and half the amplitude of the previous one.
 pub fn fractal(p: DVec3, octaves: u32, seed: u64) -> f64 {
     let (mut sum, mut height, mut q) = (0.0, 0.5, p);
     for octave in 0..octaves {
@@ -105,13 +105,13 @@ pub fn lerp(a: f64, b: f64, t: f64) -> f64 {
     a + (b - a) * t
 }
 
-/// 0 below `low`, 1 above `high`, smooth between.
+/// 0 below `low`, 1 above `high`, smooth in between.
 pub fn smoothstep(low: f64, high: f64, x: f64) -> f64 {
     let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
 
-/// An angle in radians brought into −π..π.
+/// Reduces an angle in radians to −π..π.
 pub fn wrap_angle(angle: f64) -> f64 {
     angle - TAU * (angle / TAU).round()
 }

@@ -1,7 +1,7 @@
 //! `csg-part`: a machined part, made of sampled solids as in Zwicker et al. 2004, Fig. 8.
 //!
-//! A block from which two bores, a rounded slot and a step are taken: a scene whose one drawn asset is a difference. The slot is a
-//! union of its own.
+//! Two bores, a rounded slot and a step are subtracted from a block. The only drawn asset of the scene is a difference, and the
+//! slot is a union.
 
 use glam::DVec3;
 
@@ -10,26 +10,26 @@ use super::scenes::{DAYLIGHT, Pose, around, cameras, path};
 use super::{Generated, GeneratedMesh, GeneratedScene};
 use crate::math::Bounds;
 
-/// Sides of the cylinder: with so many its flat sides turn by less than 4°.
+/// Number of sides of a cylinder. Neighbouring sides differ by less than 4°.
 const SIDES: u32 = 96;
-/// Half the block's edges, for a length of 2.
+/// Half the edges of the block, for a length of 2.
 const HALF: DVec3 = DVec3::new(1.0, 0.34, 0.6);
-/// Of the bores, and where they stand along the block.
+/// Radius of the bores, and their distance from the middle along the block.
 const BORE_RADIUS: f64 = 0.2;
 const BORE_X: f64 = 0.68;
-/// Half the slot's width, and how far its round ends lie from the middle.
+/// Half the slot's width, and the distance of its round ends from the middle.
 const SLOT_RADIUS: f64 = 0.16;
 const SLOT_X: f64 = 0.24;
-/// How far the step reaches into the block from its front and its top.
+/// Depth of the step in the block from its front and its top.
 const STEP: f64 = 0.22;
 
-/// The part, `length` long along x, sampled so that about `samples` are left.
+/// The part with length `length` along x, sampled so that about `samples` remain.
 pub fn machined(name: &str, length: f64, samples: u64) -> GeneratedScene {
     let unit = 0.5 * length;
     let spacing = (area() / samples as f64).sqrt() * unit;
     let half = HALF * unit;
     let (metal, cut) = (srgb(0xb4bac4), srgb(0xc98f4e));
-    // What is taken away reaches out of the block, so that no faces coincide.
+    // Subtracted solids extend beyond the block, so that no faces coincide.
     let through = 1.4 * half.y;
     let slot_half = DVec3::new(SLOT_X * unit, through, SLOT_RADIUS * unit);
     let meshes = [
@@ -120,7 +120,7 @@ fn turn(unit: f64) -> [(f64, DVec3, DVec3); 5] {
     ]
 }
 
-/// About what is left of the surface, for a length of 2: the holes' walls are gained, their ends lost.
+/// Approximate area of the remaining surface, for a length of 2: walls of holes are added, their ends subtracted.
 fn area() -> f64 {
     use std::f64::consts::{PI, TAU};
     let DVec3 { x, y, z } = HALF;
@@ -137,7 +137,7 @@ fn cuboid(half: DVec3, color: [u8; 4]) -> GeneratedMesh {
     faces.finish(None)
 }
 
-/// About the y axis.
+/// A cylinder about the y axis.
 fn cylinder(radius: f64, half: f64, color: [u8; 4]) -> GeneratedMesh {
     let mut faces = Faces::default();
     faces.tube(DVec3::Y * -half, DVec3::Y * half, [radius; 2], SIDES, color);

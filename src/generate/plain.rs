@@ -17,13 +17,13 @@ pub struct Faces {
     colors: Vec<[u8; 4]>,
 }
 
-/// sRGB from `0xrrggbb`, opaque.
+/// An opaque sRGB colour from `0xrrggbb`.
 pub fn srgb(hex: u32) -> [u8; 4] {
     [(hex >> 16) as u8, (hex >> 8) as u8, hex as u8, 255]
 }
 
 impl Faces {
-    /// A flat convex polygon, counter-clockwise seen from outside.
+    /// Adds a flat convex polygon, counter-clockwise seen from outside.
     pub fn polygon(&mut self, corners: &[DVec3], color: [u8; 4]) {
         let [a, b, c, ..] = corners else { return };
         let normal = (*b - *a).cross(*c - *a);
@@ -31,7 +31,7 @@ impl Faces {
         self.smooth_polygon(corners, &vec![normal; corners.len()], color);
     }
 
-    /// A polygon with a normal at each corner.
+    /// Adds a polygon with a normal at each corner.
     pub fn smooth_polygon(&mut self, corners: &[DVec3], normals: &[DVec3], color: [u8; 4]) {
         let first = self.mesh.positions.len() as u32;
         self.mesh.positions.extend_from_slice(corners);
@@ -42,13 +42,13 @@ impl Faces {
         }
     }
 
-    /// An axis-aligned box.
+    /// Adds an axis-aligned box.
     pub fn cuboid(&mut self, min: DVec3, max: DVec3, color: [u8; 4]) {
         let corner = |bits: usize| {
             let pick = |axis: usize| if bits >> axis & 1 == 1 { max[axis] } else { min[axis] };
             DVec3::new(pick(0), pick(1), pick(2))
         };
-        // Corners by bits x, y, z; each face counter-clockwise from outside.
+        // Bits x, y, z number the corners. Each face is counter-clockwise seen from outside.
         for face in
             [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]]
         {
@@ -56,14 +56,14 @@ impl Faces {
         }
     }
 
-    /// A tapering tube between two points, closed at both ends.
+    /// Adds a tapering tube between two points, closed at both ends.
     pub fn tube(&mut self, from: DVec3, to: DVec3, radii: [f64; 2], sides: u32, color: [u8; 4]) {
         let [low, high] = self.mantle(from, to, radii, sides, color);
         self.polygon(&high, color);
         self.polygon(&low.into_iter().rev().collect::<Vec<_>>(), color);
     }
 
-    /// A tapering tube without its ends; returns the two rings of corners.
+    /// Adds a tapering tube without its ends, and returns the two rings of corners.
     fn mantle(
         &mut self,
         from: DVec3,
@@ -92,7 +92,7 @@ impl Faces {
         [low, high]
     }
 
-    /// The finished mesh.
+    /// Returns the finished mesh.
     pub fn finish(mut self, material: Option<Material>) -> GeneratedMesh {
         self.mesh.normals = Some(self.normals);
         self.mesh.colors = Some(self.colors);
@@ -109,7 +109,7 @@ pub fn cube(size: f64) -> GeneratedMesh {
 
 /// A sphere of diameter `size` about the origin, in rings of quads, with shared vertices.
 pub fn sphere(size: f64, triangles: u64) -> GeneratedMesh {
-    // 2 · rings · sectors triangles less those of the poles, with twice as many sectors as rings.
+    // The number of triangles is 2 · rings · sectors minus those at the poles, with twice as many sectors as rings.
     let rings = ((triangles as f64 / 4.0).sqrt().round() as u32).max(3);
     let sectors = 2 * rings;
     let mut mesh = Mesh::default();
@@ -138,8 +138,8 @@ pub fn sphere(size: f64, triangles: u64) -> GeneratedMesh {
     GeneratedMesh { mesh, ..GeneratedMesh::default() }
 }
 
-/// A tree of `height`, standing on the origin, y up: a trunk that forks a few times, and leaves as
-/// single quads about the twigs, the larger the fewer there are.
+/// A tree of `height`, standing on the origin, y up: a trunk that forks a few times, and leaves as single quads around the twigs.
+/// The fewer triangles there are, the larger the leaves.
 pub fn tree(height: f64, triangles: u64, seed: u64) -> GeneratedMesh {
     let mut random = SplitMix64::stream(seed, 31);
     let mut wood = Wood { levels: if triangles < 4_000 { 2 } else { 3 }, ..Wood::default() };
@@ -161,7 +161,7 @@ pub fn tree(height: f64, triangles: u64, seed: u64) -> GeneratedMesh {
         let size = leaf_size * random.range(0.75, 1.3);
         let (along, across) = (normal.cross(across) * size * 1.5, across * size);
         let corners = [middle - along, middle + across, middle + along, middle - across];
-        // Lit as part of the crown, not as a loose leaf.
+        // Lit as part of the crown, not as a single leaf.
         let out = middle - crown;
         let soft = out / out.length().max(1e-9);
         let color = palette[random.index(palette.len())];
@@ -174,12 +174,12 @@ fn random_vector(random: &mut SplitMix64) -> DVec3 {
     DVec3::new(random.bell(), random.bell(), random.bell())
 }
 
-/// Trunk and branches as they grow, and where leaves will be.
+/// Trunk and branches, and the places of leaves.
 #[derive(Default)]
 struct Wood {
     faces: Faces,
     twigs: Vec<DVec3>,
-    /// How often branches fork.
+    /// Number of times that branches fork.
     levels: u32,
 }
 
@@ -208,7 +208,7 @@ impl Wood {
     }
 }
 
-/// A park bench 1.8 long, its seat looking along +z.
+/// A park bench of length 1.8 whose seat faces +z.
 pub fn bench() -> GeneratedMesh {
     let mut faces = Faces::default();
     let (wood, iron) = (srgb(0x8a6340), srgb(0x3c4044));
@@ -229,7 +229,7 @@ pub fn bench() -> GeneratedMesh {
     faces.finish(None)
 }
 
-/// A lantern on a post, 3.4 high.
+/// A lantern on a post, of height 3.4.
 pub fn lamp() -> GeneratedMesh {
     let mut faces = Faces::default();
     let (iron, light) = (srgb(0x2f3b39), srgb(0xfff1c4));

@@ -1,8 +1,8 @@
-//! Whole scenes: a JSON file with lights, cameras and a path, and the assets that it names.
+//! Whole scenes: a JSON file with lights, cameras and a path, and its assets.
 //!
-//! `generate KIND -o NAME.json` puts any kind into a scene of its own; `plaza` is one by nature: forty by
-//! forty assemblies of a statue, trees, benches and a lamp, instanced through four levels of
-//! prototypes, so that a file of two kilobytes draws twenty thousand instances.
+//! `generate KIND -o NAME.json` puts an asset of any kind into its own scene. `plaza` is always a scene: forty by forty
+//! assemblies of a statue, trees, benches and a lamp, instanced through four levels of prototypes. A file of two kilobytes draws
+//! twenty thousand instances.
 
 use glam::DVec3;
 
@@ -19,7 +19,7 @@ pub(super) struct Pose {
     pub fov: f64,
 }
 
-/// Coordinates in a file, to the millimetre.
+/// Formats coordinates for a file, rounded to millimetres.
 pub(super) fn vector(v: DVec3) -> String {
     let round = |c: f64| (c * 1000.0).round() / 1000.0 + 0.0;
     format!("[{}, {}, {}]", round(v.x), round(v.y), round(v.z))
@@ -65,10 +65,10 @@ pub(super) const DAYLIGHT: &str = r##"  "lights": [
     { "kind": "ambient", "color": "#dce6f5", "intensity": 0.25 }
   ]"##;
 
-/// Points that a camera is fitted to, at most.
+/// Largest number of points to which a camera is fitted.
 const MOST_FRAMED: usize = 200_000;
 
-/// A camera that shows points whole in a square frame, and so in every other one.
+/// A camera that shows all points in a square frame, and therefore in every other frame.
 pub(super) fn around(
     name: &'static str,
     points: &[DVec3],
@@ -127,7 +127,7 @@ fn bounds_of(asset: &Generated) -> Bounds {
     }
 }
 
-/// One solid, lit, with cameras around it.
+/// A scene of one solid with lights and cameras around it.
 pub fn solid(name: &str, asset: Generated) -> GeneratedScene {
     let bounds = bounds_of(&asset);
     let textured = matches!(&asset, Generated::Mesh(GeneratedMesh { texture: Some(_), .. }));
@@ -196,11 +196,11 @@ pub fn amphora(name: &str, amphora: Generated, height: f64) -> GeneratedScene {
 
 /// Distance between assemblies in metres.
 const PITCH_M: f64 = 8.0;
-/// Distance from the middle of an assembly to the sides of what the default view shows.
+/// Half the width of the part that the default view shows, around the middle of an assembly.
 const SUBJECT_M: f64 = 4.0;
 const SUBJECT_HEIGHT_M: f64 = 12.0;
 
-/// Forty by forty assemblies.
+/// A scene of `count` by `count` assemblies.
 pub fn plaza(name: &str, count: u64, seed: u64, progress: &Progress) -> GeneratedScene {
     let statue = relief::ReliefParameters { height: 2.0, count: 5_000, seed };
     let statue = relief::relief(&statue, progress);
@@ -229,14 +229,14 @@ pub fn plaza(name: &str, count: u64, seed: u64, progress: &Progress) -> Generate
         },
         around("overview", &square.corners(), DVec3::new(0.5, 0.4, 1.0), DVec3::Y, 40.0),
     ];
-    // An aisle between two rows of trees, above the statues that stand in it.
+    // An aisle between two rows of trees, above the statues in it.
     let aisle = |y: f64, z: f64| DVec3::new(0.5 * PITCH_M, y, z * half);
     let keys = [
         (0.0, DVec3::new(0.55, 0.42, 1.25) * half, DVec3::ZERO),
         (3.0, aisle(6.0, 0.5), aisle(1.0, 0.0)),
         (6.0, aisle(2.9, -0.3), aisle(1.6, -0.6)),
     ];
-    // One assembly and the sky above it, so that the view reaches from there to the horizon.
+    // The default view shows one assembly and the sky above it, so that it extends from there to the horizon.
     let centre = DVec3::new(0.5, 0.0, 0.5) * PITCH_M;
     let reach = DVec3::new(SUBJECT_M, 0.0, SUBJECT_M);
     let shown = Bounds { min: centre - reach, max: centre + reach + DVec3::Y * SUBJECT_HEIGHT_M };

@@ -1,11 +1,11 @@
-//! Generators through the front door: files that read back, bytes that repeat, committed scenes.
+//! Tests of generators through their public interface: files can be read, bytes repeat, and committed scenes are up to date.
 
 use std::path::{Path, PathBuf};
 
 use super::*;
 use crate::scene::{self, SceneLimits};
 
-/// The committed scenes and what they are generated from.
+/// The committed scenes and their parameters.
 const COMMITTED: [(Kind, &str, Parameters); 5] = [
     (
         Kind::Town,
@@ -30,7 +30,7 @@ fn scenes_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes")
 }
 
-/// Whoever changes a generator regenerates the scenes: the commands are in `scenes/README.md`.
+/// After a change of a generator its scenes must be regenerated; `scenes/README.md` has the commands.
 #[test]
 fn committed_scenes_come_from_the_generators() {
     let fresh = tempfile::tempdir().unwrap();
@@ -60,7 +60,7 @@ fn committed_scenes_are_valid() {
         assert!(scene.cameras.len() >= 3 && scene.paths.len() == 1, "{name}");
         let expected = match name {
             "plaza" => 1600 * 11,
-            // The others are what it is made of.
+            // The other assets are operands of this one.
             "part" => 1,
             _ => scene.assets.len() as u64,
         };
@@ -68,7 +68,7 @@ fn committed_scenes_are_valid() {
     }
 }
 
-/// Not less, not more, and not much.
+/// The committed files are exactly the generated ones, and they are small.
 #[test]
 fn the_hard_cases_come_from_their_generator() {
     let fresh = tempfile::tempdir().unwrap();
@@ -122,7 +122,7 @@ fn las_files_read_back() {
     }
 }
 
-/// The bytes of a PLY are those its header announces.
+/// A PLY file has exactly the bytes that its header announces.
 #[test]
 fn ply_files_have_the_size_their_headers_say() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,9 +1,8 @@
-//! `textured` and `checkerboard`: meshes whose looks are in a texture.
+//! `textured` and `checkerboard`: meshes whose appearance is in a texture.
 //!
-//! The first is an amphora, turned on a lathe and painted with friezes; its texture wraps around once
-//! (u) and runs from the lip down to the foot (v), so that texel density varies by a factor of three
-//! between belly and neck. The second is a ground plane with a checker so fine that it must be
-//! filtered in the distance.
+//! The first is an amphora, turned on a lathe and painted with friezes. Its texture wraps around once (u) and runs from the lip
+//! to the foot (v), so that texel density varies by a factor of three between belly and neck. The second is a ground plane with a
+//! checker so fine that it needs filtering in the distance.
 
 use std::f64::consts::TAU;
 
@@ -65,7 +64,7 @@ pub fn amphora(height: f64, triangles: u64, seed: u64) -> GeneratedMesh {
         let t = f64::from(ring) / f64::from(rings);
         let (p, next, before) = (outline(t), outline(t + 1e-4), outline(t - 1e-4));
         let slope = next - before;
-        // Down the outline, the outside is to the left.
+        // Along the outline from top to bottom, the outside is on the left.
         let out = DVec2::new(-slope.y, slope.x) / slope.length();
         for sector in 0..=sectors {
             let share = f64::from(sector) / f64::from(sectors);
@@ -122,7 +121,7 @@ fn handle(mesh: &mut Mesh, height: f64, side: f64) {
             let girth = DVec3::new(0.017, 0.017, 0.026);
             mesh.positions.push((centre + normal * girth) * height);
             mesh.normals.get_or_insert_default().push(normal.as_vec3());
-            // A strip of the texture that is glazed black.
+            // A strip of the texture with black glaze.
             let uv = Vec2::new(share as f32 * 0.2, 0.985 + 0.01 * t as f32);
             mesh.uvs.get_or_insert_default().push(uv);
         }
@@ -137,7 +136,7 @@ fn handle(mesh: &mut Mesh, height: f64, side: f64) {
     }
 }
 
-/// Friezes in black on clay, 512².
+/// The amphora's texture: friezes in black on clay, 512².
 fn painted(seed: u64) -> Texture {
     let mut random = SplitMix64::stream(seed, 41);
     let waves = 20.0 + random.index(3) as f64 * 2.0;
@@ -148,7 +147,7 @@ fn painted(seed: u64) -> Texture {
             let black = is_glazed(u, v, waves);
             let (s, c) = sin_cos(TAU * u);
             let place = DVec3::new(s * 6.0, v * 30.0, c * 6.0);
-            // Few tones, so that the image stays small.
+            // Few tones, so that the image file stays small.
             let tone = 1.0 + 0.1 * (8.0 * fractal(place, 3, seed)).round() / 8.0;
             let base: [f64; 3] = if black { [34.0, 28.0, 27.0] } else { [203.0, 116.0, 62.0] };
             let [r, g, b] = base.map(|c| (c * tone).clamp(0.0, 255.0).round() as u8);
@@ -204,7 +203,7 @@ fn is_glazed(u: f64, v: f64, waves: f64) -> bool {
     !(0.27..0.93).contains(&v)
 }
 
-/// A Greek key, one period per unit of `x`, `y` in 0..1 downwards.
+/// A Greek key with one period per unit of `x`; `y` in 0..1 runs downwards.
 fn meander(x: f64, y: f64) -> bool {
     const KEY: [&[u8; 8]; 7] =
         [b"########", b"#......#", b"#.####.#", b"#.#..#.#", b"#.##.#.#", b"#....#.#", b"######.#"];
@@ -249,7 +248,7 @@ fn checker_color(x: u32, y: u32) -> [u8; 4] {
     srgb(if (x + y).is_multiple_of(2) { 0xdcd8d0 - major } else { 0x5c6670 - major })
 }
 
-/// The same square as points on a grid, with normals and colours.
+/// The square of [`checker_mesh`] as points on a grid, with normals and colours.
 pub fn checker_points(size: f64, points: usize) -> PointCloud {
     let side = ((points as f64).sqrt().ceil() as usize).max(1);
     let mut cloud = PointCloud {

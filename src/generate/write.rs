@@ -1,7 +1,7 @@
-//! Writers for what generators make: binary PLY, LAS and LAZ, OBJ with MTL and PNG, scene files.
+//! Writers for generated assets: binary PLY, LAS and LAZ, OBJ with MTL and PNG, scene files.
 //!
-//! Nothing in the files depends on the time or the machine: no dates, no identifiers, little-endian
-//! throughout. Points are written with coordinates in f64, meshes in f32.
+//! The files do not depend on the time or the machine: no dates, no identifiers, always little-endian. Points have f64
+//! coordinates, meshes f32.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -11,11 +11,10 @@ use super::{GenerateError, Generated, GeneratedMesh, GeneratedScene};
 use crate::assets::{Material, Mesh, PointCloud, Texture};
 use crate::math::Bounds;
 
-/// Writes `generated` to `path` (and beside it, where a format has several files); returns all files
-/// written.
+/// Writes `generated` to `path`, and to further files beside it if the format needs them. Returns all written files.
 ///
 /// # Errors
-/// An extension that cannot hold it, or an I/O error; files begun may be left behind.
+/// The extension does not fit the asset, or an I/O error occurred. Incomplete files may remain.
 pub fn write(generated: &Generated, path: &Path) -> Result<Vec<PathBuf>, GenerateError> {
     let extension =
         path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
@@ -64,7 +63,7 @@ fn create(path: &Path) -> Result<BufWriter<File>, GenerateError> {
     Ok(BufWriter::with_capacity(1 << 18, File::create(path).map_err(GenerateError::io(path))?))
 }
 
-/// Attributes of a vertex as PLY properties, in the order of `ply_vertex`.
+/// Writes the header of a PLY file. The properties of a vertex are in the order of `ply_vertex`.
 fn ply_header(
     out: &mut impl Write,
     (count, coordinates): (usize, &str),
@@ -163,7 +162,7 @@ fn ply_mesh(mesh: &Mesh, path: &Path) -> Result<(), GenerateError> {
     body().map_err(GenerateError::io(path))
 }
 
-/// LAS 1.2, point format 2 (colour), in whole millimetres.
+/// Writes LAS 1.2, point format 2 (colour), in whole millimetres.
 fn las_points(cloud: &PointCloud, path: &Path, compress: bool) -> Result<(), GenerateError> {
     let fail = |error: las::Error| GenerateError::write(path, error);
     let header = las_header(cloud, compress).map_err(fail)?;
@@ -176,7 +175,7 @@ fn las_points(cloud: &PointCloud, path: &Path, compress: bool) -> Result<(), Gen
     };
     let result = body();
     if result.is_err() {
-        // Its destructor would try to finish the file once more, and panic.
+        // The writer's destructor would try to finish the file once more, and panic.
         std::mem::forget(writer);
     }
     result.map_err(fail)
@@ -184,7 +183,7 @@ fn las_points(cloud: &PointCloud, path: &Path, compress: bool) -> Result<(), Gen
 
 fn las_header(cloud: &PointCloud, compress: bool) -> las::Result<las::Header> {
     let middle = Bounds::of(cloud.positions.iter().copied()).centre();
-    // Offsets in whole kilometres keep millimetres within 32 bits wherever the cloud lies.
+    // Offsets in whole kilometres keep millimetres within 32 bits at any place.
     let transform =
         |axis: usize| las::Transform { scale: 0.001, offset: (middle[axis] / 1e3).floor() * 1e3 };
     let mut builder = las::Builder::from((1, 2));
@@ -199,7 +198,7 @@ fn las_header(cloud: &PointCloud, compress: bool) -> las::Result<las::Header> {
 fn las_point(cloud: &PointCloud, index: usize) -> las::Result<las::Point> {
     let p = cloud.positions[index];
     let class = cloud.classification.as_ref().map_or(1, |list| list[index]);
-    // Eight bits become sixteen so that 255 becomes 65535.
+    // Expand eight bits to sixteen so that 255 becomes 65535.
     let [r, g, b, _] = cloud.colors.as_ref().map_or([255; 4], |list| list[index]);
     let [r, g, b] = [r, g, b].map(|c| u16::from(c) * 257);
     Ok(las::Point {
@@ -215,7 +214,7 @@ fn las_point(cloud: &PointCloud, index: usize) -> las::Result<las::Point> {
     })
 }
 
-/// OBJ, with the material in an MTL and the texture in a PNG of the same stem.
+/// Writes an OBJ file, with the material in an MTL file and the texture in a PNG file of the same stem.
 fn obj(generated: &GeneratedMesh, path: &Path) -> Result<Vec<PathBuf>, GenerateError> {
     let stem = path.file_stem().and_then(|s| s.to_str()).unwrap_or("mesh");
     let (mtl, image) = (path.with_extension("mtl"), path.with_extension("png"));
@@ -282,7 +281,7 @@ fn mtl_text(name: &str, material: &Material, texture: Option<&str>) -> String {
     text
 }
 
-/// 8-bit RGB.
+/// Writes an 8-bit RGB PNG.
 fn png(texture: &Texture, path: &Path) -> Result<(), GenerateError> {
     let fail = |error: png::EncodingError| GenerateError::write(path, error);
     let mut encoder = png::Encoder::new(create(path)?, texture.width, texture.height);

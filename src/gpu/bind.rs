@@ -1,4 +1,4 @@
-//! Bind groups, made once for each combination of pipeline, group and buffers.
+//! Bind groups, created once for each combination of pipeline, group and buffers.
 
 use std::collections::HashMap;
 use std::rc::Rc;
@@ -6,28 +6,27 @@ use std::rc::Rc;
 use super::Gpu;
 use super::buffer::Buffer;
 
-/// What is bound to one binding number.
+/// The buffer for a binding number.
 #[derive(Clone, Copy)]
 pub enum Binding<'a> {
     Whole(&'a Buffer),
-    /// A window of `bytes` whose start is given by a dynamic offset.
+    /// A window of this many bytes, whose start is a dynamic offset.
     Window(&'a Buffer, u64),
 }
 
 type Key = (*const wgpu::BindGroupLayout, Vec<(u64, u64)>);
 
-/// Keeps bind groups as long as their buffers are in use. A layout's address identifies it: pipelines are boxed and
-/// live as long as the device.
+/// A cache of bind groups. A layout is identified by its address, because pipelines are boxed and live as long as the device.
 #[derive(Default)]
 pub struct BindCache {
     groups: HashMap<Key, Rc<wgpu::BindGroup>>,
 }
 
-/// More groups than this are forgotten together; the ones still in use are made anew.
+/// Number of groups above which the cache is emptied. Groups still in use are then created again.
 const CAPACITY: usize = 4096;
 
 impl BindCache {
-    /// The bind group of `bindings`, each with its number, for `layout`.
+    /// The bind group of `bindings`, by number, for `layout`.
     pub fn get(
         &mut self,
         gpu: &Gpu,
@@ -73,7 +72,7 @@ impl BindCache {
         group
     }
 
-    /// Drops every group, and with them what keeps freed buffers alive.
+    /// Drops all groups, which keep freed buffers alive.
     pub fn clear(&mut self) {
         self.groups.clear();
     }

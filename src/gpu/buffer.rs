@@ -1,23 +1,23 @@
-//! Buffers with an identity, buffers that grow, and the allocator of ranges within one.
+//! Buffers with an id, buffers that grow, and an allocator of ranges within a buffer.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::Gpu;
 
-/// A binding must hold at least one element, whatever its type; no record of ours is larger.
+/// Smallest size of a buffer. A binding must hold at least one element of its type, and none of our records is larger.
 pub const LEAST: u64 = 256;
 
 static NEXT_ID: AtomicU64 = AtomicU64::new(1);
 
-/// A GPU buffer with a number that no other buffer of this process ever has.
+/// A GPU buffer with an id that is unique in this process.
 pub struct Buffer {
     raw: wgpu::Buffer,
     id: u64,
 }
 
 impl Buffer {
-    /// `bytes` is rounded up to a multiple of 16 and at least [`LEAST`].
+    /// Creates a buffer. `bytes` is rounded up to a multiple of 16, and to at least [`LEAST`].
     pub fn new(gpu: &Gpu, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> Self {
         let raw = gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
@@ -28,7 +28,7 @@ impl Buffer {
         Self { raw, id: NEXT_ID.fetch_add(1, Ordering::Relaxed) }
     }
 
-    /// A storage buffer that copies may write.
+    /// Creates a storage buffer that copies can write to.
     pub fn storage(gpu: &Gpu, label: &str, bytes: u64) -> Self {
         Self::new(
             gpu,
@@ -40,7 +40,7 @@ impl Buffer {
         )
     }
 
-    /// A storage buffer with contents.
+    /// Creates a storage buffer with contents.
     pub fn with_data<T: bytemuck::NoUninit>(gpu: &Gpu, label: &str, data: &[T]) -> Self {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         let buffer = Self::storage(gpu, label, bytes.len() as u64);
@@ -64,7 +64,7 @@ impl Buffer {
     }
 }
 
-/// Scratch that is remade larger when a frame needs more; its contents are lost then.
+/// A scratch buffer. If a frame needs more, it is replaced by a larger one and its contents are lost.
 pub struct Scratch {
     buffer: Buffer,
     label: &'static str,
@@ -76,11 +76,11 @@ impl Scratch {
         Self { buffer: Buffer::new(gpu, label, 16, usage), label, usage }
     }
 
-    /// Makes the buffer at least `bytes` large; whether it had to be made anew.
+    /// Makes sure that the buffer has at least `bytes`. Returns whether it was replaced.
     pub fn reserve(&mut self, gpu: &Gpu, bytes: u64) -> bool {
         let grows = bytes > self.buffer.size();
         if grows {
-            // A quarter more than asked spares the next few sizes, within what can be bound.
+            // A quarter more than requested avoids reallocation for the next few sizes, within the binding limit.
             let roomy = (bytes + bytes / 4).min(gpu.max_binding_bytes()).max(bytes);
             self.buffer = Buffer::new(gpu, self.label, roomy, self.usage);
         }
@@ -92,7 +92,7 @@ impl Scratch {
     }
 }
 
-/// First-fit allocation of element ranges, with neighbours merged when freed.
+/// A first-fit allocator of element ranges. Freed neighbours are merged.
 #[derive(Clone, Debug)]
 pub struct Ranges {
     /// Free ranges: start → length.
@@ -109,7 +109,7 @@ impl Ranges {
         Self { free, capacity }
     }
 
-    /// The start of `length` free elements, or `None`.
+    /// Allocates `length` elements and returns the start, or `None` if there is no room.
     pub fn allocate(&mut self, length: u32) -> Option<u32> {
         if length == 0 {
             return Some(0);
@@ -122,7 +122,7 @@ impl Ranges {
         Some(start)
     }
 
-    /// Returns what [`Ranges::allocate`] gave.
+    /// Frees a range that [`Ranges::allocate`] returned.
     pub fn release(&mut self, start: u32, length: u32) {
         if length == 0 {
             return;
@@ -148,7 +148,7 @@ impl Ranges {
         self.release(end, growth);
     }
 
-    /// Takes free elements from the end until `capacity` are left; fewer where the last ones are held.
+    /// Removes free elements from the end until `capacity` are left, or until the last one is in use.
     pub fn shrink(&mut self, capacity: u32) {
         let surplus = self.capacity.saturating_sub(capacity).min(self.tail());
         if let Some((start, size)) = self.free.pop_last() {
@@ -159,7 +159,7 @@ impl Ranges {
         }
     }
 
-    /// Length of the free run at the very end, which growth makes longer.
+    /// The length of the free range at the end, which growth extends.
     pub fn tail(&self) -> u32 {
         self.free
             .last_key_value()
@@ -167,7 +167,7 @@ impl Ranges {
             .map_or(0, |(_, size)| *size)
     }
 
-    /// The longest free run.
+    /// The length of the longest free range.
     pub fn largest(&self) -> u32 {
         self.free.values().copied().max().unwrap_or(0)
     }

@@ -1,4 +1,4 @@
-//! Finding and opening an adapter.
+//! Finds and opens an adapter.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -6,23 +6,23 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::pipeline_store::{Kept, PipelineStore};
 
-/// Smallest and largest block of memory that is asked for at a time on a CPU adapter.
+/// Range of the size of memory blocks on a CPU adapter.
 const CPU_BLOCK_BYTES: std::ops::Range<u64> = 4 << 20..32 << 20;
 
-/// How the adapter is chosen.
+/// Options that choose the adapter.
 #[derive(Clone, Debug, Default)]
 pub struct GpuOptions {
     /// Use the two-pass 32-bit visibility buffer even where 64-bit atomics exist.
     pub force_32_bit: bool,
-    /// Whether large triangles go to the rasteriser; `None`: as measured for the kind of adapter.
+    /// Whether large triangles go to the rasteriser; `None` for what was measured to be faster on this kind of adapter.
     pub rasterise: Option<bool>,
-    /// A part of the adapter's name, in any case; also read from `POINTILLIST_ADAPTER`.
+    /// Part of the adapter's name, ignoring case. Also read from `POINTILLIST_ADAPTER`.
     pub adapter: Option<String>,
-    /// Bind no more bytes than this at once, even where the adapter could.
+    /// Upper bound on the bytes of a binding, even if the adapter allows more.
     pub max_binding_bytes: Option<u64>,
-    /// Folder that compiled pipelines are kept in from one process to the next.
+    /// Folder in which compiled pipelines are kept between processes.
     pub pipeline_folder: Option<PathBuf>,
-    /// What the program's pipelines are made of: files of other sources are not read.
+    /// Fingerprint of the sources of the pipelines. Files with another fingerprint are not read.
     pub pipeline_source: String,
 }
 
@@ -37,44 +37,44 @@ pub enum GpuError {
     Unfit { adapter: String, reason: String },
 }
 
-/// One adapter, opened.
+/// An opened adapter.
 pub struct Gpu {
     pub device: wgpu::Device,
     pub queue: wgpu::Queue,
-    /// Name and driver, as receipts give it.
+    /// Name and driver, as in receipts.
     pub name: String,
-    /// 64-bit `atomicMax` on storage buffers may be used.
+    /// Whether 64-bit `atomicMax` works on storage buffers.
     pub atomics_64: bool,
-    /// Sums of 64 bits in storage buffers are atomic.
+    /// Whether 64-bit atomic sums work on storage buffers.
     pub atomic_sums_64: bool,
-    /// Nanoseconds per timestamp tick, `None` where the adapter has no timestamps.
+    /// Nanoseconds per timestamp tick; `None` if the adapter has no timestamps.
     pub timestamp_period_ns: Option<f32>,
-    /// Timestamps can be written outside of passes.
+    /// Whether timestamps can be written outside of passes.
     pub stamps_between_passes: bool,
     pub limits: wgpu::Limits,
-    /// A software adapter, whose "GPU memory" is the host's.
+    /// Whether this is a software adapter, whose GPU memory is host memory.
     pub is_cpu: bool,
-    /// Large triangles go to the rasteriser, which on a CPU is slower than a walk in compute.
+    /// Whether large triangles go to the rasteriser, which is slower on a CPU than walking them in compute.
     pub rasterises: bool,
-    /// Threads of a vector can vote.
+    /// Whether shaders can use subgroup operations.
     pub subgroups: bool,
-    /// Where pipelines are kept, and what was found there.
+    /// The store of pipelines, and what was found in it.
     pub pipeline_store: Option<PipelineStore>,
     pub kept_pipelines: Kept,
-    /// The driver's compiled code, where it offers that.
+    /// The cache of the driver's compiled code, if the driver offers one.
     pub pipeline_cache: Option<wgpu::PipelineCache>,
     lost: Arc<AtomicBool>,
 }
 
 impl Gpu {
-    /// Opens the most capable adapter: a discrete GPU before an integrated one before a software one.
+    /// Opens the most capable adapter: a discrete GPU before an integrated one, and both before a software adapter.
     ///
     /// # Errors
-    /// No adapter, none of the wanted name, or one that lacks storage bindings enough for the passes.
+    /// There is no adapter, none has the given name, or the adapter has too few storage bindings for the passes.
     pub fn open(options: &GpuOptions) -> Result<Gpu, GpuError> {
         let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
         descriptor.backends = wgpu::Backends::PRIMARY;
-        // Indirect arguments are written by our own scan pass: their validation would cost a pass for each.
+        // Our own scan pass writes indirect arguments, and validating them would cost a pass for each.
         descriptor.flags = wgpu::InstanceFlags::empty();
         let instance = wgpu::Instance::new(descriptor);
         let wanted = options
@@ -129,7 +129,7 @@ impl Gpu {
         let integers = offered & wgpu::Features::SHADER_INT64;
         let is_cpu = info.device_type == wgpu::DeviceType::Cpu;
         let rasterises = options.rasterise.unwrap_or(!is_cpu) || integers.is_empty();
-        // With the 32-bit path goes all that the poorest adapters lack.
+        // The 32-bit path stands for the poorest adapters, which have no subgroups either.
         let subgroups = if options.force_32_bit {
             wgpu::Features::empty()
         } else {
@@ -197,7 +197,7 @@ impl Gpu {
         self.lost.load(Ordering::SeqCst)
     }
 
-    /// The largest buffer that a shader can bind whole, in bytes.
+    /// The largest buffer in bytes that a shader can bind as a whole.
     pub fn max_binding_bytes(&self) -> u64 {
         self.limits.max_storage_buffer_binding_size.min(self.limits.max_buffer_size)
     }
@@ -207,18 +207,18 @@ fn pipeline_cache(device: &wgpu::Device, kept: &[u8]) -> wgpu::PipelineCache {
     let descriptor = wgpu::PipelineCacheDescriptor {
         label: Some("pipelines"),
         data: (!kept.is_empty()).then_some(kept),
-        // Data of another driver begins an empty cache.
+        // Data of another driver gives an empty cache.
         fallback: true,
     };
     #[allow(unsafe_code, reason = "the driver is handed the bytes that it gave an earlier process")]
-    // SAFETY: the bytes are what `PipelineCache::get_data` gave: their SHA-256 was right, in a file named after this adapter and
-    // driver, and wgpu compares the header that it has put before them.
+    // SAFETY: the bytes are what `PipelineCache::get_data` returned. Their SHA-256 was right, they were in a file named after
+    // this adapter and driver, and wgpu compares the header that it wrote in front of them.
     unsafe {
         device.create_pipeline_cache(&descriptor)
     }
 }
 
-/// On a CPU adapter GPU memory is host memory, which returns to the system a whole block at a time: blocks are small there.
+/// On a CPU adapter GPU memory is host memory, which returns to the system in whole blocks, so blocks are small.
 fn memory_hints(is_cpu: bool) -> wgpu::MemoryHints {
     if is_cpu {
         wgpu::MemoryHints::Manual { suballocated_device_memory_block_size: CPU_BLOCK_BYTES }

@@ -1,8 +1,8 @@
-//! The device and what surrounds it; knows no scene (floor 2b).
+//! The device and everything around it; knows no scene (floor 2b).
 //!
-//! [`Gpu`] is one adapter opened; [`shader`] composes WGSL from fragments; [`pipeline`] builds pipelines whose bind
-//! group layouts are reflected from the shader; [`pipeline_store`] keeps what is compiled on disk; [`buffer`] holds growing and sub-allocated buffers; [`timing`] writes
-//! a pair of timestamps a pass; [`readback`] is the ring through which pixels come back.
+//! [`Gpu`] is an opened adapter. [`shader`] composes WGSL from fragments. [`pipeline`] builds pipelines whose bind group layouts
+//! are reflected from the shader. [`pipeline_store`] keeps compiled pipelines on disk. [`buffer`] has growing and sub-allocated
+//! buffers. [`timing`] writes timestamps for each pass. [`readback`] is the ring of buffers through which pixels come back.
 
 pub mod bind;
 pub mod buffer;

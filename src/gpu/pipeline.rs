@@ -1,14 +1,13 @@
-//! Pipelines whose bind group layouts come from the shader itself, so that nothing has to be kept in step by hand.
+//! Pipelines whose bind group layouts are reflected from the shader, so that nothing has to be kept in sync by hand.
 //!
-//! Uniform buffers of group 0 and group 2 are bound with a dynamic offset: one buffer holds the uniforms of a whole
-//! batch.
+//! Uniform buffers of groups 0 and 2 are bound with a dynamic offset: one buffer holds the uniforms of a whole batch.
 
 use naga::{AddressSpace, StorageAccess};
 
 use super::Gpu;
 use super::shader::{self, Composed, ShaderError};
 
-/// Groups by rate of change: 0 frame, 1 scene, 2 pass.
+/// Number of bind groups, by rate of change: 0 per frame, 1 per scene, 2 per pass.
 pub const GROUPS: usize = 3;
 
 /// A compute pipeline and its reflected layouts.
@@ -16,7 +15,7 @@ pub struct ComputePipeline {
     pub name: &'static str,
     pub pipeline: wgpu::ComputePipeline,
     pub layouts: [wgpu::BindGroupLayout; GROUPS],
-    /// What each group binds, by ascending number.
+    /// The bindings of each group, by ascending number.
     pub bindings: [Vec<BindingSlot>; GROUPS],
 }
 
@@ -24,14 +23,14 @@ pub struct ComputePipeline {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BindingSlot {
     pub number: u32,
-    /// The variable's name, by which its buffer is found.
+    /// The variable's name, which identifies its buffer.
     pub name: String,
-    /// Bound with a dynamic offset.
+    /// Whether it is bound with a dynamic offset.
     pub dynamic: bool,
     pub access: wgpu::BufferBindingType,
 }
 
-/// A render pipeline without a colour target that matters: its fragments write storage.
+/// A render pipeline whose colour target is irrelevant: its fragments write to storage.
 pub struct RasterPipeline {
     pub name: &'static str,
     pub pipeline: wgpu::RenderPipeline,
@@ -72,7 +71,7 @@ fn reflect(
             });
         };
         let dynamic = ty == wgpu::BufferBindingType::Uniform && group != 1;
-        // Vertex stages may not write storage; nor do ours.
+        // Vertex stages may not write to storage, and ours do not.
         let written = ty == wgpu::BufferBindingType::Storage { read_only: false };
         list.push(wgpu::BindGroupLayoutEntry {
             binding: binding.binding,
@@ -130,7 +129,7 @@ impl ComputePipeline {
     /// Builds the pipeline of the entry point `name` with the given values of overrides.
     ///
     /// # Errors
-    /// WGSL that does not parse or a group number over 2.
+    /// The WGSL does not parse, or a group number is over 2.
     pub fn new(
         gpu: &Gpu,
         name: &'static str,
@@ -154,8 +153,8 @@ impl ComputePipeline {
 }
 
 impl RasterPipeline {
-    /// Builds a pipeline of the entry points `vertex` and `fragment` over triangles, nothing culled, with the given values
-    /// of overrides.
+    /// Builds a pipeline of the entry points `vertex` and `fragment` over triangles, without culling, with the given values of
+    /// overrides.
     ///
     /// # Errors
     /// As [`ComputePipeline::new`].

@@ -1,7 +1,7 @@
-//! What is kept of pipelines from one process to the next: which were used, and the driver's compiled code.
+//! Keeps pipelines between processes: the list of used ones, and the driver's compiled code.
 //!
-//! One file for each adapter, driver and version of this program. It is written whole or not at all, and believed when its
-//! SHA-256 is right. The driver's part is empty where the driver keeps a cache of its own, as Mesa's does.
+//! There is one file per adapter, driver and version of this program. It is written atomically, and checked by its SHA-256. The
+//! driver's part is empty if the driver has a cache of its own, as Mesa's does.
 
 use std::fs;
 use std::io::{self, Write};
@@ -13,16 +13,16 @@ use sha2::{Digest, Sha256};
 const MAGIC: &[u8; 8] = b"plpipe01";
 const HASH_BYTES: usize = 32;
 const HEAD_BYTES: usize = MAGIC.len() + HASH_BYTES + 8;
-/// A larger file is neither written nor read.
+/// Largest file that is written or read.
 const MOST_BYTES: u64 = 64 << 20;
-/// Files of other adapters, drivers and versions that stay.
+/// Number of files of other adapters, drivers and versions that are kept.
 const MOST_FILES: usize = 8;
 const PREFIX: &str = "pipelines-";
 
 /// Contents of a file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Kept {
-    /// Variants, as the owner of the pipelines writes them.
+    /// The used variants, in the encoding of the pipelines' owner.
     pub variants: Vec<u8>,
     /// Opaque data of the driver.
     pub driver: Vec<u8>,
@@ -36,7 +36,7 @@ pub struct PipelineStore {
 }
 
 impl PipelineStore {
-    /// Does not touch the disk. `parts` are everything that must agree for the file to be of use.
+    /// Chooses the file without accessing the disk. `parts` is everything that must be equal for the file to be usable.
     pub fn new(folder: &Path, parts: &[&str]) -> PipelineStore {
         let mut hasher = Sha256::new();
         for part in parts {
@@ -49,7 +49,7 @@ impl PipelineStore {
         PipelineStore { folder: folder.to_path_buf(), path }
     }
 
-    /// Reads the file; a damaged one is removed, with a warning.
+    /// Reads the file. A damaged file is removed with a warning.
     pub fn load(&self) -> Option<Kept> {
         let metadata = fs::symlink_metadata(&self.path).ok()?;
         let is_fit = metadata.is_file() && metadata.len() <= MOST_BYTES;
@@ -61,10 +61,10 @@ impl PipelineStore {
         kept
     }
 
-    /// Replaces the file, and removes the oldest of others where there are many.
+    /// Replaces the file, and removes the oldest of the other files if there are too many.
     ///
     /// # Errors
-    /// Whatever keeps the folder from being written; the file is as it was then.
+    /// The folder cannot be written. The file is then unchanged.
     pub fn save(&self, kept: &Kept) -> io::Result<()> {
         let bytes = encode(kept);
         if bytes.len() as u64 > MOST_BYTES {

@@ -9,23 +9,23 @@ const PENDING: u8 = 0;
 const MAPPED: u8 = 1;
 const FAILED: u8 = 2;
 
-/// Idle buffers, reused largest-fitting first.
+/// Idle buffers. A readback reuses the smallest one that fits.
 #[derive(Default)]
 pub struct Ring {
     idle: Vec<wgpu::Buffer>,
 }
 
-/// Idle buffers kept at most.
+/// Largest number of idle buffers.
 const KEEP: usize = 32;
 
-/// A buffer that a submission writes and the host will read.
+/// A buffer that a submission writes and the host reads.
 pub struct Landing {
     buffer: wgpu::Buffer,
     state: Arc<AtomicU8>,
 }
 
 impl Ring {
-    /// A buffer of at least `bytes`.
+    /// Takes a buffer of at least `bytes`.
     pub fn take(&mut self, gpu: &Gpu, bytes: u64) -> Landing {
         let fit = self
             .idle
@@ -46,11 +46,11 @@ impl Ring {
         Landing { buffer, state: Arc::new(AtomicU8::new(PENDING)) }
     }
 
-    /// Unmaps and keeps the buffer for later.
+    /// Unmaps the buffer and keeps it for reuse.
     pub fn give_back(&mut self, landing: Landing) {
         landing.buffer.unmap();
         if self.idle.len() >= KEEP {
-            // The smallest is the cheapest to make anew.
+            // The smallest buffer is the cheapest to create again.
             if let Some(index) = (0..self.idle.len()).min_by_key(|&index| self.idle[index].size()) {
                 self.idle.swap_remove(index);
             }
@@ -69,7 +69,7 @@ impl Landing {
         &self.buffer
     }
 
-    /// Asks for the mapping; call after the submission that writes the buffer.
+    /// Requests the mapping. Call it after the submission that writes the buffer.
     pub fn map(&self) {
         let state = self.state.clone();
         self.buffer.map_async(wgpu::MapMode::Read, .., move |result| {
@@ -81,7 +81,7 @@ impl Landing {
         self.state.load(Ordering::Acquire) == PENDING
     }
 
-    /// The first `bytes` of the buffer, or `None` when the mapping failed (the device was lost).
+    /// Passes the first `bytes` of the buffer to `with`; `None` if the mapping failed because the device was lost.
     pub fn read<R>(&self, bytes: u64, with: impl FnOnce(&[u8]) -> R) -> Option<R> {
         if self.state.load(Ordering::Acquire) != MAPPED {
             return None;

@@ -1,18 +1,19 @@
-//! WGSL composed from plain files.
+//! Composes WGSL modules from plain files.
 //!
-//! A line `//!include NAME` is replaced by the fragment of that name, once; a name in capitals is an alias that the caller
-//! resolves (which visibility buffer, whether alpha is tested). [`Composed::line`] maps a line of the composition back.
+//! A line `//!include NAME` is replaced by the fragment of that name, at most once. A name in capitals is an alias that the
+//! caller resolves (which visibility buffer, whether alpha is tested). [`Composed::line`] maps a line of the composition back to
+//! its fragment.
 
 use std::collections::BTreeSet;
 
-/// Where fragments come from: a name without extension to its text.
+/// Maps a fragment's name without extension to its text.
 pub type Sources = fn(&str) -> Option<&'static str>;
 
 /// A composed module.
 #[derive(Clone, Debug)]
 pub struct Composed {
     pub source: String,
-    /// For every line of `source`: the fragment's name and the line in it, from 1.
+    /// The fragment's name and the line in it, from 1, for every line of `source`.
     lines: Vec<(String, usize)>,
 }
 
@@ -25,7 +26,7 @@ pub enum ShaderError {
 }
 
 impl Composed {
-    /// The fragment and line behind a line (from 1) of the composition.
+    /// The fragment and the line in it for a line of the composition, both from 1.
     pub fn line(&self, line: usize) -> Option<(&str, usize)> {
         self.lines.get(line.checked_sub(1)?).map(|(name, line)| (name.as_str(), *line))
     }
@@ -34,7 +35,7 @@ impl Composed {
 /// Composes the fragment `root`; `aliases` maps capital names to fragments.
 ///
 /// # Errors
-/// A fragment that does not exist.
+/// A fragment does not exist.
 pub fn compose(
     sources: Sources,
     root: &str,
@@ -75,7 +76,7 @@ fn append(
     Ok(())
 }
 
-/// Parses a composition, mapping the place of an error back to its fragment.
+/// Parses a composition. An error names the place in the fragment.
 pub fn parse(name: &str, composed: &Composed) -> Result<naga::Module, ShaderError> {
     naga::front::wgsl::parse_str(&composed.source).map_err(|error| {
         let place = error

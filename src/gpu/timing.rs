@@ -1,29 +1,29 @@
-//! A timestamp at the end of every pass.
+//! Measures the time of every pass with timestamps at its end.
 //!
-//! A pass's time runs from the end of the one before it (the frame's beginning for the first) to its own end: what the
-//! adapter spends between two passes, on barriers and launches, counts for the second, and the passes of a frame sum up to
-//! the frame. Pairs around each pass would not do: some software adapters write the stamps of a pass together, when the
-//! next barrier flushes them.
+//! A pass's time runs from the end of the previous pass (or the frame's beginning) to its own end. The time between two passes,
+//! for barriers and launches, counts for the second one, so the times of all passes add up to the frame's. Pairs of timestamps
+//! around each pass would not do: some software adapters write both stamps of a pass together, when the next barrier flushes
+//! them.
 
 use super::Gpu;
 
-/// Queries that one submission may hold; WebGPU's own limit.
+/// Largest number of queries in one submission, which is WebGPU's own limit.
 const CAPACITY: u32 = 4096;
 
-/// The query set of one submission in flight.
+/// The query set of a submission in flight.
 pub struct Timer {
     set: Option<wgpu::QuerySet>,
     resolved: Option<wgpu::Buffer>,
     used: u32,
-    /// The stamp that the next pass begins at.
+    /// The stamp at which the next pass begins.
     last: Option<u32>,
-    /// Stamps can be written between passes.
+    /// Whether stamps can be written between passes.
     between: bool,
-    /// Where stamps go only to be waited for; `None` where they are taken in time anyway.
+    /// Target of resolves that only make the device wait for a stamp; `None` where stamps are taken in time anyway.
     settled: Option<wgpu::Buffer>,
 }
 
-/// Which stamps a pass begins and ends at.
+/// The stamps at which a pass begins and ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Span {
     pub begin: u32,
@@ -74,7 +74,7 @@ impl Timer {
         Some(self.used - 1)
     }
 
-    /// The frame begins here.
+    /// Marks the beginning of a frame.
     pub fn begin_frame(&mut self, encoder: &mut wgpu::CommandEncoder) {
         self.last = None;
         if !self.between {
@@ -87,8 +87,8 @@ impl Timer {
         }
     }
 
-    /// To be called after a pass. Mesa's software rasteriser takes a stamp when its tiles are next drawn, which
-    /// may be after the pass that follows, unless somebody waits for it.
+    /// To be called after a pass. Mesa's software rasteriser takes a stamp when its tiles are next drawn. Without something that
+    /// waits for the stamp, this may be after the next pass.
     pub fn settle(&self, encoder: &mut wgpu::CommandEncoder) {
         let set = self.set.as_ref().zip(self.settled.as_ref());
         if let Some((last, (set, buffer))) = self.last.zip(set) {
@@ -96,7 +96,7 @@ impl Timer {
         }
     }
 
-    /// The stamps of the next pass: where it begins, whether it must write that one itself, and where it ends.
+    /// The stamps of the next pass, and whether the pass must write its first one itself.
     fn next(&mut self) -> Option<(Span, bool)> {
         let (begin, own) = match self.last {
             Some(last) => (last, false),
@@ -149,7 +149,7 @@ impl Timer {
         next.map(|((span, _), _)| span)
     }
 
-    /// Begins a timed render pass whose single attachment is thrown away.
+    /// Begins a timed render pass whose single attachment is discarded.
     pub fn raster<'e>(
         &mut self,
         encoder: &'e mut wgpu::CommandEncoder,
@@ -194,7 +194,7 @@ impl Timer {
     }
 }
 
-/// Takes stamps in a pass that does nothing else.
+/// Writes stamps in an otherwise empty pass.
 fn stamp_alone(
     encoder: &mut wgpu::CommandEncoder,
     query_set: &wgpu::QuerySet,

@@ -20,12 +20,12 @@ use crate::plan::Given;
 use super::params::FrameParams;
 
 pub const RECEIPT_HEADER: HeaderName = HeaderName::from_static("pointillist-receipt");
-/// Carries what a client should know though the frame was drawn: that nothing can be seen on it.
+/// Header that says why little or nothing is visible, or that the frame is provisional.
 pub const WARNING_HEADER: HeaderName = HeaderName::from_static("pointillist-warning");
 pub const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
-/// How long a point tree goes on being built for whom it came too late.
+/// Time for which a bake goes on after the deadline of the request that needed it.
 const BAKE_AFTER_DEADLINE: Duration = Duration::from_secs(60);
-/// When who was late may come again.
+/// `Retry-After` of a request whose deadline passed during a bake.
 const RETRY_LATE: Duration = Duration::from_secs(1);
 const REVALIDATE: HeaderValue = HeaderValue::from_static("no-cache");
 
@@ -94,7 +94,7 @@ pub async fn frame(
             HeaderValue::from_str(etag)
                 .map_err(|_| Problem::internal(format!("the tag {etag:?} is no header")))?,
         ),
-        // The next answer may be another picture.
+        // The next answer may show another picture.
         None => None,
     };
     if etag.is_some_and(|etag| conditional::none_match_hits(&request_headers, etag)) {
@@ -104,7 +104,7 @@ pub async fn frame(
         return Ok(response);
     }
     if method == Method::HEAD {
-        // A body of unknown length, so that no Content-Length is made up.
+        // A body of unknown length, so that the library adds no `Content-Length`.
         let body =
             Body::from_stream(futures::stream::empty::<Result<bytes::Bytes, std::io::Error>>());
         let mut response = Response::new(body);
@@ -123,14 +123,14 @@ pub async fn frame(
         headers.insert(name, value);
     }
     headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
-    // After a loss of the GPU another adapter may have drawn the frame.
+    // After a device loss another adapter may have drawn the frame.
     let tag = tag.filter(|_| frame.receipt.adapter == resolved.adapter());
     validators(headers, tag, negotiated);
     Ok(response)
 }
 
-/// Resolves a request after the bake that it needs, which may take seconds. A bake that nobody waits for is given up, but only a while
-/// after a deadline: the client will try again.
+/// Resolves a request after the bake that it needs, which may take seconds. After the request's deadline the bake goes on for
+/// [`BAKE_AFTER_DEADLINE`], because the client will try again.
 pub async fn resolve(app: &App, request: FrameRequest) -> Result<Arc<ResolvedFrame>, Problem> {
     let unbaked = match app.engine.resolve(request)? {
         Resolution::Ready(frame) => return Ok(frame),
@@ -147,7 +147,7 @@ pub async fn resolve(app: &App, request: FrameRequest) -> Result<Arc<ResolvedFra
     }
 }
 
-/// The format, and whether `Accept` had a say in it.
+/// Chooses the format, and returns whether `Accept` decided it.
 pub fn choose_format(
     params: &FrameParams,
     headers: &HeaderMap,
@@ -158,7 +158,7 @@ pub fn choose_format(
     }
 }
 
-/// A scene that the engine does not know may be on its way.
+/// Replaces the 404 of a scene that is still loading, or whose load failed.
 pub fn missing(app: &App, id: &str, problem: Problem) -> Problem {
     if problem.status() != 404 {
         return problem;
@@ -173,7 +173,7 @@ pub fn missing(app: &App, id: &str, problem: Problem) -> Problem {
     }
 }
 
-/// Awaits a frame, but not for ever, nor beyond its deadline. Dropping the future drops the ticket.
+/// Waits for a frame, at most until its deadline or the server's limit. Dropping the future drops the ticket.
 pub async fn wait(
     app: &App,
     ticket: FrameTicket,
@@ -195,7 +195,7 @@ pub async fn wait(
     }
 }
 
-/// Content type, receipt and timing of a frame, for an answer or a part of one.
+/// Builds the headers for content type, receipt, warning and timing of a frame, or of a part with a frame.
 pub fn receipt_headers(frame: &EncodedFrame) -> Vec<(HeaderName, HeaderValue)> {
     let mut found = vec![(header::CONTENT_TYPE, HeaderValue::from_static(frame.content_type))];
     found.extend(headers::receipt(&frame.receipt).map(|value| (RECEIPT_HEADER, value)));
@@ -204,7 +204,7 @@ pub fn receipt_headers(frame: &EncodedFrame) -> Vec<(HeaderName, HeaderValue)> {
     found
 }
 
-/// What caches are told; an answer without a tag is not for them.
+/// Sets the headers for caches. An answer without a tag is not stored.
 fn validators(headers: &mut HeaderMap, etag: Option<HeaderValue>, negotiated: bool) {
     let Some(etag) = etag else {
         headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));

@@ -1,8 +1,8 @@
 //! `POST /v1/scenes/{id}/frames`: many poses, one streamed `multipart/mixed` answer.
 //!
-//! Poses are submitted a window ahead of the part that is being written, so that the engine can
-//! batch them, and no further, so that one client does not fill the queue. When the queue is full
-//! the stream waits; other clients' refusals are not its problem, and its own come as parts.
+//! Poses are submitted a window ahead of the part that is being written, so that the engine can batch them. The window is
+//! limited, so that one client does not fill the queue. When the queue is full, the stream waits for a place; a pose that still
+//! gets none is answered with a part that holds the problem.
 
 use std::collections::VecDeque;
 use std::fmt::Write;
@@ -26,11 +26,11 @@ use super::{App, Caller, NoQuery, Segments, body};
 use crate::encode::ImageFormat;
 use crate::engine::{Client, EncodedFrame, EngineError, FrameTicket, Origin, RequestId};
 
-/// Bytes of the request.
+/// Largest body in bytes.
 const MAX_BODY_BYTES: u64 = 16 << 20;
-/// Poses of one request.
+/// Largest number of poses in one request.
 pub const MAX_POSES: usize = 10_000;
-/// How long a pose waits for a place in the queue before its part says that there is none.
+/// Longest wait of a pose for a place in the queue.
 const MAX_QUEUEING: Duration = Duration::from_secs(30);
 
 /// Poses, and what they have in common.
@@ -100,7 +100,7 @@ pub async fn frames(
     Ok(response)
 }
 
-/// The parameters of pose `index`; `longest`: the longest side of a frame, in pixels.
+/// Reads and checks the parameters of pose `index`. `longest` is the longest side of a frame, in pixels.
 fn read_pose(index: usize, pose: serde_json::Value, longest: u32) -> Result<FrameParams, Problem> {
     let place = format!("poses[{index}]");
     let params = FrameParams::from_json(pose, &place)?;
@@ -111,7 +111,7 @@ fn read_pose(index: usize, pose: serde_json::Value, longest: u32) -> Result<Fram
     Ok(params)
 }
 
-/// `Accept` without what it says of the container.
+/// Returns the ranges of `Accept` that are not for the container.
 fn image_ranges(headers: &HeaderMap) -> HeaderMap {
     let mut kept = HeaderMap::new();
     for value in headers.get_all(header::ACCEPT) {
@@ -128,13 +128,13 @@ fn image_ranges(headers: &HeaderMap) -> HeaderMap {
     kept
 }
 
-/// A boundary that no client can know beforehand, and so cannot have drawn into an image.
+/// Returns a random boundary, which no client can have drawn into an image.
 pub(super) fn boundary() -> String {
     let random = || RandomState::new().build_hasher().finish();
     format!("pointillist-{:016x}{:016x}", random(), random())
 }
 
-/// A frame, and by when it is wanted.
+/// A queued frame, and its deadline.
 type Promised = (FrameTicket, Option<Instant>);
 
 struct Batch {
@@ -148,7 +148,7 @@ struct Batch {
 }
 
 impl Batch {
-    /// The parameters of pose `index`, taken out of the request.
+    /// Takes the parameters of pose `index` out of the request.
     fn pose(&mut self, index: usize) -> Result<(FrameParams, ImageFormat), Problem> {
         let params = self.poses.get_mut(index).map(std::mem::take).unwrap_or_default();
         let params = params.or(&self.defaults);
@@ -156,12 +156,12 @@ impl Batch {
         Ok((params, format))
     }
 
-    /// What pose `index` is called.
+    /// Returns the id of pose `index`.
     fn name(&self, index: usize) -> RequestId {
         self.request_id.part(index as u64)
     }
 
-    /// Queues a pose; `None` when there is no place now and `wait_for_place` is false.
+    /// Queues a pose. Returns `None` when the queue is full and `wait_for_place` is false.
     async fn submit(
         &self,
         index: usize,
@@ -194,7 +194,7 @@ impl Batch {
     }
 }
 
-/// The answer's body.
+/// Builds the answer's body.
 fn parts(
     mut batch: Batch,
     boundary: String,
@@ -242,7 +242,7 @@ fn parts(
     }
 }
 
-/// A part's header, and its content.
+/// Returns a part's header and its content.
 pub fn part(index: u64, result: Result<Arc<EncodedFrame>, Problem>) -> (String, Bytes) {
     let mut head = format!("Pointillist-Pose: {index}\r\n");
     // Writing to a string cannot fail.

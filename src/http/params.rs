@@ -1,8 +1,8 @@
 //! Frame parameters, from a query string or from JSON, turned into a [`FrameRequest`].
 //!
-//! Both notations share one struct and one list of names. A name that is unknown, given twice, or
-//! known but not available in this version is refused with what would be accepted; values are
-//! checked, never clamped. Limits on sizes are the engine's to enforce.
+//! Both notations share one struct and one list of names. A name that is unknown, given twice, or known but not available in this
+//! version is refused, and the problem says what would be accepted. Values are checked, never clamped. The engine enforces the
+//! limits on sizes.
 
 mod check;
 mod names;
@@ -25,11 +25,11 @@ use crate::math::{Camera, View};
 use crate::plan::{Given, Output, SettingError, Settings, Wait};
 use crate::scene::{Up, UpForm};
 
-/// Width and height of a frame that names none.
+/// Default width and height of a frame.
 pub const DEFAULT_SIDE: u32 = 1024;
-/// Quality of lossy formats where none is given.
+/// Default quality of lossy formats.
 pub const DEFAULT_QUALITY: u8 = 85;
-/// Vertical field of view in degrees where none is given.
+/// Default vertical field of view in degrees.
 pub const DEFAULT_FOV_DEG: f64 = 40.0;
 
 /// What to draw and how. The pose is `camera`, or `eye` and `target` (with `up` and `fov`), or
@@ -108,7 +108,7 @@ impl FrameParams {
         Self::from_query_as(query, &Names::FRAME)
     }
 
-    /// Reads a query string that may hold `names`, none of which are beside a frame's.
+    /// Reads a query string whose names `names` accepts. `names` must have no names of its `own`.
     pub fn from_query_as(query: Option<&str>, names: &Names) -> Result<Self, Problem> {
         let mut params = FrameParams::default();
         for (name, value) in pairs(query)? {
@@ -118,7 +118,7 @@ impl FrameParams {
         Ok(params)
     }
 
-    /// Takes one pair of a query; the name is one that [`check_name`] lets pass.
+    /// Sets one parameter of a query. [`check_name`] must have accepted the name.
     pub fn set(&mut self, name: &str, value: &str) -> Result<(), Problem> {
         const SIDE: &str = "a whole number of pixels, at least 1";
         const DEGREES: &str = "a number of degrees";
@@ -143,7 +143,7 @@ impl FrameParams {
         }
     }
 
-    /// Reads a JSON object; `place` is where it stands in the body (`poses[3]`, or empty).
+    /// Reads a JSON object. `place` is its place in the body (`poses[3]`, or empty).
     pub fn from_json(value: serde_json::Value, place: &str) -> Result<Self, Problem> {
         let locate = |name: &str| match place {
             "" => name.to_owned(),
@@ -168,9 +168,9 @@ impl FrameParams {
         Ok(FrameParams { settings, ..params })
     }
 
-    /// Fills what is missing from `defaults`. A pose is taken whole: one that is given another way
-    /// replaces that of the defaults, only `up`, `fov` and `proj` are inherited by their own kind.
-    /// Settings are inherited as [`Given::or`] says.
+    /// Fills missing parameters from `defaults`. A pose that is given in another way replaces the pose of the defaults as a
+    /// whole; `up`, `fov` and `proj` are inherited only by a pose of their own kind. [`Given::or`] says how settings are
+    /// inherited.
     pub fn or(self, defaults: &FrameParams) -> FrameParams {
         let posed = self.pose_parameter().is_some();
         let empty = FrameParams::default();
@@ -198,7 +198,7 @@ impl FrameParams {
         }
     }
 
-    /// A parameter that says where the frame is seen from, if there is one.
+    /// The name of a parameter that sets the pose, if there is one.
     pub fn pose_parameter(&self) -> Option<&'static str> {
         [
             ("camera", self.camera.is_some()),
@@ -213,17 +213,17 @@ impl FrameParams {
         .find_map(|(name, is_given)| is_given.then_some(name))
     }
 
-    /// The output asked for.
+    /// The requested output.
     pub fn output(&self) -> Result<Output, Problem> {
         choice("output", self.output.as_deref())
     }
 
-    /// The format asked for by name, if any.
+    /// The requested format, if one is named.
     pub fn format(&self) -> Result<Option<ImageFormat>, Problem> {
         self.format.as_deref().map(|name| choice("format", Some(name))).transpose()
     }
 
-    /// The job that these parameters describe; `now` is when its deadline starts to run.
+    /// Builds the frame request. Its deadline counts from `now`.
     pub fn request(
         &self,
         scene: &str,
@@ -318,7 +318,7 @@ pub fn number<T: std::str::FromStr>(name: &str, value: &str, accepted: &str) -> 
     value.parse().map_err(|_| unusable(name, value, accepted))
 }
 
-/// A whole number, which may be written as `37.0`.
+/// Reads a whole number, which may be written as `37.0`.
 pub fn integer<T>(name: &str, value: &str, accepted: &str) -> Result<T, Problem>
 where
     T: std::str::FromStr + DeserializeOwned,
@@ -353,8 +353,8 @@ fn numbers<const N: usize>(name: &str, value: &str) -> Result<[f64; N], Problem>
     Ok(found)
 }
 
-/// A word of a closed list. The accepted ones are what the type itself deserialises, so that a new setting needs no second
-/// list here.
+/// Reads a word of a closed list. The list of accepted words comes from the type's own deserialiser, so a new setting needs no
+/// second list here.
 fn choice<T: DeserializeOwned + Default>(name: &str, word: Option<&str>) -> Result<T, Problem> {
     let Some(word) = word else { return Ok(T::default()) };
     let deserializer: StrDeserializer<'_, serde::de::value::Error> = word.into_deserializer();

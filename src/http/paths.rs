@@ -1,4 +1,4 @@
-//! `GET /v1/scenes/{id}/paths/{name}`: a camera path that a scene names, as a path file has it.
+//! `GET /v1/scenes/{id}/paths/{name}`: one of a scene's camera paths, in the format of a path file.
 
 use std::sync::Arc;
 
@@ -77,7 +77,7 @@ pub async fn show(
 ) -> Result<Json<PathDocument>, Problem> {
     match app.engine.camera_path(&id, &name) {
         Ok(path) => Ok(Json(PathDocument::from(&path))),
-        // Here the name is part of the address, not a parameter.
+        // Here the name is part of the URL, not a parameter.
         Err(EngineError::BadParameter { reason, accepted, .. }) => {
             Err(Problem::new(Kind::UnknownPath, reason).at("name").accepted(accepted))
         }

@@ -1,4 +1,4 @@
-//! `GET` and `POST /v1/scenes/{id}/pick`: what pixels of a frame show.
+//! `GET` and `POST /v1/scenes/{id}/pick`: which elements the pixels of a frame show.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -22,7 +22,7 @@ use crate::engine::{Origin, RequestId};
 use crate::json::whole;
 use crate::plan::Given;
 
-/// Bytes of a request's body.
+/// Largest body of a request.
 const MAX_BODY_BYTES: u64 = 1 << 20;
 const PIXEL: &str = "a whole number of pixels, from 0 at the top left";
 

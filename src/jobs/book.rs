@@ -16,9 +16,9 @@
 //! drawn, and its video is coded. Between two phases the job waits for a place, and others may take the one that it leaves. The
 //! next job belongs to the owner with the fewest jobs at work; among that owner's jobs it is the oldest.
 //!
-//! Whoever works on a job or its files holds the job until the work is over ([`Book::release`]), even if the job is cancelled or
-//! removed meanwhile. No other runner gets the job before, even if it was resumed. The last holder of a removed job deletes its
-//! files. Done, failed and cancelled jobs are forgotten after [`Limits::ttl_ms`].
+//! A thread that works on a job or its files holds the job until the work is over ([`Book::release`]), even if the job is
+//! cancelled or removed meanwhile. No other runner gets the job before, even if it was resumed. The last holder of a removed job
+//! deletes its files. Done, failed and cancelled jobs are forgotten after [`Limits::ttl_ms`].
 
 use std::collections::BTreeMap;
 

@@ -8,7 +8,7 @@
 //!                         │
 //!                  next ──┴──► [`runner`]: a few at a time, a phase of a job each
 //!                                   │        bake ─► path ─► `film` ─► frames ─► video
-//!   who watches ◄── [`live`] ◄──────┘ progress, rate, frames that are there
+//!   watchers    ◄── [`live`] ◄──────┘ progress, rate, finished frames
 //! ```
 //!
 //! Two things are durable: the record of a job (its specification and state), and the folder of its frames with the manifest. A
@@ -242,7 +242,7 @@ impl Jobs {
         self.shared.store.folder()
     }
 
-    /// See [`View::version`].
+    /// Distinguishes versions ([`View::version`]) of this process from those of other processes.
     pub fn epoch(&self) -> u64 {
         self.shared.epoch
     }

@@ -1,10 +1,10 @@
-//! Works on jobs: each thread takes a phase of one at a time, whichever is next by the book.
+//! The threads that work on jobs. Each takes a phase of one job at a time, whichever is next by the book.
 //!
-//! | phase | what | stops |
+//! | phase | work | stops |
 //! |---|---|---|
-//! | baking | waits for the engine's bake ([`crate::engine::bake_service`]) with all others who do | at its next step, if nobody else waits |
-//! | drawing | `film`: many frames of a job are with the engine at once; jobs share the device as clients of it | after the frame at hand |
-//! | coding | the video of the frames that are there | after the frame at hand |
+//! | baking | waits for [`crate::engine::bake_service`], perhaps with others | at its next step, if nobody else waits |
+//! | drawing | `film`: many frames are with the engine at once; jobs share the device as its clients | after the current frame |
+//! | coding | codes the finished frames into a video | after the current frame |
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -29,10 +29,10 @@ use crate::film::video::{self, Coder, Reel, VideoError};
 use crate::film::{self, Event, Film, FilmError, Record as FrameRecord};
 use crate::scene::{CameraPath, parse_path};
 
-/// How often a runner with nothing to do looks whether a scene has come that a job waits for.
+/// Interval at which an idle runner checks whether a missing scene has appeared.
 const LOOK_EVERY: Duration = Duration::from_millis(250);
 
-/// What a job lacks.
+/// Returns a function that says what a job lacks.
 pub(super) fn need(engine: &Engine) -> impl Fn(&Spec) -> Need + '_ {
     |spec| {
         if engine.scene_mark(&spec.scene).is_none() {
@@ -46,7 +46,7 @@ fn not_loaded(scene: &str) -> String {
     format!("scene `{scene}` is not loaded")
 }
 
-/// A runner's thread: until the daemon stops.
+/// Runs a runner's thread until the daemon stops.
 pub(super) fn run(shared: &JobsState) {
     while let Some((record, phase, live)) = next(shared) {
         let id = record.id;
@@ -77,21 +77,21 @@ fn next(shared: &JobsState) -> Option<(Record, Phase, Arc<Live>)> {
             continue;
         };
         let live = shared.live(id).ok()?;
-        // Within the lock: who stops it from here on stops this run.
+        // Rearm under the lock, so that every later stop request applies to this run.
         live.rearm();
         if shared.stopping.load(Ordering::Relaxed) {
             live.stop(Stop::Paused);
         }
-        // Not written: whether it was queued or running when a process ended is the same to the next one.
+        // The record is not written to disk: the next process treats queued and running jobs alike.
         let record = book.get(id).ok()?.clone();
         live.changed();
         return Some((record, phase, live));
     }
 }
 
-/// Notes how a run ended, and lets others have the job.
+/// Records how a run ended, and releases the job.
 fn let_go(shared: &JobsState, id: JobId, live: &Live, outcome: Outcome, made: Made, drawn: u64) {
-    // Before the manifest counts again.
+    // Begin a new turn before watchers read the manifest again.
     shared.manifests.turn(id, live);
     *live.drawing.write() = None;
     shared.recount(id, live);
@@ -99,7 +99,7 @@ fn let_go(shared: &JobsState, id: JobId, live: &Live, outcome: Outcome, made: Ma
         let mut book = shared.book.lock();
         live.progress.lock().stage = Stage::None;
         let is_known = book.left(id, outcome, made, drawn, shared.now_ms());
-        // Within the lock: nobody sees the new state with the old version.
+        // Notify under the lock, so that nobody sees the new state with the old version.
         live.changed();
         is_known
     };
@@ -115,10 +115,10 @@ fn failure(kind: FailureKind, detail: impl Into<String>) -> Failure {
     Failure { kind, detail: detail.into() }
 }
 
-/// The path of a job as its scene has it now.
+/// Looks up a job's path as its scene has it now.
 ///
 /// # Errors
-/// A scene that is not there, a name that it does not have, a text that is no path.
+/// The scene is missing or has no path of that name, or the text is not a path.
 pub fn find_path(
     engine: &Engine,
     scene: &str,
@@ -133,10 +133,10 @@ pub fn find_path(
     }
 }
 
-/// The shots of a job.
+/// Cuts a job's path into shots.
 ///
 /// # Errors
-/// As [`find_path`], or a range that the path does not have.
+/// As [`find_path`], or the path does not have the range.
 pub fn find_shots(engine: &Engine, spec: &Spec) -> Result<Shots, FilmError> {
     let path = find_path(engine, &spec.scene, &spec.path)?;
     Shots::new(&path, spec.fps, spec.from, spec.to)
@@ -185,7 +185,7 @@ impl Run<'_> {
         }
     }
 
-    /// Draws what is missing.
+    /// Draws missing frames.
     fn draw(&mut self) -> Result<Outcome, Outcome> {
         self.shared.manifests.turn(self.record.id, self.live);
         let before = self.made.clone();
@@ -202,7 +202,7 @@ impl Run<'_> {
         if !self.record.spec.want.video {
             return Ok(Outcome::Done);
         }
-        // Of the same frames the same video: it may be there.
+        // Equal frames give an equal video, which may already exist.
         if self.made.manifest_sha256 == before.manifest_sha256 && self.has_video(&before) {
             self.made.video = before.video;
             return Ok(Outcome::Done);
@@ -211,12 +211,12 @@ impl Run<'_> {
         Ok(Outcome::Next(Phase::Coding))
     }
 
-    /// Whether a job of which only the video is wanted was done, and is as it was.
+    /// Returns whether the job wants only a video and has it already.
     fn is_whole_video(&self, made: &Made) -> bool {
         !self.record.spec.want.frames && self.has_video(made)
     }
 
-    /// Whether the video is there as an earlier run has made it.
+    /// Returns whether the video of an earlier run is intact.
     fn has_video(&self, made: &Made) -> bool {
         made.video.as_ref().is_some_and(|video| {
             let found = File::open(self.place.video()).and_then(film::manifest::digest);
@@ -224,7 +224,7 @@ impl Run<'_> {
         })
     }
 
-    /// Draws what is missing; what a video of it would be.
+    /// Draws missing frames, and returns the reel of the video.
     fn film(&mut self) -> Result<Reel, Outcome> {
         let (shared, live) = (self.shared, self.live);
         let spec = &self.record.spec;
@@ -232,7 +232,7 @@ impl Run<'_> {
             .prepare(&self.record)
             .map_err(|error| self.storage(&self.place.frames(), &error))?;
         let request = spec.request();
-        // Before the path is looked up, which is this scene's.
+        // Take the mark before looking up the path, because the path belongs to this scene.
         let mark = shared.engine.scene_mark(&spec.scene);
         let mark = mark.ok_or_else(|| Outcome::Waits(not_loaded(&spec.scene)))?;
         let shots = find_shots(&shared.engine, spec).map_err(|error| self.film_failed(error))?;
@@ -244,7 +244,7 @@ impl Run<'_> {
             return Err(Outcome::Next(Phase::Baking));
         }
 
-        // Of files that will be replaced, what they take is given back when they are.
+        // Sizes of existing files. A frame that replaces a file gives back the file's bytes.
         let mut sizes: HashMap<String, u64> = self.place.sizes().into_iter().collect();
         let folder = self.place.frames();
         let most_pixels = film::MOST_PIXELS / shared.config.limits.slots.drawing.max(1) as u64;
@@ -279,14 +279,14 @@ impl Run<'_> {
         Ok(reel)
     }
 
-    /// Frames of job 7 are named `job-7/0` and so on, wherever they go.
+    /// Returns the origin of the job's frames, whose ids are `job-7/0` and so on for job 7.
     fn origin(&self) -> Origin {
         let id = self.record.id;
         let name = RequestId::parse(&format!("job-{id}")).unwrap_or_else(RequestId::fresh);
         Origin { client: Client::Job(id), request_id: name }
     }
 
-    /// Notes a frame that has come instead of a file of `before` bytes.
+    /// Records a frame whose file replaced a file of `before` bytes.
     fn frame_drawn(&self, record: &Arc<FrameRecord>, before: u64, drawn: u64) {
         let (shared, live) = (self.shared, self.live);
         shared.drawn.fetch_add(1, Ordering::Relaxed);
@@ -304,7 +304,7 @@ impl Run<'_> {
         }
     }
 
-    /// Makes the video.
+    /// Codes the video.
     fn code(&mut self) -> Result<Outcome, Outcome> {
         let (shared, live) = (self.shared, self.live);
         let Some(reel) = live.reel.lock().take() else {
@@ -341,7 +341,7 @@ impl Run<'_> {
         Ok(Outcome::Done)
     }
 
-    /// What a run that was told to stop has come to.
+    /// Returns the outcome of a run that was told to stop.
     fn stopped(&self) -> Outcome {
         match self.live.why() {
             Some(Stop::Full) => {
@@ -349,7 +349,7 @@ impl Run<'_> {
                     (self.shared.used.load(Ordering::Relaxed), self.shared.config.most_bytes);
                 full(&JobError::Full { used, limit })
             }
-            // Where it was cancelled, its state says so already.
+            // The state of a cancelled job already says so.
             Some(Stop::Cancelled | Stop::Paused) | None => Outcome::Paused,
         }
     }
@@ -393,7 +393,7 @@ impl Run<'_> {
         Outcome::Failed(failure(FailureKind::Storage, detail))
     }
 
-    /// Without the name of the folder, which is nobody's business.
+    /// Removes the name of the state folder, which clients must not see.
     fn outward(&self, text: &str) -> String {
         let prefix =
             format!("{}{}", self.shared.store.folder().display(), std::path::MAIN_SEPARATOR);
@@ -407,7 +407,7 @@ fn full(error: &JobError) -> Outcome {
 }
 
 impl JobsState {
-    /// Notes that a job has written a file of so many bytes, instead of one of `before` bytes; what all jobs take then.
+    /// Records that a job's file of `bytes` bytes replaced one of `before` bytes. Returns the bytes of all jobs.
     fn grow(&self, live: &Live, bytes: u64, before: u64) -> u64 {
         live.bytes.fetch_add(bytes, Ordering::Relaxed);
         live.bytes.fetch_sub(before, Ordering::Relaxed);

@@ -1,4 +1,4 @@
-//! What a job is to do, as it is kept from one process to the next.
+//! The stored specification of a job.
 
 use std::sync::Arc;
 
@@ -15,31 +15,31 @@ use crate::plan::{Given, Output, Reconstruct, Settings, Wait};
 pub struct Spec {
     pub scene: String,
     pub path: PathChoice,
-    /// Frames a second; `None`: as the path has it.
+    /// Frames per second; `None` for the path's own rate.
     pub fps: Option<f64>,
-    /// Numbers of the first and the last frame; `None`: the path's.
+    /// Numbers of the first and the last frame; `None` for the path's own.
     pub from: Option<u64>,
     pub to: Option<u64>,
     pub frame: FrameSpec,
     pub want: Want,
 }
 
-/// Which path.
+/// The path of a job.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PathChoice {
-    /// One that the scene names, as the scene has it when a run of the job begins.
+    /// A path of the scene by its name, as it is when a run of the job begins.
     Named(String),
-    /// The text of a path file, shared by all who look at the job.
+    /// The text of a path file, shared by all readers of the job.
     Inline(Arc<str>),
 }
 
-/// What is kept when all is drawn.
+/// What is kept of a finished job.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Want {
     pub frames: bool,
     pub video: bool,
-    /// Of the video; `None`: by its size.
+    /// Bitrate of the video; `None` to choose it by the video's size.
     pub bitrate_kbps: Option<u32>,
 }
 
@@ -56,7 +56,7 @@ pub struct FrameSpec {
     pub settings: Given,
 }
 
-/// A [`FrameSpec`] as any version has stored it.
+/// A [`FrameSpec`] as any version stored it.
 #[derive(Deserialize)]
 struct StoredFrame {
     width: u32,
@@ -69,7 +69,7 @@ struct StoredFrame {
 }
 
 impl From<StoredFrame> for FrameSpec {
-    /// Earlier versions stored settings that had no say, and none that said how samples are drawn: those jobs get points.
+    /// Earlier versions stored settings without effect, and no way of drawing samples: such jobs get points.
     fn from(stored: StoredFrame) -> FrameSpec {
         let StoredFrame { width, height, format, quality, output, settings } = stored;
         let settings = settings.or(&Settings::drawn_as(Reconstruct::Points).applied());
@@ -92,7 +92,7 @@ impl FrameSpec {
 }
 
 impl Spec {
-    /// The request that all frames have in common; each has a pose of its own.
+    /// Builds the request that all frames share. Each frame then gets its own pose.
     pub fn request(&self) -> FrameRequest {
         let FrameSpec { width, height, format, quality, output, settings } = self.frame;
         // Frames of a job always wait for everything.
@@ -110,9 +110,9 @@ impl Spec {
         }
     }
 
-    /// Of two specs that ask for the same, the same.
+    /// Hashes the specification. Equal specifications have equal fingerprints.
     pub fn fingerprint(&self) -> String {
-        // Cannot fail for strings and finite numbers; what fails has no twin.
+        // Serialising strings and finite numbers cannot fail.
         digits(&Sha256::digest(serde_json::to_vec(self).unwrap_or_default()))
     }
 }
@@ -150,7 +150,7 @@ pub mod tests {
         }
     }
 
-    /// A frame of a job as the version before this one stored it.
+    /// A frame of a job as the previous version stored it.
     const STORED: &str = r#"{
         "width": 64, "height": 48, "format": "png", "quality": 85, "output": "color", "lod": "spt", "max_error_px": 2.5,
         "error_mode": "unified", "paint": "colors", "reconstruct": "splats", "filter": "exact", "prefilter": false,
@@ -171,7 +171,7 @@ pub mod tests {
         let mut spec = spec("s");
         spec.frame = stored;
         assert_eq!(spec.request().settings, Settings { wait: Wait::Whole, ..asked });
-        // The same job asked for today is no other one.
+        // The same job created today has the same frame specification.
         let today = FrameRequest { settings: asked, ..spec.request() };
         assert_eq!(FrameSpec::new(&today), stored);
         let full: FrameSpec = serde_json::from_str(&STORED.replace("spt", "full")).unwrap();

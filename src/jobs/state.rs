@@ -1,4 +1,4 @@
-//! What jobs and those who work on them share, and what is done to the disk when the book has changed.
+//! State that jobs and their threads share, and the changes on disk that follow a change of the book.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -16,27 +16,27 @@ use super::store::{StateError, Store};
 use super::{Config, JobError, View};
 use crate::engine::Engine;
 
-/// What [`Jobs`](super::Jobs) and their threads share.
+/// State that [`Jobs`](super::Jobs) and its threads share.
 pub struct JobsState {
     pub engine: Engine,
     pub config: Config,
     pub store: Store,
-    /// Jobs are made one after the other.
+    /// Serialises the creation of jobs.
     pub creating: Mutex<()>,
-    /// Held for as long as it takes to look, and no lock is taken within but those of `lives` and the engine's.
+    /// Held briefly, and never during disk access.
     pub book: Mutex<Book>,
-    /// With `book`: there may be something to do.
+    /// Notified, together with `book`, when there may be work.
     pub wake: Condvar,
     pub lives: RwLock<HashMap<JobId, Arc<Live>>>,
-    /// Bytes of all jobs on the disk.
+    /// Bytes of all jobs on disk.
     pub used: AtomicU64,
     pub drawn: AtomicU64,
     pub stopping: AtomicBool,
     pub manifests: Manifests,
-    /// Looked at with the book's lock: or else a time may be noted that a jump of the clock should have moved.
+    /// Read only while `book` is locked. Otherwise a time could be recorded that a jump of the clock should have shifted.
     pub clock: Mutex<Clock>,
     pub threads: Mutex<Vec<JoinHandle<()>>>,
-    /// Tells versions of this process from those of others.
+    /// Distinguishes versions of this process from those of other processes.
     pub epoch: u64,
 }
 
@@ -45,13 +45,13 @@ impl JobsState {
         self.lives.read().get(&id).cloned().ok_or(JobError::Refused(Refusal::Unknown))
     }
 
-    /// Milliseconds since 1970, by the jobs' own clock. With the book's lock.
+    /// Milliseconds since 1970 by the jobs' own clock. The caller holds the book's lock.
     pub fn now_ms(&self) -> u64 {
         self.clock.lock().ms(Instant::now())
     }
 
     pub fn wake_all(&self) {
-        // Whoever is about to wait has the lock until it does.
+        // A thread that is about to wait holds the lock until it waits, so it does not miss the notification.
         drop(self.book.lock());
         self.wake.notify_all();
     }
@@ -82,12 +82,12 @@ impl JobsState {
         if used >= limit { Err(JobError::Full { used, limit }) } else { Ok(()) }
     }
 
-    /// Writes a job's record as it is by now; of one that is not in the book, that it is gone.
+    /// Writes the current record of a job to disk. Deletes the record of a job that is not in the book.
     pub fn keep(&self, id: JobId) -> Result<(), StateError> {
         self.store.keep(id, || self.book.lock().get(id).ok().cloned())
     }
 
-    /// Forgets a job that was taken out of the book, for good. Where a runner has it, that one removes its files.
+    /// Forgets a job for good that was taken out of the book. If a runner holds the job, that runner deletes its files.
     pub fn discard(&self, record: Record) -> Result<(), StateError> {
         let id = record.id;
         let buried = self.store.bury(id);
@@ -107,7 +107,7 @@ impl JobsState {
         buried
     }
 
-    /// Looks how many bytes a job has on the disk. Only for who holds it.
+    /// Counts the job's bytes on disk again. The caller must hold the job.
     pub fn recount(&self, id: JobId, live: &Live) {
         let bytes = self.store.place(id).bytes();
         let before = live.bytes.swap(bytes, Ordering::Relaxed);
@@ -115,7 +115,7 @@ impl JobsState {
         self.used.fetch_sub(before, Ordering::Relaxed);
     }
 
-    /// Lets go of a job, which has so many bytes on the disk, and clears up after it where it is gone and nobody else does.
+    /// Releases a job with `bytes` bytes on disk. The last holder of a removed job deletes its files.
     pub fn release(&self, id: JobId, bytes: u64) {
         let is_mine = self.book.lock().release(id);
         if is_mine {
@@ -124,8 +124,8 @@ impl JobsState {
         }
     }
 
-    /// Removes the frames of a job of which only the video was wanted. Only when it is done for good: a kill before costs drawing them
-    /// again. True when it is such a job.
+    /// Removes the frames of a finished job that only wanted a video, and returns true for such a job. The caller must have
+    /// stored its state: if the process died before that, the frames would have to be drawn again.
     pub fn drop_unwanted(&self, id: JobId) -> bool {
         let is_unwanted = |job: &Record| job.state == State::Done && !job.spec.want.frames;
         if !self.book.lock().get(id).is_ok_and(is_unwanted) {
@@ -137,18 +137,18 @@ impl JobsState {
         true
     }
 
-    /// Removes all that a job has left behind that is neither in the book nor held.
+    /// Deletes what remains of a job that is neither in the book nor held.
     pub fn clear(&self, id: JobId) {
         let place = self.store.place(id);
         let mut forgotten = self.keep(id);
         if forgotten.is_err() && place.is_buried() {
-            // Its files may be what takes the room that the database wants.
+            // The job's own files may take the space that the database needs.
             if let Err(error) = place.empty() {
                 tracing::warn!(job = id, %error, "what a job has left cannot be removed now");
             }
             forgotten = self.keep(id);
         }
-        // The mark of its removal stays for as long as there is a record of it.
+        // The mark of the removal stays until the record is deleted.
         if forgotten.is_ok()
             && let Err(error) = place.remove()
         {
@@ -156,7 +156,7 @@ impl JobsState {
         }
     }
 
-    /// Frames of a job that is not drawn, by its manifest.
+    /// Returns the frames of a job that is not being drawn, from its manifest.
     pub fn frames(&self, id: JobId, live: &Live) -> Result<Arc<Frames>, JobError> {
         self.manifests.frames(id, live, &self.store.place(id))
     }

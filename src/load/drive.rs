@@ -1,8 +1,8 @@
-//! One step: requests sent when they are due, for as long as the step lasts, and what came of each.
+//! Runs one step: sends requests when they are due, for as long as the step lasts, and records how each ended.
 //!
-//! A thread of its own keeps the schedule and nothing else, for a runtime's timers tick in milliseconds and wait for its tasks.
-//! At each due time it starts a task, unless as many requests as may be are under way: that one is counted as not sent, at once
-//! and without making later ones late. The step ends when its last request has; none lives longer than its timeout.
+//! The schedule has a thread of its own, because a runtime's timers tick in milliseconds and wait for its tasks. At each due time
+//! the thread starts a task. If the limit of requests in flight is reached, it instead counts the request as not sent, at once
+//! and without delaying later ones. The step ends when its last request has ended; none lives longer than its timeout.
 
 use std::future::Future;
 use std::sync::Arc;
@@ -17,37 +17,36 @@ use tokio_util::task::TaskTracker;
 use super::schedule::{Schedule, Spacing};
 use super::tally::{Outcome, Sample, Tally};
 
-/// Something that can ask for one frame after another, many at a time. [`super::request::RequestClient`] sends a request for
-/// each; a client of another kind stands beside it.
+/// A way of asking for frames, many at a time. [`super::request::RequestClient`] sends a request for each frame.
 pub trait Client: Send + Sync + 'static {
-    /// Asks for frame `number` of the run and reads it to its end. Dropped when the time that it may take is over.
+    /// Asks for frame `number` of the run and reads it to its end. The future is dropped when the request's timeout is over.
     fn frame(&self, number: u64) -> impl Future<Output = Outcome> + Send;
 }
 
-/// How a step goes.
+/// Settings of a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Step {
     pub rate_per_s: f64,
     pub spacing: Spacing,
     pub seed: u64,
-    /// What is due before is sent but not counted.
+    /// Requests that are due during the warm-up are sent but not counted.
     pub warmup: Duration,
     pub duration: Duration,
-    /// From when a request is due to when it is given up.
+    /// Time from when a request is due to when it is given up.
     pub timeout: Duration,
-    /// Requests under way at most.
+    /// Limit of requests in flight.
     pub under_way_at_most: usize,
-    /// Number of the step's first request; numbers decide poses.
+    /// Number of the step's first request. A request's number decides its pose.
     pub first_number: u64,
 }
 
-/// What came of a step, and how many requests it used up.
+/// Tally of a step, and the number of requests that it used up.
 pub struct Finished {
     pub tally: Tally,
     pub requests: u64,
 }
 
-/// Runs a step to its end, or until `stop`.
+/// Runs a step to its end, or until `stop` is set.
 ///
 /// # Errors
 /// The thread that keeps the schedule could not be joined.
@@ -75,7 +74,7 @@ pub async fn run_step<C: Client>(
     Ok(Finished { tally, requests })
 }
 
-/// Who keeps the schedule, and what it starts.
+/// Keeps the schedule and starts the requests.
 struct Pace<C> {
     client: Arc<C>,
     step: Step,
@@ -86,7 +85,7 @@ struct Pace<C> {
 }
 
 impl<C: Client> Pace<C> {
-    /// Starts every request of the step, and gives their number.
+    /// Starts every request of the step, and returns how many there were.
     fn keep(self) -> u64 {
         let Step { rate_per_s, spacing, seed, warmup, duration, .. } = self.step;
         let under_way = Arc::new(AtomicUsize::new(0));
@@ -96,7 +95,7 @@ impl<C: Client> Pace<C> {
             if due >= warmup + duration || !self.wait_until(began + due) {
                 break;
             }
-            // Only this thread raises the number, so that it cannot pass its limit in between.
+            // Only this thread increments the number, so it cannot exceed its limit between the check and the increment.
             if under_way.load(Ordering::Acquire) >= self.step.under_way_at_most {
                 let now = began.elapsed();
                 let outcome = Outcome::NotSent;
@@ -110,7 +109,7 @@ impl<C: Client> Pace<C> {
         number - self.step.first_number
     }
 
-    /// False when the step is to stop.
+    /// Returns false when the step is to stop.
     fn wait_until(&self, due: Instant) -> bool {
         const PATIENCE: Duration = Duration::from_millis(100);
         loop {
@@ -135,7 +134,7 @@ impl<C: Client> Pace<C> {
                     .await
                     .unwrap_or(Outcome::TimedOut);
                 let done = began.elapsed();
-                // Free before it is counted: whoever sees it counted may take its place.
+                // Decrement before recording, so that a request that follows the recorded sample finds the place free.
                 under_way.fetch_sub(1, Ordering::AcqRel);
                 tally.lock().record(Sample { due, begun, done, outcome });
             },
@@ -149,7 +148,7 @@ mod tests {
     use super::super::tally::{Answer, Point};
     use super::*;
 
-    /// Takes `takes` for each frame; blocks its thread for `blocks` at frame `at`.
+    /// Takes `takes` for each frame, and blocks its thread for `blocks` at frame `at`.
     struct Simulated {
         takes: Duration,
         blocks: Duration,
@@ -200,7 +199,7 @@ mod tests {
         assert!((point.throughput_per_s - 200.0).abs() < 10.0, "{}", point.throughput_per_s);
     }
 
-    /// A generator that is held up for 300 ms of a second has sent 30 % of its requests late, and says so.
+    /// A generator that is blocked for 300 ms of a second sends 30 % of its requests late, and reports it.
     #[test]
     fn a_generator_that_is_late_counts_it() {
         let client = Simulated { blocks: Duration::from_millis(300), at: 60, ..QUICK };
@@ -212,7 +211,7 @@ mod tests {
 
     #[test]
     fn what_is_over_the_limit_is_counted_and_delays_nobody() {
-        // None of the first eight ends before the last one is due.
+        // None of the first eight requests ends before the last one is due.
         let slow = Simulated { takes: Duration::from_secs(3600), ..QUICK };
         let warmup = Duration::ZERO;
         let (point, requests) = run(slow, Step { under_way_at_most: 8, warmup, ..STEP });

@@ -1,9 +1,9 @@
-//! What became of the poses that streams were sent, added up.
+//! Adds up the poses that were sent to streams, and the frames that came back.
 //!
-//! On a stream the newest pose wins: many are never drawn, and those are not late. What a user sees of a pose that was overtaken is
-//! the frame of a newer one. So a pose's latency runs from when it was *due* to the arrival of the first frame that shows it or
-//! a later one: a server that stalls keeps all that were due meanwhile waiting, whether it draws them or not, and none is
-//! left out (coordinated omission). Poses that no frame followed before the end count as endless.
+//! On a stream the newest pose wins: the server never draws many of the poses, and skipping them is not lateness. In place of an
+//! overtaken pose the user sees the frame of a newer one. A pose's latency therefore runs from when it was *due* to the arrival
+//! of the first frame that shows it or a later pose. If the server stalls, every pose that was due meanwhile waits, drawn or not,
+//! and none is left out (coordinated omission). A pose that no frame followed before the end counts as endless.
 //!
 //! ```text
 //!  due      1    2    3    4    5
@@ -19,39 +19,40 @@ use super::histogram::Histogram;
 use super::tally::{Percentiles, ns};
 use super::wire::FrameAnswer;
 
-/// Streams beside the requests of a step.
+/// What the streams that ran beside the requests of a step got.
 #[derive(Clone, Debug, Serialize)]
 pub struct StreamPoint {
     pub streams: usize,
-    /// Poses that were due, of all streams.
+    /// Poses that were due, summed over all streams.
     pub poses: u64,
     pub poses_per_s: f64,
-    /// Poses that were never drawn because a newer one had come.
+    /// Poses that were never drawn because a newer one overtook them.
     pub overtaken: u64,
     /// Poses after which no frame came at all.
     pub lost: u64,
-    /// Frames that arrived, still ones among them.
+    /// Frames that arrived, including still ones.
     pub frames: u64,
     pub frames_per_s: f64,
     pub still: u64,
-    /// Of the stream that got the fewest and of the one that got the most.
+    /// Frames of the stream that got the fewest, and of the one that got the most.
     pub least_frames: u64,
     pub most_frames: u64,
-    /// From when a pose was due to the first frame that shows it or a newer one.
+    /// Time from when a pose was due to the first frame that shows it or a newer one.
     pub latency: Percentiles,
-    /// The same of those that were drawn themselves.
+    /// Latency of the poses that were drawn themselves.
     pub drawn: Percentiles,
-    /// How late poses were sent, which is the generator's fault.
+    /// How late the generator sent its poses.
     pub sent_late_p99_ns: Option<u64>,
     pub bytes: u64,
     pub bytes_per_s: f64,
-    /// Of the frames: width as a share of what was asked for, GPU time, wait at the engine.
+    /// Mean width of the frames as a share of the requested width, then medians of GPU time and of the wait in the engine's
+    /// queue.
     pub scale_mean: Option<f64>,
     pub gpu_p50_ns: Option<u64>,
     pub queue_p50_ns: Option<u64>,
     /// Streams that could not be opened, or were closed early.
     pub broken: u64,
-    /// Problems that the server told of.
+    /// Problems that the server reported.
     pub problems: u64,
     pub first_failure: Option<String>,
 }
@@ -64,12 +65,12 @@ pub struct Following {
 }
 
 impl Following {
-    /// A pose was due; numbers go up.
+    /// Adds a pose that is due. Numbers increase.
     pub fn due(&mut self, seq: u64, due: Duration) {
         self.waiting.push_back((seq, due));
     }
 
-    /// Whether a frame has come for every pose.
+    /// Whether a frame has followed every pose.
     pub fn is_through(&self) -> bool {
         self.waiting.is_empty()
     }
@@ -99,7 +100,7 @@ pub struct StreamTally {
 }
 
 impl StreamTally {
-    /// Counts what is due from `warmup` on, for `length`.
+    /// Counts what is due from `warmup` on, for a time of `length`.
     pub fn new(streams: usize, warmup: Duration, length: Duration) -> Self {
         Self {
             from: warmup,
@@ -127,14 +128,14 @@ impl StreamTally {
         self.from <= time && time < self.to
     }
 
-    /// A pose was sent.
+    /// Records how late a pose was sent.
     pub fn sent(&mut self, due: Duration, sent: Duration) {
         if self.counts(due) {
             self.sent_late.record(ns(sent.saturating_sub(due)));
         }
     }
 
-    /// A frame has come: poses up to its own wait no more.
+    /// Records a frame, which ends the wait of its pose and of all earlier ones.
     pub fn frame(&mut self, of: &mut Following, frame: &FrameAnswer, bytes: u64, at: Duration) {
         while let Some((seq, due)) =
             of.waiting.front().copied().filter(|(seq, _)| *seq <= frame.seq)
@@ -166,19 +167,19 @@ impl StreamTally {
         }
     }
 
-    /// The server told of a problem.
+    /// Records a problem that the server reported.
     pub fn problem(&mut self, why: String) {
         self.problems += 1;
         self.first_failure.get_or_insert(why);
     }
 
-    /// A stream was not opened, or closed before its time.
+    /// Records a stream that could not be opened or was closed early.
     pub fn broken(&mut self, why: String) {
         self.broken += 1;
         self.first_failure.get_or_insert(why);
     }
 
-    /// A stream is over: what waits on it has waited for nothing.
+    /// Ends a stream: poses that still wait are lost.
     pub fn ended(&mut self, of: &Following) {
         let lost = of.waiting.iter().filter(|(_, due)| self.counts(*due)).count();
         self.lost += lost as u64;
@@ -186,7 +187,7 @@ impl StreamTally {
         self.least_and_most = Some((least.min(of.frames), most.max(of.frames)));
     }
 
-    /// What came of the step.
+    /// The totals of the step.
     pub fn point(&self) -> StreamPoint {
         let seconds = (self.to - self.from).as_secs_f64().max(1e-9);
         let poses = self.latency.count() + self.lost;
@@ -240,7 +241,7 @@ mod tests {
         }
         tally.frame(&mut stream, &frame(1, "moving"), 10, MS * 120);
         tally.frame(&mut stream, &frame(4, "moving"), 10, MS * 450);
-        // The same again, better.
+        // The still frame of the same pose.
         tally.frame(&mut stream, &frame(4, "still"), 10, MS * 470);
         assert!(!stream.is_through());
         tally.ended(&stream);
@@ -248,7 +249,7 @@ mod tests {
         assert_eq!((point.poses, point.overtaken, point.lost), (5, 2, 1));
         assert_eq!((point.frames, point.still, point.bytes), (3, 1, 30));
         assert_eq!((point.latency.answered, point.latency.endless), (4, 1));
-        // 20, 50, 150 and 250 ms, and one that never came.
+        // Latencies of 20, 50, 150 and 250 ms, and one pose without a frame.
         near(point.latency.p50_ns, 150);
         assert_eq!(point.latency.p90_ns, None);
         near(point.drawn.max_ns, 50);
@@ -256,7 +257,7 @@ mod tests {
         assert_eq!((point.gpu_p50_ns, point.scale_mean), (Some(400), Some(0.5)));
     }
 
-    /// A server that stands still for a second draws one pose of it; all that were due have waited.
+    /// A server stalls for a second and then draws one of the poses: all poses that were due meanwhile have waited.
     #[test]
     fn a_stall_keeps_every_pose_waiting() {
         let mut tally = StreamTally::new(1, Duration::ZERO, MS * 2000);

@@ -1,14 +1,14 @@
-//! Counts of durations in buckets that grow with them, so that any percentile is known to half a percent from a few
-//! kilobytes, however many there were (the layout of HdrHistogram, G. Tene).
+//! A histogram of durations with logarithmic buckets: percentiles are known to half a percent from a few kilobytes, however many
+//! durations were recorded (the layout of HdrHistogram, G. Tene).
 //!
-//! Below [`EXACT`] ns each value has a bucket; above, every octave is cut into [`EXACT`]/2 buckets of equal width, a bucket
-//! being at most 1/128 of what it holds. A percentile is the nearest-rank one, reported as the middle of its bucket.
+//! Below [`EXACT`] ns each value has a bucket. Above, every octave is cut into [`EXACT`]/2 buckets of equal width, so that a
+//! bucket is at most 1/128 as wide as the values in it. Percentiles are nearest-rank, reported as the middle of their bucket.
 
-/// Values below this are kept exactly. A power of two.
+/// Values below this are kept exactly. It is a power of two.
 const EXACT: u64 = 256;
 const EXACT_BITS: u32 = EXACT.trailing_zeros();
 
-/// Durations in nanoseconds, or any other whole numbers.
+/// Counts of durations in nanoseconds, or of any other whole numbers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Histogram {
     buckets: Vec<u64>,
@@ -18,7 +18,7 @@ pub struct Histogram {
     most: u64,
 }
 
-/// The bucket of a value: its number of halvings until it is below `EXACT`, and what it is then.
+/// The bucket of a value, from the number of halvings until it is below `EXACT` and the value that remains.
 fn bucket_of(value: u64) -> usize {
     let halvings = (u64::BITS - value.leading_zeros()).saturating_sub(EXACT_BITS);
     (u64::from(halvings) * (EXACT / 2) + (value >> halvings)) as usize
@@ -54,26 +54,26 @@ impl Histogram {
         self.count
     }
 
-    /// `None` while nothing was recorded.
+    /// The largest recorded value; `None` while nothing was recorded.
     pub fn max(&self) -> Option<u64> {
         (self.count > 0).then_some(self.most)
     }
 
-    /// `None` while nothing was recorded.
+    /// The mean; `None` while nothing was recorded.
     pub fn mean(&self) -> Option<f64> {
         (self.count > 0).then(|| self.sum as f64 / self.count as f64)
     }
 
-    /// The smallest recorded value that at least `share` (0 to 1) of all are not above, to half a percent.
+    /// The smallest recorded value such that at least `share` (0 to 1) of all values are no larger, to half a percent.
     pub fn quantile(&self, share: f64) -> Option<u64> {
         self.quantile_with_endless(share, 0)
     }
 
-    /// The same, as if `endless` more values had been recorded that are above every other. `None` where the percentile is one
-    /// of those.
+    /// The quantile as if `endless` more values had been recorded that are larger than every other. `None` where the quantile is
+    /// one of those.
     pub fn quantile_with_endless(&self, share: f64, endless: u64) -> Option<u64> {
         let all = self.count + endless;
-        // Less a trifle: 0.99 · 100 must not become the 100th for its last bit.
+        // Subtract a trifle, because rounding must not turn 0.99 · 100 into more than 99.
         let rank = ((share.clamp(0.0, 1.0) * all as f64 - 1e-6).ceil() as u64).max(1);
         let mut seen = 0;
         for (bucket, count) in self.buckets.iter().enumerate() {
@@ -111,7 +111,7 @@ mod tests {
         }
     }
 
-    /// Against nearest-rank percentiles of the sorted values, for sizes and spreads from one value to six decades.
+    /// Compares with nearest-rank percentiles of the sorted values, for counts from one to 20 000 and spreads up to six decades.
     #[test]
     fn percentiles_are_those_of_the_sorted_values() {
         let mut random = SplitMix64::new(11);

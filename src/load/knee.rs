@@ -1,4 +1,4 @@
-//! Up to which rate the server keeps up.
+//! Searches for the knee: the highest rate of requests at which the server keeps up.
 //!
 //! ```text
 //!   first ──keeps up──► × factor ──keeps up──► … ──does not──► bisect between the last that did and the first that did not
@@ -6,9 +6,8 @@
 //!     └──does not──► ÷ factor … ──keeps up──► bisect
 //! ```
 //!
-//! A rate is kept up with when nearly all of its requests become frames, in time, and frames arrive as fast as requests do; and
-//! when streams beside the requests are as well off.
-//! Rates are compared by their ratio: bisection takes the geometric mean.
+//! The server keeps up with a rate when nearly all requests become frames in time, frames arrive as fast as requests are sent,
+//! and streams beside the requests do as well. Rates are compared by their ratio: bisection takes the geometric mean.
 
 use std::time::Duration;
 
@@ -20,12 +19,12 @@ use super::tally::Point;
 /// When a server counts as keeping up.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Demands {
-    /// Share of the requests that must become frames, and of their rate that throughput must reach; of the poses of streams that
-    /// some frame must follow.
+    /// Share of the requests that must become frames, of the offered rate that throughput must reach, and of the streams' poses
+    /// that some frame must follow.
     pub share: f64,
-    /// Frames that a stream must get for each pose: with fewer it is a slide show, however soon each pose is followed by some frame.
+    /// Frames per pose that a stream must get. With fewer it is a slide show, however soon some frame follows each pose.
     pub stream_frames: f64,
-    /// From when a request or a pose was due.
+    /// Bound on the 99th percentile of latency, counted from when a request or a pose was due.
     pub p99_at_most_ns: u64,
 }
 
@@ -36,7 +35,7 @@ impl Demands {
     }
 }
 
-/// Whether a rate was kept up with, and if not, what shows it.
+/// Whether the server kept up with a rate, and if not, why.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -53,7 +52,7 @@ pub enum Verdict {
     StreamsSkip,
     /// The 99th percentile of latency of streams is beyond its bound.
     StreamsSlow,
-    /// There was no request to judge by.
+    /// There was no request to judge.
     Idle,
 }
 
@@ -90,8 +89,9 @@ fn judge_requests(point: &Point, demands: &Demands) -> Verdict {
     if frames < demands.share * requests {
         return Verdict::Unanswered;
     }
-    // Frames that arrive within the window are other ones than those that were due in it: those under way at its begin, and not
-    // those at its end. On the average offered × latency are (Little 1961), and their number varies by its root at either end.
+    // The window counts frames that arrive in it, not frames that were due in it: frames in flight at its beginning are extra,
+    // those in flight at its end are missing. Their mean number is offered rate × latency (Little 1961), and it varies by its
+    // square root.
     let mean_s = point.latency.mean_ns.unwrap_or(0) as f64 * 1e-9;
     let by_chance = 1.0 + 2.0 * (point.offered_per_s * mean_s).sqrt();
     let arrived = point.throughput_per_s / point.offered_per_s * requests;
@@ -104,7 +104,7 @@ fn judge_requests(point: &Point, demands: &Demands) -> Verdict {
     }
 }
 
-/// What is wrong with streams, if anything is.
+/// The streams' verdict, or `None` when they keep up.
 fn judge_streams(streams: &StreamPoint, demands: &Demands) -> Option<Verdict> {
     let followed = streams.poses.saturating_sub(streams.lost) as f64;
     if streams.broken > 0 || followed < demands.share * streams.poses as f64 {
@@ -117,25 +117,25 @@ fn judge_streams(streams: &StreamPoint, demands: &Demands) -> Option<Verdict> {
     (streams.poses > 0 && is_slow).then_some(Verdict::StreamsSlow)
 }
 
-/// How rates are tried.
+/// Bounds and step sizes of the search.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SearchSettings {
     pub first_per_s: f64,
     pub least_per_s: f64,
     pub most_per_s: f64,
-    /// Ratio of one rate to the next while it is raised.
+    /// Ratio of one rate to the next while the rate is raised.
     pub factor: f64,
-    /// The search ends when the rates to both sides of the knee differ by no more than this share.
+    /// The search ends when the rates on both sides of the knee differ by no more than this share.
     pub resolution: f64,
     pub steps_at_most: u32,
 }
 
-/// Which rate to try next.
+/// Decides which rate to try next.
 #[derive(Clone, Debug)]
 pub struct Search {
     settings: SearchSettings,
     steps: u32,
-    /// The highest rate that was kept up with below every one that was not, and the lowest of those.
+    /// Highest rate that was kept up with so far, and lowest rate that was not.
     kept: Option<f64>,
     lost: Option<f64>,
 }
@@ -145,7 +145,7 @@ impl Search {
         Self { settings, steps: 0, kept: None, lost: None }
     }
 
-    /// `None` when the knee is known well enough, or the limits are reached.
+    /// The next rate, or `None` when the knee is known well enough or a limit is reached.
     pub fn next_rate(&self) -> Option<f64> {
         let SearchSettings {
             first_per_s,
@@ -168,19 +168,19 @@ impl Search {
         }
     }
 
-    /// What came of a rate.
+    /// Records the outcome at a rate.
     pub fn tell(&mut self, rate_per_s: f64, kept_up: bool) {
         self.steps += 1;
         let side = if kept_up { &mut self.kept } else { &mut self.lost };
         *side = Some(rate_per_s);
     }
 
-    /// The highest rate that was kept up with.
+    /// The highest rate that the server kept up with.
     pub fn knee_per_s(&self) -> Option<f64> {
         self.kept
     }
 
-    /// Whether a rate above the knee was tried, so that it is one.
+    /// Whether some rate above the knee failed. Otherwise the limits ended the search.
     pub fn is_bounded(&self) -> bool {
         self.lost.is_some()
     }
@@ -232,7 +232,7 @@ mod tests {
         assert_eq!(found(few, |_| true), (Some(4.0), 3));
     }
 
-    /// A server that takes `service` for a frame, one at a time, refuses when `queue` are waiting, and drifts by nothing else.
+    /// A server that draws one frame at a time in `service` and refuses when `queue` requests are waiting.
     fn simulated(
         rate_per_s: f64,
         service: Duration,
@@ -274,7 +274,7 @@ mod tests {
         tally.point(rate_per_s)
     }
 
-    /// Capacity 200/s: with a queue that refuses and with one that grows, the knee is found a little below it, where the queue
+    /// The capacity is 200/s. With a queue that refuses and with one that grows, the knee lies a little below it, where the queue
     /// of a random arrival process is still short.
     #[test]
     fn the_knee_of_a_simulated_server_is_its_capacity() {
@@ -304,7 +304,7 @@ mod tests {
         let service = Duration::from_millis(5);
         let mut point = simulated(50.0, service, 16, Duration::from_secs(10), 1);
         assert_eq!(judge(&point, &demands), Verdict::KeepsUp);
-        // A hundred poses, a frame for so many of them after so long.
+        // A stream of 100 poses: every `every`th of the first `followed` gets a frame, `took_ms` after it was due.
         let streams = |followed: u64, every: u64, took_ms: u64, broken: bool| {
             let mut tally = StreamTally::new(1, Duration::ZERO, Duration::from_secs(10));
             let mut following = Following::default();
@@ -341,7 +341,7 @@ mod tests {
         assert_eq!(judge(&idle, &demands), Verdict::StreamsStarve, "streams alone");
     }
 
-    /// Ten seconds of fifty requests, a tenth of which come to nothing in time.
+    /// At 2.5 requests per second, a throughput of 87 % still counts as falling behind.
     #[test]
     fn few_requests_are_no_excuse() {
         let demands = Demands::new(Duration::from_secs(1));

@@ -1,4 +1,4 @@
-//! The load generator (floor 7): how many frames a second a daemon gives, how late they are, and where that ends.
+//! The load generator (floor 7): measures a daemon's throughput and latency, and finds the rate at which it saturates.
 //!
 //! ```text
 //!  schedule ──due times──► drive ──a task each──► request ──GET, pose from poses──► daemon
@@ -8,8 +8,9 @@
 //!  knee ◄── point ◄── tally (histograms) ◄┘          report, plot ◄── points
 //! ```
 //!
-//! It knows the daemon by its HTTP contract alone ([`wire`]). [`schedule`], [`poses`], [`histogram`], [`tally`], [`following`], [`knee`],
-//! [`report`], [`thresholds`] and [`plot`] are pure; clocks, tasks and sockets are in [`drive`], [`request`] and [`streams`], and [`mod@run`] strings steps together.
+//! It knows the daemon by its HTTP contract alone ([`wire`]). [`schedule`], [`poses`], [`histogram`], [`tally`], [`following`],
+//! [`knee`], [`report`], [`thresholds`] and [`plot`] are pure. Clocks, tasks and sockets are in [`drive`], [`request`] and
+//! [`streams`]. [`mod@run`] runs the steps one after another.
 
 pub mod drive;
 pub mod following;

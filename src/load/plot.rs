@@ -1,7 +1,7 @@
-//! The saturation curve as an SVG: throughput, latency and what got no frame, each against the offered rate.
+//! The saturation curve as an SVG: throughput, latency and requests without a frame, each against the offered rate.
 //!
-//! Written by hand, without scripts or outside files, so that it can stand in any page. Its colours follow the reader's scheme,
-//! light or dark, also where it is embedded as an image. Lines are told apart by their dashes and by labels at their ends, not by
+//! The SVG has no scripts and no outside files, so that any page can contain it. Its colours follow the reader's colour scheme,
+//! light or dark, also where it is embedded as an image. Lines differ in their dashes and in the labels at their ends, not in
 //! colour alone.
 
 use std::fmt::Write;
@@ -11,7 +11,7 @@ use super::tally::{Percentiles, Point};
 
 const WIDTH: f64 = 860.0;
 const LEFT: f64 = 84.0;
-/// Labels of lines stand to the right of it.
+/// Right edge of the panels. The lines' labels stand to the right of it.
 const RIGHT: f64 = WIDTH - 96.0;
 
 /// Top and bottom of each panel.
@@ -42,7 +42,7 @@ const STYLE: &str = "\
   text.a { fill: var(--a); } text.b { fill: var(--b); } text.c { fill: var(--c); } text.d { fill: var(--d); } text.e { fill: var(--e); }
 ";
 
-/// A line of the plot: its class, dashes, label, and its value at a point.
+/// A line of the plot: its CSS class, dashes, label, and its value at a point.
 struct Line {
     class: &'static str,
     dashes: &'static str,
@@ -65,9 +65,9 @@ fn latency_ms(point: &Point, pick: fn(&Percentiles) -> Option<u64>) -> Option<f6
 
 fn percentile_ms(percentiles: &Percentiles, pick: fn(&Percentiles) -> Option<u64>) -> Option<f64> {
     match pick(percentiles) {
-        // A logarithm of nothing is not to be had; no answer takes less than a microsecond.
+        // The logarithm of 0 does not exist. No answer takes less than a microsecond.
         Some(ns) => Some((ns as f64 / 1e6).max(1e-3)),
-        // Among requests that were never answered: beyond any axis.
+        // The percentile falls among requests without an answer: beyond any axis.
         None => (percentiles.endless > 0).then_some(f64::INFINITY),
     }
 }
@@ -98,7 +98,7 @@ const UNANSWERED_LINES: [Line; 3] = [
     line("d", "1 4", "failed", |point| share(point, point.counts.failed)),
 ];
 
-/// From a value to a place between two others; linear, or of logarithms.
+/// Maps values to coordinates, linearly or by their logarithms.
 #[derive(Clone, Copy)]
 struct Axis {
     low: f64,
@@ -106,9 +106,9 @@ struct Axis {
     from_px: f64,
     to_px: f64,
     is_log: bool,
-    /// Between ticks, where it is linear.
+    /// Distance between ticks of a linear axis.
     step: f64,
-    /// Whether there are values beyond it, which stand at its end.
+    /// Whether some values lie beyond the axis. They are drawn at its end.
     is_exceeded: bool,
 }
 
@@ -119,14 +119,14 @@ impl Axis {
         self.from_px + share.clamp(0.0, 1.0) * (self.to_px - self.from_px)
     }
 
-    /// From 0 to a little more than `most`.
+    /// A linear axis from 0 to the first tick at or above `most`.
     fn linear(most: f64, from_px: f64, to_px: f64) -> Self {
         let step = tick_step(most);
         let high = (most / step).ceil().max(1.0) * step;
         Self { low: 0.0, high, from_px, to_px, is_log: false, step, is_exceeded: false }
     }
 
-    /// Whole decades around all of `values`, and one more where some are infinite.
+    /// A logarithmic axis of whole decades around all of `values`, and one decade more if some are infinite.
     fn decades(values: impl Iterator<Item = f64> + Clone, from_px: f64, to_px: f64) -> Self {
         let is_exceeded = values.clone().any(f64::is_infinite);
         let finite = values.filter(|value| value.is_finite());
@@ -150,7 +150,7 @@ impl Axis {
     }
 }
 
-/// 1, 2 or 5 times a power of ten, so that `most` has about six of it.
+/// A round step, 1, 2 or 5 times a power of ten, about a sixth of `most`.
 fn tick_step(most: f64) -> f64 {
     let rough = if most > 0.0 { most / 6.0 } else { 0.2 };
     let power = 10f64.powf(rough.log10().floor());
@@ -162,7 +162,7 @@ fn tick_label(value: f64) -> String {
     if value == 0.0 || value >= 1.0 { format!("{value:.0}").to_owned() } else { format!("{value}") }
 }
 
-/// With what XML gives a meaning to written otherwise, and control characters left out: it admits none.
+/// Escapes XML's special characters, and leaves out control characters, which XML does not admit.
 fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for character in text.chars() {
@@ -178,7 +178,7 @@ fn escaped(text: &str) -> String {
     out
 }
 
-/// As much as fits the width.
+/// Cuts the text to the width of the picture.
 fn shortened(text: &str) -> String {
     const MOST: usize = 112;
     if text.chars().count() <= MOST {
@@ -189,7 +189,7 @@ fn shortened(text: &str) -> String {
 
 // Writing to a string cannot fail, so results of `write!` are dropped below.
 
-/// The whole picture.
+/// The whole plot.
 pub fn svg(report: &Report) -> String {
     let points = &report.points;
     let most_offered = most(points, |point| Some(point.offered_per_s));
@@ -258,7 +258,7 @@ fn heading(out: &mut String, report: &Report) {
     }
 }
 
-/// Grid, frame, labels of the axes, and the lines with their labels.
+/// Draws the grid, the frame, the axes' labels, and the lines with their labels.
 fn panel(
     out: &mut String,
     x: &Axis,
@@ -280,7 +280,7 @@ fn panel(
         );
     }
     let ticks = y.ticks();
-    // A low panel has no room for each of its labels.
+    // A low panel has no room for all labels.
     let every = (ticks.len() as f64 * 20.0 / (bottom - top)).ceil().max(1.0) as usize;
     for (index, tick) in ticks.iter().enumerate() {
         let at = y.px(*tick);
@@ -317,7 +317,8 @@ fn panel(
     );
 }
 
-/// A line with a dot at each point; it is interrupted where a point has no value. Where it ends, if it has any.
+/// Draws a line with a dot at each point, interrupted where a point has no value. Returns where the line ends, if it has any
+/// value.
 fn curve(out: &mut String, x: &Axis, y: &Axis, line: &Line, points: &[JudgedPoint]) -> Option<f64> {
     let (mut path, mut dots, mut end_px) = (String::new(), String::new(), None);
     let mut pen = 'M';
@@ -349,7 +350,7 @@ fn curve(out: &mut String, x: &Axis, y: &Axis, line: &Line, points: &[JudgedPoin
     end_px
 }
 
-/// Labels at the lines' ends, none upon another and none below the panel.
+/// Places labels at the lines' ends so that none overlaps another or lies below the panel.
 fn end_labels(out: &mut String, mut ends: Vec<(&Line, f64)>, bottom: f64) {
     const APART_PX: f64 = 15.0;
     ends.sort_by(|a, b| a.1.total_cmp(&b.1));
@@ -374,7 +375,7 @@ fn end_labels(out: &mut String, mut ends: Vec<(&Line, f64)>, bottom: f64) {
     }
 }
 
-/// What throughput would be if every request became a frame at once.
+/// Draws the throughput of a server that turns every request into a frame at once.
 fn ideal(out: &mut String, x: &Axis, y: &Axis) {
     let most = x.high.min(y.high);
     let _ = writeln!(
@@ -399,7 +400,7 @@ fn knee(out: &mut String, x: &Axis, report: &Report) {
     for [top, bottom] in [THROUGHPUT, LATENCY, UNANSWERED] {
         let _ = writeln!(out, "<path class=\"knee\" d=\"M{at:.1} {top}V{bottom}\"/>");
     }
-    // On the side that has room for it.
+    // The label stands on the side that has room for it.
     let (class, place) = if at > 0.5 * (LEFT + RIGHT) { ("end", at - 8.0) } else { ("", at + 8.0) };
     let _ = writeln!(
         out,
@@ -448,7 +449,7 @@ mod tests {
         );
     }
 
-    /// Every coordinate is a number within the picture, also where there is nothing to draw.
+    /// Every coordinate is a number within the picture, even if there is nothing to draw.
     #[test]
     fn all_of_it_lies_in_the_picture() {
         for points in
@@ -480,7 +481,7 @@ mod tests {
         assert!(svg.contains("<title>stream p50 10.0</title>"), "{svg}");
     }
 
-    /// A percentile among requests that never came stands at the end of the axis, which says so.
+    /// A percentile among requests without an answer stands at the end of the axis, whose label says so.
     #[test]
     fn what_never_came_is_above_everything() {
         let svg = svg(&report(vec![point(40, 40), point(80, 80), point(200, 90)]));

@@ -1,7 +1,7 @@
-//! Where each request looks from: a closed path that no request meets at the same point twice.
+//! The pose of each request, on a closed path that no two requests enter at the same point.
 //!
-//! Neighbouring requests have neighbouring poses, as those of a client on its way have, but equal ones never occur: the path is
-//! gone along in steps that are an irrational part of its length. So no entity tag, proxy or join of identical requests can
+//! Neighbouring requests have neighbouring poses, as those of a moving client have. Equal poses never occur, because the step
+//! along the path is an irrational part of its length. No entity tag, proxy or coalescing of identical requests can therefore
 //! answer for the renderer.
 
 use std::f64::consts::TAU;
@@ -12,12 +12,12 @@ use super::wire::SceneAnswer;
 use crate::math::{Bounds, Camera};
 use crate::scene::random::SplitMix64;
 
-/// Share of the path between one request and the next: the golden ratio's fraction over 64, about a hundredth.
+/// Step along the path from one request to the next: the golden ratio's fraction over 64, about a hundredth of the path.
 const STEP: f64 = 0.618_033_988_749_894_9 / 64.0;
-/// Of an orbit's rise, which goes up and down at a pace of its own.
+/// Step of an orbit's rise, which goes up and down at its own pace.
 const RISE_STEP: f64 = STEP * 0.414_213_562_373_095;
 const FOV_DEG: f64 = 40.0;
-/// Between these the eye rises above the horizon.
+/// Lowest and highest elevation of the eye above the horizon.
 const RISE_DEG: [f64; 2] = [8.0, 42.0];
 
 /// Which path.
@@ -30,7 +30,7 @@ pub enum PathKind {
     Cameras,
 }
 
-/// A path, entered at a point that the seed decides.
+/// A path, and the seeded point at which the run enters it.
 #[derive(Clone, Debug)]
 pub struct Poses {
     path: Path,
@@ -45,7 +45,7 @@ enum Path {
 
 impl Poses {
     /// # Errors
-    /// A scene without extent, or without two cameras to go between.
+    /// Fails for a scene without extent, and for one without two cameras to go between.
     pub fn new(kind: PathKind, scene: &SceneAnswer, seed: u64) -> anyhow::Result<Self> {
         let path = match kind {
             PathKind::Orbit => {
@@ -84,7 +84,7 @@ impl Poses {
     }
 }
 
-/// An orbit from which the whole box is seen.
+/// An orbit from which the whole box is in view.
 fn orbit(bounds: &Bounds, up: DVec3) -> Path {
     let up = up.try_normalize().unwrap_or(DVec3::Y);
     let side = up.any_orthonormal_vector();
@@ -95,14 +95,14 @@ fn orbit(bounds: &Bounds, up: DVec3) -> Path {
     Path::Orbit { centre: bounds.centre(), radius, up, side, ahead: side.cross(up) }
 }
 
-/// A share of the closed way from stop to stop, each leg as long as every other.
+/// The pose at a share of the closed path from stop to stop; all legs are equally long.
 fn between_stops(stops: &[Camera], share: f64) -> Camera {
     let at = share * stops.len() as f64;
     let leg = (at as usize).min(stops.len() - 1);
     let (from, to, t) = (stops[leg], stops[(leg + 1) % stops.len()], at - leg as f64);
     let eye = from.eye.lerp(to.eye, t);
     let mut target = from.target.lerp(to.target, t);
-    // The way may lead the eye through its own target; it then looks on as before.
+    // The path may lead the eye through its own target. The eye then keeps its direction.
     if (target - eye).length() < 1e-6 * (from.target - from.eye).length() {
         target = eye + (from.target - from.eye);
     }
@@ -183,7 +183,7 @@ mod tests {
         assert!((between_stops(&stops, 1.0 / 3.0).eye - stops[1].eye).length() < 1e-9);
         let poses = Poses::new(PathKind::Cameras, &scene, 2).unwrap();
         assert!((0..3000).all(|number| poses.pose(number).view(8, 8).is_ok()));
-        // Two cameras that look at each other's eyes: half way, the eye is where the target is.
+        // Two cameras whose eyes are each other's targets: half way between them, the eye coincides with the target.
         let facing = [stops[0], Camera { eye: stops[0].target, target: stops[0].eye, ..stops[0] }];
         assert!(between_stops(&facing, 0.25).view(8, 8).is_ok());
     }

@@ -1,4 +1,4 @@
-//! What a run found, as JSON, as a table and in sentences.
+//! The result of a run as JSON, as a table and in sentences.
 
 use std::fmt;
 
@@ -12,7 +12,7 @@ use super::run::RunSettings;
 use super::tally::Point;
 use super::thresholds::Thresholds;
 
-/// A point of the curve, and whether the server kept up there.
+/// A point of the curve with its verdict.
 #[derive(Clone, Debug, Serialize)]
 pub struct JudgedPoint {
     pub verdict: Verdict,
@@ -20,18 +20,18 @@ pub struct JudgedPoint {
     pub point: Point,
 }
 
-/// Where saturation begins.
+/// The rate at which saturation begins.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Knee {
-    /// The highest rate that was kept up with; `null` when even the lowest was not.
+    /// The highest rate that the server kept up with; `null` if it did not keep up with the lowest.
     pub keeps_up_to_per_s: Option<f64>,
-    /// Whether a higher rate was tried and not kept up with. If not, the limits of the search ended it.
+    /// Whether a higher rate was tried and failed. Otherwise the limits of the search ended it.
     pub is_bounded: bool,
     /// The highest throughput of any step.
     pub most_throughput_per_s: f64,
 }
 
-/// Who asked.
+/// The program that sent the requests.
 #[derive(Clone, Debug, Serialize)]
 pub struct Generator {
     pub version: &'static str,
@@ -52,41 +52,41 @@ impl Generator {
     }
 }
 
-/// Everything that is told.
+/// Everything that a run reports.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
     pub target: String,
     pub scene: String,
     pub revision: u64,
-    /// How frames are asked for: by a request each, and on streams beside those.
+    /// Way of asking for frames: a request for each, and streams beside the requests.
     pub client: &'static str,
     pub poses: PathKind,
     /// Query parameters beside the pose.
     pub parameters: Vec<(String, String)>,
-    /// Of the first receipt: the daemon's adapter, and the settings as it understood them.
+    /// The adapter of the daemon and the settings as it understood them, from the first receipt.
     pub adapter: Option<String>,
     pub settings_used: serde_json::Value,
     pub generator: Generator,
     pub run: RunSettings,
-    /// In order of their rates.
+    /// Points in order of their rates.
     pub points: Vec<JudgedPoint>,
     pub knee: Option<Knee>,
     pub connections_opened: u64,
     pub interrupted: bool,
-    /// What takes from the worth of these figures.
+    /// Facts that make these figures less reliable.
     pub warnings: Vec<String>,
-    /// What the run was held against, and what went beyond it.
+    /// The thresholds of the run, and a message for each one that was exceeded.
     pub thresholds: Thresholds,
     pub broken_thresholds: Vec<String>,
 }
 
-/// Three digits of a time, in milliseconds.
+/// A time in milliseconds, with three digits.
 pub fn ms(ns: Option<u64>) -> String {
     let Some(ns) = ns else { return "–".to_owned() };
     three_digits(ns as f64 / 1e6)
 }
 
-/// A number with three digits, or all of them before the point.
+/// A number with three significant digits, and with all digits before the decimal point.
 pub fn three_digits(value: f64) -> String {
     match value.abs() {
         v if v >= 99.95 || v == 0.0 => format!("{value:.0}"),
@@ -96,7 +96,7 @@ pub fn three_digits(value: f64) -> String {
     }
 }
 
-/// A percentile of poses' latency, likewise.
+/// A percentile of the latency of poses: `lost` where it falls among poses that no frame followed.
 fn pose_ms(point: &StreamPoint, ns: Option<u64>) -> String {
     match ns {
         None if point.latency.endless > 0 => "lost".to_owned(),
@@ -104,7 +104,7 @@ fn pose_ms(point: &StreamPoint, ns: Option<u64>) -> String {
     }
 }
 
-/// Columns of what streams got, beside the rate of the requests.
+/// Columns of the table of streams; the first is the rate of the requests.
 const STREAM_HEADER: [&str; 15] = [
     "requested/s",
     "streams",
@@ -144,7 +144,7 @@ fn stream_cells(rate_per_s: f64, point: &StreamPoint) -> [String; STREAM_HEADER.
     ]
 }
 
-/// A percentile of latency: `lost` where it falls among requests that were never answered.
+/// A percentile of the latency of requests: `lost` where it falls among requests without an answer.
 fn latency_ms(point: &Point, ns: Option<u64>) -> String {
     match ns {
         None if point.latency.endless > 0 => "lost".to_owned(),
@@ -204,7 +204,7 @@ impl JudgedPoint {
         ]
     }
 
-    /// A line of progress.
+    /// The step as one line of progress.
     pub fn line(&self) -> String {
         let point = &self.point;
         let counts = &point.counts;
@@ -238,7 +238,7 @@ impl JudgedPoint {
 }
 
 impl Report {
-    /// Puts the points in order, and says what takes from their worth.
+    /// Sorts the points and adds warnings and broken thresholds.
     pub fn finish(mut self) -> Self {
         self.points.sort_by(|a, b| a.point.rate_per_s.total_cmp(&b.point.rate_per_s));
         self.warnings = self.points.iter().flat_map(|judged| warnings(&judged.point)).collect();
@@ -246,7 +246,7 @@ impl Report {
         self
     }
 
-    /// What is drawn, in a line.
+    /// The scene and the parameters of its frames on one line.
     pub fn subject(&self) -> String {
         let parameters: Vec<String> =
             self.parameters.iter().map(|(name, value)| format!("{name}={value}")).collect();
@@ -258,10 +258,10 @@ impl Report {
     }
 }
 
-/// A generator that is later than this is worth a word.
+/// A generator that is later than this gets a warning.
 const LATE_NS: u64 = 10_000_000;
 
-/// What a point's reader should know.
+/// Warnings about a point.
 fn warnings(point: &Point) -> Vec<String> {
     let at = format!("at {}/s", three_digits(point.rate_per_s));
     let mut warnings = Vec::new();
@@ -321,7 +321,7 @@ fn stream_warnings(at: &str, streams: &StreamPoint) -> Vec<String> {
 }
 
 impl Report {
-    /// The table of what streams got, if there were any.
+    /// Writes the table of streams, if there were any.
     fn fmt_streams(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let beside = self
             .points
@@ -400,7 +400,8 @@ pub mod tests {
     use super::super::tally::{Answer, Outcome, Sample, Tally};
     use super::*;
 
-    /// A point with `requests` in a second, of which `frames` took from 1 ms to their number in ms, the others were refused or lost by turns.
+    /// A point of one second with `requests` requests. The first `frames` take 1 ms, 2 ms, …; the others are lost or refused by
+    /// turns.
     pub fn point(requests: u64, frames: u64) -> JudgedPoint {
         let mut tally = Tally::new(Duration::ZERO, Duration::from_secs(1));
         for number in 0..requests {
@@ -422,7 +423,7 @@ pub mod tests {
         JudgedPoint { verdict, point: tally.point(requests as f64) }
     }
 
-    /// The same with a stream beside it, of whose ten poses every second was drawn, 10 ms after it was due.
+    /// The same point with a stream beside it. Of its ten poses every second one is drawn, 10 ms after it was due.
     pub fn point_with_stream(requests: u64, frames: u64) -> JudgedPoint {
         use super::super::following::{Following, StreamTally};
         use super::super::wire::FrameAnswer;

@@ -1,8 +1,8 @@
 //! A client that sends a GET for each frame, over HTTP/1.1 connections that are kept alive.
 //!
-//! A request takes the connection that was used last, or opens another where none is idle, so that there are as many as were
-//! ever under way at a time. A kept connection that turns out to be closed is replaced:
-//! servers may close what is idle whenever they like.
+//! A request takes the connection that was used last, or opens another if none is idle. There are therefore as many connections
+//! as requests were ever in flight at once. A kept connection that turns out to be closed is replaced, because servers may close
+//! idle connections at any time.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -25,12 +25,12 @@ use super::tally::{Answer, Outcome};
 use super::wire::{ReceiptAnswer, Target, complaint, resource_path};
 
 const RECEIPT: &str = "pointillist-receipt";
-/// Of a body that is neither frame nor refusal, so much is kept to say what went wrong.
+/// Bytes kept of a body that is neither frame nor refusal, to say what went wrong.
 const COMPLAINT_BYTES: usize = 4096;
 
 type Sender = SendRequest<Empty<Bytes>>;
 
-/// Connections to one daemon.
+/// A pool of connections to one daemon.
 pub struct Connections {
     address: SocketAddr,
     authority: String,
@@ -53,7 +53,7 @@ impl From<Fault> for Outcome {
     }
 }
 
-/// What an error says, and what those that it comes from say.
+/// The message of an error and of all its sources.
 fn words(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut source = error.source();
@@ -65,10 +65,10 @@ fn words(error: &dyn std::error::Error) -> String {
 }
 
 impl Connections {
-    /// Finds the daemon's address, once for all connections. `key` is an API key.
+    /// Resolves the daemon's address, once for all connections. `key` is an API key.
     ///
     /// # Errors
-    /// A host that is unknown or does not answer; a key that no header can carry.
+    /// Fails for a host that is unknown or does not answer, and for a key that no header can carry.
     pub async fn new(target: &Target, key: Option<&str>) -> anyhow::Result<Self> {
         let found: Vec<SocketAddr> = tokio::net::lookup_host((target.host.as_str(), target.port))
             .await
@@ -103,20 +103,20 @@ impl Connections {
         self.opened.load(Ordering::Relaxed)
     }
 
-    /// What the header `Host` says.
+    /// The value of the header `Host`.
     pub fn authority(&self) -> &str {
         &self.authority
     }
 
-    /// What every request carries.
+    /// The headers of every request.
     pub fn headers(&self) -> HeaderMap {
         self.headers.clone()
     }
 
-    /// A connection to the daemon that nothing was sent on.
+    /// Opens a new connection to the daemon.
     ///
     /// # Errors
-    /// In the system's words.
+    /// Fails with the system's message.
     pub async fn connect(&self) -> Result<TcpStream, String> {
         let stream = TcpStream::connect(self.address).await.map_err(|error| words(&error))?;
         stream.set_nodelay(true).map_err(|error| words(&error))?;
@@ -129,12 +129,12 @@ impl Connections {
         let (sender, connection) =
             handshake(TokioIo::new(stream)).await.map_err(|error| fault(&error))?;
         self.opened.fetch_add(1, Ordering::Relaxed);
-        // Ends with the connection; what goes wrong on it, the request that it carries is told.
+        // The task ends with the connection. Errors of the connection reach the request that it carries.
         tokio::spawn(connection);
         Ok(sender)
     }
 
-    /// The idle connection that was used last, if it still stands.
+    /// The idle connection that was used last, if it is still open.
     async fn kept(&self) -> Option<Sender> {
         loop {
             let mut sender = self.idle.lock().pop()?;
@@ -152,10 +152,10 @@ impl Connections {
         Ok(request)
     }
 
-    /// Sends a GET; the answer's body is still to be read, and the connection to be kept.
+    /// Sends a GET. The caller reads the answer's body and returns the connection to the pool.
     async fn send(&self, path: &str) -> Result<(Response<Incoming>, Sender), Fault> {
         while let Some(mut sender) = self.kept().await {
-            // It may have been closed just now. A GET can be sent again.
+            // The server may have closed the connection just now. A GET can be sent again.
             if let Ok(response) = sender.send_request(self.request(path)?).await {
                 return Ok((response, sender));
             }
@@ -167,7 +167,7 @@ impl Connections {
         }
     }
 
-    /// Sends a GET and reads the answer to its end; `keep` bytes of its body are kept.
+    /// Sends a GET and reads the answer to its end. Keeps as many bytes of the body as `keep` says for the status.
     async fn get(&self, path: &str, keep: impl Fn(u16) -> usize) -> Result<Read, Fault> {
         let (response, sender) = self.send(path).await?;
         let (head, mut body) = response.into_parts();
@@ -187,10 +187,10 @@ impl Connections {
         Ok(read)
     }
 
-    /// A document of the daemon.
+    /// Reads a JSON document from the daemon.
     ///
     /// # Errors
-    /// No answer, another status than 200, or not the JSON expected.
+    /// Fails without an answer, for any status but 200, and for unexpected JSON.
     pub async fn json<T: serde::de::DeserializeOwned>(&self, path: &str) -> anyhow::Result<T> {
         let read = match self.get(path, |_| 64 << 20).await {
             Ok(read) => read,
@@ -209,7 +209,7 @@ struct Read {
     status: u16,
     headers: HeaderMap,
     bytes: u64,
-    /// As much of it as was to be kept.
+    /// The part of the body that was kept.
     body: Vec<u8>,
 }
 
@@ -229,10 +229,10 @@ impl From<Read> for Answer {
     }
 }
 
-/// Asks for each frame with a request of its own.
+/// Asks for each frame with a GET.
 pub struct RequestClient {
     pub connections: Arc<Connections>,
-    /// Where the daemon's paths begin.
+    /// Prefix of the daemon's paths.
     pub prefix: String,
     pub scene: String,
     pub poses: Poses,

@@ -1,4 +1,4 @@
-//! A whole run: steps one after another, at given rates or searching for the knee, and the report of them.
+//! A whole run: steps at given rates or a search for the knee, and the report.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,17 +14,17 @@ use super::schedule::Spacing;
 use super::tally::{Point, Tally};
 use crate::scene::random::SplitMix64;
 
-/// At which rates requests are sent.
+/// The rates at which requests are sent.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Rates {
-    /// These, in this order, per second.
+    /// These rates per second, in this order.
     Given(Vec<f64>),
-    /// Raised until the server no longer keeps up.
+    /// Raise the rate until the server no longer keeps up.
     Saturate(SearchSettings),
 }
 
-/// What steps have in common.
+/// Settings that all steps share.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RunSettings {
     pub rates: Rates,
@@ -35,14 +35,14 @@ pub struct RunSettings {
     pub timeout_s: f64,
     pub connections_at_most: usize,
     pub demands: Demands,
-    /// Streams beside the requests, and poses that each sends per second.
+    /// Number of streams beside the requests, and poses per second that each of them sends.
     pub streams: usize,
     pub poses_per_s: f64,
 }
 
-/// What happens during a run.
+/// Progress of a run.
 pub enum Event<'a> {
-    /// A step begins, which sends for so long.
+    /// A step begins; it sends requests for this time.
     Began {
         rate_per_s: f64,
         sends_for: Duration,
@@ -50,7 +50,7 @@ pub enum Event<'a> {
     Ended(&'a JudgedPoint),
 }
 
-/// Steps that were run to their end.
+/// Results of the steps that ended.
 pub struct Outcomes {
     pub points: Vec<JudgedPoint>,
     pub knee: Option<Knee>,
@@ -59,11 +59,11 @@ pub struct Outcomes {
     pub settings: serde_json::Value,
 }
 
-/// Runs until the rates are through, the knee is found, or `stop` is set; the step under way then is left out. `streams` runs
-/// those that are beside the requests of a step.
+/// Runs until all rates are done, the knee is found, or `stop` is set. A step that `stop` interrupts is left out. `streams` runs
+/// the streams beside the requests of a step.
 ///
 /// # Errors
-/// See [`run_step`].
+/// As [`run_step`].
 pub async fn run<C: Client>(
     client: Arc<C>,
     streams: impl AsyncFn(Step) -> Option<StreamPoint>,
@@ -107,7 +107,7 @@ fn step(settings: &RunSettings, rate_per_s: f64, index: usize, first_number: u64
     Step {
         rate_per_s,
         spacing: settings.spacing,
-        // Other arrivals in each step, and none that are those of the entry into the path.
+        // Each step has its own arrival times, independent of where the run enters the path.
         seed: SplitMix64::stream(settings.seed, index as u64).next_u64(),
         warmup: Duration::from_secs_f64(settings.warmup_s),
         duration: Duration::from_secs_f64(settings.duration_s),
@@ -127,7 +127,7 @@ fn judged(
     JudgedPoint { verdict: judge(&point, demands), point }
 }
 
-/// Rates still to come.
+/// Rates that are still to come.
 enum Ahead {
     Given(std::vec::IntoIter<f64>),
     Search(Search),
@@ -150,12 +150,12 @@ impl Ahead {
 
     fn tell(&mut self, rate_per_s: f64, verdict: Verdict) {
         if let Ahead::Search(search) = self {
-            // A rate so low that no request came by chance is no reason to go lower.
+            // If by chance no request was due at a low rate, this is no reason to lower the rate.
             search.tell(rate_per_s, matches!(verdict, Verdict::KeepsUp | Verdict::Idle));
         }
     }
 
-    /// What the search found; of given rates there is none to find.
+    /// The result of a search; `None` if the rates were given.
     fn knee(&self, points: &[JudgedPoint]) -> Option<Knee> {
         let Ahead::Search(search) = self else { return None };
         let best = points.iter().map(|judged| judged.point.throughput_per_s).fold(0.0, f64::max);
@@ -176,7 +176,7 @@ mod tests {
     use super::super::tally::{Answer, Outcome};
     use super::*;
 
-    /// Draws one frame at a time, 20 ms each, with room for four that wait.
+    /// Draws one frame at a time, 20 ms each. Four requests may wait.
     struct OneAtATime {
         room: tokio::sync::Semaphore,
         turn: tokio::sync::Mutex<()>,
@@ -249,7 +249,7 @@ mod tests {
         assert!(outcomes.knee.is_none() && !outcomes.interrupted);
     }
 
-    /// A timer that ticks in milliseconds makes 20 ms at least 20 and hardly 24.
+    /// A timer that ticks in milliseconds turns 20 ms into 20 to 24 ms.
     #[test]
     fn the_knee_of_a_server_in_real_time_is_found() {
         let search = SearchSettings {

@@ -1,8 +1,8 @@
-//! When requests are due, whatever the server does.
+//! The times at which requests are due, independent of the server.
 //!
-//! An open loop: arrivals follow a clock, not the answers to earlier requests, as those of many independent users do. In a
-//! Poisson process the gaps between them are exponentially distributed and independent of each other, so that requests come in
-//! bunches; constant spacing leaves that out and shows the server at its kindest.
+//! The generator is an open loop: arrivals follow a clock, not the answers to earlier requests, like the requests of many
+//! independent users. In a Poisson process the gaps between arrivals are independent and exponentially distributed, so that
+//! requests come in bursts. Constant spacing leaves bursts out, and shows the server at its best.
 
 use std::time::Duration;
 
@@ -20,7 +20,7 @@ pub enum Spacing {
     Constant,
 }
 
-/// The times at which requests are due, from the begin of a step on, in order and without end.
+/// The times at which requests are due, counted from the beginning of a step, in order and without end.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     rate_per_s: f64,
@@ -42,7 +42,7 @@ impl Iterator for Schedule {
 
     fn next(&mut self) -> Option<Duration> {
         self.elapsed_s = match self.spacing {
-            // A multiple each time: a sum of gaps would drift.
+            // A multiple of the gap: a sum of gaps would drift.
             Spacing::Constant => self.count as f64 / self.rate_per_s,
             // 1 − unit lies in (0, 1], so that the logarithm is finite.
             Spacing::Poisson => self.elapsed_s - (1.0 - self.random.unit()).ln() / self.rate_per_s,
@@ -67,7 +67,7 @@ mod tests {
         assert!((times[30_000] - 1000.0).abs() < 1e-8, "{}", times[30_000]);
     }
 
-    /// The gaps of a Poisson process of rate 50: mean 1/50, standard deviation the same, and e⁻¹ of them longer than the mean.
+    /// The gaps of a Poisson process of rate 50 have mean and standard deviation 1/50, and e⁻¹ of them are longer than the mean.
     #[test]
     fn poisson_gaps_are_exponential() {
         const COUNT: usize = 40_000;

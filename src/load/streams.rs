@@ -1,7 +1,7 @@
-//! Clients of streams: each sends poses when they are due, along a path, and acknowledges the frames that come.
+//! Streaming clients: each sends the poses of a path when they are due, and acknowledges the frames that come.
 //!
-//! A stream is two tasks, so that a server which is slow to read does not keep frames from being read: one sends, one reads and
-//! hands acknowledgements over. Poses are evenly spaced, and those of several streams between each other's.
+//! A stream has two tasks, so that a server that is slow to read does not delay the reading of frames: one task sends; the other
+//! reads, and hands acknowledgements over. Poses are evenly spaced, and the poses of several streams are interleaved.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -25,29 +25,29 @@ use super::request::Connections;
 use super::wire::{FrameAnswer, complaint, resource_path};
 use crate::math::Camera;
 
-/// Acknowledgements that wait to be sent; a reader that is ahead by more waits.
+/// Acknowledgements that may wait to be sent. A reader that is further ahead waits.
 const ACKS: usize = 64;
 
-/// How long a server has to answer a close.
+/// Time in which a server has to answer a close.
 const CLOSING: Duration = Duration::from_secs(2);
 
 type Socket = WebSocketStream<TcpStream>;
 
-/// Streams of one scene.
+/// The streams of one scene.
 pub struct StreamClients {
     pub count: usize,
     pub poses_per_s: f64,
     pub prefix: String,
     pub scene: String,
-    /// The path of each.
+    /// The path of each stream.
     pub poses: Vec<Poses>,
     /// Query parameters beside the pose.
     pub parameters: Vec<(String, String)>,
-    /// How long a server may take to open a stream, to read a message, and to send its first frame.
+    /// Time in which a server has to open a stream, to read a message, and to send the first frame.
     pub timeout: Duration,
 }
 
-/// What the server says beside frames.
+/// A text message from the server.
 #[derive(Deserialize)]
 struct Event {
     event: String,
@@ -56,7 +56,7 @@ struct Event {
 }
 
 impl StreamClients {
-    /// Runs all streams for a step, beside its requests.
+    /// Runs all streams of a step, beside its requests.
     pub async fn run(
         self: Arc<Self>,
         connections: Arc<Connections>,
@@ -82,13 +82,13 @@ impl StreamClients {
         tally.lock().point()
     }
 
-    /// One frame of a stream before all others: what the daemon refuses, it refuses now.
+    /// Gets one frame from a stream before the run begins, so that a refusal by the daemon shows early.
     ///
     /// # Errors
-    /// A stream that cannot be opened, or gives no frame.
+    /// Fails if the stream cannot be opened or gives no frame.
     pub async fn try_once(&self, connections: &Connections) -> anyhow::Result<()> {
         let Some(poses) = self.poses.first() else { return Ok(()) };
-        // Trees may be built first.
+        // The daemon may have to build point trees first.
         let patience = self.timeout.max(Duration::from_secs(120));
         let tried = tokio::time::timeout(patience, self.first_frame(connections, poses));
         tried.await.unwrap_or_else(|_| bail!("a stream gave no frame in {patience:?}"))
@@ -101,7 +101,7 @@ impl StreamClients {
             match message.context("no frame on a stream")? {
                 Message::Binary(_) => {
                     let _ = socket.close(None).await;
-                    // Its place is free once the server has answered.
+                    // The daemon frees the stream's place before it answers.
                     let answered = async { while let Some(Ok(_)) = socket.next().await {} };
                     let _ = tokio::time::timeout(CLOSING, answered).await;
                     return Ok(());
@@ -118,7 +118,7 @@ impl StreamClients {
         bail!("the stream ended without a frame")
     }
 
-    /// Opens a stream that shows `first`, if that is done in time.
+    /// Opens a stream that shows `first`, within the timeout.
     async fn open(&self, connections: &Connections, first: &Camera) -> Result<Socket, String> {
         let opened = tokio::time::timeout(self.timeout, self.connect(connections, first));
         opened.await.unwrap_or_else(|_| Err(format!("no stream opened in {:?}", self.timeout)))
@@ -141,7 +141,7 @@ impl StreamClients {
     }
 }
 
-/// The words of a message that tells of a problem.
+/// The message of an event that reports a problem.
 fn problem_in(text: &str) -> Option<String> {
     let event: Event = serde_json::from_str(text).ok()?;
     (event.event == "problem").then(|| complaint(event.status, text.as_bytes()))
@@ -162,14 +162,14 @@ struct OneStream {
 }
 
 impl OneStream {
-    /// When pose `seq` is due; those of other streams lie between.
+    /// Time at which pose `seq` is due. The poses of other streams lie between.
     fn due(&self, seq: u64) -> Duration {
         let offset = self.number as f64 / self.clients.count.max(1) as f64;
         Duration::from_secs_f64((seq as f64 + offset) / self.clients.poses_per_s)
     }
 
     fn pose(&self, seq: u64) -> Option<Camera> {
-        // The first pose, that of the address, has number 0.
+        // Pose 0 is the one in the stream's URL.
         self.clients.poses.get(self.number).map(|poses| poses.pose(seq + 1))
     }
 
@@ -182,7 +182,7 @@ impl OneStream {
             Err(why) => Err((0, why)),
         };
         if let Err((sent, why)) = ended {
-            // What was still to be due has nobody to show it.
+            // Poses that would still have been due count as lost.
             let until = self.step.warmup + self.step.duration;
             let unsent = (sent..).map(|seq| (seq, self.due(seq)));
             let unsent = unsent.take_while(|(_, due)| *due < until);
@@ -195,7 +195,8 @@ impl OneStream {
         self.tally.lock().ended(&self.following.lock());
     }
 
-    /// Sends every pose of the step, and waits for the last one's frame. When it breaks: how many were due, and why.
+    /// Sends every pose of the step and waits for the last one's frame. An error says how many poses were due, and why the stream
+    /// broke.
     async fn follow(&self, socket: Socket) -> Result<(), (u64, String)> {
         let (mut sink, source) = socket.split();
         let (acks_in, mut acks) = mpsc::channel(ACKS);
@@ -243,7 +244,7 @@ impl OneStream {
             }
         }
         let _ = tokio::time::timeout(CLOSING, sink.close()).await;
-        // Its place is free once the server has answered.
+        // The daemon frees the stream's place before it answers.
         let _ = tokio::time::timeout(CLOSING, &mut reader).await;
         reader.abort();
         Ok(())
@@ -262,7 +263,7 @@ fn pose_message(seq: u64, pose: &Camera, moving: bool) -> String {
     .to_string()
 }
 
-/// Reads frames until the stream ends, and says why it did.
+/// Reads frames until the stream ends, and returns why it ended.
 async fn read(
     mut source: SplitStream<Socket>,
     acks: mpsc::Sender<u64>,

@@ -1,9 +1,9 @@
-//! What became of a step's requests, added up.
+//! Adds up how the requests of a step ended.
 //!
-//! A request's latency runs from when it was *due*, not from when it was sent: a server that stalls makes those that were due
-//! meanwhile late too, and a generator that waits for it would leave exactly these out (coordinated omission). Requests that got
-//! no answer at all (given up, broken off, not sent because too many were under way) lie above every percentile rather than
-//! nowhere. Refusals are answers of another kind: they are counted, but are no frames, and their quickness is nobody's gain.
+//! A request's latency runs from when it was *due*, not from when it was sent. A server that stalls delays the requests that were
+//! due meanwhile, and a generator that waits for the server would leave out exactly these (coordinated omission). Requests
+//! without any answer (timed out, broken off, not sent because too many were in flight) lie above every percentile. Refusals are
+//! counted, but they are not frames: their short latency is left out.
 //!
 //! ```text
 //!            │ warm-up │            window              │ drain
@@ -11,8 +11,8 @@
 //!  done           f   f    f   f      f     f   f  f   | f f    f frames before the bar are throughput
 //! ```
 //!
-//! Throughput counts frames that *arrive* within the window, whenever they were due: what arrives in the drain after it is a
-//! backlog, and counting it would have an overloaded server keep up with anything.
+//! Throughput counts frames that *arrive* within the window, whenever they were due. What arrives in the drain after it is a
+//! backlog; if it were counted, an overloaded server would seem to keep up with any rate.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -27,12 +27,12 @@ use super::wire::ReceiptAnswer;
 #[derive(Clone, Debug)]
 pub struct Answer {
     pub status: u16,
-    /// Of its body.
+    /// Length of the body.
     pub bytes: u64,
-    /// Whether it says when to come again.
+    /// Whether the answer has a `Retry-After` header.
     pub has_retry_after: bool,
     pub receipt: Option<ReceiptAnswer>,
-    /// What an answer that is neither a frame nor a refusal says.
+    /// The message of an answer that is neither a frame nor a refusal.
     pub complaint: Option<String>,
 }
 
@@ -40,34 +40,34 @@ pub struct Answer {
 #[derive(Clone, Debug)]
 pub enum Outcome {
     Answered(Answer),
-    /// Given up, for the time that a request may take was over.
+    /// Given up when the request's timeout was over.
     TimedOut,
     /// No connection could be opened.
     NotConnected(String),
     /// The connection ended before the answer did.
     BrokenOff(String),
-    /// Not sent: as many requests were under way as may be.
+    /// Not sent, because the limit of requests in flight was reached.
     NotSent,
 }
 
-/// A request from when it was due to its end, in time since the step began.
+/// A request, with times since the step began.
 #[derive(Clone, Debug)]
 pub struct Sample {
     pub due: Duration,
-    /// When the generator came to it, `due` or later.
+    /// When the generator began with it, at `due` or later.
     pub begun: Duration,
     pub done: Duration,
     pub outcome: Outcome,
 }
 
-/// Requests that were due within the window, by how they ended.
+/// Requests that were due within the window, by outcome.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counts {
     /// Statuses 200 to 299.
     pub frames: u64,
-    /// Status 304: none is asked for.
+    /// Status 304. The generator sends no conditional requests, so that there should be none.
     pub not_modified: u64,
-    /// Statuses 429 and 503, and how many of them say when to come again.
+    /// Statuses 429 and 503, and how many of these answers have a `Retry-After` header.
     pub refused: u64,
     pub refused_with_retry_after: u64,
     /// Any other status.
@@ -92,10 +92,10 @@ impl Counts {
 /// Percentiles by nearest rank, in nanoseconds. `null` where a percentile falls among requests that were never answered.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Percentiles {
-    /// Answered requests, and those that count as endless.
+    /// Number of answered requests, and of those that count as endless.
     pub answered: u64,
     pub endless: u64,
-    /// Of the answered ones.
+    /// Mean of the answered requests.
     pub mean_ns: Option<u64>,
     pub p50_ns: Option<u64>,
     pub p90_ns: Option<u64>,
@@ -122,54 +122,55 @@ impl Percentiles {
     }
 }
 
-/// What receipts say of the frames.
+/// Totals of the frames' receipts.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Receipts {
-    /// Frames that had one.
+    /// Frames that came with a receipt.
     pub read: u64,
-    /// Frames that an identical request had drawn; other than 0 only where somebody else asks for the same poses.
+    /// Frames that an identical request had drawn. Not 0 only if another client asks for the same poses.
     pub coalesced: u64,
-    /// GPU time of a frame: the passes' time divided by the frames that they drew. `null` where the adapter measures none.
+    /// GPU time per frame: the passes' time divided by the number of frames that they drew. `null` where the adapter cannot
+    /// measure it.
     pub gpu_p50_ns: Option<u64>,
     pub gpu_p99_ns: Option<u64>,
     pub queue_p50_ns: Option<u64>,
     pub queue_p99_ns: Option<u64>,
     pub encode_p50_ns: Option<u64>,
-    /// Frames to a submission, and to a dispatch of passes.
+    /// Frames per submission, and views per dispatch of passes.
     pub batch_size_mean: Option<f64>,
     pub batch_size_max: Option<u64>,
     pub views_mean: Option<f64>,
     pub views_max: Option<u64>,
 }
 
-/// One step of the curve: a rate, and what came of it.
+/// One step as a point of the saturation curve: a rate, and what was measured at it.
 #[derive(Clone, Debug, Serialize)]
 pub struct Point {
-    /// What was asked for; the arrivals' own number differs by chance.
+    /// The requested rate. The rate that was offered differs from it by chance.
     pub rate_per_s: f64,
     pub requests: u64,
     pub offered_per_s: f64,
     pub throughput_per_s: f64,
-    /// From when a request was due to the end of its answer: frames alone.
+    /// Latency of frames, from when a request was due to the end of its answer.
     pub latency: Percentiles,
-    /// From when the generator came to it: what would have been measured without minding the schedule.
+    /// Latency counted from when the generator began with a request: what a measurement without the schedule would show.
     pub service: Percentiles,
-    /// How late the generator itself was.
+    /// How late the generator began with its requests.
     pub begun_late_p99_ns: Option<u64>,
     pub begun_late_max_ns: Option<u64>,
     pub counts: Counts,
-    /// How many answers had which status.
+    /// Number of answers by status.
     pub statuses: BTreeMap<u16, u64>,
     pub bytes: u64,
     pub bytes_per_s: f64,
     pub receipts: Receipts,
-    /// The first failure in its own words.
+    /// Message of the first failure.
     pub first_failure: Option<String>,
     /// What streams beside the requests got; `null` where there are none.
     pub streams: Option<StreamPoint>,
 }
 
-/// Adds up a step.
+/// Adds up the samples of a step.
 #[derive(Clone, Debug)]
 pub struct Tally {
     from: Duration,
@@ -197,7 +198,7 @@ pub fn ns(time: Duration) -> u64 {
 }
 
 impl Tally {
-    /// Counts what is due from `warmup` on, for `length`.
+    /// Counts what is due from `warmup` on, for a time of `length`.
     pub fn new(warmup: Duration, length: Duration) -> Self {
         Self {
             from: warmup,
@@ -288,7 +289,7 @@ impl Tally {
         }
     }
 
-    /// The adapter and the settings that the first receipt names.
+    /// The adapter and the settings in the first receipt.
     pub fn first_receipt(&self) -> (Option<String>, serde_json::Value) {
         (self.adapter.clone(), self.settings.clone())
     }
@@ -370,11 +371,11 @@ mod tests {
     #[test]
     fn the_window_leaves_out_warm_up_and_backlog() {
         let mut tally = Tally::new(MS * 100, MS * 1000);
-        tally.record(sample(50, 50, 150, answer(200))); // due before it, arrives within it
-        tally.record(sample(60, 60, 90, answer(200))); // all before it
+        tally.record(sample(50, 50, 150, answer(200))); // due before the window, arrives within it
+        tally.record(sample(60, 60, 90, answer(200))); // entirely before the window
         tally.record(sample(200, 200, 210, answer(200)));
-        tally.record(sample(1000, 1000, 1500, answer(200))); // due within it, arrives after it
-        tally.record(sample(1100, 1100, 1110, answer(200))); // due when it is over
+        tally.record(sample(1000, 1000, 1500, answer(200))); // due within the window, arrives after it
+        tally.record(sample(1100, 1100, 1110, answer(200))); // due after the window
         let point = tally.point(2.0);
         assert_eq!((point.requests, point.counts.frames), (2, 2));
         assert_eq!((point.throughput_per_s, point.offered_per_s), (2.0, 2.0));
@@ -412,7 +413,7 @@ mod tests {
         assert_eq!(point.statuses[&503], 2);
         assert_eq!(point.first_failure.as_deref(), Some("404: no"));
         assert_eq!(point.throughput_per_s, 3.0);
-        // Three answers and four that never came: the median is not to be had.
+        // With three answers and four requests without an answer there is no median.
         assert_eq!((point.latency.answered, point.latency.endless), (3, 4));
         assert_eq!((point.latency.p50_ns, point.latency.max_ns), (None, None));
         assert!(point.latency.mean_ns.is_some());

@@ -1,4 +1,4 @@
-//! Bounds that a run must stay within, for scripts and CI: a broken bound ends the program with [`EXIT_CODE`].
+//! Thresholds for scripts and CI: if a run exceeds one, the program ends with [`EXIT_CODE`].
 
 use clap::Args;
 use serde::Serialize;
@@ -6,7 +6,7 @@ use serde::Serialize;
 use super::report::{Report, ms, three_digits};
 use super::tally::Point;
 
-/// Exit code of a run that was measured, and that went beyond a threshold.
+/// Exit code of a run that was measured and exceeded a threshold.
 pub const EXIT_CODE: u8 = 3;
 
 /// Thresholds of a run; each rate is held against all that are given.
@@ -60,10 +60,10 @@ fn share(text: &str) -> Result<f64, String> {
 }
 
 impl Thresholds {
-    /// What went beyond a threshold, a line each.
+    /// A message for each threshold that the report exceeds.
     pub fn broken(&self, report: &Report) -> Vec<String> {
         let mut broken = Vec::new();
-        // A search goes beyond what a daemon can do, as that is how the knee is found.
+        // A search exceeds the daemon's capacity on purpose: this is how it finds the knee.
         if report.knee.is_none() {
             broken.extend(report.points.iter().flat_map(|judged| self.broken_at(&judged.point)));
         }
@@ -90,7 +90,7 @@ impl Thresholds {
         ];
         for (name, flag, most_ms, found_ns) in percentiles {
             let Some(most_ms) = most_ms else { continue };
-            // Without one frame there is no percentile that would be good enough.
+            // Without a single frame there is no percentile, and every bound is exceeded.
             if found_ns.is_none_or(|found_ns| found_ns as f64 / 1e6 > most_ms) {
                 let found = found_ns.map_or("lost".to_owned(), |_| format!("{} ms", ms(found_ns)));
                 broken.push(format!("{at} {name} is {found}, and {flag} is {most_ms}"));
@@ -145,7 +145,7 @@ mod tests {
     #[test]
     fn each_threshold_has_its_figure() {
         assert_eq!(broken(Thresholds::default(), 40, 10), [] as [String; 0]);
-        // 40 frames of 1 to 40 ms.
+        // 40 frames that take 1 to 40 ms.
         let p99 = |ms| Thresholds { fail_p99_ms: Some(ms), ..Thresholds::default() };
         assert_eq!(broken(p99(50.0), 40, 40), [] as [String; 0]);
         let found = broken(p99(20.0), 40, 40);
@@ -153,7 +153,7 @@ mod tests {
             found[0].starts_with("at 40.0/s p99 is ") && found[0].ends_with("--fail-p99-ms is 20"),
             "{found:?}"
         );
-        // 10 frames; of the other 30 one half is lost, one half refused.
+        // 10 frames; of the other 30 requests, half are lost and half are refused.
         assert!(broken(p99(1000.0), 40, 10)[0].contains("p99 is lost"));
         let lost = |share| Thresholds { fail_lost: Some(share), ..Thresholds::default() };
         assert_eq!(broken(lost(0.375), 40, 10), [] as [String; 0]);

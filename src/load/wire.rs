@@ -1,16 +1,16 @@
-//! What is sent to the daemon and read from its answers: its HTTP contract and nothing else of it.
+//! The part of the daemon's HTTP contract that the generator uses: the requests that it sends, and the answers that it reads.
 
 use anyhow::{Context, bail, ensure};
 use serde::Deserialize;
 
 use crate::math::Camera;
 
-/// Where the daemon is.
+/// Address of the daemon.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Target {
     pub host: String,
     pub port: u16,
-    /// What paths begin with: empty, or `/prefix`.
+    /// Prefix of all paths: empty, or `/prefix`.
     pub prefix: String,
 }
 
@@ -18,7 +18,7 @@ impl Target {
     /// Reads `http://HOST[:PORT][/PREFIX]`.
     ///
     /// # Errors
-    /// Anything else, https above all.
+    /// Fails for anything else, above all for https.
     pub fn parse(text: &str) -> anyhow::Result<Self> {
         let uri: hyper::Uri = text.parse().with_context(|| format!("{text}: not a URL"))?;
         match uri.scheme_str() {
@@ -38,7 +38,7 @@ impl Target {
         })
     }
 
-    /// What the header `Host` says.
+    /// The value of the header `Host`.
     pub fn authority(&self) -> String {
         if self.host.contains(':') {
             format!("[{}]:{}", self.host, self.port)
@@ -48,7 +48,7 @@ impl Target {
     }
 }
 
-/// Bytes outside of the unreserved characters as `%XX`.
+/// Percent-encodes all bytes but unreserved characters and commas.
 pub fn percent_encoded(text: &str) -> String {
     let mut encoded = String::with_capacity(text.len());
     for byte in text.bytes() {
@@ -61,7 +61,7 @@ pub fn percent_encoded(text: &str) -> String {
     encoded
 }
 
-/// The path and query of a `frame` or a `stream`. `parameters` are those that stay the same from request to request.
+/// The path and query of a `frame` or a `stream`. `parameters` are those that do not change between requests.
 pub fn resource_path(
     prefix: &str,
     scene: &str,
@@ -84,7 +84,7 @@ pub fn resource_path(
     path
 }
 
-/// Of a scene, what poses need.
+/// The fields of a scene that poses need.
 #[derive(Clone, Debug, Deserialize)]
 pub struct SceneAnswer {
     pub id: String,
@@ -113,7 +113,7 @@ impl CameraAnswer {
     }
 }
 
-/// Of a receipt, what is added up. What an adapter cannot measure is `None`.
+/// The fields of a receipt that the tally adds up. A time that the adapter cannot measure is `None`.
 #[derive(Clone, Debug, Deserialize)]
 pub struct ReceiptAnswer {
     pub adapter: String,
@@ -121,7 +121,7 @@ pub struct ReceiptAnswer {
     pub queue_ns: u64,
     pub encode_ns: u64,
     pub batch_size: u32,
-    /// Frames that `gpu_ns` is for.
+    /// Number of frames that share `gpu_ns`.
     pub views: u32,
     #[serde(default)]
     pub coalesced: bool,
@@ -129,7 +129,7 @@ pub struct ReceiptAnswer {
     pub settings: serde_json::Value,
 }
 
-/// Of a stream's frame, what is added up.
+/// The fields of a stream's frame that the tally adds up.
 #[derive(Clone, Debug, Deserialize)]
 pub struct FrameAnswer {
     pub frame: u64,
@@ -146,7 +146,7 @@ impl FrameAnswer {
     }
 }
 
-/// The header, as JSON, and the image of a stream's binary message. `None` where it is cut off.
+/// Splits a stream's binary message into its header, which is JSON, and its image. `None` if the message is cut off.
 pub fn header_and_image(message: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, rest) = message.split_first_chunk::<4>()?;
     rest.split_at_checked(u32::from_le_bytes(*length) as usize)
@@ -163,7 +163,7 @@ impl FrameAnswer {
     }
 }
 
-/// What went wrong, in the words of a problem document, or as much of the body as fits a line.
+/// Describes a failed request: the text of the problem document, or as much of the body as fits on a line.
 pub fn complaint(status: u16, body: &[u8]) -> String {
     let problem: Option<serde_json::Value> = serde_json::from_slice(body).ok();
     let word = |key: &str| problem.as_ref()?.get(key)?.as_str().map(str::to_owned);

@@ -17,7 +17,7 @@ impl Default for Bounds {
 }
 
 impl Bounds {
-    /// The box that holds nothing, the neutral element of [`Bounds::union`].
+    /// The empty box, which is the neutral element of [`Bounds::union`].
     pub const EMPTY: Bounds = Bounds { min: DVec3::INFINITY, max: DVec3::NEG_INFINITY };
 
     /// The smallest box around `points`.
@@ -29,7 +29,7 @@ impl Bounds {
         bounds
     }
 
-    /// As [`Bounds::of`], on all threads.
+    /// As [`Bounds::of`], in parallel on all threads.
     pub fn of_all(points: &[DVec3]) -> Bounds {
         const PART: usize = 1 << 16;
         let boxes: Vec<Bounds> =
@@ -50,17 +50,17 @@ impl Bounds {
         Bounds { min: self.min.min(other.min), max: self.max.max(other.max) }
     }
 
-    /// The middle, or the origin for an empty box.
+    /// The middle; the origin for an empty box.
     pub fn centre(&self) -> DVec3 {
         if self.is_empty() { DVec3::ZERO } else { self.min * 0.5 + self.max * 0.5 }
     }
 
-    /// Edge lengths, zero for an empty box.
+    /// The edge lengths; zero for an empty box.
     pub fn extent(&self) -> DVec3 {
         if self.is_empty() { DVec3::ZERO } else { self.max - self.min }
     }
 
-    /// With `margin` more on every side; an empty box stays empty.
+    /// The box enlarged by `margin` on every side. An empty box stays empty.
     pub fn grown(&self, margin: f64) -> Bounds {
         if self.is_empty() {
             return *self;
@@ -68,7 +68,7 @@ impl Bounds {
         Bounds { min: self.min - margin, max: self.max + margin }
     }
 
-    /// The eight corners; those of an empty box are at the origin.
+    /// The eight corners. Those of an empty box are at the origin.
     pub fn corners(&self) -> [DVec3; 8] {
         let (centre, half) = (self.centre(), self.extent() * 0.5);
         std::array::from_fn(|corner| {
@@ -77,7 +77,7 @@ impl Bounds {
         })
     }
 
-    /// The box around this one's image under an affine map.
+    /// The bounding box of this box's image under an affine map.
     pub fn transformed(&self, map: &DAffine3) -> Bounds {
         if self.is_empty() {
             return Bounds::EMPTY;

@@ -1,13 +1,12 @@
 //! Pinhole cameras.
 //!
-//! View space is right-handed with x to the right, y **up** and the viewing direction along **−z**;
-//! image space has its origin at the top left, x to the right, y down, pixel `(i, j)` covering
-//! `[i, i+1) × [j, j+1)` with its centre at `(i + ½, j + ½)`.
+//! View space is right-handed with x to the right, y **up** and the viewing direction along **−z**. Image space has its origin at
+//! the top left, x to the right and y down. Pixel `(i, j)` covers `[i, i+1) × [j, j+1)`, with its centre at `(i + ½, j + ½)`.
 
 use glam::{DAffine3, DMat3, DMat4, DVec2, DVec3, DVec4};
 use serde::{Deserialize, Serialize};
 
-/// A pose: where the eye is, what it looks at, and how wide it sees.
+/// A pose: the eye, the point that it looks at, and the field of view.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
     pub eye: DVec3,
@@ -26,17 +25,17 @@ pub struct SensorView {
     pub aspect: f64,
 }
 
-/// What a file tells of the sensor that took its points.
+/// The sensor that took a file's points, as far as the file describes it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Sensor {
-    /// A camera, which looked one way.
+    /// A camera, which took an image in one direction.
     View(SensorView),
-    /// A scanner, which looked around from here.
+    /// A scanner, which measured in all directions from this place.
     Place(DVec3),
 }
 
 impl SensorView {
-    /// A camera with the sensor's pose that sees at least what the sensor saw, for an image of this aspect.
+    /// A camera at the sensor's pose whose image of this aspect ratio shows at least what the sensor saw.
     pub fn camera_for(&self, aspect: f64) -> Camera {
         let tan = (0.5 * self.camera.fov_deg.to_radians()).tan() * (self.aspect / aspect).max(1.0);
         let [least, most] = FOV_RANGE_DEG;
@@ -44,13 +43,13 @@ impl SensorView {
     }
 }
 
-/// Coordinates beyond this are refused: their squares must stay finite.
+/// Largest coordinate. Beyond it squares might overflow.
 pub const FARTHEST: f64 = 1e100;
 
 /// Vertical fields of view that a camera can have, in degrees. Beyond them, the tangent of half the angle loses its digits.
 pub const FOV_RANGE_DEG: [f64; 2] = [1e-6, 179.999_999];
 
-/// A pose that cannot be drawn, naming the parameter at fault.
+/// The error of a pose that cannot be drawn, with the parameter at fault.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{parameter}: {reason}")]
 pub struct CameraError {
@@ -58,8 +57,7 @@ pub struct CameraError {
     pub reason: String,
 }
 
-/// What projection needs, in f64: the eye, the rotation into view space, and a linear map from
-/// view directions to pixels.
+/// The projection in f64: the eye, the rotation into view space, and a linear map from view directions to pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     /// The eye in world space.
@@ -68,18 +66,18 @@ pub struct View {
     pub view_from_world: DMat3,
     /// Pixels per unit of `x/−z` and `y/−z`.
     pub focal_px: DVec2,
-    /// Where the optical axis meets the image, in pixels.
+    /// The point of the image on the optical axis, in pixels.
     pub principal_px: DVec2,
     pub width: u32,
     pub height: u32,
 }
 
-/// Vertical field of view in degrees up to which a camera is widened for a frame that is higher than wide.
+/// Vertical field of view in degrees up to which a camera is widened for a portrait frame.
 const WIDEST_DEG: f64 = 100.0;
 
 impl Camera {
-    /// This camera for a frame of `width` × `height`. Cameras are made for frames at least as wide as they are high; a narrower frame
-    /// shows as much of the width and more of the height. The field of view grows up to 100 degrees for that.
+    /// This camera for a frame of `width` × `height`. Cameras are made for frames at least as wide as high. A narrower frame
+    /// shows the same width and more height; for this the field of view grows to at most 100 degrees.
     pub fn for_frame(&self, width: u32, height: u32) -> Camera {
         if height <= width {
             return *self;
@@ -92,8 +90,8 @@ impl Camera {
     /// The view of a `width` × `height` frame.
     ///
     /// # Errors
-    /// Non-finite numbers, `eye == target`, a zero `up`, or a field of view outside [`FOV_RANGE_DEG`].
-    /// An `up` along the viewing direction is replaced by the axis farthest from it.
+    /// Numbers are not finite, `eye == target`, `up` is zero, or the field of view is outside [`FOV_RANGE_DEG`]. An `up` along
+    /// the viewing direction is no error: the axis farthest from it replaces it.
     pub fn view(&self, width: u32, height: u32) -> Result<View, CameraError> {
         let fail =
             |parameter, reason: &str| Err(CameraError { parameter, reason: reason.to_owned() });
@@ -147,8 +145,8 @@ impl View {
     /// A view from column-major `view` (world → view, rigid) and `proj` (view → clip, perspective) matrices.
     ///
     /// # Errors
-    /// Matrices that are not finite, a view that scales or mirrors, a projection that is not a plain
-    /// (possibly off-centre) perspective.
+    /// The matrices are not finite, the view scales or mirrors, or the projection is not a plain (possibly off-centre)
+    /// perspective.
     pub fn from_matrices(
         view: DMat4,
         proj: DMat4,
@@ -196,12 +194,12 @@ impl View {
         })
     }
 
-    /// A world point in view space (−z is in front).
+    /// Transforms a world point to view space (−z is in front).
     pub fn to_view(&self, world: DVec3) -> DVec3 {
         self.view_from_world * (world - self.eye)
     }
 
-    /// A view-space point in pixels, or `None` at or behind the camera plane.
+    /// Projects a view-space point to pixels; `None` at or behind the camera plane.
     pub fn project(&self, view: DVec3) -> Option<DVec2> {
         let depth = -view.z;
         (depth > 0.0).then(|| {
@@ -212,7 +210,7 @@ impl View {
         })
     }
 
-    /// The view-space direction through an image position, with z = −1 (so that a depth scales it).
+    /// The view-space direction through an image position, scaled to z = −1, so that multiplying by a depth gives the point.
     pub fn ray(&self, pixel: DVec2) -> DVec3 {
         DVec3::new(
             (pixel.x - self.principal_px.x) / self.focal_px.x,
@@ -221,7 +219,7 @@ impl View {
         )
     }
 
-    /// World space → view space as one affine map.
+    /// World space to view space as an affine map.
     pub fn view_affine(&self) -> DAffine3 {
         DAffine3::from_mat3_translation(self.view_from_world, self.view_from_world * -self.eye)
     }

@@ -1,4 +1,4 @@
-//! The camera that shows given points as large as a frame allows.
+//! Computes the camera that shows given points as large as the frame allows.
 //!
 //! For a viewing direction and a field of view, an eye sees all points when each lies on the inner side of four planes through the
 //! eye. Only the point that lies farthest beyond each plane's direction matters, so the nearest such eye has a closed form: with x to the right, y up
@@ -11,16 +11,16 @@ use glam::DVec3;
 
 use super::Camera;
 
-/// Share of the frame's width or height that the content takes, whichever it fills first.
+/// Share of the frame's width or height that the content fills, whichever it fills first.
 const FILLED: f64 = 0.9;
-/// Share that it may take together with what is drawn around its points.
+/// Share that the content may fill together with what is drawn around its points.
 const FILLED_AROUND: f64 = 0.98;
-/// Nothing may be nearer to the eye than this share of the content's size.
+/// Smallest distance to the eye, as a share of the content's size.
 const NEAREST: f64 = 0.05;
-/// Distance from which content without any size is seen.
+/// Distance of the eye from content without extent.
 const FROM_A_POINT: f64 = 1.0;
 
-/// A way to look at something.
+/// A viewing direction, with the properties of the frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Look {
     /// Unit vector from the content towards the eye.
@@ -30,7 +30,7 @@ pub struct Look {
     pub fov_deg: f64,
     /// Width of the frame over its height.
     pub aspect: f64,
-    /// Distance around each point within which something is drawn.
+    /// Radius around each point within which something is drawn.
     pub reach: f64,
 }
 
@@ -41,15 +41,16 @@ fn planes(points: &[DVec3], axis: usize, t: f64) -> (f64, f64) {
     })
 }
 
-/// Distance along the viewing axis from which everything fits between the planes of slope `t`, with a sphere around each point.
+/// The distance along the viewing axis from which everything fits between the planes of slope `t`, with a sphere around each
+/// point.
 fn needed(points: &[DVec3], axis: usize, t: f64, radius: f64) -> f64 {
     let (high, low) = planes(points, axis, t);
     (0.5 * (high + low) + radius * (1.0 + t * t).sqrt()) / t
 }
 
-/// Place of an eye, `distance` along the viewing axis, from which the content is in the middle of the frame.
+/// The eye's coordinate at `distance` along the viewing axis that centres the content in the frame.
 fn centred(points: &[DVec3], axis: usize, widest: f64, distance: f64) -> f64 {
-    // The slope at which the content touches both planes. The distance needed falls with the slope.
+    // Find the slope at which the content touches both planes. The distance needed decreases with the slope.
     let (mut narrow, mut wide) = (0.0, widest);
     for _ in 0..48 {
         let middle = 0.5 * (narrow + wide);
@@ -71,7 +72,7 @@ pub fn frame(points: &[DVec3], look: &Look) -> Camera {
     let above = backward.cross(right);
     let low = points.iter().copied().reduce(DVec3::min).unwrap_or_default();
     let high = points.iter().copied().reduce(DVec3::max).unwrap_or_default();
-    // Counted from the middle, so that far coordinates keep their digits.
+    // Relative to the middle, so that far coordinates keep their digits.
     let centre = low * 0.5 + high * 0.5;
     let points: Vec<DVec3> = points
         .iter()
@@ -84,7 +85,7 @@ pub fn frame(points: &[DVec3], look: &Look) -> Camera {
     let tan = (0.5 * fov_deg).to_radians().tan();
     let [tan_x, tan_y] = [aspect, 1.0].map(|sides| FILLED * tan * sides);
     let least = if size > 0.0 { NEAREST * size } else { FROM_A_POINT };
-    // Less than this does not change the coordinates.
+    // A smaller distance would not change the coordinates.
     let mut distance = front + least.max(1e-12 * centre.length());
     let (mut x, mut y) = (0.0, 0.0);
     if size > 0.0 {
@@ -152,7 +153,7 @@ mod tests {
             let [low, high] = shown(&points, &camera, aspect);
             prop_assert!(low.min_element() > 0.049 && high.max_element() < 0.951, "{low} {high}");
             let seen = high - low;
-            // A line along the viewing direction is a dot from anywhere in front of it; its near end keeps its distance.
+            // A line along the viewing direction is a dot from anywhere in front of it. Its near end keeps a distance to the eye.
             let backward = (camera.eye - camera.target).normalize_or(DVec3::Z);
             let depth = |p: &DVec3| (camera.eye - *p).dot(backward);
             let nearest = points.iter().map(depth).fold(f64::MAX, f64::min);
@@ -173,7 +174,7 @@ mod tests {
             let places = square.map(|p| [p - DVec3::Y * reach, p + DVec3::Y * reach]);
             (camera, shown(&places.concat(), &camera, 1.0))
         };
-        // Splats within the margin change nothing.
+        // Splats within the margin do not change the camera.
         assert_eq!(shown_with(0.02).0, shown_with(0.0).0);
         let (_, [low, high]) = shown_with(0.5);
         assert!((0.005..0.03).contains(&low.y) && (0.97..0.995).contains(&high.y), "{low} {high}");
@@ -191,7 +192,7 @@ mod tests {
         let camera = frame(&[point], &look(DVec3::Z, 1.0));
         assert_eq!(camera.target, point);
         assert!((camera.eye.distance(point) - FROM_A_POINT).abs() < 1e-6);
-        // Seen along the line: at its near end, and not in it.
+        // A line along the viewing direction: the eye is in front of its near end, not inside it.
         let line = [DVec3::ZERO, DVec3::Z, DVec3::Z * 4.0];
         assert!(frame(&line, &look(DVec3::Z, 1.0)).eye.z > 4.1);
         assert!(frame(&[], &look(DVec3::Z, 1.0)).view(8, 8).is_ok());

@@ -1,20 +1,21 @@
 //! Centripetal Catmull–Rom curves (P. J. Barry, R. N. Goldman, *A Recursive Evaluation Algorithm for a Class of Catmull-Rom
 //! Splines*, SIGGRAPH 1988, with the knots of E. Catmull and R. Rom's α = ½).
 //!
-//! Knots are as far apart as the square roots of the distances between points. With those, and with no others, no part of the
-//! curve between two points has a cusp or crosses itself, however unevenly the points are spaced (C. Yuksel, S. Schaefer, J. Keyser,
-//! *Parameterization and Applications of Catmull-Rom Curves*, Computer-Aided Design 43, 2011). The curve is written here in
-//! Hermite form, from tangents at the points, because differences of neighbours lose nothing at large coordinates.
+//! The distance of neighbouring knots is the square root of the distance of their points. Only with this choice no part of the
+//! curve between two points has a cusp or crosses itself, however unevenly the points are spaced (C. Yuksel, S. Schaefer, J.
+//! Keyser, *Parameterization and Applications of Catmull-Rom Curves*, Computer-Aided Design 43, 2011). The curve is evaluated in
+//! Hermite form, from tangents at the points, because differences of neighbours keep their digits at large coordinates.
 
 use glam::DVec3;
 
-/// How far apart the knots of two points are: the square root of their distance.
+/// Distance of the knots of two points: the square root of the points' distance.
 pub fn knot_interval(a: DVec3, b: DVec3) -> f64 {
     a.distance(b).sqrt()
 }
 
-/// Derivatives of the curve through `points` by its knots, one a point. Neighbours must not coincide. Before the first point and
-/// after the last the curve goes on as if its neighbour were mirrored there; a single point has no direction, hence zero.
+/// Derivatives of the curve through `points` with respect to its knots, one per point. Neighbours must not coincide. Beyond its
+/// ends the curve continues as if the neighbour of the end were mirrored there. A single point has no direction, so its
+/// derivative is zero.
 pub fn tangents(points: &[DVec3]) -> Vec<DVec3> {
     let slope = |i: usize| (points[i + 1] - points[i]) / knot_interval(points[i], points[i + 1]);
     let last = points.len().saturating_sub(1);
@@ -33,7 +34,7 @@ pub fn tangents(points: &[DVec3]) -> Vec<DVec3> {
         .collect()
 }
 
-/// The cubic from `a` at `u = 0` to `b` at `u = 1`, with its derivatives by `u` there.
+/// The cubic from `a` at `u = 0` to `b` at `u = 1`, with these derivatives with respect to `u` at its ends.
 pub fn hermite(a: DVec3, b: DVec3, slope_a: DVec3, slope_b: DVec3, u: f64) -> DVec3 {
     let v = 1.0 - u;
     a + (b - a) * (u * u * (3.0 - 2.0 * u)) + slope_a * (u * v * v) - slope_b * (u * u * v)
@@ -45,7 +46,7 @@ mod tests {
 
     use super::*;
 
-    /// One part of the curve, between the second and the third point, by Barry and Goldman's pyramid.
+    /// A part of the curve, between the second and the third point, by Barry and Goldman's pyramid.
     fn pyramid(p: [DVec3; 4], alpha: f64, u: f64) -> DVec3 {
         let mut t = [0.0; 4];
         for i in 0..3 {
@@ -88,7 +89,7 @@ mod tests {
         (0..=4000).map(|i| of(f64::from(i) / 4000.0)).collect()
     }
 
-    /// A short part between two long ones: with even knots it loops, with the square roots it does not.
+    /// A short part between two long ones: evenly spaced knots give a loop, square roots do not.
     #[test]
     fn no_loop_where_even_knots_make_one() {
         let p = [(-9.0, -6.0), (0.0, 0.0), (1.0, 0.0), (10.0, -6.0)];

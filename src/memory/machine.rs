@@ -1,12 +1,12 @@
-//! What memory the machine has, and what this process holds of it.
+//! The machine's memory limits, and the memory of this process.
 
 use std::fs;
 
-/// Budget where the machine does not say what it has.
+/// Budget if no limit is known.
 const FALLBACK: u64 = 2 << 30;
 
-/// Half of the memory that this process may use: of the machine's, its cgroup's, or its address space limit's, whichever
-/// is least.
+/// Half of the memory that this process may use: the smallest of the machine's memory, the limit of its cgroup, and the limit of
+/// its address space.
 pub fn default_budget() -> u64 {
     let sources = [machine_bytes(), cgroup_bytes(), address_space_bytes()];
     sources.into_iter().flatten().min().map_or(FALLBACK, |bytes| bytes / 2)
@@ -16,30 +16,30 @@ fn machine_bytes() -> Option<u64> {
     kib_line(&fs::read_to_string("/proc/meminfo").ok()?, "MemTotal:")
 }
 
-/// Bytes of this process that are in the machine's memory now, where the system tells.
+/// Resident bytes of this process, where the system reports them.
 pub fn resident_bytes() -> Option<u64> {
     kib_line(&fs::read_to_string("/proc/self/status").ok()?, "VmRSS:")
 }
 
-/// The bytes of a line such as `MemTotal:  1024 kB`.
+/// The bytes in a line such as `MemTotal:  1024 kB`.
 fn kib_line(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     kib.checked_mul(1024)
 }
 
-/// What `ulimit -v` allows this process.
+/// The limit of the address space (`ulimit -v`).
 fn address_space_bytes() -> Option<u64> {
     address_space(&fs::read_to_string("/proc/self/limits").ok()?)
 }
 
-/// The soft limit of the address space in `/proc/self/limits`.
+/// Reads the soft limit of the address space from `/proc/self/limits`.
 fn address_space(text: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix("Max address space"))?;
     line.split_ascii_whitespace().next()?.parse().ok()
 }
 
-/// The least limit of the cgroups that this process is in, of version 2 or 1.
+/// The smallest limit of the cgroups of this process, version 2 or 1.
 fn cgroup_bytes() -> Option<u64> {
     let groups = fs::read_to_string("/proc/self/cgroup").ok()?;
     limit_files(&groups)
@@ -48,7 +48,7 @@ fn cgroup_bytes() -> Option<u64> {
         .min()
 }
 
-/// Files that may hold a limit: of every group in `/proc/self/cgroup` and those above it.
+/// Files that may hold a limit, for every group in `/proc/self/cgroup` and its ancestors.
 fn limit_files(groups: &str) -> Vec<String> {
     let mut files = Vec::new();
     for line in groups.lines() {
@@ -73,14 +73,14 @@ fn limit_files(groups: &str) -> Vec<String> {
     files
 }
 
-/// Size from which an allocation is a mapping of its own: larger than what a frame of 1024 × 1024 holds at once.
+/// Size from which an allocation gets its own mapping. It is larger than anything that a frame of 1024 × 1024 allocates at once.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const MAPPED_BYTES: libc::c_int = 6 << 20;
 
-/// Sets up the allocator, before threads are started. Large allocations go back to the system when they are freed: glibc
-/// learns otherwise to keep blocks of up to 32 MiB, and small blocks that are still in use then hold scenes that are gone.
-/// Where the address space is limited there are few arenas: glibc reserves 64 MiB of addresses for each, and makes up to
-/// eight a core.
+/// Sets up the allocator; to be called before threads are started. With a fixed threshold, large allocations go back to the
+/// system when they are freed. By default glibc adapts and keeps blocks of up to 32 MiB, and small blocks in use then pin the
+/// memory of removed scenes. If the address space is limited, there are only two arenas: glibc reserves 64 MiB of addresses for
+/// each, and makes up to eight per core.
 pub fn set_up_allocator() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     #[allow(unsafe_code, reason = "mallopt has no safe wrapper")]
@@ -93,8 +93,8 @@ pub fn set_up_allocator() {
     }
 }
 
-/// Returns freed memory to the system. glibc keeps freed blocks in its arenas, below blocks that are still in use; after a
-/// scene was deleted that may be most of the scene.
+/// Returns freed memory to the system. glibc keeps freed blocks in its arenas below blocks that are in use, which can be most of
+/// a deleted scene.
 pub fn release_unused() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     #[allow(unsafe_code, reason = "malloc_trim has no safe wrapper")]

@@ -1,4 +1,4 @@
-//! The host-memory budget: what loading, baking and JSON may hold, admitted before it is allocated (floor 0).
+//! The host-memory budget: limits what loading, baking and JSON may allocate, before they allocate it (floor 0).
 //!
 //! [`HostMemory`] is one budget for the whole process. A [`Reservation`] holds some of its bytes and gives them back when
 //! it is dropped. An [`Admission`] is one load's share of the budget: it grows step by step as the load learns what it needs,
@@ -16,7 +16,7 @@ use parking_lot::Mutex;
 
 pub use machine::{default_budget, release_unused, resident_bytes, set_up_allocator};
 
-/// A budget of host memory; clones share it.
+/// A budget of host memory. Clones share it.
 #[derive(Clone, Debug)]
 pub struct HostMemory(Arc<Ledger>);
 
@@ -26,29 +26,29 @@ struct Ledger {
     in_use: AtomicU64,
 }
 
-/// Bytes of a budget, given back when this is dropped.
+/// Reserved bytes of a budget, released when this is dropped.
 #[derive(Debug)]
 pub struct Reservation {
     memory: HostMemory,
     bytes: u64,
 }
 
-/// Why bytes were not granted.
+/// A reservation that was refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{what} needs {needed} bytes of host memory; {in_use} of the budget of {budget} bytes are in use"
 )]
 pub struct OutOfMemory {
     pub what: String,
-    /// Bytes that the holder would have had in all, those that it holds already included.
+    /// Bytes that the holder would have in total, including those that it has already.
     pub needed: u64,
-    /// Bytes that others hold.
+    /// Bytes that other holders have.
     pub in_use: u64,
     pub budget: u64,
 }
 
 impl OutOfMemory {
-    /// Whether the bytes would not be granted even if nothing else were in use.
+    /// Whether the bytes would be refused even if nothing else were in use.
     pub fn is_hopeless(&self) -> bool {
         self.needed > self.budget
     }
@@ -81,20 +81,20 @@ impl HostMemory {
         self.0.in_use.load(Ordering::Relaxed)
     }
 
-    /// Whether `bytes` would be granted now.
+    /// Whether `bytes` more would be granted now.
     pub fn has_room(&self, bytes: u64) -> bool {
         self.in_use().checked_add(bytes).is_some_and(|sum| sum <= self.budget())
     }
 
-    /// A reservation of nothing, to be grown.
+    /// An empty reservation, which can grow.
     pub fn empty(&self) -> Reservation {
         Reservation { memory: self.clone(), bytes: 0 }
     }
 
-    /// Reserves `bytes` for `what`, which the error names.
+    /// Reserves `bytes` for `what`, a name that appears in the error.
     ///
     /// # Errors
-    /// [`OutOfMemory`] with all figures; nothing is reserved then.
+    /// [`OutOfMemory`] with all figures. Nothing is reserved then.
     pub fn reserve(&self, what: &str, bytes: u64) -> Result<Reservation, OutOfMemory> {
         let mut reservation = self.empty();
         reservation.grow(what, bytes)?;
@@ -103,7 +103,7 @@ impl HostMemory {
 }
 
 impl Default for Reservation {
-    /// Nothing, of a budget of its own.
+    /// An empty reservation of an unlimited budget.
     fn default() -> Self {
         HostMemory::unlimited().empty()
     }
@@ -114,7 +114,7 @@ impl Reservation {
         self.bytes
     }
 
-    /// Reserves `bytes` of the same budget.
+    /// Makes another reservation of `bytes` in the same budget.
     ///
     /// # Errors
     /// [`OutOfMemory`].
@@ -122,10 +122,10 @@ impl Reservation {
         self.memory.reserve(what, bytes)
     }
 
-    /// Reserves `extra` bytes more.
+    /// Reserves `extra` more bytes.
     ///
     /// # Errors
-    /// [`OutOfMemory`]; what was reserved before stays.
+    /// [`OutOfMemory`]. The reservation is then unchanged.
     pub fn grow(&mut self, what: &str, extra: u64) -> Result<(), OutOfMemory> {
         let Ledger { budget, in_use } = &*self.memory.0;
         let add = |used: u64| used.checked_add(extra).filter(|sum| sum <= budget);
@@ -143,14 +143,14 @@ impl Reservation {
         }
     }
 
-    /// Gives back all but `bytes`.
+    /// Releases all but `bytes`.
     pub fn shrink_to(&mut self, bytes: u64) {
         let surplus = self.bytes.saturating_sub(bytes);
         self.bytes -= surplus;
         self.memory.0.in_use.fetch_sub(surplus, Ordering::Relaxed);
     }
 
-    /// Splits off `bytes`, or all where there are fewer.
+    /// Splits off `bytes`, or everything if there are fewer.
     #[must_use]
     pub fn split(&mut self, bytes: u64) -> Reservation {
         let bytes = bytes.min(self.bytes);
@@ -165,7 +165,7 @@ impl Drop for Reservation {
     }
 }
 
-/// What one load holds of the budget, and whether the load is still wanted. Clones share both.
+/// The share of the budget that one load holds, and whether the load is still wanted. Clones share both.
 #[derive(Clone, Debug)]
 pub struct Admission(Arc<Admitted>);
 
@@ -188,7 +188,7 @@ impl Admission {
         Admission(Arc::new(Admitted { is_cancelled: AtomicBool::new(false), held }))
     }
 
-    /// Has the load end at its next step.
+    /// Makes the load end at its next step.
     pub fn cancel(&self) {
         self.0.is_cancelled.store(true, Ordering::Relaxed);
     }
@@ -197,7 +197,7 @@ impl Admission {
         self.0.is_cancelled.load(Ordering::Relaxed)
     }
 
-    /// Asks whether the load goes on.
+    /// Checks whether the load was cancelled.
     ///
     /// # Errors
     /// [`Interrupt::Cancelled`].
@@ -208,7 +208,7 @@ impl Admission {
     /// Reserves `bytes` more for `what`, before they are allocated.
     ///
     /// # Errors
-    /// [`Interrupt`]; what the load held before stays.
+    /// [`Interrupt`]. The reservation is then unchanged.
     pub fn grow(&self, what: &str, bytes: u64) -> Result<(), Interrupt> {
         self.check()?;
         Ok(self.0.held.lock().grow(what, bytes)?)
@@ -218,30 +218,30 @@ impl Admission {
         self.0.held.lock().bytes()
     }
 
-    /// Gives back all but `bytes`.
+    /// Releases all but `bytes`.
     pub fn shrink_to(&self, bytes: u64) {
         self.0.held.lock().shrink_to(bytes);
     }
 
-    /// Splits off what will outlive the load.
+    /// Splits off the bytes that outlive the load.
     #[must_use]
     pub fn keep(&self, bytes: u64) -> Reservation {
         self.0.held.lock().split(bytes)
     }
 
-    /// A meter for something that grows while it is read.
+    /// A meter for something that grows while it is being read.
     pub fn meter<'a>(&'a self, what: &'a str) -> Meter<'a> {
         Meter { admission: self, what, granted: 0, reserved: 0 }
     }
 }
 
-/// Grows a load's reservation in steps as something becomes larger than was granted.
+/// Grows a load's reservation in steps, as content outgrows what was granted.
 #[derive(Debug)]
 pub struct Meter<'a> {
     admission: &'a Admission,
     what: &'a str,
     granted: u64,
-    /// Content up to this many bytes has its place already.
+    /// Content up to this many bytes is covered by an exact reservation.
     reserved: u64,
 }
 
@@ -249,8 +249,8 @@ pub struct Meter<'a> {
 const STEP: u64 = 4 << 20;
 
 impl Meter<'_> {
-    /// Makes sure that `bytes` in all are granted, and no more: for vectors that are reserved at once. Content of up to
-    /// `bytes` needs nothing else then.
+    /// Makes sure that exactly `bytes` in total are granted, for vectors that are reserved at once. Content of up to `bytes` then
+    /// needs no more.
     ///
     /// # Errors
     /// [`Interrupt`].
@@ -263,8 +263,8 @@ impl Meter<'_> {
         Ok(())
     }
 
-    /// Makes sure that vectors may be pushed to until they hold `bytes` of content in all. A vector that doubles has up to
-    /// three times its content while it copies from its old place to its new one; that much is granted, and a step more.
+    /// Makes sure that vectors may grow to `bytes` of content in total. A vector that doubles occupies up to three times its
+    /// content while it copies itself to a new place. This much is granted, and a step more.
     ///
     /// # Errors
     /// [`Interrupt`].
@@ -297,7 +297,7 @@ mod tests {
         assert!(memory.reserve("c", 101).unwrap_err().is_hopeless());
         assert_eq!(memory.in_use(), 60);
         a.grow("a", 40).unwrap();
-        // A holder that is alone with the budget and wants more than all of it can never have it.
+        // A holder that has the whole budget and wants more can never succeed.
         assert!(a.grow("a", 1).unwrap_err().is_hopeless());
         a.shrink_to(30);
         let kept = a.split(10);

@@ -1,4 +1,4 @@
-// The page's address: which scene, how it is looked at, and with which settings; so that a reload, or whoever is sent it, sees the same.
+// The page's address holds the scene, the view and the settings, so that a reload or a shared link shows the same picture.
 
 import { queryText } from './api.js';
 import { DEFAULT_FOV } from './path.js';
@@ -17,7 +17,8 @@ export function write(scene, camera, pose) {
   history.replaceState(null, '', '#' + queryText(query));
 }
 
-// What parameters say of a scene: {camera, pose, faults}: a name or null, a pose or null, and in words what could not be used.
+// Reads the parameters of an address for a scene: {camera, pose, faults}, a name or null, a pose or null, and a sentence for each
+// parameter that cannot be used.
 export function read(params, scene) {
   const faults = [...params.keys()].filter(name => !OWN.includes(name) && !settings.NAMES.includes(name)).map(name => `${name}: the viewer knows no such setting`);
   const named = params.get('camera'), camera = scene.cameras.find(other => other.name === named) || null;
@@ -32,7 +33,7 @@ export function read(params, scene) {
   return { camera: camera && camera.name, pose: poseOf(params, scene, camera, faults), faults };
 }
 
-// What is left out is the camera's, and where there is none as the scene has it; a pose that would be half guessed is none.
+// Missing parts come from the camera, or without one from the scene's defaults. A pose with invalid parts is null.
 function poseOf(params, scene, camera, faults) {
   const wanted = ['eye', 'target', 'up', 'fov'].filter(name => params.has(name)), before = faults.length;
   const pose = camera ? { eye: camera.eye, target: camera.target, up: camera.up, fov: camera.fov } : { up: scene.up, fov: DEFAULT_FOV };

@@ -1,4 +1,4 @@
-// Requests to the daemon, and what it answers when it cannot do what was asked (application/problem+json).
+// Requests to the daemon, and its problems (application/problem+json).
 
 let key = sessionStorage.getItem('pointillist-key') || '';
 
@@ -9,7 +9,7 @@ export function useKey(text) {
 }
 export const headers = () => key ? { Authorization: 'Bearer ' + key } : {};
 
-// What a WebSocket offers: pages cannot set its headers, so a key goes as a subprotocol.
+// Subprotocols of a WebSocket. Pages cannot set its headers, so the key goes as a subprotocol.
 export const subprotocols = () => key ? ['pointillist', 'pointillist.key.' + key] : ['pointillist'];
 
 export const NO_ANSWER = { title: 'The server does not answer', detail: 'Is the daemon still running?', status: 0 };
@@ -21,7 +21,7 @@ export function problemFrom(status, statusText, text, retryAfterSeconds) {
   return { title: statusText || 'error', ...(after > 0 ? { retry_after_ms: after * 1000 } : {}), ...problem, status };
 }
 
-// An answer that is fine, or a problem is thrown. An abort is thrown as it is.
+// Returns a successful answer, and throws a problem for any other. An abort is thrown unchanged.
 export async function reach(url, options = {}) {
   let response;
   try {
@@ -35,10 +35,10 @@ export async function reach(url, options = {}) {
 
 export const getJson = async (url, options) => (await reach(url, options)).json();
 
-// Worth another try by itself: nobody there, busy, loading, or stopping.
+// Whether another try may succeed by itself: no answer, busy, loading, or stopping.
 export const isPassing = problem => [0, 409, 429, 502, 503, 504].includes(problem.status);
 
 export const sceneUrl = (id, rest = '') => `/v1/scenes/${encodeURIComponent(id)}${rest}`;
 
-// A query as it stands in addresses here: commas are kept readable.
+// Formats a query for an address. Commas stay readable.
 export const queryText = query => query.toString().replaceAll('%2C', ',');

@@ -1,4 +1,4 @@
-// The viewer: holds what is looked at, and joins the parts.
+// The viewer's main module: holds the state of the view, and connects the parts.
 //
 //   controls, recorder ──pose──▶ app ──▶ link ──▶ daemon
 //   settings ────────────────────▶ │      │
@@ -26,7 +26,7 @@ import * as store from './store.js';
 import * as upload from './upload.js';
 
 const POLL_MS = 1500, LIST_MS = 5000, RETURN_MS = 3000, NEWS_MS = 8000;
-// Stands in the list of cameras for a view that is none of them: no camera can be called so.
+// Value in the list of cameras for a view that is no camera's. No camera can have this name.
 const FREE = '\0';
 const OUT_OF_SIGHT = 'The scene is out of sight.';
 const TURN_MS = 250;
@@ -34,13 +34,13 @@ const TURN_MS = 250;
 const canvas = $('canvas'), paper = canvas.getContext('2d');
 let limits = { max_side: 8192, max_pixels: 1 << 25 };
 let scene = null;
-let pose = null;       // {eye, target, up, fov}; null: whatever the server thinks shows the whole scene
-let whole = null;      // what the server thought
-let camera = '';       // the one chosen last, which Reset goes back to; '' is the whole scene
-let gone = null;       // {id, pose} of a scene that was deleted, in case it comes back
+let pose = null;       // {eye, target, up, fov}; null: the server chooses a view of the whole scene
+let whole = null;      // the view that the server chose
+let camera = '';       // the camera that was chosen last, to which Reset returns; '' is the whole scene
+let gone = null;       // {id, pose} of a deleted scene, in case it comes back
 let frames = 0, pollTimer = 0, newsTimer = 0, turning = 0;
 
-// --- what is asked for ---------------------------------------------------------------------------
+// --- requests ------------------------------------------------------------------------------------
 function fullSize() {
   const ratio = window.devicePixelRatio || 1;
   const w = Math.max(1, Math.round(canvas.clientWidth * ratio)), h = Math.max(1, Math.round(canvas.clientHeight * ratio));
@@ -58,7 +58,7 @@ const link = new Link(() => scene && { id: scene.id, params: parameters() }, {
   problem: problem => { canvas.dataset.state = 'error'; complain(problem, 'frame'); },
 });
 
-// moving: as Link.show has it.
+// moving: as in Link.show.
 function changed(moving) {
   if (!scene) return;
   canvas.dataset.state = 'waiting';
@@ -83,14 +83,14 @@ function showFov() {
   fault($('fov'), null);
 }
 
-// A view that has left its camera is called free, so that the same camera can be chosen again.
+// A view that has left its camera is listed as free, so that the camera can be chosen again.
 function showCamera() {
   if (!scene) return;
   const at = !pose || (whole && isSame(pose, whole)) ? '' : scene.cameras.find(other => isSame(pose, forFrame(other, fullSize())))?.name ?? FREE;
   if ($('camera').value !== at) $('camera').value = at;
 }
 
-// --- what comes ----------------------------------------------------------------------------------
+// --- frames --------------------------------------------------------------------------------------
 function drawn(info, isNewest) {
   const [w, h] = fullSize(), isStill = info.quality === 'still';
   draw(info.picture, w, h);
@@ -105,13 +105,13 @@ function drawn(info, isNewest) {
   canvas.dataset.revision = info.revision ?? '';
   quiet('link');
   if (!isStill || !isNewest) return;
-  // A problem of a frame is over when a frame is there.
+  // A frame ends the problem of an earlier one.
   quiet('frame');
   remember();
 }
 
 function draw(picture, w, h) {
-  // object-fit keeps the shape until a frame of a new size is here.
+  // object-fit keeps the aspect ratio until a frame of the new size arrives.
   if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
   const isIds = $('output').value === 'id';
   paper.imageSmoothingEnabled = !isIds;
@@ -121,13 +121,13 @@ function draw(picture, w, h) {
   if (isIds) colorIds(w, h);
 }
 
-// why: the server's sentence, where a frame shows nothing.
+// why: the server's sentence if a frame shows nothing.
 function seen(why) {
   overlay.lost(why ? `${why[0].toUpperCase()}${why.slice(1).split(':')[0]}.` : pose && outOfSight());
   overlay.greet();
 }
 
-// Neighbouring ids differ by one in the red channel: spread them over the colours.
+// Neighbouring ids differ by one in the red channel. A hash spreads them over the colours.
 function colorIds(w, h) {
   const image = paper.getImageData(0, 0, w, h), words = new Uint32Array(image.data.buffer);
   for (let i = 0; i < words.length; i++) {
@@ -137,7 +137,7 @@ function colorIds(w, h) {
   paper.putImageData(image, 0, 0);
 }
 
-// The pose that the server chose is where moving about starts from.
+// Navigation starts from the pose that the server chose.
 function adopt(info, isNewest) {
   if (pose || !isNewest || !info.receipt?.camera) return;
   const { eye, target, up, fov_deg: fov } = info.receipt.camera;
@@ -153,7 +153,7 @@ function remember() {
   $('link').hidden = false;
 }
 
-// --- how the link fares --------------------------------------------------------------------------
+// --- the connection ------------------------------------------------------------------------------
 function linkState(name, words, delayMs) {
   if (name !== 'stream' && name !== 'requests') overlay.waitIsOver();
   $('link-state').dataset.link = name;
@@ -166,7 +166,7 @@ function linkState(name, words, delayMs) {
     tell('wait', { title: 'Not connected', detail }, [['Try now', () => link.again()]], 'link');
   }
   if (name === 'stream') {
-    // What is on the screen may be of before.
+    // The picture on the screen may be out of date.
     canvas.dataset.state = 'waiting';
     quiet('link');
   }
@@ -192,7 +192,7 @@ async function refreshScene() {
   } catch { /* the link says what is wrong */ }
 }
 
-// With a problem: why it failed to load; otherwise it was deleted.
+// With a problem: the scene failed to load. Without one, it was deleted.
 function wentAway(problem) {
   link.close();
   gone = { id: scene.id, pose };
@@ -253,14 +253,14 @@ async function loadScenes() {
   pollTimer = setTimeout(loadScenes, isLoading ? POLL_MS : RETURN_MS);
 }
 
-// An address may name a scene that is not there (any more).
+// The address may name a scene that does not exist, or no longer.
 function unknown(id) {
   if (id && !scenes.find(id)) complain({ title: `There is no scene ${id}`, detail: 'The address names it, but the server does not have it. Choose another, or add a file.' }, 'scene');
 }
 
 async function remove(id) {
   const isShown = scene?.id === id;
-  // It would tell of the end of the scene.
+  // Otherwise the link would report the end of the scene.
   if (isShown) link.close();
   try {
     await api.reach(api.sceneUrl(id), { method: 'DELETE' });
@@ -273,7 +273,7 @@ async function remove(id) {
   if (isShown) {
     scene = null;
     canvas.dataset.state = 'gone';
-    // It names what is gone.
+    // The address names the scene that is gone.
     history.replaceState(null, '', location.pathname);
   }
   loadScenes();
@@ -289,7 +289,7 @@ function nothing(isLoading) {
     : 'No scene is loaded yet. Drop a file here, or start the daemon with --scene.';
 }
 
-// given: {asked}, parameters of an address, or {pose}.
+// given: {asked}, the parameters of an address, or {pose}.
 function choose(id, given = {}) {
   const found = scenes.find(id);
   if (!found) return;
@@ -318,7 +318,7 @@ function choose(id, given = {}) {
   link.open();
 }
 
-// The whole scene, while Reset still leads back to the camera chosen.
+// Shows the whole scene; Reset still returns to the chosen camera.
 function showWhole() {
   const chosen = camera;
   chooseCamera('');
@@ -330,7 +330,7 @@ function chooseCamera(name) {
   const found = scene.cameras.find(other => other.name === name);
   camera = found ? name : '';
   recorder.player.pause(false);
-  // Nothing follows what was chosen: it is to be drawn well at once.
+  // No other pose follows at once, so the frame is drawn at full quality immediately.
   if (found) return setPose(forFrame(found, fullSize()), false);
   pose = null;
   turning++;
@@ -338,7 +338,7 @@ function chooseCamera(name) {
   changed(false);
 }
 
-// What is seen at a place of the picture: a hit, null, or undefined where it is too late to say.
+// Returns the element at a place of the picture: a hit, null, or undefined if the request failed or the view has changed.
 async function seenAt(place) {
   if (!scene || !pose) return undefined;
   const { id } = scene, before = pose;
@@ -351,7 +351,7 @@ async function seenAt(place) {
   }
 }
 
-// Says what is seen at a place of the picture, or measures from there.
+// Reports the point at a place of the picture, or measures from it.
 async function readOff(place) {
   const hit = await seenAt(place);
   if (hit === undefined) return;
@@ -368,7 +368,7 @@ function toggleMeasuring() {
   drawMeasures();
 }
 
-// Looks at what is seen at a place of the picture, and turns around it from then on.
+// Turns the view to the point at a place of the picture, and orbits around that point from then on.
 async function lookAt(place) {
   const before = pose, hit = await seenAt(place);
   if (hit === undefined) return;
@@ -378,7 +378,7 @@ async function lookAt(place) {
   const began = performance.now(), isStill = matchMedia('(prefers-reduced-motion: reduce)').matches;
   let ticket = -1;
   const step = now => {
-    if (ticket >= 0 && ticket !== turning) return; // another hand moves it
+    if (ticket >= 0 && ticket !== turning) return; // something else has moved the view
     const share = isStill ? 1 : Math.min(1, (now - began) / TURN_MS);
     setPose(turnedTo(before, point, share * share * (3 - 2 * share)), share < 1);
     ticket = turning;
@@ -387,7 +387,7 @@ async function lookAt(place) {
   step(performance.now());
 }
 
-// A picture of another shape shows the same of what was chosen.
+// At another aspect ratio the chosen camera or the whole scene is shown again, fitted to it.
 function resized() {
   drawMeasures();
   if (!scene) return;
@@ -407,7 +407,7 @@ const films = new Films({ scene: () => scene, recorder, settings: settings.param
 const controls = new Controls(canvas, {
   pose: () => pose,
   bounds: () => scene && scene.bounds,
-  // A hand on the picture takes it from the path.
+  // Moving the picture by hand stops the path.
   move: (next, moving) => { recorder.player.pause(false); overlay.moved(); setPose(next, moving); },
   reset: () => chooseCamera(camera),
   click: readOff,
@@ -440,7 +440,7 @@ $('login').addEventListener('submit', event => {
   if (scene) link.open(); else loadScenes();
 });
 $('scenes').addEventListener('toggle', () => { if ($('scenes').open) list().catch(() => {}); });
-// Scenes that others add or remove.
+// Watch for scenes that others add or remove.
 setInterval(() => {
   if ($('scenes').open && !document.hidden && scene && document.activeElement?.closest('#scenes, #scene') === null) list().catch(() => {});
 }, LIST_MS);
@@ -456,7 +456,7 @@ async function copy(text, what) {
     await navigator.clipboard.writeText(text);
     said.textContent = `${what} copied.`;
   } catch {
-    // Pages over plain http from elsewhere have no clipboard: to be copied by hand.
+    // Pages over plain http from another host have no clipboard. Select the text, to be copied by hand.
     said.textContent = text;
     getSelection().selectAllChildren(said);
   }

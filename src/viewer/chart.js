@@ -1,4 +1,4 @@
-// The times of the last frames, step upon step, a column a frame, the newest at the right.
+// A bar chart of the last frames: a column per frame with its steps stacked, the newest at the right.
 
 import { $ } from './message.js';
 
@@ -11,14 +11,14 @@ const passColors = new Map();
 const columns = [];
 let isDue = false;
 
-// The same colour for a step wherever it is shown.
+// The colour of a step, equal wherever the step is shown.
 export function colorOf(name, isHost) {
   if (isHost) return HOST_COLORS[name] || REST_COLOR;
   if (!passColors.has(name)) passColors.set(name, PASS_COLORS[passColors.size % PASS_COLORS.length]);
   return passColors.get(name);
 }
 
-// What a receipt says of the time: [name, nanoseconds (undefined when it did not run), whether the host's, the pass].
+// The steps of a receipt: [name, nanoseconds (undefined if it did not run), whether it is the host's, the pass].
 export function stepsOf(receipt) {
   return [
     ['queue', receipt.queue_ns, true], ['record', receipt.record_ns, true],
@@ -43,7 +43,7 @@ export function clear() {
   draw();
 }
 
-// 1, 2 or 5 times a power of ten, at or above.
+// Rounds up to 1, 2 or 5 times a power of ten.
 function roundUp(value) {
   const power = 10 ** Math.floor(Math.log10(value));
   return [1, 2, 5, 10].map(n => n * power).find(n => n >= value * 0.999);
@@ -89,7 +89,7 @@ function scale(paper, most, { left, top, bottom, width, ratio }) {
   }
 }
 
-// For those who do not see it; read only when asked for.
+// A description for screen readers.
 function describe() {
   const last = columns[columns.length - 1], longest = [...last.steps].sort((a, b) => b.ns - a.ns)[0];
   const text = ns => (ns / 1e6).toFixed(2) + ' ms';

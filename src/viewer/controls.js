@@ -1,22 +1,22 @@
-// Pointer, touch, wheel and keys on the picture: orbit around the target, or fly from the eye.
+// Pointer, touch, wheel and keys on the picture: orbit around the target, or fly with the eye.
 
 import { $ } from './message.js';
 import { dollyTowards, extentOf, fly, look, orbit, pan } from './pose.js';
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const STEP = Math.PI / 36;
-// Directions of flight by key (by place on the keyboard) and by button: right, up, forward.
+// Directions of flight by key (its place on the keyboard) and by button: right, up, forward.
 const FLIGHT = {
   KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 0], KeyE: [0, 1, 0], KeyQ: [0, -1, 0],
   forward: [0, 0, 1], back: [0, 0, -1], left: [-1, 0, 0], right: [1, 0, 0], up: [0, 1, 0], down: [0, -1, 0],
 };
-// Of the scene's extent in a second.
+// Speed of flight in extents of the scene per second.
 const FLY_SPEED = 0.15, HASTE = 3;
 const LEAST_STEP_S = 0.03, LONGEST_STEP_S = 0.1;
 
 // A second click within this time makes the first one part of a double click.
 const DOUBLE_MS = 300;
-// A pointer that shakes less does not drag.
+// Smaller movements of the pointer are no drag.
 const CLICK_PX = 4;
 
 // view: {pose(), bounds(), move(pose, moving), reset(), fit(), click(place), isMeasuring(), lookAt(place), help(), keys: {letter: action}}.
@@ -40,7 +40,7 @@ export class Controls {
       canvas.setPointerCapture(event.pointerId);
       canvas.focus({ preventScroll: true });
       fingers.set(event.pointerId, { x: event.clientX, y: event.clientY });
-      // What begins with one finger or the main button, and ends where it began, is a click.
+      // A press of one finger or the main button that ends where it began is a click.
       this.pressed = fingers.size === 1 && event.button === 0 ? { x: event.clientX, y: event.clientY } : null;
     });
     canvas.addEventListener('pointerup', event => {
@@ -51,7 +51,7 @@ export class Controls {
     canvas.addEventListener('pointermove', event => this.pointed(event));
     for (const name of ['pointerup', 'pointercancel', 'lostpointercapture']) {
       canvas.addEventListener(name, event => {
-        // At rest now: the good frame need not be waited for.
+        // The view is at rest now, so the still frame is requested without waiting.
         if (fingers.delete(event.pointerId) && fingers.size === 0 && this.dragged) this.rest();
       });
     }
@@ -68,7 +68,7 @@ export class Controls {
     });
   }
 
-  // While distances are measured, each click counts; otherwise it may be the first half of a double click.
+  // While measuring, each click counts at once. Otherwise a click may be the first half of a double click.
   clicked(place) {
     clearTimeout(this.clickTimer);
     if (this.view.isMeasuring()) this.view.click(place);
@@ -93,7 +93,7 @@ export class Controls {
   dragTo(pose, dx, dy, event) {
     if (event.shiftKey || event.buttons & 6) return pan(pose, dx, dy);
     if (!this.isFlying) return orbit(pose, -dx * Math.PI, -dy * Math.PI);
-    // What is under the pointer stays there.
+    // The point under the pointer stays there.
     const angle = pose.fov * Math.PI / 180;
     return look(pose, dx * angle, dy * angle);
   }
@@ -114,13 +114,13 @@ export class Controls {
     if (pose) this.view.move(pose, false);
   }
 
-  // Towards a place of the picture, and away from its middle, so that what is left in the distance stays in sight.
+  // Moves towards a place of the picture, and away from its middle, so that distant things stay in view.
   dolly(factor, place = [0, 0]) {
     const pose = this.view.pose(), towards = factor < 1 ? place : [0, 0];
     if (pose) this.view.move(dollyTowards(pose, factor, extentOf(this.view.bounds(), pose), towards));
   }
 
-  // [right, up] from the picture's middle, in halves of its height.
+  // Returns [right, up] from the picture's middle, in halves of its height.
   placeOf({ clientX, clientY }) {
     const { left, top, width, height } = this.canvas.getBoundingClientRect(), half = height / 2 || 1;
     return [(clientX - left - width / 2) / half, (height / 2 - (clientY - top)) / half];
@@ -140,7 +140,7 @@ export class Controls {
     addEventListener('blur', () => this.releaseAll());
   }
 
-  // Whether the key meant something.
+  // Returns whether the key has a meaning.
   key(event) {
     const pose = this.view.pose(), arrow = ARROWS[event.key];
     this.hasty = event.shiftKey;
@@ -186,7 +186,7 @@ export class Controls {
     const isFirst = this.held.size === 0;
     this.held.add(name);
     if (!isFirst) return true;
-    // However short the press is, it moves.
+    // Even the shortest press moves the view.
     this.view.move(fly(pose, this.way(pose, LEAST_STEP_S)), true);
     this.flownAt = performance.now();
     requestAnimationFrame(now => this.flight(now));
@@ -231,7 +231,7 @@ export class Controls {
       button.addEventListener('pointerdown', event => { button.setPointerCapture(event.pointerId); this.hold(name); });
       for (const end of ['pointerup', 'pointercancel', 'lostpointercapture']) button.addEventListener(end, () => this.release(name));
       button.addEventListener('contextmenu', event => event.preventDefault());
-      // By keyboard, or whatever presses buttons without pointers: one step.
+      // Pressed by keyboard or another device without a pointer: one step.
       button.addEventListener('click', event => { if (event.detail === 0) this.step(name); });
     }
   }

@@ -1,17 +1,16 @@
-// Which files were given, and which of them make a scene together: folders are looked through, models that have nothing to do
-// with each other become scenes of their own.
+// Groups the given files into uploads: looks through folders, and makes a scene of each model that stands alone.
 
-// As the daemon has them (src/http/names.rs): files that other files name.
+// Files that other files name; as in the daemon (src/http/names.rs).
 const COMPANIONS = ['mtl', 'png', 'jpg', 'jpeg', 'webp', 'bmp', 'tga', 'bin', 'gif', 'hdr', 'txt'];
-// And what it reads (src/assets/dispatch.rs).
+// Formats that the daemon reads (src/assets/dispatch.rs).
 const MODELS = ['ply', 'las', 'laz', 'obj', 'stl', 'gltf', 'glb', 'xyz', 'pts', 'csv', 'ptx', 'pcd', 'off', 'e57'];
 // Formats whose files name others.
 const NAMING = ['obj', 'gltf'];
-// Of one upload, as the daemon takes them.
+// Largest number of files in an upload that the daemon accepts.
 const MOST_FILES = 256;
-// Of one drop: whoever drops more has hardly meant it.
+// Largest number of scenes in one drop; more are hardly intended.
 const MOST_SCENES = 32;
-// A camera path is text of this size at most.
+// Largest size of a file that is taken for a camera path.
 const PATH_BYTES = 1 << 20;
 
 const extension = name => name.includes('.') ? name.slice(name.lastIndexOf('.') + 1).toLowerCase() : '';
@@ -19,17 +18,17 @@ const baseName = path => path.slice(path.lastIndexOf('/') + 1);
 const isHidden = name => name.startsWith('.') || name.startsWith('__MACOSX');
 const formatOf = name => extension(name.toLowerCase().replace(/\.gz$/, ''));
 
-// The files of a drop, those of its folders included: {files, folders}, the latter by name.
+// The files of a drop, including those in folders: {files, folders}, the latter by name.
 export async function filesOf(transfer) {
-  // Entries are there only until the event is over: they are all taken before anything is waited for.
+  // Entries exist only during the event, so take all of them before the first await.
   const entries = [...transfer.items].map(item => item.webkitGetAsEntry?.()).filter(Boolean);
   if (!entries.some(entry => entry.isDirectory)) return { files: [...transfer.files], folders: [] };
   const files = [], inside = [];
   for (const entry of entries) await collect(entry, entry.isDirectory ? inside : files);
-  // Whatever else lies in a folder was not meant: read-me files, records of other programs.
+  // Other files in a folder were not meant: read-me files, records of other programs.
   const useful = [];
   for (const file of inside) if (await isOfUse(file)) useful.push(file);
-  // Pictures and notes are of use to models alone; points may be text.
+  // Images and text files are useful only beside models; a text file alone may hold points.
   const isShown = useful.some(file => ['json', ...MODELS].includes(formatOf(file.name))) || useful.every(file => extension(file.name) === 'txt');
   if (isShown) files.push(...useful);
   return { files, folders: entries.filter(entry => entry.isDirectory).map(entry => entry.name) };
@@ -39,7 +38,7 @@ async function collect(entry, files) {
   if (isHidden(entry.name)) return;
   if (entry.isFile) return void files.push(await new Promise((resolve, reject) => entry.file(resolve, reject)));
   const reader = entry.createReader();
-  // It gives them by the hundred, and nothing at the end.
+  // The reader returns entries in batches, and an empty batch at the end.
   for (;;) {
     const batch = await new Promise((resolve, reject) => reader.readEntries(resolve, reject));
     if (batch.length === 0) return;
@@ -53,7 +52,7 @@ async function isOfUse(file) {
   return Array.isArray(value?.nodes) || isPathDocument(value);
 }
 
-// Why a file cannot be sent, in words; null where it can. A folder that comes as a file, and one that was moved away, cannot be read.
+// Says why a file cannot be read, or returns null. A folder passed as a file, and a file moved since, cannot be read.
 export async function unreadable(file) {
   try {
     await file.slice(0, 1).arrayBuffer();
@@ -63,7 +62,8 @@ export async function unreadable(file) {
   }
 }
 
-// What is to be sent, in order: {paths, uploads, fault}. An upload is a list of files, the one to load first; `fault` says why they are not taken.
+// Sorts the files: {paths, uploads, fault}. An upload is a list of files, the one to load first. `fault` says why they are
+// refused.
 export async function sorted(files) {
   const paths = [], rest = [];
   for (const file of files) (await isPath(file) ? paths : rest).push(file);
@@ -77,7 +77,7 @@ async function groups(files) {
   const of = test => files.filter(file => test(extension(file.name)));
   const scenes = of(kind => kind === 'json'), companions = of(kind => COMPANIONS.includes(kind));
   const models = of(kind => kind !== 'json' && !COMPANIONS.includes(kind));
-  // Whatever is not a scene may be named by one.
+  // A scene may name any of the other files.
   if (scenes.length > 0) return scenes.map(scene => [scene, ...companions, ...models]);
   if (models.length === 0) return files.map(file => [file]);
   return Promise.all(models.map(async model => {
@@ -87,7 +87,7 @@ async function groups(files) {
   }));
 }
 
-// What is wrong with a group of files as a whole; null where nothing is.
+// Says what is wrong with a group of files as a whole, or returns null.
 export function faultOfGroup(group) {
   if (group.length > MOST_FILES) return `They are ${group.length} files; one scene takes ${MOST_FILES} at most.`;
   const seen = new Set();
@@ -98,7 +98,7 @@ export function faultOfGroup(group) {
   return null;
 }
 
-// A glTF names files in folders below its own; here all lie in one.
+// A glTF may name files in subfolders; in an upload all files are in one folder.
 async function flattened(model, companions) {
   const names = new Set(companions.map(file => file.name));
   try {
@@ -109,7 +109,7 @@ async function flattened(model, companions) {
     }
     return new File([JSON.stringify(document)], model.name);
   } catch {
-    return model; // the daemon says what is wrong with it
+    return model; // the daemon reports the error
   }
 }
 
@@ -119,7 +119,7 @@ async function isPath(file) {
 
 const isPathDocument = value => Array.isArray(value?.keys) && value.nodes === undefined;
 
-// Null where it is no JSON: the daemon says what is wrong with it.
+// Returns null for invalid JSON; the daemon reports the error.
 async function parsed(file) {
   try {
     return JSON.parse(await file.text());

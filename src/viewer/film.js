@@ -1,5 +1,5 @@
-// Films: the camera path drawn by the daemon, frame by frame at full quality, as a job that goes on without this page. The page
-// keeps the job's name, so that after a reload it is followed again.
+// Films: the daemon draws the camera path frame by frame at full quality, as a job that goes on without this page. The page
+// stores the job's id, so that a reload follows it again.
 
 import { getJson, hasKey, reach, sceneUrl } from './api.js';
 import { inWords, isUnderWay, shareOf } from './jobs.js';
@@ -25,7 +25,7 @@ export class Films {
     view.jobs.onList = list => this.listed(list);
   }
 
-  // Whether the daemon draws such jobs, as /v1/limits says.
+  // isThere: whether the daemon draws jobs, by /v1/limits.
   offer(isThere) {
     $('film').hidden = !isThere;
     if (isThere && !this.isOffered) this.restore();
@@ -33,7 +33,7 @@ export class Films {
     this.show();
   }
 
-  // The film of before a reload.
+  // Continues with the film from before a reload.
   async restore() {
     const id = store.film();
     if (!id || this.job) return;
@@ -45,7 +45,7 @@ export class Films {
       $('paths').open = true;
       this.follow(id);
     } catch (problem) {
-      // It was deleted, or its time was over.
+      // The job was deleted or has expired.
       if (problem.status === 404) store.keepFilm(null);
     }
   }
@@ -88,7 +88,7 @@ export class Films {
     }
   }
 
-  // The daemon tells by itself; a page with a key cannot listen, and asks.
+  // The daemon sends events. EventSource cannot send a key, so a page with a key polls instead.
   follow(id) {
     if (hasKey()) return this.ask(id);
     const events = new EventSource(jobUrl(id, '/events'));
@@ -98,7 +98,7 @@ export class Films {
     };
     for (const name of ['job', 'done', 'failed', 'cancelled']) events.addEventListener(name, told);
     events.addEventListener('deleted', () => { events.close(); this.gone(id); });
-    // It comes back by itself, unless it was refused for good.
+    // EventSource reconnects by itself, unless it was refused for good.
     events.onerror = () => { if (events.readyState === EventSource.CLOSED && this.isRunning) this.ask(id); };
   }
 
@@ -115,7 +115,7 @@ export class Films {
     }
   }
 
-  // Somebody resumed it.
+  // Another client has resumed the job.
   listed(list) {
     const job = list.find(one => one.id === this.job?.id);
     if (!job || !isUnderWay(job) || this.isRunning) return;
@@ -123,7 +123,7 @@ export class Films {
     this.follow(job.id);
   }
 
-  // Somebody deleted it.
+  // Another client has deleted the job.
   gone(id) {
     if (this.job?.id !== id) return;
     this.job = null;
@@ -138,7 +138,7 @@ export class Films {
     this.job = job;
     if (job.frames.total) progress.value = shareOf(job); else progress.removeAttribute('value');
     if (job.state !== before) this.view.jobs.refresh();
-    // What had failed before the page was opened is told in its place alone.
+    // A failure from before the page was opened is shown in the panel only.
     if (before && job.state === 'failed' && job.error) complain(job.error, 'film');
     this.show();
   }
@@ -156,7 +156,7 @@ export class Films {
   say(text) { $('film-text').textContent = text; }
 }
 
-// A film of a path that the scene names, for any <img>.
+// The address of a film of one of the scene's paths, for any <img>.
 export function motionUrl(sceneId, path, settings) {
   const query = new URLSearchParams({ path, loop: 'true', w: 960, h: 540, ...settings });
   query.delete('format');

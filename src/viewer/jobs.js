@@ -1,4 +1,4 @@
-// The films that the daemon has in hand or has made, with what can be had of each: for whoever comes back, or has another made.
+// The list of the daemon's films, running or finished, with the actions on each.
 
 import { getJson, reach } from './api.js';
 import { $, button, bytes, complain, count } from './message.js';
@@ -12,7 +12,7 @@ export class Jobs {
   constructor() {
     this.reel = new Reel();
     this.list = [];
-    this.doubtful = null; // the one that is asked about, whether it is to be deleted
+    this.doubtful = null; // the job whose deletion is to be confirmed
     this.timer = 0;
     this.onGone = this.onList = () => {};
     this.played = null;
@@ -42,7 +42,7 @@ export class Jobs {
     const running = this.list.filter(isUnderWay).length;
     $('jobs-summary').textContent = this.list.length === 0 ? '' : running ? `${this.list.length}, ${running} under way` : String(this.list.length);
     $('no-jobs').hidden = this.list.length > 0;
-    // What has the focus has it again when the list is another.
+    // Restores the focus after the list is rebuilt.
     const focused = $('job-list').contains(document.activeElement) ? document.activeElement.dataset.act : null;
     $('job-list').replaceChildren(...this.list.map(job => this.row(job)));
     if (focused) [...$('job-list').querySelectorAll('[data-act]')].find(one => one.dataset.act === focused)?.focus();
@@ -87,7 +87,7 @@ export class Jobs {
     return [...found, away];
   }
 
-  // Plays the video of a film above the list; null: none any more.
+  // Plays the video of a film above the list; null closes the player.
   play(job) {
     this.played = job?.id;
     $('job-player').hidden = !job;
@@ -125,7 +125,7 @@ export class Jobs {
   }
 }
 
-// What a job is at, in a sentence.
+// The state of a job in a sentence.
 export function inWords(job) {
   const { done, total, coded } = job.frames, isCoding = job.stage === 'video';
   const rest = job.eta_seconds == null ? '' : `, ${Math.ceil(job.eta_seconds)} s to go`;

@@ -1,22 +1,23 @@
-// The way to the daemon: a WebSocket on which poses go out and frames come in, or requests where there can be no WebSocket.
+// The connection to the daemon: a WebSocket on which poses go out and frames come in, or requests where a WebSocket is
+// impossible.
 //
 //   open ──▶ connecting ──▶ stream ──lost──▶ waiting ──▶ connecting     longer each time, at once when the network is back
 //                │ closed before it was open
 //                └──▶ probe ──▶ waiting (nobody there, loading), gone, denied, or the second time in a row: requests
 //
-// The pose is the page's, so whoever comes back goes on where it was. What is drawn is acknowledged after drawing, so that
-// the daemon's pace follows this decoder; frames that a newer one overtook before they were decoded are skipped.
+// The page holds the pose, so a new connection continues where the old one was. A frame is acknowledged after it is drawn, so
+// that the daemon follows the pace of this decoder. A frame that a newer one overtakes before it is decoded is skipped.
 
 import { getJson, isPassing, sceneUrl, subprotocols } from './api.js';
 import { Requests } from './requests.js';
 
 const FIRST_WAIT_MS = 300, LONGEST_WAIT_MS = 8000;
-// A stream on which nothing came for so long, though it was pinged meanwhile, is dead.
+// A stream on which nothing came for this long, although it was pinged, counts as dead.
 const PING_MS = 8000, DEAD_MS = 24000;
-// How long requests do before the stream is tried again.
+// Time after which the stream is tried again while requests are used.
 const REQUESTS_MS = 30000;
 
-// Milliseconds before try number `tries`, from 0; `random` between 0 and 1 spreads clients.
+// Delay in milliseconds before try number `tries`, from 0. `random`, between 0 and 1, spreads clients.
 export const waitBefore = (tries, random) => Math.min(LONGEST_WAIT_MS, FIRST_WAIT_MS * 2 ** tries) * (0.75 + 0.5 * random);
 
 export class Link {
@@ -40,7 +41,7 @@ export class Link {
     setInterval(() => this.heartbeat(), PING_MS);
   }
 
-  // Shows another scene, or the same one from a new connection.
+  // Shows another scene, or the same scene over a new connection.
   open() {
     this.close();
     this.tries = this.refusals = 0;
@@ -56,13 +57,13 @@ export class Link {
     if (socket) socket.close();
   }
 
-  // The pose or a setting has changed. moving: true, another change is about to follow; false, none is; undefined, who knows.
+  // The pose or a setting has changed. moving: true if another change will follow soon, false if none will, undefined if unknown.
   show(moving) {
     this.moving = moving;
     this.seq++;
     if (this.isDue) return this.seq;
     this.isDue = true;
-    // At most once a picture on the screen, however often a pointer reports.
+    // At most one message per animation frame, however often a pointer reports.
     requestAnimationFrame(() => this.flush());
     return this.seq;
   }
@@ -73,7 +74,7 @@ export class Link {
     const wanted = this.wanted();
     if (!wanted || !this.socket || this.socket.readyState !== WebSocket.OPEN) return;
     const moving = this.moving === undefined ? {} : { moving: this.moving };
-    // `reset`: whatever is not in this message is as it was before anything was said.
+    // `reset`: parameters that this message leaves out take their defaults.
     this.socket.send(JSON.stringify({ seq: this.seq, reset: true, ...moving, ...wanted.params }));
     this.sentAt.set(this.seq, performance.now());
     for (const seq of this.sentAt.keys()) if (seq < this.seq - 500) this.sentAt.delete(seq);
@@ -90,7 +91,7 @@ export class Link {
     try {
       socket = new WebSocket(url, subprotocols());
     } catch {
-      // A key that cannot be a subprotocol, or a page that may have no WebSocket.
+      // The key cannot be a subprotocol, or the page may not open a WebSocket.
       return this.fall('this page can open no stream');
     }
     this.socket = socket;
@@ -102,7 +103,7 @@ export class Link {
       this.heardAt = performance.now();
       this.requests.stop();
       this.on.state('stream', 'streaming');
-      // A page that has just opened moves nothing, unless a hand is on the picture already.
+      // A page that has just opened is at rest, unless the user moves the picture already.
       if (!this.moving) this.moving = false;
       this.seq++;
       this.flush();
@@ -162,14 +163,14 @@ export class Link {
     this.wait(reason || (code === 1001 ? 'the server is shutting down' : 'the connection was lost'));
   }
 
-  // It was refused, or nobody is there: a plain request says which.
+  // The stream was refused, or there is no server: a plain request tells which.
   async probe(id) {
     try {
       const scene = await getJson(sceneUrl(id));
       if (this.socket || this.wanted()?.id !== id) return;
       if (scene.state === 'failed') return this.on.gone(scene.problem);
       if (scene.state !== 'ready') return this.wait('the scene is being loaded');
-      // Once may be a daemon that was just starting.
+      // A single refusal may come from a daemon that is just starting.
       if (++this.refusals < 2) return this.wait('the stream was refused');
       this.fall('no stream can be opened here');
     } catch (problem) {
@@ -188,14 +189,14 @@ export class Link {
     this.on.state('waiting', why, delay);
   }
 
-  // Tries at once, if it waits.
+  // Tries at once if it waits for the next try.
   again() {
     if (this.socket || this.requests.isRunning || !this.wanted()) return;
     this.connect();
   }
 
   woken() {
-    // Nobody was pinged meanwhile.
+    // No ping was sent while the page was hidden.
     this.heardAt = performance.now();
     this.again();
     if (this.requests.isRunning) this.requests.show(this.seq, undefined);
@@ -212,7 +213,7 @@ export class Link {
     socket.send('{"ping":1}');
   }
 
-  // Frames by requests from now on, until the stream, which is tried again later, is open.
+  // Requests frames one by one until the stream is open again, which is tried later.
   fall(why) {
     this.on.state('requests', `by requests: ${why}`);
     if (!this.requests.isRunning) this.requests.start(this.seq, this.moving || false);

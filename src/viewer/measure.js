@@ -1,12 +1,12 @@
-// What is read off the picture: the point that was clicked, the distance between two points, and the scale bar.
+// Readings from the picture: the clicked point, the distance between two points, and the scale bar.
 
 import { $ } from './message.js';
 import { coordinates, pathOf } from './pick.js';
 import { clipped, digits, norm, project, sub } from './pose.js';
 
-// The longest scale bar, in CSS pixels.
+// Length of the longest scale bar, in CSS pixels.
 const LONGEST_PX = 140;
-// Scene files name no units.
+// Scene files have no units.
 const UNITS = 'units';
 
 let points = [];
@@ -26,7 +26,7 @@ export function clear() {
   $('line').setAttribute('visibility', 'hidden');
 }
 
-// Takes what a click has hit; null: nothing.
+// Takes the hit of a click; null if it hit nothing.
 export function hit(found) {
   if (!found) return say('Nothing is seen there.');
   const where = coordinates(found).join(', '), away = `${digits(found.distance, found.distance)} ${UNITS} away`;
@@ -39,7 +39,7 @@ export function hit(found) {
   say(`${length()} ${UNITS}\nfrom ${coordinates(points[0]).join(', ')}\nto ${where}`);
 }
 
-// As many digits as both points have.
+// The distance with the digits that both points have.
 function length() {
   const [a, b] = points, step = Math.max(a.resolution, b.resolution);
   const value = norm(sub(a.position, b.position)), far = Math.max(a.distance, b.distance);
@@ -52,7 +52,7 @@ function say(text) {
   $('measured').hidden = !text;
 }
 
-// Draws what has been measured over a picture of this pose, so many CSS pixels wide and high.
+// Draws the measurements over a picture of this pose, whose width and height are in CSS pixels.
 export function draw(pose, [width, height]) {
   $('scale').hidden = !pose;
   if (!pose) return;

@@ -1,13 +1,13 @@
-// What is told the user over the picture: problems with what would be accepted, waiting, and news. Each is about something, and is
-// there until that has changed or somebody has put it away: what one thing has to say never hides what another said.
+// Messages over the picture: problems with the accepted values, waiting, and news. Each message has a subject, and stays until
+// the subject changes or the user dismisses it. Messages of different subjects never hide each other.
 
 export const $ = id => document.getElementById(id);
 
-// What is said about a thing, by `of`; a Map keeps the order.
+// The messages by subject. A Map keeps their order.
 const boxes = new Map();
 
-// kind: 'problem', 'wait' (it is being tried again) or 'news'. `of`: what it is about, whose last message this one replaces.
-// `actions` are [words, what they do].
+// kind: 'problem', 'wait' (it is tried again) or 'news'. `of`: the subject, whose last message is replaced. `actions`: [label,
+// function] pairs.
 export function tell(kind, problem, actions = [], of = kind) {
   const box = document.createElement('div'), head = document.createElement('strong');
   box.className = kind;
@@ -17,13 +17,13 @@ export function tell(kind, problem, actions = [], of = kind) {
   const where = problem.parameter && !(problem.detail || '').startsWith(problem.parameter) ? `At: ${problem.parameter}` : null;
   const lines = [problem.detail || problem.message, where, problem.accepted && `Accepted: ${problem.accepted}`];
   box.append(head, ...lines.filter(Boolean).map(paragraph), ...actions.map(([words, act]) => button(words, act)));
-  // In its place, so that what is said again and again does not move the others.
+  // The message keeps its place, so that repeating it does not move the others.
   if (boxes.has(of)) boxes.get(of).replaceWith(box); else $('message').prepend(box);
   boxes.set(of, box);
   $('message').hidden = false;
 }
 
-// What the server says begins in lower case; what is said here may begin with a file's name, which is left as it is.
+// Titles from the server begin in lower case. Other titles may begin with a file's name, which stays as it is.
 function titleOf({ title = 'Something went wrong', status }) {
   return status ? `${title[0].toUpperCase() + title.slice(1)} (${status})` : title;
 }
@@ -34,12 +34,12 @@ function paragraph(text) {
   return p;
 }
 
-// `actions` beside Dismiss.
+// `actions`: buttons beside Dismiss.
 export function complain(problem, of = 'problem', actions = []) {
   tell('problem', problem, [...actions, ['Dismiss', () => quiet(of)]], of);
 }
 
-// Ends what is said about these things.
+// Removes the messages of these subjects.
 export function quiet(...of) {
   for (const name of of) {
     boxes.get(name)?.remove();
@@ -49,7 +49,7 @@ export function quiet(...of) {
 }
 
 // --- fields --------------------------------------------------------------------------------------
-// What is wrong with what was entered, beside the field that it was entered in; null: nothing any more.
+// Shows what is wrong with an input beside its field; null removes it.
 export function fault(input, text) {
   const id = `${input.id}-fault`;
   input.setAttribute('aria-invalid', String(Boolean(text)));
@@ -69,7 +69,7 @@ export function fault(input, text) {
   input.setAttribute('aria-describedby', id);
 }
 
-// The number in a field if it lies in its `min` and `max`; otherwise NaN, and the field says what it takes.
+// The number in a field if it is in range; otherwise NaN, and the field shows the range.
 export function numberIn(input, [least, most], unit, stays) {
   const value = input.value.trim() === '' ? NaN : Number(input.value);
   const isGood = value >= least && value <= most;

@@ -1,10 +1,10 @@
-// What lies over the picture beside messages: that a frame is being drawn, that nothing can be seen, and the first visit's hint. On a
+// Overlays of the picture besides messages: a frame is being drawn, nothing is in view, and the hint on the first visit. On a
 // phone also the sheet that holds the panel.
 
 import { $ } from './message.js';
 import * as store from './store.js';
 
-// Shorter waits are not worth a word.
+// Shorter waits are not shown.
 const BUSY_MS = 150;
 const HINT_MS = 9000;
 const HINTS = {
@@ -14,7 +14,7 @@ const HINTS = {
 
 let busyTimer = 0, hintTimer = 0, isKnown = store.knowsItsWay();
 
-// A frame is waited for from now on. Frames that come meanwhile begin the wait anew.
+// Starts the wait for a frame.
 export function wait() {
   if (!busyTimer) busyTimer = setTimeout(() => $('view').classList.add('busy'), BUSY_MS);
 }
@@ -25,13 +25,13 @@ export function waitIsOver() {
   $('view').classList.remove('busy');
 }
 
-// why: a sentence, or null where something can be seen.
+// why: a sentence, or null if something is in view.
 export function lost(why) {
   if (why) $('lost-why').textContent = why;
   $('lost').hidden = !why;
 }
 
-// Once, for whoever has never moved a picture here.
+// Shows the hint once to users who have never moved a picture here.
 export function greet() {
   if (isKnown || hintTimer) return;
   $('hint').textContent = matchMedia('(pointer: coarse)').matches ? HINTS.touch : HINTS.mouse;
@@ -39,7 +39,7 @@ export function greet() {
   hintTimer = setTimeout(goodbye, HINT_MS);
 }
 
-// A hand moved the picture: the hint has served.
+// The user has moved the picture, so the hint is no longer needed.
 export function moved() {
   if (!isKnown) goodbye();
 }
@@ -61,5 +61,5 @@ function setSheet(isOpen) {
 
 $('sheet').addEventListener('click', () => setSheet($('sheet').getAttribute('aria-expanded') !== 'true'));
 addEventListener('keydown', event => { if (event.key === 'Escape') setSheet(false); });
-// A hand on the picture wants the picture.
+// Touching the picture closes the sheet.
 $('canvas').addEventListener('pointerdown', () => setSheet(false));

@@ -1,6 +1,6 @@
-// Camera paths: the camera at any time between keys, as the server has it (src/scene/path, src/math/spline.rs): centripetal
-// Catmull-Rom positions, slerp, and a cubic of time for each part of the way. A browser test holds the two against each other.
-// A path is {fps, interpolation, ease, keys: [{t, eye, target, up, fov, ease}]}; a key without `ease` has the path's.
+// Camera paths: the camera at any time between keys, equal to the server's (src/scene/path, src/math/spline.rs): centripetal
+// Catmull-Rom positions, slerp, and a cubic of time for each part of the way. A browser test compares the two. A path is {fps,
+// interpolation, ease, keys: [{t, eye, target, up, fov, ease}]}; a key without `ease` has the path's.
 
 import { add, axes, cross, mul, norm, sub, unit } from './pose.js';
 
@@ -56,7 +56,7 @@ function tangents(points) {
   });
 }
 
-// For each part of the path, derivatives of the position at both ends, by the part of the way made.
+// Derivatives of the position at both ends of each part of the path, with respect to the share of the way made.
 function slopes(keys, isLinear) {
   const eyes = keys.map(key => key.eye), legs = eyes.slice(1);
   if (isLinear) return legs.map((eye, i) => { const way = sub(eye, eyes[i]); return [way, way]; });
@@ -88,7 +88,7 @@ function amountBeside(part, other) {
   return amount > 1e-12 ? amount : null;
 }
 
-// Slope of a smooth part at the key that it shares with `other`, whose end `end` is there.
+// Slope of a smooth part at the key that it shares with `other`; `end` is the end of `other` at that key.
 function beside(part, other, end) {
   const own = amountBeside(part, other), theirs = amountBeside(other, part);
   if (own == null || theirs == null) return 0;
@@ -99,7 +99,7 @@ function beside(part, other, end) {
   return Math.min(STEEPEST, (weight + weightOther) / (weight + weightOther / speed));
 }
 
-// The slopes of a part's cubic, or null where the camera waits for its end.
+// The slopes of a part's cubic, or null if the camera waits until the end of the part.
 function wayOf(parts, i) {
   const part = parts[i];
   if (part.ease === 'hold') return null;
@@ -116,7 +116,7 @@ function made(way, u) {
 }
 
 // --- the whole -----------------------------------------------------------------------------------
-// A function from seconds to the pose at that time. The keys' times must grow.
+// Returns a function from seconds to the pose at that time. The times of the keys must increase.
 export function sampler(path) {
   const keys = path.keys.map(key => ({ up: [0, 1, 0], fov: DEFAULT_FOV, ...key }));
   const isLinear = path.interpolation === 'linear', ease = path.ease || defaultEase(path.interpolation);
@@ -153,7 +153,7 @@ export function sampler(path) {
 export const startOf = path => path.keys.length ? path.keys[0].t : 0;
 export const durationOf = path => path.keys.length ? path.keys[path.keys.length - 1].t - path.keys[0].t : 0;
 
-// What the server would refuse, in words; null when there is nothing.
+// Says why the server would refuse a path, or returns null.
 export function faultOf(path) {
   const isVector = v => Array.isArray(v) && v.length === 3 && v.every(Number.isFinite);
   if (!path || !Array.isArray(path.keys) || path.keys.length === 0) return 'keys: a path needs at least one key';
@@ -173,7 +173,7 @@ export function faultOf(path) {
   return null;
 }
 
-// The path as its file has it: what is as it comes anyway is left out.
+// The path as in its file, without values that are the default.
 export function documentOf(path) {
   const usual = defaultEase(path.interpolation), ease = path.ease || usual;
   return {

@@ -1,9 +1,10 @@
-// Plays a camera path: a pose for every picture on the screen, by the clock, so that a slow daemon leaves out poses and not time.
+// Plays a camera path by the clock, with a pose per animation frame. If the daemon is slow, poses are skipped and the time is
+// kept.
 
 import { durationOf, sampler, startOf } from './path.js';
 
 export class Player {
-  // on: {pose(pose, moving), changed()}. The path is asked for when playing begins.
+  // path: a function that returns the path when playing begins. on: {pose(pose, moving), changed()}.
   constructor(path, on) {
     this.path = path;
     this.on = on;
@@ -44,7 +45,7 @@ export class Player {
     requestAnimationFrame(later => this.tick(later));
   }
 
-  // Stays where it is; `isOwn`: the pose is to be shown well, and is not another's already.
+  // Stops at the current time. `isOwn`: draw the current pose at full quality; false if the view has another pose already.
   pause(isOwn = true) {
     if (!this.isPlaying) return;
     this.isPlaying = false;

@@ -1,5 +1,5 @@
-// Poses and how they move. Nothing here knows the page: a pose goes in, a new one comes out.
-// A pose is {eye, target, up, fov}: three arrays of three numbers, and degrees.
+// Poses and how they move, as pure functions from pose to pose. A pose is {eye, target, up, fov}: three arrays of three numbers,
+// and degrees.
 
 export const add = (a, b) => a.map((v, i) => v + b[i]);
 export const sub = (a, b) => a.map((v, i) => v - b[i]);
@@ -9,63 +9,63 @@ export const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * 
 export const norm = a => Math.hypot(...a);
 export const unit = a => mul(a, 1 / norm(a));
 
-// Rodrigues' formula; the axis has unit length.
+// Rodrigues' rotation formula. The axis has unit length.
 const turn = (v, axis, angle) => {
   const c = Math.cos(angle), s = Math.sin(angle);
   return add(add(mul(v, c), mul(cross(axis, v), s)), mul(axis, dot(axis, v) * (1 - c)));
 };
 
-// How near to straight up or down a turn may come, in radians.
+// Smallest angle between the view and straight up or down, in radians.
 const POLE = 0.01;
 
 const anyAcross = v => unit(cross(v, Math.abs(v[0]) < 0.7 * norm(v) ? [1, 0, 0] : [0, 1, 0]));
 
-// Right, up and forward of the view, all of unit length.
+// The view's right, up and forward directions, as unit vectors.
 export function axes(pose) {
   const forward = unit(sub(pose.target, pose.eye)), side = cross(forward, unit(pose.up));
   const right = norm(side) > 1e-6 ? unit(side) : anyAcross(forward);
   return { right, up: cross(right, forward), forward };
 }
 
-// An angle that leads from `from` by `by`, and stays away from both poles.
+// Limits a change of an angle so that the result stays away from both poles.
 const pitched = (from, by) => Math.max(POLE, Math.min(Math.PI - POLE, from + by)) - from;
 const angleFromUp = (v, up) => Math.acos(Math.max(-1, Math.min(1, dot(unit(v), up))));
 
-// Around the target, angles in radians.
+// Turns around the target, by angles in radians.
 export function orbit(pose, yaw, pitch) {
   const offset = sub(pose.eye, pose.target), up = unit(pose.up), { right } = axes(pose);
   const lifted = turn(offset, right, pitched(angleFromUp(offset, up), pitch));
   return { ...pose, eye: add(pose.target, turn(lifted, up, yaw)) };
 }
 
-// Around the eye.
+// Turns around the eye, by angles in radians.
 export function look(pose, yaw, pitch) {
   const ahead = sub(pose.target, pose.eye), up = unit(pose.up), { right } = axes(pose);
   const lifted = turn(ahead, right, -pitched(angleFromUp(ahead, up), -pitch));
   return { ...pose, target: add(pose.eye, turn(lifted, up, yaw)) };
 }
 
-// Fractions of the view's height.
+// Moves across the view, by fractions of its height.
 export function pan(pose, dx, dy) {
   const { right, up } = axes(pose);
   const height = 2 * norm(sub(pose.eye, pose.target)) * Math.tan(pose.fov * Math.PI / 360);
   return shifted(pose, add(mul(right, -dx * height), mul(up, dy * height)));
 }
 
-// A scene that is no larger than this is looked for in vain.
+// A smaller scene can hardly be found on the screen.
 const DOT_PX = 12;
-// Farther than so many extents from what is looked at, a scene is a dot.
+// Farther away than this many extents, a scene is a dot.
 const FARTHEST = 100;
 
-// Multiplies the distance to the target, within what a scene of this extent can be seen from.
+// Multiplies the distance to the target, within the range in which a scene of this extent can be seen.
 export function dolly(pose, factor, extent) {
   const offset = sub(pose.eye, pose.target), distance = norm(offset);
   const wanted = Math.max(extent * 1e-5, Math.min(Math.max(distance, extent * FARTHEST), distance * factor));
   return { ...pose, eye: add(pose.target, mul(offset, wanted / distance)) };
 }
 
-// As `dolly`, and what lies under a place of the picture stays there: [right, up] from the middle, in halves of the picture's
-// height, at the distance of the target.
+// As `dolly`, but the point under a place of the picture, at the distance of the target, stays there. The place is [right, up]
+// from the middle, in halves of the picture's height.
 export function dollyTowards(pose, factor, extent, [x, y]) {
   const nearer = dolly(pose, factor, extent), { right, up } = axes(pose);
   const before = norm(sub(pose.eye, pose.target)), slope = Math.tan(pose.fov * Math.PI / 360);
@@ -73,14 +73,14 @@ export function dollyTowards(pose, factor, extent, [x, y]) {
   return shifted(nearer, add(mul(right, x * share), mul(up, y * share)));
 }
 
-// Where a point is in a picture so many pixels wide and high, from its top left. The point lies before the eye.
+// The position of a point in a picture of this size, in pixels from the top left. The point must be in front of the eye.
 export function project(pose, point, [width, height]) {
   const { right, up, forward } = axes(pose), way = sub(point, pose.eye);
   const focal = height / 2 / Math.tan(pose.fov * Math.PI / 360) / dot(way, forward);
   return [width / 2 + dot(way, right) * focal, height / 2 - dot(way, up) * focal];
 }
 
-// The part of a line that lies before the eye, by a ten-thousandth of the distance looked at; null where none does.
+// The part of a line in front of the eye, by at least a ten-thousandth of the target's distance; null if there is none.
 export function clipped(pose, a, b) {
   const { forward } = axes(pose), near = norm(sub(pose.target, pose.eye)) * 1e-4;
   const [p, q] = [a, b].map(end => dot(sub(end, pose.eye), forward) - near);
@@ -89,28 +89,28 @@ export function clipped(pose, a, b) {
   return [p < 0 ? crossing() : a, q < 0 ? crossing() : b];
 }
 
-// Part of the way from a pose to one with another target: `share` from 0 to 1. The eye stays.
+// Turns part of the way to another target, `share` from 0 to 1. The eye stays.
 export function turnedTo(pose, target, share) {
   const [a, b] = [sub(pose.target, pose.eye), sub(target, pose.eye)];
   const between = add(mul(unit(a), 1 - share), mul(unit(b), share)), distance = norm(a) + (norm(b) - norm(a)) * share;
   return { ...pose, target: share >= 1 || norm(between) < 1e-9 ? target : add(pose.eye, mul(unit(between), distance)) };
 }
 
-// A camera that was made for a frame at least as wide as high shows as much of its width in a narrower one, up to a vertical field
-// of view of 100 degrees: what the server makes of `camera=`.
+// A camera made for a frame at least as wide as high shows the same width in a narrower one, up to a vertical field of view of
+// 100 degrees, as with the server's `camera=`.
 const WIDEST_FOV = 100;
 export function forFrame(camera, [width, height]) {
   const { eye, target, up, fov } = camera, half = Math.tan(fov * Math.PI / 360) * Math.max(1, height / width);
   return { eye, target, up, fov: Math.max(fov, Math.min(WIDEST_FOV, Math.atan(half) * 360 / Math.PI)) };
 }
 
-// A coordinate with the digits that can be seen from this distance: a ten-thousandth of it.
+// A coordinate with the digits that are visible from this distance: a ten-thousandth of it.
 export function digits(value, distance) {
   const places = Math.max(0, Math.min(15, Math.ceil(4 - Math.log10(distance))));
   return Number.isFinite(places) ? String(Number(value.toFixed(places))) : String(value);
 }
 
-// Along the view's own axes: [right, up, forward], in scene units. What is looked at moves along.
+// Moves along the view's own axes: [right, up, forward], in scene units. The target moves along.
 export function fly(pose, [x, y, z]) {
   const { right, up, forward } = axes(pose);
   return shifted(pose, add(add(mul(right, x), mul(up, y)), mul(forward, z)));
@@ -120,13 +120,13 @@ function shifted(pose, by) {
   return { ...pose, eye: add(pose.eye, by), target: add(pose.target, by) };
 }
 
-// Of a scene's box; of one without, how far off a pose looks.
+// The extent of a scene's box; for a scene without one, the distance of the pose's target.
 export function extentOf(bounds, pose) {
   const size = bounds ? norm(sub(bounds[1], bounds[0])) : 0;
   return size || (pose ? norm(sub(pose.eye, pose.target)) : 1);
 }
 
-// Whether a box lies beside the view, behind it, or is but a dot in it of a picture so many pixels wide and high.
+// Whether a box is beside the view, behind it, or only a dot in a picture of this size in pixels.
 export function isOutOfSight(pose, [low, high], [width, height]) {
   const { right, up, forward } = axes(pose), slope = Math.tan(pose.fov * Math.PI / 360), wide = slope * width / height;
   const corners = Array.from({ length: 8 }, (_, i) => {
@@ -138,7 +138,7 @@ export function isOutOfSight(pose, [low, high], [width, height]) {
   return outside.some(test => corners.every(test)) || (extent > 0 && extent / distance / slope / 2 * height < DOT_PX);
 }
 
-// Whether two poses show the same.
+// Whether two poses give the same view.
 export function isSame(a, b) {
   const scale = norm(sub(a.eye, a.target)) * 1e-9;
   return norm(sub(a.eye, b.eye)) <= scale && norm(sub(a.target, b.target)) <= scale

@@ -1,10 +1,10 @@
-// What a frame's receipt says: one line of status, the table of steps, and the facts.
+// Shows a frame's receipt: a status line, the table of steps, and the facts.
 
 import { $, bytes, count, ms, rows } from './message.js';
 import { digits, norm, sub } from './pose.js';
 import { addFrame, colorOf, stepsOf } from './chart.js';
 
-// info is a frame's header with `elapsedMs`; full is its size at rest.
+// info: a frame's header with `elapsedMs`; full: the frame's size at rest.
 export function report(info, full, poses) {
   status(info, full);
   const { receipt } = info;
@@ -27,7 +27,7 @@ function status(info, [w, h]) {
   const server = info.receipt ? `${ms(info.receipt.total_ns)} ms on the server` : '';
   const elapsed = info.elapsedMs == null ? '' : `${server ? ', ' : ''}${info.elapsedMs.toFixed(0)} ms from pose to picture`;
   const revision = info.revision == null ? '' : ` Revision ${info.revision}.`;
-  // Only what stays is read out.
+  // Screen readers announce still frames only.
   $('status').setAttribute('aria-live', isStill ? 'polite' : 'off');
   $('status').replaceChildren(state, `: ${info.width} × ${info.height} ${format}${reduced}. ${server}${elapsed}.${revision}`);
 }
@@ -93,7 +93,7 @@ function row([name, ns, isHost, pass], total) {
   return line;
 }
 
-// Passes that were skipped, in one line that unfolds to their reasons. It stays as it was from frame to frame.
+// Skipped passes in one line that unfolds to the reasons. The line stays folded or unfolded from frame to frame.
 let isUnfolded = false;
 function folded(skipped) {
   const line = document.createElement('tr'), cell = document.createElement('td'), details = document.createElement('details');

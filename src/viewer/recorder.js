@@ -1,4 +1,4 @@
-// The camera path's panel: keys from the poses that are seen, their times and eases, playing, saving and loading.
+// The panel of the camera path: records keys from views, edits times and eases, plays, saves and loads.
 
 import { getJson, hasKey, sceneUrl } from './api.js';
 import { motionUrl } from './film.js';
@@ -9,7 +9,7 @@ import * as store from './store.js';
 
 const EASE_WORDS = { smooth: 'smooth', linear: 'even', in: 'from rest', out: 'to rest', in_out: 'rest to rest', hold: 'cut' };
 const KEY_SECONDS = 2;
-// What the fields take: a film of the longest path at the highest rate is one that the daemon takes on.
+// Ranges of the fields, chosen so that the daemon accepts a film of the longest path at the highest rate.
 const FPS = [1, 120], SECONDS = [0.1, 8000];
 
 const rounded = seconds => Math.round(seconds * 1000) / 1000;
@@ -20,7 +20,7 @@ export class Recorder {
   constructor(view) {
     this.view = view;
     this.path = empty();
-    this.name = null; // of the scene's path that this is, unchanged
+    this.name = null; // name of the scene's path that this one is a copy of, while unchanged
     this.onShow = () => {};
     this.player = new Player(() => this.path, {
       pose: (pose, moving) => view.show(pose, moving),
@@ -45,13 +45,13 @@ export class Recorder {
     this.show();
   }
 
-  // The paths that a scene has by itself.
+  // Lists the paths of a scene.
   ofScene(scene) {
     this.player.pause(false);
     $('named-label').hidden = scene.paths.length === 0;
     $('named').replaceChildren(option('', 'choose …'), ...scene.paths.map(name => option(name, name)));
     if (this.sceneId === scene.id) return this.show();
-    // Poses of another scene lead nowhere here: each has the path that was recorded for it.
+    // Poses of another scene are meaningless here: each scene has its own recorded path.
     this.sceneId = scene.id;
     this.restore(store.pathOf(scene.id));
   }
@@ -81,7 +81,7 @@ export class Recorder {
   changed(isKept = true) {
     const { path, name } = this;
     if (isKept && this.sceneId) store.keepPath(this.sceneId, name ? { name } : path.keys.length > 0 ? { path } : null);
-    // Whatever was wrong was so before.
+    // Messages about the earlier path no longer apply.
     quiet('path');
     for (const id of ['duration', 'fps']) fault($(id), null);
     $('key-fault').hidden = true;
@@ -101,7 +101,7 @@ export class Recorder {
     this.show();
   }
 
-  // Keys are in the order of their times: another time may be another place.
+  // Keys are ordered by time, so a new time may change a key's place.
   retime(index, input) {
     const t = Number(input.value), key = this.path.keys[index], others = this.path.keys.filter(other => other !== key).map(other => other.t);
     const span = Math.max(t, ...others) - Math.min(t, ...others);
@@ -121,7 +121,7 @@ export class Recorder {
     this.focusOn(this.path.keys.indexOf(key), 'input');
   }
 
-  // What is seen changes places, the times stay.
+  // Swaps the views of two keys; their times stay.
   swap(index, other, action) {
     this.change(({ keys }) => {
       const [a, b] = [keys[index], keys[other]];
@@ -176,7 +176,7 @@ export class Recorder {
     if (file) this.load(await file.text(), file.name);
   }
 
-  // Takes the text of a path file; says what is wrong with it otherwise.
+  // Loads the text of a path file, or reports what is wrong with it.
   load(text, name, sceneName = null, isShown = true) {
     let path = null, wrong = null;
     try { path = JSON.parse(text); } catch (error) { wrong = error.message; }
@@ -191,20 +191,20 @@ export class Recorder {
     this.player.seek(0, false);
   }
 
-  // isShown: the view goes where it begins.
+  // isShown: the view moves to the path's beginning.
   async loadNamed(name, isShown = true) {
     if (!name) return;
     const { sceneId, path: before } = this;
     try {
       const path = await getJson(sceneUrl(sceneId, `/paths/${encodeURIComponent(name)}`));
-      // Unless something else was loaded or recorded meanwhile.
+      // Skip it if another path was loaded or recorded meanwhile.
       if (this.sceneId === sceneId && this.path === before) this.load(JSON.stringify(path), name, name, isShown);
     } catch (problem) {
       if (isShown) complain(problem, 'path');
     }
   }
 
-  // --- what is seen ------------------------------------------------------------------------------
+  // --- the view ----------------------------------------------------------------------------------
   show() {
     const { path } = this, { keys } = path, duration = durationOf(path), isEmpty = keys.length === 0;
     this.player.at = Math.min(this.player.at, duration);
@@ -261,7 +261,7 @@ export class Recorder {
     return row;
   }
 
-  // The table was built anew: the focus goes to what stands where it was.
+  // The table was rebuilt. Focus the element that replaces the focused one.
   focusOn(index, selector) {
     const row = $('keys').tBodies[0].rows[index], wanted = row && row.querySelector(selector);
     if (!wanted) return;

@@ -1,17 +1,17 @@
-// The frames of a film that was made as frames: looked at one by one or played, and downloaded, one or all.
+// The frames of a film without video: shows or plays them, and downloads one or all.
 
 import { getJson, hasKey, reach } from './api.js';
 import { $, complain, count } from './message.js';
 import { MOST_BYTES, MOST_FILES, Zip } from './zip.js';
 
-// What an <img> shows.
+// Formats that an <img> shows.
 const SHOWN = ['png', 'jpeg', 'webp'];
 const SLOWEST_FPS = 0.1;
 
 export const jobUrl = (id, rest = '') => `/v1/jobs/${encodeURIComponent(id)}${rest}`;
 export const hasFrames = job => job.want.includes('frames') && job.frames.done > 0;
 
-// Saves what an address gives. A link cannot carry a key: with one, the file is fetched first.
+// Makes a link that downloads from an address. A link cannot send a key: with a key, the file is fetched first.
 export function downloadLink(link, url, name) {
   link.href = url;
   link.download = name;
@@ -27,7 +27,7 @@ export function downloadLink(link, url, name) {
   return link;
 }
 
-// Plays the video at an address in its place; null: there is none.
+// Shows the video at an address in its element; null hides the element.
 export async function showVideo(element, url) {
   element.hidden = !url;
   if (element.dataset.of === (url ?? '')) return;
@@ -35,7 +35,7 @@ export async function showVideo(element, url) {
   if (element.src.startsWith('blob:')) URL.revokeObjectURL(element.src);
   if (!url) return element.removeAttribute('src');
   try {
-    // What plays cannot send a key either.
+    // A video element cannot send a key either.
     const src = hasKey() ? URL.createObjectURL(await (await reach(url)).blob()) : url;
     if (element.dataset.of === url) element.src = src;
   } catch (problem) {
@@ -96,7 +96,7 @@ export class Reel {
     this.free();
   }
 
-  // Whether it was shown: a newer wish, or one for another film, overtakes it.
+  // Returns whether the frame was shown: a later call, or one for another film, overtakes it.
   async look(number) {
     const ticket = ++this.asked, { job } = this, image = $('reel-image');
     const url = jobUrl(job.id, `/frames/${number}`), name = `${job.scene}-${job.id}-${numbered(number)}.${this.extension}`;
@@ -108,7 +108,7 @@ export class Reel {
     const shown = new Image();
     try {
       if (hasKey()) src = URL.createObjectURL(await (await reach(url)).blob());
-      // Decoded aside, so that the picture before stays until it is there.
+      // Decode it separately, so that the earlier picture stays until the new one is ready.
       shown.src = src;
       await shown.decode();
     } catch (problem) {
@@ -126,7 +126,7 @@ export class Reel {
     return true;
   }
 
-  // isOfFrame: it is over with the next frame that is shown.
+  // isOfFrame: the text goes away when the next frame is shown.
   say(text, isOfFrame = false) {
     this.isOfFrame = isOfFrame;
     $('reel-text').textContent = text;
@@ -144,7 +144,7 @@ export class Reel {
     let number = from;
     while (this.isPlaying && this.job === job) {
       if (!await this.look(number) || number === last) break;
-      // In the film's own time: what comes too late is left out, but for the last.
+      // Keep the film's own time: late frames are skipped, except for the last.
       await new Promise(resolve => setTimeout(resolve, Math.max(0, began + (number + 1 - from) * 1000 / fps - performance.now())));
       number = Math.min(last, Math.max(number + 1, from + Math.floor((performance.now() - began) * fps / 1000)));
     }

@@ -1,11 +1,11 @@
-// Frames by requests, where there can be no stream. At most one is in flight, and the newest pose wins. While it moves, frames are
-// JPEGs sized so that one comes in about TARGET_MS; when it rests, one comes as the settings want it.
+// Frames by requests, where a stream is impossible. At most one request is in flight, and the newest pose wins. While the pose
+// moves, frames are JPEGs of a size that arrives in about TARGET_MS. At rest, one frame follows with the chosen settings.
 
 import { isPassing, queryText, reach, sceneUrl } from './api.js';
 
 const TARGET_MS = 70;
 const SCALES = [1, 0.75, 0.5, 0.35, 0.25];
-// This long without a change, and the pose counts as at rest.
+// Time without a change after which the pose counts as at rest.
 const REST_MS = 160;
 const MOVING_QUALITY = 75;
 
@@ -43,7 +43,7 @@ export class Requests {
     this.seq = seq;
     this.restsAt = performance.now() + (moving === false ? 0 : REST_MS);
     this.best = null;
-    // A full frame of a pose that is no longer wanted is not worth waiting for; a small one is.
+    // A full frame of an outdated pose is cancelled; a small one is not.
     if (this.flight && this.flight.isStill) this.flight.abort.abort();
     this.pump();
   }
@@ -102,7 +102,7 @@ export class Requests {
   }
 
   recover(problem) {
-    // This pose and these settings will not do; wait for others, unless waiting helps.
+    // The server refuses this pose or these settings. Wait for others, unless another try may help.
     if (isPassing(problem) && problem.status !== 0) this.pump(problem.retry_after_ms || 2000);
     else this.best = 'still';
     this.failed(problem);

@@ -1,4 +1,4 @@
-// The list of scenes: what is loaded, what is on its way, what failed.
+// The list of scenes: loaded, loading and failed ones.
 
 import { getJson } from './api.js';
 import { $, button, bytes, count, option, rows } from './message.js';
@@ -16,13 +16,13 @@ export async function refresh() {
   return scenes;
 }
 
-// What a page opens with that was asked for nothing: what was loaded first, which is first in the list.
+// The default scene of a page: the first in the list, which was loaded first.
 export const greeting = () => usable()[0];
 
-// As it is called where no list is beside it.
+// A scene's name where it stands without a list.
 export const fullName = scene => !scene.name || scene.name === scene.id ? scene.id : `${scene.name} (${scene.id})`;
 
-// As it is called in lists: its name, with the id where another has the same.
+// A scene's name in lists, with its id if another scene has the same name.
 function nameInList(scene) {
   if (scene.state === 'loading' || scene.state === 'failed') return `${scene.id} (${scene.state})`;
   return scenes.some(other => other.id !== scene.id && other.name === scene.name) ? fullName(scene) : scene.name || scene.id;
@@ -39,12 +39,12 @@ function inWords(scene) {
   return [...shown, scene.bounds ? size(scene.bounds) : 'empty'].join(', ');
 }
 
-// The scene that is asked about, whether it is to be deleted.
+// Id of the scene whose deletion is to be confirmed.
 let doubtful = null;
 let shown = '';
 
 export function show(current, choose, remove) {
-  // What is the same is left alone: a list that is open stays open.
+  // Leave an unchanged list alone, so that an open one stays open.
   const now = JSON.stringify([current?.id, doubtful, scenes]);
   if (now === shown) return;
   shown = now;

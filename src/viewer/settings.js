@@ -1,5 +1,5 @@
-// Settings of frames: those that the daemon declares (/v1/settings), each with a control of its name, and two of this page: which image
-// is shown, and how it is encoded at rest.
+// Settings of frames: those that the daemon declares (/v1/settings), each with a control of its name, and two of this page: the
+// output, and the encoding at rest.
 
 import { getJson } from './api.js';
 import { $, complain, fault } from './message.js';
@@ -11,7 +11,7 @@ export const NAMES = ['output', ...declared.map(setting => setting.name), 'quali
 const COLOR = 'transparent|#?([0-9a-fA-F]{3}|[0-9a-fA-F]{6}|[0-9a-fA-F]{8})';
 
 let scene = null;
-// Settings of the frame that was drawn last, with what the scene says.
+// Settings of the last frame, including the scene's defaults.
 let drawn = {};
 
 function control(setting) {
@@ -53,16 +53,16 @@ const isNumber = name => $(name).type === 'number';
 const isWritten = name => $(name).tagName === 'INPUT';
 const isDefault = name => isWritten(name) ? $(name).value === '' || !$(name).validity.valid : $(name).selectedIndex === 0;
 
-// What rules are held against: the settings and the scene. What nobody knows yet is missing.
+// The facts that rules are checked against: settings and scene. Unknown facts are missing.
 function facts() {
   const found = { output: $('output').value, lights: scene?.lights > 0 ? 'some' : 'none' };
   for (const { name } of declared) found[name] = $(name).value || drawn[name];
-  // Meshes have samples where detail is chosen.
+  // With a level of detail, meshes have samples.
   found.samples = scene && (scene.samples || found.lod === 'spt') ? 'some' : 'none';
   return found;
 }
 
-// Whether a setting means anything for this scene and the other settings.
+// Whether a setting has an effect with this scene and the other settings.
 function applies(setting, found) {
   return [...setting.needs, ...setting.useful_with].every(rule => found[rule.of] === undefined || rule.is.includes(String(found[rule.of])));
 }
@@ -85,13 +85,13 @@ export function ofScene(info) {
   showSettings();
 }
 
-// Those that are not as they come, by name.
+// Settings that differ from their defaults, by name.
 export function chosen() {
   const names = applying();
   return Object.fromEntries(NAMES.filter(name => names.has(name) && !isDefault(name)).map(name => [name, $(name).value]));
 }
 
-// What a frame is asked for with: only colours survive lossy compression.
+// The parameters of a frame's request. Only colours survive lossy compression.
 export function parameters() {
   const { quality, ...found } = chosen();
   for (const { name, kind } of declared) {
@@ -102,7 +102,7 @@ export function parameters() {
   return { ...found, ...(quality ? { format: 'jpeg', quality: Number(quality) } : { format: 'png' }) };
 }
 
-// What a setting takes, where it does not take this; otherwise null.
+// Says which values a setting accepts if it does not accept this one; otherwise null.
 export function refused(name, value) {
   if (isNumber(name)) {
     const { min, max } = $(name), number = value.trim() === '' ? NaN : Number(value);
@@ -122,7 +122,7 @@ export function restore(params) {
   showSettings();
 }
 
-// What the scene says, where nothing else was asked for.
+// Names the scene's default in controls that are left at it.
 export function nameDefaults(used) {
   drawn = used;
   for (const { name } of declared.filter(setting => setting.default == null && !isWritten(setting.name))) {

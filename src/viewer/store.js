@@ -1,8 +1,8 @@
-// What outlasts a reload: the path recorded for each scene, the film under way, the scene seen last. A browser that keeps nothing
-// (private windows, full disks) costs no more than that.
+// Data that survives a reload: the path recorded for each scene, the running film, and the last scene. If a browser stores
+// nothing (private windows, full disks), only these are lost.
 
 const PREFIX = 'pointillist-';
-// Scenes whose paths are kept; those not touched for longest go first.
+// Number of scenes whose paths are kept. The least recently used ones go first.
 const MOST_PATHS = 24;
 
 function read(name) {
@@ -22,14 +22,14 @@ function write(name, value) {
 export const lastScene = () => read('scene');
 export const keepScene = id => write('scene', id);
 
-// Whether the hint for the first visit has been seen.
+// Whether the user has seen the hint for the first visit.
 export const knowsItsWay = () => read('knows') === true;
 export const keepKnowing = () => write('knows', true);
 
 export const film = () => read('film');
 export const keepFilm = id => write('film', id);
 
-// {name} of the scene's own path, or {path}; null where none was left.
+// {name} of a path of the scene, or {path}; null if none is stored.
 export const pathOf = sceneId => (read('paths') || []).find(([id]) => id === sceneId)?.[1] ?? null;
 
 export function keepPath(sceneId, kept) {

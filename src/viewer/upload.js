@@ -1,21 +1,21 @@
-// Files onto the page, by drop or by the button: sent with progress, one scene after the other, then waited for while the daemon
-// loads them. What could not be sent is kept, to be sent again.
+// Uploads files by drop or by button: sends one scene after the other with progress, then waits while the daemon loads it. Failed
+// uploads are kept, to be sent again.
 
 import { getJson, headers, NO_ANSWER, problemFrom, sceneUrl } from './api.js';
 import { faultOfGroup, filesOf, sorted, unreadable } from './files.js';
 import { $, bytes, complain, quiet } from './message.js';
 
-// Seconds that the daemon may keep the answer back: after that it answers 202, and is asked how it goes.
+// Seconds that the daemon may delay its answer. After that it answers 202, and the page polls.
 const WAIT_SECONDS = 2;
 const POLL_MS = 700;
 
 let cancel = null, isSending = false;
-// Groups of files, a scene each.
+// Groups of files, one per scene.
 const queue = [];
-// Complaints about uploads that were refused, of the last choice of files and of those before it. The latter go once something has been sent.
+// Subjects of messages about refused uploads: of the last choice of files, and of earlier ones, which go when an upload succeeds.
 const failed = new Set(), stale = new Set();
 
-// on: {added(id), path(text, name), left()} when a scene is there, a camera path was dropped, it is over one way or another.
+// on: {added(id) when scenes are there, path(text, name) when a camera path was given, left() at the end in any case}.
 export function watch(on) {
   const drop = $('drop');
   let depth = 0;
@@ -37,7 +37,7 @@ export function watch(on) {
     take(files, on);
   });
   $('upload-cancel').addEventListener('click', () => { queue.length = 0; cancel?.(); });
-  // All else outlasts the page.
+  // Everything else survives the page.
   addEventListener('beforeunload', event => { if (isSending) event.preventDefault(); });
 }
 
@@ -105,7 +105,7 @@ function say(text, done) {
   if (done === null) $('upload-progress').removeAttribute('value'); else $('upload-progress').value = done;
 }
 
-// The id of the scene, or null when it was cancelled.
+// Returns the id of the scene, or null if it was cancelled.
 async function send(files) {
   const names = namesOf(files);
   say(`${names}: sending …`, 0);
@@ -143,7 +143,7 @@ function post(files, names) {
   });
 }
 
-// Waits until the scene is there; cancelling only stops the waiting, for the daemon has everything.
+// Waits until the scene is loaded. Cancelling only ends the wait, because the daemon has all files.
 async function loaded(id, names) {
   let isCancelled = false;
   cancel = () => { isCancelled = true; };
@@ -154,7 +154,7 @@ async function loaded(id, names) {
       if (scene.state === 'ready') return id;
       say(`${names}: received, being loaded for ${Math.round(scene.loading_ms / 1000)} s …`, null);
     } catch (problem) {
-      // A daemon that comes back loads what was sent to the one before.
+      // A restarted daemon loads what its predecessor received.
       if (problem.status !== 0) throw problem;
       say(`${names}: received; the server does not answer just now …`, null);
     }

@@ -1,7 +1,7 @@
-// An archive of files as they are (PKWARE's APPNOTE, method 0): pictures are compressed already. Made here, because the daemon keeps
-// frames one by one and sends all of them only as a stream that no desktop opens.
+// A zip archive of stored files (PKWARE's APPNOTE, method 0): images are compressed already. The page makes it, because the
+// daemon sends frames one by one or as a multipart stream, which no desktop opens.
 
-// Without the 64-bit extension, an archive and the number of its files are at most this.
+// Limits on the archive's bytes and number of files without the 64-bit extension.
 export const MOST_BYTES = 0xffffffff, MOST_FILES = 0xffff;
 const UTF8 = 0x0800, VERSION = 20;
 
@@ -29,7 +29,7 @@ export class Zip {
     const crc = crc32(new Uint8Array(await blob.arrayBuffer())), text = new TextEncoder().encode(name);
     const facts = [[VERSION, 2], [UTF8, 2], [0, 2], [this.time, 2], [this.day, 2], [crc, 4], [blob.size, 4], [blob.size, 4], [text.length, 2], [0, 2]];
     const head = fields([[0x04034b50, 4], ...facts]);
-    // The same once more in the directory, with a comment, disk and attributes that are not there, and where it lies.
+    // The directory repeats these fields, with no comment, disk or attributes, and with the position of the entry.
     this.entries.push(fields([[0x02014b50, 4], [VERSION, 2], ...facts, [0, 2], [0, 2], [0, 2], [0, 4], [this.at, 4]]), text);
     this.parts.push(head, text, blob);
     this.at += head.length + text.length + blob.size;
@@ -42,7 +42,7 @@ export class Zip {
   }
 }
 
-// Numbers of so many bytes, the lowest first.
+// Little-endian numbers of these sizes in bytes.
 function fields(list) {
   const bytes = new Uint8Array(list.reduce((sum, [, size]) => sum + size, 0)), view = new DataView(bytes.buffer);
   let at = 0;

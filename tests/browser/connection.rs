@@ -1,4 +1,4 @@
-//! What happens to the stream: a daemon that restarts, a scene that is edited or deleted, no WebSocket at all.
+//! The stream's connection: a daemon that restarts, a scene that is edited or deleted, and a page without WebSocket.
 
 use super::daemon::Daemon;
 use super::page::{PATIENCE, driver_or_skip, keys, opened, still_picture};
@@ -23,7 +23,7 @@ fn goes_on_where_it_was_after_a_restart() {
     assert_eq!(browser.script("return viewer.pose"), pose, "the view stayed where it was");
     let quiet = browser.script("return document.getElementById('message').hidden");
     assert!(quiet.as_bool().unwrap(), "the message is gone with its cause");
-    // What is done while nobody answers is shown as soon as somebody does.
+    // A change made while the daemon is down is shown when it is back.
     daemon.kill();
     browser.link("waiting");
     browser.script("viewer.canvas.focus()");
@@ -65,7 +65,7 @@ fn edits_are_told_and_deleted_scenes_may_come_back() {
     assert_eq!(browser.script("return viewer.pose"), moved, "the view stayed where it was");
 }
 
-/// A page whose WebSockets are refused, as some proxies do.
+/// A page whose WebSockets are refused, as by some proxies.
 #[test]
 fn frames_come_by_requests_where_there_is_no_stream() {
     let Some(driver) = driver_or_skip() else { return };
@@ -91,7 +91,7 @@ fn frames_come_by_requests_where_there_is_no_stream() {
     assert_ne!(still_picture(&browser), first);
     let states = browser.text("return states.join('\\n')");
     assert!(states.contains("moving") && states.contains("still, refined"), "{states}");
-    // The proxy is mended: the stream is taken up where the requests were.
+    // Once WebSockets work, the stream continues where the requests were.
     let requested = still_picture(&browser);
     browser.script("globalThis.WebSocket = RealSocket; viewer.link.connect()");
     browser.link("stream");

@@ -1,15 +1,15 @@
-//! The daemon under test, with a small scene of its own.
+//! The daemon under test, with its own small scene.
 
 use std::fmt::Write as _;
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 
-/// A running daemon; ended on drop.
+/// A running daemon, killed when dropped.
 pub struct Daemon {
     child: Child,
     pub url: String,
     root: tempfile::TempDir,
-    /// Where its jobs are, if it has any.
+    /// The folder of its jobs, if it draws jobs.
     state: Option<tempfile::TempDir>,
 }
 
@@ -25,12 +25,12 @@ impl Daemon {
         Daemon::first(None)
     }
 
-    /// As [`Daemon::start`], and it draws films too.
+    /// As [`Daemon::start`], with jobs.
     pub fn with_jobs() -> Daemon {
         Daemon::first(Some(tempfile::tempdir().expect("a folder for jobs")))
     }
 
-    /// As [`Daemon::start`], for pages of another origin as well.
+    /// As [`Daemon::start`], open to pages of another origin.
     pub fn for_pages_of(origin: &str) -> Daemon {
         Daemon::spawn(folder_with_scene(), None, "127.0.0.1:0", &["--cors-origin", origin])
     }
@@ -39,13 +39,13 @@ impl Daemon {
         Daemon::spawn(folder_with_scene(), state, "127.0.0.1:0", &[])
     }
 
-    /// Ends it, as a crash does.
+    /// Kills the daemon, as in a crash.
     pub fn kill(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 
-    /// Starts again on the same root and at the same address, after [`Daemon::kill`].
+    /// Starts the daemon again on the same root and address, after [`Daemon::kill`].
     pub fn start_again(&mut self) {
         let root = std::mem::replace(&mut self.root, tempfile::tempdir().expect("a folder"));
         let address = self.url.trim_start_matches("http://").to_owned();
@@ -76,31 +76,31 @@ impl Daemon {
         let url = lines.by_ref().find_map(|line| {
             line.split_once("listening on ").map(|(_, url)| url.trim().to_owned())
         });
-        // When its scene is there.
+        // This line is printed when the scene is loaded.
         assert!(lines.by_ref().any(|line| line.starts_with("curl ")), "the scene is loaded");
         std::thread::spawn(move || lines.for_each(drop));
         Daemon { child, url: url.expect("the daemon says where it listens"), root, state }
     }
 
-    /// Removes the scene behind the viewer's back.
+    /// Removes the scene without the viewer.
     pub fn remove_scene(&self) {
         let answer = ureq::delete(format!("{}/v1/scenes/ball", self.url)).call();
         assert!(answer.is_ok(), "{answer:?}");
     }
 
-    /// Moves the ball behind the viewer's back.
+    /// Moves the ball without the viewer.
     pub fn move_ball(&self, x: f64) {
         let answer = ureq::patch(format!("{}/v1/scenes/ball/nodes/ball", self.url))
             .send_json(serde_json::json!({ "translate": [x, 0, 0] }));
         assert!(answer.is_ok(), "{answer:?}");
     }
 
-    /// Whether files of an uploaded scene are on its disk.
+    /// Whether files of an uploaded scene are on the daemon's disk.
     pub fn has_upload(&self, id: &str) -> bool {
         self.root.path().join("uploads").join(id).exists()
     }
 
-    /// A file beside the scene's, for uploads.
+    /// Writes a file beside the scene's, for uploads, and returns its path.
     pub fn file(&self, name: &str, text: &str) -> String {
         let path = self.root.path().join(name);
         std::fs::create_dir_all(path.parent().expect("a folder")).expect("it can be made");
@@ -115,7 +115,7 @@ impl Drop for Daemon {
     }
 }
 
-/// A ball of points whose colours tell directions apart, hovering over a square of two triangles.
+/// Writes a scene: a ball of points, coloured by direction, above a square of two triangles.
 fn write_scene(root: &std::path::Path) {
     const POINTS: u32 = 20_000;
     let mut ply = format!(
@@ -124,7 +124,7 @@ fn write_scene(root: &std::path::Path) {
          property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
     );
     for index in 0..POINTS {
-        // Fibonacci's spiral covers a sphere evenly.
+        // A Fibonacci spiral covers the sphere evenly.
         let z = 1.0 - (2.0 * f64::from(index) + 1.0) / f64::from(POINTS);
         let turn = f64::from(index) * 2.399_963_229_728_653;
         let (x, y) = ((1.0 - z * z).sqrt() * turn.cos(), (1.0 - z * z).sqrt() * turn.sin());

@@ -1,4 +1,4 @@
-//! The page of docs/web-page.md, served from an origin of its own, as whoever copies it does.
+//! Tests the page in docs/web-page.md, served from another origin, as a reader who copies it does.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
@@ -8,7 +8,7 @@ use super::daemon::Daemon;
 use super::page::driver_or_skip;
 use super::webdriver::Browser;
 
-/// The last HTML block of the page, which is a whole document.
+/// The last HTML block of the page, which is a complete document.
 fn document() -> String {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/web-page.md");
     let text = std::fs::read_to_string(path).unwrap();
@@ -16,7 +16,7 @@ fn document() -> String {
     html.split_once("```").unwrap().0.to_owned()
 }
 
-/// Serves `page` to everybody, for as long as the test runs.
+/// Serves `page` to everybody while the test runs.
 fn serve(listener: TcpListener, page: String) {
     std::thread::spawn(move || {
         for mut stream in listener.incoming().map_while(Result::ok) {

@@ -1,11 +1,11 @@
-//! What is entered and cannot be used: each is told where it was entered, until it is mended.
+//! Invalid input is reported at its field until it is corrected.
 
 use serde_json::json;
 
 use super::page::{PATIENCE, driver_or_skip, opened, still_picture};
 use super::webdriver::Browser;
 
-/// What is wrong with a field, as it says.
+/// The message of a field about its input.
 fn fault(browser: &Browser, id: &str) -> String {
     let text = format!(
         "return document.getElementById('{id}-fault')?.checkVisibility() ? document.getElementById('{id}-fault').textContent : ''"
@@ -87,7 +87,7 @@ fn addresses_say_what_they_take() {
     }
     assert_eq!(still_picture(&browser), first, "the rest is as it comes");
     browser.shoot("wide-address.png");
-    // The same without a new page; and what can be used is told nothing of.
+    // A change of the hash works without a new page, and valid values give no message.
     browser.script("location.hash = 'scene=ball&camera=front&fov=50'");
     browser.wait_for("its view", PATIENCE, "return viewer.pose?.fov === 50 && viewer.isStill");
     assert_eq!(browser.script("return document.getElementById('message').hidden"), true);

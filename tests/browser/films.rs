@@ -1,4 +1,4 @@
-//! Films as jobs: made as frames or as a video, looked at, downloaded, and found again by a page that is loaded anew.
+//! Films as jobs: made as frames or as a video, viewed, downloaded, and found again after a reload.
 
 use serde_json::json;
 
@@ -13,7 +13,7 @@ fn shown(id: &str) -> String {
     format!("return document.getElementById('{id}').checkVisibility()")
 }
 
-/// Renders the path of the scene, 11 frames, as video or frames.
+/// Starts a film of the scene's path, 11 frames, as video or frames.
 fn render_named(browser: &Browser, want: &str) {
     browser.choose("#named", "round");
     let keys = "return document.querySelectorAll('#keys tbody tr').length === 3";
@@ -40,7 +40,7 @@ fn number(bytes: &[u8], at: usize, size: usize) -> usize {
     bytes[at..at + size].iter().rev().fold(0, |sum, byte| sum << 8 | usize::from(*byte))
 }
 
-/// Names and contents of an archive, found as unpackers do: from its end, through the directory.
+/// Names and contents of an archive, read as unpackers do: from its end, through the directory.
 fn unpacked(zip: &[u8]) -> Vec<(String, Vec<u8>)> {
     let end = zip.len() - 22;
     assert_eq!(number(zip, end, 4), 0x0605_4b50, "it ends as an archive does");
@@ -148,11 +148,11 @@ fn a_video_is_there_after_a_reload() {
     };
     assert_eq!(fetched("#film-result"), "200 video/mp4");
     assert_eq!(fetched("#job-list a"), "200 video/mp4");
-    // The film plays in the page, with or without a decoder for it in this browser.
+    // The video element loads the film, whether or not this browser has a decoder.
     let video = "const v = document.getElementById('film-video'); return v.checkVisibility() && (v.videoWidth > 0 || v.error?.code > 2 || !v.canPlayType('video/mp4; codecs=\"avc1.42E01E\"')) ? new URL(v.src).pathname : ''";
     let path = browser.wait_for("the film in its place", PATIENCE, video);
     assert!(path.as_str().unwrap().ends_with("/video.mp4"), "{path}");
-    // And above the list of all films, whoever had it made.
+    // The list of all films plays it as well.
     browser.script("document.querySelector('[data-act^=\"play \"]').click()");
     let path =
         browser.wait_for("a film of the list", PATIENCE, &video.replace("film-video", "job-video"));
@@ -175,7 +175,7 @@ fn path_and_film_outlast_a_reload() {
     browser.drag("mouse", 0, &[(400, 400), (470, 410), (600, 430)]);
     still_picture(&browser);
     browser.click("#key-add");
-    // More frames than are drawn while the page is loaded.
+    // More frames than can be drawn while the page reloads.
     browser.choose("#duration", "400");
     let path = browser.script("return viewer.recorder.path");
     browser.choose("#film-want", "frames");
@@ -217,7 +217,7 @@ fn path_and_film_outlast_a_reload() {
     wait("resume");
     browser.click(&act("resume"));
     browser.wait_for("it goes on", PATIENCE, &shown("film-cancel"));
-    // It is deleted at the second word only.
+    // Deletion needs a confirmation.
     browser.click(&act("ask"));
     wait("keep");
     browser.click(&act("keep"));
@@ -231,7 +231,7 @@ fn path_and_film_outlast_a_reload() {
         &format!("return (() => {{ {TEXT} }})() === 'The film was deleted.'"),
     );
 
-    // What was cleared stays so.
+    // A cleared path stays cleared.
     browser.click("#path-clear");
     browser.reload();
     still_picture(&browser);

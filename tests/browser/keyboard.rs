@@ -1,4 +1,4 @@
-//! Without a pointer: flight by keys, and everything reachable.
+//! Use without a pointer: flight by keys, and everything reachable by keyboard.
 
 use super::page::{PATIENCE, driver_or_skip, keys, opened, still_picture};
 use super::webdriver::Browser;
@@ -35,7 +35,7 @@ fn fly_by_keys() {
     let slow = browser.number("return Number(document.getElementById('speed').value)");
     browser.key('+');
     assert!(browser.number("return Number(document.getElementById('speed').value)") > slow);
-    // A key that is held when the page loses the keyboard is not held for ever.
+    // A held key is released when the picture loses the keyboard focus.
     browser.hold('d', true);
     browser.script("viewer.canvas.blur()");
     still_picture(&browser);
@@ -46,7 +46,7 @@ fn fly_by_keys() {
     assert_eq!(browser.console_errors(), Vec::<String>::new());
 }
 
-/// Name and outline of what has the focus.
+/// Name and outline of the focused element.
 fn focused(browser: &Browser) -> (String, String) {
     let found = browser.script(
         "const e = document.activeElement, label = e.closest('label'); \
@@ -81,7 +81,7 @@ fn everything_is_reached_by_the_keyboard() {
     }
     assert_eq!(seen.len(), reachable as usize, "{seen:#?}");
 
-    // A path of two keys, played, without a pointer.
+    // Record a path of two keys and play it without a pointer.
     browser.script("viewer.canvas.focus()");
     browser.key('k');
     browser.key(keys::RIGHT);

@@ -1,4 +1,4 @@
-//! Orbit, pan, zoom, outputs and settings; what is told of a frame.
+//! Orbit, pan, zoom, outputs and settings, and the receipt of a frame.
 
 use super::page::{distinct_colors, driver_or_skip, keys, opened, still_picture};
 use super::webdriver::Browser;
@@ -20,7 +20,7 @@ fn orbit_with_the_mouse() {
     );
     assert_eq!(size, expected, "a frame at rest has the canvas' own pixels");
 
-    // The page itself notes each state, so that a state which passes quickly is not missed.
+    // The page records every state, so that brief states are not missed.
     browser.script(
         "window.states = []; new MutationObserver(() => states.push(viewer.canvas.dataset.state + ' ' + \
          document.getElementById('status').textContent)).observe(viewer.canvas, { attributes: true })",
@@ -64,7 +64,7 @@ fn orbit_with_the_mouse() {
     browser.shoot("wide-deleted.png");
 }
 
-/// Controls of splats that can be seen.
+/// Names of the visible controls of splats.
 fn shown_controls(browser: &Browser) -> String {
     browser.text(
         "return ['reconstruct', 'filter', 'prefilter', 'blend', 'shading'].filter(name => \
@@ -102,7 +102,7 @@ fn splats_are_chosen_and_remembered() {
     browser.open("about:blank");
     browser.open(&address);
     assert_eq!(still_picture(&browser), opaque, "the address shows the same picture");
-    // What was chosen can be left to the scene again, on the same stream.
+    // A chosen setting can be returned to the scene's default on the same stream.
     browser.choose("#blend", "");
     browser.choose("#prefilter", "");
     assert_eq!(still_picture(&browser), splats);
@@ -157,7 +157,7 @@ fn detail_by_error_and_links_that_curl_takes() {
     assert_eq!(browser.console_errors(), Vec::<String>::new());
 }
 
-/// Every step has a time or a reason, and they add up to the total.
+/// Every step has a time or a reason, and the times add up to the total.
 fn passes_are_explained(browser: &Browser) {
     let rows = browser.script(
         "return [...document.querySelectorAll('#passes tr[data-step]')].map(r => \
@@ -176,7 +176,7 @@ fn passes_are_explained(browser: &Browser) {
     for step in ["queue", "readback", "encode"] {
         assert!(rows.iter().any(|row| cell(row, 0) == step), "{step} is listed: {rows:?}");
     }
-    // Those that were skipped are one line, which unfolds to their reasons.
+    // Skipped passes are one line, which unfolds to the reasons.
     let skipped = browser.text(
         "const r = document.querySelectorAll('#passes tr.skipped'); if (r.length !== 1) return ''; \
          const open = r[0].querySelector('details').open, items = [...r[0].querySelectorAll('li')]; \
@@ -192,7 +192,7 @@ fn passes_are_explained(browser: &Browser) {
     assert!(legend.contains('%'), "{legend}");
 }
 
-/// Where a world point is on the canvas, in CSS pixels from its top left, computed with the pose that the page holds.
+/// Position of a world point on the canvas, in CSS pixels from its top left, computed with the page's pose.
 const PROJECT: &str = "const project = p => { const { eye, target, up, fov } = viewer.pose, sub = (a, b) => a.map((v, i) => v - b[i]); \
      const dot = (a, b) => a.reduce((s, v, i) => s + v * b[i], 0), unit = a => a.map(v => v / Math.hypot(...a)); \
      const cross = (a, b) => [a[1]*b[2]-a[2]*b[1], a[2]*b[0]-a[0]*b[2], a[0]*b[1]-a[1]*b[0]]; \
@@ -209,7 +209,7 @@ fn the_wheel_zooms_towards_the_pointer_and_a_double_click_sets_the_pivot() {
     let Some(driver) = driver_or_skip() else { return };
     let (_daemon, browser) = opened(&driver);
     let at = |p: &str| numbers(&browser.script(&format!("{PROJECT} return project({p})")));
-    // The point of the plane through the target that lies under a place of the picture stays there.
+    // The point under a place of the picture, in the plane through the target, stays there.
     let bar = browser.number("return viewer.canvas.getBoundingClientRect().top");
     browser.script("viewer.canvas.focus(); window.under = [0.5, 0.3, 0]");
     let before = at("window.under");
@@ -226,7 +226,7 @@ fn the_wheel_zooms_towards_the_pointer_and_a_double_click_sets_the_pivot() {
 
     browser.key(keys::HOME);
     still_picture(&browser);
-    // The ball's surface beside its middle: what is seen there is the unit sphere.
+    // A place on the ball beside its middle: the hit lies on the unit sphere.
     let place = at("[0.45, 0.2, Math.sqrt(1 - 0.45 ** 2 - 0.2 ** 2)]");
     browser.script(&format!(
         "const r = viewer.canvas.getBoundingClientRect(); viewer.canvas.dispatchEvent(new MouseEvent('dblclick', \
@@ -246,7 +246,7 @@ fn the_wheel_zooms_towards_the_pointer_and_a_double_click_sets_the_pivot() {
         (middle[0] - size[0] / 2.0).hypot(middle[1] - size[1] / 2.0) < 12.0,
         "{middle:?} of {size:?}"
     );
-    // Beside everything there is no point to look at.
+    // Beside the scene there is no point to look at.
     let pose = browser.script("return viewer.pose.target");
     browser.script("const r = viewer.canvas.getBoundingClientRect(); viewer.canvas.dispatchEvent(new MouseEvent('dblclick', { clientX: r.left + 3, clientY: r.top + 60, bubbles: true }))");
     browser.wait_for(
@@ -264,7 +264,7 @@ fn a_view_of_nothing_says_so_and_fits() {
     let (daemon, browser) = opened(&driver);
     let lost =
         "const l = document.getElementById('lost'); return l.checkVisibility() ? l.innerText : ''";
-    // Inside the box of the scene, but between ball and floor: only the frame can tell that nothing is seen.
+    // Inside the scene's box, but between ball and floor: only the frame tells that nothing is in view.
     browser.open(&format!("{}/#scene=ball&eye=0,-1.1,1.9&target=0,-1.05,5&fov=30", daemon.url));
     let said = browser.wait_for("a word about nothing", super::page::PATIENCE, lost);
     assert!(said.as_str().unwrap().contains("Fit the view"), "{said}");
@@ -303,7 +303,7 @@ fn a_frame_that_takes_long_is_said_to_be_on_its_way() {
     let (_daemon, browser) = opened(&driver);
     let is_busy = "return document.getElementById('view').classList.contains('busy')";
     assert_eq!(browser.script(is_busy), false, "nothing is waited for");
-    // Frames are held up on their way through the page.
+    // Hold frames back within the page.
     browser.script(
         "viewer.canvas.focus(); window.came = viewer.link.came; viewer.link.came = () => {}",
     );
@@ -329,7 +329,7 @@ fn clicks_read_coordinates_and_measure() {
         browser.wait_for(what, super::page::PATIENCE, &format!("return /{pattern}/.test({text})"));
         browser.text(&format!("return {text}"))
     };
-    // The ball's surface: what is seen there is the unit sphere.
+    // Places on the ball: the hits lie on the unit sphere.
     let surface =
         |x: f64, y: f64| at(&format!("[{x}, {y}, Math.sqrt(1 - ({x}) ** 2 - ({y}) ** 2)]"));
     let place = |text: &str| -> Vec<f64> {
@@ -357,7 +357,7 @@ fn clicks_read_coordinates_and_measure() {
     let expected = surface(0.4, 0.0);
     assert!((ends[2] - expected[0]).hypot(ends[3] - expected[1]) < 12.0, "{ends:?} {expected:?}");
     browser.shoot("wide-measured.png");
-    // The line follows the view.
+    // The line of the measurement follows the view.
     browser.key(keys::LEFT);
     still_picture(&browser);
     let turned = browser.text(&format!("{line} line.getAttribute('points')"));

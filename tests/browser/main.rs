@@ -1,7 +1,7 @@
 //! The viewer page in a real browser: headless Chromium, driven over WebDriver, against the real daemon.
 //!
-//! Without `chromedriver` the tests say so and pass; with `POINTILLIST_BROWSER=required`, as `make test`
-//! sets it once it has found or installed one, they fail instead. Screenshots go to `target/browser/`.
+//! Without `chromedriver` the tests print a message and pass. With `POINTILLIST_BROWSER=required` they fail instead; `make test`
+//! sets it once it has found or installed a driver. Screenshots go to `target/browser/`.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,

@@ -1,4 +1,4 @@
-//! What tests ask the page, and do to it.
+//! Helpers of the tests that query the page and act on it.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -6,7 +6,7 @@ use std::time::Duration;
 use super::daemon::Daemon;
 use super::webdriver::{self, Browser};
 
-/// Starting a software driver and a first frame on a busy machine.
+/// Long enough for a software driver to start and draw a first frame on a busy machine.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
 pub mod keys {
@@ -20,7 +20,7 @@ pub mod keys {
     pub const RIGHT: char = '\u{e014}';
 }
 
-/// Where chromedriver is, or `None`, loudly.
+/// The path of chromedriver, or `None` with a message.
 pub fn driver_or_skip() -> Option<String> {
     let driver = webdriver::find_driver();
     if driver.is_none() {
@@ -31,12 +31,12 @@ pub fn driver_or_skip() -> Option<String> {
     driver
 }
 
-/// A daemon and a browser that shows its page, with the first frame there.
+/// Starts a daemon and a browser that shows its page with the first frame.
 pub fn opened(driver: &str) -> (Daemon, Browser) {
     opened_at(driver, Daemon::start())
 }
 
-/// The same of a daemon that is there.
+/// As [`opened`], with a daemon that runs already.
 pub fn opened_at(driver: &str, daemon: Daemon) -> (Daemon, Browser) {
     let browser = Browser::start(driver, 1280, 800);
     browser.open(&daemon.url);
@@ -45,22 +45,22 @@ pub fn opened_at(driver: &str, daemon: Daemon) -> (Daemon, Browser) {
 }
 
 impl Browser {
-    /// The text that a function body returns.
+    /// The text that a function body returns in the page.
     pub fn text(&self, body: &str) -> String {
         self.script(body).as_str().unwrap_or_default().to_owned()
     }
 
-    /// The number that a function body returns.
+    /// The number that a function body returns in the page.
     pub fn number(&self, body: &str) -> f64 {
         self.script(body).as_f64().unwrap_or_else(|| panic!("{body} is no number"))
     }
 
-    /// Clicks what a selector finds, as a script does.
+    /// Clicks the element of a selector by script.
     pub fn click(&self, selector: &str) {
         self.script(&format!("document.querySelector('{selector}').click()"));
     }
 
-    /// Chooses an option, or enters a value, as a user does.
+    /// Chooses an option or enters a value, with the events of a user's input.
     pub fn choose(&self, control: &str, value: &str) {
         self.script(&format!(
             "const s = document.querySelector('{control}'); s.value = '{value}'; \
@@ -68,7 +68,7 @@ impl Browser {
         ));
     }
 
-    /// Loads the page again, as its button does.
+    /// Reloads the page, as the reload button does.
     pub fn reload(&self) {
         self.script("window.isOld = true; location.reload()");
         self.wait_for("the page anew", PATIENCE, "return !window.isOld && globalThis.viewer");
@@ -94,7 +94,7 @@ impl Browser {
         found.as_str().unwrap_or_default().to_owned()
     }
 
-    /// Waits until the link is in a state.
+    /// Waits until the link is in this state.
     pub fn link(&self, state: &str) {
         self.wait_for(
             &format!("the link to be `{state}`"),
@@ -104,7 +104,7 @@ impl Browser {
     }
 }
 
-/// Waits for a frame at rest that shows what was asked for last, and returns the size and a hash of what is on the canvas.
+/// Waits for a still frame of the latest request, and returns the size and a hash of the canvas.
 pub fn still_picture(browser: &Browser) -> String {
     let found = browser.wait_for(
         "a full frame at rest",
@@ -117,7 +117,7 @@ pub fn still_picture(browser: &Browser) -> String {
     found.as_str().unwrap_or_default().to_owned()
 }
 
-/// Number of different colours on the canvas.
+/// Number of distinct colours on the canvas.
 pub fn distinct_colors(browser: &Browser) -> u64 {
     let count = browser.script(
         "const { canvas, paper } = viewer; \
@@ -127,7 +127,7 @@ pub fn distinct_colors(browser: &Browser) -> u64 {
     count.as_u64().expect("a number")
 }
 
-/// Waits for a scene's picture at rest.
+/// Waits for a still frame of a scene.
 pub fn shows(browser: &Browser, id: &str) {
     browser.wait_for(
         &format!("scene {id}"),

@@ -1,4 +1,4 @@
-//! Camera paths: recorded, played, saved, loaded; the curve is the daemon's.
+//! Camera paths: recorded, played, saved and loaded; and equality with the daemon's curve.
 
 use glam::DVec3;
 use pointillist::scene::parse_path;
@@ -48,7 +48,7 @@ fn a_path_is_recorded_and_played() {
     browser.click("#stop");
     assert_eq!(still_picture(&browser), first, "and begins at the first");
 
-    // A loop goes on until it is stopped; a hand on the picture stops it.
+    // A loop goes on until it is stopped. Moving the picture by hand stops it.
     browser.click("#loop");
     browser.click("#play");
     browser.wait_for(
@@ -60,7 +60,7 @@ fn a_path_is_recorded_and_played() {
     assert!(!browser.script("return viewer.recorder.player.isPlaying").as_bool().unwrap());
     still_picture(&browser);
 
-    // Keys change places and times, and go.
+    // Keys can be reordered, retimed and removed.
     let eyes = || browser.script("return viewer.recorder.path.keys.map(k => k.eye)");
     let before = eyes();
     browser.click("#keys [data-action=down]");
@@ -76,7 +76,7 @@ fn a_path_is_recorded_and_played() {
     assert_eq!(browser.console_errors(), Vec::<String>::new());
 }
 
-/// Catches what a download would save.
+/// Records the blob that a download would save.
 const CATCH_DOWNLOADS: &str = "window.saved = null; const make = URL.createObjectURL; URL.createObjectURL = blob => { saved = blob; return make(blob); }";
 
 #[test]
@@ -119,7 +119,7 @@ fn paths_are_saved_and_loaded_and_taken_from_the_scene() {
     assert_eq!(browser.console_errors(), Vec::<String>::new());
 }
 
-/// The film of the scene's path, in an `<img>` of the page.
+/// An `<img>` of the page shows the film of the scene's path.
 fn film_plays_in_an_image(browser: &Browser) {
     let film = browser.text("return document.getElementById('mjpeg').getAttribute('href')");
     assert!(film.contains("path=round") && film.contains("loop=true"), "{film}");
@@ -133,7 +133,7 @@ fn film_plays_in_an_image(browser: &Browser) {
     browser.wait_for("an image that changes", PATIENCE, "return seen.size >= 4");
     assert_eq!(browser.script("return film.naturalWidth"), 192);
     browser.script("clearInterval(watching); film.remove(); film.src = ''");
-    // A view is a film of one picture, which is shown although no other follows.
+    // A view without a path is a film of one picture, which is shown although no other follows.
     browser.script(
         "window.view = new Image(); view.src = '/v1/scenes/ball/mjpeg?camera=front&w=64&h=48'",
     );
@@ -153,7 +153,7 @@ fn path_document() -> impl Strategy<Value = Value> {
             .into_iter()
             .map(|(after, eye, offset, fov, ease, pause, plain)| {
                 t += after;
-                // Now and then it stays where it was; the target is never the eye.
+                // Some keys repeat the previous position. The target never coincides with the eye.
                 last = if pause == 0 { last } else { eye };
                 let target =
                     [0, 1, 2].map(|i| last[i] + offset[i] + if i == 0 { 31.0 } else { 0.0 });
@@ -178,7 +178,7 @@ fn the_curve_is_the_daemons() {
     let mut runner = TestRunner::new_with_rng(Config::default(), seed);
     let paths: Vec<Value> =
         (0..60).map(|_| path_document().new_tree(&mut runner).expect("a path").current()).collect();
-    // Before, between and after the keys; not at them, where a cut may be on either side of a rounding error.
+    // Sample before, between and after the keys, but not at them, where rounding decides which side of a cut is shown.
     let shares: Vec<f64> = (-1..=40).map(|i| (f64::from(i) + 0.5) / 40.0).collect();
     let found = browser.script(&format!(
         "return {}.map(path => {{ const at = viewer.sampler({{ ...path, keys: path.keys.map(k => ({{ up: [0, 1, 0], ...k }})) }}); \

@@ -1,4 +1,4 @@
-//! A phone's width, and fingers.
+//! A phone's screen and touch input.
 
 use super::daemon::Daemon;
 use super::page::{driver_or_skip, still_picture};
@@ -8,7 +8,7 @@ fn eye_distance(browser: &Browser) -> f64 {
     browser.number("const { eye, target } = viewer.pose; return Math.hypot(...eye.map((v, i) => v - target[i]))")
 }
 
-/// Nothing is wider than the screen, and no control is cut off at its side.
+/// Asserts that nothing is wider than the screen, and that no control is cut off at its side.
 pub fn nothing_overflows(browser: &Browser) {
     let wide = browser.script(
         "const all = [...document.querySelectorAll('body *')].filter(e => e.checkVisibility() && !e.closest('.unseen')); \
@@ -40,7 +40,7 @@ fn fits_a_phone_and_follows_fingers() {
     assert_ne!(still_picture(&browser), orbited, "two fingers zoom");
     assert!(eye_distance(&browser) < 0.6 * before, "spreading them brings the eye nearer");
 
-    // The same fingers look about and move on when flying, and the pad's buttons are held.
+    // While flying, the same gestures look around and move forward, and the pad's buttons can be held.
     browser.click("#fly");
     let pose = browser.script("return viewer.pose");
     browser.drag("touch", 0, &[(150, 300), (190, 310), (260, 330)]);
@@ -59,7 +59,7 @@ fn fits_a_phone_and_follows_fingers() {
     browser.shoot("phone-fly.png");
     browser.click("#fly");
 
-    // The picture has the height of the screen; the panel is pulled up over it, and a hand on the picture puts it away.
+    // The picture has the height of the screen. The panel opens over it, and touching the picture closes it.
     let share = "return viewer.canvas.clientHeight / innerHeight";
     assert!(browser.number(share) > 0.75, "{}", browser.number(share));
     let panel = "return document.getElementById('side').checkVisibility()";
@@ -73,7 +73,7 @@ fn fits_a_phone_and_follows_fingers() {
     assert_eq!(browser.script(panel), false);
     browser.click("#sheet");
 
-    // Everything unfolded, with a path of two keys.
+    // Unfold everything, with a path of two keys.
     browser.script("for (const d of document.querySelectorAll('details')) d.open = true");
     browser.click("#key-add");
     browser.click("[data-fly=right]");
@@ -87,7 +87,7 @@ fn fits_a_phone_and_follows_fingers() {
     assert_eq!(browser.console_errors(), Vec::<String>::new());
 }
 
-/// What is said of the connection can be read, and what is chosen too, however wide the screen is.
+/// The state of the connection and the chosen scene are readable at any width.
 #[test]
 fn the_bar_fits_every_width() {
     let Some(driver) = driver_or_skip() else { return };

@@ -1,4 +1,4 @@
-//! Which scene a page opens with, how scenes are told apart and deleted; cameras, and views that are none.
+//! The scene that a page opens with, names and deletion of scenes, cameras, and free views.
 
 use serde_json::json;
 
@@ -9,7 +9,7 @@ use super::webdriver::Browser;
 const CAMERA: &str = "return document.getElementById('camera').selectedOptions[0].text";
 const SILENT: &str = "return document.getElementById('message').hidden";
 
-/// A scene of one point, sent behind the viewer's back.
+/// Uploads a scene of one point without the viewer.
 fn send_dot(daemon: &Daemon, id: &str) {
     let ply = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";
     let answer = ureq::post(format!("{}/v1/scenes?id={id}&name=dot.ply", daemon.url)).send(ply);
@@ -29,7 +29,7 @@ fn a_view_that_left_its_camera_is_free() {
     browser.reload();
     still_picture(&browser);
     assert_eq!(browser.text(CAMERA), "free view");
-    // To the camera that it left, by the list and by the button.
+    // Return to the camera that the view left, by the list and by the button.
     browser.choose("#camera", "front");
     assert_eq!((still_picture(&browser), browser.text(CAMERA)), (first.clone(), "front".into()));
     browser.wheel((400, 400), -240);
@@ -63,7 +63,7 @@ fn scenes_far_off_stay_in_sight() {
     browser.click("#back");
     still_picture(&browser);
     assert_eq!(lost(), false);
-    // Beside the view, behind it, and half in it.
+    // A box beside the view, behind it, and half in it.
     for (pose, is_lost) in [
         ("40, 0, 5], [40, 0, 0", true),
         ("0, 0, -5], [0, 0, -9", true),
@@ -101,7 +101,7 @@ fn the_page_opens_with_what_was_seen_last() {
     let Some(driver) = driver_or_skip() else { return };
     let (daemon, browser) = opened(&driver);
     send_dot(&daemon, "aaa");
-    // Somebody who comes for the first time.
+    // A browser without stored data opens the first scene.
     let other = Browser::start(&driver, 1280, 800);
     other.open(&daemon.url);
     shows(&other, "ball");
@@ -150,7 +150,7 @@ fn scenes_of_one_name_are_told_apart_and_deleted() {
     assert_eq!(names, json!(["Ball", "dot"]));
     assert_eq!(browser.script(SILENT), true, "who deleted it need not be told");
     assert!(!daemon.has_upload("two") && daemon.has_upload("one"), "its files are gone");
-    // Another page's deletion is told, by one name.
+    // A deletion by another page is reported with the scene's name.
     browser.click("[data-scene=one]");
     shows(&browser, "one");
     let answer = ureq::delete(format!("{}/v1/scenes/one", daemon.url)).call();

@@ -1,4 +1,4 @@
-//! Files onto the page, by the button and by drop.
+//! Uploads on the page, by button and by drop.
 
 use super::page::{PATIENCE, distinct_colors, driver_or_skip, opened, shows, still_picture};
 use super::webdriver::Browser;
@@ -43,7 +43,7 @@ fn files_are_sent_shown_and_refused_in_words() {
     browser.shoot("wide-refused.png");
     assert_eq!(browser.text("return viewer.scene.id"), "four-corners", "the last scene stays");
 
-    // Several files are one scene.
+    // Several files make one scene.
     let obj = "mtllib red.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n";
     drop_files(&browser, &[("shape.obj", obj), ("red.mtl", "newmtl red\nKd 1 0 0\n")]);
     shows(&browser, "shape");
@@ -91,7 +91,7 @@ fn models_that_have_nothing_to_do_with_each_other_are_scenes_of_their_own() {
         ("right.ply", PLY),
     ];
     drop_files(&browser, &files);
-    // What is dropped while others are sent waits for its turn.
+    // Files that are dropped while others are sent wait for their turn.
     drop_files(&browser, &[("later.ply", PLY)]);
     shows(&browser, "later");
     let list =
@@ -132,7 +132,7 @@ fn folders_are_looked_through() {
     let many = daemon.file("many/33.ply", PLY);
     browser.drop_from_disk((400, 400), &[many.trim_end_matches("/33.ply")]);
     browser.message("34 scenes; 32 at a time");
-    // Where a browser tells nothing of folders, they come as files that cannot be read.
+    // Browsers without folder support pass folders as files that cannot be read.
     browser.script(
         "const data = new DataTransfer(), folder = new File([], 'Textured'); \
          folder.slice = () => ({ arrayBuffer: () => Promise.reject(new DOMException('gone', 'NotFoundError')) }); \
@@ -153,7 +153,7 @@ fn what_could_not_be_sent_is_kept_until_it_is() {
     browser.link("waiting");
     drop_files(&browser, &[("late.ply", PLY)]);
     browser.message("late.ply could not be sent");
-    // The connection is told of again and again, and hides nothing.
+    // Repeated messages about the connection hide no other message.
     browser.script("viewer.link.again()");
     let message = browser.message("Not connected");
     assert!(message.contains("late.ply could not be sent"), "{message}");

@@ -1,4 +1,4 @@
-//! Just enough of the W3C WebDriver protocol to drive a page, over plain HTTP to `chromedriver`.
+//! A minimal client of the W3C WebDriver protocol, over plain HTTP to `chromedriver`.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-/// A browser with one page; closed on drop.
+/// A browser with one page, closed when dropped.
 pub struct Browser {
     agent: ureq::Agent,
     session: String,
@@ -15,7 +15,7 @@ pub struct Browser {
     _profile: tempfile::TempDir,
 }
 
-/// Whether a `chromedriver` can be started; where.
+/// Finds a `chromedriver` that can be started.
 pub fn find_driver() -> Option<String> {
     let candidates = [std::env::var("CHROMEDRIVER").unwrap_or_default(), "chromedriver".into()];
     candidates.into_iter().filter(|name| !name.is_empty()).find(|name| {
@@ -80,7 +80,7 @@ impl Browser {
         self.post("execute/sync", json!({ "script": body, "args": [] }))
     }
 
-    /// Waits until a function body returns something truthy, and returns that.
+    /// Waits until a function body returns a truthy value, and returns it.
     pub fn wait_for(&self, what: &str, limit: Duration, body: &str) -> Value {
         let until = Instant::now() + limit;
         loop {
@@ -103,7 +103,7 @@ impl Browser {
         }
     }
 
-    /// Acts with a pointer: each point is (x, y) in CSS pixels; pressed at the first, released at the last.
+    /// Drags with a pointer through points (x, y) in CSS pixels: pressed at the first, released at the last.
     pub fn drag(&self, pointer: &str, button: u32, points: &[(i64, i64)]) {
         let mut actions = Vec::new();
         for (index, (x, y)) in points.iter().enumerate() {
@@ -118,7 +118,7 @@ impl Browser {
         self.post("actions", json!({ "actions": [source] }));
     }
 
-    /// Two fingers from and to a distance of `from` and `to` CSS pixels from a centre.
+    /// Moves two fingers from a distance of `from` to one of `to` CSS pixels, around a centre.
     pub fn pinch(&self, centre: (i64, i64), from: i64, to: i64) {
         let finger = |name: &str, side: i64| {
             let at = |distance: i64, duration_ms: u32| json!({ "type": "pointerMove", "duration": duration_ms, "x": centre.0 + side * distance, "y": centre.1, "origin": "viewport" });
@@ -139,7 +139,7 @@ impl Browser {
         );
     }
 
-    /// Presses and releases a key; special keys by their code point in the WebDriver standard.
+    /// Presses and releases a key. Special keys are given by their code points in the WebDriver standard.
     pub fn key(&self, key: char) {
         self.post(
             "actions",
@@ -149,7 +149,7 @@ impl Browser {
         );
     }
 
-    /// Presses a key and keeps it down, or lets it go.
+    /// Presses a key and holds it, or releases it.
     pub fn hold(&self, key: char, is_down: bool) {
         let kind = if is_down { "keyDown" } else { "keyUp" };
         self.post(
@@ -158,7 +158,7 @@ impl Browser {
         );
     }
 
-    /// Gives files to an `<input type="file">`, as its dialogue would.
+    /// Passes files to an `<input type="file">`, as its dialogue would.
     pub fn choose_files(&self, selector: &str, files: &[&str]) {
         let element = self.post("element", json!({ "using": "css selector", "value": selector }));
         let id = element.as_object().and_then(|element| element.values().next());
@@ -178,7 +178,7 @@ impl Browser {
         }
     }
 
-    /// A script that every page runs before its own.
+    /// Adds a script that every page runs before its own.
     pub fn before_pages(&self, script: &str) {
         self.post(
             "goog/cdp/execute",
@@ -186,7 +186,7 @@ impl Browser {
         );
     }
 
-    /// What the page is told of the user's wishes, such as `prefers-reduced-motion`.
+    /// Sets a media feature such as `prefers-reduced-motion`.
     pub fn emulate_media(&self, feature: &str, value: &str) {
         let params = json!({ "features": [{ "name": feature, "value": value }] });
         self.post(
@@ -195,7 +195,7 @@ impl Browser {
         );
     }
 
-    /// A screen of another size and density, as a phone has it.
+    /// Emulates a mobile screen of another size and density.
     pub fn emulate(&self, width: u32, height: u32, density: f64) {
         let metrics = json!({ "width": width, "height": height, "deviceScaleFactor": density, "mobile": true });
         self.post(
@@ -208,7 +208,7 @@ impl Browser {
         );
     }
 
-    /// Errors in the console since the last call.
+    /// Console errors since the last call.
     pub fn console_errors(&self) -> Vec<String> {
         let log = self.post("se/log", json!({ "type": "browser" }));
         let entries = log.as_array().expect("a list of log entries");
@@ -219,7 +219,7 @@ impl Browser {
             .collect()
     }
 
-    /// Saves what the window shows as a PNG.
+    /// Saves a screenshot of the window as a PNG.
     pub fn screenshot(&self, file: &Path) {
         let answer = call(&self.agent, "GET", &format!("{}/screenshot", self.session), Value::Null);
         let png = decode_base64(answer.as_str().expect("a picture in base64"));
@@ -230,14 +230,14 @@ impl Browser {
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        // Ends Chromium; chromedriver itself has to be ended after it. A failing test must not fail twice.
+        // This ends Chromium; chromedriver must be ended after it. Ignore errors, because a failing test must not panic twice.
         let _ = self.agent.delete(&self.session).call();
         let _ = self.driver.kill();
         let _ = self.driver.wait();
     }
 }
 
-/// The port in "… started successfully on port N."; what follows is read and dropped.
+/// Reads the port from "… started successfully on port N.". A thread drains the rest of the output.
 fn announced_port(driver: &mut Child) -> u16 {
     let stdout = driver.stdout.take().expect("chromedriver's output");
     let mut lines = BufReader::new(stdout).lines().map_while(Result::ok);
@@ -249,7 +249,7 @@ fn announced_port(driver: &mut Child) -> u16 {
     port.expect("chromedriver says on which port it listens")
 }
 
-/// One WebDriver command; its `value`.
+/// Runs a WebDriver command and returns its `value`.
 fn call(agent: &ureq::Agent, method: &str, url: &str, body: Value) -> Value {
     let mut response = match method {
         "GET" => agent.get(url).call(),
@@ -268,7 +268,7 @@ fn call(agent: &ureq::Agent, method: &str, url: &str, body: Value) -> Value {
     value
 }
 
-/// What a text in base64 stands for.
+/// Decodes base64.
 pub fn decode_base64(text: &str) -> Vec<u8> {
     let digit = |byte: u8| match byte {
         b'A'..=b'Z' => Some(u32::from(byte - b'A')),

@@ -1,4 +1,5 @@
-//! Frames of point trees that are built, read from the cache, or built again because an entry was damaged: the same bytes.
+//! Frames of point trees are equal byte for byte, whether the trees were built, read from the cache, or built again because an
+//! entry was damaged.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -10,7 +11,7 @@ use serde_json::json;
 
 use super::studio::{Studio, cloud_scene, eventually, front, same, wall};
 
-/// A frame of both scenes of a fresh engine, and where their trees came from.
+/// Frames of both scenes in a new engine, and the sources of their trees.
 fn frames(cache: Option<&Path>) -> (Vec<Vec<u8>>, Vec<BakeSource>) {
     let cache = cache.map(|folder| BakeCache::new(folder, 1 << 30));
     let studio = Studio::with(|config| config.bake_cache = cache);
@@ -39,7 +40,7 @@ fn entries(folder: &Path) -> Vec<PathBuf> {
 #[test]
 fn the_cache_changes_no_frame() {
     let folder = tempfile::tempdir().unwrap();
-    // Both scenes have an asset in common.
+    // Both scenes share an asset.
     let all = |sources: &[BakeSource], expected: [BakeSource; 2]| {
         assert!(sources.iter().all(|source| expected.contains(source)), "{sources:?}");
     };
@@ -68,7 +69,7 @@ fn the_cache_changes_no_frame() {
     }
 }
 
-/// A scene of many assets, each of which takes a while to bake.
+/// A scene of many assets that each take a while to bake.
 fn orchard(studio: &Studio) -> FrameRequest {
     let (mut assets, mut nodes) = (json!({}), Vec::new());
     for number in 0..16 {
@@ -105,7 +106,7 @@ fn who_waits_for_the_same_bake_waits_together_and_nobody_bakes_for_nobody() {
     drop(second);
     eventually("the end of the bake", || engine.bakes_running() == 0);
     assert!(engine.must_bake(&request), "it was given up");
-    // What was given up is begun anew, by tasks as well as by threads.
+    // A bake that was given up begins anew, for tasks and for threads.
     let ticket = join();
     std::thread::scope(|scope| {
         let waiting = scope.spawn(|| join().wait());
@@ -119,7 +120,7 @@ fn who_waits_for_the_same_bake_waits_together_and_nobody_bakes_for_nobody() {
     assert!(matches!(engine.begin_bake(&unknown), Err(EngineError::UnknownScene { .. })));
 }
 
-/// Requests whose scenes are not baked yet wait for the bakes that all others wait for, and end with the scene.
+/// Requests for scenes that are not baked yet share one bake, and fail when the scene is removed.
 #[test]
 fn deleting_a_scene_ends_its_bakes() {
     let latch = Arc::new(Latch::default());
@@ -146,7 +147,7 @@ fn deleting_a_scene_ends_its_bakes() {
         engine.remove("cloud").unwrap();
         assert!(waiting.into_iter().all(|waiter| waiter.join().unwrap()));
     });
-    // Another scene of the same name is none of its business.
+    // A new scene of the same name does not concern the request.
     studio.load("cloud", "cloud.json");
     assert!(unbaked.begin().is_err_and(unknown));
     eventually("the end of the bake", || engine.bakes_running() == 0);
@@ -154,7 +155,7 @@ fn deleting_a_scene_ends_its_bakes() {
     assert!(!studio.bytes(&request).is_empty());
 }
 
-/// Bakes are few at a time, whoever asks for them and however.
+/// The number of concurrent bakes is limited, whatever requests them.
 #[test]
 fn frames_and_tags_bake_within_the_limit() {
     let latch = Arc::new(Latch::default());
@@ -183,7 +184,7 @@ fn frames_and_tags_bake_within_the_limit() {
     assert_eq!((engine.bakes_running(), engine.bake_waiters()), (0, 0));
 }
 
-/// The frame of a request that waited for a bake shows the revision that was baked, so that patches cannot keep it waiting.
+/// The frame of a request that waited for a bake shows the revision that was baked, so patches cannot delay it.
 #[test]
 fn patches_during_a_bake_delay_no_frame() {
     let latch = Arc::new(Latch::default());

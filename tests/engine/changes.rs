@@ -1,4 +1,4 @@
-//! Scenes that change, go, and come back.
+//! Scenes that are changed, removed, and loaded again.
 
 use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex};
@@ -15,7 +15,7 @@ fn visible(visible: bool) -> NodePatch {
     NodePatch { visible: Some(visible), ..NodePatch::default() }
 }
 
-/// Two walls side by side; `hidden` and `right` say how the second one stands.
+/// Two walls side by side. `hidden` and `right` set visibility and place of the second one.
 fn pair(hidden: bool, right: [f64; 3]) -> serde_json::Value {
     json!({
         "assets": { "wall": { "file": "wall.ply" }, "ball": { "file": "ball.ply" } },
@@ -101,7 +101,7 @@ fn a_patch_that_does_not_fit_changes_nothing() {
     same(&studio.bytes(&front("scene", 50, 50)), &before, "as before");
 }
 
-/// Nobody waits for a patch that is being made, and no patch is lost.
+/// No request waits for a patch in progress, and no patch is lost.
 #[test]
 fn patches_keep_nobody_waiting() {
     const LONG: Duration = Duration::from_secs(60);
@@ -145,7 +145,7 @@ fn patches_keep_nobody_waiting() {
     });
     assert_eq!(begun.try_iter().count(), 8);
     assert_eq!(engine.scene("cloud").unwrap().revision, 10, "each patch is a revision");
-    // One that is removed meanwhile does not come back.
+    // A scene that is removed during a patch does not come back.
     std::thread::scope(|scope| {
         let patching = scope.spawn(|| engine.patch("cloud", "wall", &visible(true)));
         begun.recv_timeout(LONG).unwrap();
@@ -171,7 +171,7 @@ fn removing_a_scene_frees_its_memory() {
     eventually("both being resident", || resident() > one);
     studio.engine.remove("own").unwrap();
     eventually("own being freed", || resident() == one);
-    // Frames that are still wanted are drawn, and leave nothing behind either.
+    // Frames that were requested before are drawn, and leave nothing behind.
     let busy = studio.keep_busy("solid");
     let last = studio.submit(&front("cloud", 30, 30));
     studio.engine.remove("solid").unwrap();
@@ -229,7 +229,7 @@ fn nothing_to_see_is_all_background() {
         for output in OUTPUTS {
             let busy = pointillist::engine::FrameRequest { output, ..front("solid", 150, 90) };
             let empty = pointillist::engine::FrameRequest { output, ..front(id, 150, 90) };
-            // Right behind one another, in one batch where they meet.
+            // Submitted in succession, so that they may share a batch.
             let tickets = [studio.submit(&busy), studio.submit(&empty)];
             let [_, bytes] = tickets.map(|ticket| ticket.wait().unwrap().bytes.clone());
             let all = |word: [u8; 4]| bytes.chunks_exact(4).all(|pixel| pixel == word);

@@ -1,4 +1,4 @@
-//! What is smaller than a pixel covers as much of a frame, and is as bright, as in one that shows it larger.
+//! Objects smaller than a pixel cover as much of a frame, and are as bright, as in a larger frame.
 
 use std::collections::BTreeSet;
 
@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use super::studio::{Studio, front, ids, mesh, sphere, spt};
 
-/// Triangles that look anywhere, loosely in a ball: the crown of a tree.
+/// Triangles of random orientation, loosely distributed in a ball, like the crown of a tree.
 fn crown() -> String {
     let mut random = SplitMix64::new(5);
     let (mut positions, mut triangles) = (Vec::new(), Vec::new());
@@ -28,7 +28,7 @@ fn crown() -> String {
     mesh(&positions, &triangles)
 }
 
-/// Copies with gaps between them, from far above.
+/// Instances with gaps between them, seen from far above.
 fn field(lights: &Value) -> Value {
     stretched_field(lights, [0.6; 3], [0.0, 330.0, 300.0])
 }
@@ -71,7 +71,7 @@ fn a_far_crowd_covers_as_much_as_it_does_in_a_larger_frame() {
     }
 }
 
-/// Plates and poles, from above and from the side.
+/// Plates and poles, seen from above and from the side.
 #[test]
 fn a_far_crowd_of_stretched_copies_covers_as_much() {
     let studio = Studio::new();
@@ -85,7 +85,7 @@ fn a_far_crowd_of_stretched_copies_covers_as_much() {
     }
 }
 
-/// Balls from afar, whose normals cancel, are as bright under a sun as what is seen of them.
+/// A merged ball, whose normals cancel, is as bright under a sun as the side that is seen.
 #[test]
 fn a_far_crowd_is_lit_as_it_is_in_a_larger_frame() {
     let studio = Studio::new();
@@ -97,7 +97,7 @@ fn a_far_crowd_is_lit_as_it_is_in_a_larger_frame() {
     }
 }
 
-/// Objects far smaller than a pixel appear one by one as the eye comes nearer; none of them goes again.
+/// As the eye comes nearer, objects far smaller than a pixel appear one by one, and none of them disappears again.
 #[test]
 fn what_has_appeared_stays() {
     let studio = Studio::new();
@@ -135,7 +135,8 @@ fn what_has_appeared_stays() {
     assert!(counts[0] < 5 && counts[3] > 1 && counts[3] < 14, "{counts:?}");
 }
 
-/// A small error as points: outlines are those of triangles, not of every pixel that they touch, and nothing is missing.
+/// At a small error, points of a mesh have the outlines of its triangles, not of all pixels that these touch, and nothing is
+/// missing.
 #[test]
 fn points_of_a_mesh_reach_no_farther_than_its_triangles() {
     let studio = Studio::new();

@@ -1,4 +1,4 @@
-//! Trees over instances: a scene that was edited is drawn as one that was loaded like that, and only what an edit touches is made anew.
+//! Trees over instances: an edited scene is drawn like one loaded in its final state, and an edit rebuilds only what it affects.
 
 use glam::{DAffine3, DVec3};
 use pointillist::engine::{FrameRequest, NodePatch, Pose};
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use super::studio::{Disk, Studio, disk_sphere, disks, front, mesh, same, sphere};
 
-/// Nodes of 40 × 40 instances in rows of [`ROW`].
+/// Nodes with 40 × 40 instances each, in rows of [`ROW`] nodes.
 const NODES: usize = 18;
 const ROW: usize = 6;
 const SIDE: usize = 40;
@@ -54,7 +54,7 @@ fn studio() -> Studio {
     studio
 }
 
-/// From near, where many instances are seen one by one, and from afar.
+/// Frames from near, where many instances are seen one by one, and from afar.
 fn looks(studio: &Studio, scene: &str) -> Vec<Vec<u8>> {
     let centre = DVec3::new(35.0, 0.0, 14.0);
     let mut found = Vec::new();
@@ -93,7 +93,7 @@ fn moved(at: DVec3) -> NodePatch {
     NodePatch { world_from_node: Some(DAffine3::from_translation(at)), ..NodePatch::default() }
 }
 
-/// Moves by little and by much, hides and shows, also several times between two frames.
+/// Small and large moves, hiding and showing, also several times between two frames.
 #[test]
 fn edits_in_any_order_end_at_the_scene_as_it_is() {
     let studio = studio();
@@ -117,7 +117,7 @@ fn edits_in_any_order_end_at_the_scene_as_it_is() {
         }
         compare(&studio, &places, &format!("round {round}"));
     }
-    // And back again.
+    // Return to the initial state.
     for (node, place) in self::places().into_iter().enumerate() {
         let patch = NodePatch { visible: Some(true), ..moved(place.at) };
         studio.engine.patch("edited", &format!("n{node}"), &patch).unwrap();
@@ -141,12 +141,12 @@ fn an_edit_writes_what_it_moved_and_its_neighbours() {
     let after = studio.engine.stats();
     let (written, uploads) =
         (after.instances_written - before.instances_written, after.uploads - before.uploads);
-    // A node has 1600 instances in one or a few blocks of up to 4096, of which there are seven or more.
+    // A node's 1600 instances are in one or a few blocks of up to 4096. There are seven or more blocks.
     assert!(written >= 8 * 1600, "{written}");
     assert!(written < 8 * INSTANCES / 2, "{written} of {INSTANCES} in eight edits");
     assert!(uploads < 8 * 8, "{uploads} trees");
     compare(&studio, &places, "after eight steps");
-    // Hiding the last node changes nobody's number.
+    // Hiding the last node changes no other instance's number.
     let before = studio.engine.stats().instances_written;
     let last = NODES - 1;
     places[last].visible = false;
@@ -154,16 +154,16 @@ fn an_edit_writes_what_it_moved_and_its_neighbours() {
     studio.engine.patch("edited", &format!("n{last}"), &hide).unwrap();
     compare(&studio, &places, "one hidden");
     let written = studio.engine.stats().instances_written - before;
-    // The scene to compare with was written whole.
+    // The scene for comparison was written completely.
     assert!(written < INSTANCES + INSTANCES / 2, "{written}");
 }
 
-/// Instances of what has no samples are drawn by themselves, beside the trees.
+/// Instances of an asset without samples are drawn by themselves, beside the trees.
 #[test]
 fn a_crowd_with_some_that_are_nowhere() {
     let studio = Studio::new();
     studio.write("ball.ply", sphere(8));
-    // A triangle without an area has no samples.
+    // A triangle without area has no samples.
     studio.write("none.ply", mesh(&[DVec3::ZERO, DVec3::X, DVec3::X], &[[0, 1, 2]]));
     let scene = |x: f64| {
         json!({

@@ -1,11 +1,11 @@
-//! Equal requests, equal bytes.
+//! Equal requests give equal bytes.
 
 use pointillist::encode::ImageFormat;
 use pointillist::plan::Output;
 
 use super::studio::{OUTPUTS, Studio, front, orbit, same};
 
-/// Different sizes, scenes, poses, outputs and formats.
+/// Requests with different sizes, scenes, poses, outputs and formats.
 fn mixed() -> Vec<pointillist::engine::FrameRequest> {
     let mut requests = Vec::new();
     for (number, output) in OUTPUTS.into_iter().cycle().take(12).enumerate() {
@@ -46,7 +46,7 @@ fn a_batch_changes_no_frame() {
         let requests = mixed();
         let alone: Vec<Vec<u8>> = requests.iter().map(|request| studio.bytes(request)).collect();
         let mut largest = 0;
-        // How many meet in a batch is a matter of timing, what they show is not.
+        // The size of batches depends on timing. The frames do not.
         for _ in 0..20 {
             let busy = studio.keep_busy("solid");
             let tickets: Vec<_> = requests.iter().map(|request| studio.submit(request)).collect();
@@ -97,7 +97,7 @@ fn identical_requests_are_drawn_once() {
 
 #[test]
 fn frames_show_what_they_should() {
-    // The other tests compare frames with one another; here one is looked at.
+    // The other tests only compare frames with each other. This one looks at a frame's content.
     let studio = Studio::new();
     studio.load_two();
     let mut request = front("solid", 64, 64);

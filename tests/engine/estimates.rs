@@ -1,5 +1,5 @@
-//! Large clouds are drawn as points before their normals and kernels are estimated; what needs these waits, and shows what it would
-//! show if they had been estimated at once.
+//! Large clouds are drawn as points before their normals and kernels are estimated. Frames that need these wait, and are equal to
+//! frames of a cloud that was estimated while it was loaded.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -17,11 +17,11 @@ use serde_json::json;
 
 use super::studio::{Studio, cloud_scene, eventually, front, same, spt, wall};
 
-/// Points of the cloud.
+/// Points along each side of the cloud.
 const SIDE: u32 = 60;
 
-/// An unlit scene `cloud` and a lit one `lit`, both of one cloud of 3600 points without normals. Clouds of more than `at_once` points are
-/// estimated later, once `latch` is open.
+/// An unlit scene `cloud` and a lit one `lit`, both of the same cloud of 3600 points without normals. Clouds of more than
+/// `at_once` points are estimated later, once `latch` is open.
 fn studio(at_once: usize, latch: &Arc<Latch>) -> Studio {
     let studio = Studio::with(|config| {
         config.estimate_at_once = at_once;
@@ -62,7 +62,7 @@ fn demanding() -> Vec<FrameRequest> {
     ]
 }
 
-/// Frames that need neither.
+/// Frames that need neither normals nor kernels.
 fn modest() -> Vec<FrameRequest> {
     vec![
         with("cloud", Reconstruct::Points, Output::Color),
@@ -114,7 +114,7 @@ fn frames_that_need_estimates_wait_and_are_those_of_a_whole_scene() {
         assert_eq!(state(&studio, scene), EstimateState::Complete);
         let eager = self::studio(usize::MAX, &latch);
         same(&studio.bytes(&request), &eager.bytes(&request), &format!("{number}: {request:?}"));
-        // Whoever watches the scene is told, and draws what it drew.
+        // Watchers of the scene are notified, and points are drawn as before.
         assert!(changes.has_changed().unwrap());
         let mark = studio.engine.scene_mark(scene).unwrap();
         assert!(mark != before.1 && mark.revision == before.1.revision);
@@ -146,7 +146,7 @@ fn nobody_estimates_for_nobody() {
     latch.open();
     studio.engine.bake(&request).unwrap();
     assert_eq!(state(&studio, "cloud"), EstimateState::Complete);
-    // Another scene of the same file has nothing left to wait for but the exchange.
+    // The estimates of another scene of the same file only have to be put in place.
     assert_eq!(state(&studio, "lit"), EstimateState::Complete);
 }
 
@@ -180,7 +180,7 @@ fn a_file_that_has_changed_is_not_estimated() {
     assert!(matches!(&error, EngineError::Asset(_)), "{error}");
     let text = error.to_string();
     assert!(text.contains("wall.ply") && text.contains("load it again"), "{text}");
-    // Points are still there.
+    // Frames of points are still drawn.
     assert!(!studio.bytes(&with("cloud", Reconstruct::Points, Output::Color)).is_empty());
 }
 
@@ -197,7 +197,7 @@ fn final_etag(engine: &Engine, request: &FrameRequest) -> Option<String> {
     engine.resolve_blocking(request.clone()).unwrap().final_etag().map(str::to_owned)
 }
 
-/// Samples lie about two pixels apart.
+/// A frame in which samples are about two pixels apart.
 fn open(scene: &str, wait: Wait) -> FrameRequest {
     let settings = Settings { reconstruct: Reconstruct::Auto, wait, ..Settings::default() };
     FrameRequest { settings, ..front(scene, 192, 144) }
@@ -217,7 +217,7 @@ fn auto_draws_what_is_there_and_says_that_it_is_provisional() {
         let told = settings.provisional.clone().unwrap();
         assert!(told.starts_with("normals and kernels are being estimated ("), "{told}");
         assert_eq!(state(&studio, scene), EstimateState::Running);
-        // Who wants the final frame waits for it.
+        // A request for the final frame waits.
         assert!(engine.must_bake(&open(scene, Wait::Complete)));
         let film = FrameRequest {
             settings: Settings {
@@ -227,7 +227,7 @@ fn auto_draws_what_is_there_and_says_that_it_is_provisional() {
             ..front(scene, 8, 8)
         };
         assert!(engine.must_bake(&film), "frames of a film never wait one by one");
-        // Where samples are denser than pixels, points are the final frame of a scene without lights.
+        // Where samples are denser than pixels, a frame of points is final for a scene without lights.
         let dense = FrameRequest { width: 24, height: 18, ..open("cloud", Wait::Ready) };
         let early = studio.frame(&dense);
         assert_eq!(early.receipt.settings.provisional, None);
@@ -245,7 +245,7 @@ fn auto_draws_what_is_there_and_says_that_it_is_provisional() {
     }
 }
 
-/// An estimate that failed because others held the memory is made once they have given it back.
+/// An estimate that failed because others held the memory succeeds once they release it.
 #[test]
 fn estimates_are_made_once_there_is_memory() {
     let memory = HostMemory::new(64 << 20);
@@ -272,7 +272,7 @@ fn deleting_a_scene_stops_its_estimate() {
     assert_eq!(studio.engine.bakes_running(), 1);
     studio.engine.remove("cloud").unwrap();
     eventually("the end of the estimate", || studio.engine.bakes_running() == 0);
-    // And an engine that ends waits for nobody.
+    // An engine that ends waits for no estimate.
     studio.frame(&open("lit", Wait::Ready));
     assert_eq!(studio.engine.bakes_running(), 1);
 }
@@ -287,7 +287,7 @@ fn waiting_for_everything_gives_the_final_frame() {
     assert_eq!(state(&studio, "cloud"), EstimateState::Complete);
 }
 
-/// An engine on a folder that is there already, with a cache, and how often reading has told its progress.
+/// An engine on an existing folder, with a cache, and the number of progress reports by its reader.
 fn again(root: &Path, cache: &Path) -> (Studio, Arc<AtomicU32>) {
     let told = Arc::<AtomicU32>::default();
     let counted = told.clone();
@@ -317,7 +317,7 @@ fn large_clouds_are_kept_from_one_process_to_the_next() {
     std::fs::write(root.join("cloud.json"), cloud_scene("wall.ply").to_string()).unwrap();
     let points = with("cloud", Reconstruct::Points, Output::Color);
     let splats = with("cloud", Reconstruct::Splats, Output::Color);
-    // Frames of points and of splats, whether the file was read, and whether anything was left to be estimated.
+    // Frames as points and as splats, whether the file was read, and the state of the estimates.
     let run = |what: &str, needs_splats: bool| {
         let (studio, told) = again(root, cache);
         let was_read = told.load(Ordering::Relaxed) > 0;
@@ -340,7 +340,7 @@ fn large_clouds_are_kept_from_one_process_to_the_next() {
     let (third, found) = run("third", true);
     assert_eq!(found, (false, EstimateState::Complete));
     assert_eq!(third, second);
-    // What is damaged is not believed.
+    // Damaged entries are not used.
     for extension in ["bake", "note"] {
         for file in files(cache, extension) {
             let mut bytes = std::fs::read(&file).unwrap();
@@ -352,7 +352,7 @@ fn large_clouds_are_kept_from_one_process_to_the_next() {
         assert_eq!(found, (true, EstimateState::Deferred));
         assert_eq!(frames, second);
     }
-    // A file that has changed is another one.
+    // A changed file counts as another one.
     std::fs::write(&wall_file, wall(SIDE as usize, |_, y| [9, y as u8, 9])).unwrap();
     let (changed, found) = run("changed", true);
     assert_eq!(found, (true, EstimateState::Deferred));

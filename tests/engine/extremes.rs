@@ -1,4 +1,4 @@
-//! Scenes that are enormous, tiny, far away or flat: refused in words, or drawn like any other.
+//! Enormous, tiny, distant or flat scenes are drawn like others, or refused with a message.
 
 use glam::DVec3;
 use pointillist::engine::EngineError;
@@ -42,8 +42,8 @@ fn size_does_not_matter() {
                         if output == Output::Depth {
                             let found = covered(&bytes);
                             println!("1e{power}, kind {kind}: {found} of {usual} pixels");
-                            // The default view leaves room by the spacing of samples, which is measured in steps of a grid
-                            // that are another part of the cloud at each size.
+                            // The default view leaves a margin by the spacing of samples. The spacing is measured in steps of a
+                            // grid whose size relative to the cloud varies with the scale.
                             let most = usual / if kind == 0 { 20 } else { 100 };
                             if (-20..=20).contains(&power) {
                                 assert!(found.abs_diff(usual) <= most, "1e{power}: {found}");
@@ -81,7 +81,7 @@ fn distance_does_not_matter() {
                     a != b && (*a - *b).abs().partial_cmp(&1e-3) != Some(std::cmp::Ordering::Less)
                 })
                 .count();
-            // Silhouettes may move by a pixel: doubles at 1e7 are counted in steps of 2e-9.
+            // Silhouettes may move by a pixel: doubles near 1e7 have steps of 2e-9.
             assert!(differing <= 96 * 96 / 200, "{offset}: {differing} pixels");
         }
     }

@@ -1,4 +1,5 @@
-//! The default view fills the frame, cameras of the shipped scenes show their subject whole, and a view that shows nothing says why.
+//! The default view fills the frame, cameras of the shipped scenes show their subject as a whole, and an empty view gives a
+//! reason.
 
 use std::path::Path;
 
@@ -13,13 +14,13 @@ use super::studio::{Studio, cloud, fit, front, mesh};
 
 const SIZES: [(u32, u32); 4] = [(200, 150), (240, 135), (128, 128), (90, 190)];
 
-/// Instance numbers plus one, row by row.
+/// Ids of an image, row by row: instance numbers plus one.
 fn ids(frame: &EncodedFrame) -> Vec<u32> {
     let (words, _) = frame.bytes.as_chunks();
     words.iter().map(|&word| u32::from_le_bytes(word)).collect()
 }
 
-/// Shares of the frame's width and height that pixels with `seen` ids take, and the middle of those pixels from 0 to 1.
+/// Shares of the frame's width and height that pixels with `seen` ids span, and the middle of these pixels from 0 to 1.
 fn taken(ids: &[u32], width: u32, seen: impl Fn(u32) -> bool) -> ([f64; 2], [f64; 2]) {
     let height = ids.len() as u32 / width;
     let mut low = [u32::MAX; 2];
@@ -42,12 +43,12 @@ fn whole(studio: &Studio, scene: &str, (width, height): (u32, u32)) -> ([f64; 2]
     taken(&ids(&studio.frame(&request)), width, |id| id > 0)
 }
 
-/// Holds the default view of a scene to nine tenths of the frame, in its middle.
+/// Checks that the default view fills nine tenths of the frame and is centred.
 fn fills(studio: &Studio, scene: &str) {
     for size in SIZES {
         let (share, middle) = whole(studio, scene, size);
         let most = share[0].max(share[1]);
-        // A pixel on either side, and what lies between samples.
+        // Allow for a pixel on either side and for gaps between samples.
         assert!((0.86..0.93).contains(&most), "{scene} at {size:?} takes {share:?}");
         for at in middle {
             assert!((0.46..0.54).contains(&at), "{scene} at {size:?} is at {middle:?}");
@@ -159,7 +160,7 @@ fn named_cameras_keep_their_width_in_narrow_frames() {
     assert_eq!(camera(64, 64).fov_deg, 45.0);
     let expected = 2.0 * (2.0 * 22.5f64.to_radians().tan()).atan().to_degrees();
     assert!((camera(40, 80).fov_deg - expected).abs() < 1e-9);
-    // What a request says itself stays vertical.
+    // A field of view in the request stays vertical.
     let eye = DVec3::new(0.0, 0.0, 4.0);
     let pose = Pose::Upright { eye, target: DVec3::ZERO, fov_deg: 45.0 };
     let own = FrameRequest { pose, ..front("solid", 40, 80) };
@@ -170,7 +171,7 @@ fn named_cameras_keep_their_width_in_narrow_frames() {
 fn shipped_cameras_show_their_subject_whole() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes");
     let studio = Studio::below(&root, |_| {});
-    // Cameras that show the whole of something, and which instances that is.
+    // Cameras that show a whole object, and its instances.
     for (scene, cameras, subject) in [
         ("relief", &["front", "above"][..], 1..2),
         ("part", &["front", "above"], 1..2),
@@ -192,7 +193,7 @@ fn shipped_cameras_show_their_subject_whole() {
                     x == 0 || y == 0 || x + 1 == width || y + 1 == height
                 };
                 let is_cut = (0..ids.len()).filter(|&i| edge(i) && subject.contains(&ids[i]));
-                // The town's scanner has strays.
+                // The town's scan has stray points.
                 assert!(is_cut.count() <= 2, "{what} is cut off at the frame's edge");
                 let (share, _) = taken(&ids, width, |id| subject.contains(&id));
                 let most = share[0].max(share[1]);
@@ -211,7 +212,7 @@ fn scene_with_a_subject_shows_the_subject_by_default() {
         let request = FrameRequest { width, height, ..fit("textured", 1, Output::Id) };
         let (share, _) = taken(&ids(&studio.frame(&request)), width, |id| id == 1);
         let most = share[0].max(share[1]);
-        // The amphora is rounder than its box.
+        // The amphora does not fill the corners of its box.
         assert!((0.6..0.93).contains(&most), "at {width} × {height} the amphora takes {share:?}");
     }
 }

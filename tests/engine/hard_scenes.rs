@@ -1,5 +1,5 @@
-//! Every scene of `scenes/hard` in every way of drawing splats: soundly, and always alike. A test a scene, and one for its thin images,
-//! so that none takes long.
+//! Draws every scene of `scenes/hard` in every way of drawing splats, and checks that frames are valid and deterministic. Each
+//! scene has two tests, one for its thin images, so that none takes long.
 
 use pointillist::engine::{FrameRequest, Pose, SceneInfo};
 use pointillist::plan::Output;
@@ -9,12 +9,13 @@ use super::splats_hard::{
 };
 use super::studio::{Studio, same};
 
-/// Every camera of the scene with every way and output, cameras of one way beside one another: 96 × 64 pixels, or images that are a
-/// single pixel or a single column, by turns.
+/// Every camera of the scene with every way and output. Cameras of one way are adjacent. Frames have 96 × 64 pixels, or alternate
+/// between a single pixel and a single column.
 fn all_requests(info: &SceneInfo, thin: bool) -> Vec<FrameRequest> {
     let mut list = Vec::new();
     for (number, (settings, output)) in ways_and_outputs().into_iter().enumerate() {
-        // Five outputs a way, blended and opaque ones in turns: both sizes meet either, with and without low-pass filter.
+        // There are five outputs per way, and blended and opaque ways alternate. Both sizes therefore occur with both, with and
+        // without low-pass filter.
         let way = number / 5;
         let size = match (thin, (way + way / 2) % 2) {
             (false, _) => [96, 64],
@@ -29,7 +30,7 @@ fn all_requests(info: &SceneInfo, thin: bool) -> Vec<FrameRequest> {
     list
 }
 
-/// Checks what belongs together: five outputs of each camera and way.
+/// Checks the five outputs of each camera and way together.
 fn assert_all_sound(info: &SceneInfo, requests: &[FrameRequest], frames: &[Vec<u8>]) {
     for camera in &info.cameras {
         let mine: Vec<(&FrameRequest, &Vec<u8>)> = requests
@@ -48,7 +49,7 @@ fn assert_all_sound(info: &SceneInfo, requests: &[FrameRequest], frames: &[Vec<u
     }
 }
 
-/// Draws every frame of a scene in a crowd, some of them alone as well, and all that are not thin without 64-bit atomics.
+/// Draws all frames of a scene together, some of them also alone, and all that are not thin also without 64-bit atomics.
 fn draw_all(name: &str, thin: bool) {
     let studio = Studio::below(&hard_folder(), roomy);
     let file = hard_folder().join(format!("{name}.json"));
@@ -59,7 +60,7 @@ fn draw_all(name: &str, thin: bool) {
     assert!(largest as usize >= info.cameras.len().min(3), "{largest} views at once at most");
     let frames: Vec<Vec<u8>> = frames.iter().map(|frame| frame.bytes.to_vec()).collect();
     assert_all_sound(&info, &requests, &frames);
-    // Cameras, ways and outputs take turns.
+    // Every seventh frame: this varies camera, way and output.
     for (request, bytes) in requests.iter().zip(&frames).step_by(7) {
         same(&studio.bytes(request), bytes, &format!("alone: {request:?}"));
         same(&studio.bytes(request), bytes, &format!("again: {request:?}"));
@@ -70,7 +71,7 @@ fn draw_all(name: &str, thin: bool) {
     };
     assert_whole(&studio);
     drop(studio);
-    // The same passes run for thin images.
+    // Thin images run the same passes.
     if thin {
         return;
     }

@@ -1,4 +1,4 @@
-//! What lies behind other things is not drawn, and no pixel tells.
+//! Hidden chunks are not drawn, and no pixel depends on this.
 
 use std::collections::BTreeSet;
 
@@ -11,7 +11,7 @@ use serde_json::json;
 
 use super::studio::{OUTPUTS, Studio, cloud, front, same, sphere, spt};
 
-/// Rows of balls and clouds one behind the other, and a wall that closes the view here and there.
+/// Loads rows of balls and clouds one behind the other, with walls that close the view in places.
 fn load(studio: &Studio) {
     studio.write("ball.ply", sphere(24));
     let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
@@ -35,7 +35,7 @@ fn load(studio: &Studio) {
             "lights": [{ "kind": "headlight" }, { "kind": "ambient" }],
         }),
     );
-    // Kernels that reach far beyond their centres, under a wide filter, in copies that are stretched and mirrored.
+    // Kernels that reach far beyond their centres, under a wide filter, in stretched and mirrored instances.
     studio.load_json(
         "wide",
         &json!({
@@ -51,7 +51,7 @@ fn load(studio: &Studio) {
 
 fn views() -> Vec<FrameRequest> {
     let looks = [
-        // Along the rows, among them, from above, from within a ball, and past everything.
+        // Along the rows, among them, from above, from inside a ball, and past everything.
         ([0.3, 0.2, 14.0], [0.1, 0.0, -9.0], 50.0),
         ([1.1, -0.4, 2.2], [-4.0, 0.3, -7.0], 80.0),
         ([5.0, 25.0, 9.0], [0.0, 0.0, 0.0], 40.0),
@@ -97,9 +97,9 @@ fn frames_are_those_that_draw_what_is_hidden() {
         let wide =
             views().into_iter().take(2).map(|view| FrameRequest { scene: "wide".into(), ..view });
         for (number, view) in views().into_iter().chain(wide).enumerate() {
-            // Every filter once.
+            // All filters for the first view.
             for settings in settings().into_iter().take(if number == 0 { usize::MAX } else { 5 }) {
-                // Ids tell of anything that is missing.
+                // Ids show anything that is missing.
                 let outputs = if number == 0 { &OUTPUTS[..] } else { &[Output::Id] };
                 for &output in outputs {
                     let request = FrameRequest { settings, output, ..view.clone() };
@@ -117,7 +117,7 @@ fn frames_are_those_that_draw_what_is_hidden() {
                 }
             }
         }
-        // Along the rows most is hidden, at any level of detail.
+        // Along the rows most chunks are hidden, at any level of detail.
         assert!(fewer >= 12, "in {fewer} frames less than half was drawn");
         assert!(fewer_splats >= 6, "in {fewer_splats} frames a quarter of the splats was left out");
     }
@@ -153,7 +153,7 @@ fn every_pass_is_recorded_by_some_frame_in_the_order_of_the_table() {
         }
     }
     let mut all: BTreeSet<&str> = Pass::ALL.iter().map(|pass| pass.name()).collect();
-    // No frame has it, but every pick: see `picks.rs`.
+    // Only picks record this pass; see `picks.rs`.
     all.remove(Pass::Identify.name());
     assert_eq!(recorded, all);
 }

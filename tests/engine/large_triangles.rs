@@ -1,4 +1,4 @@
-//! More large triangles than the list of them has room for at first.
+//! More large triangles than their list initially has room for.
 
 use std::fmt::Write as _;
 
@@ -10,11 +10,11 @@ use super::studio::{Studio, depths, fit, same};
 use glam::DVec3;
 
 const SIDE: u32 = 2400;
-/// Width of a strip in pixels: more than the passes' own walk takes.
+/// Width of a strip in pixels, larger than the limit of triangles that a thread walks by itself.
 const STRIP: u32 = 34;
 const DISTANCE: f64 = 5.0;
 
-/// Strips one pixel high, side by side, that cover the first columns of a frame; each of two triangles.
+/// Strips one pixel high, side by side, that cover the first columns of a frame. Each consists of two triangles.
 fn strips() -> (String, u32) {
     let columns = SIDE / STRIP;
     let quads = columns * SIDE;

@@ -1,4 +1,4 @@
-//! Requests that cannot be drawn are refused in words.
+//! Requests that cannot be drawn are refused with a message.
 
 use glam::{DMat3, DVec2, DVec3};
 use pointillist::encode::ImageFormat;
@@ -149,7 +149,7 @@ fn odd_poses_are_drawn() {
     let studio = Studio::new();
     studio.load_two();
     for pose in [
-        // Straight along up; nearly nothing in view; nearly everything; very near; inside; far away.
+        // Looking along `up`; almost nothing in view; almost everything in view; very near; inside; far away.
         Camera { up: DVec3::Z, ..camera() },
         Camera { fov_deg: 1e-6, ..camera() },
         Camera { fov_deg: 179.999_999, ..camera() },
@@ -171,7 +171,7 @@ fn odd_poses_are_drawn() {
                 ..front(scene, 50, 40)
             };
             match studio.engine.submit(request) {
-                // Panics where a depth is no number.
+                // Panics if a depth is NaN.
                 Ok(ticket) => {
                     let frame = ticket.wait().unwrap_or_else(|error| panic!("{pose:?}: {error}"));
                     super::studio::covered(&frame.bytes);

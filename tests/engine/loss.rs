@@ -1,4 +1,4 @@
-//! A device that is lost comes back with its scenes.
+//! A lost device is replaced, with all scenes.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -45,7 +45,7 @@ fn frames_in_flight_are_drawn_again() {
     let before: Vec<_> = requests.iter().map(|request| studio.bytes(request)).collect();
     for round in 0..6u64 {
         let tickets: Vec<_> = requests.iter().map(|request| studio.submit(request)).collect();
-        // At different moments of their way.
+        // Lose the device at different stages of the frames.
         std::thread::sleep(std::time::Duration::from_millis(3 * round));
         studio.engine.lose_device();
         for (ticket, bytes) in tickets.into_iter().zip(&before) {
@@ -60,11 +60,11 @@ fn frames_in_flight_are_drawn_again() {
             same(&studio.bytes(request), bytes, &format!("round {round}"));
         }
     }
-    // Nothing was forgotten on the way: this would wait for ever.
+    // If a frame were forgotten, this would wait for ever.
     studio.engine.drain();
 }
 
-/// What the device refuses, the buffers of its first frame among them, is drawn by the next one.
+/// Frames that the device refuses, even because of its first buffers, are drawn by the next device.
 #[test]
 fn a_device_lost_before_its_first_frame() {
     let studio = Studio::new();
@@ -80,12 +80,12 @@ fn a_device_lost_before_its_first_frame() {
     }
 }
 
-/// A submission that the driver refuses costs its own frames, and nobody sees another's pixels.
+/// A submission that the driver refuses fails only its own frames, and no frame shows another's pixels.
 #[test]
 fn a_refused_submission_costs_its_own_frames_alone() {
     let studio = Studio::new();
     studio.load_two();
-    // Large ones: each is a batch by itself, and two are in flight at a time.
+    // The frames are so large that each is a batch by itself. Two are in flight at a time.
     let requests: Vec<_> = (0..6).map(|number| orbit("solid", number, 1100)).collect();
     let before: Vec<_> = requests.iter().map(|request| studio.bytes(request)).collect();
     for round in 0..4u64 {
@@ -103,7 +103,7 @@ fn a_refused_submission_costs_its_own_frames_alone() {
                 Err(error) => panic!("round {round}: {error}"),
             }
         }
-        // It may come too late for all of them; then it hits the next.
+        // The failure may come after all of these frames. It then hits the next one.
         assert!(refused <= 1, "{refused} frames for one submission");
         if refused == 0 {
             studio.submit(&front("cloud", 30, 30)).wait().unwrap_err();

@@ -1,5 +1,5 @@
-//! The engine on a real adapter: equal requests give equal bytes whatever else is drawn, scenes come and go within the
-//! budget, a lost device comes back, the queue is fair, and nothing that a caller says makes it panic or hang.
+//! Tests of the engine on a real adapter: equal requests give equal bytes whatever else is drawn, scenes come and go within the
+//! budget, a lost device is replaced, the queue is fair, and no input of a caller causes a panic or a hang.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,

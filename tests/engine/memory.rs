@@ -1,4 +1,4 @@
-//! The GPU budget: scenes come and go, and never more stays than allowed.
+//! The GPU budget: scenes come and go, and resident bytes never exceed it.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -54,7 +54,7 @@ fn three_scenes_in_the_room_of_two() {
                 same(&tight.bytes(&front(id, 200, 150)), expected, id);
             }
         }
-        // All at once: no submission may hold a scene that another of its frames has pushed out.
+        // All at once. No submission may draw a scene that another of its frames has evicted.
         let tickets: Vec<_> = (0..24)
             .map(|number| {
                 let mut request = front(SCENES[number % 3], 200, 150);
@@ -68,7 +68,7 @@ fn three_scenes_in_the_room_of_two() {
         done.store(true, Ordering::Relaxed);
     });
     let stats = tight.engine.stats();
-    // In turn, the third is never there.
+    // Used in rotation, the third scene is never resident.
     assert!(stats.evictions >= 7, "{} evictions", stats.evictions);
     assert_eq!(stats.uploads, stats.evictions + 2, "what was uploaded left or is one of two");
     assert!(stats.gpu_bytes_resident > 0 && stats.gpu_bytes_resident <= budget);
@@ -76,7 +76,7 @@ fn three_scenes_in_the_room_of_two() {
     assert_eq!(resident, 2);
 }
 
-/// Scenes that share their one asset hold lists of their own, and those are what must give way.
+/// Scenes that share their only asset have their own lists, and these are evicted.
 #[test]
 fn scenes_of_one_asset_keep_to_the_budget() {
     let scene = serde_json::json!({
@@ -117,7 +117,7 @@ fn a_scene_that_replaces_another_leaves_none_of_its_assets() {
         studio.load("x", ["red.json", "blue.json"][round % 2]);
         studio.frame(&front("x", 40, 40));
         largest = largest.max(studio.engine.stats().gpu_bytes_resident);
-        // Kept busy, so that the thread finds the name taken again when it looks for what was removed.
+        // The thread is busy, so that the name is in use again when it looks for removed scenes.
         let busy = studio.keep_busy("keep");
         studio.engine.remove("x").unwrap();
         studio.load("x", ["blue.json", "red.json"][round % 2]);
@@ -143,7 +143,7 @@ fn what_can_never_fit_is_refused_at_once() {
     assert_eq!(budget, 100_000);
     assert!(needed >= (SIDE * SIDE * 16) as u64);
     assert!(studio.engine.scenes().is_empty());
-    // The name is free, and smaller things work.
+    // The name is free, and smaller scenes can be loaded.
     studio.write("small.ply", wall(20, |_, _| [9, 9, 9]));
     studio.write("red.json", cloud_scene("small.ply").to_string());
     studio.load("red", "red.json");

@@ -1,4 +1,4 @@
-//! Scenes over many pages, and what happens where the tables and pages are full.
+//! Scenes over many pages, and full tables and pages.
 
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use pointillist::residency::{Residency, ResidencyError};
 use super::studio::{OUTPUTS, Studio, orbit, same, sphere, wall};
 use serde_json::json;
 
-/// Bytes of a binding: pages are this large at most.
+/// Limit of a binding in bytes, which is also the largest size of a page.
 const PAGE: u64 = 2 << 20;
 
 #[test]
@@ -24,7 +24,7 @@ fn pages_do_not_show() {
     });
     let [whole, paged] = [None, Some(PAGE)].map(|max_binding_bytes| {
         let studio = Studio::with(|config| config.max_binding_bytes = max_binding_bytes);
-        // Three pages of samples, and as many of vertices.
+        // Three pages of samples and three of vertices.
         studio.write("wall.ply", wall(800, |x, y| [(x / 4) as u8, (y / 4) as u8, 9]));
         studio.write("ball.ply", sphere(270));
         studio.load_json("scene", &scene);
@@ -39,7 +39,7 @@ fn pages_do_not_show() {
         assert_eq!(frames[0].receipt.samples.tested, frames[1].receipt.samples.tested);
         assert_eq!(frames[0].receipt.triangles.tested, frames[1].receipt.triangles.tested);
     }
-    // Point trees: what is drawn is the same, whatever page it lies in.
+    // Point trees are drawn equally, whatever page they are in.
     for reconstruct in [Reconstruct::Points, Reconstruct::Splats] {
         for (number, output) in OUTPUTS.into_iter().enumerate() {
             let settings = Settings { lod: Lod::Spt, reconstruct, ..Settings::default() };
@@ -60,7 +60,7 @@ fn gpu() -> Gpu {
     Gpu::open(&GpuOptions { max_binding_bytes: Some(PAGE), ..GpuOptions::default() }).unwrap()
 }
 
-/// A scene of nothing but textures of the given numbers of texels, and materials.
+/// A scene that consists of textures with these numbers of texels and of materials only.
 fn textured(uid: u64, texels: &[u32], materials: usize) -> Arc<SceneModel> {
     let textures = texels
         .iter()
@@ -111,13 +111,13 @@ fn textured(uid: u64, texels: &[u32], materials: usize) -> Arc<SceneModel> {
     })
 }
 
-/// Texels of a page.
+/// Number of texels in a page.
 const FULL: u32 = (PAGE / 4) as u32;
 
 #[test]
 fn full_texel_pages_push_others_out() {
     let gpu = gpu();
-    // The budget would allow for all of them.
+    // The budget has room for all of them.
     let mut residency = Residency::new(&gpu, 64 * PAGE);
     let scenes = [
         textured(1, &[FULL], 3),
@@ -167,7 +167,7 @@ fn what_fits_no_table_is_refused_and_harms_nobody() {
         assert!(residency.is_current(&there), "{error}");
         assert_eq!((residency.used(), residency.evictions()), (used, 0));
     }
-    // All room is still there for one that just fits.
+    // All room is still available for a scene that just fits.
     let exact = textured(7, &[FULL, FULL], 1);
     residency.ensure(&gpu, &exact).unwrap();
     assert!(!residency.is_current(&there));
@@ -185,12 +185,12 @@ fn a_budget_counts_lists_too() {
     }
     assert_eq!(residency.evictions(), 3);
     assert_eq!(residency.ids().count(), 3);
-    // The same asset in another scene costs nothing but its lists.
+    // The same asset in another scene only needs memory for lists.
     let uploads = residency.uploads();
     let again = SceneModel { uid: 99, id: "other".to_owned(), ..SceneModel::clone(&scenes[5]) };
     residency.ensure(&gpu, &Arc::new(again)).unwrap();
     assert_eq!((residency.uploads(), residency.evictions()), (uploads, 3));
-    // Its asset stays as long as one of the two does.
+    // The asset stays as long as one of both scenes does.
     residency.remove(&gpu, &scenes[5].id);
     assert_eq!(residency.used(), 3 * each);
     residency.remove(&gpu, "other");
@@ -204,7 +204,7 @@ fn a_scene_keeps_its_own_assets_while_it_comes() {
     let mut residency = Residency::new(&gpu, 2 * one.gpu_bytes());
     residency.ensure(&gpu, &one).unwrap();
     residency.ensure(&gpu, &two).unwrap();
-    // What the new scene shares with the first one was used the longest ago, and stays nevertheless.
+    // The part that the new scene shares with the first one was used least recently, but stays.
     let both = Arc::new(SceneModel {
         uid: 50,
         id: "both".to_owned(),

@@ -1,4 +1,4 @@
-//! Picks name what a frame shows, and where it is.
+//! Picks name the element that a frame shows, and its position.
 
 use glam::{DMat3, DVec3};
 use pointillist::engine::pick::{HitKind, Pick, request_of};
@@ -47,7 +47,7 @@ fn picks_of_every_pixel_agree_with_the_pictures() {
             let ids = words(&studio, &request, Output::Id).into_iter().map(u32::from_le_bytes);
             let depths =
                 words(&studio, &request, Output::Depth).into_iter().map(f32::from_le_bytes);
-            // What lies in a splat's plane may be as far from its sample as the splat reaches.
+            // A point in a splat's plane may be as far from the sample as the splat extends.
             let slack = if settings.reconstruct == Reconstruct::Points { 1e-5 } else { 0.2 };
             let mut hits = 0;
             for ((pick, id), depth) in picks.iter().zip(ids).zip(depths) {
@@ -71,7 +71,7 @@ fn picks_of_every_pixel_agree_with_the_pictures() {
 #[test]
 fn picks_of_a_survey_are_exact() {
     let studio = Studio::new();
-    // Millimetres at UTM coordinates.
+    // Millimetre detail at UTM coordinates.
     let base = DVec3::new(500_123.456, 5_400_789.012, 234.567);
     let places: Vec<DVec3> = (0..40 * 40)
         .map(|i| {

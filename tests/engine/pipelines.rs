@@ -1,7 +1,7 @@
-//! Pipelines are built before frames need them, and remembered from one process to the next.
+//! Pipelines are built before frames need them, and remembered between processes.
 //!
-//! `src/passes/common_pipelines.json` lists what the first frames of most scenes use. After a change of shaders or of their
-//! overrides, write it anew:
+//! `src/passes/common_pipelines.json` lists the pipelines that the first frames of most scenes use. After a change of shaders or
+//! of their overrides, write it anew:
 //! `POINTILLIST_RECORD_PIPELINES=1 cargo nextest run --test engine -E 'test(common_frames)'`
 
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use pointillist::plan::{Lod, Output, Reconstruct, Settings};
 use super::studio::{Studio, fit};
 
 const PATIENCE: Duration = Duration::from_secs(120);
-/// A scene with lights, a point cloud and a mesh by itself.
+/// A scene with lights, a point cloud, and a mesh.
 const SCENES: [&str; 3] = ["scenes/plaza.json", "scenes/town-scan.laz", "scenes/relief-asset.ply"];
 
 fn studio(folder: Option<&Path>, common: bool) -> Studio {
@@ -71,7 +71,7 @@ fn kept_file(folder: &Path) -> PathBuf {
     file.clone()
 }
 
-/// The list within the file that an engine left.
+/// The list in the file that an engine wrote.
 fn variants(folder: &Path) -> Vec<u8> {
     let bytes = std::fs::read(kept_file(folder)).unwrap();
     let length = u64::from_le_bytes(bytes[40..48].try_into().unwrap());
@@ -98,7 +98,7 @@ fn what_frames_used_is_there_in_the_next_process() {
     let cold = late(false);
     assert!(cold > 5, "{cold}");
     assert_eq!(late(true), 0);
-    // A damaged file is no reason to fail, and is replaced.
+    // A damaged file is no error, and is replaced.
     let file = kept_file(kept.path());
     let mut bytes = std::fs::read(&file).unwrap();
     let last = bytes.len() - 1;

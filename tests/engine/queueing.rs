@@ -1,4 +1,4 @@
-//! Who waits, who is turned away, and who is not drawn at all.
+//! The order of the queue, refusals, and cancelled frames.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, RwLock, mpsc};
@@ -62,7 +62,7 @@ fn the_most_patient_of_those_who_share_a_frame_decides() {
     let studio = Studio::new();
     studio.load_two();
     let busy = studio.keep_busy("cloud");
-    // Nothing was measured yet: the engine does not know how long those take.
+    // Nothing was measured yet, so the engine does not know how long these frames take.
     let soon = Instant::now() + Duration::from_millis(150);
     let hurried = FrameRequest { deadline: Some(soon), ..front("solid", 61, 60) };
     let tickets = [studio.submit(&hurried), studio.submit(&front("solid", 61, 60))];
@@ -87,7 +87,7 @@ fn abandoned_frames_are_not_drawn() {
             .collect();
         assert!(kept.into_iter().all(|ticket| ticket.wait().is_ok()));
         assert!(busy.into_iter().all(|ticket| ticket.wait().is_ok()));
-        // Every job was either drawn or cancelled, soon.
+        // Each job is soon drawn or cancelled.
         eventually("an end of every job", || {
             let now = studio.engine.stats();
             cancelled = now.cancelled - before.cancelled;
@@ -203,7 +203,8 @@ fn what_cannot_be_had_in_time_is_refused_at_once() {
         (0..30).map(|number| studio.submit(&orbit("solid", number, 1200))).collect();
     let deadline = Some(Instant::now() + Duration::from_millis(1));
     let hurried = FrameRequest { deadline, ..orbit("solid", 99, 60) };
-    // Another client: among its own frames the most urgent one would be the next, which it costs nobody anything to try.
+    // Another client, because the most urgent frame of the same client would be the next one, and trying it costs nobody
+    // anything.
     match studio.engine.submit_for(Client::Caller(1), hurried).err() {
         Some(EngineError::DeadlineExceeded { retry_after }) => {
             assert!(
@@ -235,7 +236,7 @@ fn requests_come_before_jobs() {
     let before = studio.engine.stats().frames;
     assert!(asked.into_iter().all(|ticket| ticket.wait().is_ok()));
     let drawn = studio.engine.stats().frames - before;
-    // The four, what was under way, and a tenth of the device's time.
+    // The four requests, the frames in flight, and a tenth of the device's time.
     assert!(drawn <= 4 + 4 + 2, "{drawn} frames were drawn before");
     assert!(job.into_iter().all(|ticket| ticket.wait().is_ok()), "and jobs after");
 }
@@ -260,7 +261,7 @@ fn a_jobs_frame_comes_forward_for_who_asks_for_the_same() {
     assert_eq!(studio.engine.stats().frames, u64::from(FRAMES), "none was drawn twice");
 }
 
-/// While encoders are full of a job's images, frames of streams and requests are drawn, encoded and answered.
+/// While the encoders are busy with a job's images, frames of streams and requests are drawn, encoded and answered.
 #[test]
 fn a_jobs_images_delay_no_other_frames() {
     const FRAMES: u32 = 40;
@@ -293,7 +294,7 @@ fn a_jobs_images_delay_no_other_frames() {
     }
     let stats = studio.engine.stats();
     assert_eq!((begun.load(Ordering::SeqCst), stats.frames), (2, 10));
-    // Two are in encoders, four wait for them, two may have been under way.
+    // Two are in encoders, four wait for them, and two may have been in flight.
     assert!(stats.queued >= u64::from(FRAMES) - 8, "{} wait to be drawn", stats.queued);
     drop(shut);
     assert!(job.into_iter().all(|ticket| ticket.wait().is_ok()));

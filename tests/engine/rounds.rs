@@ -1,5 +1,5 @@
-//! On lavapipe all loops of a thread share 65535 rounds, and what would come after is left out without a word. However much there is
-//! to walk, every pixel of it must be seen.
+//! On lavapipe all loops of a thread share 65535 iterations, and the rest is silently left out. Every pixel must be drawn,
+//! however much there is to walk.
 
 use glam::DVec3;
 use pointillist::engine::{FrameRequest, Pose};
@@ -11,7 +11,7 @@ use serde_json::json;
 use super::studio::{Disk, Studio, cloud_scene, depths, disks, front, mesh, same};
 
 const SIDE: u32 = 512;
-/// Of the camera below, at z = 0: a unit is half of the image.
+/// Pixels per unit at z = 0 for the camera below: a unit is half of the image.
 const UNIT_PX: f64 = SIDE as f64 / 2.0;
 const PER_ROW: u32 = 64;
 const SHEETS: u32 = 600;
@@ -21,7 +21,7 @@ fn before(scene: &str, side: u32, settings: Settings, output: Output) -> FrameRe
     FrameRequest { settings, output, pose: Pose::Camera(camera), ..front(scene, side, side) }
 }
 
-/// Disks that are as large as a thread may walk, four chunks of them.
+/// Disks of the largest size that a thread may walk, in four chunks.
 fn wall_of_disks() -> String {
     let list: Vec<Disk> = (0..PER_ROW * PER_ROW)
         .map(|i| {
@@ -39,7 +39,7 @@ fn wall_of_disks() -> String {
 
 #[test]
 fn a_thread_walks_as_many_splats_as_it_can() {
-    // None by a thread, all by a thread.
+    // First none by a thread, then all by a thread.
     let [walked, threads] = [1, 32].map(|px| {
         let studio = Studio::with(|config| config.small_splat_px = Some(px));
         studio.write("wall.ply", wall_of_disks());
@@ -60,12 +60,12 @@ fn a_thread_walks_as_many_splats_as_it_can() {
         let counts = found.receipt.splats;
         let [scattered, listed] = [counts.scattered, counts.rasterised].map(Option::unwrap);
         assert_eq!(scattered + listed, u64::from(PER_ROW * PER_ROW), "{settings:?}");
-        // A thread has some 128 of 900 pixels.
+        // A thread has about 128 of 900 pixels.
         assert!(scattered > 1500 && listed > 500, "{scattered} by a thread, {listed} listed");
     }
 }
 
-/// Sheets that cover the frame, the nearest the last.
+/// The depth of a sheet that covers the frame. The last sheet is the nearest.
 fn sheet_z(sheet: u32) -> f64 {
     0.5 * f64::from(sheet + 1) / f64::from(SHEETS) - 0.5
 }
@@ -93,7 +93,7 @@ fn large_triangles_and_splats_one_before_the_other() {
         blend: Some(Blend::Opaque),
         ..Settings::default()
     };
-    // From either side: in whatever order they are listed, one of the two nearest is not among the first.
+    // From both sides: in whatever order the sheets are listed, in one of both cases the nearest one is not among the first.
     for (eye, sheet) in [(DVec3::Z, SHEETS - 1), (DVec3::Z * -2.0, 0)] {
         let nearest = (eye.z - sheet_z(sheet)).abs() as f32;
         let camera = Camera { eye, target: DVec3::ZERO, up: DVec3::Y, fov_deg: 60.0 };

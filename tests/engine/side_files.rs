@@ -1,4 +1,4 @@
-//! Files that name other files are read anew when those change.
+//! Files that name other files are read again when those change.
 
 use glam::DVec3;
 use pointillist::engine::{FrameRequest, Pose};
@@ -21,15 +21,15 @@ fn png(color: [u8; 3]) -> Vec<u8> {
     bytes
 }
 
-/// From a place that does not depend on the scene's size.
+/// A view from a place that does not depend on the scene's size.
 fn seen_from_fixed(scene: &str) -> FrameRequest {
     let eye = DVec3::new(1.0, 2.0, 7.0);
     let pose = Pose::Upright { eye, target: DVec3::ZERO, fov_deg: 40.0 };
     FrameRequest { pose, ..fit(scene, 64, Output::Color) }
 }
 
-/// Loads `file` before and after `change`, and expects different pictures under different tags; the first one back again
-/// after `restore`.
+/// Loads `file` before and after `change`, and expects different images with different tags. After `restore` the first image
+/// returns.
 fn sees_change(studio: &Studio, file: &str, change: &dyn Fn(), restore: &dyn Fn()) {
     let look = || {
         studio.load("x", file);
@@ -109,7 +109,7 @@ fn a_gltf_with_a_buffer_beside_it() {
         &|| studio.write("triangle.bin", bin(1.0, -0.5)),
         &restore,
     );
-    // Twice the size has the same coordinates on a grid of twice the step.
+    // At twice the size, the coordinates on a grid with twice the step are equal.
     sees_change(
         &studio,
         "triangle.gltf",
@@ -131,7 +131,7 @@ fn equal_files_are_held_once_under_their_own_names() {
     let frames = ["one", "two"].map(|id| studio.bytes(&fit(id, 50, Output::Color)));
     same(&frames[0], &frames[1], "two names");
     assert_eq!(studio.engine.stats().uploads, 1);
-    // The same bytes under a name of another format are another matter.
+    // Equal bytes under a name of another format are another asset.
     studio.write("three.txt", "0 0 0\n1 1 1\n");
     studio.write("three.obj", "0 0 0\n1 1 1\n");
     studio.load("text", "three.txt");

@@ -1,4 +1,4 @@
-//! Splats where renderers go wrong: the scenes of `scenes/hard`, whatever the filter, and what must hold of any splats.
+//! Splats in cases that renderers often miss: the scenes of `scenes/hard` with every filter, and invariants of all splats.
 
 use std::path::{Path, PathBuf};
 
@@ -13,10 +13,10 @@ use serde_json::{Value, json};
 use super::studio::{Disk, OUTPUTS, Studio, depths, disk_sphere, disks, front, ids, same};
 
 const FILTERS: [Filter; 3] = [Filter::Affine, Filter::Perspective, Filter::Exact];
-/// As the scenes have it.
+/// The cut-off of the scenes.
 const CUTOFF: f64 = 2.0;
 const BACKGROUND: [u8; 3] = [0x10, 0x20, 0x30];
-/// Linear channels of 0 and 1, whose weighted sums lose nothing.
+/// A colour whose linear channels are 0 and 1, which weighted sums keep exactly.
 const PURE: [u8; 3] = [255, 0, 255];
 
 fn settings(filter: Filter, prefilter: bool, blend: Blend, shading: Shading) -> Settings {
@@ -30,7 +30,7 @@ fn settings(filter: Filter, prefilter: bool, blend: Blend, shading: Shading) -> 
     }
 }
 
-/// Every filter, with and without its low-pass filter, blended or not.
+/// Every filter, with and without low-pass filter, blended and opaque.
 fn ways() -> Vec<Settings> {
     let mut list = Vec::new();
     for filter in FILTERS {
@@ -43,7 +43,7 @@ fn ways() -> Vec<Settings> {
     list
 }
 
-/// Every way with every output; how splats are shaded makes a difference to colours alone.
+/// Every way with every output. The shading of splats only affects colours.
 pub fn ways_and_outputs() -> Vec<(Settings, Output)> {
     let mut list = Vec::new();
     for way in ways() {
@@ -80,7 +80,7 @@ fn one_cloud(file: &str, lights: Value) -> Value {
     })
 }
 
-/// Frames of all requests, taken together, so that many meet in a batch.
+/// Submits all requests together, so that many share a batch, and returns the frames.
 pub fn together(studio: &Studio, requests: &[FrameRequest]) -> Vec<std::sync::Arc<EncodedFrame>> {
     let tickets: Vec<_> = requests.iter().map(|request| studio.submit(request)).collect();
     tickets.into_iter().map(|ticket| ticket.wait().unwrap()).collect()
@@ -95,7 +95,7 @@ fn linear(byte: u8) -> f64 {
     if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
 }
 
-/// What colours a scene's frames may have: its samples' least and greatest channels.
+/// Range of colours in a scene's frames: the smallest and largest channels of its samples.
 struct Range {
     low: [u8; 3],
     high: [u8; 3],
@@ -113,9 +113,9 @@ impl Range {
         Range { low, high }
     }
 
-    /// Sums hold a splat's share of a colour to half a unit, and its weight is at least nine of those (a 64th for the low-pass filter's
-    /// sake, e⁻² for the cut-off, 32768 to one) or, without low-pass filter, 4434. What is 0 or 1 is kept exactly. Half a byte
-    /// for the result. Light only takes away.
+    /// Sums store a splat's share of a colour to half a unit. Its weight is at least 554 units with low-pass filter (1/8 for the
+    /// filter, e⁻² for the cut-off, of 32768), and 4434 without. Channels of 0 or 1 are exact. The result is rounded by half a
+    /// byte. Light only darkens.
     fn assert_holds(&self, pixel: &[u8], settings: &Settings, lit: bool, what: &str) {
         let least_weight = if settings.prefilter == Some(true) { 554.0 } else { 4434.0 };
         let exact = settings.blend == Some(Blend::Opaque);
@@ -146,7 +146,7 @@ fn unit_or_zero(pixel: &[u8], what: &str) -> bool {
     true
 }
 
-/// The images of one camera and way: sound by themselves, and in agreement about where something is.
+/// Checks the images of one camera and way: each by itself, and that they agree on which pixels are covered.
 pub fn assert_sound(frames: &[(Output, &[u8])], way: &Settings, info: &SceneInfo, what: &str) {
     let lit = info.lights > 0;
     let range = Range::of(&info.id);
@@ -192,7 +192,7 @@ pub fn hard_names() -> Vec<String> {
 #[test]
 fn what_lies_behind_the_eye_is_not_seen_and_what_is_before_it_is() {
     let studio = Studio::below(&hard_folder(), roomy);
-    // Pixels at least, for the way that covers the fewest.
+    // Lower bounds on covered pixels, for the way that covers the fewest.
     let expected = [
         ("around-the-eye", "on-a-sample-askew", 6144),
         ("around-the-eye", "down-from-a-hair", 6144),
@@ -200,8 +200,7 @@ fn what_lies_behind_the_eye_is_not_seen_and_what_is_before_it_is() {
         ("around-the-eye", "within", 3200),
         ("axes", "front", 6144),
         ("few", "one", 4200),
-        // The line, whose disks are those of a wire: one distance between samples in radius (it was one and a half, and more at the
-        // ends). All ways give 375.
+        // The line's disks are those of a wire: their radius is one distance between samples. All ways give 375.
         ("few", "same", 375),
         ("fields-of-view", "narrow", 4600),
         ("fields-of-view", "wide-within", 6144),
@@ -235,7 +234,7 @@ fn what_lies_behind_the_eye_is_not_seen_and_what_is_before_it_is() {
     }
 }
 
-/// Samples that are each odd in a way of their own.
+/// Random samples with odd values.
 fn odd_disks(count: u32, powers: &[i32], random: &mut SplitMix64) -> Vec<Disk> {
     let directions = [DVec3::ZERO, DVec3::X, DVec3::NEG_Y, DVec3::Z, DVec3::new(1.0, 1e-12, 0.0)];
     (0..count)
@@ -263,7 +262,7 @@ fn a_million_odd_splats_give_no_odd_numbers() {
     let studio = Studio::with(roomy);
     let mut random = SplitMix64::new(20_040);
     let mut infos = Vec::new();
-    // Large ones hide all others.
+    // Large disks hide all others, so they are in a scene of their own.
     for (id, powers) in
         [("odd", &[-12, -6, -3, -2, -2, -1][..]), ("odd-large", &[-12, -6, -1, 0, 3, 6, 12])]
     {
@@ -326,7 +325,7 @@ fn a_million_odd_splats_give_no_odd_numbers() {
 fn two_million_splats_on_one_pixel_neither_wrap_nor_darken() {
     let studio = Studio::with(roomy);
     for (id, color, repeats) in [
-        // Just under what sums have room for without being watched, and twice what they have.
+        // Just below the limit of unchecked sums, and twice that.
         ("pure", PURE, 1000),
         ("pure-crowd", PURE, 2000),
         ("mixed-crowd", [200, 120, 40], 2000),
@@ -354,8 +353,8 @@ fn two_million_splats_on_one_pixel_neither_wrap_nor_darken() {
     }
 }
 
-/// Half of two million splats on one pixel are black, half are white: the sums do not fit at first, and whether they do must
-/// depend on no order.
+/// Of two million splats on one pixel half are black and half are white. The sums overflow at first, and whether they do must not
+/// depend on the order.
 #[test]
 fn crowds_of_two_colors_are_their_mean_in_every_run() {
     let studio = Studio::with(roomy);
@@ -382,7 +381,7 @@ fn crowds_of_two_colors_are_their_mean_in_every_run() {
     }
 }
 
-/// Disks whose reach is their depth but for rounding, before which an outline runs off to infinity.
+/// Disks whose reach equals their depth up to rounding. Beyond this the outline becomes infinite.
 #[test]
 fn disks_that_all_but_touch_the_camera_plane_are_drawn() {
     const COUNT: usize = 1500;
@@ -414,8 +413,8 @@ fn disks_that_all_but_touch_the_camera_plane_are_drawn() {
 
 #[test]
 fn one_color_stays_that_color() {
-    // Whatever the kernels' slants and their number on a pixel. At the ball's rim, pixels may have no more than a splat spread thin
-    // by the low-pass filter: the bound is that of one alone, on average it is far below a byte.
+    // This holds for any slant of kernels and any number of them on a pixel. At the ball's rim a pixel may have a single splat
+    // that the low-pass filter spreads thin. The bound is for such a splat; the average error is far below a byte.
     let studio = Studio::with(roomy);
     let mut worst = 0;
     for (number, color) in [[200, 120, 40], [128; 3], [255; 3], [64, 90, 250]].iter().enumerate() {
@@ -476,14 +475,14 @@ fn the_nearer_of_two_sheets_wins_at_a_millionth_of_the_distance() {
                 let shown: Vec<_> =
                     bytes.chunks_exact(4).filter(|pixel| pixel[..3] != BACKGROUND).collect();
                 let red = shown.iter().filter(|pixel| pixel[..3] == [255, 0, 0]).count();
-                // At the rim the farther sheet, which is as wide, may reach a pixel more.
+                // At the rim the farther sheet, which is as wide, may extend a pixel further.
                 assert!(red > 1000 && shown.len() - red <= 20, "{red} of {}: {way:?}", shown.len());
             }
         }
     }
 }
 
-/// A sheet that fills the frame, whose colours change slowly.
+/// A sheet that fills the frame, with slowly varying colours.
 fn gradient() -> Vec<Disk> {
     const SIDE: i32 = 80;
     let mut list = Vec::new();
@@ -498,10 +497,10 @@ fn gradient() -> Vec<Disk> {
 
 #[test]
 fn a_small_step_of_the_pose_is_a_small_step_of_the_image() {
-    // A pixel's colour is a mean of splats no farther than their reach (0.2 units, 15 bytes a unit: 3 bytes either way). A step of
-    // 1e-4 moves the mean by its gradient, far less than a byte; what matters is a splat that enters or leaves at its
-    // cut-off, with e⁻² of weight beside the 5 that all others have: 6 bytes · 0.14 / 5 = 0.16 each, at most four
-    // of them at once. With rounding before and after: 2 bytes. The depth moves with the eye; the normal not at all.
+    // A pixel's colour is a mean of splats within their reach (0.2 units, at 15 bytes per unit: 3 bytes either way). A step of
+    // 1e-4 moves the mean by its gradient, far less than a byte. The largest effect is a splat that enters or leaves at its
+    // cut-off, with a weight of e⁻² beside the total of 5 of all others: 6 bytes · 0.14 / 5 = 0.16 each, for at most four at
+    // once. With rounding before and after, the limit is 2 bytes. The depth moves with the eye, and the normal does not change.
     let studio = Studio::with(roomy);
     studio.write("sheet.ply", disks(&gradient()));
     studio.load_json("sheet", &one_cloud("sheet.ply", json!([])));
@@ -537,7 +536,8 @@ fn assert_small_step(before: &[u8], after: &[u8], output: Output, what: &str) {
     match output {
         Output::Depth => {
             for (a, b) in depths(before).iter().zip(depths(after)) {
-                // A step along the viewing axis counts as it is; sideways it is multiplied by the sheet's slant, below 1.
+                // A step along the viewing axis counts fully. A sideways step is multiplied by the sheet's slant, which is below
+                // 1.
                 assert!((a - b).abs() < 2e-4, "{what}: {a} {b}");
             }
         }
@@ -549,7 +549,7 @@ fn assert_small_step(before: &[u8], after: &[u8], output: Output, what: &str) {
     }
 }
 
-/// How many pixels differ by more than rounding: where something is, its depth by more than `slack` of itself, its colour by more
+/// Number of pixels that differ by more than rounding: in coverage, in depth by more than `slack` relative, or in colour by more
 /// than two bytes.
 fn differing(a: &[u8], b: &[u8], output: Output, slack: f32) -> usize {
     match output {
@@ -572,7 +572,7 @@ fn coloured(p: DVec3) -> [u8; 3] {
 fn turning_scene_and_camera_together_changes_nothing() {
     let studio = Studio::with(roomy);
     studio.write("ball.ply", disks(&disk_sphere(500, 0.16, coloured)));
-    // A light that turns with the camera.
+    // The light turns with the camera.
     let lights = json!([{ "kind": "headlight" }]);
     let mut random = SplitMix64::new(5);
     for turn in 0..4 {
@@ -599,8 +599,8 @@ fn turning_scene_and_camera_together_changes_nothing() {
                     studio.bytes(&request(&format!("ball{number}"), pose, way, output, [96, 64]))
                 });
                 let found = differing(&turned, &straight, output, 1e-4);
-                // A pixel centre on an outline falls to either side, and with e⁻² of weight a splat more or less at the
-                // ball's rim, where there are few, is seen: of 250 outlines, each some 40 pixels long, rounding leaves a few.
+                // A pixel centre on an outline may fall to either side. With a weight of e⁻², a splat more or less is visible at
+                // the ball's rim, where there are few. Rounding affects a few pixels of 250 outlines, each some 40 pixels long.
                 assert!(found <= 16, "{found} pixels, {output:?}, turn {turn}, {way:?}");
             }
         }
@@ -636,14 +636,15 @@ fn copies_of_a_cloud_are_as_one_cloud() {
     }
 }
 
-/// Counts of splats that are certainly and possibly drawn: before the camera plane, and across it.
+/// Numbers of splats that are certainly and possibly drawn: in front of the camera plane, and across it.
 #[derive(Debug, Default)]
 struct Counts {
     regular: [u64; 2],
     crossing: [u64; 2],
 }
 
-/// By the affine filter without low-pass filter: the box of the linear approximation's ellipse, and the pixel of its centre.
+/// Counts splats for the affine filter without low-pass filter: by the box of the linear approximation's ellipse and the pixel of
+/// its centre.
 fn count(list: &[Disk], camera: &Camera, [width, height]: [u32; 2]) -> Counts {
     let view = camera.view(width, height).unwrap();
     let size = DVec2::new(f64::from(width), f64::from(height));
@@ -667,7 +668,7 @@ fn count(list: &[Disk], camera: &Camera, [width, height]: [u32; 2]) -> Counts {
                 let high = (centre + extent + slack - 0.5).floor().min(size - 1.0);
                 low.cmple(high).all()
             };
-            // However small, it fills the pixel that its centre is in.
+            // However small, a splat fills the pixel of its centre.
             let centred = |slack: f64| {
                 centre.cmpge(DVec2::splat(-slack)).all() && centre.cmple(size + slack).all()
             };
@@ -737,13 +738,13 @@ fn no_splat_is_dropped_without_being_counted() {
 
 #[test]
 fn what_a_shear_stretches_is_not_culled() {
-    // A shear makes a kernel longer than the longest column of its matrix: the disk still reaches into the image when its chunk
+    // A shear makes a kernel longer than the longest column of its matrix, so the disk extends into the image although its chunk
     // does not.
     let studio = Studio::with(roomy);
     let disk = Disk { at: DVec3::ZERO, normal: DVec3::Z, color: PURE, radius: 1.0 };
     studio.write("disk.ply", disks(&[disk]));
     let mut scene = one_cloud("disk.ply", json!([]));
-    // Both columns are 1 long; their sum, which a vector of length √2 is taken to, is 2.
+    // Both columns have length 1. Their sum has length 2 and is the image of a vector of length √2.
     scene["nodes"][0]["matrix"] = json!([1, 0.1, 0, 0, 1, -0.1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
     studio.load_json("sheared", &scene);
     // The disk ends at x = √2.
@@ -760,7 +761,7 @@ fn scale_changes_nothing() {
     let studio = Studio::with(roomy);
     studio.write("ball.ply", disks(&disk_sphere(300, 0.2, coloured)));
     let mut usual: Vec<Vec<u8>> = Vec::new();
-    // Powers of two, which f32 takes out of every product unless it over- or underflows.
+    // Powers of two, which factor out of every f32 product without overflow or underflow.
     for power in [0, -29, -50, 29, 50] {
         let scale = 2f64.powi(power);
         let outer = 2f64.powi(power / 2);
@@ -788,7 +789,7 @@ fn scale_changes_nothing() {
 
 #[test]
 fn a_lone_sample_is_as_large_as_it_says() {
-    // All coordinates of a lone sample are one cell of its grid: its kernel alone tells how large that may be.
+    // All coordinates of a lone sample are in one cell of its grid. Only its kernel determines the size of the cell.
     let studio = Studio::with(roomy);
     for power in [-12, -6, -3, 0, 3, 6, 12] {
         let radius = 10f64.powi(power);
@@ -803,7 +804,7 @@ fn a_lone_sample_is_as_large_as_it_says() {
                 let pose = looking(eye, DVec3::ZERO, 45.0);
                 let bytes = studio.bytes(&request(&id, pose, way, Output::Id, [64, 64]));
                 let covered = ids(&bytes).iter().filter(|id| **id == 1).count() as f64;
-                // Of the frame, whose height is 8 radii · tan 22.5°.
+                // Share of the frame, whose height is 8 radii · tan 22.5°.
                 let share =
                     std::f64::consts::PI * slant / (8.0 * 22.5f64.to_radians().tan()).powi(2);
                 let expected = share * 64.0 * 64.0;

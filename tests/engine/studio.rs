@@ -1,4 +1,4 @@
-//! An engine with a folder of its own, and small scenes to put there.
+//! An engine with its own folder, and small scenes for it.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -32,7 +32,7 @@ impl Studio {
         Studio { engine: Engine::start(config).unwrap(), folder }
     }
 
-    /// An engine that reads below a folder that is there already.
+    /// An engine that reads below an existing folder.
     pub fn below(root: &Path, adjust: impl FnOnce(&mut EngineConfig)) -> Studio {
         Studio::with(|config| {
             config.root = root.to_owned();
@@ -95,7 +95,7 @@ impl Studio {
         self.frame(request).bytes.to_vec()
     }
 
-    /// Frames that keep the GPU busy for a while, so that what is asked for next queues up behind them.
+    /// Submits frames that keep the GPU busy for a while, so that later requests queue up behind them.
     pub fn keep_busy(&self, scene: &str) -> Vec<FrameTicket> {
         (0..4)
             .map(|number| {
@@ -132,13 +132,13 @@ pub fn front(scene: &str, width: u32, height: u32) -> FrameRequest {
     }
 }
 
-/// Level of detail from point trees.
+/// Settings for point trees with this error.
 pub fn spt(px: f32, reconstruct: Reconstruct) -> Settings {
     let max_error = MaxError::new(px).unwrap();
     Settings { lod: Lod::Spt, max_error_px: max_error, reconstruct, ..Settings::default() }
 }
 
-/// The whole of a scene, as `output`, raw.
+/// A raw frame of a whole scene, as `output`.
 pub fn fit(scene: &str, side: u32, output: Output) -> FrameRequest {
     FrameRequest { pose: Pose::FIT, output, ..front(scene, side, side) }
 }
@@ -157,7 +157,7 @@ pub fn orbit(scene: &str, number: u32, side: u32) -> FrameRequest {
 
 pub const OUTPUTS: [Output; 4] = [Output::Color, Output::Depth, Output::Normal, Output::Id];
 
-/// `side` × `side` points in the plane z = 0, two units wide, coloured by column and row.
+/// A PLY file of `side` × `side` points in the plane z = 0, two units wide, coloured by column and row.
 pub fn wall(side: usize, color: impl Fn(usize, usize) -> [u8; 3]) -> String {
     let at = |i: usize| i as f64 / (side - 1) as f64 * 2.0 - 1.0;
     let points = (0..side * side).map(|i| {
@@ -181,13 +181,13 @@ pub fn cloud(points: impl Iterator<Item = (DVec3, [u8; 3])>) -> String {
     )
 }
 
-/// A sample of a cloud that says all that can be said of one.
+/// A sample with all attributes.
 #[derive(Clone, Copy, Debug)]
 pub struct Disk {
     pub at: DVec3,
     pub normal: DVec3,
     pub color: [u8; 3],
-    /// Two standard deviations.
+    /// Radius of the disk: two standard deviations.
     pub radius: f64,
 }
 
@@ -213,7 +213,7 @@ pub fn disks(list: &[Disk]) -> String {
     text
 }
 
-/// Disks on the unit sphere, evenly.
+/// Disks evenly distributed on the unit sphere.
 pub fn disk_sphere(count: u32, radius: f64, color: impl Fn(DVec3) -> [u8; 3]) -> Vec<Disk> {
     (0..count)
         .map(|i| {
@@ -227,7 +227,7 @@ pub fn disk_sphere(count: u32, radius: f64, color: impl Fn(DVec3) -> [u8; 3]) ->
         .collect()
 }
 
-/// A mesh as PLY.
+/// A mesh as a PLY file.
 pub fn mesh(positions: &[DVec3], triangles: &[[u32; 3]]) -> String {
     let mut text = format!(
         "ply\nformat ascii 1.0\nelement vertex {}\nproperty double x\nproperty double y\nproperty double z\n\
@@ -244,7 +244,7 @@ pub fn mesh(positions: &[DVec3], triangles: &[[u32; 3]]) -> String {
     text
 }
 
-/// The unit sphere, `2 · rings²` quads as pairs of triangles.
+/// The unit sphere as a PLY file: `2 · rings²` quads as pairs of triangles.
 pub fn sphere(rings: u32) -> String {
     let (positions, triangles) = sphere_mesh(rings);
     mesh(&positions, &triangles)
@@ -281,7 +281,7 @@ pub fn sphere_mesh(rings: u32) -> (Vec<DVec3>, Vec<[u32; 3]>) {
     (positions, triangles)
 }
 
-/// Fails with where images differ rather than with all their bytes.
+/// Compares images, and fails with the number and first place of differences rather than with all bytes.
 pub fn same(found: &[u8], expected: &[u8], what: &str) {
     assert_eq!(found.len(), expected.len(), "{what}: sizes");
     let differing = found.iter().zip(expected).filter(|(a, b)| a != b).count();
@@ -299,14 +299,14 @@ pub fn ids(bytes: &[u8]) -> Vec<u32> {
     bytes.chunks_exact(4).map(|word| u32::from_le_bytes(word.try_into().unwrap())).collect()
 }
 
-/// How many pixels of a raw depth image show something; none may be without a number.
+/// Number of covered pixels of a raw depth image. Fails if a depth is NaN or not positive.
 pub fn covered(bytes: &[u8]) -> usize {
     let depths = depths(bytes);
     assert!(depths.iter().all(|depth| !depth.is_nan() && *depth > 0.0), "depths are positive");
     depths.iter().filter(|depth| depth.is_finite()).count()
 }
 
-/// Waits for something that the render thread does on its own time.
+/// Waits for something that the render thread does asynchronously.
 pub fn eventually(what: &str, mut done: impl FnMut() -> bool) {
     let until = Instant::now() + Duration::from_secs(60);
     while !done() {

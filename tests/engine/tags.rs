@@ -1,4 +1,4 @@
-//! Entity tags: equal exactly where requests are.
+//! Entity tags are equal exactly if requests are equivalent.
 
 use std::collections::HashMap;
 
@@ -74,7 +74,7 @@ fn equal_views_have_equal_tags_and_bytes() {
             pose: Pose::View(camera().view(128, 96).unwrap()),
             ..front("cloud", 128, 96)
         },
-        // Only the direction of `up` counts, and zero has no sign.
+        // Only the direction of `up` matters, and zero has no sign.
         FrameRequest {
             pose: Pose::Camera(Camera {
                 up: DVec3::Y * 7.0,

@@ -1,4 +1,4 @@
-//! Level of detail: what a frame takes from point trees is as near to full detail as it says, whole, and always the same.
+//! Level of detail: frames of point trees are within the promised error of full detail, without holes, and deterministic.
 
 use std::path::Path;
 
@@ -29,7 +29,7 @@ fn full(reconstruct: Reconstruct) -> Settings {
     Settings { reconstruct, ..Settings::default() }
 }
 
-/// From `distance` away from the origin.
+/// A view from `distance` away from the origin.
 fn seen(scene: &str, number: u32, distance: f64, side: u32) -> FrameRequest {
     let (turn, lift) = (1.1 * f64::from(number), (0.7 * f64::from(number)).sin());
     let eye = DVec3::new(turn.sin(), lift, turn.cos()).normalize_or(DVec3::Z) * distance;
@@ -38,7 +38,7 @@ fn seen(scene: &str, number: u32, distance: f64, side: u32) -> FrameRequest {
     FrameRequest { pose: Pose::Camera(camera), output: Output::Depth, ..request }
 }
 
-/// A sculpture of points or of triangles, as `statue.ply`.
+/// Writes a sculpture of points or triangles as `statue.ply`.
 fn sculpture(studio: &Studio, kind: Kind, size: u64) {
     let parameters = Parameters {
         seed: 3,
@@ -54,14 +54,14 @@ fn one(file: &str) -> Value {
     json!({ "assets": { "g": { "file": file } }, "nodes": [{ "name": "one", "asset": "g" }] })
 }
 
-/// Which pixels show something.
+/// The covered pixels of a frame.
 fn mask(studio: &Studio, request: &FrameRequest) -> Vec<bool> {
     depths(&studio.bytes(request)).iter().map(|depth| depth.is_finite()).collect()
 }
 
-/// Pixels that `whole` shows as one surface with all around them, and that are missing.
+/// Number of missing pixels within surfaces: `whole` shows them and all their neighbours as one surface.
 fn holes(whole: &[f32], found: &[bool], side: i64, margin: i64) -> usize {
-    // Depths of a surface change by no more than a few pixels' width a pixel.
+    // Depths on a surface change per pixel by no more than the width of a few pixels.
     let pixel = 2.0 * 20f32.to_radians().tan() / side as f32;
     let at = |x: i64, y: i64| {
         let inside = (0..side).contains(&x) && (0..side).contains(&y);
@@ -78,12 +78,12 @@ fn holes(whole: &[f32], found: &[bool], side: i64, margin: i64) -> usize {
         .count()
 }
 
-/// Silhouettes at `px` beside those of full detail: neither is farther from the other than was promised (and a pixel for where
-/// pixels lie), and there are no holes within.
+/// Compares silhouettes at `px` with those at full detail: their distances in both directions are at most the promised error
+/// (plus a pixel for the pixel grid), and there are no holes.
 fn check_silhouettes(studio: &Studio, scene: &str, poses: u32, distance: f64) {
     const SIDE: i64 = 220;
     for pose in 0..poses {
-        // So near that some is behind the eye, up to far away.
+        // Distances from so near that some is behind the eye to far away.
         let distance = distance * [0.45, 1.0, 2.5, 7.0, 30.0][pose as usize % 5];
         for reconstruct in WAYS {
             let request = seen(scene, pose, distance, SIDE as u32);
@@ -99,27 +99,27 @@ fn check_silhouettes(studio: &Studio, scene: &str, poses: u32, distance: f64) {
             {
                 let settings = Settings { error_mode, ..spt(px, reconstruct) };
                 let found = mask(studio, &FrameRequest { settings, ..request.clone() });
-                // From afar a sparse tree that is a single node is drawn in some of cases.
+                // From afar a sparse tree that is a single node is drawn only in some cases.
                 if px >= 2.0 && pose % 5 == 4 && !found.contains(&true) {
                     continue;
                 }
                 let what =
                     format!("{scene}, pose {pose}, {reconstruct:?}, {error_mode:?}, {px} px");
-                // Where a surface ends, and is seen at an angle.
+                // The bound at the end of a surface, which may be seen at an angle.
                 let sideways = if error_mode == ErrorMode::Split { 1.0 / SIDEWAYS } else { 1.0 };
-                // Points may leave holes in either, splats fill the pixel of their centre.
+                // Points may leave holes in both frames. Splats fill the pixel of their centre.
                 let limit = f64::from(px * sideways)
                     + if reconstruct == Reconstruct::Splats { 1.5 } else { 2.5 };
                 let excess = |a, b| farthest_px(a, b, SIDE as u32, SIDE as u32).unwrap();
                 let beyond = excess(&found, &whole);
                 assert!(beyond <= limit, "{what}: {beyond} px beyond");
                 let short = excess(&whole, &found);
-                // Copies that cover little of a pixel are left out by chance, and the next one is a step of the crowd away.
+                // Instances that cover little of a pixel are left out by chance. The next one is a step of the crowd away.
                 let step = if scene == "crowd" && px >= 2.0 && pose % 5 >= 2 { 3.0 } else { 0.0 };
                 assert!(short <= limit + step, "{what}: {short} px short");
                 if reconstruct == Reconstruct::Splats && step == 0.0 {
                     let holes = holes(&deep, &found, SIDE, px.ceil() as i64 + 2);
-                    // Between dots with gaps between them a pixel may show what is behind.
+                    // Between dots with gaps a pixel may show the background.
                     let most = if scene == "lattice" && px >= 2.0 { 4 } else { 0 };
                     assert!(holes <= most, "{what}: {holes} holes");
                 }
@@ -144,8 +144,8 @@ fn silhouettes_of_meshes_are_as_near_as_promised() {
     check_silhouettes(&studio, "statue", 5, 4.0);
 }
 
-/// Leaves that a disk covers badly: in a line along their normals, in plates one above the other, in dots with gaps between them; and a
-/// ball beside one that is inside out.
+/// Leaves for which a disk is a bad approximation: in a line along their normals, in plates one above the other, in dots with
+/// gaps; and a ball beside one that is inside out.
 #[test]
 fn silhouettes_of_odd_shapes_are_as_near_as_promised() {
     let studio = Studio::new();
@@ -200,7 +200,7 @@ fn silhouettes_of_a_crowd_are_as_near_as_promised() {
     check_silhouettes(&studio, "crowd", 5, 5.0);
 }
 
-/// Scales, mirror images and places far from the origin: as at home.
+/// The bounds hold under scaling and mirroring, and far from the origin.
 #[test]
 fn silhouettes_hold_at_any_scale() {
     let studio = Studio::new();
@@ -253,7 +253,7 @@ fn less_is_drawn_the_more_may_be_wrong_and_full_detail_where_nothing_may() {
             last = accepted;
         }
         assert!(last < 150, "{last} nodes at 64 px");
-        // All leaves, and nothing else: the same samples, in another order.
+        // All leaves and nothing else: these are the same samples in another order.
         let (fine, whole) = (at(spt(0.05, reconstruct)), at(full(reconstruct)));
         assert!(fine.receipt.samples.accepted.unwrap() >= 39_000);
         let off = fine.bytes.iter().zip(whole.bytes.iter()).map(|(a, b)| a.abs_diff(*b));
@@ -264,7 +264,7 @@ fn less_is_drawn_the_more_may_be_wrong_and_full_detail_where_nothing_may() {
     }
 }
 
-/// Nodes by the angle that they are seen at: fewer of them from all around, and as near to full detail as the others.
+/// With a split error, nodes are selected by the angle at which they are seen: fewer are drawn, within the same error.
 #[test]
 fn a_split_error_draws_less_of_a_sculpture() {
     let studio = Studio::new();
@@ -290,7 +290,7 @@ fn a_split_error_draws_less_of_a_sculpture() {
     assert_eq!(used.applied.error_mode, Some(ErrorMode::Split));
 }
 
-/// How many nodes of a cloud's tree `bake::tree` would draw as splats, where all of it is in view.
+/// Number of nodes of a cloud's tree that `bake::tree` would draw as splats, with all of it in view.
 fn drawn_by_twin(path: &Path, request: &FrameRequest, camera: &Camera) -> u64 {
     let mut asset = read(path, &ReadOptions::default()).unwrap();
     let mut geometry = asset.geometries.remove(0);
@@ -329,14 +329,14 @@ fn the_gpu_draws_the_nodes_that_its_twin_draws() {
             let Pose::Camera(camera) = &request.pose else { panic!("no camera") };
             let twin = drawn_by_twin(&studio.folder().join("ball.ply"), &request, camera);
             let found = studio.frame(&request).receipt.samples.accepted.unwrap();
-            // Some lie where a shader's rounding decides.
+            // For some nodes the shader's rounding decides.
             let few = 2 + twin / 500;
             assert!(found.abs_diff(twin) <= few, "from {distance}: {found}, twin {twin}");
         }
     }
 }
 
-/// Copies of a sculpture from near to far: what a merged tree above them shows and what they show themselves leaves no gap.
+/// Instances of a sculpture from near to far: between a merged tree above them and their own trees there are no gaps.
 #[test]
 fn a_split_error_leaves_no_holes_in_crowds() {
     let studio = Studio::new();
@@ -386,7 +386,7 @@ fn every_output_repeats_to_the_bit_with_and_without_wide_atomics() {
     }
 }
 
-/// Nodes that repeat are what they stand for.
+/// Repeated nodes are drawn as if they were written out.
 #[test]
 fn copies_are_as_if_written_out() {
     let studio = Studio::new();
@@ -444,7 +444,7 @@ fn a_moved_node_is_as_if_it_had_always_been_there() {
     same(&after, &studio.bytes(&request("still")), "after the move");
 }
 
-/// More chunks than there is room for at first: the frame is drawn again, whole.
+/// There are more chunks than the list initially has room for: the frame is drawn again completely.
 #[test]
 fn a_list_that_is_too_short_grows() {
     let studio = Studio::new();
@@ -460,7 +460,7 @@ fn a_list_that_is_too_short_grows() {
     let request = FrameRequest { settings, pose: Pose::Camera(camera), ..front("many", 256, 256) };
     let frame = studio.frame(&request);
     assert_eq!(frame.receipt.instances.drawn, Some(40_000), "{:?}", frame.receipt.instances);
-    // From afar a few nodes stand for all.
+    // From afar a few nodes represent everything.
     let camera = Camera {
         eye: DVec3::new(0.1, 4000.0, 0.1),
         target: DVec3::ZERO,
@@ -494,8 +494,8 @@ fn odd_geometries_have_trees() {
     }
 }
 
-/// A field of balls of a pixel or less each, lit from the side of the eye, is about as bright as the same balls at eight times the size. The
-/// undersides of the smallest disks were before all else, and the field black.
+/// A field of balls of at most a pixel each, lit from the side of the eye, is about as bright as the same balls at eight times
+/// the size. If the undersides of the smallest disks were in front of everything else, the field would be black.
 #[test]
 fn what_is_smaller_than_a_pixel_is_as_bright_as_it_is() {
     let studio = Studio::new();

@@ -1,4 +1,4 @@
-//! Views of one scene that the same dispatches draw.
+//! Several views of one scene that share dispatches.
 
 use std::fmt::Write as _;
 
@@ -10,7 +10,7 @@ use serde_json::json;
 
 use super::studio::{OUTPUTS, Studio, fit, front, orbit, same, sphere};
 
-/// What a receipt counts.
+/// The counts of a receipt.
 fn counts(receipt: &Receipt) -> [Option<u64>; 5] {
     [
         receipt.samples.tested,
@@ -21,7 +21,7 @@ fn counts(receipt: &Receipt) -> [Option<u64>; 5] {
     ]
 }
 
-/// Asks for all at once until most were drawn together, and compares each with what it is alone.
+/// Submits all requests at once until most were drawn together, and compares each with its frame alone.
 fn together_as_alone(studio: &Studio, requests: &[FrameRequest], what: &str) {
     let alone: Vec<_> = requests.iter().map(|request| studio.frame(request)).collect();
     assert!(alone.iter().all(|frame| frame.receipt.views == 1));
@@ -44,7 +44,7 @@ fn together_as_alone(studio: &Studio, requests: &[FrameRequest], what: &str) {
     panic!("{what}: only {most} views were ever drawn together");
 }
 
-/// Poses all around, some of them so near that triangles meet the camera plane.
+/// Poses all around, some so near that triangles intersect the camera plane.
 fn poses(scene: &str, output: Output) -> Vec<FrameRequest> {
     (0..11)
         .map(|number| {
@@ -79,7 +79,7 @@ fn each_view_is_what_it_is_alone() {
     }
 }
 
-/// Several pages, hence several segments, and views that see different parts of them.
+/// Several pages, and therefore several segments, and views that see different parts of them.
 #[test]
 fn views_of_several_pages() {
     let studio = Studio::with(|config| config.max_binding_bytes = Some(1 << 20));
@@ -106,8 +106,8 @@ fn views_of_several_pages() {
     }
 }
 
-/// What makes views share more than samples: textures with alpha, many lights, large and small triangles on several pages,
-/// frames of several bands, and lists that have to grow.
+/// Views that share more than samples: textures with alpha, many lights, large and small triangles on several pages, frames of
+/// several bands, and lists that have to grow.
 #[test]
 fn views_of_textured_and_lit_pages() {
     let studio = Studio::with(|config| config.max_binding_bytes = Some(2 << 20));
@@ -154,7 +154,7 @@ fn views_of_textured_and_lit_pages() {
     }
 }
 
-/// One view's large triangles must not cost the others their frames, nor their sum.
+/// If one view exceeds the limit of large triangles, only its frame fails, and the sum over all views is not limited.
 #[test]
 fn a_view_over_the_limit_is_refused_alone() {
     let studio = Studio::with(|config| config.large_units_limit = Some(150));
@@ -171,7 +171,8 @@ fn a_view_over_the_limit_is_refused_alone() {
                 element face 120\nproperty list uchar int vertex_indices\nend_header\n";
     studio.write("stack.ply", format!("{head}{text}{faces}"));
     studio.load("stack", "stack.ply");
-    // 120 triangles of one unit each where they are some 50 px wide, of three where they are twice as near.
+    // At the first distance 120 triangles are some 50 px wide and count as one unit each. At half the distance each counts as
+    // three.
     let from = |distance: f64, target: f64| {
         let (eye, target) = (DVec3::new(0.01, 0.02, distance), DVec3::Z * target);
         let camera = Camera { eye, target, up: DVec3::Y, fov_deg: 60.0 };

@@ -1,4 +1,4 @@
-//! Uploads that ask for more than there is, that take long, or whose loader dies: the daemon stays, and so does what it acknowledged.
+//! Uploads that exceed limits, take long, or kill their loader: the daemon survives, and keeps what it has acknowledged.
 
 use std::io::Write;
 
@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use super::client::form;
 use super::daemon::{Daemon, eventually, grid_ply, wall_ply};
 
-/// Equal points, gzipped: 6 bytes each before that, and next to none after.
+/// Equal points, gzipped: 6 bytes per point before compression, and almost none after.
 pub fn equal_points(count: usize) -> Vec<u8> {
     let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
     let block = "0 0 0\n".repeat(1000);
@@ -17,13 +17,13 @@ pub fn equal_points(count: usize) -> Vec<u8> {
     encoder.finish().unwrap()
 }
 
-/// A scene of empty nodes, in so many bytes.
+/// A scene of empty nodes with about this many bytes.
 pub fn empty_nodes(bytes: usize) -> Vec<u8> {
     let nodes = "{},".repeat(bytes / 3);
     format!(r#"{{"assets": {{}}, "nodes": [{nodes}{{}}]}}"#).into_bytes()
 }
 
-/// A union of two of a union of two …, with a sampled mesh at the bottom.
+/// A chain of nested unions, with a sampled mesh at the innermost.
 pub fn nested_unions(depth: usize) -> Vec<u8> {
     let mut assets = serde_json::Map::new();
     assets.insert("u0".into(), json!({"file": "grid.ply", "features": false}));
@@ -35,7 +35,7 @@ pub fn nested_unions(depth: usize) -> Vec<u8> {
     json!({"assets": assets, "nodes": [{"asset": format!("u{depth}")}]}).to_string().into_bytes()
 }
 
-/// Bytes of the daemon in memory.
+/// Resident memory of the daemon in bytes.
 pub fn resident_bytes(daemon: &Daemon) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{}/status", daemon.id())).unwrap();
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
@@ -71,7 +71,7 @@ fn what_cannot_fit_is_refused_with_figures() {
     assert!(problem["parameter"].as_str().unwrap().starts_with("assets.u"), "{problem}");
     assert!(problem["detail"].as_str().unwrap().contains("at most 4096"), "{problem}");
 
-    // Poses that are none: counted before anything is made of them.
+    // Empty poses, which are counted before they are parsed.
     let poses = format!("{{\"poses\": [{}{{}}]}}", "{},".repeat(4 << 20));
     let reply = client.send("POST", "/v1/scenes/grid/frames", &JSON, Some(poses.as_bytes()));
     assert_eq!(reply.status, 422, "{}", reply.text());
@@ -100,14 +100,14 @@ fn delete_cancels_a_load() {
     assert!(daemon.uploads().is_empty());
     assert_eq!(client.metric("pointillist_host_memory_bytes"), before);
     assert_eq!(client.get("/v1/limits").json()["uploads"]["scenes"], json!(0));
-    // The id is free.
+    // The id is free again.
     let reply = client.send("POST", path, &[], Some(grid_ply().as_bytes()));
     assert_eq!(reply.status, 201, "{}", reply.text());
 }
 
 #[test]
 fn an_upload_whose_loader_died_is_set_aside() {
-    // Large enough that the load is still under way when the daemon is killed, whatever the machine's pace.
+    // The file is large enough that the load is still running when the daemon is killed, at any speed of the machine.
     let killed = [400, 800, 1600, 3200].into_iter().find_map(|side| {
         let mut daemon = Daemon::start(&[]);
         let path = "/v1/scenes?id=fatal&name=a.ply";
@@ -130,7 +130,7 @@ fn an_upload_whose_loader_died_is_set_aside() {
     assert_eq!(client.get("/v1/scenes/grid").json()["state"], "ready");
     assert_eq!(client.send("POST", "/v1/scenes/grid/retry", &[], None).status, 409);
     assert_eq!(client.send("POST", "/v1/scenes/none/retry", &[], None).status, 404);
-    // Not by itself, however often the daemon starts; but when it is asked to.
+    // No start of the daemon loads the upload again; an explicit request does.
     let daemon = daemon.restart(&[]);
     let client = daemon.client();
     assert_eq!(client.get("/v1/scenes/fatal").json()["state"], "failed");
@@ -198,7 +198,7 @@ fn uploads_are_limited_in_number_and_in_bytes() {
     let held = client.get("/v1/limits").json()["uploads"].clone();
     assert_eq!((&held["scenes"], &held["max_scenes"]), (&json!(2), &json!(2)), "{held}");
     assert_eq!(held["bytes"], json!(2 * ply.len()));
-    // What was uploaded counts after a restart, and no more after it was deleted.
+    // Uploads count after a restart, and no longer after they are deleted.
     let daemon = daemon.restart(&args);
     let client = daemon.client();
     assert_eq!(upload(&client, "c", ply.as_bytes()).status, 429);

@@ -1,7 +1,7 @@
 //! Two daemons behind HAProxy with the configuration in `deploy/`.
 //!
-//! Skipped, saying so, where there is no HAProxy; `POINTILLIST_HAPROXY=required` makes that a failure.
-//! `scripts/setup-haproxy.sh` installs one.
+//! Skipped with a message if there is no HAProxy; `POINTILLIST_HAPROXY=required` makes that a failure. `scripts/setup-haproxy.sh`
+//! installs one.
 
 use std::net::{SocketAddr, TcpListener};
 use std::process::{Child, Command, Stdio};
@@ -23,7 +23,7 @@ impl Drop for Balancer {
     }
 }
 
-/// Where HAProxy is, if it is anywhere.
+/// The HAProxy program, if there is one.
 fn haproxy() -> Option<&'static str> {
     let works = |program: &&str| {
         let version = Command::new(program).arg("-v").stdout(Stdio::null()).status();
@@ -39,10 +39,10 @@ fn haproxy() -> Option<&'static str> {
 }
 
 impl Balancer {
-    /// The shipped configuration with ports of this test and faster health checks.
+    /// Starts HAProxy with the shipped configuration, this test's ports and faster health checks.
     fn start(program: &str, servers: [SocketAddr; 2]) -> Balancer {
         let folder = tempfile::tempdir().unwrap();
-        // Free a moment ago.
+        // This port was free a moment ago.
         let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let text = include_str!("../../deploy/haproxy.cfg");
         let mut changed = text.to_owned();
@@ -79,7 +79,7 @@ fn no_request_is_lost_while_one_of_two_drains() {
             && client.get("/readyz").status == 200
     });
     assert_eq!(client.get(FRAME).status, 200);
-    // A scene goes to one server, whichever that is.
+    // All requests for a scene go to one of the servers.
     let frames = |daemon: &Daemon| daemon.client().metric("pointillist_engine_frames_total");
     let serving = usize::from(frames(&daemons[0]) == 0.0);
     assert!(frames(&daemons[serving]) > 0.0);
@@ -92,7 +92,7 @@ fn no_request_is_lost_while_one_of_two_drains() {
                 scope.spawn(move || {
                     let mut statuses = Vec::new();
                     while !stop.load(Ordering::Relaxed) {
-                        // Half of them on a connection each, which a server about to end would refuse.
+                        // Half of the clients use one connection per request, which a server about to end would refuse.
                         let client = balancer.client();
                         for turn in 0..1 + number % 2 * 20 {
                             let eye = f64::from(turn) / 10.0;
@@ -121,7 +121,7 @@ fn no_request_is_lost_while_one_of_two_drains() {
     assert!(frames(&daemons[1 - serving]) > 0.0, "the other server took over");
 }
 
-/// A health check that a default daemon refuses would leave no server up.
+/// If a default daemon refused the health check, no server would be up.
 #[test]
 fn all_servers_gone_is_said() {
     let Some(program) = haproxy() else { return };

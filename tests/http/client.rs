@@ -1,4 +1,4 @@
-//! A small client: whole answers from ureq, and raw sockets for what no client library does.
+//! A small client: complete answers through ureq, and raw sockets for what no client library does.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use serde_json::Value;
 
-/// An answer, read to its end.
+/// An answer that was read to its end.
 pub struct Reply {
     pub status: u16,
     pub headers: Vec<(String, String)>,
@@ -34,7 +34,7 @@ impl Reply {
         serde_json::from_str(self.header("pointillist-receipt").expect("a receipt")).unwrap()
     }
 
-    /// Asserts that this is a well-formed problem, and gives it.
+    /// Asserts that this is a well-formed problem, and returns it.
     pub fn problem(&self) -> Value {
         assert_eq!(
             self.header("content-type"),
@@ -51,7 +51,7 @@ impl Reply {
     }
 }
 
-/// A client of one server; keeps connections alive.
+/// A client of one server, with keep-alive connections.
 pub struct Client {
     agent: ureq::Agent,
     base: String,
@@ -99,7 +99,7 @@ impl Client {
         Reply { status: response.status().as_u16(), headers, body }
     }
 
-    /// Asks for something whose body comes little by little: its content type and the body.
+    /// Requests an endless answer. Returns its content type and a reader of its body.
     pub fn open(&self, path: &str) -> (String, Box<dyn Read + Send>) {
         let response = self.agent.get(format!("{}{path}", self.base)).call().unwrap();
         assert_eq!(response.status(), 200, "{path}");
@@ -124,7 +124,7 @@ impl Client {
     }
 }
 
-/// Sends `bytes` on a fresh connection and gives it back.
+/// Sends `bytes` on a new connection and returns it.
 pub fn raw(address: SocketAddr, bytes: &[u8]) -> TcpStream {
     let mut stream = TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
@@ -132,7 +132,7 @@ pub fn raw(address: SocketAddr, bytes: &[u8]) -> TcpStream {
     stream
 }
 
-/// Everything until the server closes; what came before a reset counts.
+/// Reads until the server closes the connection. Bytes before a reset count.
 pub fn read_to_close(stream: &mut TcpStream) -> String {
     let mut all = Vec::new();
     let mut buffer = [0; 4096];
@@ -145,7 +145,7 @@ pub fn read_to_close(stream: &mut TcpStream) -> String {
     String::from_utf8_lossy(&all).into_owned()
 }
 
-/// A `multipart/form-data` body of files, and its content type.
+/// Builds a `multipart/form-data` body of files, and returns its content type with it.
 pub fn form(files: &[(&str, &[u8])]) -> (String, Vec<u8>) {
     let boundary = "a-boundary-of-the-tests";
     let mut body = Vec::new();

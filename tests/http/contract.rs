@@ -1,4 +1,4 @@
-//! The contract against the daemon: what is answered is documented, and success needs no guessing.
+//! Compares the daemon with its contract: every answer is documented, and documented requests succeed.
 
 use std::collections::BTreeSet;
 
@@ -25,7 +25,7 @@ fn the_contract_is_a_valid_one() {
         let in_path: BTreeSet<&str> =
             path.split('/').filter_map(|part| part.strip_prefix('{')?.strip_suffix('}')).collect();
         assert_eq!(names("path"), in_path, "{method} {path}");
-        // By the standard these are ignored where they are parameters.
+        // The OpenAPI standard ignores parameters of these names.
         for header in ["Accept", "Content-Type", "Authorization"] {
             assert!(!names("header").contains(header), "{method} {path}: {header}");
         }
@@ -45,7 +45,7 @@ fn the_contract_is_a_valid_one() {
             assert!(is_bounded, "{shown}: {schema}");
         }
     }
-    // What refers to a schema finds it, and arrays of numbers say how many.
+    // References to schemas resolve, and arrays of numbers have a length.
     let mut rest = vec![&contract.0];
     while let Some(value) = rest.pop() {
         if let Some(target) = value.get("$ref").and_then(Value::as_str) {
@@ -60,7 +60,7 @@ fn the_contract_is_a_valid_one() {
     }
 }
 
-/// Bodies that the schemas accept and refuse, each as the daemon does.
+/// Bodies that schemas and daemon both accept, or both refuse.
 #[test]
 fn schemas_and_daemon_agree_on_bodies() {
     let daemon = Daemon::start(&[]);
@@ -143,7 +143,7 @@ fn schemas_and_daemon_agree_on_bodies() {
     }
 }
 
-/// The pattern and the daemon accept the same keys. Blanks and tabs around them belong to the header.
+/// The pattern and the daemon accept the same keys. Blanks and tabs around a key belong to the header.
 #[test]
 fn keys_of_jobs_are_as_their_pattern_says() {
     let daemon = Daemon::start(&[]);
@@ -174,7 +174,7 @@ fn keys_of_jobs_are_as_their_pattern_says() {
     }
 }
 
-/// Answers of the HTTP library to what is no request are problems as well.
+/// The HTTP library's answers to malformed requests are problems, too.
 #[test]
 fn heads_that_cannot_be_read_are_problems() {
     let daemon = Daemon::start(&[]);
@@ -208,7 +208,7 @@ fn heads_that_cannot_be_read_are_problems() {
         assert_eq!(problem["type"], format!("urn:pointillist:problem:{kind}"));
         assert_eq!(contract.faults(contract.component("Problem"), &problem), [] as [String; 0]);
     }
-    // What is answered before it is still whole.
+    // A complete answer precedes the refusal.
     let mixed = "GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\nGARBAGE\r\n\r\n";
     let answer = read_to_close(&mut raw(daemon.address, mixed.as_bytes()));
     assert!(answer.starts_with("HTTP/1.1 200 ") && answer.contains("HTTP/1.1 400 "), "{answer}");
@@ -253,7 +253,7 @@ fn answers_are_documented() {
     let mjpeg = "/v1/scenes/{id}/mjpeg";
     let path = "/v1/scenes/{id}/paths/{name}";
     let node = "/v1/scenes/{id}/nodes/{node}";
-    // A film of two frames.
+    // A job of two frames.
     let film = r#"{"scene": "grid", "w": 8, "h": 8, "fps": 1, "path": {"keys": [
         {"t": 0, "eye": [0, 0, 3], "target": [0, 0, 0]}, {"t": 1, "eye": [1, 0, 3], "target": [0, 0, 0]}]}}"#;
     for (method, route, path, content_type, body) in [
@@ -341,7 +341,7 @@ fn answers_are_documented() {
     }
 }
 
-/// Required properties of a JSON answer's schema are there, and there are no others.
+/// Checks that a JSON answer has the required properties of its schema and no unknown ones.
 fn check_schema(document: &Value, response: &Value, reply: &super::client::Reply) {
     let problem = response["content"]["application/problem+json"]["schema"]["$ref"].as_str();
     let Some(name) = problem.and_then(|r| r.strip_prefix("#/components/schemas/")) else { return };

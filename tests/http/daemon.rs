@@ -13,9 +13,9 @@ pub struct Daemon {
     child: Child,
     pub address: SocketAddr,
     folder: tempfile::TempDir,
-    /// What it printed until it listened.
+    /// Lines that the daemon printed before it listened.
     pub greeting: Vec<String>,
-    /// Of its address space, where it has a limit.
+    /// Limit of the daemon's address space, if any.
     limit_kib: Option<u64>,
 }
 
@@ -54,7 +54,7 @@ pub fn grid_scene(file: &str) -> serde_json::Value {
     })
 }
 
-/// A folder whose `root` holds that scene.
+/// A folder whose subfolder `root` has the scene of [`grid_scene`].
 fn grid_folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path().join("root");
@@ -65,24 +65,24 @@ fn grid_folder() -> tempfile::TempDir {
 }
 
 impl Daemon {
-    /// A daemon with the scene `grid`.
+    /// Starts a daemon with the scene `grid`.
     pub fn start(args: &[&str]) -> Daemon {
         Daemon::start_in(|_| {}, args)
     }
 
-    /// The same, after `prepare` has seen its root.
+    /// As [`Daemon::start`], after `prepare` has changed the root.
     pub fn start_in(prepare: impl FnOnce(&Path), args: &[&str]) -> Daemon {
         let folder = grid_folder();
         prepare(&folder.path().join("root"));
         Daemon::spawn(folder, args, &[])
     }
 
-    /// A daemon with the scene `grid` and a JSON log of everything that is ours.
+    /// Starts a daemon with the scene `grid` and a JSON log of all our modules.
     pub fn start_talkative(args: &[&str]) -> Daemon {
         Daemon::start_talkative_in(|_| {}, args)
     }
 
-    /// The same, after `prepare` has seen its root.
+    /// As [`Daemon::start_talkative`], after `prepare` has changed the root.
     pub fn start_talkative_in(prepare: impl FnOnce(&Path), args: &[&str]) -> Daemon {
         let folder = grid_folder();
         prepare(&folder.path().join("root"));
@@ -90,7 +90,7 @@ impl Daemon {
         Daemon::spawn(folder, &args, &[("POINTILLIST_LOG", "warn,pointillist=debug")])
     }
 
-    /// One whose state folder is a file system of its own, of so many bytes, that goes when it ends.
+    /// Starts a daemon whose state folder is its own file system of this size, which disappears with the daemon.
     pub fn start_on_small_disk(prepare: impl FnOnce(&Path), size: &str) -> Daemon {
         let folder = grid_folder();
         prepare(&folder.path().join("root"));
@@ -104,7 +104,7 @@ impl Daemon {
         Daemon::spawn_as(command, folder, &[], &[])
     }
 
-    /// One whose address space is limited to so many KiB, also after it was started again.
+    /// Starts a daemon whose address space is limited to this many KiB, even after restarts.
     pub fn start_limited(kib: u64, args: &[&str]) -> Daemon {
         let folder = grid_folder();
         Daemon::spawn_limited(folder, kib, args)
@@ -119,17 +119,17 @@ impl Daemon {
         daemon
     }
 
-    /// Whether its process has ended by itself.
+    /// Whether the process has ended by itself.
     pub fn is_lost(&mut self) -> bool {
         self.child.try_wait().unwrap().is_some()
     }
 
-    /// Its process.
+    /// Id of the process.
     pub fn id(&self) -> u32 {
         self.child.id()
     }
 
-    /// One that keeps its state where a user's own daemon does, below `states`.
+    /// Starts a daemon that keeps its state in the user's default place, below `states`.
     pub fn start_with_user_state(states: &Path, args: &[&str]) -> Daemon {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path().join("root");
@@ -139,13 +139,13 @@ impl Daemon {
         Daemon::spawn(folder, args, &[("XDG_STATE_HOME", states)])
     }
 
-    /// Starts again on the same root.
+    /// Terminates the daemon and starts it again on the same root.
     pub fn restart(mut self, args: &[&str]) -> Daemon {
         assert!(self.terminate().success());
         self.start_again(args)
     }
 
-    /// Kills it and starts it again on the same root.
+    /// Kills the daemon and starts it again on the same root.
     pub fn kill_and_restart(mut self, args: &[&str]) -> Daemon {
         self.kill();
         self.start_again(args)
@@ -159,7 +159,7 @@ impl Daemon {
         }
     }
 
-    /// Kills it and starts it again on the same root, in its own place.
+    /// As [`Daemon::kill_and_restart`], in place.
     pub fn kill_and_start(&mut self, args: &[&str]) {
         self.kill();
         let folder = std::mem::replace(&mut self.folder, tempfile::tempdir().unwrap());
@@ -169,13 +169,13 @@ impl Daemon {
         };
     }
 
-    /// SIGKILL, at once.
+    /// Sends SIGKILL and waits for the end.
     pub fn kill(&mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
     }
 
-    /// Where it keeps its jobs.
+    /// The folder of its jobs.
     pub fn state(&self) -> PathBuf {
         self.folder.path().join("state")
     }
@@ -184,7 +184,8 @@ impl Daemon {
         Daemon::spawn_as(Command::new(env!("CARGO_BIN_EXE_pointillist")), folder, args, environment)
     }
 
-    /// Kills it and starts it again on the same root. `ask` is called as soon as the address is known, before scenes are loaded.
+    /// Kills the daemon and starts it again on the same root. Calls `ask` as soon as the address is known, before scenes are
+    /// loaded.
     pub fn kill_and_restart_asking(mut self, ask: impl FnMut(SocketAddr)) -> Daemon {
         self.kill();
         let folder = std::mem::replace(&mut self.folder, tempfile::tempdir().unwrap());
@@ -268,7 +269,7 @@ impl Daemon {
         std::fs::read_to_string(self.folder.path().join("log")).unwrap_or_default()
     }
 
-    /// Names in the uploads folder.
+    /// Names of entries in the uploads folder.
     pub fn uploads(&self) -> Vec<String> {
         let Ok(entries) = std::fs::read_dir(self.root().join("uploads")) else {
             return Vec::new();
@@ -283,7 +284,7 @@ impl Daemon {
         assert!(status.success());
     }
 
-    /// Waits for the end.
+    /// Waits for the process to end.
     pub fn wait(&mut self) -> ExitStatus {
         let until = Instant::now() + Duration::from_secs(60);
         loop {
@@ -313,7 +314,7 @@ impl Drop for Daemon {
     }
 }
 
-/// Waits until `done`, for something that the server does on its own time.
+/// Waits until `done` returns true, for work that the server does asynchronously.
 pub fn eventually(what: &str, mut done: impl FnMut() -> bool) {
     let until = Instant::now() + Duration::from_secs(30);
     while !done() {

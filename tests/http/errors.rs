@@ -1,4 +1,4 @@
-//! Every refusal: status, stable type, parameter at fault.
+//! Every refusal: status, stable type, and parameter at fault.
 
 use serde_json::json;
 
@@ -65,7 +65,7 @@ fn refusals_of_frames() {
     assert_eq!(client.get("/v1/scenes/grid/frame?w=200&h=200").status, 200);
     let reply = client.send("GET", "/v1/scenes/grid/frame", &[("accept", "text/html")], None);
     assert_eq!((reply.status, &reply.problem()["parameter"]), (406, &json!("Accept")));
-    // However far a side is over the limit, the limit named is the one that holds.
+    // The problem names the limit of a side, however far the side exceeds it.
     for side in [257, 100_000] {
         let problem = client.get(&format!("/v1/scenes/grid/frame?w={side}")).problem();
         let detail = problem["detail"].as_str().unwrap_or_default();
@@ -193,7 +193,7 @@ fn a_key_that_comes_twice_is_refused_where_it_is() {
 fn keys_open_what_their_scope_says() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("keys");
-    // sha256 of `reader` and of `writer`.
+    // SHA-256 of `reader` and of `writer`.
     let keys = "eye read 3d0941964aa3ebdcb00ccef58b1bb399f9f898465e9886d5aec7f31090a0fb30\n\
                 hand write b93006774cbdd4b299389a03ac3d88c3a76b460d538795bc12718011a909fba5\n";
     std::fs::write(&file, keys).unwrap();
@@ -234,7 +234,7 @@ fn other_origins_cannot_change_scenes() {
     assert_eq!(reply.header("access-control-allow-origin"), None);
 }
 
-/// A page of a name that points at 127.0.0.1 sends that name.
+/// A page whose host name resolves to 127.0.0.1 sends that name.
 #[test]
 fn on_loopback_other_names_are_refused() {
     let daemon = Daemon::start(&[]);
@@ -259,7 +259,7 @@ fn bodies_that_trickle_are_given_up() {
     let mut stream = super::client::raw(daemon.address, head.as_bytes());
     let mut writer = stream.try_clone().unwrap();
     let sender = std::thread::spawn(move || {
-        // Ten bytes a second, never silent for long, for as long as they are taken.
+        // Ten bytes a second without long pauses, as long as they are accepted.
         for _ in 0..300 {
             if writer.write_all(b"x").is_err() {
                 break;

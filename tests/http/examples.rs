@@ -1,7 +1,7 @@
-//! Every example in README and docs against the contract, and against a daemon.
+//! Checks every example in README and docs against the contract and against a daemon.
 //!
-//! Blocks of shell give their `curl` lines, blocks of JSON say by their keys what they are. An example that nothing here understands fails:
-//! it would be one that nobody checks.
+//! Shell blocks contain `curl` lines. The keys of a JSON block tell its schema. An example that this test does not understand
+//! fails, because nothing would check it.
 
 use std::path::{Path, PathBuf};
 
@@ -48,18 +48,18 @@ fn blocks() -> Vec<Block> {
     found
 }
 
-/// A request as a `curl` line makes it.
+/// The request of a `curl` line.
 #[derive(Debug, Default)]
 struct Curl {
     method: Option<String>,
     url: String,
     headers: Vec<(String, String)>,
     body: Option<String>,
-    /// Files that the line sends, as a body or in a form.
+    /// Number of files that the line sends, as a body or in a form.
     files: usize,
 }
 
-/// Words of a shell line: quotes, backslashes and comments.
+/// Splits a shell line into words, with quotes, backslashes and comments.
 fn words(line: &str) -> Vec<String> {
     let (mut words, mut word, mut quote) = (Vec::new(), None::<String>, None);
     let mut characters = line.chars();
@@ -133,7 +133,7 @@ impl Curl {
         self.method.as_deref().unwrap_or(default)
     }
 
-    /// Path and query at the daemon of the documentation; `None` for another server.
+    /// Path and query of a request to the documentation's daemon; `None` for another server.
     fn target(&self) -> Option<&str> {
         let rest = ["http://127.0.0.1:8080", "http://localhost:8080"];
         let rest = rest.iter().find_map(|origin| self.url.strip_prefix(origin))?;
@@ -151,7 +151,7 @@ fn query(text: &str) -> Vec<(String, String)> {
         .collect()
 }
 
-/// The lines of shell blocks, those that are continued joined.
+/// The lines of a shell block, with continued lines joined.
 fn commands(block: &Block) -> Vec<String> {
     let joined = block.text.replace("\\\n", " ");
     joined.lines().map(|line| line.trim().trim_start_matches("$ ").to_owned()).collect()
@@ -161,7 +161,7 @@ fn is_shell(block: &Block) -> bool {
     ["", "sh", "bash", "console"].contains(&block.language.as_str())
 }
 
-/// Every `curl` line with where it stands.
+/// Every `curl` line and its place.
 fn curls() -> Vec<(String, Curl)> {
     let mut found = Vec::new();
     for block in blocks().iter().filter(|block| is_shell(block)) {
@@ -173,7 +173,7 @@ fn curls() -> Vec<(String, Curl)> {
     found
 }
 
-/// A parameter's fault in a page's query, or none.
+/// What is wrong with an address, by the contract.
 fn faults_of_address(contract: &Contract, method: &str, target: &str) -> Vec<String> {
     let (path, text) = target.split_once('?').unwrap_or((target, ""));
     match contract.operation(method, path) {
@@ -211,7 +211,7 @@ fn curl_lines_follow_the_contract() {
     assert!(checked >= 9, "{checked} lines were found");
 }
 
-/// Addresses in pages' HTML, scripts and text: those of `<img>`, of sockets, and whatever else is written in full.
+/// Checks addresses in the HTML, scripts and text of pages: of `<img>`, of sockets, and all others that are written in full.
 #[test]
 fn addresses_follow_the_contract() {
     let contract = Contract::new();
@@ -224,7 +224,7 @@ fn addresses_follow_the_contract() {
                 .find(['\'', '"', '`', '>', ' ', '\n', ')', '\\', '|', ','])
                 .unwrap_or(rest.len());
             let target = rest[..end].trim_end_matches('.');
-            // What is filled in by whoever reads it, or stands for many.
+            // Skip placeholders, and addresses that stand for several ones.
             if target.contains(['{', '[', '$', '…']) || rest[end..].starts_with('\\') {
                 continue;
             }
@@ -242,7 +242,7 @@ fn addresses_follow_the_contract() {
     assert!(checked >= 12, "{checked} addresses were found");
 }
 
-/// Which schema an example in JSON is to follow, by what it holds.
+/// The schema of a JSON example, by its keys.
 fn schema_of(value: &Value) -> Option<&'static str> {
     let has = |name: &str| value.get(name).is_some();
     Some(match () {
@@ -271,7 +271,7 @@ fn json_follows_the_contract() {
         let name =
             schema_of(&value).unwrap_or_else(|| panic!("{here}: what is this an example of?"));
         let mut schema = contract.component(name).clone();
-        // A receipt is shown shortened: what it shows is as the contract has it, and nothing else is in it.
+        // Receipts are shown abridged: the shown fields must match the contract, and unknown ones are errors.
         if name == "Receipt" {
             for key in value.as_object().unwrap().keys() {
                 assert!(schema["properties"].get(key).is_some(), "{here}: a receipt has no {key}");
@@ -285,7 +285,7 @@ fn json_follows_the_contract() {
     assert!(checked >= 4, "{checked} examples were found");
 }
 
-/// The shipped scenes, as small as the examples need them: a daemon in the debug profile draws them.
+/// Copies the shipped scenes that the examples need. A daemon in the debug profile has to draw them.
 fn shipped(root: &Path) {
     let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes");
     for entry in std::fs::read_dir(scenes).unwrap() {
@@ -297,10 +297,10 @@ fn shipped(root: &Path) {
     }
 }
 
-/// The same request at less cost.
+/// Makes a request cheaper.
 fn smaller(text: &str) -> String {
     let mut text = text.to_owned();
-    // Pixels that are picked.
+    // Picked pixels.
     for (far, near) in
         [("x=640&y=400", "x=32&y=20"), ("[640, 400], [641, 400]", "[32, 20], [33, 20]")]
     {
@@ -323,7 +323,7 @@ fn smaller(text: &str) -> String {
     text
 }
 
-/// What the pages say to paste is accepted by a daemon with the shipped scenes, in the order in which it stands there.
+/// A daemon with the shipped scenes accepts the pages' `curl` lines, in their order.
 #[test]
 fn curl_lines_are_accepted_by_a_daemon() {
     let daemon = Daemon::start_in(shipped, &[]);
@@ -333,8 +333,7 @@ fn curl_lines_are_accepted_by_a_daemon() {
     let mut accepted = 0;
     for (here, curl) in curls() {
         let Some(target) = curl.target() else { continue };
-        // Whoever reads has the file; `uploads.rs` sends such. A job's products come with time; `jobs/` waits for them.
-        // `admission.rs` retries and deletes uploads.
+        // `uploads.rs` sends files, `jobs/` waits for a job's products, and `admission.rs` retries and deletes uploads.
         if curl.files > 0 || target.starts_with("/v1/jobs/") || target.contains("/scenes/statue") {
             continue;
         }
@@ -353,7 +352,7 @@ fn curl_lines_are_accepted_by_a_daemon() {
     assert!(accepted >= 5, "{accepted} lines were sent");
 }
 
-/// Lines of the program itself: every flag is one that it has.
+/// Command lines of the program use only flags that exist.
 #[test]
 fn command_lines_are_understood() {
     let mut checked = 0;

@@ -7,7 +7,7 @@ use super::daemon::Daemon;
 
 const FRAME: &str = "/v1/scenes/grid/frame?camera=front&w=96&h=64";
 
-/// Decoded 8-bit pixels and the image's size.
+/// Decodes an image to 8-bit pixels, and returns its size with them.
 fn decode(reply: &Reply) -> (image::RgbaImage, (u32, u32)) {
     assert_eq!(reply.status, 200, "{}", reply.text());
     let image = image::load_from_memory(&reply.body).unwrap().to_rgba8();
@@ -102,7 +102,7 @@ fn entity_tags_cost_no_rendering() {
         let reply = client.send("HEAD", &path, &[], None);
         assert_ne!(reply.header("etag"), Some(etag.as_str()), "{other}");
     }
-    // When the client wants it does not change what it gets.
+    // The deadline does not change the entity tag.
     let reply = client.send("HEAD", &format!("{FRAME}&deadline_ms=5000"), &[], None);
     assert_eq!(reply.header("etag"), Some(etag.as_str()));
 }
@@ -161,7 +161,7 @@ fn poses_in_three_notations_agree() {
     get("fov=45&eye=1,0,3&target=0,0,0");
 }
 
-/// Content type, pose index, receipt and content of each part.
+/// Splits a multipart answer into content type, pose index, receipt and content of each part.
 pub fn parts(reply: &Reply) -> Vec<(String, u64, Option<Value>, Vec<u8>)> {
     let content_type = reply.header("content-type").unwrap();
     let boundary = content_type.strip_prefix("multipart/mixed; boundary=").unwrap();
@@ -229,7 +229,7 @@ fn many_poses_in_one_answer() {
     assert_eq!(parts[0].3, single.body, "alone or in a series, a pose gives the same image");
 }
 
-/// What no frame can have is told before the first part, by its place.
+/// A value that no frame can have is reported before the first part, with its place.
 #[test]
 fn poses_that_break_the_contract_refuse_the_request() {
     let daemon = Daemon::start(&[]);
@@ -272,7 +272,7 @@ fn a_node_is_moved_and_hidden() {
     assert_eq!(client.get(FRAME).body, before.body);
 }
 
-/// Beside `grid`, the same wall in a scene that says how its splats are drawn.
+/// Adds a second scene of the same wall, with settings for splats in the scene file.
 fn with_splats(root: &std::path::Path) {
     let mut scene = super::daemon::grid_scene("grid.ply");
     scene["name"] = json!("opaque");
@@ -339,7 +339,7 @@ fn splats_and_their_receipt() {
     assert_eq!(settings["instead_because"], "a single pass has nothing but colours");
 }
 
-/// Samples of the wall lie 1.6 px apart at 128 rows, and a quarter of that at a quarter of the rows.
+/// At 128 rows the wall's samples are 1.6 px apart, and at a quarter of the rows a quarter of that.
 #[test]
 fn what_is_not_said_is_drawn_as_fits() {
     let daemon = Daemon::start_in(with_splats, &[]);
@@ -356,7 +356,7 @@ fn what_is_not_said_is_drawn_as_fits() {
         let told: f64 =
             because.strip_prefix(begin).unwrap().strip_suffix(end).unwrap().parse().unwrap();
         assert!((told / px - 1.0).abs() < 0.05, "{settings}");
-        // The same frame, and a receipt of its own.
+        // An explicit setting gives an equal frame, but another receipt.
         let named = frame(&format!("{size}&reconstruct={drawn}"));
         assert_eq!(named.body, auto.body);
         assert_eq!(named.receipt()["settings"].get("asked"), None);
@@ -365,11 +365,11 @@ fn what_is_not_said_is_drawn_as_fits() {
         let trees = frame(&format!("{size}&lod=spt"));
         assert_eq!(trees.receipt()["settings"]["reconstruct"], drawn);
     }
-    // What goes with splats is taken where they are drawn.
+    // Settings of splats apply only where splats are drawn.
     let opaque =
         |size: &str| frame(&format!("{size}&blend=opaque")).receipt()["settings"]["blend"].clone();
     assert_eq!((opaque("&w=192&h=128"), opaque("&w=48&h=32")), ("opaque".into(), Value::Null));
-    // Accepted errors leave gaps between nodes that are drawn as points.
+    // Larger accepted errors leave gaps between nodes that are drawn as points.
     let coarse = frame("&w=48&h=32&lod=spt&max_error_px=4").receipt();
     assert_eq!(coarse["settings"]["reconstruct"], "splats");
 }
@@ -445,7 +445,7 @@ fn poses_of_a_series_inherit_how_splats_are_drawn() {
 fn level_of_detail_and_its_receipt() {
     let daemon = Daemon::start(&[]);
     let client = daemon.client();
-    // The first frame waits for the trees.
+    // The first frame waits until the trees are built.
     let reply = client.get(&format!("{FRAME}&lod=spt&max_error_px=0.5&reconstruct=points"));
     let (image, _) = decode(&reply);
     let receipt = reply.receipt();
@@ -463,7 +463,7 @@ fn level_of_detail_and_its_receipt() {
     let background = *image.get_pixel(0, 0);
     assert!(image.pixels().filter(|pixel| **pixel != background).count() > 500);
 
-    // Each detail is a frame of its own, and equal ones are equal.
+    // Each level of detail has its own entity tag, and equal ones have equal tags.
     let tag =
         |query: &str| client.get(&format!("{FRAME}{query}")).header("etag").map(str::to_owned);
     let queries = [

@@ -1,4 +1,4 @@
-//! Clients that stall, vanish, send half of what they should, or flood: others are served, and nothing is left behind.
+//! Clients that stall, vanish, send incomplete requests, or flood: other clients are served, and nothing is left behind.
 
 use std::io::{Read, Write};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -12,7 +12,7 @@ use super::stream::{GRID, Stream, pose};
 
 const SMALL: &str = "/v1/scenes/grid/frame?eye=0,0,3&target=0,0,0&w=32&h=32";
 
-/// The head and body of a request for many poses, as raw pixels of a megabyte each.
+/// Head and body of a request for many poses, as raw images of a megabyte each.
 fn many_poses(seed: u32, count: u32) -> String {
     let eye = |number: u32| json!([f64::from(seed) + f64::from(number) * 0.01, 0.0, 3.0]);
     let poses: Vec<_> =
@@ -25,7 +25,7 @@ fn many_poses(seed: u32, count: u32) -> String {
     )
 }
 
-/// Is answered, has an empty queue, and draws.
+/// Asserts that the daemon answers, has an empty queue, and draws.
 fn assert_healthy(daemon: &Daemon) {
     let client = daemon.client();
     eventually("an empty queue", || client.metric("pointillist_engine_queued") == 0.0);
@@ -42,7 +42,7 @@ fn answers_that_nobody_reads_hold_nobody_up() {
     let stalled: Vec<_> =
         (0..6).map(|seed| raw(daemon.address, many_poses(seed, POSES).as_bytes())).collect();
     let frames = || client.metric("pointillist_engine_frames_total");
-    // Until the sockets are full and no more is drawn for them.
+    // Wait until the sockets are full and the daemon draws nothing more for them.
     let mut before = -1.0;
     eventually("a standstill", || {
         std::thread::sleep(Duration::from_millis(300));
@@ -85,7 +85,7 @@ fn half_of_a_request_is_not_waited_for() {
         let answer = read_to_close(&mut stream);
         assert!(answer.is_empty() || answer.starts_with("HTTP/1.1 408 "), "{share}: {answer}");
     }
-    // Of a WebSocket, half of the handshake, and half of a message.
+    // Half of a WebSocket handshake, and half of a message.
     let handshake = format!(
         "GET {GRID} HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
          Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
@@ -93,7 +93,7 @@ fn half_of_a_request_is_not_waited_for() {
     let mut stream = raw(daemon.address, &handshake.as_bytes()[..handshake.len() - 3]);
     assert!(!read_to_close(&mut stream).starts_with("HTTP/1.1 101"));
     let mut stream = raw(daemon.address, handshake.as_bytes());
-    // A masked text of 100 bytes, of which ten come.
+    // A masked text of 100 bytes, of which only ten are sent.
     stream.write_all(&[0x81, 0x80 | 100, 1, 2, 3, 4]).unwrap();
     stream.write_all(&[b'x'; 10]).unwrap();
     let answer = read_to_close(&mut stream);
@@ -108,7 +108,7 @@ fn streams_that_send_and_never_read_are_held_still() {
     for stream in &mut silent {
         let socket = stream.socket.get_mut();
         socket.set_write_timeout(Some(Duration::from_millis(200))).unwrap();
-        // Every message has an answer, so that those pile up; after a while nothing more is taken.
+        // Every message has an answer, so answers pile up, and after a while the server reads nothing more.
         for seq in 0..20_000u64 {
             let mut message = pose(seq, seq as f64 * 1e-4);
             message["ping"] = "x".repeat(200).into();
@@ -129,13 +129,13 @@ fn streams_that_send_and_never_read_are_held_still() {
     assert_healthy(&daemon);
 }
 
-/// One client has as many requests under way as it can, in 16 threads; another, with a key of its own and one request at a time, gets every one
-/// of its frames, and waits for few of the other's.
+/// One client sends as many requests as it can from 16 threads. Another client with its own key sends one request at a time. It
+/// gets all of its frames, and few of the other's frames come before each.
 #[test]
 fn a_flood_of_one_client_is_not_the_others() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("keys");
-    // sha256 of `reader` and of `writer`.
+    // SHA-256 of `reader` and of `writer`.
     let keys = "eye read 3d0941964aa3ebdcb00ccef58b1bb399f9f898465e9886d5aec7f31090a0fb30\n\
                 hand write b93006774cbdd4b299389a03ac3d88c3a76b460d538795bc12718011a909fba5\n";
     std::fs::write(&file, keys).unwrap();
@@ -174,7 +174,7 @@ fn a_flood_of_one_client_is_not_the_others() {
         let meanwhile = drawn.load(Ordering::Relaxed) - before;
         stop.store(true, Ordering::Relaxed);
         assert_eq!(answers, [200; 20]);
-        // Before each of them lie a batch that is being drawn and at most one more; in turn with all that waits it would be six frames and more.
+        // A batch in progress and at most one more precede each frame. In order of arrival it would be six frames or more.
         println!("{meanwhile} frames of the flood during 20 of the other");
         assert!(meanwhile <= 20 * 5, "{meanwhile} frames of the flood during 20 of the other");
     });

@@ -1,4 +1,4 @@
-//! Signals, the delay before a drain, and roots that one daemon has.
+//! Signals, the delay before a drain, and the claim on a root.
 
 use std::process::Command;
 
@@ -27,11 +27,11 @@ fn a_server_that_will_drain_serves_on_but_is_not_ready() {
     eventually("unreadiness", || client.get("/readyz").status == 503);
     assert!(client.get("/readyz").text().contains("draining"));
     assert_eq!(client.get("/healthz").status, 200);
-    // On a connection of its own, too.
+    // New connections are accepted as well.
     assert_eq!(daemon.client().get(FRAME).status, 200);
     let job = serde_json::json!({"scene": "grid", "path": "past", "w": 16, "h": 16});
     assert_eq!(daemon.client().post_json("/v1/jobs", &job).status, 201);
-    // A second signal ends it at once.
+    // A second signal ends the daemon at once.
     daemon.signal();
     assert_eq!(daemon.wait().code(), Some(0), "{}", daemon.log());
     assert!(std::net::TcpStream::connect(daemon.address).is_err());
@@ -63,7 +63,7 @@ fn sighup_reads_the_keys_again() {
     signal(&daemon, "-HUP");
     eventually("new keys", || status("second") == 200);
     assert_eq!(status("first"), 401);
-    // A file that cannot be read leaves the keys in force.
+    // If the file cannot be read, the keys in force stay.
     std::fs::write(&file, "nonsense\n").unwrap();
     signal(&daemon, "-HUP");
     eventually("a complaint", || daemon.log().contains("line 1"));
@@ -95,7 +95,7 @@ fn uploads_of_a_root_are_one_daemons() {
     for expected in [&format!("process {} (pointillist)", daemon.id()), "--root", "--no-uploads"] {
         assert!(told.contains(expected), "{expected}: {told}");
     }
-    // One without uploads may share the root, and cleans up nothing.
+    // A daemon without uploads may share the root, and does not clean it up.
     let link = |own: &std::path::Path| {
         std::fs::remove_dir_all(own).unwrap();
         std::os::unix::fs::symlink(&root, own).unwrap();
@@ -107,7 +107,7 @@ fn uploads_of_a_root_are_one_daemons() {
     assert_eq!(reply.problem()["type"], "urn:pointillist:problem:uploads-off");
     assert_eq!(second.client().get(FRAME).status, 200);
     assert!(root.join("uploads/.partial-9-9").is_dir(), "another daemon's upload");
-    // Who is killed lets go.
+    // A killed daemon releases its claim.
     drop(second);
     let daemon = daemon.kill_and_restart(&[]);
     assert!(daemon.uploads().is_empty(), "remains of an earlier run");

@@ -42,9 +42,8 @@ fn sigterm_finishes_what_is_in_flight() {
         })
         .collect();
     let idle = raw(daemon.address, b"");
-    // What the server has not read by the time of the signal it need not answer. Of four requests one
-    // may be between queue and finish; connections are accepted in order, so a later one that is
-    // answered means that these were.
+    // The server need not answer requests that it has not read when the signal arrives. Connections are accepted in order, so if
+    // a later one is answered, these have been read. One of the four requests may be between the queue and its end.
     eventually("work", || {
         let client = daemon.client();
         let queued = client.metric("pointillist_engine_queued");
@@ -79,7 +78,7 @@ fn a_scene_that_fails_does_not_stop_the_others() {
     assert!(daemon.uploads().is_empty(), "remains of an earlier run");
 }
 
-/// Runs `serve` with arguments that it refuses, and gives its complaint.
+/// Runs `serve` with arguments that it refuses, and returns its message.
 fn complaint(folder: &std::path::Path, args: &[&str]) -> String {
     let output = Command::new(env!("CARGO_BIN_EXE_pointillist"))
         .args(["serve", "--listen", "127.0.0.1:0", "--root"])
@@ -123,7 +122,7 @@ fn what_cannot_work_is_refused_at_the_start() {
     }
 }
 
-/// The same for flags that [`complaint`] gives itself.
+/// As [`complaint`], for flags that `complaint` sets itself.
 fn overriding(folder: &std::path::Path, args: &[&str]) -> String {
     let mut command = Command::new(env!("CARGO_BIN_EXE_pointillist"));
     command.arg("serve").args(args).env("POINTILLIST_NO_JOBS", "true").stdin(Stdio::null());

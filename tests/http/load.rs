@@ -1,4 +1,4 @@
-//! Many clients, impatient clients, clients that go away.
+//! Many clients, impatient clients, and clients that disconnect.
 
 use std::io::Write;
 use std::net::Shutdown;
@@ -100,7 +100,7 @@ fn connections_have_limits() {
     let answer = read_to_close(&mut turned_away);
     assert!(answer.starts_with("HTTP/1.1 503 ") && answer.contains("retry-after: 1"), "{answer}");
     assert!(answer.contains("too many connections"), "{answer}");
-    // Who asks how the daemon is hears that.
+    // Health probes are answered even beyond the limit.
     for (path, word) in [("/healthz", "ok"), ("/readyz", "ready")] {
         let mut probe =
             raw(daemon.address, format!("GET {path} HTTP/1.1\r\nHost: x\r\n\r\n").as_bytes());
@@ -110,7 +110,7 @@ fn connections_have_limits() {
             "{answer}"
         );
     }
-    // Those that say nothing, or not enough, lose their places.
+    // Connections that send nothing, or too little, lose their places.
     for mut stream in held {
         assert_eq!(read_to_close(&mut stream), "");
     }
@@ -122,8 +122,8 @@ fn connections_have_limits() {
     assert_eq!(daemon.client().get("/healthz").status, 200);
 }
 
-/// Many revalidations on one connection, sent ahead. The floor is far below what an optimised build
-/// does (it prints its rate); it catches a 304 that has come to cost a frame.
+/// Pipelines many revalidations on one connection. The required rate is far below that of an optimised build (the test prints the
+/// rate). It catches a 304 that has become as expensive as a frame.
 #[test]
 fn revalidation_is_cheap() {
     const REQUESTS: usize = 4000;
@@ -152,7 +152,7 @@ fn revalidation_is_cheap() {
     assert_eq!(daemon.client().metric("pointillist_engine_frames_total"), 1.0);
 }
 
-/// Nobody waits beyond a deadline: not for a frame that is being drawn, nor for point trees, which are there when they come again.
+/// No request waits beyond its deadline, neither for a frame nor for point trees. A later request finds the trees built.
 #[test]
 fn deadlines_hold_while_frames_are_drawn_and_trees_are_built() {
     let daemon = Daemon::start(&["--no-cache"]);

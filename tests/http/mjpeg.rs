@@ -1,4 +1,4 @@
-//! Films for `<img>`: a path's frames in their time, or a view and its changes.
+//! Films for `<img>`: the frames of a path in real time, or a view that follows changes.
 
 use std::io::{BufRead, BufReader, Read};
 
@@ -39,9 +39,9 @@ impl Film {
         line.trim_end().to_owned()
     }
 
-    /// The next part, with the delimiter behind it; `None` at the end.
+    /// The next part and the delimiter behind it; `None` at the end.
     fn part(&mut self) -> Option<Part> {
-        // What follows a delimiter: the end of its line, or the end of all.
+        // A delimiter is followed by the end of its line, or by the end of the body.
         if self.line() == "--" {
             let mut rest = Vec::new();
             self.body.read_to_end(&mut rest).unwrap();
@@ -86,13 +86,13 @@ fn a_path_is_played_to_its_end() {
     let shown = numbers(&parts);
     assert!(shown.is_sorted_by(|a, b| a < b), "{shown:?}");
     assert_eq!((shown.first(), shown.last()), (Some(&0), Some(&10)), "{shown:?}");
-    // The same picture as a plain frame's.
+    // The image equals that of a plain frame.
     let query = "eye=1,0,3&target=0,0,0&fov=50&w=64&h=48&quality=70&format=jpeg";
     let last = client.get(&format!("/v1/scenes/grid/frame?{query}"));
     assert_eq!(parts[parts.len() - 1].image, last.body);
     assert_eq!(parts[0].receipt["camera"]["eye"], json!([-1.0, 0.0, 3.0]));
     assert_ne!(parts[0].image, last.body);
-    // Another rate has other numbers.
+    // At another rate the frames have other numbers.
     let parts = Film::open(&client, "path=past&w=64&h=48&fps=4").rest();
     assert_eq!(numbers(&parts).last(), Some(&2));
     let metric = |name: &str| client.metric(name);
@@ -104,7 +104,7 @@ fn a_path_is_played_to_its_end() {
 fn frames_that_come_too_late_are_left_out() {
     let daemon =
         Daemon::start_in(|root| std::fs::write(root.join("grid.ply"), wall_ply(500)).unwrap(), &[]);
-    // Two million pixels 120 times a second are more than anything here can draw and encode.
+    // Two million pixels 120 times a second exceed what any test machine can draw and encode.
     let parts = Film::open(&daemon.client(), "path=past&w=1600&h=1200&fps=120&quality=95").rest();
     let shown = numbers(&parts);
     assert!(shown.len() < 61 && shown.is_sorted_by(|a, b| a < b), "{shown:?}");
@@ -141,13 +141,13 @@ fn nothing_is_drawn_for_who_does_not_read() {
     let mut film = Film::open(&client, "path=past&loop=true&fps=120&w=1600&h=1200&quality=100");
     film.part().unwrap();
     let mut before = 0.0;
-    // What lies between the two holds some frames, and then no more.
+    // The buffers between server and client hold some frames, then no more are drawn.
     eventually("a standstill", || {
         std::thread::sleep(std::time::Duration::from_millis(700));
         let drawn = client.metric("pointillist_engine_frames_total");
         std::mem::replace(&mut before, drawn) == drawn
     });
-    // Who reads on is shown the path as it is by then.
+    // A client that reads on sees the path at the current time.
     for _ in 0..3 {
         film.part().unwrap();
     }
@@ -157,7 +157,7 @@ fn nothing_is_drawn_for_who_does_not_read() {
 fn a_film_that_nobody_reads_gives_its_place_back() {
     let daemon = Daemon::start(&["--max-streams", "2", "--stream-idle-seconds", "1"]);
     let client = daemon.client();
-    // One that takes some of it and then nothing; one that is shown on and on, and one view that does not change, are read.
+    // One client reads a part and then nothing. Another reads a view that does not change.
     let mut stalled = Film::open(&client, "path=past&loop=true&fps=120&w=900&h=900&quality=100");
     stalled.part().unwrap();
     let mut read = Film::open(&client, "camera=front&w=64&h=64");
@@ -167,7 +167,7 @@ fn a_film_that_nobody_reads_gives_its_place_back() {
     eventually("the place of who does not read to be free", || places() == 1.0);
     std::thread::sleep(std::time::Duration::from_secs(2));
     assert_eq!(places(), 1.0, "who waits for a picture to change reads");
-    // What was sent is cut off, so that nobody takes it for the end.
+    // The connection breaks, so that the client does not take this for the end of the film.
     let mut rest = Vec::new();
     assert!(stalled.body.read_to_end(&mut rest).is_err());
 }

@@ -1,4 +1,4 @@
-//! A request's name through answers, receipts, problems, metrics and the log; and that the stages of a frame add up.
+//! A request's id in answers, receipts, problems, metrics and the log; and the sum of the stages of a frame.
 
 use serde_json::{Value, json};
 
@@ -22,7 +22,7 @@ fn names_come_back() {
     let headers = [("x-request-id", "again"), ("if-none-match", etag.as_str())];
     let unchanged = daemon.client().send("GET", FRAME, &headers, None);
     assert_eq!((unchanged.status, unchanged.header("x-request-id")), (304, Some("again")));
-    // Whatever refuses it: handler, access, no route, no method.
+    // Refusals by handler, access, missing route and method all carry an id.
     for (path, status) in
         [("/v1/scenes/grid/frame?w=0", 422), ("/v1/scenes/none", 404), ("/none", 404)]
     {
@@ -76,7 +76,7 @@ fn parts_and_streams_are_named_after_their_request() {
     assert_eq!(stream.event()["request_id"], "viewer");
 }
 
-/// Lines of the log that are about `name`.
+/// The log lines that contain `name`.
 fn lines(daemon: &Daemon, name: &str) -> Vec<Value> {
     let log = daemon.log();
     let lines = log.lines().filter(|line| line.contains(name));
@@ -104,7 +104,7 @@ fn the_log_tells_a_frames_whole_way_by_its_name() {
     }
     let batch = closes(&lines, "batch").unwrap();
     assert_eq!((&batch["span"]["frames"], &batch["span"]["size"]), (&json!("the-one"), &json!(1)));
-    // Each pass that ran, with the time that the receipt has.
+    // The log has each pass that ran, with the time in the receipt.
     for pass in receipt["passes"].as_array().unwrap().iter().filter(|pass| pass["ran"] == true) {
         let told = lines.iter().find(|line| {
             line["fields"]["message"] == "drawn" && line["fields"]["pass"] == pass["name"]
@@ -124,7 +124,7 @@ fn without_debug_nothing_is_told_of_frames() {
     assert!(!daemon.log().contains("quiet") && !daemon.log().contains("\"batch\""));
 }
 
-/// Name and milliseconds of each metric, as a browser takes them apart (W3C Server Timing).
+/// Parses name and milliseconds of each metric as a browser does (W3C Server Timing).
 fn server_timing(line: &str) -> Vec<(String, f64)> {
     let is_token = |text: &str| {
         !text.is_empty()
@@ -140,7 +140,7 @@ fn server_timing(line: &str) -> Vec<(String, f64)> {
         assert_eq!(parts.next(), None, "{entry}");
         (name, duration)
     };
-    // A comma may stand within quotes.
+    // Quoted strings may contain commas.
     let mut entries = vec![String::new()];
     let mut is_quoted = false;
     for character in line.chars() {

@@ -1,4 +1,4 @@
-//! What pixels show, over HTTP.
+//! Picks over HTTP.
 
 use serde_json::{Value, json};
 
@@ -32,7 +32,7 @@ fn a_pick_says_what_a_pixel_shows() {
     assert_eq!(hit["instance"]["id"], 1);
     assert_eq!(hit["kind"], "point");
 
-    // The same for several pixels at once, with their frame as JSON.
+    // Several pixels at once, with the frame as JSON.
     let body = json!({ "camera": "front", "w": 96, "h": 64, "pixels": [[x, y], [0, 0]] });
     let many = client.post_json("/v1/scenes/grid/pick", &body);
     assert_eq!(many.status, 200, "{}", many.text());

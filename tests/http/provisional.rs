@@ -1,4 +1,4 @@
-//! Frames of a cloud whose normals and kernels are being estimated: no tag, and nothing for caches, until they are final.
+//! Frames of a cloud whose normals and kernels are being estimated have no entity tag and are not cacheable until they are final.
 
 use std::sync::Arc;
 
@@ -54,7 +54,7 @@ fn provisional_frames_have_no_tag_and_final_ones_have() {
     assert!(warning.contains("provisional") && warning.contains("wait=complete"), "{warning}");
     let receipt = text(ask("GET", "", None).headers(), "pointillist-receipt").unwrap();
     assert!(receipt.contains("normals and kernels are being estimated"), "{receipt}");
-    // What has to wait is bounded by its deadline.
+    // A request that waits ends at its deadline.
     for query in ["wait=complete&deadline_ms=30", "reconstruct=splats&deadline_ms=30"] {
         let status = ask("GET", query, None).status().as_u16();
         assert!([503, 504].contains(&status), "{query}: {status}");

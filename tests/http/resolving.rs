@@ -1,4 +1,4 @@
-//! Requests are resolved once, and nothing is baked while they are.
+//! Requests are resolved once, and resolving bakes nothing.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -13,7 +13,7 @@ use tower::ServiceExt;
 use super::daemon::eventually;
 use super::lifecycle::settings;
 
-/// An engine with a scene `cloud`, and its HTTP service.
+/// An engine with a scene `cloud`, and the HTTP service over it.
 fn service(adjust: impl FnOnce(&mut EngineConfig)) -> (TempDir, Engine, axum::Router) {
     let folder = tempfile::tempdir().unwrap();
     let mut config = EngineConfig::new(folder.path());
@@ -64,7 +64,7 @@ async fn a_request_is_resolved_once() {
     assert_eq!((head.status, count), (StatusCode::OK, 3));
 }
 
-/// A frame that waits for a bake ends with its scene, and one of the scene that comes after it waits for that scene's bake.
+/// A frame that waits for a bake fails when its scene is removed. A frame of the next scene waits for that scene's bake.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn frames_that_wait_for_a_bake_end_with_their_scene() {
     let latch = Arc::new(Latch::default());

@@ -1,4 +1,4 @@
-//! The contract as a validator: of bodies, answers and parameters.
+//! Validates bodies, answers and parameters by the contract.
 
 use serde_json::{Value, json};
 
@@ -10,20 +10,20 @@ impl Contract {
         Contract(pointillist::http::openapi_json().unwrap())
     }
 
-    /// A schema of the document with all that it may refer to.
+    /// A validator for a schema, which may refer to any schema of the document.
     fn validator(&self, schema: &Value) -> jsonschema::Validator {
         let whole = json!({ "components": self.0["components"], "allOf": [schema] });
         jsonschema::draft202012::new(&whole).unwrap_or_else(|error| panic!("{error}: {schema}"))
     }
 
-    /// What is wrong with a value, by a schema of the document; empty where nothing is.
+    /// The errors of a value by a schema of the document.
     pub fn faults(&self, schema: &Value, value: &Value) -> Vec<String> {
         let validator = self.validator(schema);
         let faults = validator.iter_errors(value);
         faults.map(|fault| format!("{}: {fault}", fault.instance_path())).collect()
     }
 
-    /// Every schema of the document is one.
+    /// Compiles every schema of the document.
     pub fn compile_all(&self) {
         for (_, _, operation) in self.operations() {
             for parameter in operation["parameters"].as_array().into_iter().flatten() {
@@ -42,7 +42,7 @@ impl Contract {
         schema
     }
 
-    /// Path, method and operation.
+    /// Path, method and description of all operations.
     pub fn operations(&self) -> impl Iterator<Item = (&str, &str, &Value)> {
         let paths = self.0["paths"].as_object().unwrap();
         paths.iter().flat_map(|(path, item)| {
@@ -51,7 +51,7 @@ impl Contract {
         })
     }
 
-    /// The operation for a request, and the path as the document has it.
+    /// The operation for a request, and its path template in the document.
     pub fn operation(&self, method: &str, path: &str) -> Option<(&str, &Value)> {
         let wanted: Vec<&str> = path.split('/').collect();
         let fits = |template: &str| {
@@ -71,7 +71,7 @@ impl Contract {
         found(true).or_else(|| found(false)).map(|(template, _, operation)| (template, operation))
     }
 
-    /// What is wrong with a query, by the parameters of an operation.
+    /// The errors of a query by the parameters of an operation.
     pub fn query_faults(&self, operation: &Value, query: &[(String, String)]) -> Vec<String> {
         let mut faults = Vec::new();
         for (name, text) in query {

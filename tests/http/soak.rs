@@ -1,6 +1,6 @@
-//! A soak: hostile uploads, deletes and kills under a limit of the address space, beside frames that go on being answered.
+//! A soak test: hostile uploads, deletions and kills under a limited address space, while another client requests frames.
 //!
-//! A few seconds of it run with all other tests; `make soak` runs five minutes (`SOAK_SECONDS`).
+//! It runs for a few seconds with all other tests, and for five minutes with `make soak` (`SOAK_SECONDS`).
 
 use std::net::SocketAddr;
 use std::sync::Mutex;
@@ -13,15 +13,15 @@ use super::admission::{empty_nodes, equal_points, nested_unions, resident_bytes}
 use super::client::{Client, form};
 use super::daemon::{Daemon, eventually, grid_ply, wall_ply};
 
-/// Address space of the daemon.
+/// Limit of the daemon's address space.
 const LIMIT_KIB: u64 = 2 << 20;
 const ARGS: [&str; 6] =
     ["--gpu-budget-mib", "256", "--host-memory-mib", "512", "--read-timeout-seconds", "10"];
 const FRAME: &str = "/v1/scenes/grid/frame?camera=front&w=96&h=72&format=png";
-/// Memory that may be left when all uploads were deleted, beyond what the daemon began with.
+/// Memory that may remain in use after all uploads are deleted, beyond the initial use.
 const MAY_BE_LEFT: u64 = 256 << 20;
 
-/// An upload that no daemon should be impressed by: its query, content type and body.
+/// A hostile upload: its query, content type and body.
 struct Attack {
     name: &'static str,
     query: String,
@@ -72,16 +72,16 @@ fn attacks() -> Vec<Attack> {
     ]
 }
 
-/// What the client of frames and the attacker share.
+/// State shared by the client of frames and the attacker.
 struct Arena {
     address: Mutex<SocketAddr>,
-    /// The daemon is being started anew: frames need not be answered.
+    /// The daemon is being restarted, so frames need not be answered.
     restarting: AtomicBool,
     done: AtomicBool,
     frames: AtomicU64,
 }
 
-/// Asks for the same frame again and again, and holds every answer against the first.
+/// Requests the same frame repeatedly, and compares every answer with the first.
 fn watch_frames(arena: &Arena) {
     let mut first: Option<Vec<u8>> = None;
     while !arena.done.load(Ordering::SeqCst) {
@@ -110,7 +110,7 @@ fn attack(client: &Client, attack: &Attack, wait: &str) {
     let path = format!("/v1/scenes?{}", attack.query);
     let sent = || client.send("POST", &path, &headers, Some(&attack.body));
     let Ok(reply) = std::panic::catch_unwind(std::panic::AssertUnwindSafe(sent)) else {
-        // A daemon that refuses an upload by its head closes the connection while the body is still being sent.
+        // A daemon that refuses an upload by its head closes the connection while the client still sends the body.
         assert_eq!(client.get("/healthz").status, 200, "{}", attack.name);
         return;
     };
@@ -147,7 +147,7 @@ fn hostile_uploads_never_lose_the_daemon() {
     let (mut uploads, mut restarts) = (0u64, 0u64);
     std::thread::scope(|scope| {
         scope.spawn(|| {
-            // A client that fails ends the soak at once.
+            // A failure of the client ends the soak at once.
             let ended = Ended(&arena);
             watch_frames(&arena);
             drop(ended);
@@ -158,7 +158,7 @@ fn hostile_uploads_never_lose_the_daemon() {
             && !arena.done.load(Ordering::SeqCst)
         {
             let client = daemon.client();
-            // Each once, then as chance has it.
+            // Each attack once, then random ones.
             let chosen = match attacks.get(uploads as usize) {
                 Some(attack) => attack,
                 None => &attacks[random.next_u64() as usize % attacks.len()],
@@ -192,7 +192,7 @@ fn hostile_uploads_never_lose_the_daemon() {
     assert_eq!(client.get(FRAME).status, 200);
 }
 
-/// Ends the other side when this one ends, by a panic too.
+/// Ends the other side when this side ends, even by a panic.
 struct Ended<'a>(&'a Arena);
 
 impl Drop for Ended<'_> {

@@ -17,7 +17,7 @@ pub struct Stream {
     pub socket: WebSocket<TcpStream>,
 }
 
-/// What came.
+/// A message from the server.
 #[derive(Debug)]
 pub enum Came {
     Frame {
@@ -25,7 +25,7 @@ pub enum Came {
         image: Vec<u8>,
     },
     Event(Value),
-    /// The code of a close; 0 where the connection ended without.
+    /// The code of a close; 0 if the connection ended without a close.
     Close(u16),
 }
 
@@ -34,7 +34,7 @@ impl Stream {
         Stream::connect(daemon.address, path, &[]).unwrap_or_else(|status| panic!("{status}"))
     }
 
-    /// The stream, or the status that refuses it.
+    /// Opens a stream, or returns the status of the refusal.
     pub fn connect(
         address: SocketAddr,
         path: &str,
@@ -50,7 +50,7 @@ impl Stream {
             request = request.header(*name, *value);
         }
         let socket = raw(address, b"");
-        // An acknowledgement must not wait for that of the segment before it.
+        // An acknowledgement must not wait for the TCP acknowledgement of the previous segment (Nagle's algorithm).
         socket.set_nodelay(true).unwrap();
         match tungstenite::client::client(request.body(()).unwrap(), socket) {
             Ok((socket, _)) => Ok(Stream { socket }),
@@ -69,7 +69,7 @@ impl Stream {
         self.socket.get_mut().set_read_timeout(Some(patience)).unwrap();
     }
 
-    /// What comes next, or `None` when nothing does within the patience.
+    /// The next message, or `None` if none arrives in time.
     pub fn try_next(&mut self) -> Option<Came> {
         loop {
             return Some(match self.socket.read() {
@@ -100,7 +100,7 @@ impl Stream {
         self.try_next().expect("nothing came")
     }
 
-    /// The next frame, whose header is checked; not acknowledged.
+    /// Reads the next frame and checks its header, without acknowledging the frame.
     pub fn frame_unacked(&mut self) -> (Value, Vec<u8>) {
         loop {
             match self.next() {
@@ -122,7 +122,7 @@ impl Stream {
         header
     }
 
-    /// Frames up to the first that satisfies `is_it`.
+    /// Reads frames up to the first that satisfies `is_it`.
     pub fn frames_until(&mut self, is_it: impl Fn(&Value) -> bool) -> Vec<Value> {
         let mut frames = vec![self.frame()];
         while !is_it(&frames[frames.len() - 1]) {
@@ -141,7 +141,7 @@ impl Stream {
         }
     }
 
-    /// The code that the stream is closed with.
+    /// Waits for the close and returns its code.
     pub fn closed(&mut self) -> u16 {
         loop {
             if let Came::Close(code) = self.next() {
@@ -183,13 +183,13 @@ fn a_moving_frame_and_then_a_still_one() {
         (&7.into(), &"still".into(), &1.0.into())
     );
     assert_eq!((&still["width"], &still["content_type"]), (&320.into(), &"image/png".into()));
-    // The same bytes as a plain frame's: the still one is what was asked for.
+    // The still frame equals a plain frame byte for byte.
     let query = "/v1/scenes/grid/frame?eye=0.2,0,3&target=0,0,0&w=320&h=240&format=png";
     assert_eq!(daemon.client().get(query).body, image);
     stream.send(json!({"ack": 2}));
     stream.patience(Duration::from_millis(500));
     assert!(stream.try_next().is_none(), "nothing better is to be had");
-    // Settings stay; what is said to rest comes as it was asked for, at once.
+    // Settings persist. A pose that is declared at rest gets its still frame at once.
     stream.patience(Duration::from_secs(60));
     stream.send(json!({"seq": 8, "eye": [0.5, 0, 3], "target": [0, 0, 0], "moving": false}));
     let header = stream.frame();
@@ -240,7 +240,7 @@ fn the_newest_pose_wins_and_none_is_lost_count_of() {
     let overtaken = frames[frames.len() - 1]["overtaken"].as_u64().unwrap();
     assert_eq!(drawn.len() as u64 + overtaken, POSES, "{drawn:?}");
     assert!(overtaken > POSES / 4, "only {overtaken} were overtaken: {drawn:?}");
-    // What was overtaken was not drawn for nothing.
+    // Overtaken poses were never drawn.
     let client = daemon.client();
     assert_eq!(client.metric("pointillist_engine_frames_total"), drawn.len() as f64 + 1.0);
     assert_eq!(client.metric("pointillist_stream_poses_overtaken_total"), overtaken as f64);
@@ -252,7 +252,7 @@ fn without_acknowledgements_no_more_frames_come() {
     let daemon = Daemon::start(&[]);
     let mut stream = Stream::open(&daemon, GRID);
     let mut seq = 0;
-    // So many poses, and the frames that come meanwhile.
+    // Sends this many poses, and counts the frames that arrive meanwhile.
     let mut move_on = |stream: &mut Stream, poses: usize| {
         let mut came_now = 0;
         stream.patience(Duration::from_millis(400));
@@ -269,7 +269,7 @@ fn without_acknowledgements_no_more_frames_come() {
     assert_eq!(move_on(&mut stream, 4), 1, "the link is not known");
     stream.send(json!({"ack": 1}));
     assert_eq!(stream.frame()["seq"], 4, "the newest, not those between");
-    // This client answers pings late, so that it seems to be far away.
+    // This client answers pings late, so that it seems far away.
     let under_way = 1 + move_on(&mut stream, 12);
     assert!((2..=8).contains(&under_way), "{under_way}");
     stream.send(json!({"ack": 1 + under_way}));
@@ -303,7 +303,7 @@ fn errors_name_the_parameter_and_the_stream_goes_on() {
     assert_eq!(stream.event()["event"], "problem");
     stream.send(json!({"ping": [1, "a"]}));
     assert_eq!(stream.event(), json!({"event": "pong", "ping": [1, "a"]}));
-    // What was refused has left nothing behind.
+    // Refused messages have no effect on later ones.
     stream.send(json!({"seq": 9, "camera": "front", "w": 64, "h": 64, "moving": false}));
     let header = stream.frame();
     assert_eq!((&header["seq"], &header["width"]), (&9.into(), &64.into()));
@@ -367,7 +367,7 @@ fn a_client_that_goes_away_frees_its_place() {
         .collect();
     let mut third = Stream::open(&daemon, GRID);
     assert_eq!(third.closed(), 4429);
-    // Without a close: as a cable that is pulled, whose end the system reports.
+    // The connection ends without a close, as reported by the system.
     drop(streams);
     eventually("free places", || client.metric("pointillist_streams_open") == 0.0);
     eventually("an empty queue", || client.metric("pointillist_engine_queued") == 0.0);
@@ -378,7 +378,7 @@ fn a_client_that_goes_away_frees_its_place() {
 
 #[test]
 fn who_may_open_a_stream() {
-    // Of `r-1`.
+    // SHA-256 of `r-1`.
     let hash = "a5fa777a3dc67268caea6eea038ba14177e360dba84e1db44e738dbae137e7ef";
     let daemon = Daemon::start(&[]);
     let open = |headers: &[(&str, &str)]| Stream::connect(daemon.address, GRID, headers).err();
@@ -399,8 +399,8 @@ fn who_may_open_a_stream() {
     assert_eq!(open("pointillist, pointillist.key.r-1"), None);
 }
 
-/// Four streams that always have a newer pose, each with a key of its own, and one more client that keeps six plain requests waiting: five
-/// clients, five shares.
+/// Four streams that always have a newer pose, each with its own key, and another client that keeps six plain requests waiting:
+/// five clients get equal shares.
 #[test]
 fn clients_share_the_device_and_the_plain_api_still_answers() {
     const STREAMS: usize = 4;
@@ -440,7 +440,7 @@ fn clients_share_the_device_and_the_plain_api_still_answers() {
     }
 }
 
-/// A daemon that asks for keys, and five of those.
+/// A daemon that requires keys, and five keys.
 fn keyed_daemon(args: &[&str]) -> (Daemon, [&'static str; 5]) {
     const KEYS: [(&str, &str); 5] = [
         ("s-0", "74d7151be70fb7deb7900896e81edef265f8cf2293ab40f9561704e781016903"),
@@ -457,7 +457,7 @@ fn keyed_daemon(args: &[&str]) -> (Daemon, [&'static str; 5]) {
     (daemon, KEYS.map(|(key, _)| key))
 }
 
-/// Sends a new pose every few milliseconds, and gives the number of frames until `until`.
+/// Sends a new pose every few milliseconds, and counts the frames until `until`.
 fn count_frames(daemon: &Daemon, number: usize, key: &str, until: Instant) -> usize {
     let bearer = format!("Bearer {key}");
     let headers = [("Authorization", bearer.as_str())];
@@ -483,7 +483,7 @@ fn count_frames(daemon: &Daemon, number: usize, key: &str, until: Instant) -> us
 fn a_moving_frame_is_drawn_as_the_still_one_will_be() {
     let daemon = Daemon::start(&[]);
     let mut stream = Stream::open(&daemon, GRID);
-    // Points would do for the smaller frame.
+    // By itself, the smaller frame would be drawn as points.
     stream.send(json!({"seq": 1, "camera": "front", "w": 160, "h": 90}));
     let mut seen: Vec<(Value, Value, Value)> = Vec::new();
     while seen.last().is_none_or(|(quality, ..)| quality != "still") {

@@ -1,4 +1,4 @@
-//! What a stream does not put up with, and how it says so.
+//! Messages and clients for which the server closes a stream, and the codes.
 
 use std::io::Write;
 use std::time::{Duration, Instant};
@@ -36,14 +36,14 @@ fn streams_are_closed_with_a_reason() {
 #[test]
 fn what_is_no_message_is_answered_with_why() {
     let daemon = Daemon::start(&[]);
-    // Of whole frames, with a mask of zeros: what follows their header is what is meant.
+    // Raw WebSocket frames with a mask of zeros, so that the payload is sent unchanged.
     let bytes = |head: &[u8], rest: &[u8]| [head, &[0; 4], rest].concat();
     let announced = |length: u64| {
         let mut head = vec![0x81, 0xff];
         head.extend(length.to_be_bytes());
         bytes(&head, &[b'x'; 100])
     };
-    // A part of a message that goes on for ever.
+    // A fragmented message without an end.
     let unfinished = bytes(&[0x00, 0xfe, 0xff, 0xff], &[b'x'; 0xffff]);
     let fragments = [bytes(&[0x01, 0x80 | 1], b"x"), unfinished.repeat(5)].concat();
     for (what, sent, code) in [
@@ -61,12 +61,12 @@ fn what_is_no_message_is_answered_with_why() {
         stream.socket.get_mut().write_all(&sent).unwrap();
         assert_eq!(stream.closed(), code, "{what}");
     }
-    // A connection that is lost is no message, and has its place back.
+    // When the connections are closed, their places become free.
     let client = daemon.client();
     super::daemon::eventually("no stream", || client.metric("pointillist_streams_open") == 0.0);
 }
 
-/// Poses as fast as the socket takes them, from a client that reads and acknowledges what comes.
+/// A client that sends poses as fast as the socket accepts them, and reads and acknowledges everything.
 #[test]
 fn a_flood_is_closed_and_a_busy_client_is_not() {
     let daemon = Daemon::start(&[]);
@@ -75,7 +75,7 @@ fn a_flood_is_closed_and_a_busy_client_is_not() {
     let began = Instant::now();
     busy.patience(Duration::from_millis(20));
     while began.elapsed() < Duration::from_secs(3) {
-        // Up to 750 a second.
+        // At most 750 poses per second.
         for _ in 0..15 {
             seq += 1;
             busy.send(pose(seq, seq as f64 * 1e-4));
@@ -97,7 +97,7 @@ fn a_flood_is_closed_and_a_busy_client_is_not() {
 
     let mut flood = Stream::open(&daemon, GRID);
     let mut sender = flood.socket.get_ref().try_clone().unwrap();
-    // A masked text, over and over.
+    // The same masked text repeatedly.
     let text = br#"{"seq":1,"eye":[3,2,4],"target":[0,0,0]}"#;
     let one = [&[0x81, 0x80 | text.len() as u8, 0, 0, 0, 0], &text[..]].concat();
     let sending = std::thread::spawn(move || {
@@ -123,7 +123,7 @@ fn who_does_not_acknowledge_is_told_once() {
     assert_eq!((&problem["event"], &problem["parameter"]), (&"problem".into(), &"ack".into()));
     assert!(problem["detail"].as_str().unwrap().contains("frame 1"), "{problem}");
     assert!(began.elapsed() > Duration::from_secs(4), "{:?}", began.elapsed());
-    // Not again, however many poses come.
+    // The reminder comes only once, however many poses follow.
     stream.send(pose(1, 0.1));
     stream.patience(Duration::from_secs(7));
     assert!(stream.try_next().is_none(), "once is enough");

@@ -1,4 +1,4 @@
-//! Uploads: one file, forms, limits, names, what is left on disk.
+//! Uploads: single files, forms, limits, names, and files left on disk.
 
 use std::io::Write;
 use std::net::Shutdown;
@@ -27,7 +27,7 @@ fn an_asset_becomes_a_scene_until_it_is_deleted() {
     assert!(ids.contains(&"grid") && ids.contains(&"my-wall"), "{ids:?}");
     assert_eq!(client.metric("pointillist_uploads_bytes_total"), ply.len() as f64);
 
-    // The same name again gets an id of its own; a given id is taken once.
+    // A repeated file name gets another id. A given id can be used only once.
     let disposition = [("content-disposition", "attachment; filename=\"My Wall.ply\"")];
     let again = client.send("POST", "/v1/scenes", &disposition, Some(ply.as_bytes()));
     assert_eq!(again.header("location"), Some("/v1/scenes/my-wall-2"), "{}", again.text());
@@ -42,7 +42,7 @@ fn an_asset_becomes_a_scene_until_it_is_deleted() {
     assert_eq!(client.get("/v1/scenes/my-wall").status, 404);
     assert_eq!(client.get("/v1/scenes/my-wall/frame").status, 404);
     assert_eq!(client.send("DELETE", "/v1/scenes/my-wall", &[], None).status, 404);
-    // A scene of the root is forgotten; its files are not the server's.
+    // A scene of the root is unloaded, but its files stay.
     assert_eq!(client.send("DELETE", "/v1/scenes/grid", &[], None).status, 204);
     assert!(daemon.root().join("grid.json").exists());
 }
@@ -64,7 +64,7 @@ fn the_up_of_an_upload_is_kept_with_it() {
         let refused = upload(&format!("id=none&{up}"));
         assert_eq!((refused.status, &refused.problem()["parameter"]), (422, &json!("up")), "{up}");
     }
-    // A scene has its own, alone and among its files.
+    // A scene file has its own `up`, alone or among other files.
     let scene = grid_scene("grid.ply");
     let refused = daemon.client().post_json("/v1/scenes?up=z", &scene);
     assert_eq!((refused.status, &refused.problem()["parameter"]), (422, &json!("up")));
@@ -100,11 +100,11 @@ fn nobody_takes_the_id_of_a_kept_upload_while_the_daemon_starts() {
 fn scenes_with_their_files() {
     let daemon = Daemon::start(&[]);
     let client = daemon.client();
-    // A bare scene names files of the root.
+    // A bare scene refers to files of the root.
     let reply = client.post_json("/v1/scenes?id=bare", &grid_scene("grid.ply"));
     assert_eq!(reply.status, 201, "{}", reply.text());
     assert_eq!(client.get("/v1/scenes/bare/frame?camera=front&w=16&h=16").status, 200);
-    // One in a form names the files beside it.
+    // A scene in a form refers to files of the form.
     let scene = grid_scene("mine.ply").to_string();
     let ply = grid_ply();
     let (content_type, body) =
@@ -120,7 +120,7 @@ fn scenes_with_their_files() {
     let reply = client.send("POST", "/v1/scenes?id=tri", &headers, Some(&body));
     assert_eq!((reply.status, &reply.json()["triangles"]), (201, &json!(1)), "{}", reply.text());
 
-    // Uploads survive a restart; the bare scene too, with the files of the root.
+    // Uploads survive a restart, including the bare scene, whose files are in the root.
     let daemon = daemon.restart(&[]);
     let client = daemon.client();
     for id in ["bare", "town", "tri", "grid"] {
@@ -128,7 +128,7 @@ fn scenes_with_their_files() {
         assert_eq!(reply.status, 200, "{id}: {}", reply.text());
     }
 
-    // What was uploaded is deleted for good; what lies in the root is the daemon's to load, at every start.
+    // Deleted uploads are gone for good. Scenes of the root are loaded again at every start.
     for id in ["town", "grid"] {
         let path = format!("/v1/scenes/{id}");
         assert_eq!(client.send("DELETE", &path, &[], None).status, 204);
@@ -178,7 +178,7 @@ fn refused_uploads_leave_nothing() {
     let headers = [("content-type", "application/octet-stream")];
     assert_eq!(client.send("POST", "/v1/scenes", &headers, Some(b"x")).status, 422);
 
-    // Contents that no reader takes.
+    // Contents that no reader accepts.
     let broken = ply.replace("0 0 0 90", "zero 0 0 90");
     assert_ne!(broken, ply);
     for (name, body) in
@@ -191,7 +191,7 @@ fn refused_uploads_leave_nothing() {
         assert!(detail.starts_with(name), "{detail}");
     }
 
-    // Too large: by the announced length, and in chunks that announce nothing.
+    // Too large, by the announced length, or by chunks without an announced length.
     let large = vec![b'x'; 3 << 20];
     let reply = client.send("POST", "/v1/scenes?name=a.ply", &[], Some(&large));
     assert_eq!(reply.status, 413, "{}", reply.text());
@@ -219,7 +219,7 @@ fn a_broken_off_upload_is_removed() {
     eventually("the upload", || !daemon.uploads().is_empty());
     stream.shutdown(Shutdown::Both).unwrap();
     eventually("the removal", || daemon.uploads().is_empty());
-    // One that only goes silent is given up as well, and its id is free again.
+    // A silent upload is given up as well, and its id is free again.
     let mut stream = raw(daemon.address, head.as_bytes());
     let answer = super::client::read_to_close(&mut stream);
     assert!(answer.starts_with("HTTP/1.1 408 "), "{answer}");
@@ -241,7 +241,7 @@ fn a_slow_load_is_answered_before_it_ends() {
     assert_eq!(reply.json()["state"], "loading");
     assert_eq!(reply.header("preference-applied"), Some("wait=0"));
     eventually("the load", || client.get("/v1/scenes/slow").json()["state"] == "ready");
-    // A failure that nobody waited for is told to whoever asks, until it is deleted.
+    // The failure of a load that nobody waited for is reported until the scene is deleted.
     let path = "/v1/scenes?id=bad&name=a.ply";
     assert_eq!(
         client.send("POST", path, &wait, Some(&large.as_bytes()[..large.len() - 9])).status,

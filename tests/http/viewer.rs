@@ -1,4 +1,4 @@
-//! The viewer's files and the paths that it asks for; what it does in a browser is tested in `tests/browser`.
+//! The viewer's files, and the camera paths that it requests. `tests/browser` tests the viewer in a browser.
 
 use super::daemon::Daemon;
 

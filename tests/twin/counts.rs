@@ -1,4 +1,4 @@
-//! What is tested and drawn, counted: the receipt beside the frustum in f64.
+//! Compares the counts in the receipt, of what is tested and drawn, with the frustum in f64.
 
 use std::f64::consts::TAU;
 
@@ -14,17 +14,17 @@ use super::files::{Shape, random_direction};
 use super::stage::{Case, look};
 use super::verdict::Tolerance;
 
-/// A camera-space vector (z ahead, y up) in world space.
+/// Transforms a camera-space vector (z ahead, y up) to world space.
 fn turned(view: &View, camera: DVec3) -> DVec3 {
     view.view_from_world.transpose() * (camera * DVec3::new(1.0, 1.0, -1.0))
 }
 
-/// The place behind an image position at a depth.
+/// The world point behind an image position at a depth.
 fn behind_pixel(view: &View, x: f64, y: f64, depth: f64) -> DVec3 {
     view.eye + view.view_from_world.transpose() * (view.ray(DVec2::new(x, y)) * depth)
 }
 
-/// Chunks of a single sample in the outermost rows and columns of a wide frame are drawn, those beyond are not tested.
+/// In a wide frame, chunks of a single sample in the outermost rows and columns are drawn, and those just outside are not tested.
 #[test]
 fn lone_samples_along_the_frames_edges() {
     let camera =
@@ -39,7 +39,7 @@ fn lone_samples_along_the_frames_edges() {
         nodes.push(json!({ "asset": "one", "translate": at }));
         inside += u64::from(is_inside);
     };
-    // How far into the first and the last pixel.
+    // Distance of a sample from the frame's edge, within the first or last pixel.
     let depths_px = [0.01, 0.1, 0.5, 0.99];
     for k in 0..640 {
         let (x, into) = (f64::from(k) + 0.5, depths_px[k as usize % 4]);
@@ -76,7 +76,7 @@ struct Part {
     count: u64,
 }
 
-/// Whether a placed box reaches into the frustum; `None` where rounding decides.
+/// Whether a placed box intersects the frustum; `None` if rounding decides.
 fn meets_frustum(view: &View, world_from_asset: &DAffine3, bounds: &Bounds) -> Option<bool> {
     let (f, c) = (view.focal_px, view.principal_px);
     let size = DVec2::new(f64::from(view.width), f64::from(view.height));
@@ -106,8 +106,8 @@ fn meets_frustum(view: &View, world_from_asset: &DAffine3, bounds: &Bounds) -> O
     meets
 }
 
-/// Transforms of small things everywhere: about the eye, across every side of the frustum, and flat behind the eye, where
-/// only the plane through the eye tells that they are not in view.
+/// Transforms of small objects everywhere: around the eye, across every side of the frustum, and flat behind the eye, where only
+/// the camera plane tells that they are not in view.
 fn strewn(view: &View, random: &mut SplitMix64) -> Vec<DAffine3> {
     let mut all = Vec::new();
     let (w, h) = (f64::from(view.width), f64::from(view.height));
@@ -119,7 +119,7 @@ fn strewn(view: &View, random: &mut SplitMix64) -> Vec<DAffine3> {
         let scale = DVec3::new(1.0, random.range(0.3, 1.0), 1.0) * random.range(0.05, 0.3);
         let linear = turn * DMat3::from_diagonal(scale);
         let depth = random.range(3.0, 9.0);
-        // Pixels that the scale spans.
+        // The number of pixels that the scale spans.
         let around = 2.0 * scale.x * view.focal_px.x / depth;
         let off = random.range(-around, around);
         let (x, y) = (random.range(0.0, w), random.range(0.0, h));
@@ -154,7 +154,7 @@ fn node(asset: &str, at: &DAffine3) -> Value {
     json!({ "asset": asset, "matrix": matrix })
 }
 
-/// The chunks of a cloud, from what is packed.
+/// The chunks of a packed cloud.
 fn parts_of_cloud(cloud: &Shape) -> Vec<Part> {
     let positions = cloud.positions.clone();
     let packed = pack_samples(&PointCloud { positions, ..PointCloud::default() }).unwrap();
@@ -168,7 +168,7 @@ fn parts_of_cloud(cloud: &Shape) -> Vec<Part> {
     packed.chunks.iter().map(part).collect()
 }
 
-/// Many instances inside, outside and across every plane, of one chunk and of several.
+/// Many instances inside, outside and across every plane, with one chunk or several.
 #[test]
 fn tested_counts_are_the_frustums() {
     let small = Shape::cloud(37, [-1.0; 3], [1.0; 3], 21);
@@ -195,7 +195,7 @@ fn tested_counts_are_the_frustums() {
             let (name, parts) = &assets[index % 3];
             let met: Option<Vec<bool>> =
                 parts.iter().map(|part| meets_frustum(&view, at, &part.bounds)).collect();
-            // Those too close to call are left out.
+            // Leave out instances that rounding decides.
             let Some(met) = met else { continue };
             nodes.push(node(name, at));
             let seen: u64 =
@@ -223,14 +223,14 @@ fn tested_counts_are_the_frustums() {
     }
 }
 
-/// What a receipt counts of the scene.
+/// The counts of a receipt.
 fn counts(receipt: &Receipt) -> [Option<u64>; 5] {
     let (samples, triangles) = (&receipt.samples, &receipt.triangles);
     let drawn = receipt.instances.drawn;
     [samples.tested, samples.drawn, triangles.tested, triangles.rasterised, drawn]
 }
 
-/// Every engine counts the same, however many passes it takes: large and small triangles in several pages of things.
+/// All engines count the same, however many passes they take: large and small triangles on several pages.
 #[test]
 fn every_engine_counts_the_same() {
     let mut mesh = Shape::ball(12, 1.0);

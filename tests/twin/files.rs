@@ -1,4 +1,4 @@
-//! Assets in memory: PLY for what needs f64 and vertex colours, GLB for materials and textures.
+//! Assets in memory: PLY for f64 coordinates and vertex colours, GLB for materials and textures.
 
 use glam::{DVec3, Vec3};
 use pointillist::encode::{FrameImage, png};
@@ -16,7 +16,7 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// Another shape beside this one; both have the same attributes.
+    /// Adds another shape with the same attributes.
     pub fn add(&mut self, other: &Shape) {
         let first = self.positions.len() as u32;
         self.positions.extend(&other.positions);
@@ -48,7 +48,7 @@ impl Shape {
         }
     }
 
-    /// A sphere around the origin: closed, smooth, coloured by place, with normals and texture coordinates.
+    /// A closed smooth sphere around the origin, coloured by position, with normals and texture coordinates.
     pub fn ball(rings: u32, radius: f64) -> Shape {
         let sectors = 2 * rings;
         let mut shape = Shape::default();
@@ -56,7 +56,7 @@ impl Shape {
             for k in 0..=sectors {
                 let (u, v) = (f64::from(k) / f64::from(sectors), f64::from(i) / f64::from(rings));
                 let (sin, cos) = (v * std::f64::consts::PI).sin_cos();
-                // The seam's two sides and each pole are exactly one place.
+                // The two sides of the seam coincide exactly, and so do the vertices of each pole.
                 let (turn_sin, turn_cos) =
                     if k == sectors { (0.0, 1.0) } else { (u * std::f64::consts::TAU).sin_cos() };
                 let sin = if i == 0 || i == rings { 0.0 } else { sin };
@@ -83,7 +83,7 @@ impl Shape {
         shape
     }
 
-    /// Points strewn in a box, in random colours, with random normals.
+    /// Random points in a box, with random colours and normals.
     pub fn cloud(count: usize, low: [f64; 3], high: [f64; 3], seed: u64) -> Shape {
         let mut random = SplitMix64::new(seed);
         let mut shape = Shape::default();
@@ -200,7 +200,7 @@ impl Glb {
         self.push("accessors", accessor)
     }
 
-    /// A texture from a PNG file; `sampler` as in glTF.
+    /// Adds a texture from a PNG file; `sampler` as in glTF.
     pub fn texture(&mut self, png: &[u8], sampler: Value) -> usize {
         let view = self.view(png);
         let image = self.push("images", json!({ "bufferView": view, "mimeType": "image/png" }));
@@ -212,7 +212,7 @@ impl Glb {
         self.push("materials", material)
     }
 
-    /// A mesh with one primitive.
+    /// Adds a mesh with one primitive.
     pub fn mesh(&mut self, shape: &Shape, material: Option<usize>) -> usize {
         let positions: Vec<[f32; 3]> =
             shape.positions.iter().map(|p| p.as_vec3().to_array()).collect();
@@ -239,7 +239,7 @@ impl Glb {
         self.push("meshes", json!({ "primitives": [primitive] }))
     }
 
-    /// A root node that draws a mesh; `transform` holds `translation`, `scale`, `matrix` … or nothing.
+    /// Adds a root node that draws a mesh. `transform` holds `translation`, `scale`, `matrix` … or nothing.
     pub fn node(&mut self, mesh: usize, transform: Value) -> usize {
         let mut node = transform;
         node["mesh"] = json!(mesh);
@@ -251,7 +251,7 @@ impl Glb {
         self.json["scenes"] = json!([{ "nodes": roots }]);
         self.json["scene"] = json!(0);
         for list in ["images", "samplers", "textures", "materials"] {
-            // glTF has no empty lists.
+            // glTF does not allow empty lists.
             if self.json[list].as_array().unwrap().is_empty() {
                 self.json.as_object_mut().unwrap().remove(list);
             }

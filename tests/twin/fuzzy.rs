@@ -1,5 +1,6 @@
-//! Splats blended and depth-tested in a single pass (Dachsbacher et al. 2003, §5) beside the oracle's, which are blended as three
-//! passes would. What differs are weights of four bits, colours in 32nds of them, and depths that are told apart by slabs.
+//! Compares splats that are blended and depth-tested in a single pass (Dachsbacher et al. 2003, §5) with the oracle's, which
+//! blends them as three passes do. The differences are weights of four bits, colours in 32nds of them, and depths that are
+//! distinguished by slabs.
 
 use glam::DVec3;
 use pointillist::accuracy::metrics;
@@ -17,10 +18,10 @@ fn fuzzy(filter: Filter) -> Settings {
     Settings { reconstruct: Reconstruct::Fuzzy, filter: Some(filter), ..Settings::default() }
 }
 
-/// Draws a frame in a single pass, and compares it with the oracle and with a frame in three passes. The engine without 64-bit atomics
-/// must draw the latter for both. Returns the frames of the single pass and of three.
+/// Draws a frame in a single pass, and compares it with the oracle and with a frame in three passes. The engine without 64-bit
+/// atomics must draw three passes in both cases. Returns the frames of the single pass and of three passes.
 ///
-/// A single pass has nothing but colours: depths, normals and ids of `single` are drawn in three passes and prove nothing.
+/// A single pass only draws colours. Depths, normals and ids of `single` are drawn in three passes and prove nothing.
 fn check(case: &Case, view: &View, settings: Settings, least: f64) -> [Frames; 2] {
     let [single, narrow, _] = case.each_with(view, settings);
     let drawn = &single.receipt.settings;
@@ -48,7 +49,7 @@ fn check(case: &Case, view: &View, settings: Settings, least: f64) -> [Frames; 2
     let passes = metrics::psnr(&twin.to_rgba8(), &three_narrow.color).unwrap();
     println!("{} {settings:?}: {found:.1} dB, three passes {passes:.1} dB", case.id);
     assert!(found >= least, "{}: {settings:?}: {found} dB, least {least}", case.id);
-    // Footprints do not depend on the number of passes: both cover the same pixels. No colour in these scenes is the background's.
+    // Footprints do not depend on the number of passes, so both cover the same pixels. No object has the background's colour.
     let background = srgb8(case.reference.description().background).to_le_bytes();
     let shown: Vec<bool> = three_narrow.id.iter().map(|&id| id != 0).collect();
     for frames in [&single, &three_narrow] {
@@ -70,7 +71,7 @@ fn every_filter_is_near_the_oracles() {
     }
 }
 
-/// Triangles before and behind, instances, splats that reach the camera plane.
+/// Triangles in front and behind, instances, and splats that reach the camera plane.
 #[test]
 fn a_single_pass_shares_its_depth_with_triangles() {
     let scene = json!({
@@ -94,7 +95,7 @@ fn a_single_pass_shares_its_depth_with_triangles() {
         for &pixel in &of_triangles {
             assert_eq!(single.color[pixel], three.color[pixel], "a triangle at {pixel}");
         }
-        // From within there is nothing else to see.
+        // From inside the ball no triangle is visible.
         let count = of_triangles.len();
         assert!(count > 200 || eye[0] == 0.2, "{count} pixels of triangles");
     }
@@ -110,7 +111,7 @@ fn committed_scenes() {
     }
 }
 
-/// Of point trees as of everything: near what three passes make of the same nodes.
+/// A single pass over point trees gives nearly the frame of three passes over the same nodes.
 #[test]
 fn a_single_pass_draws_point_trees() {
     for (scene, camera) in [("town", "overview"), ("town", "street"), ("relief", "front")] {
@@ -130,7 +131,7 @@ fn a_single_pass_draws_point_trees() {
     }
 }
 
-/// Outputs other than colour, and pixels over which too much lies, take three passes, and the receipt says why.
+/// Outputs other than colour, and pixels with too many splats, take three passes, and the receipt says why.
 #[test]
 fn three_passes_where_one_will_not_do() {
     let mut crowd = ball(3000, 3);

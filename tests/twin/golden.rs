@@ -1,7 +1,7 @@
-//! Pictures of the committed scenes, kept in `tests/golden`: what was right once stays as it is.
+//! Compares committed scenes with their images in `tests/golden`.
 //!
-//! `UPDATE=1 cargo test --test twin golden` writes them anew; look at them before they are committed. Another driver
-//! rounds otherwise, so that pictures are compared closely but not bit by bit.
+//! `UPDATE=1 cargo test --test twin golden` writes the images anew; inspect them before committing them. Another driver rounds
+//! differently, so images are compared with a small tolerance instead of bit by bit.
 
 use std::path::PathBuf;
 
@@ -19,7 +19,7 @@ fn file(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/{name}.png"))
 }
 
-/// Opaque pixels as a small PNG file.
+/// Writes opaque pixels as a small PNG file.
 fn write(name: &str, rgba: &[[u8; 4]]) {
     let path = file(name);
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();

@@ -1,4 +1,4 @@
-//! Transforms, and instances within instances.
+//! Transforms and nested instances.
 
 use glam::DVec3;
 use serde_json::{Value, json};
@@ -13,7 +13,7 @@ fn lights() -> Value {
     serde_json::from_str(SUN).unwrap()
 }
 
-/// Balls and clouds side by side under one transform each.
+/// Balls and clouds side by side under the same transform.
 #[test]
 fn transforms_of_every_kind() {
     let transforms = [
@@ -48,7 +48,7 @@ fn transforms_of_every_kind() {
     }
 }
 
-/// A node that flattens its mesh altogether: what is left has two sides and a normal.
+/// A node that flattens its mesh completely. The result has two sides and a normal.
 #[test]
 fn a_flattened_mesh_is_lit() {
     let mut glb = Glb::new();
@@ -57,7 +57,7 @@ fn a_flattened_mesh_is_lit() {
     glb.node(mesh, json!({ "scale": [0.5, 0.5, 0], "translation": [0, 1, 0] }));
     let scene = json!({ "assets": { "m": { "file": "m.glb" } }, "nodes": [{ "asset": "m" }], "lights": lights() });
     let case = Case::new("flattened", &[("m.glb", glb.finish())], &scene);
-    // The ball's upper and lower half fall onto each other.
+    // The upper and lower half of the ball coincide.
     let frames = case.draw(&look([0.5, 2.0, 3.0], [0.0; 3], 45.0));
     assert!(frames.covered() > 1_000);
     case.check(&look([0.5, 2.0, 3.0], [0.0; 3], 45.0), &Tolerance::default());
@@ -101,7 +101,7 @@ fn instances_within_instances() {
     case.check(&look([0.4, 0.3, 0.2], [1.0, 0.2, -1.0], 70.0), &tolerance);
 }
 
-/// A file with placements of its own, drawn twice: numbers go placement by placement.
+/// A file with several placements, drawn twice. Instances are numbered placement by placement.
 #[test]
 fn placements_of_an_asset_are_instances() {
     let mut glb = Glb::new();

@@ -1,4 +1,4 @@
-//! Every kind of light on meshes and samples.
+//! All kinds of lights on meshes and samples.
 
 use serde_json::{Value, json};
 

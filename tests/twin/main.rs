@@ -1,7 +1,7 @@
-//! Twins: the engine's frame beside the oracle's, drawn from the same files.
+//! Twin tests: compare the engine's frame with the oracle's, drawn from the same files.
 //!
-//! `stage` holds two engines (with and without 64-bit atomics) and the scenes of the tests, `files` writes
-//! their assets, `verdict` compares frames. Needs a Vulkan adapter, such as Mesa's lavapipe.
+//! `stage` has the engines (with and without 64-bit atomics) and the scenes of the tests, `files` writes their assets, and
+//! `verdict` compares frames. Needs a Vulkan adapter, such as Mesa's lavapipe.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,

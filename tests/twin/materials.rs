@@ -7,7 +7,7 @@ use super::files::{Glb, Shape, picture};
 use super::stage::{Case, look};
 use super::verdict::Tolerance;
 
-/// A wall that leans back, 4 wide and 3 high, in `cells` × `cells` parts.
+/// A wall that leans back, 4 wide and 3 high, of `cells` × `cells` quads.
 fn wall(cells: u32, repeats: f32) -> Shape {
     let mut shape = Shape::default();
     let (u, v) = (DVec3::new(4.0, 0.0, 0.0), DVec3::new(0.0, 3.0, -1.5));
@@ -52,7 +52,7 @@ const CLAMP: u32 = 33071;
 const NEAREST: u32 = 9728;
 const LINEAR: u32 = 9729;
 
-/// Every way to wrap, on each axis, with both filters, for small and for large triangles.
+/// All ways to wrap on each axis, with both filters, for small and large triangles.
 #[test]
 fn textures_wrap_and_filter() {
     let view = look([0.6, 0.3, 3.4], [0.1, 0.0, 0.0], 50.0);
@@ -69,7 +69,7 @@ fn textures_wrap_and_filter() {
     }
 }
 
-/// From far magnification to a pixel that holds many texels; odd sizes; grazing views.
+/// From strong magnification to a pixel that covers many texels; odd sizes; grazing views.
 #[test]
 fn textures_at_every_level() {
     for (name, size, repeats) in [
@@ -94,7 +94,7 @@ fn dots() -> Vec<u8> {
     })
 }
 
-/// Cut-outs show what is behind them, through small triangles and large ones.
+/// Cut-outs show what is behind them, for small and large triangles.
 #[test]
 fn alpha_cuts_holes() {
     for (name, cells, cutoff) in
@@ -117,7 +117,7 @@ fn alpha_cuts_holes() {
     }
 }
 
-/// An overriding colour's alpha counts in place of the material's own.
+/// The alpha of an overriding colour replaces the material's in cut-outs.
 #[test]
 fn an_overriding_colour_takes_its_alpha_to_the_cut_out() {
     let mut glb = Glb::new();
@@ -169,7 +169,7 @@ fn sides() {
     }
 }
 
-/// Every property of a material, laid over meshes and samples.
+/// All properties of a material override those of meshes and samples.
 #[test]
 fn overrides() {
     let lights = json!([{ "kind": "sun", "direction": [-0.3, -1, -0.8], "intensity": 0.8 },

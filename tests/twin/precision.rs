@@ -1,4 +1,4 @@
-//! Far from the world's origin, and near to the eye.
+//! Precision far from the world's origin and near to the eye.
 
 use std::collections::BTreeSet;
 
@@ -44,7 +44,7 @@ fn case(name: &str, asset_offset: DVec3, node_offset: DVec3) -> Case {
     Case::new(name, &[("ball.ply", ball.ply()), ("cloud.ply", cloud.ply())], &scene)
 }
 
-/// A survey's coordinates, in the file or in the node, give the picture that the same scene gives at the origin.
+/// Survey coordinates, in the file or in the node, give the same image as the scene at the origin.
 #[test]
 fn utm_coordinates() {
     let here = case("origin", DVec3::ZERO, DVec3::ZERO);
@@ -66,7 +66,7 @@ fn utm_coordinates() {
     }
 }
 
-/// The eye moves by hundredths of a millimetre at UTM coordinates: the picture follows, it does not jump.
+/// The eye moves by hundredths of a millimetre at UTM coordinates: the image follows without jumps.
 #[test]
 fn small_steps_far_out() {
     let there = case("steps", UTM, DVec3::ZERO);
@@ -76,7 +76,7 @@ fn small_steps_far_out() {
     }
 }
 
-/// A millimetre above a surface of several kilometres.
+/// A view from a millimetre above a surface of several kilometres.
 #[test]
 fn close_to_something_large() {
     let mut ground = Shape::default();
@@ -112,15 +112,15 @@ fn close_to_something_large() {
 /// Half the length of an asset of nearly 4096 units, whose grid has steps of 2⁻¹⁷.
 const FAR: f64 = 2040.0;
 
-/// Coordinates in multiples of this lie on the grid, wherever its centre is.
+/// Coordinates in multiples of this are on the grid, wherever its centre is.
 const ON_GRID: f64 = 1.0 / 65_536.0;
 
 fn on_grid(v: DVec3) -> DVec3 {
     (v / ON_GRID).round() * ON_GRID
 }
 
-/// A chunk's worth of samples about 10 mm in front of the eye, one in three pixels each way at most. Each is between 1/16
-/// and 1/6 pixel inside its pixel: a frame that is off by more than that shows them elsewhere.
+/// About a chunk of samples some 10 mm in front of the eye, at most one in three pixels each way. Each is between 1/16 and 1/6
+/// pixel inside its pixel, so a frame that is off by more than that shows it elsewhere.
 fn pattern(view: &View, world_from_asset: &DAffine3, random: &mut SplitMix64) -> Shape {
     let asset_from_world = world_from_asset.inverse();
     let (w, h) = (f64::from(view.width), f64::from(view.height));
@@ -143,8 +143,8 @@ fn pattern(view: &View, world_from_asset: &DAffine3, random: &mut SplitMix64) ->
     shape
 }
 
-/// Ten millimetres from samples that are two kilometres from their asset's origin, which is at UTM coordinates, turned and
-/// scaled. The matrices are f32 numbers of 24 bits, as the GPU holds them.
+/// Ten millimetres from samples that are two kilometres from the origin of their asset, which is at UTM coordinates, rotated and
+/// scaled. The matrices are f32 numbers of 24 bits, as on the GPU.
 #[test]
 fn millimetres_away_kilometres_from_the_grids_origin() {
     let turned = |axis: DVec3, angle: f64, scale: DVec3| {
@@ -158,7 +158,7 @@ fn millimetres_away_kilometres_from_the_grids_origin() {
         turned(DVec3::new(1.0, 2.0, -0.5), 0.7, DVec3::splat(1.3)),
         turned(DVec3::new(-1.0, 0.3, 0.8), 2.1, DVec3::new(0.9, 1.1, 0.77)),
     ];
-    // An octant each, so that a chunk has one of them alone.
+    // In different octants, so that a chunk contains only one of them.
     let places = [
         DVec3::new(-FAR, -1700.3, -FAR),
         DVec3::new(FAR, FAR, 1234.5),
@@ -169,7 +169,7 @@ fn millimetres_away_kilometres_from_the_grids_origin() {
         let (mut cloud, mut views) = (Shape::default(), Vec::new());
         for place in places {
             let target = world_from_asset.transform_point3(on_grid(place));
-            // The others are behind the eye.
+            // The other places are behind the eye.
             let is_behind = |ahead: DVec3, other: DVec3| {
                 other == place || ahead.dot(world_from_asset.transform_vector3(other - place)) < 0.0
             };

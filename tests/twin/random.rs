@@ -1,6 +1,6 @@
-//! Random small scenes: whatever is drawn, the frame is the oracle's.
+//! Random small scenes: the frame always equals the oracle's.
 //!
-//! The seed is fixed, so that every run draws the same scenes; `PROPTEST_RNG_SEED` and `PROPTEST_CASES` draw others.
+//! The seed is fixed, so every run draws the same scenes. `PROPTEST_RNG_SEED` and `PROPTEST_CASES` select others.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -15,7 +15,7 @@ use super::stage::Case;
 use super::verdict::Tolerance;
 
 type Sample = ([f64; 3], [u8; 3], [f32; 3]);
-/// A corner, two edges, a size, colours of the corners.
+/// A corner, two edges, a size, and the colours of the corners.
 type Triangle = ([f64; 3], [[f64; 3]; 2], f64, [[u8; 3]; 3]);
 
 fn vector(reach: f64) -> impl Strategy<Value = [f64; 3]> {
@@ -28,7 +28,7 @@ fn samples() -> impl Strategy<Value = Vec<Sample>> {
 }
 
 fn triangles() -> impl Strategy<Value = Vec<Triangle>> {
-    // Sizes from a hundredth of the scene to more than all of it.
+    // Sizes from a hundredth of the scene to more than the whole scene.
     let size = (-2f64..0.5).prop_map(|exponent| 10f64.powf(exponent));
     let triangle =
         (vector(2.0), [vector(1.0), vector(1.0)], size, prop::array::uniform3(any::<[u8; 3]>()));
@@ -61,7 +61,7 @@ fn config() -> ProptestConfig {
     if let Some(cases) = std::env::var("PROPTEST_CASES").ok().and_then(|cases| cases.parse().ok()) {
         config.cases = cases;
     }
-    // A shrunk scene is smaller, not clearer: the pictures of the failure tell more.
+    // Shrinking does not help much: the images of a failure tell more than a smaller scene.
     config.max_shrink_iters = 40;
     config
 }
@@ -109,8 +109,8 @@ proptest! {
         let case = Case::new(&format!("random-{number}"), &files, &scene);
         let (eye, target) = (offset + DVec3::from(eye), offset + DVec3::from(target));
         let view = Camera { eye, target, up: DVec3::Y, fov_deg }.view(96, 72).unwrap();
-        // In a small frame one pixel of random colours weighs 35 dB, and a lone sample a hair's breadth aside is a hole and a
-        // leak; that they are explained is what counts.
+        // In a small frame of random colours a single wrong pixel costs 35 dB, and a lone sample that is slightly off makes a
+        // hole and a leak. What matters is that differences are explained.
         let tolerance = Tolerance { psnr: 32.0, stray: 4, unexplained: 1, at_edges: 4, ..Tolerance::default() };
         case.check(&view, &tolerance);
     }

@@ -1,4 +1,4 @@
-//! Splats of real scans and models beside the oracle's. `POINTILLIST_DATA` names their folder; without it, or
+//! Compares splats of real scans and models with the oracle's. `POINTILLIST_DATA` names their folder. Without it, or
 //! `../shared/data` beside the checkout, the test prints "skipped" and passes.
 
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use serde_json::json;
 use super::splats::{check, splats};
 use super::stage::Case;
 
-/// Scans as they are, and models that are sampled.
+/// Scans, and models that are sampled.
 const SCANS: &[&str] = &[
     "pointclouds/kitten.xyz",
     "pointclouds/bunnyFloat.e57",
@@ -31,7 +31,7 @@ fn data() -> Option<PathBuf> {
     folder.is_dir().then_some(folder)
 }
 
-/// The whole scene, from its front and above.
+/// A view of the whole scene from its front and above.
 fn overview(case: &Case) -> View {
     let scene = case.reference.scene();
     let bounds = scene.items.iter().fold(Bounds::EMPTY, |all, item| {

@@ -1,4 +1,4 @@
-//! One pixel a sample.
+//! Samples drawn as single pixels.
 
 use glam::{DVec2, DVec3, Vec3};
 use pointillist::math::Camera;
@@ -36,21 +36,21 @@ fn samples_on_a_sphere_turn_towards_the_eye() {
     let mut cloud = Shape::cloud(20_000, [-1.0; 3], [1.0; 3], 3);
     for (position, normal) in cloud.positions.iter_mut().zip(&mut cloud.normals) {
         *position /= position.length();
-        // Half of them point inwards.
+        // Half of the normals point inwards.
         *normal = position.as_vec3() * if normal.x > 0.0 { 1.0 } else { -1.0 };
     }
     let case = case("sphere-samples", &cloud);
     case.check(&look([0.0, 1.0, 3.0], [0.0; 3], 45.0), &Tolerance::samples());
 }
 
-/// The eye is inside the cloud: samples beside, behind and in front of it.
+/// The eye is inside the cloud, with samples beside, behind and in front of it.
 #[test]
 fn samples_around_the_eye() {
     let mut cloud = Shape::cloud(8_000, [-5.0; 3], [5.0; 3], 4);
     let eye = DVec3::new(0.3, -0.2, 0.5);
     let near: Vec<bool> = cloud.positions.iter().map(|p| (p - eye).length() < 0.3).collect();
     for (position, near) in cloud.positions.iter_mut().zip(near) {
-        // 21 bits a coordinate leave a sample of a large chunk uncertain by a few millionths of the chunk's size.
+        // With 21 bits per coordinate, a sample of a large chunk is uncertain by a few millionths of the chunk's size.
         *position *= if near { 5.0 } else { 1.0 };
     }
     let case = case("around", &cloud);
@@ -59,7 +59,7 @@ fn samples_around_the_eye() {
     }
 }
 
-/// A sample a hundredth of a pixel inside the frame is drawn, one outside is not.
+/// A sample a hundredth of a pixel inside the frame is drawn, and one outside is not.
 #[test]
 fn samples_at_the_frames_edges() {
     let view = look([0.0, 0.0, 5.0], [0.0; 3], 40.0);
@@ -89,7 +89,7 @@ fn samples_at_the_frames_edges() {
     }
     let frames = case("edges", &cloud).check(&view, &Tolerance::samples());
     let covered = frames.covered();
-    // Of the four around each corner one is inside; the ends of the rows share its pixel.
+    // Of the four samples around each corner one is inside. The ends of the rows share its pixel.
     assert!(covered <= inside + 4 && covered >= inside - 12, "{covered} of {inside}");
     let on_edge = |i: usize| {
         let (x, y) = (i % 160, i / 160);
@@ -98,12 +98,12 @@ fn samples_at_the_frames_edges() {
     assert!((0..frames.id.len()).all(|i| frames.id[i] == 0 || on_edge(i)));
 }
 
-/// The nearest of many samples in one pixel wins, by differences that 24 bits can just tell.
+/// The nearest of many samples in a pixel wins, at the smallest depth differences that 24 bits resolve.
 #[test]
 fn the_nearest_of_a_column_wins() {
     let mut cloud = Shape::default();
     for k in 0..500 {
-        // Not in the order of depth.
+        // Not in order of depth.
         let step = f64::from(k * 137 % 500);
         cloud.positions.push(DVec3::new(0.001, 0.002, -1e-5 * step));
         cloud.colors.push([(step as u32 / 2) as u8, 255 - (step as u32 / 2) as u8, 0, 255]);
@@ -123,7 +123,7 @@ fn a_lone_sample_and_a_view_that_sees_nothing() {
     assert!(unseen.id.iter().all(|&id| id == 0));
 }
 
-/// Off-centre, anisotropic projections come as matrices.
+/// Off-centre, anisotropic projections are given as matrices.
 #[test]
 fn an_off_centre_view() {
     let case = case("off-centre", &Shape::cloud(20_000, [-1.0; 3], [1.0; 3], 6));

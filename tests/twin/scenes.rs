@@ -15,8 +15,9 @@ fn check(scene: &str, cameras: &[&str], tolerance: &Tolerance) {
 #[test]
 fn town() {
     check("town", &["overview", "square", "street"], &Tolerance::samples());
-    // Level ground seen from straight above: many samples share a depth to f32's rounding, and either may show. There are 10 such pixels
-    // from 94 m above, and 3 from 78 m, where fewer samples share a pixel. Points are drawn: kernels have no part in it.
+    // Level ground seen from straight above: many samples have equal depths up to f32 rounding, and any of them may be visible.
+    // There are 10 such pixels from 94 m above, and 3 from 78 m, where fewer samples share a pixel. Points have no kernels, so
+    // kernels do not matter.
     check("town", &["above"], &Tolerance { unexplained: 10, ..Tolerance::samples() });
 }
 
@@ -30,12 +31,12 @@ fn textured() {
     check("textured", &["front", "detail", "grazing"], &Tolerance::default());
 }
 
-/// All 40 × 40 assemblies. Trees are a pixel tall in the distance, their leaves a twentieth.
+/// All 40 × 40 assemblies. Distant trees are a pixel tall, and their leaves a twentieth of a pixel.
 #[test]
 fn plaza_as_a_whole() {
     let tolerance = Tolerance {
         unless_noise: true,
-        // One frame of eight million triangles is enough.
+        // A single frame of eight million triangles is enough.
         shift_px: 0.0,
         unexplained: 4,
         at_edges: 200 * 150 / 75,
@@ -44,7 +45,7 @@ fn plaza_as_a_whole() {
     check("plaza", &["overview"], &tolerance);
 }
 
-/// The plaza with 8 × 8 assemblies, from among them.
+/// The plaza with 8 × 8 assemblies, seen from inside.
 #[test]
 fn plaza_from_within() {
     let text = std::fs::read_to_string(folder().join("plaza.json")).unwrap();

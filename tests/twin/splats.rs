@@ -1,7 +1,7 @@
-//! Splats beside the oracle's, pass by pass: what the settings, the kernels and the other things in a scene change.
+//! Compares splats with the oracle's: the effects of settings, kernels and other objects in the scene.
 //!
-//! Pixels at a footprint's rim may fall to either side by rounding, and change who wins there. So a frame is held to its
-//! signal-to-noise ratio, and to holes and leaks that lie no farther than a pixel from the oracle's own outline.
+//! Rounding may move pixels at a footprint's rim to either side, which changes the visible splat there. A frame is therefore
+//! judged by its signal-to-noise ratio, and by holes and leaks, which must be within a pixel of the oracle's outline.
 
 use glam::{DVec3, Vec3};
 use pointillist::accuracy::metrics;
@@ -15,28 +15,28 @@ use serde_json::{Value, json};
 use super::files::Shape;
 use super::stage::{Case, Frames, folder, look};
 
-/// Splats as the scene has them but for the filter.
+/// The scene's settings of splats with another filter.
 pub fn splats(filter: Filter) -> Settings {
     Settings { reconstruct: Reconstruct::Splats, filter: Some(filter), ..Settings::default() }
 }
 
-/// The oracle's frame of the same settings.
+/// The oracle's frame with the same settings.
 pub fn oracle(case: &Case, view: &View, settings: Settings) -> OracleFrame {
     let scene = case.reference.description().splats;
     case.reference.frame_with(view, 1, settings.splats(&scene).as_ref())
 }
 
-/// What two frames differ by.
+/// Differences of two frames.
 #[derive(Debug)]
 pub struct Difference {
     pub psnr: f64,
-    /// Of the normals' images.
+    /// PSNR of the normal images.
     pub normal_psnr: f64,
     pub depth_p99: f64,
     pub holes: u64,
     pub leaks: u64,
     pub covered: u64,
-    /// Pixels whose instance differs where both show one.
+    /// Pixels with different instances where both frames show one.
     pub ids: usize,
 }
 
@@ -59,7 +59,7 @@ pub fn difference(twin: &OracleFrame, frames: &Frames) -> Difference {
     }
 }
 
-/// Draws, compares with `against` (the oracle's settings) and fails with pictures.
+/// Draws a frame, compares it with the oracle's frame with the settings `against`, and fails with images.
 pub fn check(
     case: &Case,
     view: &View,
@@ -90,7 +90,7 @@ pub fn check(
     frames
 }
 
-/// A sphere of samples that look outwards.
+/// A sphere of samples with outward normals.
 pub fn ball(count: usize, seed: u64) -> Shape {
     let mut cloud = Shape::cloud(count, [-1.0; 3], [1.0; 3], seed);
     for (position, normal) in cloud.positions.iter_mut().zip(&mut cloud.normals) {
@@ -141,7 +141,7 @@ fn every_setting_is_the_oracles() {
                 shading: Some(shading),
                 ..splats(Filter::Perspective)
             };
-            // One pixel shows one splat's colour and normal: whose, rounding decides where two cross.
+            // A pixel of opaque splats shows one splat's colour and normal. Where two splats intersect, rounding decides which.
             let least = if blend == Blend::Opaque { 36.0 } else { 44.0 };
             let frames = check(&case, &view, settings, settings, least);
             assert_eq!(frames.ran(Pass::BlendSplats), blend == Blend::Weighted);
@@ -149,7 +149,7 @@ fn every_setting_is_the_oracles() {
     }
 }
 
-/// Widths, cut-offs, offsets and low-pass filters other than those that a scene gets when it says nothing.
+/// Widths, cut-offs, offsets and low-pass filters other than the defaults.
 #[test]
 fn parameters_of_the_scene_are_the_oracles() {
     for (number, own) in [
@@ -164,13 +164,14 @@ fn parameters_of_the_scene_are_the_oracles() {
         let case =
             case(&format!("splat-parameters-{number}"), &ball(1200, 13), json!({ "splats": own }));
         let settings = Settings { reconstruct: Reconstruct::Splats, ..Settings::default() };
-        // Disks that end at 0.6 standard deviations are all rim, and lengths are stored to a quarter of a percent.
+        // Disks that end at 0.6 standard deviations are all rim, and lengths are stored with an accuracy of a quarter of a
+        // percent.
         let least = if number == 2 { 40.0 } else { 44.0 };
         check(&case, &look([0.0, 1.0, 3.0], [0.0; 3], 45.0), settings, settings, least);
     }
 }
 
-/// Instances that stretch, shear and mirror, beside samples without normals and triangles in one depth.
+/// Instances that stretch, shear and mirror, beside samples without normals and triangles, with a common depth test.
 #[test]
 fn splats_share_their_depth_with_everything_else() {
     let mut cloud = ball(900, 14);
@@ -203,7 +204,7 @@ fn splats_share_their_depth_with_everything_else() {
     }
 }
 
-/// The eye stands among the splats: some reach the camera plane, many are large.
+/// The eye is among the splats: some reach the camera plane, and many are large.
 #[test]
 fn splats_around_the_eye() {
     let case = case("splat-around", &ball(700, 15), json!({ "splats": { "width": 1.5 } }));
@@ -224,7 +225,7 @@ fn splats_around_the_eye() {
     }
 }
 
-/// Sampled solids: sharp edges by clip lines, on both paths and in every filter.
+/// Sampled solids with sharp edges by clip lines, on both paths and with every filter.
 #[test]
 fn clip_lines_are_the_oracles() {
     let scene = json!({
@@ -245,7 +246,7 @@ fn clip_lines_are_the_oracles() {
     }
 }
 
-/// A cube of edge 2 with outward faces, without normals of its own.
+/// A cube of edge 2 with outward faces, without normals.
 pub fn cube() -> Shape {
     let mut shape = Shape::default();
     for axis in 0..3 {
@@ -265,7 +266,7 @@ pub fn cube() -> Shape {
     shape
 }
 
-/// What is promised of the committed scenes: 45 dB for `exact` and 38 dB for `perspective`, each against the exact oracle.
+/// Guarantees for the committed scenes: 45 dB for `exact` and 38 dB for `perspective`, each compared with the exact oracle.
 #[test]
 fn committed_scenes() {
     for (scene, cameras) in

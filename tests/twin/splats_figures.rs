@@ -1,4 +1,4 @@
-//! The figures of Zwicker et al. 2004 as scenes, with numbers for what they show.
+//! The figures of Zwicker et al. 2004 as scenes, with measurements of what they show.
 
 use glam::{DVec2, DVec3, Vec3};
 use pointillist::math::{Camera, View};
@@ -10,8 +10,8 @@ use super::files::Shape;
 use super::splats::{case, cube, oracle, splats};
 use super::stage::{Case, Frames, look};
 
-/// Samples on a square lattice in the plane of x and z, looking up, `count` a side; their radii are half their distance,
-/// so that a scene's cut-off and width say how far disks reach.
+/// Samples on a square lattice in the xz plane, facing up, `count` per side. Their radii are half their distance, so the scene's
+/// cut-off and width determine how far disks extend.
 fn lattice(count: u32, spacing: f64, color: impl Fn(u32, u32) -> [u8; 4]) -> Shape {
     let mut shape = Shape::default();
     let middle = f64::from(count - 1) / 2.0;
@@ -30,15 +30,15 @@ fn unfiltered(filter: Filter) -> Settings {
     Settings { prefilter: Some(false), ..splats(filter) }
 }
 
-/// Pixels that one frame covers and another does not.
+/// Number of pixels that are expected to be covered but are not.
 fn missing(expected: &[u32], found: &Frames) -> usize {
     expected.iter().zip(&found.id).filter(|(a, b)| **a != 0 && **b == 0).count()
 }
 
-/// Fig. 3: disks that touch each other on a tilted plane touch in the image under the perspective filter, not under the affine.
+/// Fig. 3: disks that touch on a tilted plane also touch in the image under the perspective filter, but not under the affine one.
 #[test]
 fn figure_3_disks_that_touch() {
-    // Estimated kernels of this lattice are circles; their width is set so that disks just touch.
+    // Estimated kernels of this lattice are circles. Their width is set so that disks just touch.
     let cloud = lattice(12, 1.0, |_, _| [200, 180, 160, 255]);
     let case = case(
         "figure-3",
@@ -56,29 +56,29 @@ fn figure_3_disks_that_touch() {
         [Filter::Affine, Filter::Perspective, Filter::Exact].map(wrong);
     println!("of {area} pixels wrong: affine {affine}, perspective {perspective}, exact {exact}");
     assert!(area > 10_000);
-    // The outline is exact: what rounding decides at the rim is left.
+    // The outline is exact. Only rounding at the rim remains.
     assert!(perspective <= area / 500 && exact <= area / 500);
     assert!(affine > area / 50);
 }
 
-/// A view of any size.
+/// A view of this size.
 fn view(eye: [f64; 3], target: [f64; 3], fov_deg: f64, width: u32, height: u32) -> View {
     let (eye, target) = (DVec3::from(eye), DVec3::from(target));
     Camera { eye, target, up: DVec3::Y, fov_deg }.view(width, height).unwrap()
 }
 
-/// Fig. 7: seen at a flat angle and far off the axis, the affine filter leaves holes where the others leave none.
+/// Fig. 7: at a flat angle and far off the axis, the affine filter leaves holes, and the others leave none.
 #[test]
 fn figure_7_extreme_perspective() {
     let cloud = lattice(160, 0.05, |i, k| {
         if (i / 8 + k / 8).is_multiple_of(2) { [230; 4] } else { [40, 60, 90, 255] }
     });
     let case = case("figure-7", &cloud, json!({ "lights": [], "splats": { "cutoff": 1.76 } }));
-    // A wide lens looks past the plane, which lies in the corner of the image.
+    // A wide lens that looks past the plane, which is in the corner of the image.
     let base = view([0.0, 0.06, 3.2], [0.0, 0.3, -0.5], 120.0, 400, 300);
     for (name, shift) in [("centred", DVec2::ZERO), ("off axis", DVec2::new(190.0, 0.0))] {
         let view = View { principal_px: base.principal_px + shift, ..base };
-        // What the plane itself covers, a little inside its rim.
+        // The pixels that the plane covers, a little inside its rim.
         let inside: Vec<u32> = (0..view.width * view.height)
             .map(|i| {
                 let pixel = DVec2::new(f64::from(i % view.width), f64::from(i / view.width)) + 0.5;
@@ -101,7 +101,7 @@ fn figure_7_extreme_perspective() {
     }
 }
 
-/// Mean squared deviation of the luminance from its local mean, over the rows given.
+/// Mean squared deviation of the luminance from its local mean, over these rows.
 fn roughness(frames: &Frames, rows: std::ops::Range<usize>) -> f64 {
     let width = frames.width as usize;
     let light = |i: usize| f64::from(frames.color[i][0]) / 255.0;
@@ -110,7 +110,7 @@ fn roughness(frames: &Frames, rows: std::ops::Range<usize>) -> f64 {
     for y in rows {
         for x in 1..width - 1 {
             let i = y * width + x;
-            // What a low-pass filter at the Nyquist frequency would take away, along both axes.
+            // The part that a low-pass filter at the Nyquist frequency would remove, along both axes.
             let around = [i - 1, i + 1, i - width, i + width].map(light).iter().sum::<f64>() / 4.0;
             sum += (light(i) - around).powi(2);
             count += 1.0;
@@ -119,7 +119,8 @@ fn roughness(frames: &Frames, rows: std::ops::Range<usize>) -> f64 {
     sum / count
 }
 
-/// Fig. 6: a checkerboard whose squares shrink below a pixel: energy above the Nyquist frequency with the low-pass filter and without.
+/// Fig. 6: a checkerboard whose squares shrink below a pixel. Compares energy above the Nyquist frequency with and without the
+/// low-pass filter.
 #[test]
 fn figure_6_checkerboard() {
     let check =
@@ -131,14 +132,14 @@ fn figure_6_checkerboard() {
         let settings = Settings { prefilter: Some(prefilter), ..splats(Filter::Perspective) };
         case.draw_with(&view, settings)
     };
-    // Rows near the horizon, where two squares fall into a pixel.
+    // Rows near the horizon, where a pixel covers two squares.
     let rows = 100..118;
     let (with, without) = (roughness(&draw(true), rows.clone()), roughness(&draw(false), rows));
     println!("energy above Nyquist: {with:.2e} with the low-pass filter, {without:.2e} without");
     assert!(with < without / 4.0 && without > 1e-3);
 }
 
-/// Pixels where two frames show different things, per pixel of the outlines and creases that they could differ at.
+/// Number of pixels in which two frames differ, per pixel of the outlines and creases at which they could differ.
 fn edge_error(solid: &Frames, sampled: &Frames) -> (f64, f64) {
     let width = solid.width as usize;
     let differs = |a: [u8; 4], b: [u8; 4]| (0..4).any(|c| a[c].abs_diff(b[c]) > 40);
@@ -154,7 +155,7 @@ fn edge_error(solid: &Frames, sampled: &Frames) -> (f64, f64) {
     (wrong.count() as f64 / length, silhouette.count() as f64 / length)
 }
 
-/// Fig. 5: the cube as splats beside the cube as triangles: how far edges and silhouette lie off, in pixels.
+/// Fig. 5: compares a cube of splats with a cube of triangles: the error of edges and silhouette in pixels.
 #[test]
 fn figure_5_sharp_edges() {
     let file = ("box.ply", cube().ply());
@@ -184,7 +185,7 @@ fn figure_5_sharp_edges() {
     }
 }
 
-/// Fig. 8: an edge that a CSG operation makes: a bore in a block, beside the circle that it is.
+/// Fig. 8: compares an edge from a CSG operation, a bore in a block, with the exact circle.
 #[test]
 fn figure_8_edges_of_csg() {
     let case = Case::committed("part");
@@ -194,7 +195,7 @@ fn figure_8_edges_of_csg() {
         prefilter: Some(false),
         ..Settings::default()
     };
-    // The bore's rim on the top face: its axis and its radius, a tenth of the block's length, as the generator has them.
+    // The bore's rim on the top face: its axis, and its radius, a tenth of the block's length, as in the generator.
     const RADIUS: f64 = 0.24;
     let view = look([0.816, 2.0, 0.001], [0.816, 0.0, 0.0], 40.0);
     let frames = case.draw_with(&view, settings);
@@ -207,7 +208,7 @@ fn figure_8_edges_of_csg() {
     assert!(off(mean) < 0.4, "{radius:?}, a pixel is {pixel:.4}");
 }
 
-/// Height of the face around the bore below the eye, and least, mean and greatest distance of the bore's rim from its axis.
+/// Height of the face around the bore below the eye, and the smallest, mean and largest distance of the bore's rim from its axis.
 fn rim(frames: &Frames, view: &View) -> (f64, [f64; 3]) {
     let width = frames.width as usize;
     let at = |x: usize, y: usize| y * width + x;
@@ -219,7 +220,7 @@ fn rim(frames: &Frames, view: &View) -> (f64, [f64; 3]) {
     let top = view.eye.y - depth_of_face;
     let centre = DVec2::new(view.principal_px.x, view.principal_px.y);
     let distance = |direction: DVec2| {
-        // From the axis outwards to the first pixel of the face.
+        // Step from the axis outwards to the first pixel of the face.
         (0..frames.width).map(|step| f64::from(step) * 0.25).find(|step| {
             let p = centre + direction * *step;
             let i = at(p.x as usize, p.y as usize);

@@ -1,4 +1,4 @@
-//! The engines under test and the scenes that they draw.
+//! The engines under test, and their scenes.
 
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -16,9 +16,9 @@ use serde_json::Value;
 
 use super::verdict::{self, Tolerance};
 
-/// Where scenes are written, and pictures of those that failed.
+/// The folder of scenes and of images of failures.
 static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
-    // A process of its own for each test is what some runners start.
+    // Some runners start a process for each test, so each process has its own folder.
     let runs = Path::new(env!("CARGO_TARGET_TMPDIR")).join("twin");
     std::fs::create_dir_all(&runs).unwrap();
     remove_old(&runs);
@@ -26,7 +26,7 @@ static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
     let _ = std::fs::remove_dir_all(&folder);
     std::fs::create_dir_all(&folder).unwrap();
     let folder = folder.canonicalize().unwrap();
-    // The committed scenes, so that one root holds all.
+    // The committed scenes are copied, so that all scenes have one root.
     let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes");
     for entry in std::fs::read_dir(from).unwrap() {
         let file = entry.unwrap().path();
@@ -50,7 +50,7 @@ fn engines() -> [&'static Engine; 3] {
     [&WIDE, &NARROW, &RASTERISING]
 }
 
-/// What runs of an hour ago and more have left.
+/// Removes folders of runs that are an hour old or more.
 fn remove_old(runs: &Path) {
     const KEPT: std::time::Duration = std::time::Duration::from_secs(3600);
     for entry in std::fs::read_dir(runs).unwrap().flatten() {
@@ -61,19 +61,19 @@ fn remove_old(runs: &Path) {
     }
 }
 
-/// With 64-bit atomics, where the adapter has them.
+/// The engine with 64-bit atomics, if the adapter has them.
 static WIDE: LazyLock<Engine> = LazyLock::new(|| engine(false, false));
-/// Without.
+/// The engine without 64-bit atomics.
 static NARROW: LazyLock<Engine> = LazyLock::new(|| engine(true, false));
-/// With the adapter's rasteriser for large triangles in place of the walk in compute, and all that is hidden.
+/// The engine with the adapter's rasteriser for large triangles instead of the walk in compute, which also draws hidden chunks.
 static RASTERISING: LazyLock<Engine> = LazyLock::new(|| engine(false, true));
 
-/// Where pictures of failures go.
+/// The folder for images of failures.
 pub fn folder() -> &'static Path {
     &FOLDER
 }
 
-/// A scene, loaded into both engines and as a reference.
+/// A scene, loaded into all engines and as a reference.
 pub struct Case {
     pub id: String,
     pub reference: Reference,
@@ -88,12 +88,12 @@ pub struct Frames {
     pub depth: Vec<f32>,
     pub normal: Vec<[u8; 4]>,
     pub id: Vec<u32>,
-    /// Of the colour frame, with 64-bit atomics.
+    /// Receipt of the colour frame, with 64-bit atomics.
     pub receipt: Receipt,
 }
 
 impl Frames {
-    /// Whether all four images are the same to the bit.
+    /// Whether all four images are equal bit by bit.
     pub fn same_pixels(&self, other: &Frames) -> bool {
         let bits = |frames: &Frames| -> Vec<u32> {
             frames.depth.iter().map(|depth| depth.to_bits()).collect()
@@ -104,14 +104,14 @@ impl Frames {
             && self.id == other.id
     }
 
-    /// Pixels that show something.
+    /// Number of covered pixels.
     pub fn covered(&self) -> usize {
         self.id.iter().filter(|&&id| id != 0).count()
     }
 }
 
 impl Case {
-    /// Writes `files` and the scene into a folder of their own and loads it. `name` is unique among the tests.
+    /// Writes `files` and the scene into a new folder and loads the scene. `name` must be unique among the tests.
     pub fn new(name: &str, files: &[(&str, Vec<u8>)], scene: &Value) -> Case {
         let folder = FOLDER.join(name);
         std::fs::create_dir_all(&folder).unwrap();
@@ -123,14 +123,14 @@ impl Case {
         Self::load(name, &path)
     }
 
-    /// A committed scene.
+    /// Loads a committed scene.
     pub fn committed(name: &str) -> Case {
         static LOADED: AtomicU32 = AtomicU32::new(0);
         let number = LOADED.fetch_add(1, Ordering::Relaxed);
         Self::load(&format!("{name}-{number}"), &FOLDER.join(format!("{name}.json")))
     }
 
-    /// A file below the folder.
+    /// Loads a file in the folder.
     pub fn load(id: &str, path: &Path) -> Case {
         for engine in engines() {
             engine.load(id, path).unwrap_or_else(|error| panic!("{id}: {error}"));
@@ -140,7 +140,7 @@ impl Case {
         Case { id: id.to_owned(), reference }
     }
 
-    /// Shows or hides a top-level node in both engines; the reference stays as it is.
+    /// Shows or hides a top-level node in all engines; the reference is unchanged.
     pub fn show(&self, node: &str, visible: bool) {
         let patch = NodePatch { visible: Some(visible), ..NodePatch::default() };
         for engine in engines() {
@@ -148,7 +148,7 @@ impl Case {
         }
     }
 
-    /// The frame of both engines, which must not differ in a single bit.
+    /// Draws the frame with both engines, whose images must be equal bit by bit.
     pub fn draw(&self, view: &View) -> Frames {
         self.draw_with(view, Settings::drawn_as(Reconstruct::Points))
     }
@@ -167,7 +167,7 @@ impl Case {
         panic!("{}: the second engine has 64-bit atomics: {:?}", self.id, narrow.receipt.passes);
     }
 
-    /// The frames of every engine: with 64-bit atomics, without, and with the rasteriser and all that is hidden.
+    /// Draws the frame with every engine: with 64-bit atomics, without, and with the rasteriser and hidden chunks.
     pub fn each(&self, view: &View) -> [Frames; 3] {
         self.each_with(view, Settings::drawn_as(Reconstruct::Points))
     }
@@ -177,7 +177,7 @@ impl Case {
         engines().map(|engine| frames(engine, &self.id, view, settings))
     }
 
-    /// Draws and compares with the oracle; fails with pictures.
+    /// Draws the frame and compares it with the oracle's; fails with images.
     pub fn check(&self, view: &View, tolerance: &Tolerance) -> Frames {
         let frames = self.draw(view);
         verdict::judge(&self.id, &self.reference, view, &frames, tolerance);
@@ -191,7 +191,7 @@ impl Case {
         frames
     }
 
-    /// The view of a camera that the scene names.
+    /// The view of one of the scene's cameras.
     pub fn view(&self, camera: &str, width: u32, height: u32) -> View {
         self.reference.camera(camera).unwrap().view(width, height).unwrap()
     }
@@ -218,10 +218,10 @@ pub fn look(eye: [f64; 3], target: [f64; 3], fov_deg: f64) -> View {
 }
 
 fn frames(engine: &Engine, scene: &str, view: &View, settings: Settings) -> Frames {
-    // The oracle uses eye-dome light only where a test asks for it.
+    // The oracle uses eye-dome lighting only if a test requests it.
     let edl = if settings.edl == Edl::Auto { Edl::Off } else { settings.edl };
     let settings = Settings { edl, ..settings };
-    // All four wait at once, so that they share a submission.
+    // All four requests wait at the same time, so that they share a submission.
     let outputs = [Output::Color, Output::Depth, Output::Normal, Output::Id];
     let tickets = outputs.map(|output| {
         let request = FrameRequest {

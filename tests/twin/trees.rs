@@ -1,5 +1,5 @@
-//! The error that was accepted, beside the oracle at full detail: outlines of what is taken from point trees are no farther from those of
-//! all samples, drawn in f64, than was promised.
+//! Compares frames of point trees with the oracle at full detail: their outlines are within the promised error of the outlines of
+//! all samples, drawn in f64.
 
 use glam::DVec3;
 use pointillist::accuracy::metrics::{covered_by_id, farthest_px, psnr};
@@ -12,10 +12,10 @@ use super::splats::{ball, case, oracle};
 use super::stage::Case;
 use serde_json::json;
 
-/// Where pixels lie and what splats' filter and outlines add, on either side.
+/// Allowance for the pixel grid and for the filter and outlines of splats, on either side.
 const PIXEL_PX: f64 = 1.5;
 
-/// All around `centre`, from `near` to `far` away.
+/// Poses all around `centre`, at distances from `near` to `far`.
 fn poses(centre: DVec3, [near, far]: [f64; 2], count: usize) -> Vec<View> {
     let mut random = SplitMix64::new(41);
     (0..count)
@@ -56,12 +56,12 @@ fn check(case: &Case, views: &[View], reconstruct: Reconstruct, least_db: f64) {
                 "{} {number}, {px} px, {error_mode:?}: {beyond:.2} beyond, {short:.2} short, {db:.1} dB",
                 case.id
             );
-            // Where a surface ends, and is seen at an angle.
+            // The bound at the end of a surface, which may be seen at an angle.
             let sideways = if error_mode == ErrorMode::Split { 1.0 / SIDEWAYS } else { 1.0 };
             let limit = f64::from(px * sideways) + PIXEL_PX;
             let fits = beyond <= limit && short <= limit;
             assert!(fits, "{} {number}, {px} px: {beyond} beyond, {short} short", case.id);
-            // As many less as more may be wrong.
+            // Twice the accepted error may cost 6 dB.
             let least_db = least_db - 6.0 * f64::from(px / 0.5).log2();
             assert!(db >= least_db, "{} {number}, {px} px: {db} dB", case.id);
         }

@@ -1,4 +1,4 @@
-//! Triangles of every size, in the compute walk and in the rasteriser, and where the two meet.
+//! Triangles of all sizes, in the compute walk and in the rasteriser, and the border between both.
 
 use glam::{DVec2, DVec3};
 use pointillist::math::View;
@@ -18,12 +18,12 @@ fn rasterised(frames: &Frames) -> u64 {
     frames.receipt.triangles.rasterised.unwrap()
 }
 
-/// A point of the world behind an image position.
+/// The world point behind an image position at a depth.
 fn unproject(view: &View, x: f64, y: f64, depth: f64) -> DVec3 {
     view.eye + view.view_from_world.transpose() * (view.ray(DVec2::new(x, y)) * depth)
 }
 
-/// A colour that varies smoothly with the place.
+/// A colour that varies smoothly with the position.
 fn tint(p: DVec3) -> [u8; 4] {
     let wave = |v: f64| (128.0 + 90.0 * v.sin()) as u8;
     [wave(p.x), wave(p.y + 1.0), wave(p.z + p.x + 2.0), 255]
@@ -41,7 +41,7 @@ fn small_triangles_of_a_closed_surface() {
 #[test]
 fn triangles_of_less_than_a_pixel() {
     let case = case("fine-ball", &Shape::ball(120, 1.0));
-    // Many triangles a pixel: which one a centre meets depends on where the 1/256-pixel grid puts its corners.
+    // With many triangles per pixel, the 1/256-pixel grid decides which one covers a pixel's centre.
     let tolerance = Tolerance { color: 6, depth: 1e-3, normal: 6, ..Tolerance::default() };
     case.check(&look([0.0, 2.0, 7.0], [0.0; 3], 45.0), &tolerance);
     case.check(&look([0.0, 8.0, 28.0], [0.0; 3], 45.0), &tolerance);
@@ -70,11 +70,11 @@ fn large_triangles() {
     let case = case("cube", &cube(1.0));
     let frames = case.check(&look([1.5, 1.2, 2.6], [0.0; 3], 45.0), &Tolerance::default());
     assert!(rasterised(&frames) >= 6, "{}", rasterised(&frames));
-    // From within: all faces meet the frame's edges or the camera plane.
+    // From inside all faces intersect the frame's edges or the camera plane.
     case.check(&look([0.3, -0.2, 0.4], [1.0, 0.1, -0.4], 80.0), &Tolerance::default());
 }
 
-/// A room through whose walls and floor the camera plane goes, and small triangles around the eye.
+/// A room whose walls and floor intersect the camera plane, and small triangles around the eye.
 #[test]
 fn triangles_through_the_camera_plane() {
     let far = 200.0;
@@ -90,14 +90,14 @@ fn triangles_through_the_camera_plane() {
         ground.check(&look([0.0; 3], target, 70.0), &Tolerance::default());
     }
     let shell = case("shell", &Shape::ball(30, 2.0));
-    // A hand's breadth inside the shell and outside of it.
+    // Slightly inside and slightly outside the shell.
     for eye in [[0.0, 0.3, 1.9], [0.2, -1.3, 1.2], [0.0, 0.1, 2.05]] {
         let frames = shell.check(&look(eye, [1.0, 0.2, 1.9], 75.0), &Tolerance::default());
         assert!(rasterised(&frames) > 0);
     }
 }
 
-/// A disc of small triangles in a frame-filling fan of large ones: no crack where the walk and the rasteriser meet.
+/// A disc of small triangles in a fan of large ones that fills the frame: there is no crack between the walk and the rasteriser.
 #[test]
 fn small_and_large_triangles_share_edges() {
     let mut mesh = Shape::default();
@@ -133,12 +133,12 @@ fn small_and_large_triangles_share_edges() {
     }
 }
 
-/// A checkerboard of cells whose corners are pixel centres, drawn as two nodes of alternating triangles: each pixel
-/// belongs to exactly one of them.
+/// A checkerboard of cells whose corners are pixel centres, drawn as two nodes of alternating triangles. Each pixel belongs to
+/// exactly one of them.
 #[test]
 fn edges_through_pixel_centres_have_one_owner() {
     let view = look([0.2, 0.3, 5.0], [0.0; 3], 40.0);
-    // A cell of 40 pixels goes to the rasteriser, one of 8 is walked; in the third picture the two kinds meet.
+    // Cells of 40 pixels go to the rasteriser, cells of 8 are walked, and in the third image both kinds meet.
     for (name, sizes) in [("cells-8", [8, 8]), ("cells-40", [40, 40]), ("cells-mixed", [8, 40])] {
         let mut halves = [Shape::default(), Shape::default()];
         for row in 0..120 / 40 {
@@ -176,7 +176,7 @@ fn edges_through_pixel_centres_have_one_owner() {
             assert_eq!(owners, covered, "{name}: pixel {}, {}", i % 160, i / 160);
             inside += covered;
         }
-        // The board's outer edge runs through pixel centres, too: it owns them on two sides.
+        // The board's outer edge also runs through pixel centres, which belong to it on two sides.
         assert_eq!(inside, 160 * 120, "{name}");
     }
 }
@@ -188,7 +188,7 @@ fn slivers_and_triangles_without_area() {
     for k in 0..120 {
         let at = random_direction(&mut random) * random.range(0.0, 1.5);
         let along = random_direction(&mut random) * random.range(0.2, 3.0);
-        // From nothing to about two pixels wide.
+        // From zero to about two pixels wide.
         let wide = random_direction(&mut random) * 0.05 * (f64::from(k) / 120.0).powi(3);
         let color = tint(at * 3.0);
         mesh.add(&Shape::triangle(
@@ -196,13 +196,13 @@ fn slivers_and_triangles_without_area() {
             [color[0], color[1], color[2]],
         ));
     }
-    // Two corners at one place, three on a line, all at one place.
+    // Two corners at one place, three corners on a line, all corners at one place.
     for corners in [[0.0, 0.0, 1.0], [0.0, 0.5, 1.0], [0.5, 0.5, 0.5]] {
         let point = |t: f64| [t, 2.0 * t - 1.0, 0.3 * t];
         mesh.add(&Shape::triangle(corners.map(point), [255, 255, 255]));
     }
-    // What is narrower than the grid's step may vanish, and whether a pixel of a thin one is hit depends on the
-    // rounding of two edges at once.
+    // Slivers narrower than the grid's step may vanish, and rounding of two edges at once decides whether a thin triangle covers
+    // a pixel.
     let tolerance = Tolerance { psnr: 40.0, stray: 3, ..Tolerance::default() };
     case("slivers", &mesh).check(&look([0.5, 1.0, 4.5], [0.0; 3], 45.0), &tolerance);
     let mut flat = Shape::triangle([[-1.0, 0.0, 0.0], [0.0; 3], [1.0, 0.0, 0.0]], [255; 3]);
@@ -212,7 +212,7 @@ fn slivers_and_triangles_without_area() {
     assert_eq!(frames.covered(), 0);
 }
 
-/// Triangles of all sizes through one another, some behind the eye.
+/// Intersecting triangles of all sizes, some behind the eye.
 #[test]
 fn a_soup() {
     let mut random = SplitMix64::new(9);
@@ -236,8 +236,8 @@ fn a_soup() {
     }
 }
 
-/// One triangle in each file, from two millimetres to kilometres away, partly over one another: each is counted on a grid
-/// of its own, and 1/z tells them apart.
+/// One triangle per file, from two millimetres to kilometres away, partly overlapping. Each has a grid of its own, and 1/z
+/// decides which one is in front.
 #[test]
 fn depths_from_near_to_far() {
     let (mut files, mut assets, mut nodes) = (vec![], json!({}), vec![]);

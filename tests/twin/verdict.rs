@@ -1,16 +1,16 @@
-//! When two frames are the same picture.
+//! Decides whether two frames show the same image.
 //!
-//! A corner falls on a grid of 1/256 pixel and positions are packed and projected in f32, so that pixels whose centre
-//! lies within a few thousandths of a pixel of an edge may go to either side. Such a pixel is *explained*: the oracle
-//! itself shows the frame's value there when the image is shifted by 1/256 pixel. Everything else must agree in every
-//! pixel, whatever the signal-to-noise ratio says.
+//! Corners are rounded to a grid of 1/256 pixel, and positions are packed and projected in f32. Pixels whose centre is within a
+//! few thousandths of a pixel of an edge may therefore go to either side. Such a pixel is *explained* if the oracle itself shows
+//! the frame's value there when the image is shifted by 1/256 pixel. Everything else must agree in every pixel, whatever the
+//! signal-to-noise ratio.
 //!
-//! A few pixels at edges cannot be explained so: tips of slivers, which no shift happens to hit, and silhouettes of closed
-//! surfaces, where the centre lies outside by less than the grid and the far side, extended to it, comes out in front of
-//! the near one. They are counted apart: [`Tolerance::at_edges`].
+//! A few pixels at edges cannot be explained in this way: tips of slivers, which no shift happens to hit, and silhouettes of
+//! closed surfaces, where the centre is outside by less than the grid and the far side, extended to it, appears in front of the
+//! near one. These are counted separately: [`Tolerance::at_edges`].
 //!
-//! One thing is a matter of definition: a sample's normal is turned towards the eye along the ray to the sample by the
-//! oracle, along the ray to its pixel's centre by the engine. A normal may point the other way where these disagree.
+//! One difference is a matter of definition. The oracle turns a sample's normal towards the eye along the ray to the sample, the
+//! engine along the ray to its pixel's centre. Where these disagree, a normal may point the other way.
 
 use glam::{DVec2, DVec3};
 use pointillist::accuracy::metrics;
@@ -22,19 +22,19 @@ use pointillist::plan::Output;
 
 use super::stage::{Frames, folder};
 
-/// What a comparison accepts.
+/// Limits of a comparison.
 #[derive(Clone, Copy, Debug)]
 pub struct Tolerance {
-    /// Least PSNR of the colours in dB.
+    /// Smallest PSNR of the colours in dB.
     pub psnr: f64,
-    /// Less than `psnr` will do where the oracle's own picture changes more when it is shifted by 1/512 pixel each way, the
-    /// most that the grid moves a corner: triangles far smaller than a pixel make noise of any rounding.
+    /// Accept less than `psnr` if the oracle's own image changes more when it is shifted by 1/512 pixel each way, the most that
+    /// the grid moves a corner. Triangles far smaller than a pixel turn any rounding into noise.
     pub unless_noise: bool,
-    /// Pixels that differ and are not explained, away from edges.
+    /// Number of pixels that differ without explanation, away from edges.
     pub unexplained: usize,
-    /// As `unexplained`, where the oracle's neighbouring pixels show several surfaces.
+    /// As `unexplained`, for pixels at edges: the oracle shows several surfaces around them.
     pub at_edges: usize,
-    /// Holes inside and leaks outside of silhouettes.
+    /// Number of holes inside and leaks outside of silhouettes.
     pub stray: u64,
     /// Largest difference of a colour byte in an agreeing pixel.
     pub color: u8,
@@ -42,7 +42,7 @@ pub struct Tolerance {
     pub normal: u8,
     /// Largest relative depth error in an agreeing pixel.
     pub depth: f64,
-    /// Shift in pixels that explains; 0 spares the eight frames that it takes.
+    /// Shift in pixels that can explain a difference; 0 saves the eight frames that the shifts take.
     pub shift_px: f64,
 }
 
@@ -63,8 +63,8 @@ impl Default for Tolerance {
 }
 
 impl Tolerance {
-    /// For frames of samples: of two that are less than f32's rounding apart in depth either may show, and one seen
-    /// edge-on is lit by a hair's breadth of angle.
+    /// For frames of samples: if two samples are closer in depth than f32's rounding, either may be visible. The lighting of one
+    /// seen edge-on depends on a tiny angle.
     pub fn samples() -> Self {
         Self { unexplained: 4, at_edges: 12, ..Self::default() }
     }
@@ -87,7 +87,7 @@ impl Twin {
     }
 }
 
-/// The values that the oracle shows at a pixel under several shifts.
+/// The range of the oracle's values at a pixel under several shifts.
 #[derive(Clone, Debug)]
 struct Range {
     color: [[u8; 2]; 4],
@@ -142,7 +142,7 @@ fn opposite([x, y, z, known]: [u8; 4]) -> [u8; 4] {
     [x, y, z, known]
 }
 
-/// Whether a normal is perpendicular to the ray through a pixel but for the pixel's size and the rounding to bytes.
+/// Whether a normal is perpendicular to the ray through a pixel, within the pixel's size and the rounding to bytes.
 fn is_grazing(view: &View, i: usize, normal: [u8; 4]) -> bool {
     let (x, y) = (i % view.width as usize, i / view.width as usize);
     let ray = view.ray(DVec2::new(x as f64, y as f64) + 0.5);
@@ -151,7 +151,7 @@ fn is_grazing(view: &View, i: usize, normal: [u8; 4]) -> bool {
     normal.dot(ray).abs() < 0.8 / view.focal_px.min_element() + 0.007
 }
 
-/// Pixels that differ from the oracle's and are not explained by a shift.
+/// Pixels that differ from the oracle's without being explained by a shift.
 fn unexplained(
     reference: &Reference,
     view: &View,
@@ -186,7 +186,7 @@ fn unexplained(
     open
 }
 
-/// Whether the 3 × 3 pixels around one show more than one smooth surface.
+/// Whether the 3 × 3 pixels around a pixel show more than one smooth surface.
 fn is_edge(twin: &Twin, view: &View, i: usize) -> bool {
     let (width, height) = (view.width as usize, view.height as usize);
     let near = |at: usize, size: usize| at.saturating_sub(1)..(at + 2).min(size);
@@ -200,7 +200,7 @@ fn is_edge(twin: &Twin, view: &View, i: usize) -> bool {
     )
 }
 
-/// Compares a frame with the oracle's and panics when they are not the same picture.
+/// Compares a frame with the oracle's, and panics if they differ too much.
 pub fn judge(
     name: &str,
     reference: &Reference,
@@ -251,7 +251,7 @@ pub fn judge(
     }
 }
 
-/// Ids and depths tell the same pixels apart from the background.
+/// Whether ids and depths cover the same pixels.
 fn covers_agree(id: &[u32], depth: &[f32]) -> bool {
     id.iter().zip(depth).all(|(&id, depth)| (id != 0) == depth.is_finite())
 }
@@ -271,7 +271,7 @@ fn describe(twin: &Twin, frames: &Frames, i: usize) -> String {
     )
 }
 
-/// Writes both pictures, their difference (eight times as strong) and the unexplained pixels (white); says where.
+/// Writes both images, their difference (amplified eight times) and the unexplained pixels (white), and returns where.
 fn picture_failure(name: &str, frames: &Frames, twin: &Twin, unexplained: &[usize]) -> String {
     let difference = twin.color.iter().zip(&frames.color).map(|(a, b)| {
         let [r, g, b, _] = std::array::from_fn(|k| a[k].abs_diff(b[k]).saturating_mul(8));
@@ -293,7 +293,7 @@ fn picture_failure(name: &str, frames: &Frames, twin: &Twin, unexplained: &[usiz
     folder().join(format!("failed/{name}-*.png")).display().to_string()
 }
 
-/// Writes a picture beside the other failures.
+/// Saves an image beside those of failures.
 pub fn save(name: &str, width: u32, height: u32, rgba: Vec<[u8; 4]>) {
     let folder = folder().join("failed");
     std::fs::create_dir_all(&folder).unwrap();

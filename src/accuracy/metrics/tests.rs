@@ -4,7 +4,7 @@ fn grey(values: impl IntoIterator<Item = u8>) -> Vec<[u8; 4]> {
     values.into_iter().map(|v| [v, v, v, 255]).collect()
 }
 
-/// A busy picture and, for `k` > 0, variants of it.
+/// A picture with much detail, and variants of it for `k` > 0.
 fn picture(width: u32, height: u32, k: u32) -> Vec<[u8; 4]> {
     let pixel = |i: u32| {
         let (x, y) = (i % width, i / width);
@@ -24,7 +24,7 @@ fn psnr_and_maximum() {
     assert_eq!(max_error(&a, &b), Ok(0));
     b[1][2] = 14;
     b[3][3] = 0;
-    // One difference of 6 in twelve bytes: a mean square of 3; alpha does not count.
+    // A single difference of 6 in twelve bytes gives a mean square of 3. Alpha does not count.
     let expected = 10.0 * (65025.0f64 / 3.0).log10();
     assert!((psnr(&a, &b).unwrap() - expected).abs() < 1e-12);
     assert_eq!(max_error(&a, &b), Ok(6));
@@ -34,8 +34,8 @@ fn psnr_and_maximum() {
 
 #[test]
 fn psnr_and_ssim_agree_with_scikit_image() {
-    // structural_similarity(luma, gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=255) and
-    // peak_signal_noise_ratio of scikit-image on the same pictures.
+    // Expected values: `structural_similarity(luma, gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
+    // data_range=255)` and `peak_signal_noise_ratio` of scikit-image on the same pictures.
     for (width, height, k, expected_ssim, expected_psnr) in [
         (37, 29, 1, 0.625_421_089_802_803_6, 13.981_285_999_875_2),
         (64, 48, 2, 0.314_681_454_959_591_7, 10.757_083_043_985_574),
@@ -52,14 +52,14 @@ fn psnr_and_ssim_agree_with_scikit_image() {
 #[test]
 fn ssim_of_flat_and_inverted_images() {
     let (a, b) = (grey([100; 400]), grey([150; 400]));
-    // Without variance only the means are compared.
+    // Without variance, SSIM compares only the means.
     let c1 = 2.55f64.powi(2);
     let expected = (2.0 * 100.0 * 150.0 + c1) / (100.0 * 100.0 + 150.0 * 150.0 + c1);
     assert!((ssim(&a, &b, 20, 20).unwrap() - expected).abs() < 1e-9);
     let checker = |flip: u32| grey((0..400u32).map(move |i| 255 * ((i + i / 20 + flip) % 2) as u8));
     assert!((ssim(&checker(0), &checker(0), 20, 20).unwrap() - 1.0).abs() < 1e-12);
     assert!(ssim(&checker(0), &checker(1), 20, 20).unwrap() < -0.9);
-    // Smaller than the window.
+    // An image smaller than the window.
     assert_eq!(ssim(&grey([9]), &grey([9]), 1, 1), Ok(1.0));
     let small = ssim(&picture(7, 30, 0), &picture(7, 30, 1), 7, 30).unwrap();
     assert!(small > 0.1 && small < 0.9, "{small}");
@@ -67,7 +67,7 @@ fn ssim_of_flat_and_inverted_images() {
 
 #[test]
 fn holes_and_leaks_know_silhouettes() {
-    // A block of 6 × 6 in 10 × 10.
+    // A block of 6 × 6 pixels in an image of 10 × 10.
     let block = |x: usize, y: usize| (2..8).contains(&x) && (2..8).contains(&y);
     let reference: Vec<bool> = (0..100).map(|i| block(i % 10, i / 10)).collect();
     let mut image = reference.clone();
@@ -103,7 +103,7 @@ fn depth_errors_are_relative_and_where_both_are_covered() {
     let found = depth_error(&reference, &image).unwrap().unwrap();
     assert_eq!((found.pixels, found.max), (198, 0.5));
     assert!((found.mean - 0.6 / 198.0).abs() < 1e-15);
-    // Rank ⌈0.99 · 198⌉ = 197 of 198: the second largest.
+    // The rank is ⌈0.99 · 198⌉ = 197 of 198: the second largest error.
     assert!((found.p99 - 0.1).abs() < 1e-15);
     assert_eq!(depth_error(&[f64::INFINITY], &[1.0]).unwrap(), None);
 }
@@ -134,7 +134,7 @@ fn sizes_must_agree() {
     assert!(normal_error_deg(&[], &[DVec3::Z]).is_err());
 }
 
-/// Beside a search through all pairs.
+/// Compares with a search through all pairs.
 #[test]
 fn the_farthest_pixel_is_found() {
     let (width, height) = (23, 17);

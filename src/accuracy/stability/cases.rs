@@ -1,4 +1,4 @@
-//! The classes of splats that the report draws.
+//! The classes of splats in the report.
 
 use std::f64::consts::TAU;
 
@@ -10,30 +10,30 @@ use crate::scene::random::SplitMix64;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Class {
     Ordinary,
-    /// This angle in radians between the disk's plane and the line of sight.
+    /// Angle in radians between the disk's plane and the line of sight.
     EdgeOn(f64),
-    /// `F·|(t_u.z, t_v.z)|` over the depth: at 1 the disk touches the camera plane.
+    /// `F·|(t_u.z, t_v.z)|` over the depth; at 1 the disk touches the camera plane.
     Large(f64),
-    /// Axes of this length, 1 to 20 units away.
+    /// Axes of this length, at a distance of 1 to 20 units.
     Tiny(f64),
     /// The eye 10⁻³ to 10⁻⁹ units from the sample, or on it.
     NearEye,
     Far,
-    /// One axis this many times the other.
+    /// Ratio of the two axes.
     Ratio(f64),
-    /// Axes of 10¹².
+    /// Axes of length 10¹².
     Huge,
-    /// Degrees between the viewing direction and the sample.
+    /// Angle in degrees between the viewing direction and the sample.
     OffAxis(f64),
     /// Vertical field of view in degrees.
     FieldOfView(f64),
     ZeroAxis,
     ZeroAxes,
-    /// The camera plane goes through the disk, misses it barely or lies in front of it.
+    /// The camera plane intersects the disk, barely misses it, or lies in front of it.
     Crossing,
 }
 
-/// Every row of the report, in order.
+/// All rows of the report, in order.
 pub fn classes() -> Vec<Class> {
     let mut all = vec![Class::Ordinary];
     all.extend((1..=12).map(|decade| Class::EdgeOn(10f64.powi(-decade))));
@@ -54,22 +54,22 @@ pub struct Disk {
     pub tangents: [Vec3; 2],
 }
 
-/// The part of a camera that the image of a disk depends on.
+/// The parameters of a camera on which the image of a disk depends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lens {
-    /// Pixels for a tangent of 1, positive.
+    /// Pixels per unit of tangent, positive.
     pub focal_px: Vec2,
-    /// Where the viewing direction meets the image.
+    /// The point of the image that the viewing direction meets.
     pub principal_px: Vec2,
 }
 
 impl Lens {
-    /// The lens of disks that come multiplied by their camera's intrinsics.
+    /// The lens of disks that were already multiplied by their camera's intrinsics.
     pub const UNIT: Lens = Lens { focal_px: Vec2::ONE, principal_px: Vec2::ZERO };
 }
 
 impl Disk {
-    /// Multiplies a disk by the intrinsics of its camera, as shaders are given it: `(x·z px, y·z px, z)`.
+    /// Multiplies a disk by the intrinsics of its camera, which gives the form that shaders take: `(x·z px, y·z px, z)`.
     pub fn through(&self, lens: &Lens) -> Disk {
         let (focal, principal) = (lens.focal_px.as_dvec2(), lens.principal_px.as_dvec2());
         let through = |v: Vec3| {
@@ -80,7 +80,7 @@ impl Disk {
     }
 }
 
-/// A splat to be judged.
+/// A splat of the report.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Case {
     pub disk: Disk,
@@ -88,9 +88,9 @@ pub struct Case {
     pub lens: Lens,
 }
 
-/// Half the edge of the image, in px.
+/// Half the side of the image, in pixels.
 const HALF_PX: f64 = 512.0;
-/// Pixels for a tangent of 1, where the class says nothing else.
+/// Default number of pixels per unit of tangent.
 const FOCAL_PX: f64 = 900.0;
 
 fn unit(random: &mut SplitMix64) -> DVec3 {
@@ -99,12 +99,12 @@ fn unit(random: &mut SplitMix64) -> DVec3 {
     DVec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z)
 }
 
-/// `10^exponent` for a uniform exponent.
+/// `10^exponent` with a uniform exponent between `low` and `high`.
 fn decades(random: &mut SplitMix64, low: f64, high: f64) -> f64 {
     10f64.powf(random.range(low, high))
 }
 
-/// Two orthogonal unit vectors in the plane with this normal, turned at random.
+/// Two orthogonal unit vectors in the plane with this normal, turned by a random angle.
 fn frame(normal: DVec3, random: &mut SplitMix64) -> [DVec3; 2] {
     let (x, y) = normal.any_orthonormal_pair();
     let (sin, cos) = random.range(0.0, TAU).sin_cos();
@@ -130,7 +130,7 @@ impl Class {
         }
     }
 
-    /// A random splat of the class.
+    /// Draws a random splat of the class.
     pub fn draw(self, random: &mut SplitMix64) -> Case {
         let focal = match self {
             Class::FieldOfView(degrees) => HALF_PX / (degrees.to_radians() / 2.0).tan(),
@@ -154,7 +154,7 @@ impl Class {
         let [mut u, mut v] = self.tangents(centre, distance, cutoff, random);
         match self {
             Class::NearEye if random.chance(0.01) => centre = DVec3::ZERO,
-            // As large as in a scene, hence parallel to the image but for what must not reach the plane.
+            // A disk of a scene's usual size has to be nearly parallel to the image, or it would reach the camera plane.
             Class::NearEye if random.chance(0.5) => {
                 let part = random.range(0.0, 0.6) / cutoff;
                 (u, v) = (u * (0.01 / distance), v * (0.01 / distance));
@@ -187,7 +187,7 @@ impl Class {
                 let [across, _] = frame(ray, random);
                 across * angle.cos() + ray * angle.sin()
             }
-            // A disk parallel to the image reaches no other depth.
+            // A disk parallel to the image has a single depth.
             Class::Large(_) | Class::Crossing => {
                 let (sin, cos) = random.range(0.0, TAU).sin_cos();
                 DVec3::new(cos, sin, random.range(-1.0, 1.0))

@@ -1,4 +1,4 @@
-//! Runs the functions of `shared/splat` on the adapter, over splats of the report's choice (`shaders/measure/measure_splats.wgsl`).
+//! Runs the functions of `shared/splat` on the adapter, on splats of the report (`shaders/measure/measure_splats.wgsl`).
 
 #[cfg(test)]
 use std::mem::offset_of;
@@ -16,12 +16,12 @@ use crate::gpu::{Gpu, GpuOptions};
 use crate::passes::shaders::{Choices, composed};
 
 const ENTRY: &str = "measure_splats";
-/// Threads of a workgroup.
+/// Threads per workgroup.
 const LANES: u32 = 64;
-/// The uniforms that the pipeline's layout has and the shader does not read.
+/// Size of the uniforms in the pipeline's layout, which the shader does not read.
 const UNIFORM_BYTES: u64 = 16 << 10;
 
-/// A splat as the shader is given it.
+/// Input of the shader: a splat.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Probe {
@@ -36,35 +36,35 @@ pub struct Probe {
     points_px: [Vec2; DIRECTIONS],
 }
 
-/// What the shader makes of a splat.
+/// Output of the shader for a splat.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Found {
     side: u32,
     pad: u32,
-    /// Image of the disk's centre, from which offsets are counted.
+    /// Image of the disk's centre, the origin of offsets.
     pub centre_px: Vec2,
     /// Linear functions of the offset: constant and slopes.
     s: Vec3,
     pad_s: f32,
     t: Vec3,
     pad_t: f32,
-    /// First and last pixel of the box.
+    /// First and last pixel of the splat's box.
     pub low: IVec2,
     pub high: IVec2,
     kernels: [Vec4; DIRECTIONS],
 }
 
-/// How a shader takes a disk to lie to the camera plane.
+/// The shader's classification of a disk relative to the camera plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
-    /// Behind it, or of no area.
+    /// Behind the camera plane, or without area.
     Unseen,
     Regular,
     Crosses,
 }
 
-/// An ellipse in the image.
+/// An ellipse in the image plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ellipse {
     pub centre: DVec2,
@@ -73,7 +73,7 @@ pub struct Ellipse {
 }
 
 impl Ellipse {
-    /// The largest `d·x` on the outline.
+    /// The largest `d·x` on the outline: its support function.
     pub fn support(&self, d: DVec2) -> f64 {
         self.centre.dot(d) + (self.radii.transpose() * d).length()
     }
@@ -92,7 +92,8 @@ impl Probe {
         size_of::<Probe>(),
     ];
 
-    /// A disk that was multiplied by the intrinsics of `lens`, and where its kernel coordinates are asked for.
+    /// Describes a disk that was multiplied by the intrinsics of `lens`. `points_px` are the points at which the shader computes
+    /// kernel coordinates.
     pub fn new(disk: &Disk, cutoff: f32, lens: &Lens, points_px: [Vec2; DIRECTIONS]) -> Probe {
         let [u, v] = disk.tangents;
         Probe {
@@ -111,8 +112,8 @@ impl Probe {
         &self.points_px
     }
 
-    /// Whether the disk is seen edge-on, as far as the shader can tell: the volume of both tangents and the centre, relative to the
-    /// largest of their coordinates.
+    /// Whether the disk is seen edge-on to the shader's precision, by the volume of both tangents and the centre relative to
+    /// their largest coordinate.
     pub fn is_flat(&self) -> bool {
         const LEAST: f64 = 1e-29;
         let [p, u, v] = [self.centre, self.u, self.v].map(|v| v.as_dvec3());
@@ -142,8 +143,8 @@ impl Found {
         }
     }
 
-    /// Where `s² + t²` is the square of `cutoff`, evaluated in f64 so that only what the shader found is judged. `None` where that is
-    /// everywhere along a line: lengths beyond 10¹⁵ px overflow.
+    /// The ellipse on which `s² + t²` is the square of `cutoff`, evaluated in f64 so that only the shader's result is judged.
+    /// `None` if it degenerates to lines: lengths beyond 10¹⁵ px overflow.
     pub fn ellipse(&self, cutoff: f32) -> Option<Ellipse> {
         let [s, t] = [self.s, self.t].map(|form| form.as_dvec3());
         let determinant = s.y * t.z - s.z * t.y;
@@ -155,7 +156,8 @@ impl Found {
         })
     }
 
-    /// Kernel coordinates at one of the points; `None` behind the disk's horizon, and where they are so large that no pixel is covered.
+    /// Kernel coordinates at one of the points; `None` behind the disk's horizon, and where they are so large that no pixel is
+    /// covered.
     pub fn kernel(&self, point: usize) -> Option<DVec2> {
         const MOST: f64 = (1 << 30) as f64;
         let [s, t, n, _] = self.kernels[point].to_array().map(f64::from);
@@ -169,14 +171,14 @@ impl Found {
     }
 }
 
-/// How the shader filters.
+/// The shader's filter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Filter {
     Perspective,
     Exact,
 }
 
-/// The adapter and the pipelines over it.
+/// The adapter with the report's pipelines.
 pub struct Device {
     gpu: Gpu,
     perspective: ComputePipeline,
@@ -184,10 +186,10 @@ pub struct Device {
 }
 
 impl Device {
-    /// Opens the adapter that frames are drawn with.
+    /// Opens the adapter that draws frames.
     ///
     /// # Errors
-    /// No adapter; a shader that does not compile, which is a defect of the program.
+    /// There is no adapter, or a shader does not compile, which is a defect of the program.
     pub fn open() -> Result<Device, StabilityError> {
         let gpu = Gpu::open(&GpuOptions::default())?;
         let shader = composed("measure/measure_splats", &Choices::default())?;
@@ -208,7 +210,7 @@ impl Device {
         &self.gpu.name
     }
 
-    /// What the shader makes of each splat.
+    /// Runs the shader on splats.
     ///
     /// # Errors
     /// The adapter was lost.

@@ -1,4 +1,4 @@
-//! Formulas that the shaders do not use, in plain f32, for comparison. They differ in what they let cancel.
+//! Alternative formulas in plain f32, for comparison with the shaders'. They differ in where they suffer from cancellation.
 
 use glam::{DVec2, Mat3, Vec2, Vec3, dvec2, vec2};
 
@@ -8,7 +8,7 @@ use super::cases::{Disk, Lens};
 /// a threshold"); at 10⁶ an inverse in f32 keeps one decimal digit.
 pub const CONDITION_MAX: f32 = 1e6;
 
-/// What a formula says about an outline, in the numbers that it gives.
+/// An outline as a formula gives it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outline {
     pub centre: Vec2,
@@ -19,7 +19,7 @@ pub struct Outline {
 }
 
 impl Outline {
-    /// The support function in direction `d`, evaluated in f64 so that only what the formula gave is judged.
+    /// The support function in direction `d`, evaluated in f64 so that only the formula's result is judged.
     pub fn support(&self, d: DVec2) -> f64 {
         let [xx, xy, yy] = self.variance.map(f64::from);
         let square = dvec2(xx * d.x + xy * d.y, xy * d.x + yy * d.y).dot(d);
@@ -28,7 +28,7 @@ impl Outline {
         self.centre.as_dvec2().dot(d) + square.sqrt()
     }
 
-    /// Every number of it is one.
+    /// Whether all numbers are finite.
     pub fn is_finite(&self) -> bool {
         self.variance.iter().all(|v| v.is_finite())
             && self.centre.is_finite()
@@ -36,19 +36,19 @@ impl Outline {
             && self.max.is_finite()
     }
 
-    /// From the centre and `F²·V` in units of the image plane at depth 1.
+    /// Builds the outline from the centre and `F²·V` in units of the image plane at depth 1.
     fn of_variance(centre: Vec2, variance: [f32; 3], lens: &Lens) -> Outline {
         let (focal, [xx, xy, yy]) = (lens.focal_px, variance);
         let centre = centre * focal + lens.principal_px;
         let (xx, xy, yy) = (xx * focal.x * focal.x, xy * focal.x * focal.y, yy * focal.y * focal.y);
-        // No guard against a negative number: a shader's root of it is NaN, and the report counts that.
+        // There is no guard against a negative number: a shader's square root of it is NaN, which the report counts.
         let half = vec2(xx.sqrt(), yy.sqrt());
         Outline { centre, min: centre - half, max: centre + half, variance: [xx, xy, yy] }
     }
 }
 
-/// The dual conic with `|a·p.z − b·p.x|² − F²·(a×b)²` over `C*₃₃²`: its large terms cancelled on paper, but still a
-/// difference, and a centre from the elements of `C*`.
+/// The dual conic with `|a·p.z − b·p.x|² − F²·(a×b)²` over `C*₃₃²`. Its large terms cancel algebraically, but it is still a
+/// difference, and its centre comes from the elements of `C*`.
 pub fn dual_difference(disk: &Disk, cutoff: f32, lens: &Lens) -> Outline {
     let (p, [u, v], square) = (disk.centre, disk.tangents, cutoff * cutoff);
     let (a, e, b) = (vec2(u.x, v.x), vec2(u.y, v.y), vec2(u.z, v.z));
@@ -65,7 +65,7 @@ pub fn dual_difference(disk: &Disk, cutoff: f32, lens: &Lens) -> Outline {
     Outline::of_variance(centre, variance, lens)
 }
 
-/// The dual conic formed as it stands, `V` from its elements.
+/// The dual conic formed directly, with `V` from its elements.
 pub fn dual_naive(disk: &Disk, cutoff: f32, lens: &Lens) -> Outline {
     let (p, [u, v], square) = (disk.centre, disk.tangents, cutoff * cutoff);
     let element = |i: usize, j: usize| square * (u[i] * u[j] + v[i] * v[j]) - p[i] * p[j];
@@ -79,19 +79,20 @@ pub fn dual_naive(disk: &Disk, cutoff: f32, lens: &Lens) -> Outline {
     Outline::of_variance(c, variance, lens)
 }
 
-/// The paper's own way, sections 4.3 and 4.4: `Q' = M⁻¹·diag(1, 1, −F²)·M⁻¹ᵀ`, its centre by equation 7, its shape by equation 11.
-/// `None` where the paper discards the splat: the condition number is above [`CONDITION_MAX`], or the conic is no ellipse.
+/// The paper's own formulas, sections 4.3 and 4.4: `Q' = M⁻¹·diag(1, 1, −F²)·M⁻¹ᵀ`, its centre by equation 7, its shape by
+/// equation 11. `None` where the paper discards the splat: the condition number is above [`CONDITION_MAX`], or the conic is not
+/// an ellipse.
 pub fn paper(disk: &Disk, cutoff: f32, lens: &Lens) -> Option<Outline> {
     let [u, v] = disk.tangents;
     let p = disk.centre;
-    // Rows of M are u, v, p; the columns of its inverse their cross products over the determinant.
+    // The rows of M are u, v and p. The columns of its inverse are their cross products over the determinant.
     let (vp, pu, uv) = (v.cross(p), p.cross(u), u.cross(v));
     let det = u.dot(vp);
     let inverse = Mat3::from_cols(vp / det, pu / det, uv / det);
     let norm = |columns: [Vec3; 3]| columns.iter().map(|c| c.dot(*c)).sum::<f32>().sqrt();
     let [i, j, k] = [inverse.x_axis, inverse.y_axis, inverse.z_axis];
     let condition = norm([u, v, p]) * norm([i, j, k]);
-    // Written so that NaN, from a determinant of zero, is above the threshold.
+    // Written so that NaN, which a determinant of zero gives, counts as above the threshold.
     if !matches!(condition.partial_cmp(&CONDITION_MAX), Some(std::cmp::Ordering::Less)) {
         return None;
     }

@@ -1,9 +1,10 @@
-//! Whether the outline of a splat stays right in f32 where that is hard: `pointillist accuracy --stability`.
+//! Checks that the outlines of splats stay accurate in f32 in numerically hard cases: `pointillist accuracy --stability`.
 //!
-//! [`cases`] draws splats class by class. [`device`] has the adapter run the shaders' own `make_splat` over them, with the perspective
-//! and with the exact filter, without low-pass. [`truth`] knows in f64 what should have come out, and bounds what rounding may cost.
-//! A row of the report holds the worst errors over the edges of the box, the centre, the outline in 16 directions, all held within ±2²⁰ px,
-//! and the kernel coordinates on the outline. [`formulas`] are other formulas for the outline, on the CPU, for comparison.
+//! [`cases`] draws random splats of each class. [`device`] runs the shaders' own `make_splat` on them on the adapter, with the
+//! perspective and the exact filter, without low-pass. [`truth`] computes the exact results in f64 and bounds on the effect of
+//! rounding. A row of the report has the worst errors of the edges of the box, the centre, the outline in 16 directions, all
+//! clamped to ±2²⁰ px, and of the kernel coordinates on the outline. [`formulas`] has other formulas for the outline, on the CPU,
+//! for comparison.
 
 pub mod cases;
 pub mod device;
@@ -23,13 +24,13 @@ use device::{Device, Filter, Found, Probe, Side};
 use formulas::Outline;
 use truth::{DIRECTIONS, GUARD_PX, TrueSide, Truth, direction, hold};
 
-/// No image is larger.
+/// Largest side of an image.
 const IMAGE_PX: f64 = 16_384.0;
 
-/// Splats that the adapter is given at a time.
+/// Number of splats per dispatch.
 const AT_ONCE: u32 = 4096;
 
-/// Why there is no report.
+/// Why the report cannot be made.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum StabilityError {
     #[error(transparent)]
@@ -46,12 +47,12 @@ pub struct Stability {
     /// The adapter that ran the shaders.
     pub adapter: String,
     pub seed: u64,
-    /// Splats a class.
+    /// Number of splats per class.
     pub count: u32,
-    /// Where the paper's inverse is discarded.
+    /// Condition number above which the paper's inverse is discarded.
     pub condition_max: f32,
     pub rows: Vec<Row>,
-    /// Every row holds.
+    /// Whether every row holds.
     pub holds: bool,
 }
 
@@ -59,42 +60,42 @@ pub struct Stability {
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Row {
     pub class: String,
-    /// Splats wholly in front of the camera plane: those that have an outline.
+    /// Splats entirely in front of the camera plane, which are those with an outline.
     pub regular: u32,
     pub ours_box: Judged,
     pub ours_centre: Judged,
     pub ours_outline: Judged,
-    /// Kernel coordinates of the exact filter on the true outline.
+    /// Kernel coordinates of the exact filter at points of the true outline.
     pub ours_exact: Judged,
-    /// Points of outlines that `ours_exact` leaves out: the disk is thinner there than rounding can tell.
+    /// Points of outlines that `ours_exact` leaves out, because the disk is thinner there than rounding can resolve.
     pub exact_unresolved: u32,
     pub dual_difference: Compared,
     pub dual_naive: Compared,
     pub paper: Compared,
-    /// Splats that the paper's condition number refuses.
+    /// Splats that the paper discards by their condition number.
     pub paper_discarded: u32,
-    /// Splats of which one of our numbers is NaN or infinite.
+    /// Splats for which one of our numbers is NaN or infinite.
     pub ours_not_finite: u32,
-    /// Splats put on the wrong side of the camera plane though rounding does not hide the right one.
+    /// Splats on the wrong side of the camera plane, although rounding does not hide the right one.
     pub misclassified: u32,
     pub holds: bool,
 }
 
-/// Errors with a bound for each, all in px.
+/// Errors and their bounds, in pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Judged {
     pub worst_px: f64,
-    /// The largest bound of any splat.
+    /// The largest bound of all splats.
     pub bound_px: f64,
-    /// The largest error over its own splat's bound: it holds up to 1.
+    /// The largest ratio of a splat's error to its bound; up to 1 the bounds hold.
     pub worst_share: f64,
 }
 
-/// Errors of a formula that we do not use.
+/// Errors of a formula that is only compared.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Compared {
     pub worst_px: f64,
-    /// Edges of boxes that an image can show.
+    /// Error of edges of boxes within an image.
     pub box_in_image_px: f64,
     pub over_half_px: u32,
     pub not_finite: u32,
@@ -104,7 +105,7 @@ impl Judged {
     fn add(&mut self, error_px: f64, bound_px: f64) {
         self.worst_px = self.worst_px.max(error_px);
         self.bound_px = self.bound_px.max(bound_px);
-        // An error of 0 is within a bound of 0; NaN is counted elsewhere, and its share must not hold.
+        // An error of 0 is within a bound of 0. NaN is counted elsewhere, but must not hold here.
         let share = if error_px <= bound_px && bound_px == 0.0 { 0.0 } else { error_px / bound_px };
         self.worst_share = if share.is_nan() { f64::INFINITY } else { self.worst_share.max(share) };
     }
@@ -136,7 +137,7 @@ impl Compared {
     }
 }
 
-/// How far an outline is from the truth, in px.
+/// Distances of an outline from the true one, in pixels.
 struct Errors {
     box_px: f64,
     box_in_image_px: f64,
@@ -169,7 +170,7 @@ impl Errors {
 /// Judges `count` splats of every class. Equal seeds give equal reports on equal adapters.
 ///
 /// # Errors
-/// No adapter, or one that is lost.
+/// There is no adapter, or it is lost.
 pub fn stability(seed: u64, count: u32) -> Result<Stability, StabilityError> {
     let device = Device::open()?;
     let mut rows = Vec::new();
@@ -190,7 +191,7 @@ pub fn stability(seed: u64, count: u32) -> Result<Stability, StabilityError> {
     Ok(Stability { adapter, seed, count, condition_max: formulas::CONDITION_MAX, rows, holds })
 }
 
-/// Where a splat's kernel coordinates are asked for: at points of its outline, at f32 coordinates as pixels have.
+/// The points at which kernel coordinates are compared: on the splat's outline, rounded to f32 as pixel coordinates are.
 fn points_px(truth: &TrueSide) -> [Vec2; DIRECTIONS] {
     std::array::from_fn(|i| match truth {
         TrueSide::Regular(truth) => (truth.projected + truth.seen(direction(i))).as_vec2(),
@@ -198,15 +199,16 @@ fn points_px(truth: &TrueSide) -> [Vec2; DIRECTIONS] {
     })
 }
 
-/// How far the edge of a pixel box is from the true one. `pixel` is the first that has its centre in the box, or the first behind it;
-/// that of the disk's centre belongs to the box in any case.
+/// The error of an edge of a pixel box. `pixel` is the first pixel whose centre is in the box, or the first one behind the box.
+/// The pixel `own` of the disk's centre belongs to the box in any case.
 fn edge_error_px(pixel: i32, truth_px: f64, own: f64, is_low: bool) -> f64 {
     let (pixel, last) = (f64::from(pixel), IMAGE_PX - 1.0);
     let (edge, truth_px) = match is_low {
         true => (pixel, truth_px.clamp(0.0, last + 1.0)),
         false => (pixel + 1.0, truth_px.clamp(0.0, last + 1.0)),
     };
-    // The true edge lies within half a pixel; on the other side of the own pixel it may be anywhere beyond.
+    // The true edge lies within half a pixel of `edge`. At the own pixel, only a box that is too small is an error.
+    // it.
     let outside = if is_low { edge - truth_px } else { truth_px - edge };
     match pixel == own {
         true => outside - 0.5,
@@ -221,7 +223,7 @@ impl Row {
         judged.iter().all(Judged::holds) && self.ours_not_finite == 0 && self.misclassified == 0
     }
 
-    /// Our three judgements of the conic as one.
+    /// Joins the three judgements of our conic.
     fn ours(&self) -> Judged {
         self.ours_box.join(self.ours_centre).join(self.ours_outline)
     }
@@ -257,7 +259,7 @@ impl Row {
             | (TrueSide::Crosses, Side::Crosses)
             | (TrueSide::Behind, Side::Unseen)
             | (TrueSide::Close, _) => true,
-            // Seen edge-on, it covers nothing.
+            // A disk seen edge-on covers nothing.
             (TrueSide::Crosses, Side::Unseen) => probe.is_flat(),
             _ => false,
         });
@@ -297,7 +299,7 @@ impl Row {
             self.ours_outline.add(far(support, truth.support(d)), bounds.outline_px);
         }
         for (number, &pixel) in probe.points_px().iter().enumerate() {
-            // Only where an image can have pixels.
+            // Images have pixels only within this range.
             if f64::from(pixel.abs().max_element()) > GUARD_PX {
                 continue;
             }

@@ -1,4 +1,4 @@
-//! The report as a table, in text and in Markdown.
+//! The report as a table, in plain text and in Markdown.
 
 use std::fmt;
 
@@ -84,7 +84,7 @@ impl Stability {
         table
     }
 
-    /// A page of Markdown.
+    /// The report as a page of Markdown.
     pub fn markdown(&self) -> String {
         let Stability { adapter, seed, count, .. } = self;
         let legend = LEGEND.trim_end().replace('\n', "  \n");

@@ -4,8 +4,8 @@ use super::*;
 use crate::gpu::shader;
 use crate::passes::shaders::{Choices, composed};
 
-/// The truth against another route: 720 points of the rim, projected, and their extremes. Between two points the outline
-/// goes at most `1 − cos(π/720)` of its size beyond them, more where perspective spaces them unevenly.
+/// Compares the truth with the extremes of 720 projected points of the rim. Between two points the outline extends beyond them by
+/// at most `1 − cos(π/720)` of its size, and by more where perspective spaces them unevenly.
 #[test]
 fn the_truth_is_what_projecting_the_rim_finds() {
     for (index, class) in cases::classes().iter().enumerate() {
@@ -15,7 +15,7 @@ fn the_truth_is_what_projecting_the_rim_finds() {
             let TrueSide::Regular(truth) = truth::truth(&case.disk, case.cutoff, &case.lens) else {
                 continue;
             };
-            // Finer than the rim's points by as much as perspective spreads them.
+            // Perspective spreads the rim's points, so the tolerance grows with it.
             let slack = 2e-5 / truth.gap;
             let (p, [u, v]) =
                 (case.disk.centre.as_dvec3(), case.disk.tangents.map(|t| t.as_dvec3()));
@@ -83,13 +83,13 @@ fn pixel_boxes_are_judged_by_half_pixels() {
     assert!((low(9, 8.25) - 0.25).abs() < 1e-12 && (low(9, 10.0) - 0.5).abs() < 1e-12);
     assert_eq!((high(9, 9.5), high(9, 10.4)), (0.0, 0.0));
     assert!((high(9, 9.25) - 0.25).abs() < 1e-12 && (high(9, 11.0) - 0.5).abs() < 1e-12);
-    // Boxes are cut to the image, and hold the disk's own pixel.
+    // Boxes are clipped to the image, and contain the disk's own pixel.
     assert_eq!((low(0, -1e9), high(16_383, 1e9)), (0.0, 0.0));
     assert_eq!((low(70, 70.9), high(70, 70.1)), (0.0, 0.0));
     assert!(low(70, 69.0) > 0.4 && high(70, 72.0) > 0.4);
 }
 
-/// Records of the shader are laid out as WGSL says.
+/// The layout of the shader's records matches WGSL.
 #[test]
 fn records_agree_with_the_shader() {
     let shader = composed("measure/measure_splats", &Choices::default()).unwrap();

@@ -1,48 +1,48 @@
-//! What the formulas should have said, in f64, and how far rounding in f32 may take them from it.
+//! The exact results in f64, and bounds on their rounding errors in f32.
 //!
-//! Inputs are the f32 numbers themselves, so that every product of two of them is exact in f64, and so is every difference
-//! `t.x·p.z − t.z·p.x` to its last bit, however much cancels. What still cancels (`α×ε` of a disk seen nearly edge-on,
-//! `1 − |β|²` of one that nearly crosses) loses digits by the same factor in f64 as in f32, and every bound below has
-//! that factor: the truth's own error stands to the bound as 2⁻⁵³ to 2⁻²⁴. Double-double numbers would change no digit
-//! that is printed. A test holds all of it against 720 points of the rim.
+//! The inputs are the f32 numbers themselves. Products of two of them are therefore exact in f64, and differences `t.x·p.z −
+//! t.z·p.x` are exact to the last bit, however much cancels. The remaining cancellations (`α×ε` of a disk seen nearly edge-on, `1
+//! − |β|²` of one that nearly crosses) lose digits by the same factor in f64 as in f32, and every bound below has that factor.
+//! The truth's own error therefore relates to the bound as 2⁻⁵³ to 2⁻²⁴. Double-double numbers would change no printed digit. A
+//! test compares all of this with 720 points of the rim.
 
 use glam::{DVec2, Vec2, dvec2};
 
 use super::cases::{Disk, Lens};
 
-/// Outlines are compared within this many pixels of the image's origin.
+/// Outlines are compared within this distance of the image's origin, in pixels.
 pub const GUARD_PX: f64 = (1 << 20) as f64;
-/// Disks whose gap to the camera plane, relative to their depth, is no larger may count as crossing it. Twice what `make_splat` of
-/// `shared/splat` leaves to crossing splats (`GAP`).
+/// Disks whose gap to the camera plane, relative to their depth, is at most this may count as crossing it. The value is twice the
+/// `GAP` in `shared/splat`, below which `make_splat` treats splats as crossing.
 const CLOSE: f64 = 1.0 / (1 << 17) as f64;
 
 /// The unit roundoff of f32.
 const U: f64 = f32::EPSILON as f64 / 2.0;
 
-/// Steps that the bounds allow in front of each first-order term. By the standard model (Higham, *Accuracy and Stability of Numerical
-/// Algorithms*, section 2.2), `α` takes 4 roundings, `g` 7, products and sums after them 3 more at the most; 8 covers
-/// each term with what is left out at second order.
+/// Roundings that the bounds allow in front of each first-order term. By the standard model (Higham, *Accuracy and Stability of
+/// Numerical Algorithms*, section 2.2), `α` takes 4 roundings, `g` 7, and later products and sums at most 3 more. 8 covers each
+/// term and the neglected second-order terms.
 const STEPS: f64 = 8.0;
 
-/// Directions in which outlines are compared.
+/// Number of directions in which outlines are compared.
 pub const DIRECTIONS: usize = 16;
 
-/// Unit vector number `i` of [`DIRECTIONS`].
+/// Unit vector number `i` of the [`DIRECTIONS`].
 pub fn direction(i: usize) -> DVec2 {
     DVec2::from_angle(i as f64 * std::f64::consts::TAU / DIRECTIONS as f64)
 }
 
-/// How a disk truly lies to the camera plane.
+/// The true position of a disk relative to the camera plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TrueSide {
     Regular(Truth),
     Crosses,
     Behind,
-    /// So near to the border between these that f32 cannot tell: either answer is right.
+    /// So close to the border between the others that f32 cannot decide. Either answer is right.
     Close,
 }
 
-/// A regular disk's image in f64. Everything is divided by the centre's depth `p.z` and taken relative to its image `P`:
+/// The image of a regular disk in f64. Everything is divided by the centre's depth `p.z` and relative to its image `P`:
 ///
 /// ```text
 /// x = f_x·F·(t.x − t.z·p.x/p.z)/p.z     how far the rim reaches in x, in px, over both tangents
@@ -50,8 +50,9 @@ pub enum TrueSide {
 /// z = F·t.z/p.z                         how far it reaches in depth, relative
 /// gap = 1 − |z|²
 /// ```
-/// The point `σ` of the unit disk is seen at `P + (x·σ, y·σ)/(1 + z·σ)`. The outline's centre, box and shape are those of the dual conic
-/// (Zwicker, Räsänen, Botsch, Dachsbacher and Pauly, *Perspective Accurate Splatting*, Graphics Interface 2004, equations 7, 8 and 11).
+/// The point `σ` of the unit disk is seen at `P + (x·σ, y·σ)/(1 + z·σ)`. The outline's centre, box and shape are those of the
+/// dual conic (Zwicker, Räsänen, Botsch, Dachsbacher and Pauly, *Perspective Accurate Splatting*, Graphics Interface 2004,
+/// equations 7, 8 and 11).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Truth {
     pub projected: DVec2,
@@ -64,7 +65,7 @@ pub struct Truth {
     cutoff: f64,
 }
 
-/// Bounds in px for one disk.
+/// Bounds on the errors of one disk, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
     pub box_px: f64,
@@ -72,7 +73,7 @@ pub struct Bounds {
     pub outline_px: f64,
 }
 
-/// What `disk` is.
+/// Classifies `disk`, and computes its image if it is regular.
 pub fn truth(disk: &Disk, cutoff: f32, lens: &Lens) -> TrueSide {
     let (p, [u, v]) = (disk.centre.as_dvec3(), disk.tangents.map(|t| t.as_dvec3()));
     let cutoff = f64::from(cutoff);
@@ -104,7 +105,7 @@ pub fn truth(disk: &Disk, cutoff: f32, lens: &Lens) -> TrueSide {
     })
 }
 
-/// Within the guard of boxes; infinities (which compare well) too, NaN stays.
+/// Clamps to the guard, including infinities. NaN stays.
 pub fn hold(px: f64) -> f64 {
     let guard = GUARD_PX;
     if px > guard {
@@ -117,8 +118,8 @@ pub fn hold(px: f64) -> f64 {
 }
 
 impl Truth {
-    /// How far the outline lies from the projected centre in direction `d`, both ways: `[−h(−d), h(d)]` of the support function
-    /// `h`. The smaller end comes from the product of the roots.
+    /// How far the outline extends from the projected centre in direction `d`, both ways: `[−h(−d), h(d)]` with the support
+    /// function `h`. The smaller end is computed from the product of the roots.
     pub fn extent(&self, d: DVec2) -> [f64; 2] {
         let reach = self.x * d.x + self.y * d.y;
         let slant = reach.dot(self.z);
@@ -131,7 +132,7 @@ impl Truth {
         if slant > 0.0 { [-far, near] } else { [-near, far] }
     }
 
-    /// Corners of the box, not held within the guard.
+    /// The corners of the box, not clamped to the guard.
     pub fn corners(&self) -> [DVec2; 2] {
         let ([x0, x1], [y0, y1]) = (self.extent(DVec2::X), self.extent(DVec2::Y));
         [self.projected + dvec2(x0, y0), self.projected + dvec2(x1, y1)]
@@ -150,17 +151,17 @@ impl Truth {
         self.projected.dot(d) + self.extent(d)[1]
     }
 
-    /// Where the point `σ` of the unit disk is seen, relative to the projected centre.
+    /// Image of the point `σ` of the unit disk, relative to the projected centre.
     pub fn seen(&self, sigma: DVec2) -> DVec2 {
         dvec2(self.x.dot(sigma), self.y.dot(sigma)) / (1.0 + self.z.dot(sigma))
     }
 
-    /// `α×ε`.
+    /// The area `α×ε`.
     pub fn area(&self) -> f64 {
         self.x.perp_dot(self.y)
     }
 
-    /// `V` in px².
+    /// The matrix `V` in px²: xx, xy, yy.
     pub fn variance(&self) -> [f64; 3] {
         let element = |a: DVec2, b: DVec2| {
             (a.dot(b) + a.dot(self.z) * b.dot(self.z) / self.gap)
@@ -170,18 +171,18 @@ impl Truth {
         [element(self.x, self.x), element(self.x, self.y), element(self.y, self.y)]
     }
 
-    /// How far f32 may go.
+    /// Bounds on the errors in f32.
     ///
     /// The coordinates are rounded: `u·(|principal| + f|tan| + |d|)`. `α` is a difference of products of size `f·|tan|·|β|`, and
-    /// an extent is a norm of `α` (a support function) that is at most `2/g` times it: `u·(|α| + f|tan||β|)·2/g`. `g`
-    /// has an absolute error of `7u`, and `|∂d/∂g| ≤ |d|/g`. The centre and the radii are at most `|α|/g`, and
-    /// near the camera plane large ones of them cancel in the outline, which the box avoids.
+    /// an extent is a norm of `α` (a support function) that is at most `2/g` times it: `u·(|α| + f|tan||β|)·2/g`. `g` has an
+    /// absolute error of `7u`, and `|∂d/∂g| ≤ |d|/g`. The centre and the radii are at most `|α|/g`. Near the camera plane large
+    /// values of them cancel in the outline, which the box avoids.
     pub fn bounds(&self) -> Bounds {
         let reach = (self.x.length_squared() + self.y.length_squared()).sqrt();
         let place = self.principal.length() + self.focal_tan.length();
         let input = (reach + self.focal_tan.length() * self.z.length()) / self.gap;
         let guard = 2.0 * GUARD_PX;
-        // An end beyond the guard is held there; what it may be wrong by in between is the guard's width.
+        // An end beyond the guard is clamped to it, so the error is at most the guard's width.
         let far = DVec2::from(self.extent(DVec2::X)).abs().max_element();
         let far = far.max(DVec2::from(self.extent(DVec2::Y)).abs().max_element());
         let cap = |px: f64| if px < guard { px } else { guard };
@@ -193,10 +194,10 @@ impl Truth {
         }
     }
 
-    /// The way on screen, in px, from a pixel to where the disk has the coordinates `kernel` that a formula gave for it, and how
-    /// long it may be: a running error analysis of Cramer's rule. The way on screen says what an error in `(s, t)`
-    /// does to an image however thin the disk is. `None` where rounding the pixel's own coordinates already goes a quarter of the
-    /// disk's way, as where it is thinner than 10⁻⁴ px.
+    /// The distance on screen, in pixels, from a pixel to the image of the coordinates `kernel` that a formula gave for it, and a
+    /// bound on this distance by a running error analysis of Cramer's rule. The distance on screen measures the effect of an
+    /// error in `(s, t)` on an image, however thin the disk is. `None` where rounding the pixel's own coordinates already moves a
+    /// quarter of the disk's extent, as where the disk is thinner than 10⁻⁴ px.
     pub fn kernel_error(&self, pixel: Vec2, kernel: DVec2) -> Option<(f64, f64)> {
         let pixel = pixel.as_dvec2();
         let d = pixel - self.projected;
@@ -206,7 +207,7 @@ impl Truth {
         let error = |reach: DVec2, tan: f64| (reach.abs() + tan.abs() * z.abs()) * 4.0 * U;
         let (dx, dy) = (error(x, self.focal_tan.x), error(y, self.focal_tan.y));
         let (ax, ay, az, ad) = (x.abs(), y.abs(), z.abs(), d.abs());
-        // |a|·|b| + |b|·|a| over the crossed components, and what their errors add.
+        // |a|·|b| + |b|·|a| over the crossed components, and the effect of their errors.
         let crossed = |a: DVec2, b: DVec2| a.x * b.y + a.y * b.x;
         let facing_error = crossed(dx, ay)
             + crossed(ax, dy)
@@ -222,7 +223,7 @@ impl Truth {
         );
         let place = self.principal.length() + self.focal_tan.length() + d.length();
         let (shift, nearness) = (3.0 * U * place, 1.0 + z.dot(sigma));
-        // The rows of the matrix of Cramer's rule; its inverse times `nearness` is ∂σ/∂d.
+        // The rows of the matrix of Cramer's rule. Its inverse times `nearness` is ∂σ/∂d.
         let (row_x, row_y) = ((x - z * d.x).abs(), (y - z * d.y).abs());
         let moved = dvec2(row_y.y + row_x.y, row_x.x + row_y.x) * (shift * nearness);
         let sigma_error = (numerator_error + moved + sigma.abs() * facing_error) / facing.abs();
@@ -230,10 +231,10 @@ impl Truth {
             return None;
         }
         let thrown = dvec2(row_x.dot(numerator_error), row_y.dot(numerator_error)).length();
-        // The denominator's error moves σ in proportion, the numerators' each on its own.
+        // The denominator's error moves σ in proportion, and each numerator's error moves it independently.
         let relative = d.length() * (facing_error / facing.abs() + 4.0 * U);
         let bound = (relative + thrown / facing.abs()) / nearness + shift;
-        // Twice, for what the first order leaves out.
+        // A factor of two for the neglected second order.
         Some(((self.seen(kernel / self.cutoff) - d).length(), 2.0 * bound))
     }
 }

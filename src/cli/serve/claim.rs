@@ -1,14 +1,14 @@
-//! One daemon at a time keeps the uploads of a root.
+//! Ensures that only one daemon at a time keeps the uploads of a root.
 //!
-//! The claim is a lock on the root folder itself, which leaves no file behind, works where the root cannot be written, and is
-//! released by the system however the process ends. A file system that cannot lock leaves the root unclaimed, with a warning.
+//! The claim is a lock on the root folder itself. It leaves no file behind, works where the root cannot be written, and the
+//! system releases it however the process ends. On a file system without locks the root stays unclaimed, with a warning.
 
 use std::fs::{File, TryLockError};
 use std::path::Path;
 
 use super::patience::{patience, patiently};
 
-/// Holds the claim until it is dropped.
+/// Holds the claim until dropped.
 #[derive(Debug)]
 pub(super) struct Claim {
     _folder: File,
@@ -24,10 +24,10 @@ struct Held {
     root: String,
 }
 
-/// Claims a root, also from a process that is about to end; `None` where the file system has no locks.
+/// Claims a root, and waits briefly for a process that is about to end. `None` if the file system has no locks.
 ///
 /// # Errors
-/// Another process has it, which the text names where the system tells.
+/// Another process holds the claim. The text names the process if the system tells.
 pub(super) fn claim(root: &Path) -> anyhow::Result<Option<Claim>> {
     Ok(patiently(patience(), |_: &Held| true, || try_claim(root))?)
 }
@@ -54,7 +54,7 @@ fn unclaimed(root: &Path, error: &std::io::Error) -> Option<Claim> {
     None
 }
 
-/// The process that holds the lock of a folder, where the system tells.
+/// The process that holds the lock of a folder, if the system tells.
 #[cfg(target_os = "linux")]
 fn holder(folder: &File) -> Option<u32> {
     use std::os::unix::fs::MetadataExt;

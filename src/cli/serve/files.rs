@@ -1,4 +1,4 @@
-//! Which files the daemon loads at the start, and below which folder.
+//! The files that the daemon loads at the start, and the root folder.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ use anyhow::{Context, ensure};
 use super::ServeArgs;
 use crate::http::server::StartScenes;
 
-/// The folder that scenes are read from: as given, else that of the files on the command line, else `scenes`.
+/// The folder that scenes are read from: the given one, else the common folder of the files on the command line, else `scenes`.
 pub(super) fn root(args: &ServeArgs) -> anyhow::Result<PathBuf> {
     let common = match &args.root {
         Some(_) => None,
@@ -25,7 +25,7 @@ pub(super) fn root(args: &ServeArgs) -> anyhow::Result<PathBuf> {
     Ok(canonical)
 }
 
-/// Files on the command line, as absolute paths.
+/// The files on the command line as absolute paths.
 fn named_files(args: &ServeArgs) -> anyhow::Result<Vec<PathBuf>> {
     let absolute = |file: &PathBuf| {
         let path =
@@ -36,14 +36,14 @@ fn named_files(args: &ServeArgs) -> anyhow::Result<Vec<PathBuf>> {
     args.files.iter().map(absolute).collect()
 }
 
-/// The deepest folder that holds all files.
+/// The deepest folder that contains all files.
 fn common_folder(files: &[PathBuf]) -> Option<PathBuf> {
     let (first, rest) = files.split_first()?;
     let holds_all = |folder: &&Path| rest.iter().all(|file| file.starts_with(folder));
     first.ancestors().skip(1).find(holds_all).map(Path::to_path_buf)
 }
 
-/// The scenes asked for, or every scene file directly in the root, or every asset file where there is none.
+/// The requested scenes; without any, every scene file directly in the root, or if there is none, every asset file.
 pub(super) fn start_scenes(args: &ServeArgs, root: &Path) -> anyhow::Result<StartScenes> {
     let named = named_files(args)?;
     if args.scene.is_empty() && named.is_empty() {
@@ -74,7 +74,7 @@ pub(super) fn start_scenes(args: &ServeArgs, root: &Path) -> anyhow::Result<Star
         files.push(path);
     }
     for scene in &args.scene {
-        // Relative to the root; a path that only works from here is taken as well.
+        // Relative to the root, or else to the working directory.
         let in_root = root.join(scene);
         let path = if in_root.exists() { in_root } else { scene.clone() };
         let path = path.canonicalize().with_context(|| {

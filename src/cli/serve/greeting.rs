@@ -1,4 +1,4 @@
-//! What the daemon says on standard output when it has come up.
+//! Messages on standard output after the daemon has started.
 
 use std::io::Write;
 use std::net::SocketAddr;
@@ -6,14 +6,14 @@ use std::net::SocketAddr;
 use crate::engine::Engine;
 use crate::load::wire::percent_encoded;
 
-/// Where the server is.
+/// The server's addresses.
 pub fn greeting(address: SocketAddr) -> String {
     format!("listening on http://{address}\nviewer: http://{}/\n", reachable(address))
 }
 
-/// How to see a first frame; nothing where there is no scene.
+/// A command that gets a first frame; empty if there is no scene.
 pub fn example(engine: &Engine, address: SocketAddr, has_keys: bool) -> String {
-    // The scene that was loaded first, from its first camera: what the viewer opens with.
+    // The first camera of the first scene, which the viewer also opens with.
     let Some(scene) = engine.scenes().into_iter().next() else { return String::new() };
     let camera = scene.cameras.first();
     let camera = camera.map(|camera| format!("camera={}&", percent_encoded(&camera.name)));
@@ -22,7 +22,7 @@ pub fn example(engine: &Engine, address: SocketAddr, has_keys: bool) -> String {
     format!("curl {key}-o frame.png '{url}/frame?{}w=1024&h=768'\n", camera.unwrap_or_default())
 }
 
-/// The address as one on this machine would ask for it.
+/// The address under which a client on this machine reaches the server.
 fn reachable(mut address: SocketAddr) -> SocketAddr {
     if address.ip().is_unspecified() {
         address.set_ip(std::net::Ipv4Addr::LOCALHOST.into());
@@ -30,7 +30,7 @@ fn reachable(mut address: SocketAddr) -> SocketAddr {
     address
 }
 
-/// Whoever started the daemon may have closed its output; it runs on.
+/// Prints a text. The daemon goes on if its output was closed.
 pub fn tell(text: &str) {
     let mut out = std::io::stdout().lock();
     let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());

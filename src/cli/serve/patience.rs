@@ -1,26 +1,26 @@
-//! What an earlier process still holds is waited for a little: one that was killed takes its time to end, and whoever starts it again does
-//! not know when that is.
+//! Waits briefly for resources that an earlier process still holds. A killed process takes some time to end, and its successor
+//! cannot know when that is.
 
 use std::fmt::Display;
 use std::time::{Duration, Instant};
 
-/// How long an address or a folder that another process holds is waited for.
+/// Time to wait for an address or a folder that another process holds.
 const PATIENCE: Duration = Duration::from_secs(3);
 /// The environment variable that replaces [`PATIENCE`], in seconds.
 const VARIABLE: &str = "POINTILLIST_TAKEOVER_SECONDS";
-/// How often it is tried.
+/// Interval between attempts.
 const TRY_EVERY: Duration = Duration::from_millis(50);
 
-/// How long this process waits for what an earlier one still holds.
+/// Time that this process waits for resources of an earlier one.
 pub fn patience() -> Duration {
     let asked = std::env::var(VARIABLE).ok().and_then(|text| text.parse().ok());
     asked.map_or(PATIENCE, Duration::from_secs)
 }
 
-/// Tries until it works, or fails with something else than that somebody holds what is wanted, or `patience` is at its end.
+/// Repeats `attempt` until it succeeds, fails with an error other than `is_held`, or `patience` is over.
 ///
 /// # Errors
-/// The last one of `attempt`.
+/// The error of the last attempt.
 pub fn patiently<T, E: Display>(
     patience: Duration,
     is_held: impl Fn(&E) -> bool,
@@ -63,7 +63,7 @@ mod tests {
         };
         assert_eq!(try_it(10_000, 2), (Ok(3), 3));
         assert_eq!(try_it(0, 2), (Err("held"), 1));
-        // Waiting mends nothing else.
+        // Waiting does not help against other errors.
         let mut tries = 0;
         let other = patiently(
             PATIENCE,

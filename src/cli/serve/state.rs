@@ -1,4 +1,4 @@
-//! The daemon's state folder: which, what may be in it, and taking it.
+//! The daemon's state folder: its place, its limits, and locking it.
 
 use anyhow::ensure;
 
@@ -7,10 +7,10 @@ use super::{ServeArgs, number};
 use crate::engine::Engine;
 use crate::jobs::{self, Jobs, StateError};
 
-/// Ended jobs that are kept at most.
+/// Largest number of ended jobs that are kept.
 const MOST_ENDED_JOBS: usize = 1000;
 
-/// Where jobs are kept and what they may take; or why there are none.
+/// The folder and the limits of jobs, or the reason why there are no jobs.
 pub(super) fn jobs_config(args: &ServeArgs) -> anyhow::Result<Result<jobs::Config, String>> {
     let mib = number("job-disk-mib", args.job_disk_mib, 10_240, 1)?;
     let ttl_seconds = number("job-ttl-seconds", args.job_ttl_seconds, 7 * 24 * 3600, 1)?;
@@ -32,15 +32,15 @@ pub(super) fn jobs_config(args: &ServeArgs) -> anyhow::Result<Result<jobs::Confi
             most_unfinished,
             most: most_unfinished.saturating_add(MOST_ENDED_JOBS),
             ttl_ms: ttl_seconds.saturating_mul(1000),
-            // Each of these uses all cores for most of its time.
+            // Each of these jobs uses all cores for most of its time.
             slots: jobs::Slots { baking: 2, drawing, coding: 2 },
         },
         most_bytes: mib.saturating_mul(1 << 20),
     }))
 }
 
-/// Takes the state folder, also from a process that is about to end. Where nobody asked for it by name, a daemon without jobs is better
-/// than none.
+/// Opens the state folder, and waits briefly for a process that is about to end. If the folder was not requested explicitly, a
+/// failure only disables jobs.
 pub(super) fn open_jobs(
     engine: &Engine,
     config: Result<jobs::Config, String>,
@@ -56,7 +56,7 @@ pub(super) fn open_jobs(
         Err(error) if is_asked_for => Err(anyhow::anyhow!("--state: {error}")),
         Err(error) => {
             tracing::warn!(%error, "no jobs are taken on");
-            // Where the server keeps its files is its own affair.
+            // Clients must not learn where the server keeps its files.
             let reason = match error {
                 StateError::Locked { .. } => {
                     "the state folder is another daemon's, which is running"

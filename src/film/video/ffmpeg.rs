@@ -1,4 +1,4 @@
-//! `ffmpeg` as a process: raw frames go into its standard input, what it complains of comes out of its standard error.
+//! Runs `ffmpeg` as a process: raw frames go to its standard input, and its messages come from its standard error.
 
 use std::ffi::OsStr;
 use std::io::{Read, Write};
@@ -8,10 +8,10 @@ use std::thread::JoinHandle;
 
 use super::{Reel, Sink, VideoError};
 
-/// Of what it says, the last so many bytes are told.
+/// Number of bytes kept of its messages: the last ones.
 const MOST_SAID: usize = 2048;
 
-/// The program `ffmpeg` in one of the folders of a `PATH`.
+/// Finds the program `ffmpeg` in one of the folders of a `PATH`.
 #[cfg_attr(
     feature = "video",
     allow(dead_code, reason = "the built-in coder is taken where there is one")
@@ -32,14 +32,14 @@ fn is_program(file: &Path) -> bool {
     file.is_file()
 }
 
-/// A running process; killed when this is dropped before it has finished.
+/// A running process. Dropping it before it has finished kills the process.
 pub struct Process {
     child: Child,
     input: Option<ChildStdin>,
     said: Option<JoinHandle<String>>,
 }
 
-/// What `ffmpeg` is told.
+/// The arguments of `ffmpeg`.
 fn arguments(reel: &Reel) -> Vec<String> {
     let size = format!("{}x{}", reel.width, reel.height);
     let fps = reel.fps.to_string();
@@ -50,7 +50,7 @@ fn arguments(reel: &Reel) -> Vec<String> {
     line.extend(
         ["-video_size", &size, "-framerate", &fps, "-i", "pipe:0", "-an"].map(str::to_owned),
     );
-    // Primaries and transfer of sRGB as video has them, the matrix of HD video, and the file says so.
+    // Primaries and transfer of sRGB in video, the matrix of HD video, and tags in the file that say so.
     let filter = "scale=out_color_matrix=bt709:out_range=tv,\
         setparams=color_primaries=bt709:color_trc=bt709:colorspace=bt709";
     line.extend(["-vf", filter, "-c:v", "libx264", "-pix_fmt", "yuv420p"].map(str::to_owned));
@@ -67,7 +67,7 @@ impl Process {
         let failed = |error| VideoError::Io { file: program.to_owned(), error };
         let mut child = Command::new(program)
             .args(arguments(reel))
-            // A name that begins with a dash is a file all the same.
+            // An absolute path, so that a name that begins with a dash is not taken for an option.
             .arg(std::path::absolute(out).map_err(failed)?)
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
@@ -76,7 +76,7 @@ impl Process {
             .map_err(failed)?;
         let input = child.stdin.take();
         let mut errors = child.stderr.take();
-        // Read all the while, or a long complaint would keep the process from going on.
+        // Read all the time: a long message would otherwise fill the pipe and block the process.
         let said = std::thread::spawn(move || {
             let mut last = Vec::new();
             let mut buffer = [0; 1024];
@@ -92,7 +92,7 @@ impl Process {
         Ok(Process { child, input, said: Some(said) })
     }
 
-    /// Waits for its end; an error unless it ended well.
+    /// Waits for the process to end; fails unless it succeeded.
     fn end(&mut self) -> Result<(), VideoError> {
         drop(self.input.take());
         let status = self.child.wait();
@@ -111,7 +111,7 @@ impl Sink for Process {
             Some(input) => input.write_all(rgb),
             None => Err(std::io::ErrorKind::BrokenPipe.into()),
         };
-        // It reads no more: what it said before it ended is why.
+        // The process reads no more. Its last message says why.
         written.or_else(|error| {
             self.end()
                 .and(Err(VideoError::Ffmpeg { status: error.to_string(), said: String::new() }))

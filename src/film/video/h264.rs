@@ -1,7 +1,7 @@
-//! The built-in coder: openh264 makes pictures of frames, muxide a file of pictures.
+//! The built-in coder: openh264 codes the frames, and muxide writes them into a file.
 //!
-//! The file's tables come first, so that players can begin before all of it is there; for that the coded pictures are held in memory
-//! until the end, which [`MOST_BYTES`] bounds.
+//! The file's tables come first, so that players can begin before the whole file has arrived. For this the coded pictures are
+//! held in memory until the end, up to [`MOST_BYTES`].
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -18,11 +18,11 @@ use openh264::formats::{RgbSliceU8, YUVBuffer};
 
 use super::{Reel, Sink, VideoError};
 
-/// Bytes of coded pictures at most.
+/// Largest number of bytes of coded pictures.
 const MOST_BYTES: u64 = 1 << 30;
-/// Seconds between pictures that need no other, where a player can begin.
+/// Seconds between key frames, at which a player can begin.
 const INTRA_SECONDS: f64 = 2.0;
-/// Frames a second that the coder's rate control knows of; others are told to it as if they were these.
+/// Range of frame rates that the coder's rate control supports. Others are clamped to it.
 const KNOWN_FPS: [f64; 2] = [1.0, 60.0];
 
 pub struct Writer {
@@ -41,7 +41,7 @@ fn coder(error: impl std::fmt::Display) -> VideoError {
     VideoError::Coder(error.to_string())
 }
 
-/// Keeps the coder's remarks off standard error; it makes the first one while it is set up.
+/// Silences the coder's messages on standard error. The first one comes while the coder is set up.
 #[allow(unsafe_code, reason = "the safe interface quiets the coder only after its first remark")]
 fn hush(encoder: &mut Encoder) {
     /// `ENCODER_OPTION_TRACE_LEVEL` of openh264's `codec_app_def.h`.
@@ -56,17 +56,17 @@ impl Writer {
     pub fn new(reel: &Reel, file: &Path) -> Result<Writer, VideoError> {
         let [least, most] = KNOWN_FPS;
         let known_fps = reel.fps.clamp(least, most);
-        // A frame gets the bits that it would get at its own rate.
+        // The bits per frame at the reel's own rate.
         let bits = f64::from(reel.bits_per_second()) / reel.fps * known_fps;
         let every = (reel.fps * INTRA_SECONDS).round().clamp(1.0, 250.0) as u32;
         let config = EncoderConfig::new()
             .bitrate(BitRate::from_bps(bits.min(f64::from(i32::MAX)) as u32))
             .max_frame_rate(FrameRate::from_hz(known_fps as f32))
-            // Every frame is a picture; the rate is met on the average all the same.
+            // Every frame is kept; the rate is met on average.
             .rate_control_mode(RateControlMode::Bitrate)
             .skip_frames(false)
             .intra_frame_period(IntraFramePeriod::from_num_frames(every))
-            // As `YUVBuffer` converts: sRGB's primaries, luma and chroma as BT.601 has them.
+            // Matches the conversion of `YUVBuffer`: primaries of sRGB, luma and chroma of BT.601.
             .vui(VuiConfig::bt709().matrix_coefficients(MatrixCoefficients::Smpte170M));
         let mut encoder =
             Encoder::with_api_config(OpenH264API::from_source(), config).map_err(coder)?;
@@ -97,7 +97,7 @@ impl Sink for Writer {
     fn push(&mut self, rgb: &[u8]) -> Result<(), VideoError> {
         self.yuv.read_rgb8(RgbSliceU8::new(rgb, self.size));
         let t_s = self.frames as f64 / self.fps;
-        // Whole milliseconds are the coder's clock, for its rate control alone.
+        // The coder's clock, which only its rate control uses, counts whole milliseconds.
         let at = Timestamp::from_millis((t_s * 1000.0) as u64);
         let coded = self.encoder.encode_at(&self.yuv, at).map_err(coder)?;
         let is_key = matches!(coded.frame_type(), FrameType::IDR | FrameType::I);
@@ -127,7 +127,7 @@ impl Sink for Writer {
             Err(muxide::api::MuxerError::Io(error)) => return Err(failed(error)),
             Err(error) => return Err(coder(error)),
         }
-        // What the buffer still holds is written here, where an error can be told.
+        // Write the rest of the buffer here, where an error can be reported.
         let out =
             this.muxer.into_writer().into_inner().map_err(|error| failed(error.into_error()))?;
         out.sync_all().map_err(failed)

@@ -1,16 +1,18 @@
-//! A folder's frames to one H.264 video in an MP4 file.
+//! Codes the frames of a folder as one H.264 video in an MP4 file.
 //!
 //! ```text
 //! manifest ──► frame by frame: read, check, decode to RGB ──► coder ──► OUT.part ──► count samples ──► OUT
 //!                                                             │
 //!                                                  built in (feature `video`): openh264 and muxide
-//!                                                  or else `ffmpeg`, a process that is fed raw pixels
+//!                                                  otherwise `ffmpeg`, a process that gets raw pixels
 //! ```
 //!
-//! Frames are drawn first and coded afterwards, so that a video is never the reason to draw one twice, and whatever ends the coding
-//! leaves the frames as they are. The file comes into its place whole, and only when it holds as many samples as there are frames.
+//! All frames are drawn before coding begins, so that no frame is drawn twice because of the video, and a failure of the coder
+//! leaves the frames as they are. The file is put in place when it is complete, and only if it has as many samples as there are
+//! frames.
 //!
-//! H.264 as every player takes it has one chroma sample for 2 × 2 pixels: sides are even, or refused before anything is drawn.
+//! H.264 as every player supports it has one chroma sample for 2 × 2 pixels. Sides must therefore be even, which is checked
+//! before anything is drawn.
 
 mod ffmpeg;
 #[cfg(feature = "video")]
@@ -31,11 +33,11 @@ use super::shots::Shots;
 use crate::encode::ImageFormat;
 use crate::plan::Output;
 
-/// Where nothing else is asked for, a pixel of a frame gets so many bits.
+/// Default number of bits per pixel of a frame.
 const BITS_PER_PIXEL: f64 = 0.2;
-/// Kilobits a second that can be asked for.
+/// Range of bitrates, in kilobits per second.
 pub const KBPS_RANGE: [u32; 2] = [50, 500_000];
-/// Sides that the built-in coder takes: the longer and the shorter at most, and either at least.
+/// Largest longer and shorter side of the built-in coder, and smallest side.
 const BUILT_IN_SIDES: [u32; 2] = [3840, 2160];
 const LEAST_SIDE: u32 = 16;
 
@@ -47,37 +49,37 @@ pub enum VideoError {
          or install ffmpeg"
     )]
     NoCoder,
-    /// A choice that no video can be made with; `parameter` is `w`, `h`, `output`, `format`, `bitrate_kbps` or `to`.
+    /// No video can be made with this choice; `parameter` is `w`, `h`, `output`, `format`, `bitrate_kbps` or `to`.
     #[error("{parameter}: {reason}")]
     Unfit { parameter: &'static str, reason: String },
     #[error("{}: {error}", file.display())]
     Io { file: PathBuf, error: io::Error },
-    /// A frame that is not as the manifest says.
+    /// A frame's file does not match the manifest.
     #[error("{}: {reason}; draw the frames again", file.display())]
     Frame { file: PathBuf, reason: String },
     #[error("the H.264 coder failed: {0}")]
     Coder(String),
     #[error("ffmpeg failed ({status}): {said}")]
     Ffmpeg { status: String, said: String },
-    /// The file does not hold what was put in.
+    /// The file has another number of frames than were coded.
     #[error("the video holds {found} frames instead of {frames}")]
     Miscounted { found: String, frames: u64 },
     #[error("told to stop")]
     Stopped,
 }
 
-/// What makes the video.
+/// The program that codes the video.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Coder {
     /// openh264, part of this program.
     #[cfg(feature = "video")]
     BuiltIn,
-    /// This program of another package.
+    /// The `ffmpeg` program at this path.
     Ffmpeg(PathBuf),
 }
 
 impl Coder {
-    /// The one to use: what is built in, or else `ffmpeg`.
+    /// The coder to use: the built-in one, or else `ffmpeg`.
     ///
     /// # Errors
     /// [`VideoError::NoCoder`].
@@ -91,7 +93,7 @@ impl Coder {
     }
 }
 
-/// What a video is made of.
+/// The properties of a video.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reel {
     pub width: u32,
@@ -99,14 +101,14 @@ pub struct Reel {
     pub fps: f64,
     pub output: Output,
     pub format: ImageFormat,
-    /// Frames of the video.
+    /// Number of frames of the video.
     pub frames: u64,
-    /// `None`: by size and rate.
+    /// Bitrate; `None` to choose it by size and frame rate.
     pub bitrate_kbps: Option<u32>,
 }
 
 impl Reel {
-    /// The reel of the frames that are wanted of a path.
+    /// The reel of the wanted frames of a path.
     pub fn new(
         request: &crate::engine::FrameRequest,
         shots: &Shots,
@@ -123,7 +125,7 @@ impl Reel {
         }
     }
 
-    /// Bits a second that the coder aims at.
+    /// The bitrate that the coder aims at, in bits per second.
     pub fn bits_per_second(&self) -> u32 {
         let [least, most] = KBPS_RANGE.map(|kbps| f64::from(kbps) * 1000.0);
         let by_size = f64::from(self.width) * f64::from(self.height) * self.fps * BITS_PER_PIXEL;
@@ -131,15 +133,15 @@ impl Reel {
         asked.unwrap_or(by_size).clamp(least, most) as u32
     }
 
-    /// Bytes that the video will have, roughly.
+    /// Estimates the size of the video in bytes.
     pub fn expected_bytes(&self) -> u64 {
         (f64::from(self.bits_per_second()) / 8.0 * self.frames as f64 / self.fps) as u64
     }
 
-    /// Whether a video can be made of such frames, which is known before they are drawn.
+    /// Checks whether a video can be made of these frames, before they are drawn.
     ///
     /// # Errors
-    /// [`VideoError::Unfit`], which names the parameter.
+    /// [`VideoError::Unfit`] with the name of the parameter.
     pub fn check(&self, coder: &Coder) -> Result<(), VideoError> {
         let unfit = |parameter, reason: String| Err(VideoError::Unfit { parameter, reason });
         for (parameter, side) in [("w", self.width), ("h", self.height)] {
@@ -196,18 +198,18 @@ impl Reel {
     }
 }
 
-/// Takes frames one after the other, RGB8 of the reel's size.
+/// Receives the frames in order, as RGB8 pixels of the reel's size.
 trait Sink {
     fn push(&mut self, rgb: &[u8]) -> Result<(), VideoError>;
-    /// Ends the file.
+    /// Completes the file.
     fn finish(self: Box<Self>) -> Result<(), VideoError>;
 }
 
-/// Makes the video `out` of the frames in `folder` that `records` tell of, in their order. `tell` hears how many are coded.
+/// Codes the frames of `records` in `folder`, in their order, into the video `out`. Calls `tell` with the number of coded frames.
 ///
 /// # Errors
-/// A reel that [`Reel::check`] refuses, a frame that is missing or damaged, a coder that fails, a file that cannot be written; there is no
-/// `out` then, or the one that was there before. [`VideoError::Stopped`] when `stop` becomes true.
+/// [`Reel::check`] fails, a frame is missing or damaged, the coder fails, or a file cannot be written. [`VideoError::Stopped`] if
+/// `stop` becomes true. `out` is then as it was before.
 pub fn encode<'a>(
     coder: &Coder,
     reel: &Reel,
@@ -219,7 +221,7 @@ pub fn encode<'a>(
 ) -> Result<(), VideoError> {
     reel.check(coder)?;
     let part = part_of(out);
-    // What is not finished goes, however this ends; a kill leaves it to the next run to overwrite.
+    // An unfinished file is removed on return. After a kill the next run overwrites it.
     let _unfinished = Unfinished(&part);
     let mut sink: Box<dyn Sink> = match coder {
         #[cfg(feature = "video")]
@@ -247,7 +249,7 @@ pub fn encode<'a>(
     fs::rename(&part, out).map_err(failed)
 }
 
-/// The name of a video that is being written.
+/// The name of a video while it is being written.
 pub fn part_of(out: &Path) -> PathBuf {
     let mut name = out.as_os_str().to_owned();
     name.push(".part");
@@ -258,7 +260,7 @@ struct Unfinished<'a>(&'a Path);
 
 impl Drop for Unfinished<'_> {
     fn drop(&mut self) {
-        // After the renaming there is nothing of that name.
+        // After a successful rename this file no longer exists.
         let _ = fs::remove_file(self.0);
     }
 }

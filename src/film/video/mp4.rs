@@ -1,39 +1,39 @@
-//! What an MP4 file (ISO/IEC 14496-12) says of its video: as much as tells whether all frames are in it.
+//! Reads the tables of an MP4 file (ISO/IEC 14496-12), as far as needed to check that it has all frames.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Boxes that hold boxes, on the way to the tables.
+/// Boxes that contain boxes, on the way to the tables.
 const CONTAINERS: [&[u8; 4]; 5] = [b"moov", b"trak", b"mdia", b"minf", b"stbl"];
-/// A table is not believed to be longer than this.
+/// Longest table that is read.
 const MOST_TABLE_BYTES: u64 = 64 << 20;
 
-/// The tables of a file with one video track, in short.
+/// Summary of the tables of a file with one video track.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Summary {
-    /// Samples, which are frames.
+    /// Number of samples. Each sample is a frame.
     pub frames: u64,
-    /// Units of time in a second, of the track.
+    /// Units of time per second of the track.
     pub timescale: u32,
-    /// Of the track, in those units.
+    /// Duration of the track in those units.
     pub duration: u64,
-    /// Of all samples together by the table of their times, in those units, and of how many.
+    /// Duration of all samples by their time table, in those units, and the number of samples in it.
     pub timed: (u64, u64),
-    /// Pixels, as the track has them.
+    /// Size of the track in pixels.
     pub width: u32,
     pub height: u32,
-    /// Sizes of the samples in bytes, in their order.
+    /// Sizes of the samples in bytes, in order.
     pub sizes: Vec<u32>,
-    /// Where the first sample begins.
+    /// Position of the first sample in the file.
     pub first_at: u64,
 }
 
 impl Summary {
-    /// Reads a file's tables; `None` where they are not there or contradict themselves.
+    /// Reads a file's tables; `None` if they are missing or contradict each other.
     ///
     /// # Errors
-    /// A file that cannot be read.
+    /// The file cannot be read.
     pub fn read(path: &Path) -> io::Result<Option<Summary>> {
         let mut file = File::open(path)?;
         let end = file.metadata()?.len();
@@ -48,7 +48,7 @@ impl Summary {
     }
 }
 
-/// Goes through the boxes between two places; false where they do not fill it.
+/// Walks the boxes between two positions. Returns false if the boxes do not fill the range.
 fn walk(file: &mut File, mut at: u64, end: u64, summary: &mut Summary) -> io::Result<bool> {
     while at < end {
         if end - at < 8 {
@@ -91,7 +91,7 @@ fn read<const N: usize>(file: &mut File) -> io::Result<[u8; N]> {
     Ok(bytes)
 }
 
-/// A big-endian number within bytes that are long enough.
+/// A big-endian number; 0 if the bytes are too short.
 fn u32_at(bytes: &[u8], at: usize) -> u32 {
     get(bytes, at).unwrap_or(0)
 }
@@ -105,7 +105,7 @@ fn get_u64(bytes: &[u8], at: usize) -> Option<u64> {
     Some(u64::from(get(bytes, at)?) << 32 | u64::from(get(bytes, at + 4)?))
 }
 
-/// Takes what a table says; `None` where it is cut off.
+/// Reads a table; `None` if it is cut off.
 fn note(name: &[u8; 4], table: &[u8], summary: &mut Summary) -> Option<()> {
     let is_long = *table.first()? == 1;
     match name {
@@ -124,7 +124,7 @@ fn note(name: &[u8; 4], table: &[u8], summary: &mut Summary) -> Option<()> {
             let (each, count) = (get(table, 4)?, get(table, 8)?);
             summary.frames = u64::from(count);
             if each != 0 && count as usize > table.len() {
-                // No table at all: all have that size. Not what is expected of video, nor of use to hold.
+                // All samples have the same size. This is not expected of a video.
                 return None;
             }
             let sizes = (0..count as usize)
@@ -159,7 +159,7 @@ mod tests {
         words.iter().flat_map(|word| word.to_be_bytes()).collect()
     }
 
-    /// Three samples of 10, 20 and 30 bytes, a third of a second each.
+    /// A file of three samples of 10, 20 and 30 bytes, a third of a second each.
     fn file() -> Vec<u8> {
         let stbl = [
             boxed(b"stsz", &words(&[0, 0, 3, 10, 20, 30])),
@@ -180,7 +180,7 @@ mod tests {
     fn summary(bytes: &[u8]) -> Option<Summary> {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), bytes).unwrap();
-        // What is cut in the middle of a head is an error of reading, which is as good as no summary.
+        // A cut within a box's head is a read error, which counts as no summary here.
         Summary::read(file.path()).ok().flatten()
     }
 

@@ -1,4 +1,4 @@
-//! A frame's file to RGB.
+//! Decodes a frame's file to RGB.
 
 use std::path::Path;
 
@@ -6,10 +6,10 @@ use super::{Reel, VideoError};
 use crate::encode::ImageFormat;
 use crate::film::manifest::{self, Record};
 
-/// The pixels of a recorded frame, RGB8 from the top row down; alpha is dropped, as JPEG drops it.
+/// Reads the pixels of a recorded frame: RGB8, from the top row down. Alpha is dropped, as in a JPEG.
 ///
 /// # Errors
-/// A file that cannot be read, or is not what the record says.
+/// The file cannot be read, or does not match the record.
 pub fn read(folder: &Path, record: &Record, reel: &Reel) -> Result<Vec<u8>, VideoError> {
     let file = folder.join(&record.file);
     let bad = |reason: String| VideoError::Frame { file: file.clone(), reason };

@@ -12,7 +12,7 @@ fn reel(frames: u64) -> Reel {
     Reel { width, height, fps: 24.0, output, format, frames, bitrate_kbps: None }
 }
 
-/// A soft pattern that moves, and a bar that jumps.
+/// A smooth pattern that moves, and a bar that jumps.
 fn picture(frame: u64) -> Vec<[u8; 4]> {
     let (width, height) = SIDES;
     let at = |i: u32| {
@@ -26,7 +26,7 @@ fn picture(frame: u64) -> Vec<[u8; 4]> {
     (0..width * height).map(at).collect()
 }
 
-/// A folder of frames with what the manifest says of them.
+/// A folder of frames, and their records.
 fn folder(frames: u64, format: ImageFormat) -> (tempfile::TempDir, Vec<Record>) {
     folder_of(format, frames, picture)
 }
@@ -101,7 +101,7 @@ mod built_in {
     use super::*;
     use crate::scene::random::SplitMix64;
 
-    /// The file's pictures, decoded to RGB.
+    /// Decodes the pictures of a file to RGB.
     fn decoded(file: &Path) -> Vec<Vec<u8>> {
         let summary = Summary::read(file).unwrap().unwrap();
         let bytes = fs::read(file).unwrap();
@@ -109,7 +109,7 @@ mod built_in {
         let mut at = summary.first_at as usize;
         let mut pictures = Vec::new();
         for &size in &summary.sizes {
-            // From lengths in front of the units to start codes between them.
+            // Replace the lengths in front of the units by start codes.
             let (end, mut stream) = (at + size as usize, Vec::new());
             while at < end {
                 let length = u32::from_be_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
@@ -126,7 +126,7 @@ mod built_in {
         pictures
     }
 
-    /// The pattern, with noise.
+    /// The pattern with noise.
     fn rough(frame: u64, random: &mut SplitMix64) -> Vec<[u8; 4]> {
         let mut noisy = |value: u8| value / 2 + (random.next_u64() % 96) as u8;
         picture(frame).into_iter().map(|[r, g, b, a]| [noisy(r), noisy(g), noisy(b), a]).collect()
@@ -170,12 +170,12 @@ mod built_in {
                 qualities.iter().fold(f64::INFINITY, |a, &b| a.min(b)),
                 qualities.iter().sum::<f64>() / FRAMES as f64,
             );
-            // Chroma at half the size costs the bar's edges some of it, whatever the rate.
+            // Chroma at half the resolution costs accuracy at the bar's edges, whatever the bitrate.
             assert!(
                 least > 24.0 && mean > 27.0,
                 "{format:?}: least {least:.1} dB, mean {mean:.1} dB"
             );
-            // A picture is much nearer to its own frame than to the one before.
+            // Each picture is much closer to its own frame than to the previous one.
             for frame in 1..FRAMES {
                 let (own, before) = (
                     psnr_db(&picture(frame), &pictures[frame as usize]),
@@ -191,7 +191,7 @@ mod built_in {
 
     #[test]
     fn more_bits_are_a_better_picture() {
-        // What no coder can foretell.
+        // Noise, which no coder can predict.
         let mut random = SplitMix64::new(5);
         let noise: Vec<Vec<[u8; 4]>> = (0..48).map(|frame| rough(frame, &mut random)).collect();
         let (at, records) = folder_of(ImageFormat::Png, 48, |frame| noise[frame as usize].clone());
@@ -205,7 +205,7 @@ mod built_in {
         };
         let (few, many) = (quality(100), quality(600));
         assert!(few.0 * 2 < many.0 && few.1 < many.1, "{few:?} {many:?}");
-        // Two seconds of it.
+        // The video lasts two seconds.
         assert!((75_000..225_000).contains(&many.0), "{many:?}");
     }
 
@@ -245,7 +245,7 @@ mod built_in {
     }
 }
 
-/// A program in the place of `ffmpeg`.
+/// A script in place of `ffmpeg`.
 #[cfg(unix)]
 fn program(folder: &Path, script: &str) -> PathBuf {
     use std::os::unix::fs::PermissionsExt;
@@ -265,7 +265,7 @@ fn the_process_is_fed_every_pixel_and_its_complaints_are_told() {
         let coder = Coder::Ffmpeg(program(at.path(), script));
         encode(&coder, &reel, at.path(), &records, &out, &go_on(), |_| ())
     };
-    // Keeps what it gets and how it was called, and makes no video of it.
+    // A script that keeps its input and its arguments, and makes no video.
     let fed = at.path().join("fed");
     let called = at.path().join("called");
     let script = format!(
@@ -282,7 +282,7 @@ fn the_process_is_fed_every_pixel_and_its_complaints_are_told() {
     {
         assert!(called.contains(words), "{called}");
     }
-    // Ends at once, or at the end, with words of why.
+    // Scripts that fail at once or at the end, with a message.
     for script in [
         "echo 'Unknown encoder libx264' >&2; exit 8",
         "cat > /dev/null; echo 'Unknown encoder libx264' >&2; exit 8",
@@ -290,7 +290,7 @@ fn the_process_is_fed_every_pixel_and_its_complaints_are_told() {
         let refused = run(script).unwrap_err().to_string();
         assert!(refused.contains("Unknown encoder libx264") && refused.contains('8'), "{refused}");
     }
-    // Says more than a pipe holds, all the while.
+    // A script that writes more messages than a pipe holds.
     let refused = run(
         "i=0; while [ $i -lt 3000 ]; do echo 'complaint, complaint, complaint, complaint' >&2; i=$((i+1)); done; exit 1",
     );
@@ -301,7 +301,7 @@ fn the_process_is_fed_every_pixel_and_its_complaints_are_told() {
     assert!(matches!(refused, Err(VideoError::Io { .. })));
 }
 
-/// The real one, where it is installed.
+/// The real program, if it is installed.
 #[test]
 fn ffmpeg_makes_what_was_asked_for() {
     let Some(program) = ffmpeg::find(std::env::var_os("PATH").as_deref()) else {

@@ -1,10 +1,9 @@
 //! `relief` and `statue`: a sculpted solid with fine relief, as a mesh and as a dense point cloud.
 //!
-//! Data in: a height, a number of triangles or points, a seed. Data out: a watertight mesh with
-//! outward triangles, normals and colours; or points spread evenly over the same surface, with
-//! normals and colours. The shape is [`sculpture::Sculpture`], a signed distance function; the mesh
-//! comes from [`super::isosurface`], and the points are strewn over a mesh by area (a low-discrepancy
-//! sequence within triangles) and pulled onto the surface.
+//! The input is a height, a number of triangles or points, and a seed. The output is a watertight mesh with outward triangles,
+//! normals and colours, or points spread evenly over the same surface, with normals and colours. The shape is
+//! [`sculpture::Sculpture`], a signed distance function. The mesh comes from [`super::isosurface`]. Points are distributed over a
+//! mesh by area (a low-discrepancy sequence within triangles) and moved onto the surface.
 
 mod sculpture;
 
@@ -16,14 +15,14 @@ use super::isosurface::{Isosurface, gradient, isosurface};
 use crate::assets::{Mesh, PointCloud, Progress};
 use sculpture::{HEIGHT, Sculpture};
 
-/// Step of the differences that normals come from, in metres at a height of two.
+/// Step of the finite differences for normals, in metres at a height of two.
 const NORMAL_STEP: f64 = 0.001;
 
-/// What a relief is made from.
+/// Parameters of a relief.
 #[derive(Clone, Debug)]
 pub struct ReliefParameters {
     pub height: f64,
-    /// Triangles of a mesh (met within a few per cent) or points of a cloud (met exactly).
+    /// Number of triangles of a mesh (within a few per cent), or number of points of a cloud (exactly).
     pub count: usize,
     pub seed: u64,
 }
@@ -65,7 +64,7 @@ fn mesh(sculpture: &Sculpture, triangles: usize, progress: &Progress) -> Isosurf
     surface
 }
 
-/// The sculpture as points, evenly by area.
+/// The sculpture as points that are spread evenly by area.
 pub fn statue(parameters: &ReliefParameters, progress: &Progress) -> PointCloud {
     let sculpture = Sculpture::new(parameters.seed);
     let carrier = mesh(&sculpture, (parameters.count / 6).clamp(40_000, 400_000), progress);
@@ -106,8 +105,8 @@ pub fn statue(parameters: &ReliefParameters, progress: &Progress) -> PointCloud 
     cloud
 }
 
-/// Point `index` of `count` on a mesh: equal steps of area choose the triangle, the R₂ sequence
-/// (Roberts 2018) the place in it.
+/// Point `index` of `count` on a mesh. Equal steps of area choose the triangle, and the R₂ sequence (Roberts 2018) the position
+/// in it.
 fn spread(mesh: &Isosurface, areas: &[f64], index: usize, count: usize) -> DVec3 {
     let total = areas.last().copied().unwrap_or(0.0);
     let at = (index as f64 + 0.5) / count as f64 * total;
@@ -161,7 +160,7 @@ mod tests {
             let flat = (b - a).cross(c - a);
             agree += i32::from(flat.dot(normals[t[0] as usize].as_dvec3()) > 0.0);
         }
-        // Scales are only two or three cells wide here; some facets cut across them.
+        // Scales are only two or three cells wide here, so some facets cut across them.
         assert!(f64::from(agree) > 0.94 * count as f64, "{agree} of {count}");
         assert!(normals.iter().all(|n| (n.length() - 1.0).abs() < 1e-4));
     }
@@ -175,7 +174,7 @@ mod tests {
         let off =
             cloud.positions.iter().filter(|&&p| sculpture.distance(p * 0.5).abs() > 0.002).count();
         assert!(off < 200, "{off} points off the surface");
-        // The plinth's top and bottom have known areas: density is the same on both.
+        // The plinth's top and bottom have known areas, and density must be equal on both.
         let on = |low: f64, high: f64| {
             cloud.positions.iter().filter(|p| p.y > low && p.y < high).count() as f64
         };

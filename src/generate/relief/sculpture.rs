@@ -1,8 +1,8 @@
-//! The sculpture as a signed distance function: a serpent coiled about a fluted column that bears a
-//! pine cone, on a moulded base. Two metres high, standing on the origin, y up, facing +z.
+//! The sculpture as a signed distance function: a serpent coiled around a fluted column with a pine cone on top, on a moulded
+//! base. It is two metres high and stands on the origin, y up, facing +z.
 //!
-//! Solids are joined by smooth minima (polynomial, Quílez) and carved by displacement: flutes, beads,
-//! a frieze, cone scales, and the serpent's skin, a lattice of keeled diamonds along its body.
+//! Solids are joined by smooth minima (polynomial, Quílez) and carved by displacement: flutes, beads, a frieze, cone scales, and
+//! the serpent's skin, a lattice of keeled diamonds along its body.
 
 use glam::{DVec2, DVec3};
 
@@ -12,7 +12,7 @@ use crate::math::Bounds;
 /// Height in metres before scaling.
 pub const HEIGHT: f64 = 2.0;
 
-/// A sculpture; the seed varies turns, girth and stone.
+/// A sculpture. The seed varies turns, girth and stone.
 #[derive(Clone, Debug)]
 pub struct Sculpture {
     seed: u64,
@@ -21,7 +21,7 @@ pub struct Sculpture {
     flutes: f64,
 }
 
-/// What a place on the surface is made of.
+/// The material of a place on the surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Matter {
     Stone,
@@ -29,7 +29,7 @@ pub enum Matter {
     Gilt,
 }
 
-/// Distance, and how high the relief stands there (−1..1).
+/// The distance to a part, and the height of its relief (−1..1).
 #[derive(Clone, Copy, Debug)]
 struct Part {
     distance: f64,
@@ -51,7 +51,7 @@ impl Sculpture {
         }
     }
 
-    /// The box that holds it.
+    /// The bounding box.
     pub fn bounds(&self) -> Bounds {
         Bounds { min: DVec3::new(-0.42, -0.01, -0.42), max: DVec3::new(0.42, 2.06, 0.66) }
     }
@@ -63,7 +63,7 @@ impl Sculpture {
         smooth_min(stone, self.serpent(p).distance, 0.008)
     }
 
-    /// What the surface is made of at `p`, and the relief's height there.
+    /// The material of the surface at `p`, and the height of its relief there.
     pub fn matter(&self, p: DVec3) -> (Matter, f64) {
         let (cone, serpent) = (self.cone(p), self.serpent(p));
         let stone = self.base(p).min(self.column(p));
@@ -101,7 +101,7 @@ impl Sculpture {
         smooth_min(low.min(step), round, 0.008)
     }
 
-    /// A running pattern of half-round studs in the plinth's panels.
+    /// A row of half-round studs in the plinth's panels.
     fn frieze(&self, p: DVec3) -> f64 {
         let (along, out) = if p.x.abs() > p.z.abs() { (p.z, p.x.abs()) } else { (p.x, p.z.abs()) };
         let pitch = 0.07;
@@ -175,7 +175,7 @@ impl Sculpture {
     }
 
     fn body_radius(&self, t: f64) -> f64 {
-        // Thinner than nothing at the very tip, so that the tail ends in a point.
+        // Negative at the very tip, so that the tail ends in a point.
         let swell = smoothstep(-0.05, 0.36, t) * (1.0 - 0.32 * smoothstep(0.72, 1.0, t));
         self.girth * swell - 0.006 * (1.0 - smoothstep(0.0, 0.06, t))
     }
@@ -189,7 +189,7 @@ impl Sculpture {
         }
         let tau = std::f64::consts::TAU;
         let pitch = (COIL_HIGH - COIL_LOW) / self.turns;
-        // The coil ends in front, where the angle is 0.
+        // The coil ends in front, at angle 0.
         let angle = atan2(p.x, p.z);
         let phase = angle / tau + self.turns;
         let lowest = (-phase).ceil();
@@ -200,7 +200,7 @@ impl Sculpture {
         let r = self.body_radius(t);
         let ring = 0.168 + 0.72 * r;
         let climb = p.y - (COIL_LOW + along * pitch);
-        // The section is seen at the slant of the climb.
+        // The cross-section is foreshortened by the slope of the climb.
         let slant = (tau * ring) / ((tau * ring) * (tau * ring) + pitch * pitch).sqrt();
         let section = DVec2::new(rho - ring, climb * slant);
         let around = atan2(section.y, section.x);
@@ -214,7 +214,7 @@ impl Sculpture {
         Part { distance, relief }
     }
 
-    /// Neck and head, in front of the column.
+    /// The neck and the head, in front of the column.
     fn head(&self, p: DVec3, pitch: f64) -> Part {
         let r = self.body_radius(1.0);
         let start = DVec3::new(0.0, COIL_HIGH, 0.168 + 0.72 * r);
@@ -261,7 +261,7 @@ impl Sculpture {
         Part { distance: joined * 0.8, relief: if head < neck { 0.3 } else { stripes - 0.5 } }
     }
 
-    /// sRGB colour of the surface at `p` with outward normal `n`.
+    /// The sRGB colour of the surface at `p` with outward normal `n`.
     pub fn color(&self, p: DVec3, n: DVec3) -> [u8; 4] {
         let mut open = 1.0;
         for (reach, weight) in [(0.012, 0.45), (0.04, 0.4), (0.12, 0.3)] {
@@ -292,7 +292,7 @@ impl Sculpture {
     }
 }
 
-/// Keeled diamonds in alternating rows, 0..1. `u` counts rows, `v` scales around.
+/// The height of a skin of keeled diamonds in alternating rows, 0..1. `u` counts rows, and `v` scales around the body.
 fn skin(u: f64, v: f64) -> f64 {
     let mut best = 0.0f64;
     let row = u.floor();

@@ -1,4 +1,4 @@
-//! Putting solids together: frames, boxes, prisms, posts, and the table of their skins.
+//! Builds solids: frames, boxes, prisms, posts, and the table of their skins.
 
 use glam::{DVec2, DVec3};
 
@@ -9,7 +9,7 @@ use super::solid::{Face, Shape, Solid};
 #[derive(Clone, Copy, Debug)]
 pub struct Frame {
     pub origin: DVec3,
-    /// Unit length.
+    /// A unit vector.
     pub along: DVec2,
 }
 
@@ -31,7 +31,7 @@ impl Frame {
         DVec3::new(flat.x, flat.y, v.z)
     }
 
-    /// The same place, turned by a quarter to the left `quarters` times.
+    /// The frame turned to the left by `quarters` right angles.
     pub fn turned(&self, quarters: u32) -> Frame {
         let mut frame = *self;
         for _ in 0..quarters % 4 {
@@ -45,7 +45,7 @@ impl Frame {
     }
 }
 
-/// Solids and skins, collected.
+/// The collected solids and skins.
 #[derive(Default)]
 pub struct Builder {
     pub solids: Vec<Solid>,
@@ -66,7 +66,7 @@ impl Builder {
         self.solids.push(Solid::new(shape));
     }
 
-    /// A convex solid from faces given in a frame by a normal (any length), a point and a skin.
+    /// Adds a convex solid. Its faces are given in a frame by a normal (of any length), a point and a skin.
     pub fn convex(&mut self, frame: &Frame, faces: &[(DVec3, DVec3, SkinId)]) {
         let faces = faces
             .iter()
@@ -78,7 +78,7 @@ impl Builder {
         self.add(Shape::Convex(faces));
     }
 
-    /// A box between two corners in a frame.
+    /// Adds a box between two corners in a frame.
     pub fn cuboid(&mut self, frame: &Frame, min: DVec3, max: DVec3, skin: SkinId) {
         let faces = [
             (DVec3::NEG_X, min, skin),
@@ -91,7 +91,7 @@ impl Builder {
         self.convex(frame, &faces);
     }
 
-    /// A box of which each side is inset by `inset` at the top: pedestals, cabins, spires.
+    /// Adds a box whose sides are inset by `inset` at the top: pedestals, cabins, spires.
     pub fn taper(&mut self, frame: &Frame, min: DVec3, max: DVec3, inset: DVec2, skin: SkinId) {
         let height = max.z - min.z;
         let faces = [
@@ -105,8 +105,7 @@ impl Builder {
         self.convex(frame, &faces);
     }
 
-    /// A slab of `thickness` whose top passes through `low` and `high` (corners of a rectangle that
-    /// is level along x).
+    /// Adds a slab of `thickness` whose top passes through `low` and `high`, the corners of a rectangle that is level along x.
     pub fn slab(
         &mut self,
         frame: &Frame,
@@ -154,7 +153,7 @@ mod tests {
         let (low, high) = (DVec3::new(0.0, 0.0, 1.0), DVec3::new(4.0, 3.0, 5.0));
         builder.slab(&level, low, high, 0.1, [skin; 2]);
         let bounds = builder.solids[1].bounds;
-        // Its ends are square to the slope: the underside reaches out by a fifth of 0.4.
+        // Its ends are square to the slope, so the underside extends by a fifth of 0.4.
         assert!((bounds.max - DVec3::new(4.0, 3.08, 5.0)).length() < 1e-9, "{bounds:?}");
         assert!((bounds.min - DVec3::new(0.0, 0.0, 0.94)).length() < 1e-9, "{bounds:?}");
         builder.taper(&level, DVec3::ZERO, DVec3::splat(2.0), DVec2::splat(1.0), skin);

@@ -1,4 +1,4 @@
-//! What stands about in a town: trees, cars, lamps, benches, stalls, a fountain, hedges.
+//! Objects in the town: trees, cars, lamps, benches, stalls, a fountain, hedges.
 
 use glam::{DVec2, DVec3};
 
@@ -45,7 +45,7 @@ impl Builder {
         }
     }
 
-    /// A conifer: tiers that shrink upwards.
+    /// A conifer: tiers that get smaller upwards.
     pub fn conifer(&mut self, base: DVec3, height: f64, random: &mut SplitMix64) {
         let bark = self.plain(rgb(0x4d3b2c), 0.35, class::HIGH_VEGETATION);
         let leaves =
@@ -74,7 +74,7 @@ impl Builder {
         }
     }
 
-    /// A car whose frame's origin is the middle of its footprint, x towards its front.
+    /// A car. The frame's origin is the middle of its footprint, and x points to its front.
     pub fn car(&mut self, frame: &Frame, random: &mut SplitMix64) {
         let paint = rgb(PAINT[random.index(PAINT.len())]);
         let body = self.skin(Skin::Plain {
@@ -118,7 +118,7 @@ impl Builder {
         }
     }
 
-    /// A lamp post whose arm reaches along the frame's x.
+    /// A lamp post whose arm points along the frame's x.
     pub fn lamp(&mut self, frame: &Frame) {
         let metal = self.plain(rgb(0x49504f), 0.4, class::UNCLASSIFIED);
         let light = self.plain(rgb(0xe9e4cf), 0.7, class::UNCLASSIFIED);
@@ -136,7 +136,7 @@ impl Builder {
         self.cuboid(frame, DVec3::new(0.035, -0.3, 2.05), DVec3::new(0.06, 0.3, 2.65), board);
     }
 
-    /// A bench, its seat looking along the frame's y.
+    /// A bench whose seat faces along the frame's y.
     pub fn bench(&mut self, frame: &Frame) {
         let wood = self.plain(rgb(0x7a5836), 0.45, class::UNCLASSIFIED);
         self.cuboid(frame, DVec3::new(-0.9, -0.25, 0.42), DVec3::new(0.9, 0.2, 0.48), wood);
@@ -188,7 +188,7 @@ impl Builder {
         });
     }
 
-    /// Somebody standing there.
+    /// A standing person.
     pub fn person(&mut self, base: DVec3, random: &mut SplitMix64) {
         let coat = [0x2b3a55, 0x7a2f2f, 0x3f3f44, 0xb39a6a, 0x4a6a55, 0xc9c4bb][random.index(6)];
         let coat = self.plain(rgb(coat), 0.4, class::UNCLASSIFIED);

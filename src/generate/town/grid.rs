@@ -1,7 +1,7 @@
-//! A uniform grid over the town, walked by rays column by column.
+//! A uniform grid over the town, which rays walk column by column.
 //!
-//! Solids stand on the ground, so the grid has two dimensions; each column knows how high it is built,
-//! and rays that pass above skip it (Amanatides and Woo 1987 for the stepping).
+//! Solids stand on the ground, so the grid has two dimensions. Each column knows its height, and rays that pass above it skip it
+//! (stepping by Amanatides and Woo 1987).
 
 use glam::{DVec2, DVec3};
 
@@ -15,7 +15,7 @@ pub struct Grid {
     solids: Vec<Solid>,
     min: DVec2,
     size: [usize; 2],
-    /// Where each column's run in `items` begins; one more than there are columns.
+    /// Start of each column's run in `items`, with one more entry than there are columns.
     starts: Vec<u32>,
     items: Vec<u32>,
     /// Height of the highest solid in each column.
@@ -56,7 +56,7 @@ impl Grid {
         Grid { solids, min, size, starts, items, tops, top }
     }
 
-    /// The nearest meeting nearer than `far`.
+    /// The nearest hit nearer than `far`.
     pub fn nearest(&self, ray: &Ray, far: f64) -> Option<Hit> {
         let mut best: Option<Hit> = None;
         self.walk(ray, far, |column, leave| {
@@ -72,7 +72,7 @@ impl Grid {
         best
     }
 
-    /// Whether anything stands within `far`.
+    /// Whether anything is hit within `far`.
     pub fn is_blocked(&self, ray: &Ray, far: f64) -> bool {
         let mut blocked = false;
         self.walk(ray, far, |column, _| {
@@ -96,8 +96,8 @@ impl Grid {
         self.items[run].iter().any(|&index| self.solids[index as usize].contains(p, depth))
     }
 
-    /// Calls `visit` with each column along the ray that it does not pass above, and the distance at
-    /// which the ray leaves it, until `visit` says stop.
+    /// Calls `visit` for each column along the ray that the ray does not pass above, with the distance at which the ray leaves
+    /// it, until `visit` asks to stop.
     fn walk(&self, ray: &Ray, far: f64, mut visit: impl FnMut(&[u32], f64) -> bool) {
         let Some((mut t, end)) = self.clip(ray, far) else { return };
         let start = ray.at(t);

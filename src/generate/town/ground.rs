@@ -1,7 +1,7 @@
-//! The town's plan as seen by the ground: blocks, streets, kerbs, and what each is paved with.
+//! The town's plan at ground level: blocks, streets, kerbs, and their paving.
 //!
-//! The town is laid out straight: streets run along both axes between rectangular blocks, which are
-//! raised by a kerb. It is bent, tilted and turned only when points are written ([`Bend`]).
+//! The town is laid out straight: streets run along both axes between rectangular blocks, which kerbs raise. It is bent, tilted
+//! and turned only when points are written ([`Bend`]).
 
 use glam::{DVec2, DVec3};
 
@@ -19,10 +19,10 @@ pub const STREET_M: f64 = 8.4;
 pub const PAVEMENT_M: f64 = 2.6;
 const CORNER_RADIUS_M: f64 = 3.0;
 
-/// The skin that hits on the ground carry.
+/// The skin of hits on the ground.
 pub const GROUND_SKIN: SkinId = SkinId(u32::MAX);
 
-/// What a block is used for.
+/// The use of a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Use {
     /// Terraced houses around a yard.
@@ -41,7 +41,7 @@ pub struct Block {
     pub usage: Use,
 }
 
-/// Blocks between streets.
+/// The town's blocks.
 #[derive(Clone, Debug)]
 pub struct Plan {
     pub blocks: Vec<Block>,
@@ -95,7 +95,7 @@ impl Plan {
         Plan { blocks, columns, rows, min: DVec2::ZERO, max: DVec2::splat(size_m) }
     }
 
-    /// The block whose raised ground holds `p`, corners rounded.
+    /// The block on whose raised ground `p` lies. Corners are rounded.
     pub fn block_at(&self, p: DVec2) -> Option<&Block> {
         let find = |list: &[(f64, f64)], x: f64| {
             let index = list.partition_point(|interval| interval.1 < x);
@@ -114,7 +114,7 @@ impl Plan {
         self.block_at(DVec2::new(p.x, p.y)).is_some()
     }
 
-    /// Where a ray that comes from above meets the ground, kerbs included.
+    /// The hit of a ray from above with the ground, including kerbs.
     pub fn hit(&self, ray: &Ray, far: f64) -> Option<Hit> {
         if ray.direction.z >= -1e-6 {
             return None;
@@ -136,7 +136,7 @@ impl Plan {
         if !self.is_raised(below) {
             return if inside(below) && lower < far { hit(lower, DVec3::Z) } else { None };
         }
-        // The ray passes under the kerb's edge: find where by halving.
+        // The ray passes below the kerb's edge. Bisect for the hit with the kerb.
         let (mut outside, mut within) = (upper.max(0.0), lower);
         for _ in 0..12 {
             let middle = 0.5 * (outside + within);
@@ -149,7 +149,7 @@ impl Plan {
         if horizontal.length() < 1e-9 { hit(lower, DVec3::Z) } else { hit(within, axis) }
     }
 
-    /// What the ground is made of.
+    /// The surface of the ground at a place.
     pub fn surface(&self, p: DVec3, normal: DVec3) -> Surface {
         let q = DVec2::new(p.x, p.y);
         if normal.z < 0.5 {
@@ -184,7 +184,7 @@ impl Plan {
         paved(scaled(rgb(0x5a5a5c), tone), 0.2, class::ROAD)
     }
 
-    /// Distance from a place in the street to the nearest kerb.
+    /// Distance from a place in a street to the nearest kerb.
     fn distance_to_blocks(&self, q: DVec2) -> f64 {
         let mut nearest = f64::INFINITY;
         for block in &self.blocks {
@@ -194,7 +194,7 @@ impl Plan {
         nearest
     }
 
-    /// Dashes along the middle of each street, zebra crossings before the junctions.
+    /// Whether a place is on a road marking: dashes along the middle of each street, zebra crossings before the junctions.
     fn is_marking(&self, q: DVec2, from_middle: f64) -> bool {
         let inside = |list: &[(f64, f64)], x: f64| {
             list.iter().find(|interval| x >= interval.0 && x <= interval.1).copied()
@@ -252,7 +252,7 @@ fn raised(block: &Block, q: DVec2) -> Surface {
     }
 }
 
-/// Paving with joints, each slab of its own tone.
+/// Paving with joints. Each slab has its own tone.
 fn slabs(q: DVec2, size: f64, color: Rgb, grain: f64) -> Surface {
     let row = (q.y / size).floor();
     let x = q.x / size + 0.5 * (row.rem_euclid(2.0));
@@ -263,13 +263,13 @@ fn slabs(q: DVec2, size: f64, color: Rgb, grain: f64) -> Surface {
     paved(scaled(color, tone), 0.42, class::GROUND)
 }
 
-/// From the straight, level town to the world: streets wind, the ground rolls and falls towards one
-/// side, north is not along a street. Waves are so long that a house bends by a centimetre or two.
+/// Maps the straight, level town to the world: streets wind, the ground undulates and slopes to one side, and north is not along
+/// a street. The waves are so long that a house bends by only a centimetre or two.
 #[derive(Clone, Copy, Debug)]
 pub struct Bend {
     origin: DVec3,
     middle: DVec2,
-    /// Sine and cosine of the turn.
+    /// Sine and cosine of the rotation.
     turn: (f64, f64),
     phase: f64,
 }
@@ -285,7 +285,7 @@ impl Bend {
         }
     }
 
-    /// A place in the straight town, in the world.
+    /// Maps a point of the straight town to the world.
     pub fn apply(&self, p: DVec3) -> DVec3 {
         let q = DVec2::new(p.x, p.y) - self.middle;
         let bent = q + DVec2::new(

@@ -13,8 +13,8 @@ const WALLS: [u32; 12] = [
 const ROOFS: [u32; 7] = [0xa8492f, 0x9a3f2b, 0xb35a3a, 0x8a3b2c, 0x6e4234, 0x55575c, 0x9c5236];
 const AWNINGS: [u32; 5] = [0xb23a36, 0x2f6f73, 0xd9a441, 0x3f5f94, 0xe7e2d6];
 
-/// A house's place and size. Its frame's origin is the left front corner seen from the street, at
-/// street-level ground; x runs along the front, y into the plot.
+/// Place and size of a house. The frame's origin is the left front corner seen from the street, at street level; x runs along the
+/// front and y into the plot.
 pub struct House {
     pub frame: Frame,
     pub width: f64,
@@ -22,7 +22,7 @@ pub struct House {
     pub storeys: u32,
     /// Rise of the roof over its run.
     pub pitch: f64,
-    /// Whether neighbours stand against the gables, which then have no windows.
+    /// Whether neighbours adjoin the gables, which then have no windows.
     pub attached: bool,
     pub shop: bool,
 }
@@ -49,7 +49,7 @@ impl Builder {
         };
         let color = if style == FacadeStyle::Timber { rgb(0xe6ddc9) } else { color };
         let frame = house.frame;
-        // Each wall sees its own left foot: counter-clockwise from the front.
+        // Each wall's origin is its own left foot; counter-clockwise from the front.
         let feet = [(0.0, 0.0, w), (w, 0.0, d), (w, d, w), (0.0, d, d)];
         let mut walls = [SkinId(0); 4];
         for (side, (x, y, width)) in feet.into_iter().enumerate() {
@@ -135,7 +135,7 @@ impl Builder {
         }
     }
 
-    /// A window that stands in the roof, under a small slab of its own.
+    /// Adds a dormer: a window in the roof under a small slab.
     fn dormer(
         &mut self,
         frame: &Frame,
@@ -179,8 +179,8 @@ impl Builder {
         self.slab(frame, low, high, 0.12, [tiles, cheek]);
     }
 
-    /// A church: nave, choir, tower with a spire. The frame's origin is the middle of the nave's
-    /// west end; x runs along the nave.
+    /// A church: nave, choir, tower with a spire. The frame's origin is the middle of the nave's west end, and x runs along the
+    /// nave.
     pub fn church(&mut self, frame: &Frame, length: f64, random: &mut SplitMix64) {
         let width = 0.46 * length;
         let nave = frame.moved(DVec3::new(0.0, -0.5 * width, 0.0));

@@ -1,4 +1,4 @@
-//! Filling the plan: which house, tree and car stands where.
+//! Fills the plan with houses, trees, cars and other objects.
 
 use glam::{DVec2, DVec3};
 
@@ -8,7 +8,7 @@ use super::house::House;
 use crate::generate::numeric::sin_cos;
 use crate::scene::random::SplitMix64;
 
-/// Builds everything that stands on the plan.
+/// Builds everything on the plan.
 pub fn build(plan: &Plan, seed: u64) -> Builder {
     let mut builder = Builder::default();
     for (index, block) in plan.blocks.iter().enumerate() {
@@ -26,7 +26,7 @@ pub fn build(plan: &Plan, seed: u64) -> Builder {
     builder
 }
 
-/// One side of a block: a frame whose x runs along the kerb with the block to its left, and its length.
+/// The sides of a block: for each a frame whose x runs along the kerb with the block to its left, and its length.
 fn sides(block: &Block) -> [(Frame, f64); 4] {
     let (a, b) = (block.min, block.max);
     let corner = |x: f64, y: f64| DVec3::new(x, y, KERB_M);
@@ -41,7 +41,7 @@ fn sides(block: &Block) -> [(Frame, f64); 4] {
 fn terrace(builder: &mut Builder, block: &Block, random: &mut SplitMix64) {
     let depth = 9.6;
     for (side, (frame, length)) in sides(block).into_iter().enumerate() {
-        // Houses on the long sides take the corners; the others stand between them.
+        // Houses on the long sides occupy the corners. The others stand between them.
         let corner = if side % 2 == 0 { PAVEMENT_M } else { PAVEMENT_M + depth };
         let room = length - 2.0 * corner;
         let count = (room / random.range(8.0, 9.6)).floor().max(1.0);
@@ -210,7 +210,7 @@ fn park(builder: &mut Builder, block: &Block, random: &mut SplitMix64) {
     }
 }
 
-/// Lamps, signs, people and street trees on the pavement.
+/// Adds lamps, signs, people and street trees on the pavement.
 fn kerbside(builder: &mut Builder, block: &Block, random: &mut SplitMix64) {
     for (frame, length) in sides(block) {
         let trees = block.usage != Use::Square && random.chance(0.5);
@@ -235,7 +235,7 @@ fn kerbside(builder: &mut Builder, block: &Block, random: &mut SplitMix64) {
     }
 }
 
-/// Cars along both kerbs of every street, and a few on their way.
+/// Adds cars along both kerbs of every street, and a few moving ones.
 fn parked_cars(builder: &mut Builder, plan: &Plan, random: &mut SplitMix64) {
     let blocks: Vec<_> = plan.blocks.iter().flat_map(sides).collect();
     for (frame, length) in blocks {

@@ -1,14 +1,12 @@
-//! `town`: the laser scan of a town that is not there.
+//! `town`: a simulated laser scan of an imaginary town.
 //!
-//! A small town is laid out from a seed (streets, kerbs, terraced and detached houses, a square with a
-//! church, parks, trees, lamps, cars, people) and scanned by casting rays at it, so that the cloud
-//! has what real ones have: shadows behind things, density that falls with distance, noisy ranges,
-//! echoes lost on glass and at grazing incidence, stray points. Coordinates are UTM (easting about
-//! 412,000 m, northing about 5,653,000 m, height about 110 m, z up), in whole millimetres.
+//! A small town is laid out from a seed (streets, kerbs, terraced and detached houses, a square with a church, parks, trees,
+//! lamps, cars, people) and scanned by ray casting. The cloud therefore has the properties of real ones: shadows behind objects,
+//! density that falls with distance, noisy ranges, echoes lost on glass and at grazing incidence, stray points. Coordinates are
+//! UTM (easting about 412,000 m, northing about 5,653,000 m, height about 110 m, z up), in whole millimetres.
 //!
-//! Data in: a size in metres, a number of points, a seed. Data out: a point cloud with colour (a
-//! sunny day is baked in), intensity (reflectance × incidence × range) and ASPRS classes. Equal
-//! parameters give equal bytes on every machine.
+//! The input is a size in metres, a number of points and a seed. The output is a point cloud with colour (with the light of a
+//! sunny day), intensity (reflectance × incidence × range) and ASPRS classes. Equal parameters give equal bytes on every machine.
 
 mod builder;
 mod furniture;
@@ -27,10 +25,10 @@ use grid::Grid;
 use ground::{Bend, Plan};
 use skin::Skin;
 
-/// Where the town lies: easting, northing, height in metres (UTM).
+/// The town's place: easting, northing, height in metres (UTM).
 pub const ORIGIN_M: DVec3 = DVec3::new(412_000.0, 5_653_000.0, 110.0);
 
-/// What a town's scan is made from.
+/// Parameters of a town's scan.
 #[derive(Clone, Debug)]
 pub struct TownParameters {
     /// Edge of the town in metres, 40 to 2000.
@@ -45,7 +43,7 @@ pub struct Town {
     grid: Grid,
     skins: Vec<Skin>,
     bend: Bend,
-    /// Direction towards the sun, unit length.
+    /// Unit vector towards the sun.
     sun: DVec3,
 }
 

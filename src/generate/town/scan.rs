@@ -1,11 +1,10 @@
-//! Scanning the town: where the instruments stand, where their rays go, what comes back.
+//! Scans the town: places of instruments, directions of rays, and echoes.
 //!
-//! Three surveys are merged, as is usual: a vehicle that drives every street (mobile), tripods at
-//! junctions, in yards and on squares (terrestrial), and a drone's strips above the roofs (aerial).
-//! Each station sends the same number of rays for its weight, in directions that fill its field
-//! evenly (the R₂ sequence, Roberts 2018). Density falls with distance, and what a station cannot see
-//! stays empty. Stations are independent and seeded by their number: the result does not depend on
-//! how many threads do the work.
+//! Three surveys are merged, as is usual: a vehicle that drives every street (mobile), tripods at junctions, in yards and on
+//! squares (terrestrial), and a drone's strips above the roofs (aerial). Within a survey each station sends an equal number of
+//! rays, in directions that fill its field evenly (the R₂ sequence, Roberts 2018). Density falls with distance, and places that
+//! no station sees stay empty. Stations are independent and seeded by their number, so the result does not depend on the number
+//! of threads.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -44,7 +43,7 @@ impl Survey {
         }
     }
 
-    /// Share of all rays.
+    /// The survey's share of all rays.
     fn share(self) -> f64 {
         match self {
             Survey::Mobile => 0.38,
@@ -60,7 +59,7 @@ struct Station {
     survey: Survey,
 }
 
-/// One echo, in the straight town.
+/// An echo in the straight town.
 struct Echo {
     position: DVec3,
     color: [u8; 4],
@@ -68,16 +67,16 @@ struct Echo {
     class: u8,
 }
 
-/// Scans `town` until `points` echoes are in.
+/// Scans `town` until there are `points` echoes.
 pub fn scan(town: &Town, points: usize, seed: u64, progress: &Progress) -> PointCloud {
     let mut stations = stations(&town.plan, points);
-    // From inside a wall, rays would see through it.
+    // Rays from inside a wall would see through it.
     stations.retain(|station| !town.grid.is_inside(station.origin, -0.3));
     let counts = |survey| stations.iter().filter(|s| s.survey == survey).count().max(1) as f64;
     let shares: Vec<f64> = stations.iter().map(|s| s.survey.share() / counts(s.survey)).collect();
     let share_sum: f64 = shares.iter().sum();
 
-    // How many rays come back is found out with a few of them.
+    // A few rays per station show how many come back.
     const PROBES: usize = 48;
     let yields: f64 = stations
         .par_iter()
@@ -114,7 +113,7 @@ fn scan_with(
         classification: Some(Vec::new()),
         ..PointCloud::default()
     };
-    // Blocks of stations: in parallel within, reported and appended in order between.
+    // Stations of a block run in parallel; blocks are reported and appended in order.
     for (block, chunk) in stations.chunks(64).enumerate() {
         let first = block * 64;
         let found: Vec<Vec<Echo>> = chunk
@@ -136,12 +135,12 @@ fn scan_with(
     cloud
 }
 
-/// Coordinates as LAS files keep them: whole millimetres.
+/// Rounds coordinates to whole millimetres, as LAS files store them.
 fn millimetres(p: DVec3) -> DVec3 {
     DVec3::from_array(p.to_array().map(|c| (c * 1000.0).round() / 1000.0))
 }
 
-/// Exactly `count` of a cloud's points, evenly chosen, in order.
+/// Thins a cloud to exactly `count` points, evenly chosen, in order.
 fn thinned(cloud: PointCloud, count: usize) -> PointCloud {
     let total = cloud.positions.len();
     fn keep<T: Copy>(list: &[T], count: usize, total: usize) -> Vec<T> {
@@ -156,7 +155,7 @@ fn thinned(cloud: PointCloud, count: usize) -> PointCloud {
     }
 }
 
-/// Where instruments stand. With few points there are few stations, each with a fair number of rays.
+/// The places of instruments. With few points there are few stations, so that each has enough rays.
 fn stations(plan: &Plan, points: usize) -> Vec<Station> {
     let mut found = Vec::new();
     let spacing = |length: f64, shortest: f64, share: f64| {
@@ -226,12 +225,12 @@ fn echoes(town: &Town, station: &Station, index: usize, rays: usize, seed: u64) 
         .collect()
 }
 
-/// Directions of a survey's field, `u` and `v` in 0..1.
+/// The direction of a ray in a survey's field, for `u` and `v` in 0..1.
 fn direction(survey: Survey, u: f64, v: f64) -> DVec3 {
     let d = match survey {
         Survey::Mobile | Survey::Terrestrial => {
             let (s, c) = sin_cos(u * std::f64::consts::TAU);
-            // Slopes crowd about the horizon, where far things are.
+            // Slopes are dense around the horizon, where distant objects are.
             let w = 1.75 * v - 0.75;
             DVec3::new(c, s, 1.9 * w * w.abs() - 0.02)
         }
@@ -247,14 +246,14 @@ fn echo(town: &Town, survey: Survey, ray: &Ray, random: &mut SplitMix64) -> Opti
     let incidence = -hit.normal.dot(ray.direction);
     let facing = incidence.abs().max(0.02);
     let strength = surface.reflectance * facing * (1.0 - 0.5 * hit.t / survey.range());
-    // Weak echoes get lost.
+    // Weak echoes are lost.
     if random.unit() > strength * 14.0 {
         return None;
     }
     let mut class = surface.class;
     let mut distance = hit.t + surface.recess / facing.max(0.2) + survey.noise() * random.bell();
     if random.chance(0.000_05) {
-        // Echoes by way of a second surface come back late, or early off dust.
+        // Echoes over a second surface arrive late, and echoes from dust early.
         distance *= random.range(0.6, 1.06);
         class = class::LOW_NOISE;
     }
@@ -269,7 +268,7 @@ fn echo(town: &Town, survey: Survey, ray: &Ray, random: &mut SplitMix64) -> Opti
 }
 
 impl Town {
-    /// The first thing along a ray.
+    /// The first hit along a ray.
     fn nearest(&self, ray: &Ray, far: f64) -> Option<Hit> {
         let ground = self.plan.hit(ray, far);
         let limit = ground.map_or(far, |hit| hit.t);
@@ -286,7 +285,7 @@ impl Town {
         }
     }
 
-    /// The colour that a camera saw there, with sun, sky and shadow, as sRGB.
+    /// The colour of a photograph at this place, with sun, sky and shadow, as sRGB.
     fn photograph(
         &self,
         hit: &Hit,
@@ -304,7 +303,7 @@ impl Town {
         let [r, g, b] = scaled(surface.color, 1.0 + 0.05 * random.bell());
         let light = [1.0 * sun + 0.92 * sky, 0.95 * sun + 0.97 * sky, 0.84 * sun + 1.1 * sky];
         let encode = |c: f64| {
-            // Gamma 2 and a soft shoulder towards white.
+            // Gamma 2 with a soft shoulder towards white.
             let c = c.max(0.0);
             let c = c * (1.0 + c * 0.12) / (1.0 + 0.42 * c);
             (255.0 * (1.12 * c).min(1.0).sqrt() + 0.5) as u8
@@ -317,7 +316,7 @@ impl Town {
 mod tests {
     use super::*;
 
-    /// What is scanned lies on surfaces: nothing is seen through walls, not even from inside.
+    /// Scanned points lie on surfaces: no ray passes through walls, not even from inside.
     #[test]
     fn nothing_is_seen_through_walls() {
         let town = Town::new(130.0, 3);

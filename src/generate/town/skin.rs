@@ -1,7 +1,7 @@
-//! What surfaces look like to a camera and to a laser: colour, reflectance, class.
+//! The appearance of surfaces to a camera and to a laser: colour, reflectance, class.
 //!
-//! Colours are in linear light; patterns (windows, tiles, timber) are functions of the place on the
-//! surface, so that nothing is stored for them.
+//! Colours are in linear light. Patterns (windows, tiles, timber) are functions of the position on the surface, so nothing is
+//! stored for them.
 
 use glam::{DVec2, DVec3};
 
@@ -25,18 +25,18 @@ pub mod class {
 /// Linear RGB.
 pub type Rgb = [f64; 3];
 
-/// A surface at one place.
+/// The properties of a surface at one place.
 #[derive(Clone, Copy, Debug)]
 pub struct Surface {
     pub color: Rgb,
-    /// Share of the laser's light that comes back, 0..=1.
+    /// Share of the laser's light that is reflected, 0..=1.
     pub reflectance: f64,
     pub class: u8,
-    /// How far behind the wall's plane the surface lies, in metres (windows).
+    /// Distance of the surface behind the wall's plane, in metres (for windows).
     pub recess: f64,
 }
 
-/// How a solid's face looks.
+/// The appearance of a solid's face.
 #[derive(Clone, Debug)]
 pub enum Skin {
     Plain { color: Rgb, reflectance: f64, class: u8, grain: f64 },
@@ -49,7 +49,7 @@ pub enum Skin {
 #[derive(Clone, Debug)]
 pub struct Roof {
     pub color: Rgb,
-    /// A point of the slope and the horizontal direction of its tile rows.
+    /// A point of the slope, and the horizontal direction of its rows of tiles.
     pub origin: DVec3,
     pub along: DVec2,
     pub seed: u64,
@@ -59,7 +59,7 @@ pub struct Roof {
 #[derive(Clone, Debug)]
 pub struct Facade {
     pub color: Rgb,
-    /// The wall's left foot, seen from outside, and the direction to its right foot.
+    /// The wall's left foot seen from outside, and the direction to its right foot.
     pub origin: DVec2,
     pub along: DVec2,
     pub width: f64,
@@ -71,18 +71,18 @@ pub struct Facade {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FacadeStyle {
-    /// No openings.
+    /// A wall without openings.
     Blank,
     Plaster,
     /// Timber frame with plaster between.
     Timber,
     /// Plaster above wide ground-floor windows.
     Shop,
-    /// Tall arched windows, no storeys.
+    /// Tall arched windows without storeys.
     Church,
 }
 
-/// sRGB bytes, as palettes are easiest read, in linear light (gamma 2, exact everywhere).
+/// Converts sRGB bytes, in which palettes are easiest to read, to linear light (gamma 2, which is exact on every machine).
 pub fn rgb(hex: u32) -> Rgb {
     [hex >> 16 & 255, hex >> 8 & 255, hex & 255].map(|byte| {
         let c = f64::from(byte) / 255.0;
@@ -133,7 +133,7 @@ impl Roof {
     fn surface(&self, p: DVec3) -> Surface {
         let d = p - self.origin;
         let u = d.x * self.along.x + d.y * self.along.y;
-        // Rows are counted by height, which is the same along a row.
+        // The height counts the rows, because it is constant along a row.
         let (row, column) = (d.z / 0.2, u / 0.24);
         let (r, c) = (row.floor(), column.floor());
         let tile = hash_unit(r as i64, c as i64, 0, self.seed);
@@ -178,7 +178,7 @@ impl Facade {
         wall
     }
 
-    /// Windows and doors. Coordinates in an opening run from its middle and its sill.
+    /// The surface of a window or door. Coordinates in an opening run from its middle and its sill.
     fn opening(&self, u: f64, v: f64, eaves: f64) -> Option<Surface> {
         let columns = ((self.width - 0.7) / 2.2).floor();
         if columns < 1.0 || v > eaves + 3.0 {
@@ -193,7 +193,7 @@ impl Facade {
         let storey = (v / self.storey_height).floor();
         let above_floor = v - storey * self.storey_height;
         if v > eaves {
-            // One small window in a gable.
+            // A gable has a single small window.
             let middle = u - 0.5 * self.width;
             return window(middle, v - eaves - 0.7, 0.4, 1.0, 0.0);
         }
@@ -260,7 +260,7 @@ impl Facade {
     }
 }
 
-/// A window, its frame and its surround; `u` from the middle, `v` from the sill.
+/// The surface of a window with its frame and its surround; `u` from the middle, `v` from the sill.
 fn window(u: f64, v: f64, half: f64, height: f64, blind: f64) -> Option<Surface> {
     let side = u.abs();
     if side > half + 0.13 || v < -0.14 || v > height + 0.13 {

@@ -1,8 +1,8 @@
-//! The solids a town is built of, and how rays meet them.
+//! The solids of the town, and their intersections with rays.
 //!
-//! Three shapes do: convex polyhedra (walls, roofs, cars), upright cylinders (posts, trunks) and
-//! ellipsoids, which are either hard or filled with leaves. Leaves are a lattice of small cells, each
-//! present or not by a hash of its place: the same from every side, and porous to rays.
+//! There are three shapes: convex polyhedra (walls, roofs, cars), upright cylinders (posts, trunks) and ellipsoids, which are
+//! either hard or filled with leaves. Leaves are a lattice of small cells. A hash of its place decides whether a cell has a leaf,
+//! so leaves are the same from every side, and rays pass between them.
 
 use glam::{DVec2, DVec3};
 
@@ -23,7 +23,7 @@ impl Ray {
     }
 }
 
-/// Where a ray meets something.
+/// The hit of a ray with a surface.
 #[derive(Clone, Copy, Debug)]
 pub struct Hit {
     /// Distance from the ray's origin in metres.
@@ -32,7 +32,7 @@ pub struct Hit {
     pub skin: SkinId,
 }
 
-/// The half-space `normal · p ≤ offset` and the looks of its boundary.
+/// The half-space `normal · p ≤ offset`, and the skin of its boundary.
 #[derive(Clone, Copy, Debug)]
 pub struct Face {
     pub normal: DVec3,
@@ -43,7 +43,7 @@ pub struct Face {
 #[derive(Clone, Debug)]
 pub enum Shape {
     Convex(Vec<Face>),
-    /// Upright, from `base` to `base + height`, closed at the top.
+    /// An upright cylinder from `base` to `base + height`, closed at the top.
     Cylinder {
         base: DVec3,
         radius: f64,
@@ -55,7 +55,7 @@ pub enum Shape {
         radii: DVec3,
         skin: SkinId,
     },
-    /// An ellipsoid of leaves; `density` is the share of its cells that hold one.
+    /// An ellipsoid of leaves. `density` is the share of its cells that have one.
     Leaves {
         centre: DVec3,
         radii: DVec3,
@@ -65,7 +65,7 @@ pub enum Shape {
     },
 }
 
-/// A shape and the box around it.
+/// A shape and its bounding box.
 #[derive(Clone, Debug)]
 pub struct Solid {
     pub shape: Shape,
@@ -90,7 +90,7 @@ impl Solid {
         Solid { shape, bounds }
     }
 
-    /// The nearest meeting in `near..far`, entering from outside.
+    /// The nearest hit in `near..far`, entering from outside.
     pub fn hit(&self, ray: &Ray, near: f64, far: f64) -> Option<Hit> {
         match &self.shape {
             Shape::Convex(faces) => hit_convex(faces, ray, near, far),
@@ -114,7 +114,7 @@ impl Solid {
 }
 
 impl Solid {
-    /// Whether `p` lies inside by more than `depth`; nothing lies inside leaves.
+    /// Whether `p` is inside by more than `depth`. Nothing is inside leaves.
     pub fn contains(&self, p: DVec3, depth: f64) -> bool {
         match &self.shape {
             Shape::Convex(faces) => faces.iter().all(|f| f.normal.dot(p) < f.offset - depth),
@@ -135,7 +135,7 @@ impl Solid {
     }
 }
 
-/// Corners are where three faces meet inside all others.
+/// The bounding box of a convex solid. Its corners are where three faces meet inside all others.
 fn convex_bounds(faces: &[Face]) -> Bounds {
     let mut bounds = Bounds::EMPTY;
     for (i, a) in faces.iter().enumerate() {
@@ -215,7 +215,7 @@ fn hit_cylinder(
     Some(Hit { t, normal: DVec3::new(n.x, n.y, 0.0), skin })
 }
 
-/// Where a ray enters and leaves an ellipsoid.
+/// The distances at which a ray enters and leaves an ellipsoid.
 fn ellipsoid_span(ray: &Ray, centre: DVec3, radii: DVec3) -> Option<(f64, f64)> {
     let o = (ray.origin - centre) / radii;
     let d = ray.direction / radii;
@@ -244,7 +244,7 @@ fn hit_leaves(
         let chance = hash_unit(x, y, z, seed);
         if chance < density {
             let r2 = ((p - centre) / radii).length_squared();
-            // Leaves grow where light is: few in the middle, and in clumps of half a metre.
+            // Leaves grow in the light: few in the middle, and in clumps of half a metre.
             let clump = hash_unit(x >> 1, y >> 1, z >> 1, seed ^ 0x51);
             if chance < density * (0.25 + 0.75 * r2) && clump > 0.25 {
                 let lean = |k: i64| hash_unit(x, y, z + k * 1_000_003, seed) - 0.5;

@@ -1,4 +1,4 @@
-//! A job as JSON, and what can go wrong with one as problems.
+//! A job as JSON, and the problems of jobs.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -164,7 +164,7 @@ impl JobSettings {
 }
 
 impl JobState {
-    /// One of many: without what may be long.
+    /// The job in a list: without parts that may be long.
     fn brief(view: &View) -> JobState {
         let mut job = JobState::new(view);
         if let Some(keys) = job.path.get("keys").and_then(Value::as_array).map(Vec::len) {
@@ -242,7 +242,7 @@ impl JobState {
         }
     }
 
-    /// Whether nothing more happens by itself.
+    /// Whether the job changes no more unless a client acts.
     pub fn has_ended(&self) -> bool {
         !matches!(self.state, StateName::Queued | StateName::Running)
     }
@@ -258,7 +258,7 @@ pub fn unknown_job(id: &str) -> Problem {
         .accepted("an id that GET /v1/jobs lists")
 }
 
-/// What is told of a job that failed.
+/// Builds the problem of a failed job.
 fn failure_problem(failure: &Failure) -> Problem {
     let kind = match failure.kind {
         FailureKind::SceneChanged => Kind::SceneChanged,
@@ -275,7 +275,7 @@ fn failure_problem(failure: &Failure) -> Problem {
     problem.accepted("POST to the job's /resume, when what is wrong is mended")
 }
 
-/// What is told of something that cannot be done for job `id`.
+/// Builds the problem of an operation on job `id` that failed.
 pub fn job_problem(jobs: &Jobs, id: &str, error: JobError) -> Problem {
     match error {
         JobError::Refused(refusal) => match refusal {
@@ -314,7 +314,7 @@ pub fn job_problem(jobs: &Jobs, id: &str, error: JobError) -> Problem {
     }
 }
 
-/// A file of a job that is not what the manifest, or the job, says of it.
+/// Builds the problem of a job's file that differs from its record.
 pub fn damaged(id: &str, what: &str) -> Problem {
     Problem::new(
         Kind::JobFileDamaged,
@@ -323,7 +323,7 @@ pub fn damaged(id: &str, what: &str) -> Problem {
     .accepted(format!("POST /v1/jobs/{id}/resume, which makes it again"))
 }
 
-/// A file of a job that cannot be read or written.
+/// Builds the problem of a job's file that cannot be read or written.
 pub fn job_storage(error: &std::io::Error) -> Problem {
     tracing::error!(%error, "a job's file cannot be used");
     let detail = match error.kind() {
@@ -338,11 +338,11 @@ pub fn job_storage(error: &std::io::Error) -> Problem {
     Problem::new(Kind::OutOfDisk, detail)
 }
 
-/// What is told of a path that cannot be drawn.
+/// Builds the problem of a path that cannot be drawn.
 pub fn film_problem(error: FilmError) -> Problem {
     match error {
         FilmError::Engine(error) | FilmError::Frame { error, .. } => {
-            // Of the path that the request holds, in words of a scene's file.
+            // The error names a place in a scene file, and the path in the request corresponds to that place.
             let is_path = matches!(error, crate::engine::EngineError::Scene(_));
             let problem = Problem::from(error);
             if !is_path {
@@ -364,7 +364,7 @@ pub fn film_problem(error: FilmError) -> Problem {
     }
 }
 
-/// What is told of a video that cannot be made.
+/// Builds the problem of a video that cannot be made.
 pub fn video_problem(error: VideoError) -> Problem {
     let text = error.to_string();
     match error {

@@ -78,8 +78,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { cases: 200, rng_seed: RngSeed::Fixed(0x51ea_0003), ..ProptestConfig::default() })]
         /// For all drawing times: ticks grow, none is early, none is later than the time that the previous drawing took, and a
-        /// path that
-        /// does not loop ends with its last frame at the right time.
+        /// path that does not loop ends with its last frame at the right time.
         #[test]
         fn playing_keeps_the_time(
             fps in 0.1..120.0f64,

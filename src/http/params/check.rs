@@ -1,4 +1,4 @@
-//! Values that a parameter never takes, whatever stands beside it: the contract's schemas, enforced.
+//! Enforces the parts of the contract's schemas that depend on a single parameter.
 
 use super::{FrameParams, choice};
 use crate::engine::EngineError;
@@ -15,10 +15,10 @@ pub const QUALITY_RANGE: [u8; 2] = [1, 100];
 pub const MAX_DEADLINE_MS: f64 = 3_600_000.0;
 
 impl FrameParams {
-    /// Refuses what no frame has, without a look at other parameters or at a scene.
+    /// Refuses values that no frame can have, without looking at other parameters or at a scene.
     ///
     /// # Errors
-    /// The parameter, and what would be accepted.
+    /// Names the parameter and the accepted values.
     pub fn check(&self) -> Result<(), Problem> {
         let refused = |name: &str, reason: String, accepted: String| {
             Err(Problem::parameter(name, reason, accepted))
@@ -48,7 +48,7 @@ impl FrameParams {
             );
         }
         for (name, side) in [("w", self.w), ("h", self.h)] {
-            // The engine knows the largest side, which depends on the adapter.
+            // The engine checks the largest side, because it depends on the adapter.
             if side == Some(0) {
                 let accepted = "a whole number of pixels, at least 1".to_owned();
                 return refused(name, "must not be 0".to_owned(), accepted);

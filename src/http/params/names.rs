@@ -1,9 +1,9 @@
-//! Which parameters there are, and what is said to who gives another.
+//! Names of parameters, and the problems for unknown names.
 
 use crate::http::problem::{Kind, Problem, nearest};
 use crate::plan::Given;
 
-/// Parameters beside the settings.
+/// Parameters that are not settings.
 const OTHERS: [&str; 14] = [
     "camera",
     "eye",
@@ -21,18 +21,18 @@ const OTHERS: [&str; 14] = [
     "deadline_ms",
 ];
 
-/// Every parameter of a frame.
+/// Names of all parameters of a frame.
 pub fn names() -> impl Iterator<Item = &'static str> {
     OTHERS.into_iter().chain(Given::NAMES.iter().copied())
 }
 
-/// Parameters of the contract that this version does not have, and what it does instead.
+/// Parameters of the contract that this version does not have, and what to do instead.
 const UNAVAILABLE: [(&str, &str); 2] = [
     ("budget_ms", "leave it out, or give `deadline_ms`"),
     ("effects", "leave it out: there are none"),
 ];
 
-/// Other words for the same thing.
+/// Synonyms that clients may try, and the parameter that is meant.
 const SYNONYMS: [(&str, &str); 9] = [
     ("width", "w"),
     ("height", "h"),
@@ -45,23 +45,23 @@ const SYNONYMS: [(&str, &str); 9] = [
     ("timeout", "deadline_ms"),
 ];
 
-/// The names that one way of asking for frames takes.
+/// Parameter names that an operation accepts.
 #[derive(Debug)]
 pub struct Names {
-    /// Beside a frame's parameters.
+    /// Parameters of the operation beside a frame's.
     pub own: &'static [&'static str],
-    /// A frame's parameters that it does not have, and why.
+    /// A frame's parameters that the operation refuses, and why.
     pub without: &'static [(&'static str, &'static str)],
 }
 
 impl Names {
-    /// Of a plain frame.
+    /// Names that an operation for a plain frame accepts.
     pub const FRAME: Names = Names { own: &[], without: &[] };
 
-    /// Refuses a name that is not one of these, or not in this version.
+    /// Refuses a name that the operation does not accept, or that this version does not have.
     ///
     /// # Errors
-    /// What is wrong with it, and which names there are.
+    /// Says what is wrong with the name, and which names there are.
     pub fn check(&self, name: &str) -> Result<(), Problem> {
         let refused = |name: &str, why: &str, accepted: &str| {
             Problem::new(Kind::Unavailable, format!("{name}: {why}")).at(name).accepted(accepted)
@@ -88,7 +88,7 @@ pub fn check_name(name: &str) -> Result<(), Problem> {
     Names::FRAME.check(name)
 }
 
-/// The problem for a name that is not in `known`.
+/// Builds the problem for a name that is not in `known`.
 pub fn unknown_name(
     name: &str,
     known: &[&'static str],

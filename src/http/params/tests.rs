@@ -157,7 +157,7 @@ fn what_is_accepted_comes_from_the_type() {
     }
 }
 
-/// What a scene says of splats, a request may say otherwise; what it leaves out is the scene's to say.
+/// A request can override the scene's settings of splats. Settings that the request leaves out come from the scene.
 #[test]
 fn settings_of_splats_in_both_notations() {
     const QUERY: &str =
@@ -204,7 +204,7 @@ fn settings_of_splats_need_splats() {
         let (parameter, _, accepted) = fault(&format!("reconstruct=points&{name}={word}"));
         assert_eq!(parameter, name);
         assert!(accepted.contains("`reconstruct=splats`"), "{name}: {accepted}");
-        // Splats may be drawn, in this way then.
+        // `auto` may draw splats, and the setting says how.
         for auto in ["", "reconstruct=auto&"] {
             let settings = request(&format!("{auto}{name}={word}")).unwrap().settings;
             assert_eq!(settings.reconstruct, Reconstruct::Auto);
@@ -216,7 +216,7 @@ fn settings_of_splats_need_splats() {
         let problem = params.request("s", ImageFormat::Png, Instant::now()).unwrap_err();
         assert_eq!((problem.status(), problem.parameter.as_deref()), (422, Some(name)));
     }
-    // A single pass has kernels like three, and one way to blend and light them.
+    // A single pass accepts settings of kernels as the three passes do, but has only one way to blend and to shade.
     let fuzzy = request("reconstruct=fuzzy&filter=exact&prefilter=false").unwrap().settings;
     assert_eq!((fuzzy.reconstruct, fuzzy.filter), (Reconstruct::Fuzzy, Some(Filter::Exact)));
     for given in ["blend=weighted", "shading=deferred"] {
@@ -231,7 +231,7 @@ fn settings_of_splats_need_splats() {
     assert_eq!(fail(serde_json::json!({"blend": 1})), "blend");
 }
 
-/// A body is refused as a whole for a word that no frame can have, wherever else its poses are at fault.
+/// A word that no frame can have is refused even if other parameters are wrong as well.
 #[test]
 fn words_are_checked_before_anything_else() {
     for name in ["format", "output", "wait"].iter().chain(Given::NAMES) {

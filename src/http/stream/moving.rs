@@ -80,11 +80,11 @@ pub fn wanted(
     let smaller =
         FrameParams { w: Some(side(still.width)), h: Some(side(still.height)), ..params.clone() };
     let mut request = still_request(id, &smaller)?;
-    // Decided for the frame that follows at rest, so that points do not turn into splats when the pose stops.
+    // The choice is made for the still frame that follows, so that points do not turn into splats when the pose stops.
     let max_error = still.settings.max_error_px;
     request.settings.decide_for = Some(StillFrame { height: still.height, max_error });
     request.settings.max_error_px = moving_error(max_error, pace.coarseness);
-    // Who asked for what a browser shows can show a JPEG; of other formats nothing is known.
+    // A client that asked for a format that browsers show can show a JPEG. For other formats this is unknown.
     let shown = matches!(request.format, ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Webp);
     if shown && request.output == Output::Color {
         let most = if request.format == ImageFormat::Jpeg { request.quality } else { 100 };

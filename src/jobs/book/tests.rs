@@ -28,12 +28,12 @@ fn admit_of(book: &mut Book, owner: Option<&str>, scene: &str, now_ms: u64) -> J
     }
 }
 
-/// Everything is there.
+/// A `need` of jobs that lack nothing.
 fn all(_: &Spec) -> Need {
     Need::Nothing
 }
 
-/// The next job to be drawn.
+/// Takes the next job, which must be due for drawing.
 fn draw(book: &mut Book, now_ms: u64, need: impl Fn(&Spec) -> Need) -> Option<JobId> {
     let (id, phase) = book.next(now_ms, need)?;
     assert_eq!(phase, Phase::Drawing);
@@ -44,7 +44,7 @@ fn failed() -> Outcome {
     Outcome::Failed(Failure { kind: FailureKind::Engine, detail: "no".to_owned() })
 }
 
-/// True while the job is known.
+/// Ends a run of a job and releases the job. Returns whether the job is still known.
 fn leave(book: &mut Book, id: JobId, outcome: Outcome) -> bool {
     let is_known = book.left(id, outcome, Made { done: 3, ..Made::default() }, 3, 50);
     assert_eq!(book.release(id), !is_known && !book.is_held(id));
@@ -86,13 +86,13 @@ fn who_cancels_has_the_last_word() {
     book.cancel(id, 2).unwrap();
     book.cancel(id, 3).unwrap();
     assert_eq!(book.get(id).unwrap().since_ms, 2);
-    // Resumed before its runner has let go: nobody else gets it until then.
+    // A job that was resumed before its runner released it goes to no other runner until then.
     book.resume(id, 4).unwrap();
     assert_eq!(draw(&mut book, 5, all), None);
     assert!(leave(&mut book, id, failed()));
     assert_eq!(book.get(id).unwrap().state, State::Queued { waits_for: None });
     assert_eq!(draw(&mut book, 6, all), Some(id));
-    // Removed while it runs: its runner learns that nothing is kept.
+    // The runner of a removed job learns that nothing is kept.
     book.remove(id).unwrap();
     assert!(book.is_held(id) && book.get(id).is_err());
     assert!(!book.release(id), "its runner has it, and clears up");
@@ -111,7 +111,7 @@ fn what_cannot_be_written_is_taken_back() {
     let turn = book.get(id).unwrap().turn;
     book.restore(before.clone(), turn);
     assert_eq!(book.get(id), Ok(&before));
-    // What somebody has decided meanwhile stays.
+    // A change made meanwhile stands.
     book.resume(id, 4).unwrap();
     book.restore(before.clone(), turn);
     assert_eq!(book.get(id).unwrap().state.name(), "queued");
@@ -163,7 +163,7 @@ fn ended_jobs_are_forgotten_in_time() {
     assert_eq!(ids(&book.expire(1050).forgotten), [done]);
     assert!(book.is_held(done) && book.release(done), "who forgot it clears up");
     assert_eq!(ids(&book.expire(1100).forgotten), [cancelled]);
-    // What may go on at any time does not expire.
+    // A job that can run at any time does not expire.
     assert_eq!(book.expire(u64::MAX), Expired::default());
     assert_eq!(book.all().map(|job| job.id).collect::<Vec<_>>(), [queued]);
 }
@@ -231,7 +231,7 @@ fn a_new_process_goes_on() {
     let states: Vec<&str> = new.all().map(|job| job.state.name()).collect();
     assert_eq!(states, ["queued", "queued", "queued", "cancelled"]);
     assert!(new.all().all(|job| job.state != State::Queued { waits_for: Some("x".to_owned()) }));
-    // In the old order, and new ones behind, with numbers that nobody had.
+    // Kept jobs run in their old order, and new ones after them, with unused ids.
     assert_eq!(admit(&mut new, "a", 4), 10);
     let turn = |new: &mut Book| {
         let id = draw(new, 5, all)?;
@@ -270,27 +270,27 @@ fn phases_have_places_of_their_own() {
     assert_eq!(book.next(1, need), Some((small, Phase::Drawing)), "one bakes at a time");
     assert_eq!(book.next(1, need), Some((film, Phase::Drawing)));
     assert_eq!(book.next(1, need), None);
-    // Coding leaves its place among those that draw; what was baked goes on when there is one.
+    // Coding frees a place for drawing, and a baked job takes it.
     leave(&mut book, large, Outcome::Next(Phase::Drawing));
     assert_eq!(book.get(large).unwrap().state, State::Running);
     leave(&mut book, film, Outcome::Next(Phase::Coding));
     assert_eq!(book.next(2, all), Some((large, Phase::Drawing)));
     assert_eq!(book.next(2, need), Some((other, Phase::Baking)));
     assert_eq!(book.next(2, |_| Need::Missing("gone".to_owned())), Some((film, Phase::Coding)));
-    // Cancelled between two phases, it has none to come.
+    // A job that is cancelled between two phases runs no further phase.
     leave(&mut book, other, Outcome::Next(Phase::Drawing));
     book.cancel(other, 3).unwrap();
     leave(&mut book, small, Outcome::Done);
     assert_eq!(book.next(4, all), None);
     book.resume(other, 5).unwrap();
     assert_eq!(book.next(6, all), Some((other, Phase::Drawing)));
-    // What it needs is gone before its turn comes.
+    // The job's scene disappears before its turn comes.
     leave(&mut book, other, Outcome::Next(Phase::Drawing));
     assert_eq!(book.note_missing(7, |_| Need::Missing("gone".to_owned())), [other]);
     assert_eq!(book.get(other).unwrap().state, State::Queued { waits_for: Some("gone".into()) });
 }
 
-/// What may happen to a book.
+/// A random operation on a book.
 #[derive(Clone, Debug)]
 enum Step {
     Admit(u8),
@@ -323,8 +323,8 @@ fn step() -> impl Strategy<Value = Step> {
 }
 
 proptest! {
-    /// Whatever happens: no job is with two runners, none is lost or comes back, none is begun twice without having been let go, limits
-    /// hold, numbers are new, and jobs begin in the order of their turns.
+    /// For every sequence of operations: no job has two runners, none is lost or comes back, none begins again before it is
+    /// released, limits hold, ids are new, and jobs begin in the order of their turns.
     #[test]
     fn books_stay_in_order(steps in prop::collection::vec(step(), 1..120)) {
         let mut book = book();
@@ -339,7 +339,7 @@ proptest! {
             match step {
                 Step::Admit(key) => {
                     let asked = spec("a");
-                    // Some come again.
+                    // Some requests are repeated.
                     let twin = (key < 100).then(|| repeat("me", &format!("{}", key % 5), &asked)).flatten();
                     let owner = [None, Some("ann"), Some("bob")][usize::from(key % 3)];
                     let origin = Origin { owner: owner.map(str::to_owned), request_id: None };
@@ -385,7 +385,7 @@ proptest! {
                     if let Some((id, at)) = found {
                         let (job, expected) = waiting.iter().find(|(job, _)| job.id == id).unwrap();
                         prop_assert_eq!(at, *expected);
-                        // Of the same owner none that came earlier waits for the same.
+                        // No earlier job of the same owner waits for the same phase.
                         for (other, phase) in &waiting {
                             prop_assert!(other.owner != job.owner || *phase != at || other.turn >= job.turn);
                         }

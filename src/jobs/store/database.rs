@@ -1,12 +1,12 @@
-//! The records of jobs in redb, through disks that fill up.
+//! Stores the records of jobs in redb, and recovers from disk errors.
 //!
-//! After an error of the disk redb refuses everything until it is opened anew. So a database that has failed is let go of, opened
-//! again for the next change, and that change is tried once more:
+//! After a disk error redb refuses everything until the database is opened again. A database that has failed is therefore closed,
+//! and reopened for one more try of the same change; if that fails too, the next change reopens it:
 //!
 //! ```text
-//! open ──change fails──► let go ──the same change, again──► opened ──it fails again──► let go, and told
-//!   ▲                                                         │
-//!   └───────────────────────────it goes───────────────────────┘
+//! open ──change fails──► closed ──reopen, try again──► open ──fails again──► closed, error returned
+//!   ▲                                                   │
+//!   └─────────────────────succeeds──────────────────────┘
 //! ```
 
 use std::io;
@@ -21,17 +21,17 @@ use crate::jobs::book::{JobId, Record};
 
 /// Records as JSON, by job.
 pub const JOBS: TableDefinition<'_, JobId, &[u8]> = TableDefinition::new("jobs");
-/// Numbers by name: `last_id`, the greatest that was ever given to a job.
+/// Numbers by name: `last_id` is the largest id that a job was ever given.
 const NUMBERS: TableDefinition<'_, &str, u64> = TableDefinition::new("numbers");
 const LAST_ID: &str = "last_id";
-/// Of the database in memory.
+/// Size of the database's cache.
 const CACHE_BYTES: usize = 4 << 20;
 
 /// Why a database cannot be used.
 #[derive(Debug)]
 pub enum Fault {
     Locked,
-    /// The disk's, so that it may go another time.
+    /// A disk error, which may go away.
     Io(io::Error),
     Damaged(String),
 }
@@ -50,50 +50,50 @@ impl From<redb::Error> for Fault {
     }
 }
 
-/// How a database is opened, or made where there is none.
+/// Opens a database, or creates it where there is none.
 pub type Opener = Box<dyn Fn() -> Result<Database, DatabaseError> + Send + Sync>;
 
-/// One that is a file.
+/// An opener of a database in a file.
 pub fn file_opener(file: &Path) -> Opener {
     let file = file.to_owned();
     Box::new(move || builder().create(&file))
 }
 
-/// With the settings that all of ours have.
+/// A builder with our settings.
 pub fn builder() -> Builder {
     let mut builder = Database::builder();
-    // Bytes that something else changed are an error then, and not believed.
+    // Report bytes that something else changed as an error instead of trusting them.
     builder.set_cache_size(CACHE_BYTES).set_check_integrity_on_open(true);
     builder
 }
 
-/// A database that comes back after errors.
+/// A database that is reopened after errors.
 pub struct Ledger {
     opener: Opener,
-    /// None after an error.
+    /// `None` after an error.
     open: Option<Database>,
 }
 
-/// What is to be written at once.
+/// A change that is written atomically.
 pub struct Change<'a> {
     pub put: Option<&'a Record>,
     pub forget: &'a [JobId],
 }
 
-/// What a database holds.
+/// The content of a database.
 #[derive(Default)]
 pub struct Content {
     pub records: Vec<Record>,
     pub last_id: JobId,
-    /// Rows that are no records of this version.
+    /// Rows that this version cannot read, and the reasons.
     pub unreadable: Vec<(JobId, String)>,
 }
 
 impl Ledger {
-    /// Opens a database, makes it where there is none, and reads all of it. Of ours nothing is written yet: there may be no room.
+    /// Opens or creates a database and reads all of it. Writes no record, because the disk may be full.
     pub fn open(opener: Opener) -> Result<(Ledger, Content), Fault> {
         let database = open(&opener)?;
-        // What its own checks call impossible is a panic in builds with debug assertions.
+        // In builds with debug assertions redb panics when its own checks find a contradiction.
         let content = match catch_unwind(AssertUnwindSafe(|| content(&database))) {
             Ok(found) => found?,
             Err(_) => return Err(contradiction()),
@@ -101,7 +101,7 @@ impl Ledger {
         Ok((Ledger { opener, open: Some(database) }, content))
     }
 
-    /// Makes a change, which is there whole from now on, or not at all.
+    /// Applies a change atomically.
     pub fn apply(&mut self, change: &Change<'_>) -> Result<(), Fault> {
         if let Some(database) = self.open.take() {
             match apply(&database, change) {
@@ -112,7 +112,7 @@ impl Ledger {
                 Err(error) => tracing::warn!(%error, "the job database failed and is opened again"),
             }
         }
-        // The failed one has let go of its file.
+        // The failed database has closed its file.
         let database = open(&self.opener)?;
         apply(&database, change)?;
         self.open = Some(database);

@@ -1,20 +1,25 @@
-//! The state folder: all that outlives a process, and all of jobs that touches files.
+//! The state folder: everything that outlives a process, and all disk access of jobs.
 //!
 //! ```text
-//! STATE/.lock             held by the daemon that works here
-//! STATE/jobs.redb         a record for each job (redb: a change is there whole, or not at all)
-//! STATE/jobs/7/job.json   what job 7 is to do: enough to find it again should the database be lost
+//! STATE/.lock             held by the daemon that uses this folder
+//! STATE/jobs.redb         a record for each job (redb: every change is atomic)
+//! STATE/jobs/7/job.json   specification of job 7: enough to recover the job if the database is lost
 //! STATE/jobs/7/frames/    see `film`
 //! STATE/jobs/7/video.mp4
 //! ```
 //!
-//! A job is in the database before its folder is made. One that is removed has its `job.json` renamed to `job.removed` before
-//! anything else, which needs no room on the disk; then its record goes, then its files. So a folder with `job.removed` is that of
-//! a job that is gone, whatever the database says; one with `job.json` that the database does not know is a job whose record was
-//! lost; and one with neither is what something left over that was interrupted. A database that cannot be read is set aside under
-//! another name; jobs are then found again from their folders, as failed ones that can be resumed, because what state they were in is not known.
+//! A job's record is in the database before its folder is created. When a job is removed, its `job.json` is first renamed to
+//! `job.removed`, which needs no space on the disk; then its record is deleted, then its files. Therefore:
 //!
-//! A record that cannot be written, for want of room say, is owed: [`Store::owed`] tells of which, for somebody to try again.
+//! - A folder with `job.removed` belongs to a removed job, whatever the database says.
+//! - A folder with `job.json` that the database does not know belongs to a job whose record was lost.
+//! - A folder with neither is left over from an interrupted operation.
+//!
+//! A database that cannot be read is set aside under another name. Jobs are then recovered from their folders, as failed jobs
+//! that can be resumed, because their states are unknown.
+//!
+//! A record that cannot be written, because the disk is full for example, is owed: [`Store::owed`] lists these jobs for a later
+//! try.
 
 mod database;
 mod place;
@@ -46,7 +51,7 @@ pub enum StateError {
     Database(String),
 }
 
-/// The folder, which is this process's.
+/// The state folder, locked for this process.
 pub struct Store {
     books: Mutex<Books>,
     folder: PathBuf,
@@ -55,22 +60,22 @@ pub struct Store {
 
 struct Books {
     ledger: Ledger,
-    /// Whose records in the database are not as they should be.
+    /// Jobs whose records in the database are out of date.
     owed: BTreeSet<JobId>,
 }
 
-/// What was found in a folder.
+/// The content of a state folder.
 pub struct Opened {
     pub store: Store,
     pub records: Vec<Record>,
-    /// No job has had a greater number.
+    /// The largest id that a job ever had.
     pub last_id: JobId,
-    /// What somebody should know of, for the log.
+    /// Messages for the log.
     pub warnings: Vec<String>,
 }
 
-/// The user's own state folder: `$XDG_STATE_HOME/pointillist`, else `$HOME/.local/state/pointillist`; none where neither variable is an
-/// absolute path.
+/// The user's own state folder: `$XDG_STATE_HOME/pointillist`, else `$HOME/.local/state/pointillist`; `None` if neither variable
+/// is an absolute path.
 pub fn default_folder() -> Option<PathBuf> {
     let absolute =
         |name| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
@@ -80,15 +85,15 @@ pub fn default_folder() -> Option<PathBuf> {
 }
 
 impl Store {
-    /// Makes the folder where it is not there, and takes it for this process.
+    /// Creates the folder if it is missing, and locks it for this process.
     ///
     /// # Errors
-    /// [`StateError::Locked`], or a folder that cannot be written. A damaged database is no error: see the module.
+    /// [`StateError::Locked`], or the folder cannot be written. A damaged database is no error: see the module.
     pub fn open(folder: &Path, now_ms: u64) -> Result<Opened, StateError> {
         Store::open_with(folder, now_ms, || file_opener(&folder.join(DATABASE)))
     }
 
-    /// The same, with a database that is opened in another way.
+    /// As [`Store::open`], with another way to open the database.
     fn open_with(
         folder: &Path,
         now_ms: u64,
@@ -137,7 +142,7 @@ impl Store {
         Ok(Opened { store, records, last_id, warnings })
     }
 
-    /// Looks through the folders of jobs for such as the records do not tell of.
+    /// Compares the folders of jobs with the records: adds lost jobs, and finishes interrupted removals.
     fn find_again(
         &self,
         records: &mut Vec<Record>,
@@ -190,18 +195,18 @@ impl Store {
                     records.push(record);
                 }
                 Ok(None) => place.remove()?,
-                // Not ours to remove.
+                // The folder stays, because it may hold files of somebody else.
                 Err(error) => warnings.push(format!("{}: {error}", place.job_file().display())),
             }
         }
         Ok(())
     }
 
-    /// Writes a job's record as it is by now, which `look` tells: `None` when the job is no more. Changes that others make meanwhile
-    /// are written after this one. When it fails the job is among those that are [owed](Store::owed).
+    /// Writes the current record of a job, which `look` returns; `None` deletes the record. Concurrent changes of the job are
+    /// written after this one. If writing fails, the job becomes [owed](Store::owed).
     ///
     /// # Errors
-    /// A database that cannot be written.
+    /// The database cannot be written.
     pub fn keep(&self, id: JobId, look: impl FnOnce() -> Option<Record>) -> Result<(), StateError> {
         let mut books = self.books.lock();
         let found = look();
@@ -225,10 +230,10 @@ impl Store {
         }
     }
 
-    /// Marks a job as removed, through whatever happens from now on.
+    /// Marks a job as removed, so that it stays removed even if the process dies.
     ///
     /// # Errors
-    /// A folder that cannot be written.
+    /// The folder cannot be written.
     pub fn bury(&self, id: JobId) -> Result<(), StateError> {
         let place = self.place(id);
         place.bury().map_err(|error| StateError::Io {
@@ -238,7 +243,7 @@ impl Store {
         })
     }
 
-    /// Jobs whose records in the database are not as they should be.
+    /// Returns the jobs whose records in the database are out of date.
     pub fn owed(&self) -> Vec<JobId> {
         self.books.lock().owed.iter().copied().collect()
     }
@@ -261,7 +266,7 @@ fn state_error(folder: &Path, fault: Fault) -> StateError {
     }
 }
 
-/// A name for a file that is set aside.
+/// Returns the name under which a damaged file is set aside.
 fn aside(file: &Path, now_ms: u64) -> PathBuf {
     let mut name = file.as_os_str().to_owned();
     name.push(format!(".damaged-{now_ms}"));

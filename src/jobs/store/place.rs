@@ -10,12 +10,12 @@ use crate::jobs::book::{JobId, Record, Repeat};
 use crate::jobs::spec::Spec;
 
 const JOB: &str = "job.json";
-/// What `job.json` is called from the removal of the job on.
+/// Name of `job.json` once the job is removed.
 const REMOVED: &str = "job.removed";
 const FRAMES: &str = "frames";
 const VIDEO: &str = "video.mp4";
 
-/// What is kept of a job beside the database.
+/// Content of `job.json`: what is stored of a job outside the database.
 #[derive(Serialize, Deserialize)]
 pub struct Kept {
     pub id: JobId,
@@ -59,10 +59,10 @@ impl Place {
         self.file(VIDEO)
     }
 
-    /// Makes the folder, with what the job can be found again by.
+    /// Creates the folder with the file from which the job can be recovered.
     ///
     /// # Errors
-    /// Whatever keeps it from being written.
+    /// The folder or the file cannot be written.
     pub fn prepare(&self, record: &Record) -> io::Result<()> {
         fs::create_dir_all(&self.folder)?;
         let kept = Kept {
@@ -92,22 +92,22 @@ impl Place {
         }
     }
 
-    /// Bytes of all its files.
+    /// Returns the bytes of all files of the job.
     pub fn bytes(&self) -> u64 {
         let of =
             |folder: &Path| self::sizes(folder).into_iter().map(|(_, bytes)| bytes).sum::<u64>();
         of(&self.folder) + of(&self.frames())
     }
 
-    /// Names and lengths of the files with the frames.
+    /// Returns the names and lengths of the files in the folder of frames.
     pub fn sizes(&self) -> Vec<(String, u64)> {
         sizes(&self.frames())
     }
 
-    /// Removes the frames, but for what the manifest says of them.
+    /// Removes the frames, and keeps the manifest.
     ///
     /// # Errors
-    /// A file that cannot be removed.
+    /// A file cannot be removed.
     pub fn drop_frames(&self) -> io::Result<()> {
         for (name, _) in self.sizes() {
             if crate::film::shots::is_file_name(&name) {
@@ -117,11 +117,11 @@ impl Place {
         Ok(())
     }
 
-    /// Marks the job as removed, whatever the database says of it. Where the disk is full this needs no room, as a change of the
-    /// database does.
+    /// Marks the job as removed, whatever the database says. This works on a full disk, because a rename needs no space, unlike a
+    /// change of the database.
     ///
     /// # Errors
-    /// A folder that cannot be written.
+    /// The folder cannot be written.
     pub fn bury(&self) -> io::Result<()> {
         match fs::rename(self.file(JOB), self.file(REMOVED)) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
@@ -132,15 +132,15 @@ impl Place {
         }
     }
 
-    /// Whether the job was removed.
+    /// Returns whether the job was removed.
     pub fn is_buried(&self) -> bool {
         self.file(REMOVED).exists()
     }
 
-    /// Removes all but the mark that the job was removed.
+    /// Removes all but the mark of the removal.
     ///
     /// # Errors
-    /// A file that cannot be removed.
+    /// A file cannot be removed.
     pub fn empty(&self) -> io::Result<()> {
         for item in fs::read_dir(&self.folder)? {
             let item = item?;
@@ -153,10 +153,10 @@ impl Place {
         Ok(())
     }
 
-    /// Removes all of it.
+    /// Removes the whole folder.
     ///
     /// # Errors
-    /// A file that cannot be removed.
+    /// A file cannot be removed.
     pub fn remove(&self) -> io::Result<()> {
         match fs::remove_dir_all(&self.folder) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
@@ -165,7 +165,7 @@ impl Place {
     }
 }
 
-/// Names and lengths of the files in a folder; none where there is no folder.
+/// Returns the names and lengths of the files in a folder; none if there is no folder.
 fn sizes(folder: &Path) -> Vec<(String, u64)> {
     let items = fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
     items

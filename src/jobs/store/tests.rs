@@ -32,7 +32,7 @@ fn open(folder: &Path) -> Opened {
     Store::open(folder, 100).unwrap()
 }
 
-/// Keeps a job with its folder.
+/// Stores a job's record and folder.
 fn keep(store: &Store, record: &Record) {
     store.keep(record.id, || Some(record.clone())).unwrap();
     store.place(record.id).prepare(record).unwrap();
@@ -109,7 +109,7 @@ fn damaged_databases_are_set_aside_and_jobs_found_again() {
         );
         assert_eq!((opened.last_id, opened.records.len()), (4, 1));
         drop(opened);
-        // From now on it is known again.
+        // The job is in the database again.
         let opened = open(at.path());
         assert_eq!((opened.records.len(), opened.warnings), (1, Vec::new()));
     }
@@ -156,12 +156,12 @@ fn sizes_and_what_is_dropped() {
     assert_eq!(place.bytes(), 0);
 }
 
-/// A disk in memory that may be full.
+/// A disk in memory that can be full.
 #[derive(Clone, Debug, Default)]
 struct Disk {
     bytes: Arc<Mutex<Vec<u8>>>,
     is_full: Arc<AtomicBool>,
-    /// Times that a database was opened on it.
+    /// Number of times that a database was opened on it.
     opened: Arc<AtomicUsize>,
 }
 
@@ -227,7 +227,7 @@ fn a_full_disk_is_told_and_survived() {
     }
     assert!(store.keep(1, || None).is_err());
     assert_eq!(store.owed(), [1, 2]);
-    // With room it goes on by itself, with what is right by then.
+    // Once there is space again, the next changes are written.
     disk.is_full.store(false, Ordering::Relaxed);
     let done = record(2, State::Done);
     store.keep(2, || Some(done.clone())).unwrap();
@@ -242,7 +242,7 @@ fn a_full_disk_is_told_and_survived() {
     assert_eq!((found.records, found.last_id), (vec![one, done], 2));
 }
 
-/// A full disk can be started on, and what is removed on it stays removed although the database cannot be told.
+/// A full disk is no obstacle to starting, and a job removed then stays removed although the database cannot be changed.
 #[test]
 fn removed_jobs_do_not_come_back() {
     let at = tempfile::tempdir().unwrap();
@@ -257,7 +257,7 @@ fn removed_jobs_do_not_come_back() {
     assert!(store.keep(1, || None).is_err());
     store.place(1).empty().unwrap();
     assert!(store.place(1).is_buried() && !store.place(1).frames().exists());
-    // Whatever job.json a runner has written since.
+    // A runner may have written `job.json` again since.
     store.place(1).prepare(&record(1, State::Done)).unwrap();
     drop(store);
     disk.is_full.store(false, Ordering::Relaxed);

@@ -1,4 +1,4 @@
-//! Files that something else has damaged, and a disk that is full.
+//! Files that were damaged from outside, and a full disk.
 
 use std::fs;
 use std::path::PathBuf;
@@ -36,11 +36,11 @@ fn damaged_frames_are_not_sent_and_made_again() {
     let ranged = [("range", "bytes=0-3")];
     let part = client.send("GET", &format!("/v1/jobs/{id}/frames/4"), &ranged, None);
     assert_eq!((part.status, &part.body[..]), (206, &before["frame-00004.png"].0[..4]));
-    // The stream ends where it cannot go on.
+    // The stream ends at the first damaged frame.
     let (sent, problem) = parts_and_problem(&client.get(&format!("/v1/jobs/{id}/multipart")));
     assert_eq!((sent, &problem["status"]), (3, &json!(410)));
 
-    // What is good stays the file that it is, and the manifest what it was.
+    // Intact frames keep their files, and the manifest stays the same.
     assert_eq!(post(&client, &format!("/v1/jobs/{id}/resume")).status, 200);
     let again = ended(&client, &id, "done");
     assert_eq!(again["manifest_sha256"], made["manifest_sha256"]);
@@ -53,7 +53,7 @@ fn damaged_frames_are_not_sent_and_made_again() {
         let sent = client.get(&format!("/v1/jobs/{id}/frames/{number}"));
         assert_eq!(record["sha256"], checksum(&sent.body));
     }
-    // One that is whole is done again at once.
+    // A job with intact files is done again at once.
     assert_eq!(post(&client, &format!("/v1/jobs/{id}/resume")).status, 200);
     ended(&client, &id, "done");
     assert_eq!(files(&daemon, &id), after);
@@ -70,7 +70,7 @@ fn damaged_videos_are_not_sent_and_made_again() {
         let made = ended(&client, &id, "done");
         let file = daemon.state().join("jobs").join(&id).join("video.mp4");
         let bytes = fs::read(&file).unwrap();
-        // Looked through, it is as it was: nothing is drawn.
+        // After checking its files, the job is done again without drawing.
         let drawn = client.metric("pointillist_job_frames_total");
         assert_eq!(post(&client, &format!("/v1/jobs/{id}/resume")).status, 200);
         assert_eq!(ended(&client, &id, "done")["video"], made["video"]);
@@ -84,8 +84,8 @@ fn damaged_videos_are_not_sent_and_made_again() {
     }
 }
 
-/// A daemon whose state is on a disk of a few MiB that is its alone, and that disk as others see it. `None` where the system does not
-/// let us have one.
+/// A daemon with its own file system of a few MiB for its state, and the path of that file system from outside. `None` where the
+/// system does not allow such a mount.
 fn on_small_disk() -> Option<(Daemon, PathBuf)> {
     let can = std::process::Command::new("unshare")
         .args(["--user", "--map-root-user", "--mount", "mount", "-t", "tmpfs", "tmpfs", "/mnt"])
@@ -109,7 +109,7 @@ fn a_full_disk_is_told_and_gone_with_its_cause() {
     let small = || json!({"to": 3});
     let first = create(&client, small());
     ended(&client, &first, "done");
-    // Somebody else fills the disk.
+    // Another process fills the disk.
     let filler = disk.join("filler");
     let fill = || {
         use std::io::Write;
@@ -130,17 +130,17 @@ fn a_full_disk_is_told_and_gone_with_its_cause() {
     assert_eq!(post(&client, &format!("/v1/jobs/{first}/resume")).status, 507);
     assert_eq!(job(&client, &first)["state"], "done", "it is as it was");
     assert_eq!(client.get("/v1/jobs").json()["jobs"].as_array().unwrap().len(), 1);
-    // Room is made by removing what is there, which needs none.
+    // Deleting a job makes room, and works on a full disk.
     let gone = client.send("DELETE", &format!("/v1/jobs/{first}"), &[], None);
     assert_eq!(gone.status, 204, "{}", gone.text());
     assert_eq!(client.get("/v1/jobs").json(), json!({"jobs": []}));
     eventually("room", || client.get("/v1/limits").json()["jobs"]["bytes"] == 0);
-    // And by whoever has filled it; no restart is needed.
+    // Removing the file that fills the disk also makes room, without a restart.
     fs::remove_file(&filler).unwrap();
     let second = create(&client, small());
     ended(&client, &second, "done");
     eventually("the rest of the removal", || !disk.join("jobs").join(&first).exists());
-    // A job that fills it by itself fails, and makes room when it goes.
+    // A job that fills the disk itself fails, and deleting it makes room.
     let third = create(&client, json!({"fps": 1000, "format": "raw", "w": 256, "h": 256}));
     let failed = ended(&client, &third, "failed");
     assert_eq!(failed["error"]["type"], "urn:pointillist:problem:storage", "{failed}");

@@ -1,4 +1,4 @@
-//! What jobs give while they run and afterwards, what may be done to them, and what is refused.
+//! Products of jobs while they run and afterwards, operations on jobs, and refusals.
 
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -36,7 +36,7 @@ fn a_path_becomes_frames_that_can_be_fetched() {
     assert!(made["expires_ms"].as_u64() > made["since_ms"].as_u64());
     assert!(made["since_ms"].as_u64() >= made["created_ms"].as_u64());
 
-    // The manifest is that of the job, and every frame is as it says, and as `pointillist path` draws it.
+    // The manifest matches the job, and every frame matches its record and a frame of `pointillist path`.
     let text = client.get("/v1/jobs/1/frames");
     assert_eq!(text.header("content-type"), Some("application/jsonl"));
     assert_eq!(made["manifest_sha256"], checksum(&text.body));
@@ -64,7 +64,7 @@ fn a_path_becomes_frames_that_can_be_fetched() {
     let head = client.send("HEAD", "/v1/jobs/1/frames/0", &[], None);
     assert_eq!((head.status, head.body.len()), (200, 0));
 
-    // All of it in one stream.
+    // All frames in one stream.
     let all = parts(&client.get("/v1/jobs/1/multipart"));
     assert_eq!(all.len(), FRAMES as usize);
     for (number, (head, content)) in all.iter().enumerate() {
@@ -123,7 +123,7 @@ fn parts_of_a_path_keep_their_numbers() {
 fn frames_are_there_while_the_job_runs() {
     let daemon = studio(&[]);
     let client = daemon.client();
-    // Some thousand frames.
+    // A job of 4001 frames.
     let id = create(&client, json!({"fps": 1000}));
     let found = drawn(&client, &id, 20);
     assert_eq!((&found["state"], &found["frames"]["total"]), (&json!("running"), &json!(4001)));
@@ -148,7 +148,7 @@ fn frames_are_there_while_the_job_runs() {
     assert!((20..4001).contains(&records.len()), "{}", records.len());
     assert!(records.iter().any(|record| record["sha256"] == checksum(&first.body)));
 
-    // Whoever reads the stream gets frames as they come, and is told when no more do.
+    // A reader of the stream gets frames as they are finished, and a problem when no more will come.
     let request = format!("GET /v1/jobs/{id}/multipart HTTP/1.1\r\nHost: localhost\r\n\r\n");
     let mut stream = BufReader::new(raw(daemon.address, request.as_bytes()));
     let seen = |stream: &mut BufReader<std::net::TcpStream>, words: &str| {
@@ -162,7 +162,7 @@ fn frames_are_there_while_the_job_runs() {
     assert_eq!(post(&client, &format!("/v1/jobs/{id}/cancel")).json()["state"], "cancelled");
     seen(&mut stream, "content-type: application/problem+json");
     seen(&mut stream, "the job has ended before frame");
-    // What was drawn is there still.
+    // Frames that were drawn remain.
     assert_eq!(client.get(&format!("/v1/jobs/{id}/frames/0")).body, first.body);
 }
 
@@ -176,7 +176,7 @@ fn a_cancelled_job_goes_on_where_it_was() {
     assert_eq!((cancelled.status, &cancelled.json()["state"]), (200, &json!("cancelled")));
     assert_eq!(post(&client, &format!("/v1/jobs/{id}/cancel")).status, 200, "asked for twice");
     assert_eq!(client.get(&format!("/v1/jobs/{id}/video.mp4")).problem()["status"], 404);
-    // The runner lets go of it when it has written what was finished.
+    // The runner releases the job once it has written the finished frames.
     let other = create(&client, json!({"to": 1}));
     ended(&client, &other, "done");
     let before = files(&daemon, &id);
@@ -217,17 +217,17 @@ fn jobs_are_deleted_in_any_state() {
     let made = ended(&client, &last, "done");
     assert_eq!(client.send("DELETE", "/v1/jobs/3", &[], None).status, 204);
     assert!(made["bytes"].as_u64().unwrap() > 0);
-    // Its runner may be about to let go of it.
+    // The runner may still hold the job for a moment.
     crate::daemon::eventually("room", || client.get("/v1/limits").json()["jobs"]["bytes"] == 0);
     crate::daemon::eventually("the end of its files", || {
         fs::read_dir(daemon.state().join("jobs")).unwrap().count() == 0
     });
-    // A later process gives out no number again either.
+    // A later process does not reuse numbers either.
     let daemon = daemon.restart(&[]);
     assert_eq!(create(&daemon.client(), json!({"to": 3})), "4");
 }
 
-/// The events of a job until the server ends them: name, id, data.
+/// The events of a job until the server ends the answer: name, id, data.
 fn events(daemon: &Daemon, id: &str, last: Option<&str>) -> Vec<(String, String, Value)> {
     let last = last.map_or(String::new(), |last| format!("Last-Event-ID: {last}\r\n"));
     let request = format!(
@@ -239,7 +239,7 @@ fn events(daemon: &Daemon, id: &str, last: Option<&str>) -> Vec<(String, String,
     let field = |event: &str, name: &str| {
         event.lines().find_map(|line| line.strip_prefix(name)).unwrap_or_default().trim().to_owned()
     };
-    // Chunks begin and end with events.
+    // Chunks begin and end at events.
     body.split("\n\n")
         .filter(|event| event.contains("event:"))
         .map(|event| {
@@ -267,7 +267,7 @@ fn events_tell_of_progress() {
     ids.dedup();
     assert_eq!(ids.len(), heard.len());
 
-    // Who knows the end is told so once and for all; who knows something else hears the whole.
+    // A client that knows the final state gets 204; a client with any other id gets the whole state.
     let known = [("last-event-id", last_id.as_str())];
     assert_eq!(client.send("GET", &format!("/v1/jobs/{id}/events"), &known, None).status, 204);
     for other in [&heard[0].1, "7", ""] {
@@ -312,7 +312,7 @@ fn a_repeated_request_makes_one_job() {
         "Idempotency-Key"
     );
     ended(&client, "1", "done");
-    // Neither a restart nor a scene that is gone makes a difference.
+    // A restart and the removal of the scene change nothing.
     let daemon = daemon.kill_and_restart(&[]);
     let client = daemon.client();
     assert_eq!(client.send("DELETE", "/v1/scenes/grid", &[], None).status, 204);
@@ -348,7 +348,7 @@ fn what_cannot_be_drawn_is_no_job() {
         if more.get("want").is_some()
             && problem["type"] == "urn:pointillist:problem:unavailable-parameter"
         {
-            // A build without a coder, on a machine without ffmpeg.
+            // This build has no coder, and the machine has no ffmpeg.
             continue;
         }
         let urn = format!("urn:pointillist:problem:{kind}");
@@ -467,7 +467,7 @@ fn jobs_are_their_keys_own() {
     };
     assert_eq!((listed("w"), listed("o"), listed("r")), (json!(["1"]), json!(["2"]), json!([])));
     assert_eq!(listed("a"), json!(["2", "1"]));
-    // Also after a restart; and an admin may do what is others' to do.
+    // The rules also hold after a restart, and an admin may change jobs of others.
     let daemon = daemon.restart(&["--api-keys", keys.to_str().unwrap()]);
     let client = daemon.client();
     let delete = |key: &str, path: &str| {
@@ -482,7 +482,7 @@ fn jobs_are_their_keys_own() {
 fn edited_and_missing_scenes() {
     let daemon = studio(&[]);
     let client = daemon.client();
-    // Edited in the middle: it says so, and can draw all of it anew.
+    // After an edit in the middle the job fails, and resuming it draws all frames anew.
     let id = create(&client, json!({"fps": 300}));
     drawn(&client, &id, 30);
     let json_type = [("content-type", "application/json")];
@@ -502,7 +502,7 @@ fn edited_and_missing_scenes() {
         manifest(&client, &id).iter().map(|record| record["sha256"].clone()).collect();
     assert!(empty.iter().all(|sum| *sum == empty[0]), "every frame shows the empty scene");
 
-    // A scene that goes and comes.
+    // The scene is removed and comes back.
     let headers = [("content-type", "application/octet-stream")];
     let upload = || {
         client.send(
@@ -523,14 +523,14 @@ fn edited_and_missing_scenes() {
         (&json!("queued"), &json!("scene `mine` is not loaded"))
     );
     let before = files(&daemon, &id);
-    // Others do not wait behind it.
+    // Other jobs do not wait behind it.
     let other = create(&client, json!({"to": 2}));
     ended(&client, &other, "done");
     assert_eq!(upload().status, 201);
     ended(&client, &id, "done");
     let after = files(&daemon, &id);
     assert_eq!(after.len(), 2001);
-    // The same scene again: what was drawn of it is kept.
+    // It is the same scene, so frames drawn before are kept.
     assert!(before.iter().all(|(name, file)| after[name] == *file));
 }
 
@@ -543,7 +543,7 @@ fn limits_are_told() {
         (&limits["max_unfinished"], &limits["max_bytes"], &limits["ttl_ms"]),
         (&json!(2), &json!(1 << 20), &json!(10_000))
     );
-    // More than two at a time.
+    // More jobs than the limit of two.
     let ids = [create(&client, json!({"fps": 1000})), create(&client, json!({"fps": 1000}))];
     let refused = client.post_json("/v1/jobs", &body(json!({})));
     assert_eq!(
@@ -554,7 +554,7 @@ fn limits_are_told() {
     for id in &ids {
         client.send("DELETE", &format!("/v1/jobs/{id}"), &[], None);
     }
-    // More than a mebibyte: what fits is drawn, and the rest is not.
+    // The frames exceed a mebibyte: those that fit are drawn.
     let large = json!({"fps": 300, "format": "raw"});
     let id = create(&client, large);
     let failed = ended(&client, &id, "failed");
@@ -577,7 +577,7 @@ fn limits_are_told() {
         );
         assert!(problem["detail"].as_str().unwrap().contains("1048576"), "{problem}");
     }
-    // Ended jobs are forgotten, and their files go with them.
+    // Ended jobs expire, and their files with them.
     let gone = || client.get(&format!("/v1/jobs/{id}")).status == 404;
     crate::daemon::eventually("the end of the job's time", gone);
     crate::daemon::eventually("room", || client.get("/v1/limits").json()["jobs"]["bytes"] == 0);

@@ -1,4 +1,4 @@
-//! What outlives which end of the process.
+//! Durability of jobs: what survives signals, kills and a damaged database.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use super::{body, checksum, create, drawn, ended, files, filmed, job, manifest, post, studio};
 use crate::daemon::{Daemon, eventually};
 
-/// What the manifest of a job says is there, by name: read on the disk, where a kill may have cut the last line.
+/// The frames that a job's manifest lists, by name. Reads the manifest on disk, where a kill may have cut off the last line.
 fn noted(daemon: &Daemon, id: &str) -> BTreeMap<String, (Vec<u8>, u64)> {
     let found = files(daemon, id);
     let text = fs::read_to_string(daemon.state().join("jobs").join(id).join("frames/frames.jsonl"));
@@ -28,7 +28,7 @@ fn noted(daemon: &Daemon, id: &str) -> BTreeMap<String, (Vec<u8>, u64)> {
         .collect()
 }
 
-/// Three at once, killed ten times, at moments that a seed chooses, also while it starts: in the end nothing tells.
+/// Three concurrent jobs survive ten kills at random moments, some during startup: the results are those of undisturbed jobs.
 #[test]
 fn jobs_outlive_ten_kills() {
     const FRAMES: u64 = 401;
@@ -38,7 +38,7 @@ fn jobs_outlive_ten_kills() {
     let mut kept = [(); 3].map(|()| BTreeMap::<String, (Vec<u8>, u64)>::new());
     for round in 0..10 {
         if round % 4 == 3 {
-            // Hardly begun.
+            // Kill it shortly after the start.
             std::thread::sleep(Duration::from_millis(random.next_u64() % 60));
         } else {
             let client = daemon.client();
@@ -49,7 +49,7 @@ fn jobs_outlive_ten_kills() {
             drawn(&client, &ids[which], (kept[which].len() as u64 + more).min(FRAMES));
         }
         daemon.kill();
-        // What the manifests tell of is there, and stays the file that it is.
+        // Frames in the manifests exist and keep their files.
         for (id, kept) in ids.iter().zip(&mut kept) {
             let found = files(&daemon, id);
             for (name, file) in &*kept {
@@ -61,7 +61,7 @@ fn jobs_outlive_ten_kills() {
     }
     let sizes = kept.each_ref().map(BTreeMap::len);
     assert!(sizes.iter().all(|&size| size > 10), "{sizes:?} frames in ten runs");
-    // As a single run draws it, and so is the manifest.
+    // Frames and manifests are those of a single run.
     let client = daemon.client();
     let folder = tempfile::tempdir().unwrap();
     let alone = filmed(&daemon, &folder.path().join("frames"), &["--fps", "100"]);
@@ -91,12 +91,12 @@ fn sigterm_pauses_jobs() {
     let id = create(&client, json!({"fps": 500}));
     let behind = create(&client, json!({"to": 4}));
     drawn(&client, &id, 10);
-    // Stops within its time, although the job would take much longer.
+    // The daemon stops within its drain time, although the job would take much longer.
     let daemon = daemon.restart(&["--drain-seconds", "5", "--job-runners", "1"]);
     assert!(daemon.state().join("jobs").join(&id).join("frames/frames.jsonl").exists());
     let client = daemon.client();
     let before = files(&daemon, &id);
-    // The one that was begun goes on before the one behind it.
+    // The job that had begun continues before the one behind it.
     ended(&client, &behind, "done");
     assert_eq!(job(&client, &id)["state"], "done");
     let after = files(&daemon, &id);
@@ -127,7 +127,7 @@ fn two_daemons_do_not_share_a_state_folder() {
     );
     ended(&client, &create(&client, json!({"to": 2})), "done");
 
-    // Where nobody chose the folder, the second one runs without jobs and says so.
+    // With the default folder, the second daemon runs without jobs and says so.
     let states = tempfile::tempdir().unwrap();
     let first = Daemon::start_with_user_state(states.path(), &[]);
     let second = Daemon::start_with_user_state(states.path(), &[]);
@@ -151,7 +151,7 @@ fn two_daemons_do_not_share_a_state_folder() {
     assert!(!none.state().exists());
 }
 
-/// Whatever the damage: the daemon starts, says what it found, keeps the file, and no job is lost.
+/// With any kind of damage the daemon starts, reports it and keeps the damaged file, and no job is lost.
 #[test]
 fn a_damaged_database_is_set_aside() {
     let mut daemon = studio(&[]);
@@ -193,7 +193,7 @@ fn a_damaged_database_is_set_aside() {
         ended(&client, &done, "done");
         drawn(&client, &running, before.len() as u64 + 5);
         let after = files(&daemon, &running);
-        // One whose line was not written yet is another file now, with the same frame in it.
+        // A frame whose line was not written is drawn again into a new file with the same content.
         for (name, (bytes, _)) in &before {
             assert!(after[name].0 == *bytes, "{damage}: {name}");
         }
@@ -205,7 +205,7 @@ fn a_damaged_database_is_set_aside() {
     ended(&client, &new, "done");
 }
 
-/// A job whose scene never comes back does not wait for ever.
+/// A job does not wait for ever for a scene that never comes back.
 #[test]
 fn a_scene_that_stays_away_ends_the_wait() {
     let daemon = studio(&["--job-ttl-seconds", "1000"]);

@@ -1,4 +1,4 @@
-//! What becomes of a job that is ended, by whatever, while its video is made; and how soon a daemon comes back after a kill.
+//! Jobs that are killed, cancelled or deleted while their video is coded, and restarts of a killed daemon.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
@@ -12,7 +12,7 @@ use super::{create, ended, studio};
 #[cfg(feature = "video")]
 use crate::client::Client;
 
-/// Long enough for a video to be caught in the making: coding takes longer than looking.
+/// Long enough that coding takes longer than polling, so that a job can be caught while its video is coded.
 #[cfg(feature = "video")]
 const COUNT: u64 = 401;
 
@@ -21,7 +21,7 @@ fn film(want: Value) -> Value {
     json!({"fps": 100, "w": 192, "h": 144, "format": "raw", "want": want})
 }
 
-/// Waits until so many frames of a job are in its video; false when it has ended before.
+/// Waits until a job's video has this many frames. Returns false if the job has ended before.
 #[cfg(feature = "video")]
 fn coded(client: &Client, id: &str, frames: u64) -> bool {
     let until = Instant::now() + Duration::from_secs(180);
@@ -39,7 +39,8 @@ fn coded(client: &Client, id: &str, frames: u64) -> bool {
     }
 }
 
-/// Killed, cancelled and resumed in the middle of coding: no frame is drawn twice, and the video is that of a job that nobody disturbed.
+/// A job that is killed, cancelled and resumed during coding draws no frame twice, and its video equals that of an undisturbed
+/// job.
 #[cfg(feature = "video")]
 #[test]
 fn videos_outlive_kills() {
@@ -95,7 +96,7 @@ fn videos_are_given_up() {
         let before = files(&daemon, &id);
         let cancelled = post(&client, &format!("/v1/jobs/{id}/cancel"));
         if cancelled.status == 409 {
-            // Was done by then.
+            // The job was done by then.
             break;
         }
         hits += 1;
@@ -111,7 +112,7 @@ fn videos_are_given_up() {
     assert!(hits > 0, "the coding was never hit");
     ended(&client, &id, "done");
     assert_eq!(client.get(&format!("/v1/jobs/{id}/video.mp4")).status, 200);
-    // Deleted in the middle of it, nothing stays.
+    // Deleted while it is coded, the job leaves nothing behind.
     let id = create(&client, film(json!(["video"])));
     coded(&client, &id, 20);
     assert_eq!(client.send("DELETE", &format!("/v1/jobs/{id}"), &[], None).status, 204);
@@ -120,8 +121,8 @@ fn videos_are_given_up() {
     assert_eq!(client.get(&format!("/v1/jobs/{id}")).status, 404);
 }
 
-/// A daemon that is started while another one still has its address and its state waits for that one to end. When its patience is over,
-/// it says what it could not have.
+/// A daemon that starts while another one still holds its address and its state waits for that one to end. When it gives up, it
+/// names what it could not get.
 #[test]
 fn a_restart_waits_for_the_process_before() {
     let mut daemon = studio(&[]);
@@ -144,7 +145,7 @@ fn a_restart_waits_for_the_process_before() {
     let mut told = BufReader::new(next.stderr.take().unwrap()).lines().map(Result::unwrap);
     let waits = told.by_ref().find(|line| line.contains("trying again"));
     assert!(waits.is_some(), "it has not waited");
-    // Nobody may wait for a reader of what it still has to say.
+    // Drain the rest of its messages, so that the pipe does not fill up.
     let rest = std::thread::spawn(move || told.collect::<Vec<_>>());
     let address = daemon.address;
     daemon.kill();

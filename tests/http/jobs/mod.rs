@@ -1,4 +1,4 @@
-//! Jobs on the real daemon: what they give, what may be done to them, and what outlives which end of the process.
+//! Tests of jobs on a real daemon: their products, operations on them, and their durability.
 
 mod damage;
 mod deeds;
@@ -31,10 +31,10 @@ pub fn fly() -> Value {
     ] })
 }
 
-/// Frames of [`fly`] at its own rate.
+/// Number of frames of [`fly`] at its own rate.
 pub const FRAMES: u64 = 121;
 
-/// A daemon whose scene names the path `fly`.
+/// Starts a daemon whose scene has the path `fly`.
 pub fn studio(args: &[&str]) -> Daemon {
     Daemon::start_in(name_path, args)
 }
@@ -45,7 +45,7 @@ pub fn name_path(root: &Path) {
     fs::write(root.join("grid.json"), scene.to_string()).unwrap();
 }
 
-/// A small job, with `more` in its body.
+/// The body of a small job, with the fields of `more`.
 pub fn body(more: Value) -> Value {
     let mut body = json!({ "scene": "grid", "path": "fly", "w": 64, "h": 48 });
     for (key, value) in more.as_object().unwrap() {
@@ -54,7 +54,7 @@ pub fn body(more: Value) -> Value {
     body
 }
 
-/// Makes a job; its id.
+/// Creates a job and returns its id.
 pub fn create(client: &Client, more: Value) -> String {
     let reply = client.post_json("/v1/jobs", &body(more));
     assert_eq!(reply.status, 201, "{}", reply.text());
@@ -71,7 +71,7 @@ pub fn post(client: &Client, path: &str) -> Reply {
     client.send("POST", path, &[], Some(b""))
 }
 
-/// Waits until a job is as it should be.
+/// Waits until a job satisfies `is_so`.
 pub fn when(client: &Client, id: &str, what: &str, is_so: impl Fn(&Value) -> bool) -> Value {
     let until = Instant::now() + Duration::from_secs(180);
     loop {
@@ -92,7 +92,7 @@ pub fn ended(client: &Client, id: &str, state: &str) -> Value {
     found
 }
 
-/// Waits until a job has drawn so many frames.
+/// Waits until a job has drawn this many frames.
 pub fn drawn(client: &Client, id: &str, frames: u64) -> Value {
     when(client, id, "frames", |job| job["frames"]["done"].as_u64().unwrap() >= frames)
 }
@@ -108,7 +108,7 @@ pub fn checksum(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The frames of a job on its daemon's disk, by name: what is in each, and which file it is.
+/// The frames of a job on the daemon's disk, by name: content, and identity of the file.
 pub fn files(daemon: &Daemon, id: &str) -> BTreeMap<String, (Vec<u8>, u64)> {
     let folder = daemon.state().join("jobs").join(id).join("frames");
     let Ok(items) = fs::read_dir(folder) else { return BTreeMap::new() };
@@ -122,7 +122,7 @@ pub fn files(daemon: &Daemon, id: &str) -> BTreeMap<String, (Vec<u8>, u64)> {
         .collect()
 }
 
-/// The same film, drawn by `pointillist path` in one go: its frames by name.
+/// The frames of the same film by name, drawn by `pointillist path` in one run.
 pub fn filmed(daemon: &Daemon, folder: &Path, more: &[&str]) -> BTreeMap<String, Vec<u8>> {
     let output = Command::new(env!("CARGO_BIN_EXE_pointillist"))
         .args(["path", "grid.json", "--path", "fly", "--size", "64x48", "--no-cache", "-o"])
@@ -139,7 +139,7 @@ pub fn filmed(daemon: &Daemon, folder: &Path, more: &[&str]) -> BTreeMap<String,
         .collect()
 }
 
-/// How many frames a multipart answer has, and the problem that it ends with.
+/// The number of frames in a multipart answer, and the problem at its end.
 pub fn parts_and_problem(reply: &Reply) -> (usize, Value) {
     let mut all = parts(reply);
     let (head, content) = all.pop().unwrap();
@@ -147,7 +147,7 @@ pub fn parts_and_problem(reply: &Reply) -> (usize, Value) {
     (all.len(), serde_json::from_slice(&content).unwrap())
 }
 
-/// The parts of a multipart answer: their heads and contents.
+/// Splits a multipart answer into heads and contents of its parts.
 pub fn parts(reply: &Reply) -> Vec<(String, Vec<u8>)> {
     let content_type = reply.header("content-type").unwrap();
     let boundary = content_type.split_once("boundary=").unwrap().1;

@@ -1,4 +1,4 @@
-//! What is asked of jobs: parameters that there are none of, what is known of a job before it begins, and who takes its frames slowly.
+//! Queries of jobs: unknown parameters, what is known before a job begins, and slow readers.
 
 use std::io::Read;
 use std::time::{Duration, Instant};
@@ -54,7 +54,7 @@ fn parameters_that_mean_nothing_are_refused() {
     assert_eq!((&problem["status"], &problem["parameter"]), (&json!(422), &json!("state")));
     assert!(problem["accepted"].as_str().unwrap().contains("cancelled"), "{problem}");
 
-    // A stream that would have no frame is none.
+    // A range without frames is refused.
     for (id, from, accepted) in [(&done, 6, "0 to 5"), (&running, 4001, "0 to 4000")] {
         let problem = client.get(&format!("/v1/jobs/{id}/multipart?from={from}")).problem();
         let found = (&problem["status"], &problem["parameter"], &problem["accepted"]);
@@ -70,7 +70,7 @@ fn what_is_known_of_a_job_is_told_at_once() {
     let daemon = studio(&["--job-runners", "1"]);
     let client = daemon.client();
     let long = create(&client, json!({"fps": 1000}));
-    // One that waits for its turn.
+    // This job waits for its turn.
     let made = client.post_json("/v1/jobs", &super::body(json!({"fps": 10, "from": 5}))).json();
     assert_eq!((&made["state"], &made["fps"]), (&json!("queued"), &json!(10.0)), "{made}");
     let frames = json!({"done": 0, "total": 36, "from": 5, "to": null});
@@ -78,13 +78,13 @@ fn what_is_known_of_a_job_is_told_at_once() {
     let id = made["id"].as_str().unwrap();
     let beyond = client.get(&format!("/v1/jobs/{id}/frames/41")).problem();
     assert_eq!(beyond["accepted"], "5 to 40", "{beyond}");
-    // Also of a later process, and when it is cancelled before it has begun.
+    // The same holds in a later process, and when the job is cancelled before it has begun.
     let daemon = daemon.kill_and_restart(&["--job-runners", "1"]);
     let client = daemon.client();
     assert_eq!(job(&client, id)["frames"], frames);
     assert_eq!(post(&client, &format!("/v1/jobs/{id}/cancel")).json()["frames"], frames);
 
-    // Whoever waits for a scene waits for so long.
+    // A job that waits for its scene has an expiry time.
     drawn(&client, &long, 3);
     assert_eq!(job(&client, &long)["expires_ms"], json!(null));
     assert_eq!(client.send("DELETE", "/v1/scenes/grid", &[], None).status, 204);
@@ -94,13 +94,13 @@ fn what_is_known_of_a_job_is_told_at_once() {
     assert_eq!(waiting["expires_ms"], since_ms + ttl_ms, "{waiting}");
 }
 
-/// Takes a few kilobytes now and then: its place is another's when its time is over, however much there is to send.
+/// A client that reads a few kilobytes at a time loses its place when its time is over, however much is left to send.
 #[test]
 fn who_reads_slowly_has_no_place_for_ever() {
     let watch = ["--max-watchers-per-client", "1", "--watch-seconds", "2"];
     let daemon = studio(&watch);
     let client = daemon.client();
-    // More than sockets hold, in parts of 192 KiB.
+    // More data than the sockets hold, in parts of 192 KiB.
     let id = create(&client, json!({"format": "raw", "w": 256, "h": 192, "fps": 30}));
     ended(&client, &id, "done");
     let request = format!("GET /v1/jobs/{id}/multipart HTTP/1.1\r\nHost: localhost\r\n\r\n");
@@ -117,7 +117,7 @@ fn who_reads_slowly_has_no_place_for_ever() {
         if count == 0 || tail.ends_with(b"0\r\n\r\n") {
             break;
         }
-        // Slower than would be needed for all of it in its time.
+        // Too slow to read everything in the allowed time.
         std::thread::sleep(Duration::from_millis(60));
     }
     let text = String::from_utf8_lossy(&tail);

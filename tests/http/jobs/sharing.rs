@@ -1,4 +1,4 @@
-//! Several jobs at once, and what none of them keeps from the others: bakes, watchers, names.
+//! Concurrent jobs, and resources that they share: bakes, watchers, names.
 
 use std::io::{BufRead, BufReader};
 
@@ -23,7 +23,7 @@ fn a_long_job_keeps_no_short_one_waiting() {
     assert_eq!(client.get("/v1/limits").json()["jobs"]["max_drawing"], 4);
     client.send("DELETE", &format!("/v1/jobs/{long}"), &[], None);
 
-    // One at a time, where that is wanted: in the order of their coming.
+    // With a single runner, jobs run one at a time, in order of creation.
     let daemon = studio(&["--job-runners", "1"]);
     let client = daemon.client();
     let long = create(&client, json!({"fps": 1000}));
@@ -35,14 +35,14 @@ fn a_long_job_keeps_no_short_one_waiting() {
     ended(&client, &short, "done");
 }
 
-/// A daemon with a scene `many` whose trees take their time, beside the usual one.
+/// A daemon with a second scene `many`, whose trees take long to build.
 fn orchard() -> Daemon {
     Daemon::start_in(
         |root| {
             name_path(root);
             let (mut assets, mut nodes) = (json!({}), Vec::new());
             for number in 0..24 {
-                // Each with a content of its own.
+                // Each wall has its own content.
                 let file = format!("wall{number}.ply");
                 std::fs::write(root.join(&file), wall_ply(160 + number)).unwrap();
                 assets[&file] = json!({ "file": file });
@@ -68,14 +68,14 @@ fn baking_is_a_stage_that_can_be_given_up() {
     assert_eq!(found["state"], "running");
     let part = found["baked"].as_f64().unwrap();
     assert!((0.0..=1.0).contains(&part), "{part}");
-    // Others are drawn meanwhile.
+    // Other jobs are drawn meanwhile.
     let other = create(&client, json!({"to": 2}));
     ended(&client, &other, "done");
     let found = job(&client, &id);
     assert_eq!(found["stage"], "baking", "{found}");
     assert_eq!(post(&client, &format!("/v1/jobs/{id}/cancel")).json()["state"], "cancelled");
     eventually("the end of the bake", || daemon.log().contains("baking is given up"));
-    // Resumed it bakes what is left to bake, and is drawn.
+    // When resumed, the job finishes the bake and is drawn.
     assert_eq!(post(&client, &format!("/v1/jobs/{id}/resume")).status, 200);
     assert_eq!(ended(&client, &id, "done")["frames"]["done"], 4);
 
@@ -116,7 +116,7 @@ fn frames_are_named_after_their_job() {
         });
         closed("queue") && closed("encode") && in_batch
     });
-    // From the frame's name to the job to the request that made it.
+    // The log leads from the frame's id to the job, and from there to the request that created it.
     let log = daemon.log();
     let begun = log.lines().find(|line| line.contains("job goes on")).unwrap();
     assert!(begun.contains("\"films.3\"") && begun.contains("\"job\":1"), "{begun}");
@@ -129,7 +129,7 @@ fn watchers_are_few_and_come_again() {
     let limits = client.get("/v1/limits").json()["jobs"].clone();
     let told = (&limits["max_watchers_per_client"], &limits["watch_ms"]);
     assert_eq!(told, (&json!(1), &json!(1000)));
-    // One that waits for its scene, so that nothing happens.
+    // A job that waits for its scene has no events.
     let id = create(&client, json!({"fps": 1000}));
     drawn(&client, &id, 3);
     assert_eq!(client.send("DELETE", "/v1/scenes/grid", &[], None).status, 204);
@@ -150,7 +150,7 @@ fn watchers_are_few_and_come_again() {
         assert!(problem["accepted"].as_str().unwrap().contains("max_watchers_per_client"));
         assert!(refused.header("retry-after").is_some());
     }
-    // It ends with a reason, and leaves its place to the next.
+    // The stream ends with a reason, and its place becomes free.
     let mut rest = String::new();
     std::io::Read::read_to_string(&mut first, &mut rest).unwrap();
     assert!(rest.contains("event: reconnect") && rest.contains("has lasted 1 seconds"), "{rest}");

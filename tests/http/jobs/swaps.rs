@@ -1,4 +1,4 @@
-//! What a job draws while its scene is exchanged, and what is read of one while it is drawn anew.
+//! Jobs whose scene is replaced while they are drawn, and reads of a job while it is drawn again.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -19,12 +19,12 @@ fn sums(client: &Client, id: &str) -> Vec<Value> {
     manifest(client, id).iter().map(|record| record["sha256"].clone()).collect()
 }
 
-/// A scene that is deleted and posted again has the first one's id and revision: no film shows both.
+/// A scene that is deleted and uploaded again has the id and revision of the first one. No film shows both scenes.
 #[test]
 fn no_film_mixes_two_scenes() {
     let daemon = studio(&[]);
     let client = daemon.client();
-    // Frames that take longer than the exchange, so that most of the time nobody sees that there is no scene.
+    // A frame takes longer than the replacement, so that the scene is rarely seen as missing.
     let film = || json!({"scene": "mine", "path": fly(), "fps": 6, "w": 1536, "h": 1536});
     let sides = [8, 5];
     let alone = sides.map(|side| {
@@ -47,7 +47,7 @@ fn no_film_mixes_two_scenes() {
         let found = super::when(&client, &id, "an end", |job| {
             ["done", "failed"].contains(&job["state"].as_str().unwrap())
         });
-        // It may have found no scene for a moment, and have begun anew with the next.
+        // The job may have found no scene for a moment, and begun again with the new one.
         if found["state"] == "failed" {
             failed += 1;
             let kind = "urn:pointillist:problem:scene-changed";
@@ -61,14 +61,15 @@ fn no_film_mixes_two_scenes() {
     assert!(failed > 0, "no exchange was seen as one");
 }
 
-/// While a done job is drawn anew, a frame is what the scene was, or is not drawn yet, or what the scene is; and in the end the latter.
+/// While a done job is drawn again, a frame shows the old or the new state of the scene, or is not drawn yet. In the end it shows
+/// the new state.
 #[test]
 fn frames_are_read_while_they_are_drawn_anew() {
     let daemon = studio(&[]);
     let client = daemon.client();
     let video = cfg!(feature = "video");
     let want = if video { json!(["frames", "video"]) } else { json!(["frames"]) };
-    // Raw, so that every manifest is as long as the one before.
+    // The raw format gives every manifest the same length.
     let id = create(&client, json!({"format": "raw", "want": want}));
     ended(&client, &id, "done");
     let json_type = [("content-type", "application/json")];

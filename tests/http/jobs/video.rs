@@ -16,7 +16,7 @@ fn a_job_makes_a_video() {
     let id = create(&client, json!({"want": ["frames", "video"], "to": 59}));
     let address = format!("/v1/jobs/{id}/video.mp4");
     let early = client.get(&address);
-    // It may be there already on a fast machine.
+    // On a fast machine the video may exist already.
     assert!(early.status == 200 || early.problem()["type"] == "urn:pointillist:problem:no-video");
     let made = ended(&client, &id, "done");
     let video = client.get(&address);
@@ -33,7 +33,7 @@ fn a_job_makes_a_video() {
     assert!((summary.duration_s() - 2.0).abs() < 1e-6, "{}", summary.duration_s());
     assert_eq!(files(&daemon, &id).len(), 60);
 
-    // Players seek.
+    // Players seek with range requests.
     let range = |value: &str| client.send("GET", &address, &[("range", value)], None);
     let part = range("bytes=100-199");
     assert_eq!((part.status, &part.body[..]), (206, &video.body[100..200]));
@@ -49,7 +49,7 @@ fn a_job_makes_a_video() {
     assert_eq!(client.send("GET", &address, &of_other, None).body.len(), video.body.len());
     assert_eq!(client.send("GET", &address, &[("if-none-match", tag)], None).status, 304);
 
-    // Of a video alone, nothing else remains; also after a restart.
+    // A job that only wants a video keeps no frames, even after a restart.
     let alone = create(&client, json!({"want": ["video"], "to": 59, "bitrate_kbps": 200}));
     ended(&client, &alone, "done");
     let daemon = daemon.restart(&[]);
