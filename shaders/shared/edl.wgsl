@@ -9,12 +9,12 @@ const EDL_MOST: f32 = 0.01;
 
 // Returns the fraction of a pixel's light that remains.
 fn eye_dome(at: vec2<u32>, inverse_depth: f32) -> f32 {
-    let diagonal = 0.70710678 * frame.edl_radius_px;
+    let diagonal = 0.70710678 * frame.edl.y;
     let own = log2(inverse_depth);
     var before = 0.0;
     var least = EDL_MOST;
     for (var k = 0u; k < EDL_NEIGHBOURS; k++) {
-        let axis = vec2<f32>(select(0.0, 1.0, (k & 1u) == 0u), select(1.0, 0.0, (k & 1u) == 0u)) * frame.edl_radius_px;
+        let axis = vec2<f32>(select(0.0, 1.0, (k & 1u) == 0u), select(1.0, 0.0, (k & 1u) == 0u)) * frame.edl.y;
         let slanted = vec2<f32>(1.0, select(1.0, -1.0, (k & 1u) == 0u)) * diagonal;
         let side = select(1.0, -1.0, (k & 2u) != 0u);
         let offset = side * select(slanted, axis, k < 4u);
@@ -29,5 +29,5 @@ fn eye_dome(at: vec2<u32>, inverse_depth: f32) -> f32 {
         least = min(least, nearer);
     }
     // All neighbours of a gap between samples stand before it. What they have in common does not darken it.
-    return exp(-EDL_STEEPNESS * frame.edl_strength * (before / f32(EDL_NEIGHBOURS) - least));
+    return exp(-EDL_STEEPNESS * frame.edl.x * (before / f32(EDL_NEIGHBOURS) - least));
 }

@@ -55,9 +55,8 @@ struct Frame {
     instance_groups: u32,
     // Number of segments of the scene.
     segment_count: u32,
-    // Eye-dome lighting: its strength, and the distance of the neighbours that a pixel is compared with.
-    edl_strength: f32,
-    edl_radius_px: f32,
+    // Eye-dome lighting: its strength, and the distance in pixels of the neighbours that a pixel is compared with.
+    edl: vec2<f32>,
     // Samples as discs: their radius in scene units; `splat_lowpass_px` is their least radius in pixels, and `splat_cutoff` 1.
     disc_radius: f32,
 }

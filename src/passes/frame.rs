@@ -197,8 +197,7 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         entry_capacity: task.entry_capacity,
         instance_groups: scene.instance_groups(),
         segment_count: scene.pages.len() as u32,
-        edl_strength: task.edl.map_or(0.0, |edl| edl.strength),
-        edl_radius_px: task.edl.map_or(0.0, |edl| edl.radius_px),
+        edl: task.edl.map_or([0.0; 2], |edl| [edl.strength, edl.radius_px]),
         disc_radius: task.discs.map_or(0.0, |discs| 0.5 * discs.diameter),
         padding: 0,
     }

@@ -258,8 +258,7 @@ pub struct GpuFrame {
     pub entry_capacity: u32,
     pub instance_groups: u32,
     pub segment_count: u32,
-    pub edl_strength: f32,
-    pub edl_radius_px: f32,
+    pub edl: [f32; 2],
     pub disc_radius: f32,
     /// Records lie 16 bytes apart.
     pub padding: u32,
@@ -407,8 +406,7 @@ mod tests {
                 entry_capacity,
                 instance_groups,
                 segment_count,
-                edl_strength,
-                edl_radius_px,
+                edl,
                 disc_radius
             )],
         );
