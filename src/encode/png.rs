@@ -1,8 +1,8 @@
 //! PNG (ISO/IEC 15948).
 //!
-//! Without care, encoding would limit the server's throughput long before drawing does. Speed therefore has priority over size:
-//! `fdeflate`'s one-pass coding after one fixed row filter. Colour without translucency is written without alpha, which saves a
-//! quarter of filtering, checksums and transfer.
+//! The encoder limits the server's throughput long before projection does, so speed has priority over size: `fdeflate`'s one-pass
+//! coding after one fixed row filter. Colour without translucency is written without alpha, which saves a quarter of filtering,
+//! checksums and transfer.
 //!
 //! Depth is 16-bit grey, see [`DepthRange`]; ids are explained in the [parent module](super).
 

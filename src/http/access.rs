@@ -21,7 +21,7 @@ use subtle::ConstantTimeEq;
 use super::STREAM;
 use super::problem::{Kind, Problem};
 
-/// What a key allows; each scope includes those before it.
+/// The scope of a key. Each scope includes those before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Scope {
     /// Allows frames, scenes, limits, metrics, and jobs that the key made while it had the write scope.

@@ -297,11 +297,11 @@ impl Kind {
 #[serde(into = "ProblemDocument")]
 pub struct Problem {
     pub kind: Kind,
-    /// What happened this time.
+    /// Description of this occurrence.
     pub detail: String,
     /// The parameter, header, or place in the body at fault.
     pub parameter: Option<String>,
-    /// What would have been accepted.
+    /// The accepted values or actions.
     pub accepted: Option<String>,
     /// When trying again is worthwhile.
     pub retry_after_ms: Option<u64>,

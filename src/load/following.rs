@@ -19,7 +19,7 @@ use super::histogram::Histogram;
 use super::tally::{Percentiles, ns};
 use super::wire::FrameAnswer;
 
-/// What the streams that ran beside the requests of a step got.
+/// Results of the streams that ran beside the requests of a step.
 #[derive(Clone, Debug, Serialize)]
 pub struct StreamPoint {
     pub streams: usize,

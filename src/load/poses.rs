@@ -1,4 +1,4 @@
-//! The pose of each request, on a closed path that no two requests enter at the same point.
+//! The pose of each request: a point of a closed path. No two requests use the same point.
 //!
 //! Neighbouring requests have neighbouring poses, as those of a moving client have. Equal poses never occur, because the step
 //! along the path is an irrational part of its length. No entity tag, proxy or coalescing of identical requests can therefore

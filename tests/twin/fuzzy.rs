@@ -95,7 +95,7 @@ fn a_single_pass_shares_its_depth_with_triangles() {
         for &pixel in &of_triangles {
             assert_eq!(single.color[pixel], three.color[pixel], "a triangle at {pixel}");
         }
-        // From inside the ball no triangle is visible.
+        // From within the splats no triangle is visible.
         let count = of_triangles.len();
         assert!(count > 200 || eye[0] == 0.2, "{count} pixels of triangles");
     }

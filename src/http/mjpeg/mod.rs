@@ -151,7 +151,7 @@ impl ScreeningParams {
         Ok(())
     }
 
-    /// What is to be shown.
+    /// Returns the path or the view to show.
     fn show(&self, app: &App, request: &FrameRequest) -> Result<Show, Problem> {
         let Some(name) = &self.path else {
             app.engine.scene(&request.scene)?;

@@ -20,7 +20,7 @@ use crate::scene::PathSampler;
 /// Interval at which an unchanged picture is sent again, so that no proxy takes the connection for dead.
 const REPEAT: Duration = Duration::from_secs(15);
 
-/// What a playback shows.
+/// The path or the view that a playback shows.
 pub enum Show {
     Path {
         timeline: Timeline,
