@@ -101,7 +101,7 @@ mod tests {
             record_ns: 1_500_000,
             passes: vec![
                 pass("project_points", true, Some(812_345)),
-                pass("shade", false, None),
+                pass("write_output", false, None),
                 pass("resolve", true, None),
             ],
             total_ns: 12_000_000,

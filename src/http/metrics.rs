@@ -357,7 +357,7 @@ mod tests {
         let receipt = Receipt {
             views: 4,
             gpu_ns: Some(8_000_000),
-            passes: vec![pass("project_samples", Some(4_000_000)), pass("shade", None)],
+            passes: vec![pass("project_samples", Some(4_000_000)), pass("write_output", None)],
             queue_ns: 1_000_000,
             total_ns: 16_000_000,
             ..Receipt::default()
@@ -379,6 +379,6 @@ mod tests {
         ] {
             assert!(text.contains(line), "{line}: {text}");
         }
-        assert!(!text.contains("pass=\"shade\""), "what was not measured is not counted");
+        assert!(!text.contains("pass=\"write_output\""), "what was not measured is not counted");
     }
 }

@@ -22,7 +22,7 @@
 
 use std::collections::BTreeMap;
 
-pub use super::record::{Failure, FailureKind, Made, Record, Repeat, State, Video};
+pub use super::record::{Failure, FailureKind, JobId, Made, Record, Repeat, State, Video};
 use super::spec::Spec;
 
 /// Limits of a book.
@@ -36,9 +36,6 @@ pub struct Limits {
     pub ttl_ms: u64,
     pub slots: Slots,
 }
-
-/// A job's number.
-pub type JobId = u64;
 
 /// One phase of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,8 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::book::{JobId, Limits};
 use super::spec::Spec;
+
+/// A job's number.
+pub type JobId = u64;
 
 /// State of a job.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -110,11 +112,12 @@ impl Record {
         !matches!(self.state, State::Queued { .. } | State::Running)
     }
 
-    /// Returns when an ended job is forgotten, or a waiting one fails; milliseconds since 1970.
-    pub fn expires_ms(&self, limits: &Limits) -> Option<u64> {
+    /// Returns when an ended job is forgotten, or a waiting one fails; milliseconds since 1970. `ttl_ms`:
+    /// [`super::book::Limits::ttl_ms`].
+    pub fn expires_ms(&self, ttl_ms: u64) -> Option<u64> {
         let expires =
             self.has_ended() || matches!(self.state, State::Queued { waits_for: Some(_) });
-        expires.then(|| self.since_ms.saturating_add(limits.ttl_ms))
+        expires.then(|| self.since_ms.saturating_add(ttl_ms))
     }
 }
 

@@ -71,7 +71,7 @@ impl JobsState {
             rate,
             eta_s,
             bytes: live.bytes(),
-            expires_ms: record.expires_ms(book.limits()),
+            expires_ms: record.expires_ms(book.limits().ttl_ms),
             version,
             record,
         })

@@ -67,7 +67,7 @@ fn a_job_from_queue_to_end() {
     assert_eq!(book.get(first).unwrap().state, State::Done);
     let job = book.get(second).unwrap();
     assert_eq!((job.state.name(), job.since_ms, job.drawn, job.made.done), ("failed", 50, 3, 3));
-    assert_eq!(job.expires_ms(&LIMITS), Some(1050));
+    assert_eq!(job.expires_ms(LIMITS.ttl_ms), Some(1050));
     book.resume(first, 60).unwrap();
     book.cancel(first, 61).unwrap();
     book.resume(second, 60).unwrap();

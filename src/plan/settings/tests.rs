@@ -160,7 +160,7 @@ fn page() -> String {
     let mut page = String::from(
         "# Settings of a frame\n\n\
          How a frame is drawn. Settings are parameters of a frame (`?lod=spt`), fields of a JSON body, of a message of a stream and of a job \
-         (`\"lod\": \"spt\"`), and options of `render`, `path` and `load` (`--lod spt`; `_` becomes `-`). The viewer has a control for each. \
+         (`\"lod\": \"spt\"`), and options of `render`, `pick`, `path` and `load` (`--lod spt`; `_` becomes `-`). The viewer has a control for each. \
          `GET /v1/settings` serves the same list as JSON. The receipt of a frame names the settings that affected it.\n\n\
          A setting that needs another is refused without it, unless its value is the default of a choice.\n\n\
          | setting | values | default | needs | meaning |\n|---|---|---|---|---|\n",
