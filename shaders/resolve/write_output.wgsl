@@ -1,4 +1,5 @@
-// Writes the output from kept surfaces: applies effects that read neighbouring pixels, then light, then encodes the pixel.
+// Writes the output from kept surfaces: colours them by a value where that is asked for, then applies light and effects that read
+// neighbouring pixels, and encodes the pixel.
 //!include shared/frame
 //!include shared/scene
 //!include VOTE
@@ -9,6 +10,9 @@
 //!include shared/output
 //!include shared/light
 //!include shared/edl
+//!include shared/recolor
+// Eye-dome lighting is on.
+override EDL: bool = true;
 // At least one instance overrides its asset's materials.
 override OVERRIDES: bool = true;
 
@@ -53,10 +57,13 @@ fn write_output(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
         }
         if column.mine {
             var surface = kept_surface(column);
+            surface.color = recoloured(surface, column.at);
             if SHADED {
                 surface.color = lit_color(surface, column.at);
             }
-            surface.color = color_word(linear_color(surface.color) * eye_dome(column.at, surface.inverse_depth));
+            if EDL {
+                surface.color = color_word(linear_color(surface.color) * eye_dome(column.at, surface.inverse_depth));
+            }
             pixels[column.pixel] = output_word(surface);
         }
         column_step(&column);

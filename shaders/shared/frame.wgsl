@@ -59,6 +59,11 @@ struct Frame {
     edl: vec2<f32>,
     // Samples as discs: their radius in scene units; `splat_lowpass_px` is their least radius in pixels, and `splat_cutoff` 1.
     disc_radius: f32,
+    // The colour map of `color_by=height`: how many colours it has; the share of the range that a position in camera space has, as a product
+    // with the first three numbers plus the last; the colours as sRGB8.
+    ramp_count: u32,
+    ramp: vec4<f32>,
+    ramp_colors: array<vec4<u32>, 3>,
 }
 
 @group(0) @binding(0) var<uniform> frames: array<Frame, 16>;

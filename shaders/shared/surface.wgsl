@@ -19,6 +19,13 @@ struct Surface {
 // Light is computed for each pixel, from its normal.
 override SHADED: bool = true;
 
+// Value that colours surfaces in `write_output`, in place of their own colours.
+override COLOR_BY: u32 = 0u;
+
+const BY_HEIGHT: u32 = 1u;
+const BY_NORMAL: u32 = 2u;
+const BY_INSTANCE: u32 = 3u;
+
 fn needs_normal() -> bool {
-    return OUTPUT == OUTPUT_NORMAL || SHADED;
+    return OUTPUT == OUTPUT_NORMAL || SHADED || COLOR_BY == BY_NORMAL;
 }

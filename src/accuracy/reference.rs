@@ -126,6 +126,7 @@ impl Reference {
             background: self.description.background,
             splats: None,
             discs: None,
+            recolor: None,
             edl: None,
         }
     }

@@ -182,7 +182,7 @@ mod tests {
         // A file is never provisional.
         assert_eq!(plain.settings, Settings { wait: Wait::Complete, ..Settings::default() });
         for (line, expected) in [
-            (&["--paint", "levels"][..], "--paint: this setting applies to `lod=spt` only"),
+            (&["--color-by", "levels"][..], "--color-by: this setting applies to `lod=spt` only"),
             (
                 &["--error-mode", "split"],
                 "`--lod spt` and `--reconstruct splats`, `fuzzy` or `auto`",

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use super::framing;
 use super::receipt::{
-    InstanceCounts, PassReceipt, Receipt, SampleCounts, SplatCounts, TriangleCounts,
+    InstanceCounts, Legend, PassReceipt, Receipt, SampleCounts, SplatCounts, TriangleCounts,
 };
 use super::renderer::Drawn;
 use super::state::EngineState;
@@ -100,6 +100,7 @@ fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
         },
         max_error_px: applied.max_error_px,
         estimated_error_px: None,
+        legend: drawing.recolor.and_then(|recolor| Legend::of(&recolor)),
         passes: PassReceipt::list(&drawing.plan, &drawn.pass_ns),
         nothing_visible: nothing_visible(drawn),
         gpu_ns: drawn.gpu_ns,

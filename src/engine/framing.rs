@@ -107,6 +107,15 @@ impl SceneOutline {
         framing::frame(&self.points, &look)
     }
 
+    /// Returns the least and the largest coordinate along a direction; zeros for a scene without points.
+    pub fn range(&self, direction: DVec3) -> [f64; 2] {
+        let along = self.points.iter().map(|point| point.dot(direction));
+        let ends = along.fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], coordinate| {
+            [least.min(coordinate), most.max(coordinate)]
+        });
+        if ends[0] <= ends[1] { ends } else { [0.0; 2] }
+    }
+
     /// Chooses the view direction: terrain is seen from above at an angle, upright things from the front at eye height, a plate
     /// from its face.
     fn look(&self, up: DVec3, seen: Option<DVec3>, fov_deg: f64, aspect: f64) -> Look {

@@ -354,6 +354,15 @@ impl Loaded {
         if self.model.up == DVec3::ZERO { DVec3::Y } else { self.model.up }
     }
 
+    fn outline(&self) -> &SceneOutline {
+        self.outline.get_or_init(|| SceneOutline::of(&self.model))
+    }
+
+    /// Returns the least and the largest height of the scene along its up direction; strays do not count.
+    pub fn heights(&self) -> [f64; 2] {
+        self.outline().range(self.up().normalize())
+    }
+
     /// Returns the default view: the sensor's where the file has one, else a view of everything but strays, as large as the frame
     /// allows. Without `up` it uses the scene's up direction.
     ///
@@ -377,10 +386,10 @@ impl Loaded {
             let seen = sensor.camera_for(aspect);
             return Ok(Camera { fov_deg: fov_deg.unwrap_or(seen.fov_deg), ..seen });
         }
-        let outline = self.outline.get_or_init(|| match self.description.subject {
-            Some(subject) => SceneOutline::around(&subject),
-            None => SceneOutline::of(&self.model),
-        });
+        let outline = match self.description.subject {
+            Some(subject) => &SceneOutline::around(&subject),
+            None => self.outline(),
+        };
         let front = self.description.front.filter(|_| up_given.is_none());
         let reach = SPLAT_REACH * spacing::usual(self.patches());
         Ok(outline.camera(anywhere.up, front, (anywhere.fov_deg, aspect, reach)))

@@ -4,6 +4,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use crate::plan::{FramePlan, Pass, UsedSettings};
+use crate::scene::color_map::Recolor;
 
 /// Fewer pixels than this are easily overlooked.
 const FEW_PIXELS: u64 = 20;
@@ -28,6 +29,8 @@ pub struct Receipt {
     /// Error accepted by the request and estimated for the frame, in pixels.
     pub max_error_px: Option<f32>,
     pub estimated_error_px: Option<f32>,
+    /// What the colours stand for, where `color_by=height` chose them.
+    pub legend: Option<Legend>,
     /// Passes that ran, in the order in which they first did, then those that were skipped.
     pub passes: Vec<PassReceipt>,
     /// Why the image shows nothing but the background, and what to do about it; `null` where something is seen.
@@ -121,6 +124,28 @@ impl PassReceipt {
             Some(PassReceipt { name: planned.pass.name(), ran: false, gpu_ns: None, why })
         });
         ran.chain(skipped).collect()
+    }
+}
+
+/// What the colours of a colour map stand for.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub struct Legend {
+    /// The value that colours show.
+    pub of: &'static str,
+    /// Values of the first and the last colour, in scene units.
+    pub least: f64,
+    pub most: f64,
+    /// Colours at equal distances from the first value to the last, as `#rrggbb`.
+    pub colors: Vec<String>,
+}
+
+impl Legend {
+    /// `None` for colours that no map gives.
+    pub fn of(recolor: &Recolor) -> Option<Legend> {
+        let Recolor::Height { range: [least, most], map, .. } = recolor else { return None };
+        let hex = |[r, g, b]: &[u8; 3]| format!("#{r:02x}{g:02x}{b:02x}");
+        let colors = map.colors().iter().map(hex).collect();
+        Some(Legend { of: "height", least: *least, most: *most, colors })
     }
 }
 

@@ -21,7 +21,7 @@ use crate::passes::{
     self, Context, FrameTask, PassSpan, Pipelines, SMALL_SPLAT_PX, SMALL_TRIANGLE_PX, Scratch,
     Uniforms,
 };
-use crate::plan::{Output, Pass};
+use crate::plan::{ColorBy, Output, Pass};
 use crate::residency::layout::{GpuStats, MOST_VIEWS};
 use crate::residency::model::SceneModel;
 use crate::residency::{Residency, ResidencyError};
@@ -354,7 +354,8 @@ impl Renderer {
             large_units_limit: self.large_units_limit,
             max_error_px: drawing.settings.max_error_px.px(),
             error_mode: drawing.settings.error_mode,
-            paint: drawing.settings.paint,
+            levels: drawing.settings.color_by == ColorBy::Levels,
+            recolor: drawing.recolor,
             edl: drawing.settings.eye_dome(),
             background: drawing.background(&first.frame.model),
             entry_capacity: self.scratch.entry_capacity(),

@@ -18,7 +18,8 @@ use crate::math::{Camera, CameraError, FOV_RANGE_DEG, View};
 use crate::passes::{LAYERS_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
 use crate::plan::{
-    AdapterFacts, Edl, FrameFacts, Lod, Output, Reconstruct, SceneFacts, Settings, Wait, plan,
+    AdapterFacts, ColorBy, Edl, FrameFacts, Lod, Output, Reconstruct, SceneFacts, Settings, Wait,
+    plan,
 };
 use crate::residency::model::SceneModel;
 
@@ -217,7 +218,7 @@ fn decide(
     let mut auto = is_open.then(|| choose_for(loaded, &request, facts.has_samples, &view));
     let mut provisional = None;
     if let Some(choice) = &mut auto
-        && loaded.lacks(choice.reconstruct, request.settings.lod, request.output)
+        && loaded.lacks(choice.reconstruct, request.settings.lod, needed_output(&request))
     {
         provisional = Some(match state.estimate_in_background(loaded) {
             Ok(done) => {
@@ -239,11 +240,13 @@ fn decide(
             rasterises: adapter.rasterises,
             draws_hidden: state.config.draw_hidden,
         };
-        Drawing::new(settings, &loaded.model.splats, instead_because, |splats| {
+        let recolor = settings.recolor(loaded.up(), || loaded.heights());
+        Drawing::new(settings, &loaded.model.splats, recolor, instead_because, |splats| {
             let splats = splats.copied();
             let discs = settings.discs().is_some();
             let edl = settings.eye_dome();
-            let frame = FrameFacts { output: request.output, splats, discs, edl };
+            let recolors = settings.recolors();
+            let frame = FrameFacts { output: request.output, splats, discs, recolors, edl };
             plan(&facts, &frame, &adapter)
         })
     };
@@ -306,6 +309,7 @@ fn cost_key(request: &FrameRequest, settings: &Settings) -> CostKey {
 /// Returns what a bake has to make before the frame can be drawn; `None` if nothing is missing.
 pub fn goal(loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
     let Settings { lod, reconstruct, wait, .. } = request.settings;
+    let output = needed_output(request);
     if lod == Lod::Spt {
         return loaded.trees().is_none().then_some(Goal::Trees);
     }
@@ -316,20 +320,27 @@ pub fn goal(loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
         (_, Wait::Whole) => true,
         // A picture of normals needs them however samples are drawn.
         (Reconstruct::Auto, Wait::Ready) => {
-            loaded.lacks(Reconstruct::Points, lod, request.output)
-                && request.output == Output::Normal
+            loaded.lacks(Reconstruct::Points, lod, output) && output == Output::Normal
         }
         (Reconstruct::Auto, Wait::Complete) => match pose(loaded, request) {
             Ok((view, _)) => {
                 let wanted = choose_for(loaded, request, loaded.facts.has_samples, &view);
-                loaded.lacks(wanted.reconstruct, lod, request.output)
+                loaded.lacks(wanted.reconstruct, lod, output)
             }
             // The frame is refused.
             Err(_) => false,
         },
-        _ => loaded.lacks(reconstruct, lod, request.output),
+        _ => loaded.lacks(reconstruct, lod, output),
     };
     lacks.then_some(Goal::Estimates)
+}
+
+/// The output that needs as much of a scene as the frame: a picture coloured by normals needs them as a picture of normals does.
+fn needed_output(request: &FrameRequest) -> Output {
+    match request.settings.color_by {
+        ColorBy::Normal if request.output == Output::Color => Output::Normal,
+        _ => request.output,
+    }
 }
 
 /// Chooses how samples are drawn where the request leaves it open, as if all normals and kernels were there.
@@ -368,6 +379,9 @@ fn no_fuzzy(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
     }
     if request.settings.edl == Edl::On {
         return Some("a single pass has no depths for eye-dome lighting");
+    }
+    if request.settings.recolors() {
+        return Some("a single pass has no surfaces to colour");
     }
     if !adapter.atomic_sums_64 {
         return Some("a single pass needs 64-bit atomics that add and exchange");

@@ -18,6 +18,7 @@ use crate::plan::auto::Choice;
 use crate::plan::{Background, FramePlan, Reconstruct, Settings};
 use crate::residency::model::{Extent, SceneModel};
 use crate::scene::Splats;
+use crate::scene::color_map::Recolor;
 
 /// A checked request, with everything that was decided for it.
 #[derive(Clone)]
@@ -54,6 +55,8 @@ pub struct Drawing {
     pub instead_because: Option<&'static str>,
     /// How samples are drawn, if not as points.
     pub splats: Option<Splats>,
+    /// What colours surfaces, if it is not their own colours.
+    pub recolor: Option<Recolor>,
 }
 
 impl ResolvedFrame {
@@ -87,12 +90,13 @@ impl Drawing {
     pub fn new(
         settings: &Settings,
         scene: &Splats,
+        recolor: Option<Recolor>,
         instead_because: Option<&'static str>,
         plan: impl FnOnce(Option<&Splats>) -> FramePlan,
     ) -> Drawing {
         let splats = settings.splats(scene);
         let settings = settings.settled(splats.as_ref()).effective();
-        Drawing { plan: plan(splats.as_ref()), settings, instead_because, splats }
+        Drawing { plan: plan(splats.as_ref()), settings, instead_because, splats, recolor }
     }
 
     /// Linear RGB and straight alpha of pixels that show nothing.
@@ -103,13 +107,16 @@ impl Drawing {
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
+
     use super::*;
     use crate::plan::{self, AdapterFacts, FrameFacts, Given, SceneFacts, SettingKind};
 
     fn drawing(settings: &Settings) -> Drawing {
         let facts = SceneFacts { has_samples: true, trees: true, chunks: 1, ..Default::default() };
         let adapter = AdapterFacts::default();
-        Drawing::new(settings, &Splats::default(), None, |splats| {
+        let recolor = settings.recolor(DVec3::Y, || [0.0, 1.0]);
+        Drawing::new(settings, &Splats::default(), recolor, None, |splats| {
             let frame = FrameFacts { splats: splats.copied(), ..FrameFacts::default() };
             plan::plan(&facts, &frame, &adapter)
         })

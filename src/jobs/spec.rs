@@ -120,7 +120,7 @@ impl Spec {
 #[cfg(test)]
 pub mod tests {
     use super::*;
-    use crate::plan::{Lod, MaxError};
+    use crate::plan::{ColorBy, Lod, MaxError};
     use crate::scene::Filter;
 
     pub fn spec(scene: &str) -> Spec {
@@ -153,7 +153,7 @@ pub mod tests {
     /// A frame of a job as the previous version stored it.
     const STORED: &str = r#"{
         "width": 64, "height": 48, "format": "png", "quality": 85, "output": "color", "lod": "spt", "max_error_px": 2.5,
-        "error_mode": "unified", "paint": "colors", "reconstruct": "splats", "filter": "exact", "prefilter": false,
+        "error_mode": "unified", "paint": "levels", "reconstruct": "splats", "filter": "exact", "prefilter": false,
         "blend": null, "shading": null
     }"#;
 
@@ -163,6 +163,8 @@ pub mod tests {
         let asked = Settings {
             lod: Lod::Spt,
             max_error_px: MaxError::new(2.5).unwrap(),
+            // It was called `paint`.
+            color_by: ColorBy::Levels,
             reconstruct: Reconstruct::Splats,
             filter: Some(Filter::Exact),
             prefilter: Some(false),

@@ -245,6 +245,7 @@ impl<'a> Band<'a> {
             ..winner.surface
         };
         surface.turn_to_eye();
+        surface.recolor(self.prepared.scene.recolor.as_ref(), self.view, winner.instance);
         let color = match (self.settings.splats.blend, self.settings.splats.shading) {
             (Blend::Weighted | Blend::Fuzzy, Shading::Splat) => surface.albedo,
             _ => shade(&surface, self.prepared.scene.lights, self.view.eye),

@@ -43,6 +43,7 @@ use rayon::prelude::*;
 
 use crate::assets::{Geometry, Material, Texture};
 use crate::math::View;
+use crate::scene::color_map::Recolor;
 use crate::scene::{Discs, EyeDome, Light, MaterialSpec, Splats};
 
 use blend::Blended;
@@ -61,6 +62,8 @@ pub struct OracleScene<'a> {
     pub splats: Option<Splats>,
     /// Discs that samples are drawn as where `splats` is `None`; `None` for points of one pixel.
     pub discs: Option<Discs>,
+    /// What colours surfaces, if it is not their own colours.
+    pub recolor: Option<Recolor>,
     /// Eye-dome lighting, computed from the depths at the pixels' centres.
     pub edl: Option<EyeDome>,
 }
@@ -191,7 +194,8 @@ fn colors(prepared: &Prepared<'_>, view: &View, shown: &[Shown]) -> Vec<[f64; 4]
         let [r, g, b] = match shown {
             Shown::Nothing => return background,
             Shown::Hit(hit) => {
-                let surface = surface::at(prepared, view, hit, i % width, i / width);
+                let mut surface = surface::at(prepared, view, hit, i % width, i / width);
+                surface.recolor(prepared.scene.recolor.as_ref(), view, prepared.instance(hit));
                 shade::shade(&surface, prepared.scene.lights, view.eye)
             }
             Shown::Splats(blended) => blended.color,

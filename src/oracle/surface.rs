@@ -4,6 +4,7 @@ use glam::{DVec2, DVec3};
 
 use crate::assets::{Geometry, Material, Mesh, PointCloud};
 use crate::math::View;
+use crate::scene::color_map::{Recolor, instance_color};
 
 use super::color::linear_from_srgba8;
 use super::prepare::{Prepared, PreparedItem};
@@ -29,6 +30,24 @@ pub struct Surface {
 }
 
 impl Surface {
+    /// Replaces the colour by that of a value, if one is given; `instance`: number of the instance.
+    pub fn recolor(&mut self, recolor: Option<&Recolor>, view: &View, instance: u32) {
+        let srgb = match recolor {
+            None => return,
+            Some(Recolor::Height { up, range: [least, most], map }) => {
+                let height = up.normalize().dot(view.eye + self.position_from_eye);
+                let share = if least == most { 0.5 } else { (height - least) / (most - least) };
+                map.at(share)
+            }
+            Some(Recolor::Normal) if self.normal_world == DVec3::ZERO => [128.0 / 255.0; 3],
+            Some(Recolor::Normal) => (self.normal_world * 0.5 + 0.5).to_array(),
+            Some(Recolor::Instance) => instance_color(instance + 1),
+        };
+        let [r, g, b] = srgb.map(|channel| (channel * 255.0).round() as u8);
+        let [r, g, b, _] = linear_from_srgba8([r, g, b, 255]);
+        self.albedo = [r, g, b];
+    }
+
     /// Turns the normal to the side that the eye is on.
     pub fn turn_to_eye(&mut self) {
         if self.normal_world.dot(self.position_from_eye) > 0.0 {

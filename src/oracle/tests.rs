@@ -45,6 +45,7 @@ pub fn scene<'a>(items: Vec<OracleItem<'a>>) -> OracleScene<'a> {
         background: [0.0, 0.0, 0.0, 1.0],
         splats: None,
         discs: None,
+        recolor: None,
         edl: None,
     }
 }

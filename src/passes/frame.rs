@@ -4,10 +4,11 @@ use std::sync::Arc;
 
 use super::slabs::Slabs;
 use crate::math::View;
-use crate::plan::{ErrorMode, FramePlan, Output, Paint, Pass};
+use crate::plan::{ErrorMode, FramePlan, Output, Pass};
 use crate::residency::layout::{GpuFrame, two_floats};
 use crate::residency::model::{Extent, SceneModel};
 use crate::residency::{GROUP, ResidentScene};
+use crate::scene::color_map::{MOST_COLORS, Recolor};
 use crate::scene::{Blend, Discs, EyeDome, Filter, Shading, Splats};
 
 /// Frames of one scene that are drawn together: the model (resident already), where it is seen from, what is wanted.
@@ -40,8 +41,10 @@ pub struct FrameTask {
     pub max_error_px: f32,
     /// How that error is measured for splats.
     pub error_mode: ErrorMode,
-    /// What the colours of samples represent.
-    pub paint: Paint,
+    /// Nodes of point trees show their height above the leaves.
+    pub levels: bool,
+    /// What colours surfaces, if it is not their own colours.
+    pub recolor: Option<Recolor>,
     /// Eye-dome lighting, where it is on.
     pub edl: Option<EyeDome>,
     /// Linear RGB and straight alpha of pixels that show nothing.
@@ -151,6 +154,7 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         let accepted_px = if task.model.trees { task.max_error_px } else { 0.0 };
         Slabs::new(&s, &task.extent, view, accepted_px)
     });
+    let (ramp_count, ramp_colors) = ramp_colors(task);
     GpuFrame {
         right: row(axes.x_axis),
         down: row(-axes.y_axis),
@@ -199,6 +203,32 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         segment_count: scene.pages.len() as u32,
         edl: task.edl.map_or([0.0; 2], |edl| [edl.strength, edl.radius_px]),
         disc_radius: task.discs.map_or(0.0, |discs| 0.5 * discs.diameter),
-        padding: 0,
+        ramp_count,
+        ramp: ramp(task, view),
+        ramp_colors,
     }
+}
+
+/// The number of colours of the frame's map, and each as sRGB8.
+fn ramp_colors(task: &FrameTask) -> (u32, [[u32; 4]; MOST_COLORS / 4]) {
+    let mut words = [[0; 4]; MOST_COLORS / 4];
+    let Some(Recolor::Height { map, .. }) = task.recolor else { return (0, words) };
+    for (word, [r, g, b]) in words.as_flattened_mut().iter_mut().zip(map.colors()) {
+        *word = u32::from_le_bytes([*r, *g, *b, 255]);
+    }
+    (map.colors().len() as u32, words)
+}
+
+/// The share of the range that a position in camera space has: a product with the first three numbers, plus the last.
+fn ramp(task: &FrameTask, view: &View) -> [f32; 4] {
+    let Some(Recolor::Height { up, range: [least, most], .. }) = task.recolor else {
+        return [0.0; 4];
+    };
+    let up = up.normalize();
+    let per_unit = if most == least { 0.0 } else { 1.0 / (most - least) };
+    let middle = if most == least { 0.5 } else { 0.0 };
+    let slope = view.view_from_world * up * per_unit;
+    let offset = (up.dot(view.eye) - least) * per_unit + middle;
+    // Camera space looks along +z, with y down.
+    [slope.x as f32, -slope.y as f32, -slope.z as f32, offset as f32]
 }

@@ -112,6 +112,7 @@ fragments![
     "shared/walk_splat",
     "shared/portions",
     "shared/pyramid",
+    "shared/recolor",
     "shared/turns",
     "shared/tested",
     "shared/portion_all",

@@ -10,9 +10,9 @@ mod table;
 use serde::Serialize;
 
 pub use settings::{
-    Background, Choice, Edl, EdlRadius, EdlStrength, ErrorMode, Given, Lod, MaxError, Output,
-    Paint, PointSize, PointSizePx, Reconstruct, Rule, Setting, SettingError, SettingKind, Settings,
-    StillFrame, UsedSettings, Wait, declared,
+    Background, Choice, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode, Given, Lod,
+    MaxError, Output, PointSize, PointSizePx, Reconstruct, Rule, Setting, SettingError,
+    SettingKind, Settings, StillFrame, UsedSettings, Wait, declared,
 };
 
 pub(crate) use table::pass_table;
@@ -122,6 +122,8 @@ pub struct FrameFacts {
     pub splats: Option<Splats>,
     /// Points are drawn as discs.
     pub discs: bool,
+    /// Colours come from the resolved surface.
+    pub recolors: bool,
     /// Eye-dome lighting, where it is on.
     pub edl: Option<EyeDome>,
 }

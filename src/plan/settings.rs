@@ -19,10 +19,11 @@ use serde_json::{Map, Value};
 mod values;
 
 pub use values::{
-    Background, Edl, EdlRadius, EdlStrength, ErrorMode, Lod, MaxError, Output, Paint, PointSize,
-    PointSizePx, Reconstruct, StillFrame, UsedSettings, Wait,
+    Background, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode, Lod, MaxError, Output,
+    PointSize, PointSizePx, Reconstruct, StillFrame, UsedSettings, Wait,
 };
 
+use crate::scene::color_map::ColorMap;
 use crate::scene::{Blend, Filter, Shading};
 
 /// A declared setting.
@@ -61,7 +62,8 @@ pub enum SettingKind {
     Number {
         least: f64,
         most: f64,
-        default: f64,
+        /// `null`: as the scene has it.
+        default: Option<f64>,
         unit: &'static str,
     },
 }
@@ -80,6 +82,9 @@ pub struct Choice {
 pub struct Rule {
     pub of: &'static str,
     pub is: &'static [&'static str],
+    /// The rule is for this value of the setting alone.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub value: Option<&'static str>,
     /// Reason for a refusal.
     #[serde(skip)]
     why: &'static str,
@@ -129,7 +134,8 @@ fn in_words(needs: &[Rule], pair: impl Fn(&str, &str) -> String) -> String {
         let (first, others) = rule.is.split_first().unwrap_or((&"", &[]));
         let first = format!("`{}`", pair(rule.of, first));
         let others = others.iter().map(|value| format!("`{value}`"));
-        alternatives(&std::iter::once(first).chain(others).collect::<Vec<_>>())
+        let all = alternatives(&std::iter::once(first).chain(others).collect::<Vec<_>>());
+        rule.value.map_or(all.clone(), |value| format!("{all} for `{value}`"))
     });
     rules.collect::<Vec<_>>().join(" and ")
 }
@@ -145,7 +151,17 @@ fn alternatives(words: &[String]) -> String {
 
 impl Rule {
     const fn new(of: &'static str, is: &'static [&'static str], why: &'static str) -> Rule {
-        Rule { of, is, why }
+        Rule { of, is, value: None, why }
+    }
+
+    const fn for_value(self, value: &'static str) -> Rule {
+        Rule { value: Some(value), ..self }
+    }
+
+    /// Whether a setting may have a value (`None`: any), beside these values of the others.
+    fn allows(&self, value: Option<&Value>, words: &Map<String, Value>) -> bool {
+        let concerns = |only| value.and_then(Value::as_str) == Some(only);
+        !self.value.is_none_or(concerns) || self.holds(words)
     }
 
     fn holds(&self, words: &Map<String, Value>) -> bool {
@@ -209,6 +225,7 @@ const PASSES: Rule = Rule::new(
     "points are not blended, and `fuzzy` has a fixed blend and shading",
 );
 const TREES: Rule = Rule::new("lod", &["spt"], "this setting applies to `lod=spt` only");
+const HEIGHT: Rule = Rule::new("color_by", &["height"], "no colour map is used");
 /// Samples in the scene, or those of meshes whose detail is chosen.
 const SAMPLES: Rule = Rule::new("samples", &["some"], "");
 const EDL: Rule = Rule::new("edl", &["on", "auto"], "eye-dome lighting is off");
@@ -219,7 +236,7 @@ const COLORS: Rule = Rule::new("output", &["color"], "");
 macro_rules! settings {
     ($(
         $(#[doc = $doc:literal])+
-        $name:ident: $given:ident => $used:ty {
+        $name:ident: $given:ident => $used:ty $(, once $old:literal)? {
             label: $label:literal, kind: $kind:expr, needs: [$($need:expr),*], useful_with: [$($useful:expr),*]
         }
     )+) => {
@@ -231,7 +248,7 @@ macro_rules! settings {
             $(
                 $(#[doc = $doc])+
                 #[arg(long)]
-                #[serde(skip_serializing_if = "Option::is_none")]
+                #[serde(skip_serializing_if = "Option::is_none" $(, alias = $old)?)]
                 pub $name: Option<$given>,
             )+
         }
@@ -311,9 +328,21 @@ settings! {
         needs: [TREES, Rule::new("reconstruct", SPLATS.is, "points are selected by their size alone")],
         useful_with: [SURELY_SPLATS]
     }
-    /// What the colours of samples represent.
-    paint: Paint => Paint {
-        label: "Colours", kind: SettingKind::own::<Paint>(), needs: [TREES], useful_with: [COLORS]
+    /// What the colours of surfaces represent.
+    color_by: ColorBy => ColorBy, once "paint" {
+        label: "Colours", kind: SettingKind::own::<ColorBy>(), needs: [TREES.for_value("levels")], useful_with: [COLORS]
+    }
+    /// Colours of the values that `color_by=height` shows.
+    color_map: ColorMap => ColorMap {
+        label: "Colour map", kind: SettingKind::own::<ColorMap>(), needs: [HEIGHT], useful_with: [COLORS]
+    }
+    /// Value that has the first colour of the map; the scene's least by default.
+    color_least: ColorBound => Option<ColorBound> {
+        label: "First colour at", kind: ColorBound::kind(), needs: [HEIGHT], useful_with: [COLORS]
+    }
+    /// Value that has the last colour of the map; the scene's largest by default.
+    color_most: ColorBound => Option<ColorBound> {
+        label: "Last colour at", kind: ColorBound::kind(), needs: [HEIGHT], useful_with: [COLORS]
     }
     /// What samples are drawn as. The receipt says what `auto` chose and why.
     reconstruct: Reconstruct => Reconstruct {
@@ -447,7 +476,8 @@ impl Given {
         let mut merged = self.over(defaults);
         let (own, used) = (words(self), words(&Settings::from(merged)));
         for setting in declared().iter().filter(|setting| !own.contains_key(setting.name)) {
-            let unfit = |rule: &Rule| own.contains_key(rule.of) && !rule.holds(&used);
+            let value = used.get(setting.name);
+            let unfit = |rule: &Rule| own.contains_key(rule.of) && !rule.allows(value, &used);
             if setting.needs.iter().any(unfit) {
                 // Nothing is wrong with `null`.
                 let _ = merged.set(setting.name, Value::Null);
@@ -492,7 +522,7 @@ impl Given {
             if setting.kind.is_default(value) {
                 continue;
             }
-            if let Some(rule) = setting.needs.iter().find(|rule| !rule.holds(&used)) {
+            if let Some(rule) = setting.needs.iter().find(|rule| !rule.allows(Some(value), &used)) {
                 let default = match &setting.kind {
                     SettingKind::Choice { default, .. } => default.clone(),
                     _ => None,
@@ -514,8 +544,10 @@ impl Settings {
     pub fn applied(&self) -> Given {
         let used = words(self);
         let mut given = Given::default();
-        for setting in declared().iter().filter(|s| s.needs.iter().all(|rule| rule.holds(&used))) {
-            if let Some(value) = used.get(setting.name) {
+        for setting in declared() {
+            if let Some(value) = used.get(setting.name)
+                && setting.needs.iter().all(|rule| rule.allows(Some(value), &used))
+            {
                 // Comes of the same type.
                 let _ = given.set(setting.name, value.clone());
             }

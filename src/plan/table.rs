@@ -53,7 +53,7 @@ macro_rules! pass_table {
             ResolveSplats        Compute resolve/resolve_splats        ""    [Resolve]           Frame     [NO_SAMPLES AS_POINTS FUZZY OPAQUE];
             ResolveSamples       Compute resolve/resolve_samples       ""    [Resolve]           Frame     [NO_SAMPLES BLENDED];
             ResolveTriangles     Compute resolve/resolve_triangles     ""    [Resolve]           Frame     [NO_TRIANGLES];
-            WriteOutput          Compute resolve/write_output          ""    [Resolve]           Frame     [NOT_COLOR NO_NEIGHBOURS];
+            WriteOutput          Compute resolve/write_output          ""    [Resolve]           Frame     [NOT_COLOR UNCHANGED];
             Identify             Compute resolve/identify              ""    [Resolve]           Frame     [NOT_PICKED];
         }
     };
@@ -135,7 +135,7 @@ reasons! {
     FUZZY: "splats are blended in a single pass", |f| f.blends(Blend::Fuzzy);
     NOT_FUZZY: "splats are not blended in a single pass", |f| !f.blends(Blend::Fuzzy);
     BLENDED: "splats are blended", |f| f.scene.has_samples && f.is_blended();
-    NO_NEIGHBOURS: "no effect depends on neighbouring pixels", |f| f.frame.edl.is_none();
+    UNCHANGED: "neither an effect nor `color_by` changes surfaces", |f| f.frame.edl.is_none() && !f.frame.recolors;
     NOT_COLOR: "the output is not color", |f| f.frame.output != super::Output::Color;
     IDS: "the output is id", |f| f.frame.output == super::Output::Id;
     // `FramePlan::with_identities` makes it run.

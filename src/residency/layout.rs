@@ -260,8 +260,9 @@ pub struct GpuFrame {
     pub segment_count: u32,
     pub edl: [f32; 2],
     pub disc_radius: f32,
-    /// Records lie 16 bytes apart.
-    pub padding: u32,
+    pub ramp_count: u32,
+    pub ramp: [f32; 4],
+    pub ramp_colors: [[u32; 4]; 3],
 }
 
 /// An f64 as the sum of two f32: 48 bits of mantissa.
@@ -407,7 +408,10 @@ mod tests {
                 instance_groups,
                 segment_count,
                 edl,
-                disc_radius
+                disc_radius,
+                ramp_count,
+                ramp,
+                ramp_colors
             )],
         );
         let with_materials = concat!(

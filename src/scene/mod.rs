@@ -12,6 +12,7 @@
 
 mod assets;
 pub mod color;
+pub mod color_map;
 mod effects;
 mod graph;
 mod instance_path;

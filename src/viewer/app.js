@@ -99,7 +99,10 @@ function drawn(info, isNewest) {
   if (isNewest && isStill) overlay.waitIsOver(); else { overlay.waitIsOver(); overlay.wait(); }
   if (isNewest && info.receipt) seen(info.receipt.nothing_visible);
   report(info, [w, h], link.seq);
-  if (info.receipt) settings.nameDefaults(info.receipt.settings);
+  if (info.receipt) {
+    settings.nameDefaults(info.receipt.settings);
+    measure.showLegend(info.receipt.legend);
+  }
   canvas.dataset.state = isStill && isNewest ? 'still' : 'moving';
   canvas.dataset.frames = ++frames;
   canvas.dataset.revision = info.revision ?? '';

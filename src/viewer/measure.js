@@ -1,4 +1,4 @@
-// Readings from the picture: the clicked point, the distance between two points, and the scale bar.
+// Readings from the picture: the clicked point, the distance between two points, the scale bar and the legend of colours.
 
 import { $ } from './message.js';
 import { coordinates, pathOf } from './pick.js';
@@ -50,6 +50,15 @@ function length() {
 function say(text) {
   $('measured').textContent = text;
   $('measured').hidden = !text;
+}
+
+// Shows what the colours of a frame stand for; null hides it.
+export function showLegend(legend) {
+  $('legend').hidden = !legend;
+  if (!legend) return;
+  const far = Math.max(Math.abs(legend.most - legend.least), 1e-12);
+  $('legend-colors').style.background = `linear-gradient(to right, ${legend.colors.join(', ')})`;
+  $('legend-text').textContent = `${legend.of} ${digits(legend.least, far)} to ${digits(legend.most, far)} ${UNITS}`;
 }
 
 // Draws the measurements over a picture of this pose, whose width and height are in CSS pixels.

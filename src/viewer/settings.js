@@ -20,7 +20,7 @@ function control(setting) {
   label.title = setting.help;
   if (setting.kind === 'number') {
     const input = document.createElement('input');
-    Object.assign(input, { id: setting.name, type: 'number', min: setting.least, max: setting.most, step: 'any', inputMode: 'decimal', placeholder: setting.default });
+    Object.assign(input, { id: setting.name, type: 'number', min: setting.least, max: setting.most, step: 'any', inputMode: 'decimal', placeholder: setting.default ?? 'as the scene' });
     label.append(input);
     return label;
   }
@@ -64,7 +64,9 @@ function facts() {
 
 // Whether a setting has an effect with this scene and the other settings.
 function applies(setting, found) {
-  return [...setting.needs, ...setting.useful_with].every(rule => found[rule.of] === undefined || rule.is.includes(String(found[rule.of])));
+  const concerns = rule => rule.value === undefined || rule.value === found[setting.name];
+  const holds = rule => found[rule.of] === undefined || rule.is.includes(String(found[rule.of]));
+  return [...setting.needs, ...setting.useful_with].filter(concerns).every(holds);
 }
 
 function applying() {
@@ -137,7 +139,7 @@ export function onChange(changed) {
     $(name).addEventListener('change', () => {
       if (isWritten(name)) {
         const problem = $(name).value === '' ? null : refused(name, $(name).value);
-        fault($(name), problem && `${problem}; drawn with ${isNumber(name) ? $(name).placeholder : "the scene's"}`);
+        fault($(name), problem && `${problem}; drawn with ${isNumber(name) && declared.find(setting => setting.name === name).default != null ? $(name).placeholder : "the scene's"}`);
       }
       showSettings();
       changed();

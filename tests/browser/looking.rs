@@ -130,7 +130,7 @@ fn detail_by_error_and_links_that_curl_takes() {
     browser.choose("#max_error_px", "8");
     let coarse = still_picture(&browser);
     assert_ne!(coarse, full);
-    browser.choose("#paint", "levels");
+    browser.choose("#color_by", "levels");
     assert_ne!(still_picture(&browser), coarse, "levels have colours of their own");
     browser.shoot("wide-levels.png");
     browser.choose("#quality", "50");
@@ -140,7 +140,7 @@ fn detail_by_error_and_links_that_curl_takes() {
 
     let address = browser.text("return document.getElementById('link').href");
     for part in
-        ["/v1/scenes/ball/frame?", "lod=spt", "max_error_px=8", "paint=levels", "quality=50"]
+        ["/v1/scenes/ball/frame?", "lod=spt", "max_error_px=8", "color_by=levels", "quality=50"]
     {
         assert!(address.contains(part), "{address}");
     }

@@ -92,8 +92,10 @@ def follow_pose(params):
 
 def follow_settings(params):
     """Settings that need others."""
-    if params.keys() & {"max_error_px"} or params.get("paint") == "levels" or params.get("error_mode") == "split":
+    if params.keys() & {"max_error_px"} or params.get("color_by") == "levels" or params.get("error_mode") == "split":
         params["lod"] = "spt"
+    if params.keys() & {"color_map", "color_least", "color_most"}:
+        params["color_by"] = "height"
     if params.keys() & {"blend", "shading"} and params.get("reconstruct") in ("points", "fuzzy"):
         params["reconstruct"] = "splats"
     if (params.keys() & {"filter", "prefilter"} or params.get("error_mode") == "split") and params.get("reconstruct") == "points":

@@ -39,7 +39,7 @@ fn refusals_of_frames() {
         ("deadline_ms=-1", "bad-parameter", "deadline_ms"),
         ("max_error_px=1", "bad-parameter", "max_error_px"),
         ("lod=spt&max_error_px=99", "bad-parameter", "max_error_px"),
-        ("paint=levels", "bad-parameter", "paint"),
+        ("color_by=levels", "bad-parameter", "color_by"),
         ("budget_ms=8", "unavailable-parameter", "budget_ms"),
         ("effects=shadows", "unavailable-parameter", "effects"),
         ("width=3", "unknown-parameter", "width"),

@@ -470,7 +470,7 @@ fn level_of_detail_and_its_receipt() {
         "",
         "&lod=spt",
         "&lod=spt&max_error_px=2",
-        "&lod=spt&paint=levels",
+        "&lod=spt&color_by=levels",
         "&lod=spt&reconstruct=splats",
         "&lod=spt&reconstruct=splats&error_mode=split",
     ];

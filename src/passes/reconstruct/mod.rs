@@ -11,7 +11,7 @@ use super::project::{band_constant, walk};
 use super::recorder::{Call, Recorder, Segment};
 use super::shaders::Choices;
 use crate::gpu::shader::ShaderError;
-use crate::plan::{Output, Paint, Pass};
+use crate::plan::{Output, Pass};
 use crate::scene::{Blend, Filter, Shading, Splats};
 
 /// Samples that the sums of a pixel have room for.
@@ -64,7 +64,7 @@ pub fn node_constants(recorder: &Recorder, segment: Segment) -> Constants {
 
 /// Overrides of `shared/nodes_tree` for passes that see colours.
 pub fn paint_constants(recorder: &Recorder, segment: Segment) -> Constants {
-    let levels = u32::from(recorder.task.paint == Paint::Levels);
+    let levels = u32::from(recorder.task.levels);
     is_tree(recorder, segment).then_some(("LEVELS", levels)).into_iter().collect()
 }
 

@@ -14,6 +14,7 @@ use super::shaders::Choices;
 use crate::plan::Pass;
 use crate::residency::Looks;
 use crate::residency::layout::FEW_LIGHTS;
+use crate::scene::color_map::Recolor;
 
 /// Pixels that a workgroup resolves; as in the shaders.
 pub const TILE: (u32, u32) = (64, 16);
@@ -37,6 +38,16 @@ pub fn light_constants(looks: Looks, lights: u32) -> Constants {
 /// Fragments of a resolve pass: surfaces are kept if a later pass writes the output.
 fn choices(recorder: &Recorder) -> Choices {
     Choices { kept: recorder.task.plan.runs(Pass::WriteOutput), ..Choices::default() }
+}
+
+/// Override of the value that colours surfaces, where one does.
+fn recolor_constants(recorder: &Recorder) -> Constants {
+    let number = |recolor| match recolor {
+        Recolor::Height { .. } => 1,
+        Recolor::Normal => 2,
+        Recolor::Instance => 3,
+    };
+    recorder.task.recolor.map(|recolor| ("COLOR_BY", number(recolor))).into_iter().collect()
 }
 
 /// Overrides of the fragments that light surfaces and write the output.
@@ -64,6 +75,7 @@ fn constants(recorder: &Recorder) -> Constants {
     } else {
         output_constants(recorder)
     };
+    constants.extend(recolor_constants(recorder));
     constants.push(("TEXTURES", u32::from(looks.textures)));
     constants
 }

@@ -1,14 +1,19 @@
 //! The output of kept surfaces, after effects that depend on neighbouring pixels.
 
-use super::{output_constants, tiles};
+use super::{output_constants, recolor_constants, tiles};
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, Recorder};
 use crate::passes::shaders::Choices;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
+    let mut constants = output_constants(recorder);
+    constants.extend(recolor_constants(recorder));
+    if recorder.task.edl.is_none() {
+        constants.push(("EDL", 0));
+    }
     recorder.compute(Call {
         choices: Choices::default(),
-        constants: output_constants(recorder),
+        constants,
         segments: &[None],
         launch: tiles(recorder),
     })

@@ -21,7 +21,7 @@ fn other_value(setting: &Setting) -> Given {
         SettingKind::Flag => "false".to_owned(),
         SettingKind::Color => "#102030".to_owned(),
         SettingKind::Number { least, most, default, .. } => {
-            if least == default { most } else { least }.to_string()
+            if Some(*least) == *default { most } else { least }.to_string()
         }
     };
     let mut given = Given::default();
@@ -92,7 +92,7 @@ fn what_does_not_go_together_is_refused() {
     assert_eq!(refused("max_error_px=2").1, "no value, or one with `lod=spt`");
     assert_eq!(refused("lod=spt&max_error_px=65").1, "0.05 to 64 pixels");
     // What changes nothing is no fault.
-    for harmless in ["error_mode=unified", "paint=colors", "lod=full&reconstruct=auto"] {
+    for harmless in ["error_mode=unified", "color_by=colors", "lod=full&reconstruct=auto"] {
         assert_eq!(given(harmless).resolve().unwrap(), Settings::default());
     }
     let mut huge = given("lod=spt");
@@ -103,19 +103,20 @@ fn what_does_not_go_together_is_refused() {
 
 #[test]
 fn settings_without_meaning_are_not_inherited() {
-    let defaults =
-        given("lod=spt&max_error_px=4&paint=levels&reconstruct=splats&blend=opaque&filter=exact");
+    let defaults = given(
+        "lod=spt&max_error_px=4&color_by=levels&reconstruct=splats&blend=opaque&filter=exact",
+    );
     assert_eq!(given("").or(&defaults), defaults);
     assert_eq!(
         given("lod=full").or(&defaults),
         given("lod=full&reconstruct=splats&blend=opaque&filter=exact")
     );
     let points = given("reconstruct=points").or(&defaults);
-    assert_eq!(points, given("lod=spt&max_error_px=4&paint=levels&reconstruct=points"));
+    assert_eq!(points, given("lod=spt&max_error_px=4&color_by=levels&reconstruct=points"));
     let fuzzy = given("reconstruct=fuzzy").or(&defaults);
     assert_eq!((fuzzy.blend, fuzzy.filter), (None, Some(Filter::Exact)));
     // A fault of the defaults alone is told of.
-    assert!(given("").or(&given("paint=levels")).resolve().is_err());
+    assert!(given("").or(&given("color_by=levels")).resolve().is_err());
 }
 
 #[test]
@@ -175,7 +176,7 @@ fn page() -> String {
             SettingKind::Flag => ("`true`, `false`".to_owned(), None),
             SettingKind::Color => ("`transparent`, `#rrggbb`, `#rrggbbaa`".to_owned(), None),
             SettingKind::Number { default, .. } => {
-                (setting.kind.accepted(), Some(default.to_string()))
+                (setting.kind.accepted(), default.map(|default| default.to_string()))
             }
         };
         let default = default.unwrap_or_else(|| "the scene’s".to_owned());

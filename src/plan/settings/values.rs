@@ -1,9 +1,11 @@
 //! Values of settings, and what they mean for a frame.
 
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::{Given, SettingKind, Settings};
 use crate::plan::SceneFacts;
+use crate::scene::color_map::Recolor;
 use crate::scene::{Blend, Discs, EyeDome, Shading, Splats, color};
 
 /// What a frame waits for whose samples lack normals or kernels, where it is left open how they are drawn.
@@ -47,7 +49,11 @@ impl Settings {
             Reconstruct::Points | Reconstruct::Auto => None,
             Reconstruct::Splats => Some(Splats {
                 blend: self.blend.unwrap_or(scene.blend),
-                shading: self.shading.unwrap_or(scene.shading),
+                // What is coloured after it is blended is lit after it is blended.
+                shading: match self.recolors() {
+                    true => Shading::Deferred,
+                    false => self.shading.unwrap_or(scene.shading),
+                },
                 ..of_kernels
             }),
             // What is added up cannot be lit any more.
@@ -78,6 +84,28 @@ impl Settings {
         let is_larger = self.point_size_px != PointSizePx::default() || diameter > 0.0;
         (self.reconstruct == Reconstruct::Points && is_larger)
             .then_some(Discs { diameter_px, diameter })
+    }
+
+    /// Whether colours come from the resolved surface, not from samples and materials.
+    pub fn recolors(&self) -> bool {
+        !matches!(self.color_by, ColorBy::Colors | ColorBy::Levels)
+    }
+
+    /// What colours surfaces, if it is not their own colours; `up` and `range` are the scene's up direction and its least and largest
+    /// height along it.
+    pub fn recolor(&self, up: DVec3, range: impl FnOnce() -> [f64; 2]) -> Option<Recolor> {
+        match self.color_by {
+            ColorBy::Colors | ColorBy::Levels => None,
+            ColorBy::Normal => Some(Recolor::Normal),
+            ColorBy::Instance => Some(Recolor::Instance),
+            ColorBy::Height => {
+                let [least, most] = range();
+                let own = [self.color_least, self.color_most];
+                let [own_least, own_most] = own.map(|bound| bound.map(ColorBound::get));
+                let range = [own_least.unwrap_or(least), own_most.unwrap_or(most)];
+                Some(Recolor::Height { up, range, map: self.color_map })
+            }
+        }
     }
 
     /// Eye-dome lighting, if it is on.
@@ -134,7 +162,7 @@ macro_rules! numbers {
 
             pub(super) fn kind() -> SettingKind {
                 let [least, most] = $name::RANGE.map(exact);
-                SettingKind::Number { least, most, default: exact($default), unit: $unit }
+                SettingKind::Number { least, most, default: Some(exact($default)), unit: $unit }
             }
         }
 
@@ -353,7 +381,7 @@ pub enum ErrorMode {
     Split,
 }
 
-/// What the colours of samples represent.
+/// What the colours of surfaces represent.
 #[derive(
     Clone,
     Copy,
@@ -369,12 +397,61 @@ pub enum ErrorMode {
 )]
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
-pub enum Paint {
-    /// Colours of the surface.
+pub enum ColorBy {
+    /// Colours of the file
     #[default]
     Colors,
-    /// Height of each node above the leaves of its tree (Dachsbacher et al. 2003, Fig. 1).
+    /// Height of each node above the leaves of its tree (Dachsbacher et al. 2003, Fig. 1)
     Levels,
+    /// Distance along the scene's up direction
+    Height,
+    /// World-space normal: x, y and z as red, green and blue
+    Normal,
+    /// A hue for each instance
+    Instance,
+}
+
+/// A bound of the values that a colour map shows, in scene units.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(transparent)]
+pub struct ColorBound(f32);
+
+impl ColorBound {
+    pub fn get(self) -> f64 {
+        exact(self.0)
+    }
+
+    pub(super) fn kind() -> SettingKind {
+        SettingKind::Number { least: -1e9, most: 1e9, default: None, unit: "scene units" }
+    }
+}
+
+impl From<f32> for ColorBound {
+    fn from(value: f32) -> Self {
+        ColorBound(value)
+    }
+}
+
+impl std::str::FromStr for ColorBound {
+    type Err = std::num::ParseFloatError;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        text.parse().map(ColorBound)
+    }
+}
+
+impl PartialEq for ColorBound {
+    fn eq(&self, other: &Self) -> bool {
+        self.0.to_bits() == other.0.to_bits()
+    }
+}
+
+impl Eq for ColorBound {}
+
+impl std::hash::Hash for ColorBound {
+    fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
+        self.0.to_bits().hash(state);
+    }
 }
 
 /// How a surface is made of projected samples.

@@ -1,0 +1,38 @@
+// Colours of surfaces by a value, in place of their own; `crate::scene::color_map` has the same functions.
+const GREY: u32 = 0xff808080u;
+
+fn ramp_word(index: u32) -> u32 {
+    return frame.ramp_colors[index / 4u][index % 4u];
+}
+
+// The colour map's sRGB8 at a share of the range.
+fn ramp_color(share: f32) -> u32 {
+    let place = clamp(share, 0.0, 1.0) * f32(frame.ramp_count - 1u);
+    let index = min(u32(place), frame.ramp_count - 2u);
+    let low = unpack4x8unorm(ramp_word(index));
+    let high = unpack4x8unorm(ramp_word(index + 1u));
+    return pack4x8unorm(mix(low, high, place - f32(index)));
+}
+
+// A hue for an instance: neighbouring ids have different ones.
+fn instance_color(id: u32) -> u32 {
+    let hue = f32((id * 0x9e3779b9u) >> 8u) * 5.9604645e-8 * 6.0;
+    let part = clamp(abs((vec3<f32>(hue) + vec3<f32>(0.0, 4.0, 2.0)) % 6.0 - 3.0) - 1.0, vec3<f32>(0.0), vec3<f32>(1.0));
+    return pack4x8unorm(vec4<f32>(0.25 + 0.7 * part, 1.0));
+}
+
+// The sRGB8 of a surface before light.
+fn recoloured(surface: Surface, at: vec2<u32>) -> u32 {
+    if COLOR_BY == BY_HEIGHT {
+        let place = ray_through(pixel_centre(at)) * (surface.depth_scale / surface.inverse_depth);
+        return ramp_color(dot(frame.ramp.xyz, place) + frame.ramp.w);
+    }
+    if COLOR_BY == BY_NORMAL {
+        let has_normal = dot(surface.normal, surface.normal) >= 0.25;
+        return select(GREY, pack4x8unorm(vec4<f32>(fma(surface.normal, vec3<f32>(0.5), vec3<f32>(0.5)), 1.0)), has_normal);
+    }
+    if COLOR_BY == BY_INSTANCE {
+        return instance_color(instances[slots[frame.first_slot + surface.slot].instance].id);
+    }
+    return surface.color;
+}

@@ -1,0 +1,104 @@
+//! Colours by a value of the surface.
+
+use glam::DVec3;
+use pointillist::accuracy::metrics;
+use pointillist::math::View;
+use pointillist::oracle::{self, OracleScene};
+use pointillist::plan::{ColorBound, ColorBy, Edl, Pass, Reconstruct, Settings};
+use pointillist::scene::Filter;
+use pointillist::scene::color_map::ColorMap;
+use serde_json::json;
+
+use super::files::Shape;
+use super::splats::{ball, case, splats};
+use super::stage::{Case, Frames, look};
+
+/// Checks a frame with colours by a value against the oracle's; `heights`: of the scene.
+fn check(case: &Case, view: &View, settings: Settings, heights: [f64; 2]) -> Frames {
+    let settings = Settings { edl: Edl::Off, ..settings };
+    let frames = case.draw_with(view, settings);
+    let scene = OracleScene {
+        splats: settings.splats(&case.reference.description().splats),
+        recolor: settings.recolor(DVec3::Y, || heights),
+        ..case.reference.scene()
+    };
+    let twin = oracle::render(&scene, view, 1).to_rgba8();
+    let psnr = metrics::psnr(&twin, &frames.color).unwrap();
+    let plain =
+        case.draw_with(view, Settings { color_by: ColorBy::Colors, color_least: None, ..settings });
+    let without = metrics::psnr(&twin, &plain.color).unwrap();
+    println!("{} {:?}: {psnr} dB, without {without} dB", case.id, settings.color_by);
+    assert!(psnr >= 38.0 && psnr > without + 10.0, "{}: {psnr} dB, {without} dB", case.id);
+    assert!(frames.ran(Pass::WriteOutput));
+    assert_eq!((&frames.id, &frames.depth), (&plain.id, &plain.depth));
+    frames
+}
+
+#[test]
+fn colours_by_a_value_are_the_oracles() {
+    let lights = json!({ "lights": [{ "kind": "sun", "direction": [1, -1, -0.5] }] });
+    let view = look([0.4, 1.0, 3.0], [0.0; 3], 45.0);
+    let points = Settings { reconstruct: Reconstruct::Points, ..Settings::default() };
+    for (name, rest) in [("by", json!({})), ("by-lit", lights)] {
+        let cloud = case(name, &ball(4000, 51), rest.clone());
+        let shape = Shape { colors: Vec::new(), ..Shape::ball(16, 1.0) };
+        let mesh = case(&format!("{name}-mesh"), &shape, rest);
+        for color_by in [ColorBy::Height, ColorBy::Normal, ColorBy::Instance] {
+            // One map for heights, with bounds of the request.
+            let given = Settings { color_by, ..points };
+            let given = match color_by {
+                ColorBy::Height => Settings {
+                    color_map: ColorMap::Spectral,
+                    color_least: Some(ColorBound::from(-0.75)),
+                    color_most: Some(ColorBound::from(0.5)),
+                    ..given
+                },
+                _ => given,
+            };
+            check(&cloud, &view, given, [0.0; 2]);
+            let of_splats = splats(Filter::Exact);
+            let of_splats =
+                Settings { reconstruct: of_splats.reconstruct, filter: of_splats.filter, ..given };
+            check(&cloud, &view, of_splats, [0.0; 2]);
+            check(&mesh, &view, given, [0.0; 2]);
+        }
+    }
+}
+
+#[test]
+fn heights_go_from_the_lowest_to_the_highest_place_of_the_scene() {
+    let scene = json!({
+        "assets": { "t": { "file": "t.ply" } },
+        "nodes": [{ "asset": "t", "translate": [500000, 3000, -4000000] }]
+    });
+    let shape = Shape { colors: Vec::new(), ..Shape::ball(24, 1.0) };
+    let case = Case::new("by-height", &[("t.ply", shape.ply())], &scene);
+    let at = [500_000.0, 3000.0, -4_000_000.0];
+    let view = look([at[0] + 0.4, at[1] + 1.0, at[2] + 3.0], at, 45.0);
+    let settings = Settings {
+        color_by: ColorBy::Height,
+        reconstruct: Reconstruct::Points,
+        ..Settings::default()
+    };
+    let frames = check(&case, &view, settings, [2999.0, 3001.0]);
+    let legend = frames.receipt.legend.unwrap();
+    assert!(
+        (legend.least - 2999.0).abs() < 0.01 && (legend.most - 3001.0).abs() < 0.01,
+        "{legend:?}"
+    );
+    assert_eq!((legend.colors.len(), legend.colors[0].as_str()), (9, "#440154"));
+}
+
+#[test]
+fn a_single_pass_gives_way_to_three() {
+    let cloud = case("by-fuzzy", &ball(2000, 52), json!({}));
+    let view = look([0.4, 1.0, 3.0], [0.0; 3], 45.0);
+    let fuzzy = Settings {
+        reconstruct: Reconstruct::Fuzzy,
+        color_by: ColorBy::Instance,
+        ..Settings::default()
+    };
+    let used = cloud.draw_with(&view, fuzzy).receipt.settings;
+    assert_eq!(used.applied.reconstruct, Some(Reconstruct::Splats));
+    assert_eq!(used.instead_because, Some("a single pass has no surfaces to colour"));
+}
