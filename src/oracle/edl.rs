@@ -2,9 +2,11 @@
 
 use crate::scene::EyeDome;
 
-/// The factor by which the light of pixel (x, y) is reduced; `depth` holds the frame's depths row by row.
+/// The factor by which the light of pixel (x, y) is reduced; `depth` holds the frame's depths row by row. `ortho_height` is the height
+/// of an orthographic view, by which differences of depth are divided; in perspective depths count by their ratio.
 pub fn factor(
     edl: &EyeDome,
+    ortho_height: Option<f64>,
     depth: &[f64],
     (width, height): (usize, usize),
     (x, y): (usize, usize),
@@ -23,7 +25,10 @@ pub fn factor(
     let before = neighbours.filter_map(|(x, y)| {
         let (x, y) = (x.filter(|&x| x < width)?, y.filter(|&y| y < height)?);
         let neighbour = depth[y * width + x];
-        (neighbour < own).then(|| (own / neighbour).log2())
+        (neighbour < own).then(|| match ortho_height {
+            None => (own / neighbour).log2(),
+            Some(height) => (own - neighbour) / height * std::f64::consts::LOG2_E,
+        })
     });
     (-300.0 * f64::from(edl.strength) * before.sum::<f64>() / 8.0).exp()
 }
@@ -37,12 +42,15 @@ mod tests {
         let edl = EyeDome { strength: 1.0, radius_px: 1.0 };
         let (near, far) = (1.0, 1.01);
         let depth = [near, far, far, far, f64::INFINITY, far];
-        let of = |x| factor(&edl, &depth, (6, 1), (x, 0));
+        let of = |x| factor(&edl, None, &depth, (6, 1), (x, 0));
         assert_eq!([of(0), of(2), of(3), of(4), of(5)], [1.0; 5]);
         // One of eight neighbours stands 1 % before it.
         let expected = (-300.0 * 1.01f64.log2() / 8.0).exp();
         assert!((of(1) - expected).abs() < 1e-12 && expected < 0.6);
         let twice = EyeDome { strength: 2.0, ..edl };
-        assert!((factor(&twice, &depth, (6, 1), (1, 0)) - expected * expected).abs() < 1e-12);
+        assert!((factor(&twice, None, &depth, (6, 1), (1, 0)) - expected * expected).abs() < 1e-12);
+        // As a perspective sees it whose view is as high as it is far away.
+        let flat = factor(&edl, Some(1.005), &depth, (6, 1), (1, 0));
+        assert!((flat - expected).abs() < 1e-4, "{flat} {expected}");
     }
 }

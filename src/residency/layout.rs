@@ -260,8 +260,9 @@ pub struct GpuFrame {
     pub segment_count: u32,
     pub edl_strength: f32,
     pub edl_radius_px: f32,
+    pub focus: f32,
     /// Records lie 16 bytes apart.
-    pub padding: [u32; 2],
+    pub padding: u32,
 }
 
 /// An f64 as the sum of two f32: 48 bits of mantissa.
@@ -407,7 +408,8 @@ mod tests {
                 instance_groups,
                 segment_count,
                 edl_strength,
-                edl_radius_px
+                edl_radius_px,
+                focus
             )],
         );
         let with_materials = concat!(

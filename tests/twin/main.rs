@@ -17,6 +17,7 @@ mod golden;
 mod instances;
 mod lights;
 mod materials;
+mod orthographic;
 mod precision;
 mod random;
 mod real;
