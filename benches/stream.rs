@@ -232,7 +232,8 @@ fn film(report: &mut Report, daemon: &Daemon, adapter: &str) -> anyhow::Result<(
             let pose = shots.shot(u64::from(number) * (frames - 1) / u64::from(probes - 1)).camera;
             let v = |v: DVec3| v.to_array().map(|number| number.to_string()).join(",");
             let (eye, target, up) = (v(pose.eye), v(pose.target), v(pose.up));
-            let place = format!("eye={eye}&target={target}&up={up}&fov={}", pose.fov_deg);
+            let place =
+                format!("eye={eye}&target={target}&up={up}&fov={}", pose.lens.parameter().1);
             let size = format!("w={}&h={}&format=jpeg&quality={QUALITY}", SIZE[0], SIZE[1]);
             let frame = format!("/v1/scenes/{SCENE}/frame?{place}&{size}&lod=spt");
             let receipt = connection.get(&frame, "")?.receipt()?;

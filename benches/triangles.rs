@@ -14,7 +14,7 @@ use common::{crossing_px, files, median, median_ratio, ms, pick};
 use glam::DVec3;
 use pointillist::engine::Receipt;
 use pointillist::generate::{Kind, Parameters};
-use pointillist::math::Camera;
+use pointillist::math::{Camera, Lens};
 use pointillist::passes::SMALL_TRIANGLE_PX;
 
 const SIZE: u32 = 1024;
@@ -78,7 +78,7 @@ fn facing(frame: u32) -> Camera {
         eye: center + DVec3::Z * distance,
         target: center,
         up: DVec3::Y,
-        fov_deg: 2.0 * 0.5f64.atan().to_degrees(),
+        lens: Lens::Perspective { fov_deg: 2.0 * 0.5f64.atan().to_degrees() },
     }
 }
 

@@ -9,7 +9,7 @@ use pointillist::encode::ImageFormat;
 use pointillist::engine::{
     EncodedFrame, Engine, EngineConfig, FrameRequest, Pose, Receipt, SceneInfo,
 };
-use pointillist::math::Camera;
+use pointillist::math::{Camera, Lens};
 use pointillist::plan::{Output, Reconstruct, Settings};
 
 /// A camera that turns about the vertical axis through its target, as the peer's does.
@@ -43,7 +43,7 @@ impl Orbit {
         let frame = drawing.submit(Pose::FIT, size, settings, ImageFormat::Jpeg)?;
         let camera = &frame.receipt.camera;
         let [eye, target] = [camera.eye, camera.target].map(DVec3::from);
-        Ok(Orbit { eye, target, fov_deg: camera.fov_deg })
+        Ok(Orbit { eye, target, fov_deg: camera.fov_deg.unwrap_or(40.0) })
     }
 
     pub fn at(&self, degrees: f64) -> Camera {
@@ -52,7 +52,7 @@ impl Orbit {
             eye: self.target + turn * (self.eye - self.target),
             target: self.target,
             up: DVec3::Y,
-            fov_deg: self.fov_deg,
+            lens: Lens::Perspective { fov_deg: self.fov_deg },
         }
     }
 }

@@ -28,8 +28,9 @@ fn place_of(word: vec2<u32>, row_x: vec4<f32>, row_y: vec4<f32>, row_z: vec4<f32
     let q = sample_cell(word);
     let z = fma(row_z.x, q.x, fma(row_z.y, q.y, fma(row_z.z, q.z, row_z.w)));
     let inverse = 1.0 / z;
-    let x = fma(row_x.x, q.x, fma(row_x.y, q.y, fma(row_x.z, q.z, row_x.w))) * inverse;
-    let y = fma(row_y.x, q.x, fma(row_y.y, q.y, fma(row_y.z, q.z, row_y.w))) * inverse;
+    let by = select(inverse, 1.0, ORTHOGRAPHIC);
+    let x = fma(row_x.x, q.x, fma(row_x.y, q.y, fma(row_x.z, q.z, row_x.w))) * by;
+    let y = fma(row_y.x, q.x, fma(row_y.y, q.y, fma(row_y.z, q.z, row_y.w))) * by;
     return Place(vec2<f32>(x, y), z, inverse);
 }
 
@@ -87,7 +88,7 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
             if at.z > NEAREST && all(at.image >= vec2<f32>(0.0)) && all(at.image < size) {
                 if !TREE {
                     visibility_write(frame.first_pixel + u32(at.image.y) * width + u32(at.image.x), at.inverse, (slot_index << SLOT_SHIFT) | i);
-                } else if node_is_drawn(sample, unit, at.z * ray_through(at.image), UNTILTED) {
+                } else if node_is_drawn(sample, unit, at_depth(at.image, at.z), UNTILTED) {
                     gathered |= 1u << ((i - base) / LANES);
                 }
             }
@@ -98,10 +99,10 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
             let word = positions[first + i];
             let at = place_of(word, row_x, row_y, row_z);
             let own = attributes[first + i];
-            let centre = at.z * ray_through(at.image);
+            let centre = at_depth(at.image, at.z);
             var kept: bool;
             if is_whole(own.x) {
-                let beside = at.z * ray_through(floor(at.image) + vec2<f32>(0.5)) - centre;
+                let beside = at_depth(floor(at.image) + vec2<f32>(0.5), at.z) - centre;
                 kept = covers_pixel(first + i, own, unit, centre, beside, areas);
             } else {
                 let seen = seen_area(areas, octahedral_decode(own.y), centre);

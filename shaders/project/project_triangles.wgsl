@@ -107,7 +107,7 @@ fn triangle(slot_index: u32, at: Placed, chunk: Chunk, one_sided: f32, index: u3
         }
         let ray = ray_through(vec2<f32>(f32(x), f32(y)) + vec2<f32>(0.5));
         if (e.x | e.y | e.z) >= 0 && alpha_passes(texel, ray) {
-            visibility_write(frame.first_pixel + u32(y) * frame.size_px.x + u32(x), plane_inverse_depth(plane, ray), id);
+            triangle_write(plane, ray, frame.first_pixel + u32(y) * frame.size_px.x + u32(x), id);
         }
         x++;
         e += step_x;

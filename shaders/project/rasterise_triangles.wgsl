@@ -55,12 +55,13 @@ fn vertex(@builtin(vertex_index) index: u32) -> Corner {
     out.id = id;
     out.view = view;
     let near = min(p[0].z, min(p[1].z, p[2].z));
+    let w = divisor(camera.z);
     var clip = vec4<f32>(
-        (2.0 * (frame.focal_px * camera.xy + frame.principal_px * camera.z) - size * camera.z) / size * vec2<f32>(1.0, -1.0),
-        0.5 * camera.z,
-        camera.z,
+        (2.0 * (frame.focal_px * camera.xy + frame.principal_px * w) - size * w) / size * vec2<f32>(1.0, -1.0),
+        0.5 * w,
+        w,
     );
-    if near > NEAREST {
+    if ORTHOGRAPHIC || near > NEAREST {
         let pixel = image_position(camera);
         if all(abs(pixel) < vec2<f32>(GUARD_PX)) {
             // The corner is already snapped: the rasteriser gets the corner that the compute walk uses.
@@ -84,7 +85,6 @@ fn fragment(in: Corner) {
     let corners = corner_words(chunk.first + (in.id & SLOT_MASK), chunk.vertex_first);
     let test = alpha_test(chunk, slots[slot].instance, corners, p[0], p[1], p[2]);
     if x < frame.size_px.x && y < frame.size_px.y && alpha_passes(test, ray) {
-        let inverse = plane_inverse_depth(triangle_plane(p[0], p[1], p[2]), ray);
-        visibility_write(frame.first_pixel + y * frame.size_px.x + x, inverse, in.id);
+        triangle_write(triangle_plane(p[0], p[1], p[2]), ray, frame.first_pixel + y * frame.size_px.x + x, in.id);
     }
 }

@@ -36,7 +36,7 @@ struct Surface {
 fn cover(s: Surface, at: vec2<i32>) {
     let ray = ray_through(vec2<f32>(at) + vec2<f32>(0.5));
     if alpha_passes(s.texel, ray) {
-        visibility_write(frame.first_pixel + u32(at.y) * frame.size_px.x + u32(at.x), plane_inverse_depth(s.plane, ray), s.id);
+        triangle_write(s.plane, ray, frame.first_pixel + u32(at.y) * frame.size_px.x + u32(at.x), s.id);
     }
 }
 
@@ -117,9 +117,12 @@ fn inside(n: vec3<f32>, ray: vec3<f32>) -> bool {
 
 fn walk_rays(s: Surface, box: Box, lane: i32) {
     let turn = select(1.0, -1.0, facing(s.a, s.b, s.c) < 0.0);
-    let ab = edge_plane(s.a, s.b) * turn;
-    let bc = edge_plane(s.b, s.c) * turn;
-    let ca = edge_plane(s.c, s.a) * turn;
+    let a = image_vector(s.a);
+    let b = image_vector(s.b);
+    let c = image_vector(s.c);
+    let ab = edge_plane(a, b) * turn;
+    let bc = edge_plane(b, c) * turn;
+    let ca = edge_plane(c, a) * turn;
     for (var x = box.low.x + lane; x <= box.high.x; x += LANES) {
         for (var y = box.low.y; y <= box.high.y; y++) {
             let ray = ray_through(vec2<f32>(f32(x), f32(y)) + vec2<f32>(0.5));

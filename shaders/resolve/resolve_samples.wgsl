@@ -35,8 +35,8 @@ fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
         let sample = slots[slot].first + (id & SLOT_MASK);
         let packed = attributes[sample];
         if needs_normal() {
-            let towards = world_from_camera(ray_through(pixel_centre(at)));
-            surface.normal = facing_normal(turned(normal_map(instance), octahedral_decode(packed.y)), towards);
+            let way = world_from_camera(towards(ray_through(pixel_centre(at))));
+            surface.normal = facing_normal(turned(normal_map(instance), octahedral_decode(packed.y)), way);
             surface.is_ball = is_ball(packed);
         }
         surface.color = sample_color(painted(sample, packed.x), instances[instance].material);

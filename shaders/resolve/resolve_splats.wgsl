@@ -28,7 +28,7 @@ fn blended_normal(sums: vec3<u32>, inverse_weight: f32, at: vec2<u32>) -> vec3<f
     if dot(n, n) < LEAST_NORMAL {
         return vec3<f32>(0.0);
     }
-    return facing_normal(n, world_from_camera(ray_through(pixel_centre(at))));
+    return facing_normal(n, world_from_camera(towards(ray_through(pixel_centre(at)))));
 }
 
 fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {

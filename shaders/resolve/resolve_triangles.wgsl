@@ -75,15 +75,14 @@ fn corner_uv(word: u32) -> vec2<f32> {
 fn shown_corners(shown: Shown, triangle: u32) -> Corners {
     var corners: Corners;
     let words = corner_words(shown.first + triangle, shown.vertex_first);
-    corners.form = barycentric_forms(
-        vertex_camera(shown.placed, words.x),
-        vertex_camera(shown.placed, words.y),
-        vertex_camera(shown.placed, words.z),
-    );
+    let a = vertex_camera(shown.placed, words.x);
+    let b = vertex_camera(shown.placed, words.y);
+    let c = vertex_camera(shown.placed, words.z);
+    corners.form = barycentric_forms(a, b, c);
     if needs_normal() {
         let n = corner_normal(words.x);
         if all(n == vec3<f32>(0.0)) {
-            corners.normal[0] = world_from_camera(corners.form.all);
+            corners.normal[0] = world_from_camera(cross(b - a, c - a));
         } else {
             corners.normal[0] = turned(shown.normals, n);
             corners.normal[1] = turned(shown.normals, corner_normal(words.y) - n);
@@ -129,7 +128,7 @@ fn resolve(column: Column, shown: Shown, corners: Corners) {
         let w = barycentric_weights(corners.form, ray);
         if needs_normal() {
             let own = corners.normal[0] + w.b * corners.normal[1] + w.c * corners.normal[2];
-            surface.normal = facing_normal(own, world_from_camera(ray));
+            surface.normal = facing_normal(own, world_from_camera(towards(ray)));
         }
         surface.color = color_word(surface_color(corners, shown.material, w));
     }

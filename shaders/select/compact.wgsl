@@ -39,9 +39,11 @@ fn sample_slot(chunk: Chunk, at: Placed, box: Box) -> Slot {
     let z = vec3<f32>(at.axis_x.z, at.axis_y.z, at.axis_z.z) * scale;
     let f = frame.focal_px;
     let c = frame.principal_px;
+    let z_part = select(z, vec3<f32>(0.0), ORTHOGRAPHIC);
+    let corner_part = divisor(corner.z);
     var slot: Slot;
-    slot.row_x = vec4<f32>(f.x * x + c.x * z, f.x * corner.x + c.x * corner.z);
-    slot.row_y = vec4<f32>(f.y * y + c.y * z, f.y * corner.y + c.y * corner.z);
+    slot.row_x = vec4<f32>(f.x * x + c.x * z_part, f.x * corner.x + c.x * corner_part);
+    slot.row_y = vec4<f32>(f.y * y + c.y * z_part, f.y * corner.y + c.y * corner_part);
     slot.row_z = vec4<f32>(z, corner.z);
     slot.unit = chunk.node_base * stretch(at);
     slot.one_sided = u32(chunk.vertex_first == CLOSED && at.position.w == 1.0);

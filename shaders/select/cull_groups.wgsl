@@ -20,7 +20,7 @@ fn cull_groups(@builtin(global_invocation_id) invocation: vec3<u32>) {
     }
     let group = instance_groups[index];
     let from_eye = (group.centre_hi.xyz - frame.eye_hi.xyz) + (group.centre_lo.xyz - frame.eye_lo.xyz);
-    let centre = camera_from_world(from_eye);
+    let centre = camera_position(from_eye);
     let x = camera_from_world(vec3<f32>(group.half.x, 0.0, 0.0));
     let y = camera_from_world(vec3<f32>(0.0, group.half.y, 0.0));
     let z = camera_from_world(vec3<f32>(0.0, 0.0, group.half.z));

@@ -78,8 +78,15 @@ fn place(@builtin(global_invocation_id) invocation: vec3<u32>) {
     out.axis_y = vec4<f32>(camera_from_world(axis_y), 0.0);
     out.axis_z = vec4<f32>(camera_from_world(axis_z), 0.0);
     // NaN counts as within the reach.
-    let outside = any(abs(known) > vec3<f32>(instance.reach + 1.0)) && all(eye_grid == eye_grid);
-    out.position = vec4<f32>(camera_from_world(offset.head + offset.tail), f32(outside));
+    var outside = any(abs(known) > vec3<f32>(instance.reach + 1.0)) && all(eye_grid == eye_grid);
+    let position = camera_position(offset.head + offset.tail);
+    if ORTHOGRAPHIC {
+        // The box lies wholly before the plane through the eye.
+        let deep = abs(out.axis_x.z) + abs(out.axis_y.z) + abs(out.axis_z.z);
+        let middle = camera_position(from_eye).z;
+        outside = middle - instance.reach * deep > 1e-6 * (abs(middle) + frame.focus);
+    }
+    out.position = vec4<f32>(position, f32(outside));
     out.anchor = vec4<i32>(anchor, 0);
     placed[frame.first_instance + index] = out;
     seen[frame.first_instance + index] = 0u;

@@ -1,6 +1,9 @@
 // The error that may be accepted at a depth and a distance: a displacement of it, across the ray, is the accepted one in pixels. Not
-// less than none: what is exact may be drawn anywhere.
+// less than none: what is exact may be drawn anywhere. Where rays are parallel it is the same everywhere.
 fn accepted(z: f32, far: f32) -> f32 {
+    if ORTHOGRAPHIC {
+        return frame.lod_scale;
+    }
     let near = max(z, 0.0);
     return frame.lod_scale * near * (near / max(far, NEAREST));
 }

@@ -16,9 +16,10 @@ struct Weights {
 }
 
 fn barycentric_forms(a: vec3<f32>, b: vec3<f32>, c: vec3<f32>) -> Barycentric {
-    let e1 = b - a;
-    let e2 = c - a;
-    return Barycentric(cross(e2, a), cross(a, e1), cross(e1, e2));
+    let at = image_vector(a);
+    let e1 = image_vector(b) - at;
+    let e2 = image_vector(c) - at;
+    return Barycentric(cross(e2, at), cross(at, e1), cross(e1, e2));
 }
 
 fn barycentric_weights(form: Barycentric, ray: vec3<f32>) -> Weights {

@@ -1,5 +1,5 @@
 // Eye-dome lighting (Boucheny 2009, §4): a pixel is the darker, the farther its neighbours stand before it. Distances count by their
-// ratio, so that the effect does not depend on the scene's unit.
+// ratio, and in orthographic views differences by the height of the view, so that the effect does not depend on the scene's unit.
 const EDL_NEIGHBOURS: u32 = 8u;
 // How steeply light falls with the ratio's logarithm; as in Potree, so that strengths mean the same.
 const EDL_STEEPNESS: f32 = 300.0;
@@ -11,6 +11,8 @@ const EDL_MOST: f32 = 0.01;
 fn eye_dome(at: vec2<u32>, inverse_depth: f32) -> f32 {
     let diagonal = 0.70710678 * frame.edl.y;
     let own = log2(inverse_depth);
+    // Of a logarithm, for each unit of depth: as in perspective where the view is as high as it is far away.
+    let steps = 1.442695 * frame.focal_px.y / f32(frame.size_px.y);
     var before = 0.0;
     var least = EDL_MOST;
     for (var k = 0u; k < EDL_NEIGHBOURS; k++) {
@@ -23,7 +25,11 @@ fn eye_dome(at: vec2<u32>, inverse_depth: f32) -> f32 {
         if all(place >= vec2<i32>(0)) && all(place < vec2<i32>(frame.size_px)) {
             let neighbour = bitcast<f32>(visibility[frame.first_pixel + u32(place.y) * frame.size_px.x + u32(place.x)].y);
             // Nothing stands where the background is.
-            nearer = select(0.0, log2(neighbour) - own, neighbour > inverse_depth);
+            var farther = log2(neighbour) - own;
+            if ORTHOGRAPHIC {
+                farther = (1.0 / inverse_depth - 1.0 / neighbour) * steps;
+            }
+            nearer = select(0.0, farther, neighbour > inverse_depth);
         }
         before += min(nearer, EDL_MOST);
         least = min(least, nearer);

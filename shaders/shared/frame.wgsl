@@ -1,12 +1,16 @@
 // Values that are uniform over all invocations of one view. Camera space: x right, y down, z forward, the eye at the origin.
+//
+// An orthographic view has parallel rays along z. Both projections divide camera-space places by a divisor (z, or 1) to get to the
+// image, and both keep 1/z of what pixels show; in perspective it is linear in the pixel, in an orthographic view z is.
 struct Frame {
     // Rows of camera_from_world; w is unused.
     right: vec4<f32>,
     down: vec4<f32>,
     forward: vec4<f32>,
-    // The eye in world space as the sum of two floats an axis.
+    // The eye in world space as the sum of two floats an axis. Orthographic: the place on the optical axis at depth `focus`.
     eye_hi: vec4<f32>,
     eye_lo: vec4<f32>,
+    // Pixels for each unit beside the optical axis, over the divisor.
     focal_px: vec2<f32>,
     principal_px: vec2<f32>,
     size_px: vec2<u32>,
@@ -64,12 +68,17 @@ struct Frame {
     ramp_count: u32,
     ramp: vec4<f32>,
     ramp_colors: array<vec4<u32>, 3>,
+    // Orthographic views: depth of the origin that world-space places are subtracted from.
+    focus: f32,
 }
 
 @group(0) @binding(0) var<uniform> frames: array<Frame, 16>;
 
 // Several views are drawn together; a dispatch counts them in z.
 override VIEWS: bool = false;
+
+// Rays are parallel.
+override ORTHOGRAPHIC: bool = false;
 
 var<private> frame: Frame;
 
@@ -90,12 +99,60 @@ fn world_from_camera(v: vec3<f32>) -> vec3<f32> {
     return frame.right.xyz * v.x + frame.down.xyz * v.y + frame.forward.xyz * v.z;
 }
 
-// The camera-space direction through an image position, with z = 1.
+// The camera-space position of a place that is given relative to the frame's origin, in world axes.
+fn camera_position(from_origin: vec3<f32>) -> vec3<f32> {
+    let position = camera_from_world(from_origin);
+    if ORTHOGRAPHIC {
+        return vec3<f32>(position.xy, position.z + frame.focus);
+    }
+    return position;
+}
+
+// The inverse of camera_position.
+fn from_origin(position: vec3<f32>) -> vec3<f32> {
+    if ORTHOGRAPHIC {
+        return world_from_camera(vec3<f32>(position.xy, position.z - frame.focus));
+    }
+    return world_from_camera(position);
+}
+
+// By what a place at a depth is divided to get to the image.
+fn divisor(z: f32) -> f32 {
+    return select(z, 1.0, ORTHOGRAPHIC);
+}
+
+// A place's image in homogeneous coordinates.
+fn image_vector(position: vec3<f32>) -> vec3<f32> {
+    return vec3<f32>(position.xy, divisor(position.z));
+}
+
+// The direction, up to its length, in which the eye sees a place.
+fn towards(position: vec3<f32>) -> vec3<f32> {
+    return select(position, vec3<f32>(0.0, 0.0, 1.0), ORTHOGRAPHIC);
+}
+
+// The camera-space place at an image position and a depth.
+fn at_depth(pixel: vec2<f32>, z: f32) -> vec3<f32> {
+    let ray = ray_through(pixel);
+    if ORTHOGRAPHIC {
+        return vec3<f32>(ray.xy, z);
+    }
+    return z * ray;
+}
+
+// An image position in homogeneous coordinates, with z = 1. In perspective, the camera-space direction through it.
 fn ray_through(pixel: vec2<f32>) -> vec3<f32> {
     return vec3<f32>((pixel - frame.principal_px) / frame.focal_px, 1.0);
 }
 
-// Length in camera space of what the intrinsics were multiplied with.
+// The intrinsics take places of camera space to their images: x and y in pixels times the divisor, and z.
+
+// The camera-space direction of what the intrinsics were multiplied with.
 fn camera_vector(t: vec3<f32>) -> vec3<f32> {
-    return vec3<f32>((t.xy - frame.principal_px * t.z) / frame.focal_px, t.z);
+    return vec3<f32>((t.xy - frame.principal_px * select(t.z, 0.0, ORTHOGRAPHIC)) / frame.focal_px, t.z);
+}
+
+// The same for a place.
+fn camera_place(p: vec3<f32>) -> vec3<f32> {
+    return vec3<f32>((p.xy - frame.principal_px * divisor(p.z)) / frame.focal_px, p.z);
 }

@@ -35,7 +35,8 @@ fn box_deep(box: Box) -> f32 {
     return abs(box.x.z) + abs(box.y.z) + abs(box.z.z);
 }
 
-// Bounds of a box: nearest depth, and the rectangle in the image in pixels. Boxes that surround the eye get 0 and everything.
+// Bounds of a box: nearest depth, and the rectangle in the image in pixels. Boxes that surround the eye get 0, and in perspective
+// everything.
 struct BoxBounds {
     near: f32,
     least: vec2<f32>,
@@ -45,19 +46,23 @@ struct BoxBounds {
 // What snapping to parts of pixels and f32 may move.
 const BOUNDS_SLACK_PX: f32 = 0.0625;
 
+fn divisors(no: f32, yes: f32, is: vec2<bool>) -> vec2<f32> {
+    return select(vec2<f32>(divisor(no)), vec2<f32>(divisor(yes)), is);
+}
+
 fn box_bounds(box: Box) -> BoxBounds {
     let reach = abs(box.x) + abs(box.y) + abs(box.z);
     let near = box.centre.z - reach.z - box.slack;
     let far = box.centre.z + reach.z + box.slack;
-    if !(near > NEAREST) {
+    if !ORTHOGRAPHIC && !(near > NEAREST) {
         return BoxBounds(0.0, vec2<f32>(0.0), vec2<f32>(frame.size_px));
     }
     let low = box.centre.xy - reach.xy - box.slack;
     let high = box.centre.xy + reach.xy + box.slack;
-    let least = low / select(vec2<f32>(near), vec2<f32>(far), low > vec2<f32>(0.0));
-    let most = high / select(vec2<f32>(far), vec2<f32>(near), high > vec2<f32>(0.0));
+    let least = low / divisors(near, far, low > vec2<f32>(0.0));
+    let most = high / divisors(far, near, high > vec2<f32>(0.0));
     return BoxBounds(
-        near,
+        select(near, 0.0, ORTHOGRAPHIC && !(near > NEAREST)),
         fma(frame.focal_px, least, frame.principal_px) - vec2<f32>(BOUNDS_SLACK_PX),
         fma(frame.focal_px, most, frame.principal_px) + vec2<f32>(BOUNDS_SLACK_PX),
     );
@@ -76,11 +81,24 @@ fn cover_of(bounds: BoxBounds) -> f32 {
     return sides.x * sides.y / (size.x * size.y);
 }
 
-// False when the box, and all within `radius` of it, lies on the negative side of a plane through the eye.
-fn reaches(normal: vec3<f32>, centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>, radius: f32) -> bool {
+// False when the box, and all within `radius` of it, lies on the negative side of a plane.
+fn reaches(normal: vec3<f32>, offset: f32, centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>, radius: f32) -> bool {
     let reach = abs(dot(normal, x)) + abs(dot(normal, y)) + abs(dot(normal, z)) + radius * length(normal);
-    let scale = dot(abs(normal), abs(centre)) + reach;
-    return dot(normal, centre) + reach >= -SLACK * scale;
+    var scale = dot(abs(normal), abs(centre)) + reach;
+    var side = dot(normal, centre) + reach;
+    if ORTHOGRAPHIC {
+        scale += abs(offset);
+        side += offset;
+    }
+    return side >= -SLACK * scale;
+}
+
+// The same for a plane that holds a line of the image: `line` · (x, y, 1) is 0 there, with x and y over the divisor.
+fn reaches_line(line: vec3<f32>, centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>, radius: f32) -> bool {
+    if ORTHOGRAPHIC {
+        return reaches(vec3<f32>(line.xy, 0.0), line.z, centre, x, y, z, radius);
+    }
+    return reaches(line, 0.0, centre, x, y, z, radius);
 }
 
 // Of a box in camera space with half edges x, y, z; `margin`: pixels beside the image that count as well.
@@ -88,11 +106,11 @@ fn box_is_seen(centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>, radi
     let f = frame.focal_px;
     let c = frame.principal_px;
     let s = vec2<f32>(frame.size_px);
-    return reaches(vec3<f32>(0.0, 0.0, 1.0), centre, x, y, z, radius)
-        && reaches(vec3<f32>(f.x, 0.0, c.x + margin), centre, x, y, z, radius)
-        && reaches(vec3<f32>(-f.x, 0.0, s.x - c.x + margin), centre, x, y, z, radius)
-        && reaches(vec3<f32>(0.0, f.y, c.y + margin), centre, x, y, z, radius)
-        && reaches(vec3<f32>(0.0, -f.y, s.y - c.y + margin), centre, x, y, z, radius);
+    return reaches(vec3<f32>(0.0, 0.0, 1.0), 0.0, centre, x, y, z, radius)
+        && reaches_line(vec3<f32>(f.x, 0.0, c.x + margin), centre, x, y, z, radius)
+        && reaches_line(vec3<f32>(-f.x, 0.0, s.x - c.x + margin), centre, x, y, z, radius)
+        && reaches_line(vec3<f32>(0.0, f.y, c.y + margin), centre, x, y, z, radius)
+        && reaches_line(vec3<f32>(0.0, -f.y, s.y - c.y + margin), centre, x, y, z, radius);
 }
 
 // How far splats may reach from their centres in camera space, of a chunk's longest kernel axis and an instance's stretch. Nearer to the eye

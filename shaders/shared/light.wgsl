@@ -4,6 +4,15 @@
 // Some material is unlit, shines or is overridden, so pixels have to look up theirs.
 override MATERIALS: bool = true;
 
+// Where a surface is relative to the frame's origin, in world axes.
+fn place_of(surface: Surface, at: vec2<u32>) -> vec3<f32> {
+    let inverse = surface.inverse_depth / surface.depth_scale;
+    if ORTHOGRAPHIC {
+        return from_origin(at_depth(pixel_centre(at), 1.0 / inverse));
+    }
+    return world_from_camera(ray_through(pixel_centre(at))) / inverse;
+}
+
 // sRGB8 of a surface under all lights; `at`: its pixel.
 fn lit_color(surface: Surface, at: vec2<u32>) -> u32 {
     var material: Material;
@@ -19,9 +28,9 @@ fn lit_color(surface: Surface, at: vec2<u32>) -> u32 {
         return surface.color;
     }
     let albedo = linear_color(surface.color);
-    let from_eye = world_from_camera(ray_through(pixel_centre(at))) / (surface.inverse_depth / surface.depth_scale);
+    let place = place_of(surface, at);
     if surface.is_ball {
-        return color_word(ball_lights(albedo, material, from_eye));
+        return color_word(ball_lights(albedo, material, place));
     }
-    return color_word(all_lights(albedo, material, octahedral_decode(packed), from_eye));
+    return color_word(all_lights(albedo, material, octahedral_decode(packed), place));
 }

@@ -16,9 +16,9 @@ fn lit(color: vec3<f32>, normal: vec3<f32>, ball: bool, over_plus_one: u32, slot
     if (material.flags & MATERIAL_UNLIT) != 0u || (all(normal == vec3<f32>(0.0)) && !ball) {
         return color;
     }
-    let from_eye = world_from_camera(camera_vector(splat_centre(slot, sample)));
+    let place = from_origin(camera_place(splat_centre(slot, sample)));
     if ball {
-        return clamp(ball_lights(color, material, from_eye), vec3<f32>(0.0), vec3<f32>(1.0));
+        return clamp(ball_lights(color, material, place), vec3<f32>(0.0), vec3<f32>(1.0));
     }
-    return clamp(all_lights(color, material, normal, from_eye), vec3<f32>(0.0), vec3<f32>(1.0));
+    return clamp(all_lights(color, material, normal, place), vec3<f32>(0.0), vec3<f32>(1.0));
 }

@@ -88,10 +88,18 @@ fn node_is_drawn(sample: u32, unit: f32, centre: vec3<f32>, cosine: f32) -> bool
     if SPLIT {
         own_value *= share_seen((words.x >> 26u) & 15u, cosine, 0.0);
         let code = (words.x >> 30u) | ((words.y >> 30u) << 2u);
-        parent_value *= share_seen(code, cosine, delta / max(far, NEAREST) + TURN_SLACK);
+        parent_value *= share_seen(code, cosine, select(delta / max(far, NEAREST), 0.0, ORTHOGRAPHIC) + TURN_SLACK);
     }
     return own_value <= accepted(centre.z, far)
         && (parent == NO_PARENT || parent_value > accepted(centre.z - delta - slack, far + delta + slack));
+}
+
+// By how much the image of what faces the eye is larger beside the optical axis than on it.
+fn slant(centre: vec3<f32>) -> f32 {
+    if ORTHOGRAPHIC {
+        return 1.0;
+    }
+    return length(centre) / centre.z;
 }
 
 // How often a node is drawn that covers less of the image than what it is drawn as; src/bake/tree/coverage.rs says how, and has the
@@ -126,12 +134,12 @@ fn is_whole(own: u32) -> bool {
 fn is_kept(sample: u32, own: u32, unit: f32, centre: vec3<f32>, seen: f32, drawn_px: f32, place: vec2<u32>, key: u32) -> bool {
     let extent = unit * code_value(kernels[sample * KERNEL_WORDS + 2u] & CODE);
     // About the eye there is no area in the image.
-    if extent >= centre.z {
+    if !ORTHOGRAPHIC && extent >= centre.z {
         return true;
     }
-    let size = extent / centre.z;
+    let size = extent / divisor(centre.z);
     let part = exp2(-0.125 * f32((own >> 24u) & 63u));
-    let area_px = 3.1415927 * part * size * size * frame.focal_px.x * frame.focal_px.y * length(centre) / centre.z;
+    let area_px = 3.1415927 * part * size * size * frame.focal_px.x * frame.focal_px.y * slant(centre);
     let share = area_px * seen / drawn_px;
     let around = (own >> 30u) & 3u;
     let left = select(0.2, 0.5, around == 1u);
@@ -148,12 +156,13 @@ const FILLS: u32 = 254u;
 // and so is a pixel's centre; that node is in the same pixel: no gap opens.
 fn covers_pixel(sample: u32, own: vec2<u32>, unit: f32, centre: vec3<f32>, beside: vec3<f32>, areas: Areas) -> bool {
     let extent = unit * code_value(kernels[sample * KERNEL_WORDS + 2u] & CODE);
-    let far = length(centre);
+    let seen = towards(centre);
+    let far = length(seen);
     let reach_px = extent * far * max(frame.focal_px.x, frame.focal_px.y);
-    if (own.x >> 24u) >= FILLS || reach_px >= 0.5 * centre.z * centre.z {
+    if (own.x >> 24u) >= FILLS || reach_px >= 0.5 * seen.z * seen.z {
         return true;
     }
-    let way = centre / far;
+    let way = seen / far;
     let along = dot(beside, way);
     if dot(beside, beside) - along * along > extent * extent {
         return false;

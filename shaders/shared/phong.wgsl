@@ -24,21 +24,22 @@ override POINT_LIGHTS: bool = true;
 // How many lights there are, if `few_lights` has them all, or 0.
 override FEW_LIGHTS: u32 = 0u;
 
-// Returns the light's direction from the surface, and the fraction of the light that arrives.
-fn arriving(light: Light, from_eye: vec3<f32>, to_eye: vec3<f32>) -> vec4<f32> {
+// Returns the light's direction from the surface, and the fraction of the light that arrives; `place`: where the surface is, relative
+// to the frame's origin, in world axes.
+fn arriving(light: Light, place: vec3<f32>, to_eye: vec3<f32>) -> vec4<f32> {
     let sun = vec4<f32>(-light.place_hi.xyz, 1.0);
     let head = vec4<f32>(to_eye, 1.0);
     if !POINT_LIGHTS || light.kind != 3u {
         return select(head, sun, light.kind == 2u);
     }
-    let d = (light.place_hi.xyz - frame.eye_hi.xyz) + (light.place_lo.xyz - frame.eye_lo.xyz) - from_eye;
+    let d = (light.place_hi.xyz - frame.eye_hi.xyz) + (light.place_lo.xyz - frame.eye_lo.xyz) - place;
     let distance = length(d);
     let ratio = distance / light.range;
     return vec4<f32>(d / max(distance, 1e-30), 1.0 / (1.0 + ratio * ratio));
 }
 
-fn phong(light: Light, albedo: vec3<f32>, material: Material, n: vec3<f32>, from_eye: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
-    let l = arriving(light, from_eye, to_eye);
+fn phong(light: Light, albedo: vec3<f32>, material: Material, n: vec3<f32>, place: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
+    let l = arriving(light, place, to_eye);
     let cosine = select(max(dot(n, l.xyz), 0.0), 1.0, light.kind == 0u);
     var reflected = albedo * cosine;
     if SPECULAR && light.kind != 0u && cosine > 0.0 {
@@ -48,18 +49,26 @@ fn phong(light: Light, albedo: vec3<f32>, material: Material, n: vec3<f32>, from
     return reflected * light.color.rgb * l.w;
 }
 
-// What all lights make of a surface; `from_eye`: where it is, relative to the eye, in world axes.
-fn all_lights(albedo: vec3<f32>, material: Material, n: vec3<f32>, from_eye: vec3<f32>) -> vec3<f32> {
-    let to_eye = -from_eye / max(length(from_eye), 1e-30);
+// The unit direction towards the eye.
+fn eye_from(place: vec3<f32>) -> vec3<f32> {
+    if ORTHOGRAPHIC {
+        return -frame.forward.xyz;
+    }
+    return -place / max(length(place), 1e-30);
+}
+
+// What all lights make of a surface at a place.
+fn all_lights(albedo: vec3<f32>, material: Material, n: vec3<f32>, place: vec3<f32>) -> vec3<f32> {
+    let to_eye = eye_from(place);
     var color = vec3<f32>(0.0);
     for (var i = 0u; i < FEW_LIGHTS; i++) {
-        color += phong(few_lights[i], albedo, material, n, from_eye, to_eye);
+        color += phong(few_lights[i], albedo, material, n, place, to_eye);
     }
     if FEW_LIGHTS == 0u {
         // A bound that is a uniform alone makes lavapipe build the shader anew for every frame, with the value inlined.
         let count = min(frame.light_count, arrayLength(&lights));
         for (var i = 0u; i < count; i++) {
-            color += phong(lights[i], albedo, material, n, from_eye, to_eye);
+            color += phong(lights[i], albedo, material, n, place, to_eye);
         }
     }
     return color;
@@ -67,8 +76,8 @@ fn all_lights(albedo: vec3<f32>, material: Material, n: vec3<f32>, from_eye: vec
 
 // What looks everywhere, as the mean over what is seen of a ball: the phase function of a Lambertian sphere (Schönberg 1929) over π; of
 // highlights, a ball reflects alike in all directions.
-fn phong_ball(light: Light, albedo: vec3<f32>, material: Material, from_eye: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
-    let l = arriving(light, from_eye, to_eye);
+fn phong_ball(light: Light, albedo: vec3<f32>, material: Material, place: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
+    let l = arriving(light, place, to_eye);
     let c = clamp(dot(l.xyz, to_eye), -1.0, 1.0);
     let mean = 0.21220659 * (sqrt(1.0 - c * c) + (3.1415927 - acos(c)) * c);
     var reflected = albedo * select(mean, 1.0, light.kind == 0u);
@@ -78,16 +87,16 @@ fn phong_ball(light: Light, albedo: vec3<f32>, material: Material, from_eye: vec
     return reflected * light.color.rgb * l.w;
 }
 
-fn ball_lights(albedo: vec3<f32>, material: Material, from_eye: vec3<f32>) -> vec3<f32> {
-    let to_eye = -from_eye / max(length(from_eye), 1e-30);
+fn ball_lights(albedo: vec3<f32>, material: Material, place: vec3<f32>) -> vec3<f32> {
+    let to_eye = eye_from(place);
     var color = vec3<f32>(0.0);
     for (var i = 0u; i < FEW_LIGHTS; i++) {
-        color += phong_ball(few_lights[i], albedo, material, from_eye, to_eye);
+        color += phong_ball(few_lights[i], albedo, material, place, to_eye);
     }
     if FEW_LIGHTS == 0u {
         let count = min(frame.light_count, arrayLength(&lights));
         for (var i = 0u; i < count; i++) {
-            color += phong_ball(lights[i], albedo, material, from_eye, to_eye);
+            color += phong_ball(lights[i], albedo, material, place, to_eye);
         }
     }
     return color;

@@ -24,7 +24,7 @@ fn instance_color(id: u32) -> u32 {
 // The sRGB8 of a surface before light.
 fn recoloured(surface: Surface, at: vec2<u32>) -> u32 {
     if COLOR_BY == BY_HEIGHT {
-        let place = ray_through(pixel_centre(at)) * (surface.depth_scale / surface.inverse_depth);
+        let place = at_depth(pixel_centre(at), surface.depth_scale / surface.inverse_depth);
         return ramp_color(dot(frame.ramp.xyz, place) + frame.ramp.w);
     }
     if COLOR_BY == BY_NORMAL {

@@ -95,9 +95,9 @@ fn splat_centre(slot: SplatSlot, sample: u32) -> vec3<f32> {
 
 // A sample without a normal is a disk that faces the eye.
 fn facing_axes(slot: SplatSlot, p: vec3<f32>, axes: Tangents) -> Tangents {
-    let towards = camera_vector(p);
-    let most = max(abs(towards.x), max(abs(towards.y), abs(towards.z)));
-    let direction = towards / max(most, 1e-37);
+    let way = towards(camera_place(p));
+    let most = max(abs(way.x), max(abs(way.y), abs(way.z)));
+    let direction = way / max(most, 1e-37);
     let own = tangent_frame(direction / max(length(direction), 1e-30));
     let radius = slot.scale * sqrt(max(dot(axes.u, axes.u), dot(axes.v, axes.v)));
     return Tangents(with_intrinsics(own.u * radius), with_intrinsics(own.v * radius));
@@ -113,7 +113,8 @@ fn tilt_cosine(slot: SplatSlot, sample: u32, centre: vec3<f32>) -> f32 {
         return UNTILTED;
     }
     let across = camera_vector(taken(slot, octahedral_decode(normal))) / slot.scale;
-    let way = centre / max(max(abs(centre.x), abs(centre.y)), max(abs(centre.z), 1e-37));
+    let direction = towards(centre);
+    let way = direction / max(max(abs(direction.x), abs(direction.y)), max(abs(direction.z), 1e-37));
     return min(abs(dot(across, way)) * inverseSqrt(max(dot(across, across) * dot(way, way), 1e-37)), 1.0);
 }
 
@@ -123,14 +124,14 @@ const MOST_THINNED_PX: f32 = 2.0;
 // The area in the image of a node's disk, cut off, of which so much is seen; no less than a pixel, which it fills.
 fn drawn_px(slot: SplatSlot, axis: vec3<f32>, centre: vec3<f32>, seen: f32) -> f32 {
     let focal_px = max(frame.focal_px.x, frame.focal_px.y);
-    let deviation = min(slot.scale * length(axis) * focal_px / max(centre.z, NEAREST), MOST_THINNED_PX / frame.splat_cutoff);
+    let deviation = min(slot.scale * length(axis) * focal_px / divisor(max(centre.z, NEAREST)), MOST_THINNED_PX / frame.splat_cutoff);
     return max(3.1415927 * frame.splat_cutoff * frame.splat_cutoff * deviation * deviation * seen, 1.0);
 }
 
 // Whether a node of a point tree is as detailed as is asked, and its parent is not.
 fn splat_is_chosen(slot: SplatSlot, sample: u32) -> bool {
     let at = slot.first + sample;
-    let centre = camera_vector(splat_centre(slot, sample));
+    let centre = camera_place(splat_centre(slot, sample));
     return node_is_drawn(at, slot.unit, centre, tilt_cosine(slot, at, centre));
 }
 
@@ -140,8 +141,8 @@ fn node_disc(slot: SplatSlot, sample: u32, p: vec3<f32>) -> Splat {
     let own = attributes[at];
     let disc = make_disc((slot.index << SLOT_SHIFT) | sample, p);
     if !is_whole(own.x) {
-        let centre = camera_vector(p);
-        let radius = disc_px(1.0 / max(p.z, NEAREST));
+        let centre = camera_place(p);
+        let radius = disc_px(max(p.z, NEAREST));
         let seen = seen_area(slot.areas, octahedral_decode(own.y), centre);
         if !is_kept(at, own.x, slot.unit, centre, seen, max(3.1415927 * radius.x * radius.y, 1.0), positions[at], slot.key) {
             return no_splat();
@@ -160,7 +161,7 @@ fn no_splat() -> Splat {
 fn splat_of(slot: SplatSlot, sample: u32) -> Splat {
     let at = slot.first + sample;
     let p = splat_centre(slot, sample);
-    let centre = camera_vector(p);
+    let centre = camera_place(p);
     let normal = attributes[at].y;
     if DISCS {
         return node_disc(slot, sample, p);
@@ -182,8 +183,10 @@ fn splat_of(slot: SplatSlot, sample: u32) -> Splat {
         let v = camera_vector(image.v);
         let across = cross(u, v);
         // Of all leaves below, as seen from anywhere on the disk.
-        let reach = cone_sine(at) * length(centre) + 2.0 * frame.splat_cutoff * max(length(u), length(v));
-        if dot(across, centre) * orientation > length(across) * reach {
+        let way = towards(centre);
+        let beside = select(2.0 * frame.splat_cutoff * max(length(u), length(v)), 0.0, ORTHOGRAPHIC);
+        let reach = cone_sine(at) * length(way) + beside;
+        if dot(across, way) * orientation > length(across) * reach {
             return no_splat();
         }
     }

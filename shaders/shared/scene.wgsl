@@ -99,7 +99,7 @@ struct Entry {
     chunk: u32,
 }
 
-// An entry that met the frustum. For samples the rows take 21-bit coordinates to (x·z px, y·z px, z).
+// An entry that met the frustum. For samples the rows take 21-bit coordinates to (x·d px, y·d px, z) with the divisor d.
 struct Slot {
     row_x: vec4<f32>,
     row_y: vec4<f32>,

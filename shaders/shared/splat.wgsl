@@ -1,6 +1,6 @@
 // A sample as an elliptical Gaussian in its tangent plane, taken to the image (Zwicker et al. 2004, §4).
 //
-// Positions and tangents come multiplied by the camera's intrinsics: (x·z px, y·z px, z). With pc the centre's image, and
+// Positions and tangents come multiplied by the camera's intrinsics: in perspective (x·z px, y·z px, z). With pc the centre's image, and
 // for each tangent t its image j = (t.xy − pc·t.z) / z and its slope β = t.z / z, everything follows without an inverse:
 //
 //   variance    V = Σ j jᵀ                                                 affine (Zwicker et al. 2001)
@@ -10,7 +10,8 @@
 //   kernel coordinates at pc + d:  s = (d × j_v) / N,  t = (j_u × d) / N,  N = j_u × j_v − β_u (d × j_v) − β_v (j_u × d)
 //   inverse depth there:           N / (z · j_u × j_v)
 //
-// So each of these is a linear function of the pixel, or a quotient of two. The paper inverts the matrix of tangents and
+// So each of these is a linear function of the pixel, or a quotient of two. Where rays are parallel, z counts as 1 and β as 0 in all
+// but the last, and z itself is linear: z + u.z s + v.z t. The paper inverts the matrix of tangents and
 // centre instead, which fails for splats seen edge-on.
 
 // 0 affine, 1 perspective, 2 exact.
@@ -71,7 +72,7 @@ struct Splat {
     // The same of s and t without the filter, where disks are drawn so.
     own_s: vec3<f32>,
     own_t: vec3<f32>,
-    // 1/z, and its bounds.
+    // 1/z, or z where rays are parallel; and bounds of 1/z.
     inverse: vec3<f32>,
     least: f32,
     most: f32,
@@ -114,6 +115,10 @@ fn splat_weight(splat: Splat, q: f32) -> f32 {
 
 // Whether a splat is drawn at an offset from its centre, `q` being the squared distance there.
 fn splat_meets(splat: Splat, d: vec2<f32>, q: f32) -> bool {
+    // Parallel rays meet the disk behind the eye as well.
+    if ORTHOGRAPHIC && !(linear(splat.inverse, d) > NEAREST) {
+        return false;
+    }
     let holds_centre = !splat.crosses && all(d > vec2<f32>(-0.5)) && all(d <= vec2<f32>(0.5));
     var own = q;
     if NARROW {
@@ -123,7 +128,8 @@ fn splat_meets(splat: Splat, d: vec2<f32>, q: f32) -> bool {
 }
 
 fn splat_inverse(splat: Splat, d: vec2<f32>) -> f32 {
-    return clamp(linear(splat.inverse, d), splat.least, splat.most);
+    let value = linear(splat.inverse, d);
+    return clamp(select(value, 1.0 / value, ORTHOGRAPHIC), splat.least, splat.most);
 }
 
 // Behind the surface by the splat's offset.
@@ -147,8 +153,9 @@ fn facing_of(volume: f32, orientation: f32) -> u32 {
     return select(select(FACING_BACK, FACING_FRONT, volume * orientation < 0.0), 0u, orientation == 0.0);
 }
 
+// Of a direction.
 fn with_intrinsics(v: vec3<f32>) -> vec3<f32> {
-    return vec3<f32>(fma(frame.focal_px, v.xy, frame.principal_px * v.z), v.z);
+    return vec3<f32>(fma(frame.focal_px, v.xy, frame.principal_px * select(v.z, 0.0, ORTHOGRAPHIC)), v.z);
 }
 
 // Unit vectors across a unit vector (Duff et al. 2017).
@@ -325,6 +332,11 @@ fn crossing_splat(splat: ptr<function, Splat>, p_in: vec3<f32>, u_in: vec3<f32>,
     set_box(splat, middle, high - middle + 1.0);
 }
 
+// What a tangent's depth adds to its divisor.
+fn tilt(z: f32) -> f32 {
+    return select(z, 0.0, ORTHOGRAPHIC);
+}
+
 // The splat of centre p and tangents u, v, all multiplied by the intrinsics.
 fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: vec2<u32>, orientation: f32) -> Splat {
     var splat: Splat;
@@ -340,21 +352,26 @@ fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: ve
     let u_camera = camera_vector(u_in);
     let v_camera = camera_vector(v_in);
     let longest = sqrt(max(dot(u_camera, u_camera), dot(v_camera, v_camera)));
-    let pixel_reach = filter_px * abs(p.z) / frame.focal_px.y;
+    let pixel_reach = filter_px * abs(divisor(p.z)) / frame.focal_px.y;
     splat.offset = frame.splat_offset * fma(f, longest, pixel_reach);
     let reach = f * length(vec2<f32>(u_in.z, v_in.z));
     // Within rounding of the camera plane a disk has no outline that could be told from one that reaches it.
-    if p.z * (1.0 - GAP) <= max(reach, NEAREST) {
+    if ORTHOGRAPHIC {
+        if p.z <= -reach {
+            return splat;
+        }
+    } else if p.z * (1.0 - GAP) <= max(reach, NEAREST) {
         if p.z >= -reach && reach > 0.0 {
             crossing_splat(&splat, p, u_in, v_in, lines, orientation);
         }
         return splat;
     }
-    let w = 1.0 / p.z;
+    let w = 1.0 / divisor(p.z);
     let centre = p.xy * w;
     splat.centre = centre;
-    var ju = (u_in.xy - centre * u_in.z) * w;
-    var jv = (v_in.xy - centre * v_in.z) * w;
+    var ju = (u_in.xy - centre * tilt(u_in.z)) * w;
+    var jv = (v_in.xy - centre * tilt(v_in.z)) * w;
+    // Of depth along both tangents, over the divisor.
     var slopes = vec2<f32>(u_in.z, v_in.z) * w;
     var area = cross_2d(ju, jv);
     splat.facing = facing_of(area, orientation);
@@ -376,7 +393,7 @@ fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: ve
             let l_uv = b.y / l_u;
             let l_v = sqrt(max(1.0 + b.z - l_uv * l_uv, 1.0));
             let wide = vec2<f32>(fma(l_u, slopes.x, l_uv * slopes.y), l_v * slopes.y);
-            exact = f * f * dot(wide, wide) < 1.0 - GAP;
+            exact = ORTHOGRAPHIC || f * f * dot(wide, wide) < 1.0 - GAP;
             if exact {
                 splat.amplitude = max(1.0 / (l_u * l_v), LEAST_AMPLITUDE);
                 slopes = wide;
@@ -395,20 +412,31 @@ fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: ve
     var forms: KernelForms;
     forms.s = vec3<f32>(0.0, jv.y, -jv.x) * inverse_area;
     forms.t = vec3<f32>(0.0, -ju.y, ju.x) * inverse_area;
-    forms.n = vec3<f32>(1.0, 0.0, 0.0) - slopes.x * forms.s - slopes.y * forms.t;
-    splat.inverse = w * forms.n;
+    if ORTHOGRAPHIC {
+        forms.n = vec3<f32>(1.0, 0.0, 0.0);
+        splat.inverse = vec3<f32>(p.z, 0.0, 0.0) + slopes.x * forms.s + slopes.y * forms.t;
+    } else {
+        forms.n = vec3<f32>(1.0, 0.0, 0.0) - slopes.x * forms.s - slopes.y * forms.t;
+        splat.inverse = w * forms.n;
+    }
     // Far beyond its disk a splat's plane says nothing of where the surface is: the filter adds no more than the disk's own radius.
     // Else the undersides of what is smaller than a pixel, drawn out upwards, would be before all else.
-    let relative = (reach + min(pixel_reach, f * longest)) * w;
-    splat.least = w / (1.0 + relative);
-    splat.most = select(FARTHEST, w / (1.0 - relative), relative < 1.0);
+    let beyond = reach + min(pixel_reach, f * longest);
+    if ORTHOGRAPHIC {
+        splat.least = 1.0 / max(p.z + beyond, NEAREST);
+        splat.most = select(FARTHEST, 1.0 / (p.z - beyond), p.z - beyond > NEAREST);
+    } else {
+        let relative = beyond * w;
+        splat.least = w / (1.0 + relative);
+        splat.most = select(FARTHEST, w / (1.0 - relative), relative < 1.0);
+    }
     splat.clip = clip_forms(lines, forms, spread, spread_t);
     if NARROW {
         ju = own_ju;
         jv = own_jv;
         slopes = own_slopes;
     }
-    let ellipse = outline(vec2<f32>(ju.x, jv.x), vec2<f32>(ju.y, jv.y), slopes, FILTER == AFFINE);
+    let ellipse = outline(vec2<f32>(ju.x, jv.x), vec2<f32>(ju.y, jv.y), slopes, FILTER == AFFINE || ORTHOGRAPHIC);
     if exact {
         // Seen edge-on it covers nothing but the pixel of its centre.
         let nowhere = vec3<f32>(1.0 / THINNEST, 0.0, 0.0);
@@ -442,8 +470,8 @@ fn set_way(splat: ptr<function, Splat>) {
 const WIDEST_DISC_PX: f32 = 1e6;
 
 // Half the sides of a disc's box in pixels, at a depth.
-fn disc_px(inverse: f32) -> vec2<f32> {
-    return clamp(frame.disc_radius * frame.focal_px * inverse, vec2<f32>(frame.splat_lowpass_px), vec2<f32>(WIDEST_DISC_PX));
+fn disc_px(z: f32) -> vec2<f32> {
+    return clamp(frame.disc_radius * frame.focal_px / divisor(z), vec2<f32>(frame.splat_lowpass_px), vec2<f32>(WIDEST_DISC_PX));
 }
 
 // A disc that faces the image plane, at the depth of its centre p, which is multiplied by the intrinsics.
@@ -457,8 +485,8 @@ fn make_disc(id: u32, p: vec3<f32>) -> Splat {
         return splat;
     }
     let inverse = 1.0 / p.z;
-    let radius = disc_px(inverse);
-    splat.centre = p.xy * inverse;
+    let radius = disc_px(p.z);
+    splat.centre = p.xy / divisor(p.z);
     splat.s = vec3<f32>(0.0, 1.0 / radius.x, 0.0);
     splat.t = vec3<f32>(0.0, 0.0, 1.0 / radius.y);
     splat.n = vec3<f32>(1.0, 0.0, 0.0);

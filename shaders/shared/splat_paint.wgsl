@@ -51,11 +51,11 @@ fn paint_of(slot: SplatSlot, shared_paint: PaintSlot, sample: u32) -> Paint {
     var normal = vec3<f32>(0.0);
     if OUTPUT == OUTPUT_NORMAL || DEFERRED || LIT {
         // Unit, turned towards the eye; zero where the sample has none.
-        let towards = world_from_camera(camera_vector(splat_centre(slot, sample)));
-        normal = facing_normal(turned(shared_paint.normals, octahedral_decode(packed.y)), towards);
+        let way = world_from_camera(towards(camera_place(splat_centre(slot, sample))));
+        normal = facing_normal(turned(shared_paint.normals, octahedral_decode(packed.y)), way);
         paint.normal = fma(normal, vec3<f32>(0.5), vec3<f32>(0.5));
         if OUTPUT == OUTPUT_COLOR && is_ball(packed) {
-            paint.normal = fma(facing_normal(-towards, towards), vec3<f32>(0.5 * BALL_NORMAL), vec3<f32>(0.5));
+            paint.normal = fma(facing_normal(-way, way), vec3<f32>(0.5 * BALL_NORMAL), vec3<f32>(0.5));
         }
     }
     if OUTPUT == OUTPUT_COLOR {

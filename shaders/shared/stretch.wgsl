@@ -37,8 +37,9 @@ fn areas_of(x_in: vec3<f32>, y_in: vec3<f32>, z_in: vec3<f32>) -> Areas {
 // The part of a disk's area that is seen of it, once mapped, from the eye: n · adj(M) d for its normal n before that and the way d to its
 // centre; of a ball, whose normal is zero, |adj(M) d|. In parts of the square of the stretch.
 fn seen_area(areas: Areas, normal: vec3<f32>, centre: vec3<f32>) -> f32 {
-    let most = max(abs(centre.x), max(abs(centre.y), abs(centre.z)));
-    let way = centre / max(most, 1e-37);
+    let direction = towards(centre);
+    let most = max(abs(direction.x), max(abs(direction.y), abs(direction.z)));
+    let way = direction / max(most, 1e-37);
     let d = way / max(length(way), 1e-37);
     let seen = vec3<f32>(dot(areas.x, d), dot(areas.y, d), dot(areas.z, d));
     return select(abs(dot(normal, seen)), length(seen), all(normal == vec3<f32>(0.0)));

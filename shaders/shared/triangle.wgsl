@@ -4,16 +4,16 @@
 // A coordinate this large in pixels goes to the rasteriser's clipper.
 const GUARD_PX: f32 = 1048576.0;
 
-// The plane of a triangle as 1/z over the image: 1/z = dot(plane, ray).
+// The plane of a triangle as a linear form of the image: dot(form, ray) is 1/z, and z where rays are parallel.
 struct Plane {
-    inverse: vec3<f32>,
-    // Bounds on 1/z over the triangle.
+    form: vec3<f32>,
+    // Bounds on that over the triangle.
     least: f32,
     most: f32,
 }
 
 fn image_position(camera: vec3<f32>) -> vec2<f32> {
-    return fma(frame.focal_px, camera.xy / camera.z, frame.principal_px);
+    return fma(frame.focal_px, camera.xy / divisor(camera.z), frame.principal_px);
 }
 
 // Fixed point with eight fractional bits, as rasterisers snap.
@@ -23,7 +23,7 @@ fn snap(pixel: vec2<f32>) -> vec2<i32> {
 
 // Normal · corner, computed so that it keeps its sign when the three are seen edge-on.
 fn facing(a: vec3<f32>, b: vec3<f32>, c: vec3<f32>) -> f32 {
-    return dot(cross(b - a, c - a), a);
+    return dot(cross(b - a, c - a), towards(a));
 }
 
 fn triangle_plane(a: vec3<f32>, b: vec3<f32>, c: vec3<f32>) -> Plane {
@@ -31,33 +31,51 @@ fn triangle_plane(a: vec3<f32>, b: vec3<f32>, c: vec3<f32>) -> Plane {
     let d = dot(n, a);
     var plane: Plane;
     let near = min(a.z, min(b.z, c.z));
+    if ORTHOGRAPHIC {
+        plane.least = near;
+        plane.most = max(a.z, max(b.z, c.z));
+        plane.form = select(vec3<f32>(-n.xy, d) / n.z, vec3<f32>(0.0, 0.0, near), abs(n.z) < 1e-37);
+        return plane;
+    }
     plane.least = 1.0 / max(a.z, max(b.z, c.z));
     plane.most = select(3.0e38, 1.0 / near, near > NEAREST);
     // Edge-on: no pixel's depth depends on the slope within the clamp.
-    plane.inverse = select(n / d, vec3<f32>(0.0, 0.0, plane.most), abs(d) < 1e-37);
+    plane.form = select(n / d, vec3<f32>(0.0, 0.0, plane.most), abs(d) < 1e-37);
     return plane;
 }
 
 fn plane_inverse_depth(plane: Plane, ray: vec3<f32>) -> f32 {
-    return clamp(dot(plane.inverse, ray), plane.least, plane.most);
+    let value = clamp(dot(plane.form, ray), plane.least, plane.most);
+    if ORTHOGRAPHIC {
+        return 1.0 / value;
+    }
+    return value;
+}
+
+// Writes a covered pixel. Of a triangle that meets the plane through the eye, parallel rays also cover what lies behind it.
+fn triangle_write(plane: Plane, ray: vec3<f32>, pixel: u32, id: u32) {
+    let inverse = plane_inverse_depth(plane, ray);
+    if !ORTHOGRAPHIC || (inverse > 0.0 && inverse < 1.0 / NEAREST) {
+        visibility_write(pixel, inverse, id);
+    }
 }
 
 // Where a triangle is in the image.
 struct ImageBounds {
     least: vec2<f32>,
     most: vec2<f32>,
-    // All corners lie before the eye and within the guard: they can be snapped.
+    // All corners have an image within the guard: they can be snapped.
     snaps: bool,
 }
 
 // Extends bounds by an edge's points before the eye. Where the edge meets the camera plane its image runs off to infinity.
 fn extend(bounds: ptr<function, ImageBounds>, p: vec3<f32>, q: vec3<f32>) {
-    if p.z > NEAREST {
+    if ORTHOGRAPHIC || p.z > NEAREST {
         let image = clamp(image_position(p), vec2<f32>(-2.0 * GUARD_PX), vec2<f32>(2.0 * GUARD_PX));
         (*bounds).least = min((*bounds).least, image);
         (*bounds).most = max((*bounds).most, image);
     }
-    if (p.z > NEAREST) != (q.z > NEAREST) {
+    if !ORTHOGRAPHIC && (p.z > NEAREST) != (q.z > NEAREST) {
         let t = p.z / (p.z - q.z);
         let meets = p.xy + t * (q.xy - p.xy);
         let slack = 1e-5 * max(abs(p.xy), abs(q.xy));
@@ -73,6 +91,6 @@ fn image_bounds(a: vec3<f32>, b: vec3<f32>, c: vec3<f32>) -> ImageBounds {
     extend(&bounds, b, c);
     extend(&bounds, c, a);
     let within = all(abs(bounds.least) < vec2<f32>(GUARD_PX)) && all(abs(bounds.most) < vec2<f32>(GUARD_PX));
-    bounds.snaps = within && min(a.z, min(b.z, c.z)) > NEAREST;
+    bounds.snaps = within && (ORTHOGRAPHIC || min(a.z, min(b.z, c.z)) > NEAREST);
     return bounds;
 }

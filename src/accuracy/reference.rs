@@ -189,6 +189,7 @@ pub fn reference_frame(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math::Lens;
     use glam::DVec3;
 
     fn folder() -> tempfile::TempDir {
@@ -202,7 +203,9 @@ mod tests {
 
     fn view() -> View {
         let eye = DVec3::new(0.0, 0.0, 4.0);
-        Camera { eye, target: DVec3::ZERO, up: DVec3::Y, fov_deg: 60.0 }.view(16, 12).unwrap()
+        Camera { eye, target: DVec3::ZERO, up: DVec3::Y, lens: Lens::Perspective { fov_deg: 60.0 } }
+            .view(16, 12)
+            .unwrap()
     }
 
     #[test]

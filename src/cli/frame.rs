@@ -8,7 +8,7 @@ use super::local::ID;
 use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
 use crate::http::{DEFAULT_FOV_DEG, DEFAULT_QUALITY};
-use crate::math::Camera;
+use crate::math::{Camera, Lens};
 use crate::plan::{Given, Output, Settings, Wait};
 
 /// Size and settings of frames.
@@ -38,7 +38,7 @@ pub struct FrameArgs {
 #[derive(Args, Clone, Debug)]
 pub struct PoseArgs {
     /// Camera that the scene names [default: one that sees the whole scene]
-    #[arg(long, value_name = "NAME", conflicts_with_all = ["eye", "target", "up", "fov"])]
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["eye", "target", "up", "fov", "ortho_height"])]
     camera: Option<String>,
     /// Where the eye is, in world space
     #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, requires = "target")]
@@ -49,6 +49,9 @@ pub struct PoseArgs {
     /// Vertical field of view in degrees [default: 40]
     #[arg(long, value_name = "DEG")]
     fov: Option<f64>,
+    /// Height of the view in scene units: the projection is orthographic
+    #[arg(long, value_name = "UNITS", conflicts_with = "fov")]
+    ortho_height: Option<f64>,
 }
 
 impl PoseArgs {
@@ -57,13 +60,14 @@ impl PoseArgs {
         if let Some(name) = &self.camera {
             return Pose::Named(name.clone());
         }
+        let lens = Lens::given(self.fov, self.ortho_height);
         let (Some(eye), Some(target)) = (self.eye, self.target) else {
-            return Pose::Fit { up, fov_deg: self.fov };
+            return Pose::Fit { up, lens };
         };
-        let fov_deg = self.fov.unwrap_or(DEFAULT_FOV_DEG);
+        let lens = lens.unwrap_or(Lens::Perspective { fov_deg: DEFAULT_FOV_DEG });
         match up {
-            Some(up) => Pose::Camera(Camera { eye, target, up, fov_deg }),
-            None => Pose::Upright { eye, target, fov_deg },
+            Some(up) => Pose::Camera(Camera { eye, target, up, lens }),
+            None => Pose::Upright { eye, target, lens },
         }
     }
 }

@@ -136,6 +136,7 @@ mod tests {
 
     use super::*;
     use crate::engine::Pose;
+    use crate::math::Lens;
 
     #[derive(Parser)]
     struct Line {
@@ -154,14 +155,20 @@ mod tests {
         assert_eq!(pose(parse(&["-o", "a.png"]).unwrap()), Pose::FIT);
         let args = parse(&["-o", "a.png", "--eye", "-1,2,3e2", "--target=0,0,0"]).unwrap();
         let eye = DVec3::new(-1.0, 2.0, 300.0);
-        assert_eq!(pose(args), Pose::Upright { eye, target: DVec3::ZERO, fov_deg: 40.0 });
+        assert_eq!(
+            pose(args),
+            Pose::Upright { eye, target: DVec3::ZERO, lens: Lens::Perspective { fov_deg: 40.0 } }
+        );
         let args = parse(&[
             "-o", "a.png", "--eye", "1,0,0", "--target", "0,0,0", "--up", "0,0,1", "--fov", "9",
         ]);
         let Pose::Camera(camera) = pose(args.unwrap()) else { panic!("not a camera") };
-        assert_eq!((camera.up, camera.fov_deg), (DVec3::Z, 9.0));
+        assert_eq!((camera.up, camera.lens.fov_deg()), (DVec3::Z, Some(9.0)));
         let upright = pose(parse(&["-o", "a.png", "--up", "-z", "--fov", "30"]).unwrap());
-        assert_eq!(upright, Pose::Fit { up: Some(DVec3::NEG_Z), fov_deg: Some(30.0) });
+        assert_eq!(
+            upright,
+            Pose::Fit { up: Some(DVec3::NEG_Z), lens: Some(Lens::Perspective { fov_deg: 30.0 }) }
+        );
         assert!(parse(&["-o", "a.png", "--up", "w"]).unwrap_err().contains("x, y, z, -x"));
         assert!(parse(&["-o", "a.png", "--camera", "x", "--up", "z"]).is_err());
         assert!(parse(&["-o", "a.png", "--camera", "x", "--fov", "9"]).is_err());

@@ -28,7 +28,7 @@ use crate::assets::{FORMATS, Placement};
 use crate::bake::cache::BakeCache;
 use crate::bake::pack::{PackedAsset, PackedGeometry};
 use crate::bake::upright::{End, Shape};
-use crate::math::{Bounds, Camera, Sensor, SensorView};
+use crate::math::{Bounds, Camera, Lens, Sensor, SensorView};
 use crate::memory::{Admission, Interrupt, Reservation};
 use crate::residency::model::{AssetModel, Deferred};
 use crate::residency::once::MadeOnce;
@@ -158,12 +158,14 @@ impl KeptShape {
 
 fn camera_bits(c: &Camera) -> [u64; 10] {
     let (eye, target, up) = (c.eye, c.target, c.up);
-    bits([eye.x, eye.y, eye.z, target.x, target.y, target.z, up.x, up.y, up.z, c.fov_deg])
+    // A sensor's camera is a perspective.
+    let fov_deg = c.lens.fov_deg().unwrap_or(f64::NAN);
+    bits([eye.x, eye.y, eye.z, target.x, target.y, target.z, up.x, up.y, up.z, fov_deg])
 }
 
 fn camera(bits: &[u64; 10]) -> Camera {
     let [eye, target, up] = [&bits[..3], &bits[3..6], &bits[6..9]].map(vec3);
-    Camera { eye, target, up, fov_deg: f64::from_bits(bits[9]) }
+    Camera { eye, target, up, lens: Lens::Perspective { fov_deg: f64::from_bits(bits[9]) } }
 }
 
 fn bits<const N: usize>(numbers: [f64; N]) -> [u64; N] {

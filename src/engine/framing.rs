@@ -9,8 +9,8 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use crate::bake::outline::{self, Outline};
-use crate::math::framing::{self, Look};
-use crate::math::{Bounds, Camera, View};
+use crate::math::framing::{self, Look, Shown};
+use crate::math::{Bounds, Camera, Lens, View};
 use crate::residency::model::{ModelInstance, SceneModel};
 
 /// Largest number of points that an outline keeps as they are.
@@ -21,6 +21,8 @@ const DIRECTIONS: usize = 512;
 const GROUP: usize = 64;
 /// Vertical field of view of the default view, in degrees.
 pub const FOV_DEG: f64 = 40.0;
+/// Lens of the default view.
+pub const LENS: Lens = Lens::Perspective { fov_deg: FOV_DEG };
 /// Largest depth of a plate, as a share of its height and width.
 const PLATE: f64 = 0.12;
 /// Angle from the front, in degrees, at which most content, upright content and plates are shown.
@@ -101,9 +103,9 @@ impl SceneOutline {
         &self,
         up: DVec3,
         front: Option<DVec3>,
-        (fov_deg, aspect, reach): (f64, f64, f64),
+        (shown, aspect, reach): (Shown, f64, f64),
     ) -> Camera {
-        let look = Look { reach, ..self.look(up, front, fov_deg, aspect) };
+        let look = Look { reach, ..self.look(up, front, shown, aspect) };
         framing::frame(&self.points, &look)
     }
 
@@ -118,7 +120,7 @@ impl SceneOutline {
 
     /// Chooses the view direction: terrain is seen from above at an angle, upright things from the front at eye height, a plate
     /// from its face.
-    fn look(&self, up: DVec3, seen: Option<DVec3>, fov_deg: f64, aspect: f64) -> Look {
+    fn look(&self, up: DVec3, seen: Option<DVec3>, shown: Shown, aspect: f64) -> Look {
         let up = up / up.length();
         // The front of a y-up scene is +z, of a z-up scene −y, unless a scanner saw another side.
         let usual = if up.z.abs() > up.y.abs() {
@@ -140,7 +142,7 @@ impl SceneOutline {
         let (turn_sin, turn_cos) = turn_deg.to_radians().sin_cos();
         let (sin, cos) = elevation_deg.to_radians().sin_cos();
         let backward = front * (turn_cos * cos) + right * (turn_sin * cos) + up * sin;
-        Look { backward, up, fov_deg, aspect, reach: 0.0 }
+        Look { backward, up, shown, aspect, reach: 0.0 }
     }
 }
 
@@ -190,21 +192,22 @@ pub fn why_nothing(bounds: &Bounds, view: &View) -> String {
     let corners = bounds.corners().map(|corner| view.to_view(corner));
     let all = |test: &dyn Fn(&DVec3) -> bool| corners.iter().all(test);
     let size_px = DVec2::new(f64::from(view.width), f64::from(view.height));
-    // Slopes of the frame's edges, as view directions with z = −1.
+    // The frame's edges at divisor 1.
     let (low, high) = (view.ray(DVec2::new(0.0, size_px.y)), view.ray(DVec2::new(size_px.x, 0.0)));
+    let divisor = |v: &DVec3| view.divisor(-v.z);
     let distance = bounds.centre().distance(view.eye);
     let focal_px = view.focal_px.max_element();
     let place = if all(&|v| v.z >= 0.0) {
         "lies behind the camera"
-    } else if all(&|v| v.x < -v.z * low.x) {
+    } else if all(&|v| v.x < divisor(v) * low.x) {
         "lies to the left of the frame"
-    } else if all(&|v| v.x > -v.z * high.x) {
+    } else if all(&|v| v.x > divisor(v) * high.x) {
         "lies to the right of the frame"
-    } else if all(&|v| v.y > -v.z * high.y) {
+    } else if all(&|v| v.y > divisor(v) * high.y) {
         "lies above the frame"
-    } else if all(&|v| v.y < -v.z * low.y) {
+    } else if all(&|v| v.y < divisor(v) * low.y) {
         "lies below the frame"
-    } else if bounds.extent().length() / distance * focal_px < 1.0 {
+    } else if bounds.extent().length() / view.divisor(distance) * focal_px < 1.0 {
         "is smaller than a pixel"
     } else {
         "has gaps where the camera looks"
@@ -237,7 +240,7 @@ mod tests {
         let bounds = Bounds { min: DVec3::splat(-1.0), max: DVec3::ONE };
         let why = |eye: [f64; 3], target: [f64; 3]| {
             let (eye, target) = (DVec3::from_array(eye), DVec3::from_array(target));
-            let camera = Camera { eye, target, up: DVec3::Y, fov_deg: 40.0 };
+            let camera = Camera { eye, target, up: DVec3::Y, lens: LENS };
             why_nothing(&bounds, &camera.view(64, 48).unwrap())
         };
         for (eye, target, place) in [
@@ -256,7 +259,7 @@ mod tests {
         assert!(
             why_nothing(
                 &Bounds::EMPTY,
-                &Camera { eye: DVec3::ONE, target: DVec3::ZERO, up: DVec3::Y, fov_deg: 40.0 }
+                &Camera { eye: DVec3::ONE, target: DVec3::ZERO, up: DVec3::Y, lens: LENS }
                     .view(8, 8)
                     .unwrap()
             )

@@ -82,7 +82,12 @@ pub struct NamedCamera {
     pub eye: [f64; 3],
     pub target: [f64; 3],
     pub up: [f64; 3],
-    pub fov: f64,
+    /// Vertical field of view in degrees, of a perspective.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fov: Option<f64>,
+    /// Height of the view in scene units, of an orthographic projection.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ortho_height: Option<f64>,
 }
 
 impl NamedCamera {
@@ -92,7 +97,8 @@ impl NamedCamera {
             eye: camera.eye.into(),
             target: camera.target.into(),
             up: camera.up.into(),
-            fov: camera.fov_deg,
+            fov: camera.lens.fov_deg(),
+            ortho_height: camera.lens.ortho_height(),
         }
     }
 }

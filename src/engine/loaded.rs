@@ -21,7 +21,8 @@ use crate::assets::Placement;
 use crate::bake::prepare;
 use crate::bake::spacing::Patch;
 use crate::bake::tree::Above;
-use crate::math::{Bounds, Camera, CameraError};
+use crate::math::framing::Shown;
+use crate::math::{Bounds, Camera, CameraError, Lens, Projection};
 use crate::memory::{Admission, Reservation};
 use crate::plan::SceneFacts;
 use crate::residency::instances::{Instances, RunMeter};
@@ -364,7 +365,7 @@ impl Loaded {
     }
 
     /// Returns the default view: the sensor's where the file has one, else a view of everything but strays, as large as the frame
-    /// allows. Without `up` it uses the scene's up direction.
+    /// allows. Without `up` it uses the scene's up direction. Without `lens` an orthographic camera has the height that the scene needs.
     ///
     /// # Errors
     /// An `up` that is zero or not finite; a field of view that no camera has.
@@ -372,19 +373,20 @@ impl Loaded {
         &self,
         aspect: f64,
         up_given: Option<DVec3>,
-        fov_deg: Option<f64>,
+        lens: Option<Lens>,
+        projection: Option<Projection>,
     ) -> Result<Camera, CameraError> {
         // These checks do not depend on the eye's position.
         let anywhere = Camera {
             eye: DVec3::ZERO,
             target: DVec3::ONE,
             up: up_given.unwrap_or_else(|| self.up()),
-            fov_deg: fov_deg.unwrap_or(framing::FOV_DEG),
+            lens: lens.unwrap_or(framing::LENS),
         };
         anywhere.view(1, 1)?;
         if let (Some(sensor), None) = (&self.description.sensor, up_given) {
             let seen = sensor.camera_for(aspect);
-            return Ok(Camera { fov_deg: fov_deg.unwrap_or(seen.fov_deg), ..seen });
+            return Ok(Camera { lens: lens.unwrap_or(seen.lens), ..seen });
         }
         let outline = match self.description.subject {
             Some(subject) => &SceneOutline::around(&subject),
@@ -392,7 +394,14 @@ impl Loaded {
         };
         let front = self.description.front.filter(|_| up_given.is_none());
         let reach = SPLAT_REACH * spacing::usual(self.patches());
-        Ok(outline.camera(anywhere.up, front, (anywhere.fov_deg, aspect, reach)))
+        let shown = match (lens, projection) {
+            (Some(Lens::Orthographic { height }), _) => Shown::Orthographic(Some(height)),
+            (_, Some(Projection::Orthographic)) => Shown::Orthographic(None),
+            (lens, _) => {
+                Shown::Perspective(lens.and_then(|lens| lens.fov_deg()).unwrap_or(framing::FOV_DEG))
+            }
+        };
+        Ok(outline.camera(anywhere.up, front, (shown, aspect, reach)))
     }
 }
 

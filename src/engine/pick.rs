@@ -232,13 +232,18 @@ impl Picker {
                 sample(samples, index, cell, tint)?
             }
             PackedGeometry::Mesh(mesh) => {
-                let way = self.view.view_from_world.transpose() * self.view.ray(pixel);
-                let ray = (self.view.eye, way);
+                let (view, ray) = (&self.view, self.view.ray(pixel));
+                let world_from_view = view.view_from_world.transpose();
+                let way = world_from_view * view.towards(ray);
+                let origin = view.at_depth(ray, 0.0);
+                let ray = (view.eye + world_from_view * origin, way);
                 triangle((asset, mesh), (chunk as usize, index), &world, ray, tint)?
             }
         };
         let position = world.transform_point3(element.local);
-        let normal = turned(&world, element.normal, self.view.eye - position);
+        let from_eye = self.view.to_view(position);
+        let to_eye = self.view.view_from_world.transpose() * -self.view.towards(from_eye);
+        let normal = turned(&world, element.normal, to_eye);
         let axes = world.matrix3;
         let scale = axes.x_axis.length().max(axes.y_axis.length()).max(axes.z_axis.length());
         let steps = if element.kind == HitKind::Triangle { 0 } else { record.shift };
@@ -247,7 +252,7 @@ impl Picker {
             position: position.into(),
             resolution: packed.grid().step * f64::from(steps).exp2() * scale,
             distance: position.distance(self.view.eye),
-            depth: -self.view.to_view(position).z,
+            depth: -from_eye.z,
             normal: normal.map(Into::into),
             color: srgb(element.color),
             instance: instance.map(|_| self.instance(id, paths)),

@@ -92,8 +92,12 @@ pub struct CameraReceipt {
     pub eye: [f64; 3],
     pub target: [f64; 3],
     pub up: [f64; 3],
-    /// Vertical field of view.
-    pub fov_deg: f64,
+    /// Vertical field of view, of a perspective.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fov_deg: Option<f64>,
+    /// Height of the view in scene units, of an orthographic projection.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ortho_height: Option<f64>,
     pub width: u32,
     pub height: u32,
 }

@@ -5,7 +5,7 @@ use std::time::Instant;
 use glam::DVec3;
 
 use crate::encode::ImageFormat;
-use crate::math::{Camera, View};
+use crate::math::{Camera, Lens, View};
 use crate::plan::{Output, Settings};
 
 /// One frame of one scene.
@@ -35,7 +35,7 @@ pub enum Pose {
     Upright {
         eye: DVec3,
         target: DVec3,
-        fov_deg: f64,
+        lens: Lens,
     },
     /// A resolved view, from explicit matrices.
     View(View),
@@ -43,12 +43,12 @@ pub enum Pose {
     Fit {
         /// Up direction in place of the scene's own.
         up: Option<DVec3>,
-        /// Vertical field of view in place of the view's own.
-        fov_deg: Option<f64>,
+        /// Field of view, or height of the view, in place of the view's own.
+        lens: Option<Lens>,
     },
 }
 
 impl Pose {
     /// The default view with the scene's own settings.
-    pub const FIT: Pose = Pose::Fit { up: None, fov_deg: None };
+    pub const FIT: Pose = Pose::Fit { up: None, lens: None };
 }

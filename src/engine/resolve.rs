@@ -14,7 +14,7 @@ use super::resolved::{Drawing, ResolvedFrame};
 use super::state::{Adapter, EngineState};
 use super::{EngineError, FrameRequest, Pose};
 use crate::encode::{self, EncodeError};
-use crate::math::{Camera, CameraError, FOV_RANGE_DEG, View};
+use crate::math::{Camera, CameraError, FOV_RANGE_DEG, ORTHO_HEIGHT_RANGE, View};
 use crate::passes::{LAYERS_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
 use crate::plan::{
@@ -98,8 +98,14 @@ fn bad_camera(error: CameraError) -> EngineError {
             let [least, most] = FOV_RANGE_DEG;
             &format!("{least} to {most} degrees")
         }
+        "ortho_height" => {
+            let [least, most] = ORTHO_HEIGHT_RANGE;
+            &format!("{least:e} to {most:e} scene units")
+        }
         "view" => "16 numbers, column-major: rotation and translation",
-        "proj" => "16 numbers, column-major: a perspective that looks along −z",
+        "proj" => {
+            "16 numbers, column-major: a perspective that looks along −z, or an orthographic projection"
+        }
         _ => "three numbers within ±1e100, eye and target apart",
     };
     EngineError::BadParameter {
@@ -231,6 +237,7 @@ fn decide(
     }
     let settings = Settings {
         reconstruct: auto.map_or(request.settings.reconstruct, |choice| choice.reconstruct),
+        projection: Some(view.projection),
         ..request.settings
     }
     .with_edl_decided(&facts, request.output);
@@ -395,13 +402,21 @@ fn pose(loaded: &Loaded, request: &FrameRequest) -> Result<(View, CameraReceipt)
     let camera = match &request.pose {
         Pose::View(view) => {
             check_view(view, request)?;
+            let wanted = request.settings.projection;
+            if wanted.is_some_and(|wanted| wanted != view.projection) {
+                return Err(EngineError::BadParameter {
+                    parameter: "projection",
+                    reason: "`proj` is another projection".to_owned(),
+                    accepted: "no value, or that of `proj`".to_owned(),
+                });
+            }
             return Ok((*view, receipt_of_view(view)));
         }
         Pose::Camera(camera) => *camera,
-        &Pose::Upright { eye, target, fov_deg } => Camera { eye, target, up: loaded.up(), fov_deg },
-        &Pose::Fit { up, fov_deg } => {
-            loaded.fit(f64::from(width) / f64::from(height), up, fov_deg).map_err(bad_camera)?
-        }
+        &Pose::Upright { eye, target, lens } => Camera { eye, target, up: loaded.up(), lens },
+        &Pose::Fit { up, lens } => loaded
+            .fit(f64::from(width) / f64::from(height), up, lens, request.settings.projection)
+            .map_err(bad_camera)?,
         Pose::Named(name) => {
             let cameras = &loaded.model.cameras;
             let found = cameras.iter().find(|(known, _)| known == name);
@@ -419,6 +434,10 @@ fn pose(loaded: &Loaded, request: &FrameRequest) -> Result<(View, CameraReceipt)
             })?
         }
     };
+    // A camera that cannot be drawn has no other projection either.
+    camera.view(width, height).map_err(bad_camera)?;
+    let camera =
+        request.settings.projection.map_or(camera, |wanted| camera.with_projection(wanted));
     let view = camera.view(width, height).map_err(bad_camera)?;
     Ok((view, receipt_of_camera(&camera, width, height)))
 }
@@ -451,7 +470,8 @@ fn receipt_of_camera(camera: &Camera, width: u32, height: u32) -> CameraReceipt 
         eye: camera.eye.into(),
         target: camera.target.into(),
         up: camera.up.into(),
-        fov_deg: camera.fov_deg,
+        fov_deg: camera.lens.fov_deg(),
+        ortho_height: camera.lens.ortho_height(),
         width,
         height,
     }
@@ -460,11 +480,14 @@ fn receipt_of_camera(camera: &Camera, width: u32, height: u32) -> CameraReceipt 
 fn receipt_of_view(view: &View) -> CameraReceipt {
     let axes = view.view_from_world.transpose();
     let forward: DVec3 = -axes.z_axis;
+    let height = f64::from(view.height) / view.focal_px.y;
+    let is_orthographic = view.is_orthographic();
     CameraReceipt {
         eye: view.eye.into(),
         target: (view.eye + forward).into(),
         up: axes.y_axis.into(),
-        fov_deg: 2.0 * (0.5 * f64::from(view.height) / view.focal_px.y).atan().to_degrees(),
+        fov_deg: (!is_orthographic).then(|| 2.0 * (0.5 * height).atan().to_degrees()),
+        ortho_height: is_orthographic.then_some(height),
         width: view.width,
         height: view.height,
     }
@@ -512,6 +535,7 @@ fn entity_tag(
     let mut number = |v: f64| hasher.update((v + 0.0).to_bits().to_le_bytes());
     view.eye.to_array().into_iter().for_each(&mut number);
     view.view_from_world.to_cols_array().into_iter().for_each(&mut number);
+    number(view.focus);
     view.focal_px.to_array().into_iter().for_each(&mut number);
     view.principal_px.to_array().into_iter().for_each(&mut number);
     hasher.update(view.width.to_le_bytes());

@@ -8,7 +8,7 @@ use glam::DVec3;
 
 use super::{Generated, GeneratedMesh, GeneratedScene, plain, relief, textured};
 use crate::assets::Progress;
-use crate::math::framing::{Look, frame};
+use crate::math::framing::{Look, Shown, frame};
 use crate::math::{Bounds, Camera};
 
 /// A pose in a scene file.
@@ -77,7 +77,7 @@ pub(super) fn around(
     fov: f64,
 ) -> Pose {
     let backward = backward / backward.length();
-    let look = Look { backward, up, fov_deg: fov, aspect: 1.0, reach: 0.0 };
+    let look = Look { backward, up, shown: Shown::Perspective(fov), aspect: 1.0, reach: 0.0 };
     let Camera { eye, target, .. } = frame(points, &look);
     Pose { name, eye, target, fov }
 }

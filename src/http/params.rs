@@ -21,7 +21,7 @@ use super::problem::{Kind, Problem};
 use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
 use crate::json::whole;
-use crate::math::{Camera, View};
+use crate::math::{Camera, Lens, Projection, View};
 use crate::plan::{Given, Output, SettingError, Settings, Wait};
 use crate::scene::{Up, UpForm};
 
@@ -32,8 +32,8 @@ pub const DEFAULT_QUALITY: u8 = 85;
 /// Default vertical field of view in degrees.
 pub const DEFAULT_FOV_DEG: f64 = 40.0;
 
-/// What to draw and how. The pose is `camera`, or `eye` and `target` (with `up` and `fov`), or
-/// `view` and `proj`; without any, the whole scene is shown, to which `up` and `fov` apply as well.
+/// What to draw and how. The pose is `camera`, or `eye` and `target` (with `up`, and `fov` or `ortho_height`), or
+/// `view` and `proj`; without any, the whole scene is shown, to which `up`, and `fov` or `ortho_height`, apply as well.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, ToSchema, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -54,10 +54,14 @@ pub struct FrameParams {
     pub up: Option<Up>,
     /// Vertical field of view in degrees, 40 where none is given. Without `eye` and `target` the whole scene is shown in it.
     pub fov: Option<f64>,
+    /// Height of the view in scene units, in place of `fov`: the projection is orthographic, and what lies behind the eye is not drawn.
+    /// glTF's `ymag` is half of it.
+    pub ortho_height: Option<f64>,
     /// World → view, 16 numbers, column-major; rotation and translation only. Needs `proj`.
     #[param(style = Form, explode = false)]
     pub view: Option<[f64; 16]>,
-    /// View → clip, 16 numbers, column-major; a perspective with last row `0 0 -1 0`. Needs `view`.
+    /// View → clip, 16 numbers, column-major; a perspective with last row `0 0 -1 0` or an orthographic projection with last row `0 0 0 1`. Near and far
+    /// are not used. Needs `view`.
     #[param(style = Form, explode = false)]
     pub proj: Option<[f64; 16]>,
     /// Width in pixels, 1024 where none is given.
@@ -128,6 +132,9 @@ impl FrameParams {
             "target" => once(&mut self.target, name, numbers(name, value)?),
             "up" => once(&mut self.up, name, number(name, value, Up::ACCEPTED)?),
             "fov" => once(&mut self.fov, name, number(name, value, DEGREES)?),
+            "ortho_height" => {
+                once(&mut self.ortho_height, name, number(name, value, "a number of scene units")?)
+            }
             "view" => once(&mut self.view, name, numbers(name, value)?),
             "proj" => once(&mut self.proj, name, numbers(name, value)?),
             "w" => once(&mut self.w, name, integer(name, value, SIDE)?),
@@ -169,13 +176,13 @@ impl FrameParams {
     }
 
     /// Fills missing parameters from `defaults`. A pose that is given in another way replaces the pose of the defaults as a
-    /// whole; `up`, `fov` and `proj` are inherited only by a pose of their own kind. [`Given::or`] says how settings are
-    /// inherited.
+    /// whole; `up`, `fov`, `ortho_height` and `proj` are inherited only by a pose of their own kind. [`Given::or`] says how
+    /// settings are inherited.
     pub fn or(self, defaults: &FrameParams) -> FrameParams {
         let posed = self.pose_parameter().is_some();
         let empty = FrameParams::default();
-        let by_eye =
-            self.eye.is_some() || self.target.is_some() || self.up.is_some() || self.fov.is_some();
+        let is_sized = self.fov.is_some() || self.ortho_height.is_some();
+        let by_eye = self.eye.is_some() || self.target.is_some() || self.up.is_some() || is_sized;
         let by_matrix = self.view.is_some() || self.proj.is_some();
         let of = |yes: bool| if yes || !posed { defaults } else { &empty };
         let (camera, eye, matrix) = (of(false), of(by_eye), of(by_matrix));
@@ -184,7 +191,9 @@ impl FrameParams {
             eye: self.eye.or(eye.eye),
             target: self.target.or(eye.target),
             up: self.up.or(eye.up),
-            fov: self.fov.or(eye.fov),
+            // One replaces the other.
+            fov: if is_sized { self.fov } else { eye.fov },
+            ortho_height: if is_sized { self.ortho_height } else { eye.ortho_height },
             view: self.view.or(matrix.view),
             proj: self.proj.or(matrix.proj),
             w: self.w.or(defaults.w),
@@ -206,6 +215,7 @@ impl FrameParams {
             ("target", self.target.is_some()),
             ("up", self.up.is_some()),
             ("fov", self.fov.is_some()),
+            ("ortho_height", self.ortho_height.is_some()),
             ("view", self.view.is_some()),
             ("proj", self.proj.is_some()),
         ]
@@ -254,12 +264,13 @@ impl FrameParams {
     }
 
     fn pose(&self, width: u32, height: u32) -> Result<Pose, Problem> {
-        const WAYS: &str = "`camera`, or `eye` and `target`, or `view` and `proj`, or none of them; `up` and `fov` with `eye` or alone";
+        const WAYS: &str = "`camera`, or `eye` and `target`, or `view` and `proj`, or none of them; `up`, and `fov` or `ortho_height`, with `eye` or alone";
         let by_eye = [
             ("eye", self.eye.is_some()),
             ("target", self.target.is_some()),
             ("up", self.up.is_some()),
             ("fov", self.fov.is_some()),
+            ("ortho_height", self.ortho_height.is_some()),
         ];
         let by_eye = by_eye.iter().find(|(_, given)| *given).map(|(name, _)| *name);
         let by_matrix = match (self.view, self.proj) {
@@ -276,18 +287,33 @@ impl FrameParams {
                 WAYS,
             ));
         }
+        if self.ortho_height.is_some() {
+            let perspective = self.settings.projection == Some(Projection::Perspective);
+            if let Some(other) = if self.fov.is_some() {
+                Some("fov")
+            } else {
+                perspective.then_some("projection=perspective")
+            } {
+                return Err(Problem::parameter(
+                    "ortho_height",
+                    format!("cannot be given together with `{other}`"),
+                    "one of them",
+                ));
+            }
+        }
         if let Some(name) = &self.camera {
             return Ok(Pose::Named(name.clone()));
         }
         let missing = |name| Problem::parameter(name, "missing", WAYS);
         let up = self.up.map(|Up(up)| up);
+        let lens = Lens::given(self.fov, self.ortho_height);
         if self.eye.is_some() || self.target.is_some() {
             let eye = DVec3::from(self.eye.ok_or_else(|| missing("eye"))?);
             let target = DVec3::from(self.target.ok_or_else(|| missing("target"))?);
-            let fov_deg = self.fov.unwrap_or(DEFAULT_FOV_DEG);
+            let lens = lens.unwrap_or(Lens::Perspective { fov_deg: DEFAULT_FOV_DEG });
             return Ok(match up {
-                Some(up) => Pose::Camera(Camera { eye, target, up, fov_deg }),
-                None => Pose::Upright { eye, target, fov_deg },
+                Some(up) => Pose::Camera(Camera { eye, target, up, lens }),
+                None => Pose::Upright { eye, target, lens },
             });
         }
         if by_matrix.is_some() {
@@ -296,7 +322,7 @@ impl FrameParams {
             let (view, proj) = (DMat4::from_cols_array(&view), DMat4::from_cols_array(&proj));
             return Ok(Pose::View(View::from_matrices(view, proj, width, height)?));
         }
-        Ok(Pose::Fit { up, fov_deg: self.fov })
+        Ok(Pose::Fit { up, lens })
     }
 }
 

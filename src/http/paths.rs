@@ -34,8 +34,12 @@ pub struct PathKeyDocument {
     eye: [f64; 3],
     target: [f64; 3],
     up: [f64; 3],
-    /// Vertical field of view in degrees.
-    fov: f64,
+    /// Vertical field of view in degrees, of a perspective.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fov: Option<f64>,
+    /// Height of the view in scene units, of an orthographic projection.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ortho_height: Option<f64>,
     /// How time passes from here to the next key.
     ease: Ease,
 }
@@ -47,7 +51,8 @@ impl From<&CameraPath> for PathDocument {
             eye: key.camera.eye.into(),
             target: key.camera.target.into(),
             up: key.camera.up.into(),
-            fov: key.camera.fov_deg,
+            fov: key.camera.lens.fov_deg(),
+            ortho_height: key.camera.lens.ortho_height(),
             ease: key.ease,
         };
         Self {

@@ -9,7 +9,7 @@ use std::f64::consts::TAU;
 use glam::DVec3;
 
 use super::wire::SceneAnswer;
-use crate::math::{Bounds, Camera};
+use crate::math::{Bounds, Camera, Lens};
 use crate::scene::random::SplitMix64;
 
 /// Step along the path from one request to the next: the golden ratio's fraction over 64, about a hundredth of the path.
@@ -17,6 +17,8 @@ const STEP: f64 = 0.618_033_988_749_894_9 / 64.0;
 /// Step of an orbit's rise, which goes up and down at its own pace.
 const RISE_STEP: f64 = STEP * 0.414_213_562_373_095;
 const FOV_DEG: f64 = 40.0;
+/// Lens of the cameras of an orbit.
+pub const LENS: Lens = Lens::Perspective { fov_deg: FOV_DEG };
 /// Lowest and highest elevation of the eye above the horizon.
 const RISE_DEG: [f64; 2] = [8.0, 42.0];
 
@@ -77,7 +79,7 @@ impl Poses {
                 let rise = low + (high - low) * (0.5 - 0.5 * (TAU * along(RISE_STEP)).cos());
                 let level = *ahead * cosine + *side * sine;
                 let eye = *centre + (level * rise.cos() + *up * rise.sin()) * *radius;
-                Camera { eye, target: *centre, up: *up, fov_deg: FOV_DEG }
+                Camera { eye, target: *centre, up: *up, lens: LENS }
             }
             Path::Tour { stops } => between_stops(stops, along(STEP)),
         }
@@ -108,7 +110,7 @@ fn between_stops(stops: &[Camera], share: f64) -> Camera {
     }
     let up = from.up.lerp(to.up, t);
     let up = if up.length() > 1e-6 { up } else { from.up };
-    Camera { eye, target, up, fov_deg: from.fov_deg + (to.fov_deg - from.fov_deg) * t }
+    Camera { eye, target, up, lens: from.lens.towards(to.lens, t) }
 }
 
 #[cfg(test)]
@@ -119,7 +121,13 @@ mod tests {
     use super::*;
 
     fn scene() -> SceneAnswer {
-        let camera = |eye, target| CameraAnswer { eye, target, up: [0.0, 0.0, 1.0], fov: 50.0 };
+        let camera = |eye, target| CameraAnswer {
+            eye,
+            target,
+            up: [0.0, 0.0, 1.0],
+            fov: Some(50.0),
+            ortho_height: None,
+        };
         SceneAnswer {
             id: "town".into(),
             revision: 1,

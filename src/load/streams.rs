@@ -252,12 +252,13 @@ impl OneStream {
 }
 
 fn pose_message(seq: u64, pose: &Camera, moving: bool) -> String {
+    let (lens, size) = pose.lens.parameter();
     serde_json::json!({
         "seq": seq,
         "eye": pose.eye.to_array(),
         "target": pose.target.to_array(),
         "up": pose.up.to_array(),
-        "fov": pose.fov_deg,
+        lens: size,
         "moving": moving,
     })
     .to_string()

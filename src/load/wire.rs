@@ -3,7 +3,7 @@
 use anyhow::{Context, bail, ensure};
 use serde::Deserialize;
 
-use crate::math::Camera;
+use crate::math::{Camera, Lens};
 
 /// Address of the daemon.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -70,13 +70,13 @@ pub fn resource_path(
     parameters: &[(String, String)],
 ) -> String {
     let vector = |v: glam::DVec3| format!("{},{},{}", v.x, v.y, v.z);
+    let (lens, size) = pose.lens.parameter();
     let mut path = format!(
-        "{prefix}/v1/scenes/{}/{resource}?eye={}&target={}&up={}&fov={}",
+        "{prefix}/v1/scenes/{}/{resource}?eye={}&target={}&up={}&{lens}={size}",
         percent_encoded(scene),
         vector(pose.eye),
         vector(pose.target),
-        vector(pose.up),
-        pose.fov_deg
+        vector(pose.up)
     );
     for (name, value) in parameters {
         path += &format!("&{}={}", percent_encoded(name), percent_encoded(value));
@@ -99,7 +99,8 @@ pub struct CameraAnswer {
     pub eye: [f64; 3],
     pub target: [f64; 3],
     pub up: [f64; 3],
-    pub fov: f64,
+    pub fov: Option<f64>,
+    pub ortho_height: Option<f64>,
 }
 
 impl CameraAnswer {
@@ -108,7 +109,7 @@ impl CameraAnswer {
             eye: self.eye.into(),
             target: self.target.into(),
             up: self.up.into(),
-            fov_deg: self.fov,
+            lens: Lens::given(self.fov, self.ortho_height).unwrap_or(super::poses::LENS),
         }
     }
 }
@@ -205,7 +206,7 @@ mod tests {
             eye: glam::DVec3::new(411_950.08, -1e-7, 3.0),
             target: glam::DVec3::ZERO,
             up: glam::DVec3::Z,
-            fov_deg: 42.5,
+            lens: Lens::Perspective { fov_deg: 42.5 },
         };
         let parameters =
             [("w".to_owned(), "64".to_owned()), ("filter".to_owned(), "a b&c".to_owned())];

@@ -1,19 +1,48 @@
-//! Pinhole cameras.
+//! Pinhole cameras, and cameras whose rays are parallel.
 //!
 //! View space is right-handed with x to the right, y **up** and the viewing direction along **−z**. Image space has its origin at
 //! the top left, x to the right and y down. Pixel `(i, j)` covers `[i, i+1) × [j, j+1)`, with its centre at `(i + ½, j + ½)`.
 
+use clap::ValueEnum;
 use glam::{DAffine3, DMat3, DMat4, DVec2, DVec3, DVec4};
 use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
-/// A pose: the eye, the point that it looks at, and the field of view.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+/// A pose: the eye, the point that it looks at, and how much it sees.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     pub eye: DVec3,
     pub target: DVec3,
     pub up: DVec3,
-    /// Vertical field of view in degrees, in (0, 180).
-    pub fov_deg: f64,
+    pub lens: Lens,
+}
+
+/// A camera's projection, with the size of what it shows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Lens {
+    /// Rays meet in the eye.
+    Perspective {
+        /// Vertical field of view in degrees, in [`FOV_RANGE_DEG`].
+        fov_deg: f64,
+    },
+    /// Rays are parallel to the viewing direction and start in the plane through the eye.
+    Orthographic {
+        /// Height of the view in scene units, in [`ORTHO_HEIGHT_RANGE`]; twice glTF's `ymag`.
+        height: f64,
+    },
+}
+
+/// How a scene is projected to the image.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ValueEnum, ToSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Projection {
+    /// Things are smaller the farther away they are
+    #[default]
+    Perspective,
+    /// Things have the same size at every distance: rays are parallel, and what lies behind the eye is not drawn
+    Orthographic,
 }
 
 /// The view of a sensor that took an asset's points.
@@ -37,9 +66,16 @@ pub enum Sensor {
 impl SensorView {
     /// A camera at the sensor's pose whose image of this aspect ratio shows at least what the sensor saw.
     pub fn camera_for(&self, aspect: f64) -> Camera {
-        let tan = (0.5 * self.camera.fov_deg.to_radians()).tan() * (self.aspect / aspect).max(1.0);
-        let [least, most] = FOV_RANGE_DEG;
-        Camera { fov_deg: (2.0 * tan.atan().to_degrees()).clamp(least, most), ..self.camera }
+        let widened = (self.aspect / aspect).max(1.0);
+        let lens = match self.camera.lens {
+            Lens::Perspective { fov_deg } => {
+                let tan = (0.5 * fov_deg.to_radians()).tan() * widened;
+                let [least, most] = FOV_RANGE_DEG;
+                Lens::Perspective { fov_deg: (2.0 * tan.atan().to_degrees()).clamp(least, most) }
+            }
+            Lens::Orthographic { height } => Lens::Orthographic { height: height * widened },
+        };
+        Camera { lens, ..self.camera }
     }
 }
 
@@ -49,6 +85,9 @@ pub const FARTHEST: f64 = 1e100;
 /// Vertical fields of view that a camera can have, in degrees. Beyond them, the tangent of half the angle loses its digits.
 pub const FOV_RANGE_DEG: [f64; 2] = [1e-6, 179.999_999];
 
+/// Heights that the view of an orthographic camera can have, in scene units. Beyond them, squares of pixels per unit overflow in `f32`.
+pub const ORTHO_HEIGHT_RANGE: [f64; 2] = [1e-15, 1e15];
+
 /// The error of a pose that cannot be drawn, with the parameter at fault.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{parameter}: {reason}")]
@@ -57,19 +96,90 @@ pub struct CameraError {
     pub reason: String,
 }
 
-/// The projection in f64: the eye, the rotation into view space, and a linear map from view directions to pixels.
+/// The projection in f64: the eye, the rotation into view space, and a linear map from view directions, or from places beside the
+/// optical axis, to pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     /// The eye in world space.
     pub eye: DVec3,
     /// Rows are the view axes in world space: right, up, backward. Orthonormal.
     pub view_from_world: DMat3,
-    /// Pixels per unit of `x/−z` and `y/−z`.
+    pub projection: Projection,
+    /// Distance along the viewing axis around which an orthographic frame is computed, so that an eye that is far away costs no
+    /// digits. The picture does not depend on it.
+    pub focus: f64,
+    /// Pixels per unit of `x/−z` and `y/−z`; orthographic: of `x` and `y`.
     pub focal_px: DVec2,
     /// The point of the image on the optical axis, in pixels.
     pub principal_px: DVec2,
     pub width: u32,
     pub height: u32,
+}
+
+impl Lens {
+    pub fn projection(&self) -> Projection {
+        match self {
+            Lens::Perspective { .. } => Projection::Perspective,
+            Lens::Orthographic { .. } => Projection::Orthographic,
+        }
+    }
+
+    /// Vertical field of view in degrees, of a perspective.
+    pub fn fov_deg(&self) -> Option<f64> {
+        match *self {
+            Lens::Perspective { fov_deg } => Some(fov_deg),
+            Lens::Orthographic { .. } => None,
+        }
+    }
+
+    /// Height of the view, of an orthographic projection.
+    pub fn ortho_height(&self) -> Option<f64> {
+        match *self {
+            Lens::Perspective { .. } => None,
+            Lens::Orthographic { height } => Some(height),
+        }
+    }
+
+    /// The size of the view as a request names it, with that name.
+    pub fn parameter(&self) -> (&'static str, f64) {
+        match *self {
+            Lens::Perspective { fov_deg } => ("fov", fov_deg),
+            Lens::Orthographic { height } => ("ortho_height", height),
+        }
+    }
+
+    /// The lens of an optional field of view and an optional height of the view, of which at most one is given.
+    pub fn given(fov_deg: Option<f64>, ortho_height: Option<f64>) -> Option<Lens> {
+        let orthographic = ortho_height.map(|height| Lens::Orthographic { height });
+        orthographic.or(fov_deg.map(|fov_deg| Lens::Perspective { fov_deg }))
+    }
+
+    /// Part of the way to another lens, `share` from 0 to 1; sizes change evenly. A lens of another projection has no way to it.
+    pub fn towards(self, other: Lens, share: f64) -> Lens {
+        match (self, other) {
+            (Lens::Perspective { fov_deg: a }, Lens::Perspective { fov_deg: b }) => {
+                Lens::Perspective { fov_deg: a + (b - a) * share }
+            }
+            (Lens::Orthographic { height: a }, Lens::Orthographic { height: b }) => {
+                Lens::Orthographic { height: a + (b - a) * share }
+            }
+            (lens, _) => lens,
+        }
+    }
+
+    fn check(&self) -> Result<(), CameraError> {
+        let (parameter, value, [least, most], unit) = match *self {
+            Lens::Perspective { fov_deg } => ("fov", fov_deg, FOV_RANGE_DEG, "degrees"),
+            Lens::Orthographic { height } => {
+                ("ortho_height", height, ORTHO_HEIGHT_RANGE, "scene units")
+            }
+        };
+        if (least..=most).contains(&value) {
+            return Ok(());
+        }
+        let reason = format!("{value} is out of range: {least} to {most} {unit} are accepted");
+        Err(CameraError { parameter, reason })
+    }
 }
 
 /// Vertical field of view in degrees up to which a camera is widened for a portrait frame.
@@ -82,16 +192,42 @@ impl Camera {
         if height <= width {
             return *self;
         }
-        let half = (0.5 * self.fov_deg).to_radians().tan() * f64::from(height) / f64::from(width);
-        let widened = (2.0 * half.atan().to_degrees()).min(WIDEST_DEG);
-        Camera { fov_deg: self.fov_deg.max(widened), ..*self }
+        let sides = f64::from(height) / f64::from(width);
+        let lens = match self.lens {
+            Lens::Perspective { fov_deg } => {
+                let half = (0.5 * fov_deg).to_radians().tan() * sides;
+                let widened = (2.0 * half.atan().to_degrees()).min(WIDEST_DEG);
+                Lens::Perspective { fov_deg: fov_deg.max(widened) }
+            }
+            Lens::Orthographic { height } => Lens::Orthographic { height: height * sides },
+        };
+        Camera { lens, ..*self }
+    }
+
+    /// This camera with another projection, which shows as much at the distance of the target.
+    pub fn with_projection(&self, projection: Projection) -> Camera {
+        let distance = self.eye.distance(self.target);
+        let lens = match (self.lens, projection) {
+            (Lens::Perspective { fov_deg }, Projection::Orthographic) => {
+                let [least, most] = ORTHO_HEIGHT_RANGE;
+                let height = 2.0 * distance * (0.5 * fov_deg.to_radians()).tan();
+                Lens::Orthographic { height: height.clamp(least, most) }
+            }
+            (Lens::Orthographic { height }, Projection::Perspective) => {
+                let [least, most] = FOV_RANGE_DEG;
+                let half = (0.5 * height / distance).atan();
+                Lens::Perspective { fov_deg: (2.0 * half.to_degrees()).clamp(least, most) }
+            }
+            (lens, _) => lens,
+        };
+        Camera { lens, ..*self }
     }
 
     /// The view of a `width` × `height` frame.
     ///
     /// # Errors
-    /// Numbers are not finite, `eye == target`, `up` is zero, or the field of view is outside [`FOV_RANGE_DEG`]. An `up` along
-    /// the viewing direction is no error: the axis farthest from it replaces it.
+    /// Numbers are not finite, `eye == target`, `up` is zero, or the field of view or the height is one that no camera has. An `up`
+    /// along the viewing direction is no error: the axis farthest from it replaces it.
     pub fn view(&self, width: u32, height: u32) -> Result<View, CameraError> {
         let fail =
             |parameter, reason: &str| Err(CameraError { parameter, reason: reason.to_owned() });
@@ -103,12 +239,7 @@ impl Camera {
                 return fail(parameter, "lies farther away than anything that can be drawn");
             }
         }
-        let [least, most] = FOV_RANGE_DEG;
-        if !(least..=most).contains(&self.fov_deg) {
-            let reason =
-                format!("{} is out of range: {least} to {most} degrees are accepted", self.fov_deg);
-            return Err(CameraError { parameter: "fov", reason });
-        }
+        self.lens.check()?;
         let Some(forward) = (self.target - self.eye).try_normalize() else {
             return fail("target", "must differ from eye");
         };
@@ -129,10 +260,17 @@ impl Camera {
         }
         let right = side / side.length();
         let up = right.cross(forward);
-        let focal = 0.5 * f64::from(height) / (0.5 * self.fov_deg.to_radians()).tan();
+        let focal = match self.lens {
+            Lens::Perspective { fov_deg } => {
+                0.5 * f64::from(height) / (0.5 * fov_deg.to_radians()).tan()
+            }
+            Lens::Orthographic { height: units } => f64::from(height) / units,
+        };
         Ok(View {
             eye: self.eye,
             view_from_world: DMat3::from_cols(right, up, -forward).transpose(),
+            projection: self.lens.projection(),
+            focus: self.eye.distance(self.target),
             focal_px: DVec2::splat(focal),
             principal_px: DVec2::new(f64::from(width), f64::from(height)) * 0.5,
             width,
@@ -142,11 +280,11 @@ impl Camera {
 }
 
 impl View {
-    /// A view from column-major `view` (world → view, rigid) and `proj` (view → clip, perspective) matrices.
+    /// A view from column-major `view` (world → view, rigid) and `proj` (view → clip) matrices. Near and far planes are not used.
     ///
     /// # Errors
     /// The matrices are not finite, the view scales or mirrors, or the projection is not a plain (possibly off-centre)
-    /// perspective.
+    /// perspective or orthographic one.
     pub fn from_matrices(
         view: DMat4,
         proj: DMat4,
@@ -169,24 +307,37 @@ impl View {
         }
         let eye = -(rotation.transpose() * view.w_axis.truncate());
         let (x, y, z, w) = (proj.x_axis, proj.y_axis, proj.z_axis, proj.w_axis);
-        let perspective = z.w != 0.0 && x.w == 0.0 && y.w == 0.0 && w.w == 0.0;
-        let plain = x.y == 0.0 && y.x == 0.0 && w.x == 0.0 && w.y == 0.0;
-        if !perspective || !plain || x.x == 0.0 || y.y == 0.0 {
-            return fail("proj", "must be a perspective projection (last row 0 0 ±1 0)");
-        }
-        let flip = -z.w;
-        if flip <= 0.0 {
-            return fail("proj", "must look along −z (last row 0 0 −1 0)");
-        }
         let half = DVec2::new(f64::from(width), f64::from(height)) * 0.5;
-        let focal = DVec2::new(x.x, y.y) / flip * half;
+        let plain = x.y == 0.0 && y.x == 0.0 && x.w == 0.0 && y.w == 0.0;
+        // By what x and y are divided: −z, or 1.
+        let (projection, divisor, centre) = match (z.w, w.w) {
+            (z_w, 0.0) if z_w != 0.0 && w.x == 0.0 && w.y == 0.0 => {
+                if z_w > 0.0 {
+                    return fail("proj", "must look along −z (last row 0 0 −1 0)");
+                }
+                (Projection::Perspective, -z_w, DVec2::new(-z.x, -z.y))
+            }
+            (0.0, w_w) if w_w > 0.0 && z.x == 0.0 && z.y == 0.0 => {
+                (Projection::Orthographic, w_w, DVec2::new(w.x, w.y))
+            }
+            _ => {
+                let accepted = "must be a perspective (last row 0 0 −1 0) or an orthographic projection (0 0 0 1)";
+                return fail("proj", accepted);
+            }
+        };
+        if !plain || x.x == 0.0 || y.y == 0.0 {
+            return fail("proj", "must neither turn nor shear");
+        }
+        let focal = DVec2::new(x.x, y.y) / divisor * half;
         if focal.x <= 0.0 || focal.y <= 0.0 {
             return fail("proj", "must not mirror the image");
         }
-        let centre = DVec2::new(-z.x, -z.y) / flip;
+        let centre = centre / divisor;
         Ok(View {
             eye,
             view_from_world: rotation,
+            projection,
+            focus: 0.0,
             focal_px: focal,
             principal_px: half * DVec2::new(1.0 + centre.x, 1.0 - centre.y),
             width,
@@ -199,24 +350,45 @@ impl View {
         self.view_from_world * (world - self.eye)
     }
 
+    pub fn is_orthographic(&self) -> bool {
+        self.projection == Projection::Orthographic
+    }
+
+    /// By what places are divided to get to the image, at a depth.
+    pub fn divisor(&self, depth: f64) -> f64 {
+        if self.is_orthographic() { 1.0 } else { depth }
+    }
+
     /// Projects a view-space point to pixels; `None` at or behind the camera plane.
     pub fn project(&self, view: DVec3) -> Option<DVec2> {
         let depth = -view.z;
+        let divisor = self.divisor(depth);
         (depth > 0.0).then(|| {
             DVec2::new(
-                self.principal_px.x + self.focal_px.x * view.x / depth,
-                self.principal_px.y - self.focal_px.y * view.y / depth,
+                self.principal_px.x + self.focal_px.x * view.x / divisor,
+                self.principal_px.y - self.focal_px.y * view.y / divisor,
             )
         })
     }
 
-    /// The view-space direction through an image position, scaled to z = −1, so that multiplying by a depth gives the point.
+    /// An image position as the view-space place that it shows at divisor 1, with z = −1. In perspective this is the direction of
+    /// the ray through it, which a depth scales.
     pub fn ray(&self, pixel: DVec2) -> DVec3 {
         DVec3::new(
             (pixel.x - self.principal_px.x) / self.focal_px.x,
             -(pixel.y - self.principal_px.y) / self.focal_px.y,
             -1.0,
         )
+    }
+
+    /// The view-space place at a depth on a [`ray`](Self::ray).
+    pub fn at_depth(&self, ray: DVec3, depth: f64) -> DVec3 {
+        if self.is_orthographic() { DVec3::new(ray.x, ray.y, -depth) } else { ray * depth }
+    }
+
+    /// The direction, up to its length, in which a view-space place is seen.
+    pub fn towards(&self, view: DVec3) -> DVec3 {
+        if self.is_orthographic() { DVec3::NEG_Z } else { view }
     }
 
     /// World space to view space as an affine map.
@@ -234,7 +406,7 @@ mod tests {
             eye: DVec3::new(1.0, 2.0, 5.0),
             target: DVec3::new(0.5, 1.0, 0.0),
             up: DVec3::Y,
-            fov_deg: 40.0,
+            lens: Lens::Perspective { fov_deg: 40.0 },
         }
     }
 
@@ -275,6 +447,63 @@ mod tests {
         assert!((found - expected).length() < 1e-9, "{found} {expected}");
     }
 
+    fn orthographic(height: f64) -> Camera {
+        Camera { lens: Lens::Orthographic { height }, ..camera() }
+    }
+
+    #[test]
+    fn parallel_rays_give_the_same_size_at_every_depth() {
+        let view = orthographic(2.0).view(640, 480).unwrap();
+        assert_eq!(
+            (view.focal_px, view.focus),
+            (DVec2::splat(240.0), camera().eye.distance(camera().target))
+        );
+        for depth in [1e-9, 1.0, 1e9] {
+            let pixel = view.project(DVec3::new(1.0, 0.5, -depth)).unwrap();
+            assert_eq!(pixel, DVec2::new(560.0, 120.0));
+            let back = view.project(view.at_depth(view.ray(pixel), depth)).unwrap();
+            assert!((back - pixel).length() < 1e-9);
+        }
+        assert_eq!(view.project(DVec3::new(0.0, 0.0, 1.0)), None, "behind the eye");
+    }
+
+    #[test]
+    fn projections_show_as_much_at_the_target() {
+        let flat = camera().with_projection(Projection::Orthographic);
+        let beside = |camera: &Camera| {
+            let view = camera.view(640, 480).unwrap();
+            let target = view.to_view(camera.target);
+            view.project(target + DVec3::new(0.3, 0.2, 0.0)).unwrap()
+        };
+        assert!((beside(&flat) - beside(&camera())).length() < 1e-9);
+        let back = flat.with_projection(Projection::Perspective).lens.fov_deg().unwrap();
+        assert!((back - 40.0).abs() < 1e-9);
+        assert_eq!(flat.with_projection(Projection::Orthographic), flat);
+        assert_eq!(orthographic(3.0).for_frame(300, 900).lens.ortho_height(), Some(9.0));
+    }
+
+    #[test]
+    fn orthographic_matrices_agree_with_the_pose() {
+        let (w, h) = (640, 480);
+        let view = orthographic(3.0).view(w, h).unwrap();
+        let m = DMat4::from(view.view_affine());
+        let proj = DMat4::from_cols(
+            DVec4::new(0.5, 0.0, 0.0, 0.0),
+            DVec4::new(0.0, 2.0 / 3.0, 0.0, 0.0),
+            DVec4::new(0.0, 0.0, -0.1, 0.0),
+            DVec4::new(0.25, -0.5, -1.0, 1.0),
+        );
+        let other = View::from_matrices(m, proj, w, h).unwrap();
+        assert_eq!(other.projection, Projection::Orthographic);
+        let p = DVec3::new(0.3, 0.9, -0.5);
+        let ndc = (proj * m * p.extend(1.0)).truncate();
+        let expected = DVec2::new((ndc.x + 1.0) * 320.0, (1.0 - ndc.y) * 240.0);
+        assert!((other.project(other.to_view(p)).unwrap() - expected).length() < 1e-9);
+        assert!((other.focal_px - view.focal_px).length() < 1e-9);
+        let sheared = DMat4 { z_axis: DVec4::new(0.1, 0.0, -0.1, 0.0), ..proj };
+        assert_eq!(View::from_matrices(m, sheared, w, h).unwrap_err().parameter, "proj");
+    }
+
     #[test]
     fn narrow_frames_show_as_much_of_the_width() {
         let corner = |width, height| {
@@ -286,8 +515,8 @@ mod tests {
         assert!((found - expected).length() < 1e-9, "{found} {expected}");
         assert_eq!(camera().for_frame(640, 480), camera());
         assert_eq!(camera().for_frame(480, 480), camera());
-        assert_eq!(camera().for_frame(1, 257).fov_deg, 100.0);
-        let wide = Camera { fov_deg: 179.0, ..camera() };
+        assert_eq!(camera().for_frame(1, 257).lens.fov_deg(), Some(100.0));
+        let wide = Camera { lens: Lens::Perspective { fov_deg: 179.0 }, ..camera() };
         assert_eq!(wide.for_frame(1, 257), wide);
     }
 
@@ -295,12 +524,16 @@ mod tests {
     fn bad_poses_name_their_parameter() {
         let mut c = camera();
         for fov_deg in [180.0, 179.999_999_999, 1e-7, 5e-324, 0.0, f64::NAN] {
-            c.fov_deg = fov_deg;
+            c.lens = Lens::Perspective { fov_deg };
             assert_eq!(c.view(8, 8).unwrap_err().parameter, "fov");
         }
         for fov_deg in FOV_RANGE_DEG {
-            c.fov_deg = fov_deg;
+            c.lens = Lens::Perspective { fov_deg };
             c.view(8, 8).unwrap();
+        }
+        for height in [0.0, -1.0, 1e16, f64::NAN] {
+            c.lens = Lens::Orthographic { height };
+            assert_eq!(c.view(8, 8).unwrap_err().parameter, "ortho_height");
         }
         let mut c = camera();
         c.target = c.eye;
@@ -315,7 +548,12 @@ mod tests {
 
     #[test]
     fn looking_along_up_is_drawn() {
-        let c = Camera { eye: DVec3::Y, target: DVec3::ZERO, up: DVec3::Y, fov_deg: 60.0 };
+        let c = Camera {
+            eye: DVec3::Y,
+            target: DVec3::ZERO,
+            up: DVec3::Y,
+            lens: Lens::Perspective { fov_deg: 60.0 },
+        };
         let view = c.view(8, 8).unwrap();
         assert!(view.view_from_world.is_finite());
     }

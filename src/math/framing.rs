@@ -6,10 +6,13 @@
 //! `eye.z ≥ (max(x + t z) + max(−x + t z)) / 2t`, and the centred eye has `eye.x = (max(x + t z) − max(−x + t z)) / 2`. The same holds
 //! for y. The side that needs the larger distance decides it. Along the other one the content is centred, too, by the largest `t`
 //! that this distance allows.
+//!
+//! An orthographic camera sees the extent of the content across the viewing direction at any distance. Its height follows from that
+//! extent, and the eye stands apart from the content by its size, so that it may be turned around its target and cuts nothing off.
 
 use glam::DVec3;
 
-use super::Camera;
+use super::{Camera, Lens};
 
 /// Share of the frame's width or height that the content fills, whichever it fills first.
 const FILLED: f64 = 0.9;
@@ -20,14 +23,22 @@ const NEAREST: f64 = 0.05;
 /// Distance of the eye from content without extent.
 const FROM_A_POINT: f64 = 1.0;
 
+/// How much the camera shall show.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Shown {
+    /// Vertical field of view in degrees.
+    Perspective(f64),
+    /// Height of the view; `None`: as the content needs.
+    Orthographic(Option<f64>),
+}
+
 /// A viewing direction, with the properties of the frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Look {
     /// Unit vector from the content towards the eye.
     pub backward: DVec3,
     pub up: DVec3,
-    /// Vertical field of view in degrees.
-    pub fov_deg: f64,
+    pub shown: Shown,
     /// Width of the frame over its height.
     pub aspect: f64,
     /// Radius around each point within which something is drawn.
@@ -66,7 +77,7 @@ fn centred(points: &[DVec3], axis: usize, widest: f64, distance: f64) -> f64 {
 
 /// The camera that shows all `points`, filling nine tenths of the frame's width or of its height.
 pub fn frame(points: &[DVec3], look: &Look) -> Camera {
-    let Look { backward, up, fov_deg, aspect, reach } = *look;
+    let Look { backward, up, shown, aspect, reach } = *look;
     let side = up.cross(backward);
     let right = side / side.length();
     let above = backward.cross(right);
@@ -82,6 +93,22 @@ pub fn frame(points: &[DVec3], look: &Look) -> Camera {
     let size = (high - low).length();
     let front = points.iter().map(|v| v.z).fold(0.0, f64::max);
     let back = points.iter().map(|v| v.z).fold(0.0, f64::min);
+    let fov_deg = match shown {
+        Shown::Perspective(fov_deg) => fov_deg,
+        Shown::Orthographic(height) => {
+            let [x, y] = [0, 1].map(|axis| Span::of(&points, axis));
+            let fits = |filled: f64, reach: f64| {
+                ((x.length() + 2.0 * reach) / aspect).max(y.length() + 2.0 * reach) / filled
+            };
+            let needed = fits(FILLED, 0.0).max(fits(FILLED_AROUND, reach));
+            let height =
+                height.unwrap_or(if needed > 0.0 { needed } else { FROM_A_POINT.max(size) });
+            let distance = front + size.max(height).max(1e-12 * centre.length());
+            let eye = centre + right * x.middle() + above * y.middle() + backward * distance;
+            let target = eye - backward * (distance - 0.5 * (front + back));
+            return Camera { eye, target, up, lens: Lens::Orthographic { height } };
+        }
+    };
     let tan = (0.5 * fov_deg).to_radians().tan();
     let [tan_x, tan_y] = [aspect, 1.0].map(|sides| FILLED * tan * sides);
     let least = if size > 0.0 { NEAREST * size } else { FROM_A_POINT };
@@ -99,7 +126,26 @@ pub fn frame(points: &[DVec3], look: &Look) -> Camera {
     }
     let eye = centre + right * x + above * y + backward * distance;
     let target = eye - backward * (distance - 0.5 * (front + back));
-    Camera { eye, target, up, fov_deg }
+    Camera { eye, target, up, lens: Lens::Perspective { fov_deg } }
+}
+
+/// Least and largest coordinate along an axis.
+struct Span(f64, f64);
+
+impl Span {
+    fn of(points: &[DVec3], axis: usize) -> Span {
+        let most =
+            |sign: f64| points.iter().map(|v| sign * v[axis]).fold(f64::NEG_INFINITY, f64::max);
+        if points.is_empty() { Span(0.0, 0.0) } else { Span(-most(-1.0), most(1.0)) }
+    }
+
+    fn length(&self) -> f64 {
+        self.1 - self.0
+    }
+
+    fn middle(&self) -> f64 {
+        0.5 * (self.0 + self.1)
+    }
 }
 
 #[cfg(test)]
@@ -113,7 +159,7 @@ mod tests {
         Look {
             backward: backward.normalize_or(DVec3::Z),
             up: DVec3::Y,
-            fov_deg: 40.0,
+            shown: Shown::Perspective(40.0),
             aspect,
             reach: 0.0,
         }
@@ -161,6 +207,13 @@ mod tests {
             let high_corner = points.iter().copied().reduce(DVec3::max).unwrap_or_default();
             if nearest > 1.001 * NEAREST * (high_corner - low_corner).length() {
                 prop_assert!((seen.max_element() - 0.9).abs() < 2e-3, "{seen}");
+            }
+            prop_assert!((0.5 * (low + high) - 0.5).abs().max_element() < 2e-3, "{low} {high}");
+            let flat = frame(&points, &Look { shown: Shown::Orthographic(None), ..look(away, aspect) });
+            let [low, high] = shown(&points, &flat, aspect);
+            let across = points.iter().map(|p| (*p - points[0]).cross(backward).length()).fold(0.0, f64::max);
+            if across > 1e-6 * size {
+                prop_assert!(((high - low).max_element() - 0.9).abs() < 2e-3, "{low} {high}");
             }
             prop_assert!((0.5 * (low + high) - 0.5).abs().max_element() < 2e-3, "{low} {high}");
         }

@@ -6,4 +6,7 @@ pub mod framing;
 pub mod spline;
 
 pub use bounds::Bounds;
-pub use camera::{Camera, CameraError, FARTHEST, FOV_RANGE_DEG, Sensor, SensorView, View};
+pub use camera::{
+    Camera, CameraError, FARTHEST, FOV_RANGE_DEG, Lens, ORTHO_HEIGHT_RANGE, Projection, Sensor,
+    SensorView, View,
+};

@@ -142,10 +142,10 @@ fn facing(item: &PreparedItem<'_>, cloud: &PointCloud, index: usize, view: &View
     let normal = cloud.normals.as_ref().and_then(|normals| normals.get(index)).copied();
     let (Some(normal), true) = (normal, cloud.oriented) else { return 0 };
     let position = cloud.positions.get(index).and_then(|&position| item.to_view(position));
-    let from_eye = view.view_from_world.transpose() * position.unwrap_or(DVec3::ZERO);
+    let way = view.view_from_world.transpose() * view.towards(position.unwrap_or(DVec3::ZERO));
     let outward = item.normal_world_from_geometry * normal.as_dvec3();
     let turn = if item.mirrored { -1.0 } else { 1.0 };
-    match turn * outward.dot(from_eye) {
+    match turn * outward.dot(way) {
         side if side < 0.0 => 1,
         _ if normal == glam::Vec3::ZERO => 0,
         _ => -1,
@@ -238,9 +238,12 @@ impl<'a> Band<'a> {
         let width = self.view.width as usize;
         let ray = pixel_ray(self.view, pixel % width, self.first_row + pixel / width);
         let depth = sums.depth / weight;
+        let position_view = self.view.at_depth(ray, depth);
+        let world_from_view = self.view.view_from_world.transpose();
         let mut surface = Surface {
             albedo: sums.color.map(|channel| channel / weight),
-            position_from_eye: self.view.view_from_world.transpose() * (ray * depth),
+            position_from_eye: world_from_view * position_view,
+            way: world_from_view * self.view.towards(position_view),
             normal_world: sums.normal_world.try_normalize().unwrap_or(DVec3::ZERO),
             ..winner.surface
         };

@@ -15,6 +15,8 @@
 
 use glam::{DMat2, DVec2, DVec3};
 
+use crate::math::View;
+
 /// The paper's inverse is used down to this ratio of the conic's determinant to its squared trace, where about
 /// half of a double's digits are left.
 const LEAST_DETERMINANT: f64 = 1e-8;
@@ -87,8 +89,15 @@ pub struct Disk {
 }
 
 impl Disk {
-    /// A kernel before the eye: `centre` and `tangents` have x to the right, y down and z, which is positive, forward.
-    pub fn new(centre: DVec3, tangents: [DVec3; 2], focal_px: DVec2, principal_px: DVec2) -> Disk {
+    /// A kernel before the eye: `centre` and `tangents` have x to the right, y down and z, which is positive, forward. In a view of
+    /// parallel rays the mapping is affine: its homogeneous parts are none.
+    pub fn new(centre: DVec3, tangents: [DVec3; 2], view: &View) -> Disk {
+        let View { focal_px, principal_px, .. } = *view;
+        if view.is_orthographic() {
+            let mapped = |tangent: DVec3| (tangent.truncate() * focal_px).extend(0.0);
+            let centre_px = centre.truncate() * focal_px + principal_px;
+            return Disk { centre_px, tangents: tangents.map(mapped) };
+        }
         let direction = centre.truncate() / centre.z;
         let mapped = |tangent: DVec3| {
             ((tangent.truncate() - direction * tangent.z) * focal_px).extend(tangent.z) / centre.z

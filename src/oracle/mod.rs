@@ -142,8 +142,10 @@ pub fn render(scene: &OracleScene<'_>, view: &View, supersample: u32) -> OracleF
     let depth: Vec<f64> = shown.iter().map(depth).collect();
     if let Some(edl) = &scene.edl {
         let size = (width, view.height as usize);
+        let height = f64::from(view.height) / view.focal_px.y;
+        let height = view.is_orthographic().then_some(height);
         color.par_iter_mut().enumerate().for_each(|(i, color)| {
-            let factor = edl::factor(edl, &depth, size, (i % width, i / width));
+            let factor = edl::factor(edl, height, &depth, size, (i % width, i / width));
             color[..3].iter_mut().for_each(|channel| *channel *= factor);
         });
     }

@@ -16,7 +16,7 @@ pub fn shade(surface: &Surface, lights: &[Light], eye: DVec3) -> [f64; 3] {
     if lights.is_empty() || surface.unlit || normal == DVec3::ZERO {
         return surface.albedo;
     }
-    let to_eye = (-surface.position_from_eye).try_normalize().unwrap_or(DVec3::ZERO);
+    let to_eye = (-surface.way).try_normalize().unwrap_or(DVec3::ZERO);
     let mut sum = [0.0; 3];
     for light in lights {
         let (to_light, color) = match *light {

@@ -79,14 +79,24 @@ pub struct SeenSplat {
     amplitude: f64,
     lowpass_px: f64,
     squared_cutoff: f64,
-    /// Bounds of the inverse depth, for regular splats.
-    inverse_depths: Option<[f64; 2]>,
+    depths: Depths,
     /// How far behind its depth at a pixel others still count as the same surface.
     pub offset: f64,
     clip: Clip,
     width: f64,
     /// Pixels `[x0, x1) × [y0, y1)` that hold every covered one.
     pub pixel_box: [usize; 4],
+}
+
+/// How depths follow from the disk's plane.
+#[derive(Clone, Copy, Debug)]
+enum Depths {
+    /// Inverse depths are linear in the pixel, within bounds.
+    Inverse([f64; 2]),
+    /// Inverse depths without bounds, of a disk that meets the camera plane.
+    Crossing,
+    /// Rays are parallel: depths are linear in the pixel, within bounds.
+    Parallel([f64; 2]),
 }
 
 /// How the squared distance of a pixel from the kernel's centre is measured.
@@ -110,31 +120,41 @@ impl SeenSplat {
         index: usize,
     ) -> Option<Self> {
         let centre = camera_from_view(item.to_view(*cloud.positions.get(index)?)?);
-        let tangents = tangents(item, cloud, index, centre).map(|t| t * settings.width);
+        let tangents =
+            tangents(item, cloud, index, camera_from_view(view.towards(camera_from_view(centre))))
+                .map(|t| t * settings.width);
         let [u, v] = tangents;
         if !(u.is_finite() && v.is_finite()) {
             return None;
         }
         let cutoff = settings.cutoff;
         let reach = cutoff * u.z.hypot(v.z);
-        let crossing = centre.z * centre.z <= reach * reach;
-        if !crossing && centre.z <= 0.0 {
+        // Parallel rays meet every disk alike; each pixel asks whether that is before the eye.
+        let is_parallel = view.is_orthographic();
+        let meets_plane = centre.z * centre.z <= reach * reach;
+        if !meets_plane && centre.z <= 0.0 {
             return None;
         }
+        let crossing = meets_plane && !is_parallel;
         let lowpass_px = if crossing { 0.0 } else { settings.lowpass_px };
-        let lowpass = cutoff * lowpass_px * centre.z / view.focal_px.y;
-        let disk = Disk::new(centre, tangents, view.focal_px, view.principal_px);
+        let lowpass = cutoff * lowpass_px * view.divisor(centre.z) / view.focal_px.y;
+        let disk = Disk::new(centre, tangents, view);
         let (shape, amplitude) = if crossing {
             (Shape::Disk, 1.0)
         } else {
             shape(settings.splats.filter, &disk, cutoff, lowpass_px)
         };
-        let inverse_depths = (!crossing).then(|| {
-            // What the filter adds to a disk is no longer its plane, farther out than its own radius.
-            let beyond = reach + lowpass.min(cutoff * u.length().max(v.length()));
-            let (far, near) = (centre.z + beyond, centre.z - beyond);
-            [1.0 / far, if near > 0.0 { 1.0 / near } else { MOST_INVERSE_DEPTH }]
-        });
+        // What the filter adds to a disk is no longer its plane, farther out than its own radius.
+        let beyond = reach + lowpass.min(cutoff * u.length().max(v.length()));
+        let (far, near) = (centre.z + beyond, centre.z - beyond);
+        let depths = match (is_parallel, crossing) {
+            (true, _) => Depths::Parallel([near, far]),
+            (false, true) => Depths::Crossing,
+            (false, false) => {
+                let most = if near > 0.0 { 1.0 / near } else { MOST_INVERSE_DEPTH };
+                Depths::Inverse([1.0 / far, most])
+            }
+        };
         let depth_offset = match settings.splats.blend {
             // However many passes it takes, this is what they are after.
             Blend::Weighted | Blend::Fuzzy => f64::from(settings.splats.depth_offset),
@@ -144,12 +164,12 @@ impl SeenSplat {
             centre,
             centre_px: (!crossing).then_some(disk.centre_px),
             tangents,
-            has_plane: has_plane(centre, tangents),
+            has_plane: is_parallel || has_plane(centre, tangents),
             shape,
             amplitude,
             lowpass_px,
             squared_cutoff: cutoff * cutoff,
-            inverse_depths,
+            depths,
             offset: depth_offset * (cutoff * u.length().max(v.length()) + lowpass),
             clip: clip(cloud, index),
             width: settings.width,
@@ -183,25 +203,38 @@ impl SeenSplat {
         let holds_centre = self.centre_px.is_some_and(|at| at.floor() == pixel.floor());
         let is_seen = own <= self.squared_cutoff || holds_centre;
         let covered = (squared <= self.squared_cutoff || holds_centre) && self.keeps(plane);
-        let depth = 1.0 / self.inverse_depth(plane);
+        let depth = self.depth(plane);
         // Not a number, a distance counts as any that is covered.
         let weight = self.amplitude * (-0.5 * squared.min(self.squared_cutoff)).exp();
         let sound = depth > 0.0 && depth.is_finite() && weight.is_finite();
         (covered && sound).then_some(Touch { depth, weight, is_seen })
     }
 
-    /// `(s/λ, t/λ, 1/λ)` where the ray meets the disk's plane; `None` for a plane through the eye.
+    /// `(s/λ, t/λ, 1/λ)` where the ray meets the disk's plane, with λ = 1 for parallel rays; `None` for a plane that rays lie in.
     fn plane_coordinates(&self, ray: DVec3) -> Option<DVec3> {
-        let [u, v] = self.tangents;
-        if self.has_plane { solve([u, v, self.centre], ray) } else { None }
+        let vectors = [self.tangents[0], self.tangents[1], self.centre];
+        match self.depths {
+            Depths::Parallel(_) => {
+                let [u, v, centre] = vectors;
+                let flat = |vector: DVec3, w: f64| vector.truncate().extend(w);
+                solve([flat(u, 0.0), flat(v, 0.0), flat(centre, 1.0)], ray)
+            }
+            _ if self.has_plane => solve(vectors, ray),
+            _ => None,
+        }
     }
 
-    fn inverse_depth(&self, plane: Option<DVec3>) -> f64 {
+    fn depth(&self, plane: Option<DVec3>) -> f64 {
         let inverse = plane.map_or(1.0 / self.centre.z, |at| at.z);
-        match self.inverse_depths {
+        match self.depths {
             // Not `clamp`, which panics on bounds that are not numbers.
-            Some([least, most]) => inverse.max(least).min(most),
-            None => inverse,
+            Depths::Inverse([least, most]) => 1.0 / inverse.max(least).min(most),
+            Depths::Crossing => 1.0 / inverse,
+            Depths::Parallel([near, far]) => {
+                let [u, v] = self.tangents;
+                let slope = plane.map_or(0.0, |at| at.x * u.z + at.y * v.z);
+                (self.centre.z + slope).max(near).min(far)
+            }
         }
     }
 
@@ -247,7 +280,7 @@ fn tangents(
     item: &PreparedItem<'_>,
     cloud: &PointCloud,
     index: usize,
-    centre: DVec3,
+    towards: DVec3,
 ) -> [DVec3; 2] {
     let normal = normal(cloud, index);
     let kernel = match (&cloud.kernels, &cloud.radii) {
@@ -265,7 +298,7 @@ fn tangents(
     }
     // Nobody knows which way it lies: it faces the eye, as a circle that holds the ellipse.
     let radius = u.length().max(v.length()) * item.greatest_stretch();
-    let Some(towards) = centre.try_normalize() else { return [DVec3::ZERO; 2] };
+    let Some(towards) = towards.try_normalize() else { return [DVec3::ZERO; 2] };
     let (u, v) = towards.any_orthonormal_pair();
     [u * radius, v * radius]
 }
@@ -313,7 +346,8 @@ fn pixel_box(
             cutoff * (1.0 + affine.lowpass_share(lowpass_px)[1]).sqrt()
         }
     };
-    if seen.0.z > 0.0 && disk.is_before_camera_plane(radius, BOX_MARGIN) {
+    let is_before = seen.0.z > 0.0 || view.is_orthographic();
+    if is_before && disk.is_before_camera_plane(radius, BOX_MARGIN) {
         let outline = disk.perspective_by_dual(radius);
         let half = outline.half_extent_px(radius, 0.0);
         return clamped_box(view, outline.centre_px - half, outline.centre_px + half);

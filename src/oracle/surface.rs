@@ -22,6 +22,8 @@ pub struct Surface {
     pub alpha: f64,
     /// Relative to the eye, in world axes.
     pub position_from_eye: DVec3,
+    /// The direction, up to its length, in which the eye sees it, in world axes.
+    pub way: DVec3,
     /// Unit length, turned towards the eye; zero where none is known.
     pub normal_world: DVec3,
     pub specular: [f64; 3],
@@ -50,7 +52,7 @@ impl Surface {
 
     /// Turns the normal to the side that the eye is on.
     pub fn turn_to_eye(&mut self) {
-        if self.normal_world.dot(self.position_from_eye) > 0.0 {
+        if self.normal_world.dot(self.way) > 0.0 {
             self.normal_world = -self.normal_world;
         }
     }
@@ -62,7 +64,7 @@ pub fn at(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -
     let mut surface = match item.item.geometry {
         Geometry::Points(cloud) => {
             // A disc is seen where the pixel's ray meets it.
-            let on_disc = || pixel_ray(view, x, y) * hit.depth;
+            let on_disc = || view.at_depth(pixel_ray(view, x, y), hit.depth);
             sample(view, item, cloud, hit.index, prepared.scene.discs.map(|_| on_disc()))
         }
         Geometry::Mesh(mesh) => triangle(prepared, view, item, mesh, (hit, x, y)),
@@ -99,7 +101,7 @@ fn sample(
     let position_view = seen.or(position).unwrap_or(DVec3::ZERO);
     surface(
         times(linear_from_srgba8(*color), material.base_color.map(f64::from)),
-        view.view_from_world.transpose() * position_view,
+        (view, position_view),
         normal.map_or(DVec3::ZERO, |n| item.normal_world_from_geometry * n.as_dvec3()),
         &material,
     )
@@ -116,11 +118,12 @@ fn triangle(
     let material = overridden(item, &own);
     let ray = pixel_ray(view, x, y);
     let world_from_view = view.view_from_world.transpose();
-    let position_from_eye = world_from_view * (ray * hit.depth);
-    let seen = item.triangle_view(mesh, hit.index).and_then(SeenTriangle::new);
+    let position_view = view.at_depth(ray, hit.depth);
+    let corners_view = item.triangle_view(mesh, hit.index);
+    let seen = corners_view.and_then(|corners| SeenTriangle::new(corners, view.projection));
     let (Some(seen), Some(&corners)) = (seen, mesh.triangles.get(hit.index as usize)) else {
         // No hit comes from such a triangle.
-        return surface([0.0; 4], position_from_eye, DVec3::ZERO, &material);
+        return surface([0.0; 4], (view, position_view), DVec3::ZERO, &material);
     };
     let weights = seen.weights(ray);
     let mut color = vertex_color(mesh, corners, weights);
@@ -140,7 +143,7 @@ fn triangle(
             world_from_view * (b - a).cross(c - a)
         }
     };
-    surface(color, position_from_eye, normal, &material)
+    surface(color, (view, position_view), normal, &material)
 }
 
 /// The material with the node's own laid over it.
@@ -157,14 +160,16 @@ fn overridden(item: &PreparedItem<'_>, own: &Material) -> Material {
 
 fn surface(
     [r, g, b, alpha]: [f64; 4],
-    position_from_eye: DVec3,
+    (view, position_view): (&View, DVec3),
     normal: DVec3,
     material: &Material,
 ) -> Surface {
+    let world_from_view = view.view_from_world.transpose();
     Surface {
         albedo: [r, g, b],
         alpha,
-        position_from_eye,
+        position_from_eye: world_from_view * position_view,
+        way: world_from_view * view.towards(position_view),
         normal_world: normal.try_normalize().unwrap_or(DVec3::ZERO),
         specular: material.specular.map(f64::from),
         shininess: f64::from(material.shininess),
@@ -216,14 +221,17 @@ fn uv_footprint(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::Camera;
+    use crate::math::{Camera, Lens};
 
     #[test]
     fn uv_derivatives_are_those_of_the_projection() {
         let (eye, target) = (DVec3::new(1.0, 2.0, 4.0), DVec3::ZERO);
-        let view = Camera { eye, target, up: DVec3::Y, fov_deg: 50.0 }.view(64, 48).unwrap();
+        let view = Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg: 50.0 } }
+            .view(64, 48)
+            .unwrap();
         let corners = [[-3.0, 0.0, -6.0], [2.0, -0.5, 2.0], [0.0, 3.0, -1.0]];
-        let seen = SeenTriangle::new(corners.map(|c| view.to_view(c.into()))).unwrap();
+        let seen =
+            SeenTriangle::new(corners.map(|c| view.to_view(c.into())), view.projection).unwrap();
         let uvs = [(0.1, 0.9), (2.5, 0.3), (-0.4, -1.5)].map(DVec2::from);
         let uv = |pixel: DVec2| -> DVec2 {
             let weights = seen.weights(view.ray(pixel));

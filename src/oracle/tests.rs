@@ -5,10 +5,15 @@ use glam::{DAffine3, DVec2, DVec3};
 use super::visibility::{SeenTriangle, pixel_ray};
 use super::*;
 use crate::assets::{Mesh, MeshPart, PointCloud};
-use crate::math::Camera;
+use crate::math::{Camera, Lens};
 
 pub fn camera(eye: [f64; 3], target: [f64; 3], fov_deg: f64) -> Camera {
-    Camera { eye: eye.into(), target: target.into(), up: DVec3::Y, fov_deg }
+    Camera {
+        eye: eye.into(),
+        target: target.into(),
+        up: DVec3::Y,
+        lens: Lens::Perspective { fov_deg },
+    }
 }
 
 pub fn mesh(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Mesh {
@@ -176,7 +181,12 @@ fn a_ball_is_covered_twice_and_its_front_once() {
         let seen: Vec<SeenTriangle> = solid
             .triangles
             .iter()
-            .filter_map(|t| SeenTriangle::new(t.map(|i| view.to_view(solid.positions[i as usize]))))
+            .filter_map(|t| {
+                SeenTriangle::new(
+                    t.map(|i| view.to_view(solid.positions[i as usize])),
+                    view.projection,
+                )
+            })
             .collect();
         let mut covered = 0;
         for i in 0..65 * 65 {
@@ -202,7 +212,9 @@ fn a_fan_covers_every_pixel_once() {
     let hubs = [(15, 15), (3, 20), (30, 0)].map(|(x, y)| pixel_ray(&view, x, y) * 3.0);
     for hub in hubs {
         let fan: Vec<SeenTriangle> = (0..rim.len())
-            .filter_map(|i| SeenTriangle::new([hub, rim[i], rim[(i + 1) % rim.len()]]))
+            .filter_map(|i| {
+                SeenTriangle::new([hub, rim[i], rim[(i + 1) % rim.len()]], view.projection)
+            })
             .collect();
         assert_eq!(fan.len(), rim.len());
         for i in 0..31 * 31 {

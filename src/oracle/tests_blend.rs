@@ -7,6 +7,7 @@ use super::tests_splats::{FILTERS, between, centre_of, cloud, draw, seen, sharp,
 use super::visibility::pixel_ray;
 use super::*;
 use crate::assets::PointCloud;
+use crate::math::Projection;
 use crate::scene::random::SplitMix64;
 use crate::scene::{Blend, Filter, Shading};
 
@@ -310,6 +311,8 @@ fn supersampling_keeps_the_filter_as_wide_in_pixels() {
 #[test]
 fn many_splats_fill_a_frame_within_seconds() {
     let view = View {
+        projection: Projection::Perspective,
+        focus: 0.0,
         focal_px: DVec2::splat(400.0),
         principal_px: DVec2::new(128.0, 96.0),
         width: 256,

@@ -9,6 +9,7 @@ use super::tests::{item, scene};
 use super::visibility::pixel_ray;
 use super::*;
 use crate::assets::{Clip, ClipLine, Kernel, PointCloud};
+use crate::math::Projection;
 use crate::scene::random::SplitMix64;
 use crate::scene::{Filter, Splats};
 
@@ -19,6 +20,8 @@ pub fn view() -> View {
     View {
         eye: DVec3::ZERO,
         view_from_world: DMat3::IDENTITY,
+        projection: Projection::Perspective,
+        focus: 0.0,
         focal_px: DVec2::splat(100.0),
         principal_px: DVec2::new(32.0, 24.0),
         width: 64,
@@ -123,7 +126,7 @@ fn perspective_and_exact_have_the_projected_outline() {
         let cutoff = between(&mut rng, 1.0, 3.0);
         let [centre, u, v] = random_disk(&mut rng, 0.4 / cutoff);
         let seen = [centre, u, v].map(camera_from_view);
-        let disk = Disk::new(seen[0], [seen[1], seen[2]], view().focal_px, view().principal_px);
+        let disk = Disk::new(seen[0], [seen[1], seen[2]], &view());
         let inverse = disk.perspective_by_inverse(cutoff);
         by_inverse += u32::from(inverse.is_some());
         let ways = [inverse, Some(disk.perspective_by_dual(cutoff))];
@@ -174,8 +177,7 @@ fn filters_agree_on_what_is_small_and_the_amplitude_is_the_share_of_the_area() {
     for _ in 0..100 {
         let [centre, u, v] = random_disk(&mut rng, 0.1).map(camera_from_view);
         let gaussians = |scale: f64| {
-            let disk =
-                Disk::new(centre, [u * scale, v * scale], view().focal_px, view().principal_px);
+            let disk = Disk::new(centre, [u * scale, v * scale], &view());
             (disk.affine(), disk.perspective(2.0))
         };
         // What differs is of second order in the size, in proportion to what there is.

@@ -6,7 +6,7 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use crate::assets::{Geometry, Mesh, PointCloud};
-use crate::math::View;
+use crate::math::{Projection, View};
 
 use super::predicates::{edge_sign, volume_sign};
 use super::prepare::{Prepared, PreparedItem};
@@ -23,24 +23,30 @@ pub struct Hit {
     pub index: u32,
 }
 
-/// A triangle in view space, seen from the eye at the origin.
+/// A triangle in view space, seen from the eye at the origin or along −z.
 #[derive(Clone, Copy, Debug)]
 pub struct SeenTriangle {
     pub corners: [DVec3; 3],
+    /// The corners' images in homogeneous coordinates: the corners themselves, or at z = −1 where rays are parallel.
+    image: [DVec3; 3],
     /// The sign of the corners' volume: −1 when they run counter-clockwise for the viewer, 1 clockwise.
     facing: i8,
 }
 
 impl SeenTriangle {
     /// `None` for triangles seen edge-on, which cover nothing.
-    pub fn new(corners: [DVec3; 3]) -> Option<Self> {
-        let facing = volume_sign(corners[0], corners[1], corners[2]);
-        (facing != 0).then_some(Self { corners, facing })
+    pub fn new(corners: [DVec3; 3], projection: Projection) -> Option<Self> {
+        let image = match projection {
+            Projection::Perspective => corners,
+            Projection::Orthographic => corners.map(|corner| DVec3 { z: -1.0, ..corner }),
+        };
+        let facing = volume_sign(image[0], image[1], image[2]);
+        (facing != 0).then_some(Self { corners, image, facing })
     }
 
     /// Whether `ray` meets the triangle in front of the eye. Of triangles that share an edge, one has its points.
     pub fn covers(&self, ray: DVec3) -> bool {
-        let [a, b, c] = self.corners;
+        let [a, b, c] = self.image;
         // A positive combination of the corners along the ray has these three volumes of the sign of the triangle's own; a
         // combination along the opposite ray has them of the other sign.
         edge_sign(ray, a, b) == self.facing
@@ -48,9 +54,9 @@ impl SeenTriangle {
             && edge_sign(ray, c, a) == self.facing
     }
 
-    /// The planes through the eye and each corner's opposite edge: `ray · plane` is the corner's weight, unnormalised.
+    /// The planes that hold each corner's opposite edge and the rays through it: `ray · plane` is the corner's weight, unnormalised.
     pub fn weight_planes(&self) -> [DVec3; 3] {
-        let [a, b, c] = self.corners;
+        let [a, b, c] = self.image;
         let sign = f64::from(self.facing);
         // b × c = b × (c − b), with less cancellation for a small triangle far away.
         [b.cross(c - b) * sign, c.cross(a - c) * sign, a.cross(b - a) * sign]
@@ -164,7 +170,7 @@ fn add_samples(
         let centre = view.project(position_view)?;
         let depth = -position_view.z;
         let radius = discs.map(|discs| {
-            let in_scene = view.focal_px * (0.5 * f64::from(discs.diameter) / depth);
+            let in_scene = view.focal_px * (0.5 * f64::from(discs.diameter) / view.divisor(depth));
             in_scene.max(DVec2::splat(0.5 * f64::from(discs.diameter_px)))
         });
         let hit = Hit { depth, item: number, index: index as u32 };
@@ -222,7 +228,7 @@ fn add_triangles(
     (number, item, mesh): (u32, &PreparedItem<'_>, &Mesh),
 ) {
     let seen = |index: u32| {
-        let triangle = SeenTriangle::new(item.triangle_view(mesh, index)?)?;
+        let triangle = SeenTriangle::new(item.triangle_view(mesh, index)?, view.projection)?;
         let counter_clockwise = (triangle.facing < 0) != item.mirrored;
         let drawn = counter_clockwise || item.double_sided(mesh, index);
         drawn.then_some((index, triangle, triangle.pixel_box(view)?))

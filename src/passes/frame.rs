@@ -103,6 +103,11 @@ impl FrameTask {
         (deferred && self.plan.lights_pixels) || self.plan.runs(Pass::WriteOutput)
     }
 
+    /// Whether rays are parallel. All views of a task have one projection.
+    pub fn is_orthographic(&self) -> bool {
+        self.views.iter().any(View::is_orthographic)
+    }
+
     /// Number of sums in use for each pixel; 0 without blended splats.
     pub fn sums(&self) -> usize {
         match (self.plan.runs(Pass::BlendSplats), self.is_deferred()) {
@@ -147,7 +152,9 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
     let view = &task.views[number as usize];
     let axes = view.view_from_world.transpose();
     let row = |v: glam::DVec3| [v.x as f32, v.y as f32, v.z as f32, 0.0];
-    let eye = view.eye.to_array().map(two_floats);
+    // Places are subtracted from the eye; where rays are parallel, from the point on the optical axis that is looked at.
+    let focus = if view.is_orthographic() { view.focus } else { 0.0 };
+    let eye = (view.eye - axes.z_axis * focus).to_array().map(two_floats);
     let (entries, slots) = scene.entries(task.entry_capacity);
     let fuzzy = task.splats.filter(|splats| splats.blend == Blend::Fuzzy);
     let slabs = fuzzy.map_or(Slabs::default(), |s| {
@@ -206,6 +213,8 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         ramp_count,
         ramp: ramp(task, view),
         ramp_colors,
+        focus: focus as f32,
+        padding: [0; 3],
     }
 }
 

@@ -167,6 +167,9 @@ impl<'a, 'c> Recorder<'a, 'c> {
     /// Values of overrides that every pass has.
     fn constants(&self, own: Constants) -> Constants {
         let mut constants = vec![("VIEWS", u32::from(self.task.count() > 1))];
+        if self.task.is_orthographic() {
+            constants.push(("ORTHOGRAPHIC", 1));
+        }
         constants.extend(own);
         constants
     }

@@ -44,6 +44,15 @@ impl Slabs {
         let offset = f64::from(splats.depth_offset);
         let reach = SLAB_REACH * offset * extent.kernel * f64::from(splats.width * splats.cutoff);
         let share = SLAB_PX.max(f64::from(accepted_px)) * offset / view.focal_px.max_element();
+        if view.is_orthographic() {
+            // Pixels have one width at all depths, and so have slabs.
+            let thick = reach.max(share);
+            let near = least.max(0.0);
+            let wanted = (far - near) / thick;
+            let fit = if thick > 0.0 { (SLABS / wanted.max(1.0)).min(1.0) } else { 0.0 };
+            let per_unit = if thick > 0.0 { fit / thick } else { 0.0 };
+            return Slabs { near, per_unit, meet: far, per_octave: 0.0, fit };
+        }
         let near = if reach > 0.0 { least.max(0.0) } else { least.max(far / SLAB_RANGE) };
         // From where on pixels are wider than kernels reach.
         let meet = (reach / share).clamp(near, far);
@@ -76,10 +85,15 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
-    use crate::math::{Bounds, Camera};
+    use crate::math::{Bounds, Camera, Lens};
 
     fn view(eye: DVec3, side: u32) -> View {
-        let camera = Camera { eye, target: eye - DVec3::Z, up: DVec3::Y, fov_deg: 45.0 };
+        let camera = Camera {
+            eye,
+            target: eye - DVec3::Z,
+            up: DVec3::Y,
+            lens: Lens::Perspective { fov_deg: 45.0 },
+        };
         camera.view(side, side).unwrap()
     }
 

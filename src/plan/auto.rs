@@ -134,6 +134,7 @@ fn in_view(patch: &Patch, view: &View) -> Option<(f64, f64)> {
         return None;
     }
     let depth = depth.max(NEAREST * patch.radius).max(f64::MIN_POSITIVE);
+    let depth = view.divisor(depth);
     let focal = (view.focal_px.x * view.focal_px.y).sqrt();
     let (px, radius_px) = (patch.spacing * focal / depth, patch.radius * focal / depth);
     if !px.is_finite() || !radius_px.is_finite() {
@@ -158,11 +159,16 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
-    use crate::math::Camera;
+    use crate::math::{Camera, Lens};
 
     fn view(distance: f64, height: u32) -> View {
         let eye = DVec3::new(0.0, 0.0, distance);
-        let camera = Camera { eye, target: DVec3::ZERO, up: DVec3::Y, fov_deg: 53.130_102 };
+        let camera = Camera {
+            eye,
+            target: DVec3::ZERO,
+            up: DVec3::Y,
+            lens: Lens::Perspective { fov_deg: 53.130_102 },
+        };
         camera.view(height * 4 / 3, height).unwrap()
     }
 

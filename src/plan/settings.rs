@@ -23,6 +23,7 @@ pub use values::{
     PointSize, PointSizePx, Reconstruct, StillFrame, UsedSettings, Wait,
 };
 
+use crate::math::Projection;
 use crate::scene::color_map::ColorMap;
 use crate::scene::{Blend, Filter, Shading};
 
@@ -314,6 +315,11 @@ macro_rules! settings {
 }
 
 settings! {
+    /// Projection of the camera; the camera's own by default. A camera of another projection shows as much at the distance of its
+    /// target, and the default view as much as the frame allows.
+    projection: Projection => Option<Projection> {
+        label: "Projection", kind: SettingKind::scenes::<Projection>(), needs: [], useful_with: []
+    }
     /// Level of detail.
     lod: Lod => Lod {
         label: "Detail", kind: SettingKind::own::<Lod>(), needs: [], useful_with: []

@@ -263,6 +263,9 @@ pub struct GpuFrame {
     pub ramp_count: u32,
     pub ramp: [f32; 4],
     pub ramp_colors: [[u32; 4]; 3],
+    pub focus: f32,
+    /// Records lie 16 bytes apart.
+    pub padding: [u32; 3],
 }
 
 /// An f64 as the sum of two f32: 48 bits of mantissa.
@@ -411,7 +414,8 @@ mod tests {
                 disc_radius,
                 ramp_count,
                 ramp,
-                ramp_colors
+                ramp_colors,
+                focus
             )],
         );
         let with_materials = concat!(

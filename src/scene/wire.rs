@@ -301,6 +301,9 @@ pub(super) struct CameraWire {
     /// Vertical field of view, 40 when absent.
     #[serde(default)]
     pub fov: Option<f64>,
+    /// Height of the view in scene units, in place of `fov`: the projection is orthographic.
+    #[serde(default)]
+    pub ortho_height: Option<f64>,
 }
 
 /// A camera's way: its poses at certain times. In between, orientations turn the shorter way, distances to the target and fields of
@@ -340,6 +343,9 @@ pub(super) struct KeyWire {
     /// Vertical field of view, 40 when absent.
     #[serde(default)]
     pub fov: Option<f64>,
+    /// Height of the view in scene units, in place of `fov`: the projection is orthographic.
+    #[serde(default)]
+    pub ortho_height: Option<f64>,
     /// How time passes from here to the next key; the path's `ease` when absent.
     #[serde(default)]
     pub ease: Option<Ease>,

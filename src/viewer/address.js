@@ -1,11 +1,11 @@
 // The page's address holds the scene, the view and the settings, so that a reload or a shared link shows the same picture.
 
 import { queryText } from './api.js';
-import { DEFAULT_FOV } from './path.js';
-import { norm, sub } from './pose.js';
+import { DEFAULT_FOV, norm, sub } from './pose.js';
 import * as settings from './settings.js';
 
-const OWN = ['scene', 'camera', 'eye', 'target', 'up', 'fov'];
+const OWN = ['scene', 'camera', 'eye', 'target', 'up', 'fov', 'ortho_height'];
+const SIZES = { fov: [1, 170, 'degrees'], ortho_height: [1e-15, 1e15, 'scene units'] };
 
 export const asked = () => new URLSearchParams(location.hash.slice(1) || location.search.slice(1));
 
@@ -35,13 +35,16 @@ export function read(params, scene) {
 
 // Missing parts come from the camera, or without one from the scene's defaults. A pose with invalid parts is null.
 function poseOf(params, scene, camera, faults) {
-  const wanted = ['eye', 'target', 'up', 'fov'].filter(name => params.has(name)), before = faults.length;
-  const pose = camera ? { eye: camera.eye, target: camera.target, up: camera.up, fov: camera.fov } : { up: scene.up, fov: DEFAULT_FOV };
+  const wanted = ['eye', 'target', 'up', 'fov', 'ortho_height'].filter(name => params.has(name)), before = faults.length;
+  const pose = { up: scene.up, fov: DEFAULT_FOV };
+  if (camera) Object.assign(pose, camera, { name: undefined });
   for (const name of wanted) {
-    const text = params.get(name), value = name === 'fov' ? numberOf(text) : text.split(',').map(numberOf);
-    if (name === 'fov' ? value >= 1 && value <= 170 : value.length === 3 && value.every(Number.isFinite)) pose[name] = value;
-    else faults.push(`${name}=${text}: ${name === 'fov' ? '1 to 170 degrees' : 'three numbers, as in 1,2,3'} are accepted`);
+    const text = params.get(name), size = SIZES[name], value = size ? numberOf(text) : text.split(',').map(numberOf);
+    if (size ? value >= size[0] && value <= size[1] : value.length === 3 && value.every(Number.isFinite)) pose[name] = value;
+    else faults.push(`${name}=${text}: ${size ? `${size[0]} to ${size[1]} ${size[2]}` : 'three numbers, as in 1,2,3'} are accepted`);
   }
+  delete pose.name;
+  if (pose.ortho_height == null || (params.has('fov') && !params.has('ortho_height'))) delete pose.ortho_height; else delete pose.fov;
   if (wanted.length === 0 || faults.length > before) return null;
   for (const name of ['eye', 'target']) if (!pose[name]) faults.push(`${name} is missing: a view needs eye and target`);
   if (faults.length === before && norm(sub(pose.eye, pose.target)) === 0) faults.push('eye and target are the same point');

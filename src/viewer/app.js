@@ -16,7 +16,7 @@ import * as overlay from './overlay.js';
 import * as measure from './measure.js';
 import { sampler } from './path.js';
 import { pickAt } from './pick.js';
-import { forFrame, isOutOfSight, isSame, turnedTo } from './pose.js';
+import { extentOf, forFrame, isOutOfSight, isSame, parallel, perspective, turnedTo } from './pose.js';
 import { report } from './receipt.js';
 import { Recorder } from './recorder.js';
 import { frameUrl } from './requests.js';
@@ -38,6 +38,7 @@ let pose = null;       // {eye, target, up, fov}; null: the server chooses a vie
 let whole = null;      // the view that the server chose
 let camera = '';       // the camera that was chosen last, to which Reset returns; '' is the whole scene
 let gone = null;       // {id, pose} of a deleted scene, in case it comes back
+let isFlatByCamera = false; // the camera that was chosen is orthographic
 let frames = 0, pollTimer = 0, newsTimer = 0, turning = 0;
 
 // --- requests ------------------------------------------------------------------------------------
@@ -49,9 +50,15 @@ function fullSize() {
 }
 
 function parameters() {
-  const [w, h] = fullSize();
-  return { ...pose, w, h, ...settings.parameters() };
+  const [w, h] = fullSize(), { projection, ...others } = settings.parameters();
+  // Without a pose the server frames the scene in this projection.
+  return { ...shown(), w, h, ...(projection && !pose ? { projection } : {}), ...others };
 }
+
+const isFlat = () => settings.value('projection') === 'orthographic';
+
+// The pose in the projection that is chosen.
+const shown = () => pose && isFlat() ? parallel(pose, extentOf(scene.bounds, pose)) : pose;
 
 const link = new Link(() => scene && { id: scene.id, params: parameters() }, {
   frame: drawn, scene: edited, gone: wentAway, state: linkState, denied,
@@ -67,7 +74,11 @@ function changed(moving) {
 }
 
 function setPose(next, moving) {
-  pose = next;
+  if (next.ortho_height != null && !isFlat()) {
+    settings.set('projection', 'orthographic');
+    isFlatByCamera = true;
+  }
+  pose = perspective(next);
   turning++;
   if (document.activeElement !== $('fov')) showFov();
   showCamera();
@@ -76,7 +87,7 @@ function setPose(next, moving) {
   changed(moving);
 }
 
-const outOfSight = () => scene?.bounds && isOutOfSight(pose, scene.bounds, fullSize()) ? OUT_OF_SIGHT : null;
+const outOfSight = () => scene?.bounds && isOutOfSight(shown(), scene.bounds, fullSize()) ? OUT_OF_SIGHT : null;
 
 function showFov() {
   $('fov').value = Number(pose.fov.toFixed(2));
@@ -86,7 +97,7 @@ function showFov() {
 // A view that has left its camera is listed as free, so that the camera can be chosen again.
 function showCamera() {
   if (!scene) return;
-  const at = !pose || (whole && isSame(pose, whole)) ? '' : scene.cameras.find(other => isSame(pose, forFrame(other, fullSize())))?.name ?? FREE;
+  const at = !pose || (whole && isSame(pose, whole)) ? '' : scene.cameras.find(other => isSame(pose, perspective(forFrame(other, fullSize()))))?.name ?? FREE;
   if ($('camera').value !== at) $('camera').value = at;
 }
 
@@ -143,8 +154,8 @@ function colorIds(w, h) {
 // Navigation starts from the pose that the server chose.
 function adopt(info, isNewest) {
   if (pose || !isNewest || !info.receipt?.camera) return;
-  const { eye, target, up, fov_deg: fov } = info.receipt.camera;
-  pose = whole = { eye, target, up, fov };
+  const { eye, target, up, fov_deg: fov, ortho_height } = info.receipt.camera;
+  pose = whole = perspective(ortho_height == null ? { eye, target, up, fov } : { eye, target, up, ortho_height });
   drawMeasures();
   showFov();
 }
@@ -333,6 +344,8 @@ function chooseCamera(name) {
   const found = scene.cameras.find(other => other.name === name);
   camera = found ? name : '';
   recorder.player.pause(false);
+  if (isFlatByCamera) settings.set('projection', '');
+  isFlatByCamera = false;
   // No other pose follows at once, so the frame is drawn at full quality immediately.
   if (found) return setPose(forFrame(found, fullSize()), false);
   pose = null;
@@ -363,7 +376,7 @@ async function readOff(place) {
 }
 
 function drawMeasures() {
-  measure.draw(pose, [canvas.clientWidth, canvas.clientHeight]);
+  measure.draw(shown(), [canvas.clientWidth, canvas.clientHeight]);
 }
 
 function toggleMeasuring() {
@@ -422,7 +435,7 @@ const controls = new Controls(canvas, {
 });
 
 $('measure').addEventListener('click', toggleMeasuring);
-settings.onChange(() => { changed(false); recorder.show(); });
+settings.onChange(() => { isFlatByCamera &&= isFlat(); drawMeasures(); changed(false); recorder.show(); });
 upload.watch({
   added: async id => { await list(); choose(id); canvas.focus({ preventScroll: true }); },
   path: (text, name) => recorder.load(text, name),

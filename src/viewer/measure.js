@@ -2,7 +2,7 @@
 
 import { $ } from './message.js';
 import { coordinates, pathOf } from './pick.js';
-import { clipped, digits, norm, project, sub } from './pose.js';
+import { clipped, digits, norm, project, sub, viewHeight } from './pose.js';
 
 // Length of the longest scale bar, in CSS pixels.
 const LONGEST_PX = 140;
@@ -79,7 +79,7 @@ export function draw(pose, [width, height]) {
 
 // The longest bar of 1, 2 or 5 times a power of ten at the distance of the target: its pixels, and its length in words.
 function scale(pose, height) {
-  const unit = 2 * norm(sub(pose.eye, pose.target)) * Math.tan(pose.fov * Math.PI / 360) / Math.max(1, height);
+  const unit = viewHeight(pose) / Math.max(1, height);
   const most = LONGEST_PX * unit, power = 10 ** Math.floor(Math.log10(most));
   const length = [5, 2, 1].map(factor => factor * power).find(one => one <= most) ?? power;
   return [length / unit, `${Number(length.toPrecision(1))} ${UNITS}`];

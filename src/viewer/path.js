@@ -1,12 +1,11 @@
 // Camera paths: the camera at any time between keys, equal to the server's (src/scene/path, src/math/spline.rs): centripetal
 // Catmull-Rom positions, slerp, and a cubic of time for each part of the way. A browser test compares the two. A path is {fps,
-// interpolation, ease, keys: [{t, eye, target, up, fov, ease}]}; a key without `ease` has the path's.
+// interpolation, ease, keys: [{t, eye, target, up, fov or ortho_height, ease}]}; a key without `ease` has the path's.
 
-import { add, axes, cross, mul, norm, sub, unit } from './pose.js';
+import { DEFAULT_FOV, add, axes, cross, mul, norm, sub, unit } from './pose.js';
 
 export const EASES = ['smooth', 'linear', 'in', 'out', 'in_out', 'hold'];
 export const DEFAULT_FPS = 30;
-export const DEFAULT_FOV = 40;
 const STEEPEST = 3;
 
 export const defaultEase = interpolation => interpolation === 'linear' ? 'linear' : 'smooth';
@@ -118,7 +117,8 @@ function made(way, u) {
 // --- the whole -----------------------------------------------------------------------------------
 // Returns a function from seconds to the pose at that time. The times of the keys must increase.
 export function sampler(path) {
-  const keys = path.keys.map(key => ({ up: [0, 1, 0], fov: DEFAULT_FOV, ...key }));
+  const keys = path.keys.map(key => ({ up: [0, 1, 0], ...(key.ortho_height == null ? { fov: DEFAULT_FOV } : {}), ...key }));
+  const size = keys[0].ortho_height == null ? 'fov' : 'ortho_height';
   const isLinear = path.interpolation === 'linear', ease = path.ease || defaultEase(path.interpolation);
   const turns = keys.map(orientation), ends = slopes(keys, isLinear);
   const parts = keys.slice(1).map((next, i) => ({
@@ -128,7 +128,7 @@ export function sampler(path) {
     ease: keys[i].ease || ease,
   }));
   const ways = parts.map((_, i) => wayOf(parts, i));
-  const poseOf = ({ eye, target, up, fov }) => ({ eye, target, up, fov });
+  const poseOf = ({ eye, target, up, [size]: shown }) => ({ eye, target, up, [size]: shown });
   return t => {
     let i = keys.length - 1;
     while (i > 0 && keys[i].t > t) i--;
@@ -145,7 +145,7 @@ export function sampler(path) {
       eye,
       target: add(eye, mul(rotate(turn, [0, 0, -1]), ahead)),
       up: rotate(turn, [0, 1, 0]),
-      fov: key.fov + (next.fov - key.fov) * share,
+      [size]: key[size] + (next[size] - key[size]) * share,
     };
   };
 }
@@ -168,6 +168,9 @@ export function faultOf(path) {
     if (distance(key.eye, key.target) === 0) return `${place}.target: must differ from eye`;
     if (key.up != null && !(isVector(key.up) && norm(key.up) > 0)) return `${place}.up: needs three numbers that are not all 0`;
     if (key.fov != null && !(key.fov >= 1e-6 && key.fov <= 179.999999)) return `${place}.fov: must be 0.000001 to 179.999999 degrees`;
+    if (key.ortho_height != null && !(key.ortho_height >= 1e-15 && key.ortho_height <= 1e15)) return `${place}.ortho_height: must be 1e-15 to 1e15`;
+    if (key.ortho_height != null && key.fov != null) return `${place}.ortho_height: a key has either fov or ortho_height`;
+    if ((key.ortho_height == null) !== (path.keys[0].ortho_height == null)) return `${place}: either all keys have ortho_height, or none`;
     if (key.ease != null && !EASES.includes(key.ease)) return `${place}.ease: accepted are ${EASES.join(', ')}`;
   }
   return null;
@@ -181,7 +184,7 @@ export function documentOf(path) {
     ...(path.interpolation === 'linear' ? { interpolation: 'linear' } : {}),
     ...(ease !== usual ? { ease } : {}),
     keys: path.keys.map(key => ({
-      t: key.t, eye: key.eye, target: key.target, up: key.up, fov: key.fov,
+      t: key.t, eye: key.eye, target: key.target, up: key.up, ...(key.ortho_height == null ? { fov: key.fov } : { ortho_height: key.ortho_height }),
       ...(key.ease && key.ease !== ease ? { ease: key.ease } : {}),
     })),
   };

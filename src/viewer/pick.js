@@ -23,8 +23,9 @@ export async function pickAt(sceneId, frame, [right, up]) {
   const found = (await response.json()).picks.filter(pick => pick.hit);
   if (found.length === 0) return null;
   // Points seen through the gaps of a surface are not meant.
-  const slope = Math.tan(params.fov * Math.PI / 360) * SIDE / h;
-  const limit = Math.min(...found.map(pick => pick.hit.depth)) * (1 + STEEPEST * 2 * slope);
+  const near = Math.min(...found.map(pick => pick.hit.depth));
+  const width = (params.ortho_height ?? near * 2 * Math.tan(params.fov * Math.PI / 360)) * SIDE / h;
+  const limit = near + STEEPEST * width;
   const away = pick => Math.hypot(pick.x - x, pick.y - y);
   return found.filter(pick => pick.hit.depth <= limit).reduce((a, b) => (away(b) < away(a) ? b : a)).hit;
 }

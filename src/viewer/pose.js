@@ -1,5 +1,6 @@
 // Poses and how they move, as pure functions from pose to pose. A pose is {eye, target, up, fov}: three arrays of three numbers,
-// and degrees.
+// and degrees. Where rays are parallel, `ortho_height`, the height of the view, takes the place of `fov`. The page moves poses with
+// `fov`; `parallel` and `perspective` lead from one to the other.
 
 export const add = (a, b) => a.map((v, i) => v + b[i]);
 export const sub = (a, b) => a.map((v, i) => v - b[i]);
@@ -45,10 +46,33 @@ export function look(pose, yaw, pitch) {
   return { ...pose, target: add(pose.eye, turn(lifted, up, yaw)) };
 }
 
+export const DEFAULT_FOV = 40;
+
+// Height of the view at the distance of the target.
+export function viewHeight({ eye, target, fov, ortho_height: height }) {
+  return height ?? 2 * norm(sub(eye, target)) * Math.tan(fov * Math.PI / 360);
+}
+
+const backward = ({ eye, target }) => unit(sub(eye, target));
+
+// A pose with parallel rays that shows as much at the target. The eye stands `apart` farther away, so that it cuts nothing off.
+export function parallel(pose, apart) {
+  const { eye, target, up } = pose;
+  return { eye: add(eye, mul(backward(pose), apart)), target, up, ortho_height: viewHeight(pose) };
+}
+
+// A pose with a field of view that shows as much at the target.
+export function perspective(pose) {
+  const { target, up, ortho_height: height } = pose;
+  if (height == null) return pose;
+  const distance = height / 2 / Math.tan(DEFAULT_FOV * Math.PI / 360);
+  return { eye: add(target, mul(backward(pose), distance)), target, up, fov: DEFAULT_FOV };
+}
+
 // Moves across the view, by fractions of its height.
 export function pan(pose, dx, dy) {
   const { right, up } = axes(pose);
-  const height = 2 * norm(sub(pose.eye, pose.target)) * Math.tan(pose.fov * Math.PI / 360);
+  const height = viewHeight(pose);
   return shifted(pose, add(mul(right, -dx * height), mul(up, dy * height)));
 }
 
@@ -76,7 +100,7 @@ export function dollyTowards(pose, factor, extent, [x, y]) {
 // The position of a point in a picture of this size, in pixels from the top left. The point must be in front of the eye.
 export function project(pose, point, [width, height]) {
   const { right, up, forward } = axes(pose), way = sub(point, pose.eye);
-  const focal = height / 2 / Math.tan(pose.fov * Math.PI / 360) / dot(way, forward);
+  const focal = pose.ortho_height ? height / pose.ortho_height : height / 2 / Math.tan(pose.fov * Math.PI / 360) / dot(way, forward);
   return [width / 2 + dot(way, right) * focal, height / 2 - dot(way, up) * focal];
 }
 
@@ -100,7 +124,9 @@ export function turnedTo(pose, target, share) {
 // 100 degrees, as with the server's `camera=`.
 const WIDEST_FOV = 100;
 export function forFrame(camera, [width, height]) {
-  const { eye, target, up, fov } = camera, half = Math.tan(fov * Math.PI / 360) * Math.max(1, height / width);
+  const { eye, target, up, fov, ortho_height: flat } = camera, sides = Math.max(1, height / width);
+  if (flat != null) return { eye, target, up, ortho_height: flat * sides };
+  const half = Math.tan(fov * Math.PI / 360) * sides;
   return { eye, target, up, fov: Math.max(fov, Math.min(WIDEST_FOV, Math.atan(half) * 360 / Math.PI)) };
 }
 
@@ -128,14 +154,16 @@ export function extentOf(bounds, pose) {
 
 // Whether a box is beside the view, behind it, or only a dot in a picture of this size in pixels.
 export function isOutOfSight(pose, [low, high], [width, height]) {
-  const { right, up, forward } = axes(pose), slope = Math.tan(pose.fov * Math.PI / 360), wide = slope * width / height;
+  const { right, up, forward } = axes(pose), flat = pose.ortho_height, slope = flat ? flat / 2 : Math.tan(pose.fov * Math.PI / 360);
+  const wide = slope * width / height, divisor = z => (flat ? 1 : z);
   const corners = Array.from({ length: 8 }, (_, i) => {
     const way = sub([0, 1, 2].map(axis => (i >> axis & 1 ? high : low)[axis]), pose.eye);
     return [dot(way, right), dot(way, up), dot(way, forward)];
   });
-  const outside = [([,, z]) => z <= 0, ([x,, z]) => x > z * wide, ([x,, z]) => -x > z * wide, ([, y, z]) => y > z * slope, ([, y, z]) => -y > z * slope];
+  const outside = [([,, z]) => z <= 0, ([x,, z]) => x > divisor(z) * wide, ([x,, z]) => -x > divisor(z) * wide,
+    ([, y, z]) => y > divisor(z) * slope, ([, y, z]) => -y > divisor(z) * slope];
   const distance = norm(sub(mul(add(low, high), 0.5), pose.eye)), extent = norm(sub(high, low));
-  return outside.some(test => corners.every(test)) || (extent > 0 && extent / distance / slope / 2 * height < DOT_PX);
+  return outside.some(test => corners.every(test)) || (extent > 0 && extent / divisor(distance) / slope / 2 * height < DOT_PX);
 }
 
 // Whether two poses give the same view.

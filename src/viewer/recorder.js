@@ -3,7 +3,8 @@
 import { getJson, hasKey, sceneUrl } from './api.js';
 import { motionUrl } from './film.js';
 import { $, complain, count, fault, numberIn, option, quiet } from './message.js';
-import { DEFAULT_FOV, DEFAULT_FPS, EASES, defaultEase, documentOf, durationOf, faultOf, startOf } from './path.js';
+import { DEFAULT_FPS, EASES, defaultEase, documentOf, durationOf, faultOf, startOf } from './path.js';
+import { DEFAULT_FOV, parallel } from './pose.js';
 import { Player } from './player.js';
 import * as store from './store.js';
 
@@ -91,10 +92,11 @@ export class Recorder {
   add() {
     const pose = this.view.pose();
     if (!pose) return;
-    const { eye, target, up, fov } = pose;
     this.change(path => {
+      // All keys have one projection.
+      const { eye, target, up, ...size } = path.keys[0]?.ortho_height == null ? pose : parallel(pose, 0);
       const last = path.keys[path.keys.length - 1];
-      path.keys.push({ t: last ? rounded(last.t + KEY_SECONDS) : 0, eye, target, up, fov });
+      path.keys.push({ t: last ? rounded(last.t + KEY_SECONDS) : 0, eye, target, up, ...size });
     });
     this.player.at = durationOf(this.path);
     $('paths').open = true;
@@ -184,7 +186,7 @@ export class Recorder {
     if (wrong) return complain({ title: `${name} is no camera path`, detail: wrong }, 'path');
     const up = this.view.scene() ? this.view.scene().up : [0, 1, 0], interpolation = path.interpolation || 'catmull_rom';
     const ease = path.ease || defaultEase(interpolation);
-    const keys = path.keys.map(({ ease: own, ...key }) => ({ up, fov: DEFAULT_FOV, ...key, ...(own && own !== ease ? { ease: own } : {}) }));
+    const keys = path.keys.map(({ ease: own, ...key }) => ({ up, ...(key.ortho_height == null ? { fov: DEFAULT_FOV } : {}), ...key, ...(own && own !== ease ? { ease: own } : {}) }));
     this.set({ fps: path.fps || DEFAULT_FPS, interpolation, ease, keys }, sceneName);
     if (!isShown) return;
     $('paths').open = true;

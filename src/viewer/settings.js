@@ -134,6 +134,14 @@ export function nameDefaults(used) {
   showSettings();
 }
 
+export const value = name => NAMES.includes(name) ? $(name).value : '';
+
+// Sets a control, as a hand would.
+export function set(name, value) {
+  $(name).value = value;
+  showSettings();
+}
+
 export function onChange(changed) {
   for (const name of NAMES) {
     $(name).addEventListener('change', () => {

@@ -208,7 +208,10 @@ fn the_curve_is_the_daemons() {
                 );
             }
             let fov = pose[3].as_f64().expect("a number");
-            assert!((fov - expected.fov_deg).abs() < 1e-9, "path {index} at {share}: {fov}");
+            assert!(
+                (fov - expected.lens.fov_deg().unwrap()).abs() < 1e-9,
+                "path {index} at {share}: {fov}"
+            );
         }
     }
 }

@@ -68,11 +68,16 @@ def follow_up(params):
 
 def follow_pose(params):
     """One way to say where a frame is seen from, and a pose that can be seen from."""
+    if "ortho_height" in params:
+        params.pop("fov", None)
+        params.pop("projection", None)
+    if params.keys() & {"view", "proj"}:
+        params.pop("projection", None)
     if "camera" in params:
         params["camera"] = "front"
-        for name in ("eye", "target", "up", "fov", "view", "proj"):
+        for name in ("eye", "target", "up", "fov", "ortho_height", "view", "proj"):
             params.pop(name, None)
-    elif params.keys() & {"up", "fov"} and not params.keys() & {"eye", "target"}:
+    elif params.keys() & {"up", "fov", "ortho_height"} and not params.keys() & {"eye", "target"}:
         params.pop("view", None)
         params.pop("proj", None)
         follow_up(params)
@@ -221,7 +226,7 @@ def map_case(context, case):
             query.pop("from", None)
             if "path" in query:
                 query["path"] = "past"
-                for name in ("camera", "eye", "target", "up", "fov", "view", "proj"):
+                for name in ("camera", "eye", "target", "up", "fov", "ortho_height", "view", "proj"):
                     query.pop(name, None)
             elif "loop" in query:
                 del query["loop"]
@@ -236,7 +241,7 @@ def map_case(context, case):
             if "path" not in query:
                 query["path"] = "past"
                 if is_positive(case, ParameterLocation.QUERY):
-                    for name in ("camera", "eye", "target", "up", "fov", "view", "proj"):
+                    for name in ("camera", "eye", "target", "up", "fov", "ortho_height", "view", "proj"):
                         query.pop(name, None)
             if str(query.get("fps", "")) and is_positive(case, ParameterLocation.QUERY):
                 query["fps"] = 120

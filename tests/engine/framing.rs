@@ -6,7 +6,7 @@ use std::path::Path;
 use glam::DVec3;
 use pointillist::encode::ImageFormat;
 use pointillist::engine::{EncodedFrame, FrameRequest, Pose};
-use pointillist::math::Camera;
+use pointillist::math::{Camera, Lens, Projection};
 use pointillist::plan::{Output, Reconstruct, Settings};
 use serde_json::json;
 
@@ -38,15 +38,16 @@ fn taken(ids: &[u32], width: u32, seen: impl Fn(u32) -> bool) -> ([f64; 2], [f64
     ([share(0), share(1)], [middle(0), middle(1)])
 }
 
-fn whole(studio: &Studio, scene: &str, (width, height): (u32, u32)) -> ([f64; 2], [f64; 2]) {
-    let request = FrameRequest { width, height, ..fit(scene, 1, Output::Id) };
-    taken(&ids(&studio.frame(&request)), width, |id| id > 0)
-}
-
-/// Checks that the default view fills nine tenths of the frame and is centred.
+/// Holds the default view of a scene to nine tenths of the frame, in its middle, in either projection.
 fn fills(studio: &Studio, scene: &str) {
-    for size in SIZES {
-        let (share, middle) = whole(studio, scene, size);
+    let projections = [Projection::Perspective, Projection::Orthographic];
+    for (size, projection) in SIZES.iter().flat_map(|&size| projections.map(|one| (size, one))) {
+        let request = fit(scene, 1, Output::Id);
+        let settings = Settings { projection: Some(projection), ..request.settings };
+        let request = FrameRequest { width: size.0, height: size.1, settings, ..request };
+        let frame = studio.frame(&request);
+        assert_eq!(frame.receipt.camera.fov_deg.is_none(), projection == Projection::Orthographic);
+        let (share, middle) = taken(&ids(&frame), size.0, |id| id > 0);
         let most = share[0].max(share[1]);
         // Allow for a pixel on either side and for gaps between samples.
         assert!((0.86..0.93).contains(&most), "{scene} at {size:?} takes {share:?}");
@@ -134,7 +135,8 @@ fn a_frame_that_shows_nothing_says_why() {
     studio.load_two();
     let looking = |scene: &str, target: [f64; 3], output| {
         let (eye, target) = (DVec3::new(0.0, 0.0, 4.0), DVec3::from_array(target));
-        let camera = Camera { eye, target, up: DVec3::Y, fov_deg: 40.0 };
+        let camera =
+            Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg: 40.0 } };
         let request = FrameRequest { pose: Pose::Camera(camera), ..fit(scene, 48, output) };
         let format = ImageFormat::Raw;
         studio.frame(&FrameRequest { format, ..request }).receipt.nothing_visible.clone()
@@ -156,15 +158,16 @@ fn named_cameras_keep_their_width_in_narrow_frames() {
     studio.load_two();
     let camera =
         |width, height| studio.frame(&front("solid", width, height)).receipt.camera.clone();
-    assert_eq!(camera(64, 48).fov_deg, 45.0);
-    assert_eq!(camera(64, 64).fov_deg, 45.0);
+    assert_eq!(camera(64, 48).fov_deg, Some(45.0));
+    assert_eq!(camera(64, 64).fov_deg, Some(45.0));
     let expected = 2.0 * (2.0 * 22.5f64.to_radians().tan()).atan().to_degrees();
-    assert!((camera(40, 80).fov_deg - expected).abs() < 1e-9);
-    // A field of view in the request stays vertical.
+    assert!((camera(40, 80).fov_deg.unwrap() - expected).abs() < 1e-9);
+    // What a request says itself stays vertical.
     let eye = DVec3::new(0.0, 0.0, 4.0);
-    let pose = Pose::Upright { eye, target: DVec3::ZERO, fov_deg: 45.0 };
+    let pose =
+        Pose::Upright { eye, target: DVec3::ZERO, lens: Lens::Perspective { fov_deg: 45.0 } };
     let own = FrameRequest { pose, ..front("solid", 40, 80) };
-    assert_eq!(studio.frame(&own).receipt.camera.fov_deg, 45.0);
+    assert_eq!(studio.frame(&own).receipt.camera.fov_deg, Some(45.0));
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use glam::DVec3;
 use pointillist::engine::{FrameRequest, Pose};
-use pointillist::math::Camera;
+use pointillist::math::{Camera, Lens, Projection};
 use pointillist::plan::{Edl, ErrorMode, Output, Pass, Reconstruct, Settings};
 use pointillist::scene::{Blend, Filter, Shading};
 use serde_json::json;
@@ -59,10 +59,22 @@ fn views() -> Vec<FrameRequest> {
         ([0.0, 2.0, 30.0], [0.0, 40.0, 0.0], 60.0),
     ];
     let view = |(eye, target, fov_deg): ([f64; 3], [f64; 3], f64)| {
-        let camera = Camera { eye: eye.into(), target: target.into(), up: DVec3::Y, fov_deg };
+        let camera = Camera {
+            eye: eye.into(),
+            target: target.into(),
+            up: DVec3::Y,
+            lens: Lens::Perspective { fov_deg },
+        };
         FrameRequest { pose: Pose::Camera(camera), ..front("rows", 170, 131) }
     };
-    looks.into_iter().map(view).collect()
+    let mut views: Vec<FrameRequest> = looks.into_iter().map(view).collect();
+    // The same rows as parallel rays see them.
+    let flat = |request: &FrameRequest| {
+        let settings = Settings { projection: Some(Projection::Orthographic), ..request.settings };
+        FrameRequest { settings, ..request.clone() }
+    };
+    views.extend([flat(&views[0]), flat(&views[2])]);
+    views
 }
 
 fn settings() -> Vec<Settings> {
@@ -102,6 +114,7 @@ fn frames_are_those_that_draw_what_is_hidden() {
                 // Ids show anything that is missing.
                 let outputs = if number == 0 { &OUTPUTS[..] } else { &[Output::Id] };
                 for &output in outputs {
+                    let settings = Settings { projection: view.settings.projection, ..settings };
                     let request = FrameRequest { settings, output, ..view.clone() };
                     let (found, all) = (hides.frame(&request), draws.frame(&request));
                     let what = format!("view {number}, {settings:?}, {output:?}, {force_32_bit}");
@@ -177,7 +190,7 @@ fn a_wall_hides_what_is_behind_it() {
         eye: DVec3::new(0.0, 0.0, 16.0),
         target: DVec3::ZERO,
         up: DVec3::Y,
-        fov_deg: 60.0,
+        lens: Lens::Perspective { fov_deg: 60.0 },
     };
     let tested = |id: &str| {
         let request = FrameRequest { pose: Pose::Camera(camera), ..front(id, 160, 160) };

@@ -3,13 +3,18 @@
 use glam::{DMat3, DVec2, DVec3};
 use pointillist::encode::ImageFormat;
 use pointillist::engine::{EngineError, FrameRequest, Pose};
-use pointillist::math::{Camera, View};
+use pointillist::math::{Camera, Lens, View};
 use pointillist::plan::Output;
 
 use super::studio::{Studio, front};
 
 fn camera() -> Camera {
-    Camera { eye: DVec3::Z * 3.0, target: DVec3::ZERO, up: DVec3::Y, fov_deg: 45.0 }
+    Camera {
+        eye: DVec3::Z * 3.0,
+        target: DVec3::ZERO,
+        up: DVec3::Y,
+        lens: Lens::Perspective { fov_deg: 45.0 },
+    }
 }
 
 #[test]
@@ -83,10 +88,17 @@ fn poses_that_are_none() {
     let mut poses = vec![
         (Pose::Camera(Camera { target: DVec3::Z * 3.0, ..camera() }), "target"),
         (Pose::Camera(Camera { up: DVec3::ZERO, ..camera() }), "up"),
-        (Pose::Camera(Camera { fov_deg: 0.0, ..camera() }), "fov"),
-        (Pose::Camera(Camera { fov_deg: 180.0, ..camera() }), "fov"),
-        (Pose::Camera(Camera { fov_deg: -40.0, ..camera() }), "fov"),
-        (Pose::Upright { eye: DVec3::ONE, target: DVec3::ONE, fov_deg: 40.0 }, "target"),
+        (Pose::Camera(Camera { lens: Lens::Perspective { fov_deg: 0.0 }, ..camera() }), "fov"),
+        (Pose::Camera(Camera { lens: Lens::Perspective { fov_deg: 180.0 }, ..camera() }), "fov"),
+        (Pose::Camera(Camera { lens: Lens::Perspective { fov_deg: -40.0 }, ..camera() }), "fov"),
+        (
+            Pose::Upright {
+                eye: DVec3::ONE,
+                target: DVec3::ONE,
+                lens: Lens::Perspective { fov_deg: 40.0 },
+            },
+            "target",
+        ),
         (Pose::Named("back".to_owned()), "camera"),
     ];
     for value in bad {
@@ -102,7 +114,10 @@ fn poses_that_are_none() {
                 poses.push((Pose::Camera(pose), name));
             }
         }
-        poses.push((Pose::Camera(Camera { fov_deg: value, ..camera() }), "fov"));
+        poses.push((
+            Pose::Camera(Camera { lens: Lens::Perspective { fov_deg: value }, ..camera() }),
+            "fov",
+        ));
     }
     let view = camera().view(40, 40).unwrap();
     for broken in [
@@ -151,8 +166,8 @@ fn odd_poses_are_drawn() {
     for pose in [
         // Looking along `up`; almost nothing in view; almost everything in view; very near; inside; far away.
         Camera { up: DVec3::Z, ..camera() },
-        Camera { fov_deg: 1e-6, ..camera() },
-        Camera { fov_deg: 179.999_999, ..camera() },
+        Camera { lens: Lens::Perspective { fov_deg: 1e-6 }, ..camera() },
+        Camera { lens: Lens::Perspective { fov_deg: 179.999_999 }, ..camera() },
         Camera { eye: DVec3::Z * 1e-12, ..camera() },
         Camera { eye: DVec3::ZERO, target: DVec3::Z, ..camera() },
         Camera { eye: DVec3::Z * 1e12, ..camera() },

@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 use pointillist::engine::pick::{HitKind, Pick, request_of};
 use pointillist::engine::{Client, EngineError, FrameRequest, Pose};
-use pointillist::math::Camera;
+use pointillist::math::{Camera, Lens, Projection};
 use pointillist::plan::{Output, Pass, Reconstruct, Settings};
 use serde_json::json;
 
@@ -86,7 +86,7 @@ fn picks_of_a_survey_are_exact() {
         eye: middle + DVec3::new(0.3, -0.4, 6.0),
         target: middle,
         up: DVec3::Y,
-        fov_deg: 40.0,
+        lens: Lens::Perspective { fov_deg: 40.0 },
     };
     let request = FrameRequest { pose: Pose::Camera(camera), ..front("ground", 64, 60) };
     let mut hits = 0;
@@ -123,13 +123,26 @@ fn a_pick_of_a_triangle_lies_on_its_ray_and_its_plane() {
                         "translate": base.to_array() }],
         }),
     );
-    let camera =
-        Camera { eye: base + DVec3::new(0.2, 0.1, 3.0), target: base, up: DVec3::Y, fov_deg: 40.0 };
+    let camera = Camera {
+        eye: base + DVec3::new(0.2, 0.1, 3.0),
+        target: base,
+        up: DVec3::Y,
+        lens: Lens::Perspective { fov_deg: 40.0 },
+    };
     let request = FrameRequest { pose: Pose::Camera(camera), ..front("tilted", 64, 48) };
     let view = camera.view(64, 48).unwrap();
     let normal = DMat3::from_rotation_x(30f64.to_radians()) * DVec3::Z;
-    for pick in picks(&studio, &request, &[[32, 24], [20, 30], [40, 12]]) {
+    let flat = Settings { projection: Some(Projection::Orthographic), ..request.settings };
+    let flat = FrameRequest { settings: flat, ..request.clone() };
+    let flat_view = camera.with_projection(Projection::Orthographic).view(64, 48).unwrap();
+    let places = [[32, 24], [20, 30], [40, 12]];
+    let all = [(&request, view), (&flat, flat_view)];
+    let all = all.map(|(request, view)| {
+        picks(&studio, request, &places).into_iter().map(move |pick| (pick, view))
+    });
+    for (pick, view) in all.into_iter().flatten() {
         let hit = pick.hit.unwrap();
+        assert!((hit.depth + view.to_view(hit.position.into()).z).abs() < 1e-9);
         let position = DVec3::from(hit.position);
         let pixel = glam::DVec2::new(f64::from(pick.x) + 0.5, f64::from(pick.y) + 0.5);
         let seen = view.project(view.to_view(position)).unwrap();

@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 use pointillist::engine::{FrameRequest, Pose};
+use pointillist::math::Lens;
 use pointillist::plan::Output;
 use serde_json::json;
 
@@ -24,7 +25,8 @@ fn png(color: [u8; 3]) -> Vec<u8> {
 /// A view from a place that does not depend on the scene's size.
 fn seen_from_fixed(scene: &str) -> FrameRequest {
     let eye = DVec3::new(1.0, 2.0, 7.0);
-    let pose = Pose::Upright { eye, target: DVec3::ZERO, fov_deg: 40.0 };
+    let pose =
+        Pose::Upright { eye, target: DVec3::ZERO, lens: Lens::Perspective { fov_deg: 40.0 } };
     FrameRequest { pose, ..fit(scene, 64, Output::Color) }
 }
 

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DQuat, DVec2, DVec3, IVec2};
 use pointillist::engine::{EncodedFrame, EngineConfig, FrameRequest, Pose, SceneInfo};
-use pointillist::math::Camera;
+use pointillist::math::{Camera, Lens};
 use pointillist::plan::{Output, Reconstruct, Settings};
 use pointillist::scene::random::SplitMix64;
 use pointillist::scene::{Blend, Filter, Shading};
@@ -68,7 +68,7 @@ pub fn request(
 }
 
 fn looking(eye: DVec3, target: DVec3, fov_deg: f64) -> Pose {
-    Pose::Camera(Camera { eye, target, up: DVec3::Y, fov_deg })
+    Pose::Camera(Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg } })
 }
 
 fn one_cloud(file: &str, lights: Value) -> Value {
@@ -594,7 +594,7 @@ fn turning_scene_and_camera_together_changes_nothing() {
                         eye: map.transform_point3(DVec3::new(0.5, 0.4, 2.5)),
                         target: DVec3::ZERO,
                         up: map.transform_vector3(DVec3::Y),
-                        fov_deg: 45.0,
+                        lens: Lens::Perspective { fov_deg: 45.0 },
                     });
                     studio.bytes(&request(&format!("ball{number}"), pose, way, output, [96, 64]))
                 });
@@ -718,7 +718,7 @@ fn no_splat_is_dropped_without_being_counted() {
                 eye: DVec3::new(random.bell(), random.bell(), random.bell()) * 1.5,
                 target: DVec3::new(0.1, 0.2, 0.3),
                 up: DVec3::Y,
-                fov_deg: random.range(20.0, 100.0),
+                lens: Lens::Perspective { fov_deg: random.range(20.0, 100.0) },
             };
             let way = weighted(Filter::Affine, false);
             let frame = studio.frame(&request(&id, Pose::Camera(camera), way, Output::Depth, SIZE));

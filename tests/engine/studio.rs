@@ -10,7 +10,7 @@ use pointillist::encode::ImageFormat;
 use pointillist::engine::{
     EncodedFrame, Engine, EngineConfig, EngineError, FrameRequest, FrameTicket, Pose, SceneInfo,
 };
-use pointillist::math::Camera;
+use pointillist::math::{Camera, Lens};
 use pointillist::plan::{Lod, MaxError, Output, Reconstruct, Settings};
 use serde_json::{Value, json};
 
@@ -150,7 +150,7 @@ pub fn orbit(scene: &str, number: u32, side: u32) -> FrameRequest {
         eye: DVec3::new(3.0 * angle.sin(), 0.4, 3.0 * angle.cos()),
         target: DVec3::ZERO,
         up: DVec3::Y,
-        fov_deg: 45.0,
+        lens: Lens::Perspective { fov_deg: 45.0 },
     };
     FrameRequest { pose: Pose::Camera(camera), ..front(scene, side, side) }
 }

@@ -5,13 +5,18 @@ use std::collections::HashMap;
 use glam::DVec3;
 use pointillist::encode::ImageFormat;
 use pointillist::engine::{FrameRequest, NodePatch, Pose};
-use pointillist::math::Camera;
+use pointillist::math::{Camera, Lens};
 use pointillist::plan::Output;
 
 use super::studio::{Studio, front, same, sphere};
 
 fn camera() -> Camera {
-    Camera { eye: DVec3::new(0.0, 0.0, 3.0), target: DVec3::ZERO, up: DVec3::Y, fov_deg: 45.0 }
+    Camera {
+        eye: DVec3::new(0.0, 0.0, 3.0),
+        target: DVec3::ZERO,
+        up: DVec3::Y,
+        lens: Lens::Perspective { fov_deg: 45.0 },
+    }
 }
 
 #[test]
@@ -46,7 +51,7 @@ fn every_parameter_changes_the_tag() {
         posed(&|c| c.eye.z = 3.0 + 1e-12),
         posed(&|c| c.target.y = 0.1),
         posed(&|c| c.up = DVec3::X),
-        posed(&|c| c.fov_deg = 45.0 + 1e-9),
+        posed(&|c| c.lens = Lens::Perspective { fov_deg: 45.0 + 1e-9 }),
     ];
     let mut seen: HashMap<String, &FrameRequest> = HashMap::new();
     for request in &requests {
@@ -67,7 +72,11 @@ fn equal_views_have_equal_tags_and_bytes() {
         front("cloud", 128, 96),
         FrameRequest { pose: Pose::Camera(camera()), ..front("cloud", 128, 96) },
         FrameRequest {
-            pose: Pose::Upright { eye: camera().eye, target: camera().target, fov_deg: 45.0 },
+            pose: Pose::Upright {
+                eye: camera().eye,
+                target: camera().target,
+                lens: Lens::Perspective { fov_deg: 45.0 },
+            },
             ..front("cloud", 128, 96)
         },
         FrameRequest {

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use glam::DVec3;
 use pointillist::engine::{EngineError, FrameRequest, Pose, Receipt};
-use pointillist::math::Camera;
+use pointillist::math::{Camera, Lens};
 use pointillist::plan::Output;
 use serde_json::json;
 
@@ -54,7 +54,8 @@ fn poses(scene: &str, output: Output) -> Vec<FrameRequest> {
             if number % 4 == 3 {
                 let eye = DVec3::new(0.1 * f64::from(number) - 0.6, -0.35, -0.9);
                 let target = DVec3::new(-0.4, 0.1, -1.0);
-                let camera = Camera { eye, target, up: DVec3::Y, fov_deg: 70.0 };
+                let camera =
+                    Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg: 70.0 } };
                 request.pose = Pose::Camera(camera);
             }
             request
@@ -175,7 +176,8 @@ fn a_view_over_the_limit_is_refused_alone() {
     // three.
     let from = |distance: f64, target: f64| {
         let (eye, target) = (DVec3::new(0.01, 0.02, distance), DVec3::Z * target);
-        let camera = Camera { eye, target, up: DVec3::Y, fov_deg: 60.0 };
+        let camera =
+            Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg: 60.0 } };
         FrameRequest { pose: Pose::Camera(camera), ..fit("stack", 128, Output::Depth) }
     };
     let over = from(2.0, 0.0);

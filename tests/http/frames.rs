@@ -159,6 +159,29 @@ fn poses_in_three_notations_agree() {
     let differing = get(&matrices).iter().zip(&named).filter(|(a, b)| a != b).count();
     assert!(differing < 64, "{differing} bytes differ");
     get("fov=45&eye=1,0,3&target=0,0,0");
+    // Parallel rays: by height, by matrices, and as the camera sees its target.
+    let height = 2.0 * 3.0 * 22.5f64.to_radians().tan();
+    let flat = get(&format!("eye=0,0,3&target=0,0,0&up=0,1,0&ortho_height={height}"));
+    assert_ne!(flat, named);
+    assert_eq!(get("camera=front&projection=orthographic"), flat);
+    let f = 2.0 / height;
+    let matrices = format!(
+        "view=1,0,0,0,0,1,0,0,0,0,1,0,0,0,-3,1&proj={f},0,0,0,0,{f},0,0,0,0,-0.1,0,0,0,-1,1"
+    );
+    let differing = get(&matrices).iter().zip(&flat).filter(|(a, b)| a != b).count();
+    assert!(differing < 64, "{differing} bytes differ");
+    let body = json!({ "w": 64, "h": 64, "format": "raw",
+        "fov": 45, "poses": [{ "eye": [0, 0, 3], "target": [0, 0, 0], "up": [0, 1, 0], "ortho_height": height }] });
+    let reply = client.post_json("/v1/scenes/grid/frames", &body);
+    assert_eq!(
+        (reply.status, &parts(&reply)[0].3),
+        (200, &flat),
+        "a height replaces the field of view"
+    );
+    let receipt = parts(&reply)[0].2.clone().unwrap();
+    assert!((receipt["camera"]["ortho_height"].as_f64().unwrap() - height).abs() < 1e-9);
+    assert_eq!(receipt["camera"].get("fov_deg"), None);
+    assert_eq!(receipt["settings"]["projection"], "orthographic");
 }
 
 /// Splits a multipart answer into content type, pose index, receipt and content of each part.
@@ -291,7 +314,7 @@ fn splats_and_their_receipt() {
     let points = client.get(&format!("{FRAME}&reconstruct=points"));
     assert_eq!(
         points.receipt()["settings"],
-        json!({"edl": "off", "lod": "full", "reconstruct": "points"})
+        json!({"edl": "off", "lod": "full", "projection": "perspective", "reconstruct": "points"})
     );
     assert_eq!(points.receipt()["splats"]["scattered"], Value::Null);
 
@@ -302,7 +325,7 @@ fn splats_and_their_receipt() {
     let covered = image.pixels().filter(|pixel| **pixel != background).count();
     assert!(covered > 2000, "only {covered} pixels show the wall, which splats close");
     let receipt = splats.receipt();
-    let defaults = json!({"edl": "off", "lod": "full", "reconstruct": "splats", "filter": "perspective", "prefilter": true,
+    let defaults = json!({"edl": "off", "lod": "full", "projection": "perspective", "reconstruct": "splats", "filter": "perspective", "prefilter": true,
         "blend": "weighted", "shading": "deferred", "lowpass_px": 0.5, "cutoff": 2.0, "width": 1.0, "depth_offset": 1.0});
     assert_eq!(receipt["settings"], defaults);
     let drawn = |key: &str| receipt["splats"][key].as_u64().unwrap();
@@ -330,7 +353,7 @@ fn splats_and_their_receipt() {
 
     let fuzzy = FRAME.to_owned() + "&reconstruct=fuzzy";
     let receipt = client.get(&fuzzy).receipt();
-    let expected = json!({"edl": "off", "lod": "full", "reconstruct": "fuzzy", "filter": "perspective", "prefilter": true,
+    let expected = json!({"edl": "off", "lod": "full", "projection": "perspective", "reconstruct": "fuzzy", "filter": "perspective", "prefilter": true,
         "shading": "splat", "lowpass_px": 0.5, "cutoff": 2.0, "width": 1.0, "depth_offset": 1.0});
     assert_eq!(receipt["settings"], expected);
     assert_eq!(receipt["splats"]["scattered"], 64 * 64);

@@ -10,6 +10,7 @@ use pointillist::scene::color_map::ColorMap;
 use serde_json::json;
 
 use super::files::Shape;
+use super::orthographic;
 use super::splats::{ball, case, splats};
 use super::stage::{Case, Frames, look};
 
@@ -38,6 +39,7 @@ fn check(case: &Case, view: &View, settings: Settings, heights: [f64; 2]) -> Fra
 fn colours_by_a_value_are_the_oracles() {
     let lights = json!({ "lights": [{ "kind": "sun", "direction": [1, -1, -0.5] }] });
     let view = look([0.4, 1.0, 3.0], [0.0; 3], 45.0);
+    let flat = orthographic::look([0.4, 1.0, 3.0], [0.0; 3], 2.4);
     let points = Settings { reconstruct: Reconstruct::Points, ..Settings::default() };
     for (name, rest) in [("by", json!({})), ("by-lit", lights)] {
         let cloud = case(name, &ball(4000, 51), rest.clone());
@@ -61,6 +63,7 @@ fn colours_by_a_value_are_the_oracles() {
                 Settings { reconstruct: of_splats.reconstruct, filter: of_splats.filter, ..given };
             check(&cloud, &view, of_splats, [0.0; 2]);
             check(&mesh, &view, given, [0.0; 2]);
+            check(&mesh, &flat, given, [0.0; 2]);
         }
     }
 }

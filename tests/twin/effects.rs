@@ -12,7 +12,7 @@ use super::splats::{ball, case, splats};
 use super::stage::{Case, Frames, look};
 
 /// Compares a frame with eye-dome lighting with the oracle's.
-fn check_edl(case: &Case, view: &View, settings: Settings, least: f64) -> Frames {
+pub fn check_edl(case: &Case, view: &View, settings: Settings, least: f64) -> Frames {
     let lit = Settings { edl: Edl::On, edl_strength: EdlStrength::from(0.5), ..settings };
     let frames = case.draw_with(view, lit);
     let edl = EyeDome { strength: 0.5, radius_px: lit.edl_radius_px.get() };

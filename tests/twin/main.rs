@@ -18,6 +18,7 @@ mod golden;
 mod instances;
 mod lights;
 mod materials;
+mod orthographic;
 mod point_size;
 mod precision;
 mod random;

@@ -8,6 +8,7 @@ use pointillist::plan::{
 use serde_json::json;
 
 use super::files::Shape;
+use super::orthographic;
 use super::splats::{ball, case};
 use super::stage::{Case, Frames, look};
 
@@ -56,6 +57,9 @@ fn round_points_are_the_oracles() {
         for settings in [sized(1.5, 0.0), sized(6.0, 0.0), sized(40.0, 0.0), sized(1.0, 0.08)] {
             check(&cloud, &far, settings);
         }
+        let flat = orthographic::look([0.4, 1.0, 3.0], [0.0; 3], 2.4);
+        check(&cloud, &flat, sized(5.0, 0.0));
+        check(&cloud, &flat, sized(1.0, 0.08));
         // Inside the ball, where near points are large and those behind the eye are not drawn.
         check(&cloud, &look([0.2, 0.1, 0.8], [0.0; 3], 70.0), sized(3.0, 0.1));
     }

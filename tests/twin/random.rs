@@ -5,7 +5,7 @@
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::{DVec3, Vec3};
-use pointillist::math::Camera;
+use pointillist::math::{Camera, Lens, Projection};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use serde_json::json;
@@ -108,10 +108,13 @@ proptest! {
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         let case = Case::new(&format!("random-{number}"), &files, &scene);
         let (eye, target) = (offset + DVec3::from(eye), offset + DVec3::from(target));
-        let view = Camera { eye, target, up: DVec3::Y, fov_deg }.view(96, 72).unwrap();
+        let camera = Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg } };
+        let view = camera.view(96, 72).unwrap();
         // In a small frame of random colours a single wrong pixel costs 35 dB, and a lone sample that is slightly off makes a
         // hole and a leak. What matters is that differences are explained.
         let tolerance = Tolerance { psnr: 32.0, stray: 4, unexplained: 1, at_edges: 4, ..Tolerance::default() };
         case.check(&view, &tolerance);
+        let flat = camera.with_projection(Projection::Orthographic).view(96, 72).unwrap();
+        case.check(&flat, &tolerance);
     }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use pointillist::assets::Geometry;
-use pointillist::math::{Bounds, Camera, View};
+use pointillist::math::{Bounds, Camera, Lens, View};
 use pointillist::scene::Filter;
 use serde_json::json;
 
@@ -42,7 +42,9 @@ fn overview(case: &Case) -> View {
     let up = case.reference.description().up;
     let front = if up == DVec3::Z { DVec3::NEG_Y } else { DVec3::Z };
     let eye = bounds.centre() + (front + 0.5 * up + 0.3 * DVec3::X) * bounds.extent().length();
-    Camera { eye, target: bounds.centre(), up, fov_deg: 40.0 }.view(160, 120).unwrap()
+    Camera { eye, target: bounds.centre(), up, lens: Lens::Perspective { fov_deg: 40.0 } }
+        .view(160, 120)
+        .unwrap()
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Samples drawn as single pixels.
 
 use glam::{DVec2, DVec3, Vec3};
-use pointillist::math::Camera;
+use pointillist::math::{Camera, Lens};
 use serde_json::json;
 
 use super::files::Shape;
@@ -128,7 +128,7 @@ fn a_lone_sample_and_a_view_that_sees_nothing() {
 fn an_off_centre_view() {
     let case = case("off-centre", &Shape::cloud(20_000, [-1.0; 3], [1.0; 3], 6));
     let (eye, up) = (DVec3::new(2.0, 1.0, 3.0), DVec3::new(0.3, 1.0, 0.1));
-    let camera = Camera { eye, target: DVec3::ZERO, up, fov_deg: 45.0 };
+    let camera = Camera { eye, target: DVec3::ZERO, up, lens: Lens::Perspective { fov_deg: 45.0 } };
     let mut view = camera.view(161, 97).unwrap();
     view.focal_px.x *= 1.3;
     view.principal_px += DVec2::new(23.3, -11.7);

@@ -146,9 +146,11 @@ fn opposite([x, y, z, known]: [u8; 4]) -> [u8; 4] {
 fn is_grazing(view: &View, i: usize, normal: [u8; 4]) -> bool {
     let (x, y) = (i % view.width as usize, i / view.width as usize);
     let ray = view.ray(DVec2::new(x as f64, y as f64) + 0.5);
-    let ray: DVec3 = view.view_from_world.transpose() * (ray / ray.length());
+    let way = view.towards(ray);
+    let way: DVec3 = view.view_from_world.transpose() * (way / way.length());
     let normal = metrics::normals_from_rgba8(&[normal])[0];
-    normal.dot(ray).abs() < 0.8 / view.focal_px.min_element() + 0.007
+    let pixel = if view.is_orthographic() { 0.0 } else { 0.8 / view.focal_px.min_element() };
+    normal.dot(way).abs() < pixel + 0.007
 }
 
 /// Pixels that differ from the oracle's without being explained by a shift.

@@ -75,7 +75,7 @@ pub fn read_from(mut input: Input, options: &ReadOptions) -> Result<Asset, Asset
         (root.animations.len(), "animations are ignored"),
         (root.skins.len(), "skins are ignored: meshes stand in their bind pose"),
         (drawn.lights, "lights are ignored"),
-        (drawn.orthographic, "cameras without perspective are ignored"),
+        (drawn.unusable_cameras, "cameras without a usable field of view or height are ignored"),
     ] {
         if count > 0 {
             warnings.push(format!("{count} {what}"));

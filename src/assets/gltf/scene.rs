@@ -9,7 +9,7 @@ use super::super::{AssetError, Placement};
 use super::buffers::Buffers;
 use super::material::Materials;
 use super::primitive::Primitives;
-use crate::math::Camera;
+use crate::math::{Camera, Lens};
 
 /// Vertices that a placement counts for.
 const PLACEMENT_COST: u64 = 4;
@@ -19,7 +19,7 @@ pub(super) struct Drawn {
     pub placements: Vec<Placement>,
     pub cameras: Vec<(String, Camera)>,
     pub lights: usize,
-    pub orthographic: usize,
+    pub unusable_cameras: usize,
 }
 
 /// Walks the default scene; without one the first; without any, from all roots.
@@ -162,10 +162,15 @@ impl Drawn {
             self.lights += 1;
         }
         let Some(source) = node.camera.and_then(|camera| root.get(camera)) else { return };
-        let perspective = match (&source.type_, &source.perspective) {
-            (Checked::Valid(camera::Type::Perspective), Some(perspective)) => perspective,
+        let lens = match (&source.type_, &source.perspective, &source.orthographic) {
+            (Checked::Valid(camera::Type::Perspective), Some(perspective), _) => {
+                Lens::Perspective { fov_deg: f64::from(perspective.yfov).to_degrees() }
+            }
+            (Checked::Valid(camera::Type::Orthographic), _, Some(orthographic)) => {
+                Lens::Orthographic { height: 2.0 * f64::from(orthographic.ymag) }
+            }
             _ => {
-                self.orthographic += 1;
+                self.unusable_cameras += 1;
                 return;
             }
         };
@@ -178,12 +183,12 @@ impl Drawn {
             eye: asset_from_node.translation,
             target: asset_from_node.translation + forward,
             up: asset_from_node.transform_vector3(DVec3::Y).normalize_or(DVec3::Y),
-            fov_deg: f64::from(perspective.yfov).to_degrees(),
+            lens,
         };
-        if camera.fov_deg > 0.0 && camera.fov_deg < 180.0 {
+        if camera.view(1, 1).is_ok() {
             self.cameras.push((name, camera));
         } else {
-            self.orthographic += 1;
+            self.unusable_cameras += 1;
         }
     }
 }

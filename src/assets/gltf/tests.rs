@@ -380,11 +380,12 @@ fn cameras_and_lights() {
     document.node(json!({ "camera": 1 }));
     document.node(json!({ "extensions": { "KHR_lights_punctual": { "light": 0 } } }));
     let asset = document.read().unwrap();
-    let [(name, camera)] = &asset.cameras[..] else { panic!("{:?}", asset.cameras) };
+    let [(name, camera), (_, flat)] = &asset.cameras[..] else { panic!("{:?}", asset.cameras) };
     assert_eq!(name, "front");
     assert!(close(camera.eye, [0.0, 0.0, 9.0]) && close(camera.target, [-1.0, 0.0, 9.0]));
-    assert!((camera.fov_deg - 57.29578).abs() < 1e-4);
-    assert_eq!(asset.warnings.len(), 2);
+    assert!((camera.lens.fov_deg().unwrap() - 57.29578).abs() < 1e-4);
+    assert_eq!(flat.lens.ortho_height(), Some(2.0), "twice ymag");
+    assert_eq!(asset.warnings.len(), 1);
 }
 
 #[test]

@@ -11,7 +11,7 @@
 
 use glam::{DAffine3, DQuat, DVec3};
 
-use crate::math::{Camera, SensorView};
+use crate::math::{Camera, Lens, SensorView};
 
 /// Points that are looked at, at most.
 const SAMPLES: usize = 4096;
@@ -93,7 +93,7 @@ pub(super) fn view(
                 eye,
                 target: eye + turned(axes[2]) * median_depth(&directions),
                 up: turned(-axes[1]),
-                fov_deg: 2.0 * tan_y.atan().to_degrees(),
+                lens: Lens::Perspective { fov_deg: 2.0 * tan_y.atan().to_degrees() },
             };
             if camera.view(1, 1).is_ok() {
                 best = Some((error, SensorView { camera, aspect: tan_x / tan_y }));
@@ -196,7 +196,11 @@ mod tests {
             assert_near(view.camera.up, -axes[1]);
             assert_near(view.camera.eye, DVec3::ZERO);
             let fov_deg = 2.0 * (24.0f64 / 52.5).atan().to_degrees();
-            assert!((view.camera.fov_deg - fov_deg).abs() < 0.01, "{}", view.camera.fov_deg);
+            assert!(
+                (view.camera.lens.fov_deg().unwrap() - fov_deg).abs() < 0.01,
+                "{:?}",
+                view.camera.lens
+            );
             assert!((view.aspect - 4.0 / 3.0).abs() < 1e-3, "{}", view.aspect);
         }
     }
@@ -247,7 +251,7 @@ mod tests {
         assert_near(seen.camera.eye, DVec3::Z);
         assert_near(direction(&seen), placed.transform_vector3(DVec3::Z));
         assert_near(seen.camera.up, placed.transform_vector3(DVec3::NEG_Y));
-        assert!((seen.camera.fov_deg - 49.0).abs() < 3.0, "{}", seen.camera.fov_deg);
+        assert!((seen.camera.lens.fov_deg().unwrap() - 49.0).abs() < 3.0, "{:?}", seen.camera.lens);
     }
 
     #[test]

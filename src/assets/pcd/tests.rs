@@ -165,7 +165,7 @@ fn depth_images_have_the_view_of_their_sensor() {
     assert_eq!(seen.camera.up, DVec3::NEG_Y);
     assert!(seen.camera.target.distance(DVec3::Z * 2.0) < 0.1, "{:?}", seen.camera);
     let fov_deg = 2.0 * (15.0f64 / 32.0).atan().to_degrees();
-    assert!((seen.camera.fov_deg - fov_deg).abs() < 0.1, "{}", seen.camera.fov_deg);
+    assert!((seen.camera.lens.fov_deg().unwrap() - fov_deg).abs() < 0.1, "{:?}", seen.camera.lens);
     assert!(asset.warnings.len() == 1, "{:?}", asset.warnings);
     let named = read_bytes(&depth_image("0 0 zero 1 0 0 0")).unwrap();
     assert!(named.warnings[0].starts_with("VIEWPOINT is ignored"), "{:?}", named.warnings);

@@ -66,12 +66,13 @@ pub enum Wanted {
 
 const NAMES: [&str; 7] = ["scene", "path", "fps", "from", "to", "want", "bitrate_kbps"];
 /// Frame parameters that the path sets, or that have no meaning in a job.
-pub const NOT_HERE: [(&str, &str); 9] = [
+pub const NOT_HERE: [(&str, &str); 10] = [
     ("camera", "the path says where frames are seen from"),
     ("eye", "the path says where frames are seen from"),
     ("target", "the path says where frames are seen from"),
     ("up", "the path says where frames are seen from"),
     ("fov", "the path says where frames are seen from"),
+    ("ortho_height", "the path says where frames are seen from"),
     ("view", "the path says where frames are seen from"),
     ("proj", "the path says where frames are seen from"),
     ("wait", "frames of a job always wait until normals and kernels are there"),

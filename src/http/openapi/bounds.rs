@@ -10,7 +10,7 @@ use crate::film::video::KBPS_RANGE;
 use crate::http::jobs::create as job;
 use crate::http::names::{FILE_NAME_PATTERN, ID_PATTERN, MAX_FILE_NAME_BYTES};
 use crate::http::{frames, mjpeg, params, pick, stream, upload};
-use crate::math::{FARTHEST, FOV_RANGE_DEG};
+use crate::math::{FARTHEST, FOV_RANGE_DEG, ORTHO_HEIGHT_RANGE};
 use crate::plan::{self, Output, SettingKind};
 use crate::residency::layout::MOST_ROWS;
 use crate::scene::{LARGEST_COORDINATE, LARGEST_SCALE};
@@ -48,6 +48,10 @@ fn of_frame(name: &str) -> Option<Value> {
         "eye" | "target" => json!({ "items": number(-FARTHEST, FARTHEST) }),
         "fov" => {
             let [least, most] = FOV_RANGE_DEG;
+            number(least, most)
+        }
+        "ortho_height" => {
+            let [least, most] = ORTHO_HEIGHT_RANGE;
             number(least, most)
         }
         "w" | "h" => json!({ "minimum": 1, "maximum": MOST_ROWS }),

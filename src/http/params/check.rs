@@ -3,7 +3,7 @@
 use super::{FrameParams, choice};
 use crate::engine::EngineError;
 use crate::http::problem::Problem;
-use crate::math::{FARTHEST, FOV_RANGE_DEG};
+use crate::math::{FARTHEST, FOV_RANGE_DEG, ORTHO_HEIGHT_RANGE};
 use crate::plan::Wait;
 use crate::scene::Up;
 
@@ -45,6 +45,14 @@ impl FrameParams {
                 "fov",
                 format!("{fov:e} is out of range"),
                 format!("{least} to {most} degrees"),
+            );
+        }
+        let [least, most] = ORTHO_HEIGHT_RANGE;
+        if let Some(height) = self.ortho_height.filter(|height| !(least..=most).contains(height)) {
+            return refused(
+                "ortho_height",
+                format!("{height:e} is out of range"),
+                format!("{least:e} to {most:e} scene units"),
             );
         }
         for (name, side) in [("w", self.w), ("h", self.h)] {

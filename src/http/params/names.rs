@@ -4,12 +4,13 @@ use crate::http::problem::{Kind, Problem, nearest};
 use crate::plan::Given;
 
 /// Parameters that are not settings.
-const OTHERS: [&str; 14] = [
+const OTHERS: [&str; 15] = [
     "camera",
     "eye",
     "target",
     "up",
     "fov",
+    "ortho_height",
     "view",
     "proj",
     "w",
@@ -41,7 +42,7 @@ const SYNONYMS: [(&str, &str); 9] = [
     ("position", "eye"),
     ("center", "target"),
     ("fovy", "fov"),
-    ("projection", "proj"),
+    ("ymag", "ortho_height"),
     ("timeout", "deadline_ms"),
 ];
 

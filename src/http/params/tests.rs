@@ -18,7 +18,7 @@ fn a_full_query() {
         .unwrap();
     let Pose::Camera(camera) = r.pose else { panic!("{:?}", r.pose) };
     assert_eq!(camera.eye, DVec3::new(0.0, 1.0, 3.0));
-    assert_eq!((camera.up, camera.fov_deg), (DVec3::Z, 40.0));
+    assert_eq!((camera.up, camera.lens.fov_deg()), (DVec3::Z, Some(40.0)));
     assert_eq!((r.width, r.height, r.quality, r.output), (640, 480, 90, Output::Depth));
     assert!(r.deadline.is_none());
 }
@@ -294,9 +294,12 @@ fn defaults_fill_but_do_not_mix_poses() {
 #[test]
 fn up_and_fov_apply_to_the_whole_scene() {
     let pose = |query: &str| request(query).unwrap().pose;
-    assert_eq!(pose("up=z"), Pose::Fit { up: Some(DVec3::Z), fov_deg: None });
-    assert_eq!(pose("up=-y&fov=30"), Pose::Fit { up: Some(DVec3::NEG_Y), fov_deg: Some(30.0) });
-    assert_eq!(pose("up=0,0,2"), Pose::Fit { up: Some(DVec3::Z * 2.0), fov_deg: None });
+    assert_eq!(pose("up=z"), Pose::Fit { up: Some(DVec3::Z), lens: None });
+    assert_eq!(
+        pose("up=-y&fov=30"),
+        Pose::Fit { up: Some(DVec3::NEG_Y), lens: Some(Lens::Perspective { fov_deg: 30.0 }) }
+    );
+    assert_eq!(pose("up=0,0,2"), Pose::Fit { up: Some(DVec3::Z * 2.0), lens: None });
     let Pose::Camera(camera) = pose("eye=1,0,0&target=0,0,0&up=z") else { panic!("no camera") };
     assert_eq!(camera.up, DVec3::Z);
     let json = |text: &str| {
@@ -304,7 +307,30 @@ fn up_and_fov_apply_to_the_whole_scene() {
         params.request("s", ImageFormat::Png, Instant::now())
     };
     let by_name = json(r#"{ "up": "-x" }"#).unwrap().pose;
-    assert_eq!(by_name, Pose::Fit { up: Some(DVec3::NEG_X), fov_deg: None });
+    assert_eq!(by_name, Pose::Fit { up: Some(DVec3::NEG_X), lens: None });
     let refused = json(r#"{ "up": "w" }"#).unwrap_err();
     assert!(refused.detail.contains("`w` is no axis"), "{}", refused.detail);
+}
+
+#[test]
+fn a_height_of_the_view_takes_the_place_of_a_field_of_view() {
+    let pose = |query: &str| request(query).unwrap().pose;
+    let lens = Lens::Orthographic { height: 2.5 };
+    assert_eq!(pose("ortho_height=2.5"), Pose::Fit { up: None, lens: Some(lens) });
+    let Pose::Camera(camera) = pose("eye=0,0,1&target=0,0,0&up=y&ortho_height=2.5") else {
+        panic!("no camera")
+    };
+    assert_eq!(camera.lens, lens);
+    for query in ["fov=30&ortho_height=2", "ortho_height=2&projection=perspective"] {
+        assert_eq!(
+            request(query).unwrap_err().parameter.as_deref(),
+            Some("ortho_height"),
+            "{query}"
+        );
+    }
+    let json = |value| FrameParams::from_json(value, "").unwrap();
+    let wide = json(serde_json::json!({"eye": [1,2,3], "target": [0,0,0], "fov": 30}));
+    let flat = json(serde_json::json!({"ortho_height": 2.0})).or(&wide);
+    assert_eq!((flat.fov, flat.ortho_height, flat.eye), (None, Some(2.0), Some([1.0, 2.0, 3.0])));
+    assert_eq!(json(serde_json::json!({"fov": 20})).or(&flat).ortho_height, None);
 }

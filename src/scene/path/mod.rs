@@ -213,7 +213,7 @@ impl Leg {
             eye,
             target: eye + turn * DVec3::NEG_Z * distance,
             up: turn * DVec3::Y,
-            fov_deg: a.fov_deg + (b.fov_deg - a.fov_deg) * made,
+            lens: a.lens.towards(b.lens, made),
         }
     }
 }

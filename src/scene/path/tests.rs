@@ -1,10 +1,15 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::math::Lens;
 
 fn key(t: f64, eye: [f64; 3], target: [f64; 3], ease: Ease) -> PathKey {
     let (eye, target) = (DVec3::from_array(eye), DVec3::from_array(target));
-    PathKey { t, camera: Camera { eye, target, up: DVec3::Y, fov_deg: 40.0 }, ease }
+    PathKey {
+        t,
+        camera: Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg: 40.0 } },
+        ease,
+    }
 }
 
 fn path(interpolation: Interpolation, keys: Vec<PathKey>) -> CameraPath {
@@ -118,10 +123,10 @@ fn field_of_view_and_distance_change_with_the_rest() {
         key(0.0, [0.0, 0.0, 10.0], [0.0; 3], Ease::InOut),
         key(4.0, [0.0, 0.0, 30.0], [0.0; 3], Ease::Smooth),
     ];
-    keys[1].camera.fov_deg = 60.0;
+    keys[1].camera.lens = Lens::Perspective { fov_deg: 60.0 };
     let camera = path(Interpolation::Linear, keys).sampler().unwrap().at(1.0);
     let made = 0.15625;
-    assert!((camera.fov_deg - (40.0 + 20.0 * made)).abs() < 1e-12);
+    assert!((camera.lens.fov_deg().unwrap() - (40.0 + 20.0 * made)).abs() < 1e-12);
     assert!((camera.eye.z - (10.0 + 20.0 * made)).abs() < 1e-12);
     assert!(camera.target.length() < 1e-12);
 }
@@ -237,7 +242,7 @@ fn keys() -> impl Strategy<Value = Vec<PathKey>> {
             let way = if way.length() < 1e-3 { DVec3::X } else { way };
             let target = DVec3::from_array(eye) + way;
             let mut made = key(t, eye, target.to_array(), ease);
-            made.camera.fov_deg = fov;
+            made.camera.lens = Lens::Perspective { fov_deg: fov };
             made
         });
         made.collect()
@@ -263,9 +268,10 @@ proptest! {
         let t = path.keys[0].t + at * path.duration_s();
         let camera = path.sampler().unwrap().at(t);
         prop_assert!(camera.view(64, 48).is_ok(), "{:?}", camera);
-        let fovs = path.keys.iter().map(|key| key.camera.fov_deg);
+        let fovs = path.keys.iter().map(|key| key.camera.lens.fov_deg().unwrap());
         let (least, most) = fovs.fold((180.0f64, 0.0f64), |(a, b), fov| (a.min(fov), b.max(fov)));
-        prop_assert!(camera.fov_deg >= least - 1e-9 && camera.fov_deg <= most + 1e-9);
+        let fov_deg = camera.lens.fov_deg().unwrap();
+        prop_assert!(fov_deg >= least - 1e-9 && fov_deg <= most + 1e-9);
     }
 
     /// Nothing jumps: neither at keys nor between them.
@@ -282,7 +288,7 @@ proptest! {
             // Where coordinates are large, the direction from eye to target is rounded.
             let rounded = 8.0 * f64::EPSILON * reach / a.eye.distance(a.target);
             prop_assert!(turn_between(&a, &b) < 1e-6 + rounded.min(4.0), "{a:?} {b:?}");
-            prop_assert!((a.fov_deg - b.fov_deg).abs() < 1e-5);
+            prop_assert!((a.lens.fov_deg().unwrap() - b.lens.fov_deg().unwrap()).abs() < 1e-5);
         }
     }
 

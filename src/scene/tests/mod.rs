@@ -92,8 +92,8 @@ fn everything_at_once() {
     let scene = folder.parse(text).unwrap();
     assert_eq!(file_of(&scene, 1), folder.root.join("sub/c.ply"));
     assert_eq!(scene.cameras.iter().map(|c| c.0.as_str()).collect::<Vec<_>>(), ["z", "a"]);
-    assert_eq!((scene.cameras[0].1.up, scene.cameras[0].1.fov_deg), (DVec3::Z, 40.0));
-    assert_eq!((scene.cameras[1].1.up, scene.cameras[1].1.fov_deg), (DVec3::X, 60.0));
+    assert_eq!((scene.cameras[0].1.up, scene.cameras[0].1.lens.fov_deg()), (DVec3::Z, Some(40.0)));
+    assert_eq!((scene.cameras[1].1.up, scene.cameras[1].1.lens.fov_deg()), (DVec3::X, Some(60.0)));
     let fly = &scene.paths[0].1;
     assert_eq!((fly.keys[1].t, fly.fps, fly.interpolation), (4.0, 30.0, Interpolation::CatmullRom));
     assert_eq!((fly.keys[0].ease, fly.keys[0].camera.up), (Ease::Smooth, DVec3::Z));
@@ -274,13 +274,15 @@ fn paths_in_files_of_their_own() {
     assert_eq!((path.fps, path.interpolation), (12.0, Interpolation::Linear));
     assert_eq!((path.keys[0].ease, path.keys[1].ease), (Ease::Linear, Ease::InOut));
     let cameras = [path.keys[0].camera, path.keys[1].camera];
-    assert_eq!((cameras[0].up, cameras[0].fov_deg), (DVec3::Z, 40.0));
-    assert_eq!((cameras[1].up, cameras[1].fov_deg), (DVec3::Y, 60.0));
+    assert_eq!((cameras[0].up, cameras[0].lens.fov_deg()), (DVec3::Z, Some(40.0)));
+    assert_eq!((cameras[1].up, cameras[1].lens.fov_deg()), (DVec3::Y, Some(60.0)));
     for (from, to, expected) in [
         ("linear", "bezier", "cam.json: interpolation: unknown value `bezier`"),
         ("in_out", "inout", "cam.json: keys[1].ease: unknown value `inout` at line 3 column"),
         ("in_out", "inout", "did you mean `in_out`?"),
         ("fov", "fow", "did you mean `fov`?"),
+        ("60 }", "60, \"ortho_height\": 2 }", "either `fov` or `ortho_height`"),
+        ("\"fov\": 60", "\"ortho_height\": 2", "all keys of a path need one projection"),
         ("\"t\": 1", "\"t\": -1", "cam.json: keys[1].t: -1 s must be later"),
         ("[5, 0, 0]", "[0, 0, 0]", "cam.json: keys[1].target: must differ from eye"),
     ] {

@@ -12,7 +12,7 @@ use super::super::{CameraPath, Light, MaterialSpec, PathKey, Splats, Up};
 use super::{
     DEFAULT_FOV_DEG, LARGEST_COORDINATE, LARGEST_INTENSITY, Place, Valid, coordinates, unit, within,
 };
-use crate::math::{Bounds, Camera};
+use crate::math::{Bounds, Camera, Lens};
 
 pub(super) fn material(name: &str, wire: &MaterialWire, place: Place<'_>) -> Valid<MaterialSpec> {
     let base_color = match &wire.color {
@@ -163,22 +163,26 @@ fn rgb([r, g, b, _]: [f32; 4]) -> [f32; 3] {
 }
 
 pub(super) fn camera(wire: &CameraWire, up: DVec3, place: Place<'_>) -> Valid<Camera> {
-    pose(wire.eye, wire.target, wire.up, wire.fov, up, place)
+    pose(wire.eye, wire.target, wire.up, (wire.fov, wire.ortho_height), up, place)
 }
 
 fn pose(
     eye: [f64; 3],
     target: [f64; 3],
     own_up: Option<Up>,
-    fov: Option<f64>,
+    (fov, ortho_height): (Option<f64>, Option<f64>),
     scene_up: DVec3,
     place: Place<'_>,
 ) -> Valid<Camera> {
+    if fov.is_some() && ortho_height.is_some() {
+        return place.key("ortho_height").refuse("a camera has either `fov` or `ortho_height`");
+    }
     let camera = Camera {
         eye: coordinates(eye, place.key("eye"))?,
         target: coordinates(target, place.key("target"))?,
         up: own_up.map_or(scene_up, |up| up.0),
-        fov_deg: fov.unwrap_or(DEFAULT_FOV_DEG),
+        lens: Lens::given(fov, ortho_height)
+            .unwrap_or(Lens::Perspective { fov_deg: DEFAULT_FOV_DEG }),
     };
     match camera.view(1, 1) {
         Ok(_) => Ok(camera),
@@ -206,11 +210,17 @@ pub(super) fn path(wire: &PathWire, up: DVec3, place: Place<'_>) -> Valid<Camera
                 .key("t")
                 .refuse(format!("{t} s must be later than the key before ({before} s)"));
         }
-        keys.push(PathKey {
-            t: key.t,
-            camera: pose(key.eye, key.target, key.up, key.fov, up, place)?,
-            ease: key.ease.unwrap_or(ease),
-        });
+        let camera = pose(key.eye, key.target, key.up, (key.fov, key.ortho_height), up, place)?;
+        if keys
+            .first()
+            .is_some_and(|first| first.camera.lens.projection() != camera.lens.projection())
+        {
+            let (name, _) = camera.lens.parameter();
+            return place.key(name).refuse(
+                "all keys of a path need one projection: `ortho_height` in all of them, or in none",
+            );
+        }
+        keys.push(PathKey { t: key.t, camera, ease: key.ease.unwrap_or(ease) });
     }
     Ok(CameraPath { fps, interpolation, keys })
 }
