@@ -231,7 +231,7 @@ impl Picker {
                 let cell = record.cell(*samples.positions.get(index)?);
                 sample(samples, index, cell, tint)?
             }
-            PackedGeometry::Mesh(mesh) => {
+            PackedGeometry::Triangles(mesh) => {
                 let way = self.view.view_from_world.transpose() * self.view.ray(pixel);
                 let ray = (self.view.eye, way);
                 triangle((asset, mesh), (chunk as usize, index), &world, ray, tint)?
@@ -241,11 +241,10 @@ impl Picker {
         let normal = turned(&world, element.normal, self.view.eye - position);
         let axes = world.matrix3;
         let scale = axes.x_axis.length().max(axes.y_axis.length()).max(axes.z_axis.length());
-        let steps = if element.kind == HitKind::Triangle { 0 } else { record.shift };
         Some(Hit {
             kind: element.kind,
             position: position.into(),
-            resolution: packed.grid().step * f64::from(steps).exp2() * scale,
+            resolution: packed.grid().step * f64::from(record.shift).exp2() * scale,
             distance: position.distance(self.view.eye),
             depth: -self.view.to_view(position).z,
             normal: normal.map(Into::into),

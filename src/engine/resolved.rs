@@ -104,10 +104,12 @@ impl Drawing {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bake::pack::Counts;
     use crate::plan::{self, AdapterFacts, FrameFacts, Given, Output, SceneFacts, SettingKind};
 
     fn drawing(settings: &Settings) -> Drawing {
-        let facts = SceneFacts { has_samples: true, trees: true, chunks: 1, ..Default::default() };
+        let counts = Counts { samples: 1, chunks: 1, ..Counts::default() };
+        let facts = SceneFacts { counts, trees: true, ..Default::default() };
         let adapter = AdapterFacts::default();
         Drawing::new(settings, &Splats::default(), None, |splats| {
             let frame = FrameFacts { output: Output::Color, splats: splats.copied(), edl: None };
