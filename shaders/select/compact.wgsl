@@ -28,8 +28,6 @@ override UNASKED: bool = false;
 
 const NOT_VISIBLE: u32 = 0xffffffffu;
 const GROUP: u32 = 32u;
-// Sides::Closed.
-const CLOSED: u32 = 2u;
 
 fn sample_slot(chunk: Chunk, at: Placed, box: Box) -> Slot {
     let corner = grid_to_camera(at, chunk.origin);
@@ -46,9 +44,9 @@ fn sample_slot(chunk: Chunk, at: Placed, box: Box) -> Slot {
     slot.row_y = vec4<f32>(f.y * y + c.y * z_part, f.y * corner.y + c.y * corner_part);
     slot.row_z = vec4<f32>(z, corner.z);
     slot.unit = chunk.node_base * stretch(at);
-    slot.one_sided = u32(chunk.vertex_first == CLOSED && at.position.w == 1.0);
+    slot.one_sided = u32((chunk.flags & CHUNK_CLOSED) != 0u && at.position.w == 1.0);
     slot.limit = parent_limit(chunk, at, box, slot.unit);
-    slot.sorted = chunk.sorted & u32(LISTS_SORTED);
+    slot.sorted = u32(LISTS_SORTED && (chunk.flags & CHUNK_SORTED) != 0u);
     return slot;
 }
 
@@ -102,10 +100,10 @@ fn compact(@builtin(global_invocation_id) invocation: vec3<u32>) {
         let bin = depth_bin(box_bounds(box).near);
         let is_near = bin < atomicLoad(&depths[frame.view * DEPTHS_WORDS + DEPTH_ENDS]);
         list_turn(index / GROUP, own, bin, is_near);
-        counted = select(0u, chunk.count, is_near || (UNASKED && chunk.shift != TRIANGLES));
+        counted = select(0u, chunk.count, is_near || (UNASKED && chunk.kind == SAMPLES));
     }
     var slot: Slot;
-    if chunk.shift == TRIANGLES {
+    if chunk.kind == TRIANGLES {
         count_triangles(counted);
     } else {
         slot = sample_slot(chunk, at, box);

@@ -21,7 +21,7 @@ const NO_INSTANCE: u32 = 0xffffffffu;
 
 // Distance that splats extend beyond their centres; 0 for points and triangles.
 fn reach_of(chunk: Chunk, scale: f32) -> f32 {
-    if chunk.shift == TRIANGLES {
+    if chunk.kind != SAMPLES {
         return 0.0;
     }
     return splat_reach(chunk, scale);

@@ -97,7 +97,7 @@ fn corner_of(word: u32) -> vec3<f32> {
 fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
     let at = placed[frame.first_instance + slot.instance];
     let whole = grid_box(at, chunk.origin, chunk.extent);
-    let is_splats = SPLATS && chunk.shift != TRIANGLES;
+    let is_splats = SPLATS && chunk.kind == SAMPLES;
     let reach = select(0.0, splat_reach(chunk, stretch(at)), is_splats);
     // A splat fills at least one pixel.
     let filter_px = select(0.0, max(frame.splat_cutoff * frame.splat_lowpass_px, 1.0), is_splats);
@@ -137,7 +137,7 @@ fn ask(run: Run, slot_index: u32) {
     // The last part may be shorter.
     let last = (chunk.count - 1u) / PART;
     let elements = countOneBits(shown) * PART - select(0u, (last + 1u) * PART - chunk.count, (shown >> last) == 1u);
-    if chunk.shift == TRIANGLES {
+    if chunk.kind == TRIANGLES {
         count_triangles(elements);
     } else if COUNTS_SAMPLES {
         count_samples(elements);

@@ -75,7 +75,7 @@ fn splat_slot(index: u32) -> SplatSlot {
         slot.is_even = keeps_angles(x / most, y / most, z / most);
     }
     slot.scale = most * sqrt(max(dot(x / most, x / most), max(dot(y / most, y / most), dot(z / most, z / most))));
-    slot.orientation = f32(min(chunks[chunk].vertex_first, 1u)) * sign(dot(cross(x / most, y / most), z / most));
+    slot.orientation = f32(chunks[chunk].flags & CHUNK_ORIENTED) * sign(dot(cross(x / most, y / most), z / most));
     return slot;
 }
 

@@ -39,18 +39,29 @@ struct Placed {
     anchor: vec4<i32>,
 }
 
-// Up to 1024 neighbouring samples or triangles.
+// Kinds of geometry, see GeometryKind in src/bake/pack/kind.rs.
+const SAMPLES: u32 = 0u;
+const TRIANGLES: u32 = 1u;
+
+// Flags of chunks. The normals of samples point outwards.
+const CHUNK_ORIENTED: u32 = 1u;
+// The surface is also closed: its back is never seen from outside.
+const CHUNK_CLOSED: u32 = 2u;
+// Nodes are strictly sorted by their parents' errors.
+const CHUNK_SORTED: u32 = 4u;
+
+// Up to 1024 neighbouring elements of one kind.
 struct Chunk {
     // Grid position of the box's minimum corner.
     origin: vec3<i32>,
-    // First sample, or first triangle, in its page.
+    // First element in its page.
     first: u32,
     // Size of the box in grid cells.
     extent: vec3<f32>,
     count: u32,
     // Samples: their 21-bit coordinates count in steps of 2^shift cells.
     shift: u32,
-    // Triangles: first vertex in the page. Samples: what normals tell, see Sides in src/bake/pack.rs.
+    // Triangles: first vertex in the page.
     vertex_first: u32,
     material: u32,
     // Samples: longest axis of a kernel, in steps of 2^shift cells.
@@ -62,13 +73,9 @@ struct Chunk {
     error_least: f32,
     size_least: f32,
     delta_most: f32,
-    // 1: nodes are strictly sorted by their parents' errors.
-    sorted: u32,
-    range_unused: u32,
+    kind: u32,
+    flags: u32,
 }
-
-// `shift` of chunks of triangles.
-const TRIANGLES: u32 = 0xffffffffu;
 
 // Some 32 instances of a scene of point trees, neighbours in space.
 struct InstanceGroup {

@@ -11,10 +11,7 @@ use super::EngineError;
 use super::error::asset_error;
 use crate::assets::{AssetError, Material};
 use crate::bake::external::{SpillFile, Spilled};
-use crate::bake::pack::{
-    Grid, NodeRange, PackedAsset, PackedChunk, PackedGeometry, PackedMesh, PackedSamples,
-    PackedTexture,
-};
+use crate::bake::pack::{GeometryKind, Grid, NodeRange, PackedAsset, PackedChunk, PackedTexture};
 use crate::bake::tree::BAKING_VERSION;
 use crate::math::Bounds;
 use crate::memory::Admission;
@@ -143,14 +140,12 @@ pub fn spilled_tree_key(samples: &Spilled, bounds: &Bounds) -> std::io::Result<[
         hasher.update(count.to_le_bytes());
     }
     let Spilled { grid, chunks, positions, attributes, kernels, nodes } = samples;
-    hasher.update(b"samples");
-    digest_grid(&mut hasher, grid);
-    digest_chunks(&mut hasher, chunks);
+    digest_head(&mut hasher, GeometryKind::Samples, grid, chunks);
     spilled_words(&mut hasher, positions)?;
     spilled_words(&mut hasher, attributes)?;
     spilled_words(&mut hasher, kernels)?;
+    // There are no clip lines.
     words(&mut hasher, &[]);
-    words(&mut hasher, &[positions.count() as u32]);
     spilled_words(&mut hasher, nodes)?;
     numbers(&mut hasher, &[bounds.min.to_array(), bounds.max.to_array()].concat());
     Ok(hasher.finalize().into())
@@ -175,9 +170,9 @@ pub fn digest_packed(hasher: &mut Sha256, packed: &PackedAsset) {
         hasher.update((count as u64).to_le_bytes());
     }
     for geometry in geometries {
-        match geometry {
-            PackedGeometry::Samples(samples) => digest_samples(hasher, samples),
-            PackedGeometry::Mesh(mesh) => digest_mesh(hasher, mesh),
+        digest_head(hasher, geometry.kind(), geometry.grid(), geometry.chunks());
+        for array in geometry.arrays() {
+            words(hasher, array);
         }
     }
     for material in materials {
@@ -199,27 +194,11 @@ fn numbers(hasher: &mut Sha256, numbers: &[f64]) {
     hasher.update(bytemuck::cast_slice(numbers));
 }
 
-fn digest_samples(hasher: &mut Sha256, samples: &PackedSamples) {
-    let PackedSamples { grid, chunks, positions, attributes, kernels, clips, clipped_first, nodes } =
-        samples;
-    hasher.update(b"samples");
+/// Adds everything of a geometry but its arrays.
+fn digest_head(hasher: &mut Sha256, kind: GeometryKind, grid: &Grid, chunks: &[PackedChunk]) {
+    hasher.update((kind as u32).to_le_bytes());
     digest_grid(hasher, grid);
     digest_chunks(hasher, chunks);
-    words(hasher, positions.as_flattened());
-    words(hasher, attributes.as_flattened());
-    words(hasher, kernels);
-    words(hasher, clips.as_flattened());
-    words(hasher, &[*clipped_first]);
-    words(hasher, nodes.as_flattened());
-}
-
-fn digest_mesh(hasher: &mut Sha256, mesh: &PackedMesh) {
-    let PackedMesh { grid, chunks, vertices, triangles } = mesh;
-    hasher.update(b"mesh");
-    digest_grid(hasher, grid);
-    digest_chunks(hasher, chunks);
-    words(hasher, vertices.as_flattened());
-    words(hasher, triangles);
 }
 
 fn digest_grid(hasher: &mut Sha256, grid: &Grid) {

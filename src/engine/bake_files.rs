@@ -18,7 +18,7 @@ use super::{EngineConfig, EngineError, Source};
 use crate::assets::{PointBlocks, ReadOptions};
 use crate::bake::cache::BakeCache;
 use crate::bake::external::{BakeFault, Memory, Packed, Phase, Work, grow_tree, pack_points};
-use crate::bake::pack::PackedGeometry;
+use crate::bake::pack::{Counts, PackedGeometry};
 use crate::bake::prepare;
 use crate::bake::tree::TreeStatistics;
 use crate::memory::Admission;
@@ -96,10 +96,7 @@ impl Loaded {
         keep: bool,
         mut tell: impl FnMut(BakeEvent),
     ) -> Result<Vec<BakedAsset>, EngineError> {
-        let elements = |asset: &AssetModel| {
-            let (samples, triangles) = asset.counts();
-            samples + triangles
-        };
+        let elements = |asset: &AssetModel| asset.counts().elements();
         let mut seen = HashSet::new();
         // Another scene may have read the same file under another name.
         let names = self.info.assets.iter().map(|asset| asset.name.as_str());
@@ -137,7 +134,7 @@ fn figures(
     source: BakeSource,
     began: Instant,
 ) -> BakedAsset {
-    let (samples, triangles) = asset.counts();
+    let Counts { samples, triangles, .. } = asset.counts();
     let mut told = BakedAsset {
         name: name.to_owned(),
         samples,
@@ -153,7 +150,7 @@ fn figures(
             PackedGeometry::Samples(samples) => {
                 told.tree = told.tree.with(&TreeStatistics::of(samples));
             }
-            PackedGeometry::Mesh(mesh) => {
+            PackedGeometry::Triangles(mesh) => {
                 told.triangles_beside += mesh.triangles.len() as u64;
                 told.triangle_bytes += geometry.gpu_bytes();
             }
@@ -219,7 +216,7 @@ pub fn bake_apart(
                 .map_err(|fault| engine_error(name, cache, fault))?,
             None => {
                 let asset = load_one(path, description, index, config)?;
-                if asset.counts() == (0, 0) {
+                if asset.counts().elements() == 0 {
                     continue;
                 }
                 let began = Instant::now();

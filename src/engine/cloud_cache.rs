@@ -26,7 +26,7 @@ use super::asset_keys::file_kind;
 use super::uid::next_uid;
 use crate::assets::{FORMATS, Placement};
 use crate::bake::cache::BakeCache;
-use crate::bake::pack::{PackedAsset, PackedGeometry};
+use crate::bake::pack::{Counts, GeometryKind, PackedAsset, PackedGeometry};
 use crate::bake::upright::{End, Shape};
 use crate::math::{Bounds, Camera, Lens, Sensor, SensorView};
 use crate::memory::{Admission, Interrupt, Reservation};
@@ -255,12 +255,9 @@ impl CloudEntry {
         let whole = self.cache.load(&samples_key(&note.digest, true));
         let is_whole = whole.is_some();
         let geometries = whole.or_else(|| self.cache.load(&samples_key(&note.digest, false)))?;
-        let count = |geometry: &PackedGeometry| match geometry {
-            PackedGeometry::Samples(samples) => Some(samples.positions.len() as u64),
-            PackedGeometry::Mesh(_) => None,
-        };
-        let counts: Option<Vec<u64>> = geometries.iter().map(count).collect();
-        let fits = counts?.iter().sum::<u64>() == note.samples
+        let counts: Counts = geometries.iter().map(PackedGeometry::counts).sum();
+        let fits = geometries.iter().all(|geometry| geometry.kind() == GeometryKind::Samples)
+            && counts.samples == note.samples
             && note.bounds.len() == geometries.len()
             && note.placements.iter().all(|&(_, geometry, _)| geometry < geometries.len());
         if !fits {
@@ -317,7 +314,7 @@ impl CloudEntry {
             has_normals: model.has_normals,
             normals_estimated: model.normals_estimated,
             lacks_normals: deferred.lacks_normals,
-            samples: model.counts().0,
+            samples: model.counts().samples,
             bounds: model
                 .bounds
                 .iter()

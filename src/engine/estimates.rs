@@ -35,7 +35,7 @@ impl Loaded {
             let assets = self.model.assets.iter().enumerate();
             assets.filter_map(|(index, asset)| Some((index, asset, asset.deferred.as_ref()?)))
         };
-        let size = |asset: &AssetModel| asset.counts().0 as f64;
+        let size = |asset: &AssetModel| asset.counts().samples as f64;
         let total = lacking().map(|(_, asset, _)| size(asset)).sum::<f64>().max(1.0);
         let mut done = 0.0;
         for (index, asset, deferred) in lacking() {
@@ -94,7 +94,7 @@ impl Loaded {
         let asset = (index, key);
         let whole = whole_asset(&self.path, &self.description, asset, config, watch, &admission)?;
         let elapsed_ms = began.elapsed().as_millis() as u64;
-        let (samples, _) = whole.counts();
+        let samples = whole.counts().samples;
         tracing::info!(asset = whole.name, samples, elapsed_ms, "normals and kernels estimated");
         Ok(whole)
     }

@@ -168,7 +168,7 @@ fn made_scene(
         match (&blocks[index].over, lone[index]) {
             (Some(over), _) => {
                 last.push(ModelInstance { above, ..over_all(assets.len()) });
-                nodes += over.tree.counts().0;
+                nodes += over.tree.counts().samples;
                 assets.push(over.tree.clone());
             }
             (None, Some(member)) => last.push(ModelInstance { above, ..*roots.instance(member) }),
@@ -273,10 +273,7 @@ impl Block {
 
 impl<'a> Roots<'a> {
     fn of(model: &'a SceneModel, assets: &'a [Arc<AssetModel>]) -> Roots<'a> {
-        let root = |geometry: &PackedGeometry| match geometry {
-            PackedGeometry::Samples(tree) => Root::of(tree),
-            PackedGeometry::Mesh(_) => None,
-        };
+        let root = |geometry: &PackedGeometry| geometry.samples().and_then(Root::of);
         let of_asset = |asset: &Arc<AssetModel>| asset.packed.geometries.iter().map(root).collect();
         let of_geometry = assets.iter().map(of_asset).collect();
         Roots { model, meter: RunMeter::new(assets), of_geometry }

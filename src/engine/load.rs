@@ -18,7 +18,9 @@ use crate::assets::{AssetError, Geometry, PointCloud, ReadOptions};
 use crate::bake::CUTOFF;
 use crate::bake::assemble::{Assembler, Prepared};
 use crate::bake::estimate::{EstimateError, lacks_normals, pack_estimated};
-use crate::bake::pack::{PackedAsset, PackedGeometry, pack_mesh, pack_samples, pack_texture};
+use crate::bake::pack::{
+    PackedAsset, PackedGeometry, pack_mesh, pack_samples, pack_texture, packing_bytes,
+};
 use crate::bake::prepare::{self, AssetTraits, Outlook};
 use crate::math::Bounds;
 use crate::memory::{Admission, Reservation};
@@ -219,9 +221,9 @@ fn strays(asset: &AssetModel) -> Option<String> {
     let outlines = asset.outlines();
     let strays: u64 = outlines.iter().map(|outline| outline.strays).sum();
     let farthest = outlines.iter().map(|outline| outline.farthest_stray).fold(0.0, f64::max);
-    let (samples, triangles) = asset.counts();
-    let (name, all) = (&asset.name, samples + triangles);
-    let what = if triangles > 0 { "triangles" } else { "points" };
+    let counts = asset.counts();
+    let (name, all) = (&asset.name, counts.elements());
+    let what = if counts.triangles > 0 { "triangles" } else { "points" };
     (strays > 0).then(|| {
         format!(
             "{name}: {strays} of {all} {what} lie far from the rest, up to {farthest:.3e} units; the default view leaves them outside its frame"
@@ -263,7 +265,7 @@ fn pack_asset(
         granted.map_err(|interrupt| Stop::Failed(interrupt.into()))?;
         let taken = std::mem::replace(geometry, Geometry::Points(PointCloud::default()));
         let packed = match (taken, completeness) {
-            (Geometry::Mesh(mesh), _) => pack_mesh(&mesh).map(PackedGeometry::Mesh),
+            (Geometry::Mesh(mesh), _) => pack_mesh(&mesh).map(PackedGeometry::Triangles),
             (Geometry::Points(cloud), Completeness::Whole(watch)) if lacking.contains(&number) => {
                 let part = cloud.positions.len() as f64 / total;
                 let watch = watch.part(estimated, part);
@@ -317,14 +319,6 @@ fn pack_asset(
         warnings: asset.warnings,
         digest,
     })
-}
-
-/// Bytes needed to pack a geometry: the sort's keys and order, and the packed copy.
-fn packing_bytes(geometry: &Geometry) -> u64 {
-    match geometry {
-        Geometry::Points(cloud) => 40 * cloud.positions.len() as u64,
-        Geometry::Mesh(mesh) => 48 * mesh.positions.len() as u64 + 72 * mesh.triangles.len() as u64,
-    }
 }
 
 fn size(geometry: &Geometry) -> f64 {

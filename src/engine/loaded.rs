@@ -18,6 +18,7 @@ use super::{
     SceneInfo,
 };
 use crate::assets::Placement;
+use crate::bake::pack::Counts;
 use crate::bake::prepare;
 use crate::bake::spacing::Patch;
 use crate::bake::tree::Above;
@@ -190,14 +191,11 @@ pub fn build(
 }
 
 fn facts(model: &SceneModel) -> SceneFacts {
-    let counts = model.counts();
     SceneFacts {
-        has_samples: counts.samples > 0,
-        has_triangles: counts.triangles > 0,
+        counts: model.counts(),
         has_normals: model.assets.iter().any(|asset| asset.has_normals),
         lights: model.lights.len() as u32,
         trees: false,
-        chunks: counts.chunks,
     }
 }
 
@@ -225,7 +223,7 @@ fn describe(
             .iter()
             .zip(&description.assets)
             .map(|(asset, reference)| {
-                let (samples, triangles) = asset.counts();
+                let Counts { samples, triangles, .. } = asset.counts();
                 AssetInfo {
                     // Another scene may have read the same file under another name.
                     name: reference.name.clone(),

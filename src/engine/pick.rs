@@ -231,7 +231,7 @@ impl Picker {
                 let cell = record.cell(*samples.positions.get(index)?);
                 sample(samples, index, cell, tint)?
             }
-            PackedGeometry::Mesh(mesh) => {
+            PackedGeometry::Triangles(mesh) => {
                 let (view, ray) = (&self.view, self.view.ray(pixel));
                 let world_from_view = view.view_from_world.transpose();
                 let way = world_from_view * view.towards(ray);
@@ -246,11 +246,10 @@ impl Picker {
         let normal = turned(&world, element.normal, to_eye);
         let axes = world.matrix3;
         let scale = axes.x_axis.length().max(axes.y_axis.length()).max(axes.z_axis.length());
-        let steps = if element.kind == HitKind::Triangle { 0 } else { record.shift };
         Some(Hit {
             kind: element.kind,
             position: position.into(),
-            resolution: packed.grid().step * f64::from(steps).exp2() * scale,
+            resolution: packed.grid().step * f64::from(record.shift).exp2() * scale,
             distance: position.distance(self.view.eye),
             depth: -from_eye.z,
             normal: normal.map(Into::into),

@@ -13,7 +13,7 @@ use super::watch::{Abandoned, Watch};
 use crate::assets::AssetError;
 use crate::bake::cache::BakeCache;
 use crate::bake::external::{BakeFault, Memory, Packed, Phase, Work, grow_tree};
-use crate::bake::pack::{PackError, PackedGeometry, PackedSamples};
+use crate::bake::pack::{GeometryKind, PackError, PackedGeometry, PackedSamples};
 use crate::memory::{Interrupt, OutOfMemory};
 use crate::residency::model::AssetModel;
 
@@ -94,7 +94,7 @@ pub(super) fn read_or_build(
     build: impl FnOnce() -> Result<Vec<PackedGeometry>, Halt>,
 ) -> Result<(Vec<PackedGeometry>, BakeSource), Halt> {
     // An asset with nothing to draw needs no entry.
-    let Some(cache) = cache.filter(|_| asset.counts() != (0, 0)) else {
+    let Some(cache) = cache.filter(|_| asset.counts().elements() > 0) else {
         return Ok((build()?, BakeSource::Built));
     };
     let key = tree_key(asset);
@@ -127,22 +127,21 @@ pub(super) fn read_or_build(
 fn fits(asset: &AssetModel, found: &[PackedGeometry]) -> Result<(), &'static str> {
     let own = &asset.packed.geometries;
     let meshes = own.iter().enumerate().filter_map(|(index, geometry)| {
-        matches!(geometry, PackedGeometry::Mesh(_)).then_some(index)
+        (geometry.kind() == GeometryKind::Triangles).then_some(index)
     });
     let meshes: Vec<usize> = meshes.collect();
     if found.len() != own.len() + meshes.len() {
         return Err("they are not as many as the asset has");
     }
     let (trees, triangles) = found.split_at(own.len());
-    let is_tree = |geometry: &PackedGeometry| match geometry {
-        PackedGeometry::Samples(samples) => samples.nodes.len() == samples.positions.len(),
-        PackedGeometry::Mesh(_) => false,
+    let is_tree = |geometry: &PackedGeometry| {
+        geometry.samples().is_some_and(|samples| samples.nodes.len() == samples.positions.len())
     };
     if !trees.iter().all(is_tree) {
         return Err("some samples are no nodes");
     }
     for (geometry, &index) in triangles.iter().zip(&meshes) {
-        if !matches!(geometry, PackedGeometry::Mesh(_)) {
+        if geometry.kind() != GeometryKind::Triangles {
             return Err("a mesh's triangles are none");
         }
         if geometry.grid() != trees[index].grid() {

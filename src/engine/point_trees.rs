@@ -15,8 +15,8 @@ use crate::assets::{MeshPart, Texture};
 use crate::bake::cache::BakeCache;
 use crate::bake::hybrid::{hybrid_mesh, is_watertight};
 use crate::bake::pack::{
-    PackError, PackedAsset, PackedGeometry, PackedMesh, PackedSamples, pack_hybrid, unpack_mesh,
-    unpack_samples, unpack_texture,
+    GeometryKind, PackError, PackedAsset, PackedGeometry, PackedMesh, PackedSamples, pack_hybrid,
+    unpack_mesh, unpack_samples, unpack_texture,
 };
 use crate::bake::tree::{build_tree, build_tree_within};
 use crate::math::Bounds;
@@ -84,8 +84,7 @@ fn bake_watched(
 ) -> Result<(AssetModel, BakeSource), Halt> {
     let began = std::time::Instant::now();
     let (geometries, source) = read_or_build(asset, cache, watch, || {
-        let (samples, triangles) = asset.counts();
-        let bytes = (samples + triangles).saturating_mul(BYTES_A_SAMPLE);
+        let bytes = asset.counts().elements().saturating_mul(BYTES_A_SAMPLE);
         let what = format!("building the point trees of `{}`", asset.name);
         let _held = asset.memory.beside(&what, bytes)?;
         build(asset, watch)
@@ -93,7 +92,7 @@ fn bake_watched(
     let mut bounds = asset.bounds.clone();
     let mut beside = vec![None; asset.packed.geometries.len()];
     for (index, geometry) in asset.packed.geometries.iter().enumerate() {
-        if matches!(geometry, PackedGeometry::Mesh(_)) {
+        if geometry.kind() == GeometryKind::Triangles {
             beside[index] = Some(bounds.len());
             bounds.push(asset.bounds[index]);
         }
@@ -117,7 +116,7 @@ fn bake_watched(
     };
     let what = format!("the point trees of `{}`", asset.name);
     tree.memory = asset.memory.beside(&what, tree.gpu_bytes())?;
-    let (nodes, _) = tree.counts();
+    let nodes = tree.counts().samples;
     let elapsed_ms = began.elapsed().as_millis() as u64;
     let from_cache = source == BakeSource::Cached;
     tracing::info!(asset = asset.name, nodes, elapsed_ms, from_cache, "point trees ready");
@@ -137,9 +136,9 @@ fn build(asset: &AssetModel, watch: &Watch<'_>) -> Result<Vec<PackedGeometry>, H
             PackedGeometry::Samples(samples) => {
                 PackedGeometry::Samples(build_tree(&unpack_samples(samples), None)?)
             }
-            PackedGeometry::Mesh(packed) => {
+            PackedGeometry::Triangles(packed) => {
                 let (tree, triangles) = hybrid(asset, packed, asset.bounds[index], &textures)?;
-                meshes.push(PackedGeometry::Mesh(triangles));
+                meshes.push(PackedGeometry::Triangles(triangles));
                 PackedGeometry::Samples(tree)
             }
         });
@@ -213,10 +212,7 @@ impl Loaded {
         cache: Option<&BakeCache>,
         watch: &Watch<'_>,
     ) -> Result<Result<Vec<Arc<AssetModel>>, EngineError>, Abandoned> {
-        let size = |asset: &AssetModel| {
-            let (samples, triangles) = asset.counts();
-            (samples + triangles) as f64
-        };
+        let size = |asset: &AssetModel| asset.counts().elements() as f64;
         let total = self.model.assets.iter().map(|asset| size(asset)).sum::<f64>().max(1.0);
         let (mut done, mut trees) = (0.0, Vec::with_capacity(self.model.assets.len()));
         for asset in &self.model.assets {
@@ -268,9 +264,7 @@ impl Loaded {
             totals: OnceLock::new(),
             ..SceneModel::clone(&self.model)
         };
-        let counts = model.counts();
-        let (has_samples, chunks) = (counts.samples > 0, counts.chunks);
-        let facts = SceneFacts { trees: true, has_samples, chunks, ..self.facts };
+        let facts = SceneFacts { trees: true, counts: model.counts(), ..self.facts };
         Ok(TreeScene { model: Arc::new(model), facts, instance_trees })
     }
 

@@ -221,7 +221,7 @@ fn decide(
 ) -> Arc<ResolvedFrame> {
     let adapter = state.adapter();
     let is_open = request.settings.reconstruct == Reconstruct::Auto;
-    let mut auto = is_open.then(|| choose_for(loaded, &request, facts.has_samples, &view));
+    let mut auto = is_open.then(|| choose_for(loaded, &request, facts.counts.samples > 0, &view));
     let mut provisional = None;
     if let Some(choice) = &mut auto
         && loaded.lacks(choice.reconstruct, request.settings.lod, needed_output(&request))
@@ -232,7 +232,7 @@ fn decide(
             }
             Err(error) => format!("normals and kernels cannot be estimated: {error}"),
         });
-        let grounds = grounds(loaded, &request, facts.has_samples, &view);
+        let grounds = grounds(loaded, &request, facts.counts.samples > 0, &view);
         *choice = auto::choose(&auto::Grounds { has_kernels: false, ..grounds });
     }
     let settings = Settings {
@@ -258,7 +258,7 @@ fn decide(
         })
     };
     let other = settings.in_three_passes();
-    let is_fuzzy = settings.reconstruct == Reconstruct::Fuzzy && facts.has_samples;
+    let is_fuzzy = settings.reconstruct == Reconstruct::Fuzzy && facts.counts.samples > 0;
     let fits = || {
         let splats = settings.splats(&loaded.model.splats);
         let accepted_px = if facts.trees { settings.max_error_px.px() } else { 0.0 };
@@ -331,7 +331,7 @@ pub fn goal(loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
         }
         (Reconstruct::Auto, Wait::Complete) => match pose(loaded, request) {
             Ok((view, _)) => {
-                let wanted = choose_for(loaded, request, loaded.facts.has_samples, &view);
+                let wanted = choose_for(loaded, request, loaded.facts.counts.samples > 0, &view);
                 loaded.lacks(wanted.reconstruct, lod, output)
             }
             // The frame is refused.

@@ -110,10 +110,12 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
+    use crate::bake::pack::Counts;
     use crate::plan::{self, AdapterFacts, FrameFacts, Given, SceneFacts, SettingKind};
 
     fn drawing(settings: &Settings) -> Drawing {
-        let facts = SceneFacts { has_samples: true, trees: true, chunks: 1, ..Default::default() };
+        let counts = Counts { samples: 1, chunks: 1, ..Counts::default() };
+        let facts = SceneFacts { counts, trees: true, ..Default::default() };
         let adapter = AdapterFacts::default();
         let recolor = settings.recolor(DVec3::Y, || [0.0, 1.0]);
         Drawing::new(settings, &Splats::default(), recolor, None, |splats| {

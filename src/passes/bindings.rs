@@ -5,7 +5,7 @@ use super::uniforms::{GroupUniforms, SEGMENT_WINDOW, VIEWS_WINDOW};
 use crate::gpu::bind::Binding;
 use crate::gpu::buffer::Buffer;
 use crate::residency::layout::{FEW_LIGHTS, GpuLight};
-use crate::residency::{Lists, PageKind, Residency, ResidentScene};
+use crate::residency::{Lists, Residency, ResidentScene};
 
 /// What names are looked up in.
 pub struct Names<'a> {
@@ -21,12 +21,6 @@ impl<'a> Names<'a> {
     /// The buffer that a shader means by `name`, and its dynamic offset.
     pub fn find(&self, name: &str) -> Option<(Binding<'a>, u32)> {
         let Names { scratch, residency, scene, uniforms, segment } = *self;
-        let page = segment.map(|segment| scene.pages[segment]);
-        let samples = || residency.sample_page(page?);
-        let mesh = || {
-            page.filter(|page| page.kind == PageKind::Triangles)
-                .map(|page| residency.mesh_page(page.index))
-        };
         let buffer: &Buffer = match name {
             "frames" => {
                 let window = Binding::Window(scratch.uniforms.buffer(), VIEWS_WINDOW);
@@ -88,13 +82,8 @@ impl<'a> Names<'a> {
             "textures" => residency.texture_table(),
             "texels_0" => residency.texel_page(0),
             "texels_1" => residency.texel_page(1),
-            "positions" => samples()?.positions,
-            "attributes" => samples()?.attributes,
-            "kernels" => samples()?.kernels,
-            "clips" => samples()?.clips?,
-            "vertices" => mesh()?.0,
-            "triangles" => mesh()?.1,
-            _ => return None,
+            // The streams of the segment's page.
+            _ => residency.page_buffer(scene.pages[segment?], name)?,
         };
         Some((Binding::Whole(buffer), 0))
     }

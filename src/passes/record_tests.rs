@@ -2,7 +2,7 @@
 
 use naga::{Expression, Handle, Literal, Module};
 
-use crate::bake::pack::{CHUNK, NO_NORMAL, TRIANGLES, VERTEX_WORDS};
+use crate::bake::pack::{CHUNK, GeometryKind, NO_NORMAL, VERTEX_WORDS};
 use crate::gpu::shader::parse;
 use crate::passes::frame::output_number;
 use crate::passes::project::LANES;
@@ -143,7 +143,10 @@ fn packing_is_read_as_it_is_written() {
     // A word of the visibility buffer names a slot and one of its chunk's elements.
     assert_eq!(1 << scalar(&triangles, "SLOT_SHIFT"), CHUNK);
     assert_eq!(scalar(&triangles, "SLOT_MASK") as usize, CHUNK - 1);
-    assert_eq!(scalar(&module("select/compact"), "TRIANGLES"), TRIANGLES);
+    let compact = module("select/compact");
+    for &kind in GeometryKind::ALL {
+        assert_eq!(scalar(&compact, &kind.name().to_uppercase()), kind as u32, "{kind:?}");
+    }
     // The padding of the list of entries.
     assert_eq!(scalar(&module("select/cull"), "NO_INSTANCE"), u32::MAX);
     let ranks = ["select/cull", "select/compact"].map(|root| scalar(&module(root), "NOT_VISIBLE"));
@@ -162,6 +165,9 @@ fn flags_and_outputs_have_the_same_numbers() {
         ("OVERRIDE_SHININESS", OVERRIDE_SHININESS),
         ("OVERRIDE_UNLIT", OVERRIDE_UNLIT),
         ("OVERRIDE_DOUBLE_SIDED", OVERRIDE_DOUBLE_SIDED),
+        ("CHUNK_ORIENTED", CHUNK_ORIENTED),
+        ("CHUNK_CLOSED", CHUNK_CLOSED),
+        ("CHUNK_SORTED", CHUNK_SORTED),
         ("OUTPUT_COLOR", output_number(Output::Color)),
         ("OUTPUT_DEPTH", output_number(Output::Depth)),
         ("OUTPUT_NORMAL", output_number(Output::Normal)),

@@ -9,6 +9,7 @@ use super::pipelines::{Constants, Pipelines};
 use super::scratch::Scratch;
 use super::shaders::{Choices, Portion, Visibility};
 use super::uniforms::GroupUniforms;
+use crate::bake::pack::GeometryKind;
 use crate::gpu::Gpu;
 use crate::gpu::bind::BindCache;
 use crate::gpu::pipeline::{BindingSlot, GROUPS};
@@ -16,7 +17,7 @@ use crate::gpu::shader::ShaderError;
 use crate::gpu::timing::{Span, Timer};
 use crate::plan::{Pass, Per, Stage};
 use crate::residency::layout::{GpuDispatch, LOD_LAUNCHES};
-use crate::residency::{PageKind, Residency, ResidentScene, SAMPLE_PAGES};
+use crate::residency::{Residency, ResidentScene};
 
 /// Workgroups in x before a dispatch takes a second row; as in the shaders.
 pub const DISPATCH_ROW: u32 = 32768;
@@ -109,8 +110,7 @@ impl<'a, 'c> Recorder<'a, 'c> {
     pub fn segments_of(&self, per: Per) -> Vec<Segment> {
         match per {
             Per::Frame => vec![None],
-            Per::Samples => self.segments(SAMPLE_PAGES),
-            Per::Triangles => self.segments(&[PageKind::Triangles]),
+            Per::Segment(kind) => self.segments(&[kind]),
         }
     }
 
@@ -128,10 +128,10 @@ impl<'a, 'c> Recorder<'a, 'c> {
         if self.task.hides() && self.stage != Stage::Fuzzy { Portion::Turn } else { Portion::All }
     }
 
-    /// The scene's segments of some kinds.
-    pub fn segments(&self, kinds: &[PageKind]) -> Vec<Segment> {
+    /// The scene's segments of some kinds of geometry.
+    pub fn segments(&self, kinds: &[GeometryKind]) -> Vec<Segment> {
         (0..self.scene.pages.len())
-            .filter(|&index| kinds.contains(&self.scene.pages[index].kind))
+            .filter(|&index| kinds.contains(&self.scene.pages[index].kind.kind))
             .map(Some)
             .collect()
     }

@@ -18,20 +18,25 @@ pub use settings::{
 pub(crate) use table::pass_table;
 pub use table::{Kind, MANY_CHUNKS, Per, Stage};
 
+use crate::bake::pack::{Counts, GeometryKind};
 use crate::scene::{Blend, EyeDome, Shading, Splats};
 
 /// Facts about a scene that decide the plans of its frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SceneFacts {
-    pub has_samples: bool,
-    pub has_triangles: bool,
+    /// Instances counted.
+    pub counts: Counts,
     /// Some file gives normals.
     pub has_normals: bool,
     pub lights: u32,
     /// Its assets are point trees, from which a frame takes the detail that it shows.
     pub trees: bool,
-    /// Chunks, instances counted.
-    pub chunks: u64,
+}
+
+impl SceneFacts {
+    pub fn has(&self, kind: GeometryKind) -> bool {
+        self.counts.of(kind) > 0
+    }
 }
 
 /// Number of turns in which distant chunks are tested for occlusion; the shaders have the same number.
@@ -69,7 +74,7 @@ macro_rules! declare {
             shader: concat!(stringify!($folder), "/", stringify!($file)),
             kind: Kind::$kind,
             stages: &[$(Stage::$stage),+],
-            per: Per::$per,
+            per: table::per!($per),
             reasons: &[$(table::$reason),*],
         }),+];
     };
@@ -217,6 +222,14 @@ impl Facts<'_> {
         self.frame.splats.is_some_and(|splats| splats.blend == blend)
     }
 
+    /// Whether elements of a kind are drawn even where they are occluded.
+    fn is_drawn_wherever(&self, kind: GeometryKind) -> bool {
+        match kind {
+            GeometryKind::Samples => self.blends(Blend::Fuzzy),
+            GeometryKind::Triangles => false,
+        }
+    }
+
     /// Whether splats are blended, in one pass or in several.
     fn is_blended(&self) -> bool {
         self.blends(Blend::Weighted) || self.blends(Blend::Fuzzy)
@@ -225,7 +238,8 @@ impl Facts<'_> {
     /// Whether light is computed for each pixel. Splats that are lit one by one need none after they are blended.
     fn lights_pixels(&self) -> bool {
         let by_splat = self.frame.splats.is_some_and(|splats| splats.shading == Shading::Splat);
-        let only_splats = self.scene.has_samples && !self.scene.has_triangles;
+        let only_splats =
+            self.scene.has(GeometryKind::Samples) && !self.scene.has(GeometryKind::Triangles);
         let is_done = by_splat && self.is_blended() && only_splats;
         self.frame.output == Output::Color && self.scene.lights > 0 && !is_done
     }
@@ -244,6 +258,10 @@ pub fn plan(scene: &SceneFacts, frame: &FrameFacts, adapter: &AdapterFacts) -> F
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const SAMPLES: Counts = Counts { samples: 1, triangles: 0, chunks: 1, instances: 1 };
+    const TRIANGLES: Counts = Counts { samples: 0, triangles: 1, chunks: 1, instances: 1 };
+    const BOTH: Counts = Counts { samples: 1, ..TRIANGLES };
 
     const WIDE: AdapterFacts =
         AdapterFacts { atomics_64: true, rasterises: true, draws_hidden: false };
@@ -266,14 +284,12 @@ mod tests {
             adapters.push(AdapterFacts { atomics_64, rasterises, draws_hidden });
         }
         let mut scenes = Vec::new();
-        for (has_samples, has_triangles, trees) in iproduct(sides, sides, sides) {
+        for (samples, triangles, trees) in iproduct([0, 1], [0, 1], sides) {
             for (lights, chunks) in [(0, 1), (2, 1), (0, MANY_CHUNKS), (2, MANY_CHUNKS)] {
                 scenes.push(SceneFacts {
-                    has_samples,
-                    has_triangles,
+                    counts: Counts { samples, triangles, chunks, instances: 1 },
                     lights,
                     trees,
-                    chunks,
                     ..SceneFacts::default()
                 });
             }
@@ -314,7 +330,7 @@ mod tests {
 
     #[test]
     fn a_scan_without_lights_runs_no_triangle_pass_and_is_not_lit() {
-        let facts = SceneFacts { has_samples: true, ..Default::default() };
+        let facts = SceneFacts { counts: SAMPLES, ..Default::default() };
         let plan = plan(&facts, Output::Color, None, &WIDE);
         assert!(plan.runs(Pass::ProjectSamples) && plan.runs(Pass::ResolveSamples));
         for pass in [Pass::ProjectTriangles, Pass::RasteriseTriangles, Pass::ResolveTriangles] {
@@ -327,10 +343,8 @@ mod tests {
     #[test]
     fn without_wide_atomics_every_projection_runs_twice() {
         let facts = SceneFacts {
-            has_samples: true,
-            has_triangles: true,
+            counts: Counts { chunks: MANY_CHUNKS, ..BOTH },
             lights: 1,
-            chunks: MANY_CHUNKS,
             ..Default::default()
         };
         let plan = plan(&facts, Output::Color, None, &AdapterFacts::default());
@@ -355,8 +369,12 @@ mod tests {
         let asks = |facts: SceneFacts, splats: Option<&Splats>, adapter: &AdapterFacts| {
             plan(&facts, Output::Color, splats, adapter).runs(Pass::CullHidden)
         };
-        let points = SceneFacts { has_samples: true, chunks: MANY_CHUNKS, ..Default::default() };
-        let few = SceneFacts { chunks: MANY_CHUNKS - 1, ..points };
+        let of = |counts: Counts, chunks| SceneFacts {
+            counts: Counts { chunks, ..counts },
+            ..Default::default()
+        };
+        let points = of(SAMPLES, MANY_CHUNKS);
+        let few = of(SAMPLES, MANY_CHUNKS - 1);
         assert!(asks(points, None, &WIDE) && !asks(few, None, &WIDE));
         assert!(!asks(points, None, &AdapterFacts { draws_hidden: true, ..WIDE }));
         let splats = Splats::default();
@@ -364,12 +382,12 @@ mod tests {
         let splats = Splats { blend: Blend::Fuzzy, ..splats };
         assert!(!asks(points, Some(&splats), &WIDE));
         // Triangles among splats can be hidden.
-        assert!(asks(SceneFacts { has_triangles: true, ..points }, Some(&splats), &WIDE));
+        assert!(asks(of(BOTH, MANY_CHUNKS), Some(&splats), &WIDE));
     }
 
     #[test]
     fn large_triangles_are_drawn_in_one_way() {
-        let facts = SceneFacts { has_triangles: true, ..Default::default() };
+        let facts = SceneFacts { counts: TRIANGLES, ..Default::default() };
         for (rasterises, atomics_64) in [(true, true), (true, false), (false, true), (false, false)]
         {
             let adapter = AdapterFacts { atomics_64, rasterises, ..AdapterFacts::default() };
@@ -383,7 +401,7 @@ mod tests {
 
     #[test]
     fn only_color_is_lit() {
-        let facts = SceneFacts { has_samples: true, lights: 2, ..Default::default() };
+        let facts = SceneFacts { counts: SAMPLES, lights: 2, ..Default::default() };
         assert!(plan(&facts, Output::Color, None, &WIDE).lights_pixels);
         for output in [Output::Depth, Output::Normal, Output::Id] {
             assert!(!plan(&facts, output, None, &WIDE).lights_pixels);
@@ -392,7 +410,7 @@ mod tests {
 
     #[test]
     fn effects_that_look_at_neighbours_write_the_output_last() {
-        let facts = SceneFacts { has_samples: true, ..Default::default() };
+        let facts = SceneFacts { counts: SAMPLES, ..Default::default() };
         for output in [Output::Color, Output::Depth, Output::Normal, Output::Id] {
             let edl = Some(EyeDome { strength: 1.0, radius_px: 1.0 });
             let frame = FrameFacts { output, edl, ..FrameFacts::default() };
@@ -428,12 +446,8 @@ mod tests {
 
     #[test]
     fn a_turn_ends_by_asking_what_is_hidden_unless_it_is_the_last() {
-        let scene = SceneFacts {
-            has_samples: true,
-            has_triangles: true,
-            chunks: MANY_CHUNKS,
-            ..Default::default()
-        };
+        let scene =
+            SceneFacts { counts: Counts { chunks: MANY_CHUNKS, ..BOTH }, ..Default::default() };
         let plan = plan(&scene, Output::Color, Some(&Splats::default()), &WIDE);
         let of = |stage| {
             let steps = plan.steps().into_iter().filter(move |step| step.stage == stage);
@@ -478,7 +492,7 @@ mod tests {
 
     #[test]
     fn splats_run_what_their_settings_ask_for() {
-        let facts = SceneFacts { has_samples: true, lights: 1, ..Default::default() };
+        let facts = SceneFacts { counts: SAMPLES, lights: 1, ..Default::default() };
         let runs = |splats: &Splats, output, facts: &SceneFacts| {
             let plan = plan(facts, output, Some(splats), &WIDE);
             let all = running(&plan).into_iter().map(Pass::name);
@@ -498,7 +512,7 @@ mod tests {
         let lit = Splats { shading: Shading::Splat, ..deferred };
         assert_eq!(runs(&lit, Output::Color, &facts), [&depth[..], &blend[..]].concat());
         assert!(!is_lit(&lit, &facts));
-        let mixed = SceneFacts { has_triangles: true, ..facts };
+        let mixed = SceneFacts { counts: BOTH, ..facts };
         assert!(is_lit(&lit, &mixed));
         let opaque = Splats { blend: Blend::Opaque, ..lit };
         assert_eq!(

@@ -9,12 +9,13 @@
 //! 3. the WGSL file below `shaders/`; the recording function has the same path below `passes/`;
 //! 4. the suffix that the name of the pass adds to the name of the file;
 //! 5. the stages in which it is recorded; the first is the one that it belongs to;
-//! 6. whether it is recorded once a frame, or once for each segment of samples or of triangles ([`Per`]);
+//! 6. whether it is recorded once a frame, or once for each segment of a kind of geometry ([`Per`]);
 //! 7. the reasons to skip it. The pass runs if none of them holds.
 //!
 //! Buffers are not listed here: a shader declares what it binds, and `passes/bindings.rs` finds the buffer by its name.
 
 use super::Facts;
+use crate::bake::pack::GeometryKind;
 use crate::scene::Blend;
 
 /// Hands the lines of the table to the macro `$reader`.
@@ -87,11 +88,20 @@ impl Stage {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Per {
     Frame,
-    /// Each segment of samples.
-    Samples,
-    /// Each segment of triangles.
-    Triangles,
+    /// Each segment of one kind of geometry.
+    Segment(GeometryKind),
 }
+
+/// Makes a [`Per`] of the word in the table: `Frame`, or a kind of geometry.
+macro_rules! per {
+    (Frame) => {
+        Per::Frame
+    };
+    ($kind:ident) => {
+        Per::Segment(GeometryKind::$kind)
+    };
+}
+pub(super) use per;
 
 /// Type of GPU commands that make up a pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -118,12 +128,12 @@ macro_rules! reasons {
 }
 
 reasons! {
-    NO_SAMPLES: "the scene has no samples", |f| !f.scene.has_samples;
-    NO_TRIANGLES: "the scene has no triangles", |f| !f.scene.has_triangles;
+    NO_SAMPLES: "the scene has no samples", |f| !f.scene.has(GeometryKind::Samples);
+    NO_TRIANGLES: "the scene has no triangles", |f| !f.scene.has(GeometryKind::Triangles);
     FULL_DETAIL: "the level of detail is full", |f| !f.scene.trees;
     NOTHING_TO_HIDE: "nothing in the frame can be occluded",
-        |f| (!f.scene.has_samples || f.blends(Blend::Fuzzy)) && !f.scene.has_triangles;
-    FEW_CHUNKS: "the scene has fewer than 128 chunks", |f| f.scene.chunks < MANY_CHUNKS;
+        |f| GeometryKind::ALL.iter().all(|&kind| !f.scene.has(kind) || f.is_drawn_wherever(kind));
+    FEW_CHUNKS: "the scene has fewer than 128 chunks", |f| f.scene.counts.chunks < MANY_CHUNKS;
     DRAWS_HIDDEN: "occlusion culling is off", |f| f.adapter.draws_hidden;
     WIDE: "the adapter has 64-bit atomics", |f| f.adapter.atomics_64;
     RASTERISES: "the adapter's rasteriser draws large triangles", |f| f.adapter.rasterises;
@@ -134,7 +144,7 @@ reasons! {
     OPAQUE: "splats are not blended", |f| !f.blends(Blend::Weighted);
     FUZZY: "splats are blended in a single pass", |f| f.blends(Blend::Fuzzy);
     NOT_FUZZY: "splats are not blended in a single pass", |f| !f.blends(Blend::Fuzzy);
-    BLENDED: "splats are blended", |f| f.scene.has_samples && f.is_blended();
+    BLENDED: "splats are blended", |f| f.scene.has(GeometryKind::Samples) && f.is_blended();
     UNCHANGED: "neither an effect nor `color_by` changes surfaces", |f| f.frame.edl.is_none() && !f.frame.recolors;
     NOT_COLOR: "the output is not color", |f| f.frame.output != super::Output::Color;
     IDS: "the output is id", |f| f.frame.output == super::Output::Id;

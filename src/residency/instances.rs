@@ -2,15 +2,15 @@
 
 use std::sync::Arc;
 
-use super::model::{AssetModel, ModelCounts, ModelInstance};
-use crate::bake::pack::PackedGeometry;
+use super::model::{AssetModel, ModelInstance};
+use crate::bake::pack::Counts;
 use crate::math::Bounds;
 
 /// Instances one behind the other, with what they add up to. Never changed: who changes one of them makes a new run.
 #[derive(Debug)]
 pub struct InstanceRun {
     pub members: Vec<ModelInstance>,
-    pub totals: ModelCounts,
+    pub totals: Counts,
     /// World-space box around them.
     pub bounds: Bounds,
     /// The axes of their kernels in world units, summed over samples, and how many samples there are.
@@ -21,7 +21,7 @@ impl Default for InstanceRun {
     fn default() -> Self {
         InstanceRun {
             members: Vec::new(),
-            totals: ModelCounts::default(),
+            totals: Counts::default(),
             bounds: Bounds::EMPTY,
             kernels: (0.0, 0.0),
         }
@@ -73,8 +73,8 @@ impl Instances {
         self.runs.iter().fold(Bounds::EMPTY, |all, run| all.union(run.bounds))
     }
 
-    pub fn totals(&self) -> ModelCounts {
-        self.runs.iter().fold(ModelCounts::default(), |sum, run| sum.with(&run.totals))
+    pub fn totals(&self) -> Counts {
+        self.runs.iter().map(|run| run.totals).sum()
     }
 
     /// Mean length of kernels' axes in world units; 0 where there are no samples.
@@ -91,7 +91,7 @@ impl Instances {
 pub struct RunMeter<'a> {
     assets: &'a [Arc<AssetModel>],
     kernels: Vec<Vec<(f64, f64)>>,
-    totals: Vec<Vec<ModelCounts>>,
+    totals: Vec<Vec<Counts>>,
 }
 
 impl<'a> RunMeter<'a> {
@@ -104,11 +104,11 @@ impl<'a> RunMeter<'a> {
     }
 
     pub fn run(&self, members: Vec<ModelInstance>) -> InstanceRun {
-        let mut totals = ModelCounts::default();
+        let mut totals = Counts::default();
         let mut bounds = Bounds::EMPTY;
         let mut kernels = (0.0, 0.0);
         for member in &members {
-            totals = totals.with(&self.totals[member.asset][member.geometry]);
+            totals += self.totals[member.asset][member.geometry];
             let local = &self.assets[member.asset].bounds[member.geometry];
             bounds = bounds.union(local.transformed(&member.world_from_geometry));
             let (kernel, samples) = self.kernels[member.asset][member.geometry];
@@ -121,18 +121,10 @@ impl<'a> RunMeter<'a> {
     }
 }
 
-/// What one instance of a geometry has, with what is drawn wherever it is.
-fn counts(asset: &AssetModel, geometry: usize) -> ModelCounts {
-    let mut counts = ModelCounts { instances: 1, ..ModelCounts::default() };
-    for geometry in asset.drawn_with(geometry) {
-        let geometry = &asset.packed.geometries[geometry];
-        counts.chunks += geometry.chunks().len() as u64;
-        match geometry {
-            PackedGeometry::Samples(samples) => counts.samples += samples.positions.len() as u64,
-            PackedGeometry::Mesh(mesh) => counts.triangles += mesh.triangles.len() as u64,
-        }
-    }
-    counts
+/// Counts of one instance of a geometry, with what is drawn wherever it is.
+fn counts(asset: &AssetModel, geometry: usize) -> Counts {
+    let drawn = asset.drawn_with(geometry).map(|drawn| asset.packed.geometries[drawn].counts());
+    Counts { instances: 1, ..drawn.sum() }
 }
 
 #[cfg(test)]
@@ -156,7 +148,7 @@ mod tests {
     fn runs_are_one_list() {
         let run = |ids: std::ops::Range<u32>| {
             let members: Vec<_> = ids.map(member).collect();
-            let totals = ModelCounts { instances: members.len() as u64, ..ModelCounts::default() };
+            let totals = Counts { instances: members.len() as u64, ..Counts::default() };
             Arc::new(InstanceRun { members, totals, ..InstanceRun::default() })
         };
         let instances = Instances::new(vec![run(1..4), run(4..4), run(4..9)]);

@@ -53,9 +53,14 @@ pub struct GpuChunk {
     pub error_least: f32,
     pub size_least: f32,
     pub delta_most: f32,
-    pub sorted: u32,
-    pub range_unused: u32,
+    /// [`crate::bake::pack::GeometryKind`].
+    pub kind: u32,
+    pub flags: u32,
 }
+
+pub const CHUNK_ORIENTED: u32 = 1;
+pub const CHUNK_CLOSED: u32 = 2;
+pub const CHUNK_SORTED: u32 = 4;
 
 /// `InstanceGroup` of `shared/scene.wgsl`.
 #[repr(C)]
@@ -346,8 +351,8 @@ mod tests {
                     error_least,
                     size_least,
                     delta_most,
-                    sorted,
-                    range_unused
+                    kind,
+                    flags
                 ),
                 mirror!(
                     "InstanceGroup",

@@ -9,10 +9,9 @@ use super::layout::{
 use super::model::{AssetModel, ModelInstance, SceneModel, gpu_instance};
 use super::slots::Slots;
 use super::{
-    FullLists, GROUP, Lists, Page, PageKind, Piece, Residency, ResidencyError, TreeLists,
-    group_entries,
+    FullLists, GROUP, Lists, Page, Piece, Residency, ResidencyError, TreeLists, group_entries,
 };
-use crate::bake::pack::PackedGeometry;
+use crate::bake::pack::{GeometryKind, PackedGeometry, PageKind};
 use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
 use crate::math::Bounds;
@@ -45,7 +44,7 @@ fn record(model: &SceneModel, instance: &ModelInstance, material_start: u32) -> 
 }
 
 /// Page of the one empty segment of a scene without anything to draw.
-const NO_PAGE: Page = Page { kind: PageKind::Samples, index: 0 };
+const NO_PAGE: Page = Page { kind: PageKind::plain(GeometryKind::Samples), index: 0 };
 
 impl Residency {
     pub(super) fn lists(
@@ -323,7 +322,7 @@ mod tests {
     #[test]
     fn who_comes_back_to_a_page_gets_a_segment_more() {
         let piece = |index, first_chunk, chunk_count| Piece {
-            page: Page { kind: PageKind::Nodes, index },
+            page: Page { kind: PageKind::plain(GeometryKind::Samples), index },
             first_chunk,
             chunk_count,
             start: 0,

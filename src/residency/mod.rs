@@ -17,6 +17,7 @@ pub mod layout;
 mod lists;
 pub mod model;
 pub mod once;
+mod pages;
 mod parts;
 mod slots;
 pub mod spacing;
@@ -30,40 +31,16 @@ use self::arena::Arena;
 use self::evict::Holding;
 use self::layout::{GpuChunk, GpuEntry, GpuMaterial, GpuSegment, GpuTexture};
 use self::model::{AssetModel, SceneModel};
+use self::pages::Pages;
 pub use self::parts::PART;
 use self::parts::PartBoxes;
 use self::slots::Slots;
+use crate::bake::pack::{GeometryKind, PageKind};
 use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
 
 /// Entries that one thread of the cull pass tests.
 pub const GROUP: usize = 32;
-
-/// What a page holds, and so which passes draw its segments.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum PageKind {
-    Samples,
-    /// Samples with clip lines.
-    Clipped,
-    /// Nodes of point trees.
-    Nodes,
-    ClippedNodes,
-    Triangles,
-}
-
-/// Pages of samples.
-pub const SAMPLE_PAGES: &[PageKind] =
-    &[PageKind::Samples, PageKind::Clipped, PageKind::Nodes, PageKind::ClippedNodes];
-
-impl PageKind {
-    pub fn is_clipped(self) -> bool {
-        matches!(self, PageKind::Clipped | PageKind::ClippedNodes)
-    }
-
-    pub fn is_tree(self) -> bool {
-        matches!(self, PageKind::Nodes | PageKind::ClippedNodes)
-    }
-}
 
 /// A page: its kind and its number among those.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -98,14 +75,6 @@ struct Piece {
     /// Vertices in the page.
     vertex_start: u32,
     vertex_length: u32,
-}
-
-/// The streams of a page of samples.
-pub struct SamplePage<'a> {
-    pub positions: &'a Buffer,
-    pub attributes: &'a Buffer,
-    pub kernels: &'a Buffer,
-    pub clips: Option<&'a Buffer>,
 }
 
 struct ResidentGeometry {
@@ -196,9 +165,9 @@ struct SceneMaterials {
 }
 
 impl ResidentScene {
-    /// Segments of samples, which come before those of triangles.
+    /// Segments of samples, which come before those of other kinds.
     pub fn sample_segments(&self) -> u32 {
-        self.pages.iter().filter(|page| page.kind != PageKind::Triangles).count() as u32
+        self.pages.iter().filter(|page| page.kind.kind == GeometryKind::Samples).count() as u32
     }
 
     /// Entries of a view, padding included, and those that may be none; `capacity`: what there is room for where a frame lists
@@ -225,9 +194,7 @@ impl ResidentScene {
 
 /// GPU memory and what lies in it.
 pub struct Residency {
-    /// Pages of samples, by kind in the order of [`SAMPLE_PAGES`].
-    samples: [Vec<Arena>; 4],
-    meshes: Vec<(Arena, Arena)>,
+    pages: Pages,
     texels: Vec<Arena>,
     chunks: Arena,
     materials: Arena,
@@ -253,13 +220,7 @@ impl Residency {
         materials.allocate(gpu, 1);
         materials.write(gpu, 0, 0, &[upload::gpu_material(&Default::default(), 0)]);
         Self {
-            samples: [
-                vec![upload::sample_page(gpu, PageKind::Samples)],
-                Vec::new(),
-                Vec::new(),
-                Vec::new(),
-            ],
-            meshes: vec![upload::mesh_page(gpu)],
+            pages: Pages::new(gpu),
             texels: (0..TEXEL_PAGES).map(|_| Arena::new(gpu, "texels", &[4])).collect(),
             chunks: Arena::new(gpu, "chunks", &[size_of::<GpuChunk>() as u64, PARTS_BYTES]),
             materials,
@@ -302,18 +263,9 @@ impl Residency {
         self.scenes.keys().map(String::as_str)
     }
 
-    /// Positions, attributes, kernels and, where it has them, clip lines of a page of samples; `None` for other pages.
-    pub fn sample_page(&self, page: Page) -> Option<SamplePage<'_>> {
-        let kind = SAMPLE_PAGES.iter().position(|&kind| kind == page.kind)?;
-        let arena = &self.samples[kind][page.index];
-        let clips = page.kind.is_clipped().then(|| arena.buffer(3));
-        let [positions, attributes, kernels] = [0, 1, 2].map(|stream| arena.buffer(stream));
-        Some(SamplePage { positions, attributes, kernels, clips })
-    }
-
-    /// Vertices and triangles of a page of meshes.
-    pub fn mesh_page(&self, index: usize) -> (&Buffer, &Buffer) {
-        (self.meshes[index].0.buffer(0), self.meshes[index].1.buffer(0))
+    /// The buffer of a page that shaders call `name`, if pages of this kind have it.
+    pub fn page_buffer(&self, page: Page, name: &str) -> Option<&Buffer> {
+        self.pages.buffer(page, name)
     }
 
     pub fn chunk_table(&self) -> &Buffer {
@@ -449,10 +401,8 @@ impl Residency {
     pub fn remove(&mut self, gpu: &Gpu, id: &str) {
         self.forget_scene(id);
         self.drop_unused_assets(&HashSet::new());
-        let meshes = self.meshes.iter_mut().flat_map(|(vertices, triangles)| [vertices, triangles]);
-        for arena in self.samples.iter_mut().flatten().chain(meshes).chain(&mut self.texels) {
-            arena.trim(gpu);
-        }
+        self.pages.trim(gpu);
+        self.texels.iter_mut().for_each(|arena| arena.trim(gpu));
     }
 
     /// Frees the assets that no resident scene draws, except `kept`.
@@ -659,18 +609,22 @@ mod tests {
 
     #[test]
     fn segments_begin_at_group_boundaries() {
-        let page = |kind, index| Page { kind, index };
+        let page = |kind, index| Page { kind: PageKind::plain(kind), index };
         let entry = |chunk| GpuEntry { instance: 0, chunk };
         let mut listed = Vec::new();
         for chunk in 0..40 {
-            listed.push((page(PageKind::Triangles, 0), entry(chunk)));
-            listed.push((page(PageKind::Samples, 1), entry(100 + chunk)));
+            listed.push((page(GeometryKind::Triangles, 0), entry(chunk)));
+            listed.push((page(GeometryKind::Samples, 1), entry(100 + chunk)));
         }
-        listed.push((page(PageKind::Samples, 0), entry(7)));
+        listed.push((page(GeometryKind::Samples, 0), entry(7)));
         let (entries, segments, pages) = group_entries(listed);
         assert_eq!(
             pages,
-            [page(PageKind::Samples, 0), page(PageKind::Samples, 1), page(PageKind::Triangles, 0)]
+            [
+                page(GeometryKind::Samples, 0),
+                page(GeometryKind::Samples, 1),
+                page(GeometryKind::Triangles, 0)
+            ]
         );
         assert_eq!(
             segments.iter().map(|s| (s.first_group, s.end_group)).collect::<Vec<_>>(),

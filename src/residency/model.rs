@@ -10,7 +10,7 @@ use super::layout::{GpuEntry, GpuInstance, INSTANCE_GROUP, two_floats};
 use super::once::MadeOnce;
 use super::slots;
 use crate::bake::outline::Outline;
-use crate::bake::pack::{Grid, PackError, PackedAsset, PackedChunk, PackedGeometry};
+use crate::bake::pack::{Counts, GeometryKind, Grid, PackError, PackedAsset, PackedGeometry};
 use crate::bake::prepare::AssetTraits;
 use crate::bake::tree::Above;
 use crate::math::{Bounds, Camera};
@@ -96,28 +96,7 @@ pub struct SceneModel {
     /// Assets are point trees: frames take the detail that they show.
     pub trees: bool,
     /// Of [`SceneModel::counts`].
-    pub totals: OnceLock<ModelCounts>,
-}
-
-/// Totals over all instances.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ModelCounts {
-    pub samples: u64,
-    pub triangles: u64,
-    pub instances: u64,
-    pub chunks: u64,
-}
-
-impl ModelCounts {
-    /// Both together.
-    pub fn with(&self, other: &ModelCounts) -> ModelCounts {
-        ModelCounts {
-            samples: self.samples + other.samples,
-            triangles: self.triangles + other.triangles,
-            instances: self.instances + other.instances,
-            chunks: self.chunks + other.chunks,
-        }
-    }
+    pub totals: OnceLock<Counts>,
 }
 
 impl AssetModel {
@@ -134,50 +113,27 @@ impl AssetModel {
 
     /// What its file held.
     pub fn traits(&self) -> AssetTraits {
-        let is_mesh = |geometry: &PackedGeometry| matches!(geometry, PackedGeometry::Mesh(_));
-        let has_material = |geometry: &PackedGeometry| match geometry {
-            PackedGeometry::Samples(_) => false,
-            PackedGeometry::Mesh(mesh) => mesh.chunks.iter().any(|chunk| chunk.material != 0),
-        };
+        let geometries = &self.packed.geometries;
+        let mut chunks = geometries.iter().flat_map(|geometry| geometry.chunks());
         AssetTraits {
             format: self.format,
             has_colors: self.has_colors,
             shows_intensity: self.shows_intensity,
             has_normals: self.has_normals,
             normals_estimated: self.normals_estimated,
-            has_triangles: self.packed.geometries.iter().any(is_mesh),
-            has_materials: self.packed.geometries.iter().any(has_material),
+            has_triangles: geometries.iter().any(|g| g.kind() == GeometryKind::Triangles),
+            has_materials: chunks.any(|chunk| chunk.material != 0),
         }
     }
 
     /// Of each geometry the longest axis of a kernel in a median chunk, in its own units, and how many samples there are.
     pub(super) fn kernels(&self) -> Vec<(f64, f64)> {
-        let of = |geometry: &PackedGeometry| {
-            let PackedGeometry::Samples(cloud) = geometry else { return (0.0, 0.0) };
-            let longest =
-                |chunk: &PackedChunk| f64::from(chunk.kernel_base) * f64::from(1u32 << chunk.shift);
-            let mut lengths: Vec<f64> = cloud.chunks.iter().map(longest).collect();
-            let middle = lengths.len() / 2;
-            if middle >= lengths.len() {
-                return (0.0, 0.0);
-            }
-            let (_, median, _) = lengths.select_nth_unstable_by(middle, f64::total_cmp);
-            (*median * cloud.grid.step, cloud.positions.len() as f64)
-        };
-        self.packed.geometries.iter().map(of).collect()
+        self.packed.geometries.iter().map(|geometry| geometry.median_kernel()).collect()
     }
 
-    /// Samples and triangles of the whole file, instances not counted.
-    pub fn counts(&self) -> (u64, u64) {
-        self.packed.geometries.iter().fold(
-            (0, 0),
-            |(samples, triangles), geometry| match geometry {
-                PackedGeometry::Samples(cloud) => {
-                    (samples + cloud.positions.len() as u64, triangles)
-                }
-                PackedGeometry::Mesh(mesh) => (samples, triangles + mesh.triangles.len() as u64),
-            },
-        )
+    /// Counts of the whole file, instances not counted.
+    pub fn counts(&self) -> Counts {
+        self.packed.geometries.iter().map(PackedGeometry::counts).sum()
     }
 
     /// Bytes of its pages on the GPU.
@@ -208,7 +164,7 @@ impl SceneModel {
     }
 
     /// Totals over all instances, added up once.
-    pub fn counts(&self) -> ModelCounts {
+    pub fn counts(&self) -> Counts {
         *self.totals.get_or_init(|| self.instances.totals())
     }
 

@@ -2,7 +2,7 @@
 
 use glam::{IVec3, UVec3};
 
-use crate::bake::pack::{CHUNK, PackedChunk, PackedGeometry, longer_axis};
+use crate::bake::pack::{CHUNK, PackedChunk, PackedGeometry};
 
 /// Elements of a part, neighbours along a curve through space; as in `shared/turns`.
 pub const PART: usize = 64;
@@ -13,48 +13,25 @@ pub const PARTS: usize = CHUNK / PART;
 /// its longest kernel axis is than the chunk's, in sixteenths of an octave; of none, zeros.
 pub type PartBoxes = [[u32; 2]; PARTS];
 
-/// The boxes of a chunk's parts: of its samples' positions, or of its triangles.
+/// The boxes of a chunk's parts, around the corners of their elements.
 pub fn part_boxes(geometry: &PackedGeometry, chunk: &PackedChunk) -> PartBoxes {
-    let range = chunk.first as usize..(chunk.first + chunk.count) as usize;
     let mut boxes = PartBoxes::default();
-    match geometry {
-        PackedGeometry::Samples(samples) => {
-            for (own, part) in boxes.iter_mut().zip(samples.positions[range.clone()].chunks(PART)) {
-                *own = words(chunk, part.iter().map(|&word| chunk.cell(word)));
+    for (own, first) in boxes.iter_mut().zip(chunk.elements().step_by(PART)) {
+        let range = first..chunk.elements().end.min(first + PART);
+        let mut ends = (IVec3::MAX, IVec3::MIN);
+        geometry.visit_elements(chunk, range.clone(), &mut |cells| {
+            for &cell in cells {
+                ends = (ends.0.min(cell), ends.1.max(cell));
             }
-            let kernels = samples.kernels.get(range).unwrap_or_default();
-            for (own, part) in boxes.iter_mut().zip(kernels.chunks(PART)) {
-                own[0] |= shortness(part) << 24;
-            }
-        }
-        PackedGeometry::Mesh(mesh) => {
-            let first = chunk.vertex_first as usize;
-            let vertices = &mesh.vertices[first..first + chunk.vertex_count as usize];
-            let cell = |corner: u32| {
-                let [x, y, z, ..] = vertices[corner as usize & (CHUNK - 1)];
-                IVec3::new(x as i32, y as i32, z as i32)
-            };
-            let corners = |&word: &u32| [word, word >> 10, word >> 20].map(cell);
-            for (own, part) in boxes.iter_mut().zip(mesh.triangles[range].chunks(PART)) {
-                *own = words(chunk, part.iter().flat_map(corners));
-            }
-        }
+        });
+        *own = words(chunk, ends);
+        own[0] |= geometry.shortness(range) << 24;
     }
     boxes
 }
 
-/// Of kernels, how much shorter the longest axis is than the chunk's.
-fn shortness(kernels: &[u32]) -> u32 {
-    kernels
-        .iter()
-        .filter_map(|&word| longer_axis(word))
-        .min()
-        .map_or(255, |code| (code / 8).min(255))
-}
-
-fn words(chunk: &PackedChunk, cells: impl Iterator<Item = IVec3>) -> [u32; 2] {
-    let ends =
-        cells.fold((IVec3::MAX, IVec3::MIN), |(low, high), cell| (low.min(cell), high.max(cell)));
+/// The words of a box within a chunk's.
+fn words(chunk: &PackedChunk, ends: (IVec3, IVec3)) -> [u32; 2] {
     // Extents may use all 32 bits.
     let share = |cell: IVec3, up: bool| {
         let away = cell.wrapping_sub(chunk.origin).as_uvec3();
@@ -115,7 +92,7 @@ mod tests {
         let positions = scattered(900, 2);
         let triangles = (0..300u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
         let packed = pack_mesh(&Mesh { positions, triangles, ..Mesh::default() }).unwrap();
-        let geometry = PackedGeometry::Mesh(packed.clone());
+        let geometry = PackedGeometry::Triangles(packed.clone());
         for chunk in &packed.chunks {
             let boxes = part_boxes(&geometry, chunk);
             for i in 0..chunk.count as usize {

@@ -13,10 +13,7 @@ const LOOKED_AT: usize = 16;
 /// The patches of a scene's samples in world space. Their number is bounded by a constant, however many samples and instances
 /// there are.
 pub fn patches(model: &SceneModel) -> Vec<Patch> {
-    let has_samples = |geometry: &PackedGeometry| match geometry {
-        PackedGeometry::Samples(samples) => !samples.positions.is_empty(),
-        PackedGeometry::Mesh(_) => false,
-    };
+    let has_samples = |geometry: &PackedGeometry| geometry.counts().samples > 0;
     let holding =
         || model.instances.iter().filter(|instance| has_samples(model.geometry(instance)));
     let count = holding().count();
@@ -25,9 +22,9 @@ pub fn patches(model: &SceneModel) -> Vec<Patch> {
         .assets
         .iter()
         .map(|asset| {
-            let of = |geometry: &PackedGeometry| match geometry {
-                PackedGeometry::Samples(samples) if count > 0 => measure(samples, each),
-                _ => Vec::new(),
+            let of = |geometry: &PackedGeometry| {
+                let samples = geometry.samples().filter(|_| count > 0);
+                samples.map_or_else(Vec::new, |samples| measure(samples, each))
             };
             asset.packed.geometries.iter().map(of).collect()
         })

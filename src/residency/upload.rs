@@ -4,35 +4,20 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::arena::Arena;
 use super::layout::*;
 use super::lists::Previous;
 use super::model::{AssetModel, SceneModel};
 use super::parts::{PartBoxes, part_boxes};
 use super::{
-    Looks, PARTS_BYTES, Page, PageKind, Piece, Residency, ResidencyError, ResidentAsset,
-    ResidentGeometry, ResidentScene, SAMPLE_PAGES, SceneMaterials, TEXEL_PAGES,
+    Looks, PARTS_BYTES, Piece, Residency, ResidencyError, ResidentAsset, ResidentGeometry,
+    ResidentScene, SceneMaterials, TEXEL_PAGES,
 };
 use crate::assets::Material;
-use crate::bake::pack::{
-    PackedChunk, PackedGeometry, PackedMesh, PackedSamples, TRIANGLES, VERTEX_WORDS,
-};
+use crate::bake::pack::{PackedChunk, PackedGeometry, Sides};
 use crate::bake::tree::SORTED;
 use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
 use crate::scene::{Light, MaterialSpec};
-
-pub(super) fn sample_page(gpu: &Gpu, kind: PageKind) -> Arena {
-    // Positions, attributes, kernels with the words of nodes, clip lines.
-    let kernels = if kind.is_tree() { 12 } else { 4 };
-    let strides = [8, 8, kernels, 8];
-    let streams = if kind.is_clipped() { 4 } else { 3 };
-    Arena::new(gpu, "samples", &strides[..streams])
-}
-
-pub(super) fn mesh_page(gpu: &Gpu) -> (Arena, Arena) {
-    (Arena::new(gpu, "vertices", &[4 * VERTEX_WORDS as u64]), Arena::new(gpu, "triangles", &[4]))
-}
 
 /// A material of an asset whose textures begin at `texture_start`.
 pub(super) fn gpu_material(material: &Material, texture_start: u32) -> GpuMaterial {
@@ -110,25 +95,29 @@ fn gpu_light(light: &Light) -> GpuLight {
     }
 }
 
+/// The record of a chunk in a piece that begins with the chunk `origin`.
 fn gpu_chunk(
+    geometry: &PackedGeometry,
     chunk: &PackedChunk,
-    start: u32,
-    vertex_start: u32,
-    material_start: u32,
+    piece: &Piece,
     origin: &PackedChunk,
-    list_first: u32,
+    material_start: u32,
 ) -> GpuChunk {
+    let mut flags = match chunk.sides {
+        Sides::Unknown => 0,
+        Sides::Oriented => CHUNK_ORIENTED,
+        Sides::Closed => CHUNK_ORIENTED | CHUNK_CLOSED,
+    };
+    if geometry.list_first(chunk).is_some_and(|first| chunk.first - first < SORTED) {
+        flags |= CHUNK_SORTED;
+    }
     GpuChunk {
         origin: chunk.origin.to_array(),
-        first: start + (chunk.first - origin.first),
+        first: piece.start + (chunk.first - origin.first),
         extent: chunk.extent.as_vec3().to_array(),
         count: chunk.count,
         shift: chunk.shift,
-        vertex_first: if chunk.shift == TRIANGLES {
-            vertex_start + (chunk.vertex_first - origin.vertex_first)
-        } else {
-            chunk.sides as u32
-        },
+        vertex_first: piece.vertex_start + (chunk.vertex_first - origin.vertex_first),
         material: if chunk.material == 0 { 0 } else { material_start + chunk.material - 1 },
         kernel_base: chunk.kernel_base,
         node_base: chunk.range.base,
@@ -137,8 +126,8 @@ fn gpu_chunk(
         error_least: chunk.range.error_least,
         size_least: chunk.range.size_least,
         delta_most: chunk.range.delta_most,
-        sorted: u32::from(chunk.shift != TRIANGLES && chunk.first - list_first < SORTED),
-        range_unused: 0,
+        kind: geometry.kind() as u32,
+        flags,
     }
 }
 
@@ -156,21 +145,6 @@ fn looks(model: &SceneModel) -> Looks {
         unlit,
         point_lights: model.lights.iter().any(|light| matches!(light, Light::Point { .. })),
     }
-}
-
-/// The longest run of chunks from `from` on whose elements and vertices fit the given room; at least one chunk.
-fn fitting_run(chunks: &[PackedChunk], from: usize, elements: u32, vertices: u32) -> usize {
-    let (mut used, mut used_vertices) = (0u32, 0u32);
-    let mut end = from;
-    while let Some(chunk) = chunks.get(end) {
-        used = used.saturating_add(chunk.count);
-        used_vertices = used_vertices.saturating_add(chunk.vertex_count);
-        if used > elements || used_vertices > vertices {
-            break;
-        }
-        end += 1;
-    }
-    end
 }
 
 impl Residency {
@@ -275,27 +249,13 @@ impl Residency {
                 needed: bytes,
                 limit: gpu.max_binding_bytes(),
             })?;
-        // Samples with clip lines are a list of their own.
-        let clipped_first = match geometry {
-            PackedGeometry::Samples(samples) => samples.clipped_first,
-            PackedGeometry::Mesh(_) => u32::MAX,
-        };
         let mut out = ResidentGeometry { pieces: Vec::new(), chunk_start, chunk_length };
         let mut from = 0;
         while from < chunks.len() {
-            let piece = match geometry {
-                PackedGeometry::Samples(samples) => self.place_samples(gpu, samples, from),
-                PackedGeometry::Mesh(mesh) => self.place_triangles(gpu, mesh, from),
-            };
+            let piece = self.pages.place(gpu, geometry, from);
             let end = from + piece.chunk_count as usize;
-            let records: Vec<GpuChunk> = chunks[from..end]
-                .iter()
-                .map(|chunk| {
-                    let [start, vertices] = [piece.start, piece.vertex_start];
-                    let list = if chunk.first >= clipped_first { clipped_first } else { 0 };
-                    gpu_chunk(chunk, start, vertices, material_start, &chunks[from], list)
-                })
-                .collect();
+            let of = |chunk| gpu_chunk(geometry, chunk, &piece, &chunks[from], material_start);
+            let records: Vec<GpuChunk> = chunks[from..end].iter().map(of).collect();
             let first_chunk = chunk_start + from as u32;
             self.chunks.write(gpu, 0, first_chunk, &records);
             let parts: Vec<PartBoxes> =
@@ -305,113 +265,6 @@ impl Residency {
             from = end;
         }
         Ok(out)
-    }
-
-    /// Puts samples of chunks from `from` on into a page of their kind, as many as fit there.
-    fn place_samples(&mut self, gpu: &Gpu, samples: &PackedSamples, from: usize) -> Piece {
-        let first = samples.chunks[from].first;
-        let clipped = first >= samples.clipped_first;
-        let number = usize::from(clipped) + if samples.nodes.is_empty() { 0 } else { 2 };
-        let (kind, pages) = (SAMPLE_PAGES[number], &mut self.samples[number]);
-        // Those with clip lines lie behind the others.
-        let plain_chunks = samples.chunks.partition_point(|c| c.first < samples.clipped_first);
-        let chunks = if clipped { &samples.chunks[..] } else { &samples.chunks[..plain_chunks] };
-        let all = if clipped { samples.positions.len() as u32 } else { samples.clipped_first };
-        let mut index = 0;
-        loop {
-            let fresh = index == pages.len();
-            if fresh {
-                pages.push(sample_page(gpu, kind));
-            }
-            let page = &mut pages[index];
-            let end = fitting_run(chunks, from, page.room(all - first), u32::MAX);
-            // A few chunks here and there would make many segments, each with its own dispatch.
-            let worth = end == chunks.len() || end >= from + 64 || fresh;
-            if worth {
-                let last = &chunks[end - 1];
-                let length = last.first + last.count - first;
-                if let Some(start) = page.allocate(gpu, length) {
-                    let range = first as usize..(first + length) as usize;
-                    page.write(gpu, 0, start, &samples.positions[range.clone()]);
-                    page.write(gpu, 1, start, &samples.attributes[range.clone()]);
-                    if kind.is_tree() {
-                        let words: Vec<[u32; 3]> = samples.kernels[range.clone()]
-                            .iter()
-                            .zip(&samples.nodes[range])
-                            .map(|(&kernel, &[error, size])| [kernel, error, size])
-                            .collect();
-                        page.write(gpu, 2, start, &words);
-                    } else {
-                        page.write(gpu, 2, start, &samples.kernels[range]);
-                    }
-                    if clipped {
-                        let at = (first - samples.clipped_first) as usize;
-                        page.write(gpu, 3, start, &samples.clips[at..at + length as usize]);
-                    }
-                    return Piece {
-                        page: Page { kind, index },
-                        first_chunk: 0,
-                        chunk_count: (end - from) as u32,
-                        start,
-                        length,
-                        vertex_start: 0,
-                        vertex_length: 0,
-                    };
-                }
-            }
-            index += 1;
-        }
-    }
-
-    /// Puts triangles and vertices of chunks from `from` on into a page, as many as fit there.
-    fn place_triangles(&mut self, gpu: &Gpu, mesh: &PackedMesh, from: usize) -> Piece {
-        let origin = mesh.chunks[from];
-        let wanted = mesh.triangles.len() as u32 - origin.first;
-        let wanted_vertices = mesh.vertices.len() as u32 - origin.vertex_first;
-        let mut index = 0;
-        loop {
-            let fresh = index == self.meshes.len();
-            if fresh {
-                self.meshes.push(mesh_page(gpu));
-            }
-            let (vertices, triangles) = &mut self.meshes[index];
-            let end = fitting_run(
-                &mesh.chunks,
-                from,
-                triangles.room(wanted),
-                vertices.room(wanted_vertices),
-            );
-            let worth = end == mesh.chunks.len() || end >= from + 64 || fresh;
-            if worth {
-                let last = &mesh.chunks[end - 1];
-                let length = last.first + last.count - origin.first;
-                let vertex_length = last.vertex_first + last.vertex_count - origin.vertex_first;
-                if let Some(start) = triangles.allocate(gpu, length) {
-                    if let Some(vertex_start) = vertices.allocate(gpu, vertex_length) {
-                        let at = origin.first as usize;
-                        triangles.write(gpu, 0, start, &mesh.triangles[at..at + length as usize]);
-                        let at = origin.vertex_first as usize;
-                        vertices.write(
-                            gpu,
-                            0,
-                            vertex_start,
-                            &mesh.vertices[at..at + vertex_length as usize],
-                        );
-                        return Piece {
-                            page: Page { kind: PageKind::Triangles, index },
-                            first_chunk: 0,
-                            chunk_count: (end - from) as u32,
-                            start,
-                            length,
-                            vertex_start,
-                            vertex_length,
-                        };
-                    }
-                    triangles.release(start, length);
-                }
-            }
-            index += 1;
-        }
     }
 
     pub(super) fn free_asset(&mut self, uid: u64) {
@@ -424,16 +277,7 @@ impl Residency {
         for geometry in &asset.geometries {
             self.chunks.release(geometry.chunk_start, geometry.chunk_length);
             for piece in &geometry.pieces {
-                match SAMPLE_PAGES.iter().position(|&kind| kind == piece.page.kind) {
-                    Some(kind) => {
-                        self.samples[kind][piece.page.index].release(piece.start, piece.length)
-                    }
-                    None => {
-                        let (vertices, triangles) = &mut self.meshes[piece.page.index];
-                        triangles.release(piece.start, piece.length);
-                        vertices.release(piece.vertex_start, piece.vertex_length);
-                    }
-                }
+                self.pages.release(piece);
             }
         }
         for &(page, start, length) in &asset.texels {

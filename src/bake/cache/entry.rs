@@ -2,9 +2,8 @@
 //!
 //! ```text
 //! header    magic, format version, number of geometries, key, bytes of the file
-//! table     for each geometry: kind, clipped_first, grid, and how many elements each of its sections has
-//! sections  for each geometry: chunks │ positions │ attributes │ kernels │ clips │ nodes
-//!                          or: chunks │ vertices │ triangles
+//! table     for each geometry: kind, grid, number of chunks, and number of elements of each of its arrays
+//! sections  for each geometry: chunks, and its arrays as PackedKind::arrays lists them
 //! trailer   SHA-256 of all the above
 //! ```
 //! All values are 32-bit little-endian words; 64-bit numbers are two words, the lower one first. Sections lie without gaps in the
@@ -18,13 +17,13 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use sha2::{Digest, Sha256};
 
 use super::FORMAT_VERSION;
-use super::check::{check, check_spilled};
+use super::check::{check, check_frame};
 use super::record::{
-    HEADER_WORDS, RECORD_WORDS, Record, Sections, TRAILER_BYTES, chunk_from_words, chunk_to_words,
+    HEADER_WORDS, RECORD_WORDS, Record, TRAILER_BYTES, chunk_from_words, chunk_to_words,
     file_bytes, halves, whole, words_of,
 };
 use crate::bake::external::Spilled;
-use crate::bake::pack::{PackedChunk, PackedGeometry, PackedMesh, PackedSamples};
+use crate::bake::pack::{Arrays, GeometryKind, PackedChunk, PackedGeometry, read_words};
 use crate::bake::tree::TreeStatistics;
 
 const MAGIC: [u8; 8] = *b"PTLSBAKE";
@@ -84,28 +83,8 @@ impl<'a> Entry<'a> {
             for chunk in geometry.chunks() {
                 writer.put(&chunk_to_words(chunk))?;
             }
-            // Naming all fields makes the compiler report a new one.
-            match geometry {
-                PackedGeometry::Samples(PackedSamples {
-                    grid: _,
-                    chunks: _,
-                    positions,
-                    attributes,
-                    kernels,
-                    clips,
-                    clipped_first: _,
-                    nodes,
-                }) => {
-                    writer.put(positions.as_flattened())?;
-                    writer.put(attributes.as_flattened())?;
-                    writer.put(kernels)?;
-                    writer.put(clips.as_flattened())?;
-                    writer.put(nodes.as_flattened())?;
-                }
-                PackedGeometry::Mesh(PackedMesh { grid: _, chunks: _, vertices, triangles }) => {
-                    writer.put(vertices.as_flattened())?;
-                    writer.put(triangles)?;
-                }
+            for words in geometry.arrays() {
+                writer.put(words)?;
             }
         }
         writer.finish()
@@ -123,18 +102,12 @@ impl<'a> SpilledEntry<'a> {
     /// Fails for a tree that [`read`] would refuse.
     pub(super) fn of(tree: &'a Spilled) -> Result<SpilledEntry<'a>, Refusal> {
         let invalid = |what| Refusal::Invalid { geometry: 0, what };
-        check_spilled(&tree.grid, &tree.chunks, tree.len()).map_err(invalid)?;
+        check_frame(&tree.grid, &tree.chunks, tree.len()).map_err(invalid)?;
         let Spilled { grid, chunks, positions, attributes, kernels, nodes } = tree;
-        let sections = Sections::Samples {
-            chunks: chunks.len() as u32,
-            positions: positions.count() as u32,
-            attributes: attributes.count() as u32,
-            kernels: kernels.count() as u32,
-            clips: 0,
-            nodes: nodes.count() as u32,
-            clipped_first: positions.count() as u32,
-        };
-        Ok(SpilledEntry { tree, table: [Record { grid: *grid, sections }] })
+        let counts = [positions.count(), attributes.count(), kernels.count(), 0, nodes.count()];
+        let lengths = counts.map(|count| count as u32);
+        let record = Record::new(GeometryKind::Samples, *grid, chunks, lengths);
+        Ok(SpilledEntry { tree, table: [record] })
     }
 
     /// Bytes of the file.
@@ -261,10 +234,10 @@ pub(super) fn figures(
     read_words(source, words.as_flattened_mut())?;
     let table = Record::from_words(&words[0]).map(|record| [record]);
     let table = table.filter(|table| file_bytes(table) == bytes).ok_or(Refusal::Table)?;
-    let [Record { grid, sections }] = table;
-    let Sections::Samples { chunks, clips, nodes, .. } = sections else {
+    let [Record { kind: GeometryKind::Samples, grid, chunks, lengths }] = table else {
         return Err(Refusal::Table);
     };
+    let [_, _, _, clips, nodes, ..] = lengths;
     let chunks = read_chunks(source, chunks)?.ok_or(Refusal::Table)?;
     source.seek(SeekFrom::Start(bytes - TRAILER_BYTES - 8 * u64::from(nodes)))?;
     let mut statistics = TreeStatistics::default();
@@ -319,61 +292,17 @@ fn hash(source: &mut impl Read, bytes: u64) -> io::Result<[u8; 32]> {
 
 /// Returns `None` if a flag is neither 0 nor 1. The table has been checked against the file's length.
 fn read_geometry(source: &mut impl Read, record: &Record) -> io::Result<Option<PackedGeometry>> {
-    let grid = record.grid;
-    match record.sections {
-        Sections::Samples {
-            chunks,
-            positions,
-            attributes,
-            kernels,
-            clips,
-            nodes,
-            clipped_first,
-        } => {
-            let Some(chunks) = read_chunks(source, chunks)? else { return Ok(None) };
-            Ok(Some(PackedGeometry::Samples(PackedSamples {
-                grid,
-                chunks,
-                positions: read_arrays(source, positions)?,
-                attributes: read_arrays(source, attributes)?,
-                kernels: read_list(source, kernels)?,
-                clips: read_arrays(source, clips)?,
-                clipped_first,
-                nodes: read_arrays(source, nodes)?,
-            })))
-        }
-        Sections::Mesh { chunks, vertices, triangles } => {
-            let Some(chunks) = read_chunks(source, chunks)? else { return Ok(None) };
-            Ok(Some(PackedGeometry::Mesh(PackedMesh {
-                grid,
-                chunks,
-                vertices: read_arrays(source, vertices)?,
-                triangles: read_list(source, triangles)?,
-            })))
-        }
-    }
+    let Some(chunks) = read_chunks(source, record.chunks)? else { return Ok(None) };
+    let arrays = Arrays::new(source, &record.lengths);
+    record.kind.read(record.grid, chunks, arrays).map(Some)
 }
 
 fn read_chunks(source: &mut impl Read, count: u32) -> io::Result<Option<Vec<PackedChunk>>> {
     Ok(read_arrays(source, count)?.iter().map(chunk_from_words).collect())
 }
 
-fn read_list(source: &mut impl Read, count: u32) -> io::Result<Vec<u32>> {
-    let mut list = vec![0; count as usize];
-    read_words(source, &mut list)?;
-    Ok(list)
-}
-
 fn read_arrays<const N: usize>(source: &mut impl Read, count: u32) -> io::Result<Vec<[u32; N]>> {
     let mut list = vec![[0; N]; count as usize];
     read_words(source, list.as_flattened_mut())?;
     Ok(list)
-}
-
-fn read_words(source: &mut impl Read, words: &mut [u32]) -> io::Result<()> {
-    source.read_exact(bytemuck::cast_slice_mut(words))?;
-    for word in words {
-        *word = u32::from_le(*word);
-    }
-    Ok(())
 }

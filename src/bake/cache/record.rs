@@ -2,170 +2,84 @@
 
 use glam::{DVec3, IVec3};
 
-use crate::bake::pack::{
-    Grid, NodeRange, PackedChunk, PackedGeometry, PackedMesh, PackedSamples, Sides, VERTEX_WORDS,
-};
+use crate::bake::pack::{GeometryKind, Grid, NodeRange, PackedChunk, PackedGeometry, Sides};
 
 /// Magic 2, version, number of geometries, key 8, bytes of the file 2.
 pub(super) const HEADER_WORDS: usize = 14;
-/// Kind, `clipped_first`, grid 9, lengths of sections.
-pub(super) const RECORD_WORDS: usize = 11 + SECTIONS;
+/// Kind, grid 9, number of chunks, lengths of arrays.
+pub(super) const RECORD_WORDS: usize = 11 + MOST_ARRAYS;
 /// Words of a chunk.
 pub(super) const CHUNK_WORDS: usize = 20;
 /// Length of a SHA-256.
 pub(super) const TRAILER_BYTES: u64 = 32;
-
-const SECTIONS: usize = 6;
-const SAMPLES: u32 = 0;
-const MESH: u32 = 1;
-/// Words per element of each section.
-const SAMPLES_WORDS: [usize; SECTIONS] = [CHUNK_WORDS, 2, 2, 1, 2, 2];
-const MESH_WORDS: [usize; SECTIONS] = [CHUNK_WORDS, VERTEX_WORDS, 1, 0, 0, 0];
+/// Largest number of arrays of a kind.
+const MOST_ARRAYS: usize = 8;
 
 /// The table's record of a geometry.
 pub(super) struct Record {
+    pub(super) kind: GeometryKind,
     pub(super) grid: Grid,
-    pub(super) sections: Sections,
-}
-
-/// Number of elements of each section.
-pub(super) enum Sections {
-    Samples {
-        chunks: u32,
-        positions: u32,
-        attributes: u32,
-        kernels: u32,
-        clips: u32,
-        nodes: u32,
-        clipped_first: u32,
-    },
-    Mesh {
-        chunks: u32,
-        vertices: u32,
-        triangles: u32,
-    },
+    pub(super) chunks: u32,
+    /// Number of elements of each array.
+    pub(super) lengths: [u32; MOST_ARRAYS],
 }
 
 impl Record {
     /// Builds the record of a checked geometry: its lengths fit 32 bits.
     pub(super) fn of(geometry: &PackedGeometry) -> Record {
-        // Naming all fields makes the compiler report a new one.
-        let sections = match geometry {
-            PackedGeometry::Samples(PackedSamples {
-                grid: _,
-                chunks,
-                positions,
-                attributes,
-                kernels,
-                clips,
-                clipped_first,
-                nodes,
-            }) => Sections::Samples {
-                chunks: chunks.len() as u32,
-                positions: positions.len() as u32,
-                attributes: attributes.len() as u32,
-                kernels: kernels.len() as u32,
-                clips: clips.len() as u32,
-                nodes: nodes.len() as u32,
-                clipped_first: *clipped_first,
-            },
-            PackedGeometry::Mesh(PackedMesh { grid: _, chunks, vertices, triangles }) => {
-                Sections::Mesh {
-                    chunks: chunks.len() as u32,
-                    vertices: vertices.len() as u32,
-                    triangles: triangles.len() as u32,
-                }
-            }
-        };
-        Record { grid: *geometry.grid(), sections }
+        let arrays = geometry.arrays();
+        let lengths = arrays.iter().zip(geometry.kind().widths());
+        let lengths = lengths.map(|(words, width)| (words.len() / width) as u32);
+        Record::new(geometry.kind(), *geometry.grid(), geometry.chunks(), lengths)
+    }
+
+    pub(super) fn new(
+        kind: GeometryKind,
+        grid: Grid,
+        chunks: &[PackedChunk],
+        lengths: impl IntoIterator<Item = u32>,
+    ) -> Record {
+        let mut own = [0; MOST_ARRAYS];
+        own.iter_mut().zip(lengths).for_each(|(own, length)| *own = length);
+        Record { kind, grid, chunks: chunks.len() as u32, lengths: own }
     }
 
     pub(super) fn to_words(&self) -> [u32; RECORD_WORDS] {
         let Grid { origin, step, reach } = self.grid;
         let [x, y, z] = origin.to_array().map(|v| halves(v.to_bits()));
         let step = halves(step.to_bits());
-        let (kind, clipped_first, lengths) = self.sections.to_words();
-        let [a, b, c, d, e, f] = lengths;
-        [
-            kind,
-            clipped_first,
-            x[0],
-            x[1],
-            y[0],
-            y[1],
-            z[0],
-            z[1],
-            step[0],
-            step[1],
-            reach as u32,
-            a,
-            b,
-            c,
-            d,
-            e,
-            f,
-        ]
+        let mut words = [0; RECORD_WORDS];
+        let (head, lengths) = words.split_at_mut(RECORD_WORDS - MOST_ARRAYS);
+        head[0] = self.kind as u32;
+        head[1..9].copy_from_slice([x, y, z, step].as_flattened());
+        head[9] = reach as u32;
+        head[10] = self.chunks;
+        lengths.copy_from_slice(&self.lengths);
+        words
     }
 
-    /// Returns `None` for an unknown kind, or for sections that the kind does not have.
+    /// Returns `None` for an unknown kind, or for arrays that the kind does not have.
     pub(super) fn from_words(words: &[u32; RECORD_WORDS]) -> Option<Record> {
-        let [kind, clipped_first, x0, x1, y0, y1, z0, z1, step0, step1, reach, lengths @ ..] =
-            *words;
+        let [kind, x0, x1, y0, y1, z0, z1, step0, step1, reach, chunks, lengths @ ..] = *words;
+        let kind = GeometryKind::from_number(kind)?;
+        if lengths.iter().skip(kind.widths().len()).any(|&length| length != 0) {
+            return None;
+        }
         let float = |low, high| f64::from_bits(whole([low, high]));
-        Some(Record {
-            grid: Grid {
-                origin: DVec3::new(float(x0, x1), float(y0, y1), float(z0, z1)),
-                step: float(step0, step1),
-                reach: reach as i32,
-            },
-            sections: Sections::from_words(kind, clipped_first, lengths)?,
-        })
+        let grid = Grid {
+            origin: DVec3::new(float(x0, x1), float(y0, y1), float(z0, z1)),
+            step: float(step0, step1),
+            reach: reach as i32,
+        };
+        Some(Record { kind, grid, chunks, lengths })
     }
 
-    /// Bytes of the sections.
+    /// Bytes of the chunks and arrays.
     fn bytes(&self) -> u64 {
-        let (kind, _, lengths) = self.sections.to_words();
-        let words = if kind == SAMPLES { SAMPLES_WORDS } else { MESH_WORDS };
-        lengths.iter().zip(words).map(|(&length, words)| u64::from(length) * 4 * words as u64).sum()
-    }
-}
-
-impl Sections {
-    fn to_words(&self) -> (u32, u32, [u32; SECTIONS]) {
-        match *self {
-            Sections::Samples {
-                chunks,
-                positions,
-                attributes,
-                kernels,
-                clips,
-                nodes,
-                clipped_first,
-            } => (SAMPLES, clipped_first, [chunks, positions, attributes, kernels, clips, nodes]),
-            Sections::Mesh { chunks, vertices, triangles } => {
-                (MESH, 0, [chunks, vertices, triangles, 0, 0, 0])
-            }
-        }
-    }
-
-    fn from_words(kind: u32, clipped_first: u32, lengths: [u32; SECTIONS]) -> Option<Sections> {
-        match (kind, clipped_first, lengths) {
-            (SAMPLES, _, [chunks, positions, attributes, kernels, clips, nodes]) => {
-                Some(Sections::Samples {
-                    chunks,
-                    positions,
-                    attributes,
-                    kernels,
-                    clips,
-                    nodes,
-                    clipped_first,
-                })
-            }
-            (MESH, 0, [chunks, vertices, triangles, 0, 0, 0]) => {
-                Some(Sections::Mesh { chunks, vertices, triangles })
-            }
-            _ => None,
-        }
+        let words = |length: u32, width: usize| u64::from(length) * width as u64;
+        let arrays = self.lengths.iter().zip(self.kind.widths());
+        let arrays: u64 = arrays.map(|(&length, &width)| words(length, width)).sum();
+        4 * (words(self.chunks, CHUNK_WORDS) + arrays)
     }
 }
 

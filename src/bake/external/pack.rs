@@ -64,7 +64,6 @@ impl Spilled {
             attributes: self.attributes.load(range.clone())?,
             kernels: self.kernels.load(range)?,
             clips: Vec::new(),
-            clipped_first: chunk.count,
             nodes: Vec::new(),
         })
     }

@@ -9,7 +9,7 @@ fn cloud(positions: Vec<DVec3>) -> PackedGeometry {
 }
 
 fn mesh(positions: Vec<DVec3>, triangles: Vec<[u32; 3]>) -> PackedGeometry {
-    PackedGeometry::Mesh(pack_mesh(&Mesh { positions, triangles, ..Mesh::default() }).unwrap())
+    PackedGeometry::Triangles(pack_mesh(&Mesh { positions, triangles, ..Mesh::default() }).unwrap())
 }
 
 fn outline(geometry: &PackedGeometry) -> Outline {
@@ -116,5 +116,5 @@ fn a_lone_disc_is_framed_with_its_radius() {
         ..PointCloud::default()
     };
     let packed = PackedGeometry::Samples(pack_samples(&lone).unwrap());
-    assert!((outline(&packed).bounds().extent().x - 2.0 * DISC_DEVIATIONS).abs() < 0.1);
+    assert!((outline(&packed).bounds().extent().x - 4.0).abs() < 0.1);
 }

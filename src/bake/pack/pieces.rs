@@ -40,7 +40,6 @@ impl<'a> Packing<'a> {
             attributes: vec![[0; 2]; count],
             kernels: vec![0; count],
             clips: Vec::new(),
-            clipped_first: count as u32,
             nodes: Vec::new(),
         };
         Ok(Packing { cloud, order, longest: 0.0, out })

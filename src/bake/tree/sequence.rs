@@ -207,7 +207,7 @@ pub fn sequence(
     };
     let runs: Vec<PackedRun> = lists.par_iter().map(pack).collect();
     let order: Vec<u32> = lists.into_iter().flat_map(|(_, run)| run).collect();
-    let mut out = joined(grid, runs, clipped_first as u32);
+    let mut out = joined(grid, runs);
     // The cells that the GPU decodes: distances to parents are measured between them.
     let mut cells = vec![IVec3::ZERO; tree.nodes.len()];
     for chunk in &out.chunks {
@@ -380,7 +380,7 @@ fn set_ranges(samples: &mut PackedSamples, base: f32) {
         chunk.range = range_of(nodes, base);
     }
     // Nodes with clip lines form a separate list.
-    let plain = samples.chunks.partition_point(|chunk| chunk.first < samples.clipped_first);
+    let plain = samples.chunks.partition_point(|chunk| chunk.first < samples.clipped_first());
     let (plain, with_lines) = samples.chunks.split_at_mut(plain);
     reach_behind(plain);
     reach_behind(with_lines);

@@ -1,14 +1,14 @@
 //! One pixel a sample.
 
+use crate::bake::pack::GeometryKind;
 use crate::gpu::shader::ShaderError;
 use crate::passes::reconstruct::{is_tree, node_constants};
 use crate::passes::recorder::{Call, Recorder};
 use crate::passes::shaders::Choices;
-use crate::residency::SAMPLE_PAGES;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     // A scene's samples are either all nodes of trees or none.
-    let segments = recorder.segments(SAMPLE_PAGES);
+    let segments = recorder.segments(&[GeometryKind::Samples]);
     let first = segments.first().copied().flatten();
     let mut constants = node_constants(recorder, first);
     constants.push(recorder.lanes());

@@ -45,12 +45,12 @@ pub fn splat_constants(splats: &Splats, walked: bool) -> Constants {
 
 /// Whether a segment's samples carry clip lines.
 pub fn is_clipped(recorder: &Recorder, segment: Segment) -> bool {
-    segment.is_some_and(|index| recorder.scene.pages[index].kind.is_clipped())
+    segment.is_some_and(|index| recorder.scene.pages[index].kind.clipped)
 }
 
 /// Whether a segment's samples are nodes of point trees.
 pub fn is_tree(recorder: &Recorder, segment: Segment) -> bool {
-    segment.is_some_and(|index| recorder.scene.pages[index].kind.is_tree())
+    segment.is_some_and(|index| recorder.scene.pages[index].kind.nodes)
 }
 
 /// Overrides of `shared/nodes_tree`, where a pass is made of it.

@@ -1,14 +1,14 @@
 //! Pixels that show a sample.
 
 use super::{choices, constants, tiles};
+use crate::bake::pack::GeometryKind;
 use crate::gpu::shader::ShaderError;
 use crate::passes::reconstruct::{is_tree, paint_constants};
 use crate::passes::recorder::{Call, Recorder};
 use crate::passes::shaders::Choices;
-use crate::residency::SAMPLE_PAGES;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
-    let segments = recorder.segments(SAMPLE_PAGES);
+    let segments = recorder.segments(&[GeometryKind::Samples]);
     let first = segments.first().copied().flatten();
     let mut constants = constants(recorder);
     constants.extend(paint_constants(recorder, first));

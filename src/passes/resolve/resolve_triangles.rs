@@ -1,12 +1,12 @@
 //! Pixels that show a triangle.
 
 use super::{choices, constants, tiles};
+use crate::bake::pack::GeometryKind;
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, Recorder};
-use crate::residency::PageKind;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
-    let segments = recorder.segments(&[PageKind::Triangles]);
+    let segments = recorder.segments(&[GeometryKind::Triangles]);
     recorder.compute(Call {
         choices: choices(recorder),
         constants: constants(recorder),

@@ -1,4 +1,5 @@
 use super::*;
+use crate::bake::pack::Counts;
 use crate::plan::SceneFacts;
 use serde_json::json;
 
@@ -138,7 +139,8 @@ fn backgrounds_are_read_as_they_are_written() {
 
 #[test]
 fn eye_dome_light_is_for_samples_without_normals_and_light() {
-    let scan = SceneFacts { has_samples: true, ..SceneFacts::default() };
+    let counts = Counts { samples: 1, ..Counts::default() };
+    let scan = SceneFacts { counts, ..SceneFacts::default() };
     let used = |query: &str, scene| {
         let settings = given(query).resolve().unwrap();
         assert_eq!(settings.with_edl_decided(&scene, Output::Depth).eye_dome(), None);
@@ -148,7 +150,7 @@ fn eye_dome_light_is_for_samples_without_normals_and_light() {
     for other in [
         SceneFacts { has_normals: true, ..scan },
         SceneFacts { lights: 1, ..scan },
-        SceneFacts { has_triangles: true, ..scan },
+        SceneFacts { counts: Counts { triangles: 1, ..counts }, ..scan },
         SceneFacts::default(),
     ] {
         assert!(!used("", other) && used("edl=on", other) && !used("edl=off", other));

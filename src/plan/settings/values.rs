@@ -66,7 +66,8 @@ impl Settings {
     /// The settings with `edl` on or off.
     #[must_use]
     pub fn with_edl_decided(&self, scene: &SceneFacts, output: Output) -> Settings {
-        let is_shapeless = scene.has_samples && !scene.has_triangles && !scene.has_normals;
+        let is_shapeless =
+            scene.counts.samples > 0 && scene.counts.triangles == 0 && !scene.has_normals;
         let is_used = match self.edl {
             Edl::Auto => {
                 is_shapeless && scene.lights == 0 && self.reconstruct != Reconstruct::Fuzzy

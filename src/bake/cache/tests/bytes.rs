@@ -39,11 +39,11 @@ fn bytes_are_little_endian_words_in_the_order_that_the_module_says() {
     let all = small();
     let PackedGeometry::Samples(tree) = &all[0] else { panic!("samples") };
     let bytes = bytes_of(&all);
-    assert_eq!(bytes[..12], *b"PTLSBAKE\x02\0\0\0");
+    assert_eq!(bytes[..12], *b"PTLSBAKE\x03\0\0\0");
     assert_eq!(bytes[12..16], [3, 0, 0, 0]);
     assert_eq!(bytes[16..48], KEY);
     assert_eq!(bytes[48..56], (bytes.len() as u64).to_le_bytes());
-    assert_eq!(bytes[64..72], tree.grid.origin.x.to_le_bytes());
+    assert_eq!(bytes[60..68], tree.grid.origin.x.to_le_bytes());
     let chunks = 4 * (HEADER_WORDS + 3 * RECORD_WORDS);
     assert_eq!(bytes[chunks..chunks + 4], tree.chunks[0].origin.x.to_le_bytes());
     let positions = chunks + 4 * CHUNK_WORDS * tree.chunks.len();
@@ -90,7 +90,7 @@ fn versions_and_keys_are_told_before_the_checksum() {
     assert!(matches!(read_bytes(&bytes).unwrap_err(), Refusal::Key));
 }
 
-/// Words of a table's record: kind, clipped_first, grid 9, lengths.
+/// Words of a table's record: kind, grid 9, chunks, lengths.
 #[test]
 fn a_table_with_a_right_checksum_is_refused_before_anything_is_allocated_for_it() {
     let body = body(&small());
@@ -102,12 +102,12 @@ fn a_table_with_a_right_checksum_is_refused_before_anything_is_allocated_for_it(
         (3, 2),
         (record, 2),
         (record, 1),
+        (record + 10, u32::MAX),
         (record + 11, u32::MAX),
-        (record + 12, u32::MAX),
-        (record + 16, 1 << 31),
-        // A mesh has neither clip lines nor a fourth section.
-        (record + 2 * RECORD_WORDS + 1, 1),
-        (record + 2 * RECORD_WORDS + 14, 1),
+        (record + 15, 1 << 31),
+        // A mesh has no third array, samples have no sixth.
+        (record + 16, 1),
+        (record + 2 * RECORD_WORDS + 13, 1),
     ];
     for (word, value) in cases {
         let mut body = body.clone();
@@ -134,7 +134,7 @@ fn refused(change: impl Fn(&mut Vec<PackedGeometry>)) -> &'static str {
 fn refused_samples(change: impl Fn(&mut PackedSamples)) -> &'static str {
     refused(|all| match &mut all[0] {
         PackedGeometry::Samples(samples) => change(samples),
-        PackedGeometry::Mesh(_) => panic!("samples"),
+        PackedGeometry::Triangles(_) => panic!("samples"),
     })
 }
 
@@ -149,13 +149,9 @@ fn geometries_that_shaders_would_go_astray_in_are_refused() {
     assert!(samples(|s| s.attributes.truncate(2)).contains("attributes"));
     assert!(samples(|s| s.kernels.push(0)).contains("kernels"));
     assert!(samples(|s| s.nodes.truncate(1)).contains("nodes"));
-    assert!(samples(|s| s.clips.push([0; 2])).contains("clip lines"));
-    assert!(samples(|s| s.clipped_first = u32::MAX).contains("clip lines"));
-    let shifted = samples(|s| {
-        s.clipped_first -= 1;
-        s.clips.push([0; 2]);
-    });
-    assert!(shifted.contains("no chunk begins"));
+    assert!(samples(|s| s.clips.push([0; 2])).contains("no chunk begins"));
+    let more = |s: &mut PackedSamples| s.clips.resize(s.positions.len() + 1, [0; 2]);
+    assert!(samples(more).contains("more clip lines"));
     assert!(samples(|s| s.chunks[0].shift = 32).contains("steps"));
     assert!(samples(|s| s.chunks[0].count = 0).contains("count"));
     assert!(samples(|s| s.chunks[0].count = 1025).contains("count"));
@@ -173,11 +169,10 @@ fn geometries_that_shaders_would_go_astray_in_are_refused() {
     assert!(samples(|s| s.chunks[0].kernel_base = -1.0).contains("lengths"));
     let mesh = |change: fn(&mut PackedMesh)| {
         refused(|all| match &mut all[2] {
-            PackedGeometry::Mesh(mesh) => change(mesh),
+            PackedGeometry::Triangles(mesh) => change(mesh),
             PackedGeometry::Samples(_) => panic!("a mesh"),
         })
     };
-    assert!(mesh(|m| m.chunks[0].shift = 0).contains("not of triangles"));
     assert!(mesh(|m| m.chunks[0].vertex_count = 1025).contains("too many"));
     assert!(mesh(|m| m.chunks[0].vertex_first = 1).contains("not the next"));
     assert!(mesh(|m| m.vertices.truncate(3)).contains("all vertices"));
@@ -194,13 +189,13 @@ fn walk(geometry: &PackedGeometry) -> u64 {
             let at = at as usize;
             sum += match geometry {
                 PackedGeometry::Samples(samples) => {
-                    let clipped = at.checked_sub(samples.clipped_first as usize);
+                    let clipped = at.checked_sub(samples.clipped_first() as usize);
                     let clip = clipped.map_or([0; 2], |clip| samples.clips[clip]);
                     let node = samples.nodes.get(at).copied().unwrap_or_default();
                     let of = samples.positions[at][0] ^ samples.attributes[at][0] ^ clip[0];
                     u64::from(of ^ samples.kernels[at] ^ node[0]) + (1 << chunk.shift)
                 }
-                PackedGeometry::Mesh(mesh) => {
+                PackedGeometry::Triangles(mesh) => {
                     let run = &mesh.vertices[chunk.vertex_first as usize..]
                         [..chunk.vertex_count as usize];
                     let word = mesh.triangles[at];
