@@ -359,7 +359,7 @@ impl Loaded {
 
     /// Returns the least and the largest height of the scene along its up direction; strays do not count.
     pub fn heights(&self) -> [f64; 2] {
-        self.outline().range(self.up().normalize())
+        self.outline().range(self.up().normalize_or(DVec3::Y))
     }
 
     /// Returns the default view: the sensor's where the file has one, else a view of everything but strays, as large as the frame

@@ -37,7 +37,7 @@ impl Surface {
         let srgb = match recolor {
             None => return,
             Some(Recolor::Height { up, range: [least, most], map }) => {
-                let height = up.normalize().dot(view.eye + self.position_from_eye);
+                let height = up.normalize_or(DVec3::Y).dot(view.eye + self.position_from_eye);
                 let share = if least == most { 0.5 } else { (height - least) / (most - least) };
                 map.at(share)
             }

@@ -233,7 +233,7 @@ fn ramp(task: &FrameTask, view: &View) -> [f32; 4] {
     let Some(Recolor::Height { up, range: [least, most], .. }) = task.recolor else {
         return [0.0; 4];
     };
-    let up = up.normalize();
+    let up = up.normalize_or(glam::DVec3::Y);
     let per_unit = if most == least { 0.0 } else { 1.0 / (most - least) };
     let middle = if most == least { 0.5 } else { 0.0 };
     let slope = view.view_from_world * up * per_unit;
