@@ -343,7 +343,7 @@ impl Renderer {
             views: jobs.iter().map(|job| job.frame.view).collect(),
             output: first.frame.request.output,
             plan: drawing.plan.clone(),
-            splats: drawing.splats,
+            reconstruction: drawing.reconstruction,
             extent: first.frame.extent,
             small_splat_px: self.small_splat_px,
             weight_one: first.weight_one(),

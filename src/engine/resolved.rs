@@ -15,7 +15,7 @@ use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
 use crate::math::View;
 use crate::plan::auto::Choice;
-use crate::plan::{Background, FramePlan, Reconstruct, Settings};
+use crate::plan::{Background, FramePlan, Reconstruct, Reconstruction, Settings};
 use crate::residency::model::{Extent, SceneModel};
 use crate::scene::Splats;
 
@@ -52,8 +52,8 @@ pub struct Drawing {
     pub settings: Settings,
     /// Reason for not drawing as requested.
     pub instead_because: Option<&'static str>,
-    /// How samples are drawn, if not as points.
-    pub splats: Option<Splats>,
+    /// How samples are drawn.
+    pub reconstruction: Reconstruction,
 }
 
 impl ResolvedFrame {
@@ -88,11 +88,11 @@ impl Drawing {
         settings: &Settings,
         scene: &Splats,
         instead_because: Option<&'static str>,
-        plan: impl FnOnce(Option<&Splats>) -> FramePlan,
+        plan: impl FnOnce(Reconstruction) -> FramePlan,
     ) -> Drawing {
-        let splats = settings.splats(scene);
-        let settings = settings.settled(splats.as_ref()).effective();
-        Drawing { plan: plan(splats.as_ref()), settings, instead_because, splats }
+        let reconstruction = Reconstruction::new(settings, scene);
+        let settings = settings.settled(&reconstruction).effective();
+        Drawing { plan: plan(reconstruction), settings, instead_because, reconstruction }
     }
 
     /// Linear RGB and straight alpha of pixels that show nothing.
@@ -111,8 +111,8 @@ mod tests {
         let counts = Counts { samples: 1, chunks: 1, ..Counts::default() };
         let facts = SceneFacts { counts, trees: true, ..Default::default() };
         let adapter = AdapterFacts::default();
-        Drawing::new(settings, &Splats::default(), None, |splats| {
-            let frame = FrameFacts { output: Output::Color, splats: splats.copied(), edl: None };
+        Drawing::new(settings, &Splats::default(), None, |reconstruction| {
+            let frame = FrameFacts { output: Output::Color, reconstruction, edl: None };
             plan::plan(&facts, &frame, &adapter)
         })
     }

@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use super::slabs::Slabs;
 use crate::math::View;
-use crate::plan::{ErrorMode, FramePlan, Output, Paint, Pass};
+use crate::plan::{ErrorMode, FramePlan, Output, Paint, Pass, Reconstruction};
 use crate::residency::layout::{GpuFrame, two_floats};
 use crate::residency::model::{Extent, SceneModel};
 use crate::residency::{GROUP, ResidentScene};
-use crate::scene::{Blend, EyeDome, Shading, Splats};
+use crate::scene::{EyeDome, Shading};
 
 /// Frames of one scene that are drawn together: the model (resident already), where it is seen from, what is wanted.
 #[derive(Clone)]
@@ -18,8 +18,8 @@ pub struct FrameTask {
     pub views: Vec<View>,
     pub output: Output,
     pub plan: FramePlan,
-    /// Settings of splats; `None` draws samples as points.
-    pub splats: Option<Splats>,
+    /// How samples are drawn.
+    pub reconstruction: Reconstruction,
     /// Place and width of the scene's samples, at full detail.
     pub extent: Extent,
     /// Boxes of splats with a longer side than this are walked by several threads.
@@ -82,8 +82,8 @@ impl FrameTask {
 
     /// Returns whether splats' normals and depths are blended too: pixels are lit afterwards, or an effect needs depths.
     pub fn is_deferred(&self) -> bool {
-        let deferred = self.splats.is_some_and(|splats| splats.shading == Shading::Deferred);
-        (deferred && self.plan.lights_pixels) || self.plan.runs(Pass::WriteOutput)
+        (self.reconstruction.shades(Shading::Deferred) && self.plan.lights_pixels)
+            || self.plan.runs(Pass::WriteOutput)
     }
 
     /// Number of sums in use for each pixel; 0 without blended splats.
@@ -102,12 +102,12 @@ impl FrameTask {
 
     /// Measure of a node that decides its detail: 1, its size, where samples are drawn as points; else 0, its error.
     pub fn measure(&self) -> u32 {
-        u32::from(self.splats.is_none())
+        u32::from(!self.reconstruction.is_splats())
     }
 
     /// Whether the error of a node depends on the angle at which it is seen. Points cover one pixel at any angle, so it never does for them.
     pub fn splits_errors(&self) -> bool {
-        self.splats.is_some() && self.error_mode == ErrorMode::Split
+        self.reconstruction.is_splats() && self.error_mode == ErrorMode::Split
     }
 
     /// Word of pixels that show nothing.
@@ -132,10 +132,10 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
     let row = |v: glam::DVec3| [v.x as f32, v.y as f32, v.z as f32, 0.0];
     let eye = view.eye.to_array().map(two_floats);
     let (entries, slots) = scene.entries(task.entry_capacity);
-    let fuzzy = task.splats.filter(|splats| splats.blend == Blend::Fuzzy);
-    let slabs = fuzzy.map_or(Slabs::default(), |s| {
+    let (splats, fuzzy) = (task.reconstruction.splats(), task.reconstruction.fuzzy());
+    let slabs = fuzzy.map_or(Slabs::default(), |splats| {
         let accepted_px = if task.model.trees { task.max_error_px } else { 0.0 };
-        Slabs::new(&s, &task.extent, view, accepted_px)
+        Slabs::new(splats, &task.extent, view, accepted_px)
     });
     GpuFrame {
         right: row(axes.x_axis),
@@ -163,13 +163,10 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         sample_segments: scene.sample_segments(),
         small_splat_px: task.small_splat_px as i32,
         weight_one: task.weight_one,
-        splat_cutoff: task.splats.map_or(0.0, |splats| splats.cutoff),
-        splat_lowpass_px: task.splats.map_or(0.0, |s| if s.prefilter { s.lowpass_px } else { 0.0 }),
-        splat_width: task.splats.map_or(0.0, |splats| splats.width),
-        splat_offset: task.splats.map_or(0.0, |s| match s.blend {
-            Blend::Weighted => s.depth_offset,
-            Blend::Opaque | Blend::Fuzzy => 0.0,
-        }),
+        splat_cutoff: splats.map_or(0.0, |splats| splats.cutoff),
+        splat_lowpass_px: splats.map_or(0.0, |s| if s.prefilter { s.lowpass_px } else { 0.0 }),
+        splat_width: splats.map_or(0.0, |splats| splats.width),
+        splat_offset: task.reconstruction.weighted().map_or(0.0, |splats| splats.depth_offset),
         slab_near: slabs.near as f32,
         slab_per_unit: slabs.per_unit as f32,
         slab_meet: slabs.meet as f32,

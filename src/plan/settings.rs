@@ -20,7 +20,7 @@ mod values;
 
 pub use values::{
     Background, Edl, EdlRadius, EdlStrength, ErrorMode, Lod, MaxError, Output, Paint, Reconstruct,
-    StillFrame, UsedSettings, Wait,
+    StillFrame, UsedSettings, UsedSplats, Wait,
 };
 
 use crate::scene::{Blend, Filter, Shading};

@@ -7,8 +7,7 @@ use crate::passes::shaders::Choices;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let segment = recorder.segment;
-    let splats = recorder.task.splats.unwrap_or_default();
-    let mut constants = splat_constants(&splats, false);
+    let mut constants = splat_constants(&recorder.task.reconstruction, false);
     constants.extend(node_constants(recorder, segment));
     constants.push(recorder.lanes());
     recorder.compute(Call {

@@ -8,8 +8,7 @@ use crate::passes::shaders::Choices;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let segment = recorder.segment;
-    let splats = recorder.task.splats.unwrap_or_default();
-    let mut constants = splat_constants(&splats, true);
+    let mut constants = splat_constants(&recorder.task.reconstruction, true);
     constants.extend(node_constants(recorder, segment));
     constants.push(band_constant(recorder));
     recorder.compute(Call {

@@ -16,7 +16,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     };
     let kinds: Vec<GeometryKind> = GeometryKind::ALL.iter().copied().filter(is_asked).collect();
     let segments = recorder.segments(&kinds);
-    let splats = ("SPLATS", u32::from(recorder.task.splats.is_some()));
+    let splats = ("SPLATS", u32::from(recorder.task.reconstruction.is_splats()));
     let counts = ("COUNTS_SAMPLES", u32::from(!recorder.scene.has_trees()));
     recorder.compute(Call {
         choices: Choices::default(),
