@@ -13,7 +13,7 @@ use super::state::EngineState;
 use super::trace::FrameSpans;
 use super::{EncodedFrame, EngineError};
 use crate::passes::srgb8;
-use crate::plan::{Pass, Reconstruct, UsedSettings};
+use crate::plan::{Pass, Reconstruct, UsedSettings, UsedSplats};
 use crate::residency::layout::GpuStats;
 
 /// Encodes a frame, writes its receipt and answers whoever waits.
@@ -81,6 +81,7 @@ fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
     let samples = runs(Pass::ProjectSamples) || as_splats;
     let splats = |count: u32| as_splats.then_some(u64::from(count));
     let applied = drawing.settings.applied();
+    let used = UsedSplats::of(&drawing.reconstruction);
     Receipt {
         request_id: job.request_id.as_str().to_owned(),
         scene: resolved.request.scene.clone(),
@@ -90,13 +91,13 @@ fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
         views: drawn.views,
         camera: resolved.camera.clone(),
         settings: UsedSettings {
-            applied: applied.beside(&drawing.splats),
+            applied: applied.beside(&used),
             provisional: resolved.provisional.clone(),
             asked: resolved.auto.map(|_| Reconstruct::Auto),
             because: resolved.auto.map(|choice| choice.because()),
             spacing_px: resolved.auto.and_then(|choice| choice.spacing_px),
             instead_because: drawing.instead_because,
-            splats: drawing.splats,
+            splats: used,
         },
         max_error_px: applied.max_error_px,
         estimated_error_px: None,

@@ -11,7 +11,6 @@ use super::queue::{Client, Granted, Waiting};
 use super::resolved::{Drawing, ResolvedFrame};
 use super::trace::{FrameSpans, Origin, RequestId};
 use super::{EncodedFrame, EngineError, FrameRequest};
-use crate::scene::Blend;
 
 /// Weight of a splat in a single pass; leaves room for 68 splats of full weight over a pixel.
 const FUZZY_WEIGHT: f32 = 15.0;
@@ -197,7 +196,7 @@ impl FrameJob {
     }
 
     fn is_fuzzy(&self) -> bool {
-        self.drawing().splats.is_some_and(|splats| splats.blend == Blend::Fuzzy)
+        self.drawing().reconstruction.fuzzy().is_some()
     }
 
     /// Returns the integer weight of a splat where its kernel is 1: 15 bits, unless too many overlap; 4 bits in a single pass.

@@ -18,8 +18,8 @@ use crate::math::{Camera, CameraError, FOV_RANGE_DEG, ORTHO_HEIGHT_RANGE, View};
 use crate::passes::{LAYERS_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
 use crate::plan::{
-    AdapterFacts, ColorBy, Edl, FrameFacts, Lod, Output, Reconstruct, SceneFacts, Settings, Wait,
-    plan,
+    AdapterFacts, ColorBy, Edl, FrameFacts, Lod, Output, Reconstruct, Reconstruction, SceneFacts,
+    Settings, Wait, plan,
 };
 use crate::residency::model::SceneModel;
 
@@ -248,34 +248,28 @@ fn decide(
             draws_hidden: state.config.draw_hidden,
         };
         let recolor = settings.recolor(loaded.up(), || loaded.heights());
-        Drawing::new(settings, &loaded.model.splats, recolor, instead_because, |splats| {
-            let splats = splats.copied();
-            let discs = settings.discs().is_some();
-            let edl = settings.eye_dome();
-            let recolors = settings.recolors();
-            let frame = FrameFacts { output: request.output, splats, discs, recolors, edl };
+        Drawing::new(settings, &loaded.model.splats, recolor, instead_because, |reconstruction| {
+            let (edl, recolors) = (settings.eye_dome(), settings.recolors());
+            let frame = FrameFacts { output: request.output, reconstruction, recolors, edl };
             plan(&facts, &frame, &adapter)
         })
     };
     let other = settings.in_three_passes();
-    let is_fuzzy = settings.reconstruct == Reconstruct::Fuzzy && facts.counts.samples > 0;
-    let fits = || {
-        let splats = settings.splats(&loaded.model.splats);
+    let reconstruction = Reconstruction::new(&settings, &loaded.model.splats);
+    let fuzzy = reconstruction.fuzzy().filter(|_| facts.counts.samples > 0);
+    let fits = |splats| {
         let accepted_px = if facts.trees { settings.max_error_px.px() } else { 0.0 };
-        splats.is_none_or(|s| Slabs::new(&s, &loaded.extent, &view, accepted_px).fit())
+        Slabs::new(splats, &loaded.extent, &view, accepted_px).fit()
     };
-    let refused = if !is_fuzzy {
-        None
-    } else if let Some(reason) = no_fuzzy(&request, &adapter) {
-        Some(reason)
-    } else {
-        (!fits()).then_some("the scene is too deep for the slabs of a single pass")
-    };
+    let refused = fuzzy.and_then(|splats| {
+        let too_deep = "the scene is too deep for the slabs of a single pass";
+        no_fuzzy(&request, &adapter).or_else(|| (!fits(splats)).then_some(too_deep))
+    });
     let drawing = match refused {
         Some(_) => way(&other, refused),
         None => way(&settings, None),
     };
-    let in_three_passes = (is_fuzzy && refused.is_none()).then(|| {
+    let in_three_passes = (fuzzy.is_some() && refused.is_none()).then(|| {
         way(&other, Some("more splats lie over one pixel than a single pass has room for"))
     });
     let tagged = Tagged {
@@ -520,7 +514,7 @@ fn entity_tag(
         request.output as u8,
     ]);
     // The rest of what the scene says of splats is in its digest.
-    hasher.update(settings.settled(drawing.splats.as_ref()).canonical());
+    hasher.update(settings.settled(&drawing.reconstruction).canonical());
     if *is_provisional {
         hasher.update(b"provisional");
     }

@@ -15,7 +15,7 @@ use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
 use crate::math::View;
 use crate::plan::auto::Choice;
-use crate::plan::{Background, FramePlan, Reconstruct, Settings};
+use crate::plan::{Background, FramePlan, Reconstruct, Reconstruction, Settings};
 use crate::residency::model::{Extent, SceneModel};
 use crate::scene::Splats;
 use crate::scene::color_map::Recolor;
@@ -53,8 +53,8 @@ pub struct Drawing {
     pub settings: Settings,
     /// Reason for not drawing as requested.
     pub instead_because: Option<&'static str>,
-    /// How samples are drawn, if not as points.
-    pub splats: Option<Splats>,
+    /// How samples are drawn.
+    pub reconstruction: Reconstruction,
     /// What colours surfaces, if it is not their own colours.
     pub recolor: Option<Recolor>,
 }
@@ -92,11 +92,11 @@ impl Drawing {
         scene: &Splats,
         recolor: Option<Recolor>,
         instead_because: Option<&'static str>,
-        plan: impl FnOnce(Option<&Splats>) -> FramePlan,
+        plan: impl FnOnce(Reconstruction) -> FramePlan,
     ) -> Drawing {
-        let splats = settings.splats(scene);
-        let settings = settings.settled(splats.as_ref()).effective();
-        Drawing { plan: plan(splats.as_ref()), settings, instead_because, splats, recolor }
+        let reconstruction = Reconstruction::new(settings, scene);
+        let settings = settings.settled(&reconstruction).effective();
+        Drawing { plan: plan(reconstruction), settings, instead_because, reconstruction, recolor }
     }
 
     /// Linear RGB and straight alpha of pixels that show nothing.
@@ -118,8 +118,8 @@ mod tests {
         let facts = SceneFacts { counts, trees: true, ..Default::default() };
         let adapter = AdapterFacts::default();
         let recolor = settings.recolor(DVec3::Y, || [0.0, 1.0]);
-        Drawing::new(settings, &Splats::default(), recolor, None, |splats| {
-            let frame = FrameFacts { splats: splats.copied(), ..FrameFacts::default() };
+        Drawing::new(settings, &Splats::default(), recolor, None, |reconstruction| {
+            let frame = FrameFacts { reconstruction, ..FrameFacts::default() };
             plan::plan(&facts, &frame, &adapter)
         })
     }

@@ -123,10 +123,8 @@ fn item_splats(
         // A sample's surface is the same from every pixel: colour and normal, turned to the eye, at its own centre.
         let surface = surface::at(prepared, view, &hit, 0, 0);
         let color = match (settings.splats.blend, settings.splats.shading) {
-            (Blend::Weighted | Blend::Fuzzy, Shading::Splat) => {
-                shade(&surface, prepared.scene.lights, view.eye)
-                    .map(|channel| channel.clamp(0.0, 1.0))
-            }
+            (Blend::Weighted, Shading::Splat) => shade(&surface, prepared.scene.lights, view.eye)
+                .map(|channel| channel.clamp(0.0, 1.0)),
             _ => surface.albedo,
         };
         let instance = item.item.instance;
@@ -176,7 +174,7 @@ impl<'a> Band<'a> {
             }
             match self.settings.splats.blend {
                 // However small, a weight must count where there is no other.
-                Blend::Weighted | Blend::Fuzzy if is_winner || touch.depth <= winner.reach => {
+                Blend::Weighted if is_winner || touch.depth <= winner.reach => {
                     sums[pixel].add(splat, touch.weight.max(f64::MIN_POSITIVE), touch.depth);
                 }
                 Blend::Opaque if is_winner => sums[pixel].add(splat, 1.0, touch.depth),
@@ -250,7 +248,7 @@ impl<'a> Band<'a> {
         surface.turn_to_eye();
         surface.recolor(self.prepared.scene.recolor.as_ref(), self.view, winner.instance);
         let color = match (self.settings.splats.blend, self.settings.splats.shading) {
-            (Blend::Weighted | Blend::Fuzzy, Shading::Splat) => surface.albedo,
+            (Blend::Weighted, Shading::Splat) => surface.albedo,
             _ => shade(&surface, self.prepared.scene.lights, self.view.eye),
         };
         let normal_world = surface.normal_world;

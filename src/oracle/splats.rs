@@ -157,7 +157,7 @@ impl SeenSplat {
         };
         let depth_offset = match settings.splats.blend {
             // However many passes it takes, this is what they are after.
-            Blend::Weighted | Blend::Fuzzy => f64::from(settings.splats.depth_offset),
+            Blend::Weighted => f64::from(settings.splats.depth_offset),
             Blend::Opaque => 0.0,
         };
         let seen = Self {

@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use super::slabs::Slabs;
 use crate::math::View;
-use crate::plan::{ErrorMode, FramePlan, Output, Pass};
+use crate::plan::{ErrorMode, FramePlan, Output, Pass, Reconstruction};
 use crate::residency::layout::{GpuFrame, two_floats};
 use crate::residency::model::{Extent, SceneModel};
 use crate::residency::{GROUP, ResidentScene};
 use crate::scene::color_map::{MOST_COLORS, Recolor};
-use crate::scene::{Blend, Discs, EyeDome, Filter, Shading, Splats};
+use crate::scene::{EyeDome, Shading};
 
 /// Frames of one scene that are drawn together: the model (resident already), where it is seen from, what is wanted.
 #[derive(Clone)]
@@ -19,10 +19,8 @@ pub struct FrameTask {
     pub views: Vec<View>,
     pub output: Output,
     pub plan: FramePlan,
-    /// Settings of splats; `None` draws samples as points.
-    pub splats: Option<Splats>,
-    /// Discs that samples are drawn as, where `splats` is `None`; `None` for points of one pixel.
-    pub discs: Option<Discs>,
+    /// How samples are drawn.
+    pub reconstruction: Reconstruction,
     /// Place and width of the scene's samples, at full detail.
     pub extent: Extent,
     /// Boxes of splats with a longer side than this are walked by several threads.
@@ -85,22 +83,10 @@ impl FrameTask {
         self.views.first().map_or((0, 0), |view| (view.width, view.height))
     }
 
-    /// Settings of the splats that samples are drawn as; discs are drawn by the passes of opaque splats.
-    pub fn kernels(&self) -> Option<Splats> {
-        let of_discs = |_: Discs| Splats {
-            blend: Blend::Opaque,
-            filter: Filter::Affine,
-            prefilter: false,
-            cutoff: 1.0,
-            ..Splats::default()
-        };
-        self.splats.or(self.discs.map(of_discs))
-    }
-
     /// Returns whether splats' normals and depths are blended too: pixels are lit afterwards, or an effect needs depths.
     pub fn is_deferred(&self) -> bool {
-        let deferred = self.splats.is_some_and(|splats| splats.shading == Shading::Deferred);
-        (deferred && self.plan.lights_pixels) || self.plan.runs(Pass::WriteOutput)
+        (self.reconstruction.shades(Shading::Deferred) && self.plan.lights_pixels)
+            || self.plan.runs(Pass::WriteOutput)
     }
 
     /// Whether rays are parallel. All views of a task have one projection.
@@ -124,12 +110,12 @@ impl FrameTask {
 
     /// Measure of a node that decides its detail: 1, its size, where samples are drawn as points; else 0, its error.
     pub fn measure(&self) -> u32 {
-        u32::from(self.splats.is_none())
+        u32::from(!self.reconstruction.is_splats())
     }
 
     /// Whether the error of a node depends on the angle at which it is seen. Points cover one pixel at any angle, so it never does for them.
     pub fn splits_errors(&self) -> bool {
-        self.splats.is_some() && self.error_mode == ErrorMode::Split
+        self.reconstruction.is_splats() && self.error_mode == ErrorMode::Split
     }
 
     /// Word of pixels that show nothing.
@@ -156,10 +142,11 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
     let focus = if view.is_orthographic() { view.focus } else { 0.0 };
     let eye = (view.eye - axes.z_axis * focus).to_array().map(two_floats);
     let (entries, slots) = scene.entries(task.entry_capacity);
-    let fuzzy = task.splats.filter(|splats| splats.blend == Blend::Fuzzy);
-    let slabs = fuzzy.map_or(Slabs::default(), |s| {
+    let (splats, fuzzy) = (task.reconstruction.splats(), task.reconstruction.fuzzy());
+    let discs = task.reconstruction.discs();
+    let slabs = fuzzy.map_or(Slabs::default(), |splats| {
         let accepted_px = if task.model.trees { task.max_error_px } else { 0.0 };
-        Slabs::new(&s, &task.extent, view, accepted_px)
+        Slabs::new(splats, &task.extent, view, accepted_px)
     });
     let (ramp_count, ramp_colors) = ramp_colors(task);
     GpuFrame {
@@ -188,17 +175,17 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         sample_segments: scene.sample_segments(),
         small_splat_px: task.small_splat_px as i32,
         weight_one: task.weight_one,
-        splat_cutoff: task.kernels().map_or(0.0, |splats| splats.cutoff),
-        splat_lowpass_px: match (task.splats, task.discs) {
+        splat_cutoff: match discs {
+            Some(_) => 1.0,
+            None => splats.map_or(0.0, |splats| splats.cutoff),
+        },
+        splat_lowpass_px: match (splats, discs) {
             (Some(splats), _) if splats.prefilter => splats.lowpass_px,
-            (None, Some(discs)) => 0.5 * discs.diameter_px,
+            (_, Some(discs)) => 0.5 * discs.diameter_px,
             _ => 0.0,
         },
-        splat_width: task.splats.map_or(0.0, |splats| splats.width),
-        splat_offset: task.splats.map_or(0.0, |s| match s.blend {
-            Blend::Weighted => s.depth_offset,
-            Blend::Opaque | Blend::Fuzzy => 0.0,
-        }),
+        splat_width: splats.map_or(0.0, |splats| splats.width),
+        splat_offset: task.reconstruction.weighted().map_or(0.0, |splats| splats.depth_offset),
         slab_near: slabs.near as f32,
         slab_per_unit: slabs.per_unit as f32,
         slab_meet: slabs.meet as f32,
@@ -209,7 +196,7 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         instance_groups: scene.instance_groups(),
         segment_count: scene.pages.len() as u32,
         edl: task.edl.map_or([0.0; 2], |edl| [edl.strength, edl.radius_px]),
-        disc_radius: task.discs.map_or(0.0, |discs| 0.5 * discs.diameter),
+        disc_radius: discs.map_or(0.0, |discs| 0.5 * discs.diameter),
         ramp_count,
         ramp: ramp(task, view),
         ramp_colors,

@@ -4,22 +4,24 @@
 //! Recording goes through its [steps](FramePlan::steps).
 
 pub mod auto;
+mod reconstruction;
 mod settings;
 mod table;
 
 use serde::Serialize;
 
+pub use reconstruction::Reconstruction;
 pub use settings::{
     Background, Choice, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode, Given, Lod,
     MaxError, Output, PointSize, PointSizePx, Reconstruct, Rule, Setting, SettingError,
-    SettingKind, Settings, StillFrame, UsedSettings, Wait, declared,
+    SettingKind, Settings, StillFrame, UsedSettings, UsedSplats, Wait, declared,
 };
 
 pub(crate) use table::pass_table;
 pub use table::{Kind, MANY_CHUNKS, Per, Stage};
 
 use crate::bake::pack::{Counts, GeometryKind};
-use crate::scene::{Blend, EyeDome, Shading, Splats};
+use crate::scene::{EyeDome, Shading};
 
 /// Facts about a scene that decide the plans of its frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -123,10 +125,8 @@ impl Pass {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameFacts {
     pub output: Output,
-    /// How samples are drawn, if not as points.
-    pub splats: Option<Splats>,
-    /// Points are drawn as discs.
-    pub discs: bool,
+    /// How samples are drawn.
+    pub reconstruction: Reconstruction,
     /// Colours come from the resolved surface.
     pub recolors: bool,
     /// Eye-dome lighting, where it is on.
@@ -218,29 +218,21 @@ struct Facts<'a> {
 }
 
 impl Facts<'_> {
-    fn blends(&self, blend: Blend) -> bool {
-        self.frame.splats.is_some_and(|splats| splats.blend == blend)
-    }
-
     /// Whether elements of a kind are drawn even where they are occluded.
     fn is_drawn_wherever(&self, kind: GeometryKind) -> bool {
         match kind {
-            GeometryKind::Samples => self.blends(Blend::Fuzzy),
+            GeometryKind::Samples => self.frame.reconstruction.fuzzy().is_some(),
             GeometryKind::Triangles => false,
         }
     }
 
-    /// Whether splats are blended, in one pass or in several.
-    fn is_blended(&self) -> bool {
-        self.blends(Blend::Weighted) || self.blends(Blend::Fuzzy)
-    }
-
     /// Whether light is computed for each pixel. Splats that are lit one by one need none after they are blended.
     fn lights_pixels(&self) -> bool {
-        let by_splat = self.frame.splats.is_some_and(|splats| splats.shading == Shading::Splat);
+        let reconstruction = &self.frame.reconstruction;
         let only_splats =
             self.scene.has(GeometryKind::Samples) && !self.scene.has(GeometryKind::Triangles);
-        let is_done = by_splat && self.is_blended() && only_splats;
+        let is_done =
+            reconstruction.shades(Shading::Splat) && reconstruction.blends() && only_splats;
         self.frame.output == Output::Color && self.scene.lights > 0 && !is_done
     }
 }
@@ -258,21 +250,23 @@ pub fn plan(scene: &SceneFacts, frame: &FrameFacts, adapter: &AdapterFacts) -> F
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::{Blend, Splats};
 
     const SAMPLES: Counts = Counts { samples: 1, triangles: 0, chunks: 1, instances: 1 };
     const TRIANGLES: Counts = Counts { samples: 0, triangles: 1, chunks: 1, instances: 1 };
     const BOTH: Counts = Counts { samples: 1, ..TRIANGLES };
 
+    const POINTS: Reconstruction = Reconstruction::Points;
     const WIDE: AdapterFacts =
         AdapterFacts { atomics_64: true, rasterises: true, draws_hidden: false };
 
     fn plan(
         scene: &SceneFacts,
         output: Output,
-        splats: Option<&Splats>,
+        reconstruction: &Reconstruction,
         adapter: &AdapterFacts,
     ) -> FramePlan {
-        let frame = FrameFacts { output, splats: splats.copied(), ..FrameFacts::default() };
+        let frame = FrameFacts { output, reconstruction: *reconstruction, ..FrameFacts::default() };
         super::plan(scene, &frame, adapter)
     }
 
@@ -294,17 +288,19 @@ mod tests {
                 });
             }
         }
-        let mut splats = vec![None];
-        for blend in [Blend::Opaque, Blend::Weighted, Blend::Fuzzy] {
+        let lit = Splats { shading: Shading::Splat, ..Splats::default() };
+        let mut methods = vec![Reconstruction::Points, Reconstruction::Fuzzy(lit)];
+        for blend in [Blend::Opaque, Blend::Weighted] {
             for shading in [Shading::Splat, Shading::Deferred] {
-                splats.push(Some(Splats { blend, shading, ..Splats::default() }));
+                let splats = Splats { blend, shading, ..Splats::default() };
+                methods.push(Reconstruction::Splats(splats));
             }
         }
         let outputs = [Output::Color, Output::Depth, Output::Normal, Output::Id];
         let mut plans = Vec::new();
-        for (scene, adapter, splats) in iproduct(scenes, adapters, splats) {
+        for (scene, adapter, method) in iproduct(scenes, adapters, methods) {
             for output in outputs {
-                plans.push(plan(&scene, output, splats.as_ref(), &adapter));
+                plans.push(plan(&scene, output, &method, &adapter));
             }
         }
         plans
@@ -331,7 +327,7 @@ mod tests {
     #[test]
     fn a_scan_without_lights_runs_no_triangle_pass_and_is_not_lit() {
         let facts = SceneFacts { counts: SAMPLES, ..Default::default() };
-        let plan = plan(&facts, Output::Color, None, &WIDE);
+        let plan = plan(&facts, Output::Color, &POINTS, &WIDE);
         assert!(plan.runs(Pass::ProjectSamples) && plan.runs(Pass::ResolveSamples));
         for pass in [Pass::ProjectTriangles, Pass::RasteriseTriangles, Pass::ResolveTriangles] {
             assert!(!plan.runs(pass), "{pass:?}");
@@ -347,7 +343,7 @@ mod tests {
             lights: 1,
             ..Default::default()
         };
-        let plan = plan(&facts, Output::Color, None, &AdapterFacts::default());
+        let plan = plan(&facts, Output::Color, &POINTS, &AdapterFacts::default());
         let names: Vec<&str> = running(&plan).into_iter().map(Pass::name).collect();
         let first = ["project_samples", "project_triangles", "walk_triangles"];
         let second = ["project_samples_id", "project_triangles_id", "walk_triangles_id"];
@@ -366,8 +362,8 @@ mod tests {
 
     #[test]
     fn what_is_hidden_is_looked_for_where_it_pays() {
-        let asks = |facts: SceneFacts, splats: Option<&Splats>, adapter: &AdapterFacts| {
-            plan(&facts, Output::Color, splats, adapter).runs(Pass::CullHidden)
+        let asks = |facts: SceneFacts, method: &Reconstruction, adapter: &AdapterFacts| {
+            plan(&facts, Output::Color, method, adapter).runs(Pass::CullHidden)
         };
         let of = |counts: Counts, chunks| SceneFacts {
             counts: Counts { chunks, ..counts },
@@ -375,14 +371,14 @@ mod tests {
         };
         let points = of(SAMPLES, MANY_CHUNKS);
         let few = of(SAMPLES, MANY_CHUNKS - 1);
-        assert!(asks(points, None, &WIDE) && !asks(few, None, &WIDE));
-        assert!(!asks(points, None, &AdapterFacts { draws_hidden: true, ..WIDE }));
+        assert!(asks(points, &POINTS, &WIDE) && !asks(few, &POINTS, &WIDE));
+        assert!(!asks(points, &POINTS, &AdapterFacts { draws_hidden: true, ..WIDE }));
         let splats = Splats::default();
-        assert!(asks(points, Some(&splats), &WIDE));
-        let splats = Splats { blend: Blend::Fuzzy, ..splats };
-        assert!(!asks(points, Some(&splats), &WIDE));
+        assert!(asks(points, &Reconstruction::Splats(splats), &WIDE));
+        let fuzzy = Reconstruction::Fuzzy(splats);
+        assert!(!asks(points, &fuzzy, &WIDE));
         // Triangles among splats can be hidden.
-        assert!(asks(of(BOTH, MANY_CHUNKS), Some(&splats), &WIDE));
+        assert!(asks(of(BOTH, MANY_CHUNKS), &fuzzy, &WIDE));
     }
 
     #[test]
@@ -391,7 +387,7 @@ mod tests {
         for (rasterises, atomics_64) in [(true, true), (true, false), (false, true), (false, false)]
         {
             let adapter = AdapterFacts { atomics_64, rasterises, ..AdapterFacts::default() };
-            let plan = plan(&facts, Output::Color, None, &adapter);
+            let plan = plan(&facts, Output::Color, &POINTS, &adapter);
             assert_eq!(plan.runs(Pass::RasteriseTriangles), rasterises);
             assert_eq!(plan.runs(Pass::WalkTriangles), !rasterises);
             assert_eq!(plan.runs(Pass::RasteriseTrianglesId), rasterises && !atomics_64);
@@ -402,9 +398,9 @@ mod tests {
     #[test]
     fn only_color_is_lit() {
         let facts = SceneFacts { counts: SAMPLES, lights: 2, ..Default::default() };
-        assert!(plan(&facts, Output::Color, None, &WIDE).lights_pixels);
+        assert!(plan(&facts, Output::Color, &POINTS, &WIDE).lights_pixels);
         for output in [Output::Depth, Output::Normal, Output::Id] {
-            assert!(!plan(&facts, output, None, &WIDE).lights_pixels);
+            assert!(!plan(&facts, output, &POINTS, &WIDE).lights_pixels);
         }
     }
 
@@ -448,7 +444,7 @@ mod tests {
     fn a_turn_ends_by_asking_what_is_hidden_unless_it_is_the_last() {
         let scene =
             SceneFacts { counts: Counts { chunks: MANY_CHUNKS, ..BOTH }, ..Default::default() };
-        let plan = plan(&scene, Output::Color, Some(&Splats::default()), &WIDE);
+        let plan = plan(&scene, Output::Color, &Reconstruction::Splats(Splats::default()), &WIDE);
         let of = |stage| {
             let steps = plan.steps().into_iter().filter(move |step| step.stage == stage);
             steps.flat_map(|step| step.passes).map(Pass::name).collect::<Vec<_>>()
@@ -493,34 +489,36 @@ mod tests {
     #[test]
     fn splats_run_what_their_settings_ask_for() {
         let facts = SceneFacts { counts: SAMPLES, lights: 1, ..Default::default() };
-        let runs = |splats: &Splats, output, facts: &SceneFacts| {
-            let plan = plan(facts, output, Some(splats), &WIDE);
+        let runs = |method: &Reconstruction, output, facts: &SceneFacts| {
+            let plan = plan(facts, output, method, &WIDE);
             let all = running(&plan).into_iter().map(Pass::name);
             all.filter(|name| !FIXED.contains(name)).collect::<Vec<_>>()
         };
         const FIXED: [&str; 5] = ["clear", "place", "cull", "scan", "compact"];
-        let deferred = Splats::default();
+        let splats = Splats::default();
+        let deferred = Reconstruction::Splats(splats);
         let depth = ["project_splats", "walk_splats"];
         let blend = ["blend_splats", "blend_walked", "resolve_splats"];
-        let is_lit = |splats: &Splats, facts: &SceneFacts| {
-            plan(facts, Output::Color, Some(splats), &WIDE).lights_pixels
+        let is_lit = |method: &Reconstruction, facts: &SceneFacts| {
+            plan(facts, Output::Color, method, &WIDE).lights_pixels
         };
         assert_eq!(runs(&deferred, Output::Color, &facts), [&depth[..], &blend[..]].concat());
         assert!(is_lit(&deferred, &facts));
         assert_eq!(runs(&deferred, Output::Depth, &facts), [&depth[..], &blend[..]].concat());
         assert_eq!(runs(&deferred, Output::Id, &facts), [&depth[..], &["resolve_splats"]].concat());
-        let lit = Splats { shading: Shading::Splat, ..deferred };
+        let splats = Splats { shading: Shading::Splat, ..splats };
+        let lit = Reconstruction::Splats(splats);
         assert_eq!(runs(&lit, Output::Color, &facts), [&depth[..], &blend[..]].concat());
         assert!(!is_lit(&lit, &facts));
         let mixed = SceneFacts { counts: BOTH, ..facts };
         assert!(is_lit(&lit, &mixed));
-        let opaque = Splats { blend: Blend::Opaque, ..lit };
+        let opaque = Reconstruction::Splats(Splats { blend: Blend::Opaque, ..splats });
         assert_eq!(
             runs(&opaque, Output::Color, &facts),
             [&depth[..], &["resolve_samples"]].concat()
         );
         assert!(is_lit(&opaque, &facts));
-        let fuzzy = Splats { blend: Blend::Fuzzy, ..lit };
+        let fuzzy = Reconstruction::Fuzzy(splats);
         let single = ["fuzzy_splats", "fuzzy_walked", "resolve_fuzzy"];
         assert_eq!(runs(&fuzzy, Output::Color, &facts), single);
         assert!(!is_lit(&fuzzy, &facts) && is_lit(&fuzzy, &mixed));

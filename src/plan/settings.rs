@@ -20,7 +20,7 @@ mod values;
 
 pub use values::{
     Background, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode, Lod, MaxError, Output,
-    PointSize, PointSizePx, Reconstruct, StillFrame, UsedSettings, Wait,
+    PointSize, PointSizePx, Reconstruct, StillFrame, UsedSettings, UsedSplats, Wait,
 };
 
 use crate::math::Projection;

@@ -16,7 +16,6 @@
 
 use super::Facts;
 use crate::bake::pack::GeometryKind;
-use crate::scene::Blend;
 
 /// Hands the lines of the table to the macro `$reader`.
 macro_rules! pass_table {
@@ -138,13 +137,13 @@ reasons! {
     WIDE: "the adapter has 64-bit atomics", |f| f.adapter.atomics_64;
     RASTERISES: "the adapter's rasteriser draws large triangles", |f| f.adapter.rasterises;
     WALKS: "the adapter's rasteriser is slower than walk_triangles", |f| !f.adapter.rasterises;
-    AS_POINTS: "samples are drawn as points", |f| f.frame.splats.is_none() && !f.frame.discs;
-    AS_DISCS: "samples are drawn larger than a pixel", |f| f.frame.discs;
-    AS_SPLATS: "samples are drawn as splats", |f| f.frame.splats.is_some();
-    OPAQUE: "splats are not blended", |f| !f.blends(Blend::Weighted);
-    FUZZY: "splats are blended in a single pass", |f| f.blends(Blend::Fuzzy);
-    NOT_FUZZY: "splats are not blended in a single pass", |f| !f.blends(Blend::Fuzzy);
-    BLENDED: "splats are blended", |f| f.scene.has(GeometryKind::Samples) && f.is_blended();
+    AS_POINTS: "samples are drawn as points", |f| f.frame.reconstruction.is_points();
+    AS_DISCS: "samples are drawn larger than a pixel", |f| f.frame.reconstruction.discs().is_some();
+    AS_SPLATS: "samples are drawn as splats", |f| f.frame.reconstruction.is_splats();
+    OPAQUE: "splats are not blended", |f| f.frame.reconstruction.weighted().is_none();
+    FUZZY: "splats are blended in a single pass", |f| f.frame.reconstruction.fuzzy().is_some();
+    NOT_FUZZY: "splats are not blended in a single pass", |f| f.frame.reconstruction.fuzzy().is_none();
+    BLENDED: "splats are blended", |f| f.scene.has(GeometryKind::Samples) && f.frame.reconstruction.blends();
     UNCHANGED: "neither an effect nor `color_by` changes surfaces", |f| f.frame.edl.is_none() && !f.frame.recolors;
     NOT_COLOR: "the output is not color", |f| f.frame.output != super::Output::Color;
     IDS: "the output is id", |f| f.frame.output == super::Output::Id;

@@ -50,18 +50,6 @@ pub enum Blend {
     Weighted,
     /// One pass: the nearest splat alone, depth-tested.
     Opaque,
-    /// One pass: blended and depth-tested at once (Dachsbacher et al. 2003, §5). What `reconstruct=fuzzy` draws with, and no scene's
-    /// or request's word for it.
-    #[serde(skip_deserializing)]
-    #[schemars(skip)]
-    #[value(skip)]
-    Fuzzy,
-}
-
-impl Blend {
-    fn is_fuzzy(&self) -> bool {
-        *self == Blend::Fuzzy
-    }
 }
 
 /// When splats are lit.
@@ -89,11 +77,9 @@ pub enum Shading {
 }
 
 /// How a scene's samples are drawn as splats.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, utoipa::ToSchema)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Splats {
     pub filter: Filter,
-    /// Left out where `reconstruct=fuzzy` has its own way.
-    #[serde(skip_serializing_if = "Blend::is_fuzzy")]
     pub blend: Blend,
     pub shading: Shading,
     /// Whether kernels are convolved with a low-pass filter of the image (EWA).

@@ -4,7 +4,7 @@ use glam::DVec3;
 use pointillist::accuracy::metrics;
 use pointillist::math::View;
 use pointillist::oracle::{self, OracleScene};
-use pointillist::plan::{ColorBound, ColorBy, Edl, Pass, Reconstruct, Settings};
+use pointillist::plan::{ColorBound, ColorBy, Edl, Pass, Reconstruct, Reconstruction, Settings};
 use pointillist::scene::Filter;
 use pointillist::scene::color_map::ColorMap;
 use serde_json::json;
@@ -18,8 +18,9 @@ use super::stage::{Case, Frames, look};
 fn check(case: &Case, view: &View, settings: Settings, heights: [f64; 2]) -> Frames {
     let settings = Settings { edl: Edl::Off, ..settings };
     let frames = case.draw_with(view, settings);
+    let reconstruction = Reconstruction::new(&settings, &case.reference.description().splats);
     let scene = OracleScene {
-        splats: settings.splats(&case.reference.description().splats),
+        splats: reconstruction.splats().copied(),
         recolor: settings.recolor(DVec3::Y, || heights),
         ..case.reference.scene()
     };

@@ -3,7 +3,9 @@
 use pointillist::accuracy::metrics;
 use pointillist::math::View;
 use pointillist::oracle::{self, OracleScene};
-use pointillist::plan::{Background, Edl, EdlStrength, Pass, Reconstruct, Settings};
+use pointillist::plan::{
+    Background, Edl, EdlStrength, Pass, Reconstruct, Reconstruction, Settings,
+};
 use pointillist::scene::{EyeDome, Filter};
 use serde_json::json;
 
@@ -16,7 +18,8 @@ pub fn check_edl(case: &Case, view: &View, settings: Settings, least: f64) -> Fr
     let lit = Settings { edl: Edl::On, edl_strength: EdlStrength::from(0.5), ..settings };
     let frames = case.draw_with(view, lit);
     let edl = EyeDome { strength: 0.5, radius_px: lit.edl_radius_px.get() };
-    let splats = settings.splats(&case.reference.description().splats);
+    let reconstruction = Reconstruction::new(&settings, &case.reference.description().splats);
+    let splats = reconstruction.splats().copied();
     let scene = OracleScene { splats, edl: Some(edl), ..case.reference.scene() };
     let twin = oracle::render(&scene, view, 1);
     let psnr = |frames: &Frames| metrics::psnr(&twin.to_rgba8(), &frames.color).unwrap();

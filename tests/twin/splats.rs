@@ -8,7 +8,7 @@ use pointillist::accuracy::metrics;
 use pointillist::encode::{FrameImage, png};
 use pointillist::math::View;
 use pointillist::oracle::OracleFrame;
-use pointillist::plan::{Pass, Reconstruct, Settings};
+use pointillist::plan::{Pass, Reconstruct, Reconstruction, Settings};
 use pointillist::scene::{Blend, Filter, Shading};
 use serde_json::{Value, json};
 
@@ -23,7 +23,7 @@ pub fn splats(filter: Filter) -> Settings {
 /// The oracle's frame with the same settings.
 pub fn oracle(case: &Case, view: &View, settings: Settings) -> OracleFrame {
     let scene = case.reference.description().splats;
-    case.reference.frame_with(view, 1, settings.splats(&scene).as_ref())
+    case.reference.frame_with(view, 1, Reconstruction::new(&settings, &scene).splats())
 }
 
 /// Differences of two frames.

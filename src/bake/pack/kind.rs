@@ -1,7 +1,7 @@
 //! The kinds of geometry, and what each must provide.
 //!
-//! `kinds!` lists the kinds, and the file of a kind implements [`PackedKind`]. Digests, cache entries, bounds, counts, and pages of
-//! GPU memory follow from these two.
+//! The macro `kinds!` is given the list of kinds, and the file of a kind implements [`PackedKind`]. Digests, cache entries, bounds,
+//! counts, and pages of GPU memory follow from these two.
 
 use std::borrow::Cow;
 use std::io::{self, Read};

@@ -2,13 +2,13 @@
 
 use super::{band_constant, walk};
 use crate::gpu::shader::ShaderError;
-use crate::passes::reconstruct::{is_clipped, is_tree, node_constants, projection_constants};
+use crate::passes::reconstruct::{is_clipped, is_tree, node_constants, splat_constants};
 use crate::passes::recorder::{Call, Recorder};
 use crate::passes::shaders::Choices;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let segment = recorder.segment;
-    let mut constants = projection_constants(recorder.task, true);
+    let mut constants = splat_constants(&recorder.task.reconstruction, true);
     constants.extend(node_constants(recorder, segment));
     constants.push(band_constant(recorder));
     recorder.compute(Call {

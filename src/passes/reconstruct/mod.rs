@@ -5,14 +5,14 @@ pub mod blend_walked;
 pub mod fuzzy_splats;
 pub mod fuzzy_walked;
 
-use super::frame::{FrameTask, output_number};
+use super::frame::output_number;
 use super::pipelines::Constants;
 use super::project::{band_constant, walk};
 use super::recorder::{Call, Recorder, Segment};
 use super::shaders::Choices;
 use crate::gpu::shader::ShaderError;
-use crate::plan::{Output, Pass};
-use crate::scene::{Blend, Filter, Shading, Splats};
+use crate::plan::{Output, Pass, Reconstruction};
+use crate::scene::{Filter, Shading};
 
 /// Samples that the sums of a pixel have room for.
 const SUMS_ROOM: u64 = 1 << 17;
@@ -26,20 +26,18 @@ pub fn filter_number(filter: Filter) -> u32 {
     }
 }
 
-/// Overrides of `shared/splat` in a pass that projects samples; `walked`: over the list of large splats.
-pub fn projection_constants(task: &FrameTask, walked: bool) -> Constants {
-    let mut constants = splat_constants(&task.kernels().unwrap_or_default(), walked);
-    constants.extend(task.discs.map(|_| ("DISCS", 1)));
-    constants
-}
-
 /// Overrides of `shared/splat`; `walked`: in a pass over the list of large splats.
-pub fn splat_constants(splats: &Splats, walked: bool) -> Constants {
+pub fn splat_constants(reconstruction: &Reconstruction, walked: bool) -> Constants {
+    if reconstruction.discs().is_some() {
+        let plain = ["FILTER", "PREFILTER", "GENERAL", "WEIGHTED"].map(|name| (name, 0));
+        return [&plain[..], &[("DISCS", 1)]].concat();
+    }
+    let Some(splats) = reconstruction.splats() else { return Constants::new() };
     vec![
         ("FILTER", filter_number(splats.filter)),
         ("PREFILTER", u32::from(splats.prefilter)),
         ("GENERAL", u32::from(walked || splats.filter == Filter::Exact)),
-        ("WEIGHTED", u32::from(splats.blend == Blend::Weighted)),
+        ("WEIGHTED", u32::from(reconstruction.weighted().is_some())),
     ]
 }
 
@@ -70,7 +68,7 @@ pub fn paint_constants(recorder: &Recorder, segment: Segment) -> Constants {
 
 /// Whether splats are lit one by one.
 fn is_lit(recorder: &Recorder) -> bool {
-    let alone = recorder.task.splats.is_some_and(|s| s.shading == Shading::Splat);
+    let alone = recorder.task.reconstruction.shades(Shading::Splat);
     alone && recorder.task.output == Output::Color && recorder.scene.light_count > 0
 }
 
@@ -120,7 +118,7 @@ fn constants(recorder: &Recorder, walked: bool) -> Constants {
     if is_lit(recorder) {
         constants.extend(super::resolve::light_constants(looks, lights));
     }
-    constants.extend(recorder.task.splats.iter().flat_map(|s| splat_constants(s, walked)));
+    constants.extend(splat_constants(&recorder.task.reconstruction, walked));
     constants.extend(node_constants(recorder, segment));
     constants.extend(paint_constants(recorder, segment));
     constants

@@ -16,10 +16,10 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     };
     let kinds: Vec<GeometryKind> = GeometryKind::ALL.iter().copied().filter(is_asked).collect();
     let segments = recorder.segments(&kinds);
-    let splats = ("SPLATS", u32::from(recorder.task.kernels().is_some()));
+    let splats = ("SPLATS", u32::from(!recorder.task.reconstruction.is_points()));
     let counts = ("COUNTS_SAMPLES", u32::from(!recorder.scene.has_trees()));
     let mut constants = vec![counts, splats, ("AGAIN", u32::from(again))];
-    constants.extend(recorder.task.discs.map(|_| ("DISCS", 1)));
+    constants.extend(recorder.task.reconstruction.discs().map(|_| ("DISCS", 1)));
     recorder.compute(Call {
         choices: Choices::default(),
         constants,

@@ -4,9 +4,10 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::{Given, SettingKind, Settings};
+use crate::plan::Reconstruction;
 use crate::plan::SceneFacts;
 use crate::scene::color_map::Recolor;
-use crate::scene::{Blend, Discs, EyeDome, Shading, Splats, color};
+use crate::scene::{Blend, Discs, EyeDome, Filter, Shading, Splats, color};
 
 /// What a frame waits for whose samples lack normals or kernels, where it is left open how they are drawn.
 #[derive(
@@ -35,32 +36,6 @@ impl Settings {
     /// The defaults, with samples drawn in a given way.
     pub fn drawn_as(reconstruct: Reconstruct) -> Settings {
         Settings { reconstruct, ..Settings::default() }
-    }
-
-    /// How samples are drawn as splats, if they are; `scene`: what the scene says.
-    pub fn splats(&self, scene: &Splats) -> Option<Splats> {
-        let of_kernels = Splats {
-            filter: self.filter.unwrap_or(scene.filter),
-            prefilter: self.prefilter.unwrap_or(scene.prefilter),
-            ..*scene
-        };
-        match self.reconstruct {
-            // `auto` has been decided before it comes to this.
-            Reconstruct::Points | Reconstruct::Auto => None,
-            Reconstruct::Splats => Some(Splats {
-                blend: self.blend.unwrap_or(scene.blend),
-                // What is coloured after it is blended is lit after it is blended.
-                shading: match self.recolors() {
-                    true => Shading::Deferred,
-                    false => self.shading.unwrap_or(scene.shading),
-                },
-                ..of_kernels
-            }),
-            // What is added up cannot be lit any more.
-            Reconstruct::Fuzzy => {
-                Some(Splats { blend: Blend::Fuzzy, shading: Shading::Splat, ..of_kernels })
-            }
-        }
     }
 
     /// The settings with `edl` on or off.
@@ -119,8 +94,8 @@ impl Settings {
 
     /// The settings with what a scene has where they leave it open.
     #[must_use]
-    pub fn settled(&self, splats: Option<&Splats>) -> Settings {
-        splats.map_or(*self, |splats| Settings {
+    pub fn settled(&self, reconstruction: &Reconstruction) -> Settings {
+        reconstruction.splats().map_or(*self, |splats| Settings {
             filter: Some(splats.filter),
             prefilter: Some(splats.prefilter),
             blend: Some(splats.blend),
@@ -330,7 +305,48 @@ pub struct UsedSettings {
     pub instead_because: Option<&'static str>,
     /// Only where samples are drawn as splats.
     #[serde(flatten)]
-    pub splats: Option<Splats>,
+    pub splats: Option<UsedSplats>,
+}
+
+/// How samples were drawn as splats.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, utoipa::ToSchema)]
+#[schema(as = Splats)]
+pub struct UsedSplats {
+    pub filter: Filter,
+    /// Left out where `reconstruct=fuzzy` has its own way.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Blend, required = false)]
+    pub blend: Option<Blend>,
+    pub shading: Shading,
+    /// Whether kernels are convolved with a low-pass filter of the image (EWA).
+    pub prefilter: bool,
+    /// Standard deviation of that filter, in pixels.
+    pub lowpass_px: f32,
+    /// Where kernels end, in their standard deviations.
+    pub cutoff: f32,
+    /// Multiplies every kernel's axes.
+    pub width: f32,
+    /// How far behind the nearest surface splats still count, in radii of the nearest splat.
+    pub depth_offset: f32,
+}
+
+impl UsedSplats {
+    /// Returns the parameters of splats; `None` where samples are drawn as points.
+    pub fn of(reconstruction: &Reconstruction) -> Option<UsedSplats> {
+        let &Splats { filter, blend, shading, prefilter, lowpass_px, cutoff, width, depth_offset } =
+            reconstruction.splats()?;
+        let blend = reconstruction.fuzzy().is_none().then_some(blend);
+        Some(UsedSplats {
+            filter,
+            blend,
+            shading,
+            prefilter,
+            lowpass_px,
+            cutoff,
+            width,
+            depth_offset,
+        })
+    }
 }
 
 /// Level of detail.

@@ -1,0 +1,159 @@
+//! How a frame makes a surface of projected samples: the method that a request, `auto` and the scene together decide.
+
+use super::{Reconstruct, Settings};
+use crate::scene::{Blend, Discs, Shading, Splats};
+
+/// A method of reconstruction with its parameters.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Reconstruction {
+    /// One pixel a sample.
+    #[default]
+    Points,
+    /// Points of a size: discs that face the image plane.
+    Discs(Discs),
+    /// Elliptical Gaussians (Zwicker et al. 2004): blended in three passes, or opaque.
+    Splats(Splats),
+    /// Splats that are blended and depth-tested in a single pass (Dachsbacher et al. 2003, §5). `blend` and `shading` are those of the
+    /// three passes that the single pass approximates.
+    Fuzzy(Splats),
+}
+
+impl Reconstruction {
+    /// Returns the method for settings whose `reconstruct` is decided. `scene` gives what the settings leave open.
+    pub fn new(settings: &Settings, scene: &Splats) -> Reconstruction {
+        let splats = Splats {
+            filter: settings.filter.unwrap_or(scene.filter),
+            prefilter: settings.prefilter.unwrap_or(scene.prefilter),
+            ..*scene
+        };
+        match settings.reconstruct {
+            // `auto` has been decided before.
+            Reconstruct::Points | Reconstruct::Auto => {
+                settings.discs().map_or(Reconstruction::Points, Reconstruction::Discs)
+            }
+            Reconstruct::Splats => Reconstruction::Splats(Splats {
+                blend: settings.blend.unwrap_or(scene.blend),
+                // What is coloured after it is blended is lit after it is blended.
+                shading: match settings.recolors() {
+                    true => Shading::Deferred,
+                    false => settings.shading.unwrap_or(scene.shading),
+                },
+                ..splats
+            }),
+            // Blended colours cannot be lit any more.
+            Reconstruct::Fuzzy => Reconstruction::Fuzzy(Splats {
+                blend: Blend::Weighted,
+                shading: Shading::Splat,
+                ..splats
+            }),
+        }
+    }
+
+    /// The parameters of splats; `None` where samples are drawn as points.
+    pub fn splats(&self) -> Option<&Splats> {
+        match self {
+            Reconstruction::Points | Reconstruction::Discs(_) => None,
+            Reconstruction::Splats(splats) | Reconstruction::Fuzzy(splats) => Some(splats),
+        }
+    }
+
+    /// The discs that samples are drawn as.
+    pub fn discs(&self) -> Option<&Discs> {
+        match self {
+            Reconstruction::Discs(discs) => Some(discs),
+            _ => None,
+        }
+    }
+
+    /// Whether each sample covers one pixel.
+    pub fn is_points(&self) -> bool {
+        *self == Reconstruction::Points
+    }
+
+    /// Whether samples are drawn as splats.
+    pub fn is_splats(&self) -> bool {
+        self.splats().is_some()
+    }
+
+    /// The parameters of splats that are blended and depth-tested in a single pass.
+    pub fn fuzzy(&self) -> Option<&Splats> {
+        match self {
+            Reconstruction::Fuzzy(splats) => Some(splats),
+            _ => None,
+        }
+    }
+
+    /// The parameters of splats that are blended in three passes.
+    pub fn weighted(&self) -> Option<&Splats> {
+        match self {
+            Reconstruction::Splats(splats) if splats.blend == Blend::Weighted => Some(splats),
+            _ => None,
+        }
+    }
+
+    /// Whether overlapping splats are blended, in three passes or in one.
+    pub fn blends(&self) -> bool {
+        self.weighted().is_some() || self.fuzzy().is_some()
+    }
+
+    /// Whether splats are lit with the given kind of shading.
+    pub fn shades(&self, shading: Shading) -> bool {
+        self.splats().is_some_and(|splats| splats.shading == shading)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::UsedSplats;
+    use crate::scene::Filter;
+
+    const SCENE: Splats = Splats {
+        filter: Filter::Exact,
+        blend: Blend::Opaque,
+        shading: Shading::Deferred,
+        prefilter: true,
+        lowpass_px: 0.5,
+        cutoff: 2.0,
+        width: 3.0,
+        depth_offset: 1.0,
+    };
+
+    fn method(reconstruct: Reconstruct) -> Reconstruction {
+        Reconstruction::new(&Settings::drawn_as(reconstruct), &SCENE)
+    }
+
+    #[test]
+    fn settings_decide_and_the_scene_fills_what_they_leave_open() {
+        assert_eq!(method(Reconstruct::Points), Reconstruction::Points);
+        assert_eq!(method(Reconstruct::Splats), Reconstruction::Splats(SCENE));
+        let asked = Settings {
+            blend: Some(Blend::Weighted),
+            prefilter: Some(false),
+            ..Settings::drawn_as(Reconstruct::Splats)
+        };
+        let splats = Splats { blend: Blend::Weighted, prefilter: false, ..SCENE };
+        assert_eq!(Reconstruction::new(&asked, &SCENE), Reconstruction::Splats(splats));
+    }
+
+    #[test]
+    fn a_single_pass_stands_for_three_that_blend_lit_splats() {
+        let fuzzy = method(Reconstruct::Fuzzy);
+        let three = Settings::drawn_as(Reconstruct::Fuzzy).in_three_passes();
+        let three = Reconstruction::new(&three, &SCENE);
+        assert_eq!(fuzzy.splats(), three.splats());
+        assert!(fuzzy.fuzzy().is_some() && fuzzy.weighted().is_none() && fuzzy.blends());
+        assert!(three.fuzzy().is_none() && three.weighted().is_some() && three.blends());
+        let opaque = method(Reconstruct::Splats);
+        assert!(opaque.is_splats() && !opaque.blends() && !Reconstruction::Points.is_splats());
+    }
+
+    #[test]
+    fn receipts_name_a_blend_only_where_there_is_a_choice() {
+        let used = |method: Reconstruction| serde_json::to_value(UsedSplats::of(&method)).unwrap();
+        assert!(used(Reconstruction::Points).is_null());
+        assert_eq!(used(method(Reconstruct::Splats))["blend"], "opaque");
+        let fuzzy = used(method(Reconstruct::Fuzzy));
+        assert_eq!((&fuzzy["shading"], fuzzy.get("blend")), (&"splat".into(), None));
+    }
+}
