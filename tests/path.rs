@@ -444,7 +444,7 @@ fn what_is_wrong_is_named() {
             "--max-error-px: this setting applies to `lod=spt` only; accepted: no value, or one with `--lod spt`",
         ),
         (&["--path", "fly", "-o", "file"], "file: "),
-        (&["--path", "fly", "-o", "notes"], "frames.jsonl: not a manifest of frames"),
+        (&["--path", "fly", "-o", "notes"], "frames.jsonl: this is not a manifest of frames"),
     ] {
         let told = studio.complaint(args);
         assert!(told.contains(expected), "{args:?}: {told}");
