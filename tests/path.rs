@@ -436,15 +436,15 @@ fn what_is_wrong_is_named() {
             &["--path", "fly", "-o", "f", "--from", "121"],
             "--from: 121 is beyond the path's last frame, 120",
         ),
-        (&["--path", "fly", "-o", "f", "--fps", "0"], "--fps: 0 is not in"),
-        (&["--path", "fly", "-o", "f", "--keep-frames"], "go with a video"),
+        (&["--path", "fly", "-o", "f", "--fps", "0"], "--fps: 0 is out of range"),
+        (&["--path", "fly", "-o", "f", "--keep-frames"], "need a video"),
         (&["--path", "fly", "-o", "f", "--format", "pfm"], "format: pfm cannot hold color"),
         (
             &["--path", "fly", "-o", "f", "--max-error-px", "2"],
             "--max-error-px: this setting applies to `lod=spt` only; accepted: no value, or one with `--lod spt`",
         ),
         (&["--path", "fly", "-o", "file"], "file: "),
-        (&["--path", "fly", "-o", "notes"], "frames.jsonl: not a manifest of frames"),
+        (&["--path", "fly", "-o", "notes"], "frames.jsonl: this is not a manifest of frames"),
     ] {
         let told = studio.complaint(args);
         assert!(told.contains(expected), "{args:?}: {told}");
@@ -453,7 +453,7 @@ fn what_is_wrong_is_named() {
     assert_eq!(fs::read_to_string(studio.at("notes/frames.jsonl")).unwrap(), "remember the milk\n");
     let args = ["path", "cloud.ply", "--path", "fly", "-o", "f"];
     let told = text(&studio.command(&args).output().unwrap());
-    assert!(told.contains("the scene names no paths"), "{told}");
+    assert!(told.contains("the scene has no paths"), "{told}");
 }
 
 /// A video can be resumed like its frames, which are removed when it is finished.
@@ -486,9 +486,9 @@ fn a_path_becomes_a_video() {
     assert!(!studio.at("part.MP4.frames").exists());
     for (args, expected) in [
         (&["--size", "65x48"][..], "--size: 65 is odd"),
-        (&["--to", "0"], "--to: a video has at least two frames"),
-        (&["--bitrate-kbps", "1"], "--bitrate-kbps: 1 is not in"),
-        (&["--output", "depth"], "--output: a video shows"),
+        (&["--to", "0"], "--to: a video needs at least two frames"),
+        (&["--bitrate-kbps", "1"], "--bitrate-kbps: 1 is out of range"),
+        (&["--output", "depth"], "--output: a video needs"),
     ] {
         let line = [&["path", "scene.json", "--path", "fly", "-o", "no.mp4"], args].concat();
         let output = studio.command(&line).output().unwrap();
@@ -625,13 +625,13 @@ fn a_file_is_no_folder() {
     let studio = Studio::new();
     fs::write(studio.at("notes.txt"), "mine").unwrap();
     let told = studio.complaint(&["--path", "fly", "-o", "notes.txt"]);
-    assert!(told.contains("is a file") && told.contains(".mp4"), "{told}");
+    assert!(told.contains("existing file") && told.contains(".mp4"), "{told}");
     assert_eq!(fs::read_to_string(studio.at("notes.txt")).unwrap(), "mine");
     let told = studio.complaint(&["--path", "fly", "-o", "film.gif"]);
-    assert!(told.contains("videos are .mp4, not .gif"), "{told}");
+    assert!(told.contains("cannot write .gif videos"), "{told}");
     if cfg!(feature = "video") {
         fs::write(studio.at("fly.mp4.frames"), "mine").unwrap();
         let told = studio.complaint(&["--path", "fly", "-o", "fly.mp4"]);
-        assert!(told.contains("fly.mp4.frames, which is a file"), "{told}");
+        assert!(told.contains("fly.mp4.frames, but a file"), "{told}");
     }
 }

@@ -8,22 +8,22 @@ use clap::Args;
 use super::out;
 use crate::accuracy::stability::stability;
 
-/// Which report, and where to.
+/// Options of `pointillist accuracy`.
 #[derive(Args, Clone, Debug)]
 pub struct AccuracyArgs {
-    /// Hold what the shaders compute of splats, on this adapter, against exact results for hard cases; fails where a bound is broken
+    /// Compare the splat shaders on this adapter with exact results for hard cases; fails if an error bound is exceeded
     #[arg(long)]
     stability: bool,
-    /// Folder for stability.json and stability.md, made where it is missing
+    /// Folder for stability.json and stability.md; created if missing
     #[arg(short, long, alias = "output", value_name = "FOLDER")]
     out: Option<PathBuf>,
-    /// Other numbers give other splats
+    /// Seed of the random splats
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Splats of each class
+    /// Number of splats in each class
     #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..))]
     count: u32,
-    /// JSON on standard output
+    /// Print JSON on standard output
     #[arg(long)]
     json: bool,
 }
@@ -34,7 +34,7 @@ pub struct AccuracyArgs {
 /// The report does not exist yet, a file cannot be written, or a bound does not hold.
 pub fn run(args: &AccuracyArgs) -> Result<()> {
     if !args.stability {
-        bail!("only one report exists yet: ask for it with --stability");
+        bail!("no report was selected: give --stability, the only report");
     }
     let report = stability(args.seed, args.count)?;
     let json = serde_json::to_string_pretty(&report)? + "\n";
@@ -54,7 +54,7 @@ pub fn run(args: &AccuracyArgs) -> Result<()> {
     let broken: Vec<&str> =
         report.rows.iter().filter(|row| !row.holds).map(|row| row.class.as_str()).collect();
     if !broken.is_empty() {
-        bail!("the outlines break their bounds: {}", broken.join("; "));
+        bail!("outlines exceed their error bounds: {}", broken.join("; "));
     }
     Ok(())
 }

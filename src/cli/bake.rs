@@ -15,22 +15,26 @@ use crate::bake::cache::BakeCache;
 use crate::bake::external::Memory;
 use crate::engine::{BakeEvent, BakeSource, BakedAsset, bake_file};
 
-/// What to bake, and where to.
+/// Options of `pointillist bake`.
 #[derive(Args, Clone, Debug)]
 pub struct BakeArgs {
     #[command(flatten)]
     file: SceneFile,
-    /// What this may take of memory: a number of bytes, or of K, M or G; as --bake-memory-mib, which it goes before
+    /// Memory limit for building: a number of bytes, or a number with K, M or G; overrides --bake-memory-mib
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     memory: Option<u64>,
-    /// JSON on standard output
+    /// Print JSON on standard output
     #[arg(long)]
     json: bool,
 }
 
 /// Parses a size such as "512M" into bytes. K, M and G are powers of 1024, with or without "iB" or "B".
 fn parse_bytes(text: &str) -> Result<u64, String> {
-    let wrong = || format!("`{text}` is no size; accepted: a number, or one with K, M or G (512M)");
+    let wrong = || {
+        format!(
+            "`{text}` is not a size; accepted: a number of bytes, or a number with K, M or G, as in 512M"
+        )
+    };
     let upper = text.trim().to_ascii_uppercase();
     let digits = upper.bytes().take_while(u8::is_ascii_digit).count();
     let (number, unit) = upper.split_at(digits);
@@ -68,7 +72,7 @@ pub fn run(args: &BakeArgs) -> anyhow::Result<()> {
         let cache = config.bake_cache.take();
         ensure!(
             cache.is_some(),
-            "--memory needs a cache, for temporary files: give --cache FOLDER"
+            "--memory needs a cache folder for temporary files: give --cache FOLDER"
         );
         config.bake_cache = cache.map(|cache| cache.with_bake_bytes(Some(bytes)));
     }
@@ -76,10 +80,10 @@ pub fn run(args: &BakeArgs) -> anyhow::Result<()> {
     match cache {
         // Fail now rather than after minutes of building.
         Some(cache) => std::fs::create_dir_all(cache.folder()).with_context(|| {
-            format!("--cache {}: the folder cannot be made", cache.folder().display())
+            format!("--cache {}: cannot create the folder", cache.folder().display())
         })?,
         None if args.file.cache.no_cache == Some(true) => {}
-        None => bail!("there is no folder for the cache: give --cache FOLDER"),
+        None => bail!("there is no cache folder: give --cache FOLDER"),
     }
     let lines = !std::io::stderr().is_terminal();
     let baked = bake_file(&path, &config, |event| {
@@ -125,12 +129,12 @@ fn check_kept(assets: &[BakedAsset], cache: &BakeCache) -> anyhow::Result<()> {
         match &asset.source {
             BakeSource::NotStored { reason } => {
                 bail!(
-                    "--cache {folder}: the point trees of `{}` are not kept: {reason}",
+                    "--cache {folder}: cannot store the point trees of `{}`: {reason}",
                     asset.name
                 )
             }
             BakeSource::TooLarge => bail!(
-                "--cache-max-mib {}: the point trees of `{}` alone take more",
+                "--cache-max-mib {}: the point trees of `{}` alone exceed this limit",
                 cache.max_bytes() >> 20,
                 asset.name
             ),
@@ -139,7 +143,7 @@ fn check_kept(assets: &[BakedAsset], cache: &BakeCache) -> anyhow::Result<()> {
     }
     if bytes(assets) > cache.max_bytes() {
         bail!(
-            "--cache-max-mib {}: all point trees together take {} MiB, so the first are gone again",
+            "--cache-max-mib {}: all point trees together take {} MiB, so the first ones were deleted again; raise the limit",
             cache.max_bytes() >> 20,
             bytes(assets).div_ceil(1 << 20)
         );

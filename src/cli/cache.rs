@@ -9,19 +9,19 @@ use crate::bake::external::Memory;
 
 const DEFAULT_MAX_MIB: u64 = 4096;
 
-/// Settings of the cache; what is `None` was not given.
+/// Settings of the cache; `None` marks a setting that was not given.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct CacheArgs {
-    /// Folder that point trees are kept in [default: `pointillist` in the user's cache folder]
+    /// Cache folder for point trees [default: `pointillist` in the user's cache folder]
     #[arg(long, env = "POINTILLIST_CACHE", value_name = "FOLDER")]
     pub cache: Option<PathBuf>,
-    /// Keep no point trees on disk and read none, whatever --cache says
+    /// Do not use the point tree cache, even if --cache is given
     #[arg(long, env = "POINTILLIST_NO_CACHE", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
     pub no_cache: Option<bool>,
-    /// What that folder may take, in MiB; what was used the longest ago goes first [default: 4096]
+    /// Maximum size of the cache folder, in MiB; the least recently used trees are deleted first [default: 4096]
     #[arg(long, env = "POINTILLIST_CACHE_MAX_MIB", value_name = "MIB")]
     pub cache_max_mib: Option<u64>,
-    /// What building point trees may take of memory, in MiB; what takes more is built with temporary files in that folder [default: half of what is free]
+    /// Memory limit for building point trees, in MiB; larger builds use temporary files in the cache folder [default: half of the free memory]
     #[arg(long, env = "POINTILLIST_BAKE_MEMORY_MIB", value_name = "MIB")]
     pub bake_memory_mib: Option<u64>,
 }

@@ -26,7 +26,7 @@ pub struct DrawArgs {
 pub struct FrameArgs {
     #[command(flatten)]
     draw: DrawArgs,
-    /// Which image of the frame
+    /// Kind of image to draw
     #[arg(long, value_enum, default_value = "color")]
     output: Output,
     /// Quality of lossy formats
@@ -34,16 +34,16 @@ pub struct FrameArgs {
     quality: u8,
 }
 
-/// Where a frame is seen from.
+/// Camera of a frame.
 #[derive(Args, Clone, Debug)]
 pub struct PoseArgs {
-    /// Camera that the scene names [default: one that sees the whole scene]
+    /// Name of a camera in the scene [default: a camera that sees the whole scene]
     #[arg(long, value_name = "NAME", conflicts_with_all = ["eye", "target", "up", "fov", "ortho_height"])]
     camera: Option<String>,
-    /// Where the eye is, in world space
+    /// Position of the eye in world space
     #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, requires = "target")]
     eye: Option<DVec3>,
-    /// What the eye looks at
+    /// Point that the eye looks at, in world space
     #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, requires = "eye")]
     target: Option<DVec3>,
     /// Vertical field of view in degrees [default: 40]

@@ -21,7 +21,7 @@ pub struct GenerateArgs {
     /// with their assets beside them: .json; many scenes: a folder
     #[arg(short, long, alias = "output", value_name = "FILE")]
     pub out: PathBuf,
-    /// Other numbers give other towns, reliefs and trees
+    /// Seed of the random parts of towns, reliefs and trees
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// Number of points, for point clouds; for a machined part, samples to aim at

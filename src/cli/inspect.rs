@@ -12,15 +12,15 @@ use crate::encode::ImageFormat;
 use crate::engine::{BakedAsset, FrameRequest, Pose, SceneInfo};
 use crate::plan::{FramePlan, Output, Settings};
 
-/// Which scene, and how to tell.
+/// Options of `pointillist inspect`.
 #[derive(Args, Clone, Debug)]
 pub struct InspectArgs {
     #[command(flatten)]
     scene: SceneArgs,
-    /// Tell what the point trees of --lod spt are as well; they are built where the cache has none
+    /// Report the point trees of --lod spt as well; trees that are not in the cache are built
     #[arg(long)]
     tree: bool,
-    /// JSON on standard output
+    /// Print JSON on standard output
     #[arg(long)]
     json: bool,
 }

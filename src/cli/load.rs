@@ -30,115 +30,115 @@ use crate::scene::random::SplitMix64;
 const MOST_PER_S: f64 = 200_000.0;
 const DAY_S: f64 = 86_400.0;
 
-/// Which daemon, how much of what, and where the report goes.
+/// Options of `pointillist load`.
 #[derive(Args, Clone, Debug)]
 #[command(
-    after_help = "Requests are sent when they are due, whatever became of earlier ones, and latency counts from then on. \
-Each has another pose along a path around the scene or between its cameras. With --streams, clients of streams move beside \
-them; a pose's latency counts from when it was due to the first frame that shows it or a newer one. On the daemon's own machine, \
-the generator takes CPU time from it."
+    after_help = "The generator sends each request when it is due, even if earlier requests are unanswered. Latency counts from that time. \
+Each request has its own pose on a path around the scene or between its cameras. --streams adds streaming clients. \
+A streamed pose's latency counts from when the pose was due to the first frame that shows it or a newer pose. \
+A generator on the daemon's own machine takes CPU time from the daemon."
 )]
 pub struct LoadArgs {
     /// The daemon's address: http://HOST:PORT
     #[arg(value_name = "URL")]
     url: String,
-    /// Folder for load.json and load.svg, made where it is missing
+    /// Folder for load.json and load.svg; created if missing
     #[arg(short, long, value_name = "FOLDER")]
     out: Option<PathBuf>,
     #[command(flatten)]
     rates: RateArgs,
-    /// Seconds that are counted at each rate
+    /// Seconds to measure at each rate
     #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = seconds)]
     duration: f64,
-    /// Seconds before that which are not counted
+    /// Seconds of warm-up at each rate, which are not measured
     #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = seconds_or_none)]
     warmup: f64,
-    /// How arrivals lie in time
+    /// Distribution of the times between requests
     #[arg(long, value_enum, default_value = "poisson")]
     spacing: Spacing,
-    /// Requests that may be under way at a time, each on a connection of its own; what is over that is not sent, and counted
+    /// Maximum number of requests in flight, each on its own connection; requests beyond it are not sent but counted
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=60_000))]
     connections: u32,
-    /// Seconds after which a request is given up
+    /// Seconds after which a request counts as timed out
     #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = seconds)]
     timeout: f64,
-    /// Highest 99th percentile of latency with which a daemon counts as keeping up, in milliseconds
+    /// Highest 99th percentile of latency at which the daemon counts as keeping up, in milliseconds
     #[arg(long, value_name = "MS", default_value_t = 1000.0, value_parser = positive)]
     max_p99_ms: f64,
-    /// Streams beside the requests: clients that follow a path, a pose at a time, and acknowledge frames
+    /// Number of streaming clients beside the requests; each sends the poses of a path and acknowledges frames
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=10_000))]
     streams: u32,
     /// Poses that each stream sends per second
     #[arg(long, value_name = "R", default_value_t = 30.0, value_parser = pose_rate, requires = "streams")]
     pose_rate: f64,
-    /// Other numbers give other arrivals and other poses
+    /// Seed of the random arrival times and poses
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// An API key of the daemon
+    /// API key to send to the daemon
     #[arg(long, env = "POINTILLIST_KEY", hide_env_values = true, value_name = "KEY")]
     key: Option<String>,
     #[command(flatten)]
     frame: FrameArgs,
     #[command(flatten)]
     thresholds: Thresholds,
-    /// JSON on standard output instead of the table
+    /// Print JSON on standard output instead of the table
     #[arg(long)]
     json: bool,
 }
 
-/// At which rates.
+/// Request rates to measure.
 #[derive(Args, Clone, Debug)]
 struct RateArgs {
     /// Requests per second [default: 10]
     #[arg(long, value_name = "R", value_parser = rate, conflicts_with_all = ["rates", "saturate"])]
     rate: Option<f64>,
-    /// One rate after another, as in 10,20,40
+    /// Rates to measure one after the other, as in 10,20,40
     #[arg(long, value_name = "R,R,…", value_delimiter = ',', value_parser = rate, conflicts_with = "saturate")]
     rates: Vec<f64>,
-    /// Raise the rate until the daemon no longer keeps up, then close in on where that begins
+    /// Raise the rate until the daemon no longer keeps up, then narrow down the rate at which this begins (the knee)
     #[arg(long)]
     saturate: bool,
-    /// Where --saturate begins
+    /// First rate that --saturate tries
     #[arg(long, value_name = "R", default_value_t = 4.0, value_parser = rate, requires = "saturate")]
     first_rate: f64,
-    /// Where --saturate ends
+    /// Highest rate that --saturate tries
     #[arg(long, value_name = "R", default_value_t = 20_000.0, value_parser = rate, requires = "saturate")]
     max_rate: f64,
-    /// By what --saturate multiplies the rate
+    /// Factor by which --saturate raises the rate
     #[arg(long, value_name = "F", default_value_t = 2.0, value_parser = factor, requires = "saturate")]
     factor: f64,
-    /// How near --saturate comes to the knee, as a share of the rate
+    /// Width of the interval around the knee at which --saturate stops, as a share of the rate
     #[arg(long, value_name = "SHARE", default_value_t = 0.08, value_parser = positive, requires = "saturate")]
     resolution: f64,
-    /// Rates that --saturate tries at most
+    /// Maximum number of rates that --saturate tries
     #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u32).range(1..), requires = "saturate")]
     max_steps: u32,
 }
 
-/// What frames are asked for. All but the pose is handed to the daemon as it stands: it knows what it accepts.
+/// Parameters of the requested frames. The daemon checks all but the pose.
 #[derive(Args, Clone, Debug)]
 struct FrameArgs {
-    /// Which scene [default: the first that is ready]
+    /// Id of the scene [default: the first that is ready]
     #[arg(long, value_name = "ID")]
     scene: Option<String>,
-    /// Where frames are seen from
+    /// Path that the poses lie on
     #[arg(long, value_enum, default_value = "orbit")]
     poses: PathKind,
     /// Width and height in pixels
     #[arg(long, value_name = "WxH", default_value = "640x480", value_parser = super::frame::size)]
     size: (u32, u32),
-    /// Encoding
+    /// Image format
     #[arg(long, default_value = "jpeg")]
     format: String,
     /// Quality of lossy formats
     #[arg(long)]
     quality: Option<String>,
-    /// Which image of the frame
+    /// Kind of image to request
     #[arg(long)]
     output: Option<String>,
     #[command(flatten)]
     settings: Given,
-    /// Any other parameter of a frame; may be given again
+    /// Any other frame parameter; may be repeated
     #[arg(long = "param", value_name = "NAME=VALUE", value_parser = parameter)]
     parameters: Vec<(String, String)>,
 }
@@ -262,7 +262,7 @@ pub fn run(args: &LoadArgs) -> anyhow::Result<ExitCode> {
         say!("load.json and load.svg are in {}", folder.display());
     }
     let frames: u64 = report.points.iter().map(|judged| judged.point.counts.frames).sum();
-    ensure!(report.interrupted || frames > 0, "not one frame came");
+    ensure!(report.interrupted || frames > 0, "no frame arrived; the report counts the errors");
     if report.broken_thresholds.is_empty() {
         return Ok(ExitCode::SUCCESS);
     }
@@ -375,7 +375,7 @@ async fn find_scene(
     let answer: serde_json::Value = connections.json(&path).await?;
     let state = answer["state"].as_str().unwrap_or("unknown");
     ensure!(state == "ready", "scene `{id}` is not ready: it is {state}");
-    serde_json::from_value(answer).with_context(|| format!("GET {path}: not a scene as expected"))
+    serde_json::from_value(answer).with_context(|| format!("GET {path}: the answer is not a scene"))
 }
 
 /// Gets one frame before the run begins, so that a refusal shows early and one-time work is not measured.

@@ -13,7 +13,7 @@ use crate::bake::prepare::is_scene_file;
 use crate::engine::{BakeEvent, Engine, EngineConfig, SceneInfo};
 use crate::scene::Up;
 
-/// Which scene, where its files may lie, and where its point trees are kept.
+/// The scene, the folder of its files, and the cache of its point trees.
 #[derive(clap::Args, Clone, Debug)]
 pub struct SceneFile {
     /// Scene file (.json), or one file of points or triangles
@@ -26,24 +26,24 @@ pub struct SceneFile {
     pub cache: CacheArgs,
 }
 
-/// Which scene, and how much of it may lie on the GPU.
+/// The scene, and limits on GPU memory and frame size.
 #[derive(clap::Args, Clone, Debug)]
 pub struct SceneArgs {
     #[command(flatten)]
     file: SceneFile,
-    /// Scene data that may lie on the GPU, in MiB
+    /// Maximum scene data kept on the GPU, in MiB
     #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
     gpu_budget_mib: Option<u64>,
-    /// Width times height of the largest frame, as far as the adapter allows [default: 16777216]
+    /// Maximum width times height of a frame; the adapter may allow less [default: 16777216]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     max_pixels: Option<u64>,
-    /// Longest side of a frame [default: 8192]
+    /// Maximum width and height of a frame, in pixels [default: 8192]
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(1..))]
     max_side: Option<u32>,
-    /// Which way is up: x, y, z, -x, -y, -z or X,Y,Z [default: as the scene file says, or as the asset suggests]
+    /// Up direction: x, y, z, -x, -y, -z or X,Y,Z [default: from the scene file, or guessed for an asset]
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     up: Option<Up>,
-    /// Never use 64-bit atomics, even where the adapter has them
+    /// Do not use 64-bit atomics, even if the adapter has them
     #[arg(long, hide = true)]
     force_32_bit: bool,
 }
@@ -60,7 +60,7 @@ impl SceneFile {
         let path = self
             .scene
             .canonicalize()
-            .with_context(|| format!("{} cannot be opened", self.scene.display()))?;
+            .with_context(|| format!("cannot open {}", self.scene.display()))?;
         let folder = path.parent().unwrap_or(Path::new("/")).to_path_buf();
         let mut config = EngineConfig::new(self.root.clone().unwrap_or(folder));
         config.bake_cache = self.cache.open()?;
@@ -88,7 +88,7 @@ impl SceneArgs {
     pub fn check_up(&self) -> anyhow::Result<()> {
         if self.up.is_some() && is_scene_file(&self.file.scene) {
             anyhow::bail!(
-                "--up goes with a file of points or triangles; write `up` into the scene file"
+                "--up applies to point and triangle files only; set `up` in the scene file"
             );
         }
         Ok(())

@@ -22,7 +22,7 @@ use clap::{Parser, Subcommand};
 
 /// Exit codes of the process, as in docs/commands.md.
 const EXIT_STATUS: &str = "Exit status:
-  0  done; of `serve`: told to stop
+  0  success; `serve`: stopped by a signal
   1  failed, with the reason on standard error
   2  the command line cannot be understood; nothing was done
   3  a threshold of `load` is broken
@@ -42,19 +42,19 @@ enum Command {
     Serve(Box<serve::ServeArgs>),
     /// Draw one frame of a scene or of a single asset file, without a server
     Render(Box<render::RenderArgs>),
-    /// Tell what pixels of a frame show: positions, distances, instances, as JSON
+    /// Print what pixels of a frame show, as JSON: positions, distances, instances
     Pick(Box<pick::PickArgs>),
-    /// Draw a camera path to numbered frames; run again, it draws what is missing
+    /// Draw a camera path as numbered frames or a video; a second run draws the missing frames
     Path(Box<path::PathArgs>),
-    /// Tell what a scene or asset holds, what it needs on the GPU, and which passes would draw it
+    /// Report what a scene or asset contains, how much GPU memory it needs, and which passes would draw it
     Inspect(inspect::InspectArgs),
-    /// Build the point trees that --lod spt draws, and keep them in the cache
+    /// Build the point trees that --lod spt draws, and store them in the cache
     Bake(bake::BakeArgs),
     /// Write a procedural asset or scene
     Generate(generate::GenerateArgs),
-    /// Report whether what is drawn stays accurate where that is hard
+    /// Compare the shaders with exact results on hard cases
     Accuracy(accuracy::AccuracyArgs),
-    /// Ask a daemon for frames at given rates, or at rising ones until it no longer keeps up
+    /// Measure a daemon's latency at given request rates, or find the rate at which it saturates
     Load(Box<load::LoadArgs>),
     /// Print the HTTP contract
     #[command(hide = true)]

@@ -19,7 +19,7 @@ pub fn print(text: &str) -> anyhow::Result<()> {
 pub fn print_bytes(bytes: &[u8]) -> anyhow::Result<()> {
     let mut out = io::stdout().lock();
     written(out.write_all(bytes).and_then(|()| out.flush()))
-        .context("standard output cannot be written")
+        .context("cannot write to standard output")
 }
 
 /// Writes a line to standard error, and ignores errors. `eprintln!` panics if the reader is gone, as in `2>&1 | head`.

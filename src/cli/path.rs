@@ -21,28 +21,28 @@ use crate::http::server::stop_signal;
 use crate::plan::Wait;
 use crate::scene::{CameraPath, SceneLimits, load_path};
 
-/// What to draw, along which path, and where to.
+/// Options of `pointillist path`.
 #[derive(Args, Clone, Debug)]
 pub struct PathArgs {
     #[command(flatten)]
     scene: SceneArgs,
-    /// A path that the scene names, or a file that holds one (.json)
+    /// Name of a path in the scene, or a path file (.json)
     #[arg(long, value_name = "NAME_OR_FILE")]
     path: String,
-    /// Folder for frame-00000.png and so on and frames.jsonl, which tells of each, made where it is not there; or a video (.mp4), whose
-    /// frames lie in a folder beside it (.mp4.frames) until it is finished
+    /// Folder for the frames (frame-00000.png, …) and their manifest (frames.jsonl), created if missing; or a video (.mp4), whose
+    /// frames are kept in a folder beside it (.mp4.frames) until the video is finished
     #[arg(short = 'o', long = "out", value_name = "FOLDER_OR_MP4")]
     out: PathBuf,
-    /// Leave the frames of a finished video where they are
+    /// Keep the frames after the video is finished
     #[arg(long)]
     keep_frames: bool,
-    /// Kilobits a second of the video [default: by its size and rate]
+    /// Bit rate of the video in kilobits per second [default: from its size and frame rate]
     #[arg(long, value_name = "N")]
     bitrate_kbps: Option<u32>,
-    /// Format of the frames
+    /// Image format of the frames
     #[arg(long, value_enum, default_value = "png")]
     format: FormatChoice,
-    /// Frames a second [default: as the path has it]
+    /// Frames per second [default: the path's own]
     #[arg(long, value_name = "N")]
     fps: Option<f64>,
     /// Number of the first frame to draw [default: 0]
@@ -100,15 +100,15 @@ pub fn run(args: PathArgs) -> anyhow::Result<()> {
     say!("{}: {}", target.folder.display(), telling.summary(&report, began.elapsed()));
     if let Some(first) = report.left_over.first() {
         say!(
-            "warning: {} files of earlier runs are no frames of this path as it is drawn now, {first} among them; \
-             they are not in {}",
+            "warning: {} files of earlier runs do not belong to this path as drawn now, for example {first}; \
+             {} does not list them",
             report.left_over.len(),
             film::MANIFEST
         );
     }
     if report.missing > 0 {
         bail!(
-            "told to stop, {} frames are missing; the same command goes on from here",
+            "stopped by a signal, {} frames are missing; run the same command again to continue",
             report.missing
         );
     }
@@ -141,16 +141,16 @@ impl Target {
                 extension.filter(|own| VIDEOS.contains(&own.to_ascii_lowercase().as_str()))
             {
                 bail!(
-                    "-o {}: videos are .mp4, not .{other}; any other name is a folder's",
+                    "-o {}: cannot write .{other} videos; give a name that ends in .mp4, or a folder",
                     args.out.display()
                 );
             }
             if args.keep_frames || args.bitrate_kbps.is_some() {
-                bail!("--keep-frames and --bitrate-kbps go with a video, as in -o film.mp4");
+                bail!("--keep-frames and --bitrate-kbps need a video as output, as in -o film.mp4");
             }
             if args.out.exists() && !args.out.is_dir() {
                 bail!(
-                    "-o {}: is a file; frames go into a folder, and a video into an .mp4",
+                    "-o {}: this is an existing file; give a folder for frames, or a name that ends in .mp4 for a video",
                     args.out.display()
                 );
             }
@@ -162,7 +162,7 @@ impl Target {
         let folder = PathBuf::from(folder);
         if folder.exists() && !folder.is_dir() {
             bail!(
-                "-o {}: the frames of a video go into the folder {}, which is a file",
+                "-o {}: the frames of the video need the folder {}, but a file has that name",
                 args.out.display(),
                 folder.display()
             );
@@ -235,7 +235,7 @@ fn find(engine: &Engine, info: &SceneInfo, name: &str) -> anyhow::Result<CameraP
             .map_err(|error| anyhow::anyhow!("--path {error}"));
     }
     match info.paths.as_slice() {
-        [] => bail!("--path {name}: there is no such file, and the scene names no paths"),
+        [] => bail!("--path {name}: there is no such file, and the scene has no paths"),
         known => bail!(
             "--path {name}: there is no such file, and the scene's paths are {}",
             known.join(", ")

@@ -8,7 +8,7 @@ use super::out;
 use crate::engine::Client;
 use crate::engine::pick::request_of;
 
-/// Which pixels of which frame.
+/// Options of `pointillist pick`.
 #[derive(Args, Clone, Debug)]
 pub struct PickArgs {
     #[command(flatten)]

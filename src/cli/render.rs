@@ -12,7 +12,7 @@ use super::out::say;
 use crate::encode::ImageFormat;
 use crate::engine::{EncodedFrame, Receipt};
 
-/// What to draw, from where, and where to.
+/// Options of `pointillist render`.
 #[derive(Args, Clone, Debug)]
 pub struct RenderArgs {
     #[command(flatten)]
@@ -20,17 +20,17 @@ pub struct RenderArgs {
     /// Image to write, `-` for standard output; its extension picks the format: png, jpg, webp, qoi, exr, pfm, raw
     #[arg(short = 'o', long = "out", value_name = "FILE")]
     file: PathBuf,
-    /// Format of the image [default: by the extension; png on standard output]
+    /// Format of the image [default: from the extension; png on standard output]
     #[arg(long, value_enum)]
     format: Option<FormatChoice>,
     #[command(flatten)]
     pose: PoseArgs,
     #[command(flatten)]
     frame: FrameArgs,
-    /// Write the frame's receipt, as JSON
+    /// Write the frame's receipt to this file, as JSON
     #[arg(long, value_name = "FILE")]
     receipt: Option<PathBuf>,
-    /// Draw the frame this many times; the receipt is the median one's
+    /// Draw the frame this many times; the receipt is that of the run with the median time
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     repeat: u32,
 }
@@ -39,7 +39,7 @@ fn format_of(file: &Path) -> anyhow::Result<ImageFormat> {
     let extension = file.extension().unwrap_or_default().to_string_lossy();
     ImageFormat::named(&extension).with_context(|| {
         format!(
-            "{}: no image format has the extension `{extension}`; there are png, jpg, webp, qoi, exr, pfm, raw; or name one with --format",
+            "{}: no image format has the extension `{extension}`; use png, jpg, webp, qoi, exr, pfm or raw, or name a format with --format",
             file.display()
         )
     })

@@ -35,154 +35,154 @@ mod greeting;
 mod patience;
 mod state;
 
-/// Settings of the daemon; what is `None` was not given.
+/// Settings of the daemon; `None` marks a setting that was not given.
 #[derive(Args, Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct ServeArgs {
-    /// Scene or asset files to serve; the root is their folder where --root is not given
+    /// Scene or asset files to serve; without --root, their common folder becomes the root
     #[arg(value_name = "FILE")]
     #[serde(skip)]
     pub files: Vec<PathBuf>,
-    /// TOML file with any of these settings
+    /// TOML file that may hold any of these settings
     #[arg(long, env = "POINTILLIST_CONFIG", value_name = "FILE")]
     #[serde(skip)]
     pub config: Option<PathBuf>,
     /// Address and port; port 0 picks a free one [default: 127.0.0.1:8080]
     #[arg(long, env = "POINTILLIST_LISTEN", value_name = "HOST:PORT")]
     pub listen: Option<String>,
-    /// Folder that scenes and their files are read from; uploads go below it [default: scenes]
+    /// Folder from which scenes and their files are read; uploads are stored below it [default: scenes]
     #[arg(long, env = "POINTILLIST_ROOT", value_name = "FOLDER")]
     pub root: Option<PathBuf>,
-    /// Scene or asset file to load at the start, relative to the root; may be repeated [default: every *.json directly in the root, or every asset file where there is none]
+    /// Scene or asset file to load at the start, relative to the root; may be repeated [default: every *.json directly in the root; if there is none, every asset file]
     #[arg(long, env = "POINTILLIST_SCENE", value_name = "FILE", value_delimiter = ',')]
     pub scene: Vec<PathBuf>,
-    /// Which way is up in files of points or triangles: x, y, z, -x, -y, -z or X,Y,Z [default: as each file suggests]
+    /// Up direction of point and triangle files: x, y, z, -x, -y, -z or X,Y,Z [default: guessed for each file]
     #[arg(long, env = "POINTILLIST_UP", value_name = "AXIS", allow_hyphen_values = true)]
     pub up: Option<Up>,
-    /// Scene data that may stay on the GPU, in MiB [default: three quarters of what the adapter offers, at most 4096]
+    /// Maximum scene data kept on the GPU, in MiB [default: three quarters of what the adapter can bind, at most 4096]
     #[arg(long, env = "POINTILLIST_GPU_BUDGET_MIB", value_name = "MIB")]
     pub gpu_budget_mib: Option<u64>,
-    /// Host memory that loaded scenes, loading and baking may hold together, in MiB; what does not fit is refused with 413 or 507 [default: half of what the machine or its cgroup has]
+    /// Host memory budget for loaded scenes, loading and baking together, in MiB; loads that do not fit are refused with 413 or 507 [default: half of the memory of the machine or its cgroup]
     #[arg(long, env = "POINTILLIST_HOST_MEMORY_MIB", value_name = "MIB")]
     pub host_memory_mib: Option<u64>,
-    /// Folder that point trees are kept in [default: `pointillist` in the user's cache folder]
+    /// Cache folder for point trees [default: `pointillist` in the user's cache folder]
     #[arg(long, env = "POINTILLIST_CACHE", value_name = "FOLDER")]
     pub cache: Option<PathBuf>,
-    /// Keep no point trees on disk and read none, whatever --cache says
+    /// Do not use the point tree cache, even if --cache is given
     #[arg(long, env = "POINTILLIST_NO_CACHE", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
     pub no_cache: Option<bool>,
-    /// What that folder may take, in MiB; what was used the longest ago goes first [default: 4096]
+    /// Maximum size of the cache folder, in MiB; the least recently used trees are deleted first [default: 4096]
     #[arg(long, env = "POINTILLIST_CACHE_MAX_MIB", value_name = "MIB")]
     pub cache_max_mib: Option<u64>,
-    /// What building point trees may take of memory, in MiB; what takes more is built with temporary files in that folder [default: half of what is free]
+    /// Memory limit for building point trees, in MiB; larger builds use temporary files in the cache folder [default: half of the free memory]
     #[arg(long, env = "POINTILLIST_BAKE_MEMORY_MIB", value_name = "MIB")]
     pub bake_memory_mib: Option<u64>,
-    /// Frames that may wait; more are refused with 503 [default: 256]
+    /// Maximum number of queued frames; further frames are refused with 503 [default: 256]
     #[arg(long, env = "POINTILLIST_QUEUE", value_name = "N")]
     pub queue: Option<usize>,
-    /// Seconds of the device's time that may wait, by what such frames have cost; more is refused with 503 [default: 30]
+    /// Maximum estimated GPU time of the queued frames, in seconds; further frames are refused with 503 [default: 30]
     #[arg(long, env = "POINTILLIST_QUEUE_SECONDS", value_name = "S")]
     pub queue_seconds: Option<f64>,
-    /// Of the device's time, what frames of jobs get however many others there are: 0.01 to 0.5 [default: 0.1]
+    /// Minimum share of GPU time reserved for job frames: 0.01 to 0.5 [default: 0.1]
     #[arg(long, env = "POINTILLIST_JOB_SHARE", value_name = "SHARE")]
     pub job_share: Option<f64>,
-    /// Frames in one submission to the GPU [default: 16]
+    /// Maximum number of frames in one submission to the GPU [default: 16]
     #[arg(long, env = "POINTILLIST_MAX_BATCH", value_name = "N")]
     pub max_batch: Option<usize>,
-    /// Images of jobs that are encoded at a time [default: one a core]; requests and streams have a thread more each
+    /// Threads that encode job images [default: one per core]; requests and streams have one more thread each
     #[arg(long, env = "POINTILLIST_ENCODER_THREADS", value_name = "N")]
     pub encoder_threads: Option<usize>,
-    /// Width times height of the largest frame, as far as the adapter allows [default: 16777216]
+    /// Maximum width times height of a frame; the adapter may allow less [default: 16777216]
     #[arg(long, env = "POINTILLIST_MAX_PIXELS", value_name = "N")]
     pub max_pixels: Option<u64>,
-    /// Longest side of a frame [default: 8192]
+    /// Maximum width and height of a frame, in pixels [default: 8192]
     #[arg(long, env = "POINTILLIST_MAX_SIDE", value_name = "PX")]
     pub max_side: Option<u32>,
-    /// Take no uploads; daemons that share a root need it, all but one
+    /// Refuse uploads; if several daemons share a root, all but one need this flag
     #[arg(long, env = "POINTILLIST_NO_UPLOADS", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
     pub no_uploads: Option<bool>,
-    /// Largest upload, in MiB [default: 4096]
+    /// Maximum size of one upload, in MiB [default: 4096]
     #[arg(long, env = "POINTILLIST_MAX_UPLOAD_MIB", value_name = "MIB")]
     pub max_upload_mib: Option<u64>,
-    /// Uploaded scenes at the same time; more are refused with 429 [default: 1000]
+    /// Maximum number of uploaded scenes; further uploads are refused with 429 [default: 1000]
     #[arg(long, env = "POINTILLIST_MAX_UPLOADS", value_name = "N")]
     pub max_uploads: Option<u64>,
-    /// Uploaded scenes of one API key at the same time [default: 250]
+    /// Maximum number of uploaded scenes per API key [default: 250]
     #[arg(long, env = "POINTILLIST_MAX_UPLOADS_PER_KEY", value_name = "N")]
     pub max_uploads_per_key: Option<u64>,
-    /// Disk space of all uploads together, in MiB; more is refused with 507 [default: 65536]
+    /// Maximum disk space of all uploads, in MiB; further uploads are refused with 507 [default: 65536]
     #[arg(long, env = "POINTILLIST_UPLOAD_DISK_MIB", value_name = "MIB")]
     pub upload_disk_mib: Option<u64>,
-    /// Disk space of one API key's uploads, in MiB [default: 16384]
+    /// Maximum disk space of uploads per API key, in MiB [default: 16384]
     #[arg(long, env = "POINTILLIST_UPLOAD_DISK_MIB_PER_KEY", value_name = "MIB")]
     pub upload_disk_mib_per_key: Option<u64>,
-    /// Connections at the same time [default: 1024]
+    /// Maximum number of open connections [default: 1024]
     #[arg(long, env = "POINTILLIST_MAX_CONNECTIONS", value_name = "N")]
     pub max_connections: Option<usize>,
-    /// Longest wait for a frame, in seconds [default: 120]
+    /// Maximum wait for a frame, in seconds [default: 120]
     #[arg(long, env = "POINTILLIST_FRAME_TIMEOUT_SECONDS", value_name = "S")]
     pub frame_timeout_seconds: Option<u64>,
-    /// Longest wait for the head of a request or the next piece of its body, in seconds [default: 30]
+    /// Maximum wait for a request's head or the next piece of its body, in seconds [default: 30]
     #[arg(long, env = "POINTILLIST_READ_TIMEOUT_SECONDS", value_name = "S")]
     pub read_timeout_seconds: Option<u64>,
-    /// Streams at the same time [default: 64]
+    /// Maximum number of open streams [default: 64]
     #[arg(long, env = "POINTILLIST_MAX_STREAMS", value_name = "N")]
     pub max_streams: Option<usize>,
-    /// Streams at the same time of one client: of one key, or of one address where there are no keys [default: 16]
+    /// Maximum number of open streams per client; a client is a key, or an address where there are no keys [default: 16]
     #[arg(long, env = "POINTILLIST_MAX_STREAMS_PER_CLIENT", value_name = "N")]
     pub max_streams_per_client: Option<usize>,
-    /// How long a stream's client may send nothing, or take nothing of an `mjpeg`, in seconds [default: 60]
+    /// Seconds after which a stream is closed if its client sends nothing, or an `mjpeg` if its client reads nothing [default: 60]
     #[arg(long, env = "POINTILLIST_STREAM_IDLE_SECONDS", value_name = "S")]
     pub stream_idle_seconds: Option<u64>,
-    /// File of API keys, `name scope sha256hex` a line; scopes are read, write, admin
+    /// File of API keys, one `name scope sha256hex` per line; scopes are read, write and admin
     #[arg(long, env = "POINTILLIST_API_KEYS", value_name = "FILE")]
     pub api_keys: Option<PathBuf>,
-    /// Allow an address other than loopback without API keys
+    /// Allow a --listen address other than loopback without API keys
     #[arg(long, env = "POINTILLIST_INSECURE", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
     pub insecure: Option<bool>,
     /// Origin whose pages may read answers (`https://app.example`, or `*`); may be repeated
     #[arg(long, env = "POINTILLIST_CORS_ORIGIN", value_name = "ORIGIN", value_delimiter = ',')]
     pub cors_origin: Vec<String>,
-    /// Folder that jobs and their frames are kept in; no two daemons share one [default: `pointillist` in the user's state folder]
+    /// Folder for jobs and their frames; each daemon needs its own [default: `pointillist` in the user's state folder]
     #[arg(long, env = "POINTILLIST_STATE", value_name = "FOLDER")]
     pub state: Option<PathBuf>,
-    /// Take on no jobs, whatever --state says
+    /// Accept no jobs, even if --state is given
     #[arg(long, env = "POINTILLIST_NO_JOBS", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
     pub no_jobs: Option<bool>,
-    /// Jobs that may be queued or running; more are refused with 429 [default: 64]
+    /// Maximum number of queued and running jobs; further jobs are refused with 429 [default: 64]
     #[arg(long, env = "POINTILLIST_JOB_QUEUE", value_name = "N")]
     pub job_queue: Option<usize>,
-    /// Jobs whose frames are drawn at the same time; they share what jobs get of the device [default: 4]
+    /// Maximum number of jobs whose frames are drawn at the same time; they share the jobs' GPU time [default: 4]
     #[arg(long, env = "POINTILLIST_JOB_RUNNERS", value_name = "N")]
     pub job_runners: Option<usize>,
-    /// What jobs may take on the disk, all together, in MiB [default: 10240]
+    /// Maximum disk space of all jobs, in MiB [default: 10240]
     #[arg(long, env = "POINTILLIST_JOB_DISK_MIB", value_name = "MIB")]
     pub job_disk_mib: Option<u64>,
-    /// Answers that follow jobs, as events or as frames, at the same time [default: 256]
+    /// Maximum number of open answers that follow jobs (`events` and `multipart`) [default: 256]
     #[arg(long, env = "POINTILLIST_MAX_WATCHERS", value_name = "N")]
     pub max_watchers: Option<usize>,
-    /// The same of one client [default: 32]
+    /// Maximum number of open answers that follow jobs, per client [default: 32]
     #[arg(long, env = "POINTILLIST_MAX_WATCHERS_PER_CLIENT", value_name = "N")]
     pub max_watchers_per_client: Option<usize>,
-    /// How long such an answer may wait for its job before it ends and the client has to come again, in seconds [default: 3600]
+    /// Seconds after which an answer that follows a job ends, and the client has to reconnect [default: 3600]
     #[arg(long, env = "POINTILLIST_WATCH_SECONDS", value_name = "S")]
     pub watch_seconds: Option<u64>,
-    /// How long a job is kept after it ended, and how long one waits for its scene, in seconds [default: 604800, a week]
+    /// Seconds for which an ended job is kept, and for which a job waits for its scene [default: 604800, a week]
     #[arg(long, env = "POINTILLIST_JOB_TTL_SECONDS", value_name = "S")]
     pub job_ttl_seconds: Option<u64>,
-    /// How long to go on serving after SIGTERM while /readyz says no, so that load balancers notice, in seconds [default: 0]
+    /// Seconds to keep serving after SIGTERM while /readyz answers 503, so that load balancers notice [default: 0]
     #[arg(long, env = "POINTILLIST_DRAIN_DELAY", value_name = "S")]
     pub drain_delay: Option<u64>,
-    /// How long answers in flight may take after SIGTERM, in seconds [default: 20]
+    /// Maximum time for answers in flight to finish after SIGTERM, in seconds [default: 20]
     #[arg(long, env = "POINTILLIST_DRAIN_SECONDS", value_name = "S")]
     pub drain_seconds: Option<u64>,
     /// Format of the log on standard error [default: text]
     #[arg(long, env = "POINTILLIST_LOG_FORMAT", value_name = "FORMAT")]
     pub log_format: Option<LogFormat>,
-    /// Build no pipelines before frames need them
+    /// Build pipelines on first use instead of at the start
     #[arg(long, env = "POINTILLIST_NO_PRIME", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
     pub no_prime: Option<bool>,
-    /// Never use 64-bit atomics, even where the adapter has them
+    /// Do not use 64-bit atomics, even if the adapter has them
     #[arg(long, env = "POINTILLIST_FORCE_32_BIT", hide = true, num_args = 0..=1, default_missing_value = "true", require_equals = true)]
     pub force_32_bit: Option<bool>,
 }
@@ -248,7 +248,7 @@ fn init_log(format: LogFormat) {
         LogFormat::Json => log.json().try_init(),
     };
     if let Err(error) = result {
-        say!("the log cannot be set up: {error}");
+        say!("cannot set up the log: {error}");
     }
 }
 
@@ -267,7 +267,7 @@ fn parse_file(text: &str) -> anyhow::Result<ServeArgs> {
     if let Some(key) = table.keys().find(|key| !known.contains(key)) {
         match nearest(key, known.iter().map(String::as_str)) {
             Some(near) => bail!("there is no setting `{key}`; did you mean `{near}`?"),
-            None => bail!("there is no setting `{key}`; there are: {}", known.join(", ")),
+            None => bail!("there is no setting `{key}`; the settings are: {}", known.join(", ")),
         }
     }
     // Parse the text once more, so that errors show the line.
@@ -347,7 +347,7 @@ fn listen_address(text: &str) -> anyhow::Result<SocketAddr> {
     text.to_socket_addrs()
         .with_context(|| format!("--listen {text}: expected HOST:PORT, as in 127.0.0.1:8080"))?
         .next()
-        .with_context(|| format!("--listen {text}: the name has no address"))
+        .with_context(|| format!("--listen {text}: the host name has no address; give an IP address or a name that resolves"))
 }
 
 /// The access rules: the keys of the key file, or without one, access from loopback only.
@@ -361,7 +361,7 @@ fn access(args: &ServeArgs, address: SocketAddr) -> anyhow::Result<Access> {
     }
     ensure!(
         address.ip().is_loopback() || args.insecure == Some(true),
-        "{address} can be reached from other machines: give --api-keys FILE, or --insecure to let everybody in"
+        "--listen {address} can be reached from other machines: give --api-keys FILE, or --insecure to allow access without keys"
     );
     // Behind a proxy on the same machine, requests carry the proxy's host name.
     let only_loopback = address.ip().is_loopback() && args.insecure != Some(true);

@@ -56,7 +56,7 @@ pub enum EncodeError {
     Unsupported { format: ImageFormat, output: Output, accepted: &'static str },
     /// A frame larger than the format allows.
     #[error(
-        "format: {format:?} holds at most {limit} pixels a side, the frame has {width} × {height}"
+        "format: {format:?} allows at most {limit} pixels per side, and the frame has {width} × {height}"
     )]
     TooLarge { format: ImageFormat, limit: u32, width: u32, height: u32 },
     #[error("encoding failed: {0}")]
@@ -70,15 +70,14 @@ pub enum EncodeError {
 pub fn accepts(format: ImageFormat, output: Output) -> Result<(), EncodeError> {
     use ImageFormat::{Exr, Pfm, Png, Qoi, Raw, Webp};
     let (possible, accepted) = match output {
-        Output::Color => (format != Pfm, "colour comes as png, jpeg, webp, qoi, raw or exr"),
+        Output::Color => (format != Pfm, "colour needs png, jpeg, webp, qoi, raw or exr"),
         Output::Depth => {
-            (matches!(format, Png | Raw | Exr | Pfm), "depth comes as png, raw, exr or pfm")
+            (matches!(format, Png | Raw | Exr | Pfm), "depth needs png, raw, exr or pfm")
         }
-        Output::Normal => (format != Pfm, "normals come as png, jpeg, webp, qoi, raw or exr"),
-        Output::Id => (
-            matches!(format, Png | Webp | Qoi | Raw | Exr),
-            "ids come as png, webp, qoi, raw or exr",
-        ),
+        Output::Normal => (format != Pfm, "normals need png, jpeg, webp, qoi, raw or exr"),
+        Output::Id => {
+            (matches!(format, Png | Webp | Qoi | Raw | Exr), "ids need png, webp, qoi, raw or exr")
+        }
     };
     if possible { Ok(()) } else { Err(EncodeError::Unsupported { format, output, accepted }) }
 }

@@ -258,6 +258,6 @@ mod tests {
         assert_eq!(left, [false, false, true, true]);
         fs::write(at.path().join(MANIFEST), "my notes\n").unwrap();
         let refused = folder.records().unwrap_err().to_string();
-        assert!(refused.contains("frames.jsonl: not a manifest"), "{refused}");
+        assert!(refused.contains("frames.jsonl: this is not a manifest"), "{refused}");
     }
 }

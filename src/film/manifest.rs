@@ -68,9 +68,9 @@ pub fn parse(text: &[u8]) -> Result<Records, String> {
     let version = serde_json::from_slice::<serde_json::Value>(first)
         .ok()
         .and_then(|value| value.get("manifest")?.as_u64())
-        .ok_or("its first line says nothing of `manifest`")?;
+        .ok_or("its first line has no `manifest` version")?;
     if version != u64::from(VERSION) {
-        return Err(format!("version {version} is unknown; this is {VERSION}"));
+        return Err(format!("its version is {version}, and this program reads version {VERSION}"));
     }
     Ok(lines
         .filter_map(|line| serde_json::from_slice::<Record>(line).ok())

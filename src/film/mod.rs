@@ -43,7 +43,7 @@ pub const MANIFEST: &str = "frames.jsonl";
 /// Why a path cannot be drawn, or not to its end.
 #[derive(Debug, thiserror::Error)]
 pub enum FilmError {
-    #[error("the path cannot be followed: {0}")]
+    #[error("the path has no valid camera: {0}")]
     Path(CameraError),
     /// The path does not have these frames; `parameter` is `from`, `to` or `fps`.
     #[error("{parameter}: {reason}")]
@@ -51,11 +51,11 @@ pub enum FilmError {
     #[error("{}: {error}", file.display())]
     Io { file: PathBuf, error: io::Error },
     /// The file with the manifest's name is not a manifest.
-    #[error("{}: not a manifest of frames: {reason}", file.display())]
+    #[error("{}: this is not a manifest of frames ({reason}); give another folder, or remove the file", file.display())]
     Foreign { file: PathBuf, reason: String },
-    #[error("{}: another process is drawing into this folder", folder.display())]
+    #[error("{}: another process is drawing into this folder; wait for it or give another folder", folder.display())]
     Locked { folder: PathBuf },
-    #[error("the scene was changed while frame {frame} was drawn")]
+    #[error("the scene changed while frame {frame} was drawn")]
     SceneChanged { frame: u64 },
     #[error("frame {frame}: {error}")]
     Frame { frame: u64, error: EngineError },

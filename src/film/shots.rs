@@ -48,13 +48,13 @@ impl Shots {
         let fps = fps.unwrap_or(path.fps);
         let [least, most] = FPS_RANGE;
         if !(least..=most).contains(&fps) {
-            return Err(bad("fps", format!("{fps} is not in {least} to {most}")));
+            return Err(bad("fps", format!("{fps} is out of range; accepted: {least} to {most}")));
         }
         let count = path.frame_count(fps);
         if count > MOST_FRAMES {
             let duration = path.duration_s();
             let reason = format!(
-                "{duration} s at {fps} a second are {count} frames, {MOST_FRAMES} are possible"
+                "{duration} s at {fps} frames per second are {count} frames; at most {MOST_FRAMES} are possible"
             );
             return Err(bad("fps", reason));
         }
@@ -67,7 +67,7 @@ impl Shots {
             return Err(bad("to", format!("{to} is beyond the path's last frame, {last}")));
         }
         if from > to {
-            return Err(bad("from", format!("{from} comes after the last frame asked for, {to}")));
+            return Err(bad("from", format!("{from} is after the last requested frame, {to}")));
         }
         Ok(Shots { fps, start_s: path.frame_time_s(0, fps), sampler, count, wanted: from..=to })
     }
@@ -140,9 +140,9 @@ mod tests {
         for (fps, from, to, expected) in [
             (None, Some(21), None, "from: 21 is beyond the path's last frame, 20"),
             (None, None, Some(21), "to: 21 is beyond the path's last frame, 20"),
-            (None, Some(5), Some(4), "from: 5 comes after"),
-            (Some(0.0), None, None, "fps: 0 is not in"),
-            (Some(f64::NAN), None, None, "fps: NaN is not in"),
+            (None, Some(5), Some(4), "from: 5 is after"),
+            (Some(0.0), None, None, "fps: 0 is out of range"),
+            (Some(f64::NAN), None, None, "fps: NaN is out of range"),
         ] {
             let refused = Shots::new(&path(), fps, from, to).unwrap_err().to_string();
             assert!(refused.contains(expected), "{refused}");

@@ -88,11 +88,11 @@ pub fn parse_keys(text: &str) -> Result<Vec<ApiKey>, String> {
             return fail("the hash must be 64 hexadecimal digits (sha256sum of the key)");
         };
         if keys.iter().any(|key| key.name == name) {
-            return fail("the name was used before");
+            return fail("the name is already used by another key");
         }
         keys.push(ApiKey { name: name.to_owned(), scope, hash });
     }
-    if keys.is_empty() { Err("no key in it".to_owned()) } else { Ok(keys) }
+    if keys.is_empty() { Err("the file has no keys".to_owned()) } else { Ok(keys) }
 }
 
 fn parse_hash(hex: &str) -> Option<[u8; 32]> {
@@ -168,7 +168,7 @@ fn foreign(headers: &HeaderMap, may_not: &str) -> Problem {
         origin.escape_debug()
     );
     let accepted =
-        "a page of the server's own origin, or of one that is given with --cors-origin ORIGIN";
+        "a page of the server's own origin, or of an origin allowed with --cors-origin ORIGIN";
     Problem::new(Kind::Forbidden, detail).at("Origin").accepted(accepted)
 }
 
@@ -240,7 +240,8 @@ fn check_key<'a>(
         None => Err(unauthorized("the key is not known")),
         Some(granted) if granted.scope < scope => Err(Problem::new(
             Kind::Forbidden,
-            format!("the key's scope is {:?}, this needs {scope:?}", granted.scope).to_lowercase(),
+            format!("the key's scope is {:?}, but this operation needs {scope:?}", granted.scope)
+                .to_lowercase(),
         )),
         Some(granted) => Ok(granted),
     }

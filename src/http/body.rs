@@ -61,9 +61,10 @@ impl Patience {
                 self.bytes += chunk.len() as u64;
                 Ok(Some(chunk))
             }
-            Some(Err(error)) => {
-                Err(Problem::new(Kind::BadBody, format!("the body broke off: {error}")))
-            }
+            Some(Err(error)) => Err(Problem::new(
+                Kind::BadBody,
+                format!("the connection ended before the body was complete: {error}"),
+            )),
         }
     }
 
@@ -76,14 +77,14 @@ impl Patience {
         let (bytes, seconds) = (self.bytes, self.waited.as_secs());
         Problem::new(
             Kind::RequestTimeout,
-            format!("{bytes} bytes of the body came in {seconds} seconds"),
+            format!("only {bytes} bytes of the body arrived in {seconds} seconds"),
         )
-        .accepted(format!("{LEAST_RATE} bytes a second"))
+        .accepted(format!("at least {LEAST_RATE} bytes per second"))
     }
 }
 
 pub fn too_large(limit: u64) -> Problem {
-    Problem::new(Kind::BodyTooLarge, format!("the body is over the limit of {limit} bytes"))
+    Problem::new(Kind::BodyTooLarge, format!("the body is larger than the limit of {limit} bytes"))
         .accepted(format!("at most {limit} bytes"))
 }
 

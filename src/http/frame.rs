@@ -189,7 +189,7 @@ pub async fn wait(
         }
         Err(_) => Err(Problem::new(
             Kind::FrameTimeout,
-            format!("no frame within {} seconds", limit.as_secs()),
+            format!("the frame was not finished within {} seconds", limit.as_secs()),
         )
         .retry_after(limit)),
     }

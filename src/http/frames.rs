@@ -33,10 +33,10 @@ pub const MAX_POSES: usize = 10_000;
 /// Longest wait of a pose for a place in the queue.
 const MAX_QUEUEING: Duration = Duration::from_secs(30);
 
-/// Poses, and what they have in common.
+/// Poses, and the parameters that they share.
 #[derive(Deserialize, ToSchema)]
 pub struct FramesRequest {
-    /// Each may set anything that a frame's query may; what it leaves out comes from beside `poses`.
+    /// Each pose may set any parameter of a frame's query. Missing parameters take the values given beside `poses`.
     #[schema(value_type = Vec<FrameParams>)]
     poses: Vec<serde_json::Value>,
     #[serde(flatten)]
@@ -48,8 +48,8 @@ pub struct FramesRequest {
 ///
 /// Each part has its own `Content-Type`, `Content-Length`, `Pointillist-Receipt` and
 /// `Server-Timing`; its receipt's `request_id` is the request's with the pose's number from 0, as in `4bf92f35/7`.
-/// A value that no frame can have refuses the whole request. A pose that cannot be drawn, for what stands beside it or in the scene, becomes a part of type `application/problem+json`;
-/// the others are drawn all the same. `deadline_ms` runs from the moment a pose's turn comes.
+/// A value that is invalid in every frame refuses the whole request. A pose that cannot be drawn because of other parameters or the scene becomes a part of type `application/problem+json`;
+/// the other poses are drawn. `deadline_ms` counts from the moment a pose's turn comes.
 /// Without `format`, the header `Accept` names the formats; `multipart/mixed` in it is ignored.
 #[utoipa::path(
     post,
@@ -60,7 +60,7 @@ pub struct FramesRequest {
         ("id" = String, Path, description = "A scene that `GET /v1/scenes` lists"),
     ),
     request_body(content = FramesRequest, content_type = "application/json"),
-    responses((status = 200, description = "A part a pose, in order", body = Vec<u8>, content_type = "multipart/mixed")),
+    responses((status = 200, description = "One part per pose, in order", body = Vec<u8>, content_type = "multipart/mixed")),
 )]
 pub async fn frames(
     State(app): State<Arc<App>>,
@@ -77,9 +77,12 @@ pub async fn frames(
         body::json(&headers, body, MAX_BODY_BYTES, patience, &admission).await?;
     let defaults = FrameParams::from_json(serde_json::Value::Object(request.defaults), "")?;
     if request.poses.is_empty() || request.poses.len() > MAX_POSES {
-        return Err(Problem::new(Kind::BadBody, format!("poses: {} of them", request.poses.len()))
-            .at("poses")
-            .accepted(format!("1 to {MAX_POSES} poses")));
+        return Err(Problem::new(
+            Kind::BadBody,
+            format!("`poses` has {} entries", request.poses.len()),
+        )
+        .at("poses")
+        .accepted(format!("1 to {MAX_POSES} poses")));
     }
     let longest = app.engine.limits().max_side;
     defaults.check()?;

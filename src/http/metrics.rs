@@ -93,28 +93,28 @@ impl Stages {
             batch: shelf.put("batch_frames", "Frames of a submission to the GPU", sizes),
             passes: shelf.seconds(
                 "frame_pass",
-                "GPU time of a pass for a frame, its share where several were drawn together",
+                "GPU time of a pass per frame; frames drawn together share the time equally",
                 by_label(),
             ),
             gpu: shelf.seconds(
                 "frame_gpu",
-                "GPU time of all passes for a frame, its share likewise, by class",
+                "GPU time of all passes per frame, by class; frames drawn together share the time equally",
                 by_label(),
             ),
             device_wait: shelf.seconds(
                 "frame_device_wait",
-                "From submission to the GPU being through with what was submitted before",
+                "Time from submission until the GPU has finished earlier submissions",
                 seconds_histogram(),
             ),
             readback: shelf.seconds(
                 "frame_readback",
-                "From then on to memory, less the GPU time",
+                "Time from the end of earlier submissions until the frame is in memory, without the GPU time",
                 seconds_histogram(),
             ),
             encode: shelf.seconds("frame_encode", "Encoding time of a frame", seconds_histogram()),
             total: shelf.seconds(
                 "frame_total",
-                "From a frame's request to its encoded image, by class",
+                "Time from a frame's request to its encoded image, by class",
                 by_label(),
             ),
         }
@@ -167,10 +167,10 @@ impl Metrics {
         let not_modified = counter("not_modified", "Frames answered 304 without rendering");
         let frames_sent = counter("frames_sent", "Frames sent, coalesced ones included");
         let stream_frames =
-            counter("stream_frames", "Frames sent on streams, which are among the frames sent");
+            counter("stream_frames", "Frames sent on streams, included in the frames sent");
         let poses_overtaken = counter(
             "stream_poses_overtaken",
-            "Poses of streams that were not drawn because a newer one had come",
+            "Poses of streams skipped because a newer pose had arrived",
         );
         let streams_open = shelf.put("streams_open", "Streams open", Gauge::default());
         let image_bytes = shelf.bytes("images", "Encoded images sent");
@@ -259,7 +259,7 @@ impl Collector for EngineCollector {
             ("engine_uploads", "Assets uploaded to the GPU", stats.uploads),
             (
                 "engine_instances_written",
-                "Instances written to the GPU, by scenes that came and by edits",
+                "Instances written to the GPU, by loaded scenes and by edits",
                 stats.instances_written,
             ),
             ("engine_pipelines_late", "Pipelines that frames waited for", stats.pipelines_late),
@@ -292,7 +292,7 @@ impl Collector for EngineCollector {
                 "Bytes of the process in memory",
                 memory::resident_bytes().unwrap_or(0),
             ),
-            ("engine_ready", "Whether frames can be had now", u64::from(is_ready)),
+            ("engine_ready", "Whether the engine can draw frames now: 1 or 0", u64::from(is_ready)),
         ] {
             let gauge = ConstGauge::new(i64::try_from(value).unwrap_or(i64::MAX));
             write(&mut encoder, name, help, None, &gauge)?;
@@ -320,7 +320,7 @@ impl Collector for JobCollector {
             gauge(count).encode(jobs.encode_family(&[("state", state)])?)?;
         }
         let drawn = ConstCounter::new(counts.drawn);
-        let help = "Frames drawn by jobs, which are among the frames rendered";
+        let help = "Frames drawn by jobs, included in the frames rendered";
         drawn.encode(encoder.encode_descriptor(
             "job_frames",
             help,
@@ -328,7 +328,7 @@ impl Collector for JobCollector {
             drawn.metric_type(),
         )?)?;
         let bytes = gauge(counts.bytes);
-        let help = "What jobs take on the disk";
+        let help = "Disk space of all jobs";
         bytes.encode(encoder.encode_descriptor("jobs_disk", help, Some(&Unit::Bytes), kind)?)
     }
 }

@@ -21,7 +21,7 @@ pub fn valid_id(id: String) -> Result<String, Problem> {
     if (1..=MAX_ID_BYTES).contains(&id.len()) && id.bytes().all(good) {
         return Ok(id);
     }
-    Err(Problem::parameter("id", "not a valid id", "1 to 64 of a-z, 0-9, - and _"))
+    Err(Problem::parameter("id", "is not a valid id", "1 to 64 of a-z, 0-9, - and _"))
 }
 
 /// Checks the name of a file in an upload's folder. A bad name is refused, not repaired: a repaired name
@@ -45,7 +45,7 @@ pub fn valid_file_name(name: &str) -> Result<String, Problem> {
         return fail("ends with a dot or a space");
     }
     if name.chars().any(|c| c.is_control() || "/\\:*?\"<>|".contains(c)) {
-        return fail("holds a character that file names cannot have");
+        return fail("contains a character that is not allowed in file names");
     }
     Ok(name.to_owned())
 }
@@ -145,7 +145,7 @@ pub fn main_file(names: &[String], named: Option<&str>) -> Result<String, Proble
         ([only], _, _) | ([], [only], _) => Ok((*only).clone()),
         ([], [], [only]) => Ok(only.clone()),
         ([], [], []) => {
-            Err(Problem::new(Kind::BadBody, "the form holds no file").accepted(ACCEPTED))
+            Err(Problem::new(Kind::BadBody, "the form contains no file").accepted(ACCEPTED))
         }
         (candidates, _, _) if candidates.len() > 1 => Err(several(candidates)),
         (_, assets, _) if !assets.is_empty() => Err(several(assets)),

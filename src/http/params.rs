@@ -38,21 +38,21 @@ pub const DEFAULT_FOV_DEG: f64 = 40.0;
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct FrameParams {
-    /// A camera that the scene names. In a frame that is higher than wide its field of view is that of the width, up to a
-    /// vertical one of 100 degrees, so that such a frame shows as much from side to side as a square one.
+    /// Name of a camera in the scene. In a frame that is higher than wide, the camera's field of view applies to the width, up to a
+    /// vertical field of view of 100 degrees. The frame then shows as much from side to side as a square one.
     pub camera: Option<String>,
-    /// Where the eye is, in world space: `x,y,z`.
+    /// Position of the eye in world space: `x,y,z`.
     #[param(style = Form, explode = false)]
     pub eye: Option<[f64; 3]>,
-    /// What the eye looks at, in world space: `x,y,z`.
+    /// Point that the eye looks at, in world space: `x,y,z`.
     #[param(style = Form, explode = false)]
     pub target: Option<[f64; 3]>,
-    /// Which way is up: `x`, `y`, `z`, `-x`, `-y`, `-z` or `x,y,z`. The default is the scene's own (`up` of
-    /// `GET /v1/scenes/{id}`). Without `eye` and `target` the whole scene is shown upright that way.
+    /// Up direction: `x`, `y`, `z`, `-x`, `-y`, `-z` or `x,y,z`. The default is the scene's own (`up` of
+    /// `GET /v1/scenes/{id}`). Without `eye` and `target`, the frame shows the whole scene with this direction up.
     #[param(style = Form, explode = false, value_type = Option<UpForm>)]
     #[schema(value_type = Option<UpForm>)]
     pub up: Option<Up>,
-    /// Vertical field of view in degrees, 40 where none is given. Without `eye` and `target` the whole scene is shown in it.
+    /// Vertical field of view in degrees; default 40. Without `eye` and `target`, the frame shows the whole scene with this field of view.
     pub fov: Option<f64>,
     /// Height of the view in scene units, in place of `fov`: the projection is orthographic, and what lies behind the eye is not drawn.
     /// glTF's `ymag` is half of it.
@@ -64,46 +64,48 @@ pub struct FrameParams {
     /// are not used. Needs `view`.
     #[param(style = Form, explode = false)]
     pub proj: Option<[f64; 16]>,
-    /// Width in pixels, 1024 where none is given.
+    /// Width in pixels; default 1024.
     #[serde(default, deserialize_with = "whole::optional")]
     pub w: Option<u32>,
-    /// Height in pixels, 1024 where none is given.
+    /// Height in pixels; default 1024.
     #[serde(default, deserialize_with = "whole::optional")]
     pub h: Option<u32>,
-    /// Encoding; without it the `Accept` header decides, and PNG where that leaves the choice.
+    /// Image format. Without it, the `Accept` header decides; if that allows several formats, PNG is preferred.
     #[param(value_type = Option<ImageFormat>)]
     #[schema(value_type = Option<ImageFormat>)]
     pub format: Option<String>,
-    /// 1 to 100 for lossy formats, 85 where none is given.
+    /// Quality of lossy formats, 1 to 100; default 85.
     #[serde(default, deserialize_with = "whole::optional")]
     pub quality: Option<u8>,
-    /// Which image of the frame.
+    /// Kind of image: colour, depth, normals or ids.
     #[param(value_type = Option<Output>)]
     #[schema(value_type = Option<Output>)]
     pub output: Option<String>,
     /// How the frame is drawn: the other parameters.
     #[serde(skip)]
     pub settings: Given,
-    /// What `reconstruct=auto` does before normals and kernels of a large cloud are estimated: `ready` draws points at once and marks
-    /// the answer as provisional, `complete` waits. All other frames wait for what they need.
+    /// Behaviour of `reconstruct=auto` before the normals and kernels of a large cloud are estimated: `ready` draws points at once and
+    /// marks the answer as provisional, `complete` waits. All other frames wait for the data that they need.
     #[param(value_type = Option<Wait>)]
     #[schema(value_type = Option<Wait>)]
     pub wait: Option<String>,
-    /// Milliseconds until the frame is worthless; work not begun by then is dropped, and what cannot be had
-    /// by then, by what is queued before it and what such frames have cost, is refused at once, with a time to come again.
+    /// Milliseconds until the frame is useless to the client. The server drops work that has not begun by then. It estimates the wait
+    /// from the queue and the cost of earlier frames, and refuses at once a frame that would be late, with a `Retry-After`.
     pub deadline_ms: Option<f64>,
 }
 
 /// Splits a query string into decoded names and values.
 pub fn pairs(query: Option<&str>) -> Result<Vec<(String, String)>, Problem> {
     let Some(query) = query.filter(|q| !q.is_empty()) else { return Ok(Vec::new()) };
-    let uri = axum::http::Uri::builder()
-        .path_and_query(format!("/?{query}"))
-        .build()
-        .map_err(|_| Problem::new(Kind::BadParameter, "the query string is not a valid one"))?;
+    let uri =
+        axum::http::Uri::builder().path_and_query(format!("/?{query}")).build().map_err(|_| {
+            Problem::new(Kind::BadParameter, "the query string is not valid percent-encoded UTF-8")
+        })?;
     axum::extract::Query::<Vec<(String, String)>>::try_from_uri(&uri)
         .map(|axum::extract::Query(pairs)| pairs)
-        .map_err(|_| Problem::new(Kind::BadParameter, "the query string is not a valid one"))
+        .map_err(|_| {
+            Problem::new(Kind::BadParameter, "the query string is not valid percent-encoded UTF-8")
+        })
 }
 
 impl FrameParams {

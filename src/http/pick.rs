@@ -55,7 +55,7 @@ pub struct PickRequest {
     /// Row of the pixel, from 0 at the top.
     #[serde(default, deserialize_with = "whole::optional")]
     y: Option<u32>,
-    /// Several pixels in place of `x` and `y`: column and row of each.
+    /// Several pixels instead of `x` and `y`: column and row of each.
     pixels: Option<Vec<[u32; 2]>>,
     #[serde(flatten)]
     #[schema(value_type = FrameParams)]
@@ -68,14 +68,14 @@ pub struct Picks {
     scene: String,
     revision: u64,
     camera: CameraReceipt,
-    /// One for each pixel, in the order of the request.
+    /// One pick per pixel, in the order of the request.
     picks: Vec<Pick>,
 }
 
 /// What a pixel shows.
 ///
 /// Takes the parameters of a frame, and answers with what the pixel `x`, `y` of that frame shows: the world position in full precision,
-/// the distance, the normal, the instance and the nodes above it. `Pointillist-Receipt` is that of the frame that was drawn for it.
+/// the distance, the normal, the instance and the nodes above it. `Pointillist-Receipt` is the receipt of the frame drawn for the pick.
 #[utoipa::path(
     get,
     path = "/v1/scenes/{id}/pick",
@@ -108,7 +108,7 @@ pub async fn pick(
 
 /// What several pixels show.
 ///
-/// Draws one frame for all of them. The body has the fields of a frame, and `x` and `y`, or `pixels`.
+/// Draws one frame for all pixels. The body has the fields of a frame, and either `x` and `y` or `pixels`.
 #[utoipa::path(
     post,
     path = "/v1/scenes/{id}/pick",

@@ -146,7 +146,7 @@ impl Kind {
         use Kind::*;
         match self {
             MalformedRequest => {
-                (400, "urn:pointillist:problem:malformed-request", "this is no HTTP request")
+                (400, "urn:pointillist:problem:malformed-request", "malformed HTTP request")
             }
             HeadTooLarge => {
                 (431, "urn:pointillist:problem:head-too-large", "the request's head is too large")
@@ -165,9 +165,9 @@ impl Kind {
                 (408, "urn:pointillist:problem:request-timeout", "the request body stalled")
             }
             UpgradeRequired => {
-                (426, "urn:pointillist:problem:upgrade-required", "this speaks WebSocket")
+                (426, "urn:pointillist:problem:upgrade-required", "a WebSocket handshake is needed")
             }
-            SceneExists => (409, "urn:pointillist:problem:scene-exists", "the scene exists"),
+            SceneExists => (409, "urn:pointillist:problem:scene-exists", "the scene id is in use"),
             SceneLoading => {
                 (409, "urn:pointillist:problem:scene-loading", "the scene is still loading")
             }
@@ -222,11 +222,7 @@ impl Kind {
             }
             OutOfMemory => (507, "urn:pointillist:problem:out-of-memory", "not enough host memory"),
             TooManyScenes => (429, "urn:pointillist:problem:too-many-scenes", "too many scenes"),
-            UploadQuota => (
-                507,
-                "urn:pointillist:problem:upload-quota",
-                "uploads are over their share of the disk",
-            ),
+            UploadQuota => (507, "urn:pointillist:problem:upload-quota", "upload storage is full"),
             LoadCancelled => {
                 (409, "urn:pointillist:problem:load-cancelled", "the load was cancelled")
             }
@@ -235,13 +231,15 @@ impl Kind {
                 "urn:pointillist:problem:load-lost",
                 "the server ended while it loaded the scene",
             ),
-            OutOfDisk => (507, "urn:pointillist:problem:storage", "the disk cannot be used"),
+            OutOfDisk => {
+                (507, "urn:pointillist:problem:storage", "the disk cannot be read or written")
+            }
             UnknownJob => (404, "urn:pointillist:problem:unknown-job", "no such job"),
             UnknownFrame => {
                 (404, "urn:pointillist:problem:unknown-frame", "the job has no such frame")
             }
             FrameNotDrawn => {
-                (404, "urn:pointillist:problem:frame-not-drawn", "the frame is not there yet")
+                (404, "urn:pointillist:problem:frame-not-drawn", "the frame is not drawn yet")
             }
             NoVideo => (404, "urn:pointillist:problem:no-video", "there is no video"),
             JobState => {
@@ -255,11 +253,13 @@ impl Kind {
             JobRecovered => (
                 409,
                 "urn:pointillist:problem:job-recovered",
-                "the job's record was lost and found again",
+                "the job's record was lost; the job was recovered",
             ),
-            RangeNotSatisfiable => {
-                (416, "urn:pointillist:problem:range-not-satisfiable", "the range is not there")
-            }
+            RangeNotSatisfiable => (
+                416,
+                "urn:pointillist:problem:range-not-satisfiable",
+                "the range is beyond the end of the file",
+            ),
             JobRefused => {
                 (422, "urn:pointillist:problem:job-refused", "the job does not fit its scene")
             }
@@ -271,13 +271,11 @@ impl Kind {
             VideoFailed => {
                 (500, "urn:pointillist:problem:video-failed", "the video could not be made")
             }
-            JobsOff => (503, "urn:pointillist:problem:jobs-off", "this server draws no jobs"),
+            JobsOff => (503, "urn:pointillist:problem:jobs-off", "this server accepts no jobs"),
             UploadsOff => {
-                (503, "urn:pointillist:problem:uploads-off", "this server takes no uploads")
+                (503, "urn:pointillist:problem:uploads-off", "this server accepts no uploads")
             }
-            OutOfJobDisk => {
-                (507, "urn:pointillist:problem:job-quota", "jobs are over their share of the disk")
-            }
+            OutOfJobDisk => (507, "urn:pointillist:problem:job-quota", "job storage is full"),
             JobFileDamaged => (
                 410,
                 "urn:pointillist:problem:job-file-damaged",
@@ -316,21 +314,21 @@ pub struct ProblemDocument {
     /// Stable; programs may match on it.
     #[schema(example = "urn:pointillist:problem:bad-parameter")]
     r#type: &'static str,
-    /// What the type means, always the same words.
+    /// Meaning of the type; fixed text.
     title: &'static str,
     status: u16,
-    /// What happened this time.
+    /// Description of this occurrence.
     detail: String,
     /// The parameter, header, or place in the body at fault.
     #[serde(skip_serializing_if = "Option::is_none")]
     parameter: Option<String>,
-    /// What would have been accepted.
+    /// Values or actions that would be accepted.
     #[serde(skip_serializing_if = "Option::is_none")]
     accepted: Option<String>,
-    /// When trying again is worthwhile, by the measured cost of what is queued.
+    /// Seconds after which a retry is worthwhile, from the measured cost of the queued work.
     #[serde(skip_serializing_if = "Option::is_none")]
     retry_after_ms: Option<u64>,
-    /// By it the server's log tells more.
+    /// Id of the request, under which the server's log has details.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>)]
     request_id: Option<RequestId>,
@@ -375,7 +373,7 @@ impl Problem {
         let request_id = naming::current();
         let request_id = request_id.as_ref().map(RequestId::as_str);
         tracing::error!(request_id, error = %inner, "internal error");
-        Self::new(Kind::Internal, "the server failed; its log says how")
+        Self::new(Kind::Internal, "the server failed; its log has the cause")
     }
 
     pub fn at(mut self, parameter: impl Into<String>) -> Self {
@@ -459,7 +457,7 @@ impl From<EngineError> for Problem {
             }
             EngineError::SceneExists { .. } => Problem::new(Kind::SceneExists, text)
                 .at("id")
-                .accepted("an id that is free, or DELETE the scene first"),
+                .accepted("an unused id, or DELETE the scene first"),
             EngineError::Busy { retry_after } => {
                 Problem::new(Kind::Busy, text).retry_after(retry_after)
             }
@@ -480,13 +478,13 @@ impl From<EngineError> for Problem {
                     .accepted("`lod=spt`, which does with less where copies are many; a scene that fits; a larger --gpu-budget-mib")
             }
             EngineError::Interrupted(Interrupt::Cancelled) => {
-                Problem::new(Kind::LoadCancelled, text).accepted("the same upload once more")
+                Problem::new(Kind::LoadCancelled, text).accepted("upload the files again")
             }
             EngineError::Interrupted(Interrupt::OutOfMemory(error)) => match error.is_hopeless() {
                 true => Problem::new(Kind::SceneTooLarge, text)
                     .accepted("a smaller scene, or a larger --host-memory-mib"),
                 false => Problem::new(Kind::OutOfMemory, text).accepted(
-                    "the same request after other scenes were deleted, or a larger --host-memory-mib",
+                    "DELETE other scenes and send the request again, or restart with a larger --host-memory-mib",
                 ),
             },
             EngineError::OverLimit { what, limit, .. } => {
@@ -548,7 +546,7 @@ impl From<CameraError> for Problem {
 
 /// Builds the problem of an upload's file that could not be written.
 pub fn storage(error: &std::io::Error) -> Problem {
-    tracing::error!(%error, "an upload cannot be stored");
+    tracing::error!(%error, "cannot store an upload");
     let detail = match error.kind() {
         std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => {
             "the disk of the scene root is full"

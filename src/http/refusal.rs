@@ -16,7 +16,7 @@ pub fn instead_of(answer: &[u8]) -> Option<Bytes> {
     let problem = match rest.get(..3)? {
         b"400" => {
             Problem::new(Kind::MalformedRequest, "the request line or a header cannot be read")
-                .accepted("a request line and headers as HTTP/1.1 (RFC 9112) has them")
+                .accepted("a request line and headers as HTTP/1.1 (RFC 9112) defines them")
         }
         b"414" | b"431" => {
             let detail =

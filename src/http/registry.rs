@@ -68,7 +68,7 @@ impl Registry {
         if !is_free || is_loaded(id) {
             return Err(Problem::new(Kind::SceneExists, format!("a scene `{id}` exists"))
                 .at("id")
-                .accepted("an id that is free, or DELETE the scene first"));
+                .accepted("an unused id, or DELETE the scene first"));
         }
         let loading = Entry::Loading { since: Instant::now(), admission: admission.clone() };
         entries.insert(id.to_owned(), loading);

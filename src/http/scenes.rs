@@ -19,11 +19,11 @@ use super::{App, NoQuery, Segments, body, frame, upload};
 use crate::engine::{NodePatch, SceneInfo};
 use crate::scene::{LARGEST_COORDINATE, LARGEST_SCALE};
 
-/// A scene, or what became of it.
+/// A scene and its state.
 #[derive(Serialize, ToSchema)]
 #[serde(tag = "state", rename_all = "snake_case")]
 pub enum SceneState {
-    /// Frames can be had.
+    /// The scene is loaded, and frames can be requested.
     Ready(Box<SceneInfo>),
     Loading {
         id: String,
@@ -53,7 +53,7 @@ pub struct SceneList {
     scenes: Vec<SceneState>,
 }
 
-/// Every scene, those on their way included.
+/// All scenes, including those that are loading or failed to load.
 #[utoipa::path(
     get,
     path = "/v1/scenes",
@@ -69,7 +69,7 @@ pub async fn list(State(app): State<Arc<App>>, _: NoQuery) -> Json<SceneList> {
     Json(SceneList { scenes })
 }
 
-/// A scene: revision, bounds, counts, GPU bytes, cameras and paths that it names.
+/// A scene: revision, bounds, counts, GPU bytes, cameras and paths.
 #[utoipa::path(
     get,
     path = "/v1/scenes/{id}",
@@ -94,15 +94,15 @@ pub async fn show(
     }
 }
 
-/// Removes a scene: its memory is freed, and its files are removed if it was uploaded. A load that is under way is
-/// cancelled. A scene of the server's root is there again when the server starts anew.
+/// Removes a scene: frees its memory, and deletes its files if it was uploaded. A load in progress is
+/// cancelled. A scene of the server's root is loaded again when the server restarts.
 #[utoipa::path(
     delete,
     path = "/v1/scenes/{id}",
     operation_id = "deleteScene",
     tag = "scenes",
     params(("id" = String, Path, description = "The scene")),
-    responses((status = 204, description = "It is gone")),
+    responses((status = 204, description = "The scene is removed")),
 )]
 pub async fn remove(
     State(app): State<Arc<App>>,
@@ -114,7 +114,7 @@ pub async fn remove(
         // The load's next step may take some seconds.
         let ended = tokio::time::timeout(LONGEST_STEP, app.registry.ended(&id)).await;
         ended.map_err(|_| {
-            let detail = format!("the load of scene `{id}` is cancelled and about to end");
+            let detail = format!("the load of scene `{id}` was cancelled and has not ended yet");
             Problem::new(Kind::SceneLoading, detail).retry_after(Duration::from_secs(5))
         })?;
     }
@@ -146,9 +146,8 @@ pub async fn remove(
 /// Longest wait for a cancelled load to end.
 const LONGEST_STEP: Duration = Duration::from_secs(30);
 
-/// A new place for a node, or its visibility. The transform is given whole, as in a scene file:
-/// what is left out of `translate`, `rotate`, `scale` is the identity. Without any of them the node
-/// stays where it is.
+/// A new transform for a node, or its visibility. The transform is complete, as in a scene file: a missing
+/// `translate`, `rotate` or `scale` is the identity. Without any of them, the node keeps its transform.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NodeChange {
@@ -175,8 +174,8 @@ const CHANGE_SYNONYMS: [(&str, &str); 3] =
     [("position", "translate"), ("transform", "matrix"), ("hidden", "visible")];
 const MAX_CHANGE_BYTES: u64 = 64 << 10;
 
-/// Moves, shows or hides a top-level node: a new revision, nothing is uploaded again. The scene's file stays as it is: a
-/// daemon that starts anew begins with what the file says.
+/// Moves, shows or hides a top-level node. The scene gets a new revision; no data is uploaded to the GPU again. The scene's
+/// file does not change, so a restarted daemon begins with the file's values.
 #[utoipa::path(
     patch,
     path = "/v1/scenes/{id}/nodes/{node}",
@@ -224,9 +223,8 @@ fn node_change(value: serde_json::Value) -> Result<NodeChange, Problem> {
 impl NodeChange {
     fn patch(&self) -> Result<NodePatch, Problem> {
         if *self == NodeChange::default() {
-            return Err(
-                Problem::new(Kind::BadBody, "nothing to change").accepted(CHANGE_KEYS.join(", "))
-            );
+            return Err(Problem::new(Kind::BadBody, "the body changes nothing")
+                .accepted(CHANGE_KEYS.join(", ")));
         }
         Ok(NodePatch { world_from_node: self.transform()?, visible: self.visible })
     }
@@ -265,7 +263,7 @@ impl NodeChange {
                 format!("numbers of at least {:e}, or their negatives", 1.0 / LARGEST_SCALE);
             return Err(Problem::parameter(
                 "scale",
-                format!("{factor:e} is too near to 0"),
+                format!("{factor:e} is too close to 0"),
                 accepted,
             ));
         }

@@ -20,9 +20,9 @@ const PLAIN: [(HeaderName, HeaderValue); 2] = [
     (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
 ];
 
-const FAILED: &str = "the render thread ended; the server has to be started again";
+const FAILED: &str = "the render thread has ended; restart the server";
 
-/// Liveness: the process answers. 503 once it can never draw again and has to be started anew.
+/// Liveness: the process answers. Answers 503 once the process can no longer draw and has to be restarted.
 #[utoipa::path(
     get,
     path = "/healthz",
@@ -37,7 +37,7 @@ pub async fn healthz(State(app): State<Arc<App>>) -> Result<Response, Problem> {
     Ok((PLAIN, "ok\n").into_response())
 }
 
-/// Readiness: frames can be had now. 503 while scenes load at the start, when the render loop
+/// Readiness: the server can draw frames now. Answers 503 while scenes load at the start, when the render loop
 /// stalls or has ended, when the GPU is lost, and while the server drains.
 #[utoipa::path(
     get,
@@ -111,7 +111,7 @@ pub struct SettingList {
     settings: &'static [Setting],
 }
 
-/// The settings that a frame may have: names, values, defaults, and which go with which others.
+/// The settings of frames: names, values, defaults, and which settings depend on which others.
 #[utoipa::path(
     get,
     path = "/v1/settings",
@@ -123,67 +123,67 @@ pub async fn settings(_: NoQuery) -> Json<SettingList> {
     Json(SettingList { settings: plan::declared() })
 }
 
-/// What the server takes on at most.
+/// Limits of the server.
 #[derive(Serialize, ToSchema)]
 pub struct ServerLimits {
     #[serde(flatten)]
     engine: Limits,
-    /// Bytes of one upload, all its files together.
+    /// Largest total size of the files of one upload, in bytes.
     max_upload_bytes: u64,
     uploads: UploadLimits,
     max_connections: usize,
     /// Longest wait for a frame, in milliseconds.
     frame_timeout_ms: u64,
-    /// Streams at the same time: of all clients, and of one.
+    /// Maximum number of open streams, in total and per client.
     max_streams: usize,
     max_streams_per_client: usize,
-    /// A stream on which nothing came from its client for so long is closed; so is an `mjpeg` of which nothing was taken.
+    /// Milliseconds after which a stream is closed if its client sends nothing, or an `mjpeg` if its client reads nothing.
     stream_idle_ms: u64,
-    /// Bytes of one message of a stream's client.
+    /// Largest message that a stream's client may send, in bytes.
     max_stream_message_bytes: usize,
-    /// Messages of a stream's client in a second; four times as many at once.
+    /// Messages per second that a stream's client may send; bursts may be four times as large.
     max_stream_messages_per_second: u32,
-    /// Of jobs, where this server draws any.
+    /// Limits of jobs; `null` if this server accepts none.
     jobs: Option<JobLimits>,
 }
 
-/// What uploads may hold, and what they hold now. Limits of a key apply where keys are asked for.
+/// Limits and current use of uploads. Limits per key apply if the server asks for keys.
 #[derive(Serialize, ToSchema)]
 pub struct UploadLimits {
-    /// Uploaded scenes: of all clients, and of one key.
+    /// Maximum number of uploaded scenes, in total and per key.
     max_scenes: u64,
     max_scenes_per_key: u64,
-    /// Bytes of uploads on the disk: of all clients, and of one key.
+    /// Maximum disk space of uploads in bytes, in total and per key.
     max_bytes: u64,
     max_bytes_per_key: u64,
     scenes: u64,
     bytes: u64,
 }
 
-/// What jobs may take.
+/// Limits and current use of jobs.
 #[derive(Serialize, ToSchema)]
 pub struct JobLimits {
-    /// Jobs that are queued or running.
+    /// Maximum number of queued and running jobs.
     max_unfinished: usize,
-    /// Jobs at all.
+    /// Maximum number of stored jobs, ended ones included.
     max_kept: usize,
-    /// Frames of one path.
+    /// Maximum number of frames of one path.
     max_frames: u64,
-    /// Bytes of all jobs on the disk, and how many there are now.
+    /// Maximum disk space of all jobs in bytes; `bytes` is the current use.
     max_bytes: u64,
     bytes: u64,
-    /// How long a job is kept after it ended, and how long one waits for its scene.
+    /// Milliseconds for which an ended job is kept, and for which a job waits for its scene.
     ttl_ms: u64,
-    /// Jobs whose frames are drawn at the same time.
+    /// Maximum number of jobs whose frames are drawn at the same time.
     max_drawing: usize,
-    /// Answers that follow jobs (`events`, `multipart`) at the same time: of all clients, and of one.
+    /// Maximum number of open answers that follow jobs (`events`, `multipart`), in total and per client.
     max_watchers: usize,
     max_watchers_per_client: usize,
-    /// How long such an answer may wait before it ends and the client has to come again.
+    /// Milliseconds after which an answer that follows a job ends, and the client has to reconnect.
     watch_ms: u64,
 }
 
-/// The limits in force; what is beyond them is refused with 413, 422, 429 or 507.
+/// The limits in force. The server refuses requests beyond them with 413, 422, 429 or 507.
 #[utoipa::path(
     get,
     path = "/v1/limits",

@@ -58,7 +58,10 @@ fn expire(shared: &JobsState) -> bool {
         look(&mut book, &mut shared.clock.lock(), Instant::now(), wall_ms())
     };
     if !moved.is_empty() {
-        tracing::warn!(jobs = moved.len(), "the system's clock has jumped; no job ends by that");
+        tracing::warn!(
+            jobs = moved.len(),
+            "the system clock has jumped; expiry times of jobs were adjusted"
+        );
     }
     for id in moved {
         // A failure is logged in `keep` and retried later.
@@ -71,9 +74,9 @@ fn expire(shared: &JobsState) -> bool {
     for record in expired.forgotten {
         let id = record.id;
         match shared.discard(record) {
-            Ok(()) => tracing::info!(job = id, "job is forgotten: its time is over"),
+            Ok(()) => tracing::info!(job = id, "deleted an expired job"),
             Err(error) => {
-                tracing::error!(job = id, %error, "a job whose time is over cannot be forgotten");
+                tracing::error!(job = id, %error, "cannot delete an expired job");
                 is_fine = false;
             }
         }
@@ -104,7 +107,7 @@ fn pay(shared: &JobsState) {
             continue;
         }
         if is_known && shared.keep(id).is_ok() {
-            tracing::info!(job = id, "the job's record is kept now");
+            tracing::info!(job = id, "the job's record is stored now");
             shared.drop_unwanted(id);
         }
         let live = shared.live(id).ok();

@@ -72,7 +72,9 @@ pub enum JobError {
     #[error("{0:?}")]
     Refused(Refusal),
     /// The quota is exceeded.
-    #[error("jobs take {used} bytes on the disk, of {limit} that they may")]
+    #[error(
+        "job storage is full: {used} of {limit} bytes used; delete finished jobs or raise --job-disk-mib"
+    )]
     Full { used: u64, limit: u64 },
     #[error(transparent)]
     State(#[from] StateError),
@@ -166,7 +168,7 @@ impl Jobs {
         let book = Book::new(config.limits, opened.records, opened.last_id);
         let unfinished = book.all().filter(|job| !job.has_ended()).count();
         if unfinished > 0 {
-            tracing::info!(unfinished, "jobs of an earlier process go on");
+            tracing::info!(unfinished, "resuming jobs of an earlier process");
         }
         Ok(Jobs {
             shared: Arc::new(JobsState {

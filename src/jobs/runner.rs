@@ -56,7 +56,7 @@ pub(super) fn run(shared: &JobsState) {
         let request_id = run.record.request_id.as_deref();
         tracing::info!(job = id, request_id, scene = run.record.spec.scene, ?phase, "job goes on");
         let outcome = catch_unwind(AssertUnwindSafe(|| run.run(phase))).unwrap_or_else(|_| {
-            let detail = "working on it failed; the log says how";
+            let detail = "the server failed while working on the job; its log has the cause";
             Outcome::Failed(failure(FailureKind::Internal, detail))
         });
         tracing::info!(job = id, ?phase, drawn = run.drawn, ?outcome, "job rests");
@@ -314,7 +314,7 @@ impl Run<'_> {
         let expected = reel.expected_bytes();
         if used.saturating_add(expected) > limit {
             let detail = format!(
-                "jobs take {used} bytes on the disk, of {limit} that they may, and the video about {expected} more"
+                "job storage is full: {used} of {limit} bytes used, and the video needs about {expected} more"
             );
             return Err(Outcome::Failed(failure(FailureKind::DiskQuota, detail)));
         }
@@ -369,8 +369,7 @@ impl Run<'_> {
             },
             FilmError::Path(_) | FilmError::BadRange { .. } => FailureKind::Refused,
             FilmError::SceneChanged { .. } => {
-                let detail =
-                    format!("{error}; resume the job to draw all of it as the scene is then");
+                let detail = format!("{error}; resume the job to draw all frames of the new scene");
                 return Outcome::Failed(failure(FailureKind::SceneChanged, detail));
             }
             FilmError::Io { file, error } => return self.storage(file, error),
@@ -389,7 +388,7 @@ impl Run<'_> {
 
     fn storage(&self, file: &Path, error: &io::Error) -> Outcome {
         let detail = self.outward(&format!("{}: {error}", file.display()));
-        tracing::error!(job = self.record.id, file = %file.display(), %error, "a job's file cannot be used");
+        tracing::error!(job = self.record.id, file = %file.display(), %error, "cannot read or write a file of a job");
         Outcome::Failed(failure(FailureKind::Storage, detail))
     }
 

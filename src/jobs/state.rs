@@ -132,7 +132,7 @@ impl JobsState {
             return false;
         }
         if let Err(error) = self.store.place(id).drop_frames() {
-            tracing::warn!(job = id, %error, "frames cannot be removed");
+            tracing::warn!(job = id, %error, "cannot remove the frames of a job");
         }
         true
     }
@@ -144,7 +144,7 @@ impl JobsState {
         if forgotten.is_err() && place.is_buried() {
             // The job's own files may take the space that the database needs.
             if let Err(error) = place.empty() {
-                tracing::warn!(job = id, %error, "what a job has left cannot be removed now");
+                tracing::warn!(job = id, %error, "cannot remove the files of a deleted job");
             }
             forgotten = self.keep(id);
         }
@@ -152,7 +152,7 @@ impl JobsState {
         if forgotten.is_ok()
             && let Err(error) = place.remove()
         {
-            tracing::warn!(job = id, %error, "what a job has left cannot be removed now; the next start tries again");
+            tracing::warn!(job = id, %error, "cannot remove the files of a deleted job; the next start tries again");
         }
     }
 

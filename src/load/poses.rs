@@ -22,13 +22,13 @@ pub const LENS: Lens = Lens::Perspective { fov_deg: FOV_DEG };
 /// Lowest and highest elevation of the eye above the horizon.
 const RISE_DEG: [f64; 2] = [8.0, 42.0];
 
-/// Which path.
+/// Path that the poses lie on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum PathKind {
-    /// Around the scene, all of it in sight, rising and sinking
+    /// An orbit around the scene, which stays in view; the eye rises and sinks
     Orbit,
-    /// From each camera that the scene names to the next, in straight lines
+    /// Straight lines from each camera of the scene to the next
     Cameras,
 }
 
@@ -59,7 +59,7 @@ impl Poses {
             PathKind::Cameras => {
                 anyhow::ensure!(
                     scene.cameras.len() >= 2,
-                    "scene `{}` names {} camera(s); a path between cameras needs two: take the orbit",
+                    "scene `{}` names {} camera(s); a path between cameras needs two; use --poses orbit",
                     scene.id,
                     scene.cameras.len()
                 );

@@ -95,7 +95,7 @@ impl Connections {
                 Err(_) => refusal = "no answer for 5 s".to_owned(),
             }
         }
-        bail!("{} cannot be reached: {refusal}", target.authority())
+        bail!("cannot connect to {}: {refusal}", target.authority())
     }
 
     /// Connections opened so far.

@@ -10,13 +10,13 @@ use serde::Serialize;
 
 use crate::scene::random::SplitMix64;
 
-/// How arrivals lie in time.
+/// Distribution of the times between requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum Spacing {
-    /// Independent of each other, as from many users
+    /// Random and independent arrivals, as from many users
     Poisson,
-    /// One every 1/rate seconds
+    /// One request every 1/rate seconds
     Constant,
 }
 

@@ -91,7 +91,7 @@ impl StreamClients {
         // The daemon may have to build point trees first.
         let patience = self.timeout.max(Duration::from_secs(120));
         let tried = tokio::time::timeout(patience, self.first_frame(connections, poses));
-        tried.await.unwrap_or_else(|_| bail!("a stream gave no frame in {patience:?}"))
+        tried.await.unwrap_or_else(|_| bail!("no frame arrived on a stream within {patience:?}"))
     }
 
     async fn first_frame(&self, connections: &Connections, poses: &Poses) -> anyhow::Result<()> {
@@ -115,7 +115,7 @@ impl StreamClients {
                 _ => {}
             }
         }
-        bail!("the stream ended without a frame")
+        bail!("the stream ended before its first frame")
     }
 
     /// Opens a stream that shows `first`, within the timeout.

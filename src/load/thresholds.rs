@@ -9,29 +9,29 @@ use super::tally::Point;
 /// Exit code of a run that was measured and exceeded a threshold.
 pub const EXIT_CODE: u8 = 3;
 
-/// Thresholds of a run; each rate is held against all that are given.
+/// Thresholds of a run; every measured rate is checked against all given thresholds.
 #[derive(Args, Clone, Debug, Default, PartialEq, Serialize)]
 #[command(next_help_heading = "Thresholds (a broken one ends the program with exit code 3)")]
 pub struct Thresholds {
-    /// Fail where the 95th percentile of latency is longer, in milliseconds, or falls among lost requests
+    /// Fail if the 95th percentile of latency is above this many milliseconds, or falls among unanswered requests
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     pub fail_p95_ms: Option<f64>,
-    /// The same of the 99th percentile
+    /// Fail if the 99th percentile of latency is above this many milliseconds, or falls among unanswered requests
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     pub fail_p99_ms: Option<f64>,
-    /// Fail where more of the requests than this are never answered: a share as in 0.01, or 1%; 0 for none
+    /// Fail if a larger share of the requests is never answered: a share such as 0.01 or 1%; 0 allows none
     #[arg(long, value_name = "SHARE", value_parser = share)]
     pub fail_lost: Option<f64>,
-    /// The same of requests that are refused with 429 or 503
+    /// Fail if a larger share of the requests is refused with 429 or 503
     #[arg(long, value_name = "SHARE", value_parser = share)]
     pub fail_refused: Option<f64>,
-    /// The same of all requests that get no frame: lost, refused, or answered with another status
+    /// Fail if a larger share of the requests gets no frame: unanswered, refused, or answered with another status
     #[arg(long, value_name = "SHARE", value_parser = share)]
     pub fail_errors: Option<f64>,
-    /// Fail where fewer frames arrive than this share of the requested rate
+    /// Fail if fewer frames arrive than this share of the requested rate
     #[arg(long, value_name = "SHARE", value_parser = share)]
     pub fail_achieved: Option<f64>,
-    /// Fail where --saturate finds that the daemon keeps up with fewer requests a second than this
+    /// Fail if --saturate finds that the daemon keeps up with fewer requests per second than this
     #[arg(long, value_name = "R", value_parser = rate, requires = "saturate", conflicts_with_all = ["rate", "rates"])]
     pub fail_knee: Option<f64>,
 }

@@ -24,13 +24,21 @@ impl Target {
         match uri.scheme_str() {
             Some("http") => {}
             Some("https") => bail!(
-                "{text}: only plain http is spoken here; give the daemon's own address rather than that of the proxy that does TLS"
+                "{text}: https is not supported; give the daemon's own http address instead of the TLS proxy's"
             ),
             _ => bail!("{text}: expected http://HOST:PORT"),
         }
-        ensure!(uri.query().is_none(), "{text}: parameters of frames go into options (see --help)");
-        let authority = uri.authority().with_context(|| format!("{text}: no host"))?;
-        ensure!(!authority.as_str().contains('@'), "{text}: a key goes into --key");
+        ensure!(
+            uri.query().is_none(),
+            "{text}: the URL has a query; give frame parameters as options (see --help)"
+        );
+        let authority = uri
+            .authority()
+            .with_context(|| format!("{text}: the URL has no host; expected http://HOST:PORT"))?;
+        ensure!(
+            !authority.as_str().contains('@'),
+            "{text}: the URL has credentials; give the API key with --key"
+        );
         Ok(Self {
             host: authority.host().trim_matches(['[', ']']).to_owned(),
             port: authority.port_u16().unwrap_or(80),
@@ -188,7 +196,7 @@ mod tests {
         let target = Target::parse("http://[::1]:9000/").unwrap();
         assert_eq!((target.host.as_str(), target.authority().as_str()), ("::1", "[::1]:9000"));
         for (text, said) in [
-            ("https://render.example", "only plain http"),
+            ("https://render.example", "https is not supported"),
             ("127.0.0.1:8080", "expected http://"),
             ("ftp://a", "expected http://"),
             ("http://a/?w=3", "options"),

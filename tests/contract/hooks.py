@@ -13,7 +13,7 @@ import schemathesis
 from schemathesis.core.parameters import ParameterLocation
 
 HAS_VIDEO = os.environ.get("CONTRACT_VIDEO") == "1"
-# Small frames: cases are many, and the size has no part in what they test.
+# Frames are small to keep the run short; the cases do not test frame size.
 MOST_PIXELS = 48
 LARGEST_SIDE = 16384
 PATH = {"fps": 10, "keys": [{"t": 0, "eye": [0, 0, 3], "target": [0, 0, 0]}, {"t": 0.3, "eye": [1, 0, 3], "target": [0, 0, 0]}]}
@@ -32,7 +32,7 @@ FORMATS = {
 
 
 def is_positive(case, location):
-    """Whether this part of the case is meant to be accepted."""
+    """Returns whether this part of the case is meant to be accepted."""
     if case.meta is None:
         return True
     part = case.meta.components.get(location)
@@ -40,7 +40,7 @@ def is_positive(case, location):
 
 
 def vector(value):
-    """Numbers of a vector, from a list or from the text that a query has."""
+    """Returns a vector's numbers, given a list or the text of a query."""
     if isinstance(value, str):
         value = value.split(",")
     try:
@@ -67,7 +67,7 @@ def follow_up(params):
 
 
 def follow_pose(params):
-    """One way to say where a frame is seen from, and a pose that can be seen from."""
+    """Keeps one of the three ways to give a pose, and makes the pose valid."""
     if "ortho_height" in params:
         params.pop("fov", None)
         params.pop("projection", None)
@@ -96,7 +96,7 @@ def follow_pose(params):
 
 
 def follow_settings(params):
-    """Settings that need others."""
+    """Adds the settings that given settings need."""
     if params.keys() & {"max_error_px"} or params.get("color_by") == "levels" or params.get("error_mode") == "split":
         params["lod"] = "spt"
     if params.keys() & {"color_map", "color_least", "color_most"}:
@@ -120,14 +120,14 @@ def follow_frame(params, is_query=True):
     for name in [name for name, value in params.items() if value is None]:
         del params[name]
     follow_pose(params)
-    # Either a name or numbers; only lists by themselves are written with commas in a query.
+    # `up` is a name or a list of numbers. In a query, schemathesis writes commas only for parameters that are always lists.
     if is_query and isinstance(params.get("up"), list):
         params["up"] = ",".join(map(str, params["up"]))
     follow_settings(params)
 
 
 def shrink(params):
-    """Smaller sides where sides are valid."""
+    """Makes valid sides smaller."""
     for name in ("w", "h"):
         try:
             side = int(params[name])
@@ -140,7 +140,7 @@ def shrink(params):
 
 
 def within(params):
-    """A pixel that lies in any frame."""
+    """Sets a pixel that lies in any frame."""
     params["x"] = params["y"] = 0
 
 
@@ -181,16 +181,16 @@ def follow_change(body):
 
 
 def known_ids(case, label):
-    """Ids of what is there, so that cases get beyond the question whether it is."""
+    """Sets ids that exist, so that cases test more than unknown ids."""
     ids = case.path_parameters
     if "{id}" in label and label.split()[1].startswith("/v1/scenes"):
-        # The scene that everything else is asked of is not to be deleted.
+        # Other cases need this scene, so no case may delete it.
         if not label.startswith("DELETE"):
             ids["id"] = "grid"
         elif ids["id"] == "grid":
             ids["id"] = "none"
     elif "{id}" in label:
-        # The job that is kept for this is not to be deleted.
+        # Other cases need this job, so no case may delete it.
         ids["id"] = "999999999" if label.startswith("DELETE") else "1"
     if "node" in ids:
         ids["node"] = "wall"
@@ -205,10 +205,10 @@ def map_case(context, case):
     label = case.operation.label
     is_stateful = case.meta is not None and case.meta.phase.name.name == "STATEFUL"
     if is_stateful:
-        # Links lead to what was made before, but also to what all other cases are about.
+        # Links lead to resources made by earlier cases, but also to those that all other cases need.
         if label.startswith("DELETE") and case.path_parameters.get("id") in ("grid", "1"):
             case.path_parameters["id"] = "999999999"
-        # Only that scene names a path and cameras; an upload makes scenes without them.
+        # Only the run's own scene has a path and cameras; uploaded scenes have none.
         parts = [part for part in (case.query, case.body) if isinstance(part, dict)]
         poses = [pose for part in parts for pose in part.get("poses") or [] if isinstance(pose, dict)]
         names = {name for part in parts + poses for name in part}
@@ -235,7 +235,7 @@ def map_case(context, case):
             if "/pick" in label and is_positive(case, ParameterLocation.QUERY):
                 within(query)
         if "/mjpeg" in label:
-            # An answer without an end would keep the run from going on.
+            # An endless answer would block the run.
             if query.get("loop") in (True, "true"):
                 del query["loop"]
             if "path" not in query:
@@ -265,12 +265,12 @@ def map_case(context, case):
         elif label.startswith("PATCH"):
             follow_change(case.body)
     if label == "POST /v1/scenes" and case.media_type == "application/octet-stream":
-        # Now and then a file that can be read, so that there is something to get, change and delete.
+        # Some uploads are valid files, so that later cases have scenes to get, change and delete.
         if isinstance(case.body, bytes) and len(case.body) % 3 == 0 and is_positive(case, ParameterLocation.QUERY):
             case.body = PLY
             case.query = {**(case.query or {}), "name": "points.ply"}
     if label == "POST /v1/jobs" and case.headers and "Idempotency-Key" in case.headers:
-        # A key that was used for another job is refused.
+        # The server refuses a key that was used for another job.
         if is_positive(case, ParameterLocation.HEADER):
             case.headers["Idempotency-Key"] = uuid.uuid4().hex
     return case

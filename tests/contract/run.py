@@ -21,7 +21,7 @@ import yaml
 from openapi_spec_validator import OpenAPIV31SpecValidator
 
 HERE = pathlib.Path(__file__).resolve().parent
-# The film is short: a stream of it takes as long as it plays.
+# The path is short, because streaming a film takes as long as the film plays.
 SCENE = """{ "pointillist": 1, "name": "grid",
   "assets": { "g": { "file": "grid.ply" } },
   "nodes": [ { "name": "wall", "asset": "g" } ],
@@ -53,7 +53,7 @@ class Daemon:
         environment = {**os.environ, "POINTILLIST_STATE": str(folder / "state"), "POINTILLIST_NO_CACHE": "true"}
         environment.pop("POINTILLIST_CONFIG", None)
         self.process = subprocess.Popen(
-            # Events of a job that waits behind many others end soon.
+            # The limit ends the event streams of jobs that wait behind many others.
             [program, "serve", "--listen", "127.0.0.1:0", "--root", str(root), "--watch-seconds", "2"],
             env=environment,
             stdin=subprocess.DEVNULL,
@@ -100,11 +100,11 @@ def make_job(address):
 
 
 def schemathesis(address, folder, options, rest):
-    """Runs schemathesis; its exit status and how many cases it made."""
-    # One worker: Python 3.11 fails now and then where two threads parse Python ("AST constructor recursion depth mismatch").
+    """Runs schemathesis. Returns its exit status and the number of cases."""
+    # One worker, because Python 3.11 sometimes fails when two threads parse Python ("AST constructor recursion depth mismatch").
     arguments = ["--url", address, "--no-color", "--output-truncate", "false", "--seed", str(options.seed), "--workers", "1"]
     if options.cases:
-        # So many for each operation that there are more than enough in all: some operations have few to offer.
+        # Ask for more cases per operation than the average needs, because some operations have few.
         arguments += ["--max-examples", str(max(20, options.cases // 20))]
     else:
         arguments += ["--max-examples", "10", "--max-time", str(options.seconds)]

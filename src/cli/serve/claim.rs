@@ -50,7 +50,7 @@ fn try_claim(root: &Path) -> Result<Option<Claim>, Held> {
 }
 
 fn unclaimed(root: &Path, error: &std::io::Error) -> Option<Claim> {
-    tracing::warn!(root = %root.display(), %error, "the root cannot be locked: no second daemon may take uploads there");
+    tracing::warn!(root = %root.display(), %error, "cannot lock the root: make sure that no second daemon accepts uploads there");
     None
 }
 

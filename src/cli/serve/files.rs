@@ -15,12 +15,12 @@ pub(super) fn root(args: &ServeArgs) -> anyhow::Result<PathBuf> {
     };
     let root = common.as_deref().or(args.root.as_deref()).unwrap_or(Path::new("scenes"));
     let canonical = root.canonicalize().with_context(|| {
-        format!("the scene root {} cannot be opened; give another with --root", root.display())
+        format!("cannot open the scene root {}; give another folder with --root", root.display())
     })?;
     ensure!(canonical.is_dir(), "the scene root {} is not a folder", root.display());
     ensure!(
         common.is_none() || canonical.parent().is_some(),
-        "the files have no folder in common but the root of the file system; give one with --root"
+        "the files have no common folder except the root of the file system; give a folder with --root"
     );
     Ok(canonical)
 }
@@ -30,7 +30,7 @@ fn named_files(args: &ServeArgs) -> anyhow::Result<Vec<PathBuf>> {
     let absolute = |file: &PathBuf| {
         let path =
             file.canonicalize().with_context(|| format!("{} cannot be opened", file.display()))?;
-        ensure!(path.is_file(), "{} is no file; folders are given with --root", file.display());
+        ensure!(path.is_file(), "{} is not a file; give folders with --root", file.display());
         Ok(path)
     };
     args.files.iter().map(absolute).collect()
@@ -47,7 +47,7 @@ fn common_folder(files: &[PathBuf]) -> Option<PathBuf> {
 pub(super) fn start_scenes(args: &ServeArgs, root: &Path) -> anyhow::Result<StartScenes> {
     let named = named_files(args)?;
     if args.scene.is_empty() && named.is_empty() {
-        let entries = std::fs::read_dir(root).context("the scene root cannot be listed")?;
+        let entries = std::fs::read_dir(root).context("cannot list the scene root")?;
         let mut files: Vec<PathBuf> = entries
             .filter_map(Result::ok)
             .map(|entry| entry.path())

@@ -33,7 +33,7 @@ pub fn patiently<T, E: Display>(
             Err(error) if is_held(&error) && Instant::now() < until => {
                 if !is_told {
                     let seconds = patience.as_secs();
-                    tracing::info!(%error, "trying again for {seconds} seconds, should that be a process that ends");
+                    tracing::info!(%error, "retrying for {seconds} seconds, in case another process is still shutting down");
                     is_told = true;
                 }
                 std::thread::sleep(TRY_EVERY);

@@ -18,11 +18,11 @@ pub(super) fn jobs_config(args: &ServeArgs) -> anyhow::Result<Result<jobs::Confi
     let drawing = number("job-runners", args.job_runners, 4, 1)?;
     ensure!(drawing <= 64, "--job-runners {drawing}: must be at most 64");
     if args.no_jobs == Some(true) {
-        return Ok(Err("this server takes on no jobs (--no-jobs)".to_owned()));
+        return Ok(Err("this server accepts no jobs (--no-jobs)".to_owned()));
     }
     let Some(folder) = args.state.clone().or_else(jobs::store::default_folder) else {
         return Ok(Err(
-            "this server has no folder for jobs: it was given none, and neither XDG_STATE_HOME nor HOME is set"
+            "this server has no state folder for jobs: --state was not given, and neither XDG_STATE_HOME nor HOME is set"
                 .to_owned(),
         ));
     };
@@ -55,12 +55,10 @@ pub(super) fn open_jobs(
         Ok(jobs) => Ok(Ok(jobs)),
         Err(error) if is_asked_for => Err(anyhow::anyhow!("--state: {error}")),
         Err(error) => {
-            tracing::warn!(%error, "no jobs are taken on");
+            tracing::warn!(%error, "jobs are disabled");
             // Clients must not learn where the server keeps its files.
             let reason = match error {
-                StateError::Locked { .. } => {
-                    "the state folder is another daemon's, which is running"
-                }
+                StateError::Locked { .. } => "another running daemon uses the state folder",
                 _ => "the state folder cannot be used; the server's log says why",
             };
             Ok(Err(reason.to_owned()))

@@ -104,12 +104,15 @@ impl Sink for Writer {
         self.picture.clear();
         coded.write_vec(&mut self.picture);
         if self.picture.is_empty() {
-            return Err(VideoError::Coder(format!("nothing came of frame {}", self.frames)));
+            return Err(VideoError::Coder(format!(
+                "the coder returned nothing for frame {}",
+                self.frames
+            )));
         }
         self.bytes += self.picture.len() as u64;
         if self.bytes > MOST_BYTES {
             let reason = format!(
-                "the video takes more than {MOST_BYTES} bytes, by frame {} of it; fewer frames or kilobits a second would do",
+                "the video exceeds {MOST_BYTES} bytes at frame {}; draw fewer frames or lower the bit rate",
                 self.frames
             );
             return Err(VideoError::Unfit { parameter: "bitrate_kbps", reason });

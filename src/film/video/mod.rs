@@ -64,7 +64,7 @@ pub enum VideoError {
     /// The file has another number of frames than were coded.
     #[error("the video holds {found} frames instead of {frames}")]
     Miscounted { found: String, frames: u64 },
-    #[error("told to stop")]
+    #[error("the video was stopped before it was finished")]
     Stopped,
 }
 
@@ -148,7 +148,7 @@ impl Reel {
             if side % 2 == 1 {
                 let near = [side - 1, side + 1];
                 let reason = format!(
-                    "{side} is odd, which H.264 (4:2:0) cannot have; {} or {} would do",
+                    "{side} is odd, and H.264 (4:2:0) needs even sides; use {} or {}",
                     near[0], near[1]
                 );
                 return unfit(parameter, reason);
@@ -156,7 +156,7 @@ impl Reel {
             if side < LEAST_SIDE {
                 return unfit(
                     parameter,
-                    format!("{side} is less than a video's least side, {LEAST_SIDE}"),
+                    format!("{side} is too small; a video needs at least {LEAST_SIDE}"),
                 );
             }
         }
@@ -167,7 +167,7 @@ impl Reel {
             if long > longest || short > shortest {
                 let parameter = if self.width == long && long > longest { "w" } else { "h" };
                 let reason = format!(
-                    "{} × {} is more than a video can have, {longest} × {shortest}",
+                    "{} × {} is too large; a video has at most {longest} × {shortest}",
                     self.width, self.height
                 );
                 return unfit(parameter, reason);
@@ -176,23 +176,24 @@ impl Reel {
         #[cfg(not(feature = "video"))]
         let _ = (coder, BUILT_IN_SIDES);
         if !matches!(self.output, Output::Color | Output::Normal) {
-            return unfit("output", "a video shows color or normal".to_owned());
+            return unfit("output", "a video needs the output color or normal".to_owned());
         }
         if matches!(self.format, ImageFormat::Exr | ImageFormat::Pfm) {
             return unfit(
                 "format",
-                "a video is made of png, jpeg, webp, qoi or raw frames".to_owned(),
+                "a video needs frames in png, jpeg, webp, qoi or raw".to_owned(),
             );
         }
         if self.frames < 2 {
-            let text = "a video has at least two frames, and what is asked for is one: of a path with a single key, or a single number";
+            let text = "a video needs at least two frames, but only one was requested; give a path with several keys, or a larger range of frames";
             return unfit("to", text.to_owned());
         }
         let [least, most] = KBPS_RANGE;
         match self.bitrate_kbps {
-            Some(kbps) if !(least..=most).contains(&kbps) => {
-                unfit("bitrate_kbps", format!("{kbps} is not in {least} to {most}"))
-            }
+            Some(kbps) if !(least..=most).contains(&kbps) => unfit(
+                "bitrate_kbps",
+                format!("{kbps} is out of range; accepted: {least} to {most}"),
+            ),
             _ => Ok(()),
         }
     }

@@ -15,7 +15,7 @@ pub fn read(folder: &Path, record: &Record, reel: &Reel) -> Result<Vec<u8>, Vide
     let bad = |reason: String| VideoError::Frame { file: file.clone(), reason };
     let bytes = manifest::read_sound(folder, record)
         .map_err(|error| VideoError::Io { file: file.clone(), error })?
-        .ok_or_else(|| bad("it is not the frame that the manifest tells of".to_owned()))?;
+        .ok_or_else(|| bad("it differs from the frame in the manifest".to_owned()))?;
     let (width, height, rgb) = match reel.format {
         ImageFormat::Raw => (reel.width, reel.height, without_alpha(&bytes)),
         ImageFormat::Qoi => {

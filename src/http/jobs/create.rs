@@ -30,26 +30,26 @@ pub const MAX_KEY_BYTES: usize = 255;
 /// Number of outputs that a job can have: frames and a video.
 pub const MAX_WANTED: usize = 2;
 
-/// A film to draw. Beside these, any parameter that a frame's query may have, but for its pose and `deadline_ms`.
+/// A film to draw. The body may also hold any parameter of a frame's query except the pose, `wait` and `deadline_ms`.
 #[derive(Deserialize, ToSchema)]
 pub struct JobRequest {
-    /// A scene that `GET /v1/scenes` lists.
+    /// Id of a scene that `GET /v1/scenes` lists.
     scene: String,
-    /// A path that the scene names, or what a path file holds: `{"keys": […]}`.
+    /// Name of a path in the scene, or the content of a path file: `{"keys": […]}`.
     #[schema(value_type = Object)]
     path: Value,
-    /// Frames a second; as the path has it where none is given.
+    /// Frames per second; default: the path's own.
     fps: Option<f64>,
-    /// Number of the first frame; 0 where none is given.
+    /// Number of the first frame; default 0.
     #[serde(default, deserialize_with = "whole::optional")]
     from: Option<u64>,
-    /// Number of the last frame; the path's last where none is given.
+    /// Number of the last frame; default: the path's last.
     #[serde(default, deserialize_with = "whole::optional")]
     to: Option<u64>,
-    /// What is wanted: `frames`, `video` or both; `["frames"]` where nothing is given. Frames of a video alone are removed when it
-    /// is made.
+    /// Results to keep: `frames`, `video` or both; default `["frames"]`. With `video` alone, the frames are deleted once the video is
+    /// finished.
     want: Option<Vec<Wanted>>,
-    /// Of the video, in kilobits a second; by its size where none is given.
+    /// Bit rate of the video in kilobits per second; default: from its size and frame rate.
     #[serde(default, deserialize_with = "whole::optional")]
     bitrate_kbps: Option<u32>,
     #[serde(flatten)]
@@ -67,16 +67,16 @@ pub enum Wanted {
 const NAMES: [&str; 7] = ["scene", "path", "fps", "from", "to", "want", "bitrate_kbps"];
 /// Frame parameters that the path sets, or that have no meaning in a job.
 pub const NOT_HERE: [(&str, &str); 10] = [
-    ("camera", "the path says where frames are seen from"),
-    ("eye", "the path says where frames are seen from"),
-    ("target", "the path says where frames are seen from"),
-    ("up", "the path says where frames are seen from"),
-    ("fov", "the path says where frames are seen from"),
-    ("ortho_height", "the path says where frames are seen from"),
-    ("view", "the path says where frames are seen from"),
-    ("proj", "the path says where frames are seen from"),
-    ("wait", "frames of a job always wait until normals and kernels are there"),
-    ("deadline_ms", "nobody waits for the frames of a job"),
+    ("camera", "the path sets the camera of every frame"),
+    ("eye", "the path sets the camera of every frame"),
+    ("target", "the path sets the camera of every frame"),
+    ("up", "the path sets the camera of every frame"),
+    ("fov", "the path sets the camera of every frame"),
+    ("ortho_height", "the path sets the camera of every frame"),
+    ("view", "the path sets the camera of every frame"),
+    ("proj", "the path sets the camera of every frame"),
+    ("wait", "frames of a job always wait for normals and kernels"),
+    ("deadline_ms", "frames of a job have no deadline"),
 ];
 const SYNONYMS: [(&str, &str); 5] = [
     ("rate", "fps"),
@@ -86,20 +86,20 @@ const SYNONYMS: [(&str, &str); 5] = [
     ("wants", "want"),
 ];
 
-/// Takes on a job: a camera path, drawn frame by frame, to be fetched as frames, as one stream or as a video.
+/// Creates a job: a camera path drawn frame by frame. Clients fetch its frames one by one, as one stream or as a video.
 ///
-/// The job is on the disk when this answers, and goes on by itself after whatever ended the server. With an `Idempotency-Key` that was used
-/// for the same job before, that job is answered: a client may repeat a request whose answer it did not get.
+/// The server stores the job on disk before it answers, and resumes the job after a restart or crash. A repeated request with the same
+/// `Idempotency-Key` returns the first request's job, so a client may safely retry a request whose answer it did not get.
 #[utoipa::path(
     post,
     path = "/v1/jobs",
     operation_id = "createJob",
     tag = "jobs",
-    params(("Idempotency-Key" = Option<String>, Header, description = "1 to 255 visible ASCII characters, between which spaces may stand; known for as long as the job is. Spaces and tabs around it do not count")),
+    params(("Idempotency-Key" = Option<String>, Header, description = "1 to 255 visible ASCII characters, with spaces between them allowed; valid for as long as the job exists. Leading and trailing spaces and tabs are ignored")),
     request_body(content = JobRequest, content_type = "application/json"),
     responses((
         status = 201,
-        description = "The job, or the one that the same request has made before",
+        description = "The new job, or the job that the same request created before",
         body = JobState,
         headers(("Location" = String, description = "The job's address")),
     )),
@@ -152,7 +152,7 @@ fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
             NAME,
             reason,
             format!(
-                "1 to {MAX_KEY_BYTES} visible ASCII characters, between which spaces may stand, once"
+                "one header of 1 to {MAX_KEY_BYTES} visible ASCII characters, with spaces between them allowed"
             ),
         ))
     };
@@ -199,8 +199,12 @@ fn spec(value: Value) -> Result<Spec, Problem> {
         Value::String(name) => PathChoice::Named(name.clone()),
         Value::Object(_) => PathChoice::Inline(request.path.to_string().into()),
         _ => {
-            let accepted = "the name of a path of the scene, or an object with `keys`";
-            return Err(Problem::parameter("path", "is neither a name nor a path", accepted));
+            let accepted = "the name of a path in the scene, or an object with `keys`";
+            return Err(Problem::parameter(
+                "path",
+                "is neither a name nor a path object",
+                accepted,
+            ));
         }
     };
     let want = request.want.unwrap_or_else(|| vec![Wanted::Frames]);
@@ -214,13 +218,13 @@ fn spec(value: Value) -> Result<Spec, Problem> {
         bitrate_kbps: request.bitrate_kbps,
     };
     if !want.frames && !want.video {
-        return Err(Problem::parameter("want", "nothing is wanted", "`frames`, `video`, or both"));
+        return Err(Problem::parameter("want", "the list is empty", "`frames`, `video`, or both"));
     }
     if want.bitrate_kbps.is_some() && !want.video {
         return Err(Problem::parameter(
             "bitrate_kbps",
             "frames have none",
-            "together with `video` in `want`, or left out",
+            "add `video` to `want`, or leave `bitrate_kbps` out",
         ));
     }
     let params = FrameParams::from_json(Value::Object(request.frame), "")?;
@@ -289,12 +293,16 @@ mod tests {
             (json!({"path": "p"}), "", "missing field `scene`"),
             (json!({"scene": "s"}), "", "missing field `path`"),
             (json!({"scene": "s", "path": 3}), "path", "neither a name nor a path"),
-            (json!({"scene": "s", "path": "p", "eye": [0, 0, 1]}), "eye", "the path says where"),
-            (json!({"scene": "s", "path": "p", "deadline_ms": 5}), "deadline_ms", "nobody waits"),
+            (
+                json!({"scene": "s", "path": "p", "eye": [0, 0, 1]}),
+                "eye",
+                "the path sets the camera",
+            ),
+            (json!({"scene": "s", "path": "p", "deadline_ms": 5}), "deadline_ms", "no deadline"),
             (json!({"scene": "s", "path": "p", "wnat": ["video"]}), "wnat", "did you mean `want`?"),
             (json!({"scene": "s", "path": "p", "width": 64}), "width", "no parameter `width`"),
             (json!({"scene": "s", "path": "p", "budget_ms": 64}), "budget_ms", "not available"),
-            (json!({"scene": "s", "path": "p", "want": []}), "want", "nothing is wanted"),
+            (json!({"scene": "s", "path": "p", "want": []}), "want", "the list is empty"),
             (json!({"scene": "s", "path": "p", "want": ["gif"]}), "want[0]", "unknown variant"),
             (
                 json!({"scene": "s", "path": "p", "bitrate_kbps": 900}),

@@ -27,11 +27,11 @@ const KEEP_ALIVE: Duration = Duration::from_secs(15);
 /// Delay after which a client that lost its connection is asked to reconnect.
 const RETRY: Duration = Duration::from_secs(2);
 
-/// Progress of a job as server-sent events: the job as it is now, then whenever something changes, until it has ended.
+/// Progress of a job as server-sent events: the job as it is now, then an event for each change, until the job has ended.
 ///
-/// Events are named `job` while it is queued or running, and `done`, `failed`, `cancelled` or `deleted` at the end; `data` is the job as
-/// `GET /v1/jobs/{id}` has it. After `watch_ms` of `GET /v1/limits` an event `reconnect` ends the stream; an `EventSource` comes again by
-/// itself and misses nothing. A server that stops ends the stream without such an end: come back with `Last-Event-ID`.
+/// Events are named `job` while the job is queued or running, and `done`, `failed`, `cancelled` or `deleted` at the end; `data` is the job as
+/// `GET /v1/jobs/{id}` has it. After `watch_ms` of `GET /v1/limits` an event `reconnect` ends the stream. An `EventSource` reconnects by
+/// itself and misses nothing. A server that stops closes the stream without an event: reconnect with `Last-Event-ID`.
 #[utoipa::path(
     get,
     path = "/v1/jobs/{id}/events",
@@ -39,11 +39,11 @@ const RETRY: Duration = Duration::from_secs(2);
     tag = "jobs",
     params(
         ("id" = String, Path, description = "The job"),
-        ("Last-Event-ID" = Option<String>, Header, description = "The id of the last event that the client has: what it knows is not sent again"),
+        ("Last-Event-ID" = Option<String>, Header, description = "Id of the last event that the client received; the server sends only later changes"),
     ),
     responses(
         (status = 200, description = "The events, each with `event`, `id` and `data`", body = Object, content_type = "text/event-stream"),
-        (status = 204, description = "The job has ended, and the client knows"),
+        (status = 204, description = "The job has ended, and the client has its last event"),
     ),
 )]
 pub async fn events(

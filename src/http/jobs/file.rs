@@ -95,7 +95,10 @@ pub async fn serve(
         Wanted::All => (0, served.bytes, StatusCode::OK),
         Wanted::Part(first, last) => (first, last - first + 1, StatusCode::PARTIAL_CONTENT),
         Wanted::None => {
-            let detail = format!("the range begins beyond the end of {} bytes", served.bytes);
+            let detail = format!(
+                "the range begins beyond the end of the file, which has {} bytes",
+                served.bytes
+            );
             let problem = Problem::new(Kind::RangeNotSatisfiable, detail).at("Range");
             let mut response = problem
                 .accepted(format!("bytes=0-{}", served.bytes.saturating_sub(1)))

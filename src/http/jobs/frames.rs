@@ -27,7 +27,7 @@ use crate::jobs::{Found, JobError, JobId, Jobs};
 /// Longer files are checked by their length alone, and not read into memory.
 const MOST_CHECKED_BYTES: u64 = 32 << 20;
 
-/// A frame of a job, as soon as it is drawn. One whose file was damaged since is not sent: 410, and `resume` draws it again.
+/// A frame of a job, as soon as it is drawn. If the frame's file was damaged since, the answer is 410, and `resume` draws the frame again.
 #[utoipa::path(
     get,
     path = "/v1/jobs/{id}/frames/{n}",
@@ -51,9 +51,9 @@ const MOST_CHECKED_BYTES: u64 = 32 << 20;
                 (Vec<u8> = "image/x-portable-floatmap"),
                 (Vec<u8> = "application/octet-stream"),
             ),
-            headers(("ETag" = String, description = "Its SHA-256, as the manifest has it")),
+            headers(("ETag" = String, description = "SHA-256 of the image, as in the manifest")),
         ),
-        (status = 206, description = "The part of it that was asked for", body = Vec<u8>, content_type = "application/octet-stream"),
+        (status = 206, description = "The requested range", body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 304, description = "The client has this frame already"),
     ),
 )]
@@ -69,7 +69,7 @@ pub async fn frame(
     let is_plain = !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit());
     let Some(number) = number.parse::<u64>().ok().filter(|_| is_plain) else {
         let shown: String = number.chars().take(64).collect();
-        let detail = format!("`{shown}` is no number of a frame");
+        let detail = format!("`{shown}` is not a frame number");
         return Err(Problem::new(Kind::UnknownFrame, detail).accepted("a whole number"));
     };
     let (found, content, format) = blocking(&app, &owner, &id, move |jobs, id| {
@@ -152,15 +152,16 @@ fn there(found: Found, number: u64) -> Result<(Arc<Record>, std::path::PathBuf),
             Err(Problem::new(Kind::UnknownFrame, detail).accepted(format!("{first} to {last}")))
         }
         Found::Dropped => {
-            let detail = "only the video was wanted, and frames were removed when it was made";
+            let detail =
+                "the job kept only its video; the frames were deleted when it was finished";
             Err(Problem::new(Kind::UnknownFrame, detail)
                 .accepted("a job with `frames` in its `want`"))
         }
     }
 }
 
-/// The manifest: a line of JSON about all frames, and one for each that is there, with its file's length and SHA-256. While the job
-/// runs, lines come in the order in which frames are finished.
+/// The manifest: one line of JSON about all frames, and one line for each finished frame, with its file's length and SHA-256. While the
+/// job runs, lines are added in the order in which frames are finished.
 #[utoipa::path(
     get,
     path = "/v1/jobs/{id}/frames",
@@ -172,7 +173,7 @@ fn there(found: Found, number: u64) -> Result<(Arc<Record>, std::path::PathBuf),
     ),
     responses(
         (status = 200, description = "JSON lines", body = String, content_type = "application/jsonl"),
-        (status = 304, description = "The client has this state of it already"),
+        (status = 304, description = "The client has this manifest already"),
     ),
 )]
 pub async fn manifest(
@@ -211,9 +212,9 @@ pub async fn manifest(
     Ok(response)
 }
 
-/// All frames as one stream, in the order of the path. While the job runs, each part comes when its frame is drawn; a job that ends
-/// before its last frame ends the stream with a part of type `application/problem+json`. So does a stream that has lasted for `watch_ms` of
-/// `GET /v1/limits`: go on with `from`.
+/// All frames as one stream, in the order of the path. While the job runs, each part is sent when its frame is drawn. A job that ends
+/// before its last frame ends the stream with a part of type `application/problem+json`. A stream that reaches `watch_ms` of
+/// `GET /v1/limits` ends in this way as well; continue it with `from`.
 #[utoipa::path(
     get,
     path = "/v1/jobs/{id}/multipart",
@@ -221,11 +222,11 @@ pub async fn manifest(
     tag = "jobs",
     params(
         ("id" = String, Path, description = "The job"),
-        ("from" = Option<u64>, Query, description = "Number of the first frame that is wanted; the job's first where none is given"),
+        ("from" = Option<u64>, Query, description = "Number of the first frame to send; default: the job's first"),
     ),
     responses((
         status = 200,
-        description = "A part a frame, with `Pointillist-Frame`, `Content-Type`, `Content-Length` and `ETag`",
+        description = "One part per frame, with `Pointillist-Frame`, `Content-Type`, `Content-Length` and `ETag`",
         body = Vec<u8>,
         content_type = "multipart/mixed",
     )),
@@ -316,7 +317,7 @@ impl FilmParts {
             }
             Found::NotDrawn if job.has_ended() => {
                 let detail = format!(
-                    "the job has ended before frame {number}; GET /v1/jobs/{} tells how",
+                    "the job ended before frame {number}; GET /v1/jobs/{} has the cause",
                     self.id
                 );
                 Err(Problem::new(Kind::FrameNotDrawn, detail))
@@ -348,7 +349,7 @@ fn parts(
             let next = match next.map_err(Problem::internal).and_then(|next| next) {
                 // The time limit also applies while frames are there: a slow reader does not keep its place for ever.
                 Ok(Next::Later | Next::Frame(..)) if watcher.is_over() => {
-                    let detail = format!("{}, and frame {number} was not sent yet", watcher.reason());
+                    let detail = format!("{}; frame {number} has not been sent yet", watcher.reason());
                     Err(Problem::new(Kind::FrameNotDrawn, detail)
                         .accepted(format!("GET /v1/jobs/{}/multipart?from={number}", film.id)))
                 }

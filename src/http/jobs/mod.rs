@@ -44,7 +44,7 @@ use crate::jobs::{JobError, JobId, Jobs};
 /// 503 where the server has no jobs.
 fn jobs(app: &App) -> Result<Jobs, Problem> {
     app.jobs.clone().map_err(|reason| {
-        Problem::new(Kind::JobsOff, reason).accepted("a daemon with --state FOLDER")
+        Problem::new(Kind::JobsOff, reason).accepted("restart the server with --state FOLDER")
     })
 }
 
@@ -75,9 +75,9 @@ async fn blocking<T: Send + 'static>(
     let (jobs, number) = (jobs(app)?, job_id(id)?);
     let found = jobs.owner(number).map_err(|error| job_problem(&jobs, id, error))?;
     if !owner.is_theirs(found.as_deref()) {
-        return Err(Problem::new(Kind::Forbidden, format!("job {number} is another key's"))
+        return Err(Problem::new(Kind::Forbidden, format!("job {number} belongs to another key"))
             .at("Authorization")
-            .accepted("the key that made it, or one whose scope is admin"));
+            .accepted("the key that created the job, or a key of scope admin"));
     }
     let worker = jobs.clone();
     tokio::task::spawn_blocking(move || work(&worker, number))
@@ -93,13 +93,13 @@ impl Owner {
     }
 }
 
-/// Every job that is known and the key's own, the newest first; with an admin key, or without keys, all.
+/// All jobs of the request's key, newest first. An admin key, or a server without keys, lists the jobs of all keys.
 #[utoipa::path(
     get,
     path = "/v1/jobs",
     operation_id = "listJobs",
     tag = "jobs",
-    params(("state" = Option<StateName>, Query, description = "Only those in this state")),
+    params(("state" = Option<StateName>, Query, description = "List only jobs in this state")),
     responses((status = 200, description = "The jobs", body = JobList)),
 )]
 pub async fn list(
@@ -132,7 +132,7 @@ fn wanted_state(query: Option<&str>) -> Result<Option<StateName>, Problem> {
     Ok(state)
 }
 
-/// A job: its state, how many frames are there, how fast they come, what went wrong, and where everything is.
+/// A job: its state, progress, rate, error and links.
 #[utoipa::path(
     get,
     path = "/v1/jobs/{id}",
@@ -152,14 +152,14 @@ pub async fn show(
     Ok(Json(JobState::new(&view)))
 }
 
-/// Ends a job that is queued or running. What is drawn stays, and the job can be resumed. Done twice, it is as it was.
+/// Cancels a queued or running job. Its finished frames stay, and the job can be resumed. Repeating the request changes nothing.
 #[utoipa::path(
     post,
     path = "/v1/jobs/{id}/cancel",
     operation_id = "cancelJob",
     tag = "jobs",
     params(("id" = String, Path, description = "The job")),
-    responses((status = 200, description = "The job, which is cancelled", body = JobState)),
+    responses((status = 200, description = "The cancelled job", body = JobState)),
 )]
 pub async fn cancel(
     State(app): State<Arc<App>>,
@@ -173,15 +173,15 @@ pub async fn cancel(
     Ok(Json(JobState::new(&view)))
 }
 
-/// Queues a job again that has ended. Frames that are there, undamaged, and show the scene as it is now are kept, the others drawn. So is a
-/// job that was done looked through, and what has become damaged or lost of it is made again.
+/// Queues an ended job again. The job keeps undamaged frames that show the scene as it is now, and draws the others. Resuming a
+/// job that is done checks its files, and makes damaged or lost files again.
 #[utoipa::path(
     post,
     path = "/v1/jobs/{id}/resume",
     operation_id = "resumeJob",
     tag = "jobs",
     params(("id" = String, Path, description = "The job")),
-    responses((status = 200, description = "The job, which is queued", body = JobState)),
+    responses((status = 200, description = "The queued job", body = JobState)),
 )]
 pub async fn resume(
     State(app): State<Arc<App>>,
@@ -195,14 +195,14 @@ pub async fn resume(
     Ok(Json(JobState::new(&view)))
 }
 
-/// Forgets a job in whatever state it is, and removes its frames and its video.
+/// Deletes a job in any state, with its frames and its video.
 #[utoipa::path(
     delete,
     path = "/v1/jobs/{id}",
     operation_id = "deleteJob",
     tag = "jobs",
     params(("id" = String, Path, description = "The job")),
-    responses((status = 204, description = "It is gone")),
+    responses((status = 204, description = "The job is deleted")),
 )]
 pub async fn remove(
     State(app): State<Arc<App>>,

@@ -12,7 +12,7 @@ use super::{blocking, no_query};
 use crate::http::problem::{Kind, Problem};
 use crate::http::{App, Owner, Segments};
 
-/// The film as a video: H.264 in MP4, playable from its beginning while it comes. Ranges are answered, so that players can seek.
+/// The film as a video: H.264 in MP4, playable while it downloads. Range requests are supported, so that players can seek.
 #[utoipa::path(
     get,
     path = "/v1/jobs/{id}/video.mp4",
@@ -21,7 +21,7 @@ use crate::http::{App, Owner, Segments};
     params(
         ("id" = String, Path, description = "The job"),
         ("Range" = Option<String>, Header, description = "`bytes=FIRST-LAST`, one range"),
-        ("If-Range" = Option<String>, Header, description = "The entity tag that the range is of"),
+        ("If-Range" = Option<String>, Header, description = "Entity tag of the file that the range belongs to"),
         ("If-None-Match" = Option<String>, Header, description = "Entity tags that the client has"),
     ),
     responses(
@@ -30,10 +30,10 @@ use crate::http::{App, Owner, Segments};
             description = "The video",
             body = Vec<u8>,
             content_type = "video/mp4",
-            headers(("ETag" = String, description = "Its SHA-256"), ("Accept-Ranges" = String, description = "`bytes`")),
+            headers(("ETag" = String, description = "SHA-256 of the video"), ("Accept-Ranges" = String, description = "`bytes`")),
         ),
-        (status = 206, description = "The part of it that was asked for", body = Vec<u8>, content_type = "video/mp4"),
-        (status = 304, description = "The client has it already"),
+        (status = 206, description = "The requested range", body = Vec<u8>, content_type = "video/mp4"),
+        (status = 304, description = "The client has this video already"),
     ),
 )]
 pub async fn video(
@@ -70,8 +70,8 @@ pub async fn video(
 fn no_video(job: &JobState, is_wanted: bool) -> Problem {
     let detail = match (is_wanted, job.state()) {
         (false, _) => "the job makes no video: `video` is not in its `want`",
-        (true, StateName::Queued | StateName::Running) => "the video is not made yet",
-        (true, _) => "the video was not made: the job has ended before",
+        (true, StateName::Queued | StateName::Running) => "the video is not finished yet",
+        (true, _) => "there is no video: the job ended before it was finished",
     };
     Problem::new(Kind::NoVideo, detail)
 }

@@ -41,7 +41,7 @@ impl Watcher {
     pub fn take(app: &Arc<App>, client: Client) -> Result<Watcher, Problem> {
         if !app.watchers.take(client) {
             return Err(Problem::new(Kind::Busy, "too many watch jobs").accepted(
-                "fewer at a time: `max_watchers` and `max_watchers_per_client` in `jobs` of GET /v1/limits, or GET /v1/jobs/{id} now and then",
+                "fewer at a time: see `max_watchers` and `max_watchers_per_client` in `jobs` of GET /v1/limits; or poll GET /v1/jobs/{id}",
             ).retry_after(Duration::from_secs(1)));
         }
         let until = Instant::now() + app.settings.watches.longest;
@@ -54,7 +54,10 @@ impl Watcher {
 
     /// Returns the reason for ending the answer.
     pub fn reason(&self) -> String {
-        format!("this answer has lasted {} seconds", self.app.settings.watches.longest.as_secs())
+        format!(
+            "this answer reached its limit of {} seconds",
+            self.app.settings.watches.longest.as_secs()
+        )
     }
 }
 

@@ -18,48 +18,48 @@ use crate::plan::Given;
 pub struct JobState {
     id: String,
     state: StateName,
-    /// What a running job is at: `baking`, `frames` or `video`; `null` while it gets ready, and while it waits for its turn at the next
-    /// of them.
+    /// Stage of a running job: `baking`, `frames` or `video`; `null` while the job prepares, and while it waits for its turn at the
+    /// next stage.
     stage: Option<&'static str>,
-    /// How much of what the frames need is baked, of 1; while it is.
+    /// Progress of the bake that the frames need, from 0 to 1; only during the stage `baking`.
     #[serde(skip_serializing_if = "Option::is_none")]
     baked: Option<f64>,
-    /// Name of the key that made it; `null` where there were no keys.
+    /// Name of the API key that created the job; `null` if the server had no keys.
     owner: Option<String>,
-    /// What the request is called that made it. Its frames are named after the job, as in `job-7/42`.
+    /// Id of the request that created the job. The receipts of its frames carry ids such as `job-7/42`.
     request_id: Option<String>,
     scene: String,
-    /// The path's name in the scene, or the path itself; of the latter, lists have only the number of `keys`.
+    /// The path's name in the scene, or the path itself. A list shows only the number of `keys` of such a path.
     #[schema(value_type = Object)]
     path: Value,
-    /// Frames a second of the film; `null` of a job that was found again after a loss and has not begun since, where none were asked for.
+    /// Frames per second of the film; `null` if the request gave none and the job was recovered and has not run since.
     fps: Option<f64>,
     want: Vec<&'static str>,
     #[serde(skip_serializing_if = "Option::is_none")]
     bitrate_kbps: Option<u32>,
     settings: JobSettings,
     frames: JobFrames,
-    /// Frames a second that come of late, in the running job; of its stage `video`, those that go into it. `null` for the first second
-    /// that frames come in: how long the first take says nothing of the others.
+    /// Recent rate of the running job in frames per second: frames drawn or, in the stage `video`, frames encoded. `null` during the
+    /// first second of a stage, because the first frames do not predict the others.
     frames_per_second: Option<f64>,
-    /// Seconds that the rest of the stage takes at that rate.
+    /// Estimated seconds until the stage ends, from `frames_per_second`.
     eta_seconds: Option<f64>,
-    /// What a queued job waits for, beside its turn.
+    /// Condition that a queued job waits for, besides its turn.
     waits_for: Option<String>,
-    /// Why it failed. Its type is `urn:pointillist:problem:` and one of `scene-changed`, `unknown-scene` (it was waited for in vain),
+    /// Why the job failed. The type is `urn:pointillist:problem:` and one of `scene-changed`, `unknown-scene` (the scene did not appear in time),
     /// `job-refused`, `job-quota`, `storage`, `job-failed`, `video-failed`, `job-recovered`, `internal`.
     #[schema(value_type = Option<ProblemDocument>)]
     error: Option<Problem>,
-    /// On the disk, by all its files.
+    /// Disk space of all files of the job, in bytes.
     bytes: u64,
-    /// Of `frames.jsonl`, which has a line with a checksum for each frame; once all are there.
+    /// SHA-256 of `frames.jsonl`, which has a line with a checksum for each frame; set once all frames are drawn.
     manifest_sha256: Option<String>,
     video: Option<JobVideo>,
-    /// Milliseconds since 1970.
+    /// Time of creation, in milliseconds since 1970.
     created_ms: u64,
-    /// When it came into its state.
+    /// Time at which the job entered its state, in milliseconds since 1970.
     since_ms: u64,
-    /// When an ended job will be forgotten, or one that waits for its scene will fail.
+    /// Time at which an ended job will be deleted, or a job that waits for its scene will fail.
     expires_ms: Option<u64>,
     links: JobLinks,
 }
@@ -67,13 +67,13 @@ pub struct JobState {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum StateName {
-    /// Its turn comes, when what it waits for is there.
+    /// The job waits for its turn, or for the condition in `waits_for`.
     Queued,
     Running,
     Done,
-    /// Can be resumed.
+    /// The job failed and can be resumed.
     Failed,
-    /// Can be resumed.
+    /// The job was cancelled and can be resumed.
     Cancelled,
 }
 
@@ -92,19 +92,19 @@ impl StateName {
 /// Frames of a job.
 #[derive(Serialize, ToSchema)]
 pub struct JobFrames {
-    /// Those that are there.
+    /// Number of frames drawn.
     done: u64,
-    /// Those that are wanted; `null` of a job that was found again after a loss and has not begun since.
+    /// Number of frames requested; `null` if the job was recovered and has not run since.
     total: Option<u64>,
-    /// Numbers of the first and of the last one that were asked for.
+    /// Numbers of the first and the last requested frame.
     from: Option<u64>,
     to: Option<u64>,
-    /// Those that are in the video so far, while it is made.
+    /// Number of frames encoded so far; only during the stage `video`.
     #[serde(skip_serializing_if = "Option::is_none")]
     coded: Option<u64>,
 }
 
-/// How frames are drawn; a setting that is left out is as the scene has it, or has no say.
+/// How frames are drawn. A missing setting takes the scene's value or does not apply.
 #[derive(Serialize, ToSchema)]
 pub struct JobSettings {
     w: u32,
@@ -123,19 +123,19 @@ pub struct JobVideo {
     sha256: String,
 }
 
-/// Addresses of what belongs to a job.
+/// Addresses of a job's resources.
 #[derive(Serialize, ToSchema)]
 pub struct JobLinks {
     #[serde(rename = "self")]
     this: String,
     scene: String,
     events: String,
-    /// The manifest.
+    /// Address of the manifest.
     frames: String,
-    /// With the number of a frame for `{n}`.
+    /// Address of one frame; replace `{n}` by its number.
     frame: String,
     multipart: String,
-    /// Where a video is wanted.
+    /// Address of the video, if the job makes one.
     video: Option<String>,
 }
 
@@ -272,7 +272,7 @@ fn failure_problem(failure: &Failure) -> Problem {
         FailureKind::Internal => Kind::Internal,
     };
     let problem = Problem::new(kind, failure.detail.clone());
-    problem.accepted("POST to the job's /resume, when what is wrong is mended")
+    problem.accepted("POST to the job's /resume, once the cause is fixed")
 }
 
 /// Builds the problem of an operation on job `id` that failed.
@@ -285,28 +285,30 @@ pub fn job_problem(jobs: &Jobs, id: &str, error: JobError) -> Problem {
             }
             Refusal::KeyReused { id } => Problem::new(
                 Kind::KeyReused,
-                format!("the key was used for job {id}, which is another one"),
+                format!("the key was used before, for job {id}, whose request was different"),
             )
             .at("Idempotency-Key")
-            .accepted("a key of its own for each job, or the same request again"),
+            .accepted("a new key for each job, or the original request"),
             Refusal::TooManyUnfinished { limit } => Problem::new(
                 Kind::TooManyJobs,
-                format!("{limit} jobs are queued or running, which is the limit"),
+                format!("the limit of {limit} queued and running jobs is reached"),
             )
-            .accepted("fewer jobs at a time, or a cancelled one")
+            .accepted("wait until a job ends, or cancel one")
             .retry_after(jobs.retry_after()),
             Refusal::TooMany { limit } => Problem::new(
                 Kind::TooManyJobs,
-                format!("{limit} jobs are kept, which is the limit"),
+                format!("the limit of {limit} stored jobs is reached"),
             )
             .accepted("DELETE jobs that have ended")
             .retry_after(jobs.retry_after()),
         },
         JobError::Full { used, limit } => Problem::new(
             Kind::OutOfJobDisk,
-            format!("jobs take {used} bytes on the disk, of {limit} that they may"),
+            format!("job storage is full: {used} of {limit} bytes used"),
         )
-        .accepted("DELETE jobs that have ended, or a daemon with a larger --job-disk-mib"),
+        .accepted(
+            "DELETE jobs that have ended, or restart the server with a larger --job-disk-mib",
+        ),
         JobError::State(StateError::Io { error, .. }) | JobError::Io { error, .. } => {
             job_storage(&error)
         }
@@ -316,16 +318,13 @@ pub fn job_problem(jobs: &Jobs, id: &str, error: JobError) -> Problem {
 
 /// Builds the problem of a job's file that differs from its record.
 pub fn damaged(id: &str, what: &str) -> Problem {
-    Problem::new(
-        Kind::JobFileDamaged,
-        format!("{what} of job {id} is damaged or missing on the disk"),
-    )
-    .accepted(format!("POST /v1/jobs/{id}/resume, which makes it again"))
+    Problem::new(Kind::JobFileDamaged, format!("{what} of job {id} is damaged or missing on disk"))
+        .accepted(format!("POST /v1/jobs/{id}/resume, which creates the file again"))
 }
 
 /// Builds the problem of a job's file that cannot be read or written.
 pub fn job_storage(error: &std::io::Error) -> Problem {
-    tracing::error!(%error, "a job's file cannot be used");
+    tracing::error!(%error, "cannot read or write a file of a job");
     let detail = match error.kind() {
         std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => {
             "the disk of the state folder is full"
@@ -357,9 +356,11 @@ pub fn film_problem(error: FilmError) -> Problem {
         FilmError::BadRange { parameter, reason } => Problem::parameter(
             parameter,
             reason,
-            "frames that the path has; fps from 0.001 to 1000",
+            "frame numbers within the path; fps from 0.001 to 1000",
         ),
-        FilmError::Path(error) => Problem::parameter("path", error, "a path that can be followed"),
+        FilmError::Path(error) => {
+            Problem::parameter("path", error, "a path whose camera can be computed at any time")
+        }
         other => Problem::internal(other),
     }
 }
@@ -369,7 +370,7 @@ pub fn video_problem(error: VideoError) -> Problem {
     let text = error.to_string();
     match error {
         VideoError::Unfit { parameter, reason } => {
-            Problem::parameter(parameter, reason, "what a video can have")
+            Problem::parameter(parameter, reason, "a value that fits a video")
         }
         VideoError::NoCoder => {
             Problem::new(Kind::Unavailable, text).at("want").accepted("`[\"frames\"]`")

@@ -45,27 +45,27 @@ const DEFAULT_FPS: f64 = 30.0;
 /// Parameters that the query may hold.
 pub const NAMES: Names = Names {
     own: &["path", "fps", "loop"],
-    without: &[("deadline_ms", "frames that are late are left out")],
+    without: &[("deadline_ms", "late frames are always left out")],
 };
 
 /// What a frame's query does not have.
 #[derive(Debug, Default, PartialEq, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 pub struct ScreeningParams {
-    /// A camera path that the scene names. Without one, the view of `camera`, or of a pose, is shown, and again whenever the scene changes.
+    /// Name of a camera path in the scene. Without it, the stream shows the view of `camera` or of a pose, and redraws it when the scene changes.
     path: Option<String>,
-    /// Frames a second, 0.1 to 120; the path's own where it is not given.
+    /// Frames per second, 0.1 to 120; default: the path's own.
     fps: Option<f64>,
-    /// Whether the path begins again at its end, where otherwise the answer ends with its last frame.
+    /// Whether the path starts again at its end. Otherwise the answer ends with the path's last frame.
     r#loop: Option<bool>,
 }
 
-/// A film for `<img>`.
+/// A film as Motion JPEG, for `<img>`.
 ///
 /// Each part is a JPEG with its `Pointillist-Receipt`, and with `Pointillist-Pose`, its frame's number. Frame `n` of a path is what it shows
-/// `n / fps` seconds after its first key. Frames that cannot be drawn or sent in their time are left out, so that the film takes as
+/// `n / fps` seconds after its first key. The server leaves out frames that it cannot draw or send in time, so that the film takes as
 /// long as the path. It ends with the path's last frame unless it loops, when the scene is deleted, and when the server stops; it
-/// counts as one of the streams that `GET /v1/limits` allows, and ends when nothing of it was taken for `stream_idle_ms`.
+/// counts as one of the streams that `GET /v1/limits` allows, and ends when the client reads nothing for `stream_idle_ms`.
 #[utoipa::path(
     get,
     path = "/v1/scenes/{id}/mjpeg",
@@ -74,7 +74,7 @@ pub struct ScreeningParams {
     params(("id" = String, Path, description = "A scene that `GET /v1/scenes` lists"), ScreeningParams, FrameParams, Given),
     responses((
         status = 200,
-        description = "A JPEG a part, each to be shown in place of the one before",
+        description = "One JPEG per part; each replaces the one before",
         body = Vec<u8>,
         content_type = "multipart/x-mixed-replace",
     )),
@@ -114,7 +114,7 @@ pub async fn mjpeg(
 
 impl ScreeningParams {
     fn from_query(query: Option<&str>) -> Result<(Self, FrameParams), Problem> {
-        const FRAMES_PER_SECOND: &str = "0.1 to 120 frames a second";
+        const FRAMES_PER_SECOND: &str = "0.1 to 120 frames per second";
         let (mut wanted, mut params) = (ScreeningParams::default(), FrameParams::default());
         for (name, value) in pairs(query)? {
             match name.as_str() {
@@ -145,8 +145,8 @@ impl ScreeningParams {
                 return Err(Problem::parameter(name, reason, "either of the two"));
             }
         } else if self.r#loop.is_some() {
-            let reason = "only a path has an end to begin again at";
-            return Err(Problem::parameter("loop", reason, "together with `path`, or left out"));
+            let reason = "without `path`, there is nothing to repeat";
+            return Err(Problem::parameter("loop", reason, "give `path`, or leave `loop` out"));
         }
         Ok(())
     }
@@ -177,7 +177,7 @@ fn check_fps(fps: f64, whose: &str) -> Result<(), Problem> {
         return Ok(());
     }
     let reason = format!("{whose}{fps} is out of range");
-    Err(Problem::parameter("fps", reason, format!("{least} to {most} frames a second")))
+    Err(Problem::parameter("fps", reason, format!("{least} to {most} frames per second")))
 }
 
 /// Bytes of an image handed over at a time, so small that a slow reader still counts as reading.
@@ -234,7 +234,7 @@ mod tests {
             ("fps=0", "fps", "0.1 to 120"),
             ("fps=NaN", "fps", "0.1 to 120"),
             ("fps=x", "fps", "0.1 to 120"),
-            ("loop=true", "loop", "together with `path`"),
+            ("loop=true", "loop", "give `path`"),
             ("path=a&loop=yes", "loop", "true or false"),
             ("path=a&path=b", "path", "once"),
             ("path=a&camera=front", "camera", "either"),

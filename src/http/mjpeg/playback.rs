@@ -74,7 +74,7 @@ impl Playback {
         let place = Place::take(&app, origin.client).ok_or_else(|| {
             Problem::new(Kind::Busy, "too many streams are open")
                 .accepted(
-                    "fewer at a time: `max_streams` and `max_streams_per_client` of GET /v1/limits",
+                    "fewer streams at a time: see `max_streams` and `max_streams_per_client` of GET /v1/limits",
                 )
                 .retry_after(Duration::from_secs(1))
         })?;
@@ -150,7 +150,7 @@ impl Playback {
             }
             Err(End::Over) => None,
             Err(End::Failed(error)) => {
-                tracing::warn!(scene = self.request.scene, %error, "a playback ended before its end");
+                tracing::warn!(scene = self.request.scene, %error, "a playback failed");
                 None
             }
         }

@@ -68,7 +68,7 @@ async fn watch<S>(shared: Arc<Mutex<Shared<S>>>, patience: Duration) {
         let mut shared = shared.lock();
         if handed_at.is_some() && shared.handed_at == handed_at {
             shared.film = None;
-            tracing::debug!("a film was taken away: it was not read");
+            tracing::debug!("closed a film that the client did not read");
             return;
         }
     }

@@ -203,7 +203,7 @@ pub fn of_bodies(schemas: &mut Value) {
     for (name, _) in stream::WITHOUT {
         remove_property(&mut schemas["StreamPose"], name);
     }
-    let state = "The path's name in the scene, or the path itself; of the latter, lists have only the number of `keys`.";
+    let state = "The path's name in the scene, or the path itself. A list shows only the number of `keys` of such a path.";
     schemas["JobState"]["properties"]["path"] = json!({ "description": state, "oneOf": [
         { "type": "string" }, { "type": "object" } ] });
     let request = &mut schemas["JobRequest"];
@@ -214,7 +214,7 @@ pub fn of_bodies(schemas: &mut Value) {
     let [least_fps, most_fps] = FPS_RANGE;
     let [least_kbps, most_kbps] = KBPS_RANGE;
     narrow(&mut properties["scene"], json!({ "pattern": ID_PATTERN }));
-    properties["path"] = path_of_job("The name of a path of the scene, or what a path file holds.");
+    properties["path"] = path_of_job("Name of a path in the scene, or the content of a path file.");
     narrow(&mut properties["fps"], number(least_fps, most_fps));
     narrow(&mut properties["from"], json!({ "minimum": 0, "maximum": MOST_FRAMES }));
     narrow(&mut properties["to"], json!({ "minimum": 0, "maximum": MOST_FRAMES }));
@@ -235,7 +235,7 @@ pub fn of_uploads(document: &mut Value) {
     content["application/json"]["schema"] = json!({ "$ref": "#/components/schemas/SceneFile" });
     content["multipart/form-data"]["schema"] = json!({
         "type": "object",
-        "description": "Files with their names, and the scene's JSON as `scene`.",
+        "description": "Files with their names, and the scene's JSON in the field `scene`.",
         "minProperties": 1,
         "properties": { "scene": { "type": "string" } },
         "additionalProperties": { "oneOf": [

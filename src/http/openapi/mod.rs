@@ -77,9 +77,9 @@ use crate::engine::Receipt;
     components(schemas(Receipt, ProblemDocument, stream::FrameHeader, stream::PoseFields)),
     tags(
         (name = "frames", description = "Images of scenes"),
-        (name = "scenes", description = "What can be drawn"),
-        (name = "jobs", description = "Camera paths, drawn without anybody waiting"),
-        (name = "service", description = "The server itself"),
+        (name = "scenes", description = "Scenes that can be drawn"),
+        (name = "jobs", description = "Camera paths drawn in the background"),
+        (name = "service", description = "Health, metrics, limits and the contract"),
     ),
     modifiers(&Problems, &Keys),
 )]

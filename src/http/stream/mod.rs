@@ -49,14 +49,14 @@ const QUERY_NAMES: Names = Names { own: &[], without: WITHOUT };
 /// Poses in, frames out, over a WebSocket.
 ///
 /// **The client sends** JSON text. A pose is `{"seq": 7, …}` with any parameter of a frame but `deadline_ms`, named and written as in
-/// `POST …/frames` (schema `StreamPose`); what it leaves out stays as the last pose had it, or with `"reset": true` as it is in a frame's query. `{"ack": n}` acknowledges frame `n` and all
-/// before it, once it has been decoded: the first frame is alone until it is acknowledged, then two and up to eight may be on their way. Who never acknowledges is told so
+/// `POST …/frames` (schema `StreamPose`); missing parameters keep the previous pose's values, or with `"reset": true` take their defaults. `{"ack": n}` acknowledges frame `n` and all
+/// earlier frames; send it once the frame is decoded. The second frame is sent after the first is acknowledged; later, two to eight frames may be in flight. A client that never acknowledges is told so
 /// once, by a problem whose `parameter` is `ack`. `{"ping": x}` is answered with
-/// `{"event": "pong", "ping": x}`. The newest pose is the one that came last, whatever its `seq`. Parameters in the address are the first pose, with `seq` 0, so that a client that comes back is
-/// sent a frame at once.
+/// `{"event": "pong", "ping": x}`. The server draws the pose that arrived last, whatever its `seq`. Parameters in the address are the first pose, with `seq` 0, so that a client that reconnects
+/// gets a frame at once.
 ///
 /// **The server sends** frames as one binary message each: a little-endian u32, the length of the header; the header, JSON (schema
-/// `StreamFrame`); the image. Frames come in the order of their poses; a pose that a newer one has overtaken is not drawn.
+/// `StreamFrame`); the image. Frames are sent in the order of their poses. The server skips a pose when a newer one arrives before it is drawn.
 /// While the pose moves (`"moving": true`, or left out and the last pose less than 200 ms ago) frames are smaller and colours are JPEG where a
 /// format that a browser shows was asked for; below half of each side, those of `lod=spt` are coarser, too (`max_error_px` up to four times what was
 /// asked for, and no more than 4 unless more was asked for). So 30 come in a second by what engine and link were measured to do, if a quarter of each
@@ -66,11 +66,11 @@ const QUERY_NAMES: Names = Names { own: &[], without: WITHOUT };
 ///
 /// Text messages of the server are `{"event": "scene", "scene": …, "revision": r}`, first and whenever the scene changed, after which the
 /// pose is drawn again unasked; `{"event": "deleted", …}`; `{"event": "pong", …}`; and `{"event": "problem", …}`, a `Problem` with the `seq` of the
-/// pose, if it is about one. After a problem the stream goes on, with the settings as they were.
+/// pose, if it is about one. After a problem the stream goes on, with the previous settings.
 ///
-/// **It closes** with 1001 (the server stops), 1002 (what came is no WebSocket frame), 1003 (a binary message), 1007 (a text is not UTF-8), 1008
-/// (more than `max_stream_messages_per_second`, for longer than a burst of four times as many), 1009 (a message over `max_stream_message_bytes`), 1011 (nothing can be
-/// drawn any more), 4404 (the scene was deleted), 4408 (nothing received for `stream_idle_ms`) or 4429 (too many streams).
+/// **It closes** with 1001 (the server stops), 1002 (a frame violates the WebSocket protocol), 1003 (a binary message), 1007 (a text is not UTF-8), 1008
+/// (more than `max_stream_messages_per_second`, for longer than a burst of four times as many), 1009 (a message over `max_stream_message_bytes`), 1011 (the server can
+/// no longer draw), 4404 (the scene was deleted), 4408 (nothing received for `stream_idle_ms`) or 4429 (too many streams).
 ///
 /// Pages cannot set headers on a WebSocket: their key may come as a subprotocol, `new WebSocket(url, ["pointillist",
 /// "pointillist.key.KEY"])`. Without keys, pages of other origins than the server's and those of `--cors-origin` are refused.
@@ -80,7 +80,7 @@ const QUERY_NAMES: Names = Names { own: &[], without: WITHOUT };
     operation_id = "openStream",
     tag = "frames",
     params(("id" = String, Path, description = "A scene that `GET /v1/scenes` lists"), FrameParams, Given),
-    responses((status = 101, description = "A WebSocket from here on")),
+    responses((status = 101, description = "The connection becomes a WebSocket")),
 )]
 pub async fn stream(
     State(app): State<Arc<App>>,

@@ -70,15 +70,24 @@ impl Close {
     pub fn facts(self) -> (u16, &'static str) {
         match self {
             Close::GoingAway => (1001, "the server is shutting down"),
-            Close::BrokenProtocol => (1002, "what came breaks the WebSocket protocol"),
-            Close::NotText => (1003, "messages of a client are JSON text"),
+            Close::BrokenProtocol => (1002, "a frame violates the WebSocket protocol"),
+            Close::NotText => (1003, "binary messages are not accepted; send JSON text"),
             Close::NotUtf8 => (1007, "the message is not UTF-8"),
-            Close::Flood => (1008, "more messages than any client needs"),
-            Close::TooLarge => (1009, "the message is too large"),
-            Close::Failed => (1011, "the server cannot draw any more"),
+            Close::Flood => (
+                1008,
+                "too many messages per second; see max_stream_messages_per_second of GET /v1/limits",
+            ),
+            Close::TooLarge => {
+                (1009, "the message is too large; see max_stream_message_bytes of GET /v1/limits")
+            }
+            Close::Failed => (1011, "the server can no longer draw"),
             Close::Deleted => (4404, "the scene was deleted"),
-            Close::Idle => (4408, "nothing was received for too long"),
-            Close::TooMany => (4429, "too many streams"),
+            Close::Idle => {
+                (4408, "the client sent nothing for too long; see stream_idle_ms of GET /v1/limits")
+            }
+            Close::TooMany => {
+                (4429, "too many streams are open; see max_streams of GET /v1/limits")
+            }
         }
     }
 
@@ -111,7 +120,7 @@ pub struct Incoming {
 
 /// Frame parameters that a stream does not have.
 pub const WITHOUT: &[(&str, &str)] =
-    &[("deadline_ms", "a stream draws the newest pose, and no other late")];
+    &[("deadline_ms", "a stream always draws the newest pose and drops older ones")];
 
 /// Fields that a message may hold.
 const MESSAGE_NAMES: Names =
@@ -132,12 +141,13 @@ pub struct PoseMessage {
 #[schema(as = StreamPose)]
 #[expect(dead_code, reason = "read as JSON; here it stands for the contract")]
 pub struct PoseFields {
-    /// The client's own number for the pose; frames that show it repeat it. The newest pose is the one that came last, whatever its number.
+    /// Number that the client gives the pose; frames that show the pose repeat it. The server draws the pose that arrived last, whatever
+    /// its number.
     seq: u64,
-    /// `true`: another will follow, so a quick frame is wanted; `false`: none will, so a good one is. Where it is left out, a quick
-    /// frame comes first and a good one when nothing has followed for a moment.
+    /// `true` announces further poses and asks for a quick frame. `false` says that the pose rests and asks for a frame in full quality.
+    /// Without `moving`, a quick frame comes first, and a frame in full quality once no pose has followed for a moment.
     moving: Option<bool>,
-    /// `true`: what this message leaves out is as it is in a frame's query, and not as the pose before had it.
+    /// `true`: parameters that this message leaves out take their defaults, instead of the previous pose's values.
     reset: Option<bool>,
     #[serde(flatten)]
     parameters: FrameParams,
@@ -156,7 +166,7 @@ impl Incoming {
         let value: Value =
             serde_json::from_str(text).map_err(|error| unreadable(error.to_string()))?;
         let Value::Object(mut fields) = value else {
-            return Err(unreadable("the message is no object".to_owned()));
+            return Err(unreadable("the message is not a JSON object".to_owned()));
         };
         for name in fields.keys() {
             MESSAGE_NAMES.check(name)?;
@@ -167,7 +177,7 @@ impl Incoming {
         let mut flag = |name: &str| match fields.remove(name) {
             None => Ok(None),
             Some(Value::Bool(value)) => Ok(Some(value)),
-            Some(_) => Err(Problem::parameter(name, "is no truth value", "true or false")),
+            Some(_) => Err(Problem::parameter(name, "is neither true nor false", "true or false")),
         };
         let (moving, reset) = (flag("moving")?, flag("reset")?);
         let has_pose = moving.is_some() || reset.is_some() || !fields.is_empty();
@@ -190,45 +200,45 @@ impl Incoming {
 }
 
 fn whole(name: &str, value: &Value) -> Result<u64, Problem> {
-    Whole::deserialize(value)
-        .map(|Whole(number)| number)
-        .map_err(|_| Problem::parameter(name, "is no such number", "a whole number, 0 or more"))
+    Whole::deserialize(value).map(|Whole(number)| number).map_err(|_| {
+        Problem::parameter(name, "is not a whole number of 0 or more", "a whole number, 0 or more")
+    })
 }
 
-/// How good a frame is.
+/// Quality of a streamed frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Quality {
-    /// Smaller or compressed harder than was asked for, because the pose may still change.
+    /// Smaller or more strongly compressed than requested, because the pose may still change.
     Moving,
-    /// As was asked for.
+    /// Size and quality as requested.
     Still,
 }
 
-/// What stands before the image of a frame.
+/// JSON header in front of a frame's image.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(as = StreamFrame)]
 pub struct FrameHeader<'a> {
-    /// Counts the frames of this stream from 1: what is acknowledged.
+    /// Number of the frame in this stream, from 1; `ack` repeats it.
     pub frame: u64,
-    /// Of the pose that is shown.
+    /// `seq` of the pose that the frame shows.
     pub seq: u64,
-    /// Of the scene that is shown.
+    /// Revision of the scene that the frame shows.
     pub revision: u64,
     pub quality: Quality,
-    /// Width and height as a share of what was asked for; 1 when still.
+    /// Width and height as a share of the requested ones; 1 when still.
     pub scale: f64,
     pub format: ImageFormat,
-    /// Of a JPEG, 1 to 100.
+    /// Quality of a JPEG, 1 to 100; `null` for other formats.
     pub jpeg_quality: Option<u8>,
-    /// What a frame of `lod=spt` may be wrong by, in its own pixels: as was asked for when still, and up to four times that while moving.
+    /// Error bound of a frame of `lod=spt`, in its own pixels: as requested when still, and up to four times that while moving.
     pub max_error_px: Option<f32>,
     pub width: u32,
     pub height: u32,
     pub content_type: &'a str,
-    /// Bytes of the image.
+    /// Size of the image in bytes.
     pub bytes: usize,
-    /// Poses of this stream so far that were not drawn because a newer one had come.
+    /// Number of poses of this stream so far that were skipped because a newer pose had arrived.
     pub overtaken: u64,
     pub receipt: &'a Receipt,
 }

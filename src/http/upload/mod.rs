@@ -57,10 +57,10 @@ const SCENE_FILE: &str = "scene.json";
     operation_id = "uploadScene",
     tag = "scenes",
     params(
-        ("id" = Option<String>, Query, description = "Id of the scene, `[a-z0-9_-]{1,64}`; otherwise made from the name: small letters without their marks, digits, underscores, hyphens for all else, `scene` where nothing is left, with a number behind it where it is taken"),
-        ("name" = Option<String>, Query, description = "File name of a raw body; of a form, which of its files is the scene or asset"),
-        ("up" = Option<UpForm>, Query, style = Form, explode = false, description = "Which way is up in a file of points or triangles: `x`, `y`, `z`, `-x`, `-y`, `-z` or `x,y,z`; guessed where it is left out. It is kept with the upload. A scene file has an `up` of its own instead"),
-        ("Content-Disposition" = Option<String>, Header, description = "`attachment; filename=…`, where `name` is not given"),
+        ("id" = Option<String>, Query, description = "Id of the scene, `[a-z0-9_-]{1,64}`. Without it, the server makes an id from the name: lower-case letters without accents, digits and underscores stay, and hyphens replace all else; an empty result becomes `scene`, and an id in use gets a number appended"),
+        ("name" = Option<String>, Query, description = "File name of a raw body; in a form, the name of the file that is the scene or asset"),
+        ("up" = Option<UpForm>, Query, style = Form, explode = false, description = "Up direction of a point or triangle file: `x`, `y`, `z`, `-x`, `-y`, `-z` or `x,y,z`; guessed if missing. The server stores it with the upload. A scene file has its own `up` instead"),
+        ("Content-Disposition" = Option<String>, Header, description = "`attachment; filename=…`, used if `name` is not given"),
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`"),
     ),
     request_body(content(
@@ -83,8 +83,11 @@ pub async fn create(
     let target = Target::from_uri(&parts.uri)?;
     refuse_while_draining(&app)?;
     if !app.settings.uploads {
-        return Err(Problem::new(Kind::UploadsOff, "this server takes no uploads (--no-uploads)")
-            .accepted("a daemon that was started without --no-uploads"));
+        return Err(Problem::new(
+            Kind::UploadsOff,
+            "this server accepts no uploads (--no-uploads)",
+        )
+        .accepted("restart the server without --no-uploads"));
     }
     let share = app.uploads.admit(owner.name.as_deref())?;
     // Reserve a given id before the body is received, so that a clash is answered at once.
@@ -121,8 +124,8 @@ fn refuse_while_draining(app: &App) -> Result<(), Problem> {
     Ok(())
 }
 
-/// Loads a scene once more that could not be loaded: an upload whose loader ended with the server, one for which there was
-/// no memory, or a scene of the server's root. The answers are those of an upload.
+/// Retries a failed load: of an upload whose load was interrupted by the end of the server, of an upload that lacked
+/// memory, or of a scene of the server's root. The answers are those of an upload.
 #[utoipa::path(
     post,
     path = "/v1/scenes/{id}/retry",
@@ -146,7 +149,7 @@ pub async fn retry(
     match app.registry.get(&id) {
         Some(Entry::Failed { source: Some(_), .. }) => {}
         Some(Entry::Failed { problem, .. }) => {
-            return Err(problem.accepted("the same upload once more; its files were not kept"));
+            return Err(problem.accepted("upload the files again; they were not kept"));
         }
         Some(Entry::Loading { .. }) => {
             return Err(Problem::new(Kind::SceneLoading, format!("scene `{id}` is being loaded")));
@@ -201,8 +204,12 @@ impl Target {
         if self.up.is_none() || !is_json_name(main) {
             return Ok(());
         }
-        let reason = "a scene file says itself which way is up";
-        Err(Problem::parameter("up", reason, "`up` in the scene file, or left out"))
+        let reason = "a scene file sets its own up direction";
+        Err(Problem::parameter(
+            "up",
+            reason,
+            "set `up` in the scene file, or leave the parameter out",
+        ))
     }
 }
 
@@ -465,7 +472,7 @@ pub async fn load(
         let result = engine.load_within(&id, &file, &admission);
         let noted = if result.is_ok() { store::finish } else { store::set_aside };
         if records && let Err(error) = noted(&root, &id) {
-            tracing::warn!(id, %error, "an upload's record cannot be written");
+            tracing::warn!(id, %error, "cannot write an upload's record");
         }
         match result {
             Err(EngineError::Interrupted(Interrupt::Cancelled)) => Ok(None),
@@ -526,7 +533,7 @@ pub fn stand_down(app: &App) {
         if matches!(entry, Entry::Loading { .. })
             && let Err(error) = store::set_aside(&app.settings.root, &id)
         {
-            tracing::warn!(id, %error, "an upload's record cannot be written");
+            tracing::warn!(id, %error, "cannot write an upload's record");
         }
     }
 }

@@ -76,9 +76,9 @@ impl Quota {
     pub fn admit(&self, key: Option<&str>) -> Result<Share, Problem> {
         let mut tally = self.tally.lock();
         let full = |found: u64, limit: u64, whose: &str| {
-            let detail = format!("there are {found} uploaded scenes{whose} of at most {limit}");
+            let detail = format!("there are {found} uploaded scenes{whose}; the limit is {limit}");
             Problem::new(Kind::TooManyScenes, detail)
-                .accepted("the same upload after a scene was deleted (DELETE /v1/scenes/{id})")
+                .accepted("DELETE an uploaded scene (/v1/scenes/{id}), then upload again")
         };
         if tally.all.scenes >= self.limits.scenes {
             return Err(full(tally.all.scenes, self.limits.scenes, ""));
@@ -142,7 +142,7 @@ impl Share {
                 held - self.bytes
             );
             Problem::new(Kind::UploadQuota, detail)
-                .accepted("a smaller upload, or the same one after others were deleted")
+                .accepted("a smaller upload, or DELETE other uploads and upload again")
         };
         if tally.all.bytes.saturating_add(bytes) > limits.bytes {
             return Err(full(tally.all.bytes, limits.bytes, ""));
@@ -192,7 +192,9 @@ mod tests {
         assert_eq!(refused.status(), 429);
         assert!(refused.detail.contains("2 uploaded scenes of this key"), "{}", refused.detail);
         let _third = quota.admit(Some("b")).unwrap();
-        assert!(quota.admit(None).err().unwrap().detail.contains("3 uploaded scenes of at most 3"));
+        assert!(
+            quota.admit(None).err().unwrap().detail.contains("3 uploaded scenes; the limit is 3")
+        );
         drop(first);
         assert_eq!(quota.held(), Held { scenes: 2, bytes: 0 });
         assert!(quota.admit(Some("a")).is_ok());

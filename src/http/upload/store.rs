@@ -131,7 +131,7 @@ pub fn remove_files(root: &Path, id: &str) {
 pub fn remove_folder(path: &Path) {
     match fs::remove_dir_all(path) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => {
-            tracing::warn!(%error, folder = %path.display(), "an upload's files cannot be removed");
+            tracing::warn!(%error, folder = %path.display(), "cannot remove an upload's files");
         }
         _ => {}
     }
@@ -217,14 +217,14 @@ fn look_at(root: &Path, id: String, folder: &Path) -> Earlier {
             times => format!("{times} times in a row"),
         };
         let detail = format!(
-            "{}: the server ended while it loaded this upload, {times}; it is not loaded again by itself",
+            "{}: the server ended while it loaded this upload, {times}; it is not retried automatically",
             record.main
         );
         let problem = Problem::new(Kind::LoadLost, detail);
         refusal = Some(problem.accepted("POST /v1/scenes/{id}/retry, or DELETE /v1/scenes/{id}"));
     }
     if let Err(error) = record.write(folder) {
-        tracing::warn!(id, %error, "an upload's record cannot be written");
+        tracing::warn!(id, %error, "cannot write an upload's record");
     }
     let source = Some(record.source(root, &id));
     Earlier { id, source, key: record.key, bytes: record.bytes, refusal }
@@ -236,7 +236,7 @@ fn guess(folder: &Path, error: io::Error) -> Result<Record, Problem> {
         Problem::new(Kind::LoadLost, detail).accepted("DELETE /v1/scenes/{id}, and a new upload")
     };
     if error.kind() != io::ErrorKind::NotFound {
-        return Err(refused(format!("the upload's record cannot be read: {error}")));
+        return Err(refused(format!("cannot read the upload's record: {error}")));
     }
     let files = fs::read_dir(folder).map_err(|error| refused(error.to_string()))?;
     let (mut names, mut bytes) = (Vec::new(), 0);
@@ -247,7 +247,7 @@ fn guess(folder: &Path, error: io::Error) -> Result<Record, Problem> {
     match main_file(&names, None) {
         Ok(main) => Ok(Record::new(main, false, None, bytes)),
         Err(_) => Err(refused(format!(
-            "nothing says which of the upload's {} files is to be loaded",
+            "the record does not say which of the upload's {} files to load",
             names.len()
         ))),
     }

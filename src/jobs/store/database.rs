@@ -109,7 +109,7 @@ impl Ledger {
                     self.open = Some(database);
                     return Ok(());
                 }
-                Err(error) => tracing::warn!(%error, "the job database failed and is opened again"),
+                Err(error) => tracing::warn!(%error, "the job database failed; reopening it"),
             }
         }
         // The failed database has closed its file.

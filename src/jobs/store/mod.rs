@@ -43,9 +43,9 @@ const FOLDERS: &str = "jobs";
 /// Why a state folder cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum StateError {
-    #[error("the state folder {} is another daemon's, which is running; give this one its own with --state", folder.display())]
+    #[error("another running daemon uses the state folder {}; give this daemon its own folder with --state", folder.display())]
     Locked { folder: PathBuf },
-    #[error("the state folder {} cannot be used: {}: {error}", folder.display(), file.display())]
+    #[error("cannot use the state folder {}: {}: {error}", folder.display(), file.display())]
     Io { folder: PathBuf, file: PathBuf, error: io::Error },
     #[error("the job database failed: {0}")]
     Database(String),
@@ -122,7 +122,7 @@ impl Store {
                 let aside = aside(&file, now_ms);
                 fs::rename(&file, &aside).map_err(failed(&file))?;
                 warnings.push(format!(
-                    "the job database is damaged ({reason}); it is kept as {}, and jobs are found again from their folders",
+                    "the job database is damaged ({reason}); it was renamed to {}, and jobs are recovered from their folders",
                     aside.display()
                 ));
                 Ledger::open(opener()).map_err(told)?
@@ -133,7 +133,7 @@ impl Store {
         let store = Store { books, folder: folder.to_owned(), _lock: lock };
         let Content { mut records, mut last_id, unreadable } = content;
         for (id, reason) in &unreadable {
-            warnings.push(format!("the record of job {id} cannot be read: {reason}"));
+            warnings.push(format!("cannot read the record of job {id}: {reason}"));
             last_id = last_id.max(*id);
         }
         store
@@ -170,10 +170,9 @@ impl Store {
             }
             match place.kept() {
                 Ok(Some(kept)) => {
-                    warnings.push(format!(
-                        "job {id} was found again from its folder; it can be resumed"
-                    ));
-                    let detail = "the record of this job was lost and found again from its folder; resume it to go on with it";
+                    warnings
+                        .push(format!("job {id} was recovered from its folder; it can be resumed"));
+                    let detail = "the record of this job was lost, and the job was recovered from its folder; resume it to continue";
                     let failure =
                         Failure { kind: FailureKind::Recovered, detail: detail.to_owned() };
                     let record = Record {
@@ -223,7 +222,7 @@ impl Store {
             Err(fault) => {
                 let error = state_error(&self.folder, fault);
                 if books.owed.insert(id) {
-                    tracing::error!(job = id, %error, "a job's record cannot be kept; it is tried again");
+                    tracing::error!(job = id, %error, "cannot store a job's record; retrying");
                 }
                 Err(error)
             }

@@ -161,7 +161,7 @@ fn frames_are_there_while_the_job_runs() {
     seen(&mut stream, "Pointillist-Frame: 30\r\n");
     assert_eq!(post(&client, &format!("/v1/jobs/{id}/cancel")).json()["state"], "cancelled");
     seen(&mut stream, "content-type: application/problem+json");
-    seen(&mut stream, "the job has ended before frame");
+    seen(&mut stream, "the job ended before frame");
     // Frames that were drawn remain.
     assert_eq!(client.get(&format!("/v1/jobs/{id}/frames/0")).body, first.body);
 }

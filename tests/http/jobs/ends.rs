@@ -122,7 +122,9 @@ fn two_daemons_do_not_share_a_state_folder() {
         .unwrap();
     let told = String::from_utf8_lossy(&output.stderr);
     assert!(
-        !output.status.success() && told.contains("--state") && told.contains("another daemon"),
+        !output.status.success()
+            && told.contains("--state")
+            && told.contains("another running daemon"),
         "{told}"
     );
     ended(&client, &create(&client, json!({"to": 2})), "done");
@@ -138,9 +140,9 @@ fn two_daemons_do_not_share_a_state_folder() {
         (&off["status"], &off["type"]),
         (&json!(503), &json!("urn:pointillist:problem:jobs-off"))
     );
-    assert!(off["detail"].as_str().unwrap().contains("another daemon"), "{off}");
+    assert!(off["detail"].as_str().unwrap().contains("another running daemon"), "{off}");
     assert!(!off["detail"].as_str().unwrap().contains(states.path().to_str().unwrap()), "{off}");
-    assert!(second.log().contains("no jobs are taken on"), "{}", second.log());
+    assert!(second.log().contains("jobs are disabled"), "{}", second.log());
     assert_eq!(second.client().post_json("/v1/jobs", &body(json!({}))).status, 503);
     assert_eq!(second.client().get("/v1/limits").json()["jobs"], json!(null));
     assert_eq!(second.client().get("/v1/scenes/grid/frame?w=8&h=8").status, 200);

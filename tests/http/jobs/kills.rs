@@ -104,7 +104,7 @@ fn videos_are_given_up() {
         crate::daemon::eventually("the end of coding", || !folder.join("video.mp4.part").exists());
         assert!(!folder.join("video.mp4").exists());
         let none = client.get(&format!("/v1/jobs/{id}/video.mp4")).problem();
-        assert!(none["detail"].as_str().unwrap().contains("has ended before"), "{none}");
+        assert!(none["detail"].as_str().unwrap().contains("the job ended before"), "{none}");
         assert_eq!(job(&client, &id)["frames"]["done"], COUNT);
         assert_eq!(post(&client, &format!("/v1/jobs/{id}/resume")).status, 200);
         assert!(files(&daemon, &id) == before, "frames are what they were");
@@ -139,11 +139,11 @@ fn a_restart_waits_for_the_process_before() {
     let refused = start("1").wait_with_output().unwrap();
     let told = String::from_utf8_lossy(&refused.stderr);
     assert!(!refused.status.success() && told.contains("cannot listen on"), "{told}");
-    assert_eq!(told.matches("trying again").count(), 1, "{told}");
+    assert_eq!(told.matches("retrying for").count(), 1, "{told}");
 
     let mut next = start("600");
     let mut told = BufReader::new(next.stderr.take().unwrap()).lines().map(Result::unwrap);
-    let waits = told.by_ref().find(|line| line.contains("trying again"));
+    let waits = told.by_ref().find(|line| line.contains("retrying for"));
     assert!(waits.is_some(), "it has not waited");
     // Drain the rest of its messages, so that the pipe does not fill up.
     let rest = std::thread::spawn(move || told.collect::<Vec<_>>());

@@ -153,7 +153,7 @@ fn watchers_are_few_and_come_again() {
     // The stream ends with a reason, and its place becomes free.
     let mut rest = String::new();
     std::io::Read::read_to_string(&mut first, &mut rest).unwrap();
-    assert!(rest.contains("event: reconnect") && rest.contains("has lasted 1 seconds"), "{rest}");
+    assert!(rest.contains("event: reconnect") && rest.contains("its limit of 1 seconds"), "{rest}");
     let next = waiting["frames"]["done"].as_u64().unwrap();
     let whole = format!(
         "GET /v1/jobs/{id}/multipart?from={next} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
@@ -165,7 +165,7 @@ fn watchers_are_few_and_come_again() {
             return false;
         }
         assert!(
-            body.contains("frame-not-drawn") && body.contains("has lasted 1 seconds"),
+            body.contains("frame-not-drawn") && body.contains("its limit of 1 seconds"),
             "{body}"
         );
         assert!(body.contains(&format!("multipart?from={next}")), "{body}");

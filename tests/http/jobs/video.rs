@@ -57,7 +57,7 @@ fn a_job_makes_a_video() {
     assert!(files(&daemon, &alone).is_empty());
     assert_eq!(client.get(&format!("/v1/jobs/{alone}/video.mp4")).status, 200);
     let frame = client.get(&format!("/v1/jobs/{alone}/frames/0")).problem();
-    assert!(frame["detail"].as_str().unwrap().contains("only the video"), "{frame}");
+    assert!(frame["detail"].as_str().unwrap().contains("only its video"), "{frame}");
     assert_eq!(client.get(&format!("/v1/jobs/{alone}/multipart")).problem()["status"], 404);
     assert_eq!(client.get(&format!("/v1/jobs/{alone}/frames")).text().lines().count(), 61);
 }
