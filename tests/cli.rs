@@ -149,7 +149,7 @@ fn what_cannot_be_cached_is_an_error_of_bake() {
     let shell = Shell::new();
     std::fs::write(shell.path("file"), "").unwrap();
     for (args, expected) in [
-        (&["nothing.ply"][..], "nothing.ply cannot be opened"),
+        (&["nothing.ply"][..], "cannot open nothing.ply"),
         (&["cloud.ply", "--cache", "file"], "--cache file"),
         (&["cloud.ply", "--cache-max-mib", "0"], "--cache-max-mib 0"),
     ] {
@@ -284,7 +284,7 @@ fn an_error_in_a_shader_breaks_the_bounds_of_the_stability_report() {
     let output = command.env("POINTILLIST_SHADERS", shell.path("shaders")).output().unwrap();
     let told = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{told}");
-    assert!(told.contains("break their bounds: ordinary"), "{told}");
+    assert!(told.contains("outlines exceed their error bounds: ordinary"), "{told}");
 }
 
 /// A reader that closes the pipe early is not an error.

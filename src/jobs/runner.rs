@@ -401,7 +401,7 @@ impl Run<'_> {
 }
 
 fn full(error: &JobError) -> Outcome {
-    let detail = format!("{error}; remove jobs or raise --job-disk-mib, and resume this one");
+    let detail = format!("{error}, then resume this job");
     Outcome::Failed(failure(FailureKind::DiskQuota, detail))
 }
 

@@ -220,10 +220,9 @@ fn addresses_follow_the_contract() {
         let text = std::fs::read_to_string(&page).unwrap();
         for (start, _) in text.match_indices("//127.0.0.1:8080/") {
             let rest = &text[start + "//127.0.0.1:8080".len()..];
-            let end = rest
-                .find(['\'', '"', '`', '>', ' ', '\n', ')', '\\', '|', ','])
-                .unwrap_or(rest.len());
-            let target = rest[..end].trim_end_matches('.');
+            let end =
+                rest.find(['\'', '"', '`', '>', ' ', '\n', ')', '\\', '|']).unwrap_or(rest.len());
+            let target = rest[..end].trim_end_matches(['.', ',']);
             // Skip placeholders, and addresses that stand for several ones.
             if target.contains(['{', '[', '$', '…']) || rest[end..].starts_with('\\') {
                 continue;

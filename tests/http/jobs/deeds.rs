@@ -560,7 +560,7 @@ fn limits_are_told() {
     let failed = ended(&client, &id, "failed");
     assert_eq!(failed["error"]["type"], "urn:pointillist:problem:job-quota");
     let detail = failed["error"]["detail"].as_str().unwrap();
-    assert!(detail.contains("of 1048576 that they may"), "{detail}");
+    assert!(detail.contains("of 1048576 bytes used; delete finished jobs"), "{detail}");
     let frame_bytes = 64 * 48 * 4;
     let most = (1 << 20) / frame_bytes + 12;
     let done = failed["frames"]["done"].as_u64().unwrap();
