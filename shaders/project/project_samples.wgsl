@@ -2,6 +2,7 @@
 //!include shared/frame
 //!include shared/scene
 //!include shared/octahedral
+//!include shared/clip_boxes
 //!include VISIBILITY
 //!include NODES
 
@@ -85,7 +86,8 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
                 }
             }
             let at = place_of(positions[sample], row_x, row_y, row_z);
-            if at.z > NEAREST && all(at.image >= vec2<f32>(0.0)) && all(at.image < size) {
+            let is_before = at.z > NEAREST && all(at.image >= vec2<f32>(0.0)) && all(at.image < size);
+            if is_before && place_is_shown(at_depth(at.image, at.z)) {
                 if !TREE {
                     visibility_write(frame.first_pixel + u32(at.image.y) * width + u32(at.image.x), at.inverse, (slot_index << SLOT_SHIFT) | i);
                 } else if node_is_drawn(sample, unit, at_depth(at.image, at.z), UNTILTED) {

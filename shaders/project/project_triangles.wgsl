@@ -134,7 +134,8 @@ fn project_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_inv
     let at = placed[frame.first_instance + instance];
     let material = effective_material(materials[chunk.material], instances[instance].material);
     var one_sided = 0.0;
-    if (material.flags & MATERIAL_DOUBLE_SIDED) == 0u {
+    // Clip boxes open what is closed.
+    if CLIP_BOXES == 0u && (material.flags & MATERIAL_DOUBLE_SIDED) == 0u {
         one_sided = select(1.0, -1.0, instances[instance].mirrored != 0u);
     }
     var rounds = 0u;

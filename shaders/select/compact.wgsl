@@ -44,7 +44,7 @@ fn sample_slot(chunk: Chunk, at: Placed, box: Box) -> Slot {
     slot.row_y = vec4<f32>(f.y * y + c.y * z_part, f.y * corner.y + c.y * corner_part);
     slot.row_z = vec4<f32>(z, corner.z);
     slot.unit = chunk.node_base * stretch(at);
-    slot.one_sided = u32((chunk.flags & CHUNK_CLOSED) != 0u && at.position.w == 1.0);
+    slot.one_sided = u32(CLIP_BOXES == 0u && (chunk.flags & CHUNK_CLOSED) != 0u && at.position.w == 1.0);
     slot.limit = parent_limit(chunk, at, box, slot.unit);
     slot.sorted = u32(LISTS_SORTED && (chunk.flags & CHUNK_SORTED) != 0u);
     return slot;

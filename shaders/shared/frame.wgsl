@@ -2,6 +2,15 @@
 //
 // An orthographic view has parallel rays along z. Both projections divide camera-space places by a divisor (z, or 1) to get to the
 // image, and both keep 1/z of what pixels show; in perspective it is linear in the pixel, in an orthographic view z is.
+// A clip box: the map from camera space to its coordinates, less the eye's, as rows with the box's least corner in w.
+struct ClipBox {
+    x: vec4<f32>,
+    y: vec4<f32>,
+    z: vec4<f32>,
+    // Its largest corner. w: 0 where its inside is shown, else 1.
+    high: vec4<f32>,
+}
+
 struct Frame {
     // Rows of camera_from_world; w is unused.
     right: vec4<f32>,
@@ -70,6 +79,7 @@ struct Frame {
     ramp_colors: array<vec4<u32>, 3>,
     // Orthographic views: depth of the origin that world-space places are subtracted from.
     focus: f32,
+    clip_boxes: array<ClipBox, 8>,
 }
 
 @group(0) @binding(0) var<uniform> frames: array<Frame, 16>;
@@ -79,6 +89,10 @@ override VIEWS: bool = false;
 
 // Rays are parallel.
 override ORTHOGRAPHIC: bool = false;
+
+// Number of clip boxes, and whether the inside of one is shown.
+override CLIP_BOXES: u32 = 0u;
+override CLIP_INSIDE: u32 = 0u;
 
 var<private> frame: Frame;
 
@@ -133,7 +147,11 @@ fn towards(position: vec3<f32>) -> vec3<f32> {
 
 // The camera-space place at an image position and a depth.
 fn at_depth(pixel: vec2<f32>, z: f32) -> vec3<f32> {
-    let ray = ray_through(pixel);
+    return on_ray(ray_through(pixel), z);
+}
+
+// The same, of a ray that ray_through gives.
+fn on_ray(ray: vec3<f32>, z: f32) -> vec3<f32> {
     if ORTHOGRAPHIC {
         return vec3<f32>(ray.xy, z);
     }

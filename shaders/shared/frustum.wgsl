@@ -1,5 +1,6 @@
 // Boxes in camera space: their bounds, and the test against the view frustum.
 //!include shared/stretch
+//!include shared/clip_boxes
 
 // Relative error that f32 may add while terms are summed, as a fraction of their magnitude.
 const SLACK: f32 = 4e-6;
@@ -101,7 +102,47 @@ fn reaches_line(line: vec3<f32>, centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, 
     return reaches(line, 0.0, centre, x, y, z, radius);
 }
 
-// Of a box in camera space with half edges x, y, z; `margin`: pixels beside the image that count as well.
+// Along one axis of a clip box, the middle of a box and half its extent, rounding included.
+fn clip_span(axis: vec3<f32>, centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>, radius: f32) -> vec2<f32> {
+    let extent = abs(dot(axis, x)) + abs(dot(axis, y)) + abs(dot(axis, z)) + radius * length(axis);
+    return vec2<f32>(dot(axis, centre), extent + SLACK * (dot(abs(axis), abs(centre)) + extent));
+}
+
+// The same as with_clip_box of a box with half edges x, y, z and all within `radius` of it: whether any of it may be in a clip box whose
+// inside is shown, and whether all of it is in one whose outside is.
+fn meets_clip_box(found: vec2<bool>, clip: ClipBox, centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>, radius: f32) -> vec2<bool> {
+    let across = clip_span(clip.x.xyz, centre, x, y, z, radius);
+    let along = clip_span(clip.y.xyz, centre, x, y, z, radius);
+    let up = clip_span(clip.z.xyz, centre, x, y, z, radius);
+    let middle = vec3<f32>(across.x, along.x, up.x);
+    let extent = vec3<f32>(across.y, along.y, up.y);
+    let low = vec3<f32>(clip.x.w, clip.y.w, clip.z.w);
+    if clip.high.w == 0.0 {
+        let meets = all(middle + extent >= low) && all(middle - extent <= clip.high.xyz);
+        return vec2<bool>(found.x || meets, found.y);
+    }
+    let holds = all(middle - extent >= low) && all(middle + extent <= clip.high.xyz);
+    return vec2<bool>(found.x, found.y || holds);
+}
+
+// Whether anything of a box, and of what lies within `radius` of it, may be shown.
+fn box_is_shown(centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>, radius: f32) -> bool {
+    if CLIP_BOXES == 0u {
+        return true;
+    }
+    var found = meets_clip_box(vec2<bool>(CLIP_INSIDE == 0u, false), frame.clip_boxes[0], centre, x, y, z, radius);
+    if CLIP_BOXES > 1u { found = meets_clip_box(found, frame.clip_boxes[1], centre, x, y, z, radius); }
+    if CLIP_BOXES > 2u { found = meets_clip_box(found, frame.clip_boxes[2], centre, x, y, z, radius); }
+    if CLIP_BOXES > 3u { found = meets_clip_box(found, frame.clip_boxes[3], centre, x, y, z, radius); }
+    if CLIP_BOXES > 4u { found = meets_clip_box(found, frame.clip_boxes[4], centre, x, y, z, radius); }
+    if CLIP_BOXES > 5u { found = meets_clip_box(found, frame.clip_boxes[5], centre, x, y, z, radius); }
+    if CLIP_BOXES > 6u { found = meets_clip_box(found, frame.clip_boxes[6], centre, x, y, z, radius); }
+    if CLIP_BOXES > 7u { found = meets_clip_box(found, frame.clip_boxes[7], centre, x, y, z, radius); }
+    return found.x && !found.y;
+}
+
+// Whether anything may be seen of a box in camera space with half edges x, y, z and of what lies within `radius` of it; `margin`: pixels
+// beside the image that count as well.
 fn box_is_seen(centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>, radius: f32, margin: f32) -> bool {
     let f = frame.focal_px;
     let c = frame.principal_px;
@@ -110,7 +151,8 @@ fn box_is_seen(centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>, radi
         && reaches_line(vec3<f32>(f.x, 0.0, c.x + margin), centre, x, y, z, radius)
         && reaches_line(vec3<f32>(-f.x, 0.0, s.x - c.x + margin), centre, x, y, z, radius)
         && reaches_line(vec3<f32>(0.0, f.y, c.y + margin), centre, x, y, z, radius)
-        && reaches_line(vec3<f32>(0.0, -f.y, s.y - c.y + margin), centre, x, y, z, radius);
+        && reaches_line(vec3<f32>(0.0, -f.y, s.y - c.y + margin), centre, x, y, z, radius)
+        && box_is_shown(centre, x, y, z, radius);
 }
 
 // How far splats may reach from their centres in camera space, of a chunk's longest kernel axis and an instance's stretch. Nearer to the eye

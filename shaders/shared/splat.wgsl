@@ -32,6 +32,7 @@ override WEIGHTED: bool = true;
 const AFFINE: u32 = 0u;
 const EXACT: u32 = 2u;
 
+//!include shared/clip_boxes
 //!include shared/kept
 // A clip line that keeps everything.
 const NO_LINE: u32 = 0x8000u;
@@ -124,7 +125,11 @@ fn splat_meets(splat: Splat, d: vec2<f32>, q: f32) -> bool {
     if NARROW {
         own = distance_of(splat, splat.own_s, splat.own_t, d);
     }
-    return holds_centre || own <= frame.splat_cutoff * frame.splat_cutoff;
+    let meets = holds_centre || own <= frame.splat_cutoff * frame.splat_cutoff;
+    if CLIP_BOXES == 0u {
+        return meets;
+    }
+    return meets && place_is_shown(at_depth(splat.centre + d, 1.0 / splat_inverse(splat, d)));
 }
 
 fn splat_inverse(splat: Splat, d: vec2<f32>) -> f32 {

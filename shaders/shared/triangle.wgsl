@@ -1,5 +1,6 @@
 // What the compute walk and the rasteriser must agree on: where a corner falls on the 1/256-pixel grid, which way a
 // triangle faces, and its depth at a pixel.
+//!include shared/clip_boxes
 
 // A coordinate this large in pixels goes to the rasteriser's clipper.
 const GUARD_PX: f32 = 1048576.0;
@@ -55,7 +56,8 @@ fn plane_inverse_depth(plane: Plane, ray: vec3<f32>) -> f32 {
 // Writes a covered pixel. Of a triangle that meets the plane through the eye, parallel rays also cover what lies behind it.
 fn triangle_write(plane: Plane, ray: vec3<f32>, pixel: u32, id: u32) {
     let inverse = plane_inverse_depth(plane, ray);
-    if !ORTHOGRAPHIC || (inverse > 0.0 && inverse < 1.0 / NEAREST) {
+    let is_before = !ORTHOGRAPHIC || (inverse > 0.0 && inverse < 1.0 / NEAREST);
+    if is_before && place_is_shown(on_ray(ray, 1.0 / inverse)) {
         visibility_write(pixel, inverse, id);
     }
 }

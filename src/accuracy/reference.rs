@@ -127,6 +127,7 @@ impl Reference {
             splats: None,
             discs: None,
             recolor: None,
+            clip: None,
             edl: None,
         }
     }

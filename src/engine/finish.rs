@@ -68,7 +68,8 @@ fn nothing_visible(drawn: &Drawn) -> Option<String> {
     let background = drawn.job.drawing().background(&resolved.model);
     let background = srgb8(background).to_le_bytes();
     let is_blank = drawn.stats.pixels_of_samples == 0 && drawn.image.is_blank(background);
-    is_blank.then(|| framing::why_nothing(&resolved.extent.bounds, &resolved.view))
+    let is_clipped = drawn.job.drawing().clip.is_some();
+    is_blank.then(|| framing::why_nothing(&resolved.extent.bounds, &resolved.view, is_clipped))
 }
 
 fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {

@@ -12,6 +12,7 @@ use crate::bake::outline::{self, Outline};
 use crate::math::framing::{self, Look, Shown};
 use crate::math::{Bounds, Camera, Lens, View};
 use crate::residency::model::{ModelInstance, SceneModel};
+use crate::scene::clip_boxes::{ClipRegion, Side};
 
 /// Largest number of points that an outline keeps as they are.
 const FEW_POINTS: usize = 4096;
@@ -95,6 +96,22 @@ impl SceneOutline {
             outline::farthest(reaches, of_group).map(|(_, point)| point)
         };
         SceneOutline { points: directions.par_iter().filter_map(farthest_along).collect() }
+    }
+
+    /// Returns the outline of the boxes whose inside is shown, as far as they lie within this outline's bounds; `None` where no such box
+    /// meets them.
+    pub fn clipped(&self, clip: &ClipRegion) -> Option<SceneOutline> {
+        let places = self.points.iter().map(|&point| clip.box_from_world.transform_point3(point));
+        let bounds = Bounds::of_all(&places.collect::<Vec<_>>());
+        let world_from_box = clip.box_from_world.inverse();
+        let insides = clip.boxes.boxes().iter().filter(|clip| clip.side == Side::Inside);
+        let points: Vec<DVec3> = insides
+            .map(|clip| Bounds { min: bounds.min.max(clip.low), max: bounds.max.min(clip.high) })
+            .filter(|part| part.min.cmple(part.max).all())
+            .flat_map(|part| part.corners())
+            .map(|corner| world_from_box.transform_point3(corner))
+            .collect();
+        (!points.is_empty()).then_some(SceneOutline { points })
     }
 
     /// Returns the camera of the default view for a frame of this aspect. `up` must not be zero. Samples may be drawn as far as `reach`
@@ -184,7 +201,7 @@ fn elevation(flatness: f64) -> f64 {
 }
 
 /// Explains why a view shows nothing of a box, and how to see it.
-pub fn why_nothing(bounds: &Bounds, view: &View) -> String {
+pub fn why_nothing(bounds: &Bounds, view: &View, is_clipped: bool) -> String {
     if bounds.is_empty() {
         return "the scene has nothing to draw: no node with points or triangles is visible"
             .to_owned();
@@ -209,6 +226,8 @@ pub fn why_nothing(bounds: &Bounds, view: &View) -> String {
         "lies below the frame"
     } else if bounds.extent().length() / view.divisor(distance) * focal_px < 1.0 {
         "is smaller than a pixel"
+    } else if is_clipped {
+        "is hidden by clip boxes where the camera looks"
     } else {
         "has gaps where the camera looks"
     };
@@ -241,7 +260,7 @@ mod tests {
         let why = |eye: [f64; 3], target: [f64; 3]| {
             let (eye, target) = (DVec3::from_array(eye), DVec3::from_array(target));
             let camera = Camera { eye, target, up: DVec3::Y, lens: LENS };
-            why_nothing(&bounds, &camera.view(64, 48).unwrap())
+            why_nothing(&bounds, &camera.view(64, 48).unwrap(), false)
         };
         for (eye, target, place) in [
             ([0.0, 0.0, 5.0], [0.0, 0.0, 9.0], "behind the camera"),
@@ -261,7 +280,8 @@ mod tests {
                 &Bounds::EMPTY,
                 &Camera { eye: DVec3::ONE, target: DVec3::ZERO, up: DVec3::Y, lens: LENS }
                     .view(8, 8)
-                    .unwrap()
+                    .unwrap(),
+                true
             )
             .contains("nothing to draw")
         );

@@ -30,6 +30,7 @@ use crate::residency::instances::{Instances, RunMeter};
 use crate::residency::model::{AssetModel, Extent, ModelInstance, SceneModel};
 use crate::residency::once::MadeOnce;
 use crate::residency::spacing;
+use crate::scene::clip_boxes::ClipRegion;
 use crate::scene::{CameraPath, InstancePaths, Node, Scene};
 
 /// How far splats usually reach, in distances between neighbouring samples.
@@ -203,6 +204,12 @@ pub fn node_name(node: &Node, index: usize) -> String {
     node.name.clone().unwrap_or_else(|| index.to_string())
 }
 
+/// The index of the top-level node with a name.
+fn node_index(description: &Scene, name: &str) -> Option<usize> {
+    let mut names = description.nodes.iter().enumerate();
+    names.find(|(index, node)| node_name(node, *index) == name).map(|(index, _)| index)
+}
+
 fn describe(
     model: &SceneModel,
     description: &Scene,
@@ -268,15 +275,10 @@ impl Loaded {
         config: &EngineConfig,
     ) -> Result<Loaded, EngineError> {
         let mut description = self.description.clone();
-        let index = description
-            .nodes
-            .iter()
-            .enumerate()
-            .position(|(index, candidate)| node_name(candidate, index) == node)
-            .ok_or_else(|| EngineError::UnknownNode {
-                scene: self.model.id.clone(),
-                node: node.to_owned(),
-            })?;
+        let index = node_index(&description, node).ok_or_else(|| EngineError::UnknownNode {
+            scene: self.model.id.clone(),
+            node: node.to_owned(),
+        })?;
         if let Some(transform) = patch.world_from_node {
             description.nodes[index].parent_from_node = transform;
         }
@@ -330,6 +332,11 @@ impl Loaded {
         })
     }
 
+    /// Returns the top-level node with a name.
+    pub fn node(&self, name: &str) -> Option<&Node> {
+        node_index(&self.description, name).map(|index| &self.description.nodes[index])
+    }
+
     /// Returns what finds the nodes above its instances.
     pub fn instance_paths(&self) -> InstancePaths<'_> {
         let placements = self.placements.iter().map(|placed| placed.len() as u64).collect();
@@ -363,7 +370,7 @@ impl Loaded {
     }
 
     /// Returns the default view: the sensor's where the file has one, else a view of everything but strays, as large as the frame
-    /// allows. Without `up` it uses the scene's up direction. Without `lens` an orthographic camera has the height that the scene needs.
+    /// allows; of the boxes of `clip` whose inside is shown, where there are such boxes. Without `up` it uses the scene's up direction. Without `lens` an orthographic camera has the height that the scene needs.
     ///
     /// # Errors
     /// An `up` that is zero or not finite; a field of view that no camera has.
@@ -373,6 +380,7 @@ impl Loaded {
         up_given: Option<DVec3>,
         lens: Option<Lens>,
         projection: Option<Projection>,
+        clip: Option<&ClipRegion>,
     ) -> Result<Camera, CameraError> {
         // These checks do not depend on the eye's position.
         let anywhere = Camera {
@@ -390,6 +398,8 @@ impl Loaded {
             Some(subject) => &SceneOutline::around(&subject),
             None => self.outline(),
         };
+        let clipped = clip.and_then(|clip| outline.clipped(clip));
+        let outline = clipped.as_ref().unwrap_or(outline);
         let front = self.description.front.filter(|_| up_given.is_none());
         let reach = SPLAT_REACH * spacing::usual(self.patches());
         let shown = match (lens, projection) {

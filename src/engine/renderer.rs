@@ -355,6 +355,7 @@ impl Renderer {
             error_mode: drawing.settings.error_mode,
             levels: drawing.settings.color_by == ColorBy::Levels,
             recolor: drawing.recolor,
+            clip: drawing.clip,
             edl: drawing.settings.eye_dome(),
             background: drawing.background(&first.frame.model),
             entry_capacity: self.scratch.entry_capacity(),

@@ -3,7 +3,7 @@
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
-use glam::DVec3;
+use glam::{DAffine3, DVec3};
 use sha2::{Digest, Sha256};
 
 use super::bake_service::{BakeTicket, Goal};
@@ -22,11 +22,19 @@ use crate::plan::{
     Settings, Wait, plan,
 };
 use crate::residency::model::SceneModel;
+use crate::scene::clip_boxes::ClipRegion;
 
 /// Result of [`super::Engine::resolve`].
 pub enum Resolution {
     Ready(Arc<ResolvedFrame>),
     NeedsBake(Box<UnbakedFrame>),
+}
+
+/// What the checks of a request found.
+pub struct Checked {
+    view: View,
+    camera: CameraReceipt,
+    clip: Option<ClipRegion>,
 }
 
 /// A valid request whose scene lacks what only a bake makes: point trees, or normals and kernels of a large cloud.
@@ -163,7 +171,7 @@ pub fn check(
     state: &EngineState,
     loaded: &Loaded,
     request: &FrameRequest,
-) -> Result<(View, CameraReceipt), EngineError> {
+) -> Result<Checked, EngineError> {
     check_size(state, request)?;
     if !(1..=100).contains(&request.quality) {
         return Err(EngineError::BadParameter {
@@ -173,7 +181,41 @@ pub fn check(
         });
     }
     encode::accepts(request.format, request.output).map_err(unfit_format)?;
-    pose(loaded, request)
+    posed(loaded, request)
+}
+
+/// The view of a request, and what it is clipped with.
+fn posed(loaded: &Loaded, request: &FrameRequest) -> Result<Checked, EngineError> {
+    let clip = clip_region(loaded, &request.settings)?;
+    let (view, camera) = pose(loaded, request, clip.as_ref())?;
+    Ok(Checked { view, camera, clip })
+}
+
+/// The boxes that a frame is clipped with, at their place in the scene.
+fn clip_region(loaded: &Loaded, settings: &Settings) -> Result<Option<ClipRegion>, EngineError> {
+    let Some(boxes) = settings.clip_boxes else { return Ok(None) };
+    let box_from_world = match settings.clip_node {
+        None => DAffine3::IDENTITY,
+        Some(name) => {
+            let bad = |reason: String, accepted: String| EngineError::BadParameter {
+                parameter: "clip_node",
+                reason,
+                accepted,
+            };
+            let node = loaded.node(name.as_str()).ok_or_else(|| {
+                let known = loaded.info.nodes.iter().take(20).cloned().collect::<Vec<_>>();
+                bad(format!("the scene has no top-level node `{name}`"), known.join(", "))
+            })?;
+            let inverse = node.parent_from_node.inverse();
+            if !inverse.is_finite() {
+                let reason =
+                    format!("node `{name}` is scaled to nothing, so that it has no inside");
+                return Err(bad(reason, "a node whose transform can be inverted".to_owned()));
+            }
+            inverse
+        }
+    };
+    Ok(Some(ClipRegion { boxes, box_from_world }))
 }
 
 /// Resolves a request in the latest revision of its scene. Never bakes.
@@ -216,7 +258,7 @@ fn decide(
     state: &EngineState,
     loaded: &Arc<Loaded>,
     request: FrameRequest,
-    (view, camera): (View, CameraReceipt),
+    Checked { view, camera, clip }: Checked,
     (model, facts): (Arc<SceneModel>, SceneFacts),
 ) -> Arc<ResolvedFrame> {
     let adapter = state.adapter();
@@ -248,11 +290,18 @@ fn decide(
             draws_hidden: state.config.draw_hidden,
         };
         let recolor = settings.recolor(loaded.up(), || loaded.heights());
-        Drawing::new(settings, &loaded.model.splats, recolor, instead_because, |reconstruction| {
-            let (edl, recolors) = (settings.eye_dome(), settings.recolors());
-            let frame = FrameFacts { output: request.output, reconstruction, recolors, edl };
-            plan(&facts, &frame, &adapter)
-        })
+        Drawing::new(
+            settings,
+            &loaded.model.splats,
+            recolor,
+            clip,
+            instead_because,
+            |reconstruction| {
+                let (edl, recolors) = (settings.eye_dome(), settings.recolors());
+                let frame = FrameFacts { output: request.output, reconstruction, recolors, edl };
+                plan(&facts, &frame, &adapter)
+            },
+        )
     };
     let other = settings.in_three_passes();
     let reconstruction = Reconstruction::new(&settings, &loaded.model.splats);
@@ -323,8 +372,8 @@ pub fn goal(loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
         (Reconstruct::Auto, Wait::Ready) => {
             loaded.lacks(Reconstruct::Points, lod, output) && output == Output::Normal
         }
-        (Reconstruct::Auto, Wait::Complete) => match pose(loaded, request) {
-            Ok((view, _)) => {
+        (Reconstruct::Auto, Wait::Complete) => match posed(loaded, request) {
+            Ok(Checked { view, .. }) => {
                 let wanted = choose_for(loaded, request, loaded.facts.counts.samples > 0, &view);
                 loaded.lacks(wanted.reconstruct, lod, output)
             }
@@ -391,7 +440,11 @@ fn no_fuzzy(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
         .then_some("the adapter cannot bind what a single pass needs for so many pixels")
 }
 
-fn pose(loaded: &Loaded, request: &FrameRequest) -> Result<(View, CameraReceipt), EngineError> {
+fn pose(
+    loaded: &Loaded,
+    request: &FrameRequest,
+    clip: Option<&ClipRegion>,
+) -> Result<(View, CameraReceipt), EngineError> {
     let (width, height) = (request.width, request.height);
     let camera = match &request.pose {
         Pose::View(view) => {
@@ -409,7 +462,7 @@ fn pose(loaded: &Loaded, request: &FrameRequest) -> Result<(View, CameraReceipt)
         Pose::Camera(camera) => *camera,
         &Pose::Upright { eye, target, lens } => Camera { eye, target, up: loaded.up(), lens },
         &Pose::Fit { up, lens } => loaded
-            .fit(f64::from(width) / f64::from(height), up, lens, request.settings.projection)
+            .fit(f64::from(width) / f64::from(height), up, lens, request.settings.projection, clip)
             .map_err(bad_camera)?,
         Pose::Named(name) => {
             let cameras = &loaded.model.cameras;

@@ -18,6 +18,7 @@ use crate::plan::auto::Choice;
 use crate::plan::{Background, FramePlan, Reconstruct, Reconstruction, Settings};
 use crate::residency::model::{Extent, SceneModel};
 use crate::scene::Splats;
+use crate::scene::clip_boxes::ClipRegion;
 use crate::scene::color_map::Recolor;
 
 /// A checked request, with everything that was decided for it.
@@ -57,6 +58,7 @@ pub struct Drawing {
     pub reconstruction: Reconstruction,
     /// What colours surfaces, if it is not their own colours.
     pub recolor: Option<Recolor>,
+    pub clip: Option<ClipRegion>,
 }
 
 impl ResolvedFrame {
@@ -91,12 +93,20 @@ impl Drawing {
         settings: &Settings,
         scene: &Splats,
         recolor: Option<Recolor>,
+        clip: Option<ClipRegion>,
         instead_because: Option<&'static str>,
         plan: impl FnOnce(Reconstruction) -> FramePlan,
     ) -> Drawing {
         let reconstruction = Reconstruction::new(settings, scene);
         let settings = settings.settled(&reconstruction).effective();
-        Drawing { plan: plan(reconstruction), settings, instead_because, reconstruction, recolor }
+        Drawing {
+            plan: plan(reconstruction),
+            settings,
+            instead_because,
+            reconstruction,
+            recolor,
+            clip,
+        }
     }
 
     /// Linear RGB and straight alpha of pixels that show nothing.
@@ -107,7 +117,7 @@ impl Drawing {
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
+    use glam::{DAffine3, DVec3};
 
     use super::*;
     use crate::bake::pack::Counts;
@@ -118,7 +128,9 @@ mod tests {
         let facts = SceneFacts { counts, trees: true, ..Default::default() };
         let adapter = AdapterFacts::default();
         let recolor = settings.recolor(DVec3::Y, || [0.0, 1.0]);
-        Drawing::new(settings, &Splats::default(), recolor, None, |reconstruction| {
+        let box_from_world = DAffine3::IDENTITY;
+        let clip = settings.clip_boxes.map(|boxes| ClipRegion { boxes, box_from_world });
+        Drawing::new(settings, &Splats::default(), recolor, clip, None, |reconstruction| {
             let frame = FrameFacts { reconstruction, ..FrameFacts::default() };
             plan::plan(&facts, &frame, &adapter)
         })
@@ -133,14 +145,17 @@ mod tests {
                     choices.iter().map(|choice| choice.value.clone()).collect()
                 }
                 SettingKind::Flag => vec!["true".to_owned(), "false".to_owned()],
-                SettingKind::Color => vec!["transparent".to_owned(), "#102030".to_owned()],
+                SettingKind::Text { examples, .. } => {
+                    examples.iter().map(ToString::to_string).collect()
+                }
                 SettingKind::Number { least, most, .. } => {
                     vec![least.to_string(), most.to_string()]
                 }
             };
             let mut needed = Given::default();
             for rule in &setting.needs {
-                needed.set_text(rule.of, rule.is[0]).unwrap();
+                let value = rule.is.first().copied().unwrap_or("0,0,0,1,1,1");
+                needed.set_text(rule.of, value).unwrap();
             }
             let drawings = values.iter().map(|value| {
                 let mut given = needed;

@@ -222,7 +222,10 @@ impl<'a> Band<'a> {
             for y in y0.max(self.first_row)..y1.min(end_row) {
                 for x in x0..x1 {
                     let centre = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-                    if let Some(touch) = splat.seen.at(centre, pixel_ray(self.view, x, y)) {
+                    let ray = pixel_ray(self.view, x, y);
+                    if let Some(touch) = splat.seen.at(centre, ray)
+                        && self.prepared.shows(self.view, self.view.at_depth(ray, touch.depth))
+                    {
                         visit((y - self.first_row) * width + x, splat, touch);
                     }
                 }

@@ -43,6 +43,7 @@ use rayon::prelude::*;
 
 use crate::assets::{Geometry, Material, Texture};
 use crate::math::View;
+use crate::scene::clip_boxes::ClipRegion;
 use crate::scene::color_map::Recolor;
 use crate::scene::{Discs, EyeDome, Light, MaterialSpec, Splats};
 
@@ -64,6 +65,8 @@ pub struct OracleScene<'a> {
     pub discs: Option<Discs>,
     /// What colours surfaces, if it is not their own colours.
     pub recolor: Option<Recolor>,
+    /// What the scene is clipped with.
+    pub clip: Option<ClipRegion>,
     /// Eye-dome lighting, computed from the depths at the pixels' centres.
     pub edl: Option<EyeDome>,
 }

@@ -55,6 +55,12 @@ impl<'a> Prepared<'a> {
         self.pyramids.get(&address(texture))
     }
 
+    /// Whether clip boxes show a place in view space.
+    pub fn shows(&self, view: &View, place: DVec3) -> bool {
+        let world = || view.eye + view.view_from_world.transpose() * place;
+        self.scene.clip.is_none_or(|clip| clip.shows(world()))
+    }
+
     pub fn instance(&self, hit: &Hit) -> u32 {
         self.items[hit.item as usize].item.instance
     }

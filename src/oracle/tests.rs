@@ -51,6 +51,7 @@ pub fn scene<'a>(items: Vec<OracleItem<'a>>) -> OracleScene<'a> {
         splats: None,
         discs: None,
         recolor: None,
+        clip: None,
         edl: None,
     }
 }

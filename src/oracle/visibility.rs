@@ -174,6 +174,10 @@ fn add_samples(
             in_scene.max(DVec2::splat(0.5 * f64::from(discs.diameter_px)))
         });
         let hit = Hit { depth, item: number, index: index as u32 };
+        // Discs are clipped pixel by pixel.
+        if radius.is_none() && !prepared.shows(view, position_view) {
+            return None;
+        }
         Some(SeenPoint { centre, radius, hit })
     };
     let projected: Vec<SeenPoint> =
@@ -184,7 +188,9 @@ fn add_samples(
         for point in &projected {
             let [columns, rows] = point.covered([0..width, y0..y1]);
             for (x, y) in rows.flat_map(|y| columns.clone().map(move |x| (x, y))) {
-                if point.covers(x, y) {
+                let place = || view.at_depth(pixel_ray(view, x, y), point.hit.depth);
+                let is_shown = || point.radius.is_none() || prepared.shows(view, place());
+                if point.covers(x, y) && is_shown() {
                     keep_nearer(prepared, &mut pixels[(y - y0) * width + x], point.hit);
                 }
             }
@@ -230,7 +236,9 @@ fn add_triangles(
     let seen = |index: u32| {
         let triangle = SeenTriangle::new(item.triangle_view(mesh, index)?, view.projection)?;
         let counter_clockwise = (triangle.facing < 0) != item.mirrored;
-        let drawn = counter_clockwise || item.double_sided(mesh, index);
+        // Clip boxes open what is closed.
+        let is_open = prepared.scene.clip.is_some();
+        let drawn = counter_clockwise || is_open || item.double_sided(mesh, index);
         drawn.then_some((index, triangle, triangle.pixel_box(view)?))
     };
     let triangles: Vec<(u32, SeenTriangle, [usize; 4])> =
@@ -248,7 +256,10 @@ fn add_triangles(
                     }
                     let hit = Hit { depth: triangle.depth(ray), item: number, index: *index };
                     // Depth 0 means that the eye touches the triangle.
-                    if hit.depth > 0.0 && !surface::is_cut_out(prepared, view, &hit, x, y) {
+                    if hit.depth > 0.0
+                        && prepared.shows(view, view.at_depth(ray, hit.depth))
+                        && !surface::is_cut_out(prepared, view, &hit, x, y)
+                    {
                         keep_nearer(prepared, &mut pixels[(y - y_begin) * width + x], hit);
                     }
                 }

@@ -2,12 +2,15 @@
 
 use std::sync::Arc;
 
+use glam::{DMat3, DVec3, Vec3};
+
 use super::slabs::Slabs;
 use crate::math::View;
 use crate::plan::{ErrorMode, FramePlan, Output, Pass, Reconstruction};
-use crate::residency::layout::{GpuFrame, two_floats};
+use crate::residency::layout::{GpuClipBox, GpuFrame, two_floats};
 use crate::residency::model::{Extent, SceneModel};
 use crate::residency::{GROUP, ResidentScene};
+use crate::scene::clip_boxes::{ClipRegion, MOST_BOXES, Side};
 use crate::scene::color_map::{MOST_COLORS, Recolor};
 use crate::scene::{EyeDome, Shading};
 
@@ -43,6 +46,8 @@ pub struct FrameTask {
     pub levels: bool,
     /// What colours surfaces, if it is not their own colours.
     pub recolor: Option<Recolor>,
+    /// What the scene is clipped with.
+    pub clip: Option<ClipRegion>,
     /// Eye-dome lighting, where it is on.
     pub edl: Option<EyeDome>,
     /// Linear RGB and straight alpha of pixels that show nothing.
@@ -202,7 +207,33 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         ramp_colors,
         focus: focus as f32,
         padding: [0; 3],
+        clip_boxes: task.clip.map_or_else(Default::default, |clip| clip_boxes(&clip, view)),
     }
+}
+
+/// The boxes of a region in a view's camera space.
+fn clip_boxes(clip: &ClipRegion, view: &View) -> [GpuClipBox; MOST_BOXES] {
+    // Camera space looks along +z, with y down.
+    let camera = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+    let rows =
+        (clip.box_from_world.matrix3 * view.view_from_world.transpose() * camera).transpose();
+    let eye = clip.box_from_world.transform_point3(view.eye);
+    let mut records = [GpuClipBox::default(); MOST_BOXES];
+    for (record, clip) in records.iter_mut().zip(clip.boxes.boxes()) {
+        // Open bounds are finite in shaders.
+        let [low, high] = [clip.low, clip.high].map(|corner| {
+            (corner - eye).as_vec3().clamp(Vec3::splat(-f32::MAX), Vec3::splat(f32::MAX))
+        });
+        let row = |axis: DVec3, low: f32| axis.as_vec3().extend(low).to_array();
+        let side = f32::from(u8::from(clip.side == Side::Outside));
+        *record = GpuClipBox {
+            x: row(rows.x_axis, low.x),
+            y: row(rows.y_axis, low.y),
+            z: row(rows.z_axis, low.z),
+            high: high.extend(side).to_array(),
+        };
+    }
+    records
 }
 
 /// The number of colours of the frame's map, and each as sRGB8.

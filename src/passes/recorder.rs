@@ -18,6 +18,7 @@ use crate::gpu::timing::{Span, Timer};
 use crate::plan::{Pass, Per, Stage};
 use crate::residency::layout::{GpuDispatch, LOD_LAUNCHES};
 use crate::residency::{Residency, ResidentScene};
+use crate::scene::clip_boxes::Side;
 
 /// Workgroups in x before a dispatch takes a second row; as in the shaders.
 pub const DISPATCH_ROW: u32 = 32768;
@@ -169,6 +170,12 @@ impl<'a, 'c> Recorder<'a, 'c> {
         let mut constants = vec![("VIEWS", u32::from(self.task.count() > 1))];
         if self.task.is_orthographic() {
             constants.push(("ORTHOGRAPHIC", 1));
+        }
+        if let Some(clip) = &self.task.clip {
+            let boxes = clip.boxes.boxes();
+            let shows_inside = boxes.iter().any(|clip| clip.side == Side::Inside);
+            constants.push(("CLIP_BOXES", boxes.len() as u32));
+            constants.push(("CLIP_INSIDE", u32::from(shows_inside)));
         }
         constants.extend(own);
         constants

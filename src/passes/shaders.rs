@@ -113,6 +113,7 @@ fragments![
     "shared/portions",
     "shared/pyramid",
     "shared/recolor",
+    "shared/clip_boxes",
     "shared/turns",
     "shared/tested",
     "shared/portion_all",

@@ -16,14 +16,17 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
+mod text;
 mod values;
 
+pub use text::Name;
 pub use values::{
     Background, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode, Lod, MaxError, Output,
     PointSize, PointSizePx, Reconstruct, StillFrame, UsedSettings, UsedSplats, Wait,
 };
 
 use crate::math::Projection;
+use crate::scene::clip_boxes::ClipBoxes;
 use crate::scene::color_map::ColorMap;
 use crate::scene::{Blend, Filter, Shading};
 
@@ -58,8 +61,16 @@ pub enum SettingKind {
     },
     /// `true` or `false`; where it is not given, as the scene has it.
     Flag,
-    /// An sRGB colour; where it is not given, the scene's.
-    Color,
+    /// Text of a form of its own.
+    Text {
+        /// What holds where it is not given, in words.
+        default: &'static str,
+        /// The form, in words.
+        accepted: &'static str,
+        /// A regular expression that accepts no less.
+        pattern: String,
+        examples: &'static [&'static str],
+    },
     Number {
         least: f64,
         most: f64,
@@ -77,7 +88,7 @@ pub struct Choice {
     pub help: String,
 }
 
-/// A setting or fact that must have one of these values.
+/// A setting or fact that must have one of these values; any value where there are none.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, utoipa::ToSchema)]
 #[schema(as = SettingRule)]
 pub struct Rule {
@@ -132,7 +143,7 @@ impl Setting {
 
 fn in_words(needs: &[Rule], pair: impl Fn(&str, &str) -> String) -> String {
     let rules = needs.iter().map(|rule| {
-        let (first, others) = rule.is.split_first().unwrap_or((&"", &[]));
+        let (first, others) = rule.is.split_first().unwrap_or((&"…", &[]));
         let first = format!("`{}`", pair(rule.of, first));
         let others = others.iter().map(|value| format!("`{value}`"));
         let all = alternatives(&std::iter::once(first).chain(others).collect::<Vec<_>>());
@@ -166,7 +177,8 @@ impl Rule {
     }
 
     fn holds(&self, words: &Map<String, Value>) -> bool {
-        words.get(self.of).and_then(Value::as_str).is_some_and(|word| self.is.contains(&word))
+        let word = words.get(self.of).and_then(Value::as_str);
+        word.is_some_and(|word| self.is.is_empty() || self.is.contains(&word))
     }
 }
 
@@ -201,7 +213,7 @@ impl SettingKind {
                 values.join(if values.len() == 2 { " or " } else { ", " })
             }
             SettingKind::Flag => "true or false".to_owned(),
-            SettingKind::Color => "transparent, #rrggbb or #rrggbbaa".to_owned(),
+            SettingKind::Text { accepted, .. } => (*accepted).to_owned(),
             SettingKind::Number { least, most, unit, .. } => {
                 format!("{least} to {most} {unit}").trim_end().to_owned()
             }
@@ -227,6 +239,7 @@ const PASSES: Rule = Rule::new(
 );
 const TREES: Rule = Rule::new("lod", &["spt"], "this setting applies to `lod=spt` only");
 const HEIGHT: Rule = Rule::new("color_by", &["height"], "no colour map is used");
+const CLIPPED: Rule = Rule::new("clip_boxes", &[], "there are no clip boxes");
 /// Samples in the scene, or those of meshes whose detail is chosen.
 const SAMPLES: Rule = Rule::new("samples", &["some"], "");
 const EDL: Rule = Rule::new("edl", &["on", "auto"], "eye-dome lighting is off");
@@ -248,7 +261,8 @@ macro_rules! settings {
         pub struct Given {
             $(
                 $(#[doc = $doc])+
-                #[arg(long)]
+                // Numbers may be negative.
+                #[arg(long, allow_hyphen_values = true)]
                 #[serde(skip_serializing_if = "Option::is_none" $(, alias = $old)?)]
                 pub $name: Option<$given>,
             )+
@@ -319,6 +333,15 @@ settings! {
     /// target, and the default view as much as the frame allows.
     projection: Projection => Option<Projection> {
         label: "Projection", kind: SettingKind::scenes::<Projection>(), needs: [], useful_with: []
+    }
+    /// Boxes that the scene is clipped with: `x,y,z,x,y,z`, the least and the largest corner, several separated by `;`. Shown is what lies
+    /// in any of them, but not in a box with `outside:` before it. `*` leaves a bound open.
+    clip_boxes: ClipBoxes => Option<ClipBoxes> {
+        label: "Clip boxes", kind: text::clip_boxes(), needs: [], useful_with: []
+    }
+    /// Top-level node in whose coordinates the boxes are, and with which they move; the scene by default.
+    clip_node: Name => Option<Name> {
+        label: "Boxes of node", kind: Name::kind("the scene", "the name of a top-level node"), needs: [CLIPPED], useful_with: []
     }
     /// Level of detail.
     lod: Lod => Lod {
@@ -394,7 +417,7 @@ settings! {
     }
     /// Colour of pixels that show nothing; the scene's value by default. JPEG and video cannot store transparency and show black.
     background: Background => Option<Background> {
-        label: "Background", kind: SettingKind::Color, needs: [], useful_with: [COLORS]
+        label: "Background", kind: Background::kind(), needs: [], useful_with: [COLORS]
     }
 }
 
@@ -408,10 +431,15 @@ fn declaration(name: &str) -> Option<&'static Setting> {
 }
 
 fn read<T: DeserializeOwned>(name: &'static str, value: Value) -> Result<Option<T>, SettingError> {
-    serde_json::from_value(value.clone()).map_err(|_| {
-        let shown: String = match value {
-            Value::String(text) => text,
-            other => other.to_string(),
+    serde_json::from_value(value.clone()).map_err(|error| {
+        let kind = declaration(name).map(|setting| &setting.kind);
+        let shown: String = match (value, kind) {
+            // These say themselves what is wrong.
+            (Value::String(_), Some(SettingKind::Text { .. })) => {
+                return unusable(name, error.to_string());
+            }
+            (Value::String(text), _) => text,
+            (other, _) => other.to_string(),
         };
         let shown: String = shown.chars().take(64).collect();
         unusable(name, format!("`{shown}` is not a value of this setting"))

@@ -2,6 +2,8 @@
 
 use bytemuck::{Pod, Zeroable};
 
+use crate::scene::clip_boxes::MOST_BOXES;
+
 /// `Instance` of `shared/scene.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
@@ -221,6 +223,16 @@ pub const MOST_ROWS: u32 = 1 << 14;
 /// Lights that are bound as uniforms; as in `shared/phong.wgsl`. The list of lights has room for as many at least.
 pub const FEW_LIGHTS: u32 = 4;
 
+/// A box that a view is clipped with; see `ClipBox` in `shaders/shared/frame.wgsl`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct GpuClipBox {
+    pub x: [f32; 4],
+    pub y: [f32; 4],
+    pub z: [f32; 4],
+    pub high: [f32; 4],
+}
+
 /// `Frame` of `shared/frame.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
@@ -269,8 +281,9 @@ pub struct GpuFrame {
     pub ramp: [f32; 4],
     pub ramp_colors: [[u32; 4]; 3],
     pub focus: f32,
-    /// Records lie 16 bytes apart.
+    /// The boxes begin at a multiple of 16 bytes.
     pub padding: [u32; 3],
+    pub clip_boxes: [GpuClipBox; MOST_BOXES],
 }
 
 /// An f64 as the sum of two f32: 48 bits of mantissa.
@@ -374,54 +387,58 @@ mod tests {
         );
         check(
             include_str!("../../shaders/shared/frame.wgsl"),
-            &[mirror!(
-                "Frame",
-                GpuFrame,
-                right,
-                down,
-                forward,
-                eye_hi,
-                eye_lo,
-                focal_px,
-                principal_px,
-                size_px,
-                entry_count,
-                instance_count,
-                light_count,
-                small_triangle_px,
-                large_capacity,
-                large_units_limit,
-                view,
-                views,
-                first_pixel,
-                first_instance,
-                first_entry,
-                first_group,
-                first_slot,
-                first_run,
-                sample_segments,
-                small_splat_px,
-                weight_one,
-                splat_cutoff,
-                splat_lowpass_px,
-                splat_width,
-                splat_offset,
-                slab_near,
-                slab_per_unit,
-                slab_meet,
-                slab_meet_log2,
-                slab_per_octave,
-                lod_scale,
-                entry_capacity,
-                instance_groups,
-                segment_count,
-                edl,
-                disc_radius,
-                ramp_count,
-                ramp,
-                ramp_colors,
-                focus
-            )],
+            &[
+                mirror!("ClipBox", GpuClipBox, x, y, z, high),
+                mirror!(
+                    "Frame",
+                    GpuFrame,
+                    right,
+                    down,
+                    forward,
+                    eye_hi,
+                    eye_lo,
+                    focal_px,
+                    principal_px,
+                    size_px,
+                    entry_count,
+                    instance_count,
+                    light_count,
+                    small_triangle_px,
+                    large_capacity,
+                    large_units_limit,
+                    view,
+                    views,
+                    first_pixel,
+                    first_instance,
+                    first_entry,
+                    first_group,
+                    first_slot,
+                    first_run,
+                    sample_segments,
+                    small_splat_px,
+                    weight_one,
+                    splat_cutoff,
+                    splat_lowpass_px,
+                    splat_width,
+                    splat_offset,
+                    slab_near,
+                    slab_per_unit,
+                    slab_meet,
+                    slab_meet_log2,
+                    slab_per_octave,
+                    lod_scale,
+                    entry_capacity,
+                    instance_groups,
+                    segment_count,
+                    edl,
+                    disc_radius,
+                    ramp_count,
+                    ramp,
+                    ramp_colors,
+                    focus,
+                    clip_boxes
+                ),
+            ],
         );
         let with_materials = concat!(
             include_str!("../../shaders/shared/material.wgsl"),

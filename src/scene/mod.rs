@@ -11,6 +11,7 @@
 //! what its camera is at any time.
 
 mod assets;
+pub mod clip_boxes;
 pub mod color;
 pub mod color_map;
 mod effects;

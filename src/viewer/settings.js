@@ -8,8 +8,6 @@ const declared = await getJson('/v1/settings').then(answer => answer.settings, p
 
 export const NAMES = ['output', ...declared.map(setting => setting.name), 'quality'];
 
-const COLOR = 'transparent|#?([0-9a-fA-F]{3}|[0-9a-fA-F]{6}|[0-9a-fA-F]{8})';
-
 let scene = null;
 // Settings of the last frame, including the scene's defaults.
 let drawn = {};
@@ -24,11 +22,11 @@ function control(setting) {
     label.append(input);
     return label;
   }
-  if (setting.kind === 'color') {
+  if (setting.kind === 'text') {
     const input = document.createElement('input'), hints = document.createElement('datalist');
-    Object.assign(input, { id: setting.name, type: 'text', pattern: COLOR, placeholder: 'as the scene', size: 12 });
+    Object.assign(input, { id: setting.name, type: 'text', pattern: setting.pattern.slice(1, -1), placeholder: setting.default, size: 12 });
     hints.id = `${setting.name}-hints`;
-    hints.append(...['transparent', '#000000', '#ffffff'].map(color => new Option(color)));
+    hints.append(...setting.examples.map(example => new Option(example)));
     input.setAttribute('list', hints.id);
     label.append(input, hints);
     return label;
@@ -65,7 +63,7 @@ function facts() {
 // Whether a setting has an effect with this scene and the other settings.
 function applies(setting, found) {
   const concerns = rule => rule.value === undefined || rule.value === found[setting.name];
-  const holds = rule => found[rule.of] === undefined || rule.is.includes(String(found[rule.of]));
+  const holds = rule => rule.is.length === 0 ? Boolean(found[rule.of]) : found[rule.of] === undefined || rule.is.includes(String(found[rule.of]));
   return [...setting.needs, ...setting.useful_with].filter(concerns).every(holds);
 }
 
@@ -110,7 +108,7 @@ export function refused(name, value) {
     const { min, max } = $(name), number = value.trim() === '' ? NaN : Number(value);
     return number >= Number(min) && number <= Number(max) ? null : `${min} to ${max}`;
   }
-  if (isWritten(name)) return new RegExp(`^(${$(name).pattern})$`).test(value) ? null : 'transparent, #rrggbb or #rrggbbaa';
+  if (isWritten(name)) return new RegExp(`^(${$(name).pattern})$`).test(value) ? null : declared.find(setting => setting.name === name).accepted;
   const values = [...$(name).options].map(o => o.value);
   return values.includes(value) ? null : values.filter(Boolean).join(', ');
 }

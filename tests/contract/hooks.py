@@ -101,6 +101,10 @@ def follow_settings(params):
         params["lod"] = "spt"
     if params.keys() & {"color_map", "color_least", "color_most"}:
         params["color_by"] = "height"
+    if params.keys() & {"clip_boxes", "clip_node"}:
+        params["clip_boxes"] = "-1,*,*,1,0.5,*;outside:0,0,0,0.25,0.5,1e3"
+    if "clip_node" in params:
+        params["clip_node"] = "wall"
     if params.keys() & {"blend", "shading"} and params.get("reconstruct") in ("points", "fuzzy"):
         params["reconstruct"] = "splats"
     if (params.keys() & {"filter", "prefilter"} or params.get("error_mode") == "split") and params.get("reconstruct") == "points":

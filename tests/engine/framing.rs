@@ -86,6 +86,33 @@ fn default_view_fills_the_frame_whatever_the_content() {
     fills(&studio, "copies");
 }
 
+/// What clip boxes leave is shown as large as a whole scene would be; boxes that leave nothing are given as the reason.
+#[test]
+fn default_view_is_of_what_clip_boxes_show() {
+    let studio = Studio::new();
+    let places = (0..30_000).map(|i| {
+        let [x, y, z] = [i % 31, i / 31 % 31, i / 961].map(|at| f64::from(at) / 15.0 - 1.0);
+        (DVec3::new(x, y, z), [90, 160, 90])
+    });
+    studio.write("block.ply", cloud(places));
+    studio.load("block", "block.ply");
+    let (width, height) = SIZES[0];
+    let clipped = |boxes: &str| {
+        let request = fit("block", 1, Output::Id);
+        let settings = Settings { clip_boxes: Some(boxes.parse().unwrap()), ..request.settings };
+        studio.frame(&FrameRequest { width, height, settings, ..request })
+    };
+    for boxes in ["0.5,0.5,0.5,5,5,5", "*,*,0.9,*,*,*", "0.5,0.5,0.5,5,5,5;0.5,-9,*,9,-0.5,*"] {
+        let frame = clipped(boxes);
+        let (share, middle) = taken(&ids(&frame), width, |id| id > 0);
+        assert!((0.6..0.93).contains(&share[0].max(share[1])), "{boxes}: {share:?}");
+        assert!(middle.iter().all(|at| (0.4..0.6).contains(at)), "{boxes}: {middle:?}");
+        assert_eq!(frame.receipt.nothing_visible, None);
+    }
+    let why = clipped("outside:*,*,*,*,*,*").receipt.nothing_visible.clone().unwrap();
+    assert!(why.contains("is hidden by clip boxes"), "{why}");
+}
+
 #[test]
 fn default_view_is_not_thrown_by_strays_and_says_so() {
     let studio = Studio::new();

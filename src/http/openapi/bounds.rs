@@ -62,7 +62,9 @@ fn of_frame(name: &str) -> Option<Value> {
         "deadline_ms" => json!({ "exclusiveMinimum": 0, "maximum": params::MAX_DEADLINE_MS }),
         setting => match plan::declared().iter().find(|known| known.name == setting)?.kind {
             SettingKind::Number { least, most, .. } => number(least, most),
-            SettingKind::Choice { .. } | SettingKind::Flag | SettingKind::Color => return None,
+            SettingKind::Choice { .. } | SettingKind::Flag | SettingKind::Text { .. } => {
+                return None;
+            }
         },
     })
 }

@@ -20,14 +20,15 @@ fn other_value(setting: &Setting) -> Given {
             other.unwrap().value.clone()
         }
         SettingKind::Flag => "false".to_owned(),
-        SettingKind::Color => "#102030".to_owned(),
+        SettingKind::Text { examples, .. } => examples[0].to_owned(),
         SettingKind::Number { least, most, default, .. } => {
             if Some(*least) == *default { most } else { least }.to_string()
         }
     };
     let mut given = Given::default();
     for rule in &setting.needs {
-        given.set_text(rule.of, rule.is[0]).unwrap();
+        let value = rule.is.first().copied().unwrap_or("0,0,0,1,1,1");
+        given.set_text(rule.of, value).unwrap();
     }
     given.set_text(setting.name, &value).unwrap();
     given
@@ -64,7 +65,14 @@ fn declarations_are_complete() {
         for rule in setting.needs.iter().chain(&setting.useful_with) {
             let kind = declaration(rule.of).map(|setting| &setting.kind);
             let Some(SettingKind::Choice { choices, .. }) = kind else {
-                assert!(["output", "samples", "lights"].contains(&rule.of), "{}", rule.of);
+                // Any text will do.
+                let is_text = matches!(kind, Some(SettingKind::Text { .. }));
+                assert_eq!(is_text, rule.is.is_empty(), "{}", rule.of);
+                assert!(
+                    is_text || ["output", "samples", "lights"].contains(&rule.of),
+                    "{}",
+                    rule.of
+                );
                 continue;
             };
             let is_value = |value: &&str| choices.iter().any(|choice| choice.value == *value);
@@ -138,6 +146,20 @@ fn backgrounds_are_read_as_they_are_written() {
 }
 
 #[test]
+fn boxes_of_a_node_need_boxes() {
+    let clipped = given("clip_boxes=0,0,0,1,1,1;outside:*,*,*,*,*,0.5&clip_node=tower");
+    let settings = clipped.resolve().unwrap();
+    assert_eq!(settings.clip_boxes.unwrap().boxes().len(), 2);
+    assert_eq!(settings.clip_node.unwrap().as_str(), "tower");
+    let refused = given("clip_node=tower").resolve().unwrap_err();
+    assert_eq!(refused.to_string(), "clip_node: there are no clip boxes");
+    let accepted = refused.accepted(|name, value| format!("{name}={value}"));
+    assert_eq!(accepted, "no value, or one with `clip_boxes=…`");
+    let refused = Given::default().set_text("clip_boxes", "0,0,0,1,1").unwrap_err();
+    assert_eq!(refused.to_string(), "clip_boxes: box 1 has 5 numbers instead of 6");
+}
+
+#[test]
 fn eye_dome_light_is_for_samples_without_normals_and_light() {
     let counts = Counts { samples: 1, ..Counts::default() };
     let scan = SceneFacts { counts, ..SceneFacts::default() };
@@ -176,7 +198,9 @@ fn page() -> String {
                 (values.join(", "), default.as_ref().map(|value| format!("`{value}`")))
             }
             SettingKind::Flag => ("`true`, `false`".to_owned(), None),
-            SettingKind::Color => ("`transparent`, `#rrggbb`, `#rrggbbaa`".to_owned(), None),
+            SettingKind::Text { accepted, default, .. } => {
+                ((*accepted).to_owned(), Some((*default).to_owned()))
+            }
             SettingKind::Number { default, .. } => {
                 (setting.kind.accepted(), default.map(|default| default.to_string()))
             }

@@ -195,11 +195,22 @@ pub(super) fn exact(number: f32) -> f64 {
     number.to_string().parse().unwrap_or(f64::from(number))
 }
 
+const BACKGROUND_PATTERN: &str = "^(transparent|#?([0-9a-fA-F]{3}|[0-9a-fA-F]{6}|[0-9a-fA-F]{8}))$";
+
 /// A colour of the background: sRGB and straight alpha, a byte each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Background([u8; 4]);
 
 impl Background {
+    pub(super) fn kind() -> SettingKind {
+        SettingKind::Text {
+            default: "the scene’s",
+            accepted: "transparent, #rrggbb or #rrggbbaa",
+            pattern: BACKGROUND_PATTERN.to_owned(),
+            examples: &["transparent", "#000000", "#ffffff"],
+        }
+    }
+
     /// Linear RGB and straight alpha.
     pub fn linear(self) -> [f32; 4] {
         color::to_linear(self.0.map(|byte| f64::from(byte) / 255.0))
@@ -226,7 +237,8 @@ impl std::str::FromStr for Background {
         }
         let digits = text.strip_prefix('#').unwrap_or(text);
         let channels = color::parse_hex(&format!("#{digits}"));
-        let channels = channels.ok_or_else(|| format!("`{text}` is no colour"))?;
+        let shown = || text.chars().take(64).collect::<String>();
+        let channels = channels.ok_or_else(|| format!("`{}` is not a colour", shown()))?;
         Ok(Background(channels.map(|channel| (channel * 255.0).round() as u8)))
     }
 }
@@ -246,10 +258,9 @@ impl<'de> Deserialize<'de> for Background {
 
 impl utoipa::PartialSchema for Background {
     fn schema() -> utoipa::openapi::RefOr<utoipa::openapi::schema::Schema> {
-        let pattern = "^(transparent|#?([0-9a-fA-F]{3}|[0-9a-fA-F]{6}|[0-9a-fA-F]{8}))$";
         utoipa::openapi::ObjectBuilder::new()
             .schema_type(utoipa::openapi::schema::Type::String)
-            .pattern(Some(pattern))
+            .pattern(Some(BACKGROUND_PATTERN))
             .into()
     }
 }
