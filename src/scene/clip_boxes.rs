@@ -192,11 +192,7 @@ impl<'de> Deserialize<'de> for ClipBoxes {
 
 impl utoipa::PartialSchema for ClipBoxes {
     fn schema() -> RefOr<Schema> {
-        ObjectBuilder::new()
-            .schema_type(Type::String)
-            .pattern(Some(ClipBoxes::pattern()))
-            .examples(["-10,-10,0,10,10,2.5", "*,*,100,*,*,120;outside:0,0,0,5,5,200"])
-            .into()
+        ObjectBuilder::new().schema_type(Type::String).pattern(Some(ClipBoxes::pattern())).into()
     }
 }
 

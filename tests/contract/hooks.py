@@ -55,7 +55,7 @@ def length(numbers):
 
 def written(params, numbers):
     """Numbers as the case has its own: a list in the text of a query would become one parameter for each number."""
-    own = (params.get(name) for name in ("eye", "target", "up", "view", "proj"))
+    own = (params.get(name) for name in ("eye", "target", "view", "proj"))
     return ",".join(map(str, numbers)) if any(isinstance(value, str) for value in own) else numbers
 
 
@@ -95,16 +95,21 @@ def follow_pose(params):
         params["view"], params["proj"] = written(params, VIEW), written(params, PROJ)
 
 
+def follow_clip_boxes(params):
+    """Boxes in whose text the least corner is below the largest, of a node that the scene has."""
+    if params.keys() & {"clip_boxes", "clip_node"}:
+        params["clip_boxes"] = "-1,*,*,1,0.5,*;outside:0,0,0,0.25,0.5,1e3"
+    if "clip_node" in params:
+        params["clip_node"] = "wall"
+
+
 def follow_settings(params):
     """Adds the settings that given settings need."""
     if params.keys() & {"max_error_px"} or params.get("color_by") == "levels" or params.get("error_mode") == "split":
         params["lod"] = "spt"
     if params.keys() & {"color_map", "color_least", "color_most"}:
         params["color_by"] = "height"
-    if params.keys() & {"clip_boxes", "clip_node"}:
-        params["clip_boxes"] = "-1,*,*,1,0.5,*;outside:0,0,0,0.25,0.5,1e3"
-    if "clip_node" in params:
-        params["clip_node"] = "wall"
+    follow_clip_boxes(params)
     if params.keys() & {"blend", "shading"} and params.get("reconstruct") in ("points", "fuzzy"):
         params["reconstruct"] = "splats"
     if (params.keys() & {"filter", "prefilter"} or params.get("error_mode") == "split") and params.get("reconstruct") == "points":
@@ -263,6 +268,8 @@ def map_case(context, case):
                 within(case.body)
         elif label == "POST /v1/scenes/{id}/frames":
             shrink(case.body)
+            for pose in [case.body, *case.body["poses"]]:
+                follow_clip_boxes(pose)
             for pose in case.body["poses"]:
                 if "w" in pose or "h" in pose:
                     shrink(pose)

@@ -10,15 +10,16 @@ use utoipa::openapi::schema::{ObjectBuilder, Schema, Type};
 use super::SettingKind;
 use crate::scene::clip_boxes::ClipBoxes;
 
-/// A name of 1 to [`Name::MOST_BYTES`] bytes without control characters.
+/// A name of 1 to [`Name::MOST_CHARS`] characters, none of which is a control character.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Name {
-    bytes: [u8; Name::MOST_BYTES],
-    length: u8,
+    bytes: [u8; 4 * Name::MOST_CHARS],
+    /// Bytes of the name.
+    length: u16,
 }
 
 impl Name {
-    pub const MOST_BYTES: usize = 64;
+    pub const MOST_CHARS: usize = 64;
 
     pub fn as_str(&self) -> &str {
         std::str::from_utf8(&self.bytes[..usize::from(self.length)]).unwrap_or_default()
@@ -29,20 +30,20 @@ impl Name {
     }
 }
 
-/// Characters are at most as many as bytes, which [`Name::from_str`] counts.
-const PATTERN: &str = r"^[^\u0000-\u001f\u007f]{1,64}$";
+const PATTERN: &str = r"^[^\u0000-\u001f\u007f-\u009f]{1,64}$";
 
 impl FromStr for Name {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Name, String> {
-        let mut bytes = [0; Name::MOST_BYTES];
-        if text.is_empty() || text.len() > bytes.len() || text.chars().any(char::is_control) {
-            let most = Name::MOST_BYTES;
-            return Err(format!("is not a name of 1 to {most} bytes without control characters"));
+        let is_name = (1..=Name::MOST_CHARS).contains(&text.chars().count());
+        if !is_name || text.chars().any(char::is_control) {
+            let most = Name::MOST_CHARS;
+            return Err(format!("not a name of 1 to {most} characters without control characters"));
         }
+        let mut bytes = [0; 4 * Name::MOST_CHARS];
         bytes[..text.len()].copy_from_slice(text.as_bytes());
-        Ok(Name { bytes, length: text.len() as u8 })
+        Ok(Name { bytes, length: text.len() as u16 })
     }
 }
 
@@ -89,10 +90,10 @@ mod tests {
 
     #[test]
     fn names_are_short_and_printable() {
-        for text in ["a", "Turm 7", "höhe", &"x".repeat(64)] {
+        for text in ["a", "Turm 7", "höhe", &"x".repeat(64), &"😀".repeat(64)] {
             assert_eq!(text.parse::<Name>().unwrap().as_str(), text);
         }
-        for text in ["", "a\nb", &"x".repeat(65), &"ä".repeat(33)] {
+        for text in ["", "a\nb", "a\u{85}", &"x".repeat(65), &"ä".repeat(65)] {
             assert!(text.parse::<Name>().is_err(), "{text}");
         }
     }
