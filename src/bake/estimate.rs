@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use glam::{DVec3, Vec3};
 
 use self::chunks::{Chunks, Wanted};
-use super::kernels::estimate_kernels;
+use super::attributes::estimate_kernels;
 use super::normals::{Frame, is_radius, stride};
 use super::pack::{CHUNK, Grid, KERNEL_DETAIL, PackError, PackedSamples, Packing, pack_samples};
 use crate::assets::PointCloud;

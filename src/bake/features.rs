@@ -22,7 +22,8 @@
 use glam::{DVec2, DVec3, Vec2};
 use rayon::prelude::*;
 
-use super::kernels::{CUTOFF, circle, estimate_kernels};
+use super::attributes::estimate_kernels;
+use super::kernels::{CUTOFF, circle};
 use super::neighbors::MAX_NEIGHBORS;
 use super::normals::{least_direction, nearest};
 use crate::assets::{Clip, ClipLine, Kernel, PointCloud};

@@ -29,11 +29,10 @@
 use std::f32::consts::FRAC_1_SQRT_2;
 
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 
 use super::neighbors::{MAX_NEIGHBORS, Neighbors};
-use super::normals::{complete_attributes, evenly, is_radius, median_of};
-use crate::assets::{Kernel, PointCloud};
+use super::normals::{evenly, median_of};
+use crate::assets::Kernel;
 
 /// Radius of the disks that have to cover the surface, in standard deviations.
 pub const CUTOFF: f32 = 2.0;
@@ -96,44 +95,7 @@ const TURN_X: [f32; DIRECTIONS] = [
 const TURN_Y: [f32; DIRECTIONS] =
     [0.0, 0.382_683_43, FRAC_1_SQRT_2, 0.923_879_5, 1.0, 0.923_879_5, FRAC_1_SQRT_2, 0.382_683_43];
 
-/// Gives a cloud the kernels that it lacks, and the normals and radii as
-/// [`estimate_point_attributes`](super::estimate_point_attributes) does, from one search for neighbours.
-///
-/// Call it instead of that function, not after it: a radius that is there on entry is taken for the file's own and makes
-/// the kernel circular, so that the disk at [`CUTOFF`] is the file's. All others get the ellipse that the module
-/// describes. Kernels that the cloud has are kept, apart from those that are zero or not finite, or whose number is wrong.
-///
-/// Afterwards every kernel is finite, with `u ⟂ v`, and `u × v` looks along the normal; both are ⟂ to it. Points whose
-/// normal is zero have circular kernels in an arbitrary plane. Standard deviations estimated here lie within a 20th of the
-/// cloud's median and, on flat surfaces, ten times the median, in volumes and along wires the median; strays, and points at one
-/// place with all their neighbours, take the median itself.
-pub fn estimate_kernels(cloud: &mut PointCloud) {
-    let count = cloud.positions.len();
-    let given = cloud.kernels.take().filter(|kernels| kernels.len() == count);
-    if given.as_ref().is_some_and(|kernels| kernels.iter().all(is_kernel)) {
-        cloud.kernels = given;
-        complete_attributes(cloud, false);
-        return;
-    }
-    let of_file = cloud.radii.clone().filter(|radii| radii.len() == count);
-    let needs_fit = of_file.as_ref().is_none_or(|radii| !radii.iter().all(is_radius));
-    let mut fits = complete_attributes(cloud, needs_fit);
-    fits.resize(count, Fit::default());
-    let normals = cloud.normals.as_deref().unwrap_or(&[]);
-    let bounds = Bounds::of(&fits);
-    let settled = fits.into_par_iter().enumerate().map(|(index, fit)| {
-        let of_file = of_file.as_ref().and_then(|radii| radii.get(index)).filter(|r| is_radius(r));
-        let normal = normals.get(index).copied().unwrap_or(Vec3::ZERO);
-        match (given.as_ref().and_then(|given| given.get(index)), of_file) {
-            (Some(own), _) if is_kernel(own) => *own,
-            (_, Some(&radius)) => circle(normal, radius / CUTOFF),
-            _ => bounds.apply(fit, normal),
-        }
-    });
-    cloud.kernels = Some(settled.collect());
-}
-
-fn is_kernel(kernel: &Kernel) -> bool {
+pub(super) fn is_kernel(kernel: &Kernel) -> bool {
     kernel.u.is_finite() && kernel.v.is_finite() && kernel.u != Vec3::ZERO && kernel.v != Vec3::ZERO
 }
 
@@ -160,6 +122,16 @@ pub(super) struct Fit {
     pub(super) most: f32,
     /// The nearest neighbours form a small group far from all others.
     pub(super) is_grouped: bool,
+}
+
+impl Fit {
+    /// The kernel in units that are `size` times smaller.
+    pub(super) fn scaled(mut self, size: f64) -> Fit {
+        for axis in [&mut self.kernel.u, &mut self.kernel.v] {
+            *axis = (axis.as_dvec3() * size).as_vec3();
+        }
+        self
+    }
 }
 
 /// The kernel of a point with a normal (possibly zero), in the coordinates of the tree. `is_given`: the normal is the file's own,
@@ -354,7 +326,7 @@ pub(super) struct Bounds {
 }
 
 impl Bounds {
-    fn of(fits: &[Fit]) -> Self {
+    pub(super) fn of(fits: &[Fit]) -> Self {
         Bounds::of_some(&evenly(fits).copied().collect::<Vec<Fit>>())
     }
 

@@ -33,6 +33,7 @@ pub mod spacing;
 pub mod tree;
 pub mod upright;
 
+mod attributes;
 mod colors;
 mod crease;
 mod features;
@@ -42,10 +43,10 @@ mod normals;
 mod rasterise;
 mod sample;
 
+pub use attributes::{estimate_kernels, estimate_point_attributes};
 pub use colors::fill_colors;
 pub use crease::smooth_normals;
 pub use features::{FeatureOptions, detect_features};
-pub use kernels::{CUTOFF, circle, estimate_kernels};
-pub use normals::estimate_point_attributes;
+pub use kernels::{CUTOFF, circle};
 pub use rasterise::{RasteriseOptions, RasterisedMesh, rasterise_mesh};
 pub use sample::{SampleError, SampleOptions, expected_samples, sample_mesh};

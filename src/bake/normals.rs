@@ -11,137 +11,21 @@
 use std::f64::consts::TAU;
 
 use glam::{DVec3, Vec3};
-use rayon::prelude::*;
 
-use super::kernels::{Fit, fit};
 use super::neighbors::{MAX_NEIGHBORS, Neighbors, PointTree};
-use crate::assets::PointCloud;
 
 pub(super) const NORMAL_NEIGHBORS: usize = 12;
-const RADIUS_NEIGHBORS: usize = 6;
 /// A cloud whose shortest extent is below this fraction of the next is flat.
 const FLAT_RATIO: f64 = 1.0 / 3.0;
 /// Neighbourhoods narrower than this fraction of their length (squared) are lines.
 const LINE_RATIO: f64 = 1e-6;
-/// Radii below this fraction of the median are raised to it (points at the same place).
-const RADIUS_FLOOR: f32 = 0.05;
-/// The radius where nothing tells a size: a single point, or all at one place.
-const LONE_RADIUS: f32 = 0.5;
 /// Points that tell place and size of the cloud.
 const SAMPLES: usize = 4096;
 /// Coordinates in the tree stay below this, so that squared distances are finite.
 const MAX_COORDINATE: f64 = 1e18;
 
-/// Gives a cloud the normals and radii that it lacks; what it has is kept, apart from normals of
-/// length zero, radii that are not positive, and vectors of a wrong length.
-///
-/// Afterwards both are present. Normals are unit vectors, or zero where the neighbours lie on a
-/// line, on one place, or are fewer than two. Radii are positive, in the units of the positions.
-/// Positions that are not finite get a zero normal and the smallest radius.
-pub fn estimate_point_attributes(cloud: &mut PointCloud) {
-    complete_attributes(cloud, false);
-}
-
-/// [`estimate_point_attributes`], and with `wants_kernels` the kernels that [`fit`] finds, in the units of the positions;
-/// zero where it finds none.
-pub(super) fn complete_attributes(cloud: &mut PointCloud, wants_kernels: bool) -> Vec<Fit> {
-    let count = cloud.positions.len();
-    cloud.normals = cloud.normals.take().filter(|normals| normals.len() == count);
-    cloud.radii = cloud.radii.take().filter(|radii| radii.len() == count);
-    let lacks_normals = cloud.normals.as_ref().is_none_or(|n| n.contains(&Vec3::ZERO));
-    let lacks_radii = cloud.radii.as_ref().is_none_or(|radii| !radii.iter().all(is_radius));
-    if !lacks_normals && !lacks_radii && !wants_kernels {
-        return Vec::new();
-    }
-    let wants = Wants {
-        neighbors: if wants_kernels || lacks_normals { NORMAL_NEIGHBORS } else { RADIUS_NEIGHBORS },
-        normals: lacks_normals,
-        kernels: wants_kernels,
-        given: cloud.normals.as_deref().unwrap_or(&[]),
-    };
-    let Estimates { normals, mut radii, kernels } = estimate(&cloud.positions, &wants);
-    if lacks_normals {
-        let keep = |(old, new): (&Vec3, &Vec3)| if *old == Vec3::ZERO { *new } else { *old };
-        cloud.normals = Some(match cloud.normals.take() {
-            Some(old) => old.iter().zip(&normals).map(keep).collect(),
-            None => normals,
-        });
-    }
-    if lacks_radii {
-        raise_radii(&mut radii);
-        let keep = |(old, new): (&f32, &f32)| if is_radius(old) { *old } else { *new };
-        cloud.radii = Some(match cloud.radii.take() {
-            Some(old) => old.iter().zip(&radii).map(keep).collect(),
-            None => radii,
-        });
-    }
-    kernels
-}
-
 pub(super) fn is_radius(radius: &f32) -> bool {
     *radius > 0.0 && radius.is_finite()
-}
-
-/// The results that a search has to compute.
-struct Wants<'a> {
-    neighbors: usize,
-    normals: bool,
-    kernels: bool,
-    /// Normals that are known already, where they are not zero; may be empty.
-    given: &'a [Vec3],
-}
-
-/// The results of a search for each point, zero if unknown; results that were not requested are empty.
-#[derive(Default)]
-struct Estimates {
-    normals: Vec<Vec3>,
-    radii: Vec<f32>,
-    kernels: Vec<Fit>,
-}
-
-fn estimate(positions: &[DVec3], wants: &Wants) -> Estimates {
-    let count = positions.len();
-    let mut estimates = Estimates {
-        normals: vec![Vec3::ZERO; if wants.normals { count } else { 0 }],
-        radii: vec![0.0; count],
-        kernels: vec![Fit::default(); if wants.kernels { count } else { 0 }],
-    };
-    // The tree counts in 32 bits.
-    let finite: Vec<u32> = (0..u32::MAX)
-        .zip(positions)
-        .filter_map(|(index, position)| position.is_finite().then_some(index))
-        .collect();
-    let Some(frame) = Frame::of(positions, &finite) else { return estimates };
-    let local: Vec<[f32; 3]> =
-        finite.par_iter().map(|&index| frame.to_local(positions[index as usize])).collect();
-    let tree = PointTree::new(local);
-    let index_of = |place: usize| finite[tree.order()[place] as usize] as usize;
-    let radius = |neighbors: &Neighbors| (f64::from(radius(neighbors)) * frame.size) as f32;
-    let normal = |neighbors: &Neighbors| {
-        if wants.normals { frame.normal(neighbors) } else { Vec3::ZERO }
-    };
-    if wants.kernels {
-        let found = tree.map_neighbors(wants.neighbors, |neighbors| {
-            let normal = normal(&neighbors);
-            let given = wants.given.get(index_of(neighbors.place)).copied();
-            let given = given.filter(|given| *given != Vec3::ZERO);
-            let fit = fit(&neighbors, given.unwrap_or(normal), given.is_some());
-            (normal, radius(&neighbors), frame.fit(fit))
-        });
-        for (place, (normal, radius, kernel)) in found.into_iter().enumerate() {
-            let index = index_of(place);
-            estimates.set(index, normal, radius);
-            estimates.kernels[index] = kernel;
-        }
-    } else {
-        let visit = |neighbors: Neighbors| (normal(&neighbors), radius(&neighbors));
-        for (place, (normal, radius)) in
-            tree.map_neighbors(wants.neighbors, visit).into_iter().enumerate()
-        {
-            estimates.set(index_of(place), normal, radius);
-        }
-    }
-    estimates
 }
 
 /// The [`MAX_NEIGHBORS`] nearest of each point, nearest first; [`u32::MAX`] for those that there are not.
@@ -161,31 +45,6 @@ pub(super) fn nearest(positions: &[DVec3]) -> Vec<[u32; MAX_NEIGHBORS]> {
         lists[finite[place as usize] as usize] = list;
     }
     lists
-}
-
-impl Estimates {
-    fn set(&mut self, index: usize, normal: Vec3, radius: f32) {
-        if let Some(slot) = self.normals.get_mut(index) {
-            *slot = normal;
-        }
-        self.radii[index] = radius;
-    }
-}
-
-/// Half the mean distance to the nearest few; zero without any.
-fn radius(neighbors: &Neighbors) -> f32 {
-    let used = neighbors.len().min(RADIUS_NEIGHBORS);
-    let sum: f32 = neighbors.distances_squared().take(used).map(f32::sqrt).sum();
-    0.5 * sum / used.max(1) as f32
-}
-
-/// Raises radii that are zero or all but zero beside the others.
-fn raise_radii(radii: &mut [f32]) {
-    let floor = match median_of(radii) {
-        Some(median) => (median * RADIUS_FLOOR).max(f32::MIN_POSITIVE),
-        None => LONE_RADIUS,
-    };
-    radii.iter_mut().for_each(|radius| *radius = radius.max(floor).min(f32::MAX));
 }
 
 /// The median of what is positive and finite, of a few thousand of them if there are more.
@@ -224,13 +83,13 @@ pub(super) enum Outward {
 pub(super) struct Frame {
     origin: DVec3,
     /// Length of a local unit.
-    size: f64,
+    pub(super) size: f64,
     outward: Outward,
 }
 
 impl Frame {
     /// The frame of the points of `finite`, `None` without any.
-    fn of(positions: &[DVec3], finite: &[u32]) -> Option<Self> {
+    pub(super) fn of(positions: &[DVec3], finite: &[u32]) -> Option<Self> {
         let some: Vec<DVec3> = evenly(finite).map(|&index| positions[index as usize]).collect();
         Frame::of_some(&some)
     }
@@ -266,14 +125,6 @@ impl Frame {
         // Halves keep differences of huge coordinates finite.
         let local = (position * 0.5 - self.origin * 0.5) / (self.size * 0.5);
         local.clamp(DVec3::splat(-MAX_COORDINATE), DVec3::splat(MAX_COORDINATE)).as_vec3().into()
-    }
-
-    /// A kernel of the tree's coordinates in the units of the positions.
-    pub(super) fn fit(&self, mut fit: Fit) -> Fit {
-        for axis in [&mut fit.kernel.u, &mut fit.kernel.v] {
-            *axis = (axis.as_dvec3() * self.size).as_vec3();
-        }
-        fit
     }
 
     /// The direction of least variance, looking outward.

@@ -32,7 +32,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use glam::DVec3;
 use rayon::prelude::*;
 
-use self::cover::{Index, Sample};
+use self::cover::Index;
+use self::facet::Sample;
 use self::facet::{Facet, Grid};
 use super::sample::SampleError;
 use super::sample::color::Colors;

@@ -26,6 +26,7 @@
 //! A negative direction must be better than every positive one by [`CLEARLY`]: few files are upside down.
 
 mod lightness;
+mod parts;
 mod shape;
 
 use glam::DVec3;

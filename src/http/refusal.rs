@@ -8,7 +8,11 @@ use bytes::Bytes;
 
 use super::naming;
 use super::problem::{Kind, PROBLEM_JSON, Problem};
-use super::server::{MAX_HEAD_BYTES, MAX_HEADERS};
+
+/// Longest request head in bytes.
+pub const MAX_HEAD_BYTES: usize = 32 << 10;
+/// Largest number of headers of a request.
+pub const MAX_HEADERS: usize = 64;
 
 /// Returns the answer to send in place of `answer`, if `answer` is one of the library's own.
 pub fn instead_of(answer: &[u8]) -> Option<Bytes> {

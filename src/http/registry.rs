@@ -16,10 +16,12 @@ use std::time::Instant;
 
 use parking_lot::Mutex;
 
+use serde::Serialize;
 use tokio::sync::Notify;
+use utoipa::ToSchema;
 
-use super::problem::{Kind, Problem};
-use crate::engine::Source;
+use super::problem::{Kind, Problem, ProblemDocument};
+use crate::engine::{SceneInfo, Source};
 use crate::memory::Admission;
 
 /// Largest number of remembered failures without files; the oldest is forgotten first.
@@ -37,6 +39,35 @@ pub enum Entry {
         /// Files that can be loaded again; `None` where none were kept.
         source: Option<Source>,
     },
+}
+
+/// A scene and its state.
+#[derive(Serialize, ToSchema)]
+#[serde(tag = "state", rename_all = "snake_case")]
+pub enum SceneState {
+    /// The scene is loaded, and frames can be requested.
+    Ready(Box<SceneInfo>),
+    Loading {
+        id: String,
+        loading_ms: u64,
+    },
+    Failed {
+        id: String,
+        #[schema(value_type = ProblemDocument)]
+        problem: Problem,
+    },
+}
+
+impl SceneState {
+    pub fn of(id: String, entry: Entry) -> Self {
+        match entry {
+            Entry::Loading { since, .. } => {
+                let loading_ms = u64::try_from(since.elapsed().as_millis()).unwrap_or(u64::MAX);
+                SceneState::Loading { id, loading_ms }
+            }
+            Entry::Failed { problem, .. } => SceneState::Failed { id, problem },
+        }
+    }
 }
 
 #[derive(Clone, Default)]

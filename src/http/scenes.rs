@@ -13,40 +13,11 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::params::unknown_name;
-use super::problem::{Kind, Problem, ProblemDocument};
-use super::registry::Entry;
+use super::problem::{Kind, Problem};
+use super::registry::SceneState;
 use super::{App, NoQuery, Segments, body, frame, upload};
-use crate::engine::{NodePatch, SceneInfo};
+use crate::engine::NodePatch;
 use crate::scene::{LARGEST_COORDINATE, LARGEST_SCALE};
-
-/// A scene and its state.
-#[derive(Serialize, ToSchema)]
-#[serde(tag = "state", rename_all = "snake_case")]
-pub enum SceneState {
-    /// The scene is loaded, and frames can be requested.
-    Ready(Box<SceneInfo>),
-    Loading {
-        id: String,
-        loading_ms: u64,
-    },
-    Failed {
-        id: String,
-        #[schema(value_type = ProblemDocument)]
-        problem: Problem,
-    },
-}
-
-impl SceneState {
-    fn of(id: String, entry: Entry) -> Self {
-        match entry {
-            Entry::Loading { since, .. } => {
-                let loading_ms = u64::try_from(since.elapsed().as_millis()).unwrap_or(u64::MAX);
-                SceneState::Loading { id, loading_ms }
-            }
-            Entry::Failed { problem, .. } => SceneState::Failed { id, problem },
-        }
-    }
-}
 
 #[derive(Serialize, ToSchema)]
 pub struct SceneList {

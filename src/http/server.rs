@@ -43,9 +43,6 @@ use crate::engine::{Engine, Readiness, Source};
 
 /// Time after which a client that reads nothing of its answer is dropped.
 const STALLED_WRITE: Duration = Duration::from_secs(60);
-/// Longest request head in bytes.
-pub const MAX_HEAD_BYTES: usize = 32 << 10;
-pub const MAX_HEADERS: usize = 64;
 /// Requests in flight on one HTTP/2 connection.
 const MAX_STREAMS: u32 = 128;
 /// Length of an HTTP/2 preface, which is also nearly that of the shortest HTTP/1 request.
@@ -173,8 +170,8 @@ async fn run(
         .http1()
         .timer(TokioTimer::new())
         .header_read_timeout(read_timeout)
-        .max_buf_size(MAX_HEAD_BYTES)
-        .max_headers(MAX_HEADERS)
+        .max_buf_size(refusal::MAX_HEAD_BYTES)
+        .max_headers(refusal::MAX_HEADERS)
         .keep_alive(true);
     builder
         .http2()

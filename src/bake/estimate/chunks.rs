@@ -284,7 +284,7 @@ impl<'a> Chunks<'a> {
         let given = self.given_normal(index);
         let own = if given == Vec3::ZERO { normal } else { given };
         let fit = match self.wanted.kernels {
-            true => self.frame.fit(fit(neighbors, own, given != Vec3::ZERO)),
+            true => fit(neighbors, own, given != Vec3::ZERO).scaled(self.frame.size),
             false => Fit::default(),
         };
         Fitted { normal, fit }

@@ -14,7 +14,8 @@ use rayon::prelude::*;
 use super::super::kernels::{Bounds, Fit, circle, fit};
 use super::super::neighbors::{Neighbors, PointTree};
 use super::super::normals::{NORMAL_NEIGHBORS, stride};
-use super::points::{Place, Point, Points};
+use super::pieces::Place;
+use super::points::{Point, Points};
 use super::spill::SpillFile;
 use super::{Phase, Work};
 use crate::assets::Kernel;
@@ -133,7 +134,7 @@ impl Fitted {
         let normal = if points.lacks_normals { points.frame.normal(neighbors) } else { Vec3::ZERO };
         let own = if given == Vec3::ZERO { normal } else { given };
         let Fit { kernel, most, is_grouped } = match points.lacks_kernels {
-            true => points.frame.fit(fit(neighbors, own, given != Vec3::ZERO)),
+            true => fit(neighbors, own, given != Vec3::ZERO).scaled(points.frame.size),
             false => Fit::default(),
         };
         Fitted {

@@ -6,11 +6,21 @@
 use std::io;
 use std::ops::Range;
 
-use super::points::Place;
+use bytemuck::{Pod, Zeroable};
+
 use super::spill::SpillFile;
 
 /// Levels of the curve's cells.
 const LEVELS: u32 = 21;
+
+/// A point's position, for the neighbour search.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Place {
+    pub(super) at: [f32; 3],
+    /// Place in the file.
+    pub(super) index: u32,
+}
 
 /// Points that are neighbours along the curve and in space.
 pub(super) struct Piece {

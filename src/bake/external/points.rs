@@ -9,7 +9,7 @@ use super::super::colors::{Counts, Palette};
 use super::super::kernels::CUTOFF;
 use super::super::normals::{Frame, is_radius, stride};
 use super::super::pack::{Grid, morton};
-use super::pieces::{self, Piece};
+use super::pieces::{self, Piece, Place};
 use super::sort::{Sortable, Sorter};
 use super::spill::SpillFile;
 use super::{BakeFault, Phase, Work};
@@ -48,15 +48,6 @@ impl Point {
     pub(super) fn normal(&self) -> Vec3 {
         self.normal.into()
     }
-}
-
-/// A point's position, for the neighbour search.
-#[derive(Clone, Copy, Pod, Zeroable)]
-#[repr(C)]
-pub(super) struct Place {
-    pub(super) at: [f32; 3],
-    /// Place in the file.
-    pub(super) index: u32,
 }
 
 /// Interpretation of a point's paint word.

@@ -2,6 +2,8 @@ use glam::DVec3;
 use proptest::prelude::*;
 
 use super::*;
+use crate::assets::PointCloud;
+use crate::bake::attributes::estimate_kernels;
 
 /// Reproducible numbers in [0, 1).
 fn noise(seed: u64) -> impl FnMut() -> f64 {

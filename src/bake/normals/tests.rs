@@ -1,6 +1,8 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::assets::PointCloud;
+use crate::bake::attributes::estimate_point_attributes;
 
 fn cloud(positions: Vec<DVec3>) -> PointCloud {
     let mut cloud = PointCloud { positions, ..PointCloud::default() };

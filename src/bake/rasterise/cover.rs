@@ -6,7 +6,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::super::kernels::{CUTOFF, circle};
-use super::facet::{Facet, along};
+use super::facet::{Facet, Sample, along};
 use super::{REACH, STRETCH};
 use crate::assets::Kernel;
 use crate::scene::random::mix;
@@ -22,16 +22,6 @@ const SLAB: f64 = 5.0;
 const ABOUT: [[i64; 2]; 9] =
     [[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1], [-1, -1], [1, -1], [-1, 1], [1, 1]];
 const NONE: u32 = u32::MAX;
-
-/// A sample, in cells of the grid.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Sample {
-    pub at: DVec3,
-    pub normal: Vec3,
-    pub triangle: u32,
-    /// Along which its triangle is seen.
-    pub axis: u8,
-}
 
 impl Sample {
     /// Length of the disk along the slope over its width.

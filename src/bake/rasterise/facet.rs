@@ -5,7 +5,6 @@ use std::ops::Range;
 use glam::{DVec2, DVec3, Vec3};
 
 use super::AGREES;
-use super::cover::Sample;
 use crate::assets::Mesh;
 
 /// Where the grid begins below the mesh's bounds, in cells: so little that what is made of whole cells needs no more than
@@ -17,6 +16,16 @@ const TIE: f64 = 1e-6;
 const FLATTEST: f64 = 1e-12;
 /// Maximum error of a division, in cells; the edges' sides then decide.
 const SLACK: f64 = 1e-3;
+
+/// A sample, in cells of the grid.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sample {
+    pub at: DVec3,
+    pub normal: Vec3,
+    pub triangle: u32,
+    /// Along which its triangle is seen.
+    pub axis: u8,
+}
 
 /// Three grids of cubic cells with one origin, each for one axis: what is seen along the axis.
 #[derive(Clone, Copy, Debug)]

@@ -27,12 +27,10 @@ use std::f32::consts::PI;
 
 use glam::Vec3;
 
-use super::node::{NO_NODE, Node};
+use super::node::{Matter, NO_NODE, Node, WHOLE};
 
 /// Coverage byte of nodes that are always drawn.
 pub const EXACT: u8 = 255;
-/// The part of a scan's cut-off kernel that its sample stands for; less than 1 because disks overlap.
-pub const OWN: f32 = 0.5;
 /// Leaves of a ball in different octants hide each other 1.75 times less than all pairs of leaves do, and balls are about twice
 /// as large as the part that leaves fill.
 const BESIDE: f32 = 0.9;
@@ -47,22 +45,6 @@ const CODES: u32 = 62;
 const FULL: [f32; 3] = [0.1, 0.2, 0.3];
 /// `f` by its code.
 pub const AROUND: [f32; 4] = [0.0, 0.5, 0.8, 1.0];
-/// Code of `f` for nodes that are never thinned.
-pub const WHOLE: u8 = 3;
-
-/// The kind of data that leaves come from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Matter {
-    /// A scan. Sparse matter cannot be told from sparse sampling, so nothing below the root is thinned.
-    Points,
-    /// A mesh that is the surface of solids.
-    Closed,
-    /// Any other mesh.
-    Open,
-    /// Roots of trees; their areas are already visible areas.
-    Crowd,
-}
-
 impl Matter {
     /// The visible fraction of a leaf's area, averaged over all directions.
     pub fn share(self, normal: Vec3) -> f32 {
@@ -82,14 +64,6 @@ impl Matter {
         };
         joined.min(disk)
     }
-}
-
-/// The visible area of a node: along its normal, or the mean over all directions if it has none.
-pub fn seen(node: &Node) -> f32 {
-    if node.normal == Vec3::ZERO {
-        return node.mean;
-    }
-    node.flat.min(PI * node.radius * node.radius)
 }
 
 /// The code of `f` for the nodes below `node`, from the largest part of its disk that it covers from any direction.
@@ -141,7 +115,7 @@ pub fn byte(node: &Node, size: f32) -> u8 {
     if matches!(node.matter, Matter::Points | Matter::Crowd) && node.around >= WHOLE {
         return FILLS;
     }
-    let part = seen(node) / (PI * size * size);
+    let part = node.seen() / (PI * size * size);
     let code = (-part.log2() * STEPS).round().clamp(0.0, (CODES - 1) as f32) as u8;
     node.around.min(WHOLE) << 6 | code
 }

@@ -7,8 +7,8 @@ use rayon::prelude::*;
 
 use super::super::pack::spread;
 use super::Measures;
-use super::coverage::{self, Matter};
-use super::node::{NO_NODE, Node};
+use super::coverage;
+use super::node::{Matter, NO_NODE, Node};
 use super::stack::{CHILDREN, Stack, shared_level};
 use crate::assets::{Kernel, PointCloud};
 use crate::math::Bounds;

@@ -32,8 +32,9 @@
 
 /// The building blocks of trees, for builders outside this module (the external build).
 pub(in crate::bake) mod parts {
-    pub use super::coverage::{Matter, around_point, byte};
+    pub use super::coverage::{around_point, byte};
     pub use super::hierarchy::Cells;
+    pub use super::node::Matter;
     pub use super::node::{Node, kernel_length};
     pub use super::sequence::{
         Codes, Cutter, Tilts, base_from, delta_bits, measures_of, range_of, reach_behind,
@@ -49,8 +50,8 @@ mod sequence;
 mod stack;
 mod tilt;
 
-use coverage::Matter;
 pub use coverage::{EXACT, probability};
+use node::Matter;
 pub use sequence::{
     CODE, CODE_BITS, LEVEL_SHIFT, NO_PARENT, NONE, SORTED, cone_sine, decode, decode_delta,
 };
@@ -242,7 +243,7 @@ impl Root {
         let [error, size] = tree.nodes[roots];
         let radius = super::CUTOFF * cloud.kernels.map_or(0.0, |k| node::kernel_length(&k[0]));
         let [_, _, _, byte] = tree.attributes[roots][0].to_le_bytes();
-        let disk = coverage::OWN * std::f32::consts::PI * radius * radius;
+        let disk = node::OWN * std::f32::consts::PI * radius * radius;
         let area = coverage::area(byte, value(size)).unwrap_or(disk);
         Some(Root {
             position: cloud.positions[0],

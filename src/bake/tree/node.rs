@@ -7,8 +7,25 @@ use glam::{DVec3, Vec2, Vec3};
 use super::super::CUTOFF;
 use super::super::kernels::tangents;
 use super::Measures;
-use super::coverage::{self, Matter};
 use crate::assets::Kernel;
+
+/// The part of a scan's cut-off kernel that its sample stands for; less than 1 because disks overlap.
+pub const OWN: f32 = 0.5;
+/// Code of the fraction around a node ([`super::coverage`]) of nodes that are never thinned.
+pub const WHOLE: u8 = 3;
+
+/// The kind of data that leaves come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Matter {
+    /// A scan. Sparse matter cannot be told from sparse sampling, so nothing below the root is thinned.
+    Points,
+    /// A mesh that is the surface of solids.
+    Closed,
+    /// Any other mesh.
+    Open,
+    /// Roots of trees; their areas are already visible areas.
+    Crowd,
+}
 
 #[derive(Clone, Copy, Debug)]
 pub struct Node {
@@ -96,11 +113,19 @@ pub fn kernel_length(kernel: &Kernel) -> f32 {
 
 /// The area that a kernel stands for by itself.
 fn kernel_area(kernel: &Kernel) -> f32 {
-    let area = coverage::OWN * PI * CUTOFF * CUTOFF * kernel.u.length() * kernel.v.length();
+    let area = OWN * PI * CUTOFF * CUTOFF * kernel.u.length() * kernel.v.length();
     if area.is_finite() { area } else { 0.0 }
 }
 
 impl Node {
+    /// The visible area of a node: along its normal, or the mean over all directions if it has none.
+    pub fn seen(&self) -> f32 {
+        if self.normal == Vec3::ZERO {
+            return self.mean;
+        }
+        self.flat.min(PI * self.radius * self.radius)
+    }
+
     /// Builds the leaf of a sample, which may stand for something finer.
     pub fn leaf(
         position: DVec3,
@@ -136,7 +161,7 @@ impl Node {
             mean: weight * matter.share(normal),
             matter,
             blank: normal == Vec3::ZERO && matter != Matter::Crowd,
-            around: coverage::WHOLE,
+            around: WHOLE,
             color: Vec3::new(f32::from(color[0]), f32::from(color[1]), f32::from(color[2])),
             variance: 0.0,
             parent: NO_NODE,
@@ -180,7 +205,7 @@ impl Node {
             mean: 0.0,
             matter: children[0].matter,
             blank: children.iter().all(|child| child.blank),
-            around: coverage::WHOLE,
+            around: WHOLE,
             color,
             variance,
             parent: NO_NODE,
@@ -211,7 +236,7 @@ impl Node {
     /// The area of the leaves, seen along a direction.
     fn seen_along(&self, direction: Vec3) -> f32 {
         if self.normal == Vec3::ZERO {
-            return coverage::seen(self);
+            return self.seen();
         }
         self.flat * self.normal.dot(direction).abs()
     }

@@ -1,8 +1,8 @@
 use glam::{DVec3, Vec2, Vec3};
 use proptest::prelude::*;
 
-use super::coverage::Matter;
 use super::hierarchy::{self, Tree};
+use super::node::Matter;
 use super::node::{NO_NODE, Node};
 use super::*;
 use crate::assets::Kernel;

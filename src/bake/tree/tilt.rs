@@ -131,7 +131,7 @@ mod tests {
             &kernel,
             false,
             stands,
-            super::super::coverage::Matter::Open,
+            super::super::node::Matter::Open,
         );
         let error = lift.hypot(spread).max(even);
         Node { lift, spread, even, error, level: 1, ..leaf }

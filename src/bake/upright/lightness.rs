@@ -2,7 +2,7 @@
 
 use glam::Vec2;
 
-use super::shape::{areas, as_cloud, as_mesh};
+use super::parts::{areas, as_cloud, as_mesh};
 use crate::assets::{Asset, Mesh, Texture, Wrap};
 use crate::scene::color::linear_from_srgb;
 

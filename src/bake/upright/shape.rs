@@ -3,7 +3,8 @@
 use glam::{DVec2, DVec3, Vec3};
 
 use super::lightness::lightness;
-use crate::assets::{Asset, Geometry, Mesh, Placement, PointCloud};
+use super::parts::{areas, as_cloud, as_mesh, corners};
+use crate::assets::{Asset, Geometry, Mesh, Placement};
 
 /// Samples that are measured at most.
 const SAMPLES: usize = 1 << 14;
@@ -262,38 +263,6 @@ fn surface(asset: &Asset) -> Vec<Sample> {
     }
     samples.retain(|sample| sample.position.is_finite());
     samples
-}
-
-pub(super) fn as_mesh(geometry: &Geometry) -> Option<&Mesh> {
-    match geometry {
-        Geometry::Mesh(mesh) => Some(mesh),
-        Geometry::Points(_) => None,
-    }
-}
-
-pub(super) fn as_cloud(geometry: &Geometry) -> Option<&PointCloud> {
-    match geometry {
-        Geometry::Points(cloud) => Some(cloud),
-        Geometry::Mesh(_) => None,
-    }
-}
-
-fn corners(mesh: &Mesh, placement: &Placement, triangle: [u32; 3]) -> [DVec3; 3] {
-    triangle.map(|vertex| {
-        let at = mesh.positions.get(vertex as usize).copied().unwrap_or(DVec3::NAN);
-        placement.asset_from_geometry.transform_point3(at)
-    })
-}
-
-pub(super) fn areas<'a>(
-    mesh: &'a Mesh,
-    placement: &'a Placement,
-) -> impl Iterator<Item = f64> + 'a {
-    mesh.triangles.iter().map(|triangle| {
-        let [a, b, c] = corners(mesh, placement, *triangle);
-        let area = 0.5 * (b - a).cross(c - a).length();
-        if area.is_finite() { area } else { 0.0 }
-    })
 }
 
 /// Takes a sample each time that a certain area has been passed.
