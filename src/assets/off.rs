@@ -11,6 +11,7 @@ use glam::{DVec3, Vec2, Vec3};
 use super::input::{Input, Origin};
 use super::polygon::Triangulator;
 use super::tokens::{Lines, number, shown};
+use super::warnings::counted;
 use super::{Asset, AssetError, Geometry, Mesh, PointCloud, ReadOptions, tidy};
 
 /// A vertex takes no less: three digits, two blanks, a line end.
@@ -277,13 +278,19 @@ fn faces<R: BufRead>(
         AssetError::check_limit(file, "triangles", count, options.max_triangles)?;
         meter.reach(12 * count)?;
     }
-    for (count, what) in [
-        (short, "faces with fewer than three corners are left out"),
-        (triangulator.forced, "polygons cross themselves and are drawn as fans"),
+    for (count, one, many) in [
+        (
+            short,
+            "face with fewer than three corners is left out",
+            "faces with fewer than three corners are left out",
+        ),
+        (
+            triangulator.forced,
+            "polygon crosses itself and is drawn as a fan",
+            "polygons cross themselves and are drawn as fans",
+        ),
     ] {
-        if count > 0 {
-            warnings.push(format!("{count} {what}"));
-        }
+        warnings.extend(counted(count, one, many));
     }
     Ok(triangles)
 }

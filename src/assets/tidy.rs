@@ -3,6 +3,7 @@
 
 use glam::{DVec3, Vec3};
 
+use super::warnings::counted;
 use super::{AssetError, Mesh, PointCloud};
 
 /// How many elements are at fault, and which is the first, counted from 0.
@@ -36,10 +37,12 @@ pub(crate) fn colors_from_floats(values: &[[f32; 4]], warnings: &mut Vec<String>
         })
         .collect();
     if let Some(first) = bad.first {
-        let count = bad.count;
-        warnings.push(format!(
-            "{count} colours are not numbers and are drawn white; the first is that of vertex {first}"
-        ));
+        let (one, many) = (
+            "colour is not a number and is drawn white",
+            "colours are not numbers and are drawn white",
+        );
+        let text = counted(bad.count, one, many);
+        warnings.extend(text.map(|text| format!("{text}; the first is that of vertex {first}")));
     }
     colors
 }
@@ -157,9 +160,12 @@ pub(crate) fn finish_cloud(
     keep(&mut cloud.kernels, &kept);
     keep(&mut cloud.clips, &kept);
     let first = kept.iter().position(|kept| !kept).unwrap_or(0);
-    warnings.push(format!(
-        "{lost} points with non-finite coordinates are left out; the first is vertex {first}"
-    ));
+    let text = counted(
+        lost as u64,
+        "point with non-finite coordinates is left out",
+        "points with non-finite coordinates are left out",
+    );
+    warnings.extend(text.map(|text| format!("{text}; the first is vertex {first}")));
     Ok(cloud)
 }
 
@@ -216,11 +222,19 @@ pub(crate) fn finish_mesh(
         let reason = if count == 0 { "no face has three corners" } else { reason };
         return Err(AssetError::malformed(file, "face", reason));
     }
-    if adrift > 0 {
-        warnings.push(format!("{adrift} triangles with non-finite corners are left out"));
-    }
-    if flat > 0 {
-        warnings.push(format!("{flat} triangles that use one vertex twice are left out"));
+    for (count, one, many) in [
+        (
+            adrift,
+            "triangle with non-finite corners is left out",
+            "triangles with non-finite corners are left out",
+        ),
+        (
+            flat,
+            "triangle that uses one vertex twice is left out",
+            "triangles that use one vertex twice are left out",
+        ),
+    ] {
+        warnings.extend(counted(count, one, many));
     }
     if !mesh.triangles.iter().any(|triangle| has_area(&mesh.positions, triangle)) {
         warnings.push("no triangle has an area: nothing of the mesh can be seen".to_owned());

@@ -30,6 +30,11 @@ fn kind(text: &str) -> String {
     kind
 }
 
+/// What is said of a number of things: `one` of a single one, `many` of several, nothing of none.
+pub fn counted(count: u64, one: &str, many: &str) -> Option<String> {
+    (count > 0).then(|| format!("{count} {}", if count == 1 { one } else { many }))
+}
+
 /// Keeps the first warnings of each kind, and counts the others: "… and 312 more like this". Each warning is a subject, which may
 /// be empty, and a text; the subject does not make it another kind.
 pub fn condensed<S: AsRef<str>>(warnings: impl IntoIterator<Item = (S, String)>) -> Vec<String> {

@@ -27,7 +27,7 @@ pub struct Receipt {
     pub camera: CameraReceipt,
     pub settings: UsedSettings,
     /// Error accepted by the request and estimated for the frame, in pixels.
-    pub max_error_px: Option<f32>,
+    pub max_error_px: Option<f64>,
     pub estimated_error_px: Option<f32>,
     /// What the colours stand for, where `color_by=height` chose them.
     pub legend: Option<Legend>,
@@ -75,8 +75,9 @@ impl Receipt {
         let drawn = self.samples.drawn.filter(|_| self.triangles.stored == 0)?;
         let is_little = drawn < FEW_PIXELS && drawn * FEW_PIXELS * FEW_PIXELS < pixels;
         is_little.then(|| {
-            let plural = if drawn == 1 { "" } else { "s" };
-            format!("hardly anything is visible: {drawn} pixel{plural} of the image show samples")
+            let pixels =
+                if drawn == 1 { "pixel of the image shows" } else { "pixels of the image show" };
+            format!("hardly anything is visible: {drawn} {pixels} samples")
         })
     }
 

@@ -155,7 +155,7 @@ settings! {
         label: "Detail", kind: SettingKind::own::<Lod>(), needs: [], useful_with: []
     }
     /// Largest accepted error of `lod=spt`, in pixels.
-    max_error_px: f32 => MaxError {
+    max_error_px: f64 => MaxError {
         label: "Error", kind: MaxError::kind(), needs: [TREES], useful_with: []
     }
     /// How `lod=spt` measures the error of a splat.
@@ -185,11 +185,11 @@ settings! {
         label: "Samples as", kind: SettingKind::own::<Reconstruct>(), needs: [], useful_with: [SAMPLES]
     }
     /// Least diameter of round points, in pixels. Above 1, `reconstruct=auto` draws points.
-    point_size_px: f32 => PointSizePx {
+    point_size_px: f64 => PointSizePx {
         label: "Point size", kind: PointSizePx::kind(), needs: [POINTS], useful_with: [SAMPLES]
     }
     /// Diameter of round points in scene units, which shrinks with distance; 0 for none. Above 0, `reconstruct=auto` draws points.
-    point_size: f32 => PointSize {
+    point_size: f64 => PointSize {
         label: "Point size in the scene", kind: PointSize::kind(), needs: [POINTS], useful_with: [SAMPLES]
     }
     /// Projection of splats to the image; the scene's value by default.
@@ -215,11 +215,11 @@ settings! {
         label: "Eye-dome light", kind: SettingKind::own::<Edl>(), needs: [], useful_with: [COLORS]
     }
     /// Strength of eye-dome lighting.
-    edl_strength: f32 => EdlStrength {
+    edl_strength: f64 => EdlStrength {
         label: "Strength", kind: EdlStrength::kind(), needs: [EDL], useful_with: [COLORS]
     }
     /// Distance of the neighbours that eye-dome lighting compares a pixel with, in pixels.
-    edl_radius_px: f32 => EdlRadius {
+    edl_radius_px: f64 => EdlRadius {
         label: "Radius", kind: EdlRadius::kind(), needs: [EDL], useful_with: [COLORS]
     }
     /// Colour of pixels that show nothing; the scene's value by default. JPEG and video cannot store transparency and show black.
@@ -289,8 +289,8 @@ impl Given {
     pub fn pairs(&self) -> Vec<(String, String)> {
         let text = |value: Value| match value {
             Value::String(word) => word,
-            // As short as the setting's own precision allows.
-            Value::Number(number) => (number.as_f64().unwrap_or_default() as f32).to_string(),
+            // 2 and not 2.0.
+            Value::Number(number) => number.as_f64().unwrap_or_default().to_string(),
             other => other.to_string(),
         };
         words(self).into_iter().map(|(name, value)| (name, text(value))).collect()
@@ -340,7 +340,7 @@ impl Given {
                 continue;
             };
             // Numbers that are not finite are `null` in JSON.
-            let number = value.as_f64().map(|number| values::exact(number as f32));
+            let number = value.as_f64();
             if number.is_none_or(|number| !(*least..=*most).contains(&number)) {
                 let shown = number.map_or_else(|| value.to_string(), |number| number.to_string());
                 let reason = format!("{shown} is outside {least} to {most}");

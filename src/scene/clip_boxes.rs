@@ -84,7 +84,7 @@ impl ClipBox {
         }
         let [low, high] = [0, 3].map(|first| DVec3::from_slice(&numbers[first..]));
         for axis in 0..3 {
-            if !(low[axis] < high[axis]) {
+            if low[axis] >= high[axis] {
                 let name = ["x", "y", "z"][axis];
                 return Err(format!(
                     "has its largest {name}, {}, not above its least, {}",

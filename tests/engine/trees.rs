@@ -250,7 +250,7 @@ fn less_is_drawn_the_more_may_be_wrong_and_full_detail_where_nothing_may() {
         let at = |settings| studio.frame(&FrameRequest { settings, ..request.clone() });
         let mut last = u64::MAX;
         for px in [0.05, 0.5, 2.0, 8.0, 64.0] {
-            let frame = at(spt(px, reconstruct));
+            let frame = at(spt(px as f32, reconstruct));
             let samples = &frame.receipt.samples;
             let (tested, accepted) = (samples.tested.unwrap(), samples.accepted.unwrap());
             assert!(accepted <= last && accepted <= tested, "{px} px: {samples:?}");

@@ -25,6 +25,7 @@ use self::buffers::Buffers;
 use self::material::Materials;
 use self::primitive::Primitives;
 use super::input::Input;
+use super::warnings::counted;
 use super::{Asset, AssetError, ReadOptions};
 
 /// Extensions that may be required.
@@ -71,15 +72,21 @@ pub fn read_from(mut input: Input, options: &ReadOptions) -> Result<Asset, Asset
         warnings.insert(0, "the scene draws nothing".to_owned());
         return Err(AssetError::malformed(file, "scene", warnings.join("; ")));
     }
-    for (count, what) in [
-        (root.animations.len(), "animations are ignored"),
-        (root.skins.len(), "skins are ignored: meshes stand in their bind pose"),
-        (drawn.lights, "lights are ignored"),
-        (drawn.unusable_cameras, "cameras without a usable field of view or height are ignored"),
+    for (count, one, many) in [
+        (root.animations.len(), "animation is ignored", "animations are ignored"),
+        (
+            root.skins.len(),
+            "skin is ignored: meshes stand in their bind pose",
+            "skins are ignored: meshes stand in their bind pose",
+        ),
+        (drawn.lights, "light is ignored", "lights are ignored"),
+        (
+            drawn.unusable_cameras,
+            "camera without a usable field of view or height is ignored",
+            "cameras without a usable field of view or height are ignored",
+        ),
     ] {
-        if count > 0 {
-            warnings.push(format!("{count} {what}"));
-        }
+        warnings.extend(counted(count as u64, one, many));
     }
     options.progress.report(1.0);
     Ok(Asset {

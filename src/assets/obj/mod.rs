@@ -20,6 +20,7 @@ use glam::{DVec3, Vec2, Vec3};
 
 use super::input::{Input, Origin};
 use super::tokens::{Lines, Tokens, number, shown};
+use super::warnings::counted;
 use super::{Asset, AssetError, Geometry, PointCloud, ReadOptions, tidy};
 use crate::memory::Meter;
 
@@ -258,14 +259,24 @@ impl<'a> Statements<'a> {
 
     fn finish(self, origin: &Origin, options: &ReadOptions) -> Result<Asset, AssetError> {
         let mut warnings = Vec::new();
-        for (count, what) in [
-            (self.short_faces, "faces with fewer than three corners are left out"),
-            (self.lines, "line elements are ignored: lines are not offered yet"),
-            (self.unknown, "statements are unknown and ignored"),
+        for (count, one, many) in [
+            (
+                self.short_faces,
+                "face with fewer than three corners is left out",
+                "faces with fewer than three corners are left out",
+            ),
+            (
+                self.lines,
+                "line element is ignored: lines are not offered yet",
+                "line elements are ignored: lines are not offered yet",
+            ),
+            (
+                self.unknown,
+                "statement is unknown and ignored",
+                "statements are unknown and ignored",
+            ),
         ] {
-            if count > 0 {
-                warnings.push(format!("{count} {what}"));
-            }
+            warnings.extend(counted(count, one, many));
         }
         let mut asset = if self.faces.is_empty() {
             let cloud = self.into_cloud(&mut warnings);

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use glam::{DVec3, Vec2, Vec3};
 
 use super::super::polygon::Triangulator;
+use super::super::warnings::counted;
 use super::super::{AssetError, Mesh, MeshPart, tidy};
 use super::{NONE, Statements};
 
@@ -45,10 +46,11 @@ impl Statements<'_> {
             });
             parts.push(MeshPart { triangles: (triangles.len() - before) as u32, material });
         }
-        if triangulator.forced > 0 {
-            let forced = triangulator.forced;
-            warnings.push(format!("{forced} polygons cross themselves and are drawn as fans"));
-        }
+        warnings.extend(counted(
+            triangulator.forced,
+            "polygon crosses itself and is drawn as a fan",
+            "polygons cross themselves and are drawn as fans",
+        ));
         let mut mesh = loom.mesh;
         mesh.triangles = triangles;
         if !used.is_empty() {

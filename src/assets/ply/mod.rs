@@ -27,6 +27,7 @@ use super::input::{Input, Origin};
 use super::polygon::Triangulator;
 use super::texture::{self, TextureBudget};
 use super::tokens::Lines;
+use super::warnings::counted;
 use super::{Asset, AssetError, Geometry, Material, Mesh, MeshPart, PointCloud, ReadOptions, tidy};
 use crate::memory::Meter;
 
@@ -301,13 +302,19 @@ impl Parts<'_> {
         options: &ReadOptions,
     ) -> Result<Asset, AssetError> {
         let mut warnings = std::mem::take(&mut self.warnings);
-        for (count, what) in [
-            (self.short_faces, "faces with fewer than three corners are left out"),
-            (self.triangulator.forced, "polygons cross themselves and are drawn as fans"),
+        for (count, one, many) in [
+            (
+                self.short_faces,
+                "face with fewer than three corners is left out",
+                "faces with fewer than three corners are left out",
+            ),
+            (
+                self.triangulator.forced,
+                "polygon crosses itself and is drawn as a fan",
+                "polygons cross themselves and are drawn as fans",
+            ),
         ] {
-            if count > 0 {
-                warnings.push(format!("{count} {what}"));
-            }
+            warnings.extend(counted(count, one, many));
         }
         let vertices = self.vertices.finish(&mut warnings);
         let mut asset = if self.have_faces {

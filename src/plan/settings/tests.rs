@@ -145,6 +145,24 @@ fn backgrounds_are_read_as_they_are_written() {
     assert_eq!(refused.accepted(|_, _| String::new()), "transparent, #rrggbb or #rrggbbaa");
 }
 
+/// Limits are checked before numbers are rounded to 32 bits, and numbers are told as they were given.
+#[test]
+fn numbers_are_checked_as_they_are_written() {
+    for (query, setting) in [
+        ("color_by=height&color_most=1000000001", "color_most"),
+        ("point_size=1000000001", "point_size"),
+        ("lod=spt&max_error_px=64.000001", "max_error_px"),
+    ] {
+        assert_eq!(given(query).resolve().unwrap_err().setting, setting);
+    }
+    let settings = given("color_by=height&color_least=5653000.125&edl=on&edl_strength=0.7");
+    let applied = settings.resolve().unwrap().applied();
+    assert_eq!(
+        (applied.color_least, applied.edl_strength),
+        (Some(ColorBound::from(5_653_000.125)), Some(0.7))
+    );
+}
+
 #[test]
 fn boxes_of_a_node_need_boxes() {
     let clipped = given("clip_boxes=0,0,0,1,1,1;outside:*,*,*,*,*,0.5&clip_node=tower");

@@ -119,8 +119,7 @@ impl Settings {
 macro_rules! numbers {
     ($($(#[doc = $doc:literal])+ $name:ident: $least:literal to $most:literal $unit:literal, $default:literal;)+) => {$(
         $(#[doc = $doc])+
-        #[derive(Clone, Copy, Debug, Serialize)]
-        #[serde(transparent)]
+        #[derive(Clone, Copy, Debug)]
         pub struct $name(f32);
 
         impl $name {
@@ -142,10 +141,16 @@ macro_rules! numbers {
             }
         }
 
-        impl From<f32> for $name {
+        impl From<f64> for $name {
             /// The default for values outside the range; [`Given::check`] refuses these before.
-            fn from(value: f32) -> Self {
-                $name::new(value).unwrap_or_default()
+            fn from(value: f64) -> Self {
+                $name::new(value as f32).unwrap_or_default()
+            }
+        }
+
+        impl Serialize for $name {
+            fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.serialize_f64(exact(self.0))
             }
         }
 
@@ -191,7 +196,7 @@ impl MaxError {
 }
 
 /// The number with the same shortest decimal form: 0.05 and not 0.05000000074505806.
-pub(super) fn exact(number: f32) -> f64 {
+fn exact(number: f32) -> f64 {
     number.to_string().parse().unwrap_or(f64::from(number))
 }
 
@@ -232,6 +237,11 @@ impl std::str::FromStr for Background {
 
     /// `#` may be left out: it would end a URL.
     fn from_str(text: &str) -> Result<Background, String> {
+        if text.is_empty() {
+            return Err(
+                "no colour is given; in an address, `#` is written `%23` or left out".to_owned()
+            );
+        }
         if text == "transparent" {
             return Ok(Background([0; 4]));
         }
@@ -442,11 +452,11 @@ pub enum ColorBy {
 /// A bound of the values that a colour map shows, in scene units.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(transparent)]
-pub struct ColorBound(f32);
+pub struct ColorBound(f64);
 
 impl ColorBound {
     pub fn get(self) -> f64 {
-        exact(self.0)
+        self.0
     }
 
     pub(super) fn kind() -> SettingKind {
@@ -454,8 +464,8 @@ impl ColorBound {
     }
 }
 
-impl From<f32> for ColorBound {
-    fn from(value: f32) -> Self {
+impl From<f64> for ColorBound {
+    fn from(value: f64) -> Self {
         ColorBound(value)
     }
 }
