@@ -84,6 +84,20 @@ pub fn read(path: &Path, options: &ReadOptions) -> Result<Asset, AssetError> {
     Ok(asset)
 }
 
+/// Whether a file's own bytes decide its content. The answer is no for files that may name others: OBJ, glTF, and PLY with a texture.
+pub fn stands_alone(path: &Path, options: &ReadOptions) -> bool {
+    let name = display_name(path);
+    // A file that cannot be opened has no content to share.
+    let Ok(mut input) = Input::open(path, &name, options) else { return false };
+    let head = &input.origin.head;
+    match recognise(head, &name) {
+        Format::Obj => false,
+        Format::Gltf => gltf::names_no_files(&mut input.reader),
+        Format::Ply => contains(head, b"end_header") && !contains(head, b"TextureFile"),
+        _ => true,
+    }
+}
+
 /// What errors call a file.
 pub(super) fn display_name(path: &Path) -> String {
     path.file_name()

@@ -34,7 +34,7 @@ use std::path::PathBuf;
 use glam::{DAffine3, DVec3, Vec2, Vec3};
 
 pub use self::blocks::{PointBlocks, Survey};
-pub use self::dispatch::{FORMATS, is_supported_extension, read};
+pub use self::dispatch::{FORMATS, is_supported_extension, read, stands_alone};
 use crate::math::{Bounds, Camera, Sensor};
 use crate::memory::{Admission, Interrupt};
 

@@ -9,7 +9,7 @@ use sha2::{Digest, Sha256};
 
 use super::EngineError;
 use super::error::asset_error;
-use crate::assets::{AssetError, Material};
+use crate::assets::{AssetError, Material, ReadOptions, stands_alone};
 use crate::bake::external::{SpillFile, Spilled};
 use crate::bake::pack::{GeometryKind, Grid, NodeRange, PackedAsset, PackedChunk, PackedTexture};
 use crate::bake::tree::BAKING_VERSION;
@@ -80,25 +80,20 @@ fn file_key(
     let display = file
         .file_name()
         .map_or_else(|| name.to_owned(), |name| name.to_string_lossy().into_owned());
+    let options = ReadOptions { admission: admission.clone(), ..ReadOptions::default() };
     let content = digest_file(file, &display, admission).map_err(asset_error)?;
     // The file's name affects how the bytes are read, and the scene affects what is made of them.
     let mut hasher = Sha256::new().chain_update(content).chain_update(file_kind(file));
     if source.sample.is_some() || source.features {
         hasher.update(format!("\0{:?} {}", source.sample, source.features));
     }
-    Ok(AssetKey { digest: hasher.finalize().into(), alone: stands_alone(file) })
+    Ok(AssetKey { digest: hasher.finalize().into(), alone: stands_alone(file, &options) })
 }
 
 /// Returns the part of a file's name that affects how it is read: its extensions, in lower case.
 pub fn file_kind(file: &Path) -> String {
     let name = file.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     name.split_once('.').map_or_else(String::new, |(_, extensions)| extensions.to_owned())
-}
-
-/// Returns whether a file's own bytes decide its content. A glTF or OBJ may refer to buffers, materials and images.
-fn stands_alone(file: &Path) -> bool {
-    let name = file.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
-    !["obj", "obj.gz", "gltf", "gltf.gz"].iter().any(|end| name.ends_with(end))
 }
 
 /// Hashes a file, which errors call `name`.

@@ -111,6 +111,8 @@ pub fn load(
         let traits: Vec<AssetTraits> = assets.iter().map(|asset| asset.traits()).collect();
         outlook.shape = shape.as_ref();
         prepare::adapt_bare_asset(&mut description, &traits, &outlook);
+        let Scene { up, lights, background, .. } = &description;
+        hasher.update(format!("{up:?} {lights:?} {background:?}"));
     }
     let mut warnings = condensed(warnings);
     warnings.extend(assets.iter().filter_map(|asset| strays(asset)));

@@ -1,9 +1,9 @@
 //! Files that name other files are read again when those change.
 
 use glam::DVec3;
-use pointillist::engine::{FrameRequest, Pose};
-use pointillist::math::Lens;
-use pointillist::plan::Output;
+use pointillist::engine::{FrameRequest, Pose, Source};
+use pointillist::math::{Camera, Lens};
+use pointillist::plan::{ColorBy, Output, Settings};
 use serde_json::json;
 
 use super::studio::{Studio, fit, same, wall};
@@ -118,6 +118,80 @@ fn a_gltf_with_a_buffer_beside_it() {
         &|| studio.write("triangle.bin", bin(2.0, 0.5)),
         &restore,
     );
+}
+
+/// A quad as PLY with texture coordinates and a texture beside it.
+const QUAD_PLY: &str = "ply\nformat ascii 1.0\ncomment TextureFile paint.png\nelement vertex 4\nproperty float x\n\
+    property float y\nproperty float z\nproperty float s\nproperty float t\nelement face 2\n\
+    property list uchar int vertex_indices\nend_header\n-1 -1 0 0 0\n1 -1 0 1 0\n1 1 0 1 1\n-1 1 0 0 1\n3 0 1 2\n3 0 2 3\n";
+
+/// A GLB whose texture is a file beside it.
+fn quad_glb() -> Vec<u8> {
+    let places = [-1f32, -1.0, 0.0, 1.0, -1.0, 0.0, 1.0, 1.0, 0.0];
+    let corners = [0f32, 0.0, 1.0, 0.0, 1.0, 1.0];
+    let binary: Vec<u8> = places.iter().chain(&corners).flat_map(|v| v.to_le_bytes()).collect();
+    let json = json!({
+        "asset": { "version": "2.0" },
+        "scene": 0,
+        "scenes": [{ "nodes": [0] }],
+        "nodes": [{ "mesh": 0 }],
+        "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0, "TEXCOORD_0": 1 }, "material": 0 }] }],
+        "materials": [{ "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 } } }],
+        "textures": [{ "source": 0 }],
+        "images": [{ "uri": "paint.png" }],
+        "buffers": [{ "byteLength": 60 }],
+        "bufferViews": [{ "buffer": 0, "byteLength": 36 }, { "buffer": 0, "byteOffset": 36, "byteLength": 24 }],
+        "accessors": [
+            { "bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [-1, -1, 0], "max": [1, 1, 0] },
+            { "bufferView": 1, "componentType": 5126, "count": 3, "type": "VEC2" },
+        ],
+    });
+    let mut json = json.to_string().into_bytes();
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let total = 12 + 8 + json.len() + 8 + binary.len();
+    let word = |number: usize| (number as u32).to_le_bytes();
+    let head = [&b"glTF"[..], &word(2), &word(total), &word(json.len()), b"JSON"].concat();
+    [head, json, [&word(binary.len())[..], b"BIN\0"].concat(), binary].concat()
+}
+
+/// Equal bytes are another asset beside another texture: neither a picture nor a tag may be taken from it.
+#[test]
+fn textures_of_ply_and_glb_files() {
+    let studio = Studio::new();
+    studio.write("quad.ply", QUAD_PLY);
+    studio.write("quad.glb", quad_glb());
+    let restore = || studio.write("paint.png", png([200, 30, 30]));
+    restore();
+    for file in ["quad.ply", "quad.glb"] {
+        sees_change(&studio, file, &|| studio.write("paint.png", png([30, 30, 200])), &restore);
+    }
+}
+
+/// Heights, and so their colours, depend on which way is up.
+#[test]
+fn another_up_direction_has_other_tags() {
+    let studio = Studio::new();
+    studio.write("cloud.ply", wall(30, |x, y| [x as u8 * 8, y as u8 * 8, 0]));
+    let request = FrameRequest {
+        settings: Settings { color_by: ColorBy::Height, ..fit("x", 64, Output::Color).settings },
+        ..seen_from_fixed("x")
+    };
+    let pose = Pose::Camera(Camera {
+        eye: DVec3::new(1.0, 2.0, 7.0),
+        target: DVec3::ZERO,
+        up: DVec3::Y,
+        lens: Lens::Perspective { fov_deg: 40.0 },
+    });
+    let request = FrameRequest { pose, ..request };
+    let seen = [DVec3::X, DVec3::Y].map(|up| {
+        let source = Source { up: Some(up), ..Source::at(&studio.folder().join("cloud.ply")) };
+        studio.engine.load_within("x", &source, &studio.engine.admission()).unwrap();
+        let seen = (studio.bytes(&request), studio.engine.etag(&request).unwrap());
+        studio.engine.remove("x").unwrap();
+        seen
+    });
+    assert!(seen[0].0 != seen[1].0, "the pictures differ");
+    assert_ne!(seen[0].1, seen[1].1);
 }
 
 #[test]

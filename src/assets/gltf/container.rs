@@ -1,5 +1,7 @@
 //! The outer shell: GLB chunks, JSON, data URIs.
 
+use std::io::Read;
+
 use ::gltf::json::Root;
 use serde::Deserialize;
 
@@ -12,6 +14,24 @@ const OBJECT_BYTES: usize = 512;
 pub(super) const MAGIC: &[u8] = b"glTF";
 const JSON_CHUNK: u32 = 0x4e4f_534a;
 const BINARY_CHUNK: u32 = 0x004e_4942;
+
+/// Longest JSON chunk that is searched for names of other files.
+const SEARCHED_BYTES: u64 = 16 << 20;
+
+/// Whether a document is a GLB whose JSON mentions no URI, so that all of its content is its own. Documents of another form, and those whose
+/// JSON is long or has escapes, may name files.
+pub fn names_no_files(reader: &mut dyn Read) -> bool {
+    let mut head = [0; 20];
+    if reader.read_exact(&mut head).is_err() || !head.starts_with(b"glTF") || head[16..] != *b"JSON"
+    {
+        return false;
+    }
+    let length = u64::from(u32::from_le_bytes([head[12], head[13], head[14], head[15]]));
+    let mut json = Vec::new();
+    let read = reader.take(length.min(SEARCHED_BYTES)).read_to_end(&mut json);
+    let mentions = |word: &[u8]| json.windows(word.len()).any(|window| window == word);
+    read.is_ok() && json.len() as u64 == length && !mentions(b"\"uri\"") && !mentions(b"\\u")
+}
 
 /// The JSON text and, of a GLB, the binary chunk.
 pub(super) fn split<'a>(

@@ -22,6 +22,7 @@ use std::path::Path;
 use ::gltf::json::Root;
 
 use self::buffers::Buffers;
+pub use self::container::names_no_files;
 use self::material::Materials;
 use self::primitive::Primitives;
 use super::input::Input;
