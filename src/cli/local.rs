@@ -34,7 +34,7 @@ pub struct SceneArgs {
     /// Maximum scene data kept on the GPU, in MiB
     #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
     gpu_budget_mib: Option<u64>,
-    /// Maximum width times height of a frame; the adapter may allow less [default: 16777216]
+    /// Maximum width times height of a frame; the adapter may allow less [default: 16777216, or what a sixth of the memory has room for]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     max_pixels: Option<u64>,
     /// Maximum width and height of a frame, in pixels [default: 8192]

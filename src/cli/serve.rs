@@ -59,7 +59,7 @@ pub struct ServeArgs {
     /// Up direction of point and triangle files: x, y, z, -x, -y, -z or X,Y,Z [default: guessed for each file]
     #[arg(long, env = "POINTILLIST_UP", value_name = "AXIS", allow_hyphen_values = true)]
     pub up: Option<Up>,
-    /// Maximum scene data kept on the GPU, in MiB [default: three quarters of what the adapter can bind, at most 4096]
+    /// Maximum scene data kept on the GPU, in MiB [default: three quarters of what the adapter can bind, at most 4096; with a CPU adapter at most an eighth of the memory]
     #[arg(long, env = "POINTILLIST_GPU_BUDGET_MIB", value_name = "MIB")]
     pub gpu_budget_mib: Option<u64>,
     /// Host memory budget for loaded scenes, loading and baking together, in MiB; loads that do not fit are refused with 413 or 507 [default: half of the memory of the machine or its cgroup]
@@ -92,7 +92,7 @@ pub struct ServeArgs {
     /// Threads that encode job images [default: one per core]; requests and streams have one more thread each
     #[arg(long, env = "POINTILLIST_ENCODER_THREADS", value_name = "N")]
     pub encoder_threads: Option<usize>,
-    /// Maximum width times height of a frame; the adapter may allow less [default: 16777216]
+    /// Maximum width times height of a frame; the adapter may allow less [default: 16777216, or what a sixth of the memory has room for]
     #[arg(long, env = "POINTILLIST_MAX_PIXELS", value_name = "N")]
     pub max_pixels: Option<u64>,
     /// Maximum width and height of a frame, in pixels [default: 8192]

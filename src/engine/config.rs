@@ -9,7 +9,7 @@ use glam::DVec3;
 use super::{EncodeHook, Latch, PrimeConfig};
 use crate::assets::ReadOptions;
 use crate::bake::cache::BakeCache;
-use crate::memory::HostMemory;
+use crate::memory::{self, HostMemory};
 use crate::scene::SceneLimits;
 
 /// Default of [`EngineConfig::job_share`].
@@ -92,6 +92,11 @@ pub struct EngineConfig {
     pub scene: SceneLimits,
 }
 
+/// Pixels of a frame, unless less memory is there.
+const MOST_PIXELS: u64 = 1 << 24;
+/// Bytes that buffers of a frame have for each pixel at most, of a frame of blended splats.
+const FRAME_PIXEL_BYTES: u64 = 64;
+
 impl EngineConfig {
     /// Returns the defaults for scenes below `root`.
     pub fn new(root: impl Into<PathBuf>) -> Self {
@@ -106,7 +111,7 @@ impl EngineConfig {
             max_batch: 16,
             encoder_threads: cores.clamp(1, 8),
             encode_hook: None,
-            max_pixels: 1 << 24,
+            max_pixels: MOST_PIXELS.min(memory::default_budget() / 3 / FRAME_PIXEL_BYTES),
             max_side: 8192,
             force_32_bit: false,
             max_binding_bytes: None,

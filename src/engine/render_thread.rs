@@ -68,7 +68,11 @@ enum Stop {
 
 fn open(state: &EngineState, options: &GpuOptions) -> Result<Renderer, GpuError> {
     let mut renderer = Renderer::open(options, |gpu| {
-        state.config.gpu_budget_bytes.unwrap_or_else(|| (gpu.max_binding_bytes() * 24).min(4 << 30))
+        state.config.gpu_budget_bytes.unwrap_or_else(|| {
+            let bound = (gpu.max_binding_bytes() * 24).min(4 << 30);
+            // A CPU adapter's buffers are host memory: a quarter of what loaded scenes may take.
+            if gpu.is_cpu { bound.min(memory::default_budget() / 4) } else { bound }
+        })
     })?;
     if let Some(pixels) = state.config.small_triangle_px {
         renderer.set_small_triangle_px(pixels);
