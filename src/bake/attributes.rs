@@ -148,7 +148,7 @@ fn raise_radii(radii: &mut [f32]) {
 }
 
 /// Gives a cloud the kernels that it lacks, and the normals and radii as
-/// [`estimate_point_attributes`](super::estimate_point_attributes) does, from one search for neighbours.
+/// [`estimate_point_attributes`] does, from one search for neighbours.
 ///
 /// Call it instead of that function, not after it: a radius that is there on entry is taken for the file's own and makes
 /// the kernel circular, so that the disk at [`CUTOFF`] is the file's. All others get the ellipse that the module

@@ -184,7 +184,7 @@ fn another_up_direction_has_other_tags() {
     });
     let request = FrameRequest { pose, ..request };
     let seen = [DVec3::X, DVec3::Y].map(|up| {
-        let source = Source { up: Some(up), ..Source::at(&studio.folder().join("cloud.ply")) };
+        let source = Source { up: Some(up), ..Source::at(studio.folder().join("cloud.ply")) };
         studio.engine.load_within("x", &source, &studio.engine.admission()).unwrap();
         let seen = (studio.bytes(&request), studio.engine.etag(&request).unwrap());
         studio.engine.remove("x").unwrap();
