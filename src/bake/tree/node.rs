@@ -56,7 +56,7 @@ pub struct Node {
     pub matter: Matter,
     /// No leaf has a normal: inner nodes are drawn unlit, as the leaves are.
     pub blank: bool,
-    /// Code of the coverage around the node, see [`coverage`].
+    /// Code of the coverage around the node, see [`super::coverage`].
     pub around: u8,
     /// sRGB, 0..=255.
     pub color: Vec3,
