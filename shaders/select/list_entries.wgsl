@@ -35,7 +35,7 @@ fn list_entries(@builtin(local_invocation_index) lane: u32) {
         let row = segment * frame.instance_groups;
         var sum = 0u;
         for (var i = first; i < end; i++) {
-            // Such a sum is too large in any case; the minimum keeps it from wrapping.
+            // A sum of this size is too large in any case; the minimum keeps it from wrapping.
             sum = min(sum + min(chosen_first[row + i], 1u << 24u), 1u << 24u);
         }
         partial[lane] = sum;

@@ -11,7 +11,7 @@ const EDL_MOST: f32 = 0.01;
 fn eye_dome(at: vec2<u32>, inverse_depth: f32) -> f32 {
     let diagonal = 0.70710678 * frame.edl.y;
     let own = log2(inverse_depth);
-    // Of a logarithm, for each unit of depth: as in perspective where the view is as high as it is far away.
+    // Units of a logarithm for each unit of depth: as in perspective where the view is as high as it is far away.
     let steps = 1.442695 * frame.focal_px.y / f32(frame.size_px.y);
     var before = 0.0;
     var least = EDL_MOST;

@@ -53,7 +53,7 @@ struct Frame {
     splat_lowpass_px: f32,
     splat_width: f32,
     splat_offset: f32,
-    // Of splats that are blended in a single pass, slabs of depth: where they begin, how many for each unit, where that ends (and its
+    // Slabs of depth of splats that are blended in a single pass: where they begin, how many for each unit, where that ends (and its
     // logarithm to base 2), and how many for each doubling from there.
     slab_near: f32,
     slab_per_unit: f32,
@@ -170,7 +170,7 @@ fn camera_vector(t: vec3<f32>) -> vec3<f32> {
     return vec3<f32>((t.xy - frame.principal_px * select(t.z, 0.0, ORTHOGRAPHIC)) / frame.focal_px, t.z);
 }
 
-// The same for a place.
+// The camera-space place of what the intrinsics were applied to.
 fn camera_place(p: vec3<f32>) -> vec3<f32> {
     return vec3<f32>((p.xy - frame.principal_px * divisor(p.z)) / frame.focal_px, p.z);
 }

@@ -11,7 +11,7 @@ struct Box {
     x: vec3<f32>,
     y: vec3<f32>,
     z: vec3<f32>,
-    // What f32 may lose of a place in it, and what is drawn around it.
+    // Rounding error of a place in it in f32, and how far is drawn around it.
     slack: f32,
 }
 
@@ -44,7 +44,7 @@ struct BoxBounds {
     most: vec2<f32>,
 }
 
-// What snapping to parts of pixels and f32 may move.
+// Distance that snapping to parts of pixels and f32 may move a place.
 const BOUNDS_SLACK_PX: f32 = 0.0625;
 
 fn divisors(no: f32, yes: f32, is: vec2<bool>) -> vec2<f32> {
@@ -94,7 +94,7 @@ fn reaches(normal: vec3<f32>, offset: f32, centre: vec3<f32>, x: vec3<f32>, y: v
     return side >= -SLACK * scale;
 }
 
-// The same for a plane that holds a line of the image: `line` · (x, y, 1) is 0 there, with x and y over the divisor.
+// Tests a plane that holds a line of the image: `line` · (x, y, 1) is 0 there, with x and y over the divisor.
 fn reaches_line(line: vec3<f32>, centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>, radius: f32) -> bool {
     if ORTHOGRAPHIC {
         return reaches(vec3<f32>(line.xy, 0.0), line.z, centre, x, y, z, radius);
@@ -108,7 +108,7 @@ fn clip_span(axis: vec3<f32>, centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: 
     return vec2<f32>(dot(axis, centre), extent + SLACK * (dot(abs(axis), abs(centre)) + extent));
 }
 
-// The same as with_clip_box of a box with half edges x, y, z and all within `radius` of it: whether any of it may be in a clip box whose
+// Adds a clip box to what was found of a box with half edges x, y, z and all within `radius` of it: whether any of it may be in a clip box whose
 // inside is shown, and whether all of it is in one whose outside is.
 fn meets_clip_box(found: vec2<bool>, clip: ClipBox, centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>, radius: f32) -> vec2<bool> {
     let across = clip_span(clip.x.xyz, centre, x, y, z, radius);

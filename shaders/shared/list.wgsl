@@ -25,7 +25,7 @@ fn list_entry(id: u32, low: vec2<u32>, high: vec2<u32>) {
     }
 }
 
-// The same of what is large, which a frame may have so much of.
+// Lists what is large, of which a frame may have a limited amount.
 fn list_large(id: u32, low: vec2<u32>, high: vec2<u32>) {
     list_entry(id, low, high);
     if COUNTS {

@@ -1,12 +1,12 @@
 // Occlusion culling (after Greene, Kass & Miller 1993): what is near is drawn first, then, turn by turn from near to far, what does not
 // lie as a whole behind all that. The order changes no pixel: the visibility buffer keeps the nearest, whoever came first.
 
-// Of a segment, how many of its visible slots are asked whether they are hidden, and how many are listed as drawn: those that are near,
+// Counts of a segment's visible slots: how many are asked whether they are hidden, and how many are listed as drawn: those that are near,
 // and those that turned out not to be hidden.
 struct Portion {
     far: atomic<u32>,
     listed: atomic<u32>,
-    // Of these, whose turn it is.
+    // The one among them whose turn it is.
     begin: u32,
     end: u32,
 }
@@ -22,13 +22,13 @@ const DEPTH_BOTTOMS: u32 = 1032u;
 const DEPTH_TURN: u32 = 1544u;
 const DEPTH_ASKED: u32 = 1545u;
 const DEPTHS_WORDS: u32 = 1560u;
-// Of a far slot in the list: the slot, and from this bit on where its depth is among the bins.
+// A far slot in the list: the slot, and from this bit on where its depth is among the bins.
 const TURN_SHIFT: u32 = 22u;
 const TURN_SLOT: u32 = 0x3fffffu;
 const NO_TURN: u32 = 0xffffffffu;
 // Far slots that a thread goes through.
 const ASKED_EACH: u32 = 8u;
-// What is far is asked in so many turns at most, each after what is nearer has been drawn.
+// Far slots are asked in at most so many turns, each after nearer slots have been drawn.
 const TURNS: u32 = 7u;
 // Parts of the image, of which a slot covers so many at most.
 const COVER_ONE: u32 = 1000u;

@@ -26,7 +26,7 @@ struct SplatSlot {
     one_sided: bool,
     // 0 where normals do not tell outside from inside, −1 where the instance mirrors, else 1.
     orientation: f32,
-    // Of point trees: what the map makes of areas.
+    // For point trees: what the map makes of areas.
     areas: Areas,
     // Longest column of the map from stored coordinates to camera space.
     scale: f32,
@@ -182,7 +182,7 @@ fn splat_of(slot: SplatSlot, sample: u32) -> Splat {
         let u = camera_vector(image.u);
         let v = camera_vector(image.v);
         let across = cross(u, v);
-        // Of all leaves below, as seen from anywhere on the disk.
+        // A bound for all leaves below, as seen from anywhere on the disk.
         let way = towards(centre);
         let beside = select(2.0 * frame.splat_cutoff * max(length(u), length(v)), 0.0, ORTHOGRAPHIC);
         let reach = cone_sine(at) * length(way) + beside;

@@ -17,7 +17,7 @@ struct Instance {
     // Half the asset's size in grid cells; the anchor stays within.
     reach: f32,
     inverse_y: vec3<f32>,
-    // Of a scene of point trees: which geometry,
+    // In scenes of point trees: the geometry,
     geometry: u32,
     inverse_z: vec3<f32>,
     // and of the node that stands above it as a whole its error, its size and how far away it is, in world units.
@@ -66,7 +66,7 @@ struct Chunk {
     material: u32,
     // Samples: longest axis of a kernel, in steps of 2^shift cells.
     kernel_base: f32,
-    // Of point trees, in cells; see NodeRange in src/bake/pack.rs.
+    // For point trees, in cells; see NodeRange in src/bake/pack.rs.
     node_base: f32,
     error_parent: f32,
     size_parent: f32,
@@ -115,7 +115,7 @@ struct Slot {
     chunk: u32,
     first: u32,
     count: u32,
-    // Of point trees: the base of the nodes' codes in camera space.
+    // For point trees: the base of the nodes' codes in camera space.
     unit: f32,
     // 1: backs are never seen, the surface being closed and the eye outside.
     one_sided: u32,
@@ -143,7 +143,7 @@ struct Run {
     count: u32,
 }
 
-// Of a segment, in the form that an indirect dispatch reads.
+// Workgroups of a segment, in the form that an indirect dispatch reads.
 struct Dispatch {
     groups_x: atomic<u32>,
     groups_y: atomic<u32>,
@@ -160,7 +160,7 @@ struct Stats {
     triangles_rasterised: atomic<u32>,
     pixels_of_samples: atomic<u32>,
     pixels_of_triangles: atomic<u32>,
-    // Of all views together, in the first one's record: the longest list of large triangles that a segment asked for.
+    // For all views together, in the first one's record: the longest list of large triangles that a segment asked for.
     large_longest: atomic<u32>,
     // Pixels in the boxes of large triangles, in units of 4096, and whether that sum has passed 2^32.
     large_units: atomic<u32>,
@@ -175,7 +175,7 @@ struct Stats {
     entries_wanted: atomic<u32>,
     // Nodes of point trees that passed their test.
     nodes_drawn: atomic<u32>,
-    // Of all views together, in the first one's record: some workgroup had more to walk than it may; the frame is not shown.
+    // For all views together, in the first one's record: some workgroup had more to walk than it may; the frame is not shown.
     walk_cut: atomic<u32>,
     // Bounds in pixels of all that may be drawn: how far they begin before the image's right and lower edges, and where they end.
     drawn_before: array<atomic<u32>, 2>,

@@ -25,9 +25,9 @@ override DISCS: bool = false;
 // Splats are blended, and so have a depth offset.
 override WEIGHTED: bool = true;
 
-// What is visible is asked of disks as they are, and of the pixel that a disk's centre is in: with what the filter adds everything would be a
-// pixel larger all around, and hide what is beside it. Blended are all that the filter reaches. The file that includes this says whether
-// disks are drawn without it: `NARROW`.
+// Visibility is decided by disks without the filter, and by the pixel of a disk's centre: widened by the filter, everything would be a pixel
+// larger all around and hide its neighbours. All pixels that the filter reaches are blended. The file that includes this says with `NARROW`
+// whether disks are drawn without the filter.
 
 const AFFINE: u32 = 0u;
 const EXACT: u32 = 2u;
@@ -70,7 +70,7 @@ struct Splat {
     s: vec3<f32>,
     t: vec3<f32>,
     n: vec3<f32>,
-    // The same of s and t without the filter, where disks are drawn so.
+    // s and t without the filter, where disks are drawn without it.
     own_s: vec3<f32>,
     own_t: vec3<f32>,
     // 1/z, or z where rays are parallel; and bounds of 1/z.
@@ -158,7 +158,7 @@ fn facing_of(volume: f32, orientation: f32) -> u32 {
     return select(select(FACING_BACK, FACING_FRONT, volume * orientation < 0.0), 0u, orientation == 0.0);
 }
 
-// Of a direction.
+// Applies the intrinsics to a direction.
 fn with_intrinsics(v: vec3<f32>) -> vec3<f32> {
     return vec3<f32>(fma(frame.focal_px, v.xy, frame.principal_px * select(v.z, 0.0, ORTHOGRAPHIC)), v.z);
 }
@@ -376,7 +376,7 @@ fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: ve
     splat.centre = centre;
     var ju = (u_in.xy - centre * tilt(u_in.z)) * w;
     var jv = (v_in.xy - centre * tilt(v_in.z)) * w;
-    // Of depth along both tangents, over the divisor.
+    // Change of depth along both tangents, over the divisor.
     var slopes = vec2<f32>(u_in.z, v_in.z) * w;
     var area = cross_2d(ju, jv);
     splat.facing = facing_of(area, orientation);

@@ -4,7 +4,7 @@ fn stretch(at: Placed) -> f32 {
     return stretch_of(at.axis_x.xyz, at.axis_y.xyz, at.axis_z.xyz);
 }
 
-// Of a map with these columns.
+// The largest stretch of a map with these columns.
 fn stretch_of(x_in: vec3<f32>, y_in: vec3<f32>, z_in: vec3<f32>) -> f32 {
     let sizes = max(abs(x_in), max(abs(y_in), abs(z_in)));
     // Squares of small numbers would be none in f32.

@@ -7,5 +7,5 @@ fn visibility_write(pixel: u32, inverse_depth: f32, id: u32) {
     }
 }
 
-// What is counted, is counted in the first pass over the scene.
+// Counters advance in the first pass over the scene alone.
 const FIRST_HALF: bool = false;

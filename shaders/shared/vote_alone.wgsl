@@ -3,7 +3,7 @@ fn any_lane(mine: bool) -> bool {
     return mine;
 }
 
-// What no thread of the vector says more than.
+// An upper bound of the values that the threads of a vector have.
 fn most_of_lanes(mine: u32, bound: u32) -> u32 {
     return bound;
 }

@@ -12,7 +12,7 @@ const LANES: i32 = 8;
 // Before an entry is begun; the widest takes as many again, see `passes::project::walk`.
 const ROUNDS: u32 = 30000u;
 
-// Of a box that reaches so far beyond its first column and row.
+// Bounds the rounds of a walk over a box that reaches so far beyond its first column and row.
 fn walk_rounds(columns: i32, rows: i32) -> u32 {
     return select(0u, u32(columns / LANES + 1) * u32(rows + 2), min(columns, rows) >= 0);
 }

@@ -98,7 +98,7 @@ pub fn stands_alone(path: &Path, options: &ReadOptions) -> bool {
     }
 }
 
-/// What errors call a file.
+/// The name of a file in errors.
 pub(super) fn display_name(path: &Path) -> String {
     path.file_name()
         .map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned())

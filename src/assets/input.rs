@@ -42,7 +42,7 @@ pub struct Origin {
     pub folder: Option<Folder>,
     /// The first bytes, for recognition; the reader yields them too.
     pub head: Vec<u8>,
-    /// Of the load that reads.
+    /// Admission of the load that reads.
     pub admission: Admission,
 }
 

@@ -113,7 +113,7 @@ pub struct Kernel {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Clip {
     pub lines: [Option<ClipLine>; 2],
-    /// Of two lines: keep what either keeps (a reflex corner) rather than what both keep.
+    /// With two lines: keep what either keeps (a reflex corner) rather than what both keep.
     pub either: bool,
 }
 

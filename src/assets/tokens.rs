@@ -20,7 +20,7 @@ pub(crate) struct Lines<'a, R> {
     line: Vec<u8>,
     /// Last byte of a line.
     end: u8,
-    /// Of the line read last, from 1.
+    /// Number of the line read last, from 1.
     pub number: u64,
 }
 

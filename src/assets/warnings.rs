@@ -39,7 +39,7 @@ pub fn counted(count: u64, one: &str, many: &str) -> Option<String> {
 /// be empty, and a text; the subject does not make it another kind.
 pub fn condensed<S: AsRef<str>>(warnings: impl IntoIterator<Item = (S, String)>) -> Vec<String> {
     let mut places: HashMap<String, usize> = HashMap::new();
-    // Of each kind: the first texts, and how many there are.
+    // For each kind: the first texts, and how many there are.
     let mut kinds: Vec<(Vec<String>, usize)> = Vec::new();
     let mut beyond = 0u64;
     for (subject, text) in warnings {

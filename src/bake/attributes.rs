@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::kernels::{Bounds, CUTOFF, Fit, circle, fit, is_kernel};
 use super::neighbors::{Neighbors, PointTree};
-use super::normals::{Frame, NORMAL_NEIGHBORS, is_radius, median_of};
+use super::normals::{Frame, NORMAL_NEIGHBORS, is_radius, lone_size, median_of};
 use crate::assets::PointCloud;
 
 const RADIUS_NEIGHBORS: usize = 6;
@@ -142,7 +142,7 @@ fn radius(neighbors: &Neighbors) -> f32 {
 fn raise_radii(radii: &mut [f32]) {
     let floor = match median_of(radii) {
         Some(median) => (median * RADIUS_FLOOR).max(f32::MIN_POSITIVE),
-        None => LONE_RADIUS,
+        None => lone_size(LONE_RADIUS, radii.len()),
     };
     radii.iter_mut().for_each(|radius| *radius = radius.max(floor).min(f32::MAX));
 }

@@ -31,7 +31,7 @@ use std::f32::consts::FRAC_1_SQRT_2;
 use glam::{Vec2, Vec3};
 
 use super::neighbors::{MAX_NEIGHBORS, Neighbors};
-use super::normals::{evenly, median_of};
+use super::normals::{evenly, lone_size, median_of};
 use crate::assets::Kernel;
 
 /// Radius of the disks that have to cover the surface, in standard deviations.
@@ -327,13 +327,13 @@ pub(super) struct Bounds {
 
 impl Bounds {
     pub(super) fn of(fits: &[Fit]) -> Self {
-        Bounds::of_some(&evenly(fits).copied().collect::<Vec<Fit>>())
+        Bounds::of_some(&evenly(fits).copied().collect::<Vec<Fit>>(), fits.len())
     }
 
-    /// Bounds for a cloud of whose kernels these are some, evenly spread.
-    pub(super) fn of_some(fits: &[Fit]) -> Self {
+    /// Bounds for a cloud of `count` samples of whose kernels these are some, evenly spread.
+    pub(super) fn of_some(fits: &[Fit], count: usize) -> Self {
         let lengths: Vec<f32> = fits.iter().map(|fit| longest_axis(&fit.kernel)).collect();
-        let median = median_of(&lengths).unwrap_or(LONE);
+        let median = median_of(&lengths).unwrap_or(lone_size(LONE, count));
         // Between these, squares of lengths are ordinary numbers.
         let allowed: Vec<f32> =
             fits.iter().map(|fit| fit.most).filter(|most| *most > 0.0).collect();

@@ -47,6 +47,12 @@ pub(super) fn nearest(positions: &[DVec3]) -> Vec<[u32; MAX_NEIGHBORS]> {
     lists
 }
 
+/// The size of samples where all lie on a few places, so that nothing tells a size: that of a lone sample, divided so that all disks together
+/// have the area of one. Many samples at one place would otherwise be drawn as many large disks, one over the other.
+pub(super) fn lone_size(one: f32, count: usize) -> f32 {
+    one / (count.max(1) as f32).sqrt()
+}
+
 /// The median of what is positive and finite, of a few thousand of them if there are more.
 pub(super) fn median_of(lengths: &[f32]) -> Option<f32> {
     let mut sample: Vec<f32> = evenly(lengths).copied().filter(is_radius).collect();

@@ -233,7 +233,7 @@ impl Loaded {
         let instances;
         let mut instance_trees = None;
         if count < LEAST_INSTANCES {
-            // Of trees the same instances add up to other sums.
+            // For trees, equal instances add up to other sums.
             let meter = RunMeter::new(&assets);
             let run = meter.run(self.model.instances.iter().copied().collect());
             instances = Instances::new(vec![Arc::new(run)]);

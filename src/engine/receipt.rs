@@ -13,7 +13,7 @@ const FEW_PIXELS: u64 = 20;
 /// give are `null`, never invented.
 #[derive(Clone, Debug, Default, Serialize, ToSchema)]
 pub struct Receipt {
-    /// Of the request, as in `X-Request-Id`: by it logs tell how the frame was made. Of one of several frames of a request
+    /// Id of the request, as in `X-Request-Id`: by it logs tell how the frame was made. For one of several frames of a request
     /// with its number, as in `4bf92f35/7`.
     pub request_id: String,
     pub scene: String,
@@ -168,7 +168,7 @@ pub struct SampleCounts {
 
 #[derive(Clone, Copy, Debug, Default, Serialize, ToSchema)]
 pub struct SplatCounts {
-    /// Of those that follow: reach the camera plane, and so are cut there.
+    /// Those among the following that reach the camera plane, and so are cut there.
     pub clipped: Option<u64>,
     /// Left to walk_splats and blend_walked for their size or because they reach the camera plane.
     pub rasterised: Option<u64>,

@@ -157,7 +157,7 @@ fn serve(state: &Arc<EngineState>, renderer: &mut Renderer, encoders: &Encoders)
             let Some(flight) = flights.pop_front() else { break };
             let (mut again, lost) = land(state, renderer, flight, encoders, &mut last_landed);
             if lost {
-                // What flies behind it may still have arrived.
+                // Later submissions may still have landed.
                 for flight in flights.drain(..) {
                     again.extend(land(state, renderer, flight, encoders, &mut last_landed).0);
                 }
@@ -178,7 +178,7 @@ fn serve(state: &Arc<EngineState>, renderer: &mut Renderer, encoders: &Encoders)
     }
 }
 
-/// What is under way.
+/// Submissions that have not landed.
 fn flying(flights: &VecDeque<InFlight>) -> Flying {
     let mut flying = Flying { flights: flights.len(), ..Flying::default() };
     let charged = flights.iter().flat_map(InFlight::jobs).filter_map(|job| job.charged());

@@ -61,9 +61,9 @@ pub struct InFlight {
 struct FlyingGroup {
     jobs: Vec<Arc<FrameJob>>,
     landing: Landing,
-    /// Of one frame.
+    /// Bytes of one frame.
     pixel_bytes: u64,
-    /// Of a pick: where each geometry's chunks lie in the chunk table.
+    /// For a pick: where each geometry's chunks lie in the chunk table.
     chunk_ranges: Vec<Range<u32>>,
     spans: Vec<PassSpan>,
     large_capacity: u32,
@@ -109,7 +109,7 @@ const PATIENCE: Duration = Duration::from_secs(600);
 /// Bytes that views drawn together may need of any one buffer. It keeps the memory that scratch takes in proportion: a
 /// frame of 4096² needs as much.
 const SHARED_BYTES: u64 = 128 << 20;
-/// The same of a CPU adapter, whose caches it should not outgrow by far: large frames gain nothing by going together.
+/// The limit for a CPU adapter, whose caches it should not outgrow by far: large frames gain nothing by going together.
 const SHARED_BYTES_CPU: u64 = 4 << 20;
 const STATS_BYTES: u64 = size_of::<GpuStats>() as u64;
 

@@ -283,6 +283,11 @@ fn decide(
         ..request.settings
     }
     .with_edl_decided(&facts, request.output);
+    let settings = match provisional {
+        // Until there are kernels, discs close what splats will.
+        Some(_) => settings.with_point_size(auto::disc_px(loaded.patches(), &view)),
+        None => settings,
+    };
     let way = |settings: &Settings, instead_because| {
         let adapter = AdapterFacts {
             atomics_64: adapter.atomics_64,

@@ -568,7 +568,7 @@ impl EngineState {
     }
 }
 
-/// What is under way when a batch is taken.
+/// Submissions that have not landed when a batch is taken.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Flying {
     /// Submissions.
@@ -579,7 +579,7 @@ pub struct Flying {
     pub has_jobs: bool,
 }
 
-/// What [`EngineState::next_batch`] found.
+/// Result of [`EngineState::next_batch`].
 pub struct Batch {
     pub batch: Vec<Arc<FrameJob>>,
     /// Told to stop, and nothing is left to do.

@@ -65,7 +65,7 @@ impl Serialize for RequestId {
     }
 }
 
-/// Who asks for a frame, and under which name.
+/// The client that asks for a frame, and its name for the request.
 #[derive(Clone, Debug)]
 pub struct Origin {
     pub client: Client,
@@ -99,13 +99,13 @@ impl FrameSpans {
         Self { frame, queue }
     }
 
-    /// Of a wait in the queue. Formatters of logs write a span's own fields and not those of a parent on another thread: the
+    /// The span of a wait in the queue. Formatters of logs write a span's own fields and not those of a parent on another thread: the
     /// name is in all.
     pub fn queue(frame: &Span, request_id: &RequestId, estimated_ns: u64) -> Span {
         tracing::debug_span!(parent: frame, "queue", %request_id, estimated_ns)
     }
 
-    /// Of the encoder's work.
+    /// The span of the encoder's work.
     pub fn encode(frame: &Span, request_id: &RequestId, format: ImageFormat) -> Span {
         tracing::debug_span!(parent: frame, "encode", %request_id, ?format)
     }

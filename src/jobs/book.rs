@@ -117,7 +117,7 @@ pub enum Refusal {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Admitted {
     New(JobId),
-    /// The same request has created this job before.
+    /// An equal request has created this job before.
     Before(JobId),
 }
 

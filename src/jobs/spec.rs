@@ -173,7 +173,7 @@ pub mod tests {
         let mut spec = spec("s");
         spec.frame = stored;
         assert_eq!(spec.request().settings, Settings { wait: Wait::Whole, ..asked });
-        // The same job created today has the same frame specification.
+        // An equal job created today has the same frame specification.
         let today = FrameRequest { settings: asked, ..spec.request() };
         assert_eq!(FrameSpec::new(&today), stored);
         let full: FrameSpec = serde_json::from_str(&STORED.replace("spt", "full")).unwrap();

@@ -44,7 +44,7 @@ impl<'de, T: Deserialize<'de>> Deserialize<'de> for Whole<T> {
 /// For `deserialize_with`: a field that may be left out or `null`.
 ///
 /// # Errors
-/// What is there is no whole number, or none that the type has.
+/// The value is not a whole number, or the type cannot hold it.
 pub fn optional<'de, D, T>(deserializer: D) -> Result<Option<T>, D::Error>
 where
     D: Deserializer<'de>,

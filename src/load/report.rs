@@ -423,7 +423,7 @@ pub mod tests {
         JudgedPoint { verdict, point: tally.point(requests as f64) }
     }
 
-    /// The same point with a stream beside it. Of its ten poses every second one is drawn, 10 ms after it was due.
+    /// That point with a stream beside it. Of its ten poses every second one is drawn, 10 ms after it was due.
     pub fn point_with_stream(requests: u64, frames: u64) -> JudgedPoint {
         use super::super::following::{Following, StreamTally};
         use super::super::wire::FrameAnswer;

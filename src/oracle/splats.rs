@@ -70,7 +70,7 @@ pub struct Touch {
 #[derive(Clone, Debug)]
 pub struct SeenSplat {
     centre: DVec3,
-    /// Of a regular splat.
+    /// Bounds for a regular splat.
     centre_px: Option<DVec2>,
     tangents: [DVec3; 2],
     /// The plane does not hold the eye, or nearly so.

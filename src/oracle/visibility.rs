@@ -128,7 +128,7 @@ pub fn resolve(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Optio
     fine
 }
 
-/// The same view with `n` times the pixels each way.
+/// A view with `n` times the pixels each way.
 pub fn finer(view: &View, n: u32) -> View {
     View {
         focal_px: view.focal_px * f64::from(n),

@@ -36,7 +36,7 @@ impl<'a> Prime<'a> {
     /// Builds a pipeline and has the driver compile it; whether a submission is under way that does.
     ///
     /// # Errors
-    /// What the shader or the driver refuses. Nothing of that reaches the frames.
+    /// The shader or the driver refuses the pipeline. Frames are not affected.
     pub fn build(&self, pipelines: &Pipelines, variant: &Variant) -> Result<bool, ShaderError> {
         let device = &self.gpu.device;
         let scope = device.push_error_scope(wgpu::ErrorFilter::Validation);

@@ -1,4 +1,4 @@
-//! What every pass does to record itself: find its pipeline and bind groups, take its stamps, launch.
+//! Steps with which every pass records itself: find its pipeline and bind groups, take its stamps, launch.
 
 use std::cell::RefCell;
 use std::rc::Rc;

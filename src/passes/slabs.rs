@@ -119,7 +119,7 @@ mod tests {
         }
     }
 
-    /// What else there is in a scene changes little, until there is too much of it, and then that is known.
+    /// Other objects of a scene change slabs little, until the scene is too deep for them, which is then known.
     #[test]
     fn a_far_object_hardly_changes_slabs() {
         let view = view(DVec3::Z * 3.0, 1600);

@@ -17,6 +17,10 @@ pub const DENSE_PX: f64 = 0.6;
 const DENSE_SHARE: f64 = 0.9;
 /// Farther apart, samples cover no more of the picture: strays in an empty sky do not decide how the rest is drawn.
 const SPARSE_PX: f64 = 3.0;
+/// Diameter of discs in distances between neighbouring samples: on a randomly sampled surface they leave 4 % of the pixels empty.
+const DISC_SPACINGS: f64 = 2.0;
+/// Diameter beyond which discs hide more than they close.
+const WIDEST_DISC_PX: f64 = 12.0;
 /// Share of a patch's radius from which its samples are seen at the nearest.
 const NEAREST: f64 = 0.25;
 
@@ -104,11 +108,18 @@ pub fn choose(grounds: &Grounds) -> Choice {
         Some(px) if px > DENSE_PX => (Reconstruct::Splats, Reason::Sparse),
         _ if coarse => (Reconstruct::Splats, Reason::Coarse { max_error_px: grounds.max_error_px }),
         Some(_) => (Reconstruct::Points, Reason::Dense),
-        // Of meshes trees have all the samples that can be told apart.
+        // Trees of meshes have all the samples that can be told apart.
         None if grounds.lod == Lod::Spt => (Reconstruct::Points, Reason::Fine),
         None => (Reconstruct::Points, Reason::NothingInView),
     };
     Choice { reconstruct, spacing_px: grounds.spacing_px, reason }
+}
+
+/// Returns the diameter, in pixels, of discs that close surfaces whose samples lie apart; `None` where samples are dense enough as
+/// points.
+pub fn disc_px(patches: &[Patch], view: &View) -> Option<f64> {
+    let px = spacing_px(patches, view).filter(|px| *px > DENSE_PX)?;
+    Some((DISC_SPACINGS * px).clamp(1.0, WIDEST_DISC_PX))
 }
 
 /// Returns the spacing of neighbouring samples, in pixels, that [`DENSE_SHARE`] of the area covered by samples does not exceed. `None` if

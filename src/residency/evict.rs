@@ -46,7 +46,7 @@ pub(super) fn victims<'a>(
         }
     }
     let mut gone = order[..enough].to_vec();
-    // What goes with an old scene may be little, when its assets stay: it is spared where a later one frees enough.
+    // An old scene may free little because its assets stay; it is spared where a later one frees enough.
     for index in (0..gone.len()).rev() {
         let spared = gone.remove(index);
         if freed(&gone) < bytes {

@@ -29,7 +29,7 @@ impl Default for InstanceRun {
 }
 
 impl InstanceRun {
-    /// The same instances, with numbers that begin at `first`.
+    /// These instances, with numbers that begin at `first`.
     pub fn numbered_from(&self, first: u32) -> InstanceRun {
         let members = self.members.iter().zip(first..);
         InstanceRun {

@@ -16,7 +16,7 @@ use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
 use crate::math::Bounds;
 
-/// What of a scene's revision before is made use of in the next.
+/// Buffers of a revision of a scene that the next revision uses again.
 pub(super) struct Previous {
     pub instances: Buffer,
     pub slots: Slots,
@@ -26,11 +26,11 @@ pub(super) struct Previous {
 pub(super) struct Listed {
     pub lists: Lists,
     pub instances: Buffer,
-    /// Of a scene of point trees.
+    /// For a scene of point trees.
     pub slots: Option<Slots>,
     /// All numbers of instances are less.
     pub instance_end: u32,
-    /// Of the segments.
+    /// Pages of the segments.
     pub pages: Vec<Page>,
     /// Records of instances that were written.
     pub written: u64,
@@ -252,7 +252,7 @@ impl Geometries {
         self.first[instance.asset] + instance.geometry
     }
 
-    /// What neighbouring instances have in common; where they stand is not known here.
+    /// The record of neighbouring instances, without their places, which are not known here.
     fn group(&self, model: &SceneModel, members: &[ModelInstance]) -> GpuInstanceGroup {
         let mut bounds = Bounds::EMPTY;
         let (mut error_parent, mut size_parent, mut delta_most) = (0f32, 0f32, 0f32);

@@ -122,7 +122,7 @@ pub struct FullLists {
     pub chunk_count: u32,
 }
 
-/// What a frame lists its entries from, where assets are point trees.
+/// Lists from which frames of point trees select their entries.
 pub struct TreeLists {
     pub groups: Buffer,
     /// Runs of chunks by geometry and segment.
@@ -132,7 +132,7 @@ pub struct TreeLists {
     pub group_count: u32,
 }
 
-/// What the passes bind for one scene.
+/// Buffers that the passes bind for one scene.
 pub struct ResidentScene {
     /// [`SceneModel::uid`].
     model_uid: u64,
@@ -321,7 +321,7 @@ impl Residency {
         if missing {
             self.check(gpu, model)?;
             let previous = self.take_scene(&model.id);
-            // What only the scene of that name before drew would take room from others.
+            // Assets that only the earlier scene of that name drew would take room from others.
             self.drop_unused_assets(&uids(model));
             if let Err(error) = self.bring(gpu, model, previous) {
                 self.drop_unused_assets(&HashSet::new());
@@ -488,12 +488,12 @@ fn uids(model: &SceneModel) -> HashSet<u64> {
     model.assets.iter().map(|asset| asset.uid).collect()
 }
 
-/// What of a scene is to fit.
+/// The part of a scene that has to fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
     /// Everything that its frames need.
     Whole,
-    /// What is left where frames list what they need, as they do of point trees: not every chunk of every instance.
+    /// All but the list of every chunk of every instance: frames of point trees list what they need.
     Stored,
 }
 

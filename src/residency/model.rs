@@ -31,10 +31,10 @@ pub struct AssetModel {
     pub shows_intensity: bool,
     pub has_normals: bool,
     pub normals_estimated: bool,
-    /// Of point trees: for each geometry the one that is drawn wherever it is, on the same grid: a mesh's triangles beside its
+    /// For point trees: for each geometry the one that is drawn wherever it is, on the same grid: a mesh's triangles beside its
     /// samples.
     pub beside: Vec<Option<usize>>,
-    /// Of the host's memory, what the asset holds.
+    /// The host memory that the asset holds.
     pub memory: Reservation,
     /// The asset as point trees, once a frame has asked for it.
     pub tree: MadeOnce<Result<Arc<AssetModel>, PackError>>,
@@ -44,7 +44,7 @@ pub struct AssetModel {
     pub deferred: Option<Deferred>,
 }
 
-/// Of an asset whose samples are drawn as points before their kernels are estimated.
+/// What an asset lacks whose samples are drawn as points before their kernels are estimated.
 #[derive(Debug, Default)]
 pub struct Deferred {
     /// Some sample has no normal either.
@@ -71,7 +71,7 @@ pub struct ModelInstance {
     pub material: Option<usize>,
     /// Number that the id output shows.
     pub id: u32,
-    /// Of scenes of point trees: what stands above it as a whole, in world units.
+    /// For scenes of point trees: what stands above it as a whole, in world units.
     pub above: Above,
 }
 
@@ -95,7 +95,7 @@ pub struct SceneModel {
     pub splats: Splats,
     /// Assets are point trees: frames take the detail that they show.
     pub trees: bool,
-    /// Of [`SceneModel::counts`].
+    /// Result of [`SceneModel::counts`].
     pub totals: OnceLock<Counts>,
 }
 
@@ -111,7 +111,7 @@ impl AssetModel {
         self.outlined.get_or_init(|| Outline::of_all(&self.packed.geometries))
     }
 
-    /// What its file held.
+    /// Attributes that its file has.
     pub fn traits(&self) -> AssetTraits {
         let geometries = &self.packed.geometries;
         let mut chunks = geometries.iter().flat_map(|geometry| geometry.chunks());
@@ -126,7 +126,7 @@ impl AssetModel {
         }
     }
 
-    /// Of each geometry the longest axis of a kernel in a median chunk, in its own units, and how many samples there are.
+    /// For each geometry the longest axis of a kernel in a median chunk, in its own units, and how many samples there are.
     pub(super) fn kernels(&self) -> Vec<(f64, f64)> {
         self.packed.geometries.iter().map(|geometry| geometry.median_kernel()).collect()
     }

@@ -9,7 +9,7 @@ pub const PART: usize = 64;
 /// Parts of a chunk.
 pub const PARTS: usize = CHUNK / PART;
 
-/// Of each part the corners of its box, in parts of 255 of the chunk's, a byte an axis from x on, and in the first word's last byte how much shorter
+/// The corners of each part's box, in parts of 255 of the chunk's, a byte an axis from x on, and in the first word's last byte how much shorter
 /// its longest kernel axis is than the chunk's, in sixteenths of an octave; of none, zeros.
 pub type PartBoxes = [[u32; 2]; PARTS];
 

@@ -15,7 +15,7 @@ use std::sync::Arc;
 use super::instances::{InstanceRun, Instances};
 use super::layout::{GpuInstance, GpuInstanceGroup, INSTANCE_GROUP};
 
-/// Who has which slot.
+/// The owner of each slot.
 pub struct Slots {
     capacity: u32,
     free: Vec<u32>,

@@ -81,7 +81,7 @@ impl AssetRef {
         AssetRef { name: name.to_owned(), source }
     }
 
-    /// What errors call it: its file, or else its name in the scene.
+    /// Its name in errors: that of its file, or else its name in the scene.
     pub fn label(&self) -> String {
         match &self.source {
             AssetSource::File(source) => {

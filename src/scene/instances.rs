@@ -25,7 +25,7 @@ impl Scene {
         self.unfolding().instances(0..self.nodes.len())
     }
 
-    /// What it takes to unfold top-level nodes, some at a time.
+    /// Unfolds top-level nodes, some at a time.
     pub fn unfolding(&self) -> Unfolding<'_> {
         let Ok(order) = graph::topological_order(self) else {
             return Unfolding { scene: self, counts: None, prototypes: Vec::new() };

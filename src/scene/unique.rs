@@ -115,7 +115,7 @@ mod tests {
             (r#"{"a": 1, "b": 2, "a": 1}"#, Some(("a", "a"))),
             (r#"{"keys": [{"t": 0}, {"t": -1.5, "eye": [], "t": "x"}]}"#, Some(("t", "keys[1].t"))),
             (r#"[[], [{"a": {"b": 1, "\u0062": 2}}]]"#, Some(("b", "[1][0].a.b"))),
-            // Who parses it says what is wrong.
+            // The parser says what is wrong.
             (r#"{"a": 1, "b": }"#, None),
             ("", None),
         ] {

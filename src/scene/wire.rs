@@ -98,13 +98,13 @@ pub(super) struct AssetWire {
     /// Whether sharp features of the file's points are looked for, false when absent.
     #[serde(default)]
     pub features: Option<bool>,
-    /// What is in any of these sampled solids.
+    /// The union of these sampled solids.
     #[serde(default)]
     pub union: Option<Vec<Object<OperandWire>>>,
-    /// What is in all of them.
+    /// The intersection of these sampled solids.
     #[serde(default)]
     pub intersection: Option<Vec<Object<OperandWire>>>,
-    /// What is in the first of them alone.
+    /// The first of these sampled solids without the others.
     #[serde(default)]
     pub difference: Option<Vec<Object<OperandWire>>>,
 }

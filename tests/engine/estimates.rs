@@ -214,6 +214,8 @@ fn auto_draws_what_is_there_and_says_that_it_is_provisional() {
         let frame = studio.frame(&request);
         let settings = &frame.receipt.settings;
         assert_eq!(settings.applied.reconstruct, Some(Reconstruct::Points));
+        // Discs close the wall, whose samples are about two pixels apart.
+        assert!((3.0..6.0).contains(&settings.applied.point_size_px.unwrap()), "{settings:?}");
         let told = settings.provisional.clone().unwrap();
         assert!(told.starts_with("normals and kernels are being estimated ("), "{told}");
         assert_eq!(state(&studio, scene), EstimateState::Running);

@@ -250,7 +250,7 @@ struct Scan<'a, R> {
     wanted: &'a Wanted,
     big: bool,
     file: &'a str,
-    /// Of the list that is being read.
+    /// Items of the list that is being read.
     meter: Meter<'a>,
 }
 

@@ -141,7 +141,7 @@ impl<'a> Chunks<'a> {
                 (fitted.fit, (rank, reach))
             })
             .unzip();
-        Sampled { reaches, bounds: KernelBounds::of_some(&fits) }
+        Sampled { reaches, bounds: KernelBounds::of_some(&fits, self.order.len()) }
     }
 
     /// Estimates normals and kernels of all points of some chunks, in the order of the curve.

@@ -163,7 +163,7 @@ fn bounds(points: &Points, file: &SpillFile<Fitted>) -> io::Result<Bounds> {
         }
         Ok(())
     })?;
-    Ok(Bounds::of_some(&some))
+    Ok(Bounds::of_some(&some, points.file.count() as usize))
 }
 
 /// A point in the coordinates of the frame.

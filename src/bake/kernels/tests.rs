@@ -18,6 +18,19 @@ fn cloud(positions: Vec<DVec3>) -> PointCloud {
     cloud
 }
 
+/// Samples that lie one over the other would be drawn one over the other: all together, they cover what one may.
+#[test]
+fn many_samples_at_few_places_are_small_together() {
+    for count in [1, 2, 300, 20_001] {
+        let places = (0..count).map(|i| DVec3::X * f64::from(i32::from(i % 2 == 0 && count > 100)));
+        let found = cloud(places.collect());
+        let area = |kernel: &Kernel| 4.0 * kernel.u.length() * kernel.v.length();
+        let sum: f32 = found.kernels.unwrap().iter().map(area).sum();
+        assert!((0.01..2.0).contains(&sum), "{count}: {sum}");
+        assert!(found.radii.unwrap().iter().map(|radius| radius * radius).sum::<f32>() < 2.0);
+    }
+}
+
 /// Checks the guarantees of every kernel.
 fn check(cloud: &PointCloud) {
     let (kernels, normals) = (cloud.kernels.as_ref().unwrap(), cloud.normals.as_ref().unwrap());

@@ -63,11 +63,11 @@ pub enum Client {
 /// How urgent a frame is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Class {
-    /// Of a stream, where the view moves.
+    /// A frame of a stream, where the view moves.
     Interactive,
     /// A plain request.
     Request,
-    /// Of a job, where nobody waits for single frames.
+    /// A frame of a job, where nobody waits for single frames.
     Job,
 }
 

@@ -234,7 +234,7 @@ fn settings_of_splats_need_splats() {
 #[test]
 fn words_are_checked_before_anything_else() {
     for name in ["format", "output", "wait"].iter().chain(Given::NAMES) {
-        let params = FrameParams::from_json(serde_json::json!({ *name: "none" }), "poses[3]");
+        let params = FrameParams::from_json(serde_json::json!({ *name: "none\n" }), "poses[3]");
         let problem = params.and_then(|params| params.check()).unwrap_err();
         let place = problem.parameter.as_deref().map(|place| place.trim_start_matches("poses[3]."));
         assert_eq!((place, problem.status()), (Some(*name), 422));

@@ -54,6 +54,18 @@ impl Settings {
         Settings { edl, ..*self }
     }
 
+    /// The settings with points that are no smaller than `px` pixels, where samples are drawn as points.
+    #[must_use]
+    pub fn with_point_size(&self, px: Option<f64>) -> Settings {
+        let size = px.and_then(|px| PointSizePx::new(px as f32));
+        match size.filter(|size| size.get() > self.point_size_px.get()) {
+            Some(point_size_px) if self.reconstruct == Reconstruct::Points => {
+                Settings { point_size_px, ..*self }
+            }
+            _ => *self,
+        }
+    }
+
     /// Discs that samples are drawn as; `None` for splats and for points of one pixel.
     pub fn discs(&self) -> Option<Discs> {
         let (diameter_px, diameter) = (self.point_size_px.get(), self.point_size.get());

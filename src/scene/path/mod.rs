@@ -102,7 +102,7 @@ impl CameraPath {
 
     /// Frames from the first key to the last at `fps` a second. The last key has a frame of its own where it falls on one.
     pub fn frame_count(&self, fps: f64) -> u64 {
-        // Of what is a whole number but for rounding nothing is to be lost.
+        // Nothing may be lost of a number that is whole but for rounding.
         const SLACK: f64 = 1e-6;
         (self.duration_s() * fps + SLACK).floor() as u64 + 1
     }

@@ -15,7 +15,7 @@ use super::Ease;
 #[derive(Clone, Copy, Debug)]
 pub struct Part {
     pub duration_s: f64,
-    /// Of the way, in what positions depend on linearly; `None` where the camera stays in its place.
+    /// The way's length, in what positions depend on linearly; `None` where the camera stays in its place.
     pub length: Option<f64>,
     /// Between the orientations, in radians.
     pub angle: f64,
@@ -139,7 +139,7 @@ mod tests {
         for index in 0..3 {
             assert_eq!(Way::of(&parts, index), Way::Cubic { slope_first: 1.0, slope_last: 1.0 });
         }
-        // The same of a turn on the spot.
+        // The length of a turn on the spot.
         let parts = parts.map(|part| Part { length: None, ..part });
         assert_eq!(Way::of(&parts, 1), Way::Cubic { slope_first: 1.0, slope_last: 1.0 });
     }

@@ -97,7 +97,7 @@ fn light(wire: &LightWire, place: Place<'_>) -> Valid<Light> {
     }
 }
 
-/// What a scene says of its splats, the rest as it is when nothing is said.
+/// The parameters of splats that a scene gives, with defaults for the others.
 pub(super) fn splats(wire: Option<&SplatsWire>) -> Valid<Splats> {
     let mut splats = Splats::default();
     let Some(wire) = wire else { return Ok(splats) };
