@@ -68,16 +68,19 @@ fn baking_is_a_stage_that_can_be_given_up() {
     assert_eq!(found["state"], "running");
     let part = found["baked"].as_f64().unwrap();
     assert!((0.0..=1.0).contains(&part), "{part}");
-    // Other jobs are drawn meanwhile.
-    let other = create(&client, json!({"to": 2}));
-    ended(&client, &other, "done");
-    let found = job(&client, &id);
-    assert_eq!(found["stage"], "baking", "{found}");
     assert_eq!(post(&client, &format!("/v1/jobs/{id}/cancel")).json()["state"], "cancelled");
     eventually("the end of the bake", || daemon.log().contains("baking is given up"));
-    // When resumed, the job finishes the bake and is drawn.
+    // When resumed, the job finishes the bake and is drawn. Other jobs do not wait for the bake.
     assert_eq!(post(&client, &format!("/v1/jobs/{id}/resume")).status, 200);
+    let other = create(&client, json!({"to": 2}));
+    ended(&client, &other, "done");
     assert_eq!(ended(&client, &id, "done")["frames"]["done"], 4);
+    let log = daemon.log();
+    let place = |text: &str| log.find(text).unwrap_or_else(|| panic!("no `{text}` in\n{log}"));
+    assert!(
+        place(&format!("job goes on job={other}")) < place("trees over instances built"),
+        "{log}"
+    );
 
     // A daemon that stops does not wait for a bake.
     let daemon = orchard();
