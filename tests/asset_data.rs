@@ -152,8 +152,8 @@ fn check_invariants(name: &str, asset: &Asset) {
             Geometry::Points(cloud) => [
                 cloud.colors.as_ref().map(Vec::len),
                 cloud.normals.as_ref().map(Vec::len),
-                cloud.intensity.as_ref().map(Vec::len),
-                cloud.classification.as_ref().map(Vec::len),
+                cloud.fields.iter().map(|field| field.codes.len()).min(),
+                cloud.fields.iter().map(|field| field.codes.len()).max(),
                 cloud.radii.as_ref().map(Vec::len),
             ],
             Geometry::Mesh(mesh) => {
@@ -220,7 +220,7 @@ fn scans_carry_their_attributes() {
     else {
         panic!("b9_training is a cloud")
     };
-    assert!(street.colors.is_some() && street.classification.is_some());
+    assert!(street.colors.is_some() && street.field("classification").is_some());
     let Geometry::Mesh(bunny) = &load(&folder, "textured/bunny_attribute_color.ply").geometries[0]
     else {
         panic!("the bunny is a mesh")

@@ -44,8 +44,7 @@ fn check_consistent(cloud: &PointCloud) {
     let count = cloud.positions.len();
     assert!(cloud.positions.iter().all(|p| p.is_finite()));
     assert!(cloud.colors.as_ref().is_none_or(|c| c.len() == count));
-    assert!(cloud.intensity.as_ref().is_none_or(|c| c.len() == count));
-    assert!(cloud.classification.as_ref().is_none_or(|c| c.len() == count));
+    assert!(cloud.fields.iter().all(|field| field.codes.len() == count));
     assert!(cloud.normals.as_ref().is_none_or(|c| c.len() == count));
     assert!(cloud.normals.iter().flatten().all(|n| (n.length() - 1.0).abs() < 1e-5));
 }
@@ -191,7 +190,7 @@ fn the_same_cloud_is_the_same_in_every_format() {
         let (plain, packed) = (load(plain), load(packed));
         let (a, b) = (cloud(&plain), cloud(&packed));
         assert!(a.positions == b.positions && a.colors == b.colors);
-        assert!(a.intensity == b.intensity && a.classification == b.classification);
+        assert!(a.fields == b.fields);
     }
     // 8-bit values in 16-bit fields, or in their high bytes.
     for (file, max) in [("autzen_trim.las", 236), ("lion_takanawa.copc.laz", 255)] {

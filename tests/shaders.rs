@@ -66,6 +66,7 @@ fn compositions(root: &str) -> Vec<(String, Choices, Composed)> {
     all = widen(all, "LIT", |choices, side| choices.lit = side);
     all = widen(all, "FINISH", |choices, side| choices.kept = side);
     all = widen(all, "NODES", |choices, side| choices.nodes = side);
+    all = widen(all, "FIELDS", |choices, side| choices.fields = side);
     // Each of these is used in a pass of its own.
     let lists = ["ENTRIES", "LIST", "MEMBERS"].into_iter().find(|alias| asks(alias));
     all = widen(all, lists.unwrap_or("ENTRIES"), |choices, side| choices.trees = side);
@@ -124,12 +125,12 @@ fn every_composition_is_valid() {
     // - Triangles: the same three ways; with and without alpha; a thread each (all at once or in turns, with and without votes),
     //   or from a list (by threads or by the rasteriser).
     // - Splats: depths as for samples, with and without clip lines; sums by clip lines, width, normals, lights and trees; a
-    //   single pass by clip lines, lights and trees. Each of these with a thread per splat (all at once or in turns, with and
+    //   single pass by clip lines, lights, trees and scalar fields. Each of these with a thread per splat (all at once or in turns, with and
     //   without votes), or from a list.
-    // - Passes over pixels: with and without votes; samples with and without trees; outputs written at once or later.
+    // - Passes over pixels: with and without votes; samples with and without trees and scalar fields; outputs written at once or later.
     // - Lists: of everything, or of trees. Others: no choices.
-    let (depths, sums, single) = (12, 32, 8);
-    let over_pixels = 5 * 2 * 2 + 2 * 2;
+    let (depths, sums, single) = (12, 64, 16);
+    let over_pixels = 5 * 2 * 2 + 3 * 2 * 2;
     let lists = 3 * 2;
     let others = 9;
     assert_eq!(

@@ -4,6 +4,7 @@
 //!include shared/normals
 //!include shared/resolve
 //!include NODES
+//!include FIELDS
 
 // sRGB8 colour and octahedral normal.
 @group(1) @binding(0) var<storage, read> attributes: array<vec2<u32>>;
@@ -39,7 +40,11 @@ fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
             surface.normal = facing_normal(turned(normal_map(instance), octahedral_decode(packed.y)), way);
             surface.is_ball = is_ball(packed);
         }
-        surface.color = sample_color(painted(sample, packed.x), instances[instance].material);
+        if SHOWS_FIELD {
+            surface.color = field_color(sample, instance);
+        } else {
+            surface.color = sample_color(painted(sample, packed.x), instances[instance].material);
+        }
     }
     finish(pixel, at, surface);
 }

@@ -130,7 +130,8 @@ fn resolve(column: Column, shown: Shown, corners: Corners) {
             let own = corners.normal[0] + w.b * corners.normal[1] + w.c * corners.normal[2];
             surface.normal = facing_normal(own, world_from_camera(towards(ray)));
         }
-        surface.color = color_word(surface_color(corners, shown.material, w));
+        // Triangles have no scalar fields.
+        surface.color = select(color_word(surface_color(corners, shown.material, w)), GREY, COLOR_BY == BY_FIELD);
     }
     finish(column.pixel, column.at, surface);
 }

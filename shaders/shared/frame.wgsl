@@ -72,13 +72,17 @@ struct Frame {
     edl: vec2<f32>,
     // Samples as discs: their radius in scene units; `splat_lowpass_px` is their least radius in pixels, and `splat_cutoff` 1.
     disc_radius: f32,
-    // The colour map of `color_by=height`: how many colours it has; the share of the range that a position in camera space has, as a product
-    // with the first three numbers plus the last; the colours as sRGB8.
+    // The colour map of `color_by`: how many colours it has; the share of the range that a position in camera space has, as a product
+    // with the first three numbers plus the last, or that a field's share of its own range has, as a product with the first number
+    // plus the last; the colours as sRGB8.
     ramp_count: u32,
     ramp: vec4<f32>,
     ramp_colors: array<vec4<u32>, 3>,
     // Orthographic views: depth of the origin that world-space places are subtracted from.
     focus: f32,
+    // The scalar field that colours samples, among those of the scene.
+    field: u32,
+    field_count: u32,
     clip_boxes: array<ClipBox, 8>,
 }
 

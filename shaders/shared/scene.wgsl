@@ -17,10 +17,11 @@ struct Instance {
     // Half the asset's size in grid cells; the anchor stays within.
     reach: f32,
     inverse_y: vec3<f32>,
-    // In scenes of point trees: the geometry,
+    // The geometry, counted asset by asset.
     geometry: u32,
     inverse_z: vec3<f32>,
-    // and of the node that stands above it as a whole its error, its size and how far away it is, in world units.
+    // In scenes of point trees, of the node that stands above the geometry as a whole: its error, its size and its distance, in world
+    // units.
     error_parent: f32,
     // World position of the grid's origin as the sum of two floats an axis.
     origin_hi: vec3<f32>,

@@ -1,5 +1,6 @@
 // What a splat has to give to pixels: its colour, lit or not, and its normal.
 //!include shared/output
+//!include FIELDS
 override OVERRIDES: bool = true;
 // Pixels are lit, or write_output runs, after the splats are blended: normals are blended too.
 override DEFERRED: bool = true;
@@ -59,7 +60,14 @@ fn paint_of(slot: SplatSlot, shared_paint: PaintSlot, sample: u32) -> Paint {
         }
     }
     if OUTPUT == OUTPUT_COLOR {
-        paint.color = lit(albedo(painted(slot.first + sample, packed.x), shared_paint.material), normal, is_ball(packed), shared_paint.material, slot, sample);
+        let at = slot.first + sample;
+        var own: vec3<f32>;
+        if SHOWS_FIELD {
+            own = albedo(field_color(at, slot.instance), 0u);
+        } else {
+            own = albedo(painted(at, packed.x), shared_paint.material);
+        }
+        paint.color = lit(own, normal, is_ball(packed), shared_paint.material, slot, sample);
     }
     return paint;
 }

@@ -25,6 +25,10 @@ override COLOR_BY: u32 = 0u;
 const BY_HEIGHT: u32 = 1u;
 const BY_NORMAL: u32 = 2u;
 const BY_INSTANCE: u32 = 3u;
+// Samples have the colours already when they become surfaces.
+const BY_FIELD: u32 = 4u;
+
+const GREY: u32 = 0xff808080u;
 
 fn needs_normal() -> bool {
     return OUTPUT == OUTPUT_NORMAL || SHADED || COLOR_BY == BY_NORMAL;

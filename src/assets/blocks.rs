@@ -179,8 +179,13 @@ mod tests {
         assert_eq!(survey.bounds, Bounds::of(positions.iter().copied()));
         assert_eq!(joined(&blocks, |b| &b.colors), whole.colors, "{name}");
         assert_eq!(joined(&blocks, |b| &b.normals), whole.normals, "{name}");
-        assert_eq!(joined(&blocks, |b| &b.intensity), whole.intensity, "{name}");
-        assert_eq!(joined(&blocks, |b| &b.classification), whole.classification, "{name}");
+        for (at, field) in whole.fields.iter().enumerate() {
+            let codes: Vec<u16> = blocks.iter().flat_map(|b| b.fields[at].codes.clone()).collect();
+            assert_eq!(codes, field.codes, "{name}: {}", field.name);
+            let alike = |b: &PointCloud| b.fields[at].scale == field.scale;
+            assert!(blocks.iter().all(alike), "{name}: {}", field.name);
+        }
+        assert!(blocks.iter().all(|block| block.fields.len() == whole.fields.len()), "{name}");
         assert_eq!(joined(&blocks, |b| &b.radii), whole.radii, "{name}");
     }
 

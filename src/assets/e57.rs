@@ -14,9 +14,8 @@ use std::path::Path;
 use e57::{E57Reader, RecordDataType, RecordName, RecordValue};
 use glam::{DAffine3, DQuat, DVec3};
 
-use super::points::{
-    self, colors, io_error, malformed, scale_to_word, skipped_warning, unsupported, value_range,
-};
+use super::fields::{self, Column, INTENSITY, Numbers};
+use super::points::{self, colors, io_error, malformed, skipped_warning, unsupported};
 use super::{Asset, AssetError, Geometry, Placement, PointCloud, ReadOptions, quiet};
 use crate::math::Sensor;
 
@@ -315,8 +314,6 @@ fn finish(scans: Vec<Scan>, name: &str) -> Result<Asset, AssetError> {
     let mut asset = Asset { format: "e57", ..Asset::default() };
     asset.warnings.extend(skipped_warning(invalid, "marked as invalid"));
     asset.warnings.extend(skipped_warning(not_finite, "no finite position"));
-    let intensities = scans.iter().filter_map(|scan| scan.intensity.as_deref()).flatten();
-    let range = value_range(intensities.copied()).filter(|[min, max]| min < max);
     for (index, scan) in scans.into_iter().enumerate() {
         if scan.positions.is_empty() {
             asset.warnings.push(format!("scan {index} holds no valid points"));
@@ -327,12 +324,12 @@ fn finish(scans: Vec<Scan>, name: &str) -> Result<Asset, AssetError> {
             geometry: asset.geometries.len(),
             asset_from_geometry: scan.file_from_scan,
         });
-        let scaled = |values: Vec<f32>, range| {
-            values.into_iter().map(|value| scale_to_word(value, range)).collect()
-        };
+        let intensity = scan
+            .intensity
+            .map(|values| Column { name: INTENSITY.to_owned(), numbers: Numbers::Singles(values) });
         asset.geometries.push(Geometry::Points(PointCloud {
             colors: scan.rgb.and_then(|rgb| colors(rgb.len(), |point| rgb[point])),
-            intensity: scan.intensity.zip(range).map(|(values, range)| scaled(values, range)),
+            fields: fields::encoded(intensity.into_iter().collect(), &mut asset.warnings),
             positions: scan.positions,
             ..PointCloud::default()
         }));

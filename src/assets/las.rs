@@ -22,6 +22,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
+use super::fields::Spans;
 use super::points::{self, WordColors, io_error, malformed, skipped_warning};
 use super::{Asset, AssetError, Geometry, PointCloud, ReadOptions};
 use header::Header;
@@ -172,8 +173,7 @@ pub(super) fn announced(path: &Path, name: &str, options: &ReadOptions) -> Resul
 pub(super) struct Facts {
     is_compressed: bool,
     colors: WordColors,
-    has_intensity: bool,
-    has_classes: bool,
+    fields: Spans,
 }
 
 impl Facts {
@@ -183,16 +183,14 @@ impl Facts {
 
     fn add(&mut self, columns: &Columns) {
         self.colors.add(&columns.rgb);
-        self.has_intensity |= columns.intensity.iter().any(|&value| value != 0);
-        self.has_classes |= columns.classes.iter().any(|&class| class != 0);
+        self.fields.add(&columns.fields);
     }
 
     fn cloud(&self, columns: Columns) -> PointCloud {
         PointCloud {
             colors: self.colors.colors(&columns.rgb),
             positions: columns.positions,
-            intensity: self.has_intensity.then_some(columns.intensity),
-            classification: self.has_classes.then_some(columns.classes),
+            fields: self.fields.fields(columns.fields),
             ..PointCloud::default()
         }
     }
@@ -238,6 +236,7 @@ fn finish(
     warnings.extend(skipped_warning(columns.not_finite, "no finite position"));
     let mut facts = Facts { is_compressed: header.is_compressed, ..Facts::default() };
     facts.add(&columns);
+    warnings.extend(facts.fields.warning());
     let cloud = facts.cloud(columns);
     let mut asset = Asset::single(facts.format(), name, Geometry::Points(cloud));
     asset.warnings = warnings;

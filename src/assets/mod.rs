@@ -11,6 +11,7 @@ mod blocks;
 mod dispatch;
 pub mod e57;
 mod fault;
+pub mod fields;
 pub mod gltf;
 pub mod input;
 pub mod las;
@@ -35,6 +36,7 @@ use glam::{DAffine3, DVec3, Vec2, Vec3};
 
 pub use self::blocks::{PointBlocks, Survey};
 pub use self::dispatch::{FORMATS, is_supported_extension, read, stands_alone};
+pub use self::fields::Field;
 use crate::math::{Bounds, Camera, Sensor};
 use crate::memory::{Admission, Interrupt};
 
@@ -81,10 +83,8 @@ pub struct PointCloud {
     pub normals: Option<Vec<Vec3>>,
     /// Normals tell outside from inside; those that are estimated from neighbours alone do not.
     pub oriented: bool,
-    /// As stored in the file's own range, scaled to 0..=65535 over the file.
-    pub intensity: Option<Vec<u16>>,
-    /// ASPRS classes for LAS, labels elsewhere.
-    pub classification: Option<Vec<u8>>,
+    /// Scalar fields, by different names.
+    pub fields: Vec<Field>,
     /// In asset units, positive.
     pub radii: Option<Vec<f32>>,
     pub kernels: Option<Vec<Kernel>>,
@@ -93,6 +93,17 @@ pub struct PointCloud {
 }
 
 impl PointCloud {
+    /// The scalar field with a name.
+    pub fn field(&self, name: &str) -> Option<&Field> {
+        self.fields.iter().find(|field| field.name == name)
+    }
+
+    /// The values of a scalar field, NaN where a point has none; `None` without such a field.
+    pub fn values_of(&self, name: &str) -> Option<Vec<f64>> {
+        let field = self.field(name)?;
+        Some(field.codes.iter().map(|&code| field.scale.value(code).unwrap_or(f64::NAN)).collect())
+    }
+
     /// Whether a clip line cuts something off a sample.
     pub fn is_clipped(&self, sample: usize) -> bool {
         self.clips.as_ref().is_some_and(|clips| clips[sample].lines.iter().any(Option::is_some))

@@ -1,8 +1,8 @@
 //! Reader for PCD (Point Cloud Library): `ascii`, `binary` and `binary_compressed`.
 //!
 //! A text header names the fields of a point with their sizes, types and counts, in any order;
-//! x, y, z, colour (packed in one field or in three), normal, intensity and label are taken, the
-//! rest is stepped over. The body is a stream: text rows, packed little-endian records, or — in
+//! x, y, z, colour (packed in one field or in three) and normal are taken, and other fields of one value
+//! become scalar fields. The body is a stream: text rows, packed little-endian records, or — in
 //! `binary_compressed` — one LZF block ([`lzf`]) that holds field after field. Organised clouds
 //! (height above 1) mark pixels without depth by NaN; those are skipped. `VIEWPOINT` is where the
 //! sensor stood, and as in the Point Cloud Library does not move the points. It gives the first view ([`sensor`]).
@@ -16,9 +16,9 @@ use std::path::Path;
 
 use glam::DVec3;
 
+use super::fields::{self, Column, INTENSITY};
 use super::points::{
-    self, Lines, class_of, colors, intensities, io_error, malformed, quote, skipped_warning,
-    unit_or_zero,
+    self, Lines, colors, io_error, malformed, quote, skipped_warning, unit_or_zero,
 };
 use super::{Asset, AssetError, Geometry, PointCloud, ReadOptions};
 use crate::math::Sensor;
@@ -64,6 +64,8 @@ pub fn read_from(
         });
     }
     points::admit(name, header.points, options)?;
+    let scalar_bytes = 8 * scalars(&header).len() as u64;
+    options.admission.grow(name, header.points.saturating_mul(scalar_bytes))?;
     if header.body == Body::Compressed {
         options.admission.grow(name, body_bytes.saturating_mul(2))?;
     }
@@ -92,6 +94,7 @@ fn read_ascii(
         }
         column += field.count;
     }
+    let mut row = Row::of(columns);
     let mut point = 0;
     while point < header.points {
         let number = lines.number() + 1;
@@ -99,7 +102,6 @@ fn read_ascii(
         if line.is_empty() || line.starts_with('#') {
             continue;
         }
-        let mut row = Row::default();
         let mut column = 0;
         for token in line.split_ascii_whitespace() {
             if let Some(&Some((wanted, field))) = takers.get(column) {
@@ -131,6 +133,7 @@ fn read_binary(
 ) -> Result<(), AssetError> {
     let wanted: Vec<(Wanted, &Field)> = header.wanted().collect();
     let mut buffer = Vec::new();
+    let mut row = Row::of(columns);
     let mut point = 0;
     while point < header.points {
         let batch = BATCH.min(header.points - point);
@@ -138,7 +141,6 @@ fn read_binary(
         buffer.clear();
         let count = reader.take(bytes).read_to_end(&mut buffer).map_err(|e| io_error(name, e))?;
         for record in buffer.chunks_exact(header.stride) {
-            let mut row = Row::default();
             for &(wanted, field) in &wanted {
                 row.set(wanted, field.decode(&record[field.offset..]));
             }
@@ -180,8 +182,8 @@ fn read_compressed(
     let points = header.points as usize;
     let wanted: Vec<(Wanted, &Field, &[u8])> =
         header.wanted().map(|(w, field)| (w, field, &body[field.offset * points..])).collect();
+    let mut row = Row::of(columns);
     for point in 0..points {
-        let mut row = Row::default();
         for &(wanted, field, values) in &wanted {
             row.set(wanted, field.decode(&values[point * field.bytes()..]));
         }
@@ -196,27 +198,47 @@ fn truncated(name: &str, header: &Header, point: u64) -> AssetError {
 }
 
 /// One point as read.
-#[derive(Clone, Copy, Default)]
+#[derive(Default)]
 struct Row {
     position: DVec3,
     normal: [f32; 3],
     rgb: [f32; 3],
     packed: u32,
-    intensity: f32,
-    label: f64,
+    scalars: Vec<f64>,
 }
 
 impl Row {
+    /// A row for these columns.
+    fn of(columns: &Columns) -> Row {
+        Row { scalars: vec![0.0; columns.fields.len()], ..Row::default() }
+    }
+
     fn set(&mut self, wanted: Wanted, value: f64) {
         match wanted {
             Wanted::Position(axis) => self.position[axis] = value,
             Wanted::Normal(axis) => self.normal[axis] = value as f32,
             Wanted::Rgb(channel) => self.rgb[channel] = value as f32,
             Wanted::Packed { .. } => self.packed = value as u32,
-            Wanted::Intensity => self.intensity = value as f32,
-            Wanted::Label => self.label = value,
+            Wanted::Scalar(number) => self.scalars[number] = value,
         }
     }
+}
+
+/// Empty columns of the header's scalar fields, in the order of their numbers.
+fn scalars(header: &Header) -> Vec<Column> {
+    let mut columns: Vec<Column> = Vec::new();
+    for field in &header.fields {
+        if !matches!(field.wanted, Some(Wanted::Scalar(_))) {
+            continue;
+        }
+        let usual = match field.name.as_str() {
+            "i" | "I" => INTENSITY.to_owned(),
+            own => fields::name_of(own),
+        };
+        let is_taken = columns.iter().any(|column| column.name == usual);
+        columns.push(Column::new(if is_taken { &field.name } else { &usual }));
+    }
+    columns
 }
 
 /// The points so far; what the file lacks stays empty.
@@ -228,8 +250,7 @@ struct Columns {
     normals: Option<Vec<glam::Vec3>>,
     rgb: Option<Vec<[f32; 3]>>,
     packed: Option<Vec<u32>>,
-    intensity: Option<Vec<f32>>,
-    labels: Option<Vec<u8>>,
+    fields: Vec<Column>,
     not_finite: u64,
 }
 
@@ -238,7 +259,6 @@ impl Columns {
         fn column<T>(present: bool) -> Option<Vec<T>> {
             present.then(Vec::new)
         }
-        let has = |wanted| header.has(wanted);
         let all = |of: fn(usize) -> Wanted| (0..3).all(|i| header.has(of(i)));
         Self {
             positions: Vec::new(),
@@ -247,8 +267,7 @@ impl Columns {
             normals: column(all(Wanted::Normal)),
             rgb: column(all(Wanted::Rgb)),
             packed: column(header.packed_color().is_some()),
-            intensity: column(has(Wanted::Intensity)),
-            labels: column(has(Wanted::Label)),
+            fields: scalars(header),
             not_finite: 0,
         }
     }
@@ -270,8 +289,7 @@ impl Columns {
         add(&mut self.normals, unit_or_zero(row.normal));
         add(&mut self.rgb, row.rgb);
         add(&mut self.packed, row.packed);
-        add(&mut self.intensity, row.intensity);
-        add(&mut self.labels, class_of(row.label));
+        self.fields.iter_mut().zip(&row.scalars).for_each(|(field, &value)| field.push(value));
     }
 
     fn finish(self, header: &Header, name: &str) -> Result<Asset, AssetError> {
@@ -289,6 +307,7 @@ impl Columns {
         };
         let sensor = sensor::view(&self.positions, raster.as_ref(), header.viewpoint);
         let packed = self.packed.zip(header.packed_color());
+        let mut warnings = header.warnings.clone();
         let cloud = PointCloud {
             colors: match (packed, self.rgb) {
                 (Some((packed, alpha)), _) => unpack(&packed, alpha),
@@ -296,8 +315,7 @@ impl Columns {
                 (None, None) => None,
             },
             normals: self.normals,
-            intensity: self.intensity.and_then(|values| intensities(&values)),
-            classification: self.labels,
+            fields: fields::encoded(self.fields, &mut warnings),
             positions: self.positions,
             radii: None,
             oriented: false,
@@ -306,7 +324,7 @@ impl Columns {
         };
         let mut asset = Asset::single("pcd", name, Geometry::Points(cloud));
         asset.sensor = sensor.map(Sensor::View);
-        asset.warnings.clone_from(&header.warnings);
+        asset.warnings = warnings;
         asset.warnings.extend(skipped_warning(self.not_finite, "no finite position"));
         Ok(asset)
     }

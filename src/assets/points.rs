@@ -274,41 +274,11 @@ impl WordColors {
     }
 }
 
-/// The smallest and the largest finite value, `None` without any.
-pub(super) fn value_range(values: impl Iterator<Item = f32>) -> Option<[f32; 2]> {
-    let start = [f32::INFINITY, f32::NEG_INFINITY];
-    let [min, max] = values
-        .filter(|value| value.is_finite())
-        .fold(start, |[min, max], value| [min.min(value), max.max(value)]);
-    (min <= max).then_some([min, max])
-}
-
-/// A value of the file's range, scaled to 0..=65535; a range without extent gives 0.
-pub(super) fn scale_to_word(value: f32, [min, max]: [f32; 2]) -> u16 {
-    let extent = f64::from(max) - f64::from(min);
-    if extent > 0.0 {
-        ((f64::from(value) - f64::from(min)) / extent * 65535.0).round() as u16
-    } else {
-        0
-    }
-}
-
-/// Intensities scaled over the file, or `None` when they do not differ.
-pub(super) fn intensities(values: &[f32]) -> Option<Vec<u16>> {
-    let range = value_range(values.iter().copied()).filter(|[min, max]| min < max)?;
-    Some(values.iter().map(|&value| scale_to_word(value, range)).collect())
-}
-
 /// Unit length, or zero for what has no direction.
 pub(super) fn unit_or_zero(normal: [f32; 3]) -> Vec3 {
     let direction = DVec3::from(normal.map(f64::from));
     let length = direction.length();
     if length > 0.0 && length.is_finite() { (direction / length).as_vec3() } else { Vec3::ZERO }
-}
-
-/// A label as a class: what does not fit in 0..=255 becomes 0.
-pub(super) fn class_of(value: f64) -> u8 {
-    if (0.0..=255.0).contains(&value) { value.round() as u8 } else { 0 }
 }
 
 /// "3 points skipped: no finite position".
@@ -342,14 +312,6 @@ mod tests {
         assert_eq!(colors_from_words(&[[1, 0, 236]]), Some(vec![[1, 0, 236, 255]]));
         assert_eq!(colors_from_words(&[[256, 0, 65280]]), Some(vec![[1, 0, 255, 255]]));
         assert_eq!(colors_from_words(&[[257, 0, 65535]]), Some(vec![[1, 0, 255, 255]]));
-    }
-
-    #[test]
-    fn intensities_span_the_range() {
-        assert_eq!(intensities(&[-10.0, 0.0, 10.0]), Some(vec![0, 32768, 65535]));
-        assert_eq!(intensities(&[3.0, 3.0]), None);
-        assert_eq!(intensities(&[f32::NAN]), None);
-        assert_eq!(intensities(&[f32::MIN, f32::MAX]), Some(vec![0, 65535]));
     }
 
     #[test]

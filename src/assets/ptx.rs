@@ -10,9 +10,8 @@ use std::path::Path;
 
 use glam::{DAffine3, DMat3, DVec3};
 
-use super::points::{
-    self, Lines, colors, malformed, quote, scale_to_word, skipped_warning, value_range,
-};
+use super::fields::{self, Column, INTENSITY, Numbers};
+use super::points::{self, Lines, colors, malformed, quote, skipped_warning};
 use super::{Asset, AssetError, Geometry, Placement, PointCloud, ReadOptions};
 use crate::math::Sensor;
 use crate::memory::Interrupt;
@@ -226,8 +225,6 @@ fn finish(scans: Vec<Scan>, name: &str) -> Result<Asset, AssetError> {
     let mut asset = Asset { format: "ptx", ..Asset::default() };
     asset.warnings.extend(skipped_warning(sum(|scan| scan.not_finite), "no finite position"));
     let no_return: u64 = sum(|scan| scan.no_return);
-    let range = value_range(scans.iter().flat_map(|scan| scan.intensities.iter().copied()))
-        .filter(|[min, max]| min < max);
     let scan_count = scans.len();
     for (index, scan) in scans.into_iter().enumerate() {
         if scan.positions.is_empty() {
@@ -240,16 +237,16 @@ fn finish(scans: Vec<Scan>, name: &str) -> Result<Asset, AssetError> {
             asset_from_geometry: scan.file_from_scan,
         });
         let count = scan.positions.len();
-        let intensity = range.filter(|_| scan.intensities.len() == count);
+        let numbers = Numbers::Singles(scan.intensities);
+        let intensity = Column { name: INTENSITY.to_owned(), numbers };
+        let columns = if intensity.len() == count { vec![intensity] } else { Vec::new() };
         asset.geometries.push(Geometry::Points(PointCloud {
             colors: if scan.rgb.len() == count {
                 colors(count, |point| scan.rgb[point])
             } else {
                 None
             },
-            intensity: intensity.map(|range| {
-                scan.intensities.iter().map(|&value| scale_to_word(value, range)).collect()
-            }),
+            fields: fields::encoded(columns, &mut asset.warnings),
             positions: scan.positions,
             ..PointCloud::default()
         }));
@@ -305,9 +302,9 @@ mod tests {
             .collect();
         assert_eq!(placed, [DVec3::new(10.0, 21.0, 30.0), DVec3::new(8.0, 20.0, 30.0)]);
         assert_eq!(first.colors, Some(vec![[255, 0, 9, 255], [0, 1, 2, 255]]));
-        assert_eq!(first.intensity, Some(vec![0, 32768]));
+        assert_eq!(first.values_of(INTENSITY), Some(vec![0.25, 0.75]));
         let second = points(&asset, 1);
-        assert_eq!((second.intensity.clone(), &second.colors), (Some(vec![65535]), &None));
+        assert_eq!((second.values_of(INTENSITY), &second.colors), (Some(vec![1.25]), &None));
         assert_eq!(asset.bounds().max, DVec3::new(10.0, 21.0, 33.0));
     }
 

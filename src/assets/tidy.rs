@@ -97,36 +97,13 @@ pub(crate) fn unit_normals(
     any.then_some(normals)
 }
 
-/// Intensities over 0..=65535: the file's smallest value becomes 0, its largest 65535.
-pub(crate) fn spread_intensity(values: &[f32]) -> Vec<u16> {
-    let range = values.iter().fold(NO_RANGE, |range, &value| widened(range, value));
-    values.iter().map(|&value| intensity_within(range, value)).collect()
-}
-
-/// The range of nothing.
-pub(crate) const NO_RANGE: [f32; 2] = [f32::INFINITY, f32::NEG_INFINITY];
-
-/// A range that holds a value as well, if it is finite.
-pub(crate) fn widened([low, high]: [f32; 2], value: f32) -> [f32; 2] {
-    if value.is_finite() { [low.min(value), high.max(value)] } else { [low, high] }
-}
-
-/// An intensity over 0..=65535, of a file with this range.
-pub(crate) fn intensity_within([low, high]: [f32; 2], value: f32) -> u16 {
-    let range = f64::from(high) - f64::from(low);
-    if !value.is_finite() || range <= 0.0 {
-        return 0;
-    }
-    ((f64::from(value) - f64::from(low)) / range * 65535.0).round() as u16
-}
-
 fn keep<T>(values: &mut Option<Vec<T>>, kept: &[bool]) {
     if let Some(values) = values {
         retain(values, kept);
     }
 }
 
-fn retain<T>(values: &mut Vec<T>, kept: &[bool]) {
+pub(super) fn retain<T>(values: &mut Vec<T>, kept: &[bool]) {
     let mut flags = kept.iter();
     values.retain(|_| flags.next().copied().unwrap_or(false));
 }
@@ -154,8 +131,7 @@ pub(crate) fn finish_cloud(
     retain(&mut cloud.positions, &kept);
     keep(&mut cloud.colors, &kept);
     keep(&mut cloud.normals, &kept);
-    keep(&mut cloud.intensity, &kept);
-    keep(&mut cloud.classification, &kept);
+    cloud.fields.iter_mut().for_each(|field| retain(&mut field.codes, &kept));
     keep(&mut cloud.radii, &kept);
     keep(&mut cloud.kernels, &kept);
     keep(&mut cloud.clips, &kept);
@@ -316,13 +292,6 @@ mod tests {
         assert!((unit[3].length() - 1.0).abs() < 1e-6);
         assert_eq!(warnings.len(), 1);
         assert!(unit_normals(vec![Vec3::ZERO; 3], &mut warnings).is_none());
-    }
-
-    #[test]
-    fn intensities_spread() {
-        assert_eq!(spread_intensity(&[1.0, 3.0, 2.0, f32::NAN]), [0, 65535, 32768, 0]);
-        assert_eq!(spread_intensity(&[5.0, 5.0]), [0, 0]);
-        assert!(spread_intensity(&[]).is_empty());
     }
 
     #[test]

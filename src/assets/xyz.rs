@@ -27,7 +27,7 @@ use glam::DVec3;
 
 use super::points::{self, Lines, malformed, quote, skipped_warning};
 use super::{Asset, AssetError, Geometry, PointCloud, ReadOptions};
-use layout::Role;
+use layout::Kept;
 
 /// Bytes of a point's attributes beside its position.
 const ATTRIBUTE_BYTES: u64 = 24;
@@ -136,8 +136,8 @@ struct Table {
     positions: Vec<DVec3>,
     /// Kept columns, each as long as `positions`.
     extras: Vec<Vec<f32>>,
-    /// Role of each kept column, when a header names them.
-    named: Option<Vec<Role>>,
+    /// Each kept column, when a header names them.
+    named: Option<Vec<Kept>>,
     /// For each column of the file where it goes: 0, 1, 2 for x, y, z, then `extras`.
     targets: Vec<Option<usize>>,
     delimiter: Option<Delimiter>,
@@ -181,19 +181,19 @@ impl Table {
     /// Takes a line as the header if it names x, y and z.
     fn header(&mut self, line: &str) -> bool {
         let mut roles = Vec::new();
-        Delimiter::of(line).split(line, &mut |token| roles.push(Role::named(token)));
+        Delimiter::of(line).split(line, &mut |token| roles.push(Kept::named(token)));
         let Some(position) = layout::position(&roles).filter(|_| roles.len() <= MAX_COLUMNS) else {
             return false;
         };
-        let mut named = Vec::new();
+        let mut named: Vec<Kept> = Vec::new();
         self.targets = roles
             .iter()
             .enumerate()
             .map(|(column, role)| match position.iter().position(|&axis| axis == column) {
                 Some(axis) => Some(axis),
-                // A role that appears twice is taken from its first column.
-                None if role.is_kept() && !named.contains(role) => {
-                    named.push(*role);
+                // A role, or a field, that appears twice is taken from its first column.
+                None if !role.role.is_position() && !named.contains(role) => {
+                    named.push(role.clone());
                     Some(2 + named.len())
                 }
                 None => None,
@@ -228,11 +228,17 @@ impl Table {
     fn data(&mut self, line: &str, number: u64, name: &str) -> Result<(), AssetError> {
         let delimiter = self.delimiter.unwrap_or(Delimiter::Blank);
         let (mut column, mut bad) = (0, None);
-        let (targets, row) = (&self.targets, &mut self.row);
+        let (targets, row, named) = (&self.targets, &mut self.row, self.named.as_deref());
+        let is_optional = |target: usize| {
+            let kept = named.zip(target.checked_sub(3)).and_then(|(named, at)| named.get(at));
+            kept.is_some_and(Kept::is_optional)
+        };
         delimiter.split(line, &mut |token| {
             if let Some(&Some(target)) = targets.get(column) {
                 match delimiter.number(token) {
                     Some(value) => row[target] = value,
+                    // Columns that nobody asked for may hold text.
+                    None if is_optional(target) => row[target] = f64::NAN,
                     None => bad = bad.or(Some((column, token))),
                 }
             }
@@ -285,7 +291,7 @@ impl Table {
             Some(named) => named,
             None => layout::by_content(&self.extras),
         };
-        let cloud = layout::cloud(self.positions, &self.extras, &roles);
+        let cloud = layout::cloud(self.positions, &self.extras, &roles, &mut warnings);
         let mut asset = Asset::single("xyz", name, Geometry::Points(cloud));
         asset.warnings = warnings;
         Ok(asset)

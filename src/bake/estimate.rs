@@ -82,7 +82,7 @@ fn pack_in_pieces(
     check()?;
     let step = stride(count);
     let some: Vec<DVec3> = cloud.positions.iter().step_by(step).copied().collect();
-    let Some(frame) = Frame::of_some(&some) else { return Ok(packing.finish()) };
+    let Some(frame) = Frame::of_some(&some) else { return Ok(packing.finish(&[])) };
     let wanted = Wanted { normals: lacks_normals(&cloud), kernels: !has_radii(&cloud) };
     let order = packing.take_order();
     let chunks = Chunks::new(&cloud, &order, frame, wanted);
@@ -98,7 +98,7 @@ fn pack_in_pieces(
     }
     let detail = f64::from(packing.longest()) * KERNEL_DETAIL;
     if Grid::with_detail(&bounds, detail)? == packing.grid() {
-        return Ok(packing.finish());
+        return Ok(packing.finish(&order));
     }
     // Long kernels enlarge the cells of the grid, which changes the curve.
     drop(packing);

@@ -6,10 +6,11 @@
 //! than f32 at the asset's edge, and differences are exact, so geometry near the eye keeps all its digits however far it is from
 //! the asset's origin. Samples and triangles are sorted along a Morton curve and cut into chunks of at most 1024, the unit of
 //! culling and of a workgroup. A sample's position is stored in 64 bits (3 × 21, relative to its chunk); a sample takes 20 bytes
-//! with colour, normal and reconstruction kernel. Samples with clip lines take 8 bytes more. They are stored in separate chunks
+//! with colour, normal and reconstruction kernel. Scalar fields of its file add 4 or 8 bytes. Samples with clip lines take 8 bytes more. They are stored in separate chunks
 //! behind the others, so that samples without clip lines do not pay for them. A triangle takes 4 bytes and each of its vertices
 //! 28.
 
+mod fields;
 mod kernel;
 mod kind;
 mod order;
@@ -18,6 +19,8 @@ mod samples;
 mod texture;
 mod triangles;
 
+pub(super) use fields::{CodeCounts, pack_fields};
+pub use fields::{Layout, PackedField, Values, value_words};
 pub(super) use kernel::lengths as kernel_lengths;
 pub use kernel::longer_axis;
 pub use kind::{
@@ -28,7 +31,9 @@ pub(super) use pieces::Packing;
 pub use samples::{
     CLIP_BYTES, NODE_BYTES, PackedSamples, SAMPLE_BYTES, pack_samples, unpack_samples,
 };
-pub(super) use samples::{PackedRun, Sample, Shape, joined, pack_run, unpack_kernel};
+pub(super) use samples::{
+    PackedRun, Sample, Shape, fields_of, joined, pack_run, packed_values, unpack_kernel, values_of,
+};
 pub use texture::{PackedTexture, pack_texture, unpack_texture};
 pub use triangles::{PackedMesh, VERTEX_WORDS, pack_hybrid, pack_mesh, unpack_mesh};
 
@@ -243,7 +248,10 @@ pub(super) fn finite(positions: &[DVec3]) -> Result<(), PackError> {
 /// Bytes needed to pack a geometry: the sort's keys and order, and the packed copy.
 pub fn packing_bytes(geometry: &Geometry) -> u64 {
     match geometry {
-        Geometry::Points(cloud) => samples::PACKING_BYTES * cloud.positions.len() as u64,
+        Geometry::Points(cloud) => {
+            let values = if cloud.fields.is_empty() { 0 } else { size_of::<Values>() as u64 };
+            (samples::PACKING_BYTES + values) * cloud.positions.len() as u64
+        }
         Geometry::Mesh(mesh) => triangles::packing_bytes(mesh),
     }
 }

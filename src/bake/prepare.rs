@@ -169,8 +169,6 @@ pub fn prepare_points(
     traits.normals_estimated |= cloud.normals.is_none();
     cloud.oriented = cloud.normals.is_some();
     traits.shows_intensity |= fill_colors(cloud);
-    // Colours replace these attributes.
-    (cloud.intensity, cloud.classification) = (None, None);
     Ok(true)
 }
 

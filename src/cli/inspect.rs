@@ -152,6 +152,18 @@ fn text(told: &Inspection) -> String {
             normals.to_owned(),
         ]);
     }
+    let mut fields = table();
+    fields.set_header(["field", "least", "most", "1st to 99th percentile"]);
+    for field in &scene.fields {
+        let [low, high] = field.shown;
+        fields.add_row([
+            field.name.clone(),
+            field.least.to_string(),
+            field.most.to_string(),
+            format!("{low} to {high}"),
+        ]);
+    }
+    let fields = if scene.fields.is_empty() { String::new() } else { format!("{fields}\n\n") };
     let mut passes = table();
     passes.set_header(["pass", "runs"]);
     for planned in &told.plan.passes {
@@ -161,7 +173,7 @@ fn text(told: &Inspection) -> String {
         ]);
     }
     let trees: String = told.trees.iter().flatten().map(tree_text).collect();
-    format!("{facts}\n\n{assets}\n\n{passes}\n{trees}")
+    format!("{facts}\n\n{assets}\n\n{fields}{passes}\n{trees}")
 }
 
 /// The figures of an asset's point trees.

@@ -134,13 +134,15 @@ pub fn spilled_tree_key(samples: &Spilled, bounds: &Bounds) -> std::io::Result<[
     for count in [1u64, 0, 0] {
         hasher.update(count.to_le_bytes());
     }
-    let Spilled { grid, chunks, positions, attributes, kernels, nodes } = samples;
+    let Spilled { grid, chunks, positions, attributes, kernels, fields, values, nodes } = samples;
     digest_head(&mut hasher, GeometryKind::Samples, grid, chunks);
     spilled_words(&mut hasher, positions)?;
     spilled_words(&mut hasher, attributes)?;
     spilled_words(&mut hasher, kernels)?;
     // There are no clip lines.
     words(&mut hasher, &[]);
+    words(&mut hasher, bytemuck::cast_slice(fields));
+    spilled_words(&mut hasher, values)?;
     spilled_words(&mut hasher, nodes)?;
     numbers(&mut hasher, &[bounds.min.to_array(), bounds.max.to_array()].concat());
     Ok(hasher.finalize().into())

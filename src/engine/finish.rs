@@ -102,7 +102,9 @@ fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
         },
         max_error_px: applied.max_error_px,
         estimated_error_px: None,
-        legend: drawing.recolor.and_then(|recolor| Legend::of(&recolor)),
+        legend: drawing
+            .recolor
+            .and_then(|recolor| Legend::of(&recolor, &resolved.scene.info.fields)),
         passes: PassReceipt::list(&drawing.plan, &drawn.pass_ns),
         nothing_visible: nothing_visible(drawn),
         gpu_ns: drawn.gpu_ns,

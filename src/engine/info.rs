@@ -6,6 +6,7 @@ use glam::DVec3;
 use serde::Serialize;
 
 use crate::math::Camera;
+use crate::scene::fields::SceneField;
 
 /// What `GET /v1/limits` lists.
 #[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
@@ -45,6 +46,8 @@ pub struct SceneInfo {
     pub triangles: u64,
     pub instances: u64,
     pub assets: Vec<AssetInfo>,
+    /// Scalar fields of its points, which `color_by` shows and `pick` reads.
+    pub fields: Vec<SceneField>,
     /// Bytes that the scene needs on the GPU, and whether it is there now.
     pub gpu_bytes: u64,
     pub resident: bool,

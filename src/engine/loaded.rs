@@ -26,6 +26,7 @@ use crate::math::framing::Shown;
 use crate::math::{Bounds, Camera, CameraError, Lens, Projection};
 use crate::memory::{Admission, Reservation};
 use crate::plan::SceneFacts;
+use crate::residency::fields::scene_fields;
 use crate::residency::instances::{Instances, RunMeter};
 use crate::residency::model::{AssetModel, Extent, ModelInstance, SceneModel};
 use crate::residency::once::MadeOnce;
@@ -244,6 +245,7 @@ fn describe(
                 }
             })
             .collect(),
+        fields: scene_fields(&model.assets),
         gpu_bytes: model.gpu_bytes(),
         resident: false,
         estimates: Estimates { state: EstimateState::Complete, done: 1.0, reason: None },

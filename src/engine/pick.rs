@@ -5,7 +5,7 @@
 //! Positions are computed in f64 from the host's copy of the element: a sample's own position, or the point where the pixel's ray meets the
 //! triangle.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -58,6 +58,9 @@ pub struct Hit {
     pub depth: f64,
     /// World-space unit normal, turned towards the eye; `null` where the sample has none.
     pub normal: Option<[f64; 3]>,
+    /// Values of the scalar fields of a sample. A node of a point tree has the mean of the samples that it stands for, and the class of
+    /// most of them.
+    pub fields: BTreeMap<String, f64>,
     /// sRGB colour of the element without lights: a sample's own; a triangle's vertex colours, material and nearest texel.
     pub color: [u8; 3],
     /// `null` for a node of a point tree that stands for several instances.
@@ -253,6 +256,7 @@ impl Picker {
             distance: position.distance(self.view.eye),
             depth: -from_eye.z,
             normal: normal.map(Into::into),
+            fields: element.fields,
             color: srgb(element.color),
             instance: instance.map(|_| self.instance(id, paths)),
             geometry: geometry as u32,
@@ -294,6 +298,8 @@ struct Element {
     local: DVec3,
     normal: DVec3,
     color: DVec3,
+    /// Values of scalar fields.
+    fields: BTreeMap<String, f64>,
 }
 
 /// The colour that an instance's material has in place of the asset's.
@@ -306,6 +312,14 @@ fn sample(samples: &PackedSamples, index: usize, cell: IVec3, tint: Tint) -> Opt
         local: samples.grid.position(cell),
         normal: octahedral_decode(normal).as_dvec3(),
         color: linear(color) * base(tint.unwrap_or([1.0; 4])),
+        fields: samples
+            .fields
+            .iter()
+            .filter_map(|field| {
+                let value = field.value(samples.values_of(index))?;
+                Some((field.name().to_owned(), value))
+            })
+            .collect(),
     })
 }
 
@@ -349,6 +363,7 @@ fn triangle(
         local: mix(places),
         normal: if smooth == DVec3::ZERO { flat } else { smooth },
         color,
+        fields: BTreeMap::new(),
     })
 }
 

@@ -4,7 +4,8 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use crate::plan::{FramePlan, Pass, UsedSettings};
-use crate::scene::color_map::Recolor;
+use crate::scene::color_map::{ColorMap, Recolor};
+use crate::scene::fields::{SceneField, class_color, class_name};
 
 /// Fewer pixels than this are easily overlooked.
 const FEW_PIXELS: u64 = 20;
@@ -29,7 +30,7 @@ pub struct Receipt {
     /// Error accepted by the request and estimated for the frame, in pixels.
     pub max_error_px: Option<f64>,
     pub estimated_error_px: Option<f32>,
-    /// What the colours stand for, where `color_by=height` chose them.
+    /// What the colours stand for, where `color_by` shows values.
     pub legend: Option<Legend>,
     /// Passes that ran, in the order in which they first did, then those that were skipped.
     pub passes: Vec<PassReceipt>,
@@ -132,25 +133,57 @@ impl PassReceipt {
     }
 }
 
-/// What the colours of a colour map stand for.
+/// What the colours of a colour map, or of classes, stand for.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct Legend {
-    /// The value that colours show.
-    pub of: &'static str,
-    /// Values of the first and the last colour, in scene units.
+    /// The value that colours show: `height`, or the name of a scalar field.
+    pub of: String,
+    /// Values of the first and the last colour: heights in scene units, values of a field as in the file.
     pub least: f64,
     pub most: f64,
-    /// Colours at equal distances from the first value to the last, as `#rrggbb`.
+    /// Colours at equal distances from the first value to the last, as `#rrggbb`; none for classes.
     pub colors: Vec<String>,
+    /// The classes of the scene, each with its own colour.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub classes: Vec<LegendClass>,
+}
+
+/// The colour of a class.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub struct LegendClass {
+    pub class: u8,
+    /// Name of an ASPRS standard class; `null` for others.
+    pub name: Option<&'static str>,
+    /// As `#rrggbb`.
+    pub color: String,
 }
 
 impl Legend {
-    /// `None` for colours that no map gives.
-    pub fn of(recolor: &Recolor) -> Option<Legend> {
-        let Recolor::Height { range: [least, most], map, .. } = recolor else { return None };
-        let hex = |[r, g, b]: &[u8; 3]| format!("#{r:02x}{g:02x}{b:02x}");
-        let colors = map.colors().iter().map(hex).collect();
-        Some(Legend { of: "height", least: *least, most: *most, colors })
+    /// `None` for colours that stand for no value; `fields` are those of the scene.
+    pub fn of(recolor: &Recolor, fields: &[SceneField]) -> Option<Legend> {
+        let hex = |[r, g, b]: [u8; 3]| format!("#{r:02x}{g:02x}{b:02x}");
+        let mapped = |of: String, [least, most]: [f64; 2], map: ColorMap| {
+            let colors = map.colors().iter().copied().map(hex).collect();
+            Legend { of, least, most, colors, classes: Vec::new() }
+        };
+        match *recolor {
+            Recolor::Normal | Recolor::Instance => None,
+            Recolor::Height { range, map, .. } => Some(mapped("height".to_owned(), range, map)),
+            Recolor::Field { name, range, map, has_classes: false } => {
+                Some(mapped(name.to_string(), range, map))
+            }
+            Recolor::Field { name, .. } => {
+                let field = fields.iter().find(|field| field.name == name.as_str())?;
+                let class = |&class: &u8| LegendClass {
+                    class,
+                    name: class_name(class),
+                    color: hex(class_color(class)),
+                };
+                let classes = field.classes.iter().flatten().map(class).collect();
+                let (least, most) = (field.least, field.most);
+                Some(Legend { of: name.to_string(), least, most, colors: Vec::new(), classes })
+            }
+        }
     }
 }
 

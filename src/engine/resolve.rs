@@ -187,8 +187,35 @@ pub fn check(
 /// The view of a request, and what it is clipped with.
 fn posed(loaded: &Loaded, request: &FrameRequest) -> Result<Checked, EngineError> {
     let clip = clip_region(loaded, &request.settings)?;
+    check_field(loaded, &request.settings)?;
     let (view, camera) = pose(loaded, request, clip.as_ref())?;
     Ok(Checked { view, camera, clip })
+}
+
+/// Checks that the scene has the scalar field that colours samples.
+fn check_field(loaded: &Loaded, settings: &Settings) -> Result<(), EngineError> {
+    let fields = &loaded.info.fields;
+    let known: Vec<&str> = fields.iter().map(|field| field.name.as_str()).collect();
+    let bad = |parameter, reason: String, own: String| EngineError::BadParameter {
+        parameter,
+        reason,
+        accepted: match &known[..] {
+            [] => "colors, levels, height, normal, instance: the scene has no scalar fields".into(),
+            known => format!("{own}{}", known.join(", ")),
+        },
+    };
+    match (settings.colored_field(), settings.color_by, settings.field) {
+        (None, ColorBy::Field, _) => {
+            let reason = "`color_by=field` needs the name of a field".to_owned();
+            Err(bad("field", reason, String::new()))
+        }
+        (Some(name), _, own) if !known.contains(&name.as_str()) => {
+            let parameter = if own.is_some() { "field" } else { "color_by" };
+            let with = if own.is_some() { "" } else { "field, with one of the scene's fields: " };
+            Err(bad(parameter, format!("the scene has no field `{name}`"), with.to_owned()))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// The boxes that a frame is clipped with, at their place in the scene.
@@ -294,7 +321,7 @@ fn decide(
             rasterises: adapter.rasterises,
             draws_hidden: state.config.draw_hidden,
         };
-        let recolor = settings.recolor(loaded.up(), || loaded.heights());
+        let recolor = settings.recolor(loaded.up(), || loaded.heights(), &loaded.info.fields);
         Drawing::new(
             settings,
             &loaded.model.splats,

@@ -127,7 +127,7 @@ mod tests {
         let counts = Counts { samples: 1, chunks: 1, ..Counts::default() };
         let facts = SceneFacts { counts, trees: true, ..Default::default() };
         let adapter = AdapterFacts::default();
-        let recolor = settings.recolor(DVec3::Y, || [0.0, 1.0]);
+        let recolor = settings.recolor(DVec3::Y, || [0.0, 1.0], &[]);
         let box_from_world = DAffine3::IDENTITY;
         let clip = settings.clip_boxes.map(|boxes| ClipRegion { boxes, box_from_world });
         Drawing::new(settings, &Splats::default(), recolor, clip, None, |reconstruction| {

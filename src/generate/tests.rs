@@ -113,9 +113,10 @@ fn las_files_read_back() {
         for (i, point) in points.iter().enumerate() {
             let p = glam::DVec3::new(point.x, point.y, point.z);
             assert!((p - cloud.positions[i]).abs().max_element() < 1e-6, "{name} {i}");
-            assert_eq!(point.intensity, cloud.intensity.as_ref().unwrap()[i]);
+            let value = |name: &str| cloud.field(name).unwrap().value(i).unwrap();
+            assert_eq!(f64::from(point.intensity), value("intensity"));
             let class = u8::from(point.classification);
-            assert_eq!(class, cloud.classification.as_ref().unwrap()[i]);
+            assert_eq!(f64::from(class), value("classification"));
             let red = point.color.unwrap().red;
             assert_eq!(red >> 8, u16::from(cloud.colors.as_ref().unwrap()[i][0]));
         }

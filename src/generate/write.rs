@@ -8,7 +8,8 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use super::{GenerateError, Generated, GeneratedMesh, GeneratedScene};
-use crate::assets::{Material, Mesh, PointCloud, Texture};
+use crate::assets::fields::{CLASSIFICATION, INTENSITY, Scale};
+use crate::assets::{Field, Material, Mesh, PointCloud, Texture};
 use crate::math::Bounds;
 
 /// Writes `generated` to `path`, and to further files beside it if the format needs them. Returns all written files.
@@ -68,7 +69,8 @@ fn ply_header(
     out: &mut impl Write,
     (count, coordinates): (usize, &str),
     (normals, colors): (bool, bool),
-    (intensity, classes, radii): (bool, bool, bool),
+    fields: &[Field],
+    radii: bool,
     triangles: Option<usize>,
 ) -> std::io::Result<()> {
     writeln!(out, "ply\nformat binary_little_endian 1.0\ncomment made by pointillist generate")?;
@@ -82,11 +84,8 @@ fn ply_header(
     if colors {
         writeln!(out, "property uchar red\nproperty uchar green\nproperty uchar blue")?;
     }
-    if intensity {
-        writeln!(out, "property ushort intensity")?;
-    }
-    if classes {
-        writeln!(out, "property uchar classification")?;
+    for field in fields {
+        writeln!(out, "property {} {}", ply_type(field), field.name)?;
     }
     if radii {
         writeln!(out, "property float radius")?;
@@ -97,6 +96,18 @@ fn ply_header(
     writeln!(out, "end_header")
 }
 
+/// The PLY type of a field's values.
+fn ply_type(field: &Field) -> &'static str {
+    let Scale { least, step, most, has_gaps } = field.scale;
+    let last = least + f64::from(most);
+    let is_whole = step == 1.0 && least.fract() == 0.0 && least >= 0.0 && !has_gaps;
+    match last {
+        last if is_whole && last <= 255.0 && field.name == CLASSIFICATION => "uchar",
+        last if is_whole && last <= 65535.0 => "ushort",
+        _ => "float",
+    }
+}
+
 fn ply_points(cloud: &PointCloud, path: &Path) -> Result<(), GenerateError> {
     let mut out = create(path)?;
     let mut body = || -> std::io::Result<()> {
@@ -104,7 +115,8 @@ fn ply_points(cloud: &PointCloud, path: &Path) -> Result<(), GenerateError> {
             &mut out,
             (cloud.positions.len(), "double"),
             (cloud.normals.is_some(), cloud.colors.is_some()),
-            (cloud.intensity.is_some(), cloud.classification.is_some(), cloud.radii.is_some()),
+            &cloud.fields,
+            cloud.radii.is_some(),
             None,
         )?;
         for (i, p) in cloud.positions.iter().enumerate() {
@@ -117,11 +129,13 @@ fn ply_points(cloud: &PointCloud, path: &Path) -> Result<(), GenerateError> {
             if let Some(color) = cloud.colors.as_ref().and_then(|list| list.get(i)) {
                 out.write_all(&color[..3])?;
             }
-            if let Some(intensity) = cloud.intensity.as_ref().and_then(|list| list.get(i)) {
-                out.write_all(&intensity.to_le_bytes())?;
-            }
-            if let Some(class) = cloud.classification.as_ref().and_then(|list| list.get(i)) {
-                out.write_all(&[*class])?;
+            for field in &cloud.fields {
+                let value = field.value(i).unwrap_or(f64::NAN);
+                match ply_type(field) {
+                    "uchar" => out.write_all(&[value as u8])?,
+                    "ushort" => out.write_all(&(value as u16).to_le_bytes())?,
+                    _ => out.write_all(&(value as f32).to_le_bytes())?,
+                }
             }
             if let Some(radius) = cloud.radii.as_ref().and_then(|list| list.get(i)) {
                 out.write_all(&radius.to_le_bytes())?;
@@ -139,7 +153,8 @@ fn ply_mesh(mesh: &Mesh, path: &Path) -> Result<(), GenerateError> {
             &mut out,
             (mesh.positions.len(), "float"),
             (mesh.normals.is_some(), mesh.colors.is_some()),
-            (false, false, false),
+            &[],
+            false,
             Some(mesh.triangles.len()),
         )?;
         for (i, p) in mesh.positions.iter().enumerate() {
@@ -197,7 +212,10 @@ fn las_header(cloud: &PointCloud, compress: bool) -> las::Result<las::Header> {
 
 fn las_point(cloud: &PointCloud, index: usize) -> las::Result<las::Point> {
     let p = cloud.positions[index];
-    let class = cloud.classification.as_ref().map_or(1, |list| list[index]);
+    let value = |name: &str, otherwise: f64| {
+        cloud.field(name).and_then(|field| field.value(index)).unwrap_or(otherwise)
+    };
+    let class = value(CLASSIFICATION, 1.0) as u8;
     // Expand eight bits to sixteen so that 255 becomes 65535.
     let [r, g, b, _] = cloud.colors.as_ref().map_or([255; 4], |list| list[index]);
     let [r, g, b] = [r, g, b].map(|c| u16::from(c) * 257);
@@ -205,7 +223,7 @@ fn las_point(cloud: &PointCloud, index: usize) -> las::Result<las::Point> {
         x: p.x,
         y: p.y,
         z: p.z,
-        intensity: cloud.intensity.as_ref().map_or(0, |list| list[index]),
+        intensity: value(INTENSITY, 0.0) as u16,
         return_number: 1,
         number_of_returns: 1,
         classification: las::point::Classification::new(class)?,

@@ -4,7 +4,8 @@ use glam::{DVec2, DVec3};
 
 use crate::assets::{Geometry, Material, Mesh, PointCloud};
 use crate::math::View;
-use crate::scene::color_map::{Recolor, instance_color};
+use crate::scene::color_map::{NO_VALUE, Recolor, instance_color, share};
+use crate::scene::fields::{class_color, class_number};
 
 use super::color::linear_from_srgba8;
 use super::prepare::{Prepared, PreparedItem};
@@ -35,13 +36,15 @@ impl Surface {
     /// Replaces the colour by that of a value, if one is given; `instance`: number of the instance.
     pub fn recolor(&mut self, recolor: Option<&Recolor>, view: &View, instance: u32) {
         let srgb = match recolor {
-            None => return,
-            Some(Recolor::Height { up, range: [least, most], map }) => {
+            // Samples have the colours of fields, and triangles their grey, from the beginning.
+            None | Some(Recolor::Field { .. }) => return,
+            Some(Recolor::Height { up, range, map }) => {
                 let height = up.normalize_or(DVec3::Y).dot(view.eye + self.position_from_eye);
-                let share = if least == most { 0.5 } else { (height - least) / (most - least) };
-                map.at(share)
+                map.at(share(height, *range))
             }
-            Some(Recolor::Normal) if self.normal_world == DVec3::ZERO => [128.0 / 255.0; 3],
+            Some(Recolor::Normal) if self.normal_world == DVec3::ZERO => {
+                [f64::from(NO_VALUE) / 255.0; 3]
+            }
             Some(Recolor::Normal) => (self.normal_world * 0.5 + 0.5).to_array(),
             Some(Recolor::Instance) => instance_color(instance + 1),
         };
@@ -65,7 +68,8 @@ pub fn at(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -
         Geometry::Points(cloud) => {
             // A disc is seen where the pixel's ray meets it.
             let on_disc = || view.at_depth(pixel_ray(view, x, y), hit.depth);
-            sample(view, item, cloud, hit.index, prepared.scene.discs.map(|_| on_disc()))
+            let seen = prepared.scene.discs.map(|_| on_disc());
+            sample(view, item, prepared.scene.recolor.as_ref(), (cloud, hit.index), seen)
         }
         Geometry::Mesh(mesh) => triangle(prepared, view, item, mesh, (hit, x, y)),
     };
@@ -83,19 +87,36 @@ pub fn is_cut_out(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: 
     }
 }
 
+/// The colour that a scalar field gives a sample; `None` if no field is shown.
+fn field_color(recolor: Option<&Recolor>, cloud: &PointCloud, sample: usize) -> Option<[u8; 4]> {
+    let Some(Recolor::Field { name, range, map, has_classes }) = recolor else { return None };
+    let value = cloud.field(name.as_str()).and_then(|field| field.value(sample));
+    let [r, g, b] = match value {
+        None => [NO_VALUE; 3],
+        Some(class) if *has_classes => class_color(class_number(class)),
+        Some(value) => map.at(share(value, *range)).map(|channel| (channel * 255.0).round() as u8),
+    };
+    Some([r, g, b, 255])
+}
+
 /// `seen`: a place in view space other than the sample's own.
 fn sample(
     view: &View,
     item: &PreparedItem<'_>,
-    cloud: &PointCloud,
-    index: u32,
+    recolor: Option<&Recolor>,
+    (cloud, index): (&PointCloud, u32),
     seen: Option<DVec3>,
 ) -> Surface {
     let index = index as usize;
+    let field = field_color(recolor, cloud, index);
     let grey = [SAMPLE_GREY, SAMPLE_GREY, SAMPLE_GREY, 255];
     let color = cloud.colors.as_ref().and_then(|colors| colors.get(index)).unwrap_or(&grey);
     let normal = cloud.normals.as_ref().and_then(|normals| normals.get(index));
-    let material = overridden(item, &Material::default());
+    let mut material = overridden(item, &Material::default());
+    let color = field.as_ref().unwrap_or(color);
+    if field.is_some() {
+        material.base_color = [1.0; 4];
+    }
     // A hit comes from a sample that can be drawn, so that none is missing here.
     let position = cloud.positions.get(index).and_then(|&position| item.to_view(position));
     let position_view = seen.or(position).unwrap_or(DVec3::ZERO);
@@ -132,6 +153,10 @@ fn triangle(
     if let (Some(texture), Some(uvs)) = (texture, corner_values(&mesh.uvs, corners)) {
         let footprint = uv_footprint(&seen, view, ray, uvs.map(|uv| uv.as_dvec2()));
         color = times(color, texture::sample(texture, prepared.pyramid(texture), &footprint));
+    }
+    if let Some(Recolor::Field { .. }) = prepared.scene.recolor {
+        let [r, g, b, _] = linear_from_srgba8([NO_VALUE, NO_VALUE, NO_VALUE, 255]);
+        color = [r, g, b, color[3]];
     }
     let normal = match corner_values(&mesh.normals, corners) {
         Some(normals) => {

@@ -76,6 +76,11 @@ impl<'a> Names<'a> {
                 }
             }
             "lights" => &scene.lights,
+            "fields" => &scene.field_table,
+            // Shaders read no values of pages that have none.
+            "values" => {
+                residency.page_buffer(scene.pages[segment?], name).unwrap_or(&scene.field_table)
+            }
             "chunks" => residency.chunk_table(),
             "parts" => residency.part_table(),
             "materials" => residency.material_table(),

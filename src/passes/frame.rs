@@ -11,7 +11,8 @@ use crate::residency::layout::{GpuClipBox, GpuFrame, two_floats};
 use crate::residency::model::{Extent, SceneModel};
 use crate::residency::{GROUP, ResidentScene};
 use crate::scene::clip_boxes::{ClipRegion, MOST_BOXES, Side};
-use crate::scene::color_map::{MOST_COLORS, Recolor};
+use crate::scene::color_map::{MOST_COLORS, Recolor, share};
+use crate::scene::fields::SceneField;
 use crate::scene::{EyeDome, Shading};
 
 /// Frames of one scene that are drawn together: the model (resident already), where it is seen from, what is wanted.
@@ -123,6 +124,11 @@ impl FrameTask {
         self.reconstruction.is_splats() && self.error_mode == ErrorMode::Split
     }
 
+    /// Whether samples have the colours of a scalar field.
+    pub fn shows_field(&self) -> bool {
+        self.output == Output::Color && matches!(self.recolor, Some(Recolor::Field { .. }))
+    }
+
     /// Word of pixels that show nothing.
     pub fn background_word(&self) -> u32 {
         match self.output {
@@ -203,10 +209,12 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         edl: task.edl.map_or([0.0; 2], |edl| [edl.strength, edl.radius_px]),
         disc_radius: discs.map_or(0.0, |discs| 0.5 * discs.diameter),
         ramp_count,
-        ramp: ramp(task, view),
+        ramp: ramp(task, scene, view),
         ramp_colors,
         focus: focus as f32,
-        padding: [0; 3],
+        field: field_of(task, scene).map_or(0, |(number, _)| number as u32),
+        field_count: scene.fields.len() as u32,
+        padding: 0,
         clip_boxes: task.clip.map_or_else(Default::default, |clip| clip_boxes(&clip, view)),
     }
 }
@@ -239,23 +247,41 @@ fn clip_boxes(clip: &ClipRegion, view: &View) -> [GpuClipBox; MOST_BOXES] {
 /// The number of colours of the frame's map, and each as sRGB8.
 fn ramp_colors(task: &FrameTask) -> (u32, [[u32; 4]; MOST_COLORS / 4]) {
     let mut words = [[0; 4]; MOST_COLORS / 4];
-    let Some(Recolor::Height { map, .. }) = task.recolor else { return (0, words) };
+    let (Some(Recolor::Height { map, .. }) | Some(Recolor::Field { map, .. })) = task.recolor
+    else {
+        return (0, words);
+    };
     for (word, [r, g, b]) in words.as_flattened_mut().iter_mut().zip(map.colors()) {
         *word = u32::from_le_bytes([*r, *g, *b, 255]);
     }
     (map.colors().len() as u32, words)
 }
 
-/// The share of the range that a position in camera space has: a product with the first three numbers, plus the last.
-fn ramp(task: &FrameTask, view: &View) -> [f32; 4] {
-    let Some(Recolor::Height { up, range: [least, most], .. }) = task.recolor else {
-        return [0.0; 4];
-    };
-    let up = up.normalize_or(glam::DVec3::Y);
-    let per_unit = if most == least { 0.0 } else { 1.0 / (most - least) };
-    let middle = if most == least { 0.5 } else { 0.0 };
-    let slope = view.view_from_world * up * per_unit;
-    let offset = (up.dot(view.eye) - least) * per_unit + middle;
-    // Camera space looks along +z, with y down.
-    [slope.x as f32, -slope.y as f32, -slope.z as f32, offset as f32]
+/// The number and the record of the scalar field that colours samples.
+fn field_of<'a>(task: &FrameTask, scene: &'a ResidentScene) -> Option<(usize, &'a SceneField)> {
+    let Some(Recolor::Field { name, .. }) = &task.recolor else { return None };
+    scene.fields.iter().enumerate().find(|(_, field)| field.name == name.as_str())
+}
+
+/// The share of the range that a position in camera space has: a product with the first three numbers, plus the last. For fields, the
+/// product is of the first number with a value's share of the field's range in the scene.
+fn ramp(task: &FrameTask, scene: &ResidentScene, view: &View) -> [f32; 4] {
+    let finite = |value: f64| (value as f32).clamp(-f32::MAX, f32::MAX);
+    match task.recolor {
+        Some(Recolor::Height { up, range, .. }) => {
+            let up = up.normalize_or(glam::DVec3::Y);
+            let [least, most] = range;
+            let per_unit = if most == least { 0.0 } else { 1.0 / (most - least) };
+            let slope = view.view_from_world * up * per_unit;
+            let offset = share(up.dot(view.eye), range);
+            // Camera space looks along +z, with y down.
+            [slope.x as f32, -slope.y as f32, -slope.z as f32, offset as f32]
+        }
+        Some(Recolor::Field { range, .. }) => {
+            let Some((_, field)) = field_of(task, scene) else { return [0.0; 4] };
+            let offset = share(field.least, range);
+            [finite(share(field.most, range) - offset), 0.0, 0.0, finite(offset)]
+        }
+        _ => [0.0; 4],
+    }
 }

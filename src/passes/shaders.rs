@@ -113,6 +113,9 @@ fragments![
     "shared/portions",
     "shared/pyramid",
     "shared/recolor",
+    "shared/ramp",
+    "shared/fields_none",
+    "shared/fields_shown",
     "shared/clip_boxes",
     "shared/turns",
     "shared/tested",
@@ -212,6 +215,8 @@ pub struct Choices {
     pub trees: bool,
     /// `NODES`: samples are nodes of point trees.
     pub nodes: bool,
+    /// `FIELDS`: samples have the colours of a scalar field.
+    pub fields: bool,
     /// `PORTION`: which slots are drawn.
     pub portion: Portion,
     /// `FINISH`: a later pass writes the output.
@@ -230,6 +235,7 @@ impl Default for Choices {
             lit: false,
             trees: false,
             nodes: false,
+            fields: false,
             portion: Portion::All,
             kept: false,
         }
@@ -237,7 +243,7 @@ impl Default for Choices {
 }
 
 impl Choices {
-    fn aliases(&self) -> [(&'static str, &'static str); 13] {
+    fn aliases(&self) -> [(&'static str, &'static str); 14] {
         let either = |choice, yes, no| if choice { yes } else { no };
         [
             ("VOTE", either(self.subgroups, "shared/vote_subgroup", "shared/vote_alone")),
@@ -258,6 +264,7 @@ impl Choices {
             ("LIST", either(self.trees, "shared/list_tree", "shared/list_full")),
             ("MEMBERS", either(self.trees, "shared/members_listed", "shared/members_all")),
             ("NODES", either(self.nodes, "shared/nodes_tree", "shared/nodes_none")),
+            ("FIELDS", either(self.fields, "shared/fields_shown", "shared/fields_none")),
             ("PORTION", self.portion.fragment()),
             ("FINISH", either(self.kept, "shared/finish_kept", "shared/finish_written")),
         ]

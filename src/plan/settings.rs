@@ -19,9 +19,9 @@ mod declaration;
 mod text;
 mod values;
 
+pub use crate::scene::name::Name;
 use declaration::Accepted;
 pub use declaration::{Choice, Rule, Setting, SettingError, SettingKind};
-pub use text::Name;
 pub use values::{
     Background, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode, Lod, MaxError, Output,
     PointSize, PointSizePx, Reconstruct, StillFrame, UsedSettings, UsedSplats, Wait,
@@ -45,7 +45,12 @@ const PASSES: Rule = Rule::new(
     "points are not blended, and `fuzzy` has a fixed blend and shading",
 );
 const TREES: Rule = Rule::new("lod", &["spt"], "this setting applies to `lod=spt` only");
-const HEIGHT: Rule = Rule::new("color_by", &["height"], "no colour map is used");
+const MAPPED: Rule = Rule::new(
+    "color_by",
+    &["height", "intensity", "return_number", "field"],
+    "no colour map is used",
+);
+const FIELD: Rule = Rule::new("color_by", &["field"], "no field is named");
 const CLIPPED: Rule = Rule::new("clip_boxes", &[], "there are no clip boxes");
 /// Samples in the scene, or those of meshes whose detail is chosen.
 const SAMPLES: Rule = Rule::new("samples", &["some"], "");
@@ -148,7 +153,7 @@ settings! {
     }
     /// Top-level node in whose coordinates the boxes are, and with which they move; the scene by default.
     clip_node: Name => Option<Name> {
-        label: "Boxes of node", kind: Name::kind("the scene", "the name of a top-level node"), needs: [CLIPPED], useful_with: []
+        label: "Boxes of node", kind: text::name("the scene", "the name of a top-level node", &["0", "1"]), needs: [CLIPPED], useful_with: []
     }
     /// Level of detail.
     lod: Lod => Lod {
@@ -168,17 +173,22 @@ settings! {
     color_by: ColorBy => ColorBy, once "paint" {
         label: "Colours", kind: SettingKind::own::<ColorBy>(), needs: [TREES.for_value("levels")], useful_with: [COLORS]
     }
-    /// Colours of the values that `color_by=height` shows.
+    /// Scalar field that `color_by=field` shows.
+    field: Name => Option<Name> {
+        label: "Field", kind: text::name("none", "the name of a scalar field of the scene", &["intensity"]), needs: [FIELD],
+        useful_with: [COLORS]
+    }
+    /// Colours of the values that `color_by` shows.
     color_map: ColorMap => ColorMap {
-        label: "Colour map", kind: SettingKind::own::<ColorMap>(), needs: [HEIGHT], useful_with: [COLORS]
+        label: "Colour map", kind: SettingKind::own::<ColorMap>(), needs: [MAPPED], useful_with: [COLORS]
     }
-    /// Value that has the first colour of the map; the scene's least by default.
+    /// Value that has the first colour of the map; the scene's least height, or a field's 1st percentile, by default.
     color_least: ColorBound => Option<ColorBound> {
-        label: "First colour at", kind: ColorBound::kind(), needs: [HEIGHT], useful_with: [COLORS]
+        label: "First colour at", kind: ColorBound::kind(), needs: [MAPPED], useful_with: [COLORS]
     }
-    /// Value that has the last colour of the map; the scene's largest by default.
+    /// Value that has the last colour of the map; the scene's largest height, or a field's 99th percentile, by default.
     color_most: ColorBound => Option<ColorBound> {
-        label: "Last colour at", kind: ColorBound::kind(), needs: [HEIGHT], useful_with: [COLORS]
+        label: "Last colour at", kind: ColorBound::kind(), needs: [MAPPED], useful_with: [COLORS]
     }
     /// What samples are drawn as. The receipt says what `auto` chose and why.
     reconstruct: Reconstruct => Reconstruct {

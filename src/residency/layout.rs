@@ -281,8 +281,10 @@ pub struct GpuFrame {
     pub ramp: [f32; 4],
     pub ramp_colors: [[u32; 4]; 3],
     pub focus: f32,
+    pub field: u32,
+    pub field_count: u32,
     /// The boxes begin at a multiple of 16 bytes.
-    pub padding: [u32; 3],
+    pub padding: u32,
     pub clip_boxes: [GpuClipBox; MOST_BOXES],
 }
 
@@ -436,6 +438,8 @@ mod tests {
                     ramp,
                     ramp_colors,
                     focus,
+                    field,
+                    field_count,
                     clip_boxes
                 ),
             ],

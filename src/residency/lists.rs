@@ -65,8 +65,12 @@ impl Residency {
     fn list_all(&self, gpu: &Gpu, model: &SceneModel, material_start: u32) -> Listed {
         let mut listed = Vec::new();
         let mut instances = Vec::with_capacity(model.instances.len());
+        let first = first_geometries(model);
         for (number, instance) in model.instances.iter().enumerate() {
-            instances.push(record(model, instance, material_start));
+            instances.push(GpuInstance {
+                geometry: (first[instance.asset] + instance.geometry) as u32,
+                ..record(model, instance, material_start)
+            });
             let Some(asset) = self.assets.get(&model.assets[instance.asset].uid) else { continue };
             for piece in &asset.geometries[instance.geometry].pieces {
                 for chunk in piece.first_chunk..piece.first_chunk + piece.chunk_count {
@@ -221,6 +225,16 @@ impl Residency {
     }
 }
 
+/// Number of each asset's first geometry.
+fn first_geometries(model: &SceneModel) -> Vec<usize> {
+    let counts = model.assets.iter().map(|asset| asset.packed.geometries.len());
+    let ends = counts.scan(0, |end, count| {
+        *end += count;
+        Some(*end)
+    });
+    std::iter::once(0).chain(ends).collect()
+}
+
 /// The geometries of a scene's assets as shaders count them: asset by asset, so that they keep their numbers while the assets before
 /// them are the same.
 struct Geometries {
@@ -232,9 +246,8 @@ struct Geometries {
 
 impl Geometries {
     fn of(model: &SceneModel) -> Geometries {
-        let mut out = Geometries { first: Vec::new(), halves: Vec::new() };
+        let mut out = Geometries { first: first_geometries(model), halves: Vec::new() };
         for asset in &model.assets {
-            out.first.push(out.halves.len());
             for geometry in 0..asset.packed.geometries.len() {
                 let drawn = asset.drawn_with(geometry);
                 let halves = drawn.map(|drawn| half_extent(&asset.packed.geometries[drawn]));

@@ -12,6 +12,7 @@
 
 pub mod arena;
 mod evict;
+pub mod fields;
 pub mod instances;
 pub mod layout;
 mod lists;
@@ -38,6 +39,7 @@ use self::slots::Slots;
 use crate::bake::pack::{GeometryKind, PageKind};
 use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
+use crate::scene::fields::SceneField;
 
 /// Entries that one thread of the cull pass tests.
 pub const GROUP: usize = 32;
@@ -144,6 +146,9 @@ pub struct ResidentScene {
     slots: Option<Slots>,
     pub lists: Lists,
     pub lights: Buffer,
+    /// Scalar fields of its points, and the table of shaders that shows them.
+    pub fields: Vec<SceneField>,
+    pub field_table: Buffer,
     /// The page of each segment, in order.
     pub pages: Vec<Page>,
     /// All numbers of instances are less.

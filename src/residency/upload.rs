@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::fields;
 use super::layout::*;
 use super::lists::Previous;
 use super::model::{AssetModel, SceneModel};
@@ -325,6 +326,8 @@ impl Residency {
                 | wgpu::BufferUsages::COPY_DST,
         );
         gpu.queue.write_buffer(lights_buffer.raw(), 0, bytemuck::cast_slice(&lights));
+        let fields = fields::scene_fields(&model.assets);
+        let field_table = Buffer::with_data(gpu, "fields", &fields::table(&model.assets, &fields));
         Ok(ResidentScene {
             model_uid: model.uid,
             bytes: model.list_bytes(),
@@ -333,6 +336,8 @@ impl Residency {
             slots: listed.slots,
             lists: listed.lists,
             lights: lights_buffer,
+            fields,
+            field_table,
             pages: listed.pages,
             instance_end: listed.instance_end,
             light_count: lights.len() as u32,

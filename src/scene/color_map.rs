@@ -3,6 +3,8 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::name::Name;
+
 /// Largest number of colours that a map has.
 pub const MOST_COLORS: usize = 12;
 
@@ -94,6 +96,10 @@ impl ColorMap {
 
 /// What colours a surface, in place of its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "a frame has one, and names are copied like other settings"
+)]
 pub enum Recolor {
     /// Distance along the scene's up direction, from a least to a largest value, through a map.
     Height { up: DVec3, range: [f64; 2], map: ColorMap },
@@ -101,6 +107,17 @@ pub enum Recolor {
     Normal,
     /// A hue for each instance.
     Instance,
+    /// A scalar field of samples: the colours of its classes, or its values from a least to a largest through a map. Grey without a
+    /// value.
+    Field { name: Name, range: [f64; 2], map: ColorMap, has_classes: bool },
+}
+
+/// Grey of surfaces that have no value, as an sRGB byte.
+pub const NO_VALUE: u8 = 128;
+
+/// The share that a value has of a range; the middle of a range without extent.
+pub fn share(value: f64, [least, most]: [f64; 2]) -> f64 {
+    if most == least { 0.5 } else { (value - least) / (most - least) }
 }
 
 /// The sRGB of the instance with an id (its number plus one), 0 to 1: neighbouring ids have different hues.

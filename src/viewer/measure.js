@@ -32,7 +32,7 @@ export function hit(found) {
   const where = coordinates(found).join(', '), away = `${digits(found.distance, found.distance)} ${UNITS} away`;
   if (!isOn()) {
     points = [found];
-    return say(`${where}\n${away} · ${pathOf(found)}`);
+    return say(`${where}\n${away} · ${pathOf(found)}${fieldsOf(found)}`);
   }
   points = points.length === 1 ? [points[0], found] : [found];
   if (points.length === 1) return say(`From ${where}\nClick the second point.`);
@@ -57,8 +57,27 @@ export function showLegend(legend) {
   $('legend').hidden = !legend;
   if (!legend) return;
   const far = Math.max(Math.abs(legend.most - legend.least), 1e-12);
+  $('legend-colors').hidden = legend.colors.length === 0;
   $('legend-colors').style.background = `linear-gradient(to right, ${legend.colors.join(', ')})`;
-  $('legend-text').textContent = `${legend.of} ${digits(legend.least, far)} to ${digits(legend.most, far)} ${UNITS}`;
+  if (legend.classes?.length) return $('legend-text').replaceChildren(...legend.classes.map(entry));
+  const unit = legend.of === 'height' ? ` ${UNITS}` : '';
+  $('legend-text').textContent = `${legend.of} ${digits(legend.least, far)} to ${digits(legend.most, far)}${unit}`;
+}
+
+// A class with its colour.
+function entry({ class: number, name, color }) {
+  const line = document.createElement('span'), swatch = document.createElement('span');
+  line.className = 'entry';
+  swatch.className = 'swatch';
+  swatch.style.background = color;
+  line.append(swatch, name ? `${number} ${name}` : `class ${number}`);
+  return line;
+}
+
+// Values of the scalar fields of a hit, in words.
+function fieldsOf({ fields = {} }) {
+  const values = Object.entries(fields).map(([name, value]) => `${name} ${Number(value.toPrecision(9))}`);
+  return values.length > 0 ? `\n${values.join(' · ')}` : '';
 }
 
 // Draws the measurements over a picture of this pose, whose width and height are in CSS pixels.

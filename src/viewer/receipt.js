@@ -10,7 +10,7 @@ export function report(info, full, poses) {
   const { receipt } = info;
   if (!receipt) {
     $('passes').tBodies[0].replaceChildren();
-    $('legend').hidden = true;
+    $('steps-note').hidden = true;
     return rows($('frame'), [['receipt', 'none came with the frame'], ['size', bytes(info.bytes)]]);
   }
   addFrame(receipt, info.quality === 'still');
@@ -72,7 +72,7 @@ function timings(receipt) {
   const others = steps.filter(step => !isSkipped(step)).map(step => row(step, total));
   $('passes').tBodies[0].replaceChildren(...others, ...(skipped.length > 0 ? [folded(skipped)] : []), last);
   const known = steps.reduce((sum, [, ns]) => sum + (ns || 0), 0);
-  $('legend').hidden = false;
+  $('steps-note').hidden = false;
   $('explained').textContent = `The steps explain ${Math.min(100, 100 * known / total).toFixed(0)} % of the total.`;
 }
 

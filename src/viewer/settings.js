@@ -78,9 +78,26 @@ function showSettings() {
   for (const name of NAMES) $(name).parentElement.hidden = !names.has(name);
 }
 
+// Colours by a field that the scene lacks cannot be chosen.
+function offerFields(fields) {
+  const names = fields.map(field => field.name);
+  $('field-hints').replaceChildren(...names.map(name => new Option(name)));
+  for (const option of $('color_by').options) {
+    const known = { intensity: 1, classification: 1, return_number: 1 }[option.value] ? names.includes(option.value) : true;
+    option.disabled = option.hidden = option.value === 'field' ? names.length === 0 : !known;
+  }
+}
+
+// Fills in a field where colours by one are wanted and none is named.
+function nameField() {
+  const names = scene?.fields?.map(field => field.name) ?? [];
+  if ($('color_by').value === 'field' && !names.includes($('field').value) && names.length > 0) $('field').value = names[0];
+}
+
 export function ofScene(info) {
   if (info !== scene) drawn = {};
   scene = info;
+  offerFields(info?.fields ?? []);
   for (const setting of declared) if (setting.default == null && !isWritten(setting.name)) $(setting.name).options[0].text = 'as the scene';
   showSettings();
 }
@@ -147,6 +164,7 @@ export function onChange(changed) {
         const problem = $(name).value === '' ? null : refused(name, $(name).value);
         fault($(name), problem && `${problem}; drawn with ${isNumber(name) && declared.find(setting => setting.name === name).default != null ? $(name).placeholder : "the scene's"}`);
       }
+      nameField();
       showSettings();
       changed();
     });

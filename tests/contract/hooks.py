@@ -107,7 +107,10 @@ def follow_settings(params):
     """Adds the settings that given settings need."""
     if params.keys() & {"max_error_px"} or params.get("color_by") == "levels" or params.get("error_mode") == "split":
         params["lod"] = "spt"
-    if params.keys() & {"color_map", "color_least", "color_most"}:
+    # The scene of these requests has no scalar fields.
+    params.pop("field", None)
+    fields = ("intensity", "classification", "return_number", "field")
+    if params.keys() & {"color_map", "color_least", "color_most"} or params.get("color_by") in fields:
         params["color_by"] = "height"
     follow_clip_boxes(params)
     if params.keys() & {"blend", "shading"} and params.get("reconstruct") in ("points", "fuzzy"):

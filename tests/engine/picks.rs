@@ -4,10 +4,10 @@ use glam::{DMat3, DVec3};
 use pointillist::engine::pick::{HitKind, Pick, request_of};
 use pointillist::engine::{Client, EngineError, FrameRequest, Pose};
 use pointillist::math::{Camera, Lens, Projection};
-use pointillist::plan::{Output, Pass, Reconstruct, Settings};
+use pointillist::plan::{Lod, Output, Pass, Reconstruct, Settings};
 use serde_json::json;
 
-use super::studio::{Studio, cloud, front, sphere, spt, wall};
+use super::studio::{Studio, cloud, cloud_scene, front, sphere, spt, wall};
 
 fn picks(studio: &Studio, request: &FrameRequest, pixels: &[[u32; 2]]) -> Vec<Pick> {
     let frame = studio.engine.resolve_blocking(request_of(request.clone())).unwrap();
@@ -65,6 +65,44 @@ fn picks_of_every_pixel_agree_with_the_pictures() {
             }
             assert!(hits > 300, "{hits} pixels of {scene} show something");
         }
+    }
+}
+
+#[test]
+fn picks_return_the_scalar_fields_of_a_sample() {
+    let studio = Studio::new();
+    let mut text = "ply\nformat ascii 1.0\nelement vertex 900\nproperty double x\nproperty double y\nproperty double z\n\
+        property uchar classification\nproperty int number\nproperty float warmth\nend_header\n"
+        .to_owned();
+    let at = |i: usize| (i as f64 - 14.5) / 15.0;
+    for i in 0..900 {
+        let warmth = if i % 2 == 0 { "nan".to_owned() } else { format!("{}", i as f64 / 8.0) };
+        text += &format!("{} {} 0 {} {} {warmth}\n", at(i % 30), at(i / 30), i % 5, 100_000 + i);
+    }
+    studio.write("wall.ply", text);
+    studio.load_json("wall", &cloud_scene("wall.ply"));
+    for lod in [Lod::Full, Lod::Spt] {
+        let mut request = front("wall", 64, 60);
+        request.settings.lod = lod;
+        let mut hits = 0;
+        for hit in
+            picks(&studio, &request, &every_pixel(&request)).into_iter().filter_map(|p| p.hit)
+        {
+            let index = |v: f64| (v * 15.0 + 14.5).round() as usize;
+            let i = index(hit.position[0]) + 30 * index(hit.position[1]);
+            if lod == Lod::Spt && hit.fields["number"] != (100_000 + i) as f64 {
+                // The node stands for several samples.
+                continue;
+            }
+            assert_eq!(hit.fields["number"], (100_000 + i) as f64);
+            assert_eq!(hit.fields.get("classification"), Some(&((i % 5) as f64)));
+            let expected = (i % 2 == 1).then_some(i as f64 / 8.0);
+            let found = hit.fields.get("warmth").copied();
+            assert_eq!(found.is_some(), expected.is_some());
+            assert!((found.unwrap_or(0.0) - expected.unwrap_or(0.0)).abs() < 1e-3);
+            hits += 1;
+        }
+        assert!(hits > 500, "{lod:?}: {hits}");
     }
 }
 

@@ -21,7 +21,7 @@ fn check(case: &Case, view: &View, settings: Settings, heights: [f64; 2]) -> Fra
     let reconstruction = Reconstruction::new(&settings, &case.reference.description().splats);
     let scene = OracleScene {
         splats: reconstruction.splats().copied(),
-        recolor: settings.recolor(DVec3::Y, || heights),
+        recolor: settings.recolor(DVec3::Y, || heights, &[]),
         ..case.reference.scene()
     };
     let twin = oracle::render(&scene, view, 1).to_rgba8();

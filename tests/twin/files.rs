@@ -13,6 +13,8 @@ pub struct Shape {
     pub normals: Vec<Vec3>,
     pub uvs: Vec<[f32; 2]>,
     pub triangles: Vec<[u32; 3]>,
+    /// Scalar fields: name, type and values.
+    pub fields: Vec<(&'static str, &'static str, Vec<f64>)>,
 }
 
 impl Shape {
@@ -118,6 +120,9 @@ impl Shape {
         property("double", &["x", "y", "z"], true);
         property("float", &["nx", "ny", "nz"], !self.normals.is_empty());
         property("uchar", &["red", "green", "blue", "alpha"], !self.colors.is_empty());
+        for (name, kind, _) in &self.fields {
+            property(kind, &[name], true);
+        }
         if !self.triangles.is_empty() {
             header += &format!("element face {}\n", self.triangles.len());
             header += "property list uchar uint vertex_indices\n";
@@ -130,6 +135,14 @@ impl Shape {
                 bytes.extend(normal.to_array().iter().flat_map(|v| v.to_le_bytes()));
             }
             bytes.extend(self.colors.get(i).into_iter().flatten());
+            for (_, kind, values) in &self.fields {
+                match *kind {
+                    "uchar" => bytes.push(values[i] as u8),
+                    "ushort" => bytes.extend((values[i] as u16).to_le_bytes()),
+                    "double" => bytes.extend(values[i].to_le_bytes()),
+                    _ => bytes.extend((values[i] as f32).to_le_bytes()),
+                }
+            }
         }
         for triangle in &self.triangles {
             bytes.push(3);

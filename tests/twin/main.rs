@@ -13,6 +13,7 @@ mod clip_boxes;
 mod color_by;
 mod counts;
 mod effects;
+mod fields;
 mod files;
 mod fuzzy;
 mod golden;

@@ -12,6 +12,7 @@ use pointillist::engine::{Engine, EngineConfig, FrameRequest, NodePatch, Pose, R
 use pointillist::math::{Camera, Lens, View};
 use pointillist::plan::{Edl, Output, Pass, Reconstruct, Settings};
 use pointillist::scene::SceneLimits;
+use pointillist::scene::fields::SceneField;
 use serde_json::Value;
 
 use super::verdict::{self, Tolerance};
@@ -192,6 +193,11 @@ impl Case {
     }
 
     /// The view of one of the scene's cameras.
+    /// The scalar fields of the scene.
+    pub fn fields(&self) -> Vec<SceneField> {
+        WIDE.scene(&self.id).unwrap().fields
+    }
+
     pub fn view(&self, camera: &str, width: u32, height: u32) -> View {
         self.reference.camera(camera).unwrap().view(width, height).unwrap()
     }

@@ -1,7 +1,10 @@
 //! Point records of LAS formats 0 to 10, from bytes to columns.
 
+use std::collections::TryReserveError;
+
 use glam::DVec3;
 
+use super::super::fields::{CLASSIFICATION, Column, INTENSITY, Numbers, RETURN_NUMBER};
 use super::header::Header;
 
 /// Where a record keeps what is wanted.
@@ -15,7 +18,11 @@ pub(super) struct Layout {
     /// LAS 1.0 knows no flags in the class byte.
     has_flags: bool,
     rgb_at: Option<usize>,
+    gps_time_at: Option<usize>,
 }
+
+/// Steps of the scan angle of formats 6 to 10, in degrees.
+const ANGLE_STEP_DEG: f64 = 0.006;
 
 impl Layout {
     pub(super) fn of(header: &Header) -> Self {
@@ -31,7 +38,54 @@ impl Layout {
                 7 | 8 | 10 => Some(30),
                 _ => None,
             },
+            gps_time_at: match header.format {
+                1 | 3 | 4 | 5 => Some(20),
+                6.. => Some(22),
+                _ => None,
+            },
         }
+    }
+
+    /// Empty columns of the fields that records have, the most asked for first.
+    fn columns(&self) -> Vec<Column> {
+        let column = |name: &str, numbers| Column { name: name.to_owned(), numbers };
+        let (bytes, words) = (Numbers::Bytes(Vec::new()), Numbers::Words(Vec::new()));
+        let mut columns = vec![
+            column(INTENSITY, words.clone()),
+            column(CLASSIFICATION, bytes.clone()),
+            column(RETURN_NUMBER, bytes.clone()),
+            column("number_of_returns", bytes.clone()),
+            column("scan_angle", Numbers::Singles(Vec::new())),
+            column("user_data", bytes),
+            column("point_source_id", words),
+        ];
+        columns.extend(self.gps_time_at.map(|_| column("gps_time", Numbers::Doubles(Vec::new()))));
+        columns
+    }
+
+    /// The values of a record's fields, in the order of the columns.
+    fn values(&self, record: &[u8], class: u8) -> [f64; 8] {
+        let word = |at: usize| u16::from_le_bytes([record[at], record[at + 1]]);
+        let returns = record[14];
+        let (number, count) = match self.is_extended {
+            true => (returns & 15, returns >> 4),
+            false => (returns & 7, returns >> 3 & 7),
+        };
+        let (angle, user, source) = match self.is_extended {
+            true => (f64::from(word(18) as i16) * ANGLE_STEP_DEG, record[17], word(20)),
+            false => (f64::from(record[16] as i8), record[17], word(18)),
+        };
+        let gps_time = self.gps_time_at.and_then(|at| record[at..].first_chunk());
+        [
+            f64::from(word(12)),
+            f64::from(class),
+            f64::from(number),
+            f64::from(count),
+            angle,
+            f64::from(user),
+            f64::from(source),
+            gps_time.map_or(0.0, |&bytes| f64::from_le_bytes(bytes)),
+        ]
     }
 
     /// The class and whether the point is withheld.
@@ -47,8 +101,7 @@ impl Layout {
 #[derive(Default)]
 pub(super) struct Columns {
     pub positions: Vec<DVec3>,
-    pub intensity: Vec<u16>,
-    pub classes: Vec<u8>,
+    pub fields: Vec<Column>,
     pub rgb: Vec<[u16; 3]>,
     pub withheld: u64,
     pub not_finite: u64,
@@ -56,9 +109,9 @@ pub(super) struct Columns {
 
 impl Columns {
     pub(super) fn reserve(&mut self, points: usize, layout: &Layout) {
+        self.begin(layout);
         self.positions.reserve_exact(points);
-        self.intensity.reserve_exact(points);
-        self.classes.reserve_exact(points);
+        self.fields.iter_mut().for_each(|field| field.reserve(points));
         if layout.rgb_at.is_some() {
             self.rgb.reserve_exact(points);
         }
@@ -66,13 +119,20 @@ impl Columns {
 
     /// Makes room for `points` more, or says that there is none.
     pub(super) fn try_reserve(&mut self, points: usize, layout: &Layout) -> Result<(), String> {
+        self.begin(layout);
         let rgb = if layout.rgb_at.is_some() { points } else { 0 };
-        self.positions
-            .try_reserve(points)
-            .and_then(|()| self.intensity.try_reserve(points))
-            .and_then(|()| self.classes.try_reserve(points))
-            .and_then(|()| self.rgb.try_reserve(rgb))
-            .map_err(|_| "there is not enough memory for its points".to_owned())
+        let mut reserve = || -> Result<(), TryReserveError> {
+            self.positions.try_reserve(points)?;
+            self.fields.iter_mut().try_for_each(|field| field.try_reserve(points))?;
+            self.rgb.try_reserve(rgb)
+        };
+        reserve().map_err(|_| "there is not enough memory for its points".to_owned())
+    }
+
+    fn begin(&mut self, layout: &Layout) {
+        if self.fields.is_empty() {
+            self.fields = layout.columns();
+        }
     }
 
     /// Takes whole records; a rest shorter than a record is left.
@@ -96,8 +156,8 @@ impl Columns {
                 continue;
             }
             self.positions.push(position);
-            self.intensity.push(word(record, 12));
-            self.classes.push(class);
+            let values = layout.values(record, class);
+            self.fields.iter_mut().zip(values).for_each(|(field, value)| field.push(value));
             if let Some(at) = layout.rgb_at {
                 self.rgb.push([word(record, at), word(record, at + 2), word(record, at + 4)]);
             }
@@ -106,8 +166,8 @@ impl Columns {
 
     pub(super) fn append(&mut self, mut other: Self) {
         self.positions.append(&mut other.positions);
-        self.intensity.append(&mut other.intensity);
-        self.classes.append(&mut other.classes);
+        let fields = self.fields.iter_mut().zip(&mut other.fields);
+        fields.for_each(|(field, other)| field.append(other));
         self.rgb.append(&mut other.rgb);
         self.withheld += other.withheld;
         self.not_finite += other.not_finite;

@@ -51,6 +51,11 @@ pub(crate) fn file(
                 z: p.z,
                 intensity: i as u16,
                 classification: Classification::new((i % 3) as u8).unwrap(),
+                return_number: (i % 4 + 1) as u8,
+                number_of_returns: 5,
+                scan_angle: (i % 7) as f32,
+                user_data: (i % 2) as u8,
+                point_source_id: (i % 3 + 1000) as u16,
                 is_withheld: i == 1,
                 gps_time: format.has_gps_time.then_some(i as f64),
                 color: format
@@ -78,8 +83,17 @@ fn every_format_comes_back_plain_and_compressed() {
             for (k, found) in cloud.positions.iter().enumerate() {
                 let i = if k == 0 { 0 } else { k + 1 };
                 assert!((*found - position(i)).length() < 1e-6, "format {format}, point {i}");
-                assert_eq!(cloud.intensity.as_ref().unwrap()[k], i as u16);
-                assert_eq!(cloud.classification.as_ref().unwrap()[k], (i % 3) as u8);
+                let value = |name: &str| cloud.field(name).and_then(|field| field.value(k));
+                assert_eq!(value("intensity"), Some(i as f64));
+                assert_eq!(value("classification"), Some((i % 3) as f64));
+                assert_eq!(value("return_number"), Some((i % 4 + 1) as f64));
+                assert_eq!(value("number_of_returns"), Some(5.0));
+                assert!((value("scan_angle").unwrap() - (i % 7) as f64).abs() < 0.007);
+                assert_eq!(value("user_data"), Some((i % 2) as f64));
+                assert_eq!(value("point_source_id"), Some((i % 3 + 1000) as f64));
+                let has_time = !matches!(format, 0 | 2);
+                assert_eq!(value("gps_time").is_some(), has_time);
+                assert!(value("gps_time").is_none_or(|time| (time - i as f64).abs() < 0.01));
             }
             let colors = cloud.colors.as_ref();
             assert_eq!(colors.is_some(), matches!(format, 2 | 3 | 5 | 7 | 8 | 10));

@@ -21,8 +21,8 @@ pub(super) enum Wanted {
     Packed {
         alpha: bool,
     },
-    Intensity,
-    Label,
+    /// A scalar field, by its number.
+    Scalar(usize),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -209,6 +209,13 @@ impl Entries {
             _ => None,
         };
         let (viewpoint, warnings) = (self.viewpoint, self.warnings);
+        let mut scalars = 0;
+        for field in &mut fields {
+            if let Some(Wanted::Scalar(number)) = &mut field.wanted {
+                *number = scalars;
+                scalars += 1;
+            }
+        }
         let header = Header { fields, points, image, viewpoint, warnings, body, stride: offset };
         for (axis, label) in ["x", "y", "z"].into_iter().enumerate() {
             if !header.has(Wanted::Position(axis)) {
@@ -258,9 +265,9 @@ impl Field {
             "b" | "blue" => Some(Wanted::Rgb(2)),
             "rgb" if size == 4 => Some(Wanted::Packed { alpha: false }),
             "rgba" if size == 4 => Some(Wanted::Packed { alpha: true }),
-            "intensity" | "i" | "reflectance" => Some(Wanted::Intensity),
-            "label" | "class" | "classification" => Some(Wanted::Label),
-            _ => None,
+            // The header numbers scalar fields once it knows them all.
+            "_" => None,
+            _ => Some(Wanted::Scalar(0)),
         };
         Ok(Self { name, size, kind, count, offset, wanted: wanted.filter(|_| count == 1) })
     }

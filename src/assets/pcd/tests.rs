@@ -38,8 +38,8 @@ fn check(cloud: &PointCloud) {
     assert_eq!(cloud.positions, [DVec3::new(1.0, 2.0, 3.5), DVec3::new(4.0, 5.0, -1e9)]);
     assert_eq!(cloud.colors, Some(vec![[255, 128, 1, 255], [0, 1, 2, 255]]));
     assert_eq!(cloud.normals, Some(vec![glam::Vec3::Y, glam::Vec3::ZERO]));
-    assert_eq!(cloud.classification, Some(vec![7, 0]));
-    assert!(cloud.intensity.is_none());
+    assert_eq!(cloud.values_of("classification"), Some(vec![7.0, 300.0]));
+    assert!(cloud.field("intensity").is_none());
 }
 
 fn binary() -> Vec<u8> {
@@ -85,7 +85,7 @@ fn organised_clouds_skip_pixels_without_depth() {
     let Geometry::Points(cloud) = &asset.geometries[0] else { panic!("points") };
     assert_eq!(cloud.positions.len(), 2);
     assert_eq!(cloud.colors, Some(vec![[0, 0, 255, 255], [0, 0, 0, 128]]));
-    assert_eq!(cloud.intensity, Some(vec![0, 65535]));
+    assert_eq!(cloud.values_of("intensity"), Some(vec![4.0, 5.0]));
 }
 
 #[test]

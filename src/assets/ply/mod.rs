@@ -55,8 +55,9 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
     let header = checked_header(&mut lines, &origin, options)?;
     let vertex = vertex_element(&header, file)?;
     let mut meter = origin.admission.meter(file);
-    meter.reach_exactly(origin.reserve(vertex.count) as u64 * VERTEX_BYTES)?;
-    let vertices = columns(vertex, origin.reserve(vertex.count), file)?;
+    let bytes_each = columns(&header, 0, file)?.bytes_each();
+    meter.reach_exactly(origin.reserve(vertex.count) as u64 * bytes_each)?;
+    let vertices = columns(&header, origin.reserve(vertex.count), file)?;
     let mut parts = Parts {
         file,
         vertices,
@@ -103,8 +104,18 @@ fn vertex_element<'h>(header: &'h Header, file: &str) -> Result<&'h Element, Ass
     header.element("vertex").ok_or_else(missing)
 }
 
-fn columns(vertex: &Element, reserve: usize, file: &str) -> Result<Vertices, AssetError> {
-    Vertices::new(vertex, reserve).map_err(|missing| {
+/// Whether the file has faces, and so is a mesh.
+fn is_mesh(header: &Header) -> bool {
+    let has_faces = |element: &Element| {
+        let name = element.name.to_ascii_lowercase();
+        element.count > 0 && (name == "face" || name == "tristrips")
+    };
+    header.elements.iter().any(has_faces)
+}
+
+fn columns(header: &Header, reserve: usize, file: &str) -> Result<Vertices, AssetError> {
+    let vertex = vertex_element(header, file)?;
+    Vertices::new(vertex, reserve, !is_mesh(header)).map_err(|missing| {
         let reason = format!("the vertex element has no scalar property {missing}");
         AssetError::malformed(file, "header", reason)
     })
@@ -115,11 +126,7 @@ pub(super) fn announced(input: Input, options: &ReadOptions) -> Result<Option<u6
     let Input { reader, origin } = input;
     let header = checked_header(&mut Lines::new(reader, &origin.name), &origin, options)?;
     let vertex = vertex_element(&header, &origin.name)?;
-    let has_faces = |element: &Element| {
-        let name = element.name.to_ascii_lowercase();
-        element.count > 0 && (name == "face" || name == "tristrips")
-    };
-    Ok((!header.elements.iter().any(has_faces)).then_some(vertex.count))
+    Ok((!is_mesh(&header)).then_some(vertex.count))
 }
 
 /// Calls `visit` with the points of a file without faces, [`BLOCK`] at a time. What colours, normals and intensities are depends on
@@ -149,14 +156,14 @@ pub(super) fn each(
             body.each(element, &Wanted::nothing(element), |_, _| Ok(()))?;
             continue;
         }
-        let mut block = columns(vertex, BLOCK, file)?;
+        let mut block = columns(&header, BLOCK, file)?;
         let wanted = block.wanted();
         body.each(element, &wanted, |_, row| {
             block.push(row);
             if block.len() < BLOCK {
                 return Ok(());
             }
-            give(std::mem::replace(&mut block, columns(vertex, BLOCK, file)?))
+            give(std::mem::replace(&mut block, columns(&header, BLOCK, file)?))
         })?;
         give(block)?;
     }
@@ -228,9 +235,6 @@ fn index_list(element: &Element, file: &str) -> Result<Wanted, AssetError> {
     Ok(Wanted { list: Some(list), ..Wanted::nothing(element) })
 }
 
-/// Bytes of a vertex at most, with everything that is kept of one.
-const VERTEX_BYTES: u64 = 64;
-
 /// The geometry under construction.
 struct Parts<'a> {
     file: &'a str,
@@ -261,7 +265,8 @@ impl Parts<'_> {
                 let wanted = self.vertices.wanted();
                 body.each(element, &wanted, |_, row| {
                     self.vertices.push(row);
-                    Ok(self.meter.reach(self.vertices.len() as u64 * VERTEX_BYTES)?)
+                    let bytes = self.vertices.len() as u64 * self.vertices.bytes_each();
+                    Ok(self.meter.reach(bytes)?)
                 })?;
                 self.have_vertices = true;
             }
@@ -367,7 +372,7 @@ impl Parts<'_> {
 
     /// Bytes of what has been read.
     fn bytes(&self) -> u64 {
-        self.vertices.len() as u64 * VERTEX_BYTES
+        self.vertices.len() as u64 * self.vertices.bytes_each()
             + 12 * self.triangles.len() as u64
             + 4 * (self.rings.len() + self.ring_lengths.len()) as u64
     }

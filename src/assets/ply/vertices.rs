@@ -2,6 +2,7 @@
 
 use glam::{DVec3, Vec2, Vec3};
 
+use super::super::fields::{self, Column, Field, INTENSITY, Numbers, Spans};
 use super::super::{PointCloud, tidy};
 use super::body::{Row, Wanted};
 use super::header::{Element, Kind, Scalar};
@@ -10,10 +11,9 @@ const X: usize = 0;
 const NORMAL: usize = 3;
 const COLOR: usize = 6;
 const UV: usize = 10;
-const INTENSITY: usize = 12;
-const CLASS: usize = 13;
-const RADIUS: usize = 14;
-const SLOTS: usize = 15;
+const RADIUS: usize = 12;
+/// Slots with a meaning; those behind them are scalar fields.
+const SLOTS: usize = 13;
 
 /// Names of each slot's property, the best first.
 const NAMES: [&[&str]; SLOTS] = [
@@ -29,8 +29,6 @@ const NAMES: [&[&str]; SLOTS] = [
     &["alpha", "diffuse_alpha", "color_3", "a"],
     &["s", "u", "texture_u", "texture_s"],
     &["t", "v", "texture_v", "texture_t"],
-    &["intensity", "scalar_intensity", "reflectance", "scalar_reflectance", "confidence"],
-    &["classification", "scalar_classification", "class", "scalar_class", "label", "scalar_label"],
     &["radius", "scalar_radius", "radii", "scalar_radii"],
 ];
 
@@ -60,9 +58,8 @@ pub(super) struct Vertices {
     colors: Colors,
     has_alpha: bool,
     uvs: Option<Vec<Vec2>>,
-    intensity: Option<Vec<f32>>,
-    classes: Option<Vec<u8>>,
-    odd_classes: u64,
+    /// Scalar fields, of points alone.
+    fields: Vec<Column>,
     radii: Option<Vec<f32>>,
 }
 
@@ -72,14 +69,17 @@ pub(super) struct Finished {
     pub normals: Option<Vec<Vec3>>,
     pub colors: Option<Vec<[u8; 4]>>,
     pub uvs: Option<Vec<Vec2>>,
-    pub intensity: Option<Vec<u16>>,
-    pub classification: Option<Vec<u8>>,
+    pub fields: Vec<Field>,
     pub radii: Option<Vec<f32>>,
 }
 
 impl Vertices {
-    /// Columns for the properties that `element` has; `Err` names a coordinate that it lacks.
-    pub fn new(element: &Element, reserve: usize) -> Result<Vertices, &'static str> {
+    /// Columns for the properties that `element` has, scalar fields only if `with_fields`; `Err` names a coordinate that it lacks.
+    pub fn new(
+        element: &Element,
+        reserve: usize,
+        with_fields: bool,
+    ) -> Result<Vertices, &'static str> {
         let mut found = NAMES.map(|names| element.scalar(names));
         for (slot, names) in NAMES.iter().enumerate().take(3) {
             if found[slot].is_none() {
@@ -101,6 +101,7 @@ impl Vertices {
                 slots[*property] = Some(slot);
             }
         }
+        let fields = if with_fields { fields(element, &mut slots, reserve) } else { Vec::new() };
         let has = |slot: usize| found[slot].is_some();
         let colors = match found[COLOR].map(|property| element.properties[property].kind) {
             None | Some(Kind::List { .. }) => Colors::None,
@@ -119,16 +120,20 @@ impl Vertices {
             colors,
             has_alpha: has(COLOR + 3),
             uvs: has(UV).then(|| Vec::with_capacity(reserve)),
-            intensity: has(INTENSITY).then(|| Vec::with_capacity(reserve)),
-            classes: has(CLASS).then(|| Vec::with_capacity(reserve)),
-            odd_classes: 0,
+            fields,
             radii: has(RADIUS).then(|| Vec::with_capacity(reserve)),
         })
     }
 
     /// Which properties [`Vertices::push`] needs.
     pub fn wanted(&self) -> Wanted {
-        Wanted { slots: self.slots.clone(), values: SLOTS, list: None }
+        let values = SLOTS + self.fields.len();
+        Wanted { slots: self.slots.clone(), values, list: None }
+    }
+
+    /// Bytes of a vertex at most, with everything that is kept of one.
+    pub fn bytes_each(&self) -> u64 {
+        VERTEX_BYTES + 8 * self.fields.len() as u64
     }
 
     /// How many there are so far.
@@ -159,23 +164,13 @@ impl Vertices {
         if let Some(uvs) = &mut self.uvs {
             uvs.push(Vec2::new(v[UV] as f32, (1.0 - v[UV + 1]) as f32));
         }
-        if let Some(intensity) = &mut self.intensity {
-            intensity.push(v[INTENSITY] as f32);
-        }
-        if let Some(classes) = &mut self.classes {
-            let fits = (0.0..=255.0).contains(&v[CLASS]);
-            self.odd_classes += u64::from(!fits);
-            classes.push(if fits { v[CLASS] as u8 } else { 0 });
-        }
+        self.fields.iter_mut().zip(&v[SLOTS..]).for_each(|(field, &value)| field.push(value));
         if let Some(radii) = &mut self.radii {
             radii.push(v[RADIUS] as f32);
         }
     }
 
     pub fn finish(self, warnings: &mut Vec<String>) -> Finished {
-        if self.odd_classes > 0 {
-            warnings.push(format!("{} classes outside 0 to 255 count as 0", self.odd_classes));
-        }
         let radii = self.radii.filter(|radii| {
             let odd = radii.iter().position(|radius| !(*radius > 0.0 && radius.is_finite()));
             if let Some(vertex) = odd {
@@ -196,33 +191,52 @@ impl Vertices {
                 Colors::Floats(colors) => Some(tidy::colors_from_floats(&colors, warnings)),
             },
             uvs: self.uvs,
-            intensity: self.intensity.map(|values| tidy::spread_intensity(&values)),
-            classification: self.classes,
+            fields: fields::encoded(self.fields, warnings),
             radii,
         }
     }
 }
 
+/// Bytes of a vertex without scalar fields at most.
+const VERTEX_BYTES: u64 = 64;
+
+/// Columns for the scalar properties that have no slot yet, and their slots.
+fn fields(element: &Element, slots: &mut [Option<usize>], reserve: usize) -> Vec<Column> {
+    let mut columns: Vec<Column> = Vec::new();
+    for (property, slot) in element.properties.iter().zip(slots) {
+        let Kind::Scalar(scalar) = property.kind else { continue };
+        if slot.is_some() {
+            continue;
+        }
+        let usual = fields::name_of(&property.name);
+        let is_taken = columns.iter().any(|column| column.name == usual);
+        let numbers = match scalar {
+            Scalar::U8 => Numbers::Bytes(Vec::with_capacity(reserve)),
+            Scalar::U16 => Numbers::Words(Vec::with_capacity(reserve)),
+            Scalar::I8 | Scalar::I16 | Scalar::F32 => Numbers::Singles(Vec::with_capacity(reserve)),
+            _ => Numbers::Doubles(Vec::with_capacity(reserve)),
+        };
+        *slot = Some(SLOTS + columns.len());
+        let name = if is_taken { property.name.clone() } else { usual };
+        columns.push(Column { name, numbers });
+    }
+    // Scanners of the 1990s write the strength of a signal so.
+    if columns.iter().all(|column| column.name != INTENSITY)
+        && let Some(column) = columns.iter_mut().find(|column| column.name == "confidence")
+    {
+        column.name = INTENSITY.to_owned();
+    }
+    columns
+}
+
 /// What only a whole file tells of its vertices.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(in crate::assets) struct Facts {
     has_normals: bool,
     has_colors: bool,
     counts_to_255: bool,
-    intensity: [f32; 2],
+    fields: Spans,
     has_odd_radii: bool,
-}
-
-impl Default for Facts {
-    fn default() -> Facts {
-        Facts {
-            has_normals: false,
-            has_colors: false,
-            counts_to_255: false,
-            intensity: tidy::NO_RANGE,
-            has_odd_radii: false,
-        }
-    }
 }
 
 impl Facts {
@@ -234,16 +248,15 @@ impl Facts {
         if let Colors::Floats(colors) = &vertices.colors {
             self.counts_to_255 = self.counts_to_255 || colors.iter().any(tidy::counts_to_255);
         }
-        for &value in vertices.intensity.iter().flatten() {
-            self.intensity = tidy::widened(self.intensity, value);
-        }
+        // Vertices without a place are left out before values are encoded, but may widen the ranges.
+        self.fields.add(&vertices.fields);
         let is_radius = |radius: &f32| *radius > 0.0 && radius.is_finite();
         self.has_odd_radii |= !vertices.radii.iter().flatten().all(is_radius);
     }
 
     /// Some of the file's vertices as points; those without a place are left out.
     pub(super) fn cloud(&self, vertices: Vertices) -> PointCloud {
-        let Vertices { positions, normals, colors, intensity: raw, classes, radii, .. } = vertices;
+        let Vertices { positions, normals, colors, mut fields, radii, .. } = vertices;
         let has_place: Vec<bool> = positions.iter().map(|position| position.is_finite()).collect();
         fn kept<T>(values: Vec<T>, has_place: &[bool]) -> Vec<T> {
             values.into_iter().zip(has_place).filter_map(|(v, keep)| keep.then_some(v)).collect()
@@ -258,15 +271,13 @@ impl Facts {
         };
         let colors = colors.filter(|_| self.has_colors);
         let normals = normals.filter(|_| self.has_normals);
-        let intensity = |value: f32| tidy::intensity_within(self.intensity, value);
+        fields.iter_mut().for_each(|field| field.retain(&has_place));
         PointCloud {
             colors: colors.map(|colors| kept(colors, &has_place)),
             normals: normals.map(|normals| {
                 kept(normals, &has_place).into_iter().map(tidy::unit_normal).collect()
             }),
-            intensity: raw
-                .map(|values| kept(values, &has_place).into_iter().map(intensity).collect()),
-            classification: classes.map(|classes| kept(classes, &has_place)),
+            fields: self.fields.fields(fields),
             radii: radii.filter(|_| !self.has_odd_radii).map(|radii| kept(radii, &has_place)),
             positions: kept(positions, &has_place),
             ..PointCloud::default()
@@ -280,8 +291,7 @@ impl Finished {
             positions: self.positions,
             colors: self.colors,
             normals: self.normals,
-            intensity: self.intensity,
-            classification: self.classification,
+            fields: self.fields,
             radii: self.radii,
             oriented: false,
             kernels: None,

@@ -3,7 +3,8 @@
 use glam::DVec3;
 
 use super::PointCloud;
-use crate::assets::points::{bytes, class_of, colors, intensities, unit_or_zero};
+use crate::assets::fields::{self, CLASSIFICATION, Column, INTENSITY, Numbers, name_of};
+use crate::assets::points::{bytes, colors, unit_or_zero};
 
 /// The meaning of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,10 +19,9 @@ pub(super) enum Role {
     NormalX,
     NormalY,
     NormalZ,
-    Intensity,
-    Class,
     Radius,
-    Unknown,
+    /// A scalar field.
+    Field,
 }
 
 impl Role {
@@ -39,52 +39,88 @@ impl Role {
             "nx" | "normal_x" | "normalx" => Self::NormalX,
             "ny" | "normal_y" | "normaly" => Self::NormalY,
             "nz" | "normal_z" | "normalz" => Self::NormalZ,
-            "i" | "intensity" | "reflectance" => Self::Intensity,
-            "class" | "classification" | "label" => Self::Class,
             "radius" => Self::Radius,
-            _ => Self::Unknown,
+            _ => Self::Field,
         }
     }
 
-    /// Whether a column of this role is stored beside the position.
-    pub(super) fn is_kept(self) -> bool {
-        !matches!(self, Self::X | Self::Y | Self::Z | Self::Unknown)
+    /// Whether a column of this role is part of the position.
+    pub(super) fn is_position(self) -> bool {
+        matches!(self, Self::X | Self::Y | Self::Z)
+    }
+}
+
+/// A column beside the position.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Kept {
+    pub(super) role: Role,
+    /// Name of a scalar field.
+    pub(super) name: String,
+}
+
+impl Kept {
+    /// The column that a header's name stands for.
+    pub(super) fn named(name: &str) -> Kept {
+        let bare = name.trim_matches(['"', '\'', ' ', '/', '#']);
+        let name =
+            if bare.eq_ignore_ascii_case("i") { INTENSITY.to_owned() } else { name_of(bare) };
+        match Role::named(bare) {
+            Role::Field => Kept::field(name),
+            role => role.into(),
+        }
+    }
+
+    /// Whether the column may hold text in place of numbers: its name has no known meaning.
+    pub(super) fn is_optional(&self) -> bool {
+        self.role == Role::Field && self.name != INTENSITY && self.name != CLASSIFICATION
+    }
+
+    fn field(name: impl Into<String>) -> Kept {
+        Kept { role: Role::Field, name: name.into() }
+    }
+}
+
+impl From<Role> for Kept {
+    fn from(role: Role) -> Kept {
+        Kept { role, name: String::new() }
     }
 }
 
 /// The columns of x, y and z, if all three are named.
-pub(super) fn position(roles: &[Role]) -> Option<[usize; 3]> {
-    let find = |role| roles.iter().position(|&r| r == role);
+pub(super) fn position(columns: &[Kept]) -> Option<[usize; 3]> {
+    let find = |role| columns.iter().position(|column| column.role == role);
     Some([find(Role::X)?, find(Role::Y)?, find(Role::Z)?])
 }
 
-/// The roles of the columns after x, y, z, from what they hold.
-pub(super) fn by_content(columns: &[Vec<f32>]) -> Vec<Role> {
+/// The meaning of the columns after x, y, z, from their content.
+pub(super) fn by_content(columns: &[Vec<f32>]) -> Vec<Kept> {
     const NORMAL: [Role; 3] = [Role::NormalX, Role::NormalY, Role::NormalZ];
     const COLOR: [Role; 3] = [Role::Red, Role::Green, Role::Blue];
     let total = columns.len();
-    let mut roles: Vec<Role> = Vec::with_capacity(total);
+    let mut roles: Vec<Kept> = Vec::with_capacity(total);
     while roles.len() < total {
         let at = roles.len();
         let left = total - at;
-        let has = |role| roles.contains(&role);
+        let has = |role| roles.iter().any(|kept| kept.role == role);
+        let has_field = |name| roles.iter().any(|kept| kept.name == name);
         let triple = |at: usize| Triple::of(columns.get(at..at + 3));
         let here = triple(at);
         if here == Triple::Unit && !has(Role::NormalX) {
-            roles.extend(NORMAL);
-        } else if left % 3 == 1 && triple(at + 1).is_color() && !has(Role::Intensity) {
+            roles.extend(NORMAL.map(Kept::from));
+        } else if left % 3 == 1 && triple(at + 1).is_color() && !has_field(INTENSITY) {
             // PTS writes the intensity first, also where it would pass for a colour.
-            roles.push(Role::Intensity);
+            roles.push(Kept::field(INTENSITY));
         } else if here.is_color() && !has(Role::Red) {
-            roles.extend(COLOR);
+            roles.extend(COLOR.map(Kept::from));
         } else if here == Triple::Other && left == 3 && !has(Role::NormalX) {
-            roles.extend(NORMAL);
-        } else if !has(Role::Intensity) {
-            roles.push(Role::Intensity);
-        } else if !has(Role::Class) && is_whole(&columns[at], 255.0) {
-            roles.push(Role::Class);
+            roles.extend(NORMAL.map(Kept::from));
+        } else if !has_field(INTENSITY) {
+            roles.push(Kept::field(INTENSITY));
+        } else if !has_field(CLASSIFICATION) && is_whole(&columns[at], 255.0) {
+            roles.push(Kept::field(CLASSIFICATION));
         } else {
-            roles.push(Role::Unknown);
+            // Counted from 1, x, y and z included.
+            roles.push(Kept::field(format!("column_{}", at + 4)));
         }
     }
     roles
@@ -148,10 +184,15 @@ fn is_unit(a: &[f32], b: &[f32], c: &[f32]) -> bool {
 }
 
 /// The point cloud of kept columns with known roles.
-pub(super) fn cloud(positions: Vec<DVec3>, columns: &[Vec<f32>], roles: &[Role]) -> PointCloud {
+pub(super) fn cloud(
+    positions: Vec<DVec3>,
+    columns: &[Vec<f32>],
+    kept: &[Kept],
+    warnings: &mut Vec<String>,
+) -> PointCloud {
     let count = positions.len();
     let column = |role| {
-        let found = roles.iter().position(|&r| r == role)?;
+        let found = kept.iter().position(|kept| kept.role == role)?;
         columns.get(found).filter(|column| column.len() == count)
     };
     let triple = |a, b, c| Some([column(a)?, column(b)?, column(c)?]);
@@ -166,14 +207,17 @@ pub(super) fn cloud(positions: Vec<DVec3>, columns: &[Vec<f32>], roles: &[Role])
     }
     let radius =
         column(Role::Radius).filter(|radii| radii.iter().all(|&r| r > 0.0 && r.is_finite()));
+    let fields = kept.iter().zip(columns).filter(|(kept, _)| kept.role == Role::Field);
+    let fields = fields.map(|(kept, column)| Column {
+        name: kept.name.clone(),
+        numbers: Numbers::Singles(column.clone()),
+    });
     PointCloud {
         positions,
         colors: rgba,
         normals: normal
             .map(|normal| (0..count).map(|point| unit_or_zero(row(normal, point))).collect()),
-        intensity: column(Role::Intensity).and_then(|values| intensities(values)),
-        classification: column(Role::Class)
-            .map(|labels| labels.iter().map(|&label| class_of(f64::from(label))).collect()),
+        fields: fields::encoded(fields.collect(), warnings),
         radii: radius.cloned(),
         oriented: false,
         kernels: None,

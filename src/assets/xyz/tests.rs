@@ -26,7 +26,7 @@ fn three_columns_in_every_separator() {
         let cloud = cloud_of(text);
         let expected = [DVec3::new(1.0, 2.0, 3.0), DVec3::new(4.0, 5.0, 6.0)];
         assert_eq!(cloud.positions, expected, "{text:?}");
-        assert!(cloud.colors.is_none() && cloud.normals.is_none() && cloud.intensity.is_none());
+        assert!(cloud.colors.is_none() && cloud.normals.is_none() && cloud.fields.is_empty());
     }
     assert_eq!(cloud_of("1,5;2,5;3\n").positions, [DVec3::new(1.5, 2.5, 3.0)]);
     let cloud = cloud_of("-1,5 2,50\t3,0\n4 5 6,25\n");
@@ -48,7 +48,7 @@ fn positions_of_surveys_are_named_in_many_ways() {
 #[test]
 fn columns_are_told_by_content() {
     let cloud = cloud_of("0 0 0 0\n0 0 0 10\n");
-    assert_eq!(cloud.intensity, Some(vec![0, 65535]));
+    assert_eq!(cloud.values_of("intensity"), Some(vec![0.0, 10.0]));
 
     let cloud = cloud_of("0 0 0 255 0 17\n0 0 1 0 0 0\n");
     assert_eq!(cloud.colors, Some(vec![[255, 0, 17, 255], [0, 0, 0, 255]]));
@@ -62,13 +62,13 @@ fn columns_are_told_by_content() {
 
     // PTS, also with an intensity that would pass for a colour.
     let cloud = cloud_of("2\n0 0 0 -1613 52 70 64\n0 0 1 602 120 127 103\n");
+    assert_eq!(cloud.values_of("intensity"), Some(vec![-1613.0, 602.0]));
     assert_eq!(cloud.colors.unwrap()[0], [52, 70, 64, 255]);
-    assert_eq!(cloud.intensity, Some(vec![0, 65535]));
     let cloud = cloud_of("0 0 0 9 52 70 64\n0 0 1 8 120 127 103\n");
     assert_eq!(cloud.colors.unwrap()[0], [52, 70, 64, 255]);
     let cloud = cloud_of("0 0 0 52 70 64 0.25\n0 0 1 120 127 103 0.5\n");
+    assert_eq!(cloud.values_of("intensity"), Some(vec![0.25, 0.5]));
     assert_eq!(cloud.colors.unwrap()[0], [52, 70, 64, 255]);
-    assert_eq!(cloud.intensity, Some(vec![0, 65535]));
 
     for text in ["0 0 0 0 1 0 7 8 9\n", "0 0 0 7 8 9 0 1 0\n"] {
         let cloud = cloud_of(text);
@@ -83,13 +83,26 @@ fn headers_name_columns() {
                 tree,3,1,2,5,0,0,2,255,0,0,0\nroof,6,4,5,6,0,3,0,0,255,0,7\n";
     let cloud = cloud_of(text);
     assert_eq!(cloud.positions[0], DVec3::new(1.0, 2.0, 3.0));
-    assert_eq!(cloud.classification, Some(vec![5, 6]));
+    assert_eq!(cloud.values_of("classification"), Some(vec![5.0, 6.0]));
     assert_eq!(cloud.normals, Some(vec![glam::Vec3::Z, glam::Vec3::Y]));
     assert_eq!(cloud.colors, Some(vec![[255, 0, 0, 255], [0, 255, 0, 255]]));
-    assert_eq!(cloud.intensity, Some(vec![0, 65535]));
+    assert_eq!(cloud.values_of("intensity"), Some(vec![0.0, 7.0]));
     // A header in a comment, with the count below it.
     let cloud = cloud_of("//X Y Z R G B\n1\n1 2 3 0.5 1 0\n");
     assert_eq!(cloud.colors, Some(vec![[128, 255, 0, 255]]));
+}
+
+#[test]
+fn other_columns_are_fields() {
+    let text = "x,y,z,scalar_Roughness,Zone,above_ground\n0,0,1,0.5,wood,2\n0,0,2,,field,7\n";
+    let cloud = cloud_of(text);
+    let roughness = cloud.values_of("Roughness").unwrap();
+    assert!(roughness[0] == 0.5 && roughness[1].is_nan(), "{roughness:?}");
+    assert_eq!(cloud.values_of("above_ground"), Some(vec![2.0, 7.0]));
+    assert_eq!(cloud.fields.len(), 2);
+    let cloud = cloud_of("0 0 0 5 9.5\n0 0 1 6 7.25\n");
+    assert_eq!(cloud.values_of("intensity"), Some(vec![5.0, 6.0]));
+    assert_eq!(cloud.values_of("column_5"), Some(vec![9.5, 7.25]));
 }
 
 #[test]

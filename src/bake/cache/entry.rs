@@ -23,7 +23,9 @@ use super::record::{
     file_bytes, halves, whole, words_of,
 };
 use crate::bake::external::Spilled;
-use crate::bake::pack::{Arrays, GeometryKind, PackedChunk, PackedGeometry, read_words};
+use crate::bake::pack::{
+    Arrays, CLIP_BYTES, GeometryKind, PackedChunk, PackedGeometry, read_words,
+};
 use crate::bake::tree::TreeStatistics;
 
 const MAGIC: [u8; 8] = *b"PTLSBAKE";
@@ -103,8 +105,16 @@ impl<'a> SpilledEntry<'a> {
     pub(super) fn of(tree: &'a Spilled) -> Result<SpilledEntry<'a>, Refusal> {
         let invalid = |what| Refusal::Invalid { geometry: 0, what };
         check_frame(&tree.grid, &tree.chunks, tree.len()).map_err(invalid)?;
-        let Spilled { grid, chunks, positions, attributes, kernels, nodes } = tree;
-        let counts = [positions.count(), attributes.count(), kernels.count(), 0, nodes.count()];
+        let Spilled { grid, chunks, positions, attributes, kernels, fields, values, nodes } = tree;
+        let counts = [
+            positions.count(),
+            attributes.count(),
+            kernels.count(),
+            0,
+            fields.len() as u64,
+            values.count(),
+            nodes.count(),
+        ];
         let lengths = counts.map(|count| count as u32);
         let record = Record::new(GeometryKind::Samples, *grid, chunks, lengths);
         Ok(SpilledEntry { tree, table: [record] })
@@ -123,6 +133,8 @@ impl<'a> SpilledEntry<'a> {
         self.tree.positions.each_block(|words| writer.put(words.as_flattened()))?;
         self.tree.attributes.each_block(|words| writer.put(words.as_flattened()))?;
         self.tree.kernels.each_block(|words| writer.put(words))?;
+        writer.put(bytemuck::cast_slice(&self.tree.fields))?;
+        self.tree.values.each_block(|words| writer.put(words))?;
         self.tree.nodes.each_block(|words| writer.put(words.as_flattened()))?;
         writer.finish()
     }
@@ -237,7 +249,7 @@ pub(super) fn figures(
     let [Record { kind: GeometryKind::Samples, grid, chunks, lengths }] = table else {
         return Err(Refusal::Table);
     };
-    let [_, _, _, clips, nodes, ..] = lengths;
+    let [_, _, _, clips, _, values, nodes, ..] = lengths;
     let chunks = read_chunks(source, chunks)?.ok_or(Refusal::Table)?;
     source.seek(SeekFrom::Start(bytes - TRAILER_BYTES - 8 * u64::from(nodes)))?;
     let mut statistics = TreeStatistics::default();
@@ -247,7 +259,8 @@ pub(super) fn figures(
         statistics.add(&block);
         left -= block.len() as u32;
     }
-    statistics.finish(&grid, &chunks, u64::from(clips));
+    let beside = CLIP_BYTES * u64::from(clips) + 4 * u64::from(values);
+    statistics.finish(&grid, &chunks, beside);
     Ok(statistics)
 }
 

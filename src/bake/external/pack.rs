@@ -6,8 +6,8 @@ use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 
 use super::super::pack::{
-    CHUNK, Grid, KERNEL_DETAIL, PackedChunk, PackedRun, PackedSamples, Sample, Shape,
-    kernel_lengths, morton, pack_run,
+    CHUNK, Grid, KERNEL_DETAIL, PackedChunk, PackedField, PackedRun, PackedSamples, Sample, Shape,
+    Values, kernel_lengths, morton, pack_run, value_words,
 };
 use super::fit::Fits;
 use super::points::Points;
@@ -23,18 +23,23 @@ pub struct Spilled {
     pub positions: SpillFile<[u32; 2]>,
     pub attributes: SpillFile<[u32; 2]>,
     pub kernels: SpillFile<u32>,
+    /// Scalar fields, and their words.
+    pub fields: Vec<PackedField>,
+    pub values: SpillFile<u32>,
     /// Node words, for point trees.
     pub nodes: SpillFile<[u32; 2]>,
 }
 
 impl Spilled {
-    fn new(grid: Grid, spill: &Spill) -> io::Result<Spilled> {
+    fn new(grid: Grid, fields: &[PackedField], spill: &Spill) -> io::Result<Spilled> {
         Ok(Spilled {
             grid,
             chunks: Vec::new(),
             positions: spill.file()?,
             attributes: spill.file()?,
             kernels: spill.file()?,
+            fields: fields.to_vec(),
+            values: spill.file()?,
             nodes: spill.file()?,
         })
     }
@@ -57,19 +62,33 @@ impl Spilled {
     /// Reads one chunk.
     pub(super) fn load(&self, chunk: &PackedChunk) -> io::Result<PackedSamples> {
         let range = u64::from(chunk.first)..u64::from(chunk.first + chunk.count);
+        let words = value_words(&self.fields) as u64;
         Ok(PackedSamples {
             grid: self.grid,
             chunks: vec![PackedChunk { first: 0, ..*chunk }],
             positions: self.positions.load(range.clone())?,
             attributes: self.attributes.load(range.clone())?,
-            kernels: self.kernels.load(range)?,
-            clips: Vec::new(),
-            nodes: Vec::new(),
+            kernels: self.kernels.load(range.clone())?,
+            fields: self.fields.clone(),
+            values: self.values.load(words * range.start..words * range.end)?,
+            ..PackedSamples::default()
         })
     }
 }
 
-/// Packs chunks in batches and passes them on, each with the values `T` that came with its samples.
+/// A record that comes with a sample.
+pub(super) trait WithValues: Send + Sync {
+    /// Codes of the sample's scalar fields.
+    fn values(&self) -> Values;
+}
+
+impl WithValues for Values {
+    fn values(&self) -> Values {
+        *self
+    }
+}
+
+/// Packs chunks in batches and passes them on, each with the records `T` that came with its samples.
 pub(super) struct Packer<T> {
     pub(super) out: Spilled,
     oriented: bool,
@@ -79,12 +98,17 @@ pub(super) struct Packer<T> {
 /// Number of chunks packed at a time.
 const BATCH: usize = 32;
 
-impl<T: Send + Sync> Packer<T> {
-    pub(super) fn new(grid: Grid, oriented: bool, spill: &Spill) -> io::Result<Packer<T>> {
-        Ok(Packer { out: Spilled::new(grid, spill)?, oriented, chunks: Vec::new() })
+impl<T: WithValues> Packer<T> {
+    pub(super) fn new(
+        grid: Grid,
+        fields: &[PackedField],
+        oriented: bool,
+        spill: &Spill,
+    ) -> io::Result<Packer<T>> {
+        Ok(Packer { out: Spilled::new(grid, fields, spill)?, oriented, chunks: Vec::new() })
     }
 
-    /// Adds a chunk. `given` receives each packed chunk with the index of its first sample and the values of its samples.
+    /// Adds a chunk. `given` receives each packed chunk with the index of its first sample and the records of its samples.
     pub(super) fn push(
         &mut self,
         chunk: Vec<(T, Sample<'static>)>,
@@ -106,9 +130,13 @@ impl<T: Send + Sync> Packer<T> {
                 (pack_run(&grid, samples, false, oriented), of)
             })
             .collect();
+        let words = value_words(&self.out.fields);
         for (run, of) in runs {
             let first = self.out.len() as u32;
             self.out.add(&run)?;
+            for record in &of {
+                self.out.values.extend_buffered(&record.values()[..words])?;
+            }
             given(&run, first, of)?;
         }
         Ok(())
@@ -146,12 +174,12 @@ pub(super) fn pack(
         Ok(())
     })?;
     let grid = Grid::with_detail(bounds, f64::from(longest) * KERNEL_DETAIL)?;
-    let mut packer = Packer::new(grid, points.oriented, work.spill)?;
+    let mut packer = Packer::new(grid, &points.fields, points.oriented, work.spill)?;
     let mut chunk = Vec::with_capacity(CHUNK);
     let total = points.file.count();
     let mut done = 0;
-    let mut add = |sample: Sample<'static>| {
-        chunk.push(((), sample));
+    let mut add = |values: Values, sample: Sample<'static>| {
+        chunk.push((values, sample));
         done += 1;
         if chunk.len() == CHUNK || done == total {
             work.tell(Phase::Pack, done as f64 / total as f64);
@@ -168,7 +196,7 @@ pub(super) fn pack(
     };
     if grid == points.grid {
         fits.each(points, work.memory.to_merge() / 2, |point, normal, kernel| {
-            add(sample(point, normal, kernel))
+            add(point.values, sample(point, normal, kernel))
         })?;
     } else {
         // Long kernels enlarge the cells of the grid, which changes the curve.
@@ -186,9 +214,10 @@ pub(super) fn pack(
         let mut walk = sorted.walk()?;
         while let Some(moved) = walk.next()? {
             let (point, normal, kernel) = fits.one(points, u64::from(moved.at))?;
-            add(sample(&point, normal, kernel))?;
+            add(point.values, sample(&point, normal, kernel))?;
         }
     }
     packer.flush(&mut |_, _, _| Ok(()))?;
+    packer.out.values.flush()?;
     Ok(packer.out)
 }

@@ -5,15 +5,18 @@ use std::io;
 use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Vec3};
 
-use super::super::colors::{Counts, Palette};
+use super::super::colors::Painter;
 use super::super::kernels::CUTOFF;
 use super::super::normals::{Frame, is_radius, stride};
-use super::super::pack::{Grid, morton};
+use super::super::pack::{
+    CodeCounts, Grid, Layout, PackedField, Values, morton, pack_fields, values_of,
+};
 use super::pieces::{self, Piece, Place};
 use super::sort::{Sortable, Sorter};
 use super::spill::SpillFile;
 use super::{BakeFault, Phase, Work};
-use crate::assets::{AssetError, PointBlocks, PointCloud, Survey};
+use crate::assets::fields::Scale;
+use crate::assets::{AssetError, Field, PointBlocks, PointCloud, Survey};
 
 /// A point of a file.
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -28,8 +31,10 @@ pub(super) struct Point {
     pub(super) radius: f32,
     /// Place in the file.
     pub(super) index: u32,
-    /// Colour, or intensity and class.
-    paint: u32,
+    /// Colour, if the file has colours.
+    color: u32,
+    /// Codes of scalar fields.
+    pub(super) values: Values,
 }
 
 impl Sortable for Point {
@@ -50,13 +55,6 @@ impl Point {
     }
 }
 
-/// Interpretation of a point's paint word.
-#[derive(Clone, Copy)]
-enum Paint {
-    Color,
-    Of(Palette),
-}
-
 /// All points of a file along the curve of `grid`.
 pub(super) struct Points {
     pub(super) file: SpillFile<Point>,
@@ -66,7 +64,9 @@ pub(super) struct Points {
     pub(super) pieces: Vec<Piece>,
     pub(super) grid: Grid,
     pub(super) frame: Frame,
-    paint: Paint,
+    /// Colours of points in a file without any.
+    painter: Option<Painter>,
+    pub(super) fields: Vec<PackedField>,
     /// The file has normals.
     pub(super) oriented: bool,
     /// Some point has no normal, or no kernel.
@@ -76,10 +76,9 @@ pub(super) struct Points {
 
 impl Points {
     pub(super) fn color(&self, point: &Point) -> [u8; 4] {
-        match self.paint {
-            Paint::Color => point.paint.to_le_bytes(),
-            Paint::Of(palette) => palette.color(point.paint as u16, (point.paint >> 16) as u8),
-        }
+        let own = point.color.to_le_bytes();
+        let painter = self.painter.as_ref();
+        painter.map_or(own, |painter| painter.color(|field| self.fields[field].code(&point.values)))
     }
 
     /// Reads the file and sorts its points.
@@ -91,15 +90,15 @@ impl Points {
         let grid = Grid::of(&survey.bounds)?;
         let step = stride(survey.points as usize);
         let mut sorter = Sorter::new(work.spill, work.memory.to_sort(), work.memory.to_merge());
-        let mut all =
-            Gathered { counts: Counts::default(), some: Vec::new(), ..Gathered::default() };
+        let mut all = Gathered::default();
         let mut failed = None;
         let mut index = 0;
         let folder = work.spill.folder();
         source
             .each(survey, &mut |block: PointCloud| {
                 all.add(&block, index, step);
-                for record in records(&block, &grid, index) {
+                let layout = Layout::of(&pack_fields(all.fields()));
+                for record in records(&block, &layout, &grid, index) {
                     if let Err(error) = sorter.push(record) {
                         failed = Some(error);
                         // Any error ends the reading.
@@ -137,7 +136,8 @@ impl Points {
             pieces,
             grid,
             frame,
-            paint: if all.has_colors { Paint::Color } else { Paint::Of(all.counts.palette()) },
+            painter: (!all.has_colors).then(|| Painter::of(all.fields())),
+            fields: pack_fields(all.fields()),
             oriented: all.has_normals,
             lacks_normals: all.lacks_normals,
             lacks_kernels: all.lacks_radii,
@@ -148,7 +148,8 @@ impl Points {
 /// Figures of the whole file, known after all points have been read.
 #[derive(Default)]
 struct Gathered {
-    counts: Counts,
+    /// The fields of the file, with the number of points that have each code.
+    fields: Vec<(String, Scale, CodeCounts)>,
     /// An evenly spread sample of positions.
     some: Vec<DVec3>,
     has_colors: bool,
@@ -158,16 +159,18 @@ struct Gathered {
 }
 
 impl Gathered {
+    fn fields(&self) -> impl Iterator<Item = (&str, Scale, &CodeCounts)> + Clone {
+        self.fields.iter().map(|(name, scale, counts)| (name.as_str(), *scale, counts))
+    }
+
     fn add(&mut self, block: &PointCloud, first: u32, step: usize) {
-        let none = (&[][..], &[][..]);
-        let (intensities, classes) = match block.colors {
-            Some(_) => none,
-            None => (
-                block.intensity.as_deref().unwrap_or(none.0),
-                block.classification.as_deref().unwrap_or(none.1),
-            ),
-        };
-        self.counts.add(intensities, classes);
+        if self.fields.is_empty() {
+            let empty = |field: &Field| (field.name.clone(), field.scale, CodeCounts::default());
+            self.fields = block.fields.iter().map(empty).collect();
+        }
+        for ((_, _, counts), field) in self.fields.iter_mut().zip(&block.fields) {
+            counts.add(&field.codes);
+        }
         let skipped = (step - first as usize % step) % step;
         self.some.extend(block.positions.iter().skip(skipped).step_by(step));
         self.has_colors = block.colors.is_some();
@@ -178,21 +181,20 @@ impl Gathered {
     }
 }
 
-fn records(block: &PointCloud, grid: &Grid, first: u32) -> impl Iterator<Item = Point> {
+fn records(
+    block: &PointCloud,
+    layout: &Layout,
+    grid: &Grid,
+    first: u32,
+) -> impl Iterator<Item = Point> {
     block.positions.iter().enumerate().map(move |(i, &position)| Point {
         place: morton(grid.quantise(position)),
         position: position.into(),
         normal: block.normals.as_ref().map_or(Vec3::ZERO, |normals| normals[i]).into(),
         radius: block.radii.as_ref().map_or(0.0, |radii| radii[i]),
         index: first + i as u32,
-        paint: match &block.colors {
-            Some(colors) => u32::from_le_bytes(colors[i]),
-            None => {
-                let intensity = block.intensity.as_ref().map_or(0, |values| values[i]);
-                let class = block.classification.as_ref().map_or(0, |classes| classes[i]);
-                u32::from(intensity) | u32::from(class) << 16
-            }
-        },
+        color: block.colors.as_ref().map_or(0, |colors| u32::from_le_bytes(colors[i])),
+        values: values_of(block, layout, i),
     })
 }
 

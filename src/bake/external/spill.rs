@@ -97,6 +97,11 @@ impl<R: Pod> SpillFile<R> {
         if self.block.len() * size_of::<R>() >= BLOCK_BYTES { self.flush() } else { Ok(()) }
     }
 
+    /// Appends a few records, which later calls write.
+    pub fn extend_buffered(&mut self, records: &[R]) -> io::Result<()> {
+        records.iter().try_for_each(|&record| self.push(record))
+    }
+
     pub fn extend(&mut self, records: &[R]) -> io::Result<()> {
         self.flush()?;
         self.room.take(records.len() as u64 * Self::BYTES)?;

@@ -66,6 +66,8 @@ fn check_equal(found: &Spilled, expected: &PackedSamples, what: &str) {
     assert!(all(&found.positions) == expected.positions, "{what}: positions");
     assert!(all(&found.attributes) == expected.attributes, "{what}: attributes");
     assert!(all(&found.kernels) == expected.kernels, "{what}: kernels");
+    assert_eq!(found.fields, expected.fields, "{what}");
+    assert!(all(&found.values) == expected.values, "{what}: values");
     assert!(all(&found.nodes) == expected.nodes, "{what}: nodes");
     assert_eq!(found.chunks.len(), expected.chunks.len(), "{what}");
     for (found, expected) in found.chunks.iter().zip(&expected.chunks) {

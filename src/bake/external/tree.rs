@@ -12,15 +12,15 @@ use glam::{IVec3, Vec3};
 
 use super::super::CUTOFF;
 use super::super::pack::{
-    Grid, KERNEL_DETAIL, PackedChunk, PackedRun, PackedSamples, Sample, Shape, Sides,
-    octahedral_decode, unpack_kernel,
+    Grid, KERNEL_DETAIL, Layout, PackedChunk, PackedField, PackedRun, PackedSamples, Sample, Shape,
+    Sides, Values, octahedral_decode, unpack_kernel,
 };
 use super::super::tree::parts::{
     Cells, Codes, Cutter, Matter, Node, Stack, Tilts, around_point, base_from, byte, delta_bits,
     kernel_length, measures_of, range_of, reach_behind, shared_level, way_length, words,
 };
 use super::super::tree::{CODE, CODE_BITS, Measures, TreeStatistics};
-use super::pack::{Packer, Spilled};
+use super::pack::{Packer, Spilled, WithValues};
 use super::sort::{Sortable, Sorted, Sorter};
 use super::spill::SpillFile;
 use super::{BakeFault, Phase, Work};
@@ -42,6 +42,13 @@ impl Packed<'_> {
         }
     }
 
+    fn fields(&self) -> &[PackedField] {
+        match self {
+            Packed::Spilled(samples) => &samples.fields,
+            Packed::Memory(samples) => &samples.fields,
+        }
+    }
+
     fn chunks(&self) -> &[PackedChunk] {
         match self {
             Packed::Spilled(samples) => &samples.chunks,
@@ -54,27 +61,24 @@ impl Packed<'_> {
         let mut sample = 0;
         for chunk in self.chunks() {
             let loaded;
-            let (positions, attributes, kernels) = match self {
-                Packed::Memory(samples) => {
-                    let range = chunk.first as usize..(chunk.first + chunk.count) as usize;
-                    (
-                        &samples.positions[range.clone()],
-                        &samples.attributes[range.clone()],
-                        &samples.kernels[range],
-                    )
-                }
+            let (samples, range) = match self {
+                Packed::Memory(samples) => (samples, chunk.elements()),
                 Packed::Spilled(samples) => {
                     loaded = samples.load(chunk)?;
-                    (&loaded.positions[..], &loaded.attributes[..], &loaded.kernels[..])
+                    (&loaded, 0..chunk.count as usize)
                 }
             };
             let step = self.grid().step as f32 * (chunk.shift as f32).exp2();
-            for ((&position, &[color, normal]), &kernel) in
-                positions.iter().zip(attributes).zip(kernels)
-            {
-                let cell = chunk.cell(position).into();
-                let base = chunk.kernel_base * step;
-                take(Leaf { code: 0, cell, sample, color, normal, kernel, base })?;
+            for at in range {
+                let cell = chunk.cell(samples.positions[at]).into();
+                let [color, normal] = samples.attributes[at];
+                let (kernel, base) = (samples.kernels[at], chunk.kernel_base * step);
+                let mut values = Values::default();
+                values
+                    .iter_mut()
+                    .zip(samples.values_of(at))
+                    .for_each(|(value, word)| *value = *word);
+                take(Leaf { code: 0, cell, sample, color, normal, kernel, base, values })?;
                 sample += 1;
             }
         }
@@ -95,6 +99,7 @@ struct Leaf {
     normal: u32,
     kernel: u32,
     base: f32,
+    values: Values,
 }
 
 impl Sortable for Leaf {
@@ -111,7 +116,7 @@ impl Leaf {
     }
 
     fn node(&self, grid: &Grid) -> Node {
-        Node::leaf(
+        let leaf = Node::leaf(
             grid.position(self.cell.into()),
             octahedral_decode(self.normal),
             self.color.to_le_bytes(),
@@ -119,7 +124,8 @@ impl Leaf {
             false,
             Measures::default(),
             Matter::Points,
-        )
+        );
+        Node { values: self.values, ..leaf }
     }
 }
 
@@ -139,6 +145,13 @@ struct Ranked {
     v: [f32; 3],
     is_leaf: u32,
     words: [u32; 2],
+    values: Values,
+}
+
+impl WithValues for Ranked {
+    fn values(&self) -> Values {
+        self.values
+    }
 }
 
 const NO_RANK: u32 = u32::MAX;
@@ -189,6 +202,7 @@ struct Open {
 fn raise(
     leaves: &Sorted<Leaf>,
     grid: &Grid,
+    layout: &Layout,
     mut found: impl FnMut(&Open, Option<(u32, &Node)>) -> io::Result<()>,
 ) -> io::Result<()> {
     let mut failed = Ok(());
@@ -203,7 +217,7 @@ fn raise(
     let mut merge = |members: &[Open], rank: u32| {
         let mut children = [&members[0].node; super::super::tree::parts::CHILDREN];
         children.iter_mut().zip(members).for_each(|(child, member)| *child = &member.node);
-        let node = Node::above(&children[..members.len().min(children.len())]);
+        let node = Node::above(&children[..members.len().min(children.len())], layout);
         for member in members {
             if failed.is_ok() {
                 failed = found(member, Some((rank, &node)));
@@ -244,7 +258,8 @@ pub(super) fn grow(packed: Packed, work: &Work) -> Result<(Spilled, TreeStatisti
     })?;
     let leaves = sorter.finish()?;
     let mut most = 0.0f32;
-    raise(&leaves, &samples, |open, _| {
+    // Values do not change measures.
+    raise(&leaves, &samples, &Layout::default(), |open, _| {
         work.tell(
             Phase::Measure,
             f64::from(open.leaf.map_or(0, |leaf| leaf.sample)) / count as f64,
@@ -253,10 +268,11 @@ pub(super) fn grow(packed: Packed, work: &Work) -> Result<(Spilled, TreeStatisti
         Ok(())
     })?;
     let base = base_from(most, grid.step as f32);
-    let nodes = ranked(&leaves, &samples, &grid, base, work)?;
+    let layout = Layout::of(packed.fields());
+    let nodes = ranked(&leaves, &samples, &layout, &grid, base, work)?;
     drop(leaves);
     let oriented = packed.chunks().iter().any(|chunk| chunk.sides != Sides::Unknown);
-    let sequence = Sequence::of(nodes, grid, oriented, work)?;
+    let sequence = Sequence::of(nodes, grid, packed.fields(), oriented, work)?;
     sequence.with_parents(base, work)
 }
 
@@ -264,13 +280,14 @@ pub(super) fn grow(packed: Packed, work: &Work) -> Result<(Spilled, TreeStatisti
 fn ranked(
     leaves: &Sorted<Leaf>,
     samples: &Grid,
+    layout: &Layout,
     grid: &Grid,
     base: f32,
     work: &Work,
 ) -> io::Result<Sorted<Ranked>> {
     let mut sorter = Sorter::new(work.spill, work.memory.to_sort(), work.memory.to_merge());
     let mut done = 0u64;
-    raise(leaves, samples, |Open { node, rank, leaf }, parent| {
+    raise(leaves, samples, layout, |Open { node, rank, leaf }, parent| {
         done += u64::from(leaf.is_some());
         work.tell(Phase::Nodes, done as f64 / leaves.len() as f64);
         work.check()?;
@@ -295,6 +312,7 @@ fn ranked(
             v: kernel.v.into(),
             is_leaf: u32::from(leaf.is_some()),
             words: words(codes, node, tilts),
+            values: node.values,
         })
     })?;
     sorter.finish()
@@ -345,7 +363,13 @@ struct Sequence {
 }
 
 impl Sequence {
-    fn of(nodes: Sorted<Ranked>, grid: Grid, oriented: bool, work: &Work) -> io::Result<Sequence> {
+    fn of(
+        nodes: Sorted<Ranked>,
+        grid: Grid,
+        fields: &[PackedField],
+        oriented: bool,
+        work: &Work,
+    ) -> io::Result<Sequence> {
         let mut sorter = Sorter::new(work.spill, work.memory.to_sort(), work.memory.to_merge());
         let mut words = work.spill.file()?;
         let mut root = 0;
@@ -363,7 +387,7 @@ impl Sequence {
             }
             Ok(())
         };
-        let mut packer = Packer::new(grid, oriented, work.spill)?;
+        let mut packer = Packer::new(grid, fields, oriented, work.spill)?;
         let (mut cutter, mut chunks) = (Cutter::new(), Vec::new());
         let with_samples =
             |chunk: Vec<Ranked>| chunk.into_iter().map(|node| (node, node.sample())).collect();
@@ -379,6 +403,7 @@ impl Sequence {
             packer.push(with_samples(chunk), &mut place)?;
         }
         packer.flush(&mut place)?;
+        packer.out.values.flush()?;
         words.flush()?;
         Ok(Sequence { out: packer.out, words, placed: sorter.finish()?, root })
     }
@@ -415,7 +440,7 @@ impl Sequence {
             statistics.add(&chunk);
         }
         reach_behind(&mut out.chunks);
-        statistics.finish(&out.grid, &out.chunks, 0);
+        statistics.finish(&out.grid, &out.chunks, 4 * out.values.count());
         work.tell(Phase::Sequence, 1.0);
         Ok((out, statistics))
     }

@@ -183,12 +183,14 @@ pub struct PageKind {
     pub nodes: bool,
     /// Samples have clip lines.
     pub clipped: bool,
+    /// Words of a sample's scalar fields.
+    pub value_words: u8,
 }
 
 impl PageKind {
     /// Pages of elements without additional words.
     pub const fn plain(kind: GeometryKind) -> PageKind {
-        PageKind { kind, nodes: false, clipped: false }
+        PageKind { kind, nodes: false, clipped: false, value_words: 0 }
     }
 }
 

@@ -6,8 +6,8 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{
-    CHUNK, Grid, PackError, PackedChunk, PackedSamples, Sample, Shape, finite, kernel, morton,
-    order, pack_run,
+    CHUNK, Grid, PackError, PackedChunk, PackedSamples, Sample, Shape, fields_of, finite, kernel,
+    morton, order, pack_run, packed_values,
 };
 use crate::assets::{Kernel, PointCloud};
 use crate::bake::colors::NEUTRAL;
@@ -39,8 +39,8 @@ impl<'a> Packing<'a> {
             positions: vec![[0; 2]; count],
             attributes: vec![[0; 2]; count],
             kernels: vec![0; count],
-            clips: Vec::new(),
-            nodes: Vec::new(),
+            fields: fields_of(cloud),
+            ..PackedSamples::default()
         };
         Ok(Packing { cloud, order, longest: 0.0, out })
     }
@@ -103,8 +103,9 @@ impl<'a> Packing<'a> {
         }
     }
 
-    /// Returns the samples; call it after all chunks are filled.
-    pub(in crate::bake) fn finish(self) -> PackedSamples {
+    /// Returns the samples, whose order along the curve is `order`; call it after all chunks are filled.
+    pub(in crate::bake) fn finish(mut self, order: &[u32]) -> PackedSamples {
+        self.out.values = packed_values(self.cloud, &self.out.fields, order);
         self.out
     }
 }

@@ -9,6 +9,9 @@ use std::ops::Range;
 use glam::{DVec3, IVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
+use super::fields::{
+    CodeCounts, FIELD_WORDS, Layout, PackedField, Values, pack_fields, value_words,
+};
 use super::kernel::{self, NO_LINE, longer_axis};
 use super::kind::{
     Arrays, LOOKED_AT, PackedKind, PageKind, STRAY_SHARE, Stream, StreamOf, TAIL_SHARE, holds,
@@ -17,7 +20,8 @@ use super::{
     CHUNK, GeometryKind, Grid, KERNEL_DETAIL, NO_NORMAL, NodeRange, PackError, PackedChunk, Sides,
     finite, morton, octahedral, octahedral_decode, order, rgba_word,
 };
-use crate::assets::{Clip, ClipLine, Kernel, PointCloud};
+use crate::assets::fields::{MOST_WORDS, Scale};
+use crate::assets::{Clip, ClipLine, Field, Kernel, PointCloud};
 use crate::bake::colors::NEUTRAL;
 use crate::math::Bounds;
 
@@ -51,6 +55,10 @@ pub struct PackedSamples {
     pub clips: Vec<[u32; 2]>,
     /// Point trees: the two words of each node, which decide whether it is drawn (see [`crate::bake::tree`]).
     pub nodes: Vec<[u32; 2]>,
+    /// Scalar fields.
+    pub fields: Vec<PackedField>,
+    /// For each sample the codes of its fields, in [`value_words`] words.
+    pub values: Vec<u32>,
 }
 
 /// Packs a cloud. Missing colours are a light grey.
@@ -68,6 +76,8 @@ pub fn pack_samples(cloud: &PointCloud) -> Result<PackedSamples, PackError> {
         place | if cloud.is_clipped(index) { CLIPPED } else { 0 }
     };
     let (order, clipped_first) = order::by_key(count, CLIPPED, key);
+    let fields = fields_of(cloud);
+    let values = packed_values(cloud, &fields, &order);
     let mut out = PackedSamples {
         grid,
         chunks: Vec::new(),
@@ -76,6 +86,8 @@ pub fn pack_samples(cloud: &PointCloud) -> Result<PackedSamples, PackError> {
         kernels: vec![0; count],
         clips: vec![[0; 2]; count - clipped_first],
         nodes: Vec::new(),
+        fields,
+        values,
     };
     let (plain, with_lines) = order.split_at(clipped_first);
     let (positions, clipped_positions) = out.positions.split_at_mut(clipped_first);
@@ -114,6 +126,41 @@ pub fn pack_samples(cloud: &PointCloud) -> Result<PackedSamples, PackError> {
     }
     out.chunks = chunks;
     Ok(out)
+}
+
+/// The fields of a cloud, packed.
+pub(in crate::bake) fn fields_of(cloud: &PointCloud) -> Vec<PackedField> {
+    let count = |field: &Field| {
+        let mut counts = CodeCounts::default();
+        counts.add(&field.codes);
+        counts
+    };
+    let count_of = cloud.positions.len();
+    let fields = cloud.fields.iter().filter(|field| field.codes.len() == count_of);
+    let counts: Vec<CodeCounts> = fields.clone().map(count).collect();
+    let each = fields.zip(&counts);
+    pack_fields(each.map(|(field, counts)| (field.name.as_str(), field.scale, counts)))
+}
+
+/// The words of all values, in this order of points.
+pub(in crate::bake) fn packed_values(
+    cloud: &PointCloud,
+    fields: &[PackedField],
+    order: &[u32],
+) -> Vec<u32> {
+    let (layout, words) = (Layout::of(fields), value_words(fields));
+    let mut values = vec![0; words * order.len()];
+    if words > 0 {
+        values.par_chunks_mut(words).zip(order).for_each(|(values, &point)| {
+            values.copy_from_slice(&values_of(cloud, &layout, point as usize)[..words]);
+        });
+    }
+    values
+}
+
+/// The values of a point, in the layout of its cloud.
+pub(in crate::bake) fn values_of(cloud: &PointCloud, layout: &Layout, point: usize) -> Values {
+    layout.words(cloud.fields.iter().map(|field| field.codes[point]))
 }
 
 /// Flag in the sort key of samples with clip lines.
@@ -159,7 +206,7 @@ impl<'a> Sample<'a> {
     }
 }
 
-/// Concatenates chunks.
+/// Concatenates chunks of samples without scalar fields.
 pub(in crate::bake) fn joined(grid: Grid, runs: Vec<PackedRun>) -> PackedSamples {
     let count = runs.iter().map(|run| run.positions.len()).sum();
     let clipped = runs.iter().map(|run| run.clips.len()).sum();
@@ -170,7 +217,7 @@ pub(in crate::bake) fn joined(grid: Grid, runs: Vec<PackedRun>) -> PackedSamples
         attributes: Vec::with_capacity(count),
         kernels: Vec::with_capacity(count),
         clips: Vec::with_capacity(clipped),
-        nodes: Vec::new(),
+        ..PackedSamples::default()
     };
     for run in runs {
         out.chunks.push(PackedChunk { first: out.positions.len() as u32, ..run.chunk });
@@ -304,6 +351,15 @@ pub fn unpack_samples(packed: &PackedSamples) -> PointCloud {
         }
     }
     cloud.kernels = Some(kernels);
+    cloud.fields = packed
+        .fields
+        .iter()
+        .map(|field| Field {
+            name: field.name().to_owned(),
+            scale: field.scale(),
+            codes: (0..count).map(|sample| field.code(packed.values_of(sample))).collect(),
+        })
+        .collect();
     if !packed.clips.is_empty() {
         let plain = packed.clipped_first() as usize;
         let clips = packed.clips.iter().map(|&words| clip(words));
@@ -331,6 +387,12 @@ fn clip([a, b]: [u32; 2]) -> Clip {
 }
 
 impl PackedSamples {
+    /// The words of a sample's fields.
+    pub fn values_of(&self, sample: usize) -> &[u32] {
+        let words = value_words(&self.fields);
+        &self.values[words * sample..words * (sample + 1)]
+    }
+
     /// The first sample with clip lines; a chunk begins there.
     pub fn clipped_first(&self) -> u32 {
         self.positions.len().saturating_sub(self.clips.len()) as u32
@@ -351,19 +413,30 @@ impl PackedKind for PackedSamples {
     }
 
     fn arrays(&self) -> Vec<&[u32]> {
-        let PackedSamples { grid: _, chunks: _, positions, attributes, kernels, clips, nodes } =
-            self;
+        let PackedSamples {
+            grid: _,
+            chunks: _,
+            positions,
+            attributes,
+            kernels,
+            clips,
+            nodes,
+            fields,
+            values,
+        } = self;
         vec![
             positions.as_flattened(),
             attributes.as_flattened(),
             kernels,
             clips.as_flattened(),
+            bytemuck::cast_slice(fields),
+            values,
             nodes.as_flattened(),
         ]
     }
 
     fn widths() -> &'static [usize] {
-        &[2, 2, 1, 2, 2]
+        &[2, 2, 1, 2, FIELD_WORDS, 1, 2]
     }
 
     fn read(grid: Grid, chunks: Vec<PackedChunk>, arrays: &mut Arrays<'_>) -> io::Result<Self> {
@@ -374,6 +447,8 @@ impl PackedKind for PackedSamples {
             attributes: arrays.rows()?,
             kernels: arrays.words()?,
             clips: arrays.rows()?,
+            fields: bytemuck::cast_slice(&arrays.rows::<FIELD_WORDS>()?).to_vec(),
+            values: arrays.words()?,
             nodes: arrays.rows()?,
         })
     }
@@ -385,6 +460,19 @@ impl PackedKind for PackedSamples {
         let nodes = self.nodes.len();
         holds(nodes == 0 || nodes == count, "there are not as many nodes as positions")?;
         holds(self.clips.len() <= count, "there are more clip lines than samples")?;
+        let words = value_words(&self.fields);
+        holds(words <= MOST_WORDS, "a field lies beyond the words of a sample")?;
+        holds(self.values.len() == words * count, "there are not as many values as positions")?;
+        let is_field = |field: &PackedField| {
+            let Scale { least, step, most, .. } = field.scale();
+            let bits = field.scale().bits();
+            least.is_finite()
+                && step.is_finite()
+                && step > 0.0
+                && u32::from(most) == field.most()
+                && bits + field.place() % 32 <= 32
+        };
+        holds(self.fields.iter().all(is_field), "a field has no valid scale")?;
         let first = self.clipped_first();
         holds(
             self.clips.is_empty() || self.chunks.iter().any(|chunk| chunk.first == first),
@@ -397,6 +485,7 @@ impl PackedKind for PackedSamples {
             kind: GeometryKind::Samples,
             nodes: !self.nodes.is_empty(),
             clipped: chunk.first >= self.clipped_first(),
+            value_words: value_words(&self.fields) as u8,
         }
     }
 
@@ -408,6 +497,8 @@ impl PackedKind for PackedSamples {
             stream("kernels", if page.nodes { 3 } else { 1 }),
         ];
         streams.extend(page.clipped.then_some(stream("clips", 2)));
+        let words = usize::from(page.value_words);
+        streams.extend((words > 0).then_some(stream("values", words)));
         streams
     }
 
@@ -422,6 +513,10 @@ impl PackedKind for PackedSamples {
                 .flat_map(|(&kernel, &[error, size])| [kernel, error, size])
                 .collect(),
             "kernels" => self.kernels[range].into(),
+            "values" => {
+                let words = usize::from(page.value_words);
+                self.values[words * range.start..words * range.end].into()
+            }
             _ => {
                 let first = self.clipped_first() as usize;
                 self.clips[range.start - first..range.end - first].as_flattened().into()

@@ -5,7 +5,7 @@ use std::ops::Range;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::super::pack::spread;
+use super::super::pack::{Layout, fields_of, spread, values_of};
 use super::Measures;
 use super::coverage;
 use super::node::{Matter, NO_NODE, Node};
@@ -87,9 +87,10 @@ pub fn build(
     let codes = codes(&cloud.positions, bounds);
     let samples: Vec<u32> = codes.iter().map(|&(_, sample)| sample).collect();
     let mut nodes: Vec<Node> = Vec::with_capacity(2 * samples.len());
+    let layout = Layout::of(&fields_of(cloud));
     let leaf = |&sample: &u32| {
         let i = sample as usize;
-        Node::leaf(
+        let leaf = Node::leaf(
             cloud.positions[i],
             cloud.normals.as_ref().map_or(Vec3::ZERO, |normals| normals[i]),
             cloud.colors.as_ref().map_or(super::super::colors::NEUTRAL, |colors| colors[i]),
@@ -97,7 +98,8 @@ pub fn build(
             cloud.is_clipped(i),
             stands.map_or(Measures::default(), |stands| stands[i]),
             matter,
-        )
+        );
+        Node { values: values_of(cloud, &layout, i), ..leaf }
     };
     nodes.par_extend(samples.par_iter().map(leaf));
     let pieces = pieces(&codes);
@@ -111,9 +113,9 @@ pub fn build(
     let branches: Vec<Branch> = leaves
         .into_par_iter()
         .zip(&pieces)
-        .map(|(leaves, piece)| Branch::above(leaves, &codes[piece.clone()]))
+        .map(|(leaves, piece)| Branch::above(leaves, &codes[piece.clone()], &layout))
         .collect();
-    let ends = join(&codes, &pieces, branches, &mut nodes);
+    let ends = join(&codes, &pieces, branches, &mut nodes, &layout);
     coverage::look_around(&mut nodes);
     Tree { nodes, samples, ends }
 }
@@ -149,15 +151,16 @@ struct Branch {
 }
 
 impl Branch {
-    fn above(leaves: &mut [Node], codes: &[(u64, u32)]) -> Branch {
+    fn above(leaves: &mut [Node], codes: &[(u64, u32)], layout: &Layout) -> Branch {
         let count = leaves.len() as u32;
         let mut nodes: Vec<Node> = Vec::with_capacity(leaves.len());
         let (mut ends, mut end) = (Vec::with_capacity(leaves.len()), 0);
         let mut merge = |members: &[u32], end: u32| {
             let number = count + nodes.len() as u32;
-            let node = above(members, |member| {
+            let node = |member: u32| {
                 leaves.get(member as usize).unwrap_or_else(|| &nodes[(member - count) as usize])
-            });
+            };
+            let node = above(members, node, layout);
             for &member in members {
                 match leaves.get_mut(member as usize) {
                     Some(leaf) => leaf.parent = number,
@@ -182,12 +185,12 @@ impl Branch {
 }
 
 /// Builds the parent of `members`.
-fn above<'a>(members: &[u32], node: impl Fn(u32) -> &'a Node) -> Node {
+fn above<'a>(members: &[u32], node: impl Fn(u32) -> &'a Node, layout: &Layout) -> Node {
     let mut children = [node(members[0]); CHILDREN];
     for (child, &member) in children.iter_mut().zip(members) {
         *child = node(member);
     }
-    Node::above(&children[..members.len().min(CHILDREN)])
+    Node::above(&children[..members.len().min(CHILDREN)], layout)
 }
 
 /// Appends the branches' nodes to the leaves, then the nodes that join the branches. Returns the last leaf below each appended
@@ -197,11 +200,12 @@ fn join(
     pieces: &[Range<usize>],
     branches: Vec<Branch>,
     nodes: &mut Vec<Node>,
+    layout: &Layout,
 ) -> Vec<u32> {
     let mut ends = Vec::with_capacity(branches.iter().map(|branch| branch.ends.len()).sum());
     let merge = |members: &[u32], end: u32, nodes: &mut Vec<Node>, ends: &mut Vec<u32>| {
         let number = nodes.len() as u32;
-        nodes.push(above(members, |member| &nodes[member as usize]));
+        nodes.push(above(members, |member| &nodes[member as usize], layout));
         ends.push(end);
         members.iter().for_each(|&member| nodes[member as usize].parent = number);
         number

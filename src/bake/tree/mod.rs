@@ -62,17 +62,18 @@ use glam::{DVec3, Vec3};
 use crate::assets::PointCloud;
 
 use super::pack::{
-    Grid, KERNEL_DETAIL, PackError, PackedChunk, PackedSamples, Sides, finite, unpack_samples,
+    CLIP_BYTES, Grid, KERNEL_DETAIL, PackError, PackedChunk, PackedSamples, Sides, finite,
+    unpack_samples,
 };
 use crate::math::Bounds;
 
 /// Version of the trees that are built from an asset: part of the key that trees are cached by. Raise it whenever the trees of
 /// some asset change, wherever the change is: in this folder, [`super::hybrid`], `bake/rasterise.rs` or [`super::pack`].
-pub const BAKING_VERSION: u32 = 9;
+pub const BAKING_VERSION: u32 = 10;
 /// Hash of the trees that this version bakes from the assets of `tree/version.rs`. Its test fails if the trees change and the
 /// version does not.
 #[cfg(test)]
-const BAKING_DIGEST: &str = "a2e136aadaade999";
+const BAKING_DIGEST: &str = "670fb2efa02f5a9c";
 
 /// Builds the tree above samples with normals and kernels. A sample without a normal is drawn as a facing disk, one without a
 /// kernel not at all.
@@ -234,9 +235,9 @@ impl Root {
             positions: vec![tree.positions[roots]],
             attributes: vec![tree.attributes[roots]],
             kernels: vec![tree.kernels[roots]],
-            clips: Vec::new(),
             nodes: vec![tree.nodes[roots]],
             grid: tree.grid,
+            ..PackedSamples::default()
         });
         let step = tree.grid.step as f32;
         let value = |word: u32| decode(word & CODE, chunk.range.base) * step;
@@ -280,7 +281,8 @@ impl TreeStatistics {
     pub fn of(samples: &PackedSamples) -> TreeStatistics {
         let mut statistics = TreeStatistics::default();
         statistics.add(&samples.nodes);
-        statistics.finish(&samples.grid, &samples.chunks, samples.clips.len() as u64);
+        let beside = CLIP_BYTES * samples.clips.len() as u64 + 4 * samples.values.len() as u64;
+        statistics.finish(&samples.grid, &samples.chunks, beside);
         statistics
     }
 
@@ -298,16 +300,15 @@ impl TreeStatistics {
         }
     }
 
-    /// Fills in the totals after all nodes have been counted.
-    pub(in crate::bake) fn finish(&mut self, grid: &Grid, chunks: &[PackedChunk], clips: u64) {
+    /// Fills in the totals after all nodes have been counted. `beside`: bytes of clip lines and values.
+    pub(in crate::bake) fn finish(&mut self, grid: &Grid, chunks: &[PackedChunk], beside: u64) {
         let count: u64 = self.levels.iter().sum();
         self.leaves = self.levels.first().copied().unwrap_or(0);
         self.inner = count - self.leaves;
         self.base =
             chunks.iter().map(|chunk| chunk.range.base).fold(0.0, f32::max) * grid.step as f32;
         self.chunks = chunks.len() as u64;
-        self.bytes = count * (super::pack::SAMPLE_BYTES + super::pack::NODE_BYTES)
-            + clips * super::pack::CLIP_BYTES;
+        self.bytes = count * (super::pack::SAMPLE_BYTES + super::pack::NODE_BYTES) + beside;
     }
 
     /// Adds the figures of another tree. Errors stay in octaves below the base of their own tree.

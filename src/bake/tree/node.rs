@@ -6,6 +6,7 @@ use glam::{DVec3, Vec2, Vec3};
 
 use super::super::CUTOFF;
 use super::super::kernels::tangents;
+use super::super::pack::{Layout, Values};
 use super::Measures;
 use crate::assets::Kernel;
 
@@ -58,6 +59,8 @@ pub struct Node {
     pub blank: bool,
     /// Code of the coverage around the node, see [`super::coverage`].
     pub around: u8,
+    /// Codes of scalar fields.
+    pub values: Values,
     /// sRGB, 0..=255.
     pub color: Vec3,
     /// Mean square difference of the leaves from the colour, per channel.
@@ -162,6 +165,7 @@ impl Node {
             matter,
             blank: normal == Vec3::ZERO && matter != Matter::Crowd,
             around: WHOLE,
+            values: Values::default(),
             color: Vec3::new(f32::from(color[0]), f32::from(color[1]), f32::from(color[2])),
             variance: 0.0,
             parent: NO_NODE,
@@ -169,8 +173,8 @@ impl Node {
         }
     }
 
-    /// Builds the parent of `children`, at least two.
-    pub fn above(children: &[&Node]) -> Node {
+    /// Builds the parent of `children`, at least two, whose values have this layout.
+    pub fn above(children: &[&Node], layout: &Layout) -> Node {
         // Weights may differ by a factor of 10³⁰.
         let total: f64 = children.iter().map(|child| f64::from(child.weight)).sum();
         let share = |child: &Node| (f64::from(child.weight) / total) as f32;
@@ -206,6 +210,7 @@ impl Node {
             matter: children[0].matter,
             blank: children.iter().all(|child| child.blank),
             around: WHOLE,
+            values: layout.above(children.iter().map(|child| (child.values, child.weight))),
             color,
             variance,
             parent: NO_NODE,

@@ -5,7 +5,8 @@ use rayon::prelude::*;
 
 use super::super::CUTOFF;
 use super::super::pack::{
-    CHUNK, Grid, NodeRange, PackedChunk, PackedRun, PackedSamples, Sample, Shape, joined, pack_run,
+    CHUNK, Grid, NodeRange, PackedChunk, PackedRun, PackedSamples, Sample, Shape, fields_of,
+    joined, pack_run, value_words,
 };
 use super::hierarchy::Tree;
 use super::node::Node;
@@ -208,6 +209,10 @@ pub fn sequence(
     let runs: Vec<PackedRun> = lists.par_iter().map(pack).collect();
     let order: Vec<u32> = lists.into_iter().flat_map(|(_, run)| run).collect();
     let mut out = joined(grid, runs);
+    out.fields = fields_of(cloud);
+    let width = value_words(&out.fields);
+    let values = order.iter().flat_map(|&node| tree.nodes[node as usize].values[..width].iter());
+    out.values = values.copied().collect();
     // The cells that the GPU decodes: distances to parents are measured between them.
     let mut cells = vec![IVec3::ZERO; tree.nodes.len()];
     for chunk in &out.chunks {

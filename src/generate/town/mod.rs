@@ -79,15 +79,14 @@ mod tests {
         let cloud = small(1);
         assert_eq!(cloud.positions.len(), 20_000);
         assert_eq!(cloud.colors.as_ref().unwrap().len(), 20_000);
-        let intensity = cloud.intensity.as_ref().unwrap();
+        let mut spread = cloud.values_of("intensity").unwrap();
         let bounds = Bounds::of(cloud.positions.iter().copied());
         assert!((bounds.centre() - ORIGIN_M).length() < 60.0, "{bounds:?}");
         assert!(bounds.extent().z > 12.0 && bounds.extent().z < 70.0, "{bounds:?}");
-        let mut spread: Vec<u16> = intensity.clone();
-        spread.sort_unstable();
-        assert!(spread[2_000] * 2 < spread[18_000], "intensity hardly varies");
-        let classes = cloud.classification.as_ref().unwrap();
-        for (class, least) in [(1, 100), (2, 1_000), (5, 300), (6, 3_000), (11, 1_000)] {
+        spread.sort_unstable_by(f64::total_cmp);
+        assert!(spread[2_000] * 2.0 < spread[18_000], "intensity hardly varies");
+        let classes = cloud.values_of("classification").unwrap();
+        for (class, least) in [(1.0, 100), (2.0, 1_000), (5.0, 300), (6.0, 3_000), (11.0, 1_000)] {
             let found = classes.iter().filter(|&&c| c == class).count();
             assert!(found >= least, "class {class}: {found}");
         }

@@ -13,7 +13,8 @@ use super::Town;
 use super::ground::{GROUND_SKIN, Plan, Use};
 use super::skin::{Surface, class, scaled};
 use super::solid::{Hit, Ray};
-use crate::assets::{PointCloud, Progress};
+use crate::assets::fields::{CLASSIFICATION, INTENSITY};
+use crate::assets::{Field, PointCloud, Progress};
 use crate::generate::numeric::sin_cos;
 use crate::scene::random::SplitMix64;
 
@@ -107,12 +108,8 @@ fn scan_with(
     seed: u64,
     progress: &Progress,
 ) -> PointCloud {
-    let mut cloud = PointCloud {
-        colors: Some(Vec::new()),
-        intensity: Some(Vec::new()),
-        classification: Some(Vec::new()),
-        ..PointCloud::default()
-    };
+    let mut cloud = PointCloud { colors: Some(Vec::new()), ..PointCloud::default() };
+    let (mut intensities, mut classes) = (Vec::new(), Vec::new());
     // Stations of a block run in parallel; blocks are reported and appended in order.
     for (block, chunk) in stations.chunks(64).enumerate() {
         let first = block * 64;
@@ -127,11 +124,13 @@ fn scan_with(
         for echo in found.into_iter().flatten() {
             cloud.positions.push(millimetres(town.bend.apply(echo.position)));
             cloud.colors.get_or_insert_default().push(echo.color);
-            cloud.intensity.get_or_insert_default().push(echo.intensity);
-            cloud.classification.get_or_insert_default().push(echo.class);
+            intensities.push(echo.intensity);
+            classes.push(u16::from(echo.class));
         }
         progress.report((first + chunk.len()) as f32 / stations.len() as f32);
     }
+    cloud.fields =
+        vec![Field::of_words(INTENSITY, intensities), Field::of_words(CLASSIFICATION, classes)];
     cloud
 }
 
@@ -149,8 +148,11 @@ fn thinned(cloud: PointCloud, count: usize) -> PointCloud {
     PointCloud {
         positions: keep(&cloud.positions, count, total),
         colors: cloud.colors.map(|list| keep(&list, count, total)),
-        intensity: cloud.intensity.map(|list| keep(&list, count, total)),
-        classification: cloud.classification.map(|list| keep(&list, count, total)),
+        fields: cloud
+            .fields
+            .into_iter()
+            .map(|field| Field { codes: keep(&field.codes, count, total), ..field })
+            .collect(),
         ..PointCloud::default()
     }
 }

@@ -98,6 +98,7 @@ fn choices(recorder: &Recorder) -> Choices {
         normal_sums: recorder.task.is_deferred(),
         lit: is_lit(recorder),
         nodes: is_tree(recorder, segment),
+        fields: recorder.task.shows_field(),
         ..Choices::default()
     }
 }

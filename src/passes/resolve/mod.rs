@@ -46,6 +46,7 @@ fn recolor_constants(recorder: &Recorder) -> Constants {
         Recolor::Height { .. } => 1,
         Recolor::Normal => 2,
         Recolor::Instance => 3,
+        Recolor::Field { .. } => 4,
     };
     recorder.task.recolor.map(|recolor| ("COLOR_BY", number(recolor))).into_iter().collect()
 }

@@ -13,7 +13,11 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let mut constants = constants(recorder);
     constants.extend(paint_constants(recorder, first));
     recorder.compute(Call {
-        choices: Choices { nodes: is_tree(recorder, first), ..choices(recorder) },
+        choices: Choices {
+            nodes: is_tree(recorder, first),
+            fields: recorder.task.shows_field(),
+            ..choices(recorder)
+        },
         constants,
         segments: &segments,
         launch: tiles(recorder),

@@ -4,9 +4,12 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::{Given, SettingKind, Settings};
+use crate::assets::fields::{CLASSIFICATION, INTENSITY, RETURN_NUMBER};
 use crate::plan::Reconstruction;
 use crate::plan::SceneFacts;
 use crate::scene::color_map::Recolor;
+use crate::scene::fields::SceneField;
+use crate::scene::name::Name;
 use crate::scene::{Blend, Discs, EyeDome, Filter, Shading, Splats, color};
 
 /// What a frame waits for whose samples lack normals or kernels, where it is left open how they are drawn.
@@ -76,22 +79,48 @@ impl Settings {
 
     /// Whether colours come from the resolved surface, not from samples and materials.
     pub fn recolors(&self) -> bool {
-        !matches!(self.color_by, ColorBy::Colors | ColorBy::Levels)
+        matches!(self.color_by, ColorBy::Height | ColorBy::Normal | ColorBy::Instance)
     }
 
-    /// What colours surfaces, if it is not their own colours; `up` and `range` are the scene's up direction and its least and largest
+    /// The scalar field that colours samples, if `color_by` names one.
+    pub fn colored_field(&self) -> Option<Name> {
+        let name = match self.color_by {
+            ColorBy::Intensity => INTENSITY,
+            ColorBy::Classification => CLASSIFICATION,
+            ColorBy::ReturnNumber => RETURN_NUMBER,
+            ColorBy::Field => return self.field,
+            _ => return None,
+        };
+        name.parse().ok()
+    }
+
+    /// What colours surfaces, if it is not their own colours; `up` and `heights` are the scene's up direction and its least and largest
     /// height along it.
-    pub fn recolor(&self, up: DVec3, range: impl FnOnce() -> [f64; 2]) -> Option<Recolor> {
+    pub fn recolor(
+        &self,
+        up: DVec3,
+        heights: impl FnOnce() -> [f64; 2],
+        fields: &[SceneField],
+    ) -> Option<Recolor> {
+        let map = self.color_map;
+        let within = |[least, most]: [f64; 2]| {
+            let own = [self.color_least, self.color_most];
+            let [own_least, own_most] = own.map(|bound| bound.map(ColorBound::get));
+            [own_least.unwrap_or(least), own_most.unwrap_or(most)]
+        };
         match self.color_by {
             ColorBy::Colors | ColorBy::Levels => None,
             ColorBy::Normal => Some(Recolor::Normal),
             ColorBy::Instance => Some(Recolor::Instance),
-            ColorBy::Height => {
-                let [least, most] = range();
-                let own = [self.color_least, self.color_most];
-                let [own_least, own_most] = own.map(|bound| bound.map(ColorBound::get));
-                let range = [own_least.unwrap_or(least), own_most.unwrap_or(most)];
-                Some(Recolor::Height { up, range, map: self.color_map })
+            ColorBy::Height => Some(Recolor::Height { up, range: within(heights()), map }),
+            ColorBy::Intensity
+            | ColorBy::Classification
+            | ColorBy::ReturnNumber
+            | ColorBy::Field => {
+                let name = self.colored_field()?;
+                let field = fields.iter().find(|field| field.name == name.as_str())?;
+                let (range, has_classes) = (within(field.shown), field.classes.is_some());
+                Some(Recolor::Field { name, range, map, has_classes })
             }
         }
     }
@@ -459,9 +488,17 @@ pub enum ColorBy {
     Normal,
     /// A hue for each instance
     Instance,
+    /// Strength of the returned signal, of samples whose file has it
+    Intensity,
+    /// Class of each sample, in the customary colours of ASPRS classes
+    Classification,
+    /// Number of the return among those of its pulse
+    ReturnNumber,
+    /// Any scalar field of the file; `field` names it
+    Field,
 }
 
-/// A bound of the values that a colour map shows, in scene units.
+/// A bound of the values that a colour map shows, in scene units or in those of the field.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(transparent)]
 pub struct ColorBound(f64);
@@ -472,7 +509,7 @@ impl ColorBound {
     }
 
     pub(super) fn kind() -> SettingKind {
-        SettingKind::Number { least: -1e9, most: 1e9, default: None, unit: "scene units" }
+        SettingKind::Number { least: -1e9, most: 1e9, default: None, unit: "units of the value" }
     }
 }
 

@@ -1,0 +1,6 @@
+// Samples have the colours of their file, or those of `painted`.
+const SHOWS_FIELD: bool = false;
+
+fn field_color(sample: u32, instance: u32) -> u32 {
+    return 0u;
+}

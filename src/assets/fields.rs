@@ -1,0 +1,392 @@
+//! Scalar fields: numbers that a file gives each point besides position, colour, normal and size.
+//!
+//! A reader collects a [`Column`] of numbers for each field. [`Spans`] sees all of them, which may take a pass over the file, and
+//! then encodes them: a [`Field`] has a code of at most 16 bits for each point. Whole numbers keep their exact values wherever their
+//! range allows.
+
+use rayon::prelude::*;
+
+use super::points::quote;
+
+/// Strength of the returned signal.
+pub const INTENSITY: &str = "intensity";
+/// Class of what was hit: an ASPRS class (LAS 1.4 R15, table 17), or a label.
+pub const CLASSIFICATION: &str = "classification";
+/// Number of a return among those of its pulse, from 1.
+pub const RETURN_NUMBER: &str = "return_number";
+
+/// Maximum number of words that the codes of a point take together.
+pub const MOST_WORDS: usize = 2;
+/// Maximum number of bytes of a field's name.
+pub const MOST_NAME_BYTES: usize = 64;
+/// Larger numbers count as missing.
+const LARGEST: f64 = 1e300;
+
+/// Places codes of these widths in the words of a point, the first in the lowest bits of the first word. Returns for each the number
+/// of its lowest bit, counted through all words; `None` where no word has room.
+pub fn places(bits: impl Iterator<Item = u32>) -> impl Iterator<Item = Option<u32>> {
+    let mut used = [0; MOST_WORDS];
+    bits.map(move |bits| {
+        let word = used.iter().position(|used| used + bits <= u32::BITS)?;
+        let place = word as u32 * u32::BITS + used[word];
+        used[word] += bits;
+        Some(place)
+    })
+}
+
+/// A number for each point of a cloud.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Field {
+    pub name: String,
+    pub scale: Scale,
+    /// One code for each point.
+    pub codes: Vec<u16>,
+}
+
+impl Field {
+    /// A field of whole numbers.
+    pub fn of_words(name: &str, values: Vec<u16>) -> Field {
+        let mut span = Span::default();
+        values.iter().for_each(|&value| span.add(f64::from(value)));
+        let scale =
+            span.scale().unwrap_or(Scale { least: 0.0, step: 1.0, most: 0, has_gaps: false });
+        let codes = values.iter().map(|&value| scale.code(f64::from(value))).collect();
+        Field { name: name.to_owned(), scale, codes }
+    }
+
+    /// The value of a point; `None` where it has none.
+    pub fn value(&self, point: usize) -> Option<f64> {
+        self.scale.value(*self.codes.get(point)?)
+    }
+}
+
+/// The values of codes: `least + step · code`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Scale {
+    pub least: f64,
+    pub step: f64,
+    /// The largest code of a value.
+    pub most: u16,
+    /// The code `most + 1` means that a point has no value.
+    pub has_gaps: bool,
+}
+
+impl Scale {
+    pub fn value(&self, code: u16) -> Option<f64> {
+        (code <= self.most).then(|| self.least + self.step * f64::from(code))
+    }
+
+    /// The code of the nearest value.
+    pub fn code(&self, value: f64) -> u16 {
+        if !is_value(value) {
+            return if self.has_gaps { self.most + 1 } else { 0 };
+        }
+        ((value - self.least) / self.step).round().clamp(0.0, f64::from(self.most)) as u16
+    }
+
+    /// Bits of a code, 1 to 16.
+    pub fn bits(&self) -> u32 {
+        let last = u32::from(self.most) + u32::from(self.has_gaps);
+        (u32::BITS - last.leading_zeros()).max(1)
+    }
+}
+
+fn is_value(number: f64) -> bool {
+    number.abs() <= LARGEST
+}
+
+/// The range of a field's values.
+#[derive(Clone, Copy, Debug)]
+struct Span {
+    low: f64,
+    high: f64,
+    is_fraction: bool,
+    has_gaps: bool,
+}
+
+impl Default for Span {
+    fn default() -> Span {
+        Span { low: f64::INFINITY, high: f64::NEG_INFINITY, is_fraction: false, has_gaps: false }
+    }
+}
+
+impl Span {
+    fn add(&mut self, value: f64) {
+        if is_value(value) {
+            self.low = self.low.min(value);
+            self.high = self.high.max(value);
+            self.is_fraction |= value.fract() != 0.0;
+        } else {
+            self.has_gaps = true;
+        }
+    }
+
+    fn joined(self, other: Span) -> Span {
+        Span {
+            low: self.low.min(other.low),
+            high: self.high.max(other.high),
+            is_fraction: self.is_fraction || other.is_fraction,
+            has_gaps: self.has_gaps || other.has_gaps,
+        }
+    }
+
+    /// The finest scale of these values; `None` if there is none, or if all are zero, which is how formats say that a field is not
+    /// used.
+    fn scale(self) -> Option<Scale> {
+        let Span { low, high, is_fraction, has_gaps } = self;
+        if low > high || (low == 0.0 && high == 0.0) {
+            return None;
+        }
+        let most = if has_gaps { u16::MAX - 1 } else { u16::MAX };
+        let extent = high - low;
+        let (step, most) = match extent {
+            extent if extent <= f64::from(most) && !is_fraction => (1.0, extent as u16),
+            0.0 => (1.0, 0),
+            extent => (extent / f64::from(most), most),
+        };
+        Some(Scale { least: low, step, most, has_gaps })
+    }
+}
+
+/// Numbers as they are read, in the type of the file.
+#[derive(Clone, Debug)]
+pub(super) enum Numbers {
+    Bytes(Vec<u8>),
+    Words(Vec<u16>),
+    Singles(Vec<f32>),
+    Doubles(Vec<f64>),
+}
+
+macro_rules! with_list {
+    ($numbers:expr, $list:ident => $do:expr) => {
+        match $numbers {
+            Numbers::Bytes($list) => $do,
+            Numbers::Words($list) => $do,
+            Numbers::Singles($list) => $do,
+            Numbers::Doubles($list) => $do,
+        }
+    };
+}
+
+impl Numbers {
+    fn len(&self) -> usize {
+        with_list!(self, list => list.len())
+    }
+
+    fn get(&self, point: usize) -> f64 {
+        match self {
+            Numbers::Bytes(list) => list[point].into(),
+            Numbers::Words(list) => list[point].into(),
+            Numbers::Singles(list) => list[point].into(),
+            Numbers::Doubles(list) => list[point],
+        }
+    }
+}
+
+/// The numbers of a field.
+#[derive(Clone, Debug)]
+pub(super) struct Column {
+    pub name: String,
+    pub numbers: Numbers,
+}
+
+impl Column {
+    /// A column that holds any number.
+    pub fn new(name: &str) -> Column {
+        Column { name: name.to_owned(), numbers: Numbers::Doubles(Vec::new()) }
+    }
+
+    pub fn push(&mut self, value: f64) {
+        match &mut self.numbers {
+            Numbers::Bytes(list) => list.push(value as u8),
+            Numbers::Words(list) => list.push(value as u16),
+            Numbers::Singles(list) => list.push(value as f32),
+            Numbers::Doubles(list) => list.push(value),
+        }
+    }
+
+    pub fn reserve(&mut self, points: usize) {
+        with_list!(&mut self.numbers, list => list.reserve_exact(points));
+    }
+
+    pub fn try_reserve(&mut self, points: usize) -> Result<(), std::collections::TryReserveError> {
+        with_list!(&mut self.numbers, list => list.try_reserve(points))
+    }
+
+    /// Takes the numbers of a column of the same type.
+    pub fn append(&mut self, other: &mut Column) {
+        match (&mut self.numbers, &mut other.numbers) {
+            (Numbers::Bytes(list), Numbers::Bytes(other)) => list.append(other),
+            (Numbers::Words(list), Numbers::Words(other)) => list.append(other),
+            (Numbers::Singles(list), Numbers::Singles(other)) => list.append(other),
+            (Numbers::Doubles(list), Numbers::Doubles(other)) => list.append(other),
+            (_, other) => (0..other.len()).for_each(|point| self.push(other.get(point))),
+        }
+    }
+
+    pub fn len(&self) -> usize {
+        self.numbers.len()
+    }
+
+    /// Keeps the flagged points.
+    pub fn retain(&mut self, kept: &[bool]) {
+        with_list!(&mut self.numbers, list => super::tidy::retain(list, kept));
+    }
+
+    fn span(&self) -> Span {
+        let add = |mut span: Span, point: usize| {
+            span.add(self.numbers.get(point));
+            span
+        };
+        let points = (0..self.numbers.len()).into_par_iter().with_min_len(1 << 12);
+        points.fold(Span::default, add).reduce(Span::default, Span::joined)
+    }
+}
+
+/// The columns of a file and the ranges of their values, which decide how they are encoded.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Spans(Vec<(String, Span)>);
+
+impl Spans {
+    /// The ranges of whole columns.
+    pub fn of(columns: &[Column]) -> Spans {
+        let mut spans = Spans::default();
+        spans.add(columns);
+        spans
+    }
+
+    /// Adds the numbers of some points. Columns are the same in each call.
+    pub fn add(&mut self, columns: &[Column]) {
+        if self.0.is_empty() {
+            self.0 = columns.iter().map(|column| (column.name.clone(), Span::default())).collect();
+        }
+        for ((_, span), column) in self.0.iter_mut().zip(columns) {
+            *span = span.joined(column.span());
+        }
+    }
+
+    /// The scale of each column that is kept: fields that tell something, as long as [`MOST_WORDS`] have room for them.
+    fn scales(&self) -> impl Iterator<Item = Option<Scale>> {
+        let scales = self.0.iter().map(|(name, span)| span.scale().filter(|_| is_name(name)));
+        let scales: Vec<Option<Scale>> = scales.collect();
+        let bits = scales.clone().into_iter().map(|scale| scale.map_or(0, |scale| scale.bits()));
+        let places: Vec<Option<u32>> = places(bits).collect();
+        scales.into_iter().zip(places).map(|(scale, place)| scale.filter(|_| place.is_some()))
+    }
+
+    /// Encodes columns, of the whole file or of a part of it.
+    pub fn fields(&self, columns: Vec<Column>) -> Vec<Field> {
+        let kept = columns.into_iter().zip(self.scales());
+        let field = |(column, scale): (Column, Option<Scale>)| {
+            let (scale, Column { name, numbers }) = (scale?, column);
+            let points = (0..numbers.len()).into_par_iter().with_min_len(1 << 12);
+            Some(Field { name, scale, codes: points.map(|i| scale.code(numbers.get(i))).collect() })
+        };
+        kept.filter_map(field).collect()
+    }
+
+    /// Names the fields that are not kept.
+    pub fn warning(&self) -> Option<String> {
+        let lost = self.0.iter().zip(self.scales());
+        let lost = lost.filter(|((_, span), scale)| scale.is_none() && span.scale().is_some());
+        let names: Vec<String> = lost.map(|((name, _), _)| quote(name)).collect();
+        let bits = 32 * MOST_WORDS;
+        let reason = format!(
+            "a point keeps {bits} bits of fields with names of up to {MOST_NAME_BYTES} bytes"
+        );
+        (!names.is_empty()).then(|| match &names[..] {
+            [name] => format!("field {name} is left out: {reason}"),
+            names => format!("fields {} are left out: {reason}", names.join(", ")),
+        })
+    }
+}
+
+/// Encodes whole columns. Fields that are not kept are named in a warning.
+pub(super) fn encoded(columns: Vec<Column>, warnings: &mut Vec<String>) -> Vec<Field> {
+    let spans = Spans::of(&columns);
+    warnings.extend(spans.warning());
+    spans.fields(columns)
+}
+
+fn is_name(name: &str) -> bool {
+    (1..=MOST_NAME_BYTES).contains(&name.len()) && !name.chars().any(char::is_control)
+}
+
+/// The name of a file's field: without the prefix of CloudCompare, and the usual one where settings know it.
+pub(super) fn name_of(own: &str) -> String {
+    let own = own.trim();
+    let bare = own.strip_prefix("scalar_").unwrap_or(own);
+    match bare.to_ascii_lowercase().as_str() {
+        "intensity" | "reflectance" => INTENSITY.to_owned(),
+        "classification" | "class" | "label" => CLASSIFICATION.to_owned(),
+        "return_number" | "returnnumber" | "return number" => RETURN_NUMBER.to_owned(),
+        _ => bare.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn column(name: &str, values: &[f64]) -> Column {
+        Column { name: name.to_owned(), numbers: Numbers::Doubles(values.to_vec()) }
+    }
+
+    #[test]
+    fn whole_numbers_are_exact_and_others_are_near() {
+        for values in [
+            vec![-3.0, 7.0, 1e4],
+            vec![0.0, 65535.0],
+            vec![1e9, 1e9 + 65535.0],
+            vec![5.0],
+            vec![2.5],
+            vec![0.25, f64::NAN, -1e6],
+            vec![7.0, f64::INFINITY, 65541.0],
+            vec![-1e300, 1e300],
+        ] {
+            let [field] = &encoded(vec![column("a", &values)], &mut Vec::new())[..] else {
+                panic!("{values:?}")
+            };
+            let is_whole = values.iter().all(|value| value.fract() == 0.0);
+            for (point, &value) in values.iter().enumerate() {
+                match field.value(point) {
+                    Some(found) if is_whole && value.abs() < 1e10 => assert_eq!(found, value),
+                    Some(found) => assert!((found - value).abs() <= 0.51 * field.scale.step),
+                    None => assert!(!value.is_finite()),
+                }
+                assert!(u32::from(field.codes[point]) < 1 << field.scale.bits());
+            }
+        }
+    }
+
+    #[test]
+    fn fields_without_information_or_room_are_left_out() {
+        let mut warnings = Vec::new();
+        let wide = [0.5, 1.0, 7.0];
+        let columns = ["a", "zero", "b", "c", "d", "e", "small"].map(|name| match name {
+            "zero" => column(name, &[0.0; 3]),
+            "small" => column(name, &[1.0, 2.0, 3.0]),
+            name => column(name, &wide),
+        });
+        let fields = encoded(columns.to_vec(), &mut warnings);
+        let names: Vec<&str> = fields.iter().map(|field| field.name.as_str()).collect();
+        assert_eq!(names, ["a", "b", "c", "d"]);
+        assert!(warnings[0].contains("\"e\", \"small\""), "{warnings:?}");
+        assert!(encoded(vec![column("a", &[f64::NAN])], &mut warnings).is_empty());
+        assert!(encoded(vec![column(&"x".repeat(65), &wide)], &mut warnings).is_empty());
+        assert_eq!(warnings.len(), 2);
+    }
+
+    #[test]
+    fn parts_are_encoded_as_the_whole() {
+        let (a, b) = (column("a", &[1.0, 5.5]), column("a", &[-2.0, f64::NAN]));
+        let mut spans = Spans::default();
+        spans.add(std::slice::from_ref(&a));
+        spans.add(std::slice::from_ref(&b));
+        let mut whole = a.clone();
+        whole.append(&mut b.clone());
+        let all = encoded(vec![whole], &mut Vec::new());
+        let parts = [a, b].map(|part| spans.fields(vec![part]).remove(0));
+        assert_eq!(all[0].codes, parts.map(|part| part.codes).concat());
+    }
+}

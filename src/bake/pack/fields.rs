@@ -1,0 +1,289 @@
+//! Scalar fields of packed samples: where a field's codes are, and how the nodes of trees combine them.
+
+use bytemuck::{Pod, Zeroable};
+
+use crate::assets::fields::{CLASSIFICATION, MOST_NAME_BYTES, MOST_WORDS, Scale, places};
+use crate::scene::fields::class_number;
+
+/// The codes of a sample's fields.
+pub type Values = [u32; MOST_WORDS];
+/// Words of a [`PackedField`].
+pub(super) const FIELD_WORDS: usize = size_of::<PackedField>() / 4;
+/// A colour map shows the values between these fractions of all points by default.
+const SHOWN: [f64; 2] = [0.01, 0.99];
+
+/// A scalar field of packed samples.
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct PackedField {
+    /// UTF-8, followed by zeros.
+    name: [u8; MOST_NAME_BYTES],
+    /// Bits of [`Scale::least`] and [`Scale::step`], lower word first.
+    least: [u32; 2],
+    step: [u32; 2],
+    /// [`Scale::most`] and [`Scale::has_gaps`].
+    most: u32,
+    has_gaps: u32,
+    /// Lowest bit of the code, counted through the words of a sample.
+    place: u32,
+    /// Codes of the 1st and the 99th percentile.
+    shown: [u32; 2],
+    /// Bit `c` tells that some point has the class `c`; zero for fields that are not classes.
+    classes: [u32; 8],
+}
+
+fn split(value: f64) -> [u32; 2] {
+    let bits = value.to_bits();
+    [bits as u32, (bits >> 32) as u32]
+}
+
+fn joined([low, high]: [u32; 2]) -> f64 {
+    f64::from_bits(u64::from(low) | u64::from(high) << 32)
+}
+
+/// Whether a field has classes, which have no mean.
+fn is_class(name: &str, scale: &Scale) -> bool {
+    name == CLASSIFICATION && scale.step == 1.0 && scale.least.abs() < f64::from(i32::MAX)
+}
+
+impl PackedField {
+    pub fn name(&self) -> &str {
+        let length = self.name.iter().position(|&byte| byte == 0).unwrap_or(MOST_NAME_BYTES);
+        std::str::from_utf8(&self.name[..length]).unwrap_or_default()
+    }
+
+    pub fn scale(&self) -> Scale {
+        let (least, step) = (joined(self.least), joined(self.step));
+        Scale { least, step, most: self.most as u16, has_gaps: self.has_gaps != 0 }
+    }
+
+    /// [`Scale::most`], unchecked.
+    pub(super) fn most(&self) -> u32 {
+        self.most
+    }
+
+    /// Lowest bit of the code, counted through the words of a sample.
+    pub fn place(&self) -> u32 {
+        self.place
+    }
+
+    pub fn is_class(&self) -> bool {
+        is_class(self.name(), &self.scale())
+    }
+
+    /// The values that a colour map shows by default: those of the 1st and of the 99th percentile.
+    pub fn shown(&self) -> [f64; 2] {
+        let scale = self.scale();
+        self.shown.map(|code| scale.least + scale.step * f64::from(code))
+    }
+
+    /// The smallest and the largest value.
+    pub fn range(&self) -> [f64; 2] {
+        let scale = self.scale();
+        [scale.least, scale.least + scale.step * f64::from(scale.most)]
+    }
+
+    /// The classes that points have.
+    pub fn classes(&self) -> impl Iterator<Item = u8> {
+        let words = self.classes;
+        (0..=255u8).filter(move |&class| words[usize::from(class) / 32] >> (class % 32) & 1 != 0)
+    }
+
+    /// The code of a sample with these words.
+    pub fn code(&self, words: &[u32]) -> u16 {
+        let mask = (1 << self.scale().bits()) - 1;
+        let word = words.get(self.place as usize / 32).copied().unwrap_or_default();
+        (word >> (self.place % 32) & mask) as u16
+    }
+
+    /// The value of a sample with these words; `None` where it has none.
+    pub fn value(&self, words: &[u32]) -> Option<f64> {
+        self.scale().value(self.code(words))
+    }
+}
+
+/// How many points have each code.
+#[derive(Clone, Debug, Default)]
+pub(in crate::bake) struct CodeCounts(Vec<u64>);
+
+impl CodeCounts {
+    pub(in crate::bake) fn add(&mut self, codes: &[u16]) {
+        if self.0.is_empty() {
+            self.0 = vec![0; 1 << 16];
+        }
+        codes.iter().for_each(|&code| self.0[usize::from(code)] += 1);
+    }
+
+    /// Codes of values, each with the number of points that have it.
+    pub(in crate::bake) fn of(&self, scale: &Scale) -> impl Iterator<Item = (u16, u64)> + Clone {
+        let codes = self.0.iter().zip(0..=scale.most).map(|(&count, code)| (code, count));
+        codes.filter(|&(_, count)| count > 0)
+    }
+
+    /// The code below which a fraction of all values lie; `None` without values.
+    pub(in crate::bake) fn percentile(&self, scale: &Scale, fraction: f64) -> Option<u16> {
+        let total: u64 = self.of(scale).map(|(_, count)| count).sum();
+        let rank = ((total as f64 - 1.0) * fraction).round() as u64;
+        let mut below = 0;
+        let mut codes = self.of(scale);
+        codes.find_map(|(code, count)| {
+            below += count;
+            (below > rank).then_some(code)
+        })
+    }
+}
+
+/// The fields of samples, given the codes of all points.
+pub(in crate::bake) fn pack_fields<'a>(
+    fields: impl Iterator<Item = (&'a str, Scale, &'a CodeCounts)> + Clone,
+) -> Vec<PackedField> {
+    let places = places(fields.clone().map(|(_, scale, _)| scale.bits()));
+    let field = |((name, scale, counts), place): ((&str, Scale, &CodeCounts), Option<u32>)| {
+        let mut bytes = [0; MOST_NAME_BYTES];
+        bytes.get_mut(..name.len())?.copy_from_slice(name.as_bytes());
+        let mut classes = [0; 8];
+        for (code, _) in counts.of(&scale).filter(|_| is_class(name, &scale)) {
+            let class = class_number(scale.least + scale.step * f64::from(code));
+            classes[usize::from(class) / 32] |= 1 << (class % 32);
+        }
+        let shown = SHOWN.map(|part| counts.percentile(&scale, part).unwrap_or_default().into());
+        Some(PackedField {
+            name: bytes,
+            least: split(scale.least),
+            step: split(scale.step),
+            most: scale.most.into(),
+            has_gaps: scale.has_gaps.into(),
+            place: place?,
+            shown,
+            classes,
+        })
+    };
+    fields.zip(places).filter_map(field).collect()
+}
+
+/// Words that the values of a sample with these fields take.
+pub fn value_words(fields: &[PackedField]) -> usize {
+    fields.iter().map(|field| field.place as usize / 32 + 1).max().unwrap_or(0)
+}
+
+/// The bits of the codes, which is all that combining them needs.
+#[derive(Clone, Debug, Default)]
+pub struct Layout(Vec<Slot>);
+
+#[derive(Clone, Copy, Debug)]
+struct Slot {
+    word: usize,
+    shift: u32,
+    mask: u32,
+    /// Codes above mean that a sample has no value.
+    most: u32,
+    is_class: bool,
+}
+
+impl Layout {
+    pub fn of(fields: &[PackedField]) -> Layout {
+        let slot = |field: &PackedField| Slot {
+            word: field.place as usize / 32,
+            shift: field.place % 32,
+            mask: (1 << field.scale().bits()) - 1,
+            most: field.most,
+            is_class: field.is_class(),
+        };
+        Layout(fields.iter().map(slot).collect())
+    }
+
+    /// The words of codes, which are in the order of the fields.
+    pub(in crate::bake) fn words(&self, codes: impl Iterator<Item = u16>) -> Values {
+        let mut words = Values::default();
+        for (slot, code) in self.0.iter().zip(codes) {
+            words[slot.word] |= u32::from(code) << slot.shift;
+        }
+        words
+    }
+
+    /// The values of a node: the mean of what is below it, by area, and of classes the one with the largest area.
+    pub(in crate::bake) fn above(
+        &self,
+        children: impl Iterator<Item = (Values, f32)> + Clone,
+    ) -> Values {
+        let mut words = Values::default();
+        for slot in &self.0 {
+            let code = |words: Values| words[slot.word] >> slot.shift & slot.mask;
+            let known = children.clone().map(|(words, weight)| (code(words), f64::from(weight)));
+            let known = known.filter(|&(code, _)| code <= slot.most);
+            let total: f64 = known.clone().map(|(_, weight)| weight).sum();
+            let area = |of: u32| -> f64 {
+                known.clone().filter(|&(code, _)| code == of).map(|(_, weight)| weight).sum()
+            };
+            let mean = match (total > 0.0, slot.is_class) {
+                // Without a value, as its children are.
+                (false, _) => children.clone().next().map_or(0, |(words, _)| code(words)),
+                (true, false) => {
+                    let sum: f64 =
+                        known.clone().map(|(code, weight)| f64::from(code) * weight).sum();
+                    (sum / total).round() as u32
+                }
+                (true, true) => {
+                    let codes = known.clone().map(|(code, _)| code);
+                    codes.max_by(|&a, &b| area(a).total_cmp(&area(b)).then(b.cmp(&a))).unwrap_or(0)
+                }
+            };
+            words[slot.word] |= (mean & slot.mask) << slot.shift;
+        }
+        words
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::assets::Field;
+
+    fn packed(fields: &[Field]) -> Vec<PackedField> {
+        let counts: Vec<CodeCounts> = fields
+            .iter()
+            .map(|field| {
+                let mut counts = CodeCounts::default();
+                counts.add(&field.codes);
+                counts
+            })
+            .collect();
+        let each = fields.iter().zip(&counts);
+        pack_fields(each.map(|(field, counts)| (field.name.as_str(), field.scale, counts)))
+    }
+
+    #[test]
+    fn codes_come_back_from_their_words() {
+        let words = Field::of_words("words", vec![3, 65535, 700]);
+        let class = Field::of_words(CLASSIFICATION, vec![2, 6, 2]);
+        let wide = Field::of_words("wide", vec![0, 65535, 1]);
+        let fields = [words, class, wide];
+        let packed = packed(&fields);
+        assert_eq!(value_words(&packed), 2);
+        let layout = Layout::of(&packed);
+        for point in 0..3 {
+            let words = layout.words(fields.iter().map(|field| field.codes[point]));
+            for (field, packed) in fields.iter().zip(&packed) {
+                assert_eq!(packed.value(&words), field.value(point));
+                assert_eq!((packed.name(), packed.scale()), (field.name.as_str(), field.scale));
+            }
+        }
+        assert_eq!(packed[1].classes().collect::<Vec<_>>(), [2, 6]);
+        assert_eq!(packed[0].shown(), [3.0, 65535.0]);
+        assert_eq!(value_words(&[]), 0);
+    }
+
+    #[test]
+    fn nodes_have_the_mean_value_and_the_largest_class() {
+        let value = Field::of_words("value", vec![10, 20, 100]);
+        let class = Field::of_words(CLASSIFICATION, vec![9, 5, 5]);
+        let fields = [value, class];
+        let packed = packed(&fields);
+        let layout = Layout::of(&packed);
+        let child = |point: usize| layout.words(fields.iter().map(|field| field.codes[point]));
+        let above = layout.above([(child(0), 2.0), (child(1), 1.0), (child(2), 1.5)].into_iter());
+        let mean: f64 = (2.0 * 10.0 + 20.0 + 150.0) / 4.5;
+        assert_eq!(packed[0].value(&above), Some(mean.round()));
+        assert_eq!(packed[1].value(&above), Some(5.0));
+    }
+}
