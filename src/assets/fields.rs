@@ -265,9 +265,13 @@ impl Spans {
         }
     }
 
-    /// The scale of each column that is kept: fields that tell something, as long as [`MOST_WORDS`] have room for them.
+    /// The scale of each column that is kept: fields that tell something, the first of each name, as long as [`MOST_WORDS`] have room
+    /// for them.
     fn scales(&self) -> impl Iterator<Item = Option<Scale>> {
-        let scales = self.0.iter().map(|(name, span)| span.scale().filter(|_| is_name(name)));
+        let scales = self.0.iter().enumerate().map(|(at, (name, span))| {
+            let is_new = self.0[..at].iter().all(|(other, _)| other != name);
+            span.scale().filter(|_| is_name(name) && is_new)
+        });
         let scales: Vec<Option<Scale>> = scales.collect();
         let bits = scales.clone().into_iter().map(|scale| scale.map_or(0, |scale| scale.bits()));
         let places: Vec<Option<u32>> = places(bits).collect();
@@ -292,7 +296,7 @@ impl Spans {
         let names: Vec<String> = lost.map(|((name, _), _)| quote(name)).collect();
         let bits = 32 * MOST_WORDS;
         let reason = format!(
-            "a point keeps {bits} bits of fields with names of up to {MOST_NAME_BYTES} bytes"
+            "a point keeps {bits} bits of fields, with different names of up to {MOST_NAME_BYTES} bytes"
         );
         (!names.is_empty()).then(|| match &names[..] {
             [name] => format!("field {name} is left out: {reason}"),

@@ -13,6 +13,7 @@
 //! skipped and counted.
 
 mod compressed;
+mod extra;
 mod header;
 mod record;
 
@@ -55,6 +56,8 @@ fn read_seekable<R: Read + Seek + Send + Sync>(
     let header = open(&mut reader, name, options, &mut warnings)?;
     let layout = Layout::of(&header);
     points::admit(name, header.points, options)?;
+    let extra_bytes = 8 * header.extra.len() as u64;
+    options.admission.grow(name, header.points.saturating_mul(extra_bytes))?;
     let mut columns = Columns::default();
     if !header.is_compressed {
         columns.reserve(header.points as usize, &layout);

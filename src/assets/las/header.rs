@@ -4,6 +4,7 @@ use std::io::{Read, Seek, SeekFrom};
 
 use glam::DVec3;
 
+use super::extra::{self, ExtraField};
 use super::{AssetError, io_error, malformed};
 use crate::assets::points::unsupported;
 
@@ -13,6 +14,8 @@ const HEADER_BYTES_1_4: u64 = 375;
 const VLR_HEADER_BYTES: u64 = 54;
 const LASZIP_USER_ID: &[u8] = b"laszip encoded";
 const LASZIP_RECORD_ID: u16 = 22204;
+const SPEC_USER_ID: &[u8] = b"LASF_Spec";
+const EXTRA_BYTES_RECORD_ID: u16 = 4;
 
 /// Bytes of a record of point formats 0 to 10, without extra bytes.
 const FORMAT_BYTES: [usize; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
@@ -34,6 +37,8 @@ pub(super) struct Header {
     pub offset: DVec3,
     /// Content of the LASzip variable length record.
     pub laszip: Option<Vec<u8>>,
+    /// Fields behind those of the point format.
+    pub extra: Vec<ExtraField>,
 }
 
 /// Little-endian fields at fixed places.
@@ -125,8 +130,9 @@ impl Header {
             return Err(bad("offset", format!("is {offset}")));
         }
         let declared = block.u32(100);
-        let laszip =
-            find_laszip(reader, header_bytes, points_offset, declared, warnings).map_err(io)?;
+        let Records { laszip, extra } =
+            find_records(reader, header_bytes, points_offset, declared, warnings).map_err(io)?;
+        let extra = extra::declared(&extra, format_bytes, record_bytes);
         Ok(Self {
             version_minor,
             format,
@@ -138,19 +144,28 @@ impl Header {
             scale,
             offset,
             laszip,
+            extra,
         })
     }
 }
 
+/// Contents of the variable length records that are used.
+#[derive(Default)]
+struct Records {
+    laszip: Option<Vec<u8>>,
+    /// Declarations of extra bytes.
+    extra: Vec<u8>,
+}
+
 /// Steps through the variable length records between header and points, however many are declared.
-fn find_laszip<R: Read + Seek>(
+fn find_records<R: Read + Seek>(
     reader: &mut R,
     start: u64,
     end: u64,
     declared: u32,
     warnings: &mut Vec<String>,
-) -> std::io::Result<Option<Vec<u8>>> {
-    let (mut at, mut laszip) = (start, None);
+) -> std::io::Result<Records> {
+    let (mut at, mut found) = (start, Records::default());
     for index in 0..declared {
         let mut head = [0; VLR_HEADER_BYTES as usize];
         let mut length = 0;
@@ -165,14 +180,21 @@ fn find_laszip<R: Read + Seek>(
             ));
             break;
         }
-        let is_laszip = head[2..18].starts_with(LASZIP_USER_ID)
-            && u16::from_le_bytes([head[18], head[19]]) == LASZIP_RECORD_ID;
-        if is_laszip {
+        let is = |user: &[u8], id: u16| {
+            head[2..18].starts_with(user) && u16::from_le_bytes([head[18], head[19]]) == id
+        };
+        let (is_laszip, is_extra) =
+            (is(LASZIP_USER_ID, LASZIP_RECORD_ID), is(SPEC_USER_ID, EXTRA_BYTES_RECORD_ID));
+        if is_laszip || is_extra {
             let mut data = vec![0; length as usize];
             reader.read_exact(&mut data)?;
-            laszip = Some(data);
+            if is_laszip {
+                found.laszip = Some(data);
+            } else {
+                found.extra = data;
+            }
         }
         at += VLR_HEADER_BYTES + length;
     }
-    Ok(laszip)
+    Ok(found)
 }

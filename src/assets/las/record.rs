@@ -5,6 +5,7 @@ use std::collections::TryReserveError;
 use glam::DVec3;
 
 use super::super::fields::{CLASSIFICATION, Column, INTENSITY, Numbers, RETURN_NUMBER};
+use super::extra::ExtraField;
 use super::header::Header;
 
 /// Where a record keeps what is wanted.
@@ -19,6 +20,7 @@ pub(super) struct Layout {
     has_flags: bool,
     rgb_at: Option<usize>,
     gps_time_at: Option<usize>,
+    extra: Vec<ExtraField>,
 }
 
 /// Steps of the scan angle of formats 6 to 10, in degrees.
@@ -43,6 +45,7 @@ impl Layout {
                 6.. => Some(22),
                 _ => None,
             },
+            extra: header.extra.clone(),
         }
     }
 
@@ -60,11 +63,12 @@ impl Layout {
             column("point_source_id", words),
         ];
         columns.extend(self.gps_time_at.map(|_| column("gps_time", Numbers::Doubles(Vec::new()))));
+        columns.extend(self.extra.iter().map(|extra| Column::new(&extra.name)));
         columns
     }
 
     /// The values of a record's fields, in the order of the columns.
-    fn values(&self, record: &[u8], class: u8) -> [f64; 8] {
+    fn values<'a>(&'a self, record: &'a [u8], class: u8) -> impl Iterator<Item = f64> + 'a {
         let word = |at: usize| u16::from_le_bytes([record[at], record[at + 1]]);
         let returns = record[14];
         let (number, count) = match self.is_extended {
@@ -76,7 +80,7 @@ impl Layout {
             false => (f64::from(record[16] as i8), record[17], word(18)),
         };
         let gps_time = self.gps_time_at.and_then(|at| record[at..].first_chunk());
-        [
+        let fixed = [
             f64::from(word(12)),
             f64::from(class),
             f64::from(number),
@@ -84,8 +88,10 @@ impl Layout {
             angle,
             f64::from(user),
             f64::from(source),
-            gps_time.map_or(0.0, |&bytes| f64::from_le_bytes(bytes)),
-        ]
+        ];
+        let gps_time = gps_time.map(|&bytes| f64::from_le_bytes(bytes));
+        let extra = self.extra.iter().map(|extra| extra.value(record));
+        fixed.into_iter().chain(gps_time).chain(extra)
     }
 
     /// The class and whether the point is withheld.

@@ -105,6 +105,43 @@ fn every_format_comes_back_plain_and_compressed() {
 }
 
 #[test]
+fn declared_extra_bytes_are_fields() {
+    // A declaration of a word with a scale of 0.5, behind an undocumented byte.
+    let mut declarations = vec![0; 2 * 192];
+    declarations[3] = 1;
+    (declarations[194], declarations[195]) = (3, 8);
+    declarations[196..205].copy_from_slice(b"Amplitude");
+    declarations[304..312].copy_from_slice(&0.5f64.to_le_bytes());
+    for is_compressed in [false, true] {
+        let mut builder = Builder::from((1, 4));
+        builder.point_format = Format::new(6).unwrap();
+        builder.point_format.is_compressed = is_compressed;
+        builder.point_format.extra_bytes = 3;
+        builder.vlrs.push(las::Vlr {
+            user_id: "LASF_Spec".to_owned(),
+            record_id: 4,
+            data: declarations.clone(),
+            ..las::Vlr::default()
+        });
+        let header = builder.into_header().unwrap();
+        let mut writer = Writer::new(Cursor::new(Vec::new()), header).unwrap();
+        for i in 0..300u16 {
+            let [low, high] = (1000 + i).to_le_bytes();
+            let extra_bytes = vec![77, low, high];
+            let x = f64::from(i);
+            let gps_time = Some(x);
+            writer.write_point(Point { x, gps_time, extra_bytes, ..Point::default() }).unwrap();
+        }
+        writer.close().unwrap();
+        let bytes = writer.into_inner().unwrap().into_inner();
+        let asset = read_bytes(&bytes).unwrap();
+        let values = points_of(&asset).values_of("Amplitude").unwrap();
+        let expected: Vec<f64> = (0..300).map(|i| f64::from(1000 + i) * 0.5).collect();
+        assert!(values.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 0.01), "{values:?}");
+    }
+}
+
+#[test]
 fn many_chunks_keep_their_order() {
     let bytes = file((1, 2), 3, true, 120_000, 256);
     let asset = read_bytes(&bytes).unwrap();
