@@ -1,4 +1,4 @@
-//! Pointillist: a headless render server for scenes of points, lines and triangles.
+//! Pointillist: a headless render server for scenes of points and triangles.
 //!
 //! One request's journey, top to bottom; a module imports only from the floors below it:
 //!

@@ -152,8 +152,8 @@ fn check_invariants(name: &str, asset: &Asset) {
             Geometry::Points(cloud) => [
                 cloud.colors.as_ref().map(Vec::len),
                 cloud.normals.as_ref().map(Vec::len),
-                cloud.fields.iter().map(|field| field.codes.len()).min(),
-                cloud.fields.iter().map(|field| field.codes.len()).max(),
+                (!cloud.fields.is_empty()).then(|| cloud.fields.points()),
+                None,
                 cloud.radii.as_ref().map(Vec::len),
             ],
             Geometry::Mesh(mesh) => {

@@ -324,9 +324,8 @@ fn finish(scans: Vec<Scan>, name: &str) -> Result<Asset, AssetError> {
             geometry: asset.geometries.len(),
             asset_from_geometry: scan.file_from_scan,
         });
-        let intensity = scan
-            .intensity
-            .map(|values| Column { name: INTENSITY.to_owned(), numbers: Numbers::Singles(values) });
+        let intensity =
+            scan.intensity.map(|values| Column::of(INTENSITY, Numbers::Singles(values)));
         asset.geometries.push(Geometry::Points(PointCloud {
             colors: scan.rgb.and_then(|rgb| colors(rgb.len(), |point| rgb[point])),
             fields: fields::encoded(intensity.into_iter().collect(), &mut asset.warnings),

@@ -34,30 +34,147 @@ pub fn places(bits: impl Iterator<Item = u32>) -> impl Iterator<Item = Option<u3
     })
 }
 
-/// A number for each point of a cloud.
+/// A scalar field: its name, what its codes mean, and where a point's words have them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Field {
     pub name: String,
     pub scale: Scale,
-    /// One code for each point.
-    pub codes: Vec<u16>,
+    /// Lowest bit of the code, counted through the words of a point.
+    pub place: u32,
 }
 
 impl Field {
-    /// A field of whole numbers.
-    pub fn of_words(name: &str, values: Vec<u16>) -> Field {
-        let mut span = Span::default();
-        values.iter().for_each(|&value| span.add(f64::from(value)));
-        let scale =
-            span.scale().unwrap_or(Scale { least: 0.0, step: 1.0, most: 0, has_gaps: false });
-        let codes = values.iter().map(|&value| scale.code(f64::from(value))).collect();
-        Field { name: name.to_owned(), scale, codes }
+    /// The code of a point with these words.
+    pub fn code(&self, words: &[u32]) -> u16 {
+        let mask = (1 << self.scale.bits()) - 1;
+        let word = words.get(self.place as usize / 32).copied().unwrap_or_default();
+        (word >> (self.place % 32) & mask) as u16
     }
 
-    /// The value of a point; `None` where it has none.
-    pub fn value(&self, point: usize) -> Option<f64> {
-        self.scale.value(*self.codes.get(point)?)
+    /// The value of a point with these words; `None` where it has none.
+    pub fn value(&self, words: &[u32]) -> Option<f64> {
+        self.scale.value(self.code(words))
     }
+}
+
+/// The scalar fields of a cloud. Each point has a few words, which hold the codes of all fields.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Fields {
+    list: Vec<Field>,
+    /// Words of a point, at most [`MOST_WORDS`].
+    width: usize,
+    words: Vec<u32>,
+}
+
+impl Fields {
+    /// Fields whose codes are zero. Those that the words have no room for are left out.
+    fn empty(fields: impl Iterator<Item = (String, Scale)> + Clone, points: usize) -> Fields {
+        let places = places(fields.clone().map(|(_, scale)| scale.bits()));
+        let list = fields.zip(places);
+        let list =
+            list.filter_map(|((name, scale), place)| Some(Field { name, scale, place: place? }));
+        let list: Vec<Field> = list.collect();
+        let width = width_of(list.iter().map(|field| field.place));
+        Fields { list, width, words: vec![0; width * points] }
+    }
+
+    /// Fields of whole numbers, each with a number for every point.
+    pub fn of_numbers(fields: Vec<(&str, Vec<u16>)>) -> Fields {
+        let column = |(name, numbers): (&str, Vec<u16>)| Column {
+            name: name.to_owned(),
+            numbers: Numbers::Words(numbers),
+            factor: 1.0,
+        };
+        encoded(fields.into_iter().map(column).collect(), &mut Vec::new())
+    }
+
+    /// Fields whose codes are in these words.
+    pub fn from_words(list: Vec<Field>, words: Vec<u32>) -> Fields {
+        let width = width_of(list.iter().map(|field| field.place));
+        Fields { list, width, words }
+    }
+
+    pub fn list(&self) -> &[Field] {
+        &self.list
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.list.is_empty()
+    }
+
+    /// Number of points; 0 without fields.
+    pub fn points(&self) -> usize {
+        self.words.len().checked_div(self.width).unwrap_or(0)
+    }
+
+    /// Words of a point.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// The words of all points, one after the other.
+    pub fn words(&self) -> &[u32] {
+        &self.words
+    }
+
+    /// The words of a point.
+    pub fn at(&self, point: usize) -> &[u32] {
+        &self.words[self.width * point..self.width * (point + 1)]
+    }
+
+    /// The fields of some of the points, in this order.
+    pub fn picked(&self, points: impl Iterator<Item = usize>) -> Fields {
+        let words = points.flat_map(|point| self.at(point)).copied().collect();
+        Fields { list: self.list.clone(), width: self.width, words }
+    }
+
+    /// Keeps the flagged points.
+    pub(super) fn retain(&mut self, kept: &[bool]) {
+        let points = kept.iter().enumerate().filter_map(|(point, &kept)| kept.then_some(point));
+        if !self.is_empty() {
+            *self = self.picked(points);
+        }
+    }
+
+    /// Writes the codes of a field.
+    fn put(&mut self, field: usize, column: Column) {
+        let Field { scale, place, .. } = &self.list[field];
+        let (word, shift) = (*place as usize / 32, place % 32);
+        let width = self.width;
+        let code = |raw: f64| u32::from(scale.code(raw * column.factor)) << shift;
+        let words = self.words.par_chunks_mut(width << 12);
+        match &column.numbers {
+            // Few different numbers have few codes.
+            Numbers::Bytes(list) => {
+                let codes: Vec<u32> = (0..=255u8).map(|raw| code(raw.into())).collect();
+                let lists = words.zip(list.par_chunks(1 << 12));
+                lists.for_each(|(words, list)| {
+                    for (words, &raw) in words.chunks_exact_mut(width).zip(list) {
+                        words[word] |= codes[usize::from(raw)];
+                    }
+                });
+            }
+            Numbers::Words(list) => {
+                let codes: Vec<u32> = (0..=u16::MAX).map(|raw| code(raw.into())).collect();
+                let lists = words.zip(list.par_chunks(1 << 12));
+                lists.for_each(|(words, list)| {
+                    for (words, &raw) in words.chunks_exact_mut(width).zip(list) {
+                        words[word] |= codes[usize::from(raw)];
+                    }
+                });
+            }
+            numbers => words.enumerate().for_each(|(chunk, words)| {
+                for (words, point) in words.chunks_exact_mut(width).zip(chunk << 12..) {
+                    words[word] |= code(numbers.get(point));
+                }
+            }),
+        }
+    }
+}
+
+/// Words of a point whose codes are at these places.
+fn width_of(places: impl Iterator<Item = u32>) -> usize {
+    places.map(|place| place as usize / 32 + 1).max().unwrap_or(0)
 }
 
 /// The values of codes: `least + step · code`.
@@ -102,11 +219,14 @@ struct Span {
     high: f64,
     is_fraction: bool,
     has_gaps: bool,
+    /// What these numbers are multiplied with.
+    factor: f64,
 }
 
 impl Default for Span {
     fn default() -> Span {
-        Span { low: f64::INFINITY, high: f64::NEG_INFINITY, is_fraction: false, has_gaps: false }
+        let (low, high) = (f64::INFINITY, f64::NEG_INFINITY);
+        Span { low, high, is_fraction: false, has_gaps: false, factor: 1.0 }
     }
 }
 
@@ -127,13 +247,14 @@ impl Span {
             high: self.high.max(other.high),
             is_fraction: self.is_fraction || other.is_fraction,
             has_gaps: self.has_gaps || other.has_gaps,
+            factor: other.factor,
         }
     }
 
     /// The finest scale of these values; `None` if there is none, or if all are zero, which is how formats say that a field is not
     /// used.
     fn scale(self) -> Option<Scale> {
-        let Span { low, high, is_fraction, has_gaps } = self;
+        let Span { low, high, is_fraction, has_gaps, factor } = self;
         if low > high || (low == 0.0 && high == 0.0) {
             return None;
         }
@@ -144,7 +265,7 @@ impl Span {
             0.0 => (1.0, 0),
             extent => (extent / f64::from(most), most),
         };
-        Some(Scale { least: low, step, most, has_gaps })
+        Some(Scale { least: low * factor, step: step * factor, most, has_gaps })
     }
 }
 
@@ -153,6 +274,7 @@ impl Span {
 pub(super) enum Numbers {
     Bytes(Vec<u8>),
     Words(Vec<u16>),
+    Shorts(Vec<i16>),
     Singles(Vec<f32>),
     Doubles(Vec<f64>),
 }
@@ -162,6 +284,7 @@ macro_rules! with_list {
         match $numbers {
             Numbers::Bytes($list) => $do,
             Numbers::Words($list) => $do,
+            Numbers::Shorts($list) => $do,
             Numbers::Singles($list) => $do,
             Numbers::Doubles($list) => $do,
         }
@@ -177,6 +300,7 @@ impl Numbers {
         match self {
             Numbers::Bytes(list) => list[point].into(),
             Numbers::Words(list) => list[point].into(),
+            Numbers::Shorts(list) => list[point].into(),
             Numbers::Singles(list) => list[point].into(),
             Numbers::Doubles(list) => list[point],
         }
@@ -188,18 +312,25 @@ impl Numbers {
 pub(super) struct Column {
     pub name: String,
     pub numbers: Numbers,
+    /// What a stored number is multiplied with.
+    pub factor: f64,
 }
 
 impl Column {
     /// A column that holds any number.
     pub fn new(name: &str) -> Column {
-        Column { name: name.to_owned(), numbers: Numbers::Doubles(Vec::new()) }
+        Column::of(name, Numbers::Doubles(Vec::new()))
+    }
+
+    pub fn of(name: &str, numbers: Numbers) -> Column {
+        Column { name: name.to_owned(), numbers, factor: 1.0 }
     }
 
     pub fn push(&mut self, value: f64) {
         match &mut self.numbers {
             Numbers::Bytes(list) => list.push(value as u8),
             Numbers::Words(list) => list.push(value as u16),
+            Numbers::Shorts(list) => list.push(value as i16),
             Numbers::Singles(list) => list.push(value as f32),
             Numbers::Doubles(list) => list.push(value),
         }
@@ -218,6 +349,7 @@ impl Column {
         match (&mut self.numbers, &mut other.numbers) {
             (Numbers::Bytes(list), Numbers::Bytes(other)) => list.append(other),
             (Numbers::Words(list), Numbers::Words(other)) => list.append(other),
+            (Numbers::Shorts(list), Numbers::Shorts(other)) => list.append(other),
             (Numbers::Singles(list), Numbers::Singles(other)) => list.append(other),
             (Numbers::Doubles(list), Numbers::Doubles(other)) => list.append(other),
             (_, other) => (0..other.len()).for_each(|point| self.push(other.get(point))),
@@ -233,13 +365,33 @@ impl Column {
         with_list!(&mut self.numbers, list => super::tidy::retain(list, kept));
     }
 
+    /// The range of the stored numbers, which are multiplied with the factor.
     fn span(&self) -> Span {
-        let add = |mut span: Span, point: usize| {
-            span.add(self.numbers.get(point));
-            span
+        let whole = |low: Option<f64>, high: Option<f64>| match (low, high) {
+            (Some(low), Some(high)) => Span { low, high, ..Span::default() },
+            _ => Span::default(),
         };
-        let points = (0..self.numbers.len()).into_par_iter().with_min_len(1 << 12);
-        points.fold(Span::default, add).reduce(Span::default, Span::joined)
+        macro_rules! of_whole {
+            ($list:expr) => {{
+                let (low, high) =
+                    ($list.par_iter().copied().min(), $list.par_iter().copied().max());
+                whole(low.map(f64::from), high.map(f64::from))
+            }};
+        }
+        let span = match &self.numbers {
+            Numbers::Bytes(list) => of_whole!(list),
+            Numbers::Words(list) => of_whole!(list),
+            Numbers::Shorts(list) => of_whole!(list),
+            numbers => {
+                let add = |mut span: Span, point: usize| {
+                    span.add(numbers.get(point));
+                    span
+                };
+                let points = (0..numbers.len()).into_par_iter().with_min_len(1 << 12);
+                points.fold(Span::default, add).reduce(Span::default, Span::joined)
+            }
+        };
+        Span { factor: self.factor, ..span }
     }
 }
 
@@ -279,14 +431,17 @@ impl Spans {
     }
 
     /// Encodes columns, of the whole file or of a part of it.
-    pub fn fields(&self, columns: Vec<Column>) -> Vec<Field> {
+    pub fn fields(&self, columns: Vec<Column>) -> Fields {
         let kept = columns.into_iter().zip(self.scales());
-        let field = |(column, scale): (Column, Option<Scale>)| {
-            let (scale, Column { name, numbers }) = (scale?, column);
-            let points = (0..numbers.len()).into_par_iter().with_min_len(1 << 12);
-            Some(Field { name, scale, codes: points.map(|i| scale.code(numbers.get(i))).collect() })
-        };
-        kept.filter_map(field).collect()
+        let kept: Vec<(Column, Scale)> =
+            kept.filter_map(|(column, scale)| Some((column, scale?))).collect();
+        let points = kept.first().map_or(0, |(column, _)| column.len());
+        let names = kept.iter().map(|(column, scale)| (column.name.clone(), *scale));
+        let mut fields = Fields::empty(names, points);
+        for (field, (column, _)) in kept.into_iter().enumerate() {
+            fields.put(field, column);
+        }
+        fields
     }
 
     /// Names the fields that are not kept.
@@ -306,7 +461,7 @@ impl Spans {
 }
 
 /// Encodes whole columns. Fields that are not kept are named in a warning.
-pub(super) fn encoded(columns: Vec<Column>, warnings: &mut Vec<String>) -> Vec<Field> {
+pub(super) fn encoded(columns: Vec<Column>, warnings: &mut Vec<String>) -> Fields {
     let spans = Spans::of(&columns);
     warnings.extend(spans.warning());
     spans.fields(columns)
@@ -333,7 +488,7 @@ mod tests {
     use super::*;
 
     fn column(name: &str, values: &[f64]) -> Column {
-        Column { name: name.to_owned(), numbers: Numbers::Doubles(values.to_vec()) }
+        Column::of(name, Numbers::Doubles(values.to_vec()))
     }
 
     #[test]
@@ -348,17 +503,15 @@ mod tests {
             vec![7.0, f64::INFINITY, 65541.0],
             vec![-1e300, 1e300],
         ] {
-            let [field] = &encoded(vec![column("a", &values)], &mut Vec::new())[..] else {
-                panic!("{values:?}")
-            };
+            let fields = encoded(vec![column("a", &values)], &mut Vec::new());
+            let [field] = fields.list() else { panic!("{values:?}") };
             let is_whole = values.iter().all(|value| value.fract() == 0.0);
             for (point, &value) in values.iter().enumerate() {
-                match field.value(point) {
+                match field.value(fields.at(point)) {
                     Some(found) if is_whole && value.abs() < 1e10 => assert_eq!(found, value),
                     Some(found) => assert!((found - value).abs() <= 0.51 * field.scale.step),
                     None => assert!(!value.is_finite()),
                 }
-                assert!(u32::from(field.codes[point]) < 1 << field.scale.bits());
             }
         }
     }
@@ -373,7 +526,7 @@ mod tests {
             name => column(name, &wide),
         });
         let fields = encoded(columns.to_vec(), &mut warnings);
-        let names: Vec<&str> = fields.iter().map(|field| field.name.as_str()).collect();
+        let names: Vec<&str> = fields.list().iter().map(|field| field.name.as_str()).collect();
         assert_eq!(names, ["a", "b", "c", "d"]);
         assert!(warnings[0].contains("\"e\", \"small\""), "{warnings:?}");
         assert!(encoded(vec![column("a", &[f64::NAN])], &mut warnings).is_empty());
@@ -390,7 +543,34 @@ mod tests {
         let mut whole = a.clone();
         whole.append(&mut b.clone());
         let all = encoded(vec![whole], &mut Vec::new());
-        let parts = [a, b].map(|part| spans.fields(vec![part]).remove(0));
-        assert_eq!(all[0].codes, parts.map(|part| part.codes).concat());
+        let parts = [a, b].map(|part| spans.fields(vec![part]));
+        assert_eq!(all.words(), parts.map(|part| part.words().to_vec()).concat());
+    }
+
+    #[test]
+    fn every_type_of_numbers_is_encoded() {
+        let (bytes, words) = (vec![3u8, 250, 7], vec![9u16, 60_000, 0]);
+        let shorts =
+            Column { factor: 0.006, ..Column::of("angle", Numbers::Shorts(vec![-5, 0, 30_000])) };
+        let singles = Column::of("single", Numbers::Singles(vec![0.5, f32::NAN, 2.5]));
+        let columns = vec![
+            Column::of("byte", Numbers::Bytes(bytes)),
+            Column::of("word", Numbers::Words(words)),
+            shorts,
+            singles,
+        ];
+        let fields = encoded(columns, &mut Vec::new());
+        let values = |name: &str| -> Vec<Option<f64>> {
+            let field = fields.list().iter().find(|field| field.name == name).unwrap();
+            (0..3).map(|point| field.value(fields.at(point))).collect()
+        };
+        assert_eq!(values("byte"), [3.0, 250.0, 7.0].map(Some));
+        assert_eq!(values("word"), [9.0, 60_000.0, 0.0].map(Some));
+        assert_eq!(values("single"), [Some(0.5), None, Some(2.5)]);
+        let angles = values("angle").into_iter().zip([-0.03, 0.0, 180.0]);
+        assert!(angles.into_iter().all(|(found, angle)| (found.unwrap() - angle).abs() < 1e-9));
+        let mut kept = fields.clone();
+        kept.retain(&[true, false, true]);
+        assert_eq!((kept.points(), kept.at(1)), (2, fields.at(2)));
     }
 }

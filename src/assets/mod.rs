@@ -36,7 +36,7 @@ use glam::{DAffine3, DVec3, Vec2, Vec3};
 
 pub use self::blocks::{PointBlocks, Survey};
 pub use self::dispatch::{FORMATS, is_supported_extension, read, stands_alone};
-pub use self::fields::Field;
+pub use self::fields::{Field, Fields};
 use crate::math::{Bounds, Camera, Sensor};
 use crate::memory::{Admission, Interrupt};
 
@@ -84,7 +84,7 @@ pub struct PointCloud {
     /// Normals tell outside from inside; those that are estimated from neighbours alone do not.
     pub oriented: bool,
     /// Scalar fields, by different names.
-    pub fields: Vec<Field>,
+    pub fields: Fields,
     /// In asset units, positive.
     pub radii: Option<Vec<f32>>,
     pub kernels: Option<Vec<Kernel>>,
@@ -95,13 +95,19 @@ pub struct PointCloud {
 impl PointCloud {
     /// The scalar field with a name.
     pub fn field(&self, name: &str) -> Option<&Field> {
-        self.fields.iter().find(|field| field.name == name)
+        self.fields.list().iter().find(|field| field.name == name)
+    }
+
+    /// The value of a scalar field at a point; `None` where it has none.
+    pub fn value(&self, name: &str, point: usize) -> Option<f64> {
+        self.field(name)?.value(self.fields.at(point))
     }
 
     /// The values of a scalar field, NaN where a point has none; `None` without such a field.
     pub fn values_of(&self, name: &str) -> Option<Vec<f64>> {
         let field = self.field(name)?;
-        Some(field.codes.iter().map(|&code| field.scale.value(code).unwrap_or(f64::NAN)).collect())
+        let points = (0..self.fields.points()).map(|point| self.fields.at(point));
+        Some(points.map(|words| field.value(words).unwrap_or(f64::NAN)).collect())
     }
 
     /// Whether a clip line cuts something off a sample.

@@ -238,7 +238,7 @@ fn finish(scans: Vec<Scan>, name: &str) -> Result<Asset, AssetError> {
         });
         let count = scan.positions.len();
         let numbers = Numbers::Singles(scan.intensities);
-        let intensity = Column { name: INTENSITY.to_owned(), numbers };
+        let intensity = Column::of(INTENSITY, numbers);
         let columns = if intensity.len() == count { vec![intensity] } else { Vec::new() };
         asset.geometries.push(Geometry::Points(PointCloud {
             colors: if scan.rgb.len() == count {

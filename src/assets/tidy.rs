@@ -131,7 +131,7 @@ pub(crate) fn finish_cloud(
     retain(&mut cloud.positions, &kept);
     keep(&mut cloud.colors, &kept);
     keep(&mut cloud.normals, &kept);
-    cloud.fields.iter_mut().for_each(|field| retain(&mut field.codes, &kept));
+    cloud.fields.retain(&kept);
     keep(&mut cloud.radii, &kept);
     keep(&mut cloud.kernels, &kept);
     keep(&mut cloud.clips, &kept);

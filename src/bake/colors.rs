@@ -29,18 +29,17 @@ pub fn fill_colors(cloud: &mut PointCloud) -> bool {
     if cloud.colors.as_ref().is_some_and(|colors| colors.len() == count) {
         return false;
     }
+    let list = cloud.fields.list();
     let counted = |field: &Field| {
         let mut counts = CodeCounts::default();
-        if Painter::needs(&field.name) && field.codes.len() == count {
-            counts.add(&field.codes);
+        if Painter::needs(&field.name) {
+            counts.add(field, &cloud.fields);
         }
         counts
     };
-    let counts: Vec<CodeCounts> = cloud.fields.iter().map(counted).collect();
-    let fields = cloud.fields.iter().zip(&counts);
-    let painter =
-        Painter::of(fields.map(|(field, counts)| (field.name.as_str(), field.scale, counts)));
-    let color = |point: usize| painter.color(|field| cloud.fields[field].codes[point]);
+    let counts: Vec<CodeCounts> = list.iter().map(counted).collect();
+    let painter = Painter::of(list.iter().zip(&counts));
+    let color = |point: usize| painter.color(|field| list[field].code(cloud.fields.at(point)));
     cloud.colors = Some((0..count).into_par_iter().map(color).collect());
     painter.shows_intensity()
 }
@@ -71,11 +70,10 @@ impl Painter {
     }
 
     /// Colours for points with these fields.
-    pub(super) fn of<'a>(
-        fields: impl Iterator<Item = (&'a str, Scale, &'a CodeCounts)>,
-    ) -> Painter {
+    pub(super) fn of<'a>(fields: impl Iterator<Item = (&'a Field, &'a CodeCounts)>) -> Painter {
         let mut found = Painter::Neutral;
-        for (field, (name, scale, counts)) in fields.enumerate() {
+        for (field, (Field { name, scale, .. }, counts)) in fields.enumerate() {
+            let scale = *scale;
             if name == INTENSITY
                 && let Some([low, median, high]) = stretch(counts, &scale)
             {
@@ -134,6 +132,7 @@ fn stretch(counts: &CodeCounts, scale: &Scale) -> Option<[f64; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::assets::Fields;
     use glam::DVec3;
 
     fn cloud(count: usize) -> PointCloud {
@@ -146,8 +145,7 @@ mod tests {
         let mut values: Vec<u16> = (0..1001).map(|i| 1000 + i).collect();
         (values[0], values[1000]) = (0, 65535);
         let classes = (0..1001).map(|i| i % 2).collect();
-        cloud.fields =
-            vec![Field::of_words(CLASSIFICATION, classes), Field::of_words(INTENSITY, values)];
+        cloud.fields = Fields::of_numbers(vec![(CLASSIFICATION, classes), (INTENSITY, values)]);
         fill_colors(&mut cloud);
         let colors = cloud.colors.unwrap();
         assert_eq!(
@@ -162,7 +160,7 @@ mod tests {
         let mut cloud = cloud(1000);
         // Intensities as in surveys: most returns are weak, and a few come from reflectors.
         let values = (0..1000).map(|i| if i < 970 { 2 + i % 40 } else { 3000 }).collect();
-        cloud.fields = vec![Field::of_words(INTENSITY, values)];
+        cloud.fields = Fields::of_numbers(vec![(INTENSITY, values)]);
         assert!(fill_colors(&mut cloud));
         let colors = cloud.colors.unwrap();
         let background = 0x24;
@@ -176,8 +174,9 @@ mod tests {
     #[test]
     fn classes_have_colours_of_their_own() {
         let mut cloud = cloud(256);
-        let classes = Field::of_words(CLASSIFICATION, (0..=255).collect());
-        cloud.fields = vec![Field::of_words(INTENSITY, vec![7; 256]), classes];
+        let classes = (0..=255).collect();
+        let same = vec![7; 256];
+        cloud.fields = Fields::of_numbers(vec![(INTENSITY, same), (CLASSIFICATION, classes)]);
         fill_colors(&mut cloud);
         let colors = cloud.colors.unwrap();
         assert_eq!(colors[6], [210, 80, 60, 255]);
@@ -187,14 +186,14 @@ mod tests {
     #[test]
     fn without_anything_points_are_grey_and_colours_are_kept() {
         let mut plain = cloud(3);
-        plain.fields = vec![Field::of_words(CLASSIFICATION, vec![2; 3])];
+        plain.fields = Fields::of_numbers(vec![(CLASSIFICATION, vec![2; 3])]);
         fill_colors(&mut plain);
         assert_eq!(plain.colors, Some(vec![NEUTRAL; 3]));
         plain.colors = Some(vec![[1, 2, 3, 4]; 3]);
         fill_colors(&mut plain);
         assert_eq!(plain.colors, Some(vec![[1, 2, 3, 4]; 3]));
         let mut empty = cloud(0);
-        empty.fields = vec![Field::of_words(INTENSITY, Vec::new())];
+        empty.fields = Fields::of_numbers(vec![(INTENSITY, Vec::new())]);
         fill_colors(&mut empty);
         assert_eq!(empty.colors, Some(Vec::new()));
     }

@@ -19,7 +19,7 @@ mod samples;
 mod texture;
 mod triangles;
 
-pub(super) use fields::{CodeCounts, pack_fields};
+pub(super) use fields::{CodeCounts, pack_field};
 pub use fields::{Layout, PackedField, Values, value_words};
 pub(super) use kernel::lengths as kernel_lengths;
 pub use kernel::longer_axis;

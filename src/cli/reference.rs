@@ -15,6 +15,10 @@ fn usage(arg: &Arg) -> String {
     let values: Vec<String> = names.iter().map(|name| format!("<{name}>")).collect();
     let takes_value = !matches!(arg.get_action(), ArgAction::SetTrue | ArgAction::Count);
     let value = if takes_value { values.join(" ") } else { String::new() };
+    // A flag that takes a value only with `=`.
+    if takes_value && arg.is_require_equals_set() {
+        return format!("--{}[=true|false]", arg.get_long().unwrap_or_default());
+    }
     let short = arg.get_short().map(|short| format!("-{short}"));
     let long = arg.get_long().map(|long| format!("--{long}"));
     let names: Vec<String> = short.into_iter().chain(long).collect();
@@ -31,8 +35,10 @@ fn meaning(arg: &Arg) -> String {
         .filter(|value| !value.is_hide_set())
         .map(|value| format!("`{}`", value.get_name()))
         .collect();
-    if values.len() > 2 && arg.get_action().takes_values() {
-        text += &format!(" Values: {}.", values.join(", "));
+    let is_flag = values == ["`true`", "`false`"];
+    if !values.is_empty() && !is_flag && arg.get_action().takes_values() {
+        let stop = if text.ends_with(['.', ':']) { "" } else { "." };
+        text += &format!("{stop} Values: {}.", values.join(", "));
     }
     let defaults: Vec<String> =
         arg.get_default_values().iter().map(|value| format!("`{}`", value.display())).collect();

@@ -101,7 +101,6 @@ fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
             splats: used,
         },
         max_error_px: applied.max_error_px,
-        estimated_error_px: None,
         legend: drawing
             .recolor
             .and_then(|recolor| Legend::of(&recolor, &resolved.scene.info.fields)),

@@ -27,9 +27,8 @@ pub struct Receipt {
     pub views: u32,
     pub camera: CameraReceipt,
     pub settings: UsedSettings,
-    /// Error accepted by the request and estimated for the frame, in pixels.
+    /// Error that the request accepts, in pixels.
     pub max_error_px: Option<f64>,
-    pub estimated_error_px: Option<f32>,
     /// What the colours stand for, where `color_by` shows values.
     pub legend: Option<Legend>,
     /// Passes that ran, in the order in which they first did, then those that were skipped.
@@ -55,7 +54,6 @@ pub struct Receipt {
     /// Triangles that reached the visibility passes, `null` when none were tested.
     pub triangles: TriangleCounts,
     pub instances: InstanceCounts,
-    pub holes_filled: u64,
     /// Bytes this scene holds on the GPU.
     pub gpu_bytes: u64,
     /// Nearest and farthest distance in a 16-bit depth image, in scene units: what its values 65535 and 1 stand for.

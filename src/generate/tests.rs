@@ -113,7 +113,7 @@ fn las_files_read_back() {
         for (i, point) in points.iter().enumerate() {
             let p = glam::DVec3::new(point.x, point.y, point.z);
             assert!((p - cloud.positions[i]).abs().max_element() < 1e-6, "{name} {i}");
-            let value = |name: &str| cloud.field(name).unwrap().value(i).unwrap();
+            let value = |name: &str| cloud.value(name, i).unwrap();
             assert_eq!(f64::from(point.intensity), value("intensity"));
             let class = u8::from(point.classification);
             assert_eq!(f64::from(class), value("classification"));

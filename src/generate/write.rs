@@ -115,7 +115,7 @@ fn ply_points(cloud: &PointCloud, path: &Path) -> Result<(), GenerateError> {
             &mut out,
             (cloud.positions.len(), "double"),
             (cloud.normals.is_some(), cloud.colors.is_some()),
-            &cloud.fields,
+            cloud.fields.list(),
             cloud.radii.is_some(),
             None,
         )?;
@@ -129,8 +129,8 @@ fn ply_points(cloud: &PointCloud, path: &Path) -> Result<(), GenerateError> {
             if let Some(color) = cloud.colors.as_ref().and_then(|list| list.get(i)) {
                 out.write_all(&color[..3])?;
             }
-            for field in &cloud.fields {
-                let value = field.value(i).unwrap_or(f64::NAN);
+            for field in cloud.fields.list() {
+                let value = field.value(cloud.fields.at(i)).unwrap_or(f64::NAN);
                 match ply_type(field) {
                     "uchar" => out.write_all(&[value as u8])?,
                     "ushort" => out.write_all(&(value as u16).to_le_bytes())?,
@@ -212,9 +212,7 @@ fn las_header(cloud: &PointCloud, compress: bool) -> las::Result<las::Header> {
 
 fn las_point(cloud: &PointCloud, index: usize) -> las::Result<las::Point> {
     let p = cloud.positions[index];
-    let value = |name: &str, otherwise: f64| {
-        cloud.field(name).and_then(|field| field.value(index)).unwrap_or(otherwise)
-    };
+    let value = |name: &str, otherwise: f64| cloud.value(name, index).unwrap_or(otherwise);
     let class = value(CLASSIFICATION, 1.0) as u8;
     // Expand eight bits to sixteen so that 255 becomes 65535.
     let [r, g, b, _] = cloud.colors.as_ref().map_or([255; 4], |list| list[index]);

@@ -325,7 +325,7 @@ pub struct ProblemDocument {
     /// Values or actions that would be accepted.
     #[serde(skip_serializing_if = "Option::is_none")]
     accepted: Option<String>,
-    /// Seconds after which a retry is worthwhile, from the measured cost of the queued work.
+    /// Milliseconds after which a retry is worthwhile, from the measured cost of the queued work.
     #[serde(skip_serializing_if = "Option::is_none")]
     retry_after_ms: Option<u64>,
     /// Id of the request, under which the server's log has details.

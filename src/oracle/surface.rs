@@ -90,7 +90,7 @@ pub fn is_cut_out(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: 
 /// The colour that a scalar field gives a sample; `None` if no field is shown.
 fn field_color(recolor: Option<&Recolor>, cloud: &PointCloud, sample: usize) -> Option<[u8; 4]> {
     let Some(Recolor::Field { name, range, map, has_classes }) = recolor else { return None };
-    let value = cloud.field(name.as_str()).and_then(|field| field.value(sample));
+    let value = cloud.value(name.as_str(), sample);
     let [r, g, b] = match value {
         None => [NO_VALUE; 3],
         Some(class) if *has_classes => class_color(class_number(class)),

@@ -12,7 +12,7 @@ const SLAB_REACH: f64 = 0.5;
 pub const SLABS: f64 = 8188.0;
 /// Where kernels have no width, what lies nearer than the farthest by this factor is in the first slab.
 const SLAB_RANGE: f64 = 4096.0;
-/// Thinner slabs than wanted by less than this are not worth three passes.
+/// Least fraction of the wanted number of slabs. With fewer, slabs are too thick, and the frame takes three passes.
 const LEAST_FIT: f64 = 0.75;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -23,7 +23,7 @@ pub struct Slabs {
     pub meet: f64,
     /// Slabs for each doubling of depth, from there on.
     pub per_octave: f64,
-    /// How thin they are, of what they should be; 1 unless the scene spans more than there are numbers for.
+    /// Number of slabs as a fraction of the number wanted; below 1 only if the scene spans more than there are numbers for.
     fit: f64,
 }
 

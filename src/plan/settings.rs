@@ -146,8 +146,8 @@ settings! {
     projection: Projection => Option<Projection> {
         label: "Projection", kind: SettingKind::scenes::<Projection>(), needs: [], useful_with: []
     }
-    /// Boxes that the scene is clipped with: `x,y,z,x,y,z`, the least and the largest corner, several separated by `;`. Shown is what lies
-    /// in any of them, but not in a box with `outside:` before it. `*` leaves a bound open.
+    /// Boxes that the scene is clipped with, separated by `;`. `x,y,z,x,y,z` is a box's least and largest corner, and `*` leaves a bound open.
+    /// A frame shows what lies in any box, or everything if all boxes are `outside:` boxes, except what lies in an `outside:` box.
     clip_boxes: ClipBoxes => Option<ClipBoxes> {
         label: "Clip boxes", kind: text::clip_boxes(), needs: [], useful_with: []
     }

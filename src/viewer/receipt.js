@@ -48,8 +48,6 @@ function facts(info, poses) {
     ['triangles', `${count(triangles.stored)} stored, ${count(triangles.tested)} tested, ${count(triangles.rasterised)} rasterised`],
     ['instances', `${count(instances.stored)} stored, ${count(instances.drawn)} drawn`],
     ...(splats.clipped || splats.rasterised || splats.scattered ? [['splats', `${count(splats.scattered)} scattered, ${count(splats.rasterised)} rasterised, ${count(splats.clipped)} clipped`]] : []),
-    ...(receipt.holes_filled ? [['holes filled', count(receipt.holes_filled)]] : []),
-    ...(receipt.estimated_error_px != null ? [['error', `${receipt.estimated_error_px.toFixed(2)} px`]] : []),
     ['on the GPU', bytes(receipt.gpu_bytes)],
     ['eye', placed(camera.eye)], ['target', placed(camera.target)],
   ]);

@@ -51,47 +51,62 @@ impl Layout {
 
     /// Empty columns of the fields that records have, the most asked for first.
     fn columns(&self) -> Vec<Column> {
-        let column = |name: &str, numbers| Column { name: name.to_owned(), numbers };
         let (bytes, words) = (Numbers::Bytes(Vec::new()), Numbers::Words(Vec::new()));
+        let shorts = Numbers::Shorts(Vec::new());
         let mut columns = vec![
-            column(INTENSITY, words.clone()),
-            column(CLASSIFICATION, bytes.clone()),
-            column(RETURN_NUMBER, bytes.clone()),
-            column("number_of_returns", bytes.clone()),
-            column("scan_angle", Numbers::Singles(Vec::new())),
-            column("user_data", bytes),
-            column("point_source_id", words),
+            Column::of(INTENSITY, words.clone()),
+            Column::of(CLASSIFICATION, bytes.clone()),
+            Column::of(RETURN_NUMBER, bytes.clone()),
+            Column::of("number_of_returns", bytes.clone()),
+            Column { factor: self.angle_step_deg(), ..Column::of("scan_angle", shorts) },
+            Column::of("user_data", bytes),
+            Column::of("point_source_id", words),
         ];
-        columns.extend(self.gps_time_at.map(|_| column("gps_time", Numbers::Doubles(Vec::new()))));
+        columns.extend(self.gps_time_at.map(|_| Column::new("gps_time")));
         columns.extend(self.extra.iter().map(|extra| Column::new(&extra.name)));
         columns
     }
 
-    /// The values of a record's fields, in the order of the columns.
-    fn values<'a>(&'a self, record: &'a [u8], class: u8) -> impl Iterator<Item = f64> + 'a {
-        let word = |at: usize| u16::from_le_bytes([record[at], record[at + 1]]);
-        let returns = record[14];
-        let (number, count) = match self.is_extended {
-            true => (returns & 15, returns >> 4),
-            false => (returns & 7, returns >> 3 & 7),
-        };
-        let (angle, user, source) = match self.is_extended {
-            true => (f64::from(word(18) as i16) * ANGLE_STEP_DEG, record[17], word(20)),
-            false => (f64::from(record[16] as i8), record[17], word(18)),
-        };
-        let gps_time = self.gps_time_at.and_then(|at| record[at..].first_chunk());
-        let fixed = [
-            f64::from(word(12)),
-            f64::from(class),
-            f64::from(number),
-            f64::from(count),
-            angle,
-            f64::from(user),
-            f64::from(source),
-        ];
-        let gps_time = gps_time.map(|&bytes| f64::from_le_bytes(bytes));
-        let extra = self.extra.iter().map(|extra| extra.value(record));
-        fixed.into_iter().chain(gps_time).chain(extra)
+    fn angle_step_deg(&self) -> f64 {
+        if self.is_extended { ANGLE_STEP_DEG } else { 1.0 }
+    }
+
+    /// Takes the fields of whole records, column by column.
+    fn take(&self, records: &[&[u8]], columns: &mut [Column]) {
+        let word = |record: &[u8], at: usize| u16::from_le_bytes([record[at], record[at + 1]]);
+        let is_extended = self.is_extended;
+        let (number, count) = if is_extended { ((0, 15), (4, 15)) } else { ((0, 7), (3, 7)) };
+        let part = |record: &[u8], (shift, mask): (u8, u8)| record[14] >> shift & mask;
+        let (user, source) = if is_extended { (17, 20) } else { (17, 18) };
+        for (at, column) in columns.iter_mut().enumerate() {
+            let each = records.iter().copied();
+            match (at, &mut column.numbers) {
+                (0, Numbers::Words(list)) => list.extend(each.map(|record| word(record, 12))),
+                (1, Numbers::Bytes(list)) => list.extend(each.map(|record| self.class(record).0)),
+                (2, Numbers::Bytes(list)) => list.extend(each.map(|record| part(record, number))),
+                (3, Numbers::Bytes(list)) => list.extend(each.map(|record| part(record, count))),
+                (4, Numbers::Shorts(list)) if is_extended => {
+                    list.extend(each.map(|record| word(record, 18) as i16));
+                }
+                (4, Numbers::Shorts(list)) => {
+                    list.extend(each.map(|record| i16::from(record[16] as i8)));
+                }
+                (5, Numbers::Bytes(list)) => list.extend(each.map(|record| record[user])),
+                (6, Numbers::Words(list)) => list.extend(each.map(|record| word(record, source))),
+                (at, Numbers::Doubles(list)) => {
+                    let first_extra = 7 + usize::from(self.gps_time_at.is_some());
+                    match (self.extra.get(at.wrapping_sub(first_extra)), self.gps_time_at) {
+                        (Some(extra), _) => list.extend(each.map(|record| extra.value(record))),
+                        (None, Some(place)) => list.extend(each.map(|record| {
+                            let bytes = record[place..].first_chunk().copied();
+                            f64::from_le_bytes(bytes.unwrap_or_default())
+                        })),
+                        (None, None) => {}
+                    }
+                }
+                _ => {}
+            }
+        }
     }
 
     /// The class and whether the point is withheld.
@@ -148,10 +163,10 @@ impl Columns {
             let [a, b, c, d] = [record[at], record[at + 1], record[at + 2], record[at + 3]];
             f64::from(i32::from_le_bytes([a, b, c, d]))
         };
+        let mut kept = Vec::with_capacity(bytes.len() / layout.record_bytes);
         // The header's check of the record length covers every index below.
         for record in bytes.chunks_exact(layout.record_bytes) {
-            let (class, is_withheld) = layout.class(record);
-            if is_withheld {
+            if layout.class(record).1 {
                 self.withheld += 1;
                 continue;
             }
@@ -162,12 +177,13 @@ impl Columns {
                 continue;
             }
             self.positions.push(position);
-            let values = layout.values(record, class);
-            self.fields.iter_mut().zip(values).for_each(|(field, value)| field.push(value));
+            kept.push(record);
             if let Some(at) = layout.rgb_at {
                 self.rgb.push([word(record, at), word(record, at + 2), word(record, at + 4)]);
             }
         }
+        self.begin(layout);
+        layout.take(&kept, &mut self.fields);
     }
 
     pub(super) fn append(&mut self, mut other: Self) {

@@ -83,7 +83,7 @@ fn every_format_comes_back_plain_and_compressed() {
             for (k, found) in cloud.positions.iter().enumerate() {
                 let i = if k == 0 { 0 } else { k + 1 };
                 assert!((*found - position(i)).length() < 1e-6, "format {format}, point {i}");
-                let value = |name: &str| cloud.field(name).and_then(|field| field.value(k));
+                let value = |name: &str| cloud.value(name, k);
                 assert_eq!(value("intensity"), Some(i as f64));
                 assert_eq!(value("classification"), Some((i % 3) as f64));
                 assert_eq!(value("return_number"), Some((i % 4 + 1) as f64));

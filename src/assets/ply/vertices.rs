@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec2, Vec3};
 
-use super::super::fields::{self, Column, Field, INTENSITY, Numbers, Spans};
+use super::super::fields::{self, Column, Fields, INTENSITY, Numbers, Spans};
 use super::super::{PointCloud, tidy};
 use super::body::{Row, Wanted};
 use super::header::{Element, Kind, Scalar};
@@ -69,7 +69,7 @@ pub(super) struct Finished {
     pub normals: Option<Vec<Vec3>>,
     pub colors: Option<Vec<[u8; 4]>>,
     pub uvs: Option<Vec<Vec2>>,
-    pub fields: Vec<Field>,
+    pub fields: Fields,
     pub radii: Option<Vec<f32>>,
 }
 
@@ -218,7 +218,7 @@ fn fields(element: &Element, slots: &mut [Option<usize>], reserve: usize) -> Vec
         };
         *slot = Some(SLOTS + columns.len());
         let name = if is_taken { property.name.clone() } else { usual };
-        columns.push(Column { name, numbers });
+        columns.push(Column::of(&name, numbers));
     }
     // Scanners of the 1990s write the strength of a signal so.
     if columns.iter().all(|column| column.name != INTENSITY)

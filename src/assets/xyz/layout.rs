@@ -208,10 +208,8 @@ pub(super) fn cloud(
     let radius =
         column(Role::Radius).filter(|radii| radii.iter().all(|&r| r > 0.0 && r.is_finite()));
     let fields = kept.iter().zip(columns).filter(|(kept, _)| kept.role == Role::Field);
-    let fields = fields.map(|(kept, column)| Column {
-        name: kept.name.clone(),
-        numbers: Numbers::Singles(column.clone()),
-    });
+    let fields =
+        fields.map(|(kept, column)| Column::of(&kept.name, Numbers::Singles(column.clone())));
     PointCloud {
         positions,
         colors: rgba,

@@ -99,7 +99,7 @@ fn other_columns_are_fields() {
     let roughness = cloud.values_of("Roughness").unwrap();
     assert!(roughness[0] == 0.5 && roughness[1].is_nan(), "{roughness:?}");
     assert_eq!(cloud.values_of("above_ground"), Some(vec![2.0, 7.0]));
-    assert_eq!(cloud.fields.len(), 2);
+    assert_eq!(cloud.fields.list().len(), 2);
     let cloud = cloud_of("0 0 0 5 9.5\n0 0 1 6 7.25\n");
     assert_eq!(cloud.values_of("intensity"), Some(vec![5.0, 6.0]));
     assert_eq!(cloud.values_of("column_5"), Some(vec![9.5, 7.25]));

@@ -8,14 +8,11 @@ use glam::{DVec3, Vec3};
 use super::super::colors::Painter;
 use super::super::kernels::CUTOFF;
 use super::super::normals::{Frame, is_radius, stride};
-use super::super::pack::{
-    CodeCounts, Grid, Layout, PackedField, Values, morton, pack_fields, values_of,
-};
+use super::super::pack::{CodeCounts, Grid, PackedField, Values, morton, pack_field, values_of};
 use super::pieces::{self, Piece, Place};
 use super::sort::{Sortable, Sorter};
 use super::spill::SpillFile;
 use super::{BakeFault, Phase, Work};
-use crate::assets::fields::Scale;
 use crate::assets::{AssetError, Field, PointBlocks, PointCloud, Survey};
 
 /// A point of a file.
@@ -66,6 +63,7 @@ pub(super) struct Points {
     pub(super) frame: Frame,
     /// Colours of points in a file without any.
     painter: Option<Painter>,
+    list: Vec<Field>,
     pub(super) fields: Vec<PackedField>,
     /// The file has normals.
     pub(super) oriented: bool,
@@ -78,7 +76,7 @@ impl Points {
     pub(super) fn color(&self, point: &Point) -> [u8; 4] {
         let own = point.color.to_le_bytes();
         let painter = self.painter.as_ref();
-        painter.map_or(own, |painter| painter.color(|field| self.fields[field].code(&point.values)))
+        painter.map_or(own, |painter| painter.color(|field| self.list[field].code(&point.values)))
     }
 
     /// Reads the file and sorts its points.
@@ -97,8 +95,7 @@ impl Points {
         source
             .each(survey, &mut |block: PointCloud| {
                 all.add(&block, index, step);
-                let layout = Layout::of(&pack_fields(all.fields()));
-                for record in records(&block, &layout, &grid, index) {
+                for record in records(&block, &grid, index) {
                     if let Err(error) = sorter.push(record) {
                         failed = Some(error);
                         // Any error ends the reading.
@@ -137,7 +134,8 @@ impl Points {
             grid,
             frame,
             painter: (!all.has_colors).then(|| Painter::of(all.fields())),
-            fields: pack_fields(all.fields()),
+            fields: all.fields().map(|(field, counts)| pack_field(field, counts)).collect(),
+            list: all.fields().map(|(field, _)| field.clone()).collect(),
             oriented: all.has_normals,
             lacks_normals: all.lacks_normals,
             lacks_kernels: all.lacks_radii,
@@ -149,7 +147,7 @@ impl Points {
 #[derive(Default)]
 struct Gathered {
     /// The fields of the file, with the number of points that have each code.
-    fields: Vec<(String, Scale, CodeCounts)>,
+    fields: Vec<(Field, CodeCounts)>,
     /// An evenly spread sample of positions.
     some: Vec<DVec3>,
     has_colors: bool,
@@ -159,17 +157,17 @@ struct Gathered {
 }
 
 impl Gathered {
-    fn fields(&self) -> impl Iterator<Item = (&str, Scale, &CodeCounts)> + Clone {
-        self.fields.iter().map(|(name, scale, counts)| (name.as_str(), *scale, counts))
+    fn fields(&self) -> impl Iterator<Item = (&Field, &CodeCounts)> {
+        self.fields.iter().map(|(field, counts)| (field, counts))
     }
 
     fn add(&mut self, block: &PointCloud, first: u32, step: usize) {
         if self.fields.is_empty() {
-            let empty = |field: &Field| (field.name.clone(), field.scale, CodeCounts::default());
-            self.fields = block.fields.iter().map(empty).collect();
+            let empty = |field: &Field| (field.clone(), CodeCounts::default());
+            self.fields = block.fields.list().iter().map(empty).collect();
         }
-        for ((_, _, counts), field) in self.fields.iter_mut().zip(&block.fields) {
-            counts.add(&field.codes);
+        for (field, counts) in &mut self.fields {
+            counts.add(field, &block.fields);
         }
         let skipped = (step - first as usize % step) % step;
         self.some.extend(block.positions.iter().skip(skipped).step_by(step));
@@ -181,12 +179,7 @@ impl Gathered {
     }
 }
 
-fn records(
-    block: &PointCloud,
-    layout: &Layout,
-    grid: &Grid,
-    first: u32,
-) -> impl Iterator<Item = Point> {
+fn records(block: &PointCloud, grid: &Grid, first: u32) -> impl Iterator<Item = Point> {
     block.positions.iter().enumerate().map(move |(i, &position)| Point {
         place: morton(grid.quantise(position)),
         position: position.into(),
@@ -194,7 +187,7 @@ fn records(
         radius: block.radii.as_ref().map_or(0.0, |radii| radii[i]),
         index: first + i as u32,
         color: block.colors.as_ref().map_or(0, |colors| u32::from_le_bytes(colors[i])),
-        values: values_of(block, layout, i),
+        values: values_of(block, i),
     })
 }
 

@@ -1,8 +1,10 @@
 //! Scalar fields of packed samples: where a field's codes are, and how the nodes of trees combine them.
 
 use bytemuck::{Pod, Zeroable};
+use rayon::prelude::*;
 
-use crate::assets::fields::{CLASSIFICATION, MOST_NAME_BYTES, MOST_WORDS, Scale, places};
+use crate::assets::fields::{CLASSIFICATION, MOST_NAME_BYTES, MOST_WORDS, Scale};
+use crate::assets::{Field, Fields};
 use crate::scene::fields::class_number;
 
 /// The codes of a sample's fields.
@@ -89,16 +91,14 @@ impl PackedField {
         (0..=255u8).filter(move |&class| words[usize::from(class) / 32] >> (class % 32) & 1 != 0)
     }
 
-    /// The code of a sample with these words.
-    pub fn code(&self, words: &[u32]) -> u16 {
-        let mask = (1 << self.scale().bits()) - 1;
-        let word = words.get(self.place as usize / 32).copied().unwrap_or_default();
-        (word >> (self.place % 32) & mask) as u16
+    /// The field of a cloud that was packed to this one.
+    pub fn field(&self) -> Field {
+        Field { name: self.name().to_owned(), scale: self.scale(), place: self.place }
     }
 
     /// The value of a sample with these words; `None` where it has none.
     pub fn value(&self, words: &[u32]) -> Option<f64> {
-        self.scale().value(self.code(words))
+        self.field().value(words)
     }
 }
 
@@ -107,11 +107,22 @@ impl PackedField {
 pub(in crate::bake) struct CodeCounts(Vec<u64>);
 
 impl CodeCounts {
-    pub(in crate::bake) fn add(&mut self, codes: &[u16]) {
-        if self.0.is_empty() {
-            self.0 = vec![0; 1 << 16];
-        }
-        codes.iter().for_each(|&code| self.0[usize::from(code)] += 1);
+    /// Adds the codes of all points of a field.
+    pub(in crate::bake) fn add(&mut self, field: &Field, fields: &Fields) {
+        let empty = || vec![0u64; usize::from(u16::MAX) + 1];
+        let part = |mut counts: Vec<u64>, words: &[u32]| {
+            for words in words.chunks_exact(fields.width()) {
+                counts[usize::from(field.code(words))] += 1;
+            }
+            counts
+        };
+        let sum = |mut a: Vec<u64>, b: Vec<u64>| {
+            a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+            a
+        };
+        let parts = fields.words().par_chunks(fields.width().max(1) << 18);
+        let found = parts.fold(empty, part).reduce(empty, sum);
+        self.0 = if self.0.is_empty() { found } else { sum(std::mem::take(&mut self.0), found) };
     }
 
     /// Codes of values, each with the number of points that have it.
@@ -133,32 +144,29 @@ impl CodeCounts {
     }
 }
 
-/// The fields of samples, given the codes of all points.
-pub(in crate::bake) fn pack_fields<'a>(
-    fields: impl Iterator<Item = (&'a str, Scale, &'a CodeCounts)> + Clone,
-) -> Vec<PackedField> {
-    let places = places(fields.clone().map(|(_, scale, _)| scale.bits()));
-    let field = |((name, scale, counts), place): ((&str, Scale, &CodeCounts), Option<u32>)| {
-        let mut bytes = [0; MOST_NAME_BYTES];
-        bytes.get_mut(..name.len())?.copy_from_slice(name.as_bytes());
-        let mut classes = [0; 8];
-        for (code, _) in counts.of(&scale).filter(|_| is_class(name, &scale)) {
-            let class = class_number(scale.least + scale.step * f64::from(code));
-            classes[usize::from(class) / 32] |= 1 << (class % 32);
-        }
-        let shown = SHOWN.map(|part| counts.percentile(&scale, part).unwrap_or_default().into());
-        Some(PackedField {
-            name: bytes,
-            least: split(scale.least),
-            step: split(scale.step),
-            most: scale.most.into(),
-            has_gaps: scale.has_gaps.into(),
-            place: place?,
-            shown,
-            classes,
-        })
-    };
-    fields.zip(places).filter_map(field).collect()
+/// A field of samples, given the number of points that have each code.
+pub(in crate::bake) fn pack_field(field: &Field, counts: &CodeCounts) -> PackedField {
+    let Field { name, scale, place } = field;
+    let mut bytes = [0; MOST_NAME_BYTES];
+    // Longer names are left out by readers.
+    let length = name.len().min(MOST_NAME_BYTES);
+    bytes[..length].copy_from_slice(&name.as_bytes()[..length]);
+    let mut classes = [0; 8];
+    for (code, _) in counts.of(scale).filter(|_| is_class(name, scale)) {
+        let class = class_number(scale.least + scale.step * f64::from(code));
+        classes[usize::from(class) / 32] |= 1 << (class % 32);
+    }
+    let shown = SHOWN.map(|part| counts.percentile(scale, part).unwrap_or_default().into());
+    PackedField {
+        name: bytes,
+        least: split(scale.least),
+        step: split(scale.step),
+        most: scale.most.into(),
+        has_gaps: scale.has_gaps.into(),
+        place: *place,
+        shown,
+        classes,
+    }
 }
 
 /// Words that the values of a sample with these fields take.
@@ -190,15 +198,6 @@ impl Layout {
             is_class: field.is_class(),
         };
         Layout(fields.iter().map(slot).collect())
-    }
-
-    /// The words of codes, which are in the order of the fields.
-    pub(in crate::bake) fn words(&self, codes: impl Iterator<Item = u16>) -> Values {
-        let mut words = Values::default();
-        for (slot, code) in self.0.iter().zip(codes) {
-            words[slot.word] |= u32::from(code) << slot.shift;
-        }
-        words
     }
 
     /// The values of a node: the mean of what is below it, by area, and of classes the one with the largest area.
@@ -237,51 +236,41 @@ impl Layout {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::assets::Field;
 
-    fn packed(fields: &[Field]) -> Vec<PackedField> {
-        let counts: Vec<CodeCounts> = fields
-            .iter()
-            .map(|field| {
-                let mut counts = CodeCounts::default();
-                counts.add(&field.codes);
-                counts
-            })
-            .collect();
-        let each = fields.iter().zip(&counts);
-        pack_fields(each.map(|(field, counts)| (field.name.as_str(), field.scale, counts)))
+    fn packed(fields: &Fields) -> Vec<PackedField> {
+        let pack = |field: &Field| {
+            let mut counts = CodeCounts::default();
+            counts.add(field, fields);
+            pack_field(field, &counts)
+        };
+        fields.list().iter().map(pack).collect()
     }
 
     #[test]
     fn codes_come_back_from_their_words() {
-        let words = Field::of_words("words", vec![3, 65535, 700]);
-        let class = Field::of_words(CLASSIFICATION, vec![2, 6, 2]);
-        let wide = Field::of_words("wide", vec![0, 65535, 1]);
-        let fields = [words, class, wide];
+        let numbers = [vec![3, 65535, 700], vec![2, 6, 2], vec![0, 65535, 1]];
+        let names = ["words", CLASSIFICATION, "wide"];
+        let fields = Fields::of_numbers(names.into_iter().zip(numbers.clone()).collect());
         let packed = packed(&fields);
         assert_eq!(value_words(&packed), 2);
-        let layout = Layout::of(&packed);
-        for point in 0..3 {
-            let words = layout.words(fields.iter().map(|field| field.codes[point]));
-            for (field, packed) in fields.iter().zip(&packed) {
-                assert_eq!(packed.value(&words), field.value(point));
-                assert_eq!((packed.name(), packed.scale()), (field.name.as_str(), field.scale));
+        for (field, numbers) in packed.iter().zip(&numbers) {
+            for (point, &number) in numbers.iter().enumerate() {
+                assert_eq!(field.value(fields.at(point)), Some(f64::from(number)));
             }
         }
         assert_eq!(packed[1].classes().collect::<Vec<_>>(), [2, 6]);
-        assert_eq!(packed[0].shown(), [3.0, 65535.0]);
+        assert_eq!((packed[0].shown(), packed[0].name()), ([3.0, 65535.0], "words"));
         assert_eq!(value_words(&[]), 0);
     }
 
     #[test]
     fn nodes_have_the_mean_value_and_the_largest_class() {
-        let value = Field::of_words("value", vec![10, 20, 100]);
-        let class = Field::of_words(CLASSIFICATION, vec![9, 5, 5]);
-        let fields = [value, class];
+        let numbers = vec![("value", vec![10, 20, 100]), (CLASSIFICATION, vec![9, 5, 5])];
+        let fields = Fields::of_numbers(numbers);
         let packed = packed(&fields);
-        let layout = Layout::of(&packed);
-        let child = |point: usize| layout.words(fields.iter().map(|field| field.codes[point]));
-        let above = layout.above([(child(0), 2.0), (child(1), 1.0), (child(2), 1.5)].into_iter());
+        let child = |point: usize| [fields.at(point)[0], 0];
+        let children = [(child(0), 2.0), (child(1), 1.0), (child(2), 1.5)];
+        let above = Layout::of(&packed).above(children.into_iter());
         let mean: f64 = (2.0 * 10.0 + 20.0 + 150.0) / 4.5;
         assert_eq!(packed[0].value(&above), Some(mean.round()));
         assert_eq!(packed[1].value(&above), Some(5.0));

@@ -105,7 +105,7 @@ impl<'a> Packing<'a> {
 
     /// Returns the samples, whose order along the curve is `order`; call it after all chunks are filled.
     pub(in crate::bake) fn finish(mut self, order: &[u32]) -> PackedSamples {
-        self.out.values = packed_values(self.cloud, &self.out.fields, order);
+        self.out.values = packed_values(self.cloud, order);
         self.out
     }
 }

@@ -9,9 +9,7 @@ use std::ops::Range;
 use glam::{DVec3, IVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::fields::{
-    CodeCounts, FIELD_WORDS, Layout, PackedField, Values, pack_fields, value_words,
-};
+use super::fields::{CodeCounts, FIELD_WORDS, PackedField, Values, pack_field, value_words};
 use super::kernel::{self, NO_LINE, longer_axis};
 use super::kind::{
     Arrays, LOOKED_AT, PackedKind, PageKind, STRAY_SHARE, Stream, StreamOf, TAIL_SHARE, holds,
@@ -21,7 +19,7 @@ use super::{
     finite, morton, octahedral, octahedral_decode, order, rgba_word,
 };
 use crate::assets::fields::{MOST_WORDS, Scale};
-use crate::assets::{Clip, ClipLine, Field, Kernel, PointCloud};
+use crate::assets::{Clip, ClipLine, Field, Fields, Kernel, PointCloud};
 use crate::bake::colors::NEUTRAL;
 use crate::math::Bounds;
 
@@ -77,7 +75,7 @@ pub fn pack_samples(cloud: &PointCloud) -> Result<PackedSamples, PackError> {
     };
     let (order, clipped_first) = order::by_key(count, CLIPPED, key);
     let fields = fields_of(cloud);
-    let values = packed_values(cloud, &fields, &order);
+    let values = packed_values(cloud, &order);
     let mut out = PackedSamples {
         grid,
         chunks: Vec::new(),
@@ -130,37 +128,34 @@ pub fn pack_samples(cloud: &PointCloud) -> Result<PackedSamples, PackError> {
 
 /// The fields of a cloud, packed.
 pub(in crate::bake) fn fields_of(cloud: &PointCloud) -> Vec<PackedField> {
-    let count = |field: &Field| {
+    let pack = |field: &Field| {
         let mut counts = CodeCounts::default();
-        counts.add(&field.codes);
-        counts
+        counts.add(field, &cloud.fields);
+        pack_field(field, &counts)
     };
-    let count_of = cloud.positions.len();
-    let fields = cloud.fields.iter().filter(|field| field.codes.len() == count_of);
-    let counts: Vec<CodeCounts> = fields.clone().map(count).collect();
-    let each = fields.zip(&counts);
-    pack_fields(each.map(|(field, counts)| (field.name.as_str(), field.scale, counts)))
+    cloud.fields.list().iter().map(pack).collect()
 }
 
 /// The words of all values, in this order of points.
-pub(in crate::bake) fn packed_values(
-    cloud: &PointCloud,
-    fields: &[PackedField],
-    order: &[u32],
-) -> Vec<u32> {
-    let (layout, words) = (Layout::of(fields), value_words(fields));
-    let mut values = vec![0; words * order.len()];
-    if words > 0 {
-        values.par_chunks_mut(words).zip(order).for_each(|(values, &point)| {
-            values.copy_from_slice(&values_of(cloud, &layout, point as usize)[..words]);
+pub(in crate::bake) fn packed_values(cloud: &PointCloud, order: &[u32]) -> Vec<u32> {
+    let width = cloud.fields.width();
+    let mut values = vec![0; width * order.len()];
+    if width > 0 {
+        let each = values.par_chunks_mut(width).with_min_len(1 << 12).zip(order);
+        each.for_each(|(values, &point)| {
+            values.copy_from_slice(cloud.fields.at(point as usize));
         });
     }
     values
 }
 
-/// The values of a point, in the layout of its cloud.
-pub(in crate::bake) fn values_of(cloud: &PointCloud, layout: &Layout, point: usize) -> Values {
-    layout.words(cloud.fields.iter().map(|field| field.codes[point]))
+/// The words of a point's values.
+pub(in crate::bake) fn values_of(cloud: &PointCloud, point: usize) -> Values {
+    let mut values = Values::default();
+    if !cloud.fields.is_empty() {
+        values.iter_mut().zip(cloud.fields.at(point)).for_each(|(value, word)| *value = *word);
+    }
+    values
 }
 
 /// Flag in the sort key of samples with clip lines.
@@ -351,15 +346,8 @@ pub fn unpack_samples(packed: &PackedSamples) -> PointCloud {
         }
     }
     cloud.kernels = Some(kernels);
-    cloud.fields = packed
-        .fields
-        .iter()
-        .map(|field| Field {
-            name: field.name().to_owned(),
-            scale: field.scale(),
-            codes: (0..count).map(|sample| field.code(packed.values_of(sample))).collect(),
-        })
-        .collect();
+    let fields = packed.fields.iter().map(PackedField::field).collect();
+    cloud.fields = Fields::from_words(fields, packed.values.clone());
     if !packed.clips.is_empty() {
         let plain = packed.clipped_first() as usize;
         let clips = packed.clips.iter().map(|&words| clip(words));

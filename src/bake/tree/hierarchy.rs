@@ -99,7 +99,7 @@ pub fn build(
             stands.map_or(Measures::default(), |stands| stands[i]),
             matter,
         );
-        Node { values: values_of(cloud, &layout, i), ..leaf }
+        Node { values: values_of(cloud, i), ..leaf }
     };
     nodes.par_extend(samples.par_iter().map(leaf));
     let pieces = pieces(&codes);

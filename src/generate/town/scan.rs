@@ -14,7 +14,7 @@ use super::ground::{GROUND_SKIN, Plan, Use};
 use super::skin::{Surface, class, scaled};
 use super::solid::{Hit, Ray};
 use crate::assets::fields::{CLASSIFICATION, INTENSITY};
-use crate::assets::{Field, PointCloud, Progress};
+use crate::assets::{Fields, PointCloud, Progress};
 use crate::generate::numeric::sin_cos;
 use crate::scene::random::SplitMix64;
 
@@ -129,8 +129,7 @@ fn scan_with(
         }
         progress.report((first + chunk.len()) as f32 / stations.len() as f32);
     }
-    cloud.fields =
-        vec![Field::of_words(INTENSITY, intensities), Field::of_words(CLASSIFICATION, classes)];
+    cloud.fields = Fields::of_numbers(vec![(INTENSITY, intensities), (CLASSIFICATION, classes)]);
     cloud
 }
 
@@ -150,9 +149,7 @@ fn thinned(cloud: PointCloud, count: usize) -> PointCloud {
         colors: cloud.colors.map(|list| keep(&list, count, total)),
         fields: cloud
             .fields
-            .into_iter()
-            .map(|field| Field { codes: keep(&field.codes, count, total), ..field })
-            .collect(),
+            .picked((0..count).map(|i| (i as u128 * total as u128 / count as u128) as usize)),
         ..PointCloud::default()
     }
 }
