@@ -92,7 +92,7 @@ pub struct ServeArgs {
     /// Threads that encode job images [default: one per core]; requests and streams have one more thread each
     #[arg(long, env = "POINTILLIST_ENCODER_THREADS", value_name = "N")]
     pub encoder_threads: Option<usize>,
-    /// Maximum width times height of a frame; the adapter may allow less [default: 16777216, or what a sixth of the memory has room for]
+    /// Maximum width times height of a frame; the adapter may allow less [default: 16777216, or what a third of --host-memory-mib has room for]
     #[arg(long, env = "POINTILLIST_MAX_PIXELS", value_name = "N")]
     pub max_pixels: Option<u64>,
     /// Maximum width and height of a frame, in pixels [default: 8192]
@@ -436,7 +436,10 @@ fn settings(args: &ServeArgs, root: PathBuf, access: Access) -> anyhow::Result<S
 }
 
 fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig> {
-    let default = EngineConfig::new(root.clone());
+    let memory_mib = args.host_memory_mib.map(|mib| number("host-memory-mib", Some(mib), 1, 1));
+    let memory_bytes = memory_mib.transpose()?.map(|mib| mib.saturating_mul(1 << 20));
+    let memory_bytes = memory_bytes.unwrap_or_else(memory::default_budget);
+    let default = EngineConfig::within(root.clone(), memory_bytes);
     let cache = CacheArgs {
         cache: args.cache.clone(),
         no_cache: args.no_cache,
@@ -454,10 +457,8 @@ fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig
         folder: bake_cache.as_ref().map(|cache| cache.folder().to_path_buf()),
         common: true,
     });
-    let memory_mib = args.host_memory_mib.map(|mib| number("host-memory-mib", Some(mib), 1, 1));
-    let memory_bytes = memory_mib.transpose()?.map(|mib| mib.saturating_mul(1 << 20));
     Ok(EngineConfig {
-        memory: HostMemory::new(memory_bytes.unwrap_or_else(memory::default_budget)),
+        memory: HostMemory::new(memory_bytes),
         read: ReadOptions { root: Some(root), ..ReadOptions::default() },
         gpu_budget_bytes: budget_mib.transpose()?.map(|mib| mib.saturating_mul(1 << 20)),
         bake_cache,

@@ -31,6 +31,8 @@ pub struct EngineConfig {
     pub gpu_budget_bytes: Option<u64>,
     /// Host memory for loaded scenes, loading and baking.
     pub memory: HostMemory,
+    /// Memory that the default limits follow, in bytes; see [`DefaultLimits`].
+    pub memory_bytes: u64,
     /// Jobs that may wait; more are refused with [`super::EngineError::Busy`].
     pub queue_capacity: usize,
     /// Largest estimated device time of waiting frames; more is refused likewise.
@@ -92,26 +94,55 @@ pub struct EngineConfig {
     pub scene: SceneLimits,
 }
 
-/// Pixels of a frame, unless less memory is there.
+/// Pixels of a frame, unless less memory is there, and those that any memory has room for.
 const MOST_PIXELS: u64 = 1 << 24;
+const FEWEST_PIXELS: u64 = 1 << 20;
 /// Bytes that buffers of a frame have for each pixel at most, of a frame of blended splats.
 const FRAME_PIXEL_BYTES: u64 = 64;
+/// Least default budget of a CPU adapter, in bytes.
+const LEAST_CPU_BYTES: u64 = 64 << 20;
+
+/// Limits where none are given. They follow the memory for loaded scenes, because a CPU adapter's buffers are host memory too.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DefaultLimits {
+    /// Width · height of a frame, whose buffers take a third of the memory at most.
+    pub max_pixels: u64,
+    /// Bytes of scene data on a CPU adapter: a quarter of the memory.
+    pub cpu_adapter_bytes: u64,
+}
+
+impl DefaultLimits {
+    /// The limits of a process whose loaded scenes may take this many bytes.
+    pub fn of(memory_bytes: u64) -> DefaultLimits {
+        let pixels = memory_bytes / 3 / FRAME_PIXEL_BYTES;
+        DefaultLimits {
+            max_pixels: pixels.clamp(FEWEST_PIXELS, MOST_PIXELS),
+            cpu_adapter_bytes: (memory_bytes / 4).max(LEAST_CPU_BYTES),
+        }
+    }
+}
 
 impl EngineConfig {
-    /// Returns the defaults for scenes below `root`.
+    /// Returns the defaults for scenes below `root`, in half of the memory of the machine.
     pub fn new(root: impl Into<PathBuf>) -> Self {
+        Self::within(root, memory::default_budget())
+    }
+
+    /// Returns the defaults for scenes below `root`, with limits for this many bytes of memory.
+    pub fn within(root: impl Into<PathBuf>, memory_bytes: u64) -> Self {
         let cores = std::thread::available_parallelism().map_or(2, usize::from);
         Self {
             root: root.into(),
             gpu_budget_bytes: None,
             memory: HostMemory::unlimited(),
+            memory_bytes,
             queue_capacity: 256,
             queue_time: Duration::from_secs(30),
             job_share: DEFAULT_JOB_SHARE,
             max_batch: 16,
             encoder_threads: cores.clamp(1, 8),
             encode_hook: None,
-            max_pixels: MOST_PIXELS.min(memory::default_budget() / 3 / FRAME_PIXEL_BYTES),
+            max_pixels: DefaultLimits::of(memory_bytes).max_pixels,
             max_side: 8192,
             force_32_bit: false,
             max_binding_bytes: None,
@@ -131,5 +162,20 @@ impl EngineConfig {
             up: None,
             scene: SceneLimits::default(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_follow_the_memory() {
+        let limits = |mib: u64| DefaultLimits::of(mib << 20);
+        assert_eq!(limits(1 << 20).max_pixels, 1 << 24);
+        assert_eq!(limits(1024).max_pixels, (1 << 30) / 192);
+        assert_eq!(limits(1024).cpu_adapter_bytes, 256 << 20);
+        assert_eq!(limits(1), DefaultLimits { max_pixels: 1 << 20, cpu_adapter_bytes: 64 << 20 });
+        assert_eq!(EngineConfig::within("/", 1 << 30).max_pixels, limits(1024).max_pixels);
     }
 }

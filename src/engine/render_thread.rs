@@ -12,6 +12,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use super::EngineError;
+use super::config::DefaultLimits;
 use super::encoders::Encoders;
 use super::frame_job::FrameJob;
 use super::priming::Primer;
@@ -70,8 +71,8 @@ fn open(state: &EngineState, options: &GpuOptions) -> Result<Renderer, GpuError>
     let mut renderer = Renderer::open(options, |gpu| {
         state.config.gpu_budget_bytes.unwrap_or_else(|| {
             let bound = (gpu.max_binding_bytes() * 24).min(4 << 30);
-            // A CPU adapter's buffers are host memory: a quarter of what loaded scenes may take.
-            if gpu.is_cpu { bound.min(memory::default_budget() / 4) } else { bound }
+            let of_memory = DefaultLimits::of(state.config.memory_bytes);
+            if gpu.is_cpu { bound.min(of_memory.cpu_adapter_bytes) } else { bound }
         })
     })?;
     if let Some(pixels) = state.config.small_triangle_px {

@@ -290,9 +290,10 @@ fn decide(
 ) -> Arc<ResolvedFrame> {
     let adapter = state.adapter();
     let is_open = request.settings.reconstruct == Reconstruct::Auto;
-    let mut auto = is_open.then(|| choose_for(loaded, &request, facts.counts.samples > 0, &view));
+    let grounds = is_open.then(|| grounds(loaded, &request, facts.counts.samples > 0, &view));
+    let mut auto = grounds.as_ref().map(auto::choose);
     let mut provisional = None;
-    if let Some(choice) = &mut auto
+    if let (Some(choice), Some(grounds)) = (&mut auto, &grounds)
         && loaded.lacks(choice.reconstruct, request.settings.lod, needed_output(&request))
     {
         provisional = Some(match state.estimate_in_background(loaded) {
@@ -301,8 +302,7 @@ fn decide(
             }
             Err(error) => format!("normals and kernels cannot be estimated: {error}"),
         });
-        let grounds = grounds(loaded, &request, facts.counts.samples > 0, &view);
-        *choice = auto::choose(&auto::Grounds { has_kernels: false, ..grounds });
+        *choice = auto::choose(&auto::Grounds { has_kernels: false, ..*grounds });
     }
     let settings = Settings {
         reconstruct: auto.map_or(request.settings.reconstruct, |choice| choice.reconstruct),
@@ -310,10 +310,13 @@ fn decide(
         ..request.settings
     }
     .with_edl_decided(&facts, request.output);
-    let settings = match provisional {
+    let settings = match (&provisional, &grounds) {
         // Until there are kernels, discs close what splats will.
-        Some(_) => settings.with_point_size(auto::disc_px(loaded.patches(), &view)),
-        None => settings,
+        (Some(_), Some(grounds)) => {
+            let spacing_px = grounds.spacing_px.map(|px| px / magnification(&request));
+            settings.with_point_size(auto::disc_px(spacing_px))
+        }
+        _ => settings,
     };
     let way = |settings: &Settings, instead_because| {
         let adapter = AdapterFacts {
@@ -430,6 +433,12 @@ fn choose_for(loaded: &Loaded, request: &FrameRequest, has_samples: bool, view: 
     auto::choose(&grounds(loaded, request, has_samples, view))
 }
 
+/// Height of the frame that `auto` decides for, as a multiple of that of the request.
+fn magnification(request: &FrameRequest) -> f64 {
+    let still = request.settings.decide_for;
+    still.map_or(1.0, |still| f64::from(still.height) / f64::from(request.height))
+}
+
 fn grounds(
     loaded: &Loaded,
     request: &FrameRequest,
@@ -437,14 +446,12 @@ fn grounds(
     view: &View,
 ) -> auto::Grounds {
     let settings = &request.settings;
-    let (larger, max_error) = match settings.decide_for {
-        Some(still) => (f64::from(still.height) / f64::from(request.height), still.max_error),
-        None => (1.0, settings.max_error_px),
-    };
+    let max_error = settings.decide_for.map_or(settings.max_error_px, |still| still.max_error);
+    let spacing_px = auto::spacing_px(loaded.patches(), view);
     auto::Grounds {
         lod: settings.lod,
         has_samples,
-        spacing_px: auto::spacing_px(loaded.patches(), view).map(|px| px * larger),
+        spacing_px: spacing_px.map(|px| px * magnification(request)),
         max_error_px: max_error.px(),
         has_kernels: true,
         has_point_size: Settings { reconstruct: Reconstruct::Points, ..*settings }

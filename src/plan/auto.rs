@@ -115,10 +115,10 @@ pub fn choose(grounds: &Grounds) -> Choice {
     Choice { reconstruct, spacing_px: grounds.spacing_px, reason }
 }
 
-/// Returns the diameter, in pixels, of discs that close surfaces whose samples lie apart; `None` where samples are dense enough as
-/// points.
-pub fn disc_px(patches: &[Patch], view: &View) -> Option<f64> {
-    let px = spacing_px(patches, view).filter(|px| *px > DENSE_PX)?;
+/// Returns the diameter, in pixels, of discs that close surfaces whose samples lie apart by `spacing_px`; `None` where samples are dense
+/// enough as points.
+pub fn disc_px(spacing_px: Option<f64>) -> Option<f64> {
+    let px = spacing_px.filter(|px| *px > DENSE_PX)?;
     Some((DISC_SPACINGS * px).clamp(1.0, WIDEST_DISC_PX))
 }
 

@@ -52,6 +52,15 @@ fn what_cannot_fit_is_refused_with_figures() {
     let before = client.metric("pointillist_host_memory_bytes");
     let limits = client.get("/v1/limits").json();
     assert_eq!(limits["host_memory_bytes"], json!(64 << 20));
+    // The largest frame and the memory of a CPU adapter follow the flag.
+    assert_eq!(limits["max_pixels"], json!(1 << 20));
+    let budget = limits["gpu_budget_bytes"].as_u64().unwrap();
+    let receipt = client.get("/v1/scenes/grid/frame?w=8&h=8").receipt();
+    let is_cpu = receipt["adapter"].as_str().unwrap().contains("llvmpipe");
+    assert!(budget == 64 << 20 || !is_cpu, "{limits}");
+    let refused = client.get("/v1/scenes/grid/frame?w=1025&h=1024");
+    assert_eq!(refused.status, 422);
+    assert!(refused.problem()["detail"].as_str().unwrap().contains("1048576"));
 
     let bomb = equal_points(5_000_000);
     assert!(bomb.len() < 1 << 20);
