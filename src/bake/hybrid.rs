@@ -1,17 +1,18 @@
 //! Meshes for point trees (Dachsbacher et al. 2003, §3.8): samples where triangles are smaller than the accepted error, and the
 //! triangles everywhere else.
 //!
-//! A triangle is drawn while its longest side `s` exceeds the accepted error, `s > T(z)`. Each of its samples has the error `s`,
-//! and so replaces the triangle where it is not drawn. Around the border both are drawn, because the test uses the triangle's
-//! near end and the sample's own position: there is no seam. No sample of a triangle is drawn where the triangle is larger than
-//! the accepted error. Large triangles therefore have one sample, whose disk covers them, and only small ones are rasterised
-//! ([`rasterise_mesh`]), with about one sample for each triangle of usual size.
+//! A triangle is drawn while its longest side `s` exceeds the accepted error, `s > T(z)`. Where it is not drawn, samples replace
+//! it: its own, and samples of its neighbours whose disks lie over the rest of it. Each sample has for an error the shortest `s` of
+//! the triangles that it replaces, so it is drawn where any of them is not. Around the border both are drawn, because the test
+//! uses the triangle's near end and the sample's own position: there is no seam. Large triangles have one sample, whose disk
+//! covers them, and only small ones are rasterised ([`rasterise`](super::rasterise)), with about one sample for each triangle of
+//! usual size.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::kernels::{CUTOFF, circle};
-use super::rasterise::{RasteriseOptions, rasterise_mesh};
+use super::rasterise::{RasteriseOptions, rasterise_replacing};
 use super::sample::SampleError;
 use super::sample::color::Colors;
 use super::tree::Measures;
@@ -135,7 +136,9 @@ pub fn hybrid_mesh(
     let is_large = |side: f64| side > LARGE * spacing;
     let (small, numbers) = part_of(mesh, |triangle| !is_large(sides[triangle]));
     let options = RasteriseOptions { spacing: Some(spacing), max_samples };
-    let rasterised = rasterise_mesh(&small, materials, textures, &options)?;
+    let small_sides: Vec<f64> = numbers.iter().map(|&number| sides[number as usize]).collect();
+    let (rasterised, shortest) =
+        rasterise_replacing(&small, materials, textures, &options, &small_sides)?;
     let mut samples = rasterised.cloud;
     samples.radii = None;
     let stand = |side: f64, area: f32| {
@@ -143,12 +146,8 @@ pub fn hybrid_mesh(
         Measures { error, size: error, area }
     };
     let areas = areas(&small, &rasterised.triangles);
-    let mut stands: Vec<Measures> = rasterised
-        .triangles
-        .iter()
-        .zip(areas)
-        .map(|(&triangle, area)| stand(sides[numbers[triangle as usize] as usize], area))
-        .collect();
+    let mut stands: Vec<Measures> =
+        shortest.iter().zip(areas).map(|(&side, area)| stand(side, area)).collect();
     let colors = Colors::of(mesh, materials, textures);
     for (number, &triangle) in mesh.triangles.iter().enumerate() {
         if !is_large(sides[number]) {
@@ -228,106 +227,4 @@ fn part_of(mesh: &Mesh, wanted: impl Fn(usize) -> bool) -> (Mesh, Vec<u32>) {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::scene::random::SplitMix64;
-
-    /// A flat grid of small triangles beside a large one.
-    fn mixed() -> Mesh {
-        let mut mesh = Mesh::default();
-        for y in 0..21 {
-            for x in 0..21 {
-                mesh.positions.push(DVec3::new(f64::from(x), f64::from(y), 0.0) * 0.05);
-            }
-        }
-        for y in 0..20u32 {
-            for x in 0..20 {
-                let at = 21 * y + x;
-                mesh.triangles.extend([[at, at + 1, at + 22], [at, at + 22, at + 21]]);
-            }
-        }
-        let first = mesh.positions.len() as u32;
-        mesh.positions.extend([[2.0, 0.0, 0.0], [5.0, 0.0, 0.0], [2.0, 4.0, 0.0]].map(DVec3::from));
-        mesh.triangles.push([first, first + 1, first + 2]);
-        mesh
-    }
-
-    #[test]
-    fn large_triangles_have_one_sample_that_covers_them() {
-        let mesh = mixed();
-        let hybrid = hybrid_mesh(&mesh, &[], &[], 1 << 20).unwrap();
-        let large: Vec<usize> =
-            (0..hybrid.stands.len()).filter(|&i| hybrid.stands[i].error > 1.0).collect();
-        let [only] = large[..] else { panic!("{large:?}") };
-        assert!((hybrid.stands[only].error - 5.0).abs() < 1e-5);
-        let kernel = hybrid.samples.kernels.as_ref().unwrap()[only];
-        for corner in &mesh.positions[mesh.positions.len() - 3..] {
-            let way = *corner - hybrid.samples.positions[only];
-            assert!(way.length() <= f64::from(CUTOFF * kernel.u.length()) * 1.001);
-        }
-        let small = hybrid.samples.positions.len() - 1;
-        assert!((400..2000).contains(&small), "{small}");
-    }
-
-    /// From any viewpoint, a triangle is drawn where one of its samples is not.
-    #[test]
-    fn a_sample_or_its_triangle_is_drawn() {
-        let mesh = mixed();
-        let hybrid = hybrid_mesh(&mesh, &[], &[], 1 << 20).unwrap();
-        let mut numbers = SplitMix64::new(1);
-        for (index, stands) in hybrid.stands.iter().enumerate() {
-            let at = hybrid.samples.positions[index];
-            let accepted = (numbers.next_u64() % 1000) as f32 * 1e-3 * 2.0 * stands.error;
-            let drawn = stands.error <= accepted;
-            let triangle = mesh.triangles.iter().enumerate().find(|(_, triangle)| {
-                let [a, b, c] = triangle.map(|v| mesh.positions[v as usize]);
-                let side = |a: DVec3, b: DVec3| (b - a).cross(at - a).z >= -1e-9;
-                side(a, b) && side(b, c) && side(c, a)
-            });
-            let Some((number, _)) = triangle else { continue };
-            assert!(drawn || hybrid.sides[number] > accepted);
-        }
-    }
-
-    #[test]
-    fn solids_are_watertight_and_sheets_are_not() {
-        let corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]];
-        let positions = corners.map(|p| DVec3::from(p.map(f64::from))).to_vec();
-        let triangles = vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
-        let solid = Mesh { positions, triangles, ..Mesh::default() };
-        assert!(is_watertight(&solid));
-        let mut open = solid.clone();
-        open.triangles.pop();
-        assert!(!is_watertight(&open) && !is_watertight(&mixed()));
-        let mut inside_out = solid.clone();
-        inside_out.triangles.iter_mut().for_each(|triangle| triangle.swap(0, 1));
-        assert!(!is_watertight(&inside_out));
-        // Each triangle gets vertices of its own.
-        let mut split = Mesh::default();
-        for triangle in &solid.triangles {
-            let first = split.positions.len() as u32;
-            split.positions.extend(triangle.map(|v| solid.positions[v as usize]));
-            split.triangles.push([first, first + 1, first + 2]);
-        }
-        assert!(is_watertight(&split));
-    }
-
-    #[test]
-    fn nothing_to_draw_has_no_samples() {
-        let flat = Mesh {
-            positions: vec![DVec3::ZERO; 3],
-            triangles: vec![[0, 1, 2], [0, 1, 9]],
-            ..Mesh::default()
-        };
-        let hybrid = hybrid_mesh(&flat, &[], &[], 10).unwrap();
-        assert!(hybrid.samples.positions.is_empty() && hybrid.sides == [0.0, 0.0]);
-    }
-
-    #[test]
-    fn too_many_samples_are_refused() {
-        assert!(matches!(
-            hybrid_mesh(&mixed(), &[], &[], 100),
-            Err(SampleError::TooMany { limit: 100, .. })
-        ));
-    }
-}
+mod tests;

@@ -25,6 +25,7 @@
 
 mod cover;
 mod facet;
+mod replaced;
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -106,6 +107,31 @@ pub fn rasterise_mesh(
     textures: &[Texture],
     options: &RasteriseOptions,
 ) -> Result<RasterisedMesh, SampleError> {
+    rasterise(mesh, materials, textures, options, None).map(|(rasterised, _)| rasterised)
+}
+
+/// Samples a mesh as [`rasterise_mesh`] does. `sides` are lengths of the triangles; also returns for each sample the shortest of
+/// all triangles that the sample replaces ([`replaced`]).
+///
+/// # Errors
+/// See [`rasterise_mesh`].
+pub(super) fn rasterise_replacing(
+    mesh: &Mesh,
+    materials: &[Material],
+    textures: &[Texture],
+    options: &RasteriseOptions,
+    sides: &[f64],
+) -> Result<(RasterisedMesh, Vec<f64>), SampleError> {
+    rasterise(mesh, materials, textures, options, Some(sides))
+}
+
+fn rasterise(
+    mesh: &Mesh,
+    materials: &[Material],
+    textures: &[Texture],
+    options: &RasteriseOptions,
+    sides: Option<&[f64]>,
+) -> Result<(RasterisedMesh, Vec<f64>), SampleError> {
     let extent = Extent::of(mesh);
     let limit = options.max_samples.min(u64::from(u32::MAX) - 1);
     let most = (0.5 * limit as f64).max(1.0);
@@ -113,7 +139,7 @@ pub fn rasterise_mesh(
     let wanted = wanted.max(LEAST_AUTOMATIC).min(most);
     let mut spacing = options.spacing.unwrap_or_else(|| (extent.area / wanted).sqrt());
     if extent.area == 0.0 && options.spacing.is_none() {
-        return Ok(RasterisedMesh::default());
+        return Ok(<(RasterisedMesh, Vec<f64>)>::default());
     }
     if !(spacing > 0.0 && spacing.is_finite()) {
         return Err(SampleError::Spacing { spacing });
@@ -129,7 +155,9 @@ pub fn rasterise_mesh(
         }
     };
     let grid = Grid::new(extent.low, spacing);
-    Ok(finish(samples, &grid, mesh, &Colors::of(mesh, materials, textures)))
+    let (samples, colors) = colored(samples, &grid, mesh, &Colors::of(mesh, materials, textures));
+    let shortest = sides.map(|sides| replaced::shortest(mesh, &grid, &samples, sides));
+    Ok((finish(&samples, colors, &grid), shortest.unwrap_or_default()))
 }
 
 /// Figures of all triangles together.
@@ -330,7 +358,27 @@ fn open_parts(
     samples: &[Sample],
     index: &Index,
 ) -> Vec<Open> {
-    let of_rows = |facet: &Facet, rows: Range<i64>, found: &mut Vec<Open>| {
+    outer_parts(mesh, grid, block, |facet, cell, found| {
+        if index.covers_here(samples, facet, cell, &facet.patch(cell)) {
+            return;
+        }
+        let part = facet.part(cell);
+        if !part.points().is_empty() && !index.covers(samples, facet, part.points()) {
+            let (distance, _) = part.nearest(cell);
+            found.push(Open { triangle: facet.triangle, distance, cell });
+        }
+    })
+}
+
+/// Calls `visit` with the cells that each of a run of triangles touches without containing their centres; returns what the
+/// calls find, in the order of the triangles.
+fn outer_parts<T: Clone + Send>(
+    mesh: &Mesh,
+    grid: &Grid,
+    block: Range<usize>,
+    visit: impl Fn(&Facet, [i64; 2], &mut Vec<T>) + Sync,
+) -> Vec<T> {
+    let of_rows = |facet: &Facet, rows: Range<i64>, found: &mut Vec<T>| {
         for row in rows {
             let (inside, touched) = (facet.span(row), facet.touched(row));
             let is_inside = |column: &i64| inside.contains(column);
@@ -338,15 +386,7 @@ fn open_parts(
             let left = touched.start..touched.end.min(inside.start.max(touched.start));
             let right = if inside.is_empty() { left.end } else { inside.end }..touched.end;
             for column in left.chain(right).filter(|column| !is_inside(column)) {
-                let cell = [column, row];
-                if index.covers_here(samples, facet, cell, &facet.patch(cell)) {
-                    continue;
-                }
-                let part = facet.part(cell);
-                if !part.points().is_empty() && !index.covers(samples, facet, part.points()) {
-                    let (distance, _) = part.nearest(cell);
-                    found.push(Open { triangle: facet.triangle, distance, cell });
-                }
+                visit(facet, [column, row], found);
             }
         }
     };
@@ -368,12 +408,17 @@ fn open_parts(
         found
     };
     let runs: Vec<usize> = block.clone().step_by(TRIANGLES).collect();
-    let found: Vec<Vec<Open>> = runs.into_par_iter().map(of_run).collect();
+    let found: Vec<Vec<T>> = runs.into_par_iter().map(of_run).collect();
     found.concat()
 }
 
-/// Gives samples their colours, and what else a cloud has, in mesh units.
-fn finish(mut samples: Vec<Sample>, grid: &Grid, mesh: &Mesh, colors: &Colors) -> RasterisedMesh {
+/// The samples that no alpha cut-off removes, and their colours.
+fn colored(
+    mut samples: Vec<Sample>,
+    grid: &Grid,
+    mesh: &Mesh,
+    colors: &Colors,
+) -> (Vec<Sample>, Vec<[u8; 4]>) {
     let color = |sample: &Sample| {
         let corners = facet::corners(mesh, mesh.triangles[sample.triangle as usize])?;
         let radius = sample.radius() * grid.spacing;
@@ -394,6 +439,11 @@ fn finish(mut samples: Vec<Sample>, grid: &Grid, mesh: &Mesh, colors: &Colors) -
         let mut kept = colored.iter();
         samples.retain(|_| kept.next().is_some_and(Option::is_some));
     }
+    (samples, colors)
+}
+
+/// The cloud of these samples, in mesh units.
+fn finish(samples: &[Sample], colors: Vec<[u8; 4]>, grid: &Grid) -> RasterisedMesh {
     let radius = |sample: &Sample| (sample.radius() * grid.spacing) as f32;
     let cloud = PointCloud {
         positions: samples.par_iter().map(|sample| grid.mesh_from_cells(sample.at)).collect(),

@@ -9,6 +9,7 @@
 
 mod baking;
 mod changes;
+mod closed;
 mod coverage;
 mod crowds;
 mod determinism;
@@ -26,6 +27,7 @@ mod picks;
 mod pipelines;
 mod queueing;
 mod rounds;
+mod sheets;
 mod side_files;
 mod splats_hard;
 mod studio;

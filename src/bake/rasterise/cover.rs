@@ -137,6 +137,17 @@ impl Index {
 
     /// Tells whether some sample's disk lies over all of a convex part of a facet.
     pub(super) fn covers(&self, samples: &[Sample], facet: &Facet, part: &[DVec3]) -> bool {
+        self.any(samples, facet, part, &mut |_| true)
+    }
+
+    /// Calls `accept` with the samples whose disks lie over all of a convex part of a facet, until it accepts one.
+    pub(super) fn any(
+        &self,
+        samples: &[Sample],
+        facet: &Facet,
+        part: &[DVec3],
+        accept: &mut impl FnMut(u32) -> bool,
+    ) -> bool {
         let middle = part.iter().sum::<DVec3>() / part.len().max(1) as f64;
         (0..3).any(|step| {
             let axis = (facet.axis + step) % 3;
@@ -149,7 +160,7 @@ impl Index {
                 [slab, other].into_iter().any(|slab| {
                     let list =
                         self.list(axis, [x.wrapping_add(dx), y.wrapping_add(dy)], slab as i64);
-                    self.covers_from(list, samples, facet, part)
+                    self.any_from(list, samples, facet, part, accept)
                 })
             })
         })
@@ -164,16 +175,35 @@ impl Index {
         cell: [i64; 2],
         part: &[DVec3; 4],
     ) -> bool {
+        self.any_here(samples, facet, cell, part, &mut |_| true)
+    }
+
+    /// Calls `accept` with the samples that [`covers_here`](Self::covers_here) looks for, until it accepts one.
+    pub(super) fn any_here(
+        &self,
+        samples: &[Sample],
+        facet: &Facet,
+        cell: [i64; 2],
+        part: &[DVec3; 4],
+        accept: &mut impl FnMut(u32) -> bool,
+    ) -> bool {
         let axis = usize::from(facet.axis);
         let depth = 0.25 * (part[0][axis] + part[1][axis] + part[2][axis] + part[3][axis]);
         let list = self.list(facet.axis, cell, (depth / SLAB).floor() as i64);
-        self.covers_from(list, samples, facet, part)
+        self.any_from(list, samples, facet, part, accept)
     }
 
-    fn covers_from(&self, list: usize, samples: &[Sample], facet: &Facet, part: &[DVec3]) -> bool {
+    fn any_from(
+        &self,
+        list: usize,
+        samples: &[Sample],
+        facet: &Facet,
+        part: &[DVec3],
+        accept: &mut impl FnMut(u32) -> bool,
+    ) -> bool {
         let mut next = self.heads[list].load(Ordering::Relaxed);
         while let Some(sample) = samples.get(next as usize) {
-            if sample.covers(facet.normal, part) {
+            if sample.covers(facet.normal, part) && accept(next) {
                 return true;
             }
             next = self.next[next as usize].load(Ordering::Relaxed);

@@ -1,0 +1,136 @@
+use super::*;
+
+#[allow(dead_code, reason = "the tests of the engine use all of it")]
+#[path = "../../../tests/engine/sheets.rs"]
+mod sheets;
+
+use crate::scene::random::SplitMix64;
+
+/// A flat grid of small triangles beside a large one.
+fn mixed() -> Mesh {
+    let mut mesh = Mesh::default();
+    for y in 0..21 {
+        for x in 0..21 {
+            mesh.positions.push(DVec3::new(f64::from(x), f64::from(y), 0.0) * 0.05);
+        }
+    }
+    for y in 0..20u32 {
+        for x in 0..20 {
+            let at = 21 * y + x;
+            mesh.triangles.extend([[at, at + 1, at + 22], [at, at + 22, at + 21]]);
+        }
+    }
+    let first = mesh.positions.len() as u32;
+    mesh.positions.extend([[2.0, 0.0, 0.0], [5.0, 0.0, 0.0], [2.0, 4.0, 0.0]].map(DVec3::from));
+    mesh.triangles.push([first, first + 1, first + 2]);
+    mesh
+}
+
+#[test]
+fn large_triangles_have_one_sample_that_covers_them() {
+    let mesh = mixed();
+    let hybrid = hybrid_mesh(&mesh, &[], &[], 1 << 20).unwrap();
+    let large: Vec<usize> =
+        (0..hybrid.stands.len()).filter(|&i| hybrid.stands[i].error > 1.0).collect();
+    let [only] = large[..] else { panic!("{large:?}") };
+    assert!((hybrid.stands[only].error - 5.0).abs() < 1e-5);
+    let kernel = hybrid.samples.kernels.as_ref().unwrap()[only];
+    for corner in &mesh.positions[mesh.positions.len() - 3..] {
+        let way = *corner - hybrid.samples.positions[only];
+        assert!(way.length() <= f64::from(CUTOFF * kernel.u.length()) * 1.001);
+    }
+    let small = hybrid.samples.positions.len() - 1;
+    assert!((400..2000).contains(&small), "{small}");
+}
+
+/// From any viewpoint, a triangle is drawn where one of its samples is not.
+#[test]
+fn a_sample_or_its_triangle_is_drawn() {
+    let mesh = mixed();
+    let hybrid = hybrid_mesh(&mesh, &[], &[], 1 << 20).unwrap();
+    let mut numbers = SplitMix64::new(1);
+    for (index, stands) in hybrid.stands.iter().enumerate() {
+        let at = hybrid.samples.positions[index];
+        let accepted = (numbers.next_u64() % 1000) as f32 * 1e-3 * 2.0 * stands.error;
+        let drawn = stands.error <= accepted;
+        let triangle = mesh.triangles.iter().enumerate().find(|(_, triangle)| {
+            let [a, b, c] = triangle.map(|v| mesh.positions[v as usize]);
+            let side = |a: DVec3, b: DVec3| (b - a).cross(at - a).z >= -1e-9;
+            side(a, b) && side(b, c) && side(c, a)
+        });
+        let Some((number, _)) = triangle else { continue };
+        assert!(drawn || hybrid.sides[number] > accepted);
+    }
+}
+
+/// At an error from which on a triangle is not drawn, the samples over each of its places are.
+#[test]
+fn samples_replace_every_triangle_that_they_cover() {
+    let mut numbers = SplitMix64::new(3);
+    let mut random = || numbers.unit();
+    let even = sheets::sheet(40, 0.45, 1.0, &mut random);
+    let graded = sheets::sheet(40, 0.3, 2.0, &mut random);
+    let divided = sheets::split(sheets::sheet(30, 0.4, 1.0, &mut random), 0.5, &mut random);
+    for (positions, triangles) in [even, graded, divided] {
+        let mesh = Mesh { positions, triangles, ..Mesh::default() };
+        let hybrid = hybrid_mesh(&mesh, &[], &[], 1 << 20).unwrap();
+        let kernels = hybrid.samples.kernels.as_ref().unwrap();
+        for (triangle, side) in mesh.triangles.iter().zip(&hybrid.sides) {
+            let corners = triangle.map(|v| mesh.positions[v as usize]);
+            for _ in 0..4 {
+                let [p, q, r] = [0; 3].map(|_| random());
+                let sum = p + q + r;
+                let at = (corners[0] * p + corners[1] * q + corners[2] * r) / sum;
+                let covers = |&number: &usize| {
+                    let way = (at - hybrid.samples.positions[number]).as_vec3();
+                    let along = |axis: Vec3| way.dot(axis) / axis.length_squared();
+                    let place = along(kernels[number].u).hypot(along(kernels[number].v));
+                    place <= CUTOFF * 1.0001 && hybrid.stands[number].error <= *side
+                };
+                assert!((0..kernels.len()).any(|number| covers(&number)), "{at} {side}");
+            }
+        }
+    }
+}
+
+#[test]
+fn solids_are_watertight_and_sheets_are_not() {
+    let corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]];
+    let positions = corners.map(|p| DVec3::from(p.map(f64::from))).to_vec();
+    let triangles = vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
+    let solid = Mesh { positions, triangles, ..Mesh::default() };
+    assert!(is_watertight(&solid));
+    let mut open = solid.clone();
+    open.triangles.pop();
+    assert!(!is_watertight(&open) && !is_watertight(&mixed()));
+    let mut inside_out = solid.clone();
+    inside_out.triangles.iter_mut().for_each(|triangle| triangle.swap(0, 1));
+    assert!(!is_watertight(&inside_out));
+    // Each triangle gets vertices of its own.
+    let mut split = Mesh::default();
+    for triangle in &solid.triangles {
+        let first = split.positions.len() as u32;
+        split.positions.extend(triangle.map(|v| solid.positions[v as usize]));
+        split.triangles.push([first, first + 1, first + 2]);
+    }
+    assert!(is_watertight(&split));
+}
+
+#[test]
+fn nothing_to_draw_has_no_samples() {
+    let flat = Mesh {
+        positions: vec![DVec3::ZERO; 3],
+        triangles: vec![[0, 1, 2], [0, 1, 9]],
+        ..Mesh::default()
+    };
+    let hybrid = hybrid_mesh(&flat, &[], &[], 10).unwrap();
+    assert!(hybrid.samples.positions.is_empty() && hybrid.sides == [0.0, 0.0]);
+}
+
+#[test]
+fn too_many_samples_are_refused() {
+    assert!(matches!(
+        hybrid_mesh(&mixed(), &[], &[], 100),
+        Err(SampleError::TooMany { limit: 100, .. })
+    ));
+}

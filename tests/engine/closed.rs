@@ -1,0 +1,81 @@
+//! Surfaces are closed: nothing behind them shows through.
+
+use glam::DVec3;
+use pointillist::engine::{FrameRequest, Pose};
+use pointillist::math::{Camera, Lens};
+use pointillist::plan::{Output, Reconstruct, Settings};
+use pointillist::scene::random::SplitMix64;
+use serde_json::json;
+
+use super::sheets::{Triangulation, ball, sheet, split};
+use super::studio::{Studio, front, ids, mesh, spt};
+
+/// Pixels of the background that are not connected with the frame's border.
+fn enclosed(is_seen: &[bool], side: usize) -> usize {
+    let mut is_outside = is_seen.to_vec();
+    let mut open: Vec<usize> =
+        (0..side).flat_map(|i| [i, (side - 1) * side + i, i * side, i * side + side - 1]).collect();
+    while let Some(at) = open.pop() {
+        if std::mem::replace(&mut is_outside[at], true) {
+            continue;
+        }
+        let (x, y) = (at % side, at / side);
+        open.extend((x > 0).then(|| at - 1));
+        open.extend((x + 1 < side).then_some(at + 1));
+        open.extend((y > 0).then(|| at - side));
+        open.extend((y + 1 < side).then_some(at + side));
+    }
+    is_outside.iter().filter(|is_reached| !**is_reached).count()
+}
+
+/// Holes in a scene of one asset, seen along −z from this distance.
+fn holes(studio: &Studio, scene: &str, distance: f64, settings: Settings) -> usize {
+    const SIDE: u32 = 120;
+    let camera = Camera {
+        eye: DVec3::Z * distance,
+        target: DVec3::ZERO,
+        up: DVec3::Y,
+        lens: Lens::Perspective { fov_deg: 40.0 },
+    };
+    let request = FrameRequest {
+        pose: Pose::Camera(camera),
+        settings,
+        output: Output::Id,
+        ..front(scene, SIDE, SIDE)
+    };
+    let is_seen: Vec<bool> = ids(&studio.bytes(&request)).iter().map(|&id| id != 0).collect();
+    assert!(is_seen.iter().filter(|&&is_seen| is_seen).count() > 500);
+    enclosed(&is_seen, SIDE as usize)
+}
+
+fn load_mesh(studio: &Studio, name: &str, (positions, triangles): Triangulation) {
+    let file = format!("{name}.ply");
+    studio.write(&file, mesh(&positions, &triangles));
+    let scene = json!({ "assets": { "g": { "file": file } }, "nodes": [{ "asset": "g" }] });
+    studio.load_json(name, &scene);
+}
+
+/// Small triangles beside larger ones are drawn, or the samples over them are.
+#[test]
+fn irregular_meshes_have_no_holes_as_point_trees() {
+    let studio = Studio::new();
+    let mut numbers = SplitMix64::new(1);
+    let mut random = || numbers.unit();
+    let even = sheet(90, 0.45, 1.0, &mut random);
+    let graded = sheet(90, 0.3, 2.0, &mut random);
+    let divided = split(sheet(70, 0.4, 1.0, &mut random), 0.5, &mut random);
+    let ball = ball(50, 0.4, &mut random);
+    for (name, triangulation) in
+        [("even", even), ("graded", graded), ("divided", divided), ("ball", ball)]
+    {
+        load_mesh(&studio, name, triangulation);
+        for distance in [3.3, 4.0, 4.8, 5.6, 6.6, 8.0] {
+            for px in [0.5, 1.0, 2.0, 4.0] {
+                let found = holes(&studio, name, distance, spt(px, Reconstruct::Splats));
+                assert_eq!(found, 0, "{name} from {distance} with an error of {px} px");
+            }
+            let found = holes(&studio, name, distance, spt(0.5, Reconstruct::Points));
+            assert_eq!(found, 0, "points of {name} from {distance}");
+        }
+    }
+}
