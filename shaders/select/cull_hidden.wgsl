@@ -99,8 +99,9 @@ fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
     let whole = grid_box(at, chunk.origin, chunk.extent);
     let is_splats = SPLATS && chunk.kind == SAMPLES;
     let reach = select(0.0, splat_reach(chunk, stretch(at)), is_splats);
-    // A splat fills at least one pixel.
-    let filter_px = select(0.0, max(frame.splat_cutoff * frame.splat_lowpass_px, 1.0), is_splats);
+    // A splat fills at least one pixel, and the disc of a node reaches as far as its error.
+    let node_px = select(0.0, frame.lod_scale * max(frame.focal_px.x, frame.focal_px.y), DISCS);
+    let filter_px = select(0.0, max(frame.splat_cutoff * frame.splat_lowpass_px, max(node_px, 1.0)), is_splats);
     let widened = Box(whole.centre, whole.x, whole.y, whole.z, whole.slack + reach);
     var left = select((chunk.count + PART - 1u) / PART, 0u, is_hidden(drawn_bounds(widened, filter_px)));
     var shown = 0u;

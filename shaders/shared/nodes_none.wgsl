@@ -31,6 +31,10 @@ fn instance_key(instance: u32) -> u32 {
     return 0u;
 }
 
+fn node_extent(sample: u32, unit: f32) -> f32 {
+    return 0.0;
+}
+
 fn is_ball(own: vec2<u32>) -> bool {
     return false;
 }

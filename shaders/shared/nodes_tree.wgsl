@@ -129,10 +129,15 @@ fn is_whole(own: u32) -> bool {
     return (own >> 30u) == WHOLE;
 }
 
+// Bound on the distance of the leaves below a node from its centre, in camera space; 0 for leaves.
+fn node_extent(sample: u32, unit: f32) -> f32 {
+    return unit * code_value(kernels[sample * KERNEL_WORDS + 2u] & CODE);
+}
+
 // Whether a node of colour word `own` is one of those that are drawn of its kind. `seen`: what is seen of its area, see `seen_area`; `drawn_px`: the
 // area in the image that it is drawn as; `place`: its stored position.
 fn is_kept(sample: u32, own: u32, unit: f32, centre: vec3<f32>, seen: f32, drawn_px: f32, place: vec2<u32>, key: u32) -> bool {
-    let extent = unit * code_value(kernels[sample * KERNEL_WORDS + 2u] & CODE);
+    let extent = node_extent(sample, unit);
     // About the eye there is no area in the image.
     if !ORTHOGRAPHIC && extent >= centre.z {
         return true;
@@ -155,7 +160,7 @@ const FILLS: u32 = 254u;
 // below it turn: as triangles are, so that outlines do not grow by half a pixel. Every point of a surface is in the disk of a node,
 // and so is a pixel's centre; that node is in the same pixel: no gap opens.
 fn covers_pixel(sample: u32, own: vec2<u32>, unit: f32, centre: vec3<f32>, beside: vec3<f32>, areas: Areas) -> bool {
-    let extent = unit * code_value(kernels[sample * KERNEL_WORDS + 2u] & CODE);
+    let extent = node_extent(sample, unit);
     let seen = towards(centre);
     let far = length(seen);
     let reach_px = extent * far * max(frame.focal_px.x, frame.focal_px.y);

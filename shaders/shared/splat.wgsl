@@ -474,13 +474,14 @@ fn set_way(splat: ptr<function, Splat>) {
 // Discs reach no farther in pixels.
 const WIDEST_DISC_PX: f32 = 1e6;
 
-// Half the sides of a disc's box in pixels, at a depth.
-fn disc_px(z: f32) -> vec2<f32> {
-    return clamp(frame.disc_radius * frame.focal_px / divisor(z), vec2<f32>(frame.splat_lowpass_px), vec2<f32>(WIDEST_DISC_PX));
+// Half the sides of a disc's box in pixels, at a depth. `extent`: distance in camera space of what a node stands for, which the disc covers.
+fn disc_px(z: f32, extent: f32) -> vec2<f32> {
+    let radius = max(frame.disc_radius, extent);
+    return clamp(radius * frame.focal_px / divisor(z), vec2<f32>(frame.splat_lowpass_px), vec2<f32>(WIDEST_DISC_PX));
 }
 
 // A disc that faces the image plane, at the depth of its centre p, which is multiplied by the intrinsics.
-fn make_disc(id: u32, p: vec3<f32>) -> Splat {
+fn make_disc(id: u32, p: vec3<f32>, extent: f32) -> Splat {
     var splat: Splat;
     splat.id = id;
     splat.way = NOTHING;
@@ -490,7 +491,7 @@ fn make_disc(id: u32, p: vec3<f32>) -> Splat {
         return splat;
     }
     let inverse = 1.0 / p.z;
-    let radius = disc_px(p.z);
+    let radius = disc_px(p.z, extent);
     splat.centre = p.xy / divisor(p.z);
     splat.s = vec3<f32>(0.0, 1.0 / radius.x, 0.0);
     splat.t = vec3<f32>(0.0, 0.0, 1.0 / radius.y);

@@ -454,9 +454,7 @@ fn grounds(
         spacing_px: spacing_px.map(|px| px * magnification(request)),
         max_error_px: max_error.px(),
         has_kernels: true,
-        has_point_size: Settings { reconstruct: Reconstruct::Points, ..*settings }
-            .discs()
-            .is_some(),
+        has_point_size: settings.has_point_size(),
     }
 }
 

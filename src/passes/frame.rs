@@ -119,6 +119,15 @@ impl FrameTask {
         u32::from(!self.reconstruction.is_splats())
     }
 
+    /// Largest error in pixels of nodes that are drawn. A disc about a node covers all leaves below it, and so it may reach beyond them by
+    /// twice the node's size: the size is half of the accepted error, but no less than the pixel that a point fills anyway.
+    pub fn node_error_px(&self) -> f32 {
+        match self.reconstruction.discs() {
+            Some(_) => (0.5 * self.max_error_px).max(self.max_error_px.min(1.0)),
+            None => self.max_error_px,
+        }
+    }
+
     /// Whether the error of a node depends on the angle at which it is seen. Points cover one pixel at any angle, so it never does for them.
     pub fn splits_errors(&self) -> bool {
         self.reconstruction.is_splats() && self.error_mode == ErrorMode::Split
@@ -202,7 +211,7 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         slab_meet: slabs.meet as f32,
         slab_meet_log2: slabs.meet.log2() as f32,
         slab_per_octave: slabs.per_octave as f32,
-        lod_scale: task.max_error_px / view.focal_px.max_element() as f32,
+        lod_scale: task.node_error_px() / view.focal_px.max_element() as f32,
         entry_capacity: task.entry_capacity,
         instance_groups: scene.instance_groups(),
         segment_count: scene.pages.len() as u32,

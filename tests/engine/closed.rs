@@ -8,7 +8,7 @@ use pointillist::scene::random::SplitMix64;
 use serde_json::json;
 
 use super::sheets::{Triangulation, ball, sheet, split};
-use super::studio::{Studio, front, ids, mesh, spt};
+use super::studio::{Studio, cloud, front, ids, mesh, spt};
 
 /// Pixels of the background that are not connected with the frame's border.
 fn enclosed(is_seen: &[bool], side: usize) -> usize {
@@ -74,8 +74,30 @@ fn irregular_meshes_have_no_holes_as_point_trees() {
                 let found = holes(&studio, name, distance, spt(px, Reconstruct::Splats));
                 assert_eq!(found, 0, "{name} from {distance} with an error of {px} px");
             }
-            let found = holes(&studio, name, distance, spt(0.5, Reconstruct::Points));
-            assert_eq!(found, 0, "points of {name} from {distance}");
+            for px in [0.5, 2.0, 4.0] {
+                let found = holes(&studio, name, distance, spt(px, Reconstruct::Points));
+                assert_eq!(found, 0, "points of {name} from {distance} with an error of {px} px");
+            }
+        }
+    }
+}
+
+/// Nodes that stand for samples in several pixels cover all of them.
+#[test]
+fn points_of_coarse_nodes_leave_no_holes() {
+    let studio = Studio::new();
+    let mut numbers = SplitMix64::new(2);
+    let mut random = || numbers.unit();
+    let (positions, _) = sheet(260, 0.45, 1.0, &mut random);
+    studio.write("sheet.ply", cloud(positions.into_iter().map(|at| (at, [90, 120, 150]))));
+    let scene = json!({ "assets": { "g": { "file": "sheet.ply" } }, "nodes": [{ "asset": "g" }] });
+    studio.load_json("sheet", &scene);
+    for distance in [3.0, 4.5, 7.0] {
+        let full = Settings::drawn_as(Reconstruct::Points);
+        assert_eq!(holes(&studio, "sheet", distance, full), 0, "from {distance}");
+        for px in [1.5, 2.0, 4.0, 8.0] {
+            let found = holes(&studio, "sheet", distance, spt(px, Reconstruct::Points));
+            assert_eq!(found, 0, "from {distance} with an error of {px} px");
         }
     }
 }

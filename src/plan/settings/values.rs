@@ -69,10 +69,17 @@ impl Settings {
         }
     }
 
-    /// Discs that samples are drawn as; `None` for splats and for points of one pixel.
+    /// Whether points are larger than a pixel.
+    pub fn has_point_size(&self) -> bool {
+        self.point_size_px != PointSizePx::default() || self.point_size.get() > 0.0
+    }
+
+    /// Discs that samples are drawn as; `None` for splats and for points of one pixel. Nodes of point trees that may be larger than a
+    /// pixel are discs as well, of the size of what they stand for.
     pub fn discs(&self) -> Option<Discs> {
         let (diameter_px, diameter) = (self.point_size_px.get(), self.point_size.get());
-        let is_larger = self.point_size_px != PointSizePx::default() || diameter > 0.0;
+        let has_large_nodes = self.lod == Lod::Spt && self.max_error_px.px() > 1.0;
+        let is_larger = self.has_point_size() || has_large_nodes;
         (self.reconstruct == Reconstruct::Points && is_larger)
             .then_some(Discs { diameter_px, diameter })
     }
