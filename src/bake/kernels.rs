@@ -9,10 +9,12 @@
 //!    (The covariance of the neighbours themselves would not do: the nearest ones fill a circle, however they are
 //!    spread in it.) The second moments of `w` give the axes; the ratio of their roots, bounded by [`MAX_RATIO`], gives
 //!    the ellipticity.
-//! 2. In coordinates in which that ellipse is a circle, the cell's extent along a direction `d` is `1 / max 2 w · d`. The
-//!    largest of [`DIRECTIONS`], and a little more for what lies between them, is the kernel's reach.
-//! 3. At the border of a cloud a cell is open. A sample whose neighbours lie to one side takes, of every two opposite
-//!    directions, the shorter extent; one whose neighbours lie all in one direction is a stray.
+//! 2. The cell is a polygon ([`Cell`]): a square, clipped at the walls to the neighbours. In coordinates in which the ellipse is a
+//!    circle, the farthest corner is the kernel's reach. A corner counts as no farther than the farthest neighbour. Where the ellipse
+//!    would be much longer than the cell, the kernel is a circle around the cell.
+//! 3. At the border of a cloud a cell is open: its farthest corner is much farther than its neighbours, which lie to one side. Such
+//!    a sample leaves out what is open and takes, of every two opposite of [`DIRECTIONS`], the shorter extent (`1 / max 2 w · d`
+//!    along `d`). One whose neighbours lie all in one direction is a stray.
 //! 4. Where neighbours lie on no surface, a tangent plane means little. A sample whose sixth neighbour is [`ISOLATED`] times as
 //!    far as its neighbours' own sixth neighbours is a stray, too: an echo in the air, alone or one of up to six. A small group
 //!    far from all others is a group of strays, whatever these others are: any three groups lie on a plane. In a volume, such as
@@ -40,10 +42,16 @@ pub const CUTOFF: f32 = 2.0;
 const MAX_RATIO: f32 = 8.0;
 /// Directions that are looked at, over half a turn; their opposites are as well.
 const DIRECTIONS: usize = 8;
-/// A cell's corner between two directions (at most 11.25° off) is farther away than the cell's extent along either.
-const MARGIN: f32 = 1.15;
-/// Extents beyond this part of the distance to the farthest neighbour are not known to be gaps in the sampling.
-const KNOWN: f32 = 0.75;
+/// Reach beyond a cell's farthest corner: surfaces curve, and kernels are rounded.
+const MARGIN: f32 = 1.05;
+/// Corners of a cell beyond this part of the distance to the farthest neighbour are not known to be gaps in the sampling.
+const KNOWN: f32 = 1.0;
+/// Longest axis of a kernel over the distance of its cell's farthest corner: 1.42 where the cell is a rectangle.
+const LONGER: f32 = 2.0;
+/// Half the side of the square that cells are clipped from, in distances of the farthest neighbour.
+const SQUARE: f32 = 8.0;
+/// Distance of the farthest corner of a cell, in distances of the farthest neighbour, from which on the cell is open.
+const OPEN: f32 = 2.5;
 /// Neighbours nearer than this part of the distance to the middle one count as if they were that far: two scans of one
 /// surface give pairs of points in any direction.
 const NEAREST: f32 = 0.2;
@@ -271,35 +279,107 @@ fn ellipse(offsets: &[Vec2]) -> Option<[Vec2; 2]> {
     // Scaling the axes by this and its inverse makes the dual round.
     let scale = ratio.sqrt();
     let across = axis.perp();
-    let mut forth = [0.0f32; DIRECTIONS];
-    let mut back = [0.0f32; DIRECTIONS];
+    let round = |v: Vec2| Vec2::new(v.dot(axis) * scale, v.dot(across) / scale);
+    let farthest = farthest.sqrt();
+    let known = KNOWN * farthest;
+    let cell = Cell::of(offsets, SQUARE * farthest, same);
+    let is_border = aside > BORDER && cell.extent() > OPEN * farthest;
+    let mut reach =
+        if is_border { shorter_extent(offsets, round, known / scale, same) } else { 0.0 };
+    let mut radius = reach / scale;
+    for corner in cell.corners() {
+        let length = corner.length();
+        let part = match length <= known {
+            true => 1.0,
+            false if is_border => 0.0,
+            false => known / length,
+        };
+        reach = reach.max(part * round(*corner).length());
+        radius = radius.max(part * length);
+    }
+    // A corner across a long ellipse makes it longer still. The circle around all corners is then the better kernel.
+    let is_long = reach > radius || reach * scale > LONGER * radius;
+    let [short, long] =
+        if is_long && !is_border { [radius; 2] } else { [reach / scale, reach * scale] };
+    let part = MARGIN / CUTOFF;
+    (reach > 0.0).then(|| [axis * (short * part), across * (long * part)])
+}
+
+/// The largest, over all directions, of the shorter of a cell's two extents along the direction and its opposite, in the
+/// coordinates that `round` gives. Extents beyond `known` do not count.
+fn shorter_extent(offsets: &[Vec2], round: impl Fn(Vec2) -> Vec2, known: f32, same: f32) -> f32 {
+    let mut nearest = [0.0f32; DIRECTIONS];
     for q in offsets {
-        let round = Vec2::new(q.dot(axis) * scale, q.dot(across) / scale);
-        let d = round.length_squared();
-        if d <= same {
-            continue;
-        }
-        let wall = round * (2.0 / d);
-        // Comparisons rather than `max`, which minds NaN: four lanes at a time.
-        for i in 0..DIRECTIONS {
-            let near = wall.x * TURN_X[i] + wall.y * TURN_Y[i];
-            forth[i] = if near > forth[i] { near } else { forth[i] };
-            back[i] = if near < back[i] { near } else { back[i] };
+        if q.length_squared() > same {
+            let q = round(*q);
+            let wall = q * (2.0 / q.length_squared());
+            for (i, nearest) in nearest.iter_mut().enumerate() {
+                *nearest = nearest.max((wall.x * TURN_X[i] + wall.y * TURN_Y[i]).abs());
+            }
         }
     }
-    // A circle of neighbours is known; in round coordinates it is an ellipse with this least half axis.
-    let known = KNOWN * farthest.sqrt() / scale;
-    let mut reach = 0.0f32;
-    for (forth, back) in forth.into_iter().zip(back) {
-        let (long, short) = (1.0 / forth.min(-back), 1.0 / forth.max(-back));
-        if aside > BORDER {
-            reach = if short <= known { reach.max(short) } else { reach };
-        } else {
-            reach = reach.max(if long > 0.0 { long.min(known) } else { known });
+    nearest.iter().map(|near| 1.0 / near).filter(|extent| *extent <= known).fold(0.0, f32::max)
+}
+
+/// The part of a square about the origin that is nearer to the origin than to any of some places: a convex polygon.
+struct Cell {
+    corners: [Vec2; Cell::MOST],
+    count: usize,
+}
+
+impl Cell {
+    /// A wall cuts off at least one corner and adds two.
+    const MOST: usize = 5 + MAX_NEIGHBORS;
+
+    /// `half`: half the side of the square; `same`: squared distance up to which a place is the origin.
+    fn of(places: &[Vec2], half: f32, same: f32) -> Cell {
+        let mut cell = Cell { corners: [Vec2::ZERO; Cell::MOST], count: 4 };
+        let square = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
+        cell.corners.iter_mut().zip(square).for_each(|(c, at)| *c = Vec2::from(at) * half);
+        let mut extent = f32::INFINITY;
+        for place in places {
+            let d = place.length_squared();
+            // The wall of a place twice as far as every corner, or farther, touches none.
+            if d > same && d < 4.0 * extent {
+                cell.clip(*place, 0.5 * d);
+                extent = cell.corners().iter().map(|c| c.length_squared()).fold(0.0, f32::max);
+            }
         }
+        cell
     }
-    let deviation = reach * MARGIN / CUTOFF;
-    (deviation > 0.0).then(|| [axis * (deviation / scale), across * (deviation * scale)])
+
+    fn corners(&self) -> &[Vec2] {
+        &self.corners[..self.count]
+    }
+
+    fn extent(&self) -> f32 {
+        self.corners().iter().map(|corner| corner.length()).fold(0.0, f32::max)
+    }
+
+    /// Keeps the corners with `corner · normal < bound`.
+    fn clip(&mut self, normal: Vec2, bound: f32) {
+        let mut kept = [Vec2::ZERO; Cell::MOST];
+        let mut count = 0;
+        let mut put = |corner: Vec2| {
+            if let Some(slot) = kept.get_mut(count) {
+                *slot = corner;
+                count += 1;
+            }
+        };
+        let Some(mut last) = self.corners().last().copied() else { return };
+        let mut last_side = last.dot(normal) - bound;
+        for &corner in self.corners() {
+            let side = corner.dot(normal) - bound;
+            if (side < 0.0) != (last_side < 0.0) {
+                put(last + (corner - last) * (last_side / (last_side - side)));
+            }
+            if side < 0.0 {
+                put(corner);
+            }
+            (last, last_side) = (corner, side);
+        }
+        (self.corners, self.count) = (kept, count);
+    }
 }
 
 /// The direction along which a symmetric matrix (xx, xy, yy) is largest, and the root of the ratio of its eigenvalues.

@@ -4,11 +4,12 @@ use glam::DVec3;
 use pointillist::engine::{FrameRequest, Pose};
 use pointillist::math::{Camera, Lens};
 use pointillist::plan::{Output, Reconstruct, Settings};
+use pointillist::scene::Filter;
 use pointillist::scene::random::SplitMix64;
 use serde_json::json;
 
 use super::sheets::{Triangulation, ball, sheet, split};
-use super::studio::{Studio, cloud, front, ids, mesh, spt};
+use super::studio::{Studio, cloud, cloud_scene, front, ids, mesh, spt};
 
 /// Pixels of the background that are not connected with the frame's border.
 fn enclosed(is_seen: &[bool], side: usize) -> usize {
@@ -100,4 +101,36 @@ fn points_of_coarse_nodes_leave_no_holes() {
             assert_eq!(found, 0, "from {distance} with an error of {px} px");
         }
     }
+}
+
+/// Random samples leave gaps of all sizes. The far side of a ball is red, and of what is seen almost nothing is.
+#[test]
+fn randomly_sampled_surfaces_hide_what_is_behind_them() {
+    const SIDE: u32 = 400;
+    let studio = Studio::new();
+    let mut numbers = SplitMix64::new(4);
+    let points = (0..25_000).map(|_| {
+        let height = numbers.range(-1.0, 1.0);
+        let (sin, cos) = numbers.range(0.0, std::f64::consts::TAU).sin_cos();
+        let width = (1.0 - height * height).sqrt();
+        let color = if height > 0.0 { [0, 255, 0] } else { [255, 0, 0] };
+        (DVec3::new(width * cos, width * sin, height), color)
+    });
+    studio.write("ball.ply", cloud(points));
+    studio.load_json("ball", &cloud_scene("ball.ply"));
+    let camera = Camera {
+        eye: DVec3::Z * 2.2,
+        target: DVec3::ZERO,
+        up: DVec3::Y,
+        lens: Lens::Perspective { fov_deg: 40.0 },
+    };
+    let settings =
+        Settings { filter: Some(Filter::Exact), ..Settings::drawn_as(Reconstruct::Splats) };
+    let request =
+        FrameRequest { pose: Pose::Camera(camera), settings, ..front("ball", SIDE, SIDE) };
+    let bytes = studio.bytes(&request);
+    let far = bytes.chunks_exact(4).filter(|pixel| pixel[0] > pixel[1]).count();
+    let near = bytes.chunks_exact(4).filter(|pixel| pixel[1] > 100).count();
+    println!("{far} pixels of {near} show the far side");
+    assert!(near > 100_000 && far * 2000 < near, "{far} pixels of {near}");
 }
