@@ -46,7 +46,7 @@ pub struct SceneInfo {
     pub triangles: u64,
     pub instances: u64,
     pub assets: Vec<AssetInfo>,
-    /// Scalar fields of its points, which `color_by` shows and `pick` reads.
+    /// Scalar fields of its points, which frames can show and picks return.
     pub fields: Vec<SceneField>,
     /// Bytes that the scene needs on the GPU, and whether it is there now.
     pub gpu_bytes: u64,

@@ -29,7 +29,7 @@ pub struct Receipt {
     pub settings: UsedSettings,
     /// Error that the request accepts, in pixels.
     pub max_error_px: Option<f64>,
-    /// What the colours stand for, where `color_by` shows values.
+    /// What the colours stand for, where they show values.
     pub legend: Option<Legend>,
     /// Passes that ran, in the order in which they first did, then those that were skipped.
     pub passes: Vec<PassReceipt>,

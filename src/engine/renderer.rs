@@ -21,7 +21,7 @@ use crate::passes::{
     self, Context, FrameTask, PassSpan, Pipelines, SMALL_SPLAT_PX, SMALL_TRIANGLE_PX, Scratch,
     Uniforms,
 };
-use crate::plan::{ColorBy, Output, Pass};
+use crate::plan::{Output, Pass};
 use crate::residency::layout::{GpuStats, MOST_VIEWS};
 use crate::residency::model::SceneModel;
 use crate::residency::{Residency, ResidencyError};
@@ -353,7 +353,7 @@ impl Renderer {
             large_units_limit: self.large_units_limit,
             max_error_px: drawing.settings.max_error_px.px(),
             error_mode: drawing.settings.error_mode,
-            levels: drawing.settings.color_by == ColorBy::Levels,
+            levels: drawing.settings.shows_levels(),
             recolor: drawing.recolor,
             clip: drawing.clip,
             edl: drawing.settings.eye_dome(),

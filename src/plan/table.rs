@@ -144,7 +144,7 @@ reasons! {
     FUZZY: "splats are blended in a single pass", |f| f.frame.reconstruction.fuzzy().is_some();
     NOT_FUZZY: "splats are not blended in a single pass", |f| f.frame.reconstruction.fuzzy().is_none();
     BLENDED: "splats are blended", |f| f.scene.has(GeometryKind::Samples) && f.frame.reconstruction.blends();
-    UNCHANGED: "neither an effect nor `color_by` changes surfaces", |f| f.frame.edl.is_none() && !f.frame.recolors;
+    UNCHANGED: "no effect and no value changes the colours of surfaces", |f| f.frame.edl.is_none() && !f.frame.recolors;
     NOT_COLOR: "the output is not color", |f| f.frame.output != super::Output::Color;
     IDS: "the output is id", |f| f.frame.output == super::Output::Id;
     // `FramePlan::with_identities` makes it run.

@@ -89,6 +89,11 @@ impl Settings {
         matches!(self.color_by, ColorBy::Height | ColorBy::Normal | ColorBy::Instance)
     }
 
+    /// Whether nodes of point trees show their height above the leaves.
+    pub fn shows_levels(&self) -> bool {
+        self.color_by == ColorBy::Levels
+    }
+
     /// The scalar field that colours samples, if `color_by` names one.
     pub fn colored_field(&self) -> Option<Name> {
         let name = match self.color_by {
