@@ -441,7 +441,7 @@ fn what_is_wrong_is_named() {
         (&["--path", "fly", "-o", "f", "--format", "pfm"], "format: pfm cannot hold color"),
         (
             &["--path", "fly", "-o", "f", "--max-error-px", "2"],
-            "--max-error-px: this setting applies to `lod=spt` only; accepted: no value, or one with `--lod spt`",
+            "--max-error-px: this setting applies to `lod=spt` only; accepted: no value, or a value together with `--lod spt`",
         ),
         (&["--path", "fly", "-o", "file"], "file: "),
         (&["--path", "fly", "-o", "notes"], "frames.jsonl: this is not a manifest of frames"),

@@ -112,7 +112,7 @@ impl fmt::Display for ClipBox {
 }
 
 impl ClipBoxes {
-    /// A regular expression that accepts no less than there are boxes as text.
+    /// A regular expression that matches every text of boxes, and possibly others.
     pub fn pattern() -> String {
         let number = r"(\*|[+-]?[0-9]*\.?[0-9]*([eE][+-]?[0-9]+)?)";
         let clip = format!("((in|out)side:)?{number}( *, *{number}){{5}}");

@@ -175,7 +175,9 @@ fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
 /// Reads the specification of a job from a body, as far as possible without looking at a scene.
 fn spec(value: Value) -> Result<Spec, Problem> {
     let Some(object) = value.as_object() else {
-        return Err(Problem::new(Kind::BadBody, "the body is no object").accepted(NAMES.join(", ")));
+        return Err(
+            Problem::new(Kind::BadBody, "the body is not a JSON object").accepted(NAMES.join(", "))
+        );
     };
     for name in object.keys() {
         if let Some((_, why)) = NOT_HERE.iter().find(|(known, _)| known == name) {

@@ -40,7 +40,7 @@ impl Watcher {
     /// 503 when the limit is reached.
     pub fn take(app: &Arc<App>, client: Client) -> Result<Watcher, Problem> {
         if !app.watchers.take(client) {
-            return Err(Problem::new(Kind::Busy, "too many watch jobs").accepted(
+            return Err(Problem::new(Kind::Busy, "too many clients follow jobs").accepted(
                 "fewer at a time: see `max_watchers` and `max_watchers_per_client` in `jobs` of GET /v1/limits; or poll GET /v1/jobs/{id}",
             ).retry_after(Duration::from_secs(1)));
         }

@@ -41,7 +41,7 @@ pub enum SettingKind {
         default: &'static str,
         /// The form, in words.
         accepted: &'static str,
-        /// A regular expression that accepts no less.
+        /// A regular expression that matches every accepted value, and possibly others.
         pattern: String,
         examples: &'static [&'static str],
     },
@@ -101,7 +101,7 @@ impl SettingError {
                 let needs = in_words(needs, pair);
                 match default {
                     Some(value) => format!("`{value}`, or another value with {needs}"),
-                    None => format!("no value, or one with {needs}"),
+                    None => format!("no value, or a value together with {needs}"),
                 }
             }
         }

@@ -98,7 +98,7 @@ fn what_does_not_go_together_is_refused() {
                 .to_owned()
         )
     );
-    assert_eq!(refused("max_error_px=2").1, "no value, or one with `lod=spt`");
+    assert_eq!(refused("max_error_px=2").1, "no value, or a value together with `lod=spt`");
     assert_eq!(refused("lod=spt&max_error_px=65").1, "0.05 to 64 pixels");
     // What changes nothing is no fault.
     for harmless in ["error_mode=unified", "color_by=colors", "lod=full&reconstruct=auto"] {
@@ -172,7 +172,7 @@ fn boxes_of_a_node_need_boxes() {
     let refused = given("clip_node=tower").resolve().unwrap_err();
     assert_eq!(refused.to_string(), "clip_node: there are no clip boxes");
     let accepted = refused.accepted(|name, value| format!("{name}={value}"));
-    assert_eq!(accepted, "no value, or one with `clip_boxes=…`");
+    assert_eq!(accepted, "no value, or a value together with `clip_boxes=…`");
     let refused = Given::default().set_text("clip_boxes", "0,0,0,1,1").unwrap_err();
     assert_eq!(refused.to_string(), "clip_boxes: box 1 has 5 numbers instead of 6");
 }

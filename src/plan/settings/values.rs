@@ -145,7 +145,7 @@ impl Settings {
         })
     }
 
-    /// The settings with what a scene has where they leave it open.
+    /// The settings, with the scene's values where they have none.
     #[must_use]
     pub fn settled(&self, reconstruction: &Reconstruction) -> Settings {
         reconstruction.splats().map_or(*self, |splats| Settings {
@@ -464,7 +464,7 @@ pub enum Lod {
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub enum ErrorMode {
-    /// As large as from any side: what is accepted is kept everywhere.
+    /// The same from every angle, so that `max_error_px` holds everywhere
     #[default]
     Unified,
     /// By the angle to the surface: fewer nodes. Where a surface ends and is seen at an angle, it may reach sideways up to twice as
