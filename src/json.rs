@@ -9,7 +9,7 @@ use std::fmt;
 
 use serde::de::{DeserializeSeed, Deserializer, MapAccess, SeqAccess, Visitor};
 
-/// What a text may hold at most.
+/// Limits of a text.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// Objects in arrays that are called `nodes` or `children`.
@@ -21,7 +21,7 @@ pub struct Limits {
     pub string_bytes: u64,
 }
 
-/// What a text holds.
+/// Counts of a text.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Census {
     pub nodes: u64,

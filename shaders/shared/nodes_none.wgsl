@@ -35,6 +35,10 @@ fn node_extent(sample: u32, unit: f32) -> f32 {
     return 0.0;
 }
 
+fn node_part(own: u32) -> f32 {
+    return 1.0;
+}
+
 fn is_ball(own: vec2<u32>) -> bool {
     return false;
 }

@@ -134,6 +134,11 @@ fn node_extent(sample: u32, unit: f32) -> f32 {
     return unit * code_value(kernels[sample * KERNEL_WORDS + 2u] & CODE);
 }
 
+// The part of a node's disk that what it stands for covers.
+fn node_part(own: u32) -> f32 {
+    return exp2(-0.125 * f32((own >> 24u) & 63u));
+}
+
 // Whether a node of colour word `own` is one of those that are drawn of its kind. `seen`: what is seen of its area, see `seen_area`; `drawn_px`: the
 // area in the image that it is drawn as; `place`: its stored position.
 fn is_kept(sample: u32, own: u32, unit: f32, centre: vec3<f32>, seen: f32, drawn_px: f32, place: vec2<u32>, key: u32) -> bool {
@@ -143,8 +148,7 @@ fn is_kept(sample: u32, own: u32, unit: f32, centre: vec3<f32>, seen: f32, drawn
         return true;
     }
     let size = extent / divisor(centre.z);
-    let part = exp2(-0.125 * f32((own >> 24u) & 63u));
-    let area_px = 3.1415927 * part * size * size * frame.focal_px.x * frame.focal_px.y * slant(centre);
+    let area_px = 3.1415927 * node_part(own) * size * size * frame.focal_px.x * frame.focal_px.y * slant(centre);
     let share = area_px * seen / drawn_px;
     let around = (own >> 30u) & 3u;
     let left = select(0.2, 0.5, around == 1u);

@@ -135,16 +135,21 @@ fn splat_is_chosen(slot: SplatSlot, sample: u32) -> bool {
     return node_is_drawn(at, slot.unit, centre, tilt_cosine(slot, at, centre));
 }
 
-// A sample or node as a disc, which covers all samples that the node stands for; nothing if the node is thinned out.
+// A sample or node as a disc, which covers all samples that the node stands for; if they leave gaps, its area is theirs. Nothing if the node
+// is thinned out.
 fn node_disc(slot: SplatSlot, sample: u32, p: vec3<f32>) -> Splat {
     let at = slot.first + sample;
     let own = attributes[at];
-    let extent = node_extent(at, slot.unit);
+    var extent = node_extent(at, slot.unit);
+    var seen = 1.0;
+    if !is_whole(own.x) {
+        seen = seen_area(slot.areas, octahedral_decode(own.y), camera_place(p));
+        extent *= sqrt(min(node_part(own.x) * seen, 1.0));
+    }
     let disc = make_disc((slot.index << SLOT_SHIFT) | sample, p, extent);
     if !is_whole(own.x) {
         let centre = camera_place(p);
         let radius = disc_px(max(p.z, NEAREST), extent);
-        let seen = seen_area(slot.areas, octahedral_decode(own.y), centre);
         if !is_kept(at, own.x, slot.unit, centre, seen, max(3.1415927 * radius.x * radius.y, 1.0), positions[at], slot.key) {
             return no_splat();
         }

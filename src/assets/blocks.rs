@@ -21,7 +21,7 @@ pub struct PointBlocks {
     announced: u64,
 }
 
-/// What a file of points holds, but for the points.
+/// Figures of a file of points.
 #[derive(Clone, Debug)]
 pub struct Survey {
     pub points: u64,

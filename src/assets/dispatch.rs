@@ -115,7 +115,7 @@ pub(super) enum InBlocks {
 pub(super) fn in_blocks(input: &Input) -> Option<InBlocks> {
     match recognise(&input.origin.head, &input.origin.name) {
         Format::Ply => Some(InBlocks::Ply),
-        // What is compressed once more would have to be unpacked first.
+        // A file that is compressed once more would have to be unpacked first.
         Format::Las if input.origin.exact => Some(InBlocks::Las),
         _ => None,
     }

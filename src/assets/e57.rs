@@ -176,7 +176,7 @@ struct Fields {
     spherical_state: Option<Field>,
     rgb: Option<[Field; 3]>,
     rgb_state: Option<Field>,
-    /// What the channels are divided by; 1 leaves the range to the values.
+    /// Divisor of the channels; 1 leaves the range to the values.
     rgb_divisor: f64,
     intensity: Option<Field>,
     intensity_state: Option<Field>,

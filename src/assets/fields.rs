@@ -219,7 +219,7 @@ struct Span {
     high: f64,
     is_fraction: bool,
     has_gaps: bool,
-    /// What these numbers are multiplied with.
+    /// Factor of these numbers.
     factor: f64,
 }
 
@@ -312,7 +312,7 @@ impl Numbers {
 pub(super) struct Column {
     pub name: String,
     pub numbers: Numbers,
-    /// What a stored number is multiplied with.
+    /// Factor of the stored numbers.
     pub factor: f64,
 }
 

@@ -30,7 +30,7 @@ pub struct Input {
     pub origin: Origin,
 }
 
-/// What is known about a stream of bytes.
+/// Origin and limits of a stream of bytes.
 pub struct Origin {
     /// Begins every error message.
     pub name: String,
@@ -301,7 +301,7 @@ pub(crate) enum Unread {
 /// The file's bytes, refused above `limit`.
 ///
 /// # Errors
-/// What cannot be read, is too large, or has no room in memory.
+/// Errors of a file that cannot be read, is too large, or has no room in memory.
 pub(crate) fn read_bounded(
     path: &Path,
     limit: u64,

@@ -94,7 +94,7 @@ fn open<R: Read + Seek>(
     Ok(header)
 }
 
-/// What is done with some of the points, in the file's order, and where they are.
+/// Takes some of the points, in the file's order, with their place in the file.
 type Visit<'a> = dyn FnMut(Columns, String) -> Result<(), AssetError> + Send + 'a;
 
 fn each_part<R: Read + Seek + Send + Sync>(
@@ -171,7 +171,7 @@ pub(super) fn announced(path: &Path, name: &str, options: &ReadOptions) -> Resul
     Ok(open(&mut file, name, options, &mut Vec::new())?.points)
 }
 
-/// What only a whole file tells of its points.
+/// Facts about all points of a file.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Facts {
     is_compressed: bool,

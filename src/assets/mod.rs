@@ -52,7 +52,7 @@ pub struct Asset {
     pub cameras: Vec<(String, Camera)>,
     /// The one sensor that took all points, where the file tells of it.
     pub sensor: Option<Sensor>,
-    /// What was skipped or repaired, one sentence each (a missing texture, non-finite points …).
+    /// Parts that were skipped or repaired, one sentence each (a missing texture, non-finite points …).
     pub warnings: Vec<String>,
     /// Format as recognised: `ply`, `las`, `laz`, `obj`, …
     pub format: &'static str,
@@ -126,7 +126,7 @@ pub struct Kernel {
     pub v: Vec3,
 }
 
-/// What is kept of a kernel at sharp features (Zwicker 2004, §5).
+/// The part of a kernel that is kept at sharp features (Zwicker 2004, §5).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Clip {
     pub lines: [Option<ClipLine>; 2],

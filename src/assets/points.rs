@@ -1,4 +1,4 @@
-//! What the point readers share: bounded text lines, and turning raw columns into attributes.
+//! Parts that point readers share: bounded text lines, and turning raw columns into attributes.
 //!
 //! A reader collects columns as the file has them and decides at the end what their range means,
 //! because only the whole file tells 8-bit colours in 16-bit fields from true 16-bit ones.
@@ -116,7 +116,7 @@ impl<'a, R: BufRead> Lines<'a, R> {
         self.number
     }
 
-    /// What follows the line that was returned last.
+    /// The text behind the line that was returned last.
     pub(super) fn into_inner(self) -> R {
         self.reader
     }
@@ -235,7 +235,7 @@ pub(super) fn bytes(count: usize, rgb: impl Fn(usize) -> [f32; 3]) -> Vec<[u8; 4
         .collect()
 }
 
-/// What 16-bit integer colour fields (LAS) of a file hold, all together.
+/// Largest value and used bits of all 16-bit integer colours (LAS) of a file.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct WordColors {
     max: u16,

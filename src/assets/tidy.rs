@@ -1,4 +1,4 @@
-//! What every reader does once the file is read: colours to bytes, normals to unit length, vertices
+//! Last steps of every reader: colours to bytes, normals to unit length, vertices
 //! that are nowhere (not-a-number, infinite) and triangles that cover nothing taken out, and said so.
 
 use glam::{DVec3, Vec3};

@@ -133,7 +133,7 @@ impl<'a> Iterator for Tokens<'a> {
 }
 
 impl Tokens<'_> {
-    /// What is left, without blanks around it.
+    /// The rest, without blanks around it.
     pub fn rest(&self) -> String {
         String::from_utf8_lossy(self.0).trim().to_owned()
     }

@@ -30,7 +30,7 @@ fn kind(text: &str) -> String {
     kind
 }
 
-/// What is said of a number of things: `one` of a single one, `many` of several, nothing of none.
+/// A sentence about a number of things: `one` for a single one, `many` for several, nothing for none.
 pub fn counted(count: u64, one: &str, many: &str) -> Option<String> {
     (count > 0).then(|| format!("{count} {}", if count == 1 { one } else { many }))
 }

@@ -69,7 +69,7 @@ pub fn read_from(
     table.finish(name)
 }
 
-/// What separates columns, seen in the first line that is no comment.
+/// Separator of columns, found in the first line that is no comment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Delimiter {
     Blank,

@@ -12,7 +12,7 @@ use super::bake_service::BakeTicket;
 #[derive(Default)]
 pub struct Background {
     pub running: Mutex<HashMap<String, Running>>,
-    /// What is being written to the cache.
+    /// The cloud that is being written to the cache.
     pub writers: Mutex<Vec<JoinHandle<()>>>,
 }
 

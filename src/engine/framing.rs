@@ -179,7 +179,7 @@ fn angles(width: f64, height: f64, depth: f64, aspect: f64) -> (f64, f64) {
     let turned =
         if narrow > 0.0 && flatness < LAND { width > LONG * depth } else { depth > LONG * width };
     let aside = if flatness > UPRIGHT { upright } else { most };
-    // What is seen from above is higher in the image, which fills a portrait frame.
+    // Things seen from above are higher in the image, which fills a portrait frame.
     let from_above = ELEVATION_DEG[0].1 - elevation(flatness);
     let raised = from_above.max(0.0) * narrow * (1.0 - flatness / UPRIGHT).max(0.0);
     (if turned { 90.0 - aside } else { aside }, elevation(flatness) + raised)

@@ -65,7 +65,7 @@ impl From<Abandoned> for Halt {
 }
 
 impl Halt {
-    /// What callers are told: an error, or that nobody waits.
+    /// Answer to callers: an error, or that nobody waits.
     pub fn outcome<T>(self, asset: &AssetModel) -> Result<Result<T, EngineError>, Abandoned> {
         match self {
             Halt::Pack(error) => Ok(Err(tree_error(asset, &error))),

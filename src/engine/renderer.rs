@@ -48,7 +48,7 @@ pub struct InFlight {
     timer: Timer,
     stamps: Option<(Landing, u64)>,
     index: wgpu::SubmissionIndex,
-    /// What the driver complained about while it was recorded and submitted.
+    /// Error of the driver while it was recorded and submitted.
     fault: Option<String>,
     pub began: Instant,
     record: Duration,
@@ -92,7 +92,7 @@ pub struct Drawn {
     pub landed: Instant,
 }
 
-/// What became of a submission.
+/// Outcome of a submission.
 #[derive(Default)]
 pub struct Landed {
     pub drawn: Vec<Drawn>,

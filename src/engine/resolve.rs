@@ -30,7 +30,7 @@ pub enum Resolution {
     NeedsBake(Box<UnbakedFrame>),
 }
 
-/// What the checks of a request found.
+/// Results of the checks of a request.
 pub struct Checked {
     view: View,
     camera: CameraReceipt,

@@ -56,7 +56,7 @@ pub struct Drawing {
     pub instead_because: Option<&'static str>,
     /// How samples are drawn.
     pub reconstruction: Reconstruction,
-    /// What colours surfaces, if it is not their own colours.
+    /// Value that colours surfaces in place of their own colours.
     pub recolor: Option<Recolor>,
     pub clip: Option<ClipRegion>,
 }

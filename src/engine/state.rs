@@ -1,4 +1,4 @@
-//! What the render thread, the encoders and the callers share.
+//! State that the render thread, the encoders and the callers share.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};

@@ -29,7 +29,7 @@ const UNWRITTEN: usize = 4;
 const MOST_REFUSALS: u32 = 120;
 const LONGEST_PAUSE: Duration = Duration::from_millis(500);
 
-/// What is drawn, and into which folder.
+/// A film and its folder.
 pub struct Film<'a> {
     pub engine: &'a Engine,
     /// Scene, size, settings and format of every frame. Pose and deadline are ignored.

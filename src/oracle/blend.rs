@@ -25,7 +25,7 @@ use super::splats::{SeenSplat, Settings, Touch};
 use super::surface::{self, Surface};
 use super::visibility::{Hit, band_rows, pixel_ray};
 
-/// What a pixel shows of splats.
+/// The blended splats of a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Blended {
     /// Linear RGB, lit.
@@ -41,7 +41,7 @@ struct Splat {
     seen: SeenSplat,
     /// At its own centre.
     surface: Surface,
-    /// What is blended: albedo, or the lit colour.
+    /// The blended colour: albedo, or the lit colour.
     color: [f64; 3],
     instance: u32,
     rank: Rank,
@@ -188,7 +188,7 @@ impl<'a> Band<'a> {
         pixels.map(blended).collect()
     }
 
-    /// What each pixel shows foremost.
+    /// The foremost splat of each pixel.
     fn winners(&self) -> Vec<Winner<'a>> {
         let of_hit = |hit: &Option<Hit>| match hit {
             Some(hit) => {

@@ -51,7 +51,7 @@ use blend::Blended;
 use prepare::Prepared;
 use visibility::Hit;
 
-/// What is drawn, and under which lights.
+/// Geometry and lights of a frame.
 #[derive(Clone, Debug, Default)]
 pub struct OracleScene<'a> {
     pub items: Vec<OracleItem<'a>>,
@@ -63,9 +63,9 @@ pub struct OracleScene<'a> {
     pub splats: Option<Splats>,
     /// Discs that samples are drawn as where `splats` is `None`; `None` for points of one pixel.
     pub discs: Option<Discs>,
-    /// What colours surfaces, if it is not their own colours.
+    /// Value that colours surfaces in place of their own colours.
     pub recolor: Option<Recolor>,
-    /// What the scene is clipped with.
+    /// Region that the scene is clipped with.
     pub clip: Option<ClipRegion>,
     /// Eye-dome lighting, computed from the depths at the pixels' centres.
     pub edl: Option<EyeDome>,
@@ -76,9 +76,9 @@ pub struct OracleScene<'a> {
 pub struct OracleItem<'a> {
     pub geometry: &'a Geometry,
     pub world_from_geometry: DAffine3,
-    /// What the mesh's parts refer to; a part without material has [`Material::default`].
+    /// Materials of the mesh's parts; a part without material has [`Material::default`].
     pub materials: &'a [Material],
-    /// What the materials refer to.
+    /// Textures of the materials.
     pub textures: &'a [Texture],
     /// Laid over the materials, and over the colours of samples.
     pub override_material: Option<&'a MaterialSpec>,
@@ -167,7 +167,7 @@ pub fn render(scene: &OracleScene<'_>, view: &View, supersample: u32) -> OracleF
     }
 }
 
-/// What a pixel shows.
+/// The hit or the blended splats of a pixel.
 #[derive(Clone, Copy, Debug)]
 enum Shown {
     Nothing,
@@ -176,7 +176,7 @@ enum Shown {
     Splats(Blended),
 }
 
-/// What the pixels of a frame show, or its `fineness` × `fineness` sub-pixels.
+/// Hits of the pixels of a frame, or of its `fineness` × `fineness` sub-pixels.
 fn shown(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Shown> {
     let hits = visibility::resolve(prepared, view, fineness);
     let or_hit = |hit: Option<Hit>| hit.map_or(Shown::Nothing, Shown::Hit);

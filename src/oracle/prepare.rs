@@ -1,4 +1,4 @@
-//! What is worked out once a frame: transforms relative to the eye, and texture pyramids.
+//! Values computed once a frame: transforms relative to the eye, and texture pyramids.
 
 use std::collections::HashMap;
 

@@ -1,4 +1,4 @@
-//! What a ray meets: colour, normal and material where a hit is.
+//! The surface that a ray meets: colour, normal and material where a hit is.
 
 use glam::{DVec2, DVec3};
 
@@ -15,7 +15,7 @@ use super::visibility::{Hit, SeenTriangle, pixel_ray};
 /// sRGB grey of samples without colour.
 const SAMPLE_GREY: u8 = 204;
 
-/// What shading needs to know.
+/// Attributes of a surface that shading needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surface {
     /// Linear RGB.

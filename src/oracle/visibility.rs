@@ -12,7 +12,7 @@ use super::predicates::{edge_sign, volume_sign};
 use super::prepare::{Prepared, PreparedItem};
 use super::surface;
 
-/// What covers a pixel.
+/// The element that covers a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
     /// Distance along the viewing axis, positive.

@@ -7,7 +7,7 @@ use crate::gpu::buffer::Buffer;
 use crate::residency::layout::{FEW_LIGHTS, GpuLight};
 use crate::residency::{Lists, Residency, ResidentScene};
 
-/// What names are looked up in.
+/// The places where names are looked up.
 pub struct Names<'a> {
     pub scratch: &'a Scratch,
     pub residency: &'a Residency,

@@ -45,9 +45,9 @@ pub struct FrameTask {
     pub error_mode: ErrorMode,
     /// Nodes of point trees show their height above the leaves.
     pub levels: bool,
-    /// What colours surfaces, if it is not their own colours.
+    /// Value that colours surfaces in place of their own colours.
     pub recolor: Option<Recolor>,
-    /// What the scene is clipped with.
+    /// Region that the scene is clipped with.
     pub clip: Option<ClipRegion>,
     /// Eye-dome lighting, where it is on.
     pub edl: Option<EyeDome>,

@@ -11,7 +11,7 @@ use crate::gpu::shader::ShaderError;
 /// No fixed part of a binding is longer, in bytes.
 const EMPTY_BYTES: u64 = 16 << 10;
 
-/// What is bound to pipelines that are launched over nothing, one buffer for each way of access.
+/// Buffers of pipelines that are launched over nothing, one for each way of access.
 pub struct Prime<'a> {
     gpu: &'a Gpu,
     uniform: wgpu::Buffer,
@@ -85,7 +85,7 @@ impl<'a> Prime<'a> {
     }
 }
 
-/// What the driver complained about within the scope.
+/// Error of the driver within the scope.
 fn refused(variant: &Variant, scope: wgpu::ErrorScopeGuard) -> Result<(), ShaderError> {
     match pollster::block_on(scope.pop()) {
         None => Ok(()),

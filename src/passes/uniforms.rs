@@ -8,9 +8,9 @@ use crate::residency::layout::{GpuFrame, MOST_VIEWS};
 
 /// Records begin at multiples of this.
 const ALIGN: usize = 256;
-/// What a shader binds as the views' records, however many there are.
+/// Size of the window that a shader binds as the views' records, however many there are.
 pub const VIEWS_WINDOW: u64 = MOST_VIEWS as u64 * size_of::<GpuFrame>() as u64;
-/// What a shader binds as its segment.
+/// Size of the window that a shader binds as its segment.
 pub const SEGMENT_WINDOW: u64 = 16;
 
 #[derive(Default)]

@@ -1,4 +1,4 @@
-//! What samples are drawn as where `reconstruct=auto` leaves the choice.
+//! Choice of a reconstruction for `reconstruct=auto`.
 //!
 //! Points leave a pixel empty where no sample falls into it: `e^(-1/s²)` of a randomly sampled surface whose samples lie `s`
 //! pixels apart, 2 % at half a pixel and 37 % at one. [`choose`] draws splats where more than a tenth of what samples cover has more

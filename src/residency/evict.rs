@@ -3,7 +3,7 @@
 
 use std::collections::HashSet;
 
-/// What a resident scene holds, as the choice sees it.
+/// Figures of a resident scene that the choice uses.
 #[derive(Clone, Debug)]
 pub(super) struct Holding<'a> {
     pub id: &'a str,

@@ -40,11 +40,11 @@ pub struct AssetModel {
     pub tree: MadeOnce<Result<Arc<AssetModel>, PackError>>,
     /// Answer of [`AssetModel::outlines`], once it was asked for.
     pub outlined: OnceLock<Vec<Outline>>,
-    /// What its samples lack, if anything.
+    /// Missing attributes of its samples, if there are any.
     pub deferred: Option<Deferred>,
 }
 
-/// What an asset lacks whose samples are drawn as points before their kernels are estimated.
+/// Missing attributes of an asset whose samples are drawn as points before their kernels are estimated.
 #[derive(Debug, Default)]
 pub struct Deferred {
     /// Some sample has no normal either.
@@ -149,7 +149,7 @@ impl AssetModel {
 const TREES: &str = ":spt";
 
 impl SceneModel {
-    /// What the GPU calls the point trees of a scene.
+    /// Identifier of the point trees of a scene on the GPU.
     pub fn tree_id(scene: &str) -> String {
         format!("{scene}{TREES}")
     }

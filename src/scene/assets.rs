@@ -1,4 +1,4 @@
-//! What a scene draws: files, and solids that are made of other assets.
+//! Assets of a scene: files, and solids that are made of other assets.
 
 use std::path::PathBuf;
 
@@ -92,7 +92,7 @@ impl AssetRef {
         }
     }
 
-    /// What it is made of; nothing for a file.
+    /// Its operands; none for a file.
     pub fn operands(&self) -> &[Operand] {
         match &self.source {
             AssetSource::File(_) => &[],

@@ -94,7 +94,7 @@ impl ColorMap {
     }
 }
 
-/// What colours a surface, in place of its own.
+/// Value that colours a surface, in place of its own colours.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[allow(
     clippy::large_enum_variant,

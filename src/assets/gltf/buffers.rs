@@ -26,7 +26,7 @@ const FREE: u64 = 4 << 20;
 
 pub(super) struct Buffers<'a> {
     root: &'a Root,
-    /// What the document's buffers hold; those of one file share an entry.
+    /// Contents of the document's buffers; those of one file share an entry.
     contents: Vec<Cow<'a, [u8]>>,
     /// By buffer, its entry in `contents`.
     content_of: Vec<usize>,

@@ -55,7 +55,7 @@ struct Reference {
     placement: TexturePlacement,
 }
 
-/// What both material models come to.
+/// Values that both material models have.
 struct Surface {
     base: [f32; 4],
     texture: Option<Reference>,

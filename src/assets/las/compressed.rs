@@ -35,7 +35,7 @@ enum Arrangement {
     Layered,
 }
 
-/// What the LASzip record says.
+/// Contents of the LASzip record.
 struct Scheme {
     arrangement: Arrangement,
     vlr: LazVlr,

@@ -20,7 +20,7 @@ const EXTRA_BYTES_RECORD_ID: u16 = 4;
 /// Bytes of a record of point formats 0 to 10, without extra bytes.
 const FORMAT_BYTES: [usize; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
 
-/// What the header says, once it agrees with the file.
+/// Contents of the header, checked against the file.
 #[derive(Clone, Debug)]
 pub(super) struct Header {
     pub version_minor: u8,

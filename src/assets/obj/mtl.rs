@@ -15,7 +15,7 @@ const MAX_LIBRARY_BYTES: u64 = 64 << 20;
 /// More libraries than this are no sensible file.
 const MAX_LIBRARIES: usize = 256;
 
-/// What the used materials came to.
+/// The materials in use, with their textures.
 #[derive(Default)]
 pub(super) struct Library {
     pub materials: Vec<Material>,

@@ -11,7 +11,7 @@ const MAX_HEADER_LINES: u64 = 1000;
 const MAX_FIELDS: usize = 1024;
 const MAX_STRIDE_BYTES: usize = 1 << 20;
 
-/// What a field contributes to a point.
+/// The part of a point that a field gives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Wanted {
     Position(usize),

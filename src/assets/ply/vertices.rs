@@ -229,7 +229,7 @@ fn fields(element: &Element, slots: &mut [Option<usize>], reserve: usize) -> Vec
     columns
 }
 
-/// What only a whole file tells of its vertices.
+/// Facts about all vertices of a file.
 #[derive(Clone, Debug, Default)]
 pub(in crate::assets) struct Facts {
     has_normals: bool,

@@ -1,4 +1,4 @@
-//! What the columns of a text point cloud mean.
+//! Meaning of the columns of a text point cloud.
 
 use glam::DVec3;
 
@@ -126,7 +126,7 @@ pub(super) fn by_content(columns: &[Vec<f32>]) -> Vec<Kept> {
     roles
 }
 
-/// What three columns in a row may be.
+/// Kind of three columns in a row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Triple {
     /// There are no three.

@@ -175,7 +175,7 @@ impl PackedGeometry {
     }
 }
 
-/// What a page of GPU memory holds, and so which passes draw its segments. Segments are ordered by the kinds of their pages.
+/// Contents of a page of GPU memory, which decide the passes that draw its segments. Segments are ordered by the kinds of their pages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PageKind {
     pub kind: GeometryKind,

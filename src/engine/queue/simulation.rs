@@ -34,7 +34,7 @@ impl Waiting for Frame {
 #[derive(Clone, Copy, Debug)]
 struct Habit {
     client: Client,
-    /// What a frame takes of the device.
+    /// Device time of a frame.
     cost_ns: u64,
     /// Frames that it has asked for and not got, always.
     window: usize,

@@ -17,7 +17,7 @@ use crate::scene::{Filter, Shading};
 /// Samples that the sums of a pixel have room for.
 const SUMS_ROOM: u64 = 1 << 17;
 
-/// What shaders call a filter.
+/// Number of a filter in shaders.
 pub fn filter_number(filter: Filter) -> u32 {
     match filter {
         Filter::Affine => 0,

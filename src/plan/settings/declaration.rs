@@ -1,4 +1,4 @@
-//! What is declared of a setting: its values, and the rules that bind it to others.
+//! Declaration of a setting: its values, and the rules that bind it to others.
 
 use clap::ValueEnum;
 use serde::Serialize;

@@ -1,6 +1,6 @@
 //! Camera paths: keys with times in seconds, and the camera at any time between them.
 //!
-//! What changes between two keys, and how:
+//! Changes between two keys:
 //!
 //! | of the camera | between two keys |
 //! |---|---|
@@ -56,7 +56,7 @@ pub enum Interpolation {
 }
 
 impl Interpolation {
-    /// What is meant where a path names no ease.
+    /// The ease of a path that names none.
     pub fn default_ease(self) -> Ease {
         match self {
             Interpolation::CatmullRom => Ease::Smooth,

@@ -11,7 +11,7 @@
 
 use super::Ease;
 
-/// What lies between two keys.
+/// The part between two keys.
 #[derive(Clone, Copy, Debug)]
 pub struct Part {
     pub duration_s: f64,

@@ -98,7 +98,7 @@ impl<'a> Names<'a> {
     }
 }
 
-/// What nodes may refer to.
+/// Names that nodes may refer to.
 struct Context<'a> {
     assets: Names<'a>,
     prototypes: Names<'a>,
