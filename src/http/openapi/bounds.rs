@@ -20,7 +20,7 @@ const WANTED_FORMAT: &str = "#/components/schemas/WantedFormat";
 const JPG: &str = "jpg";
 
 /// Number of numbers in a property of this name, in requests and answers alike.
-const LENGTHS: [(&str, usize); 12] = [
+const LENGTHS: [(&str, usize); 13] = [
     ("eye", 3),
     ("target", 3),
     ("up", 3),
@@ -33,6 +33,7 @@ const LENGTHS: [(&str, usize); 12] = [
     ("depth_range", 2),
     ("position", 3),
     ("normal", 3),
+    ("shown", 2),
 ];
 
 /// Returns the entry of [`LENGTHS`] for a name.
