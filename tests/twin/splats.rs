@@ -207,7 +207,7 @@ fn splats_share_their_depth_with_everything_else() {
 /// The eye is among the splats: some reach the camera plane, and many are large.
 #[test]
 fn splats_around_the_eye() {
-    let case = case("splat-around", &ball(700, 15), json!({ "splats": { "width": 1.5 } }));
+    let case = case("splat-around", &ball(1500, 15), json!({ "splats": { "width": 1.5 } }));
     for (eye, target) in [
         ([0.0, 0.0, 0.93], [0.3, 0.2, 1.0]),
         ([0.5, 0.5, 0.6], [1.0, 0.0, 0.0]),

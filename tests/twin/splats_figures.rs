@@ -43,7 +43,7 @@ fn figure_3_disks_that_touch() {
     let case = case(
         "figure-3",
         &cloud,
-        json!({ "splats": { "cutoff": 1.0, "width": 0.7 }, "lights": [] }),
+        json!({ "splats": { "cutoff": 1.0, "width": 0.77 }, "lights": [] }),
     );
     let view = view([0.0, 1.6, 6.6], [0.0, 0.0, 1.2], 60.0, 320, 240);
     let exact = oracle(&case, &view, unfiltered(Filter::Exact));
@@ -75,7 +75,7 @@ fn figure_7_extreme_perspective() {
     let cloud = lattice(160, 0.05, |i, k| {
         if (i / 8 + k / 8).is_multiple_of(2) { [230; 4] } else { [40, 60, 90, 255] }
     });
-    let case = case("figure-7", &cloud, json!({ "lights": [], "splats": { "cutoff": 1.76 } }));
+    let case = case("figure-7", &cloud, json!({ "lights": [], "splats": { "cutoff": 1.92 } }));
     // A wide lens that looks past the plane, which is in the corner of the image.
     let base = view([0.0, 0.06, 3.2], [0.0, 0.3, -0.5], 120.0, 400, 300);
     for (name, shift) in [("centred", DVec2::ZERO), ("off axis", DVec2::new(190.0, 0.0))] {
