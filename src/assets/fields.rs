@@ -4,6 +4,8 @@
 //! then encodes them: a [`Field`] has a code of at most 16 bits for each point. Whole numbers keep their exact values wherever their
 //! range allows.
 
+use std::collections::HashSet;
+
 use rayon::prelude::*;
 
 use super::points::quote;
@@ -19,6 +21,8 @@ pub const RETURN_NUMBER: &str = "return_number";
 pub const MOST_WORDS: usize = 2;
 /// Maximum number of bytes of a field's name.
 pub const MOST_NAME_BYTES: usize = 64;
+/// Maximum number of fields that a warning names.
+const MOST_NAMED: usize = 8;
 /// Larger numbers count as missing.
 const LARGEST: f64 = 1e300;
 
@@ -420,8 +424,9 @@ impl Spans {
     /// The scale of each column that is kept: fields that tell something, the first of each name, as long as [`MOST_WORDS`] have room
     /// for them.
     fn scales(&self) -> impl Iterator<Item = Option<Scale>> {
-        let scales = self.0.iter().enumerate().map(|(at, (name, span))| {
-            let is_new = self.0[..at].iter().all(|(other, _)| other != name);
+        let mut known = HashSet::new();
+        let scales = self.0.iter().map(|(name, span)| {
+            let is_new = known.insert(name.as_str());
             span.scale().filter(|_| is_name(name) && is_new)
         });
         let scales: Vec<Option<Scale>> = scales.collect();
@@ -455,7 +460,14 @@ impl Spans {
         );
         (!names.is_empty()).then(|| match &names[..] {
             [name] => format!("field {name} is left out: {reason}"),
-            names => format!("fields {} are left out: {reason}", names.join(", ")),
+            names if names.len() <= MOST_NAMED => {
+                format!("fields {} are left out: {reason}", names.join(", "))
+            }
+            names => {
+                let (named, more) = names.split_at(MOST_NAMED);
+                let named = named.join(", ");
+                format!("fields {named} and {} more are left out: {reason}", more.len())
+            }
         })
     }
 }
@@ -532,6 +544,14 @@ mod tests {
         assert!(encoded(vec![column("a", &[f64::NAN])], &mut warnings).is_empty());
         assert!(encoded(vec![column(&"x".repeat(65), &wide)], &mut warnings).is_empty());
         assert_eq!(warnings.len(), 2);
+    }
+
+    #[test]
+    fn warnings_name_a_few_fields() {
+        let columns = (0..40).map(|i| column(&format!("f{i}"), &[0.5, 1.0, 7.0])).collect();
+        let mut warnings = Vec::new();
+        assert_eq!(encoded(columns, &mut warnings).list().len(), 4);
+        assert!(warnings[0].contains("\"f11\" and 28 more are left out"), "{warnings:?}");
     }
 
     #[test]

@@ -11,6 +11,7 @@ mod header;
 mod lzf;
 mod sensor;
 
+use std::collections::HashSet;
 use std::io::{BufRead, Read};
 use std::path::Path;
 
@@ -227,6 +228,7 @@ impl Row {
 /// Empty columns of the header's scalar fields, in the order of their numbers.
 fn scalars(header: &Header) -> Vec<Column> {
     let mut columns: Vec<Column> = Vec::new();
+    let mut known = HashSet::new();
     for field in &header.fields {
         if !matches!(field.wanted, Some(Wanted::Scalar(_))) {
             continue;
@@ -235,7 +237,7 @@ fn scalars(header: &Header) -> Vec<Column> {
             "i" | "I" => INTENSITY.to_owned(),
             own => fields::name_of(own),
         };
-        let is_taken = columns.iter().any(|column| column.name == usual);
+        let is_taken = !known.insert(usual.clone());
         columns.push(Column::new(if is_taken { &field.name } else { &usual }));
     }
     columns

@@ -1,5 +1,7 @@
 //! The vertex element's columns.
 
+use std::collections::HashSet;
+
 use glam::{DVec3, Vec2, Vec3};
 
 use super::super::fields::{self, Column, Fields, INTENSITY, Numbers, Spans};
@@ -203,13 +205,14 @@ const VERTEX_BYTES: u64 = 64;
 /// Columns for the scalar properties that have no slot yet, and their slots.
 fn fields(element: &Element, slots: &mut [Option<usize>], reserve: usize) -> Vec<Column> {
     let mut columns: Vec<Column> = Vec::new();
+    let mut known = HashSet::new();
     for (property, slot) in element.properties.iter().zip(slots) {
         let Kind::Scalar(scalar) = property.kind else { continue };
         if slot.is_some() {
             continue;
         }
         let usual = fields::name_of(&property.name);
-        let is_taken = columns.iter().any(|column| column.name == usual);
+        let is_taken = !known.insert(usual.clone());
         let numbers = match scalar {
             Scalar::U8 => Numbers::Bytes(Vec::with_capacity(reserve)),
             Scalar::U16 => Numbers::Words(Vec::with_capacity(reserve)),
