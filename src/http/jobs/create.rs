@@ -291,7 +291,7 @@ mod tests {
     #[test]
     fn what_cannot_be_is_named() {
         for (value, parameter, words) in [
-            (json!([]), "", "no object"),
+            (json!([]), "", "not a JSON object"),
             (json!({"path": "p"}), "", "missing field `scene`"),
             (json!({"scene": "s"}), "", "missing field `path`"),
             (json!({"scene": "s", "path": 3}), "path", "neither a name nor a path"),
