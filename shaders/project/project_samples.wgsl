@@ -50,8 +50,10 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
     let first = slots[at].first;
     let count = slots[at].count;
     let unit = slots[at].unit;
-    let limit = slots[at].limit;
-    let sorted = slots[at].sorted != 0u;
+    let limits = slots[at].limits;
+    let sorted = (slots[at].flags & SLOT_SORTED) != 0u;
+    let parts = turn.parts & slots[at].parts;
+    let sure = slots[at].parts >> 16u;
     var key = 0u;
     var areas: Areas;
     if TREE {
@@ -73,12 +75,13 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
         let stop = min(count, start + block);
         let base = start;
         var gathered = 0u;
-        for (var i = next_element(start, turn.parts, lane, stop); i < stop; i = next_element(i + LANES, turn.parts, lane, stop)) {
+        for (var i = next_element(start, parts, lane, stop); i < stop; i = next_element(i + LANES, parts, lane, stop)) {
             let sample = first + i;
+            let is_sure = ((sure >> (i / PART)) & 1u) != 0u;
             if TREE {
                 looked_at++;
-                if !is_in_prefix(sample, limit) {
-                    if sorted && is_behind_prefix(sample, limit) {
+                if !is_sure && !is_within_limits(sample, limits) {
+                    if sorted && is_behind_prefix(sample, limits & 0xffffu) {
                         start = count;
                         break;
                     }
@@ -88,7 +91,8 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
             let at = place_of(positions[sample], row_x, row_y, row_z);
             let is_before = at.z > NEAREST && all(at.image >= vec2<f32>(0.0)) && all(at.image < size);
             if is_before && place_is_shown(at_depth(at.image, at.z)) {
-                if !TREE {
+                if !TREE || is_sure {
+                    drawn++;
                     visibility_write(frame.first_pixel + u32(at.image.y) * width + u32(at.image.x), at.inverse, (slot_index << SLOT_SHIFT) | i);
                 } else if node_is_drawn(sample, unit, at_depth(at.image, at.z), UNTILTED) {
                     gathered |= 1u << ((i - base) / LANES);

@@ -10,9 +10,9 @@
 
 // Red, green, blue and weight.
 fn sums_of(word: vec2<u32>) -> vec4<f32> {
-    let red = ((word.y & 0x1ffu) << 5u) | (word.x >> 27u);
-    let color = vec3<f32>(vec3<u32>(red, (word.x >> 13u) & 0x3fffu, word.x & 0x1fffu));
-    return vec4<f32>(color / vec3<f32>(RED_GREEN_STEPS, RED_GREEN_STEPS, BLUE_STEPS), f32(weights_of(word.y)));
+    let red = ((word.y & 0x3fu) << 7u) | (word.x >> 25u);
+    let color = vec3<f32>(vec3<u32>(red, (word.x >> 12u) & 0x1fffu, word.x & 0xfffu));
+    return vec4<f32>(color / vec3<f32>(1.0, 1.0, BLUE_STEPS), f32(weights_of(word.y)));
 }
 
 // Adds both slabs if they are adjacent and show one side of a surface; otherwise returns the nearer slab alone.

@@ -29,7 +29,7 @@ override UNASKED: bool = false;
 const NOT_VISIBLE: u32 = 0xffffffffu;
 const GROUP: u32 = 32u;
 
-fn sample_slot(chunk: Chunk, at: Placed, box: Box) -> Slot {
+fn sample_slot(index: u32, chunk: Chunk, at: Placed, box: Box) -> Slot {
     let corner = grid_to_camera(at, chunk.origin);
     let scale = f32(1u << chunk.shift);
     let x = vec3<f32>(at.axis_x.x, at.axis_y.x, at.axis_z.x) * scale;
@@ -44,9 +44,11 @@ fn sample_slot(chunk: Chunk, at: Placed, box: Box) -> Slot {
     slot.row_y = vec4<f32>(f.y * y + c.y * z_part, f.y * corner.y + c.y * corner_part);
     slot.row_z = vec4<f32>(z, corner.z);
     slot.unit = chunk.node_base * stretch(at);
-    slot.one_sided = u32(CLIP_BOXES == 0u && (chunk.flags & CHUNK_CLOSED) != 0u && at.position.w == 1.0);
-    slot.limit = parent_limit(chunk, at, box, slot.unit);
-    slot.sorted = u32(LISTS_SORTED && (chunk.flags & CHUNK_SORTED) != 0u);
+    let one_sided = CLIP_BOXES == 0u && (chunk.flags & CHUNK_CLOSED) != 0u && at.position.w == 1.0;
+    slot.flags = select(0u, SLOT_ONE_SIDED, one_sided)
+        | select(0u, SLOT_SORTED, LISTS_SORTED && (chunk.flags & CHUNK_SORTED) != 0u);
+    slot.limits = code_limits(chunk, at, box, slot.unit);
+    slot.parts = wanted_parts(index, chunk, at, box, slot.unit, one_sided);
     return slot;
 }
 
@@ -105,8 +107,9 @@ fn compact(@builtin(global_invocation_id) invocation: vec3<u32>) {
     var slot: Slot;
     if chunk.kind == TRIANGLES {
         count_triangles(counted);
+        slot.parts = ALL_PARTS;
     } else {
-        slot = sample_slot(chunk, at, box);
+        slot = sample_slot(entry.chunk, chunk, at, box);
         if COUNTS_SAMPLES {
             count_samples(counted);
         }

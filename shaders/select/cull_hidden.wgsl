@@ -6,12 +6,10 @@
 //!include shared/portions
 //!include shared/tested
 //!include shared/pyramid
-//!include shared/turns
+//!include shared/parts
 
 @group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
-// For each of a chunk's sixteen parts: its box's corners in 1/255 of the chunk's box, and how much shorter its kernel axes are.
-@group(1) @binding(3) var<storage, read> parts: array<array<vec2<u32>, 16>>;
 @group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
 @group(2) @binding(1) var<storage, read> runs: array<Run>;
@@ -83,16 +81,6 @@ fn is_hidden(bounds: BoxBounds) -> bool {
     return true;
 }
 
-// The longest kernel axis of a part, as a fraction of the chunk's.
-fn longest_of(words: vec2<u32>) -> f32 {
-    return exp2((1.0 - 8.0 * f32(words.x >> 24u)) * 0.0078125);
-}
-
-// A corner of a part's box, as a fraction of the chunk's box from 0 to 1.
-fn corner_of(word: u32) -> vec3<f32> {
-    return vec3<f32>(vec3<u32>(word, word >> 8u, word >> 16u) & vec3<u32>(255u)) / 255.0;
-}
-
 // Returns the parts of a slot that are not hidden.
 fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
     let at = placed[frame.first_instance + slot.instance];
@@ -107,19 +95,12 @@ fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
     var shown = 0u;
     while left > 0u {
         left--;
-        let words = parts[slot.chunk][left];
-        let low = corner_of(words.x);
-        let high = corner_of(words.y);
-        // Measured from the chunk's middle, in units of half its edges.
-        let middle = low + high - vec3<f32>(1.0);
-        let size = high - low;
-        let part = Box(
-            whole.centre + whole.x * middle.x + whole.y * middle.y + whole.z * middle.z,
-            whole.x * size.x,
-            whole.y * size.y,
-            whole.z * size.z,
-            fma(reach, select(longest_of(words), 1.0, DISCS), whole.slack),
-        );
+        if ((slot.parts >> left) & 1u) == 0u {
+            continue;
+        }
+        let low = parts[slot.chunk][left].low;
+        var part = part_box(whole, low, parts[slot.chunk][left].high);
+        part.slack = fma(reach, select(longest_of(low), 1.0, DISCS), part.slack);
         if !is_hidden(drawn_bounds(part, filter_px)) {
             shown |= 1u << left;
         }

@@ -9,6 +9,10 @@ fn entry_count() -> u32 {
 const COUNTS_SAMPLES: bool = true;
 const LISTS_SORTED: bool = false;
 
-fn parent_limit(chunk: Chunk, at: Placed, box: Box, unit: f32) -> u32 {
-    return 0xffffffffu;
+fn code_limits(chunk: Chunk, at: Placed, box: Box, unit: f32) -> u32 {
+    return MOST_LIMIT;
+}
+
+fn wanted_parts(index: u32, chunk: Chunk, at: Placed, box: Box, unit: f32, one_sided: bool) -> u32 {
+    return ALL_PARTS;
 }

@@ -7,7 +7,7 @@ const SPLIT: bool = false;
 const UNTILTED: f32 = 2.0;
 const KERNEL_WORDS: u32 = 1u;
 
-fn is_in_prefix(sample: u32, limit: u32) -> bool {
+fn is_within_limits(sample: u32, limits: u32) -> bool {
     return true;
 }
 

@@ -32,9 +32,10 @@ fn painted(sample: u32, own: u32) -> u32 {
     return pack4x8unorm(vec4<f32>(0.25 + 0.7 * color, 1.0));
 }
 
-// Whether a node's parent has a smaller code.
-fn is_in_prefix(sample: u32, limit: u32) -> bool {
-    return ((kernels[sample * KERNEL_WORDS + 1u + MEASURE] >> CODE_BITS) & CODE) < limit;
+// Whether a node's codes are within the limits of its slot.
+fn is_within_limits(sample: u32, limits: u32) -> bool {
+    let word = kernels[sample * KERNEL_WORDS + 1u + MEASURE];
+    return ((word >> CODE_BITS) & CODE) < (limits & 0xffffu) && (word & CODE) >= (limits >> 16u);
 }
 
 // In chunks that are sorted: whether no node from this one on has a parent with a smaller code, in either measure.

@@ -17,9 +17,11 @@ struct SplatSlot {
     kernel_base: f32,
     // Point trees: the base of the nodes' codes in camera space.
     unit: f32,
-    // Nodes whose parents have this code or a larger one are not drawn; codes do not decrease.
-    limit: u32,
+    // See Slot.
+    limits: u32,
     sorted: bool,
+    // Parts whose nodes all are detailed enough, while their parents are not.
+    sure: u32,
     // Key of the instance.
     key: u32,
     // Backs are never seen.
@@ -34,16 +36,6 @@ struct SplatSlot {
     is_even: bool,
 }
 
-// Whether three axes are as long as each other, and at right angles. Chunks of one instance differ by powers of two, and so agree.
-fn keeps_angles(x: vec3<f32>, y: vec3<f32>, z: vec3<f32>) -> bool {
-    let one = dot(x, x);
-    let off = max(
-        max(abs(dot(y, y) - one), abs(dot(z, z) - one)),
-        max(abs(dot(x, y)), max(abs(dot(y, z)), abs(dot(z, x)))),
-    );
-    return off <= 1e-3 * one;
-}
-
 fn splat_slot(index: u32) -> SplatSlot {
     let at = frame.first_slot + index;
     var slot: SplatSlot;
@@ -55,11 +47,12 @@ fn splat_slot(index: u32) -> SplatSlot {
     slot.instance = slots[at].instance;
     slot.unit = slots[at].unit;
     if TREE {
-        slot.limit = slots[at].limit;
-        slot.sorted = slots[at].sorted != 0u;
+        slot.limits = slots[at].limits;
+        slot.sorted = (slots[at].flags & SLOT_SORTED) != 0u;
+        slot.sure = slots[at].parts >> 16u;
         slot.key = instance_key(slot.instance);
     }
-    slot.one_sided = TREE && slots[at].one_sided != 0u;
+    slot.one_sided = TREE && (slots[at].flags & SLOT_ONE_SIDED) != 0u;
     let chunk = slots[at].chunk;
     slot.kernel_base = chunks[chunk].kernel_base;
     let x = camera_vector(vec3<f32>(slot.row_x.x, slot.row_y.x, slot.row_z.x));

@@ -22,6 +22,7 @@ fn scatter(group: vec3<u32>, lane: u32) {
     }
     let slot = splat_slot(turn.slot);
     let count = slots[frame.first_slot + slot.index].count;
+    let parts = turn.parts & slots[frame.first_slot + slot.index].parts;
     let shared_paint = paint_slot(slot);
     let width = frame.size_px.x;
     var scattered = 0u;
@@ -36,12 +37,12 @@ fn scatter(group: vec3<u32>, lane: u32) {
         let base = start;
         let stop = min(count, start + 32u * LANES);
         var gathered = 0u;
-        for (var i = next_element(start, turn.parts, lane, stop); i < stop; i = next_element(i + LANES, turn.parts, lane, stop)) {
+        for (var i = next_element(start, parts, lane, stop); i < stop; i = next_element(i + LANES, parts, lane, stop)) {
             looked_at++;
-            if TREE {
+            if TREE && ((slot.sure >> (i / PART)) & 1u) == 0u {
                 let sample = slot.first + i;
-                if !is_in_prefix(sample, slot.limit) {
-                    if slot.sorted && is_behind_prefix(sample, slot.limit) {
+                if !is_within_limits(sample, slot.limits) {
+                    if slot.sorted && is_behind_prefix(sample, slot.limits & 0xffffu) {
                         start = count;
                         break;
                     }

@@ -118,13 +118,20 @@ struct Slot {
     count: u32,
     // For point trees: the base of the nodes' codes in camera space.
     unit: f32,
-    // 1: backs are never seen, the surface being closed and the eye outside.
-    one_sided: u32,
-    // Nodes whose parents have this code or a larger one, and so smaller errors, are not drawn.
-    limit: u32,
-    // 1: parents' codes do not decrease within the chunk.
-    sorted: u32,
+    // See SLOT_ONE_SIDED and SLOT_SORTED.
+    flags: u32,
+    // Codes of nodes that may be drawn: the parents' are below the lower half, their own are no less than the upper half.
+    limits: u32,
+    // The lower half has a bit for each part that may be drawn, the upper half for each part whose nodes pass their test for sure.
+    parts: u32,
 }
+
+// The surface is closed and the eye is outside: backs are never seen.
+const SLOT_ONE_SIDED: u32 = 1u;
+// Parents' codes do not decrease within the chunk.
+const SLOT_SORTED: u32 = 2u;
+// A limit that no code of a parent reaches.
+const MOST_LIMIT: u32 = 0xffffu;
 
 // Entries of one page and one kind: workgroups [first_group, end_group) of the entry list.
 struct Segment {

@@ -2,18 +2,17 @@
 // depth, each a given share thicker than the one before it from there; a pixel has a word for even slabs and one for odd ones, each of the nearest slab of its kind:
 //
 //   13 bits  8191 − (2 · number among its kind, + 1 for the back of a surface); so that a greater word is nearer, 0 is none
-//   10 bits  sum of weights; all ones: there were too many for the bits
-//   14 bits  red,   14 bits  green, in 16ths of a weight's unit
-//   13 bits  blue, in 8ths
+//   13 bits  sum of weights, each of 8 bits at most; all ones: there were too many for the bits
+//   13 bits  red,   13 bits  green, in a weight's unit
+//   12 bits  blue, in two units
 //
 // To keep the nearest slab and add up what lies in it depends on no order. Two slabs side by side reach at least one slab behind the
 // nearest fragment, wherever in its slab that is.
 const SLABS: f32 = 8188.0;
 const SLAB_NEAREST: u32 = 8191u;
-const WEIGHTS_MOST: u32 = 1022u;
-const WEIGHTS_FULL: u32 = 1023u;
-const RED_GREEN_STEPS: f32 = 16.0;
-const BLUE_STEPS: f32 = 8.0;
+const WEIGHTS_MOST: u32 = 8190u;
+const WEIGHTS_FULL: u32 = 8191u;
+const BLUE_STEPS: f32 = 0.5;
 
 // `inverse`: 1/z.
 fn slab_of(inverse: f32) -> u32 {
@@ -33,5 +32,5 @@ fn tag_of(high: u32) -> u32 {
 }
 
 fn weights_of(high: u32) -> u32 {
-    return (high >> 9u) & 0x3ffu;
+    return (high >> 6u) & 0x1fffu;
 }

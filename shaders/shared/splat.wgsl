@@ -42,7 +42,7 @@ const SMALL: u32 = 1u;
 const LARGE: u32 = 2u;
 
 // Weights do not fall below this share of the kernel's own: what many tiny splats add up to keeps its digits.
-// In a single pass, which has four bits for them and covers disks as they are, half of it.
+// In a single pass, which covers disks as they are, half of it.
 const LEAST_AMPLITUDE: f32 = select(0.125, 0.5, NARROW);
 const FARTHEST: f32 = 1e30;
 const GAP: f32 = 0.0000019073486;

@@ -8,7 +8,7 @@ override HIDES: bool = true;
 @group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 @group(0) @binding(5) var<storage, read_write> layers: array<atomic<u64>>;
 
-const WEIGHTS_BITS: u64 = 0x7fe0000000000lu;
+const WEIGHTS_BITS: u64 = 0x7ffc000000000lu;
 
 // False where another thread came between: to be tried once more.
 fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) -> bool {
@@ -19,12 +19,12 @@ fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) -> bool {
     let weight = splat_weight(splat, q);
     let slab = slab_of(inverse);
     let tag = slab_tag(slab, splat.facing);
-    let shares = paint.color * weight * vec3<f32>(RED_GREEN_STEPS, RED_GREEN_STEPS, BLUE_STEPS);
+    let shares = paint.color * weight * vec3<f32>(1.0, 1.0, BLUE_STEPS);
     // Rounded to the nearest, what is dark would be black.
     let carry = select(vec3<f32>(0.5), vec3<f32>(carry_of(weight, pixel, inverse)), shares < vec3<f32>(1.5));
     let c = vec3<u32>(floor(shares + carry));
-    let low = c.b | (c.g << 13u) | (c.r << 27u);
-    let high = (c.r >> 5u) | (u32(weight) << 9u);
+    let low = c.b | (c.g << 12u) | (c.r << 25u);
+    let high = (c.r >> 7u) | (u32(weight) << 6u);
     let share = (u64(high) << 32u) | u64(low);
     let word = 2u * pixel + (slab & 1u);
     let old = atomicLoad(&layers[word]);

@@ -44,3 +44,13 @@ fn seen_area(areas: Areas, normal: vec3<f32>, centre: vec3<f32>) -> f32 {
     let seen = vec3<f32>(dot(areas.x, d), dot(areas.y, d), dot(areas.z, d));
     return select(abs(dot(normal, seen)), length(seen), all(normal == vec3<f32>(0.0)));
 }
+
+// Whether three axes are as long as each other, and at right angles. Chunks of one instance differ by powers of two, and so agree.
+fn keeps_angles(x: vec3<f32>, y: vec3<f32>, z: vec3<f32>) -> bool {
+    let one = dot(x, x);
+    let off = max(
+        max(abs(dot(y, y) - one), abs(dot(z, z) - one)),
+        max(abs(dot(x, y)), max(abs(dot(y, z)), abs(dot(z, x)))),
+    );
+    return off <= 1e-3 * one;
+}

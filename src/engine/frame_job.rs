@@ -12,8 +12,10 @@ use super::resolved::{Drawing, ResolvedFrame};
 use super::trace::{FrameSpans, Origin, RequestId};
 use super::{EncodedFrame, EngineError, FrameRequest};
 
-/// Weight of a splat in a single pass; leaves room for 68 splats of full weight over a pixel.
-const FUZZY_WEIGHT: f32 = 15.0;
+/// Weight of a splat in a single pass; leaves room for 32 splats of full weight over a pixel.
+const FUZZY_WEIGHT: f32 = 255.0;
+/// The same where more splats overlap: 130 fit.
+const LIGHT_FUZZY_WEIGHT: f32 = 63.0;
 
 pub type Reply = Result<Arc<EncodedFrame>, EngineError>;
 
@@ -199,18 +201,22 @@ impl FrameJob {
         self.drawing().reconstruction.fuzzy().is_some()
     }
 
-    /// Returns the integer weight of a splat where its kernel is 1: 15 bits, unless too many overlap; 4 bits in a single pass.
+    /// Returns the integer weight of a splat where its kernel is 1: 15 bits, unless too many overlap; 8 bits in a single pass.
     pub fn weight_one(&self) -> f32 {
-        if self.is_fuzzy() {
-            return FUZZY_WEIGHT;
+        let halvings = self.halvings.load(Ordering::Relaxed);
+        match (self.is_fuzzy(), halvings) {
+            (true, 0) => FUZZY_WEIGHT,
+            (true, _) => LIGHT_FUZZY_WEIGHT,
+            (false, halvings) => (1u32 << 15 >> halvings) as f32,
         }
-        (1u32 << 15 >> self.halvings.load(Ordering::Relaxed)) as f32
     }
 
-    /// Handles overflowing sums of a pixel: from now on splats weigh a 32nd of before, or the frame takes three passes.
+    /// Handles overflowing sums of a pixel: from now on splats weigh a 32nd of before. In a single pass they weigh a quarter; if that is
+    /// still too much, the frame takes three passes.
     pub fn lighten(&self) {
         if self.is_fuzzy() {
-            self.too_full.store(true, Ordering::Relaxed);
+            let again = self.halvings.fetch_xor(1, Ordering::Relaxed) != 0;
+            self.too_full.store(again, Ordering::Relaxed);
             return;
         }
         let _ = self.halvings.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |halvings| {

@@ -147,6 +147,11 @@ impl<'a, 'c> Recorder<'a, 'c> {
         ("HIDES", u32::from(self.task.hides()))
     }
 
+    /// What decides whether a node of a point tree is drawn, as overrides.
+    pub fn tree_constants(&self) -> [(&'static str, u32); 2] {
+        [("MEASURE", self.task.measure()), ("SPLIT", u32::from(self.task.splits_errors()))]
+    }
+
     /// How the pass is launched over a segment's slots.
     pub fn launch(&self) -> Launch {
         match self.portion() {

@@ -118,6 +118,7 @@ fragments![
     "shared/fields_shown",
     "shared/clip_boxes",
     "shared/turns",
+    "shared/parts",
     "shared/tested",
     "shared/portion_all",
     "shared/portion_turn",

@@ -113,9 +113,9 @@ pub struct GpuSlot {
     pub first: u32,
     pub count: u32,
     pub unit: f32,
-    pub one_sided: u32,
-    pub limit: u32,
-    pub sorted: u32,
+    pub flags: u32,
+    pub limits: u32,
+    pub parts: u32,
 }
 
 /// `Segment` of `shared/scene.wgsl`.
@@ -296,7 +296,9 @@ pub fn two_floats(v: f64) -> (f32, f32) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::parts::GpuPart;
     use super::*;
+    use crate::passes::shaders::{Choices, composed};
 
     const SCENE: &str = include_str!("../../shaders/shared/scene.wgsl");
 
@@ -465,6 +467,16 @@ mod tests {
     }
 
     #[test]
+    fn parts_match() {
+        let trees = Choices { trees: true, ..Choices::default() };
+        let compact = composed("select/compact", &trees).unwrap();
+        check(
+            &compact.source,
+            &[mirror!("Part", GpuPart, low, high, error, size, error_all, size_all, delta, cone)],
+        );
+    }
+
+    #[test]
     fn lights_and_textures_match() {
         let texture = concat!(
             include_str!("../../shaders/shared/texture.wgsl"),
@@ -478,8 +490,7 @@ mod tests {
                 "Texture", GpuTexture, first, page, width, height, levels, wrap, nearest, unused
             )],
         );
-        let resolve =
-            crate::passes::shaders::composed("resolve/resolve_samples", &Default::default());
+        let resolve = composed("resolve/resolve_samples", &Choices::default());
         let light: Mirror = (
             "Light",
             size_of::<GpuLight>(),
@@ -558,9 +569,9 @@ mod tests {
                         ("instance", std::mem::offset_of!(GpuSlot, instance)),
                         ("count", std::mem::offset_of!(GpuSlot, count)),
                         ("unit", std::mem::offset_of!(GpuSlot, unit)),
-                        ("one_sided", std::mem::offset_of!(GpuSlot, one_sided)),
-                        ("limit", std::mem::offset_of!(GpuSlot, limit)),
-                        ("sorted", std::mem::offset_of!(GpuSlot, sorted)),
+                        ("flags", std::mem::offset_of!(GpuSlot, flags)),
+                        ("limits", std::mem::offset_of!(GpuSlot, limits)),
+                        ("parts", std::mem::offset_of!(GpuSlot, parts)),
                     ] {
                         assert_eq!(offset(member), place);
                     }

@@ -33,8 +33,8 @@ use self::evict::Holding;
 use self::layout::{GpuChunk, GpuEntry, GpuMaterial, GpuSegment, GpuTexture};
 use self::model::{AssetModel, SceneModel};
 use self::pages::Pages;
+use self::parts::ChunkParts;
 pub use self::parts::PART;
-use self::parts::PartBoxes;
 use self::slots::Slots;
 use crate::bake::pack::{GeometryKind, PageKind};
 use crate::gpu::Gpu;
@@ -61,8 +61,8 @@ pub enum ResidencyError {
     OverBinding { what: &'static str, needed: u64, limit: u64 },
 }
 
-/// Bytes of the boxes of a chunk's parts, more than those of its record.
-const PARTS_BYTES: u64 = size_of::<PartBoxes>() as u64;
+/// Bytes of the bounds of a chunk's parts, more than those of its record.
+const PARTS_BYTES: u64 = size_of::<ChunkParts>() as u64;
 const _: () = assert!(PARTS_BYTES >= size_of::<GpuChunk>() as u64);
 
 /// A run of chunks in one page.
@@ -277,7 +277,7 @@ impl Residency {
         self.chunks.buffer(0)
     }
 
-    /// Boxes of the parts of chunks.
+    /// Bounds of the parts of chunks.
     pub fn part_table(&self) -> &Buffer {
         self.chunks.buffer(1)
     }

@@ -8,7 +8,7 @@ use super::fields;
 use super::layout::*;
 use super::lists::Previous;
 use super::model::{AssetModel, SceneModel};
-use super::parts::{PartBoxes, part_boxes};
+use super::parts::{ChunkParts, parts_of};
 use super::{
     Looks, PARTS_BYTES, Piece, Residency, ResidencyError, ResidentAsset, ResidentGeometry,
     ResidentScene, SceneMaterials, TEXEL_PAGES,
@@ -259,8 +259,8 @@ impl Residency {
             let records: Vec<GpuChunk> = chunks[from..end].iter().map(of).collect();
             let first_chunk = chunk_start + from as u32;
             self.chunks.write(gpu, 0, first_chunk, &records);
-            let parts: Vec<PartBoxes> =
-                chunks[from..end].par_iter().map(|chunk| part_boxes(geometry, chunk)).collect();
+            let parts: Vec<ChunkParts> =
+                chunks[from..end].par_iter().map(|chunk| parts_of(geometry, chunk)).collect();
             self.chunks.write(gpu, 1, first_chunk, &parts);
             out.pieces.push(Piece { first_chunk, ..piece });
             from = end;

@@ -1,6 +1,5 @@
 //! Compares splats that are blended and depth-tested in a single pass (Dachsbacher et al. 2003, §5) with the oracle's, which
-//! blends them as three passes do. The differences are weights of four bits, colours in 32nds of them, and depths that are
-//! distinguished by slabs.
+//! blends them as three passes do. The differences are weights of eight bits, and depths that are distinguished by slabs.
 
 use glam::DVec3;
 use pointillist::accuracy::metrics;
@@ -131,12 +130,18 @@ fn a_single_pass_draws_point_trees() {
     }
 }
 
+/// Splats whose depths are alike, so near each other that all cover the same pixels.
+fn flat_crowd(count: usize) -> Shape {
+    let mut crowd = ball(count, 3);
+    crowd.positions.iter_mut().for_each(|p| *p *= DVec3::new(1e-3, 1e-3, 1e-6));
+    crowd
+}
+
 /// Outputs other than colour, and pixels with too many splats, take three passes, and the receipt says why.
 #[test]
 fn three_passes_where_one_will_not_do() {
-    let mut crowd = ball(3000, 3);
-    crowd.positions.iter_mut().for_each(|p| *p *= 1e-3);
-    let case = case("fuzzy-crowd", &crowd, json!({ "splats": { "width": 8 } }));
+    let crowd = flat_crowd(9000);
+    let case = case("fuzzy-crowd", &crowd, json!({ "splats": { "width": 60 } }));
     let view = look([0.0, 0.0, 0.02], [0.0; 3], 45.0);
     let [frames, _, _] = case.each_with(&view, fuzzy(Filter::Perspective));
     let because = frames.receipt.settings.instead_because.unwrap();
@@ -146,4 +151,18 @@ fn three_passes_where_one_will_not_do() {
     assert!(frames.same_pixels(&expected));
     assert!(frames.covered() > 200, "{}", frames.covered());
     assert!(frames.ran(Pass::BlendSplats) && !frames.ran(Pass::FuzzySplats));
+}
+
+/// Thousands of splats over a pixel still fit a single pass.
+#[test]
+fn a_crowded_pixel_is_near_three_passes() {
+    let crowd = flat_crowd(3000);
+    let case = case("fuzzy-fewer", &crowd, json!({ "splats": { "width": 8 } }));
+    let view = look([0.0, 0.0, 0.02], [0.0; 3], 45.0);
+    let [single, _, _] = case.each_with(&view, fuzzy(Filter::Perspective));
+    assert!(single.ran(Pass::FuzzySplats) && !single.ran(Pass::BlendSplats));
+    let three = fuzzy(Filter::Perspective).in_three_passes();
+    let [expected, _, _] = case.each_with(&view, three);
+    let db = metrics::psnr(&expected.color, &single.color).unwrap();
+    assert!(db >= 40.0, "{db} dB");
 }

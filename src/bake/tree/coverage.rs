@@ -36,7 +36,7 @@ pub const EXACT: u8 = 255;
 const BESIDE: f32 = 0.9;
 /// Coverage byte of nodes that stand for several points of a scan or things of a crowd and are never thinned. They fill the
 /// pixels that they are in, while disks of a mesh are drawn only at pixels whose centres they cover.
-const FILLS: u8 = 254;
+pub const FILLS: u8 = 254;
 /// Codes per octave, and the number of codes; the last two codes of a full surface would collide with [`FILLS`] and [`EXACT`].
 const STEPS: f32 = 8.0;
 const CODES: u32 = 62;

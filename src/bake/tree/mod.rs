@@ -18,8 +18,9 @@
 //!
 //! This implementation differs from the paper in three points. Errors are bounds with respect to the leaves and not to the
 //! children alone (each level passes on what it added), so a promised error is kept. The sequence keeps the Morton order within
-//! bands of half an octave of `e_parent`: chunks can be culled by the frustum, which the paper's order forbids (§3.7), and
-//! sorting is a bucket sort by band. Each node carries two measures: its error, for disks that overlap, and its size, for samples
+//! bands of half an octave of `e_parent`, then of an octave of the parent's size and of the node's own size: chunks, and their parts of 64
+//! nodes, can be culled by the frustum, which the paper's order forbids (§3.7), and by the normals of their nodes (§3.10 has a list
+//! for each direction instead). Sorting is a bucket sort by band. Each node carries two measures: its error, for disks that overlap, and its size, for samples
 //! that are drawn as one pixel each.
 //!
 //! A node is two words. The lowest 22 bits of the first word hold the codes of the error, those of the second word the codes of
@@ -50,7 +51,7 @@ mod sequence;
 mod stack;
 mod tilt;
 
-pub use coverage::{EXACT, probability};
+pub use coverage::{EXACT, FILLS, probability};
 use node::Matter;
 pub use sequence::{
     CODE, CODE_BITS, LEVEL_SHIFT, NO_PARENT, NONE, SORTED, cone_sine, decode, decode_delta,
@@ -69,11 +70,11 @@ use crate::math::Bounds;
 
 /// Version of the trees that are built from an asset: part of the key that trees are cached by. Raise it whenever the trees of
 /// some asset change, wherever the change is: in this folder, [`super::hybrid`], `bake/rasterise.rs` or [`super::pack`].
-pub const BAKING_VERSION: u32 = 10;
+pub const BAKING_VERSION: u32 = 11;
 /// Hash of the trees that this version bakes from the assets of `tree/version.rs`. Its test fails if the trees change and the
 /// version does not.
 #[cfg(test)]
-const BAKING_DIGEST: &str = "d9b3103131b89123";
+const BAKING_DIGEST: &str = "3a0f851cbc9ea078";
 
 /// Builds the tree above samples with normals and kernels. A sample without a normal is drawn as a facing disk, one without a
 /// kernel not at all.

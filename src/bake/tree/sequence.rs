@@ -109,8 +109,8 @@ pub struct Codes {
     pub size_parent: u16,
 }
 
-/// Number of bands of a parent's two measures.
-const BANDS: usize = 1 << 11;
+/// Number of bands, see [`Codes::band`].
+const BANDS: usize = 1 << 16;
 
 impl Codes {
     /// Codes of a node's measures and of its parent's, if there is one.
@@ -125,9 +125,10 @@ impl Codes {
         }
     }
 
-    /// The band: half octaves of the parent's error, then octaves of its size.
+    /// The band: half octaves of the parent's error, then octaves of the parent's size, then octaves of the node's own size. Nodes of a
+    /// band that are neighbours along the curve pass or fail the tests together, so most parts of a chunk are drawn or skipped as a whole.
     pub fn band(self) -> u16 {
-        self.error_parent / 32 * 32 + self.size_parent / 64
+        self.error_parent / 32 * 1024 + self.size_parent / 64 * 32 + self.size / 64
     }
 
     /// The sort key of the first nodes.

@@ -56,8 +56,7 @@ pub fn node_constants(recorder: &Recorder, segment: Segment) -> Constants {
     if !is_tree(recorder, segment) {
         return Constants::new();
     }
-    let split = u32::from(recorder.task.splits_errors());
-    vec![("MEASURE", recorder.task.measure()), ("SPLIT", split)]
+    recorder.tree_constants().into()
 }
 
 /// Overrides of `shared/nodes_tree` for passes that see colours.

@@ -10,6 +10,9 @@ pub const ENTRIES: u32 = 64;
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let groups = recorder.entries().div_ceil(ENTRIES);
     let unasked = ("UNASKED", u32::from(recorder.task.plan.runs(Pass::FuzzySplats)));
-    let constants = vec![recorder.hides(), unasked];
+    let mut constants = vec![recorder.hides(), unasked];
+    if recorder.scene.has_trees() {
+        constants.extend(recorder.tree_constants());
+    }
     recorder.over_lists(groups, Listed::Compact, constants)
 }

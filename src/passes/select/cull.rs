@@ -10,8 +10,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let groups = recorder.entries().div_ceil(ENTRIES);
     let mut constants = vec![recorder.hides()];
     if recorder.scene.has_trees() {
-        constants.push(("MEASURE", recorder.task.measure()));
-        constants.push(("SPLIT", u32::from(recorder.task.splits_errors())));
+        constants.extend(recorder.tree_constants());
     }
     recorder.over_lists(groups, Listed::Cull, constants)
 }
