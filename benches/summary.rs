@@ -10,13 +10,14 @@ use common::folder;
 use common::report::{number, render, verdict};
 use serde_json::{Value, json};
 
-const BENCHES: [&str; 11] = [
+const BENCHES: [&str; 12] = [
     "points",
     "statue",
     "triangles",
     "splats",
     "lod",
     "pops",
+    "audit",
     "daemon",
     "stream",
     "memory",

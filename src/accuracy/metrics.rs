@@ -237,6 +237,57 @@ pub fn farthest_px(
     Ok(farthest.sqrt())
 }
 
+/// The pixels all of whose neighbours up to `reach` pixels away, in rows and columns, are set. Pixels beyond the image's border count as set.
+///
+/// # Errors
+/// The slice is not `width · height` long.
+pub fn shrunk(
+    mask: &[bool],
+    width: u32,
+    height: u32,
+    reach: u32,
+) -> Result<Vec<bool>, SizeMismatch> {
+    check(mask, mask, Some((width, height)))?;
+    let (width, height, reach) = (width as usize, height as usize, reach as usize);
+    let near = |at: usize, size: usize| at.saturating_sub(reach)..(at + reach + 1).min(size);
+    let pixels = || 0..width * height;
+    let across: Vec<bool> =
+        pixels().map(|i| near(i % width, width).all(|x| mask[i / width * width + x])).collect();
+    Ok(pixels().map(|i| near(i / width, height).all(|y| across[y * width + i % width])).collect())
+}
+
+/// Sizes of the connected areas of set pixels, in pixels; neighbours share a side.
+///
+/// # Errors
+/// The slice is not `width · height` long.
+pub fn areas(mask: &[bool], width: u32, height: u32) -> Result<Vec<usize>, SizeMismatch> {
+    check(mask, mask, Some((width, height)))?;
+    let width = width as usize;
+    let (mut left, mut sizes, mut stack) = (mask.to_vec(), Vec::new(), Vec::new());
+    for first in 0..mask.len() {
+        let mut size = 0;
+        stack.push(first);
+        while let Some(pixel) = stack.pop() {
+            if !std::mem::take(&mut left[pixel]) {
+                continue;
+            }
+            size += 1;
+            let x = pixel % width;
+            let beside = [
+                (x > 0).then(|| pixel - 1),
+                (x + 1 < width).then_some(pixel + 1),
+                pixel.checked_sub(width),
+                (pixel + width < mask.len()).then_some(pixel + width),
+            ];
+            stack.extend(beside.into_iter().flatten());
+        }
+        if size > 0 {
+            sizes.push(size);
+        }
+    }
+    Ok(sizes)
+}
+
 /// The covered pixels of an id image.
 pub fn covered_by_id(id: &[u32]) -> Vec<bool> {
     id.iter().map(|&id| id != 0).collect()

@@ -160,3 +160,31 @@ fn the_farthest_pixel_is_found() {
     assert_eq!(farthest_px(&none, &all, 2, 2), Ok(0.0));
     assert!(farthest_px(&none, &all, 3, 2).is_err());
 }
+
+#[test]
+fn masks_shrink_from_all_sides_but_the_border() {
+    let mut mask = vec![true; 7 * 5];
+    mask[2 * 7 + 5] = false;
+    let found = shrunk(&mask, 7, 5, 1).unwrap();
+    for (i, &kept) in found.iter().enumerate() {
+        let away = (i % 7).abs_diff(5).max((i / 7).abs_diff(2));
+        assert_eq!(kept, away > 1, "{i}");
+    }
+    assert_eq!(shrunk(&mask, 7, 5, 0).unwrap(), mask);
+    assert!(shrunk(&mask, 7, 4, 1).is_err());
+}
+
+#[test]
+fn areas_are_connected_by_sides() {
+    let text = "\
+        ##..#\
+        #..#.\
+        ..##.\
+        #...#";
+    let mask: Vec<bool> = text.chars().map(|c| c == '#').collect();
+    let mut sizes = areas(&mask, 5, 4).unwrap();
+    sizes.sort_unstable();
+    assert_eq!(sizes, [1, 1, 1, 3, 3]);
+    assert!(areas(&[], 0, 0).unwrap().is_empty());
+    assert!(areas(&mask, 4, 4).is_err());
+}
