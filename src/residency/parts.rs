@@ -288,6 +288,6 @@ mod tests {
             }
         }
         let count = tree.nodes.len();
-        assert!(cones > count / 2 && narrow > count, "{cones} and {narrow} of {count}");
+        assert!(cones > count / 5 && narrow > count, "{cones} and {narrow} of {count}");
     }
 }
