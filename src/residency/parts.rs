@@ -101,7 +101,7 @@ fn cone_of(nodes: &[[u32; 2]], attributes: &[[u32; 2]]) -> u32 {
     let axis = octahedral_decode(wide(bytes));
     let least = normals().map(|normal| normal.dot(axis)).fold(1.0, f32::min);
     let beneath = nodes.iter().map(|words| cone_sine(words[1])).fold(0.0, f32::max);
-    if !(least > 0.0) || beneath >= 1.0 {
+    if least.is_nan() || least <= 0.0 || beneath >= 1.0 {
         return 0;
     }
     let up = |sine: f32| ((sine * 255.0 + 0.01).ceil() as u32).min(255);
