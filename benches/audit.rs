@@ -130,8 +130,9 @@ fn image(drawing: &Drawing, camera: Camera, side: usize, of: Setting) -> anyhow:
 /// What is seen of the truth through the pixels of a frame.
 struct Truth {
     color: Vec<[u8; 4]>,
-    /// Some, and all, of the pixel shows a surface.
-    some: Vec<bool>,
+    /// The truth's pixels that show a surface.
+    fine: Vec<bool>,
+    /// All of the pixel shows a surface.
     all: Vec<bool>,
     /// Least and largest depth where all of the pixel shows a surface.
     depths: Vec<[f32; 2]>,
@@ -161,7 +162,7 @@ fn under(pixel: usize) -> impl Iterator<Item = usize> {
 
 fn truth(drawing: &Drawing, camera: Camera) -> anyhow::Result<Truth> {
     let fine = image(drawing, camera, SIDE * FINE, TRUTH)?;
-    let (mut some, mut all, mut depths) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut all, mut depths) = (Vec::new(), Vec::new());
     for pixel in 0..SIDE * SIDE {
         let mut ends = [f32::INFINITY, f32::NEG_INFINITY];
         let mut covered = 0;
@@ -169,11 +170,11 @@ fn truth(drawing: &Drawing, camera: Camera) -> anyhow::Result<Truth> {
             ends = [ends[0].min(depth), ends[1].max(depth)];
             covered += 1;
         }
-        some.push(covered > 0);
         all.push(covered == FINE * FINE);
         depths.push(ends);
     }
-    Ok(Truth { color: averaged(&fine.color), some, all, depths })
+    let shown = metrics::covered_by_depth(&fine.depth);
+    Ok(Truth { color: averaged(&fine.color), fine: shown, all, depths })
 }
 
 /// Cameras that look at places near a model's middle, from close up to far away.
@@ -198,7 +199,7 @@ fn poses(orbit: &Orbit, seed: u64, count: usize) -> Vec<Camera> {
 /// What is measured of a setting over all poses.
 #[derive(Default)]
 struct Found {
-    /// Largest distance, in pixels, of a covered pixel from the truth's outline, less the accepted error.
+    /// See [`beyond_px`]; less the accepted error.
     beyond: Vec<f64>,
     holes: u64,
     inside: u64,
@@ -214,16 +215,25 @@ struct Found {
 }
 
 impl Found {
-    fn add(&mut self, setting: Setting, frame: &Image, truth: &Truth) -> anyhow::Result<()> {
+    /// `full`: the frame at full detail.
+    fn add(
+        &mut self,
+        setting: Setting,
+        frame: &Image,
+        full: &[f32],
+        truth: &Truth,
+    ) -> anyhow::Result<()> {
         let error = f64::from(setting.error_px.unwrap_or(0.0));
         let covered = metrics::covered_by_depth(&frame.depth);
         let side = SIDE as u32;
-        self.beyond.push(metrics::farthest_px(&covered, &truth.some, side, side)? - error);
+        self.beyond.push(beyond_px(&covered, &truth.fine)? - error);
         // An outline may be off by the accepted error to either side.
         let inside = metrics::shrunk(&truth.all, side, side, error.ceil() as u32 + 1)?;
         for pixel in (0..inside.len()).filter(|&pixel| inside[pixel]) {
             self.inside += 1;
-            self.holes += u64::from(!covered[pixel]);
+            // Between the leaves of a tree there are gaps that the truth's pixels, which lie beside this one's middle, do not meet.
+            let is_gap = setting.error_px.is_some() && full[pixel].is_infinite();
+            self.holes += u64::from(!covered[pixel] && !is_gap);
         }
         let depths = frame.depth.iter().zip(&truth.depths).zip(&inside);
         let off: Vec<f64> = depths
@@ -246,6 +256,17 @@ impl Found {
         }
         Ok(())
     }
+}
+
+/// Largest distance, in pixels, of the middle of a covered pixel from what the truth shows.
+fn beyond_px(covered: &[bool], fine: &[bool]) -> anyhow::Result<f64> {
+    let side = SIDE * FINE;
+    let mut middles = vec![false; side * side];
+    for pixel in (0..covered.len()).filter(|&pixel| covered[pixel]) {
+        let (x, y) = (pixel % SIDE * FINE + FINE / 2, pixel / SIDE * FINE + FINE / 2);
+        middles[y * side + x] = true;
+    }
+    Ok(metrics::farthest_px(&middles, fine, side as u32, side as u32)? / FINE as f64)
 }
 
 /// Changes from frame to frame that the truth does not show, in 255ths of each channel.
@@ -339,6 +360,7 @@ fn main() -> anyhow::Result<()> {
         for camera in poses(&orbit, number_of_model as u64, poses_each) {
             let truth = truth(&drawing, camera)?;
             let mut times = Vec::new();
+            let mut fulls: Vec<Vec<f32>> = Vec::new();
             for (index, setting) in SETTINGS.into_iter().enumerate() {
                 let frame = image(&drawing, camera, SIDE, setting)?;
                 // Drawn in turns with full detail, which runs before it and once more after it.
@@ -348,7 +370,9 @@ fn main() -> anyhow::Result<()> {
                 let own = own.min(gpu_ms(&frame.receipt)?);
                 times.push(own);
                 found[index].time.push(own / times[full_of(index)]);
-                found[index].add(setting, &frame, &truth)?;
+                let full = fulls.get(full_of(index)).unwrap_or(&frame.depth);
+                found[index].add(setting, &frame, full, &truth)?;
+                fulls.push(frame.depth);
             }
         }
         for around in [false, true] {

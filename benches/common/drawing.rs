@@ -75,6 +75,7 @@ impl Drawing {
         adjust: impl FnOnce(&mut EngineConfig),
     ) -> anyhow::Result<Drawing> {
         let mut config = EngineConfig::new(file.parent().unwrap_or(Path::new(".")).canonicalize()?);
+        config.may_draw_in_full = true;
         adjust(&mut config);
         let engine = Engine::start(config)?;
         let info = engine.load("scene", &file.canonicalize()?)?;

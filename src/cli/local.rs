@@ -64,6 +64,7 @@ impl SceneFile {
         let folder = path.parent().unwrap_or(Path::new("/")).to_path_buf();
         let mut config = EngineConfig::new(self.root.clone().unwrap_or(folder));
         config.bake_cache = self.cache.open()?;
+        config.may_draw_in_full = true;
         let shown = bar.clone();
         config.read.progress = Progress::new(move |fraction| {
             shown.set_position((fraction * 1000.0) as u64);

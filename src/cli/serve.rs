@@ -459,6 +459,7 @@ fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig
     });
     Ok(EngineConfig {
         memory: HostMemory::new(memory_bytes),
+        may_draw_in_full: true,
         read: ReadOptions { root: Some(root), ..ReadOptions::default() },
         gpu_budget_bytes: budget_mib.transpose()?.map(|mib| mib.saturating_mul(1 << 20)),
         bake_cache,

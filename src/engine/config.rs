@@ -50,6 +50,9 @@ pub struct EngineConfig {
     pub max_pixels: u64,
     /// Longest side of a frame.
     pub max_side: u32,
+    /// Frames with `lod=spt` are drawn at full detail where [`crate::plan::detail`] finds that no slower. The program sets this; tests
+    /// of point trees do not.
+    pub may_draw_in_full: bool,
     /// Never use 64-bit atomics, even where the adapter has them.
     pub force_32_bit: bool,
     /// Largest number of bytes that a shader binds at once; `None`: as many as the adapter can. Less means smaller pages.
@@ -144,6 +147,7 @@ impl EngineConfig {
             encode_hook: None,
             max_pixels: DefaultLimits::of(memory_bytes).max_pixels,
             max_side: 8192,
+            may_draw_in_full: false,
             force_32_bit: false,
             max_binding_bytes: None,
             small_triangle_px: None,

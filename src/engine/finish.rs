@@ -98,6 +98,7 @@ fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
             because: resolved.auto.map(|choice| choice.because()),
             spacing_px: resolved.auto.and_then(|choice| choice.spacing_px),
             instead_because: drawing.instead_because,
+            full_because: resolved.full_because.clone(),
             splats: used,
         },
         max_error_px: applied.max_error_px,

@@ -22,6 +22,7 @@ mod asset_keys;
 mod background_estimates;
 mod bake_files;
 pub mod bake_service;
+mod choices;
 mod cloud_cache;
 mod config;
 mod encode_backlog;
@@ -358,7 +359,7 @@ impl Engine {
     /// Returns whether a frame for this request must wait for a bake, which [`Engine::bake`] does.
     pub fn must_bake(&self, request: &FrameRequest) -> bool {
         let loaded = self.state().loaded(&request.scene);
-        loaded.is_ok_and(|loaded| resolve::goal(&loaded, request).is_some())
+        loaded.is_ok_and(|loaded| resolve::goal(self.state(), &loaded, request).is_some())
     }
 
     /// Builds what a request needs and is missing: the scene's point trees, or normals and kernels of large clouds. Blocks for
@@ -377,7 +378,7 @@ impl Engine {
     /// An unknown scene.
     pub fn begin_bake(&self, request: &FrameRequest) -> Result<Option<BakeTicket>, EngineError> {
         let loaded = self.state().loaded(&request.scene)?;
-        let goal = resolve::goal(&loaded, request);
+        let goal = resolve::goal(self.state(), &loaded, request);
         goal.map(|goal| self.state().begin_bake(&loaded, goal)).transpose()
     }
 

@@ -7,6 +7,7 @@ use glam::{DAffine3, DVec3};
 use sha2::{Digest, Sha256};
 
 use super::bake_service::{BakeTicket, Goal};
+use super::choices::{choose_for, full_because, grounds, in_full, magnification};
 use super::loaded::Loaded;
 use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
@@ -264,15 +265,17 @@ pub fn resolve_in(
         hook();
     }
     let checked = check(state, &loaded, &request)?;
-    let baked = match goal(&loaded, &request) {
-        None if request.settings.lod == Lod::Full => Ok((loaded.model.clone(), loaded.facts)),
+    let full_because = full_because(state, &loaded, &request, &checked.view);
+    let drawn = in_full(&request, full_because.is_some());
+    let baked = match goal_of(&loaded, &drawn) {
+        None if drawn.settings.lod == Lod::Full => Ok((loaded.model.clone(), loaded.facts)),
         None => {
             loaded.trees().transpose()?.map(|trees| (trees.model, trees.facts)).ok_or(Goal::Trees)
         }
         Some(goal) => Err(goal),
     };
     Ok(match baked {
-        Ok(drawn) => Resolution::Ready(decide(state, &loaded, request, checked, drawn)),
+        Ok(model) => Resolution::Ready(decide(state, &loaded, drawn, full_because, checked, model)),
         Err(goal) => {
             let state = state.clone();
             Resolution::NeedsBake(Box::new(UnbakedFrame { state, scene: loaded, goal, request }))
@@ -285,6 +288,7 @@ fn decide(
     state: &EngineState,
     loaded: &Arc<Loaded>,
     request: FrameRequest,
+    full_because: Option<String>,
     Checked { view, camera, clip }: Checked,
     (model, facts): (Arc<SceneModel>, SceneFacts),
 ) -> Arc<ResolvedFrame> {
@@ -373,6 +377,7 @@ fn decide(
         drawing,
         provisional,
         auto,
+        full_because,
         in_three_passes,
         key,
         cost_key,
@@ -392,7 +397,16 @@ fn cost_key(request: &FrameRequest, settings: &Settings) -> CostKey {
 }
 
 /// Returns what a bake has to make before the frame can be drawn; `None` if nothing is missing.
-pub fn goal(loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
+pub fn goal(state: &EngineState, loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
+    let full = state.config.may_draw_in_full
+        && request.settings.lod == Lod::Spt
+        && posed(loaded, request)
+            .is_ok_and(|checked| full_because(state, loaded, request, &checked.view).is_some());
+    goal_of(loaded, &in_full(request, full))
+}
+
+/// The same of a request whose level of detail is decided.
+fn goal_of(loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
     let Settings { lod, reconstruct, wait, .. } = request.settings;
     let output = needed_output(request);
     if lod == Lod::Spt {
@@ -425,36 +439,6 @@ fn needed_output(request: &FrameRequest) -> Output {
     match request.settings.color_by {
         ColorBy::Normal if request.output == Output::Color => Output::Normal,
         _ => request.output,
-    }
-}
-
-/// Chooses how samples are drawn where the request leaves it open, as if all normals and kernels were there.
-fn choose_for(loaded: &Loaded, request: &FrameRequest, has_samples: bool, view: &View) -> Choice {
-    auto::choose(&grounds(loaded, request, has_samples, view))
-}
-
-/// Height of the frame that `auto` decides for, as a multiple of that of the request.
-fn magnification(request: &FrameRequest) -> f64 {
-    let still = request.settings.decide_for;
-    still.map_or(1.0, |still| f64::from(still.height) / f64::from(request.height))
-}
-
-fn grounds(
-    loaded: &Loaded,
-    request: &FrameRequest,
-    has_samples: bool,
-    view: &View,
-) -> auto::Grounds {
-    let settings = &request.settings;
-    let max_error = settings.decide_for.map_or(settings.max_error_px, |still| still.max_error);
-    let spacing_px = auto::spacing_px(loaded.patches(), view);
-    auto::Grounds {
-        lod: settings.lod,
-        has_samples,
-        spacing_px: spacing_px.map(|px| px * magnification(request)),
-        max_error_px: max_error.px(),
-        has_kernels: true,
-        has_point_size: settings.has_point_size(),
     }
 }
 

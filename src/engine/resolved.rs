@@ -35,6 +35,8 @@ pub struct ResolvedFrame {
     pub(super) provisional: Option<String>,
     /// How samples are drawn where the request left that open, and why.
     pub(super) auto: Option<Choice>,
+    /// Reason why a frame with `lod=spt` is drawn at full detail.
+    pub(super) full_because: Option<String>,
     /// The drawing for splats that overflow a single pass.
     pub(super) in_three_passes: Option<Drawing>,
     /// Key that is equal for requests whose frames are equal to the byte.

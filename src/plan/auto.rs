@@ -125,10 +125,19 @@ pub fn disc_px(spacing_px: Option<f64>) -> Option<f64> {
 /// Returns the spacing of neighbouring samples, in pixels, that [`DENSE_SHARE`] of the area covered by samples does not exceed. `None` if
 /// no patch is in view.
 pub fn spacing_px(patches: &[Patch], view: &View) -> Option<f64> {
+    spacing_of(DENSE_SHARE, patches, view)
+}
+
+/// Returns the spacing that half of the area does not exceed.
+pub fn usual_spacing_px(patches: &[Patch], view: &View) -> Option<f64> {
+    spacing_of(0.5, patches, view)
+}
+
+fn spacing_of(share: f64, patches: &[Patch], view: &View) -> Option<f64> {
     let mut seen: Vec<(f64, f64)> =
         patches.iter().filter_map(|patch| in_view(patch, view)).collect();
     seen.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-    let dense = DENSE_SHARE * seen.iter().map(|(_, weight)| weight).sum::<f64>();
+    let dense = share * seen.iter().map(|(_, weight)| weight).sum::<f64>();
     let mut sum = 0.0;
     let reached = seen.iter().find(|(_, weight)| {
         sum += weight;

@@ -4,6 +4,7 @@
 //! Recording goes through its [steps](FramePlan::steps).
 
 pub mod auto;
+pub mod detail;
 mod reconstruction;
 mod settings;
 mod table;

@@ -12,6 +12,7 @@ mod changes;
 mod closed;
 mod coverage;
 mod crowds;
+mod detail;
 mod determinism;
 mod estimates;
 mod extremes;

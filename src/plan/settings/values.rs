@@ -377,6 +377,9 @@ pub struct UsedSettings {
     /// Why that is not what was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub instead_because: Option<&'static str>,
+    /// Why a frame with `lod=spt` was drawn at full detail.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub full_because: Option<String>,
     /// Only where samples are drawn as splats.
     #[serde(flatten)]
     pub splats: Option<UsedSplats>,
