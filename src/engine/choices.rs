@@ -28,7 +28,7 @@ pub fn full_because(
         instances: counts.instances,
         pixels: u64::from(request.width) * u64::from(request.height),
         reconstruct: settings.reconstruct,
-        max_error_px: f64::from(settings.max_error_px.px()),
+        max_error_px: settings.max_error_px.px(),
     };
     why_full(&grounds, || auto::usual_spacing_px(loaded.patches(), view))
 }

@@ -6,6 +6,7 @@ use glam::{DMat3, DVec3, Vec3};
 
 use super::slabs::Slabs;
 use crate::math::View;
+use crate::plan::detail::point_error_px;
 use crate::plan::{ErrorMode, FramePlan, Output, Pass, Reconstruction};
 use crate::residency::layout::{GpuClipBox, GpuFrame, two_floats};
 use crate::residency::model::{Extent, SceneModel};
@@ -119,13 +120,12 @@ impl FrameTask {
         u32::from(!self.reconstruction.is_splats())
     }
 
-    /// Largest error in pixels of nodes that are drawn. A disc about a node covers all leaves below it, and so it may reach beyond them by
-    /// twice the node's size: the size is half of the accepted error, but no less than the pixel that a point fills anyway.
+    /// Largest error in pixels of nodes that are drawn.
     pub fn node_error_px(&self) -> f32 {
-        match self.reconstruction.discs() {
-            Some(_) => (0.5 * self.max_error_px).max(self.max_error_px.min(1.0)),
-            None => self.max_error_px,
+        if self.reconstruction.is_splats() {
+            return self.max_error_px;
         }
+        point_error_px(self.max_error_px, self.reconstruction.discs().is_some())
     }
 
     /// Whether the error of a node depends on the angle at which it is seen. Points cover one pixel at any angle, so it never does for them.

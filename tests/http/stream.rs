@@ -205,7 +205,7 @@ fn a_moving_frame_and_then_a_still_one() {
 #[test]
 fn frames_of_point_trees_say_how_coarse_they_are() {
     let daemon = Daemon::start(&[]);
-    let asked = "camera=front&w=320&h=240&lod=spt&max_error_px=2&format=png";
+    let asked = "camera=front&w=64&h=48&lod=spt&max_error_px=2&format=png";
     let mut stream = Stream::open(&daemon, &format!("{GRID}?{asked}"));
     let frames = stream.frames_until(|frame| frame["quality"] == "still");
     assert!(frames.len() > 1, "a moving one comes first");

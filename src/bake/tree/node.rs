@@ -75,7 +75,9 @@ pub const NO_NODE: u32 = u32::MAX;
 /// Weighted means of unit normals that are shorter than this give no normal.
 const LEAST_NORMAL: f32 = 0.4;
 /// Standard deviations of colour (of 255) at which contrast begins to count, and at which a node's error is its radius: the mean
-/// over a disk may be off by the radius (§3.9 takes the diameter, but there errors are those of both sides).
+/// over a disk may be off by the radius. §3.9 takes the diameter. With it, frames of as many nodes are no nearer to full detail at 16 times the
+/// pixels (`cargo bench --bench audit`, splats, mean nodes and median PSNR): the town 8236 nodes, 34.6 dB (radius) against 7743 and 34.2 dB
+/// (diameter), the checkerboard 3053 and 41.7 dB against 2567 and 41.1 dB, or 4821 and 41.7 dB.
 const FAINT: f32 = 4.0;
 const STRONG: f32 = 24.0;
 /// Factor by which the distance may be larger between the sampled places; measured on lattices of dots.
