@@ -288,7 +288,7 @@ fn flight(orbit: &Orbit, around: bool, frames: usize) -> Vec<Camera> {
     // A surface halfway between the middle and the border of the image moves so many pixels for each radian, or for each doubling.
     let step = STEP_PX / (0.25 * SIDE as f64);
     let turn_step = STEP_PX / (0.5 * focal_px * (0.5 * orbit.fov_deg).to_radians().sin());
-    let rise = DVec3::new(0.3, 0.25, 0.9).normalize();
+    let rise = DVec3::new(0.3, 0.25, 0.9).normalize_or(DVec3::Z);
     (0..frames)
         .map(|frame| {
             let (turn, distance) = match around {
