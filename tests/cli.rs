@@ -131,6 +131,13 @@ fn inspect_tells_of_trees_when_asked() {
     let shell = Shell::new();
     let plain = shell.json(&["inspect", "cloud.ply", "--json"]);
     assert!(plain.get("trees").is_none() && !shell.default_cache().exists());
+    assert_eq!(plain["uncovered"], serde_json::json!([null]), "that cloud is no surface");
+    let plane: String = (0..900).map(|i| format!("{} {} 0\n", i % 30, i / 30)).collect();
+    std::fs::write(shell.path("plane.xyz"), plane).unwrap();
+    let told = shell.json(&["inspect", "plane.xyz", "--json"]);
+    assert_eq!(told["uncovered"], serde_json::json!([0.0]));
+    let text = String::from_utf8(shell.run(&["inspect", "plane.xyz"]).stdout).unwrap();
+    assert!(text.contains("< 0.01 %"), "{text}");
     let told = shell.json(&["inspect", "cloud.ply", "--json", "--tree"]);
     let tree = &told["trees"][0]["tree"];
     let sum =

@@ -73,7 +73,7 @@ const RARE: usize = 20;
 /// Thickness of a neighbourhood over its half width: up to the first it is a surface; from the second on kernels are bounded by
 /// what is near; from the third on it is a volume. A right edge has 0.43.
 const FLAT: f32 = 0.15;
-const ROUGH: f32 = 0.3;
+pub(super) const ROUGH: f32 = 0.3;
 const VOLUME: f32 = 0.6;
 /// Exponent by which the longest kernel falls between a surface and a volume.
 const FALL: f32 = 1.5;
@@ -225,7 +225,7 @@ fn is_grouped(near: &[Vec3]) -> bool {
 
 /// Thickness of a neighbourhood, with the sample itself, across its tangent plane over its half width in it, and its width in the
 /// plane over its length: 0 to 1.
-fn proportions(near: &[Vec3], offsets: &[Vec2], normal: Vec3) -> [f32; 2] {
+pub(super) fn proportions(near: &[Vec3], offsets: &[Vec2], normal: Vec3) -> [f32; 2] {
     let inverse = 1.0 / (near.len() as f32 + 1.0);
     let (mut high, mut high_squared) = (0.0f32, 0.0f32);
     let (mut sum, mut squares, mut product) = (Vec2::ZERO, Vec2::ZERO, 0.0f32);
@@ -322,7 +322,7 @@ fn shorter_extent(offsets: &[Vec2], round: impl Fn(Vec2) -> Vec2, known: f32, sa
 }
 
 /// The part of a square about the origin that is nearer to the origin than to any of some places: a convex polygon.
-struct Cell {
+pub(super) struct Cell {
     corners: [Vec2; Cell::MOST],
     count: usize,
 }
@@ -332,7 +332,7 @@ impl Cell {
     const MOST: usize = 5 + MAX_NEIGHBORS;
 
     /// `half`: half the side of the square; `same`: squared distance up to which a place is the origin.
-    fn of(places: &[Vec2], half: f32, same: f32) -> Cell {
+    pub(super) fn of(places: &[Vec2], half: f32, same: f32) -> Cell {
         let mut cell = Cell { corners: [Vec2::ZERO; Cell::MOST], count: 4 };
         let square = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
         cell.corners.iter_mut().zip(square).for_each(|(c, at)| *c = Vec2::from(at) * half);
@@ -348,11 +348,11 @@ impl Cell {
         cell
     }
 
-    fn corners(&self) -> &[Vec2] {
+    pub(super) fn corners(&self) -> &[Vec2] {
         &self.corners[..self.count]
     }
 
-    fn extent(&self) -> f32 {
+    pub(super) fn extent(&self) -> f32 {
         self.corners().iter().map(|corner| corner.length()).fold(0.0, f32::max)
     }
 

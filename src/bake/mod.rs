@@ -31,6 +31,7 @@ pub mod pack;
 pub mod prepare;
 pub mod spacing;
 pub mod tree;
+pub mod uncovered;
 pub mod upright;
 
 mod attributes;

@@ -34,6 +34,8 @@ struct Inspection {
     gpu_budget_bytes: u64,
     /// The passes of a colour frame, with the reason for each one that is skipped.
     plan: FramePlan,
+    /// Of each asset, the estimated share of its sampled surface that splats leave uncovered, 0 to 1; `null` where there is no such surface.
+    uncovered: Vec<Option<f64>>,
     /// With --tree: the trees of each asset that has something to draw.
     #[serde(skip_serializing_if = "Option::is_none")]
     trees: Option<Vec<BakedAsset>>,
@@ -70,6 +72,7 @@ pub fn run(args: &InspectArgs) -> Result<()> {
         adapter: engine.adapter(),
         gpu_budget_bytes: engine.limits().gpu_budget_bytes,
         plan: frame.plan().clone(),
+        uncovered: engine.uncovered_shares(ID)?,
         trees: trees.transpose()?,
     };
     if args.json {
@@ -98,6 +101,11 @@ fn direction(up: [f64; 3]) -> String {
 
 fn megabytes(bytes: u64) -> String {
     format!("{:.1} MB", bytes as f64 / 1e6)
+}
+
+fn percent(share: f64) -> String {
+    // Fewer places are looked at than would tell less from nothing.
+    if share < 5e-5 { "< 0.01 %".to_owned() } else { format!("{:.2} %", 100.0 * share) }
 }
 
 fn text(told: &Inspection) -> String {
@@ -130,8 +138,16 @@ fn text(told: &Inspection) -> String {
         facts.add_row(["warning", warning]);
     }
     let mut assets = table();
-    assets.set_header(["asset", "format", "samples", "triangles", "colours", "normals"]);
-    for asset in &scene.assets {
+    assets.set_header([
+        "asset",
+        "format",
+        "samples",
+        "triangles",
+        "colours",
+        "normals",
+        "uncovered",
+    ]);
+    for (asset, uncovered) in scene.assets.iter().zip(&told.uncovered) {
         let normals = match (asset.has_normals, asset.normals_estimated) {
             (true, true) => "file, rest estimated",
             (true, false) => "file",
@@ -150,6 +166,7 @@ fn text(told: &Inspection) -> String {
             }
             .to_owned(),
             normals.to_owned(),
+            uncovered.map_or("—".to_owned(), percent),
         ]);
     }
     let mut fields = table();

@@ -85,8 +85,10 @@ pub use stats::{EngineStats, Readiness};
 pub use ticket::{EncodedFrame, FrameTicket};
 pub use trace::{Origin, RequestId};
 
+use crate::bake::uncovered::uncovered_share;
 use crate::memory::{self, Admission};
 use crate::residency::Part;
+use crate::residency::model::AssetModel;
 use crate::scene::CameraPath;
 
 use self::bake_service::Goal;
@@ -391,6 +393,26 @@ impl Engine {
     #[doc(hidden)]
     pub fn bake_waiters(&self) -> usize {
         self.state().bake_service.waiters()
+    }
+
+    /// Estimates for each asset, in the order of [`SceneInfo::assets`], the share of the sampled surface that splats leave uncovered: the mean
+    /// over its geometries, weighted by their samples. `None` where [`uncovered_share`] tells none, and while kernels are not estimated.
+    ///
+    /// # Errors
+    /// An unknown scene.
+    pub fn uncovered_shares(&self, id: &str) -> Result<Vec<Option<f64>>, EngineError> {
+        let loaded = self.state().loaded(id)?;
+        let of_asset = |asset: &Arc<AssetModel>| {
+            let known = || asset.packed.geometries.iter().filter(|_| asset.deferred.is_none());
+            let shares = known().filter_map(|geometry| {
+                let samples = geometry.samples()?;
+                Some((uncovered_share(samples)?, samples.positions.len() as f64))
+            });
+            let (sum, count) = shares
+                .fold((0.0, 0.0), |(sum, all), (share, count)| (sum + share * count, all + count));
+            (count > 0.0).then(|| sum / count)
+        };
+        Ok(loaded.model.assets.iter().map(of_asset).collect())
     }
 
     /// Builds or reads the point trees of all of a scene's assets, keeps them for frames, and returns their statistics. Blocks
