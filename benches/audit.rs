@@ -34,7 +34,7 @@ const STEP_PX: f64 = 0.1;
 /// A change of a channel that somebody sees, in 255ths, and the number of neighbouring pixels from which on it is a pop.
 const SEEN: f32 = 32.0;
 const POP_PX: usize = 4;
-/// What outlines may be off beside the accepted error, in pixels: each frame has one sample a pixel.
+/// Distance in pixels that outlines may be off beside the accepted error: each frame has one sample a pixel.
 const OUTLINE_SLACK_PX: f64 = 1.5;
 
 const MODELS: [(&str, Kind, u64); 5] = [
@@ -45,7 +45,7 @@ const MODELS: [(&str, Kind, u64); 5] = [
     ("checkerboard", Kind::Checkerboard, 250_000),
 ];
 
-/// What samples are drawn as, and the accepted error; `None` for full detail.
+/// How samples are drawn, and the accepted error; `None` for full detail.
 #[derive(Clone, Copy)]
 struct Setting {
     name: &'static str,
@@ -129,7 +129,7 @@ fn image(drawing: &Drawing, camera: Camera, side: usize, of: Setting) -> anyhow:
     })
 }
 
-/// What is seen of the truth through the pixels of a frame.
+/// The truth as seen through the pixels of a frame.
 struct Truth {
     color: Vec<[u8; 4]>,
     /// The truth's pixels that show a surface.
@@ -198,7 +198,7 @@ fn poses(orbit: &Orbit, seed: u64, count: usize) -> Vec<Camera> {
         .collect()
 }
 
-/// What is measured of a setting over all poses.
+/// Measurements of a setting over all poses.
 #[derive(Default)]
 struct Found {
     /// See [`beyond_px`]; less the accepted error.

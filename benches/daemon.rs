@@ -63,7 +63,7 @@ fn frame_path(scene: &str, degrees: f64, size: u32, format: &str) -> String {
     )
 }
 
-/// What a client waits for beyond the passes and the encoder, one request at a time on one connection.
+/// Time that a client waits beyond the passes and the encoder, one request at a time on one connection.
 fn overhead(report: &mut Report, daemon: &Daemon) -> anyhow::Result<()> {
     let mut connection = daemon.connect()?;
     let mut rows = Vec::new();

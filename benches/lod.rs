@@ -328,7 +328,7 @@ fn pixels(frame: &EncodedFrame) -> &[[u8; 4]] {
     frame.bytes.as_chunks().0
 }
 
-/// What accuracy costs, and how accurate it is, beside full detail.
+/// The cost of accuracy, and the error, beside full detail.
 fn errors(report: &mut Report) -> anyhow::Result<()> {
     const ERRORS_PX: [f32; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
     let side = pick(1024, 256);

@@ -6,18 +6,22 @@
 
 mod common;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use anyhow::Context;
 use common::drawing::{Drawing, Orbit, STEP_DEG, gpu_ms, pass_medians, pass_ns};
 use common::files::Wall;
 use common::peer::Peer;
 use common::report::{Bound, Report, number};
 use common::{files, median, median_ratio, ms, pick};
 use glam::DVec3;
+use pointillist::assets::{Geometry, ReadOptions, read};
+use pointillist::bake::prepare::{AssetTraits, prepare_geometry};
 use pointillist::engine::Receipt;
 use pointillist::generate::{Kind, Parameters};
+use pointillist::memory::Admission;
 use pointillist::passes::SMALL_SPLAT_PX;
-use pointillist::plan::{Reconstruct, Settings};
+use pointillist::plan::{Lod, Reconstruct, Settings};
 use pointillist::scene::{Blend, Filter};
 
 const SIZE: u32 = 1024;
@@ -33,22 +37,25 @@ fn main() -> anyhow::Result<()> {
     let mut report = Report::new("splats", &probe.engine.adapter());
     drop(probe);
     let parts =
-        std::env::var("BENCH_SPLATS").unwrap_or_else(|_| "vtk points paper crossing".into());
+        std::env::var("BENCH_SPLATS").unwrap_or_else(|_| "vtk closed points paper crossing".into());
     for part in parts.split_whitespace() {
         match part {
             "vtk" => beside_vtk(&mut report)?,
+            "closed" => beside_vtk_on_a_closed_surface(&mut report)?,
             "points" => beside_points(&mut report)?,
             "paper" => beside_the_paper(&mut report)?,
             "crossing" => crossing(&mut report)?,
             other => {
-                anyhow::bail!("BENCH_SPLATS knows vtk, points, paper and crossing, not {other}")
+                anyhow::bail!(
+                    "BENCH_SPLATS knows vtk, closed, points, paper and crossing, not {other}"
+                )
             }
         }
     }
     report.finish()
 }
 
-/// What splats are drawn with; the rest as a scene without a word on it has it.
+/// Settings of splats; the rest are the defaults of scenes.
 fn splats(filter: Option<Filter>, blend: Blend, prefilter: bool) -> Settings {
     Settings {
         reconstruct: Reconstruct::Splats,
@@ -101,6 +108,109 @@ const PEERS: [(&str, &str, &[&str]); 4] = [
     ("VTK's Gaussians, as it sets them up", "--mode=gaussians", &OWN),
 ];
 
+/// A process of VTK's, with its name and its times; `None` where VTK is not installed.
+type TimedPeer = (&'static str, Option<Peer>, Vec<f64>);
+
+/// Draws some frames in each way and with each peer, in turns. Returns our times and the share of the frame that is covered, in percent.
+fn in_turns(
+    ours: &Drawing,
+    side: u32,
+    orbit: &Orbit,
+    ways: &[(&str, Settings)],
+    peers: &mut [TimedPeer],
+) -> anyhow::Result<(Vec<Vec<f64>>, f64)> {
+    let mut times: Vec<Vec<f64>> = vec![Vec::new(); ways.len()];
+    let mut covered = 0.0;
+    let (warm, frames) = pick((2, 7), (1, 2));
+    for frame in 0..warm + frames {
+        let camera = orbit.at(degrees(frame));
+        for (times, (_, settings)) in times.iter_mut().zip(ways) {
+            let receipt = ours.draw(camera, [side, side], *settings)?;
+            covered = covered_percent(&receipt);
+            if frame >= warm {
+                times.push(gpu_ms(&receipt)?);
+            }
+        }
+        // VTK is warm when it says that it is ready.
+        for (_, vtk, times) in peers.iter_mut().filter(|_| frame >= warm) {
+            if let Some(vtk) = vtk {
+                times.push(vtk.frame_ms(degrees(frame))?);
+            }
+        }
+    }
+    Ok((times, covered))
+}
+
+/// Twice the median standard deviation of the kernels that a cloud is given: the radius at which VTK's Gaussians cover what ours do.
+fn footprint(file: &Path) -> anyhow::Result<f64> {
+    let mut asset = read(file, &ReadOptions::default())?;
+    let geometry = asset.geometries.first_mut().context("an empty file")?;
+    prepare_geometry(geometry, &mut AssetTraits::default(), &Admission::default())?;
+    let Geometry::Points(cloud) = geometry else { anyhow::bail!("{}: no cloud", file.display()) };
+    let kernels = cloud.kernels.iter().flatten();
+    let lengths: Vec<f64> =
+        kernels.map(|kernel| f64::from(kernel.u.length().max(kernel.v.length()))).collect();
+    Ok(2.0 * median(&lengths))
+}
+
+/// A closed surface of random samples, blended by VTK and by us at the same footprint.
+fn beside_vtk_on_a_closed_surface(report: &mut Report) -> anyhow::Result<()> {
+    // Samples, and how much faster splats in three passes and in a single pass should be.
+    const CLOSED: [(u64, f64, f64); 2] = [(200_000, 6.0, 10.0), (1_000_000, 9.0, 16.0)];
+    let side = pick(SIZE, 256);
+    let splats = Settings::drawn_as(Reconstruct::Splats);
+    let ways = [
+        ("three passes", splats),
+        ("three passes, lod=spt", Settings { lod: Lod::Spt, ..splats }),
+        ("fuzzy", Settings::drawn_as(Reconstruct::Fuzzy)),
+        ("points", Settings::drawn_as(Reconstruct::Points)),
+    ];
+    let mut rows = Vec::new();
+    for (count, three_passes, fuzzy) in CLOSED {
+        let count = pick(count, count / 100);
+        let parameters = Parameters { seed: 3, points: Some(count), ..Parameters::default() };
+        let file = files::generated(&format!("statue-{count}.ply"), Kind::Statue, &parameters)?;
+        let ours = Drawing::open(&file, side, |_| ())?;
+        ours.bake(ways[1].1)?;
+        let orbit = Orbit::around(&ours.info)?;
+        let radius = footprint(&file)?;
+        let (name, mode, _) = PEERS[1];
+        let vtk = Peer::vtk(&file, &orbit, side, &[mode, &format!("--radius={radius}")])?;
+        let mut peers = [(name, vtk, Vec::new())];
+        let (times, covered) = in_turns(&ours, side, &orbit, &ways, &mut peers)?;
+        let [(_, vtk, peer)] = peers;
+        let is_there = vtk.is_some();
+        if let Some(vtk) = vtk {
+            report.value(&format!("{name}, {count} samples of a statue"), vtk.finish()?);
+        }
+        let against = |times: &[f64]| is_there.then(|| median_ratio(&peer, times));
+        let ratio = |times: &[f64]| against(times).map_or("—".to_owned(), number);
+        for (times, (how, _)) in times.iter().zip(&ways) {
+            let (ms, ratio) = (number(median(times)), ratio(times));
+            rows.push(vec![format!("Pointillist, {how}"), count.to_string(), ms, ratio]);
+        }
+        if is_there {
+            rows.push(vec![name.to_owned(), count.to_string(), number(median(&peer)), "1".into()]);
+        }
+        report.value(&format!("covered_percent, {count} samples of a statue"), covered);
+        for (what, times, bound) in
+            [("three passes", &times[0], three_passes), ("fuzzy", &times[2], fuzzy)]
+        {
+            let what = format!("{count} samples of a closed surface, {what}, against {name}");
+            report.target(&what, against(times), Bound::AtLeast(bound), "×");
+        }
+        let of_full = median_ratio(&times[1], &times[0]);
+        let what = format!("{count} samples of a closed surface, lod=spt over full detail");
+        report.target(&what, Some(of_full), Bound::AtMost(1.05), "×");
+    }
+    report.table(
+        &format!("A closed surface of random samples at {side}²"),
+        &["how", "samples", "ms a frame", "VTK's time over it"],
+        &rows,
+    );
+    Ok(())
+}
+
 /// VTK's discs and Gaussians and ours: of the same radius, of the same samples.
 fn beside_vtk(report: &mut Report) -> anyhow::Result<()> {
     let side = pick(SIZE, 256);
@@ -121,25 +231,7 @@ fn beside_vtk(report: &mut Report) -> anyhow::Result<()> {
             let args: Vec<&str> = [mode, &radius].into_iter().chain(more.iter().copied()).collect();
             peers.push((name, Peer::vtk(&file, &orbit, side, &args)?, Vec::new()));
         }
-        let mut times: Vec<Vec<f64>> = vec![Vec::new(); ways.len()];
-        let mut covered = 0.0;
-        let (warm, frames) = pick((2, 7), (1, 2));
-        for frame in 0..warm + frames {
-            let camera = orbit.at(degrees(frame));
-            for (times, (_, settings)) in times.iter_mut().zip(&ways) {
-                let receipt = ours.draw(camera, [side, side], *settings)?;
-                covered = covered_percent(&receipt);
-                if frame >= warm {
-                    times.push(gpu_ms(&receipt)?);
-                }
-            }
-            // VTK is warm when it says that it is ready.
-            for (_, vtk, times) in peers.iter_mut().filter(|_| frame >= warm) {
-                if let Some(vtk) = vtk {
-                    times.push(vtk.frame_ms(degrees(frame))?);
-                }
-            }
-        }
+        let (times, covered) = in_turns(&ours, side, &orbit, &ways, &mut peers)?;
         let mut peer_times = Vec::new();
         for (name, vtk, peer) in peers {
             let Some(vtk) = vtk else { continue };

@@ -29,7 +29,7 @@ use serde_json::{Value, json};
 
 /// An instanced square of 17 600 copies.
 const SCENE: &str = "plaza";
-/// Of its camera paths the one that jobs draw.
+/// The camera path that jobs draw.
 const PATH: &str = "approach";
 const SIZE: [u32; 2] = [640, 480];
 const QUALITY: u32 = 85;

@@ -112,12 +112,14 @@ fn no_cache_writes_nothing() {
     let told =
         shell.json(&["inspect", "cloud.ply", "--json", "--tree", "--no-cache", "--cache", "c"]);
     assert_eq!(told["trees"][0]["source"], "built");
-    let frame = ["render", "cloud.ply", "--lod", "spt", "--size", "64x64", "-o", "a.raw"];
+    // Levels are those of a tree's nodes, so that one is needed.
+    let frame = ["--lod", "spt", "--color-by", "levels", "--size", "64x64", "-o", "a.raw"];
+    let frame = [&["render", "cloud.ply"][..], &frame].concat();
     assert!(shell.run(&[&frame[..], &["--no-cache"]].concat()).status.success());
     assert!(!shell.default_cache().exists() && !shell.path("c").exists());
     // With the cache, draw the same frame twice.
     for name in ["b.raw", "c.raw"] {
-        assert!(shell.run(&[&frame[..7], &[name]].concat()).status.success());
+        assert!(shell.run(&[&frame[..9], &[name]].concat()).status.success());
         assert_eq!(
             std::fs::read(shell.path(name)).unwrap(),
             std::fs::read(shell.path("a.raw")).unwrap()

@@ -325,7 +325,7 @@ fn other_settings_draw_all_anew() {
         &["--quality", "40"][..],
         &["--fps", "15"],
         &["--reconstruct", "fuzzy"],
-        &["--lod", "spt"],
+        &["--lod", "spt", "--color-by", "levels"],
         &["--output", "normal"],
     ] {
         let told = studio.flown("f", &with(more));

@@ -12,7 +12,7 @@ use pointillist::engine::Receipt;
 use super::drawing::{Drawing, Orbit, STEP_DEG};
 use super::report::Report;
 
-/// What who calls `pyvista.Plotter.add_points` without options gets (PyVista 0.49; the driver makes 4 multisamples of
+/// The options that `pyvista.Plotter.add_points` sets by itself (PyVista 0.49; the driver makes 4 multisamples of
 /// the 8).
 pub const PYVISTA: &[&str] = &["--point-size=5", "--lighting", "--multisamples=8"];
 
@@ -166,7 +166,7 @@ impl Peer {
         Ok(self.line()?.trim().parse()?)
     }
 
-    /// What was drawn and how; needs one frame at least.
+    /// Summary of the frames and of how they were drawn; needs one frame at least.
     ///
     /// # Errors
     /// The peer fails.

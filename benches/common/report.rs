@@ -14,7 +14,7 @@ pub struct Report {
     targets: Vec<Value>,
 }
 
-/// What a target asks for.
+/// Bound of a target.
 #[derive(Clone, Copy)]
 pub enum Bound {
     AtLeast(f64),
@@ -134,7 +134,7 @@ pub fn number(value: f64) -> String {
     grouped.replace("- ", "-")
 }
 
-/// What the figures depend on besides the program.
+/// Facts besides the program on which the figures depend.
 fn machine() -> Value {
     let field = |file: &str, name: &str| {
         let text = std::fs::read_to_string(file).ok()?;

@@ -9,7 +9,7 @@ use pointillist::plan::Settings;
 use super::drawing::{Drawing, Orbit, STEP_DEG, gpu_ms};
 use super::{median, ms};
 
-/// What is drawn again and again, the camera turned a little each time.
+/// A frame that is drawn again and again, the camera turned a little each time.
 #[derive(Clone, Copy)]
 pub struct Shot<'a> {
     pub drawing: &'a Drawing,

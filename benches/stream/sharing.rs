@@ -21,7 +21,7 @@ const GPU_SECONDS: &str = "pointillist_engine_gpu_seconds_total";
 /// somebody who always has eight requests under way. Each has a key: without, all that come from one address are one client.
 pub fn clients(report: &mut Report) -> anyhow::Result<()> {
     const CLIENTS: usize = 8;
-    // So long that the client of the fewest frames gets some fifty.
+    // Long enough for the client of the fewest frames to get some fifty.
     let seconds = pick(60.0, 0.5);
     let keys: Vec<String> =
         (0..=CLIENTS).map(|number| format!("key-{number}-of-a-bench")).collect();

@@ -1,4 +1,4 @@
-// What passes agree on that list the chunks of point trees: sums, and launches behind those of the segments.
+// Agreements of the passes that list the chunks of point trees: sums, and launches behind those of the segments.
 struct Sizes {
     group_count: u32,
     segment_count: u32,

@@ -1,4 +1,4 @@
-// What passes over splats and over pixels agree on: the bits of a pixel's depth that say which side of a surface is seen, and what a
+// Agreements of passes over splats and over pixels: the bits of a pixel's depth that say which side of a surface is seen, and what a
 // depth is counted in.
 const FACING_FRONT: u32 = 1u;
 const FACING_BACK: u32 = 2u;

@@ -1,4 +1,4 @@
-// What passes do that go through a segment and list what is too large for one thread. The file that includes this says whether
+// Shared by passes that go through a segment and list whatever is too large for one thread. The file that includes this says whether
 // they count it: `COUNTS`.
 //!include shared/large
 struct LargeList {

@@ -57,7 +57,7 @@ fn eye_from(place: vec3<f32>) -> vec3<f32> {
     return -place / max(length(place), 1e-30);
 }
 
-// What all lights make of a surface at a place.
+// Light that a surface reflects at a place, from all lights.
 fn all_lights(albedo: vec3<f32>, material: Material, n: vec3<f32>, place: vec3<f32>) -> vec3<f32> {
     let to_eye = eye_from(place);
     var color = vec3<f32>(0.0);

@@ -1,4 +1,4 @@
-// What every resolve pass shares: which pixels are its own, and where their surfaces go. Pixels that show nothing have the background, which
+// Shared by all resolve passes: which pixels are a pass's own, and where their surfaces go. Pixels that show nothing have the background, which
 // `clear` wrote.
 //!include VOTE
 //!include shared/column

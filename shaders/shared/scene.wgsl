@@ -7,7 +7,7 @@ struct Instance {
     // Overriding material plus one, or 0.
     material: u32,
     axis_y: vec3<f32>,
-    // What the id output shows.
+    // Value of the id output.
     id: u32,
     axis_z: vec3<f32>,
     // 1: the transform mirrors.
@@ -84,7 +84,7 @@ struct InstanceGroup {
     centre_hi: vec4<f32>,
     centre_lo: vec4<f32>,
     half: vec3<f32>,
-    // What stands above them: the largest size and error, and the longest way to it.
+    // Of the nodes above them: the largest size and error, and the longest way there.
     size_parent: f32,
     first: u32,
     count: u32,

@@ -64,7 +64,7 @@ struct Splat {
     // Reaches the camera plane.
     crosses: bool,
     facing: u32,
-    // What offsets are counted from.
+    // Origin of offsets.
     centre: vec2<f32>,
     // Squared distance in kernel units: (s² + t²) / n², where n > 0.
     s: vec3<f32>,
@@ -109,7 +109,7 @@ fn splat_distance(splat: Splat, d: vec2<f32>) -> f32 {
     return distance_of(splat, splat.s, splat.t, d);
 }
 
-// What a distance counts in weights: no more than at the cutoff.
+// A distance as weights take it: no more than the cutoff.
 fn splat_weight(splat: Splat, q: f32) -> f32 {
     return max(round(splat.amplitude * exp(-0.5 * min(q, frame.splat_cutoff * frame.splat_cutoff)) * frame.weight_one), 1.0);
 }
@@ -337,7 +337,7 @@ fn crossing_splat(splat: ptr<function, Splat>, p_in: vec3<f32>, u_in: vec3<f32>,
     set_box(splat, middle, high - middle + 1.0);
 }
 
-// What a tangent's depth adds to its divisor.
+// The part of a tangent's divisor that comes from its depth.
 fn tilt(z: f32) -> f32 {
     return select(z, 0.0, ORTHOGRAPHIC);
 }

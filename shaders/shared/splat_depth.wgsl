@@ -1,4 +1,4 @@
-// What a splat does at a pixel of the visibility buffer: its surface, moved back by the offset.
+// A splat at a pixel of the visibility buffer: its surface, moved back by the offset.
 struct Paint {
     unused: u32,
 }

@@ -1,4 +1,4 @@
-// What a splat does at a pixel that is blended and depth-tested at once (Dachsbacher et al. 2003, §5): it takes the place of what
+// A splat at a pixel that is blended and depth-tested at once (Dachsbacher et al. 2003, §5): it takes the place of what
 // lies a slab behind, is added to what lies beside it, or is hidden.
 //!include shared/splat_paint
 //!include shared/slabs

@@ -1,4 +1,4 @@
-// What a splat has to give to pixels: its colour, lit or not, and its normal.
+// A splat's contribution to pixels: its colour, lit or not, and its normal.
 //!include shared/output
 //!include FIELDS
 override OVERRIDES: bool = true;
@@ -6,7 +6,7 @@ override OVERRIDES: bool = true;
 override DEFERRED: bool = true;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
 
-// What the samples of a slot have in common.
+// Values that the samples of a slot have in common.
 struct PaintSlot {
     normals: NormalMap,
     // Overriding material plus one, or 0.
@@ -76,7 +76,7 @@ fn paint_of(slot: SplatSlot, shared_paint: PaintSlot, sample: u32) -> Paint {
 // smaller than a pixel, or where so many overlap that weights had to be made smaller.
 const LIGHT: f32 = 256.0;
 
-// What is added before rounding down: a half, and of light weights anything up to 1, by the place that is painted, so that
+// The addend before rounding down: a half, and of light weights anything up to 1, by the place that is painted, so that
 // sums are right on the average and the same each time.
 fn carry_of(weight: f32, pixel: u32, inverse: f32) -> f32 {
     let hash = (bitcast<u32>(inverse) ^ (pixel * 0x85ebca6bu)) * 0x9e3779b1u;

@@ -1,4 +1,4 @@
-// What a splat adds to the pixels of the visible surface.
+// Sums of splats at the pixels of the visible surface.
 //   color:               weight, red, green, blue; for deferred shading also the normal and the depth
 //   normal:              weight, normal
 //   depth:               weight; depth in 64 bits

@@ -19,7 +19,7 @@ fn stretch_of(x_in: vec3<f32>, y_in: vec3<f32>, z_in: vec3<f32>) -> f32 {
     return most * sqrt(max(dot(x, x) + xy + zx, max(dot(y, y) + yz + xy, dot(z, z) + zx + yz)));
 }
 
-// What a map with these columns makes of areas: rows of its adjugate, in parts of the square of how far it stretches.
+// The map of areas that a map with these columns causes: rows of its adjugate, in parts of the square of how far it stretches.
 struct Areas {
     x: vec3<f32>,
     y: vec3<f32>,

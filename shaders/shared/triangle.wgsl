@@ -1,4 +1,4 @@
-// What the compute walk and the rasteriser must agree on: where a corner falls on the 1/256-pixel grid, which way a
+// Rules on which the compute walk and the rasteriser must agree: where a corner falls on the 1/256-pixel grid, which way a
 // triangle faces, and its depth at a pixel.
 //!include shared/clip_boxes
 

@@ -34,7 +34,7 @@ struct Inspection {
     gpu_budget_bytes: u64,
     /// The passes of a colour frame, with the reason for each one that is skipped.
     plan: FramePlan,
-    /// Of each asset, the estimated share of its sampled surface that splats leave uncovered, 0 to 1; `null` where there is no such surface.
+    /// Estimated share of each asset's sampled surface that splats leave uncovered, 0 to 1; `null` where there is no such surface.
     uncovered: Vec<Option<f64>>,
     /// With --tree: the trees of each asset that has something to draw.
     #[serde(skip_serializing_if = "Option::is_none")]

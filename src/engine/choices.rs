@@ -58,7 +58,7 @@ pub fn magnification(request: &FrameRequest) -> f64 {
     still.map_or(1.0, |still| f64::from(still.height) / f64::from(request.height))
 }
 
-/// What `auto` decides by.
+/// Returns the facts by which `auto` decides.
 pub fn grounds(
     loaded: &Loaded,
     request: &FrameRequest,

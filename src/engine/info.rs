@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::math::Camera;
 use crate::scene::fields::SceneField;
 
-/// What `GET /v1/limits` lists.
+/// Limits that `GET /v1/limits` lists.
 #[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
 pub struct Limits {
     pub max_pixels: u64,

@@ -33,7 +33,7 @@ pub(super) const BYTES: u64 = 4 * WORDS as u64;
 /// Number of the geometry for a pixel that shows nothing.
 const NOTHING: u32 = u32::MAX;
 
-/// What a pixel shows.
+/// The surface that a pixel shows.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct Pick {
     /// Column of the pixel, from the left.

@@ -54,7 +54,7 @@ fn asset_tree_watched(
                 source = made;
                 Ok(Ok(Arc::new(tree)))
             }
-            // What the asset is does not change. Memory may be free later.
+            // The asset stays as it is, but memory may be free later.
             Err(Halt::Pack(error)) => Ok(Err(error)),
             Err(halt) => Err(halt),
         },

@@ -10,7 +10,7 @@ use crate::scene::fields::{SceneField, class_color, class_name};
 /// Fewer pixels than this are easily overlooked.
 const FEW_PIXELS: u64 = 20;
 
-/// What was understood, what was done, and what it cost. Times and counts that the adapter cannot
+/// The request as understood, the work that was done, and its cost. Times and counts that the adapter cannot
 /// give are `null`, never invented.
 #[derive(Clone, Debug, Default, Serialize, ToSchema)]
 pub struct Receipt {
@@ -29,7 +29,7 @@ pub struct Receipt {
     pub settings: UsedSettings,
     /// Error that the request accepts, in pixels.
     pub max_error_px: Option<f64>,
-    /// What the colours stand for, where they show values.
+    /// Meaning of the colours, where they show values.
     pub legend: Option<Legend>,
     /// Passes that ran, in the order in which they first did, then those that were skipped.
     pub passes: Vec<PassReceipt>,
@@ -131,7 +131,7 @@ impl PassReceipt {
     }
 }
 
-/// What the colours of a colour map, or of classes, stand for.
+/// Meaning of the colours of a colour map, or of classes.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct Legend {
     /// The value that colours show: `height`, or the name of a scalar field.

@@ -23,7 +23,7 @@ pub use write::write;
 
 use crate::assets::{Material, Mesh, PointCloud, Progress, Texture};
 
-/// What can be generated.
+/// Kinds of assets and scenes that can be generated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, clap::ValueEnum)]
 pub enum Kind {
     /// Laser scan of a procedural town at UTM coordinates: points with colour, intensity, class

@@ -32,7 +32,7 @@ pub const DEFAULT_QUALITY: u8 = 85;
 /// Default vertical field of view in degrees.
 pub const DEFAULT_FOV_DEG: f64 = 40.0;
 
-/// What to draw and how. The pose is `camera`, or `eye` and `target` (with `up`, and `fov` or `ortho_height`), or
+/// Subject and settings of a frame. The pose is `camera`, or `eye` and `target` (with `up`, and `fov` or `ortho_height`), or
 /// `view` and `proj`; without any, the whole scene is shown, to which `up`, and `fov` or `ortho_height`, apply as well.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, ToSchema, IntoParams)]
 #[serde(deny_unknown_fields)]

@@ -62,7 +62,7 @@ pub struct PickRequest {
     frame: serde_json::Map<String, serde_json::Value>,
 }
 
-/// What pixels show.
+/// Surfaces that pixels show.
 #[derive(Serialize, ToSchema)]
 pub struct Picks {
     scene: String,
@@ -72,7 +72,7 @@ pub struct Picks {
     picks: Vec<Pick>,
 }
 
-/// What a pixel shows.
+/// The surface that a pixel shows.
 ///
 /// Takes the parameters of a frame, and answers with what the pixel `x`, `y` of that frame shows: the world position in full precision,
 /// the distance, the normal, the instance and the nodes above it. `Pointillist-Receipt` is the receipt of the frame drawn for the pick.
@@ -106,7 +106,7 @@ pub async fn pick(
     answer(&app, Origin { client, request_id }, &id, &params, vec![[x, y]]).await
 }
 
-/// What several pixels show.
+/// Surfaces that several pixels show.
 ///
 /// Draws one frame for all pixels. The body has the fields of a frame, and either `x` and `y` or `pixels`.
 #[utoipa::path(

@@ -70,7 +70,7 @@ impl Slots {
     }
 }
 
-/// What a job needs before its frames can be drawn.
+/// Preparations that a job needs before its frames can be drawn.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Need {
     /// Something is missing that may appear later.

@@ -34,7 +34,7 @@ pub enum PathChoice {
     Inline(Arc<str>),
 }
 
-/// What is kept of a finished job.
+/// Record of a finished job.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Want {
     pub frames: bool,

@@ -166,7 +166,7 @@ pub struct Point {
     pub receipts: Receipts,
     /// Message of the first failure.
     pub first_failure: Option<String>,
-    /// What streams beside the requests got; `null` where there are none.
+    /// Frames of the streams beside the requests; `null` where there are none.
     pub streams: Option<StreamPoint>,
 }
 

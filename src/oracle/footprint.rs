@@ -44,7 +44,7 @@ impl Gaussian {
     /// From the entries of the inverse of the variance matrix.
     fn from_inverse(centre_px: DVec2, [xx, xy, yy]: [f64; 3]) -> Self {
         let inverse = Self::new(centre_px, [xx, xy, yy], xx * yy - xy * xy);
-        // What was long is short, and the other way round.
+        // The long axis becomes the short one, and the other way round.
         let [greatest, least] = inverse.variances;
         let variances = [1.0 / least, 1.0 / greatest];
         Self { long_axis: inverse.long_axis.perp(), variances, ..inverse }

@@ -56,7 +56,7 @@ impl Settings {
     }
 }
 
-/// What a splat is at a pixel that it covers.
+/// A splat's values at a pixel that it covers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Touch {
     pub depth: f64,
@@ -144,7 +144,7 @@ impl SeenSplat {
         } else {
             shape(settings.splats.filter, &disk, cutoff, lowpass_px)
         };
-        // What the filter adds to a disk is no longer its plane, farther out than its own radius.
+        // Beyond a disk's own radius, the margin that the filter adds lies no longer in the disk's plane.
         let beyond = reach + lowpass.min(cutoff * u.length().max(v.length()));
         let (far, near) = (centre.z + beyond, centre.z - beyond);
         let depths = match (is_parallel, crossing) {
@@ -179,7 +179,7 @@ impl SeenSplat {
         (x0 < x1 && y0 < y1 && seen.offset.is_finite()).then_some(seen)
     }
 
-    /// What the splat is at an image position, whose `ray` is in view space; `None` where it does not cover it.
+    /// Returns the splat's values at an image position, whose `ray` is in view space; `None` where it does not cover it.
     pub fn at(&self, pixel: DVec2, ray: DVec3) -> Option<Touch> {
         let plane = self.plane_coordinates(camera_from_view(ray));
         // Kernel coordinates before the eye.
@@ -269,7 +269,7 @@ fn normal(cloud: &PointCloud, index: usize) -> Option<DVec3> {
     cloud.normals.as_ref()?.get(index)?.as_dvec3().try_normalize()
 }
 
-/// What is kept of the kernel. One that turns with the eye has no axes for lines to refer to.
+/// The part of the kernel that is kept. One that turns with the eye has no axes for lines to refer to.
 fn clip(cloud: &PointCloud, index: usize) -> Clip {
     let clip = cloud.clips.as_ref().and_then(|clips| clips.get(index));
     normal(cloud, index).and(clip).copied().unwrap_or(Clip::NONE)
@@ -303,13 +303,13 @@ fn tangents(
     [u * radius, v * radius]
 }
 
-/// What draws a regular splat, and the height of its Gaussian.
+/// The shape that draws a regular splat, and the height of its Gaussian.
 fn shape(filter: Filter, disk: &Disk, cutoff: f64, lowpass_px: f64) -> (Shape, f64) {
     let affine = disk.affine();
     let amplitude = |gaussian: &Gaussian| match gaussian.amplitude(lowpass_px) {
         _ if lowpass_px == 0.0 => 1.0,
         thin if thin < LEAST_AMPLITUDE => LEAST_AMPLITUDE,
-        // What is not a number stays so, and covers nothing.
+        // NaN stays NaN, and covers nothing.
         amplitude => amplitude,
     };
     let image = |gaussian: Gaussian| (Shape::Image(gaussian), amplitude(&gaussian));
@@ -383,7 +383,7 @@ fn swept_box(view: &View, (centre, [u, v]): (DVec3, [DVec3; 2]), radius: f64) ->
 fn clamped_box(view: &View, low: DVec2, high: DVec2) -> [usize; 4] {
     let range = |low: f64, high: f64, size: u32| {
         let size = f64::from(size);
-        // What is not a number, after an overflow, spans the frame.
+        // NaN, after an overflow, spans the frame.
         let low = if low > 1.0 { (low - 1.0).min(size) } else { 0.0 };
         let high = if high < size - 1.0 { (high + 1.0).max(0.0) } else { size };
         (low.floor() as usize, high.ceil() as usize)

@@ -99,7 +99,7 @@ fn a_circle_seen_head_on_covers_a_circle() {
     for filter in FILTERS {
         for (splats, deviation) in [
             (sharp(filter), 2.5),
-            // What the filter adds is blended where another is seen.
+            // The filter's margin is blended where another splat is seen.
             (Splats { prefilter: true, ..sharp(filter) }, 2.5),
             (Splats { width: 2.0, cutoff: 1.5, ..sharp(filter) }, 5.0),
         ] {
@@ -180,7 +180,7 @@ fn filters_agree_on_what_is_small_and_the_amplitude_is_the_share_of_the_area() {
             let disk = Disk::new(centre, [u * scale, v * scale], &view());
             (disk.affine(), disk.perspective(2.0))
         };
-        // What differs is of second order in the size, in proportion to what there is.
+        // The relative difference is of second order in the size.
         let difference = |scale: f64| {
             let (affine, perspective) = gaussians(scale);
             let extents = affine.half_extent_px(2.0, 0.0) - perspective.half_extent_px(2.0, 0.0);

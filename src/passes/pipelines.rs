@@ -154,7 +154,7 @@ impl Pipelines {
     /// not there before.
     ///
     /// # Errors
-    /// What the shader or `check` refuses; the variant is forgotten then.
+    /// The error of the shader or of `check`; the variant is forgotten then.
     pub(super) fn build(
         &self,
         gpu: &Gpu,

@@ -73,7 +73,7 @@ pub enum Launch {
     Listed(Listed),
 }
 
-/// What passes over the lists of point trees are launched for; the numbers are those of `shared/chosen.wgsl`.
+/// Launches of passes over the lists of point trees; the numbers are those of `shared/chosen.wgsl`.
 #[derive(Clone, Copy)]
 pub enum Listed {
     Place = 0,
@@ -147,7 +147,7 @@ impl<'a, 'c> Recorder<'a, 'c> {
         ("HIDES", u32::from(self.task.hides()))
     }
 
-    /// What decides whether a node of a point tree is drawn, as overrides.
+    /// Overrides that decide whether a node of a point tree is drawn.
     pub fn tree_constants(&self) -> [(&'static str, u32); 2] {
         [("MEASURE", self.task.measure()), ("SPLIT", u32::from(self.task.splits_errors()))]
     }

@@ -33,7 +33,7 @@ impl Reconstruction {
             }
             Reconstruct::Splats => Reconstruction::Splats(Splats {
                 blend: settings.blend.unwrap_or(scene.blend),
-                // What is coloured after it is blended is lit after it is blended.
+                // Surfaces that are coloured after blending are lit after blending.
                 shading: match settings.recolors() {
                     true => Shading::Deferred,
                     false => settings.shading.unwrap_or(scene.shading),

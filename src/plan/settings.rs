@@ -87,7 +87,7 @@ macro_rules! settings {
             /// Frame that [`Reconstruct::Auto`] decides for, where that is another than the frame itself.
             #[serde(skip)]
             pub decide_for: Option<StillFrame>,
-            /// What `auto` does before normals and kernels are there.
+            /// How `auto` draws before normals and kernels are there.
             #[serde(skip)]
             pub wait: Wait,
         }
@@ -169,7 +169,7 @@ settings! {
         needs: [TREES, Rule::new("reconstruct", SPLATS.is, "points are selected by their size alone")],
         useful_with: [SURELY_SPLATS]
     }
-    /// What the colours of surfaces represent.
+    /// Meaning of the colours of surfaces.
     color_by: ColorBy => ColorBy, once "paint" {
         label: "Colours", kind: SettingKind::own::<ColorBy>(), needs: [TREES.for_value("levels")], useful_with: [COLORS]
     }
@@ -190,7 +190,7 @@ settings! {
     color_most: ColorBound => Option<ColorBound> {
         label: "Last colour at", kind: ColorBound::kind(), needs: [MAPPED], useful_with: [COLORS]
     }
-    /// What samples are drawn as. The receipt says what `auto` chose and why.
+    /// How samples are drawn. The receipt says what `auto` chose and why.
     reconstruct: Reconstruct => Reconstruct {
         label: "Samples as", kind: SettingKind::own::<Reconstruct>(), needs: [], useful_with: [SAMPLES]
     }

@@ -397,7 +397,7 @@ impl Residency {
     /// Whether `model` could ever be resident here.
     ///
     /// # Errors
-    /// What is too large, by how much.
+    /// The part that is too large, and by how much.
     pub fn check(&self, gpu: &Gpu, model: &SceneModel) -> Result<(), ResidencyError> {
         check_fits(gpu.max_binding_bytes(), self.budget, model, Part::Whole)
     }
@@ -505,7 +505,7 @@ pub enum Part {
 /// Whether a scene fits a budget and an adapter's largest binding.
 ///
 /// # Errors
-/// What is too large, by how much.
+/// The part of a scene that is too large, and by how much.
 pub fn check_fits(
     max_binding: u64,
     budget: u64,

@@ -28,7 +28,7 @@ pub enum Filter {
     Exact,
 }
 
-/// What happens where splats overlap.
+/// How overlapping splats are combined.
 #[derive(
     Clone,
     Copy,

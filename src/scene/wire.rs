@@ -147,7 +147,7 @@ pub(super) struct SplatsWire {
     /// How a kernel is taken to the image, `perspective` when absent.
     #[serde(default)]
     pub filter: Option<Filter>,
-    /// What happens where splats overlap, `weighted` when absent.
+    /// How overlapping splats are combined, `weighted` when absent.
     #[serde(default)]
     pub blend: Option<Blend>,
     /// When splats are lit, `deferred` when absent.

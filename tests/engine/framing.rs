@@ -86,7 +86,7 @@ fn default_view_fills_the_frame_whatever_the_content() {
     fills(&studio, "copies");
 }
 
-/// What clip boxes leave is shown as large as a whole scene would be; boxes that leave nothing are given as the reason.
+/// The part that clip boxes leave is shown as large as a whole scene would be; boxes that leave nothing are given as the reason.
 #[test]
 fn default_view_is_of_what_clip_boxes_show() {
     let studio = Studio::new();
@@ -189,7 +189,7 @@ fn named_cameras_keep_their_width_in_narrow_frames() {
     assert_eq!(camera(64, 64).fov_deg, Some(45.0));
     let expected = 2.0 * (2.0 * 22.5f64.to_radians().tan()).atan().to_degrees();
     assert!((camera(40, 80).fov_deg.unwrap() - expected).abs() < 1e-9);
-    // What a request says itself stays vertical.
+    // A field of view that the request gives stays vertical.
     let eye = DVec3::new(0.0, 0.0, 4.0);
     let pose =
         Pose::Upright { eye, target: DVec3::ZERO, lens: Lens::Perspective { fov_deg: 45.0 } };

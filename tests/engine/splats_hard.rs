@@ -353,7 +353,7 @@ fn two_million_splats_on_one_pixel_neither_wrap_nor_darken() {
     }
 }
 
-/// Of two million splats on one pixel half are black and half are white. The sums overflow at first, and whether they do must not
+/// Half of two million splats on one pixel are black and half are white. The sums overflow at first, and whether they do must not
 /// depend on the order.
 #[test]
 fn crowds_of_two_colors_are_their_mean_in_every_run() {

@@ -173,7 +173,7 @@ fn curls() -> Vec<(String, Curl)> {
     found
 }
 
-/// What is wrong with an address, by the contract.
+/// Faults of an address, by the contract.
 fn faults_of_address(contract: &Contract, method: &str, target: &str) -> Vec<String> {
     let (path, text) = target.split_once('?').unwrap_or((target, ""));
     match contract.operation(method, path) {

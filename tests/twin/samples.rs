@@ -89,7 +89,7 @@ fn samples_at_the_frames_edges() {
     }
     let frames = case("edges", &cloud).check(&view, &Tolerance::samples());
     let covered = frames.covered();
-    // Of the four samples around each corner one is inside. The ends of the rows share its pixel.
+    // One of the four samples around each corner is inside. The ends of the rows share its pixel.
     assert!(covered <= inside + 4 && covered >= inside - 12, "{covered} of {inside}");
     let on_edge = |i: usize| {
         let (x, y) = (i % 160, i / 160);

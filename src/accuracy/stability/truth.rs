@@ -38,7 +38,7 @@ pub enum TrueSide {
     Regular(Truth),
     Crosses,
     Behind,
-    /// So close to the border between the others that f32 cannot decide. Either answer is right.
+    /// Too close to the border between the others for f32 to decide. Either answer is right.
     Close,
 }
 

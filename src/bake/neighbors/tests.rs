@@ -122,7 +122,7 @@ fn no_cloud_costs_more_than_four_times_a_random_one() {
         let plane = (0..COUNT).map(|i| [(i / copies % 30) as f32, (i / copies / 30) as f32, 0.0]);
         clouds.push(("a plane of copies", plane.collect()));
     }
-    // Of every ten points, `share` lie in a cluster and the others anywhere.
+    // `share` of every ten points lie in a cluster and the others anywhere.
     let mut cloud = |share: usize, at: f32, size: f32| {
         let mut point = |i: usize| {
             let [x, y, z] = [random(), random(), random()];

@@ -17,7 +17,7 @@ use crate::assets::Mesh;
 pub(super) fn shortest(mesh: &Mesh, grid: &Grid, samples: &[Sample], sides: &[f64]) -> Vec<f64> {
     let index = Index::of(samples);
     let own = |number: u32| sides[samples[number as usize].triangle as usize];
-    // Of numbers that are not negative, the order of the bits is that of the values.
+    // Bits of numbers that are not negative have the order of the values.
     let shortest: Vec<AtomicU64> =
         (0u32..).take(samples.len()).map(|number| AtomicU64::new(own(number).to_bits())).collect();
     let visit = |facet: &Facet, cell: [i64; 2], _: &mut Vec<()>| {

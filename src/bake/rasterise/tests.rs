@@ -351,7 +351,7 @@ fn textures_are_averaged_and_cut_out() {
     for [r, g, _, a] in fine.cloud.colors.unwrap() {
         assert!(r.abs_diff(188) <= 2 && g.abs_diff(137) <= 2 && a == 255, "{r} {g} {a}");
     }
-    // Of squares as large as half the plane, two are cut out.
+    // Two squares as large as half the plane are cut out.
     let mut holes = checker(128);
     holes.rgba.iter_mut().for_each(|texel| texel[3] = texel[0]);
     let RasterisedMesh { cloud, triangles, .. } = with(holes);

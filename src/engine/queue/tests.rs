@@ -45,7 +45,7 @@ fn queue(capacity: usize) -> Queue<Job> {
     Queue::new(Shares { capacity, capacity_ns: u64::MAX, jobs: 0.1 })
 }
 
-/// What an idle device is asked to take.
+/// Jobs that an idle device is asked to take.
 fn idle(now: Instant) -> Moment {
     Moment {
         now,
@@ -79,7 +79,7 @@ enum Step {
         deadline: u8,
         pixels: u64,
     },
-    /// Of a client's waiting jobs, by its place among them.
+    /// A waiting job of a client, by its place among them.
     Replace {
         client: u64,
         place: usize,
@@ -127,9 +127,9 @@ struct Model {
     queue: Queue<Job>,
     now: Instant,
     capacity: usize,
-    /// What waits, of each client.
+    /// Waiting jobs of each client.
     lanes: HashMap<Client, Vec<usize>>,
-    /// What was taken last and neither drawn nor put back.
+    /// Jobs that were taken last and neither drawn nor put back.
     last: Vec<Granted<Job>>,
     returned: Vec<usize>,
     handed_over: usize,

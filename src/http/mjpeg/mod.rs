@@ -48,7 +48,7 @@ pub const NAMES: Names = Names {
     without: &[("deadline_ms", "late frames are always left out")],
 };
 
-/// What a frame's query does not have.
+/// Parameters that a frame's query does not have.
 #[derive(Debug, Default, PartialEq, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 pub struct ScreeningParams {

@@ -37,7 +37,7 @@ pub enum SettingKind {
     Flag,
     /// Text of a form of its own.
     Text {
-        /// What holds where it is not given, in words.
+        /// The default, in words.
         default: &'static str,
         /// The form, in words.
         accepted: &'static str,

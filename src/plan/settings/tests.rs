@@ -100,7 +100,7 @@ fn what_does_not_go_together_is_refused() {
     );
     assert_eq!(refused("max_error_px=2").1, "no value, or a value together with `lod=spt`");
     assert_eq!(refused("lod=spt&max_error_px=65").1, "0.05 to 64 pixels");
-    // What changes nothing is no fault.
+    // A setting that changes nothing is no fault.
     for harmless in ["error_mode=unified", "color_by=colors", "lod=full&reconstruct=auto"] {
         assert_eq!(given(harmless).resolve().unwrap(), Settings::default());
     }

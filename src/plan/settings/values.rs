@@ -12,7 +12,7 @@ use crate::scene::fields::SceneField;
 use crate::scene::name::Name;
 use crate::scene::{Blend, Discs, EyeDome, Filter, Shading, Splats, color};
 
-/// What a frame waits for whose samples lack normals or kernels, where it is left open how they are drawn.
+/// How long a frame waits for normals and kernels that its samples lack, where it is left open how they are drawn.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema,
 )]
@@ -106,7 +106,7 @@ impl Settings {
         name.parse().ok()
     }
 
-    /// What colours surfaces, if it is not their own colours; `up` and `heights` are the scene's up direction and its least and largest
+    /// The value that colours surfaces, if it is not their own colours; `up` and `heights` are the scene's up direction and its least and largest
     /// height along it.
     pub fn recolor(
         &self,
@@ -446,7 +446,7 @@ pub enum Lod {
     /// Every sample and triangle.
     #[default]
     Full,
-    /// What the accepted error asks for, from sequential point trees (Dachsbacher et al. 2003).
+    /// As fine as the accepted error asks for, from sequential point trees (Dachsbacher et al. 2003).
     Spt,
 }
 
@@ -475,7 +475,7 @@ pub enum ErrorMode {
     Split,
 }
 
-/// What the colours of surfaces represent.
+/// Meaning of the colours of surfaces.
 #[derive(
     Clone,
     Copy,
