@@ -2,7 +2,7 @@
 //!include shared/frame
 //!include shared/scene
 //!include shared/octahedral
-//!include shared/clip_boxes
+//!include shared/clipping
 //!include VISIBILITY
 //!include NODES
 

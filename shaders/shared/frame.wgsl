@@ -83,7 +83,7 @@ struct Frame {
     // The scalar field that colours samples, among those of the scene.
     field: u32,
     field_count: u32,
-    clip_boxes: array<ClipBox, 8>,
+    clips: array<ClipBox, 8>,
 }
 
 @group(0) @binding(0) var<uniform> frames: array<Frame, 16>;

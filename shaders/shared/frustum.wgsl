@@ -1,6 +1,6 @@
 // Boxes in camera space: their bounds, and the test against the view frustum.
 //!include shared/stretch
-//!include shared/clip_boxes
+//!include shared/clipping
 
 // Relative error that f32 may add while terms are summed, as a fraction of their magnitude.
 const SLACK: f32 = 4e-6;
@@ -130,14 +130,14 @@ fn box_is_shown(centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>, rad
     if CLIP_BOXES == 0u {
         return true;
     }
-    var found = meets_clip_box(vec2<bool>(CLIP_INSIDE == 0u, false), frame.clip_boxes[0], centre, x, y, z, radius);
-    if CLIP_BOXES > 1u { found = meets_clip_box(found, frame.clip_boxes[1], centre, x, y, z, radius); }
-    if CLIP_BOXES > 2u { found = meets_clip_box(found, frame.clip_boxes[2], centre, x, y, z, radius); }
-    if CLIP_BOXES > 3u { found = meets_clip_box(found, frame.clip_boxes[3], centre, x, y, z, radius); }
-    if CLIP_BOXES > 4u { found = meets_clip_box(found, frame.clip_boxes[4], centre, x, y, z, radius); }
-    if CLIP_BOXES > 5u { found = meets_clip_box(found, frame.clip_boxes[5], centre, x, y, z, radius); }
-    if CLIP_BOXES > 6u { found = meets_clip_box(found, frame.clip_boxes[6], centre, x, y, z, radius); }
-    if CLIP_BOXES > 7u { found = meets_clip_box(found, frame.clip_boxes[7], centre, x, y, z, radius); }
+    var found = meets_clip_box(vec2<bool>(CLIP_INSIDE == 0u, false), frame.clips[0], centre, x, y, z, radius);
+    if CLIP_BOXES > 1u { found = meets_clip_box(found, frame.clips[1], centre, x, y, z, radius); }
+    if CLIP_BOXES > 2u { found = meets_clip_box(found, frame.clips[2], centre, x, y, z, radius); }
+    if CLIP_BOXES > 3u { found = meets_clip_box(found, frame.clips[3], centre, x, y, z, radius); }
+    if CLIP_BOXES > 4u { found = meets_clip_box(found, frame.clips[4], centre, x, y, z, radius); }
+    if CLIP_BOXES > 5u { found = meets_clip_box(found, frame.clips[5], centre, x, y, z, radius); }
+    if CLIP_BOXES > 6u { found = meets_clip_box(found, frame.clips[6], centre, x, y, z, radius); }
+    if CLIP_BOXES > 7u { found = meets_clip_box(found, frame.clips[7], centre, x, y, z, radius); }
     return found.x && !found.y;
 }
 

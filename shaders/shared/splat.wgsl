@@ -32,7 +32,7 @@ override WEIGHTED: bool = true;
 const AFFINE: u32 = 0u;
 const EXACT: u32 = 2u;
 
-//!include shared/clip_boxes
+//!include shared/clipping
 //!include shared/kept
 // A clip line that keeps everything.
 const NO_LINE: u32 = 0x8000u;

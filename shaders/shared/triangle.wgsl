@@ -1,6 +1,6 @@
 // Rules on which the compute walk and the rasteriser must agree: where a corner falls on the 1/256-pixel grid, which way a
 // triangle faces, and its depth at a pixel.
-//!include shared/clip_boxes
+//!include shared/clipping
 
 // A coordinate this large in pixels goes to the rasteriser's clipper.
 const GUARD_PX: f32 = 1048576.0;

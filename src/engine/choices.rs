@@ -4,9 +4,9 @@ use super::FrameRequest;
 use super::loaded::Loaded;
 use super::state::EngineState;
 use crate::math::View;
+use crate::plan::Lod;
 use crate::plan::auto::{self, Choice};
 use crate::plan::detail::{DetailGrounds, why_full};
-use crate::plan::{ColorBy, Lod};
 
 /// Says why a frame with `lod=spt` is drawn at full detail; `None` for a frame that is drawn from point trees or asks for full detail.
 pub fn full_because(
@@ -17,7 +17,7 @@ pub fn full_because(
 ) -> Option<String> {
     let settings = &request.settings;
     // Levels are those of nodes.
-    let is_open = settings.lod == Lod::Spt && settings.color_by != ColorBy::Levels;
+    let is_open = settings.lod == Lod::Spt && !settings.shows_levels();
     if !is_open || !state.config.may_draw_in_full {
         return None;
     }
@@ -28,7 +28,7 @@ pub fn full_because(
         instances: counts.instances,
         pixels: u64::from(request.width) * u64::from(request.height),
         reconstruct: settings.reconstruct,
-        max_error_px: settings.max_error_px.px(),
+        accepted_px: settings.accepted_px(),
     };
     why_full(&grounds, || auto::usual_spacing_px(loaded.patches(), view))
 }
@@ -66,13 +66,12 @@ pub fn grounds(
     view: &View,
 ) -> auto::Grounds {
     let settings = &request.settings;
-    let max_error = settings.decide_for.map_or(settings.max_error_px, |still| still.max_error);
     let spacing_px = auto::spacing_px(loaded.patches(), view);
     auto::Grounds {
         lod: settings.lod,
         has_samples,
         spacing_px: spacing_px.map(|px| px * magnification(request)),
-        max_error_px: max_error.px(),
+        accepted_px: settings.decisive_error().px(),
         has_kernels: true,
         has_point_size: settings.has_point_size(),
     }

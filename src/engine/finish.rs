@@ -101,7 +101,7 @@ fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
             full_because: resolved.full_because.clone(),
             splats: used,
         },
-        max_error_px: applied.max_error_px,
+        accepted_px: applied.accepted_px(),
         legend: drawing
             .recolor
             .and_then(|recolor| Legend::of(&recolor, &resolved.scene.info.fields)),

@@ -12,7 +12,7 @@ use crate::bake::outline::{self, Outline};
 use crate::math::framing::{self, Look, Shown};
 use crate::math::{Bounds, Camera, Lens, View};
 use crate::residency::model::{ModelInstance, SceneModel};
-use crate::scene::clip_boxes::{ClipRegion, Side};
+use crate::scene::clipping::{ClipRegion, Side};
 
 /// Largest number of points that an outline keeps as they are.
 const FEW_POINTS: usize = 4096;

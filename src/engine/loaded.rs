@@ -31,7 +31,7 @@ use crate::residency::instances::{Instances, RunMeter};
 use crate::residency::model::{AssetModel, Extent, ModelInstance, SceneModel};
 use crate::residency::once::MadeOnce;
 use crate::residency::spacing;
-use crate::scene::clip_boxes::ClipRegion;
+use crate::scene::clipping::ClipRegion;
 use crate::scene::{CameraPath, InstancePaths, Node, Scene};
 
 /// How far splats usually reach, in distances between neighbouring samples.

@@ -4,8 +4,8 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use crate::plan::{FramePlan, Pass, UsedSettings};
-use crate::scene::color_map::{ColorMap, Recolor};
 use crate::scene::fields::{SceneField, class_color, class_name};
+use crate::scene::recolor::{ColorMap, Recolor};
 
 /// Fewer pixels than this are easily overlooked.
 const FEW_PIXELS: u64 = 20;
@@ -28,7 +28,8 @@ pub struct Receipt {
     pub camera: CameraReceipt,
     pub settings: UsedSettings,
     /// Error that the request accepts, in pixels.
-    pub max_error_px: Option<f64>,
+    #[serde(rename = "max_error_px")]
+    pub accepted_px: Option<f64>,
     /// Meaning of the colours, where they show values.
     pub legend: Option<Legend>,
     /// Passes that ran, in the order in which they first did, then those that were skipped.

@@ -351,7 +351,7 @@ impl Renderer {
             large_capacity: self.scratch.large_capacity(),
             walk_stride: self.scratch.walk_stride(),
             large_units_limit: self.large_units_limit,
-            max_error_px: drawing.settings.max_error_px.px(),
+            accepted_px: drawing.settings.accepted_px(),
             error_mode: drawing.settings.error_mode,
             levels: drawing.settings.shows_levels(),
             recolor: drawing.recolor,

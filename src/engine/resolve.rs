@@ -23,7 +23,7 @@ use crate::plan::{
     Settings, Wait, plan,
 };
 use crate::residency::model::SceneModel;
-use crate::scene::clip_boxes::ClipRegion;
+use crate::scene::clipping::ClipRegion;
 
 /// Result of [`super::Engine::resolve`].
 pub enum Resolution {
@@ -346,7 +346,7 @@ fn decide(
     let reconstruction = Reconstruction::new(&settings, &loaded.model.splats);
     let fuzzy = reconstruction.fuzzy().filter(|_| facts.counts.samples > 0);
     let fits = |splats| {
-        let accepted_px = if facts.trees { settings.max_error_px.px() } else { 0.0 };
+        let accepted_px = if facts.trees { settings.accepted_px() } else { 0.0 };
         Slabs::new(splats, &loaded.extent, &view, accepted_px).fit()
     };
     let refused = fuzzy.and_then(|splats| {

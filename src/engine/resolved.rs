@@ -18,8 +18,8 @@ use crate::plan::auto::Choice;
 use crate::plan::{Background, FramePlan, Reconstruct, Reconstruction, Settings};
 use crate::residency::model::{Extent, SceneModel};
 use crate::scene::Splats;
-use crate::scene::clip_boxes::ClipRegion;
-use crate::scene::color_map::Recolor;
+use crate::scene::clipping::ClipRegion;
+use crate::scene::recolor::Recolor;
 
 /// A checked request, with everything that was decided for it.
 #[derive(Clone)]

@@ -43,8 +43,8 @@ use rayon::prelude::*;
 
 use crate::assets::{Geometry, Material, Texture};
 use crate::math::View;
-use crate::scene::clip_boxes::ClipRegion;
-use crate::scene::color_map::Recolor;
+use crate::scene::clipping::ClipRegion;
+use crate::scene::recolor::Recolor;
 use crate::scene::{Discs, EyeDome, Light, MaterialSpec, Splats};
 
 use blend::Blended;

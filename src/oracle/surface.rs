@@ -4,8 +4,8 @@ use glam::{DVec2, DVec3};
 
 use crate::assets::{Geometry, Material, Mesh, PointCloud};
 use crate::math::View;
-use crate::scene::color_map::{NO_VALUE, Recolor, instance_color, share};
 use crate::scene::fields::{class_color, class_number};
+use crate::scene::recolor::{NO_VALUE, Recolor, instance_color, share};
 
 use super::color::linear_from_srgba8;
 use super::prepare::{Prepared, PreparedItem};

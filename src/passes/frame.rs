@@ -11,9 +11,9 @@ use crate::plan::{ErrorMode, FramePlan, Output, Pass, Reconstruction};
 use crate::residency::layout::{GpuClipBox, GpuFrame, two_floats};
 use crate::residency::model::{Extent, SceneModel};
 use crate::residency::{GROUP, ResidentScene};
-use crate::scene::clip_boxes::{ClipRegion, MOST_BOXES, Side};
-use crate::scene::color_map::{MOST_COLORS, Recolor, share};
+use crate::scene::clipping::{ClipRegion, MOST_BOXES, Side};
 use crate::scene::fields::SceneField;
+use crate::scene::recolor::{MOST_COLORS, Recolor, share};
 use crate::scene::{EyeDome, Shading};
 
 /// Frames of one scene that are drawn together: the model (resident already), where it is seen from, what is wanted.
@@ -41,7 +41,7 @@ pub struct FrameTask {
     /// Units of 4096 pixels that the boxes of large triangles may cover in all.
     pub large_units_limit: u32,
     /// Largest accepted error in pixels, for scenes of point trees.
-    pub max_error_px: f32,
+    pub accepted_px: f32,
     /// How that error is measured for splats.
     pub error_mode: ErrorMode,
     /// Nodes of point trees show their height above the leaves.
@@ -123,9 +123,9 @@ impl FrameTask {
     /// Largest error in pixels of nodes that are drawn.
     pub fn node_error_px(&self) -> f32 {
         if self.reconstruction.is_splats() {
-            return self.max_error_px;
+            return self.accepted_px;
         }
-        point_error_px(self.max_error_px, self.reconstruction.discs().is_some())
+        point_error_px(self.accepted_px, self.reconstruction.discs().is_some())
     }
 
     /// Whether the error of a node depends on the angle at which it is seen. Points cover one pixel at any angle, so it never does for them.
@@ -165,7 +165,7 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
     let (splats, fuzzy) = (task.reconstruction.splats(), task.reconstruction.fuzzy());
     let discs = task.reconstruction.discs();
     let slabs = fuzzy.map_or(Slabs::default(), |splats| {
-        let accepted_px = if task.model.trees { task.max_error_px } else { 0.0 };
+        let accepted_px = if task.model.trees { task.accepted_px } else { 0.0 };
         Slabs::new(splats, &task.extent, view, accepted_px)
     });
     let (ramp_count, ramp_colors) = ramp_colors(task);
@@ -224,12 +224,12 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         field: field_of(task, scene).map_or(0, |(number, _)| number as u32),
         field_count: scene.fields.len() as u32,
         padding: 0,
-        clip_boxes: task.clip.map_or_else(Default::default, |clip| clip_boxes(&clip, view)),
+        clips: task.clip.map_or_else(Default::default, |clip| clip_records(&clip, view)),
     }
 }
 
 /// The boxes of a region in a view's camera space.
-fn clip_boxes(clip: &ClipRegion, view: &View) -> [GpuClipBox; MOST_BOXES] {
+fn clip_records(clip: &ClipRegion, view: &View) -> [GpuClipBox; MOST_BOXES] {
     // Camera space looks along +z, with y down.
     let camera = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
     let rows =

@@ -18,7 +18,7 @@ use crate::gpu::timing::{Span, Timer};
 use crate::plan::{Pass, Per, Stage};
 use crate::residency::layout::{GpuDispatch, LOD_LAUNCHES};
 use crate::residency::{Residency, ResidentScene};
-use crate::scene::clip_boxes::Side;
+use crate::scene::clipping::Side;
 
 /// Workgroups in x before a dispatch takes a second row; as in the shaders.
 pub const DISPATCH_ROW: u32 = 32768;

@@ -116,7 +116,7 @@ fragments![
     "shared/ramp",
     "shared/fields_none",
     "shared/fields_shown",
-    "shared/clip_boxes",
+    "shared/clipping",
     "shared/turns",
     "shared/parts",
     "shared/tested",

@@ -32,7 +32,7 @@ pub struct Grounds {
     /// Distance between neighbouring samples in pixels, as [`spacing_px`] tells; `None` where none is in view.
     pub spacing_px: Option<f64>,
     /// Error that `lod=spt` may have.
-    pub max_error_px: f32,
+    pub accepted_px: f32,
     /// Kernels of all samples are there; without them nothing but points can be drawn.
     pub has_kernels: bool,
     /// The request says how large points are.
@@ -62,7 +62,7 @@ pub enum Reason {
     Fine,
     /// Nodes of point trees leave pixels empty, since errors of so many pixels are accepted.
     Coarse {
-        max_error_px: f32,
+        accepted_px: f32,
     },
 }
 
@@ -91,8 +91,8 @@ impl Choice {
             Reason::NothingInView => "no sample is in view".to_owned(),
             Reason::Dense | Reason::Sparse => apart(),
             Reason::Fine => "nodes of point trees are as small as pixels".to_owned(),
-            Reason::Coarse { max_error_px } => {
-                format!("nodes of point trees may be {max_error_px} px wide")
+            Reason::Coarse { accepted_px } => {
+                format!("nodes of point trees may be {accepted_px} px wide")
             }
         }
     }
@@ -100,13 +100,13 @@ impl Choice {
 
 /// Chooses between points and splats. Every frame with `reconstruct=auto` is decided here.
 pub fn choose(grounds: &Grounds) -> Choice {
-    let coarse = grounds.lod == Lod::Spt && f64::from(grounds.max_error_px) > COARSE_PX;
+    let coarse = grounds.lod == Lod::Spt && f64::from(grounds.accepted_px) > COARSE_PX;
     let (reconstruct, reason) = match grounds.spacing_px {
         _ if !grounds.has_samples => (Reconstruct::Points, Reason::NoSamples),
         _ if grounds.has_point_size => (Reconstruct::Points, Reason::PointSize),
         _ if !grounds.has_kernels => (Reconstruct::Points, Reason::NoKernels),
         Some(px) if px > DENSE_PX => (Reconstruct::Splats, Reason::Sparse),
-        _ if coarse => (Reconstruct::Splats, Reason::Coarse { max_error_px: grounds.max_error_px }),
+        _ if coarse => (Reconstruct::Splats, Reason::Coarse { accepted_px: grounds.accepted_px }),
         Some(_) => (Reconstruct::Points, Reason::Dense),
         // Trees of meshes have all the samples that can be told apart.
         None if grounds.lod == Lod::Spt => (Reconstruct::Points, Reason::Fine),
@@ -201,7 +201,7 @@ mod tests {
             lod: Lod::Full,
             has_samples: true,
             spacing_px,
-            max_error_px: 1.0,
+            accepted_px: 1.0,
             has_kernels: true,
             has_point_size: false,
         }
@@ -258,19 +258,19 @@ mod tests {
         assert_eq!(drawn(&early), (Reconstruct::Points, Reason::NoKernels));
         let sized = Grounds { has_point_size: true, ..grounds(Some(9.0)) };
         assert_eq!(drawn(&sized), (Reconstruct::Points, Reason::PointSize));
-        let coarse = Grounds { lod: Lod::Spt, max_error_px: 4.0, ..grounds(Some(0.1)) };
-        let reason = Reason::Coarse { max_error_px: 4.0 };
+        let coarse = Grounds { lod: Lod::Spt, accepted_px: 4.0, ..grounds(Some(0.1)) };
+        let reason = Reason::Coarse { accepted_px: 4.0 };
         assert_eq!(drawn(&coarse), (Reconstruct::Splats, reason));
         let of_mesh = Grounds { lod: Lod::Spt, ..grounds(None) };
         assert_eq!(drawn(&of_mesh), (Reconstruct::Points, Reason::Fine));
-        let fine = Grounds { max_error_px: 1.0, ..coarse };
+        let fine = Grounds { accepted_px: 1.0, ..coarse };
         assert_eq!(drawn(&fine), (Reconstruct::Points, Reason::Dense));
     }
 
     #[test]
     fn reasons_have_figures() {
         let because = |px| choose(&grounds(Some(px))).because();
-        let coarse = Grounds { lod: Lod::Spt, max_error_px: 2.5, ..grounds(None) };
+        let coarse = Grounds { lod: Lod::Spt, accepted_px: 2.5, ..grounds(None) };
         assert_eq!(choose(&coarse).because(), "nodes of point trees may be 2.5 px wide");
         assert_eq!(because(3.21), "samples lie up to 3.2 px apart in 90 % of what they cover");
         assert_eq!(because(0.512), "samples lie up to 0.51 px apart in 90 % of what they cover");

@@ -20,8 +20,8 @@ const LEAVES_FROM: f64 = 0.4;
 /// pixel stands for a node of the whole error. With three quarters of it, the checkerboard of the audit has 39 pixels in place of 676 (of
 /// 165,846) that full detail fills and points of one pixel's error leave empty, but distant copies of flat things are 1.8 times as bright
 /// as they are.
-pub fn point_error_px(max_error_px: f32, are_discs: bool) -> f32 {
-    if are_discs { (0.5 * max_error_px).max(max_error_px.min(1.0)) } else { max_error_px }
+pub fn point_error_px(accepted_px: f32, are_discs: bool) -> f32 {
+    if are_discs { (0.5 * accepted_px).max(accepted_px.min(1.0)) } else { accepted_px }
 }
 
 /// Facts that decide the choice.
@@ -33,7 +33,7 @@ pub struct DetailGrounds {
     pub instances: u64,
     pub pixels: u64,
     pub reconstruct: Reconstruct,
-    pub max_error_px: f32,
+    pub accepted_px: f32,
 }
 
 /// Why a frame with `lod=spt` is drawn at full detail; `None` where it is drawn from point trees. `spacing_px`: the usual distance between
@@ -56,7 +56,7 @@ pub fn why_full(
         ));
     }
     let spacing_px = spacing_px()?;
-    let error_px = grounds.max_error_px;
+    let error_px = grounds.accepted_px;
     let node_px = match grounds.reconstruct {
         Reconstruct::Points => point_error_px(error_px, error_px > 1.0),
         _ => error_px,
@@ -76,7 +76,7 @@ mod tests {
         instances: 1,
         pixels: 1 << 20,
         reconstruct: Reconstruct::Splats,
-        max_error_px: 1.0,
+        accepted_px: 1.0,
     };
 
     fn is_full(grounds: DetailGrounds, spacing_px: f64) -> bool {
@@ -86,11 +86,11 @@ mod tests {
     #[test]
     fn sparse_samples_are_drawn_in_full() {
         assert!(is_full(CLOUD, 0.5) && !is_full(CLOUD, 0.3));
-        let coarse = DetailGrounds { max_error_px: 4.0, ..CLOUD };
+        let coarse = DetailGrounds { accepted_px: 4.0, ..CLOUD };
         assert!(is_full(coarse, 1.7) && !is_full(coarse, 1.5));
         let points = DetailGrounds { reconstruct: Reconstruct::Points, ..coarse };
         assert!(is_full(points, 0.9) && !is_full(points, 0.7));
-        let fine = DetailGrounds { max_error_px: 0.5, ..points };
+        let fine = DetailGrounds { accepted_px: 0.5, ..points };
         assert!(is_full(fine, 0.25) && !is_full(fine, 0.15));
         assert!(why_full(&CLOUD, || None).is_none(), "nothing in view");
         let text = why_full(&CLOUD, || Some(0.5));

@@ -28,8 +28,8 @@ pub use values::{
 };
 
 use crate::math::Projection;
-use crate::scene::clip_boxes::ClipBoxes;
-use crate::scene::color_map::ColorMap;
+use crate::scene::clipping::ClipBoxes;
+use crate::scene::recolor::ColorMap;
 use crate::scene::{Blend, Filter, Shading};
 
 /// Samples are drawn as splats, or may be.
@@ -149,7 +149,7 @@ settings! {
     /// Boxes that the scene is clipped with, separated by `;`. `x,y,z,x,y,z` is a box's least and largest corner, and `*` leaves a bound open.
     /// A frame shows what lies in any box, or everything if all boxes are `outside:` boxes, except what lies in an `outside:` box.
     clip_boxes: ClipBoxes => Option<ClipBoxes> {
-        label: "Clip boxes", kind: text::clip_boxes(), needs: [], useful_with: []
+        label: "Clip boxes", kind: text::boxes(), needs: [], useful_with: []
     }
     /// Top-level node in whose coordinates the boxes are, and with which they move; the scene by default.
     clip_node: Name => Option<Name> {

@@ -2,7 +2,7 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::scene::clip_boxes::MOST_BOXES;
+use crate::scene::clipping::MOST_BOXES;
 
 /// `Instance` of `shared/scene.wgsl`.
 #[repr(C)]
@@ -285,7 +285,7 @@ pub struct GpuFrame {
     pub field_count: u32,
     /// The boxes begin at a multiple of 16 bytes.
     pub padding: u32,
-    pub clip_boxes: [GpuClipBox; MOST_BOXES],
+    pub clips: [GpuClipBox; MOST_BOXES],
 }
 
 /// An f64 as the sum of two f32: 48 bits of mantissa.
@@ -442,7 +442,7 @@ mod tests {
                     focus,
                     field,
                     field_count,
-                    clip_boxes
+                    clips
                 ),
             ],
         );

@@ -11,9 +11,8 @@
 //! what its camera is at any time.
 
 mod assets;
-pub mod clip_boxes;
+pub mod clipping;
 pub mod color;
-pub mod color_map;
 mod effects;
 pub mod fields;
 mod graph;
@@ -23,6 +22,7 @@ mod load;
 pub mod name;
 pub mod path;
 pub mod random;
+pub mod recolor;
 mod splats;
 #[cfg(test)]
 mod tests;

@@ -33,7 +33,7 @@ fn what_a_tree_cannot_save_is_drawn_in_full() {
         let used = serde_json::to_value(&frame.receipt.settings).unwrap();
         assert_eq!(used["lod"], json!("full"));
         assert!(used["full_because"].as_str().is_some_and(|why| !why.is_empty()), "{used}");
-        assert_eq!((frame.receipt.max_error_px, frame.receipt.samples.accepted), (None, None));
+        assert_eq!((frame.receipt.accepted_px, frame.receipt.samples.accepted), (None, None));
         let mut full = request.clone();
         full.settings.lod = Lod::Full;
         same(&frame.bytes, &studio.bytes(&full), "full detail");

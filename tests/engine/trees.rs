@@ -254,7 +254,7 @@ fn less_is_drawn_the_more_may_be_wrong_and_full_detail_where_nothing_may() {
             let samples = &frame.receipt.samples;
             let (tested, accepted) = (samples.tested.unwrap(), samples.accepted.unwrap());
             assert!(accepted <= last && accepted <= tested, "{px} px: {samples:?}");
-            assert_eq!(frame.receipt.max_error_px, Some(px));
+            assert_eq!(frame.receipt.accepted_px, Some(px));
             last = accepted;
         }
         // Points are discs, whose nodes are half as large.

@@ -8,7 +8,7 @@ use pointillist::plan::{
     Edl, Lod, MaxError, Pass, PointSizePx, Reconstruct, Reconstruction, Settings,
 };
 use pointillist::scene::Filter;
-use pointillist::scene::clip_boxes::ClipRegion;
+use pointillist::scene::clipping::ClipRegion;
 use serde_json::json;
 
 use super::files::Shape;

@@ -6,7 +6,7 @@ use pointillist::math::View;
 use pointillist::oracle::{self, OracleScene};
 use pointillist::plan::{ColorBound, ColorBy, Edl, Pass, Reconstruct, Reconstruction, Settings};
 use pointillist::scene::Filter;
-use pointillist::scene::color_map::ColorMap;
+use pointillist::scene::recolor::ColorMap;
 use serde_json::json;
 
 use super::files::Shape;

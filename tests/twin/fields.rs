@@ -8,7 +8,7 @@ use pointillist::plan::{
     ColorBound, ColorBy, Edl, Lod, MaxError, Pass, Reconstruct, Reconstruction, Settings,
 };
 use pointillist::scene::Filter;
-use pointillist::scene::color_map::ColorMap;
+use pointillist::scene::recolor::ColorMap;
 use serde_json::json;
 
 use super::files::Shape;

@@ -11,7 +11,7 @@ use crate::encode::ImageFormat;
 use crate::engine::FrameRequest;
 use crate::http::params::FrameParams;
 use crate::http::problem::Problem;
-use crate::plan::{Lod, MaxError, Output, StillFrame};
+use crate::plan::{Lod, MaxError, Output};
 
 /// Shortest side of a moving frame.
 const LEAST_SIDE: u32 = 64;
@@ -33,7 +33,7 @@ pub struct Made {
     /// JPEG quality, for a JPEG.
     pub jpeg_quality: Option<u8>,
     /// Accepted error, with `lod=spt`.
-    pub max_error_px: Option<f32>,
+    pub accepted_px: Option<f32>,
 }
 
 impl Made {
@@ -42,7 +42,7 @@ impl Made {
         Made {
             format: request.format,
             jpeg_quality: (request.format == ImageFormat::Jpeg).then_some(request.quality),
-            max_error_px: (settings.lod == Lod::Spt).then(|| settings.max_error_px.px()),
+            accepted_px: (settings.lod == Lod::Spt).then(|| settings.accepted_px()),
         }
     }
 }
@@ -81,9 +81,8 @@ pub fn wanted(
         FrameParams { w: Some(side(still.width)), h: Some(side(still.height)), ..params.clone() };
     let mut request = still_request(id, &smaller)?;
     // The choice is made for the still frame that follows, so that points do not turn into splats when the pose stops.
-    let max_error = still.settings.max_error_px;
-    request.settings.decide_for = Some(StillFrame { height: still.height, max_error });
-    request.settings.max_error_px = moving_error(max_error, pace.coarseness);
+    let frame = still.settings.still_frame(still.height);
+    request.settings.stand_in_for(frame, moving_error(frame.max_error, pace.coarseness));
     // A client that asked for a format that browsers show can show a JPEG. For other formats this is unknown.
     let shown = matches!(request.format, ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Webp);
     if shown && request.output == Output::Color {
@@ -160,7 +159,7 @@ mod tests {
     fn moving_frames_of_point_trees_are_coarser_and_still_ones_are_not() {
         let error = |query: &str, coarseness| {
             let request = coarse(query, 0.25, coarseness).request;
-            Made::of(&request).max_error_px
+            Made::of(&request).accepted_px
         };
         assert_eq!(error("lod=spt", 1.0), Some(1.0));
         assert_eq!(error("lod=spt", 4.0), Some(4.0));
@@ -170,6 +169,6 @@ mod tests {
         assert_eq!(error("lod=full", 4.0), None);
         let pace = Pace { scale: 0.25, coarseness: 4.0, jpeg_quality: 60 };
         let still = wanted("s", &params("lod=spt"), Quality::Still, pace).unwrap();
-        assert_eq!(Made::of(&still.request).max_error_px, Some(1.0));
+        assert_eq!(Made::of(&still.request).accepted_px, Some(1.0));
     }
 }

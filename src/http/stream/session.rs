@@ -431,7 +431,7 @@ impl Session {
             scale: asked.scale,
             format: asked.made.format,
             jpeg_quality: asked.made.jpeg_quality,
-            max_error_px: asked.made.max_error_px,
+            accepted_px: asked.made.accepted_px,
             width: camera.width,
             height: camera.height,
             content_type: frame.content_type,

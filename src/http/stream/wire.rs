@@ -232,7 +232,8 @@ pub struct FrameHeader<'a> {
     /// Quality of a JPEG, 1 to 100; `null` for other formats.
     pub jpeg_quality: Option<u8>,
     /// Error bound of a frame of `lod=spt`, in its own pixels: as requested when still, and up to four times that while moving.
-    pub max_error_px: Option<f32>,
+    #[serde(rename = "max_error_px")]
+    pub accepted_px: Option<f32>,
     pub width: u32,
     pub height: u32,
     pub content_type: &'a str,

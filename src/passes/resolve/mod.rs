@@ -14,7 +14,7 @@ use super::shaders::Choices;
 use crate::plan::Pass;
 use crate::residency::Looks;
 use crate::residency::layout::FEW_LIGHTS;
-use crate::scene::color_map::Recolor;
+use crate::scene::recolor::Recolor;
 
 /// Pixels that a workgroup resolves; as in the shaders.
 pub const TILE: (u32, u32) = (64, 16);

@@ -1,7 +1,7 @@
 //! Settings that are text.
 
 use super::SettingKind;
-use crate::scene::clip_boxes::ClipBoxes;
+use crate::scene::clipping::ClipBoxes;
 use crate::scene::name::Name;
 
 /// The kind of a name.
@@ -14,7 +14,7 @@ pub(super) fn name(
 }
 
 /// The kind of `clip_boxes`.
-pub(super) fn clip_boxes() -> SettingKind {
+pub(super) fn boxes() -> SettingKind {
     SettingKind::Text {
         default: "none",
         accepted: "1 to 8 boxes `x,y,z,x,y,z`, `*` for an open bound, `outside:` before a box that hides, `;` between boxes",

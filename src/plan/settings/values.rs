@@ -7,9 +7,9 @@ use super::{Given, SettingKind, Settings};
 use crate::assets::fields::{CLASSIFICATION, INTENSITY, RETURN_NUMBER};
 use crate::plan::Reconstruction;
 use crate::plan::SceneFacts;
-use crate::scene::color_map::Recolor;
 use crate::scene::fields::SceneField;
 use crate::scene::name::Name;
+use crate::scene::recolor::Recolor;
 use crate::scene::{Blend, Discs, EyeDome, Filter, Shading, Splats, color};
 
 /// How long a frame waits for normals and kernels that its samples lack, where it is left open how they are drawn.
@@ -33,6 +33,13 @@ pub enum Wait {
 pub struct StillFrame {
     pub height: u32,
     pub max_error: MaxError,
+}
+
+impl Given {
+    /// Accepted error in pixels.
+    pub fn accepted_px(&self) -> Option<f64> {
+        self.max_error_px
+    }
 }
 
 impl Settings {
@@ -69,6 +76,27 @@ impl Settings {
         }
     }
 
+    /// Accepted error of `lod=spt` in pixels.
+    pub fn accepted_px(&self) -> f32 {
+        self.max_error_px.px()
+    }
+
+    /// A still frame of these settings.
+    pub fn still_frame(&self, height: u32) -> StillFrame {
+        StillFrame { height, max_error: self.max_error_px }
+    }
+
+    /// Makes these the settings of a frame that stands in for a still one and may have another error. `auto` decides for the still one.
+    pub fn stand_in_for(&mut self, still: StillFrame, error: MaxError) {
+        self.decide_for = Some(still);
+        self.max_error_px = error;
+    }
+
+    /// The accepted error for which `auto` decides how samples are drawn.
+    pub fn decisive_error(&self) -> MaxError {
+        self.decide_for.map_or(self.max_error_px, |still| still.max_error)
+    }
+
     /// Whether points are larger than a pixel.
     pub fn has_point_size(&self) -> bool {
         self.point_size_px != PointSizePx::default() || self.point_size.get() > 0.0
@@ -78,7 +106,7 @@ impl Settings {
     /// pixel are discs as well, of the size of what they stand for.
     pub fn discs(&self) -> Option<Discs> {
         let (diameter_px, diameter) = (self.point_size_px.get(), self.point_size.get());
-        let has_large_nodes = self.lod == Lod::Spt && self.max_error_px.px() > 1.0;
+        let has_large_nodes = self.lod == Lod::Spt && self.accepted_px() > 1.0;
         let is_larger = self.has_point_size() || has_large_nodes;
         (self.reconstruct == Reconstruct::Points && is_larger)
             .then_some(Discs { diameter_px, diameter })
@@ -467,7 +495,7 @@ pub enum Lod {
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub enum ErrorMode {
-    /// The same from every angle, so that `max_error_px` holds everywhere
+    /// The same from every angle, so that the accepted error holds everywhere
     #[default]
     Unified,
     /// By the angle to the surface: fewer nodes. Where a surface ends and is seen at an angle, it may reach sideways up to twice as

@@ -1,4 +1,4 @@
-// Boxes that the scene is clipped with; `crate::scene::clip_boxes` says what is shown.
+// Boxes that the scene is clipped with; `crate::scene::clipping` says what is shown.
 
 fn in_clip_box(clip: ClipBox, place: vec3<f32>) -> bool {
     let at = vec3<f32>(dot(clip.x.xyz, place), dot(clip.y.xyz, place), dot(clip.z.xyz, place));
@@ -17,13 +17,13 @@ fn place_is_shown(place: vec3<f32>) -> bool {
     if CLIP_BOXES == 0u {
         return true;
     }
-    var found = with_clip_box(vec2<bool>(CLIP_INSIDE == 0u, false), frame.clip_boxes[0], place);
-    if CLIP_BOXES > 1u { found = with_clip_box(found, frame.clip_boxes[1], place); }
-    if CLIP_BOXES > 2u { found = with_clip_box(found, frame.clip_boxes[2], place); }
-    if CLIP_BOXES > 3u { found = with_clip_box(found, frame.clip_boxes[3], place); }
-    if CLIP_BOXES > 4u { found = with_clip_box(found, frame.clip_boxes[4], place); }
-    if CLIP_BOXES > 5u { found = with_clip_box(found, frame.clip_boxes[5], place); }
-    if CLIP_BOXES > 6u { found = with_clip_box(found, frame.clip_boxes[6], place); }
-    if CLIP_BOXES > 7u { found = with_clip_box(found, frame.clip_boxes[7], place); }
+    var found = with_clip_box(vec2<bool>(CLIP_INSIDE == 0u, false), frame.clips[0], place);
+    if CLIP_BOXES > 1u { found = with_clip_box(found, frame.clips[1], place); }
+    if CLIP_BOXES > 2u { found = with_clip_box(found, frame.clips[2], place); }
+    if CLIP_BOXES > 3u { found = with_clip_box(found, frame.clips[3], place); }
+    if CLIP_BOXES > 4u { found = with_clip_box(found, frame.clips[4], place); }
+    if CLIP_BOXES > 5u { found = with_clip_box(found, frame.clips[5], place); }
+    if CLIP_BOXES > 6u { found = with_clip_box(found, frame.clips[6], place); }
+    if CLIP_BOXES > 7u { found = with_clip_box(found, frame.clips[7], place); }
     return found.x && !found.y;
 }
