@@ -1,10 +1,12 @@
-// Surfaces are lit and written at once.
+// Surfaces are coloured by a value where that is asked for, lit, and written at once.
 //!include shared/light
+//!include shared/recolor
 
 fn finish(pixel: u32, at: vec2<u32>, surface: Surface) {
     var shown = surface;
+    shown.color = recoloured(surface, at);
     if SHADED {
-        shown.color = lit_color(surface, at);
+        shown.color = lit_color(shown, at);
     }
     pixels[pixel] = output_word(shown);
 }

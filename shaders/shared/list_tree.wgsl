@@ -44,7 +44,7 @@ fn part_value(code: u32) -> f32 {
     return select(exp2(f32(code) * -0.015625), 0.0, code == 0x7ffu);
 }
 
-// The same of a parent: 0 stands for no parent, whose error none is as large as.
+// The value of a parent's code: 0 stands for no parent, whose error none is as large as.
 fn parent_value(code: u32) -> f32 {
     return select(part_value(code), 1e30, code == 0u);
 }

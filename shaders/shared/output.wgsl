@@ -1,4 +1,4 @@
-// The frame's output: how a pixel's word encodes a surface. sRGB, depth and the kinds of output are known here alone.
+// The frame's output: how a pixel's word encodes a surface. Depths, normals and the kinds of output are known here alone.
 //!include shared/surface
 override OUTPUT: u32 = 0u;
 

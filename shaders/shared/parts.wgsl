@@ -11,7 +11,7 @@ struct Part {
     size: u32,
     // The code of the largest error of a node, and of the least error of a parent.
     error_all: u32,
-    // The same of sizes; PLAIN is a flag.
+    // Codes of sizes in place of errors; PLAIN is a flag.
     size_all: u32,
     // The longest distance of a node from its parent, in cells.
     delta: f32,

@@ -1,4 +1,4 @@
-// Colours of surfaces by a value, in place of their own; `crate::scene::color_map` has the same functions.
+// Colours of surfaces by a value, in place of their own; `crate::scene::recolor` has the same functions.
 //!include shared/ramp
 
 // A hue for an instance: neighbouring ids have different ones.

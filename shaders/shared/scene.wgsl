@@ -84,7 +84,7 @@ struct InstanceGroup {
     centre_hi: vec4<f32>,
     centre_lo: vec4<f32>,
     half: vec3<f32>,
-    // Of the nodes above them: the largest size and error, and the longest way there.
+    // Bounds of the nodes above them: the largest size and error, and the longest way there.
     size_parent: f32,
     first: u32,
     count: u32,

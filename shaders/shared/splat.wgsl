@@ -10,7 +10,7 @@
 //   kernel coordinates at pc + d:  s = (d × j_v) / N,  t = (j_u × d) / N,  N = j_u × j_v − β_u (d × j_v) − β_v (j_u × d)
 //   inverse depth there:           N / (z · j_u × j_v)
 //
-// So each of these is a linear function of the pixel, or a quotient of two. Where rays are parallel, z counts as 1 and β as 0 in all
+// Each of these is therefore a linear function of the pixel, or a quotient of two. Where rays are parallel, z counts as 1 and β as 0 in all
 // but the last, and z itself is linear: z + u.z s + v.z t. The paper inverts the matrix of tangents and
 // centre instead, which fails for splats seen edge-on.
 

@@ -1,7 +1,7 @@
-// The resolved surface: what a pixel shows, before light and effects. Every resolve pass makes one, and `finish` takes it: it writes the
+// The resolved surface: what a pixel shows, before light and effects. Resolve passes make one, and `finish` takes it: it writes the
 // output at once (shared/finish_written), or keeps the surface for passes that look at neighbouring pixels (shared/finish_kept).
 struct Surface {
-    // Linear light without lighting, kept as sRGB8; see `color_word`. Coverage in the highest byte.
+    // sRGB8 without lighting, see `color_word`; the highest byte is 255.
     color: u32,
     // World space, unit length, turned towards the eye; zero if the surface has none and is not lit.
     normal: vec3<f32>,
@@ -19,7 +19,7 @@ struct Surface {
 // Light is computed for each pixel, from its normal.
 override SHADED: bool = true;
 
-// Value that colours surfaces in `write_output`, in place of their own colours.
+// Value that colours surfaces in place of their own colours; see shared/recolor.
 override COLOR_BY: u32 = 0u;
 
 const BY_HEIGHT: u32 = 1u;

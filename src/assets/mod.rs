@@ -73,6 +73,9 @@ pub enum Geometry {
     Mesh(Mesh),
 }
 
+/// sRGB colour of points to which neither a colour nor another attribute gives one.
+pub const NEUTRAL: [u8; 4] = [204, 204, 204, 255];
+
 /// Samples without connectivity. Every optional vector is as long as `positions`.
 #[derive(Clone, Debug, Default)]
 pub struct PointCloud {

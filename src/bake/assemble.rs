@@ -7,14 +7,13 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::rc::Rc;
 
-use super::colors::NEUTRAL;
 use super::csg::{self, CsgError};
 use super::prepare::{self, AssetTraits};
 use super::upright::Shape;
 use super::{
     FeatureOptions, SampleOptions, detect_features, estimate_kernels, expected_samples, sample_mesh,
 };
-use crate::assets::{self, Asset, AssetError, Clip, Geometry, PointCloud, ReadOptions};
+use crate::assets::{self, Asset, AssetError, Clip, Geometry, NEUTRAL, PointCloud, ReadOptions};
 use crate::memory::Interrupt;
 use crate::scene::{AssetRef, AssetSource, FileSource, Scene, SceneError, Solid};
 

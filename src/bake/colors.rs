@@ -4,11 +4,9 @@ use rayon::prelude::*;
 
 use super::pack::CodeCounts;
 use crate::assets::fields::{CLASSIFICATION, INTENSITY, Scale};
-use crate::assets::{Field, PointCloud};
+use crate::assets::{Field, NEUTRAL, PointCloud};
 use crate::scene::fields::{class_color, class_number};
 
-/// Colour of points that neither intensity nor class distinguishes.
-pub(super) const NEUTRAL: [u8; 4] = [204, 204, 204, 255];
 /// Intensities below and above these fractions of all points become the darkest and the lightest grey.
 const STRETCH: [f64; 2] = [0.01, 0.99];
 /// The darkest grey, which stands out from the default background (`#202428`).

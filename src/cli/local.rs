@@ -140,7 +140,7 @@ pub fn show_baking(bar: &ProgressBar, event: &BakeEvent) {
             bar.set_message(format!("baking {asset}"));
         }
         BakeEvent::Phase { phase, done } => {
-            // The same number of steps as for reading.
+            // This part has as many steps as reading.
             bar.set_length(1000);
             bar.set_position((done * 1000.0) as u64);
             bar.set_message(phase.name());

@@ -14,7 +14,7 @@ use super::{EncodedFrame, EngineError, FrameRequest};
 
 /// Weight of a splat in a single pass; leaves room for 32 splats of full weight over a pixel.
 const FUZZY_WEIGHT: f32 = 255.0;
-/// The same where more splats overlap: 130 fit.
+/// The weight where more splats overlap: 130 fit.
 const LIGHT_FUZZY_WEIGHT: f32 = 63.0;
 
 pub type Reply = Result<Arc<EncodedFrame>, EngineError>;

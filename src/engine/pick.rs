@@ -154,13 +154,22 @@ fn check(request: &FrameRequest, pixels: &[[u32; 2]]) -> Result<(), EngineError>
             accepted: format!("1 to {MOST_PIXELS} pixels"),
         });
     }
-    for &[x, y] in pixels {
+    for (number, &[x, y]) in pixels.iter().enumerate() {
         for (parameter, value, side) in [("x", x, request.width), ("y", y, request.height)] {
-            if value >= side {
+            if value >= side && pixels.len() == 1 {
                 return Err(EngineError::BadParameter {
                     parameter,
                     reason: format!("{value} lies outside the frame"),
                     accepted: format!("0 to {}", side - 1),
+                });
+            }
+            if value >= side {
+                return Err(EngineError::BadParameter {
+                    parameter: "pixels",
+                    reason: format!(
+                        "{parameter} {value} of number {number}, counted from 0, lies outside the frame"
+                    ),
+                    accepted: format!("{parameter} of 0 to {}", side - 1),
                 });
             }
         }

@@ -336,8 +336,8 @@ fn decide(
             clip,
             instead_because,
             |reconstruction| {
-                let (edl, recolors) = (settings.eye_dome(), settings.recolors());
-                let frame = FrameFacts { output: request.output, reconstruction, recolors, edl };
+                let edl = settings.eye_dome();
+                let frame = FrameFacts { output: request.output, reconstruction, edl };
                 plan(&facts, &frame, &adapter)
             },
         )
@@ -405,7 +405,7 @@ pub fn goal(state: &EngineState, loaded: &Loaded, request: &FrameRequest) -> Opt
     goal_of(loaded, &in_full(request, full))
 }
 
-/// The same of a request whose level of detail is decided.
+/// Resolves a request whose level of detail is decided.
 fn goal_of(loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
     let Settings { lod, reconstruct, wait, .. } = request.settings;
     let output = needed_output(request);

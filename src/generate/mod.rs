@@ -30,7 +30,7 @@ pub enum Kind {
     Town,
     /// Sculpted solid with fine relief: a watertight mesh with normals and colours
     Relief,
-    /// The same solid as a dense point cloud with normals and colours
+    /// The solid of `relief` as a dense point cloud with normals and colours
     Statue,
     /// Painted amphora: a mesh with a 512² texture
     Textured,

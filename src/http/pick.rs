@@ -19,7 +19,7 @@ use crate::encode::ImageFormat;
 use crate::engine::pick::{Pick, request_of};
 use crate::engine::receipt::CameraReceipt;
 use crate::engine::{Origin, RequestId};
-use crate::json::whole;
+use crate::json::whole::{self, Whole};
 use crate::plan::Given;
 
 /// Largest body of a request.
@@ -56,7 +56,8 @@ pub struct PickRequest {
     #[serde(default, deserialize_with = "whole::optional")]
     y: Option<u32>,
     /// Several pixels instead of `x` and `y`: column and row of each.
-    pixels: Option<Vec<[u32; 2]>>,
+    #[schema(value_type = Option<Vec<[u32; 2]>>)]
+    pixels: Option<Vec<[Whole<u32>; 2]>>,
     #[serde(flatten)]
     #[schema(value_type = FrameParams)]
     frame: serde_json::Map<String, serde_json::Value>,
@@ -135,7 +136,9 @@ pub async fn pick_many(
     }
     let params = FrameParams::from_json(serde_json::Value::Object(request.frame), "")?;
     let pixels = match (request.pixels, request.x, request.y) {
-        (Some(pixels), None, None) => pixels,
+        (Some(pixels), None, None) => {
+            pixels.into_iter().map(|pair| pair.map(|Whole(number)| number)).collect()
+        }
         (None, x, y) => {
             let PixelParams { x, y } = PixelParams::of(x, y)?;
             vec![[x, y]]

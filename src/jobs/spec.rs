@@ -8,7 +8,7 @@ use sha2::{Digest, Sha256};
 use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
 use crate::film::manifest::digits;
-use crate::plan::{Given, Output, Reconstruct, Settings, Wait};
+use crate::plan::{Edl, Given, Output, Reconstruct, Settings, Wait};
 
 /// A camera path of a scene, drawn frame by frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -69,10 +69,12 @@ struct StoredFrame {
 }
 
 impl From<StoredFrame> for FrameSpec {
-    /// Earlier versions stored settings without effect, and no way of drawing samples: such jobs get points.
+    /// Earlier versions stored settings without effect. Where they stored no way of drawing samples, those are points, and where they stored
+    /// nothing about eye-dome lighting, there is none.
     fn from(stored: StoredFrame) -> FrameSpec {
         let StoredFrame { width, height, format, quality, output, settings } = stored;
-        let settings = settings.or(&Settings::drawn_as(Reconstruct::Points).applied());
+        let earlier = Settings { edl: Edl::Off, ..Settings::drawn_as(Reconstruct::Points) };
+        let settings = settings.or(&earlier.applied());
         let settings = Settings::from(settings).applied();
         FrameSpec { width, height, format, quality, output, settings }
     }
@@ -168,6 +170,7 @@ pub mod tests {
             reconstruct: Reconstruct::Splats,
             filter: Some(Filter::Exact),
             prefilter: Some(false),
+            edl: Edl::Off,
             ..Settings::default()
         };
         let mut spec = spec("s");

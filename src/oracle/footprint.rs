@@ -151,7 +151,7 @@ impl Disk {
         (sound && scale > 0.0 && scale.is_finite()).then_some(gaussian)
     }
 
-    /// The same ellipse from the lines that touch it: `C* = F²(t_uᵀt_u + t_vᵀt_v) − pᵀp`, where p is (0, 0, 1).
+    /// The ellipse from the lines that touch it: `C* = F²(t_uᵀt_u + t_vᵀt_v) − pᵀp`, where p is (0, 0, 1).
     pub fn perspective_by_dual(&self, cutoff: f64) -> Gaussian {
         let [u, v] = self.tangents;
         let (a, b, c) = (DVec2::new(u.x, v.x), DVec2::new(u.y, v.y), DVec2::new(u.z, v.z));

@@ -193,7 +193,7 @@ fn phong_by_hand() {
     // n·l = ½; the mirrored light makes 120° with the view: no highlight.
     let head = [Light::Headlight { color: [2.0, 1.0, 1.0] }];
     near(lit(&head, tilted, 0.5), [1.0, 0.5 * green, 0.0, 1.0]);
-    // The same seen from behind: the normal turns towards the eye.
+    // Seen from behind, the normal turns towards the eye.
     near(lit(&head, -tilted, 0.5), [1.0, 0.5 * green, 0.0, 1.0]);
     // Head on: n·l = r·v = 1.
     near(lit(&head, Vec3::Z, 0.5), [3.0, green, 0.5, 1.0]);

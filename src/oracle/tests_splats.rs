@@ -345,7 +345,7 @@ fn odd_transforms_draw_sound_numbers() {
     let mirrored = linear([-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]);
     let sheared = linear([1.0, 0.5, 0.0], [0.3, 1.0, 0.0], [0.2, 0.0, 1.0]);
     for placed in [mirrored, sheared] {
-        // The same as the moved kernels, which need not be orthogonal.
+        // It equals the moved kernels, which need not be orthogonal.
         let moved = disks
             .iter()
             .map(|&[p, u, v]| [placed.transform_point3(p), placed.matrix3 * u, placed.matrix3 * v]);

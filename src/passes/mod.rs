@@ -18,6 +18,7 @@ mod reconstruct;
 mod record;
 mod recorder;
 mod resolve;
+mod samples;
 mod scratch;
 mod select;
 pub mod shaders;

@@ -8,8 +8,8 @@ use crate::passes::frame::output_number;
 use crate::passes::project::LANES;
 use crate::passes::recorder::DISPATCH_ROW;
 use crate::passes::resolve::TILE;
-use crate::passes::scratch::{DEPTHS_BYTES, MOST_ENTRIES};
-use crate::passes::select::{compact, cull, depth_pyramid, place};
+use crate::passes::scratch::{BLOCK_PX, BLOCK_WORDS, DEPTHS_BYTES, MOST_ENTRIES};
+use crate::passes::select::{compact, cull, place};
 use crate::passes::shaders::{Choices, composed};
 use crate::passes::slabs::SLABS;
 use crate::plan::{Output, TURNS};
@@ -75,8 +75,8 @@ fn what_is_hidden_is_asked_of_as_many() {
     let ask = module("select/cull_hidden");
     assert_eq!(scalar(&ask, "TURNS"), TURNS);
     assert_eq!(scalar(&ask, "PART") as usize, PART);
-    assert_eq!(scalar(&ask, "BLOCK_PX"), depth_pyramid::BLOCK_PX);
-    assert_eq!(scalar(&ask, "BLOCK_WORDS"), depth_pyramid::BLOCK_WORDS);
+    assert_eq!(scalar(&ask, "BLOCK_PX"), BLOCK_PX);
+    assert_eq!(scalar(&ask, "BLOCK_WORDS"), BLOCK_WORDS);
     assert_eq!(4 * u64::from(scalar(&ask, "DEPTHS_WORDS")), DEPTHS_BYTES);
     assert!(scalar(&ask, "DEPTHS_WORDS") > scalar(&ask, "DEPTH_BINS") + TURNS);
     // A place in the list of what is far has a slot below and a bin of depth above.

@@ -3,7 +3,6 @@
 use std::collections::HashMap;
 
 use super::frame::FrameTask;
-use super::select::depth_pyramid::{BLOCK_PX, BLOCK_WORDS};
 use crate::gpu::Gpu;
 use crate::gpu::buffer;
 use crate::plan::{FramePlan, Pass};
@@ -64,6 +63,10 @@ const MOST_BACKGROUNDS: usize = 32;
 
 /// Bytes that each pixel takes where splats are blended in a single pass: two words.
 pub const LAYERS_BYTES: u64 = 16;
+
+/// Side of a block of the hierarchical depth buffer, and the words of its record; as in `shared/pyramid`.
+pub const BLOCK_PX: u32 = 16;
+pub const BLOCK_WORDS: u32 = 17;
 
 /// Launches of a segment: all of its slots, those that are asked, those whose turn it is to be drawn.
 const PORTION_LAUNCHES: usize = 3;

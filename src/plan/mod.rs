@@ -128,8 +128,6 @@ pub struct FrameFacts {
     pub output: Output,
     /// How samples are drawn.
     pub reconstruction: Reconstruction,
-    /// Colours come from the resolved surface.
-    pub recolors: bool,
     /// Eye-dome lighting, where it is on.
     pub edl: Option<EyeDome>,
 }

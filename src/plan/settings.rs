@@ -255,6 +255,11 @@ fn read<T: DeserializeOwned>(name: &'static str, value: Value) -> Result<Option<
             (Value::String(_), Some(SettingKind::Text { .. })) => {
                 return unusable(name, error.to_string());
             }
+            (Value::String(text), Some(SettingKind::Number { .. }))
+                if text.parse::<f64>().is_ok() =>
+            {
+                return unusable(name, format!("\"{text}\" is a text, not a number"));
+            }
             (Value::String(text), _) => text,
             (other, _) => other.to_string(),
         };

@@ -53,7 +53,7 @@ macro_rules! pass_table {
             ResolveSplats        Compute resolve/resolve_splats        ""    [Resolve]           Frame     [NO_SAMPLES AS_POINTS FUZZY OPAQUE];
             ResolveSamples       Compute resolve/resolve_samples       ""    [Resolve]           Frame     [NO_SAMPLES BLENDED];
             ResolveTriangles     Compute resolve/resolve_triangles     ""    [Resolve]           Frame     [NO_TRIANGLES];
-            WriteOutput          Compute resolve/write_output          ""    [Resolve]           Frame     [NOT_COLOR UNCHANGED];
+            WriteOutput          Compute resolve/write_output          ""    [Resolve]           Frame     [NOT_COLOR NO_EFFECT];
             Identify             Compute resolve/identify              ""    [Resolve]           Frame     [NOT_PICKED];
         }
     };
@@ -144,7 +144,7 @@ reasons! {
     FUZZY: "splats are blended in a single pass", |f| f.frame.reconstruction.fuzzy().is_some();
     NOT_FUZZY: "splats are not blended in a single pass", |f| f.frame.reconstruction.fuzzy().is_none();
     BLENDED: "splats are blended", |f| f.scene.has(GeometryKind::Samples) && f.frame.reconstruction.blends();
-    UNCHANGED: "no effect and no value changes the colours of surfaces", |f| f.frame.edl.is_none() && !f.frame.recolors;
+    NO_EFFECT: "no effect reads neighbouring pixels", |f| f.frame.edl.is_none();
     NOT_COLOR: "the output is not color", |f| f.frame.output != super::Output::Color;
     IDS: "the output is id", |f| f.frame.output == super::Output::Id;
     // `FramePlan::with_identities` makes it run.

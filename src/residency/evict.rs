@@ -1,4 +1,4 @@
-//! Who leaves when there is no room: whole scenes, those used the longest ago, each with the assets that no other
+//! Eviction when there is no room: whole scenes leave, those used the longest ago first, each with the assets that no other
 //! scene draws. A scene's own lists count as much as its assets: with many instances they are the larger part.
 
 use std::collections::HashSet;

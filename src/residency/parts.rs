@@ -27,7 +27,7 @@ pub struct GpuPart {
     pub size: u32,
     /// The code of the largest error of a node, and above it the code of the least error of a parent.
     pub error_all: u32,
-    /// The same of sizes; the last bit says that each node is drawn in full wherever it is drawn at all, see [`PLAIN`].
+    /// Codes of sizes in place of errors; the last bit says that each node is drawn in full wherever it is drawn at all, see [`PLAIN`].
     pub size_all: u32,
     /// The longest distance of a node from its parent, in cells.
     pub delta: f32,

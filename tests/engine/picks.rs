@@ -231,7 +231,8 @@ fn pixels_outside_the_frame_are_refused() {
         Ok(_) => panic!("not refused"),
     };
     assert_eq!(refused(vec![[60, 0]]), ("x", "0 to 59".to_owned()));
-    assert_eq!(refused(vec![[59, 49], [0, 50]]), ("y", "0 to 49".to_owned()));
+    assert_eq!(refused(vec![[59, 50]]), ("y", "0 to 49".to_owned()));
+    assert_eq!(refused(vec![[59, 49], [0, 50]]), ("pixels", "y of 0 to 49".to_owned()));
     assert_eq!(refused(vec![]).0, "pixels");
     assert_eq!(refused(vec![[0, 0]; 4097]).0, "pixels");
 }

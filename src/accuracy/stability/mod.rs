@@ -67,6 +67,8 @@ pub struct Row {
     pub ours_outline: Judged,
     /// Kernel coordinates of the exact filter at points of the true outline.
     pub ours_exact: Judged,
+    /// Points of outlines that `ours_exact` judges.
+    pub exact_judged: u32,
     /// Points of outlines that `ours_exact` leaves out, because the disk is thinner there than rounding can resolve.
     pub exact_unresolved: u32,
     pub dual_difference: Compared,
@@ -303,9 +305,11 @@ impl Row {
             if f64::from(pixel.abs().max_element()) > GUARD_PX {
                 continue;
             }
-            let kernel = exact.kernel(number);
-            match kernel.and_then(|kernel| truth.kernel_error(pixel, kernel)) {
-                Some((error, bound)) => self.ours_exact.add(error, bound),
+            match truth.kernel_error(pixel, exact.kernel(number)) {
+                Some((error, bound)) => {
+                    self.exact_judged += 1;
+                    self.ours_exact.add(error, bound);
+                }
                 None => self.exact_unresolved += 1,
             }
         }

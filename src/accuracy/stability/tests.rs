@@ -50,12 +50,33 @@ fn the_report_holds_and_repeats() {
     }
     assert!(report.holds);
     assert_eq!(report, stability(3, 200).unwrap());
+    // Disks thinner than rounding can resolve are left to the outline.
+    let judged = report.rows.iter().filter(|row| row.exact_judged > 0).count();
+    assert!(judged >= 21, "{judged} classes");
     let named = |name: &str| report.rows.iter().find(|row| row.class == name).unwrap();
     assert_eq!(named("ordinary").regular, 200);
     assert!(named("ordinary").ours_outline.worst_px < 1e-2);
+    assert!(named("ordinary").exact_judged > 10 * named("ordinary").exact_unresolved);
     assert!(named("edge-on within 1e-12 rad").ours_box.worst_px < 1e-2);
     let crossing = named("about the camera plane");
     assert!(crossing.regular > 20 && crossing.regular < 180, "{crossing:?}");
+}
+
+/// Where the truth can tell kernel coordinates, a formula that gives none is wrong.
+#[test]
+fn a_filter_without_coordinates_does_not_hold() {
+    let mut random = SplitMix64::stream(9, 0);
+    let case = cases::classes()[0].draw(&mut random);
+    let TrueSide::Regular(truth) = truth::truth(&case.disk, case.cutoff, &case.lens) else {
+        panic!("the first class lies before the camera plane");
+    };
+    let mut judged = Judged::default();
+    for pixel in points_px(&TrueSide::Regular(truth)) {
+        if let Some((error, bound)) = truth.kernel_error(pixel, None) {
+            judged.add(error, bound);
+        }
+    }
+    assert!(!judged.holds(), "{judged:?}");
 }
 
 #[test]

@@ -196,9 +196,9 @@ impl Truth {
 
     /// The distance on screen, in pixels, from a pixel to the image of the coordinates `kernel` that a formula gave for it, and a
     /// bound on this distance by a running error analysis of Cramer's rule. The distance on screen measures the effect of an
-    /// error in `(s, t)` on an image, however thin the disk is. `None` where rounding the pixel's own coordinates already moves a
-    /// quarter of the disk's extent, as where the disk is thinner than 10⁻⁴ px.
-    pub fn kernel_error(&self, pixel: Vec2, kernel: DVec2) -> Option<(f64, f64)> {
+    /// error in `(s, t)` on an image, however thin the disk is. It is infinite if the formula gave none. `None` where rounding the pixel's own
+    /// coordinates already moves a quarter of the disk's extent, as where the disk is thinner than 10⁻⁴ px.
+    pub fn kernel_error(&self, pixel: Vec2, kernel: Option<DVec2>) -> Option<(f64, f64)> {
         let pixel = pixel.as_dvec2();
         let d = pixel - self.projected;
         let (x, y, z) = (self.x, self.y, self.z);
@@ -235,6 +235,7 @@ impl Truth {
         let relative = d.length() * (facing_error / facing.abs() + 4.0 * U);
         let bound = (relative + thrown / facing.abs()) / nearness + shift;
         // A factor of two for the neglected second order.
-        Some(((self.seen(kernel / self.cutoff) - d).length(), 2.0 * bound))
+        let error = |kernel: DVec2| (self.seen(kernel / self.cutoff) - d).length();
+        Some((kernel.map_or(f64::INFINITY, error), 2.0 * bound))
     }
 }

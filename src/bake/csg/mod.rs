@@ -22,8 +22,7 @@ use rayon::prelude::*;
 
 pub use self::place::transformed;
 use self::surface::Surface;
-use super::colors::NEUTRAL;
-use crate::assets::{Clip, Kernel, PointCloud};
+use crate::assets::{Clip, Kernel, NEUTRAL, PointCloud};
 use crate::memory::{Admission, Interrupt};
 use crate::scene::CsgOperation;
 

@@ -9,8 +9,7 @@ use super::{
     CHUNK, Grid, PackError, PackedChunk, PackedSamples, Sample, Shape, fields_of, finite, kernel,
     morton, order, pack_run, packed_values,
 };
-use crate::assets::{Kernel, PointCloud};
-use crate::bake::colors::NEUTRAL;
+use crate::assets::{Kernel, NEUTRAL, PointCloud};
 
 /// A cloud without clip lines that is being packed into chunks.
 pub(in crate::bake) struct Packing<'a> {

@@ -19,8 +19,7 @@ use super::{
     finite, morton, octahedral, octahedral_decode, order, rgba_word,
 };
 use crate::assets::fields::{MOST_WORDS, Scale};
-use crate::assets::{Clip, ClipLine, Field, Fields, Kernel, PointCloud};
-use crate::bake::colors::NEUTRAL;
+use crate::assets::{Clip, ClipLine, Field, Fields, Kernel, NEUTRAL, PointCloud};
 use crate::math::Bounds;
 
 /// Bytes of a sample.

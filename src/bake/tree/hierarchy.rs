@@ -93,7 +93,7 @@ pub fn build(
         let leaf = Node::leaf(
             cloud.positions[i],
             cloud.normals.as_ref().map_or(Vec3::ZERO, |normals| normals[i]),
-            cloud.colors.as_ref().map_or(super::super::colors::NEUTRAL, |colors| colors[i]),
+            cloud.colors.as_ref().map_or(crate::assets::NEUTRAL, |colors| colors[i]),
             &cloud.kernels.as_ref().map_or(Kernel::default(), |kernels| kernels[i]),
             cloud.is_clipped(i),
             stands.map_or(Measures::default(), |stands| stands[i]),

@@ -267,7 +267,7 @@ proptest! {
         let sum: f64 = jobs.iter().sum();
         prop_assert!((sum - share).abs() < 0.15 * share + 0.02, "{sum} of {share}");
         prop_assert!(jobs.iter().all(|of| *of > 0.35 * sum), "{jobs:?}");
-        // The same beside a stream, up to what a short batch of theirs is beside one of others.
+        // Beside a stream it is the same, up to what a short batch of theirs is beside one of others.
         let watched: Vec<Habit> = busy.iter().copied().chain([stream(100, cost_ms * MS)]).collect();
         let watched = Simulation::measure(&watched, share.min(0.2), 60 * SECOND);
         let of_jobs: f64 = watched.share_of_jobs();
@@ -330,7 +330,7 @@ proptest! {
     }
 }
 
-/// Who opens many streams has no more of the device than who opens one, or asks for frames.
+/// A client that opens many streams has no more of the device than who opens one, or asks for frames.
 #[test]
 fn streams_of_one_caller_share_what_is_his() {
     let of = |of, number| Habit { client: Client::Stream { of, number }, ..stream(0, 3 * MS) };
@@ -363,7 +363,7 @@ fn a_stream_beside_a_job_keeps_its_rate() {
     assert!(beside.share(1) > 0.6, "{}", beside.share(1));
 }
 
-/// Who asks for one frame after the other keeps most of that rate beside a job whose frames are as dear, or dearer: they get their share, and
+/// A client that asks for one frame after the other keeps most of that rate beside a job whose frames are as dear, or dearer: they get their share, and
 /// do not begin in the pause after each frame.
 #[test]
 fn one_frame_after_the_other_keeps_its_rate_beside_a_job() {

@@ -66,7 +66,7 @@ fn admit(queue: &mut Queue<Job>, client: Client, number: usize, cost_ns: u64) ->
 
 const MS: u64 = 1_000_000;
 
-/// The same cases on every machine.
+/// Cases are the same on every machine.
 fn config(cases: u32) -> ProptestConfig {
     ProptestConfig { cases, rng_seed: RngSeed::Fixed(0x51ea_0001), ..ProptestConfig::default() }
 }

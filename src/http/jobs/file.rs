@@ -6,6 +6,7 @@ use axum::body::Body;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
+use http_range_header::{ParsedRanges, SyntacticallyCorrectRange as Range, parse_range_header};
 use tokio::io::{AsyncReadExt, AsyncSeekExt};
 use tokio_util::io::ReaderStream;
 
@@ -43,26 +44,17 @@ enum Wanted {
 
 /// Interprets a `Range` header for a file of `length` bytes. Anything but a single range of bytes is ignored, as RFC 9110 says.
 fn wanted(range: Option<&str>, length: u64) -> Wanted {
-    let Some(set) = range.and_then(|range| range.trim().strip_prefix("bytes=")) else {
-        return Wanted::All;
+    let ranges = range.and_then(|range| parse_range_header(range.trim()).ok());
+    let ranges = ranges.map(ParsedRanges::into_ranges);
+    let end = length.saturating_sub(1);
+    let (first, last) = match ranges.as_deref() {
+        Some(&[Range::FromStart(first)]) => (first, end),
+        Some(&[Range::FromLast(count)]) if count > 0 => (length.saturating_sub(count), end),
+        Some(&[Range::FromLast(_)]) => return Wanted::None,
+        Some(&[Range::Indexed(first, last)]) => (first, last.min(end)),
+        _ => return Wanted::All,
     };
-    let Some((first, last)) = set.trim().split_once('-') else { return Wanted::All };
-    let (first, last) = (first.trim(), last.trim());
-    let is_number = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
-    if !is_number(first) || !is_number(last) {
-        return Wanted::All;
-    }
-    // A number with too many digits is beyond the end of every file.
-    let number = |text: &str| text.parse::<u64>().unwrap_or(u64::MAX);
-    let part = |first, last| if first < length { Wanted::Part(first, last) } else { Wanted::None };
-    match (first.is_empty(), last.is_empty()) {
-        (true, true) => Wanted::All,
-        (true, false) if number(last) == 0 => Wanted::None,
-        (true, false) => part(length.saturating_sub(number(last)), length.saturating_sub(1)),
-        (false, true) => part(number(first), length.saturating_sub(1)),
-        (false, false) if number(last) < number(first) => Wanted::All,
-        (false, false) => part(number(first), number(last).min(length.saturating_sub(1))),
-    }
+    if first < length { Wanted::Part(first, last) } else { Wanted::None }
 }
 
 /// Answers with a file, or with the part of it that the request asks for.

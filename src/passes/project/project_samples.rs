@@ -2,8 +2,8 @@
 
 use crate::bake::pack::GeometryKind;
 use crate::gpu::shader::ShaderError;
-use crate::passes::reconstruct::{is_tree, node_constants};
 use crate::passes::recorder::{Call, Recorder};
+use crate::passes::samples::{is_tree, node_constants};
 use crate::passes::shaders::Choices;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {

@@ -1,8 +1,8 @@
 //! Visibility of splats; large ones are listed.
 
 use crate::gpu::shader::ShaderError;
-use crate::passes::reconstruct::{is_clipped, is_tree, node_constants, splat_constants};
 use crate::passes::recorder::{Call, Recorder};
+use crate::passes::samples::{is_clipped, is_tree, node_constants, splat_constants};
 use crate::passes::shaders::Choices;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {

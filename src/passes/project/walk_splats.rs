@@ -2,8 +2,8 @@
 
 use super::{band_constant, walk};
 use crate::gpu::shader::ShaderError;
-use crate::passes::reconstruct::{is_clipped, is_tree, node_constants, splat_constants};
 use crate::passes::recorder::{Call, Recorder};
+use crate::passes::samples::{is_clipped, is_tree, node_constants, splat_constants};
 use crate::passes::shaders::Choices;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {

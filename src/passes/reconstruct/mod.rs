@@ -8,62 +8,15 @@ pub mod fuzzy_walked;
 use super::frame::output_number;
 use super::pipelines::Constants;
 use super::project::{band_constant, walk};
-use super::recorder::{Call, Recorder, Segment};
+use super::recorder::{Call, Recorder};
+use super::samples::{is_clipped, is_tree, node_constants, paint_constants, splat_constants};
 use super::shaders::Choices;
 use crate::gpu::shader::ShaderError;
-use crate::plan::{Output, Pass, Reconstruction};
-use crate::scene::{Filter, Shading};
+use crate::plan::{Output, Pass};
+use crate::scene::Shading;
 
 /// Samples that the sums of a pixel have room for.
 const SUMS_ROOM: u64 = 1 << 17;
-
-/// Number of a filter in shaders.
-pub fn filter_number(filter: Filter) -> u32 {
-    match filter {
-        Filter::Affine => 0,
-        Filter::Perspective => 1,
-        Filter::Exact => 2,
-    }
-}
-
-/// Overrides of `shared/splat`; `walked`: in a pass over the list of large splats.
-pub fn splat_constants(reconstruction: &Reconstruction, walked: bool) -> Constants {
-    if reconstruction.discs().is_some() {
-        let plain = ["FILTER", "PREFILTER", "GENERAL", "WEIGHTED"].map(|name| (name, 0));
-        return [&plain[..], &[("DISCS", 1)]].concat();
-    }
-    let Some(splats) = reconstruction.splats() else { return Constants::new() };
-    vec![
-        ("FILTER", filter_number(splats.filter)),
-        ("PREFILTER", u32::from(splats.prefilter)),
-        ("GENERAL", u32::from(walked || splats.filter == Filter::Exact)),
-        ("WEIGHTED", u32::from(reconstruction.weighted().is_some())),
-    ]
-}
-
-/// Whether a segment's samples carry clip lines.
-pub fn is_clipped(recorder: &Recorder, segment: Segment) -> bool {
-    segment.is_some_and(|index| recorder.scene.pages[index].kind.clipped)
-}
-
-/// Whether a segment's samples are nodes of point trees.
-pub fn is_tree(recorder: &Recorder, segment: Segment) -> bool {
-    segment.is_some_and(|index| recorder.scene.pages[index].kind.nodes)
-}
-
-/// Overrides of `shared/nodes_tree`, where a pass is made of it.
-pub fn node_constants(recorder: &Recorder, segment: Segment) -> Constants {
-    if !is_tree(recorder, segment) {
-        return Constants::new();
-    }
-    recorder.tree_constants().into()
-}
-
-/// Overrides of `shared/nodes_tree` for passes that see colours.
-pub fn paint_constants(recorder: &Recorder, segment: Segment) -> Constants {
-    let levels = u32::from(recorder.task.levels);
-    is_tree(recorder, segment).then_some(("LEVELS", levels)).into_iter().collect()
-}
 
 /// Whether splats are lit one by one.
 fn is_lit(recorder: &Recorder) -> bool {

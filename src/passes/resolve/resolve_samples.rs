@@ -3,8 +3,8 @@
 use super::{choices, constants, tiles};
 use crate::bake::pack::GeometryKind;
 use crate::gpu::shader::ShaderError;
-use crate::passes::reconstruct::{is_tree, paint_constants};
 use crate::passes::recorder::{Call, Recorder};
+use crate::passes::samples::{is_tree, paint_constants};
 use crate::passes::shaders::Choices;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {

@@ -495,7 +495,7 @@ pub enum Lod {
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub enum ErrorMode {
-    /// The same from every angle, so that the accepted error holds everywhere
+    /// Errors are the same from every angle, so that the accepted error holds everywhere
     #[default]
     Unified,
     /// By the angle to the surface: fewer nodes. Where a surface ends and is seen at an angle, it may reach sideways up to twice as
