@@ -1,4 +1,4 @@
-//! Estimates the distance between samples from their order alone.
+//! Estimates the distance between samples from their order alone, and that between triangles from their areas.
 //!
 //! Packed samples are sorted along a Morton curve, so that [`GROUP`] consecutive ones lie together. The two longer sides `a ≥ b`
 //! of their box tell how densely they cover what they lie on, about `√(a b / n)` on a surface and, seen from the side, in a
@@ -7,7 +7,7 @@
 
 use glam::{DAffine3, DVec3, IVec3};
 
-use super::pack::{PackedChunk, PackedSamples};
+use super::pack::{PackedChunk, PackedGeometry, PackedMesh, PackedSamples};
 
 /// Consecutive samples whose box is taken.
 const GROUP: usize = 32;
@@ -18,17 +18,17 @@ const GROUPS: usize = 8;
 /// Chunks of a geometry that are looked at.
 const CHUNKS: usize = 2048;
 
-/// Samples that lie together, and how far apart they are.
+/// Samples or triangles that lie together, and how far apart they are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Patch {
-    /// Middle of most of the samples.
+    /// Middle of most of them.
     pub centre: DVec3,
-    /// Distance from the middle within which most samples lie.
+    /// Distance from the middle within which most of them lie.
     pub radius: f64,
-    /// Distance between neighbouring samples at the median.
+    /// Distance between neighbouring samples at the median, or the side of a square as large as the mean triangle.
     pub spacing: f64,
-    /// Number of samples that the patch stands for.
-    pub samples: f64,
+    /// Number of samples or triangles that the patch stands for.
+    pub count: f64,
 }
 
 impl Patch {
@@ -41,13 +41,20 @@ impl Patch {
             centre: world_from_geometry.transform_point3(self.centre),
             radius: self.radius * longest,
             spacing: self.spacing * longest,
-            samples: self.samples,
+            count: self.count,
         }
     }
 }
 
-/// The patches of packed samples, at most `most`, in the samples' order.
-pub fn measure(samples: &PackedSamples, most: usize) -> Vec<Patch> {
+/// The patches of a geometry, at most `most`, in the order of its elements.
+pub fn measure(geometry: &PackedGeometry, most: usize) -> Vec<Patch> {
+    match geometry {
+        PackedGeometry::Samples(samples) => of_samples(samples, most),
+        PackedGeometry::Triangles(mesh) => of_triangles(mesh, most),
+    }
+}
+
+fn of_samples(samples: &PackedSamples, most: usize) -> Vec<Patch> {
     let step = samples.chunks.len().div_ceil(CHUNKS).max(1);
     let patches: Vec<Patch> = samples
         .chunks
@@ -55,10 +62,26 @@ pub fn measure(samples: &PackedSamples, most: usize) -> Vec<Patch> {
         .step_by(step)
         .filter_map(|chunk| {
             let patch = of_chunk(samples, chunk)?;
-            Some(Patch { samples: patch.samples * step as f64, ..patch })
+            Some(Patch { count: patch.count * step as f64, ..patch })
         })
         .collect();
     merged(&patches, most)
+}
+
+fn of_triangles(mesh: &PackedMesh, most: usize) -> Vec<Patch> {
+    let step = mesh.chunks.len().div_ceil(CHUNKS).max(1);
+    let of = |chunk: &PackedChunk| {
+        let [low, high] =
+            [chunk.origin, chunk.origin + chunk.extent].map(|cell| mesh.grid.position(cell));
+        let count = f64::from(chunk.count);
+        Patch {
+            centre: (low + high) * 0.5,
+            radius: (high - low).length() * 0.5,
+            spacing: (mesh.area_of(chunk) / count.max(1.0)).sqrt() * mesh.grid.step,
+            count: count * step as f64,
+        }
+    };
+    merged(&mesh.chunks.iter().step_by(step).map(of).collect::<Vec<_>>(), most)
 }
 
 /// Joins consecutive patches until there are no more than `most`.
@@ -83,13 +106,13 @@ fn of_chunk(samples: &PackedSamples, chunk: &PackedChunk) -> Option<Patch> {
                     centre: (low + high) * 0.5,
                     radius: (high - low).length() * 0.5,
                     spacing: spacing * samples.grid.step,
-                    samples: f64::from(chunk.count),
+                    count: f64::from(chunk.count),
                 }
             })
         })
         .collect();
-    let samples = f64::from(chunk.count);
-    (!found.is_empty()).then(|| Patch { samples, ..joined(&found) })
+    let count = f64::from(chunk.count);
+    (!found.is_empty()).then(|| Patch { count, ..joined(&found) })
 }
 
 /// Box and spacing of consecutive samples, in cells; `None` where all are at one place.
@@ -124,7 +147,7 @@ fn joined(patches: &[Patch]) -> Patch {
         // One in eight may lie far away from the others.
         radius: quantile(reach.collect(), 0.875),
         spacing: median(&|patch| patch.spacing),
-        samples: patches.iter().map(|patch| patch.samples).sum(),
+        count: patches.iter().map(|patch| patch.count).sum(),
     }
 }
 
@@ -152,7 +175,7 @@ mod tests {
     }
 
     fn patches(positions: Vec<DVec3>) -> Vec<Patch> {
-        measure(&pack_samples(&PointCloud { positions, ..Default::default() }).unwrap(), 64)
+        of_samples(&pack_samples(&PointCloud { positions, ..Default::default() }).unwrap(), 64)
     }
 
     /// The median over samples.
@@ -211,10 +234,10 @@ mod tests {
     fn patches_are_bounded_in_number_and_stand_for_all() {
         let found = patches(plane(DVec3::Z));
         assert!(found.len() <= 64);
-        assert_eq!(found.iter().map(|patch| patch.samples).sum::<f64>(), f64::from(COUNT));
+        assert_eq!(found.iter().map(|patch| patch.count).sum::<f64>(), f64::from(COUNT));
         assert_eq!(merged(&found, 1).len(), 1);
         let scaled = found[0].placed(&DAffine3::from_scale(DVec3::splat(3.0)));
         assert_eq!(scaled.spacing, 3.0 * found[0].spacing);
-        assert_eq!(scaled.samples, found[0].samples);
+        assert_eq!(scaled.count, found[0].count);
     }
 }

@@ -3,43 +3,57 @@
 use super::FrameRequest;
 use super::loaded::Loaded;
 use super::state::EngineState;
+use crate::bake::pack::GeometryKind;
 use crate::math::View;
-use crate::plan::Lod;
 use crate::plan::auto::{self, Choice};
-use crate::plan::detail::{DetailGrounds, why_full};
+use crate::plan::detail::{Detail, DetailGrounds, choose as choose_detail};
+use crate::plan::{Lod, Reconstruct, Settings};
 
-/// Says why a frame with `lod=spt` is drawn at full detail; `None` for a frame that is drawn from point trees or asks for full detail.
-pub fn full_because(
+/// Decides how a frame with `lod=spt` is drawn. Returns the request as it is drawn, and why at full detail where the request does not ask
+/// for that.
+pub fn with_detail(
     state: &EngineState,
     loaded: &Loaded,
     request: &FrameRequest,
     view: &View,
-) -> Option<String> {
+) -> (FrameRequest, Option<String>) {
+    let mut drawn = request.clone();
     let settings = &request.settings;
     // Levels are those of nodes.
     let is_open = settings.lod == Lod::Spt && !settings.shows_levels();
     if !is_open || !state.config.may_draw_in_full {
-        return None;
+        return (drawn, None);
     }
     let counts = loaded.facts.counts;
-    let grounds = DetailGrounds {
-        samples: counts.samples,
-        triangles: counts.triangles,
-        instances: counts.instances,
-        pixels: u64::from(request.width) * u64::from(request.height),
-        reconstruct: settings.reconstruct,
-        accepted_px: settings.accepted_px(),
+    let drawn_as = |lod, has_samples| {
+        let settings = Settings { lod, ..*settings };
+        if settings.reconstruct != Reconstruct::Auto {
+            return settings;
+        }
+        let at = FrameRequest { settings, ..request.clone() };
+        let reconstruct = choose_for(loaded, &at, has_samples, view).reconstruct;
+        Settings { reconstruct, ..settings }
     };
-    why_full(&grounds, || auto::usual_spacing_px(loaded.patches(), view))
-}
-
-/// Returns the request with the level of detail that it is drawn at.
-pub fn in_full(request: &FrameRequest, full: bool) -> FrameRequest {
-    let mut drawn = request.clone();
-    if full {
-        drawn.settings.lod = Lod::Full;
+    let choice = choose_detail(&DetailGrounds {
+        samples: loaded.patches(GeometryKind::Samples),
+        triangles: loaded.patches(GeometryKind::Triangles),
+        view,
+        elements: counts.samples + counts.triangles,
+        instances: counts.instances,
+        full: &drawn_as(Lod::Full, counts.samples > 0),
+        // Trees of meshes have samples as well.
+        tree: &drawn_as(Lod::Spt, true),
+    });
+    match choice {
+        Detail::Full { because } => {
+            drawn.settings.lod = Lod::Full;
+            (drawn, Some(because))
+        }
+        Detail::Tree { error } => {
+            drawn.settings.max_error_px = error;
+            (drawn, None)
+        }
     }
-    drawn
 }
 
 /// Chooses how samples are drawn where the request leaves it open, as if all normals and kernels were there.
@@ -66,7 +80,7 @@ pub fn grounds(
     view: &View,
 ) -> auto::Grounds {
     let settings = &request.settings;
-    let spacing_px = auto::spacing_px(loaded.patches(), view);
+    let spacing_px = auto::spacing_px(loaded.patches(GeometryKind::Samples), view);
     auto::Grounds {
         lod: settings.lod,
         has_samples,

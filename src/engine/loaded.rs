@@ -18,7 +18,7 @@ use super::{
     SceneInfo,
 };
 use crate::assets::Placement;
-use crate::bake::pack::Counts;
+use crate::bake::pack::{Counts, GeometryKind};
 use crate::bake::prepare;
 use crate::bake::spacing::Patch;
 use crate::bake::tree::Above;
@@ -48,7 +48,7 @@ pub struct Loaded {
     pub(super) order: u64,
     pub info: SceneInfo,
     /// See [`Loaded::patches`].
-    pub(super) patches: OnceLock<Vec<Patch>>,
+    pub(super) patches: [OnceLock<Vec<Patch>>; GeometryKind::ALL.len()],
     /// Hash of the description and of every file's content.
     pub digest: [u8; 32],
     pub(super) description: Scene,
@@ -178,7 +178,7 @@ pub fn build(
         outline: OnceLock::new(),
         order: before.map_or_else(next_uid, |(loaded, _)| loaded.order),
         info,
-        patches: OnceLock::new(),
+        patches: Default::default(),
         digest,
         description,
         nodes,
@@ -352,9 +352,9 @@ impl Loaded {
         (asset_name, placed.map_or("", |placed| &placed.name))
     }
 
-    /// Returns the positions and spacing of its samples in patches, measured on first use.
-    pub fn patches(&self) -> &[Patch] {
-        self.patches.get_or_init(|| spacing::patches(&self.model))
+    /// Returns the positions and spacing of its elements of one kind in patches, measured on first use.
+    pub fn patches(&self, kind: GeometryKind) -> &[Patch] {
+        self.patches[kind as usize].get_or_init(|| spacing::patches(&self.model, kind))
     }
 
     /// Returns the up direction.
@@ -403,7 +403,7 @@ impl Loaded {
         let clipped = clip.and_then(|clip| outline.clipped(clip));
         let outline = clipped.as_ref().unwrap_or(outline);
         let front = self.description.front.filter(|_| up_given.is_none());
-        let reach = SPLAT_REACH * spacing::usual(self.patches());
+        let reach = SPLAT_REACH * spacing::usual(self.patches(GeometryKind::Samples));
         let shown = match (lens, projection) {
             (Some(Lens::Orthographic { height }), _) => Shown::Orthographic(Some(height)),
             (_, Some(Projection::Orthographic)) => Shown::Orthographic(None),

@@ -7,7 +7,7 @@ use glam::{DAffine3, DVec3};
 use sha2::{Digest, Sha256};
 
 use super::bake_service::{BakeTicket, Goal};
-use super::choices::{choose_for, full_because, grounds, in_full, magnification};
+use super::choices::{choose_for, grounds, magnification, with_detail};
 use super::loaded::Loaded;
 use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
@@ -265,8 +265,7 @@ pub fn resolve_in(
         hook();
     }
     let checked = check(state, &loaded, &request)?;
-    let full_because = full_because(state, &loaded, &request, &checked.view);
-    let drawn = in_full(&request, full_because.is_some());
+    let (drawn, full_because) = with_detail(state, &loaded, &request, &checked.view);
     let baked = match goal_of(&loaded, &drawn) {
         None if drawn.settings.lod == Lod::Full => Ok((loaded.model.clone(), loaded.facts)),
         None => {
@@ -392,17 +391,17 @@ fn cost_key(request: &FrameRequest, settings: &Settings) -> CostKey {
     let FrameRequest { scene, width, height, output, .. } = request;
     let mut hasher = DefaultHasher::new();
     scene.hash(&mut hasher);
-    (*output as u8, settings.canonical()).hash(&mut hasher);
+    (*output as u8, settings.kind_of_cost()).hash(&mut hasher);
     CostKey { kind: hasher.finish(), pixels: u64::from(*width) * u64::from(*height) }
 }
 
 /// Returns what a bake has to make before the frame can be drawn; `None` if nothing is missing.
 pub fn goal(state: &EngineState, loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
-    let full = state.config.may_draw_in_full
-        && request.settings.lod == Lod::Spt
-        && posed(loaded, request)
-            .is_ok_and(|checked| full_because(state, loaded, request, &checked.view).is_some());
-    goal_of(loaded, &in_full(request, full))
+    match posed(loaded, request) {
+        Ok(checked) => goal_of(loaded, &with_detail(state, loaded, request, &checked.view).0),
+        // The frame is refused.
+        Err(_) => None,
+    }
 }
 
 /// Resolves a request whose level of detail is decided.

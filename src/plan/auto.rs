@@ -125,19 +125,15 @@ pub fn disc_px(spacing_px: Option<f64>) -> Option<f64> {
 /// Returns the spacing of neighbouring samples, in pixels, that [`DENSE_SHARE`] of the area covered by samples does not exceed. `None` if
 /// no patch is in view.
 pub fn spacing_px(patches: &[Patch], view: &View) -> Option<f64> {
-    spacing_of(DENSE_SHARE, patches, view)
-}
-
-/// Returns the spacing that half of the area does not exceed.
-pub fn usual_spacing_px(patches: &[Patch], view: &View) -> Option<f64> {
-    spacing_of(0.5, patches, view)
-}
-
-fn spacing_of(share: f64, patches: &[Patch], view: &View) -> Option<f64> {
-    let mut seen: Vec<(f64, f64)> =
-        patches.iter().filter_map(|patch| in_view(patch, view)).collect();
+    let pixels = f64::from(view.width) * f64::from(view.height);
+    let mut seen: Vec<(f64, f64)> = patches
+        .iter()
+        .filter_map(|patch| in_view(patch, view))
+        .map(|(px, count)| (px, (count * px.min(SPARSE_PX).powi(2)).min(pixels)))
+        .filter(|(_, covered)| *covered > 0.0)
+        .collect();
     seen.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-    let dense = share * seen.iter().map(|(_, weight)| weight).sum::<f64>();
+    let dense = DENSE_SHARE * seen.iter().map(|(_, weight)| weight).sum::<f64>();
     let mut sum = 0.0;
     let reached = seen.iter().find(|(_, weight)| {
         sum += weight;
@@ -146,8 +142,8 @@ fn spacing_of(share: f64, patches: &[Patch], view: &View) -> Option<f64> {
     reached.map(|(px, _)| *px)
 }
 
-/// The spacing of a patch in pixels, and how many pixels it covers of the image.
-fn in_view(patch: &Patch, view: &View) -> Option<(f64, f64)> {
+/// The spacing of a patch in pixels, and how many of its samples or triangles lie within the image, roughly. `None` if none does.
+pub fn in_view(patch: &Patch, view: &View) -> Option<(f64, f64)> {
     let at = view.to_view(patch.centre);
     let depth = -at.z;
     if depth.is_nan() || depth <= -patch.radius {
@@ -168,10 +164,8 @@ fn in_view(patch: &Patch, view: &View) -> Option<(f64, f64)> {
     };
     let x = view.principal_px.x + view.focal_px.x * at.x / depth;
     let y = view.principal_px.y - view.focal_px.y * at.y / depth;
-    let share = share(x, view.width) * share(y, view.height);
-    let pixels = f64::from(view.width) * f64::from(view.height);
-    let covered = (patch.samples * px.min(SPARSE_PX).powi(2) * share).min(pixels);
-    (covered > 0.0).then_some((px, covered))
+    let count = patch.count * share(x, view.width) * share(y, view.height);
+    (count > 0.0).then_some((px, count))
 }
 
 #[cfg(test)]
@@ -193,7 +187,7 @@ mod tests {
     }
 
     fn patch(centre: DVec3, spacing: f64) -> Patch {
-        Patch { centre, radius: 0.1, spacing, samples: 1000.0 }
+        Patch { centre, radius: 0.1, spacing, count: 1000.0 }
     }
 
     fn grounds(spacing_px: Option<f64>) -> Grounds {
@@ -235,14 +229,14 @@ mod tests {
             px > DENSE_PX,
             "an eleventh of the samples leaves holes in a third of the picture: {px}"
         );
-        let stray = Patch { centre: DVec3::ZERO, radius: 5.0, spacing: 1.0, samples: 5.0 };
+        let stray = Patch { centre: DVec3::ZERO, radius: 5.0, spacing: 1.0, count: 5.0 };
         let px = spacing_px(&ground.chain([stray]).collect::<Vec<_>>(), &view).unwrap();
         assert!((px - 0.4).abs() < 1e-3, "{px}");
     }
 
     #[test]
     fn what_holds_the_eye_is_in_view() {
-        let around = Patch { centre: DVec3::Z * 10.2, radius: 4.0, spacing: 0.01, samples: 1e5 };
+        let around = Patch { centre: DVec3::Z * 10.2, radius: 4.0, spacing: 0.01, count: 1e5 };
         assert!(spacing_px(&[around], &view(10.0, 1000)).unwrap() > DENSE_PX);
     }
 

@@ -50,7 +50,7 @@ fn dense_samples_and_levels_are_drawn_from_trees() {
     let studio = studio();
     let mut levels = tree("ball", 64, 1.0);
     levels.settings.color_by = ColorBy::Levels;
-    let coarse = tree("cloud", 512, 4.0);
+    let coarse = tree("cloud", 512, 8.0);
     assert!(studio.engine.must_bake(&levels) && studio.engine.must_bake(&coarse));
     for request in [levels, tree("cloud", 64, 1.0), coarse] {
         studio.engine.bake(&request).unwrap();

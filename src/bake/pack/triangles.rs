@@ -244,13 +244,14 @@ impl PackedMesh {
             .map(move |&word| corners(vertices, word).map(|cell| cell.as_dvec3()))
     }
 
+    /// Area of a chunk's triangles, in squares of grid cells.
+    pub(in crate::bake) fn area_of(&self, chunk: &PackedChunk) -> f64 {
+        self.triangles_of(chunk).map(|corners| area(&corners)).sum()
+    }
+
     fn area(&self) -> f64 {
         // Chunk by chunk in their order, so that the sum is the same on every machine.
-        let areas: Vec<f64> = self
-            .chunks
-            .par_iter()
-            .map(|chunk| self.triangles_of(chunk).map(|corners| area(&corners)).sum())
-            .collect();
+        let areas: Vec<f64> = self.chunks.par_iter().map(|chunk| self.area_of(chunk)).collect();
         areas.iter().sum()
     }
 }
