@@ -10,7 +10,7 @@ use super::out;
 use super::render::contents;
 use crate::encode::ImageFormat;
 use crate::engine::{BakedAsset, FrameRequest, Pose, SceneInfo};
-use crate::plan::{FramePlan, Output, Settings};
+use crate::plan::{FramePlan, Output, Settings, Wait};
 
 /// Options of `pointillist inspect`.
 #[derive(Args, Clone, Debug)]
@@ -50,17 +50,23 @@ pub fn run(args: &InspectArgs) -> Result<()> {
     args.scene.check_up()?;
     let (engine, mut scene) = args.scene.load(|_| ())?;
     scene.id.clone_from(&scene.name);
-    let frame = engine.resolve_blocking(FrameRequest {
+    let request = FrameRequest {
         scene: ID.to_owned(),
         pose: Pose::FIT,
         width: 1024,
         height: 1024,
-        settings: Settings::default(),
+        // Kernels tell what splats leave uncovered.
+        settings: Settings { wait: Wait::Whole, ..Settings::default() },
         output: Output::Color,
         format: ImageFormat::Png,
         quality: 90,
         deadline: None,
-    })?;
+    };
+    let bar = progress_bar();
+    bar.set_message("estimating normals and kernels");
+    engine.bake(&request)?;
+    bar.finish_and_clear();
+    let frame = engine.resolve_blocking(request)?;
     let trees = args.tree.then(|| {
         let bar = progress_bar();
         let baked = engine.bake_all(ID, |event| show_baking(&bar, &event));
