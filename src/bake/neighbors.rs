@@ -111,7 +111,7 @@ pub(super) fn settled(position: [f32; 3]) -> [f32; 3] {
 }
 
 /// More points at one place than the tree keeps.
-struct Crowd {
+struct SamePlace {
     /// Indices of the first [`COPIES`], ascending.
     kept: [u32; COPIES],
     /// The others, in the tree's order.
@@ -125,7 +125,7 @@ pub(super) struct PointTree {
     z: Vec<f32>,
     /// For each place in tree order the point's own index.
     order: Vec<u32>,
-    crowds: Vec<Crowd>,
+    same_places: Vec<SamePlace>,
     /// Points and boxes that searches for all points' neighbours have looked at.
     visited: AtomicU64,
     /// Boxes of all nodes: the root is 1, the children of `i` are `2 i` and `2 i + 1`.
@@ -140,7 +140,7 @@ pub(super) struct Neighbors<'a> {
     /// Place of the point itself in tree order.
     pub place: usize,
     /// A place in the tree with the point's coordinates.
-    seat: usize,
+    own: usize,
     keys: &'a [u64],
 }
 
@@ -164,7 +164,7 @@ impl Neighbors<'_> {
     }
 
     pub(super) fn position(&self) -> [f32; 3] {
-        self.tree.position(self.seat)
+        self.tree.position(self.own)
     }
 
     /// The neighbours' own indices.
@@ -196,11 +196,11 @@ struct Scratch {
     visited: u64,
 }
 
-/// The first points at each place, and the crowds that the others belong to, with their indices.
-fn thinned(mut items: Vec<Item>) -> (Vec<Item>, Vec<Crowd>, Vec<u32>) {
+/// The first points at each place, and the places that hold the others, with their indices.
+fn thinned(mut items: Vec<Item>) -> (Vec<Item>, Vec<SamePlace>, Vec<u32>) {
     let key = |item: &Item| (item.position.map(f32::to_bits), item.index);
     items.par_sort_unstable_by_key(key);
-    let (mut kept, mut crowds, mut others) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut kept, mut same_places, mut others) = (Vec::new(), Vec::new(), Vec::new());
     for same in items.chunk_by(|a, b| a.position == b.position) {
         let first = &same[..same.len().min(COPIES)];
         kept.extend_from_slice(first);
@@ -208,10 +208,10 @@ fn thinned(mut items: Vec<Item>) -> (Vec<Item>, Vec<Crowd>, Vec<u32>) {
             let begin = others.len();
             others.extend(more.iter().map(|item| item.index));
             let kept = std::array::from_fn(|at| first[at].index);
-            crowds.push(Crowd { kept, others: begin..others.len() });
+            same_places.push(SamePlace { kept, others: begin..others.len() });
         }
     }
-    (kept, crowds, others)
+    (kept, same_places, others)
 }
 
 impl PointTree {
@@ -223,18 +223,18 @@ impl PointTree {
             .map(|(position, index)| Item::new(position, index))
             .collect();
         let (mut shape, mut boxes) = Self::ordered(&mut items);
-        let (mut crowds, mut others) = (Vec::new(), Vec::new());
+        let (mut same_places, mut others) = (Vec::new(), Vec::new());
         // If many points share one position, some leaf holds nothing else.
-        let is_crowded = |leaf: usize| {
+        let is_one_place = |leaf: usize| {
             let holds = shape.range(shape.levels, leaf).len();
             holds > COPIES && boxes[(1 << shape.levels) + leaf].is_place()
         };
-        if (0..1 << shape.levels).any(is_crowded) {
-            (items, crowds, others) = thinned(items);
+        if (0..1 << shape.levels).any(is_one_place) {
+            (items, same_places, others) = thinned(items);
             (shape, boxes) = Self::ordered(&mut items);
         }
         let axis = |axis: usize| items.iter().map(|item| item.position[axis]).collect();
-        for Crowd { others, .. } in &mut crowds {
+        for SamePlace { others, .. } in &mut same_places {
             *others = items.len() + others.start..items.len() + others.end;
         }
         Self {
@@ -242,7 +242,7 @@ impl PointTree {
             y: axis(1),
             z: axis(2),
             order: items.iter().map(|item| item.index).chain(others).collect(),
-            crowds,
+            same_places,
             visited: AtomicU64::new(0),
             boxes,
             levels: shape.levels,
@@ -291,19 +291,19 @@ impl PointTree {
         if k > 0 {
             let (own, others) = results.split_at_mut(self.x.len());
             self.map_leaves(0..1 << self.levels, k, own, &visit);
-            self.map_crowds(k, others, &visit);
+            self.map_same_places(k, others, &visit);
         }
         results
     }
 
     /// Handles the points that are not in the tree, which `results` covers: the first ones at their place are their neighbours.
-    fn map_crowds<T: Send>(
+    fn map_same_places<T: Send>(
         &self,
         k: usize,
         results: &mut [T],
         visit: &(impl Fn(Neighbors) -> T + Sync),
     ) {
-        if self.crowds.is_empty() {
+        if self.same_places.is_empty() {
             return;
         }
         let in_tree = self.x.len();
@@ -311,13 +311,13 @@ impl PointTree {
         for (place, &index) in (0..).zip(&self.order) {
             place_of[index as usize] = place;
         }
-        for Crowd { kept, others } in &self.crowds {
-            let seats = kept.map(|index| place_of[index as usize] as usize);
-            let keys = seats.map(|seat| key_of(0.0, seat));
+        for SamePlace { kept, others } in &self.same_places {
+            let first = kept.map(|index| place_of[index as usize] as usize);
+            let keys = first.map(|own| key_of(0.0, own));
             let results = &mut results[others.start - in_tree..others.end - in_tree];
             results.par_iter_mut().zip(others.clone()).for_each(|(result, place)| {
                 let keys = &keys[..k];
-                *result = visit(Neighbors { tree: self, place, seat: seats[0], keys });
+                *result = visit(Neighbors { tree: self, place, own: first[0], keys });
             });
         }
     }
@@ -360,7 +360,7 @@ impl PointTree {
             for (place, best) in shape.range(self.levels, leaf).zip(&scratch.best) {
                 let found = best[..k].iter().take_while(|&&key| key != u64::MAX).count();
                 let keys = &best[..found];
-                let own = Neighbors { tree: self, place, seat: place, keys };
+                let own = Neighbors { tree: self, place, own: place, keys };
                 results[place - start] = visit(own);
             }
         }

@@ -7,10 +7,10 @@ use std::time::Instant;
 use parking_lot::{Condvar, Mutex};
 
 use super::frame_job::FrameJob;
+use super::landing::Drawn;
 use super::queue::cost::CostKey;
 use super::queue::encoding::EncodeQueue;
 use super::queue::{Class, Client, Granted, Waiting};
-use super::renderer::Drawn;
 
 /// Drawn frames that wait for an encoder.
 pub struct EncodeBacklog {

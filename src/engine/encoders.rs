@@ -8,8 +8,8 @@ use std::time::Instant;
 use super::EngineError;
 use super::encode_backlog::cost_key;
 use super::finish::finish;
+use super::landing::Drawn;
 use super::queue::{Class, Granted};
-use super::renderer::Drawn;
 use super::state::EngineState;
 
 /// Is told the class of each frame before it is encoded, on the encoder's thread.

@@ -5,10 +5,10 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use super::framing;
+use super::landing::Drawn;
 use super::receipt::{
     InstanceCounts, Legend, PassReceipt, Receipt, SampleCounts, SplatCounts, TriangleCounts,
 };
-use super::renderer::Drawn;
 use super::state::EngineState;
 use super::trace::FrameSpans;
 use super::{EncodedFrame, EngineError};

@@ -114,18 +114,7 @@ pub fn load(
         let Scene { up, lights, background, .. } = &description;
         hasher.update(format!("{up:?} {lights:?} {background:?}"));
     }
-    let mut warnings = condensed(warnings);
-    warnings.extend(assets.iter().filter_map(|asset| strays(asset)));
-    let splats = &description.splats;
-    if f64::from(splats.cutoff) * f64::from(splats.width) < f64::from(CUTOFF) {
-        warnings.push(format!(
-            "splats end at {} standard deviations; estimated kernels close a surface from {CUTOFF} on",
-            splats.cutoff * splats.width
-        ));
-    }
-    if description.lights.iter().any(|light| matches!(light, Light::Sun { shadows: true, .. })) {
-        warnings.push("lights ask for shadows, which this version does not draw".to_owned());
-    }
+    let warnings = scene_warnings(warnings, &assets, &description);
     let digest = hasher.finalize().into();
     let id = id.to_owned();
     drop(assembler);
@@ -142,6 +131,27 @@ pub fn load(
         path: path.to_owned(),
     };
     Ok(Loaded { unwritten, ..build(parts, config, None, admission)? })
+}
+
+/// Returns the warnings of a scene: those of its assets, each with the asset's name, and what will look other than was asked for.
+fn scene_warnings(
+    of_assets: Vec<(String, String)>,
+    assets: &[Arc<AssetModel>],
+    description: &Scene,
+) -> Vec<String> {
+    let mut warnings = condensed(of_assets);
+    warnings.extend(assets.iter().filter_map(|asset| strays(asset)));
+    let splats = &description.splats;
+    if f64::from(splats.cutoff) * f64::from(splats.width) < f64::from(CUTOFF) {
+        warnings.push(format!(
+            "splats end at {} standard deviations; estimated kernels close a surface from {CUTOFF} on",
+            splats.cutoff * splats.width
+        ));
+    }
+    if description.lights.iter().any(|light| matches!(light, Light::Sun { shadows: true, .. })) {
+        warnings.push("lights ask for shadows, which this version does not draw".to_owned());
+    }
+    warnings
 }
 
 /// Returns the options for reading files: below the root, and within the load's memory.

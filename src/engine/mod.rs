@@ -35,6 +35,7 @@ mod framing;
 mod group;
 mod info;
 mod instance_trees;
+mod landing;
 mod latest_slot;
 mod library;
 mod load;
@@ -56,6 +57,7 @@ mod stats;
 mod ticket;
 mod trace;
 mod uid;
+mod viewpoint;
 mod watch;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};

@@ -3,7 +3,6 @@
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
-use glam::{DAffine3, DVec3};
 use sha2::{Digest, Sha256};
 
 use super::bake_service::{BakeTicket, Goal};
@@ -13,9 +12,10 @@ use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
 use super::resolved::{Drawing, ResolvedFrame};
 use super::state::{Adapter, EngineState};
-use super::{EngineError, FrameRequest, Pose};
+use super::viewpoint::{clip_region, pose};
+use super::{EngineError, FrameRequest};
 use crate::encode::{self, EncodeError};
-use crate::math::{Camera, CameraError, FOV_RANGE_DEG, ORTHO_HEIGHT_RANGE, View};
+use crate::math::View;
 use crate::passes::{LAYERS_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
 use crate::plan::{
@@ -99,29 +99,6 @@ pub fn frame_limits(state: &EngineState) -> (u64, u32) {
         state.config.max_pixels.min(adapter.max_binding_bytes / 8),
         state.config.max_side.min(adapter.max_side),
     )
-}
-
-fn bad_camera(error: CameraError) -> EngineError {
-    let accepted = match error.parameter {
-        "fov" => {
-            let [least, most] = FOV_RANGE_DEG;
-            &format!("{least} to {most} degrees")
-        }
-        "ortho_height" => {
-            let [least, most] = ORTHO_HEIGHT_RANGE;
-            &format!("{least:e} to {most:e} scene units")
-        }
-        "view" => "16 numbers, column-major: rotation and translation",
-        "proj" => {
-            "16 numbers, column-major: a perspective that looks along −z, or an orthographic projection"
-        }
-        _ => "three numbers within ±1e100, eye and target apart",
-    };
-    EngineError::BadParameter {
-        parameter: error.parameter,
-        reason: error.reason,
-        accepted: accepted.to_owned(),
-    }
 }
 
 fn check_size(state: &EngineState, request: &FrameRequest) -> Result<(), EngineError> {
@@ -219,33 +196,6 @@ fn check_field(loaded: &Loaded, settings: &Settings) -> Result<(), EngineError> 
     }
 }
 
-/// The boxes that a frame is clipped with, at their place in the scene.
-fn clip_region(loaded: &Loaded, settings: &Settings) -> Result<Option<ClipRegion>, EngineError> {
-    let Some(boxes) = settings.clip_boxes else { return Ok(None) };
-    let box_from_world = match settings.clip_node {
-        None => DAffine3::IDENTITY,
-        Some(name) => {
-            let bad = |reason: String, accepted: String| EngineError::BadParameter {
-                parameter: "clip_node",
-                reason,
-                accepted,
-            };
-            let node = loaded.node(name.as_str()).ok_or_else(|| {
-                let known = loaded.info.nodes.iter().take(20).cloned().collect::<Vec<_>>();
-                bad(format!("the scene has no top-level node `{name}`"), known.join(", "))
-            })?;
-            let inverse = node.parent_from_node.inverse();
-            if !inverse.is_finite() {
-                let reason =
-                    format!("node `{name}` is scaled to nothing, so that it has no inside");
-                return Err(bad(reason, "a node whose transform can be inverted".to_owned()));
-            }
-            inverse
-        }
-    };
-    Ok(Some(ClipRegion { boxes, box_from_world }))
-}
-
 /// Resolves a request in the latest revision of its scene. Never bakes.
 ///
 /// # Errors
@@ -282,22 +232,31 @@ pub fn resolve_in(
     })
 }
 
-/// Decides how a checked request is drawn. `model` is the scene or its point trees.
-fn decide(
+/// How samples of a frame are drawn.
+struct Chosen {
+    /// The settings of the request, with nothing left open.
+    settings: Settings,
+    /// The choice, where it was left open.
+    auto: Option<Choice>,
+    /// Why the choice is provisional.
+    provisional: Option<String>,
+}
+
+/// Decides what the request leaves open about how samples are drawn. Where that needs normals and kernels that are missing, the estimate
+/// is begun, and the choice is made without them.
+fn choose_reconstruction(
     state: &EngineState,
     loaded: &Arc<Loaded>,
-    request: FrameRequest,
-    full_because: Option<String>,
-    Checked { view, camera, clip }: Checked,
-    (model, facts): (Arc<SceneModel>, SceneFacts),
-) -> Arc<ResolvedFrame> {
-    let adapter = state.adapter();
+    request: &FrameRequest,
+    facts: &SceneFacts,
+    view: &View,
+) -> Chosen {
     let is_open = request.settings.reconstruct == Reconstruct::Auto;
-    let grounds = is_open.then(|| grounds(loaded, &request, facts.counts.samples > 0, &view));
+    let grounds = is_open.then(|| grounds(loaded, request, facts.counts.samples > 0, view));
     let mut auto = grounds.as_ref().map(auto::choose);
     let mut provisional = None;
     if let (Some(choice), Some(grounds)) = (&mut auto, &grounds)
-        && loaded.lacks(choice.reconstruct, request.settings.lod, needed_output(&request))
+        && loaded.lacks(choice.reconstruct, request.settings.lod, needed_output(request))
     {
         provisional = Some(match state.estimate_in_background(loaded) {
             Ok(done) => {
@@ -312,15 +271,30 @@ fn decide(
         projection: Some(view.projection),
         ..request.settings
     }
-    .with_edl_decided(&facts, request.output);
+    .with_edl_decided(facts, request.output);
     let settings = match (&provisional, &grounds) {
         // Until there are kernels, discs close what splats will.
         (Some(_), Some(grounds)) => {
-            let spacing_px = grounds.spacing_px.map(|px| px / magnification(&request));
+            let spacing_px = grounds.spacing_px.map(|px| px / magnification(request));
             settings.with_point_size(auto::disc_px(spacing_px))
         }
         _ => settings,
     };
+    Chosen { settings, auto, provisional }
+}
+
+/// Decides how a checked request is drawn. `model` is the scene or its point trees.
+fn decide(
+    state: &EngineState,
+    loaded: &Arc<Loaded>,
+    request: FrameRequest,
+    full_because: Option<String>,
+    Checked { view, camera, clip }: Checked,
+    (model, facts): (Arc<SceneModel>, SceneFacts),
+) -> Arc<ResolvedFrame> {
+    let adapter = state.adapter();
+    let Chosen { settings, auto, provisional } =
+        choose_reconstruction(state, loaded, &request, &facts, &view);
     let way = |settings: &Settings, instead_because| {
         let adapter = AdapterFacts {
             atomics_64: adapter.atomics_64,
@@ -458,106 +432,6 @@ fn no_fuzzy(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
     }
     (pixels * LAYERS_BYTES > adapter.max_binding_bytes)
         .then_some("the adapter cannot bind what a single pass needs for so many pixels")
-}
-
-fn pose(
-    loaded: &Loaded,
-    request: &FrameRequest,
-    clip: Option<&ClipRegion>,
-) -> Result<(View, CameraReceipt), EngineError> {
-    let (width, height) = (request.width, request.height);
-    let camera = match &request.pose {
-        Pose::View(view) => {
-            check_view(view, request)?;
-            let wanted = request.settings.projection;
-            if wanted.is_some_and(|wanted| wanted != view.projection) {
-                return Err(EngineError::BadParameter {
-                    parameter: "projection",
-                    reason: "`proj` is another projection".to_owned(),
-                    accepted: "no value, or that of `proj`".to_owned(),
-                });
-            }
-            return Ok((*view, receipt_of_view(view)));
-        }
-        Pose::Camera(camera) => *camera,
-        &Pose::Upright { eye, target, lens } => Camera { eye, target, up: loaded.up(), lens },
-        &Pose::Fit { up, lens } => loaded
-            .fit(f64::from(width) / f64::from(height), up, lens, request.settings.projection, clip)
-            .map_err(bad_camera)?,
-        Pose::Named(name) => {
-            let cameras = &loaded.model.cameras;
-            let found = cameras.iter().find(|(known, _)| known == name);
-            found.map(|(_, camera)| camera.for_frame(width, height)).ok_or_else(|| {
-                let known: Vec<&str> = cameras.iter().map(|(name, _)| name.as_str()).collect();
-                EngineError::BadParameter {
-                    parameter: "camera",
-                    reason: format!("the scene has no camera `{name}`"),
-                    accepted: if known.is_empty() {
-                        "eye, target, up and fov: this scene names no cameras".to_owned()
-                    } else {
-                        known.join(", ")
-                    },
-                }
-            })?
-        }
-    };
-    // A camera that cannot be drawn has no other projection either.
-    camera.view(width, height).map_err(bad_camera)?;
-    let camera =
-        request.settings.projection.map_or(camera, |wanted| camera.with_projection(wanted));
-    let view = camera.view(width, height).map_err(bad_camera)?;
-    Ok((view, receipt_of_camera(&camera, width, height)))
-}
-
-/// A view made elsewhere: it must be for this size, and of numbers that can be drawn with.
-fn check_view(view: &View, request: &FrameRequest) -> Result<(), EngineError> {
-    let bad = |reason: String, accepted: &str| EngineError::BadParameter {
-        parameter: "view",
-        reason,
-        accepted: accepted.to_owned(),
-    };
-    if (view.width, view.height) != (request.width, request.height) {
-        return Err(bad(
-            format!("was made for {} × {} pixels", view.width, view.height),
-            "a view of the frame's own size",
-        ));
-    }
-    let finite = view.eye.is_finite()
-        && view.view_from_world.is_finite()
-        && view.principal_px.is_finite()
-        && view.focal_px.is_finite();
-    if !finite || view.focal_px.min_element() <= 0.0 {
-        return Err(bad("has numbers that are not finite".to_owned(), "finite numbers"));
-    }
-    Ok(())
-}
-
-fn receipt_of_camera(camera: &Camera, width: u32, height: u32) -> CameraReceipt {
-    CameraReceipt {
-        eye: camera.eye.into(),
-        target: camera.target.into(),
-        up: camera.up.into(),
-        fov_deg: camera.lens.fov_deg(),
-        ortho_height: camera.lens.ortho_height(),
-        width,
-        height,
-    }
-}
-
-fn receipt_of_view(view: &View) -> CameraReceipt {
-    let axes = view.view_from_world.transpose();
-    let forward: DVec3 = -axes.z_axis;
-    let height = f64::from(view.height) / view.focal_px.y;
-    let is_orthographic = view.is_orthographic();
-    CameraReceipt {
-        eye: view.eye.into(),
-        target: (view.eye + forward).into(),
-        up: axes.y_axis.into(),
-        fov_deg: (!is_orthographic).then(|| 2.0 * (0.5 * height).atan().to_degrees()),
-        ortho_height: is_orthographic.then_some(height),
-        width: view.width,
-        height: view.height,
-    }
 }
 
 /// Inputs of an entity tag besides the scene, the request and the view.

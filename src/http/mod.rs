@@ -24,6 +24,7 @@
 pub mod access;
 mod body;
 mod conditional;
+mod connection;
 mod frame;
 mod frames;
 mod headcount;

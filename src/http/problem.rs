@@ -17,274 +17,90 @@ use crate::math::CameraError;
 use crate::memory::Interrupt;
 use crate::scene::SceneError;
 
-/// Kinds of problem. Each has one status and one `type` that never change.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Kind {
-    MalformedRequest,
-    HeadTooLarge,
-    UnknownRoute,
-    UnknownScene,
-    UnknownNode,
-    UnknownPath,
-    MethodNotAllowed,
-    NotAcceptable,
-    RequestTimeout,
-    UpgradeRequired,
-    SceneExists,
-    SceneLoading,
-    BodyTooLarge,
-    SceneTooLarge,
-    UnsupportedMediaType,
-    UnsupportedAsset,
-    BadParameter,
-    UnknownParameter,
-    Unavailable,
-    BadBody,
-    OverLimit,
-    AssetRefused,
-    SceneRefused,
-    Unauthorized,
-    Forbidden,
-    WrongHost,
-    Busy,
-    DeadlineExceeded,
-    FrameTimeout,
-    DeviceLost,
-    ShuttingDown,
-    NotReady,
-    OutOfGpuMemory,
-    OutOfMemory,
-    OutOfDisk,
-    TooManyScenes,
-    UploadQuota,
-    LoadCancelled,
-    LoadLost,
-    UnknownJob,
-    UnknownFrame,
-    FrameNotDrawn,
-    NoVideo,
-    JobState,
-    SceneChanged,
-    JobRecovered,
-    RangeNotSatisfiable,
-    JobRefused,
-    KeyReused,
-    TooManyJobs,
-    JobFailed,
-    VideoFailed,
-    JobsOff,
-    UploadsOff,
-    OutOfJobDisk,
-    JobFileDamaged,
-    Internal,
+/// Makes [`Kind`] of a table with a line for each kind of problem: its name, its HTTP status, the last part of its `type`, and its title.
+macro_rules! kinds {
+    ($($kind:ident $status:literal $name:literal $title:literal;)+) => {
+        /// Kinds of problem. Each has one status and one `type` that never change.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum Kind {
+            $($kind,)+
+        }
+
+        impl Kind {
+            /// Every kind, in the order of the documentation.
+            pub const ALL: &[Kind] = &[$(Kind::$kind,)+];
+
+            /// Returns status, `type` and title.
+            pub fn facts(self) -> (u16, &'static str, &'static str) {
+                match self {
+                    $(Kind::$kind => ($status, concat!("urn:pointillist:problem:", $name), $title),)+
+                }
+            }
+        }
+    };
+}
+
+kinds! {
+    MalformedRequest     400 "malformed-request"       "malformed HTTP request";
+    HeadTooLarge         431 "head-too-large"          "the request's head is too large";
+    UnknownRoute         404 "unknown-route"           "no such resource";
+    UnknownScene         404 "unknown-scene"           "no such scene";
+    UnknownNode          404 "unknown-node"            "no such node";
+    UnknownPath          404 "unknown-path"            "no such camera path";
+    MethodNotAllowed     405 "method-not-allowed"      "method not allowed";
+    NotAcceptable        406 "not-acceptable"          "no acceptable image format";
+    RequestTimeout       408 "request-timeout"         "the request body stalled";
+    UpgradeRequired      426 "upgrade-required"        "a WebSocket handshake is needed";
+    SceneExists          409 "scene-exists"            "the scene id is in use";
+    SceneLoading         409 "scene-loading"           "the scene is still loading";
+    BodyTooLarge         413 "body-too-large"          "the request body is too large";
+    SceneTooLarge        413 "scene-too-large"         "the scene is too large";
+    UnsupportedMediaType 415 "unsupported-media-type"  "unsupported media type";
+    UnsupportedAsset     415 "unsupported-asset"       "unsupported asset format";
+    BadParameter         422 "bad-parameter"           "a parameter cannot be used";
+    UnknownParameter     422 "unknown-parameter"       "unknown parameter";
+    Unavailable          422 "unavailable-parameter"   "not available in this version";
+    BadBody              422 "bad-body"                "the request body cannot be used";
+    OverLimit            422 "over-limit"              "over a limit";
+    AssetRefused         422 "asset-refused"           "an asset cannot be read";
+    SceneRefused         422 "scene-refused"           "the scene is not valid";
+    Unauthorized         401 "unauthorized"            "an API key is needed";
+    Forbidden            403 "forbidden"               "not allowed";
+    WrongHost            421 "wrong-host"              "not a name of this server";
+    Busy                 503 "busy"                    "the server is busy";
+    DeadlineExceeded     503 "deadline-exceeded"       "the deadline passed";
+    FrameTimeout         503 "frame-timeout"           "the frame took too long";
+    DeviceLost           503 "device-lost"             "the GPU was lost";
+    ShuttingDown         503 "shutting-down"           "the server is shutting down";
+    NotReady             503 "not-ready"               "the server is not ready";
+    OutOfGpuMemory       507 "out-of-gpu-memory"       "not enough GPU memory";
+    OutOfMemory          507 "out-of-memory"           "not enough host memory";
+    OutOfDisk            507 "storage"                 "the disk cannot be read or written";
+    TooManyScenes        429 "too-many-scenes"         "too many scenes";
+    UploadQuota          507 "upload-quota"            "upload storage is full";
+    LoadCancelled        409 "load-cancelled"          "the load was cancelled";
+    LoadLost             500 "load-lost"               "the server ended while it loaded the scene";
+    UnknownJob           404 "unknown-job"             "no such job";
+    UnknownFrame         404 "unknown-frame"           "the job has no such frame";
+    FrameNotDrawn        404 "frame-not-drawn"         "the frame is not drawn yet";
+    NoVideo              404 "no-video"                "there is no video";
+    JobState             409 "job-state"               "the job's state does not allow it";
+    SceneChanged         409 "scene-changed"           "the scene changed while a job drew it";
+    JobRecovered         409 "job-recovered"           "the job's record was lost; the job was recovered";
+    RangeNotSatisfiable  416 "range-not-satisfiable"   "the range is beyond the end of the file";
+    JobRefused           422 "job-refused"             "the job does not fit its scene";
+    KeyReused            422 "key-reused"              "the idempotency key was used before";
+    TooManyJobs          429 "too-many-jobs"           "too many jobs";
+    JobFailed            500 "job-failed"              "the job could not be drawn";
+    VideoFailed          500 "video-failed"            "the video could not be made";
+    JobsOff              503 "jobs-off"                "this server accepts no jobs";
+    UploadsOff           503 "uploads-off"             "this server accepts no uploads";
+    OutOfJobDisk         507 "job-quota"               "job storage is full";
+    JobFileDamaged       410 "job-file-damaged"        "a file of the job is damaged or missing";
+    Internal             500 "internal"                "internal error";
 }
 
 impl Kind {
-    /// Every kind, in the order of the documentation.
-    pub const ALL: [Kind; 57] = [
-        Kind::MalformedRequest,
-        Kind::HeadTooLarge,
-        Kind::UnknownRoute,
-        Kind::UnknownScene,
-        Kind::UnknownNode,
-        Kind::UnknownPath,
-        Kind::MethodNotAllowed,
-        Kind::NotAcceptable,
-        Kind::RequestTimeout,
-        Kind::UpgradeRequired,
-        Kind::SceneExists,
-        Kind::SceneLoading,
-        Kind::BodyTooLarge,
-        Kind::SceneTooLarge,
-        Kind::UnsupportedMediaType,
-        Kind::UnsupportedAsset,
-        Kind::BadParameter,
-        Kind::UnknownParameter,
-        Kind::Unavailable,
-        Kind::BadBody,
-        Kind::OverLimit,
-        Kind::AssetRefused,
-        Kind::SceneRefused,
-        Kind::Unauthorized,
-        Kind::Forbidden,
-        Kind::WrongHost,
-        Kind::Busy,
-        Kind::DeadlineExceeded,
-        Kind::FrameTimeout,
-        Kind::DeviceLost,
-        Kind::ShuttingDown,
-        Kind::NotReady,
-        Kind::OutOfGpuMemory,
-        Kind::OutOfMemory,
-        Kind::OutOfDisk,
-        Kind::TooManyScenes,
-        Kind::UploadQuota,
-        Kind::LoadCancelled,
-        Kind::LoadLost,
-        Kind::UnknownJob,
-        Kind::UnknownFrame,
-        Kind::FrameNotDrawn,
-        Kind::NoVideo,
-        Kind::JobState,
-        Kind::SceneChanged,
-        Kind::JobRecovered,
-        Kind::RangeNotSatisfiable,
-        Kind::JobRefused,
-        Kind::KeyReused,
-        Kind::TooManyJobs,
-        Kind::JobFailed,
-        Kind::VideoFailed,
-        Kind::JobsOff,
-        Kind::UploadsOff,
-        Kind::OutOfJobDisk,
-        Kind::JobFileDamaged,
-        Kind::Internal,
-    ];
-
-    /// Returns status, `type` and title.
-    pub fn facts(self) -> (u16, &'static str, &'static str) {
-        use Kind::*;
-        match self {
-            MalformedRequest => {
-                (400, "urn:pointillist:problem:malformed-request", "malformed HTTP request")
-            }
-            HeadTooLarge => {
-                (431, "urn:pointillist:problem:head-too-large", "the request's head is too large")
-            }
-            UnknownRoute => (404, "urn:pointillist:problem:unknown-route", "no such resource"),
-            UnknownScene => (404, "urn:pointillist:problem:unknown-scene", "no such scene"),
-            UnknownNode => (404, "urn:pointillist:problem:unknown-node", "no such node"),
-            UnknownPath => (404, "urn:pointillist:problem:unknown-path", "no such camera path"),
-            MethodNotAllowed => {
-                (405, "urn:pointillist:problem:method-not-allowed", "method not allowed")
-            }
-            NotAcceptable => {
-                (406, "urn:pointillist:problem:not-acceptable", "no acceptable image format")
-            }
-            RequestTimeout => {
-                (408, "urn:pointillist:problem:request-timeout", "the request body stalled")
-            }
-            UpgradeRequired => {
-                (426, "urn:pointillist:problem:upgrade-required", "a WebSocket handshake is needed")
-            }
-            SceneExists => (409, "urn:pointillist:problem:scene-exists", "the scene id is in use"),
-            SceneLoading => {
-                (409, "urn:pointillist:problem:scene-loading", "the scene is still loading")
-            }
-            BodyTooLarge => {
-                (413, "urn:pointillist:problem:body-too-large", "the request body is too large")
-            }
-            SceneTooLarge => {
-                (413, "urn:pointillist:problem:scene-too-large", "the scene is too large")
-            }
-            UnsupportedMediaType => {
-                (415, "urn:pointillist:problem:unsupported-media-type", "unsupported media type")
-            }
-            UnsupportedAsset => {
-                (415, "urn:pointillist:problem:unsupported-asset", "unsupported asset format")
-            }
-            BadParameter => {
-                (422, "urn:pointillist:problem:bad-parameter", "a parameter cannot be used")
-            }
-            UnknownParameter => {
-                (422, "urn:pointillist:problem:unknown-parameter", "unknown parameter")
-            }
-            Unavailable => (
-                422,
-                "urn:pointillist:problem:unavailable-parameter",
-                "not available in this version",
-            ),
-            BadBody => (422, "urn:pointillist:problem:bad-body", "the request body cannot be used"),
-            OverLimit => (422, "urn:pointillist:problem:over-limit", "over a limit"),
-            AssetRefused => {
-                (422, "urn:pointillist:problem:asset-refused", "an asset cannot be read")
-            }
-            SceneRefused => {
-                (422, "urn:pointillist:problem:scene-refused", "the scene is not valid")
-            }
-            Unauthorized => (401, "urn:pointillist:problem:unauthorized", "an API key is needed"),
-            Forbidden => (403, "urn:pointillist:problem:forbidden", "not allowed"),
-            WrongHost => (421, "urn:pointillist:problem:wrong-host", "not a name of this server"),
-            Busy => (503, "urn:pointillist:problem:busy", "the server is busy"),
-            DeadlineExceeded => {
-                (503, "urn:pointillist:problem:deadline-exceeded", "the deadline passed")
-            }
-            FrameTimeout => {
-                (503, "urn:pointillist:problem:frame-timeout", "the frame took too long")
-            }
-            DeviceLost => (503, "urn:pointillist:problem:device-lost", "the GPU was lost"),
-            ShuttingDown => {
-                (503, "urn:pointillist:problem:shutting-down", "the server is shutting down")
-            }
-            NotReady => (503, "urn:pointillist:problem:not-ready", "the server is not ready"),
-            OutOfGpuMemory => {
-                (507, "urn:pointillist:problem:out-of-gpu-memory", "not enough GPU memory")
-            }
-            OutOfMemory => (507, "urn:pointillist:problem:out-of-memory", "not enough host memory"),
-            TooManyScenes => (429, "urn:pointillist:problem:too-many-scenes", "too many scenes"),
-            UploadQuota => (507, "urn:pointillist:problem:upload-quota", "upload storage is full"),
-            LoadCancelled => {
-                (409, "urn:pointillist:problem:load-cancelled", "the load was cancelled")
-            }
-            LoadLost => (
-                500,
-                "urn:pointillist:problem:load-lost",
-                "the server ended while it loaded the scene",
-            ),
-            OutOfDisk => {
-                (507, "urn:pointillist:problem:storage", "the disk cannot be read or written")
-            }
-            UnknownJob => (404, "urn:pointillist:problem:unknown-job", "no such job"),
-            UnknownFrame => {
-                (404, "urn:pointillist:problem:unknown-frame", "the job has no such frame")
-            }
-            FrameNotDrawn => {
-                (404, "urn:pointillist:problem:frame-not-drawn", "the frame is not drawn yet")
-            }
-            NoVideo => (404, "urn:pointillist:problem:no-video", "there is no video"),
-            JobState => {
-                (409, "urn:pointillist:problem:job-state", "the job's state does not allow it")
-            }
-            SceneChanged => (
-                409,
-                "urn:pointillist:problem:scene-changed",
-                "the scene changed while a job drew it",
-            ),
-            JobRecovered => (
-                409,
-                "urn:pointillist:problem:job-recovered",
-                "the job's record was lost; the job was recovered",
-            ),
-            RangeNotSatisfiable => (
-                416,
-                "urn:pointillist:problem:range-not-satisfiable",
-                "the range is beyond the end of the file",
-            ),
-            JobRefused => {
-                (422, "urn:pointillist:problem:job-refused", "the job does not fit its scene")
-            }
-            KeyReused => {
-                (422, "urn:pointillist:problem:key-reused", "the idempotency key was used before")
-            }
-            TooManyJobs => (429, "urn:pointillist:problem:too-many-jobs", "too many jobs"),
-            JobFailed => (500, "urn:pointillist:problem:job-failed", "the job could not be drawn"),
-            VideoFailed => {
-                (500, "urn:pointillist:problem:video-failed", "the video could not be made")
-            }
-            JobsOff => (503, "urn:pointillist:problem:jobs-off", "this server accepts no jobs"),
-            UploadsOff => {
-                (503, "urn:pointillist:problem:uploads-off", "this server accepts no uploads")
-            }
-            OutOfJobDisk => (507, "urn:pointillist:problem:job-quota", "job storage is full"),
-            JobFileDamaged => (
-                410,
-                "urn:pointillist:problem:job-file-damaged",
-                "a file of the job is damaged or missing",
-            ),
-            Internal => (500, "urn:pointillist:problem:internal", "internal error"),
-        }
-    }
-
     pub fn status(self) -> StatusCode {
         StatusCode::from_u16(self.facts().0).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR)
     }

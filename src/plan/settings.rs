@@ -17,14 +17,16 @@ use serde_json::{Map, Value};
 
 mod declaration;
 mod text;
+mod used;
 mod values;
 
 pub use crate::scene::name::Name;
 use declaration::Accepted;
 pub use declaration::{Choice, Rule, Setting, SettingError, SettingKind};
+pub use used::{UsedSettings, UsedSplats};
 pub use values::{
     Background, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode, Lod, MaxError, Output,
-    PointSize, PointSizePx, Reconstruct, StillFrame, UsedSettings, UsedSplats, Wait,
+    PointSize, PointSizePx, Reconstruct, StillFrame, Wait,
 };
 
 use crate::math::Projection;

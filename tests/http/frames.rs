@@ -386,7 +386,7 @@ fn what_is_not_said_is_drawn_as_fits() {
         assert_eq!(named.receipt()["settings"].get("asked"), None);
         assert_ne!(named.header("etag"), auto.header("etag"));
         assert_eq!(frame(&format!("{size}&reconstruct=auto")).header("etag"), auto.header("etag"));
-        let trees = frame(&format!("{size}&lod=spt"));
+        let trees = frame(&format!("{size}&lod=spt&color_by=levels"));
         assert_eq!(trees.receipt()["settings"]["reconstruct"], drawn);
     }
     // Settings of splats apply only where splats are drawn.
@@ -394,7 +394,7 @@ fn what_is_not_said_is_drawn_as_fits() {
         |size: &str| frame(&format!("{size}&blend=opaque")).receipt()["settings"]["blend"].clone();
     assert_eq!((opaque("&w=192&h=128"), opaque("&w=48&h=32")), ("opaque".into(), Value::Null));
     // Larger accepted errors leave gaps between nodes that are drawn as points.
-    let coarse = frame("&w=48&h=32&lod=spt&max_error_px=4").receipt();
+    let coarse = frame("&w=48&h=32&lod=spt&max_error_px=4&color_by=levels").receipt();
     assert_eq!(coarse["settings"]["reconstruct"], "splats");
 }
 
@@ -469,8 +469,9 @@ fn poses_of_a_series_inherit_how_splats_are_drawn() {
 fn level_of_detail_and_its_receipt() {
     let daemon = Daemon::start(&[]);
     let client = daemon.client();
-    // The first frame waits until the trees are built. Samples lie so far apart that smaller errors are drawn at full detail.
-    let reply = client.get(&format!("{FRAME}&lod=spt&max_error_px=24&reconstruct=points"));
+    // The first frame waits until the trees are built. So few samples are drawn from trees only to show the levels.
+    const LEVELS: &str = "&lod=spt&color_by=levels";
+    let reply = client.get(&format!("{FRAME}{LEVELS}&max_error_px=24&reconstruct=points"));
     let (image, _) = decode(&reply);
     let receipt = reply.receipt();
     assert_eq!(receipt["settings"]["lod"], "spt");
@@ -490,26 +491,27 @@ fn level_of_detail_and_its_receipt() {
     // Each level of detail has its own entity tag, and equal ones have equal tags.
     let tag =
         |query: &str| client.get(&format!("{FRAME}{query}")).header("etag").map(str::to_owned);
+    let levels = |query: &str| format!("{LEVELS}{query}");
     let queries = [
-        "",
-        "&lod=spt&max_error_px=24",
-        "&lod=spt&max_error_px=32",
-        "&lod=spt&color_by=levels",
-        "&lod=spt&max_error_px=24&reconstruct=splats",
-        "&lod=spt&max_error_px=24&reconstruct=splats&error_mode=split",
+        String::new(),
+        levels("&max_error_px=24"),
+        levels("&max_error_px=32"),
+        levels(""),
+        levels("&max_error_px=24&reconstruct=splats"),
+        levels("&max_error_px=24&reconstruct=splats&error_mode=split"),
     ];
     let tags: Vec<_> = queries.iter().map(|query| tag(query)).collect();
     for (index, one) in tags.iter().enumerate() {
         assert!(one.is_some() && !tags[..index].contains(one), "{}", queries[index]);
     }
-    assert_eq!(tag("&lod=spt&max_error_px=24&color_by=colors"), tags[1]);
-    let unified = "&lod=spt&max_error_px=24&reconstruct=splats&error_mode=unified";
-    assert_eq!(tag(unified), tags[4]);
-    // Trees have nothing to leave out at a pixel: the frame is that of full detail.
-    assert_eq!(tag("&lod=spt"), tags[0]);
+    assert_eq!(tag(&levels("&max_error_px=1")), tags[3]);
+    assert_eq!(tag(&(queries[4].clone() + "&error_mode=unified")), tags[4]);
+    // Trees have nothing to leave out: the frame is that of full detail.
+    assert_eq!(tag("&lod=spt&max_error_px=24"), tags[0]);
+    assert_eq!(tag("&lod=spt&color_by=colors"), tags[0]);
     let fine = client.get(&format!("{FRAME}&lod=spt")).receipt();
     assert_eq!(fine["settings"]["lod"], "full");
-    assert!(fine["settings"]["full_because"].as_str().unwrap().contains("px apart"), "{fine}");
+    assert!(fine["settings"]["full_because"].as_str().unwrap().contains("drawn sooner"), "{fine}");
     assert_eq!(receipt["settings"]["error_mode"], Value::Null);
     let split = client.get(&format!("{FRAME}{}", queries[5]));
     assert_eq!(split.receipt()["settings"]["error_mode"], "split");

@@ -158,7 +158,7 @@ fn deadlines_hold_while_frames_are_drawn_and_trees_are_built() {
     let daemon = Daemon::start(&["--no-cache"]);
     let client = daemon.client();
     let slow = "/v1/scenes/grid/frame?eye=3,1,3&target=0,0,0&w=4096&h=4096&format=png";
-    let tree = "/v1/scenes/grid/frame?w=32&h=32&lod=spt";
+    let tree = "/v1/scenes/grid/frame?w=32&h=32&lod=spt&color_by=levels";
     let late = |path: &str| {
         let reply = client.get(&format!("{path}&deadline_ms=1"));
         assert_eq!(reply.status, 503, "{}", reply.text());

@@ -69,7 +69,7 @@ async fn a_request_is_resolved_once() {
 async fn frames_that_wait_for_a_bake_end_with_their_scene() {
     let latch = Arc::new(Latch::default());
     let (folder, engine, router) = service(|config| config.bake_latch = Some(latch.clone()));
-    const FRAME: &str = "/v1/scenes/cloud/frame?w=32&h=24&lod=spt";
+    const FRAME: &str = "/v1/scenes/cloud/frame?w=32&h=24&lod=spt&color_by=levels";
     let ask = || {
         let request = request("GET", FRAME).body(Body::empty()).unwrap();
         tokio::spawn(router.clone().oneshot(request))

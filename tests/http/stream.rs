@@ -205,7 +205,7 @@ fn a_moving_frame_and_then_a_still_one() {
 #[test]
 fn frames_of_point_trees_say_how_coarse_they_are() {
     let daemon = Daemon::start(&[]);
-    let asked = "camera=front&w=64&h=48&lod=spt&max_error_px=2&format=png";
+    let asked = "camera=front&w=64&h=48&lod=spt&color_by=levels&max_error_px=2&format=png";
     let mut stream = Stream::open(&daemon, &format!("{GRID}?{asked}"));
     let frames = stream.frames_until(|frame| frame["quality"] == "still");
     assert!(frames.len() > 1, "a moving one comes first");
@@ -215,7 +215,7 @@ fn frames_of_point_trees_say_how_coarse_they_are() {
         assert_eq!(frame["receipt"]["max_error_px"], frame["max_error_px"]);
     }
     assert_eq!(frames[frames.len() - 1]["max_error_px"], 2.0, "at rest as it was asked for");
-    stream.send(json!({"seq": 1, "lod": "full", "moving": false}));
+    stream.send(json!({"seq": 1, "lod": "full", "color_by": "colors", "moving": false}));
     assert_eq!(stream.frame()["max_error_px"], Value::Null);
 }
 

@@ -6,8 +6,9 @@
 use std::path::PathBuf;
 
 use pointillist::accuracy::metrics;
-use pointillist::math::Camera;
-use pointillist::plan::{Lod, MaxError, Reconstruct, Settings};
+use pointillist::math::{Camera, Projection};
+use pointillist::plan::{ColorBy, Edl, Lod, MaxError, PointSizePx, Reconstruct, Settings};
+use pointillist::scene::recolor::ColorMap;
 
 use super::stage::Case;
 use super::verdict;
@@ -51,29 +52,37 @@ fn compare_with(scene: &str, cameras: &[&str], settings: Settings, suffix: &str)
     let case = Case::committed(scene);
     for camera in cameras {
         let name = format!("{scene}-{camera}{suffix}");
-        let camera: Camera = case.reference.camera(camera).unwrap();
+        let mut camera: Camera = case.reference.camera(camera).unwrap();
+        if let Some(projection) = settings.projection {
+            camera = camera.with_projection(projection);
+        }
         let frame = case.draw_with(&camera.view(WIDTH, HEIGHT).unwrap(), settings);
         assert!(frame.color.iter().all(|color| color[3] == 255), "{name} is translucent");
-        if std::env::var("UPDATE").is_ok_and(|update| update == "1") {
-            write(&name, &frame.color);
-        }
-        let golden = read(&name);
-        let psnr = metrics::psnr(&golden, &frame.color).unwrap();
-        let ssim = metrics::ssim(&golden, &frame.color, WIDTH, HEIGHT).unwrap();
-        let differs = |(a, b): &(&[u8; 4], &[u8; 4])| (0..3).any(|k| a[k].abs_diff(b[k]) > 4);
-        let changed = golden.iter().zip(&frame.color).filter(differs).count();
-        let report = format!("{name}: {psnr:.1} dB, SSIM {ssim:.5}, {changed} pixels differ");
-        println!("{report}");
-        if psnr < 45.0 || ssim < 0.995 || changed > golden.len() / 200 {
-            let difference = golden.iter().zip(&frame.color).map(|(a, b)| {
-                let [r, g, b, _] = std::array::from_fn(|k| a[k].abs_diff(b[k]).saturating_mul(8));
-                [r, g, b, 255]
-            });
-            verdict::save(&format!("{name}-golden"), WIDTH, HEIGHT, golden.clone());
-            verdict::save(&format!("{name}-difference"), WIDTH, HEIGHT, difference.collect());
-            verdict::save(&format!("{name}-frame"), WIDTH, HEIGHT, frame.color.clone());
-            panic!("{report}; see {}", super::stage::folder().join("failed").display());
-        }
+        hold(&name, &frame.color);
+    }
+}
+
+/// Holds a frame against the picture of this name.
+fn hold(name: &str, color: &[[u8; 4]]) {
+    if std::env::var("UPDATE").is_ok_and(|update| update == "1") {
+        write(name, color);
+    }
+    let golden = read(name);
+    let psnr = metrics::psnr(&golden, color).unwrap();
+    let ssim = metrics::ssim(&golden, color, WIDTH, HEIGHT).unwrap();
+    let differs = |(a, b): &(&[u8; 4], &[u8; 4])| (0..3).any(|k| a[k].abs_diff(b[k]) > 4);
+    let changed = golden.iter().zip(color).filter(differs).count();
+    let report = format!("{name}: {psnr:.1} dB, SSIM {ssim:.5}, {changed} pixels differ");
+    println!("{report}");
+    if psnr < 45.0 || ssim < 0.995 || changed > golden.len() / 200 {
+        let difference = golden.iter().zip(color).map(|(a, b)| {
+            let [r, g, b, _] = std::array::from_fn(|k| a[k].abs_diff(b[k]).saturating_mul(8));
+            [r, g, b, 255]
+        });
+        verdict::save(&format!("{name}-golden"), WIDTH, HEIGHT, golden.clone());
+        verdict::save(&format!("{name}-difference"), WIDTH, HEIGHT, difference.collect());
+        verdict::save(&format!("{name}-frame"), WIDTH, HEIGHT, color.to_vec());
+        panic!("{report}; see {}", super::stage::folder().join("failed").display());
     }
 }
 
@@ -114,4 +123,27 @@ fn level_of_detail() {
     compare_with("plaza", &["walk"], spt(1.0, Reconstruct::Splats), "-spt");
     compare_with("relief", &["front"], spt(2.0, Reconstruct::Splats), "-spt");
     compare_with("part", &["front"], spt(1.0, Reconstruct::Points), "-spt");
+}
+
+#[test]
+fn a_single_pass() {
+    compare_with("town", &["square"], Settings::drawn_as(Reconstruct::Fuzzy), "-fuzzy");
+}
+
+#[test]
+fn effects_and_other_settings() {
+    let points = Settings::drawn_as(Reconstruct::Points);
+    let splats = Settings::drawn_as(Reconstruct::Splats);
+    let edl = Settings { edl: Edl::On, ..points };
+    compare_with("town", &["overview"], edl, "-edl");
+    let discs = Settings { point_size_px: PointSizePx::new(4.0).unwrap(), ..points };
+    compare_with("town", &["square"], discs, "-discs");
+    let heights = Settings { color_by: ColorBy::Height, color_map: ColorMap::Spectral, ..points };
+    compare_with("relief", &["front"], heights, "-height");
+    let normals = Settings { color_by: ColorBy::Normal, ..splats };
+    compare_with("part", &["front"], normals, "-normal");
+    let orthographic = Settings { projection: Some(Projection::Orthographic), ..splats };
+    compare_with("part", &["detail"], orthographic, "-orthographic");
+    let half = Some("-100,-100,-100,4,100,100".parse().unwrap());
+    compare_with("plaza", &["assembly"], Settings { clip_boxes: half, ..points }, "-clipped");
 }

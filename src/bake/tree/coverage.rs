@@ -50,8 +50,8 @@ impl Matter {
     pub fn share(self, normal: Vec3) -> f32 {
         match self {
             Matter::Points | Matter::Closed => 0.25,
-            Matter::Crowd if normal == Vec3::ZERO => 1.0,
-            Matter::Open | Matter::Crowd => 0.5,
+            Matter::Instances if normal == Vec3::ZERO => 1.0,
+            Matter::Open | Matter::Instances => 0.5,
         }
     }
 
@@ -74,7 +74,7 @@ fn fullness(node: &Node) -> u8 {
         // The two sides of a thin wall look like one.
         (true, Matter::Closed | Matter::Open | Matter::Points) => 0.5 * node.weight,
         // Objects in front of a surface are not part of the surface.
-        (true, Matter::Crowd) => 0.0,
+        (true, Matter::Instances) => 0.0,
     };
     FULL.iter().filter(|&&least| area >= least * disk).count() as u8
 }
@@ -85,7 +85,7 @@ fn around(node: &Node, parent: Option<(&Node, u8)>) -> u8 {
         (None, _) => 0,
         (Some(_), Matter::Points) => WHOLE,
         // A node of a crowd without a normal is an object, or several, in front of others.
-        (Some(_), Matter::Crowd) if node.normal == Vec3::ZERO => 0,
+        (Some(_), Matter::Instances) if node.normal == Vec3::ZERO => 0,
         (Some((parent, above)), _) => fullness(parent).max(above),
     }
 }
@@ -112,7 +112,7 @@ pub fn byte(node: &Node, size: f32) -> u8 {
     if !is_thinned {
         return EXACT;
     }
-    if matches!(node.matter, Matter::Points | Matter::Crowd) && node.around >= WHOLE {
+    if matches!(node.matter, Matter::Points | Matter::Instances) && node.around >= WHOLE {
         return FILLS;
     }
     let part = node.seen() / (PI * size * size);

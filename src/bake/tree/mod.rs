@@ -121,11 +121,11 @@ pub fn build_tree_within(
 ///
 /// # Errors
 /// See [`PackError`].
-pub fn build_crowd(
+pub fn build_over_instances(
     roots: &PointCloud,
     stands: &[Measures],
 ) -> Result<(PackedSamples, Vec<(u32, Above)>), PackError> {
-    let (mut tree, grid) = raise(roots, Some(stands), Bounds::EMPTY, Matter::Crowd)?;
+    let (mut tree, grid) = raise(roots, Some(stands), Bounds::EMPTY, Matter::Instances)?;
     // The test that activates the tree below a leaf uses errors that do not depend on the viewing angle.
     tree.nodes.iter_mut().for_each(node::Node::see_alike);
     let (packed, _) = sequence::sequence(roots, &tree, grid, 0);

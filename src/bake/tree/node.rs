@@ -25,7 +25,7 @@ pub enum Matter {
     /// Any other mesh.
     Open,
     /// Roots of trees; their areas are already visible areas.
-    Crowd,
+    Instances,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -165,7 +165,7 @@ impl Node {
             flat: weight,
             mean: weight * matter.share(normal),
             matter,
-            blank: normal == Vec3::ZERO && matter != Matter::Crowd,
+            blank: normal == Vec3::ZERO && matter != Matter::Instances,
             around: WHOLE,
             values: Values::default(),
             color: Vec3::new(f32::from(color[0]), f32::from(color[1]), f32::from(color[2])),

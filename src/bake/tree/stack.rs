@@ -17,7 +17,7 @@ pub struct Stack<T> {
     /// Members of one cell of the finest level, which may exceed the number of children of a node: entry `i` holds results of `i`
     /// merges.
     rounds: Vec<Vec<T>>,
-    is_crowded: bool,
+    has_rounds: bool,
     /// Empty lists for reuse.
     spare: Vec<Vec<T>>,
 }
@@ -28,7 +28,7 @@ impl<T> Stack<T> {
             cells: Vec::new(),
             last: None,
             rounds: Vec::new(),
-            is_crowded: false,
+            has_rounds: false,
             spare: Vec::new(),
         }
     }
@@ -39,7 +39,7 @@ impl<T> Stack<T> {
         let Some(last) = self.last.take() else { return };
         let last = self.complete(level, last, merge);
         match self.cells.last_mut() {
-            _ if level == 0 => self.crowd(last, merge),
+            _ if level == 0 => self.push_finest(last, merge),
             Some((own, members)) if *own == level => members.push(last),
             _ => {
                 let mut members = self.spare.pop().unwrap_or_default();
@@ -62,8 +62,8 @@ impl<T> Stack<T> {
 
     /// Merges `last` with the members of all cells smaller than `level`, which are complete.
     fn complete(&mut self, level: u32, mut last: T, merge: &mut impl FnMut(&[T]) -> T) -> T {
-        if level > 0 && self.is_crowded {
-            last = self.settle(last, merge);
+        if level > 0 && self.has_rounds {
+            last = self.merge_rounds(last, merge);
         }
         while self.cells.last().is_some_and(|(own, _)| *own < level) {
             let Some((_, mut members)) = self.cells.pop() else { break };
@@ -76,8 +76,8 @@ impl<T> Stack<T> {
     }
 
     /// Adds a member that is not the last of its cell, at the finest level.
-    fn crowd(&mut self, mut member: T, merge: &mut impl FnMut(&[T]) -> T) {
-        self.is_crowded = true;
+    fn push_finest(&mut self, mut member: T, merge: &mut impl FnMut(&[T]) -> T) {
+        self.has_rounds = true;
         for round in 0.. {
             if round == self.rounds.len() {
                 self.rounds.push(Vec::with_capacity(CHILDREN));
@@ -93,8 +93,8 @@ impl<T> Stack<T> {
     }
 
     /// Merges all members of a cell of the finest level with its last member.
-    fn settle(&mut self, last: T, merge: &mut impl FnMut(&[T]) -> T) -> T {
-        self.is_crowded = false;
+    fn merge_rounds(&mut self, last: T, merge: &mut impl FnMut(&[T]) -> T) -> T {
+        self.has_rounds = false;
         let mut carried = last;
         for members in &mut self.rounds {
             if !members.is_empty() {

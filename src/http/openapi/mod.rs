@@ -1,10 +1,11 @@
 //! The contract, generated from the handlers and wire types.
 //!
-//! Handlers document their successes. One table here lists the problems that each operation answers, so the document has every
+//! Handlers document their successes. A table, [`problems`], lists the problems that each operation answers, so the document has every
 //! status and its `type`s. [`tidy`] straightens the generator's schemas, and [`bounds`] adds the ranges and lengths that the
 //! handlers enforce. `openapi.yaml` at the root of the repository is this document; a test holds the two equal.
 
 mod bounds;
+mod problems;
 #[cfg(test)]
 mod reference;
 mod tidy;
@@ -144,228 +145,6 @@ fn parameters(document: &mut Value) {
     }
 }
 
-/// Lists the problems that an operation may answer; access and internal errors are added to all operations.
-fn problems(path: &str, method: &str) -> &'static [Kind] {
-    use Kind::*;
-    match (path, method) {
-        ("/v1/scenes/{id}/frame", _) => &[
-            UnknownScene,
-            SceneLoading,
-            NotAcceptable,
-            BadParameter,
-            UnknownParameter,
-            Unavailable,
-            OverLimit,
-            AssetRefused,
-            SceneRefused,
-            UnsupportedAsset,
-            SceneTooLarge,
-            LoadLost,
-            Busy,
-            DeadlineExceeded,
-            FrameTimeout,
-            DeviceLost,
-            ShuttingDown,
-            OutOfGpuMemory,
-            OutOfMemory,
-        ],
-        ("/v1/scenes/{id}/frames", _) => &[
-            UnknownScene,
-            SceneLoading,
-            RequestTimeout,
-            BodyTooLarge,
-            UnsupportedMediaType,
-            BadParameter,
-            UnknownParameter,
-            Unavailable,
-            BadBody,
-            AssetRefused,
-            SceneRefused,
-            UnsupportedAsset,
-            SceneTooLarge,
-            LoadLost,
-            OutOfGpuMemory,
-            OutOfMemory,
-            ShuttingDown,
-        ],
-        ("/v1/scenes/{id}/pick", "get") => &[
-            UnknownScene,
-            SceneLoading,
-            BadParameter,
-            UnknownParameter,
-            Unavailable,
-            OverLimit,
-            AssetRefused,
-            SceneRefused,
-            UnsupportedAsset,
-            SceneTooLarge,
-            LoadLost,
-            Busy,
-            DeadlineExceeded,
-            FrameTimeout,
-            DeviceLost,
-            ShuttingDown,
-            OutOfGpuMemory,
-            OutOfMemory,
-        ],
-        ("/v1/scenes/{id}/pick", _) => &[
-            UnknownScene,
-            SceneLoading,
-            RequestTimeout,
-            BodyTooLarge,
-            UnsupportedMediaType,
-            BadParameter,
-            UnknownParameter,
-            Unavailable,
-            BadBody,
-            OverLimit,
-            AssetRefused,
-            SceneRefused,
-            UnsupportedAsset,
-            SceneTooLarge,
-            LoadLost,
-            Busy,
-            DeadlineExceeded,
-            FrameTimeout,
-            DeviceLost,
-            ShuttingDown,
-            OutOfGpuMemory,
-            OutOfMemory,
-        ],
-        ("/v1/scenes/{id}/stream", _) => &[
-            UnknownScene,
-            SceneLoading,
-            UpgradeRequired,
-            BadParameter,
-            UnknownParameter,
-            Unavailable,
-        ],
-        ("/v1/scenes/{id}/mjpeg", _) => &[
-            UnknownScene,
-            SceneLoading,
-            BadParameter,
-            UnknownParameter,
-            Unavailable,
-            OverLimit,
-            AssetRefused,
-            SceneRefused,
-            UnsupportedAsset,
-            SceneTooLarge,
-            LoadLost,
-            Busy,
-            FrameTimeout,
-            DeviceLost,
-            ShuttingDown,
-            OutOfGpuMemory,
-            OutOfMemory,
-        ],
-        ("/v1/scenes/{id}/paths/{name}", _) => &[UnknownScene, UnknownPath, SceneLoading],
-        ("/viewer/{file}", _) => &[UnknownRoute],
-        ("/v1/scenes", "post") => &[
-            UploadsOff,
-            RequestTimeout,
-            SceneExists,
-            BodyTooLarge,
-            SceneTooLarge,
-            UnsupportedMediaType,
-            UnsupportedAsset,
-            BadParameter,
-            UnknownParameter,
-            BadBody,
-            OverLimit,
-            AssetRefused,
-            SceneRefused,
-            LoadCancelled,
-            TooManyScenes,
-            DeviceLost,
-            ShuttingDown,
-            OutOfGpuMemory,
-            OutOfMemory,
-            OutOfDisk,
-            UploadQuota,
-        ],
-        ("/v1/scenes/{id}/retry", _) => &[
-            UnknownScene,
-            SceneExists,
-            SceneLoading,
-            SceneTooLarge,
-            UnsupportedAsset,
-            OverLimit,
-            AssetRefused,
-            SceneRefused,
-            LoadCancelled,
-            LoadLost,
-            ShuttingDown,
-            OutOfGpuMemory,
-            OutOfMemory,
-            OutOfDisk,
-        ],
-        ("/v1/scenes/{id}", "delete") => &[UnknownScene, SceneLoading],
-        ("/v1/scenes/{id}", _) => &[UnknownScene],
-        ("/v1/scenes/{id}/nodes/{node}", _) => &[
-            UnknownScene,
-            UnknownNode,
-            SceneLoading,
-            RequestTimeout,
-            BodyTooLarge,
-            UnsupportedMediaType,
-            BadParameter,
-            UnknownParameter,
-            BadBody,
-            OverLimit,
-            DeviceLost,
-            ShuttingDown,
-            OutOfGpuMemory,
-            OutOfMemory,
-        ],
-        ("/v1/jobs", "post") => &[
-            JobsOff,
-            UnknownScene,
-            SceneLoading,
-            RequestTimeout,
-            BodyTooLarge,
-            UnsupportedMediaType,
-            BadParameter,
-            UnknownParameter,
-            Unavailable,
-            BadBody,
-            OverLimit,
-            KeyReused,
-            TooManyJobs,
-            ShuttingDown,
-            OutOfGpuMemory,
-            OutOfJobDisk,
-            OutOfDisk,
-        ],
-        ("/v1/jobs", _) => &[JobsOff],
-        ("/v1/jobs/{id}", "get") => &[JobsOff, UnknownJob],
-        ("/v1/jobs/{id}", _) => &[JobsOff, UnknownJob, OutOfDisk],
-        ("/v1/jobs/{id}/cancel", _) => &[JobsOff, UnknownJob, JobState, OutOfDisk],
-        ("/v1/jobs/{id}/resume", _) => {
-            &[JobsOff, UnknownJob, JobState, TooManyJobs, OutOfJobDisk, OutOfDisk]
-        }
-        ("/v1/jobs/{id}/events", _) => &[JobsOff, UnknownJob, Busy],
-        ("/v1/jobs/{id}/frames", _) => &[JobsOff, UnknownJob, OutOfDisk],
-        ("/v1/jobs/{id}/frames/{n}", _) => &[
-            JobsOff,
-            UnknownJob,
-            UnknownFrame,
-            FrameNotDrawn,
-            JobFileDamaged,
-            RangeNotSatisfiable,
-            OutOfDisk,
-        ],
-        ("/v1/jobs/{id}/multipart", _) => {
-            &[JobsOff, UnknownJob, UnknownFrame, BadParameter, UnknownParameter, Busy]
-        }
-        ("/v1/jobs/{id}/video.mp4", _) => {
-            &[JobsOff, UnknownJob, NoVideo, JobFileDamaged, RangeNotSatisfiable, OutOfDisk]
-        }
-        ("/healthz" | "/readyz", _) => &[NotReady],
-        _ => &[],
-    }
-}
-
 /// Returns whether an operation reads its query, if only to refuse one.
 fn reads_query(path: &str) -> bool {
     path.starts_with("/v1/") && path != "/v1/scene-schema.json"
@@ -376,7 +155,7 @@ struct Problems;
 impl Modify for Problems {
     fn modify(&self, openapi: &mut utoipa::openapi::OpenApi) {
         each_operation(openapi, |path, method, operation| {
-            let mut kinds = problems(path, method).to_vec();
+            let mut kinds = problems::problems(path, method);
             kinds.extend([
                 Kind::MalformedRequest,
                 Kind::HeadTooLarge,

@@ -62,7 +62,7 @@ fn orchard() -> Daemon {
 fn baking_is_a_stage_that_can_be_given_up() {
     let daemon = orchard();
     let client = daemon.client();
-    let baking = || json!({"scene": "many", "lod": "spt", "to": 3});
+    let baking = || json!({"scene": "many", "lod": "spt", "color_by": "levels", "to": 3});
     let id = create(&client, baking());
     let found = when(&client, &id, "baking", |job| job["stage"] == "baking");
     assert_eq!(found["state"], "running");

@@ -1,0 +1,284 @@
+//! Connections: how many there may be, and for how long each may stall.
+//!
+//! A connection must send the head of a request within `read_timeout`; an idle connection is closed after the same time, and a
+//! connection that accepts no bytes of its answer for [`STALLED_WRITE`] is dropped. A connection beyond `max_connections` gets a
+//! short refusal and is closed. A few of these at a time are read first, so that health probes are answered.
+
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use axum::response::{IntoResponse, Response};
+use axum_server::accept::Accept;
+use bytes::{Buf, Bytes};
+use hyper::header::CONTENT_LENGTH;
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
+use tokio::net::TcpStream;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::time::{Instant, Sleep};
+
+use super::problem::{Kind, Problem};
+use super::{App, refusal, service};
+
+/// Time after which a client that reads nothing of its answer is dropped.
+const STALLED_WRITE: Duration = Duration::from_secs(60);
+/// Length of an HTTP/2 preface, which is also nearly that of the shortest HTTP/1 request.
+const PREFACE_BYTES: u64 = 24;
+/// Limits of reading on after a refused head, in time and bytes: closing at once would reset the connection, and the client might
+/// never see the answer.
+const LINGER: Duration = Duration::from_secs(1);
+const LINGER_BYTES: usize = 1 << 20;
+
+/// Accepts connections up to the limit.
+#[derive(Clone)]
+pub struct Doorkeeper {
+    pub app: Arc<App>,
+    pub places: Arc<Semaphore>,
+    /// Permits for connections beyond the limit that may be health probes.
+    pub probes: Arc<Semaphore>,
+    pub read_timeout: Duration,
+}
+
+/// Limits of connections beyond `max_connections` that are read: their number, bytes and time.
+pub const PROBES: usize = 16;
+const PROBE_BYTES: usize = 2048;
+const PROBE_READ: Duration = Duration::from_millis(300);
+
+impl<S: Send + 'static> Accept<TcpStream, S> for Doorkeeper {
+    type Stream = Guarded;
+    type Service = S;
+    type Future = Pin<Box<dyn Future<Output = std::io::Result<(Guarded, S)>> + Send>>;
+
+    fn accept(&self, mut stream: TcpStream, service: S) -> Self::Future {
+        let place = self.places.clone().try_acquire_owned();
+        let Doorkeeper { app, probes, read_timeout, .. } = self.clone();
+        Box::pin(async move {
+            let Ok(place) = place else {
+                let answer = async {
+                    let probe = probes.try_acquire_owned().ok();
+                    let answer = match probe {
+                        Some(_) => {
+                            let read = probed(&app, &mut stream);
+                            tokio::time::timeout(PROBE_READ, read).await.ok().flatten()
+                        }
+                        None => None,
+                    };
+                    turn_away(&mut stream, answer).await
+                };
+                let _ = tokio::time::timeout(Duration::from_secs(1), answer).await;
+                return Err(std::io::Error::other("no place left"));
+            };
+            stream.set_nodelay(true)?;
+            Ok((Guarded::new(stream, place, read_timeout), service))
+        })
+    }
+}
+
+/// Returns the answer to a health probe, if the connection begins with one.
+async fn probed(app: &Arc<App>, stream: &mut TcpStream) -> Option<Response> {
+    let mut head = Vec::new();
+    // Read the whole head: a connection closed with unread bytes is reset, and the answer may be lost.
+    while !head.windows(4).any(|end| end == b"\r\n\r\n") {
+        if head.len() >= PROBE_BYTES || stream.read_buf(&mut head).await.ok()? == 0 {
+            return None;
+        }
+    }
+    let state = axum::extract::State(app.clone());
+    Some(if head.starts_with(b"GET /healthz ") {
+        service::healthz(state).await.into_response()
+    } else if head.starts_with(b"GET /readyz ") {
+        service::readyz(state).await.into_response()
+    } else {
+        return None;
+    })
+}
+
+/// Sends an answer, by default that there is no place, and closes.
+async fn turn_away(stream: &mut TcpStream, answer: Option<Response>) -> std::io::Result<()> {
+    let answer = answer.unwrap_or_else(|| {
+        let problem = Problem::new(Kind::Busy, "too many connections");
+        problem.retry_after(Duration::from_secs(1)).into_response()
+    });
+    let (head, body) = answer.into_parts();
+    let body = axum::body::to_bytes(body, PROBE_BYTES).await.unwrap_or_default();
+    let mut answer = format!("HTTP/1.1 {}\r\n", head.status).into_bytes();
+    for (name, value) in head.headers.iter().filter(|(name, _)| *name != CONTENT_LENGTH) {
+        answer.extend([name.as_str().as_bytes(), b": ", value.as_bytes(), b"\r\n"].concat());
+    }
+    let rest = format!("content-length: {}\r\nconnection: close\r\n\r\n", body.len());
+    answer.extend(rest.as_bytes());
+    answer.extend(body);
+    stream.write_all(&answer).await?;
+    stream.shutdown().await
+}
+
+/// A connection that holds its place, with two limits that the HTTP library lacks: time for the first
+/// bytes, which the library reads before it knows their protocol, and time for writes.
+pub struct Guarded {
+    stream: TcpStream,
+    _place: OwnedSemaphorePermit,
+    read_bytes: u64,
+    preface_until: Pin<Box<Sleep>>,
+    write_until: Pin<Box<Sleep>>,
+    is_write_pending: bool,
+    /// Answer that replaces one of the HTTP library.
+    instead: Option<Instead>,
+}
+
+/// An answer in transit, and the bytes read after it.
+struct Instead {
+    rest: Bytes,
+    unread: usize,
+    until: Pin<Box<Sleep>>,
+}
+
+impl Guarded {
+    fn new(stream: TcpStream, place: OwnedSemaphorePermit, read_timeout: Duration) -> Self {
+        Self {
+            stream,
+            _place: place,
+            read_bytes: 0,
+            preface_until: Box::pin(tokio::time::sleep(read_timeout)),
+            write_until: Box::pin(tokio::time::sleep(STALLED_WRITE)),
+            is_write_pending: false,
+            instead: None,
+        }
+    }
+
+    /// Sends a whole answer in place of one of the HTTP library; `None` where these bytes are not such an answer.
+    fn poll_instead(
+        &mut self,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Option<Poll<std::io::Result<usize>>> {
+        if self.instead.is_none() {
+            let rest = refusal::instead_of(bytes)?;
+            let until = Box::pin(tokio::time::sleep(LINGER));
+            self.instead = Some(Instead { rest, unread: LINGER_BYTES, until });
+        }
+        let mut instead = self.instead.take()?;
+        let result = self.poll_rest(context, &mut instead).map_ok(|()| bytes.len());
+        if result.is_pending() {
+            self.instead = Some(instead);
+        }
+        Some(result)
+    }
+
+    fn poll_rest(
+        &mut self,
+        context: &mut Context<'_>,
+        instead: &mut Instead,
+    ) -> Poll<std::io::Result<()>> {
+        while !instead.rest.is_empty() {
+            let written = Pin::new(&mut self.stream).poll_write(context, &instead.rest);
+            let written = std::task::ready!(self.bounded(context, written))?;
+            instead.rest.advance(written);
+        }
+        std::task::ready!(Pin::new(&mut self.stream).poll_shutdown(context))?;
+        while instead.unread > 0 && instead.until.as_mut().poll(context).is_pending() {
+            let mut space = [0; 4096];
+            let mut buffer = ReadBuf::new(&mut space);
+            match Pin::new(&mut self.stream).poll_read(context, &mut buffer) {
+                Poll::Pending => return Poll::Pending,
+                Poll::Ready(Ok(())) if !buffer.filled().is_empty() => {
+                    instead.unread = instead.unread.saturating_sub(buffer.filled().len());
+                }
+                Poll::Ready(_) => break,
+            }
+        }
+        Poll::Ready(Ok(()))
+    }
+
+    /// Turns a write that takes too long into an error.
+    fn bounded<T>(
+        &mut self,
+        context: &mut Context<'_>,
+        result: Poll<std::io::Result<T>>,
+    ) -> Poll<std::io::Result<T>> {
+        if result.is_ready() {
+            self.is_write_pending = false;
+            return result;
+        }
+        if !self.is_write_pending {
+            self.is_write_pending = true;
+            self.write_until.as_mut().reset(Instant::now() + STALLED_WRITE);
+        }
+        match self.write_until.as_mut().poll(context) {
+            Poll::Ready(()) => Poll::Ready(Err(std::io::ErrorKind::TimedOut.into())),
+            Poll::Pending => Poll::Pending,
+        }
+    }
+}
+
+impl AsyncRead for Guarded {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<std::io::Result<()>> {
+        let before = buffer.filled().len();
+        match Pin::new(&mut self.stream).poll_read(context, buffer) {
+            Poll::Ready(result) => {
+                self.read_bytes += (buffer.filled().len() - before) as u64;
+                Poll::Ready(result)
+            }
+            Poll::Pending if self.read_bytes < PREFACE_BYTES => {
+                match self.preface_until.as_mut().poll(context) {
+                    Poll::Ready(()) => Poll::Ready(Err(std::io::ErrorKind::TimedOut.into())),
+                    Poll::Pending => Poll::Pending,
+                }
+            }
+            Poll::Pending => Poll::Pending,
+        }
+    }
+}
+
+impl AsyncWrite for Guarded {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<std::io::Result<usize>> {
+        if let Some(result) = self.poll_instead(context, bytes) {
+            return result;
+        }
+        let result = Pin::new(&mut self.stream).poll_write(context, bytes);
+        self.bounded(context, result)
+    }
+
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        slices: &[std::io::IoSlice<'_>],
+    ) -> Poll<std::io::Result<usize>> {
+        let mut filled = slices.iter().filter(|slice| !slice.is_empty());
+        if let (Some(only), None) = (filled.next(), filled.next())
+            && let Some(result) = self.poll_instead(context, only)
+        {
+            return result;
+        }
+        let result = Pin::new(&mut self.stream).poll_write_vectored(context, slices);
+        self.bounded(context, result)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.stream.is_write_vectored()
+    }
+
+    fn poll_flush(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<std::io::Result<()>> {
+        let result = Pin::new(&mut self.stream).poll_flush(context);
+        self.bounded(context, result)
+    }
+
+    fn poll_shutdown(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<std::io::Result<()>> {
+        Pin::new(&mut self.stream).poll_shutdown(context)
+    }
+}

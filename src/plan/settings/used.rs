@@ -1,0 +1,77 @@
+//! Settings as receipts have them.
+
+use serde::Serialize;
+
+use super::{Given, Reconstruct};
+use crate::plan::Reconstruction;
+use crate::scene::{Blend, Filter, Shading, Splats};
+
+/// Settings as a frame was drawn with them.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, utoipa::ToSchema)]
+pub struct UsedSettings {
+    /// Settings that affected the frame.
+    #[serde(flatten)]
+    pub applied: Given,
+    /// Why the same request will be answered by another frame in a while: normals and kernels are being estimated.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub provisional: Option<String>,
+    /// Choice that was asked for, where it was `auto`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub asked: Option<Reconstruct>,
+    /// Why `auto` chose this, with figures.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub because: Option<String>,
+    /// Distance between neighbouring samples, in pixels, that 90 % of what samples cover does not exceed, where `auto` looked at it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub spacing_px: Option<f64>,
+    /// Why that is not what was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub instead_because: Option<&'static str>,
+    /// Why a frame with `lod=spt` was drawn at full detail.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub full_because: Option<String>,
+    /// Only where samples are drawn as splats.
+    #[serde(flatten)]
+    pub splats: Option<UsedSplats>,
+}
+
+/// How samples were drawn as splats.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, utoipa::ToSchema)]
+#[schema(as = Splats)]
+pub struct UsedSplats {
+    pub filter: Filter,
+    /// Left out where `reconstruct=fuzzy` has its own way.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Blend, required = false)]
+    pub blend: Option<Blend>,
+    pub shading: Shading,
+    /// Whether kernels are convolved with a low-pass filter of the image (EWA).
+    pub prefilter: bool,
+    /// Standard deviation of that filter, in pixels.
+    pub lowpass_px: f32,
+    /// Where kernels end, in their standard deviations.
+    pub cutoff: f32,
+    /// Multiplies every kernel's axes.
+    pub width: f32,
+    /// How far behind the nearest surface splats still count, in radii of the nearest splat.
+    pub depth_offset: f32,
+}
+
+impl UsedSplats {
+    /// Returns the parameters of splats; `None` where samples are drawn as points.
+    pub fn of(reconstruction: &Reconstruction) -> Option<UsedSplats> {
+        let &Splats { filter, blend, shading, prefilter, lowpass_px, cutoff, width, depth_offset } =
+            reconstruction.splats()?;
+        let blend = reconstruction.fuzzy().is_none().then_some(blend);
+        Some(UsedSplats {
+            filter,
+            blend,
+            shading,
+            prefilter,
+            lowpass_px,
+            cutoff,
+            width,
+            depth_offset,
+        })
+    }
+}
