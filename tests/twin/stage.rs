@@ -168,6 +168,11 @@ impl Case {
         panic!("{}: the second engine has 64-bit atomics: {:?}", self.id, narrow.receipt.passes);
     }
 
+    /// Draws the frame with 64-bit atomics alone.
+    pub fn draw_wide(&self, view: &View, settings: Settings) -> Frames {
+        frames(&WIDE, &self.id, view, settings)
+    }
+
     /// Draws the frame with every engine: with 64-bit atomics, without, and with the rasteriser and hidden chunks.
     pub fn each(&self, view: &View) -> [Frames; 3] {
         self.each_with(view, Settings::drawn_as(Reconstruct::Points))
