@@ -1,6 +1,7 @@
 // The list of entries as `cull` has written it.
 //!include shared/chosen
 //!include shared/accepted
+//!include shared/codes
 //!include shared/octahedral
 //!include shared/parts
 @group(2) @binding(5) var<storage, read> entries: array<Entry>;
@@ -33,20 +34,15 @@ fn code_limits(chunk: Chunk, at: Placed, box: Box, unit: f32) -> u32 {
     let least = accepted(near - delta, far + delta);
     let high = box.centre.z + deep + 2.0 * DEPTH_SLACK * far;
     let most = accepted(high, high) * select(1.0, 1.0 / SIDEWAYS, SPLIT);
-    // Two more for rounding of the logarithm. Code 0x7ff stands for an error of zero, which passes anywhere.
+    // Two more for rounding of the logarithm. An error of zero passes anywhere.
     let parents = select(f32(MOST_LIMIT), clamp(ceil(64.0 * log2(unit / least)) + 2.0, 1.0, f32(MOST_LIMIT)), least > 0.0);
-    let own = select(f32(0x7ffu), clamp(floor(64.0 * log2(unit / most)) - 2.0, 0.0, f32(0x7ffu)), most > 0.0);
+    let own = select(f32(NO_CODE), clamp(floor(64.0 * log2(unit / most)) - 2.0, 0.0, f32(NO_CODE)), most > 0.0);
     return u32(parents) | (u32(own) << 16u);
 }
 
-// The value of a code of a part, in units of its base; 0x7ff stands for zero. See src/bake/tree.
-fn part_value(code: u32) -> f32 {
-    return select(exp2(f32(code) * -0.015625), 0.0, code == 0x7ffu);
-}
-
-// The value of a parent's code: 0 stands for no parent, whose error none is as large as.
+// The value of a parent's code. Without a parent it is larger than any error.
 fn parent_value(code: u32) -> f32 {
-    return select(part_value(code), 1e30, code == 0u);
+    return select(code_value(code), 1e30, code == NO_PARENT);
 }
 
 // The axis of a cone: two signed bytes of the octahedral map.
@@ -94,8 +90,8 @@ fn wanted_parts(index: u32, chunk: Chunk, at: Placed, whole: Box, unit: f32, one
         let high = box.centre.z + deep + slack;
         let delta = scale * own.delta + slack;
         // Codes may be decoded with another rounding where nodes are tested.
-        let parent_most = 1.0001 * unit * parent_value(any_codes >> 11u);
-        let own_least = 0.9999 * unit * part_value(any_codes & 0x7ffu) * sideways;
+        let parent_most = 1.0001 * unit * parent_value(any_codes >> CODE_BITS);
+        let own_least = 0.9999 * unit * code_value(any_codes & CODE) * sideways;
         if !(parent_most > accepted(low - delta, far + delta)) || !(own_least <= accepted(high, high)) {
             continue;
         }
@@ -111,8 +107,8 @@ fn wanted_parts(index: u32, chunk: Chunk, at: Placed, whole: Box, unit: f32, one
             }
         }
         wanted |= 1u << i;
-        let parent_least = 0.9999 * unit * parent_value((all_codes >> 11u) & 0x7ffu) * sideways;
-        let own_most = 1.0001 * unit * part_value(all_codes & 0x7ffu);
+        let parent_least = 0.9999 * unit * parent_value((all_codes >> CODE_BITS) & CODE) * sideways;
+        let own_most = 1.0001 * unit * code_value(all_codes & CODE);
         let is_plain = MEASURE == 0u || (own.size_all & PLAIN) != 0u;
         if is_plain && own_most <= accepted(low, far + slack) && parent_least > accepted(high, high) {
             wanted |= 0x10000u << i;

@@ -1,5 +1,6 @@
 // Nodes of a point tree: which of them are drawn (Dachsbacher et al. 2003, §3.6). `crate::bake::tree` says what the words are.
 //!include shared/accepted
+//!include shared/codes
 //!include shared/stretch
 const TREE: bool = true;
 const KERNEL_WORDS: u32 = 3u;
@@ -11,11 +12,6 @@ override SPLIT: bool = false;
 
 // For each node its kernel, then its two words.
 @group(1) @binding(1) var<storage, read> kernels: array<u32>;
-
-const CODE_BITS: u32 = 11u;
-const CODE: u32 = 0x7ffu;
-const NO_CODE: u32 = CODE;
-const NO_PARENT: u32 = 0u;
 
 // Nodes show how high they stand above the leaves (Dachsbacher et al. 2003, Fig. 1).
 override LEVELS: bool = false;
@@ -49,11 +45,6 @@ fn is_behind_prefix(sample: u32, limit: u32) -> bool {
 fn cone_sine(sample: u32) -> f32 {
     let code = (kernels[sample * KERNEL_WORDS + 2u] >> 27u) & 7u;
     return select(f32(code * code) / 48.0, 2.0, code == 7u);
-}
-
-// The value of a code, in units of its base.
-fn code_value(code: u32) -> f32 {
-    return select(exp2(f32(code) * -0.015625), 0.0, code == NO_CODE);
 }
 
 // How far the parent is, at most, in units of the base: from twice its size on in quarters of an octave, or as large as any.

@@ -135,6 +135,7 @@ fragments![
     "shared/visibility_depth",
     "shared/visibility_id",
     "shared/accepted",
+    "shared/codes",
     "shared/chosen",
     "shared/launch",
     "shared/lanes",
