@@ -249,7 +249,7 @@ pub fn plan(scene: &SceneFacts, frame: &FrameFacts, adapter: &AdapterFacts) -> F
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Blend, Splats};
+    use crate::scene::{Blend, Discs, EyeDome, Splats};
 
     const SAMPLES: Counts = Counts { samples: 1, triangles: 0, chunks: 1, instances: 1 };
     const TRIANGLES: Counts = Counts { samples: 0, triangles: 1, chunks: 1, instances: 1 };
@@ -288,7 +288,11 @@ mod tests {
             }
         }
         let lit = Splats { shading: Shading::Splat, ..Splats::default() };
-        let mut methods = vec![Reconstruction::Points, Reconstruction::Fuzzy(lit)];
+        let mut methods = vec![
+            Reconstruction::Points,
+            Reconstruction::Discs(Discs { diameter_px: 3.0, diameter: 0.0 }),
+            Reconstruction::Fuzzy(lit),
+        ];
         for blend in [Blend::Opaque, Blend::Weighted] {
             for shading in [Shading::Splat, Shading::Deferred] {
                 let splats = Splats { blend, shading, ..Splats::default() };
@@ -296,10 +300,13 @@ mod tests {
             }
         }
         let outputs = [Output::Color, Output::Depth, Output::Normal, Output::Id];
+        let effect = EyeDome { strength: 1.0, radius_px: 1.4 };
         let mut plans = Vec::new();
-        for (scene, adapter, method) in iproduct(scenes, adapters, methods) {
-            for output in outputs {
-                plans.push(plan(&scene, output, &method, &adapter));
+        for (scene, adapter, reconstruction) in iproduct(scenes, adapters, methods) {
+            for (output, edl, picked) in iproduct(outputs, [None, Some(effect)], sides) {
+                let frame = FrameFacts { output, reconstruction, edl };
+                let plan = super::plan(&scene, &frame, &adapter);
+                plans.push(if picked { plan.with_identities() } else { plan });
             }
         }
         plans

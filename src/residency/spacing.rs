@@ -13,7 +13,7 @@ const LOOKED_AT: usize = 16;
 /// The patches of a scene's elements of one kind in world space. Their number is bounded by a constant, however many elements and
 /// instances there are.
 pub fn patches(model: &SceneModel, kind: GeometryKind) -> Vec<Patch> {
-    let has_any = |geometry: &PackedGeometry| geometry.kind() == kind && geometry.len() > 0;
+    let has_any = |geometry: &PackedGeometry| geometry.kind() == kind && !geometry.is_empty();
     let holding = || model.instances.iter().filter(|instance| has_any(model.geometry(instance)));
     let count = holding().count();
     let each = PATCHES.checked_div(count).unwrap_or(0).max(1);
