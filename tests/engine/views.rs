@@ -21,13 +21,16 @@ fn counts(receipt: &Receipt) -> [Option<u64>; 5] {
     ]
 }
 
-/// Submits all requests at once until most were drawn together, and compares each with its frame alone.
+/// Views that must share dispatches. The device time of a batch is limited, so that a slow machine draws few of them together.
+const SHARED: u32 = 3;
+
+/// Submits all requests at once until some were drawn together, and compares each with its frame alone.
 fn together_as_alone(studio: &Studio, requests: &[FrameRequest], what: &str) {
     let alone: Vec<_> = requests.iter().map(|request| studio.frame(request)).collect();
     assert!(alone.iter().all(|frame| frame.receipt.views == 1));
     let mut most = 0;
     for _ in 0..30 {
-        let busy: Vec<_> = (0..6).map(|n| studio.submit(&front("cloud", 1024, 1024 - n))).collect();
+        let busy: Vec<_> = (0..6).map(|n| studio.submit(&front("cloud", 340, 340 - n))).collect();
         let tickets: Vec<_> = requests.iter().map(|request| studio.submit(request)).collect();
         for (ticket, (request, alone)) in tickets.into_iter().zip(requests.iter().zip(&alone)) {
             let frame = ticket.wait().unwrap();
@@ -37,7 +40,7 @@ fn together_as_alone(studio: &Studio, requests: &[FrameRequest], what: &str) {
             assert_eq!(counts(&frame.receipt), counts(&alone.receipt), "{what}: {request:?}");
         }
         drop(busy);
-        if most as usize > requests.len() / 2 {
+        if most >= SHARED {
             return;
         }
     }
@@ -186,7 +189,7 @@ fn a_view_over_the_limit_is_refused_alone() {
     let expected = fine.each_ref().map(|request| studio.bytes(request));
     let mut most = 0;
     for _ in 0..20 {
-        let busy: Vec<_> = (0..6).map(|n| studio.submit(&front("cloud", 1024, 1024 - n))).collect();
+        let busy: Vec<_> = (0..6).map(|n| studio.submit(&front("cloud", 340, 340 - n))).collect();
         let first = studio.submit(&fine[0]);
         let refused = studio.submit(&over);
         let rest: Vec<_> = fine[1..].iter().map(|request| studio.submit(request)).collect();
