@@ -64,9 +64,8 @@ pub fn run(args: &InspectArgs) -> Result<()> {
     };
     let bar = progress_bar();
     bar.set_message("estimating normals and kernels");
-    engine.bake(&request)?;
-    bar.finish_and_clear();
     let frame = engine.resolve_blocking(request)?;
+    bar.finish_and_clear();
     let trees = args.tree.then(|| {
         let bar = progress_bar();
         let baked = engine.bake_all(ID, |event| show_baking(&bar, &event));

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use glam::DVec3;
 
+use super::queue::BATCH_NS;
 use super::{EncodeHook, Latch, PrimeConfig};
 use crate::assets::ReadOptions;
 use crate::bake::cache::BakeCache;
@@ -41,6 +42,9 @@ pub struct EngineConfig {
     pub job_share: f64,
     /// Largest number of frames recorded into one submission.
     pub max_batch: usize,
+    /// For tests: largest estimated device time of a submission of several frames.
+    #[doc(hidden)]
+    pub batch_time: Duration,
     /// Frames of jobs that are encoded at a time. Requests and streams have a thread more each.
     pub encoder_threads: usize,
     /// For tests: is called before each frame is encoded.
@@ -143,6 +147,7 @@ impl EngineConfig {
             queue_time: Duration::from_secs(30),
             job_share: DEFAULT_JOB_SHARE,
             max_batch: 16,
+            batch_time: Duration::from_nanos(BATCH_NS),
             encoder_threads: cores.clamp(1, 8),
             encode_hook: None,
             max_pixels: DefaultLimits::of(memory_bytes).max_pixels,

@@ -149,9 +149,10 @@ const STALL: Duration = Duration::from_secs(20);
 
 impl EngineState {
     pub fn new(config: EngineConfig) -> Self {
-        let capacity_ns = u64::try_from(config.queue_time.as_nanos()).unwrap_or(u64::MAX);
+        let [capacity_ns, batch_ns] = [config.queue_time, config.batch_time]
+            .map(|time| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX));
         let (capacity, jobs) = (config.queue_capacity, config.job_share);
-        let queue = Queue::new(Shares { capacity, capacity_ns, jobs });
+        let queue = Queue::new(Shares { capacity, capacity_ns, jobs, batch_ns });
         Self {
             bake_service: BakeService::new(&config),
             encode_backlog: EncodeBacklog::new(config.encoder_threads, config.job_share),

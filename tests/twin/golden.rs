@@ -129,8 +129,7 @@ fn level_of_detail() {
 fn a_single_pass() {
     // Adapters without 64-bit atomics draw three passes instead.
     let case = Case::committed("town");
-    let camera: Camera = case.reference.camera("square").unwrap();
-    let view = camera.view(WIDTH, HEIGHT).unwrap();
+    let view = case.view("square", WIDTH, HEIGHT);
     let frame = case.draw_wide(&view, Settings::drawn_as(Reconstruct::Fuzzy));
     assert_eq!(frame.receipt.settings.instead_because, None);
     hold("town-square-fuzzy", &frame.color);

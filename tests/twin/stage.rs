@@ -197,12 +197,12 @@ impl Case {
         frames
     }
 
-    /// The view of one of the scene's cameras.
     /// The scalar fields of the scene.
     pub fn fields(&self) -> Vec<SceneField> {
         WIDE.scene(&self.id).unwrap().fields
     }
 
+    /// The view of one of the scene's cameras.
     pub fn view(&self, camera: &str, width: u32, height: u32) -> View {
         self.reference.camera(camera).unwrap().view(width, height).unwrap()
     }

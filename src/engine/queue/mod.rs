@@ -110,6 +110,8 @@ pub struct Shares {
     pub capacity_ns: u64,
     /// Minimum share of the device's time for [`Class::Job`]: above 0, below 1.
     pub jobs: f64,
+    /// Largest device time of a batch, in nanoseconds; see [`BATCH_NS`].
+    pub batch_ns: u64,
 }
 
 /// State of the engine when a batch is taken.
@@ -142,7 +144,7 @@ pub struct Taken<J> {
 /// Largest number of pixels of a batch, unless it has only one frame: results of a batch come back together, so a large frame
 /// must not delay another.
 pub const BATCH_PIXELS: u64 = 1 << 20;
-/// Largest device time of a batch, unless it is one frame, for the same reason and because longer batches gain nothing.
+/// Default of the largest device time of a batch, unless it is one frame, for the same reason and because longer batches gain nothing.
 pub const BATCH_NS: u64 = 100_000_000;
 /// Largest device time of a batch while there are streams.
 pub const INTERACTIVE_BATCH_NS: u64 = 32_000_000;
@@ -375,7 +377,7 @@ impl<J: Waiting> Queue<J> {
             of_jobs = self.take_jobs(room, moment.now, &mut taken);
         }
         if !of_jobs && self.returned.is_empty() {
-            let limit_ns = if is_watched { INTERACTIVE_BATCH_NS } else { BATCH_NS };
+            let limit_ns = if is_watched { INTERACTIVE_BATCH_NS } else { self.shares.batch_ns };
             let is_alone = self.first.about(oldest).nth(1).is_none();
             let frame = Frame { max, limit_ns, is_alone, batch, now: moment.now };
             let ns = compose(&mut self.first, frame, &mut taken);
@@ -445,7 +447,7 @@ impl<J: Waiting> Queue<J> {
         if next.is_some_and(|(job, cost_ns)| is_alive(job) && cost_ns > free_ns) {
             return false;
         }
-        let limit_ns = if are_others_about { JOB_BATCH_NS } else { BATCH_NS };
+        let limit_ns = if are_others_about { JOB_BATCH_NS } else { self.shares.batch_ns };
         // Their times alone make the shares equal, because all of them always have frames waiting.
         let limit_ns = limit_ns.min(free_ns);
         let frame = Frame { max, limit_ns, is_alone: true, batch: self.batches + 1, now };

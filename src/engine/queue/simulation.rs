@@ -71,7 +71,8 @@ struct Simulation {
 
 impl Simulation {
     fn new(habits: &[Habit], share: f64) -> Self {
-        let shares = Shares { capacity: 4096, capacity_ns: u64::MAX, jobs: share };
+        let shares =
+            Shares { capacity: 4096, capacity_ns: u64::MAX, jobs: share, batch_ns: BATCH_NS };
         let ask = |(number, habit): (usize, &Habit)| vec![(0, number); habit.window];
         Self {
             queue: Queue::new(shares),
@@ -305,7 +306,7 @@ proptest! {
     /// Whoever waits is served, also against clients that come once each and without end.
     #[test]
     fn newcomers_without_end_starve_nobody(cost_ms in 1u64..30, dear_ms in 1u64..200, a_time in 1usize..6) {
-        let mut queue: Queue<Frame> = Queue::new(Shares { capacity: 64, capacity_ns: u64::MAX, jobs: 0.1 });
+        let mut queue: Queue<Frame> = Queue::new(Shares { capacity: 64, capacity_ns: u64::MAX, jobs: 0.1, batch_ns: BATCH_NS });
         let (now, dear) = (Instant::now(), Client::Caller(0));
         let moment = Moment { now, flying_ns: 1, are_jobs_flying: false, are_streams_open: false, are_jobs_held: false };
         let (mut comers, mut served, mut most) = (1u64, 0, 0);

@@ -42,7 +42,7 @@ fn stream_of(number: u64) -> Client {
 }
 
 fn queue(capacity: usize) -> Queue<Job> {
-    Queue::new(Shares { capacity, capacity_ns: u64::MAX, jobs: 0.1 })
+    Queue::new(Shares { capacity, capacity_ns: u64::MAX, jobs: 0.1, batch_ns: BATCH_NS })
 }
 
 /// Jobs that an idle device is asked to take.
@@ -506,7 +506,7 @@ fn a_full_queue_lets_those_in_who_have_nothing_waiting() {
 
 #[test]
 fn what_waits_is_bounded_in_time_as_well() {
-    let shares = Shares { capacity: 100, capacity_ns: 100 * MS, jobs: 0.1 };
+    let shares = Shares { capacity: 100, capacity_ns: 100 * MS, jobs: 0.1, batch_ns: BATCH_NS };
     let mut queue: Queue<Job> = Queue::new(shares);
     let [a, b, c] = [1, 2, 3].map(Client::Caller);
     assert!(admit(&mut queue, a, 1, 500 * MS), "what costs more than may wait waits alone");

@@ -155,7 +155,7 @@ struct Problems;
 impl Modify for Problems {
     fn modify(&self, openapi: &mut utoipa::openapi::OpenApi) {
         each_operation(openapi, |path, method, operation| {
-            let mut kinds = problems::problems(path, method);
+            let mut kinds = problems::of_operation(path, method);
             kinds.extend([
                 Kind::MalformedRequest,
                 Kind::HeadTooLarge,
@@ -172,10 +172,8 @@ impl Modify for Problems {
             kinds.sort_by_key(|kind| Kind::ALL.iter().position(|known| known == kind));
             kinds.dedup();
             let verb = axum::http::Method::from_bytes(method.to_uppercase().as_bytes());
-            match access::needed(&verb.unwrap_or_default(), path) {
-                None => {}
-                Some(access::Scope::Read) => kinds.extend([Kind::Unauthorized, Kind::Forbidden]),
-                Some(_) => kinds.extend([Kind::Unauthorized, Kind::Forbidden]),
+            if access::needed(&verb.unwrap_or_default(), path).is_some() {
+                kinds.extend([Kind::Unauthorized, Kind::Forbidden]);
             }
             let mut by_status: BTreeMap<u16, Vec<Kind>> = BTreeMap::new();
             for kind in kinds {

@@ -27,7 +27,7 @@ const JOB: &[Kind] = &[JobsOff, UnknownJob];
 const JOB_FILE: &[Kind] = &[JobFileDamaged, RangeNotSatisfiable, OutOfDisk];
 
 /// Lists the problems that an operation may answer, in any order and perhaps twice. Access and internal errors are added to all operations.
-pub fn problems(path: &str, method: &str) -> Vec<Kind> {
+pub fn of_operation(path: &str, method: &str) -> Vec<Kind> {
     let groups: &[&[Kind]] = match (path, method) {
         ("/v1/scenes/{id}/frame", _) => {
             &[&[UnknownScene, SceneLoading, NotAcceptable], SETTINGS, LOADED, QUEUED]
